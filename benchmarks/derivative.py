@@ -187,7 +187,7 @@ def tuned_study(seconds: float) -> Study:
 def tuning(seconds: float, repeats: int) -> list[Row]:
     """Time a gradient of `sinsjax tune` in pairs with the plain runs of the same lanes."""
     study = tuned_study(seconds)
-    space = SearchSpace.of(study)
+    space = SearchSpace.from_study(study)
     box = np.linspace(0.3, 0.7, 2 * STARTS).reshape(STARTS, 2)
     points = {f"start {i}": space.point(space.values(own), {}) for i, own in enumerate(box)}
     (part,) = parts(search.derive(study, points, name="plain"), curves=False)

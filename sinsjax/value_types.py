@@ -107,21 +107,21 @@ def _shape(value: Any) -> str:
 def unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
     """Reject a list with a repeated value."""
     if len(set(values)) < len(values):
-        raise invalid("repeats a value")
+        raise invalid("repeats a value (drop one)")
     return values
 
 
 def _distinct_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
     """Reject bands whose result columns would share a name."""
     if len({columns.settle_column(band).name for band in bands}) < len(bands):
-        raise invalid("repeats a value, to the 6 digits in the name of its column")
+        raise invalid("repeats a value, to the 6 digits in its column name (drop one)")
     return bands
 
 
 def _distinct_reports(times_s: tuple[float, ...]) -> tuple[float, ...]:
     """Reject report times whose result columns would share a name."""
     if len({columns.report_columns(time) for time in times_s}) < len(times_s):
-        raise invalid("repeats a value, to the 6 digits in the names of its columns")
+        raise invalid("repeats a value, to the 6 digits in its column names (drop one)")
     return times_s
 
 

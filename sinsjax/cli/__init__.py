@@ -182,7 +182,7 @@ def tune(
     """
     from sinsjax.cli.progress import interruptible, progress
     from sinsjax.execution.prepare import Options
-    from sinsjax.study.changes import parsed
+    from sinsjax.study.changes import parse_changes
     from sinsjax.tuning import run_tuning
 
     check_options(overwrite=overwrite, resume=resume, devices=devices)
@@ -190,7 +190,9 @@ def tune(
     options = Options(
         given, overwrite=overwrite, resume=resume, source=source_label(config, changes)
     )
-    job = run_tuning.prepare_tuning(config, parsed(changes or ()), record, reference, options)
+    job = run_tuning.prepare_tuning(
+        config, parse_changes(changes or ()), record, reference, options
+    )
     assert job.directory is not None and job.forecast is not None
     terminal = plain_console()
     cores = runtime.usable_cores() if devices is None else devices

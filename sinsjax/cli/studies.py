@@ -68,9 +68,9 @@ def init(
     if from_ is None:
         text = files.text_of(name)
     else:
-        from sinsjax.study.from_record import study_of
+        from sinsjax.study.from_record import study_text
 
-        text = study_of(from_, path)
+        text = study_text(from_, path)
     if os.path.lexists(path):
         raise InputError(f"{path}: exists, and is left as it is (give another with --out)")
     with replacing(path) as file:

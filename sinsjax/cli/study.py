@@ -48,7 +48,7 @@ def run_study(
     from sinsjax.execution import forecast
     from sinsjax.execution.prepare import Options, prepare
     from sinsjax.execution.run import MOST_CURVES, run_job
-    from sinsjax.study.changes import parsed
+    from sinsjax.study.changes import parse_changes
 
     check_options(overwrite=overwrite, resume=resume, devices=devices, workers=cluster[0])
     configure(devices)
@@ -60,7 +60,7 @@ def run_study(
         resume=resume,
         source=source_label(config, changes),
     )
-    job = prepare(config, parsed(changes or ()), *files, options)
+    job = prepare(config, parse_changes(changes or ()), *files, options)
     assert job.directory is not None and job.forecast is not None
     terminal = plain_console()
     done = forecast.runs_done(job.directory) if resume else 0
@@ -101,12 +101,12 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     """Return what a study would run, without running it: runs, steps, time, memory and disk."""
     from sinsjax.execution import checks
     from sinsjax.execution.prepare import Options, prepare
-    from sinsjax.study.changes import parsed
+    from sinsjax.study.changes import parse_changes
     from sinsjax.study.load import load_with_notes
     from sinsjax.tuning.run_tuning import prepare_tuning
 
     runtime.configure()  # methods of other packages are evaluated
-    overrides = parsed(changes or ())
+    overrides = parse_changes(changes or ())
     study, notes = load_with_notes(config, overrides)
     if study.tune:
         what = f"tunes {', '.join(study.tune.variables)}"

@@ -145,7 +145,7 @@ def of_tuning(study: Study, curves: bool | None = None) -> Forecast:
         draws, judging = (study.n_draws + 1) // 2, study.n_draws // 2
     else:
         draws, judging = tune.tune_draws or 1, tune.evaluation_draws or 1
-    space, variants = SearchSpace.of(study), study.n_variants
+    space, variants = SearchSpace.from_study(study), study.n_variants
     free = [len(space.used(combination)) for combination in space.combinations]
     points = {
         "grid": sum(tune.grid_points**count for count in free),

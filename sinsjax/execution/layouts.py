@@ -9,7 +9,7 @@ from sinsjax.alignment.description import OwnColumn
 from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.study.keys import meaning
-from sinsjax.study.resolved import Coded, same
+from sinsjax.study.resolved import Coded, constant_column
 from sinsjax.study.schema import BIAS_KEYS, NUMBERS_DRAWN
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
@@ -59,7 +59,7 @@ def estimates(study: Study) -> tuple[Column, ...]:
 
 def of_variants(study: Study, layout: Iterable[Column]) -> dict[str, pa.Array]:
     """What the study says of its variants, in the types of some columns; leaves (variants,)."""
-    resets, cycle = study.schedules, same(study.n_variants, None)
+    resets, cycle = study.schedules, constant_column(study.n_variants, None)
     if study.has("resets"):
         cycle = study.resolved.column("reset_cycle_s")
     fixed = {

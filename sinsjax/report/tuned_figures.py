@@ -14,7 +14,7 @@ from sinsjax.tuning.results import LOOKS, SEARCHES, Tuning, axis
 
 def landscape(tuning: Tuning) -> list[Picture]:
     """The descents over what a search has seen, for the best combination of candidates."""
-    space = SearchSpace.of(tuning.study)
+    space = SearchSpace.from_study(tuning.study)
     number = tuning.found[tuning.best].best.candidate
     combination = space.combinations[number]
     used = space.used(combination)
@@ -33,7 +33,7 @@ def landscape(tuning: Tuning) -> list[Picture]:
     ways = [Way(values[:, used], found) for values, found in tuning.descents(number)]
     spots = _spots(tuning, number, used)
     case = tuning.judged.cases[tuning.places["baseline"]]
-    if (values := space.located(case, combination)) is not None:
+    if (values := space.locate(case, combination)) is not None:
         spots.insert(0, Spot("baseline", np.array(values), None, LOOKS.index("baseline")))
     chosen = ", ".join(f"{key} = {value_text(v)}" for key, v in combination.items())
     caption = said(

@@ -1,8 +1,8 @@
 """Changes to a study by key: ``--set`` of the command line, and `Study.replace`.
 
-A key that is changed takes the place of whatever the study says of it: of an axis, a key of the
-cases or a draw of the same name, and of a key that says the same in another way. An empty table
-in its place drops a section, an axis or a draw.
+A changed key replaces every value of that key in the study, also an axis, a key of the cases or a
+drawn key, and the alternatives to it. An empty table as the value drops a section, an axis or a
+drawn key.
 """
 
 import tomllib
@@ -15,11 +15,13 @@ from sinsjax.study.files import TOO_DEEP
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, info, rivals
 
 _SWEEPS = ("axes", "drawn")
-_EXAMPLE = "as in alignment.phi_u0_deg"
+_EXAMPLE = "such as alignment.phi_u0_deg"
 
 
-def parsed(texts: Iterable[str]) -> TomlTable:
-    """The values by place of ``PLACE=VALUE``, values as TOML writes them; a word needs no quotes.
+def parse_changes(texts: Iterable[str]) -> TomlTable:
+    """Return the values of some texts ``PLACE=VALUE`` by place.
+
+    Values are written as in TOML; a single word needs no quotes.
 
     Raises:
         InputError: a text has no place or no value, or a value is nested too deeply.
@@ -33,26 +35,28 @@ def parsed(texts: Iterable[str]) -> TomlTable:
             changes[place] = tomllib.loads(f"value = {value}")["value"]
         except ValueError:
             if not value.isidentifier():
-                raise InputError(f"--set {text}: {value} is no TOML value") from None
+                raise InputError(
+                    f"--set {text}: {value} is not a TOML value (quote text)"
+                ) from None
             changes[place] = value
         except RecursionError:
             raise InputError(f"--set {place}: {TOO_DEEP}") from None
     return changes
 
 
-def changed(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
-    """A study's tables with some values changed; both arguments are left as they are.
+def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
+    """Return a study's tables with some values changed; both arguments are left as they are.
 
     Args:
         tables: sections by name.
         changes: values by place: ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or
-            deeper, as ``tune.variables.p0_yaw_deg.low``. An empty table drops what is there, which
-            may be a section.
+            deeper, such as ``tune.variables.p0_yaw_deg.low``. An empty table drops the section,
+            key, axis or table of that name.
 
     Raises:
-        InputError: a place names no section or no key, or there is nothing to drop.
+        InputError: a place does not name a section and a key, or there is nothing to drop.
     """
-    out = {name: copied(table) for name, table in tables.items()}
+    out = {name: copy_tables(table) for name, table in tables.items()}
     for place, value in changes.items():
         section, *path = place.split(".")
         if value == {}:
@@ -63,12 +67,12 @@ def changed(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
             hint = f"{owner}.{place}" if owner else _EXAMPLE
             raise InputError(f"{place}: must name a section and a key ({hint})")
         if section == "cases":
-            raise InputError(f"{place}: cases are a list, whose entries cannot be changed by key")
+            raise InputError(f"{place}: the entries of cases cannot be changed (edit the file)")
         table = out.setdefault(section, {})
         for name in path[:-1]:
             table = table.setdefault(name, {}) if isinstance(table, dict) else None
         if not isinstance(table, dict):
-            raise InputError(f"{place}: lies below a value that is no table")
+            raise InputError(f"{place}: is below a value, not in a table (name the value itself)")
         table[path[-1]] = value
         key = path[0] if section != "axes" else path[-1]
         if section in _SWEEPS or (section in SECTIONS and len(path) == 1):
@@ -77,22 +81,22 @@ def changed(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
 
 
 def _drop(tables: TomlTable, place: str) -> None:
-    """Drops what stands at a place: a section, an axis or a draw."""
+    """Drop the section, key, axis or table at a place."""
     *path, name = place.split(".")
     table: Any = tables
     for part in path:
         table = table.get(part) if isinstance(table, dict) else None
     if not isinstance(table, dict) or name not in table:
-        raise InputError(f"{place}: nothing is there to drop")
+        raise InputError(f"{place}: cannot be dropped, as the study does not have it (omit it)")
     del table[name]
 
 
 def without_defaults(tables: Mapping[str, TomlTable], filled: Mapping[str, Any]) -> TomlTable:
-    """The tables of a resolved study without defaults that depend on other keys.
+    """Return the tables of a resolved study without the defaults that depend on other keys.
 
     Args:
         tables: sections by name.
-        filled: such defaults by key, where neither the field nor its mark tells them.
+        filled: defaults by key that neither the field nor its `KeyInfo` has.
     """
     out = dict(tables)
     for name in SECTIONS.keys() & tables.keys():
@@ -110,18 +114,18 @@ def without_defaults(tables: Mapping[str, TomlTable], filled: Mapping[str, Any])
     return out
 
 
-def copied(value: Any) -> Any:
-    """A table with its tables, all of them free to be changed."""
+def copy_tables(value: Any) -> Any:
+    """Return a deep copy of tables and lists, which may be changed."""
     if isinstance(value, Mapping):
-        return {key: copied(entry) for key, entry in value.items()}
-    return [copied(entry) for entry in value] if isinstance(value, list | tuple) else value
+        return {key: copy_tables(entry) for key, entry in value.items()}
+    return [copy_tables(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 def _clear(tables: TomlTable, key: str, kept: TomlTable) -> None:
-    """Removes a key, and those that say the same, from all tables that give or vary them but one.
+    """Remove a key and its alternatives from all tables that give or vary them.
 
-    There the key alone stays, in the place that it has. A zip that is left empty goes, and so does
-    a [drawn] that is left with nothing to draw.
+    In the table ``kept`` the key itself stays, in its position. An empty zip is removed, and so is
+    [drawn] if it does not draw a key any more.
     """
     axes, cases = (tables.get(name) for name in ("axes", "cases"))
     axes = axes if isinstance(axes, dict) else {}

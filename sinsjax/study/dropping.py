@@ -1,7 +1,7 @@
-"""Keys that a study gives and its methods do not use: dropped, or named in one line.
+"""Keys of a study that its methods do not use, which are dropped or listed in one line.
 
-A change of the method drops what the new one does not read. What it reads without effect stays, and
-is named before the study runs.
+A change of the method drops the keys that the new one does not read. Keys without effect stay, and
+are listed before the study runs.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -10,7 +10,7 @@ from typing import Any
 from sinsjax.alignment.description import INITIAL_KEYS
 from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.errors import InputError
-from sinsjax.study.changes import copied
+from sinsjax.study.changes import copy_tables
 from sinsjax.study.keys import (
     COARSE_KEYS,
     SECTION_OF,
@@ -26,7 +26,7 @@ from sinsjax.study.keys import (
 from sinsjax.study.study import Study
 
 _AMPLITUDES = tuple(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw"))
-_MOST_VALUES = 3  # that a line shows of a key
+_MOST_VALUES = 3  # of a key in one line
 _VARIABLES = "[tune.variables]"
 
 Table = dict[str, Any]
@@ -37,31 +37,31 @@ Listing = dict[str, list[str]]
 def drop_unread(
     before: Mapping[str, Any], after: TomlTable, changes: Mapping[str, Any], source: str
 ) -> tuple[TomlTable, list[str]]:
-    """Drop what the methods of a changed study do not read, unless it had the same before.
+    """Drop keys that the methods of a changed study do not read, if the methods have changed.
 
     Args:
         before: the study's tables without the changes.
-        after: its tables with them, left as they are.
+        after: its tables with the changes, left as they are.
         changes: values by place; a key that is given here stays, whatever the method.
-        source: what an error calls the study.
+        source: name of the study in messages.
 
     Returns:
-        The tables that are left, and a line for the user about what is not.
+        The remaining tables, and lines for the user about the dropped keys.
 
     Raises:
-        InputError: none of the tuned keys would be left.
+        InputError: no tuned key would remain.
     """
     methods = _method_names(after)
     if methods == _method_names(before) or not methods <= METHODS.keys():
         return after, []
     given = {_changed_key(place) for place, value in changes.items() if value != {}}
-    out: TomlTable = copied(after)
+    out: TomlTable = copy_tables(after)
     dropped, tuned = _drop(out, _unread_keys(methods, recorded="record" in out) - given)
     named = _name_methods(methods)
     if tuned and not out["tune"]["variables"]:
         raise InputError(
-            f"{source}: {_VARIABLES}: {named} reads none of {', '.join(tuned)} (tune keys that it"
-            " reads, as by --set tune.variables.KEY.low=..., or drop the section by --set tune={})"
+            f"{source}: {_VARIABLES}: {named} reads none of {', '.join(tuned)} (tune other keys,"
+            " --set tune.variables.KEY.low=..., or drop the section, --set tune={})"
         )
     repeats = _leave_out_repeats(before, out)
     parts = []
@@ -70,7 +70,7 @@ def drop_unread(
         parts.append(f"Dropped, as {named} {verb} not read them: {', '.join(dropped)}")
     if repeats:
         first = "left" if parts else "Left"
-        parts.append(f"{first} out, as they then repeat others: {', '.join(repeats)}")
+        parts.append(f"{first} out, as they now repeat others: {', '.join(repeats)}")
     lines = ["; ".join(parts)] if parts else []
     if "judged_from" not in given and (name := _method_without_floor(out, methods)):
         value = out["study"].pop("judged_from")
@@ -82,12 +82,12 @@ def drop_unread(
 
 
 def keys_without_effect(study: Study, tables: Mapping[str, Any]) -> list[str]:
-    """Name the given keys that act on no run of a study, in one line; no line if all of them act.
+    """List the given keys that have no effect on any run of a study, in one line if there are any.
 
     Args:
         study: checked study.
-        tables: that it was made of. If they give every key, as those of a resolved study do, only
-            those that differ from their defaults count as given.
+        tables: tables of the study. If they give every key, as those of a resolved study do, only
+            keys that differ from their defaults count as given.
     """
     resolved = _gives_every_key(study, tables)
     idle: dict[str, Listing] = {}  # by the reason
@@ -107,7 +107,7 @@ def keys_without_effect(study: Study, tables: Mapping[str, Any]) -> list[str]:
 
 
 def _places(tables: Mapping[str, Any]) -> Iterator[tuple[str, Table, list[str]]]:
-    """Every table whose keys may differ between runs: its name in brackets, itself, its keys."""
+    """Yield each table whose keys may differ between runs: name in brackets, table, keys."""
     axes, cases, tune = (tables.get(name) for name in ("axes", "cases", "tune"))
     found = [(f"[{name}]", tables.get(name)) for name in SWEEPABLE]
     zips = axes.items() if isinstance(axes, Mapping) else ()
@@ -127,7 +127,7 @@ def _is_table(value: Any) -> bool:
 
 
 def _changed_key(place: str) -> str:
-    """The leaf key that a change names."""
+    """Return the leaf key that a change names."""
     section, *path = place.split(".")
     if section == "axes":
         return path[-1] if path else ""
@@ -135,7 +135,7 @@ def _changed_key(place: str) -> str:
 
 
 def _values(tables: Mapping[str, Any], key: str) -> list[Any]:
-    """The values of a key as the tables give them; None of a drawn one."""
+    """Return the values of a key in the tables; None for a drawn key."""
     swept: list[Any] = []
     fixed: list[Any] = []
     for place, table, keys in _places(tables):
@@ -156,7 +156,7 @@ def _method_names(tables: Mapping[str, Any]) -> set[str]:
 
 
 def _name_methods(methods: Iterable[str]) -> str:
-    """Methods as a line names them."""
+    """Return some methods as text for a message."""
     first, *others = sorted(methods)
     if not others:
         return f"method {first}"
@@ -164,18 +164,18 @@ def _name_methods(methods: Iterable[str]) -> str:
 
 
 def _unread_keys(methods: Iterable[str], *, recorded: bool) -> set[str]:
-    """The keys that methods do not read, and those that each of them refuses."""
+    """Return the keys that some methods do not read, and the keys that all of them refuse."""
     refused = set.intersection(*({*METHODS[name].refuses} for name in methods))
-    if recorded:  # whose coarse alignment precedes every method
+    if recorded:  # every method may follow a coarse alignment
         refused -= {*COARSE_KEYS}
     return keys_unread(methods) | refused
 
 
 def _drop(out: TomlTable, unread: set[str]) -> tuple[list[str], list[str]]:
-    """Drop keys wherever they are given, and the tables that are then empty.
+    """Drop keys from all tables, and tables that become empty.
 
     Returns:
-        What is dropped, as a line lists it, and the tuned keys among it.
+        The dropped keys as text for a message, and the tuned keys among them.
     """
     gone: Listing = {}
     for place, table, keys in _places(out):
@@ -201,23 +201,23 @@ def _drop(out: TomlTable, unread: set[str]) -> tuple[list[str], list[str]]:
 
 
 def _has_keys(case: Any) -> bool:
-    """Whether a case has more than its label."""
+    """Whether a case has keys in addition to its label."""
     return not isinstance(case, dict) or bool(case.keys() - {"case"})
 
 
 def _is_gone(tables: TomlTable, place: str) -> bool:
-    """Whether there is no more table of a name."""
+    """Whether a table does not exist any more."""
     name, _, below = place[1:-1].partition(".")
     return name not in tables or bool(below) and below not in tables[name]
 
 
 def _format_listing(keys: Listing) -> list[str]:
-    """Keys behind their table; a table alone if it has none."""
+    """Return each table with its keys as text; the table alone if it has none."""
     return [" ".join(filter(None, (place, ", ".join(own)))) for place, own in keys.items()]
 
 
 def _leave_out_repeats(before: Mapping[str, Any], out: TomlTable) -> list[str]:
-    """Leave cases and points of zips out that differ from others no more; return how many."""
+    """Leave out cases and points of zips that have become equal; return text with their numbers."""
     lines = []
     cases = out.get("cases")
     if isinstance(cases, list) and all(map(_is_table, cases)):
@@ -238,19 +238,19 @@ def _leave_out_repeats(before: Mapping[str, Any], out: TomlTable) -> list[str]:
 
 
 def _case_rows(cases: Any) -> list[Any]:
-    """The values of every case, without its label."""
+    """Return the values of each case, without its label."""
     return [_freeze({key: row[key] for key in row if key != "case"}) for row in cases or ()]
 
 
 def _zip_rows(table: Mapping[str, Any]) -> list[Any]:
-    """The values of every point of a zip; none of one whose lists differ in length."""
+    """Return the values of each point of a zip; empty if its lists differ in length."""
     columns = [v if isinstance(v, list | tuple) else () for v in table.values()]
     same_length = len({*map(len, columns)}) == 1
     return [*map(_freeze, zip(*columns, strict=True))] if same_length else []
 
 
 def _first_places(before: Sequence[Any], after: Sequence[Any]) -> list[int]:
-    """The places of all rows but of those that have become equal to an earlier one."""
+    """Return the indices of all rows, except of those that have become equal to an earlier one."""
     if len(before) != len(after) or len({*before}) < len(before):
         return [*range(len(after))]
     first: dict[Any, int] = {}
@@ -262,14 +262,14 @@ def _count_left_out(kept: Sequence[int], rows: Sequence[Any], what: str) -> list
 
 
 def _freeze(value: Any) -> Any:
-    """A value that can be compared with others as a key of a dictionary."""
+    """Return a value in a hashable form."""
     if isinstance(value, Mapping):
         return frozenset((key, _freeze(entry)) for key, entry in value.items())
     return tuple(map(_freeze, value)) if isinstance(value, list | tuple) else value
 
 
 def _method_without_floor(tables: TomlTable, methods: set[str]) -> str | None:
-    """Return a method without a bias floor, in a study that its file judges from it."""
+    """Return a method without a bias floor if the study is judged from it, else None."""
     settings = tables.get("study")
     judged = settings.get("judged_from") if isinstance(settings, Mapping) else None
     if judged in (None, "truth") or "record" in tables:
@@ -298,7 +298,7 @@ def _is_default(key: str, value: Any) -> bool:
 
 
 def _why_idle(study: Study, key: str, *, tuned: bool) -> str | None:
-    """Why a key acts on no run, in words; None if it acts on one."""
+    """Return the reason why a key has no effect on any run, as text; None if it has an effect."""
     varied = {*study.tune.variables, *study.tune.baseline} if study.tune else set()
     if "method" not in varied and {*study.methods}.isdisjoint(readers(key)):
         return f"with {_name_methods(study.methods)}"
@@ -309,7 +309,7 @@ def _why_idle(study: Study, key: str, *, tuned: bool) -> str | None:
     if coarse:
         points = [p for p in points if not study.has_coarse_stage(*(p[k] for k in coarse))]
         if not points:
-            return "beside coarse alignment"
+            return "with coarse alignment"
     if any(acts(key, point) for point in points):
         return None
     for condition in conditions(key):
@@ -320,9 +320,9 @@ def _why_idle(study: Study, key: str, *, tuned: bool) -> str | None:
 
 
 def _format_values(key: str, values: set[Any]) -> str:
-    """The values that a key takes, as a condition."""
+    """Return the values of a key as a condition in a message."""
     if len(values) > _MOST_VALUES:
-        return f"these {key}"
+        return f"these values of {key}"
     if values == {None}:
         return f"no {key}"
     shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in sorted(values, key=str)]

@@ -1,4 +1,4 @@
-"""Study files: the shipped ones by name, templates to begin a study from, and reading them."""
+"""Study files: shipped studies by name, templates for a new study, and reading of a file."""
 
 import os
 import re
@@ -14,34 +14,34 @@ from sinsjax.platform.assets import asset
 _FOLDER = "configs"
 _SCHEMA = "#:schema"
 DOUBT = "# DOUBT: "
-"""Begins a line about what could not be known where a study was written for a record."""
+"""Start of a comment about an uncertain value in a study that is written for a record."""
 
 _STUDY, _PAGE = re.compile(r"\bconfigs/(\w+)\.toml"), re.compile(r"\bdocs/(\w+)\.md")
 
 TOO_DEEP = "is nested too deeply"
 _MOST_NESTED = 50
-"""Tables and lists within one another; a study has at most five."""
+"""Largest depth of nested tables and lists; a study has at most five."""
 
 TEMPLATES = ("sweep", "record", "tune", "compare")
-"""Kinds of study that have a template."""
+"""Kinds of study with a template."""
 
 
 def studies() -> dict[str, Path]:
-    """The files of the shipped studies by name, in alphabetical order."""
+    """Return the files of the shipped studies by name, in alphabetical order."""
     return {path.stem: path for path in sorted(asset(_FOLDER).glob("*.toml"))}
 
 
 def templates() -> dict[str, Path]:
-    """The files of the templates by name."""
+    """Return the files of the templates by name."""
     return {name: asset(f"{_FOLDER}/templates/{name}.toml") for name in TEMPLATES}
 
 
-def found(given: str | Path) -> Path:
-    """The file that a study's name stands for; what stands for none is returned as given.
+def find_study(given: str | Path) -> Path:
+    """Return the file of a study; an unknown name is returned unchanged.
 
     Args:
-        given: a file, which comes first, with or without ``.toml``; or a shipped study, as
-            ``reset_sweep``, ``reset_sweep.toml`` or ``configs/reset_sweep.toml``.
+        given: a file, with or without ``.toml``, or else a shipped study, such as ``reset_sweep``,
+            ``reset_sweep.toml`` or ``configs/reset_sweep.toml``.
     """
     path = Path(given)
     if not path.name or os.path.isfile(path):
@@ -55,7 +55,7 @@ def found(given: str | Path) -> Path:
 
 
 def purpose(path: Path) -> str:
-    """What a study is for: the first sentence of the comment that it begins with.
+    """Return the purpose of a study: the first sentence of the comment at its start.
 
     Studies and pages are named without their folders, which a wheel does not have.
     """
@@ -71,10 +71,10 @@ def purpose(path: Path) -> str:
 
 
 def text_of(name: str) -> str:
-    """The text of a template or shipped study, comments included, with the way to the schema.
+    """Return the text of a template or shipped study, with its comments and a path to the schema.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: the name is unknown.
     """
     known = studies() | templates()
     stem = Path(name).stem
@@ -86,35 +86,35 @@ def text_of(name: str) -> str:
 
 
 def schema_line() -> str:
-    """The first line of a study, which tells editors the way to the schema of its keys."""
+    """Return the first line of a study, with the path of the schema of its keys for editors."""
     return f"{_SCHEMA} {asset(f'{_FOLDER}/schema.json').as_uri()}"
 
 
 def _body(path: Path) -> str:
-    """A shipped file without its first line, which tells editors the way to its schema."""
+    """Return a shipped file without its first line, the path of the schema."""
     first, _, rest = path.read_text("utf-8").partition("\n")
     return rest if first.startswith(_SCHEMA) else f"{first}\n{rest}"
 
 
 def read_tables(path: str | Path) -> dict[str, Any]:
-    """The tables of a study file, unchecked.
+    """Return the tables of a study file, unchecked.
 
     Args:
-        path: the file, or the name of a shipped study.
+        path: file, or name of a shipped study.
 
     Raises:
-        InputError: the file cannot be read or is no TOML; one line says why.
+        InputError: the file cannot be read or is not TOML.
     """
     try:
-        tables = tomllib.loads(found(path).read_text("utf-8-sig"))
+        tables = tomllib.loads(find_study(path).read_text("utf-8-sig"))
     except FileNotFoundError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}{_hint(path)}") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path}: is no UTF-8 text") from None
+        raise InputError(f"{path}: is not UTF-8 text (save it as UTF-8)") from None
     except ValueError as error:
-        raise InputError(f"{path}: is no TOML: {error}") from None
+        raise InputError(f"{path}: is not TOML: {error}") from None
     except RecursionError:
         raise InputError(f"{path}: {TOO_DEEP}") from None
     require_shallow(tables, path)
@@ -122,16 +122,16 @@ def read_tables(path: str | Path) -> dict[str, Any]:
 
 
 def require_shallow(content: Any, source: str | Path) -> None:
-    """Refuse tables and lists that are nested too deeply for functions that call themselves.
+    """Refuse tables and lists that are nested too deeply for recursive functions.
 
-    A parser may accept them: TOML's does, of ``[a.a.a.a]``.
+    The TOML parser accepts them, for example ``[a.a.a.a]``.
 
     Args:
-        content: of a file.
-        source: the name that the message gives it.
+        content: content of a file.
+        source: name of the file in the message.
 
     Raises:
-        InputError: they are.
+        InputError: the content is nested too deeply.
     """
     level = [content]
     for _ in range(_MOST_NESTED):
@@ -143,5 +143,5 @@ def require_shallow(content: Any, source: str | Path) -> None:
 
 
 def _hint(given: str | Path) -> str:
-    """The nearest shipped study to a name that stands for no file, if any."""
+    """Return a hint at the shipped study with the most similar name; empty without one."""
     return near(Path(given).stem, studies())

@@ -1,6 +1,6 @@
-"""A study for a record that nobody described: ``sinsjax init record --from log.csv``.
+"""A study for a record without a description: ``sinsjax init record --from log.csv``.
 
-Every key stands with its reason, and with what the file cannot tell.
+Every key has a comment with its reason, and with a doubt if the file does not determine it.
 """
 
 import json
@@ -24,14 +24,14 @@ from sinsjax.study.files import DOUBT, schema_line
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 
 _SHORT_GAP_S = 0.1
-"""Longest gap that is interpolated unasked: a base at rest does not sway in less."""
+"""Longest gap that is interpolated by default: a base at rest hardly moves in this time."""
 
 _LONGEST_S, _COARSE_S, _SHORTEST_S = 900.0, 10.0, 10.0
-_NOMINAL = 1e-4  # relative: clocks are off by as much from the rate that was meant
+_NOMINAL = 1e-4  # relative deviation of clocks from the nominal rate
 _WIDTH = 100
 _LATITUDE = 45.0
 _NOTHING = Note("")
-_ABOUT = "Earth rate tells the latitude as well as the gyros know it: put the true one here"
+_ABOUT = "estimated from the Earth rate that the gyros measure: put the true latitude here"
 _ALIGNMENT = """\
 # for a covariance: "kalman_sincos" with the noise of the sensors in [filter] (sinsjax keys filter)
 [alignment]
@@ -39,33 +39,33 @@ method = "inertial"               # needs no numbers of the sensors
 """
 
 
-class _Looked(NamedTuple):
-    """A file as it was understood.
+class _Recognised(NamedTuple):
+    """A file with its recognised layout.
 
     Attributes:
-        layout: how it holds the record.
-        notes: by key of [record].
-        record: what is read with it.
-        told: what kind of file it is.
-        tells_rate: whether the file tells its rate.
+        layout: layout of the record in the file.
+        notes: reasons and doubts by key of [record].
+        record: record that is read with the layout.
+        kind: description of the kind of file.
+        gives_rate: whether the file gives its rate.
     """
 
     layout: Layout
     notes: dict[str, Note]
     record: Record
-    told: str
-    tells_rate: bool = True
+    kind: str
+    gives_rate: bool = True
 
 
 class _Times(NamedTuple):
-    """What of a record is aligned.
+    """The part of a record that is aligned.
 
     Attributes:
-        rate_hz: that was meant.
-        interval_s: between recorded values, whole samples.
-        start_s: where coarse alignment begins.
-        coarse_s: how long it takes.
-        fine_s: how long the alignment takes.
+        rate_hz: nominal rate, Hz.
+        interval_s: record interval, a whole number of samples, s.
+        start_s: start of coarse alignment, s.
+        coarse_s: length of coarse alignment, s.
+        fine_s: length of the alignment after it, s.
     """
 
     rate_hz: float
@@ -75,25 +75,25 @@ class _Times(NamedTuple):
     fine_s: float
 
 
-def study_of(path: Path, study: Path) -> str:
-    """The text of a study that aligns a record, with reasons and doubts.
+def study_text(path: Path, study: Path) -> str:
+    """Return the text of a study that aligns a record, with reasons and doubts.
 
     Args:
         path: CSV with a header, Parquet, or PSINS text.
-        study: the file that the text is for.
+        study: file of the study.
 
     Raises:
-        InputError: no record can be found in it; one line says why.
+        InputError: the file does not contain a record.
     """
-    looked = _looked_psins(path) if _is_psins(path) else _looked(path)
-    times, of_times = _times(path, looked.record)
-    span = _samples(looked.record, times)
-    means = means_of(looked.record, span, STANDARD_GRAVITY)
+    recognised = _recognise_psins(path) if _is_psins(path) else _recognise(path)
+    times, of_times = _times(path, recognised.record)
+    span = _samples(recognised.record, times)
+    means = means_of(recognised.record, span, STANDARD_GRAVITY)
     sections = [
         _title(path, study),
-        _study_section(path, looked, times, of_times),
-        _earth_section(looked.record, means),
-        _record_section(looked, times, span, _latitude(looked.record, means)),
+        _study_section(path, recognised, times, of_times),
+        _earth_section(recognised.record, means),
+        _record_section(recognised, times, span, _latitude(recognised.record, means)),
         _coarse_section(times),
         _ALIGNMENT,
     ]
@@ -101,11 +101,11 @@ def study_of(path: Path, study: Path) -> str:
 
 
 def _is_psins(path: Path) -> bool:
-    """Whether the first line that is no comment has six numbers with blanks between them."""
+    """Whether the first line that is not a comment has six numbers between blanks."""
     try:
         lines = next(line_batches(path, 2**16)).lines
     except InputError:
-        return False  # what it is else will tell what is wrong with it
+        return False  # reading it in another format reports the error
     data = (line for line in lines if line.strip() and not line.lstrip().startswith(b"%"))
     words = next(data, b"").decode(errors="replace").split()
     try:
@@ -114,12 +114,12 @@ def _is_psins(path: Path) -> bool:
         return False
 
 
-def _looked_psins(path: Path) -> _Looked:
-    note = Note("right, front and up, as PSINS has them", "the file does not tell its axes")
-    return _Looked(PSINS_LAYOUT, {"axes_order": note}, read_psins(path), "PSINS text")
+def _recognise_psins(path: Path) -> _Recognised:
+    note = Note("right, front and up, as in PSINS", "the file does not state its axes")
+    return _Recognised(PSINS_LAYOUT, {"axes_order": note}, read_psins(path), "PSINS text")
 
 
-def _looked(path: Path) -> _Looked:
+def _recognise(path: Path) -> _Recognised:
     head = head_of(path)
     found = recognise(path, head)
     layout, notes = found.layout, dict(found.notes)
@@ -132,13 +132,13 @@ def _looked(path: Path) -> _Looked:
     if short:
         layout = layout._replace(max_gap_s=math.ceil(max(short) * 1e3) / 1e3)
         record = read_record(path, layout)
-        doubt = "if the base moves in them, leave this out: the study then refuses them"
+        doubt = "if the base moves in these gaps, leave this out: the study then refuses them"
         notes["max_gap_s"] = Note(f"{record.filled} samples in {len(short)} gaps", doubt)
-    return _Looked(layout, notes, record, head.told, found.tells_rate)
+    return _Recognised(layout, notes, record, head.told, found.tells_rate)
 
 
 def _times(path: Path, record: Record) -> tuple[_Times, Note]:
-    """What of a record can be aligned: its longest part without a gap."""
+    """Return the part of a record that can be aligned, the longest one without a gap."""
     rate = record.rate_hz
     meant = float(round(rate)) if round(rate) else rate
     rate = meant if abs(rate / meant - 1) <= _NOMINAL else rate
@@ -150,11 +150,11 @@ def _times(path: Path, record: Record) -> tuple[_Times, Note]:
     intervals = math.floor(((end / rate) - start_s) / interval_s + 1e-6)
     if intervals * interval_s < _SHORTEST_S:
         raise InputError(
-            f"{path}: has {intervals * interval_s:.3g} s without a gap, and an alignment needs"
-            f" {_SHORTEST_S:g}"
+            f"{path}: has only {intervals * interval_s:.3g} s without a gap (an alignment needs"
+            f" {_SHORTEST_S:g} s)"
         )
     coarse = min(round(_COARSE_S / interval_s), intervals // 4)
-    # An ordinary reference ends a little earlier than its record.
+    # A reference usually ends a little earlier than its record.
     fine = min(intervals - coarse - 1, round(_LONGEST_S / interval_s))
     note = Note(f"of {len(record.dv) / rate:.4g} s in the file")
     if record.flaws:
@@ -164,22 +164,22 @@ def _times(path: Path, record: Record) -> tuple[_Times, Note]:
 
 
 def _samples(record: Record, times: _Times) -> tuple[int, int]:
-    """The samples that the study reads."""
+    """Return the first sample that the study reads, and the one after the last."""
     begin = round(times.start_s * record.rate_hz)
     end = begin + round((times.coarse_s + times.fine_s) * times.rate_hz)
     return begin, min(end, len(record.dv))
 
 
-def _tells_latitude(record: Record, means: Means) -> bool:
-    """Whether its mean rate is Earth rate, and not in part what a dead channel holds."""
+def _shows_latitude(record: Record, means: Means) -> bool:
+    """Whether its mean rate is the Earth rate, without a dead channel."""
     return sees_earth_rate(means) and not any(dead_among(record.dtheta.T))
 
 
 def _latitude(record: Record, means: Means) -> float:
-    """Geodetic latitude, deg: of the header, or about that which Earth rate tells."""
+    """Return the geodetic latitude of the header, or an estimate from the Earth rate, deg."""
     if record.latitude_deg is not None:
         return record.latitude_deg
-    if not _tells_latitude(record, means):
+    if not _shows_latitude(record, means):
         return _LATITUDE
     sine = max(-0.99, min(0.99, rate_up(means) / EARTH_RATE))
     return round(math.asin(sine) / DEG, 1)
@@ -188,7 +188,7 @@ def _latitude(record: Record, means: Means) -> float:
 def _title(path: Path, study: Path) -> str:
     log, name = escape_controls(path.name), escape_controls(study.name)
     about = f"Alignment of {log}, written by `sinsjax init record`."
-    look = f"Lines with {DOUBT.strip('# :')} say what the file cannot tell: look at them first."
+    look = f"Lines with {DOUBT.strip('# :')} list what the file does not show: check them first."
     return "\n".join(
         [
             schema_line(),
@@ -204,9 +204,9 @@ def _title(path: Path, study: Path) -> str:
     )
 
 
-def _study_section(path: Path, looked: _Looked, times: _Times, note: Note) -> str:
-    rate = [*_entry("rate_hz", times.rate_hz, _rate_note(looked, times))]
-    if not looked.tells_rate:  # the study is refused until it is given
+def _study_section(path: Path, recognised: _Recognised, times: _Times, note: Note) -> str:
+    rate = [*_entry("rate_hz", times.rate_hz, _rate_note(recognised, times))]
+    if not recognised.gives_rate:  # the study is refused until it is given
         rate[-1] = "# rate_hz ="
     lines = [
         "[study]",
@@ -219,29 +219,31 @@ def _study_section(path: Path, looked: _Looked, times: _Times, note: Note) -> st
     return "\n".join([*lines, ""])
 
 
-def _rate_note(looked: _Looked, times: _Times) -> Note:
-    measured = f"{looked.record.rate_hz:.6g}"
+def _rate_note(recognised: _Recognised, times: _Times) -> Note:
+    measured = f"{recognised.record.rate_hz:.6g}"
     if measured == f"{times.rate_hz:.6g}":
-        return looked.notes.get("rate_hz", Note("Hz, of the record"))
-    return Note(f"Hz, the nominal rate: the stamps tell {measured}")
+        return recognised.notes.get("rate_hz", Note("Hz, of the record"))
+    return Note(f"Hz, the nominal rate; that of the stamps is {measured}")
 
 
 def _earth_section(record: Record, means: Means) -> str:
     if record.latitude_deg is not None:
-        return "\n".join(["[earth]", *_entry("earth", "wgs84", Note("place: of the header")), ""])
-    if _tells_latitude(record, means):
-        note = Note("deg, by the vertical part of the mean rate", _ABOUT)
+        return "\n".join(
+            ["[earth]", *_entry("earth", "wgs84", Note("the header gives the place")), ""]
+        )
+    if _shows_latitude(record, means):
+        note = Note("deg, from the vertical part of the mean rate", _ABOUT)
     else:
-        note = Note("deg", "the gyros do not tell the latitude: put the true one here")
+        note = Note("deg", "the gyros do not show the latitude: put the true one here")
     latitude = _entry("latitude_deg", _latitude(record, means), note)
     return "\n".join(["[earth]", *_entry("earth", "wgs84"), *latitude, ""])
 
 
 def _record_section(
-    looked: _Looked, times: _Times, span: tuple[int, int], latitude_deg: float
+    recognised: _Recognised, times: _Times, span: tuple[int, int], latitude_deg: float
 ) -> str:
-    layout, notes = looked.layout, looked.notes
-    lines = ["[record]", _comment(f"{looked.told}."), *_entry("format", layout.format)]
+    layout, notes = recognised.layout, recognised.notes
+    lines = ["[record]", _comment(f"{recognised.kind}."), *_entry("format", layout.format)]
     for key in Layout._fields:
         value = getattr(layout, key)
         if key in ("format", "rate_hz") or value in ("", 0.0, ()):
@@ -249,9 +251,7 @@ def _record_section(
         elif layout.format != "psins" or key == "axes_order":
             if key != "time_unit" or layout.time_column:
                 lines += _entry(key, value, notes.get(key, Note("")))
-    lines += _entry(
-        "start_s", [times.start_s], Note("s, where coarse alignment begins; may be many")
-    )
+    lines += _entry("start_s", [times.start_s], Note("s, start of coarse alignment; may be a list"))
     expected = StationaryValues(
         earth_rate=EARTH_RATE,
         latitude=latitude_deg * DEG,
@@ -259,9 +259,9 @@ def _record_section(
         gyro_bias=10 * DEG_PER_H,
         accel_bias=5000 * micro_g(),
     )
-    doubtful: list[Oddity | Finding] = [*told(looked.record.oddities, [span])]
-    if not any(odd.hard for odd in doubtful):  # they are in the means
-        doubtful += findings(looked.record, span, layout, expected)
+    doubtful: list[Oddity | Finding] = [*told(recognised.record.oddities, [span])]
+    if not any(odd.hard for odd in doubtful):  # otherwise they spoil the means
+        doubtful += findings(recognised.record, span, layout, expected)
     for found in doubtful:
         refused = " (the study is refused)" if found.hard else ""
         lines.append(_comment(f"{found.text}{refused}", DOUBT))
@@ -280,7 +280,7 @@ def _coarse_section(times: _Times) -> str:
 
 
 def _entry(key: str, value: Any, note: Note = _NOTHING) -> Iterator[str]:
-    """A key with its reason beside it, or above where that is long, and its doubt above."""
+    """Yield the lines of a key with its reason, above it if long, and its doubt above it."""
     if note.doubt:
         yield _comment(note.doubt, DOUBT)
     shown = list(value) if isinstance(value, tuple) else value
@@ -296,7 +296,7 @@ def _entry(key: str, value: Any, note: Note = _NOTHING) -> Iterator[str]:
 
 
 def _comment(text: str, mark: str = "# ") -> str:
-    """A comment of as many lines as it takes."""
+    """Return a comment, wrapped to lines."""
     text = escape_controls(text)
     return textwrap.fill(
         text, _WIDTH, initial_indent=mark, subsequent_indent="#   ", break_long_words=False

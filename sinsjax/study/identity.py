@@ -1,4 +1,4 @@
-"""The identity of a study: what distinguishes its results from those of another one."""
+"""The identity of a study, which distinguishes its results from those of other studies."""
 
 import hashlib
 import json
@@ -9,30 +9,30 @@ from sinsjax.messages import shortened
 from sinsjax.study.study import Study
 
 NOT_COMPUTED: Any = {"tune": True, "study": {"name", "unchecked"}}
-"""What has no effect on the rows of a sweep."""
+"""Keys without effect on the rows of a sweep."""
 
 
 def fingerprint(study: Study) -> str:
-    """Return 16 hex digits that identify what a study computes.
+    """Return 16 hex digits that identify the results of a study.
 
-    Name and key order of the file have no effect. The order of the axes, of the zips and of the
-    drawn keys has one: it numbers the variants and the points of a design.
+    The name and the order of keys in a section have no effect. The order of the axes, of the zips
+    and of the drawn keys has: it numbers the variants and the points of a design.
     """
     content = study.model_dump(mode="json", exclude=NOT_COMPUTED, exclude_none=True)
     for name in ("axes", "zips", "drawn"):
         content[name] = list(content.get(name, {}).items())
-    content["zips"] = [keys for _, keys in content["zips"]]  # their names are free
+    content["zips"] = [keys for _, keys in content["zips"]]  # names have no effect
     text = json.dumps(content, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def with_draws(study: Study, draws: int) -> Study:
-    """Return a simulated study with another number of draws and nothing else changed, unchecked."""
+    """Return a simulated study with another number of draws, unchecked."""
     return study.model_copy(update={"study": study.study.model_copy(update={"draws": draws})})
 
 
 def sections_of(study: Study) -> dict[str, Any]:
-    """Return the sections of a resolved study as JSON has them, as a manifest stores them."""
+    """Return the sections of a resolved study as JSON values, as a manifest stores them."""
     return study.model_dump(mode="json", exclude_none=True)
 
 
@@ -44,13 +44,13 @@ def differences(
     """Return the keys that affect results and differ between two studies, with both values.
 
     Args:
-        old: a study, or its sections from a manifest.
-        new: the other.
-        places: words for where each of them is.
+        old: first study, or its sections from a manifest.
+        new: second study, or its sections.
+        places: words for the places of both.
     """
     before, after = _values(old), _values(new)
     found = [
-        f"{key}: {_shown(before.get(key))} {places[0]}, {_shown(after.get(key))} {places[1]}"
+        f"{key}: {_format(before.get(key))} {places[0]}, {_format(after.get(key))} {places[1]}"
         for key in dict.fromkeys((*before, *after))
         if before.get(key) != after.get(key)
     ]
@@ -58,7 +58,7 @@ def differences(
 
 
 def _values(study: Study | Mapping[str, Any]) -> dict[str, Any]:
-    """Values of a study by section and key of its file."""
+    """Return the values of a study by section and key of its file."""
     content = sections_of(study) if isinstance(study, Study) else dict(study)
     content.pop("tune", None)
     own = _table(content.get("study"))
@@ -77,9 +77,9 @@ def _values(study: Study | Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _table(value: Any) -> Mapping[str, Any]:
-    """A table of a manifest; empty if there is something else in its place."""
+    """Return a table of a manifest; empty if the entry is not a table."""
     return value if isinstance(value, Mapping) else {}
 
 
-def _shown(value: Any) -> str:
+def _format(value: Any) -> str:
     return "none" if value is None else shortened(str(value), 60)

@@ -1,8 +1,8 @@
 """The keys of a study for editors: ``python -m sinsjax.study.json_schema > configs/schema.json``.
 
-An editor that knows JSON schemas of TOML files (Taplo, Even Better TOML) completes and explains the
-keys of a file that begins with ``#:schema`` and the way to it. What a study may hold together is
-not told there: `sinsjax validate` checks it.
+An editor with support for JSON schemas of TOML files (Taplo, Even Better TOML) completes and
+explains the keys of a file that starts with ``#:schema`` and the path of the schema. The schema has
+no rules between keys: `sinsjax validate` checks them.
 """
 
 import json
@@ -16,23 +16,23 @@ Schema = dict[str, Any]
 
 
 def schema() -> Schema:
-    """The JSON schema of a study file, draft 7."""
+    """Return the JSON schema of a study file, draft 7."""
     definitions: Schema = {}
     tables = {name: _table(name, definitions) for name in SECTIONS}
-    swept = {key: _of(name, key) for key, name in SECTION_OF.items() if name in SWEEPABLE}
+    swept = {key: _reference(name, key) for key, name in SECTION_OF.items() if name in SWEEPABLE}
     lists = {key: _list(value) for key, value in swept.items()}
     tuned = {key: value for key, value in swept.items() if SECTION_OF[key] in TUNABLE}
     for name in ("drawn.KEY", "tune.variables.KEY"):
         definitions[name] = _table(name, definitions)
     law, one = ({"$ref": f"#/definitions/{name}"} for name in ("drawn.KEY", "tune.variables.KEY"))
     ranges = {key: {"anyOf": [one, _list(one)]} for key in tuned}
-    definitions["tune.variables"] = _object("what may change", ranges)
-    definitions["tune.baseline"] = _object("what to stand beside", tuned)
-    definitions["axes.NAME"] = _object("axes that go together", lists)
+    definitions["tune.variables"] = _object("ranges of the tuned keys", ranges)
+    definitions["tune.baseline"] = _object("values to compare the tuned ones with", tuned)
+    definitions["axes.NAME"] = _object("keys that are swept together", lists)
     zips = {"$ref": "#/definitions/axes.NAME"}
     axes = {key: {"anyOf": [value, zips]} for key, value in lists.items()}
     tables["axes"] = {
-        **_object("values that keys are swept over", axes),
+        **_object("values over which keys are swept", axes),
         "additionalProperties": zips,
     }
     tables["cases"] = _list(_object("one case", {"case": {"type": "string"}, **swept}))
@@ -47,30 +47,30 @@ def schema() -> Schema:
 
 
 def text() -> str:
-    """The schema as a file."""
+    """Return the schema as the text of a file."""
     return json.dumps(schema(), indent=1, ensure_ascii=False) + "\n"
 
 
 def _table(name: str, definitions: Schema) -> Schema:
-    """A table of keys, whose schemas are put among the definitions."""
-    made = TABLES[name].model_json_schema()["properties"]
+    """Return the schema of a table, with the schemas of its keys added to the definitions."""
+    properties = TABLES[name].model_json_schema()["properties"]
     for key in (key for key in KEYS.values() if key.section == name):
-        told = f"{key.meaning}; default: {key.default}; methods: {key.read_by}"
-        if not key.default:
-            told = f"{key.meaning}; methods: {key.read_by}"
-        definitions[f"{name}.{key.name}"] = _plain(made[key.name]) | {"description": told}
+        default = f"default: {key.default}; " if key.default else ""
+        description = f"{key.meaning}; {default}methods: {key.read_by}"
+        schema_of_key = _simplify(properties[key.name]) | {"description": description}
+        definitions[f"{name}.{key.name}"] = schema_of_key
     return _object(
-        purpose(TABLES[name]), {key: _of(name, key) for key in TABLES[name].model_fields}
+        purpose(TABLES[name]), {key: _reference(name, key) for key in TABLES[name].model_fields}
     )
 
 
-def _plain(value: Any) -> Any:
-    """A schema without titles, defaults and null, which no TOML file has."""
+def _simplify(value: Any) -> Any:
+    """Return a schema without titles, defaults and null, which TOML does not have."""
     if isinstance(value, list):
-        return [_plain(entry) for entry in value if entry != {"type": "null"}]
+        return [_simplify(entry) for entry in value if entry != {"type": "null"}]
     if not isinstance(value, dict):
         return value
-    out = {key: _plain(v) for key, v in value.items() if key not in ("title", "default")}
+    out = {key: _simplify(v) for key, v in value.items() if key not in ("title", "default")}
     for kind in ("anyOf", "oneOf"):
         if len(out.get(kind, ())) == 1:
             out |= out.pop(kind)[0]
@@ -78,7 +78,7 @@ def _plain(value: Any) -> Any:
     return out
 
 
-def _of(section: str, key: str) -> Schema:
+def _reference(section: str, key: str) -> Schema:
     return {"$ref": f"#/definitions/{section}.{key}"}
 
 
@@ -87,8 +87,8 @@ def _list(entry: Schema) -> Schema:
 
 
 def _object(description: str, properties: Schema) -> Schema:
-    told = {"description": description} if description else {}
-    return {"type": "object", **told, "properties": properties, "additionalProperties": False}
+    described = {"description": description} if description else {}
+    return {"type": "object", **described, "properties": properties, "additionalProperties": False}
 
 
 if __name__ == "__main__":

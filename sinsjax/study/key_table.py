@@ -1,4 +1,4 @@
-"""The page of all keys, ``python -m sinsjax.study.key_table > docs/keys.md``, and its parts."""
+"""The page of all keys: ``python -m sinsjax.study.key_table > docs/keys.md``."""
 
 from sinsjax.alignment.methods import BROKEN, METHODS, PACKAGES
 from sinsjax.errors import InputError
@@ -7,21 +7,22 @@ from sinsjax.study.keys import KEYS, SWEEPABLE, TABLES, Key
 from sinsjax.value_types import Section
 
 _KEYLESS = ("axes", "cases")
+_ALL_KEYS = " (`sinsjax keys` lists all keys)"
 _VARYING = (
-    "`[axes] KEY = [...]` sweeps a key, `[axes.NAME]` holds axes that go together, `[[cases]]`"
-    " gives values and a label (`case`) to each case"
+    "`[axes] KEY = [...]` sweeps a key, `[axes.NAME]` sweeps several keys together, `[[cases]]`"
+    " lists values and a label (`case`) per case"
 )
 
 
 def find_keys(wanted: str | None = None) -> list[Key]:
-    """The keys of a study, of one section, or those of one name.
+    """Return all keys of a study, or those of a section, a method or a name.
 
     Args:
-        wanted: section, key, ``section.key``, or a method for its own; None for all. What is none
-            of these finds the keys whose name contains it.
+        wanted: section, key, ``section.key``, or a method for the keys of its sections; None for
+            all keys. Any other text finds the keys whose name contains it.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: nothing has this name.
     """
     every = [*KEYS.values()]
     if wanted in METHODS:
@@ -31,19 +32,19 @@ def find_keys(wanted: str | None = None) -> list[Key]:
         raise InputError(BROKEN[wanted])
     names = {text for key in every for text in (key.section, key.name, f"{key.section}.{key.name}")}
     if wanted in _KEYLESS:
-        raise InputError(f"[{wanted}]: has no keys of its own; {_VARYING}")
+        raise InputError(f"[{wanted}]: has the keys of other sections ({_VARYING})")
     if wanted is not None and wanted not in names:
         if found := [key for key in every if wanted and wanted in key.name]:
             return found
         hint = near(wanted, sorted({*names, *METHODS}))
-        raise InputError(f"{wanted}: no section, key or method of a study{hint}")
+        raise InputError(f"{wanted}: unknown section, key or method{hint or _ALL_KEYS}")
     return [
         key for key in every if wanted in (None, key.section, key.name, f"{key.section}.{key.name}")
     ]
 
 
 def about_method(wanted: str | None) -> list[str]:
-    """What a method is, in lines; none where no method has that name."""
+    """Return the description of a method in lines; empty for another name."""
     if wanted not in METHODS:
         return []
     method = METHODS[wanted]
@@ -54,23 +55,23 @@ def about_method(wanted: str | None) -> list[str]:
         f"{wanted}: {method.summary}",
         f"    source: {method.source}",
         *([f"    package: {package} {version}"] if package else []),
-        f"    sections of its own: {sections}; of [alignment] and [passes] it reads {reads}",
-        *([f"    takes without effect: {', '.join(method.silent)}"] if method.silent else []),
+        f"    sections: {sections}; keys of [alignment] and [passes]: {reads}",
+        *([f"    keys without effect: {', '.join(method.silent)}"] if method.silent else []),
     ]
 
 
 def page() -> str:
-    """Every key with unit, default, meaning and the methods that read it, as Markdown."""
+    """Return the page of all keys, with unit, default, meaning and methods, as Markdown."""
     sweepable = ", ".join(f"[{name}]" for name in SWEEPABLE)
     lines = [
         "# Keys of a study",
         "",
-        "`sinsjax keys [SECTION|KEY]` prints these tables. A key without a default may be left out"
-        " unless it is required; its meaning says what then holds. Keys of some methods act where a"
-        " variant has one of them; `all` stands for any method.",
+        "`sinsjax keys [SECTION|KEY|METHOD]` prints these tables. Only keys whose default is"
+        " `required` must be given in every study; some others are required in certain studies, as"
+        " their meaning states. The last column lists the methods that read a key.",
         "",
-        f"Every key of {sweepable} may vary: {_VARYING}. A key has one place: in its section, or in"
-        " what varies it.",
+        f"The keys of {sweepable} may vary: {_VARYING}. A study gives a key once: in its section,"
+        " or in a table that varies it.",
     ]
     for name, model in TABLES.items():
         lines += ["", f"## [{name}]", "", purpose(model), ""]
@@ -82,7 +83,7 @@ def page() -> str:
 
 
 def purpose(model: type[Section]) -> str:
-    """What a section is for: the first paragraph of its docstring, without its name."""
+    """Return the purpose of a section: the first paragraph of its docstring, without its name."""
     text = " ".join((model.__doc__ or "").strip().partition("\n\n")[0].split())
     text = text.partition("]: ")[2] or text
     return text if "(" in text.split()[0] else text[:1].upper() + text[1:]

@@ -1,6 +1,6 @@
-"""The keys of a study: `KEYS` has one object for each, and everything known of it.
+"""The keys of a study: `KEYS` has one object per key, with all its metadata.
 
-The key table, the JSON schema, the messages and the rules all read it there.
+The key table, the JSON schema, the messages and the rules read it.
 """
 
 import re
@@ -53,10 +53,10 @@ _AFTER: dict[str, type[Section]] = {
 
 
 def _join_sections() -> dict[str, type[Section]]:
-    """Those of every study about those of methods.
+    """Return the sections of every study, and between them those of the methods.
 
-    A method of another package cannot be used with a section, or a key, that every study has, nor
-    if it reads keys that there are not.
+    A method of another package is removed if it has a section or a key that every study has, or
+    reads unknown keys.
     """
     common = _BEFORE | _AFTER
     taken = {key: name for name, section in common.items() for key in section.model_fields}
@@ -80,7 +80,7 @@ def _join_sections() -> dict[str, type[Section]]:
 
 
 def _refuse(method: str, why: str) -> None:
-    """Take a method of another package out, with the sections that no other one has."""
+    """Remove a method of another package, with the sections that no other method has."""
     BROKEN[method] = f"{from_package(method)}: {why}"
     del METHODS[method]
     PACKAGES.pop(method, None)
@@ -90,28 +90,28 @@ def _refuse(method: str, why: str) -> None:
 
 
 SECTIONS = _join_sections()
-"""Every section of leaf keys by its name in the file."""
+"""Sections of leaf keys by their name in the file."""
 
 TUNABLE = ("alignment", *SECTIONS_OF_METHODS, "passes")
-"""The sections whose keys may be tuned."""
+"""Sections whose keys may be tuned."""
 
 SWEEPABLE = ("earth", "motion", "sensors", "coarse", *TUNABLE)
-"""The sections whose keys may be axes."""
+"""Sections whose keys may be swept."""
 
 SIMULATED_ONLY = ("motion", "sensors", "stop_when")
-"""The sections that have no place in a recorded study."""
+"""Sections that a recorded study cannot have."""
 
 SECTION_OF = {key: name for name, model in SECTIONS.items() for key in model.model_fields} | {
     key: "sensors" for key in SensorsSection.model_fields
 }
-"""The section of every leaf key; two of [record]'s, on what sensors may do, are [sensors]'s too."""
+"""Section of each leaf key; of the bias keys that [record] has too, it is [sensors]."""
 
 EARTH_CONSTANTS = {
     "gravity_m_per_s2": 9.8,
     "radius_m": 6378137.0,
     "earth_rate_deg_per_h": 15.041067,
 }
-"""The keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
+"""Keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
 REPLACED = {
     "tape_s": "was renamed to stored_s",
@@ -122,13 +122,13 @@ REPLACED = {
     ),
     "sigma_point_alpha": "was dropped (it is 0.5)",
 }
-"""Keys of 0.6 and before, and what replaces them."""
+"""Keys of 0.6 and before, with their replacements."""
 
 PASS_KEYS = ("stored_s", "passes", "ending", "direction")
-"""The keys that decide which sample of the stored record an update reads, and how many."""
+"""Keys that determine the number of updates and the sample of the stored record that each reads."""
 
 COARSE_KEYS = tuple(CoarseSection.model_fields)
-"""The keys of coarse alignment."""
+"""Keys of coarse alignment."""
 
 TomlTable = dict[str, Any]
 
@@ -139,7 +139,7 @@ TABLES: dict[str, type[Section]] = {
     "drawn.KEY": Distribution,
     "tune.variables.KEY": Range,
 }
-"""Every table of a study file that has keys of its own."""
+"""Tables of a study file that have keys."""
 
 _STATED = re.compile(r"[;,] default:? (?P<default>[^;()]+)$")
 
@@ -150,12 +150,11 @@ class Key(NamedTuple):
     Attributes:
         section: table that it belongs to.
         name: leaf key.
-        unit: of its numbers; empty without one.
-        default: as a file writes it, in words, or ``required``; empty if its meaning states what
-            an omitted key means.
-        meaning: in words, with the words that it takes.
-        info: usual range, and what a default depends on.
-        methods: that read it.
+        unit: unit of its numbers; empty without one.
+        default: value as a file writes it, a description, or ``required``; empty without a default.
+        meaning: description, with the words that the key accepts.
+        info: usual range, and dependence of the default on other keys.
+        methods: methods that read it.
         depends_on: keys whose values decide whether it has an effect.
     """
 
@@ -170,7 +169,7 @@ class Key(NamedTuple):
 
     @property
     def read_by(self) -> str:
-        """The methods that read it, in words."""
+        """The methods that read it, as text."""
         others = [name for name in METHODS if name not in self.methods]
         if len(others) < len(self.methods):
             return f"all but {', '.join(others)}" if others else "all"
@@ -178,7 +177,7 @@ class Key(NamedTuple):
 
 
 def unknown_key(key: str, known: Iterable[str]) -> str:
-    """Return what is wrong with an unknown key: what replaced it, or the closest known one."""
+    """Return the error text of an unknown key: its replacement, or the closest known key."""
     return REPLACED.get(key) or f"unknown key{near(key, known)}"
 
 
@@ -188,10 +187,16 @@ def info(key: str) -> KeyInfo:
 
 
 def meaning(key: str) -> str:
-    """Return the meaning of a key, in the words of its section."""
+    """Return the description of a leaf key in its section."""
     if key not in SECTION_OF:
         return "label of the case"
     return SECTIONS[SECTION_OF[key]].model_fields[key].description or ""
+
+
+def summary(section: str, key: str) -> str:
+    """Return the first sentence of a key's description, as a hint in messages."""
+    description = SECTIONS[section].model_fields[key].description or ""
+    return _split(description)[0].partition(". ")[0]
 
 
 def rivals(key: str) -> set[str]:
@@ -201,18 +206,18 @@ def rivals(key: str) -> set[str]:
 
 
 def is_given(key: str) -> bool:
-    """Whether a key sets what a run is faced with: site, motion, sensors, initial errors."""
+    """Whether a key describes the conditions of a run: site, motion, sensors, initial errors."""
     return key in INITIAL_KEYS or SECTION_OF.get(key) in ("earth", "motion", "sensors")
 
 
 def is_chosen(key: str) -> bool:
-    """Whether a user chooses the values of a key, so that one can be best."""
+    """Whether a key is a setting of a method, which a user may choose."""
     return SECTION_OF.get(key) in SECTIONS_OF_METHODS
 
 
 @cache
 def conditions(key: str) -> tuple[ActsWhere, ...]:
-    """Return the conditions of its section for a key to have an effect."""
+    """Return the conditions under which a key has an effect."""
     section = SECTIONS[SECTION_OF[key]]
     return tuple(condition for condition in section.conditions if key in condition.keys)
 
@@ -226,7 +231,7 @@ def deciding(key: str) -> tuple[str, ...]:
 
 
 def readers(key: str) -> tuple[str, ...]:
-    """Return the methods that a key has an effect on: those that claim it, or else all of them."""
+    """Return the methods on which a key has an effect: those that read it, or all if none does."""
     methods = METHODS.values()
     claimed = any(key in method.keys for method in methods)
     return tuple(m.name for m in methods if (key in m.keys or not claimed) and key not in m.silent)
@@ -237,7 +242,7 @@ def acts(key: str, values: Mapping[str, Any]) -> bool:
 
     Args:
         key: leaf key.
-        values: values of the keys of `deciding`; None for a drawn one.
+        values: values of the keys that `deciding` lists; None for a drawn key.
     """
     if "method" in deciding(key) and values["method"] not in readers(key):
         return False
@@ -245,7 +250,7 @@ def acts(key: str, values: Mapping[str, Any]) -> bool:
 
 
 def words(annotation: Any) -> tuple[str, ...]:
-    """Return the words that a key takes; none for a key of numbers or of any text."""
+    """Return the words that a key accepts; empty for a key of numbers or of free text."""
     if get_origin(annotation) is Literal:
         return get_args(annotation)
     return next(filter(None, map(words, get_args(annotation))), ())
@@ -268,13 +273,13 @@ def _describe(section: str, name: str, field: FieldInfo) -> Key:
 
 
 def _split(description: str) -> tuple[str, str]:
-    """Return a description without the default that it ends with, and that default."""
+    """Split a description into its text and the default at its end."""
     found = _STATED.search(description)
     return (description[: found.start()], found["default"]) if found else (description, "")
 
 
 def _default(name: str, field: FieldInfo) -> str:
-    """Return the default of a key as a file writes it; empty if that is not one value."""
+    """Return the default of a key as a file writes it; empty if it is not a fixed value."""
     if (default := key_info(field).default) is not None:
         return to_toml(default)
     if name in EARTH_CONSTANTS:
@@ -301,4 +306,4 @@ KEYS: dict[tuple[str, str], Key] = {
     for section, model in TABLES.items()
     for name, field in model.model_fields.items()
 }
-"""Every key of a study file, by its table and name."""
+"""Keys of a study file by table and name."""

@@ -1,8 +1,8 @@
 """Reading and writing studies: one TOML file, checked in full before anything runs.
 
 A file either gives a `Study` or raises `InputError` with a line for every mistake in it,
-``FILE: [section] key: what is wrong (way on)``. The tables that vary a study are read in `sweep`,
-the rules between keys are those of `rules`. Values stay in the units of the file.
+``FILE: [section] key: what is wrong (way on)``. `sweep` reads the tables that vary a study, `rules`
+has the rules between keys. Values stay in the units of the file.
 """
 
 import difflib
@@ -28,6 +28,7 @@ from sinsjax.study.keys import (
     TomlTable,
     info,
     rivals,
+    summary,
     unknown_key,
 )
 from sinsjax.study.mistakes import build_or_report
@@ -51,7 +52,7 @@ _FILLED = EARTH_CONSTANTS | {
     "height_m": 0.0,
     **{white: 0.0 for white, _ in SECTIONS["sensors"].exclusive},
 }
-"""Defaults of keys that depend on other keys, or on whether the study is recorded."""
+"""Defaults that depend on other keys, or on whether the study is recorded."""
 _FEEDBACK = "feedback_interval_s"
 _SWEEPS = ("axes", "cases", "drawn")
 _DROPPED = {
@@ -59,40 +60,40 @@ _DROPPED = {
     "statements": "pages of studies judge their own statements",
     "unscented": "sigma_point_alpha is 0.5",
 }
-"""Sections of 0.5 and 0.6, and why a study has them no more."""
+"""Sections of 0.5 and 0.6, with the reasons for their removal."""
 
 
 def load_study(path: str | Path, changes: Mapping[str, Any] | None = None) -> Study:
-    """Reads and checks a study file.
+    """Read and check a study file.
 
     Args:
-        path: the file, or the name of a shipped study, see `files.found`.
-        changes: values by ``section.key`` that take the place of the file's, see `changes`.
+        path: file, or name of a shipped study, see `files.find_study`.
+        changes: values by ``section.key`` that replace those of the file, see `changes`.
 
     Raises:
-        InputError: the file cannot be read, is no TOML or is no study; a line for each mistake.
+        InputError: the file cannot be read, is not TOML or not a valid study; a line per mistake.
 
     Warns:
-        StudyWarning: the changes drop what another method does not read.
+        StudyWarning: the changes drop keys that another method does not read.
     """
     data, dropped = _read(path, changes)
-    study = study_from_dict(data, str(files.found(path)))
+    study = study_from_dict(data, str(files.find_study(path)))
     for line in dropped:
         warnings.warn(line, StudyWarning, stacklevel=2)
     return study
 
 
 def load_with_notes(path: str | Path, changes: Mapping[str, Any]) -> tuple[Study, list[str]]:
-    """Read and check a study file as `load_study`.
+    """Read and check a study file like `load_study`.
 
     Returns:
-        The study, and what the user should know of keys that its methods do not use, in lines.
+        The study, and lines for the user about keys that its methods do not use.
 
     Raises:
-        InputError: as `load_study`.
+        InputError: see `load_study`.
     """
     data, dropped = _read(path, changes)
-    study = study_from_dict(data, str(files.found(path)))
+    study = study_from_dict(data, str(files.find_study(path)))
     return study, [*dropped, *dropping.keys_without_effect(study, data)]
 
 
@@ -104,16 +105,16 @@ def _read(path: str | Path, changes: Mapping[str, Any] | None) -> tuple[TomlTabl
 def change_tables(
     data: TomlTable, changes: Mapping[str, Any], source: str
 ) -> tuple[TomlTable, list[str]]:
-    """Change some values of a study's tables, and drop what another method does not read.
+    """Change some values of a study's tables, and drop keys that another method does not read.
 
     Returns:
-        The tables, and lines that tell the user what was dropped.
+        The tables, and lines for the user about the dropped keys.
 
     Raises:
-        InputError: a change names no key, or is nested too deeply.
+        InputError: a change does not name a key, or is nested too deeply.
     """
     try:
-        out = changing.changed(data, changes)
+        out = changing.apply_changes(data, changes)
     except InputError as error:
         raise error.named(source) from None
     files.require_shallow(out, source)
@@ -128,7 +129,7 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
         source: name of the study in messages; its stem is the default of ``study.name``.
 
     Raises:
-        InputError: the study is not valid; a line for each mistake in it.
+        InputError: the study is not valid; a line per mistake.
     """
     try:
         return _checked_study(data, escape_controls(Path(source).stem))
@@ -139,7 +140,7 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
 
 
 def tables_of(study: Study) -> TomlTable:
-    """The resolved study as nested dictionaries: `study_from_dict` makes an equal study of them."""
+    """Return the resolved study as nested dictionaries, the inverse of `study_from_dict`."""
     content = study.model_dump(exclude_none=True)
     for key in study.drawn_keys:
         content[SECTION_OF[key]].pop(key, None)
@@ -149,38 +150,38 @@ def tables_of(study: Study) -> TomlTable:
 
 
 def study_to_toml(study: Study) -> str:
-    """The resolved study as TOML, all defaults filled in; loading it gives an equal study."""
+    """Return the resolved study as TOML with all defaults; loading it gives an equal study."""
     text = tomli_w.dumps(tables_of(study))
     return "# The resolved study: every value, defaults filled in.\n" + text
 
 
 def with_point(study: Study, point: TomlTable) -> Study:
-    """A study with the values of some keys put in their places, and without [tune].
+    """Return a study with other values of some keys, and without [tune].
 
     Args:
         study: checked study, left as it is; none of the keys is swept or drawn.
-        point: values by leaf key. What says the same in another way goes: a study with
+        point: values by leaf key. Alternatives to these keys are dropped: a study with
             ``reset_times_s`` has no ``reset_count``.
 
     Raises:
-        InputError: that is no study.
+        InputError: the result is not a valid study.
     """
-    return study_from_dict(search_space.put(tables_of(study), point), study.name)
+    return study_from_dict(search_space.put_point(tables_of(study), point), study.name)
 
 
-def replaced(study: Study, changes: Mapping[str, Any]) -> Study:
-    """A study with some values changed; defaults that depend on other keys are made anew.
+def replace_values(study: Study, changes: Mapping[str, Any]) -> Study:
+    """Return a study with some values changed, and new defaults where they depend on these.
 
     Args:
         study: checked study, left as it is.
-        changes: values by ``section.key``, as ``{"alignment.phi_u0_deg": 12.0}``; each takes the
-            place of whatever the study says of the key, an axis included.
+        changes: values by ``section.key``, such as ``{"alignment.phi_u0_deg": 12.0}``; each
+            replaces the value, the axis and the distribution of the key in the study.
 
     Raises:
-        InputError: that is no study.
+        InputError: the result is not a valid study.
 
     Warns:
-        StudyWarning: the changes drop what another method does not read.
+        StudyWarning: the changes drop keys that another method does not read.
     """
     filled = _FILLED | _feedback_each_sample(study.study.rate_hz)
     tables = changing.without_defaults(tables_of(study), filled)
@@ -192,21 +193,21 @@ def replaced(study: Study, changes: Mapping[str, Any]) -> Study:
 
 
 def one_variant(study: Study, variant: int) -> Study:
-    """The study of one variant alone.
+    """Return the study of one variant alone.
 
     Args:
         study: a simulated study.
-        variant: its number.
+        variant: number of the variant.
     """
     point = {key: values[variant] for key, values in study.variant_values().items()}
     return study.model_copy(update={"axes": {}, "zips": {}, "cases": (point,) if point else ()})
 
 
 def with_rate(study: Study, rate_hz: float) -> Study:
-    """A recorded study at the rate of its record, where it leaves its own out.
+    """Return a recorded study with the rate of its record, unless it gives a rate itself.
 
     Raises:
-        InputError: at this rate it is none.
+        InputError: the study is not valid at this rate.
     """
     if study.study.rate_hz:
         return study
@@ -215,15 +216,15 @@ def with_rate(study: Study, rate_hz: float) -> Study:
     return study_from_dict(tables | {"study": settings}, study.name)
 
 
-Study.rebuild = staticmethod(replaced)
+Study.rebuild = staticmethod(replace_values)
 
 
 def _checked_study(data: TomlTable, name: str) -> Study:
-    """Return the study that tables make, points of its tuning included; or report every mistake."""
+    """Return the study of some tables, points of [tune] checked, or report every mistake."""
     _check_usable(data)
 
     def build(tables: TomlTable) -> Study:
-        study = _built(tables, name)
+        study = _build_study(tables, name)
         if study.tune and study.study.rate_hz:
             _check_points(study)
         return study
@@ -231,9 +232,10 @@ def _checked_study(data: TomlTable, name: str) -> Study:
     return build_or_report(build, data)
 
 
-def _built(data: TomlTable, name: str) -> Study:
-    """Return the study that tables make, with all rules checked, but not the points of [tune]."""
-    tables = _known_tables(_with_tuples(data))
+def _build_study(data: TomlTable, name: str) -> Study:
+    """Return the study of some tables with all rules checked, but not the points of [tune]."""
+    tables = _with_tuples(data)
+    _check_tables(tables)
     errors, sweep = ErrorCollector(), Sweep({}, {}, (), None)
     with errors.collect():
         sweep = read_sweep(tables)
@@ -241,36 +243,36 @@ def _built(data: TomlTable, name: str) -> Study:
     where |= sweep.where
     with errors.collect():
         _check_rivals(where)
-    sections, of_tuning = _filled(tables, sweep, where, name), ErrorCollector()
+    sections, tuning_errors = _fill_defaults(tables, sweep, where, name), ErrorCollector()
     if "tune" in sections:
         given = sections["tune"]
         sections["tune"] = given | {"variables": {}, "baseline": {}}  # in case these are wrong
-        with of_tuning.collect():
+        with tuning_errors.collect():
             sections["tune"] = read_tuning(given, sweep.where, recorded="record" in tables)
     with errors.collect():
-        study = _validated(sections)
+        study = _validate(sections)
     if errors.lines:
-        raise InputError(*errors.lines, *of_tuning.lines)
-    if lines := (*of_tuning.lines, *rules.failures(study, where)):
+        raise InputError(*errors.lines, *tuning_errors.lines)
+    if lines := (*tuning_errors.lines, *rules.failures(study, where)):
         raise InputError(*lines)
     return study
 
 
 def _check_points(study: Study) -> None:
-    """Refuse a [tune] whose points make no study."""
+    """Refuse a [tune] whose points are not valid studies."""
     assert study.tune is not None
     tables, baseline = tables_of(study), study.tune.baseline
 
     def at(place: str, point: TomlTable) -> Study:
         try:
-            return _built(search_space.put(tables, point), study.name)
+            return _build_study(search_space.put_point(tables, point), study.name)
         except InputError as error:
             raise InputError(f"{place}: {error.lines[0]}") from None
 
     corners = {f"[tune.variables] {text}": point for text, point in search_space.corners(study)}
     for place, point in corners.items():
         at(place, point)
-    search_space.comparable(study, at("[tune.baseline]", baseline), corners)
+    search_space.comparable_points(study, at("[tune.baseline]", baseline), corners)
 
 
 def _check_usable(data: Any) -> None:
@@ -280,7 +282,7 @@ def _check_usable(data: Any) -> None:
 
 
 def _methods(data: Any, key: str = "") -> Iterator[str]:
-    """Return all words under keys called ``method``, be they values, axes or cases."""
+    """Yield all words under keys called ``method``, of sections, axes and cases."""
     if isinstance(data, Mapping):
         for name, value in data.items():
             yield from _methods(value, name)
@@ -292,14 +294,14 @@ def _methods(data: Any, key: str = "") -> Iterator[str]:
 
 
 def _with_tuples(value: Any) -> Any:
-    """The same data with tuples for lists, so that the frozen study is frozen all the way."""
+    """Replace lists by tuples, since a study is immutable."""
     if isinstance(value, Mapping):
         return {key: _with_tuples(entry) for key, entry in value.items()}
     return tuple(map(_with_tuples, value)) if isinstance(value, list | tuple) else value
 
 
-def _known_tables(data: TomlTable) -> TomlTable:
-    """Return the data, once every section and key in it is known."""
+def _check_tables(data: TomlTable) -> None:
+    """Refuse unknown sections and keys, and those that a recorded study cannot have."""
     errors = ErrorCollector()
     for name, table in data.items():
         with errors.collect():
@@ -312,22 +314,21 @@ def _known_tables(data: TomlTable) -> TomlTable:
     with errors.collect():
         study = data.get("study")
         if "record" in data and isinstance(study, Mapping) and "draws" in study:
-            text = "does not apply to a recorded study (one draw a start time)"
+            text = "does not apply to a recorded study (drop it: there is one draw per start time)"
             raise InputError(f"[study] draws: {text}")
     errors.raise_all()
-    return data
 
 
 def _check_table(name: str, table: Any) -> None:
-    """Refuse a table that is no section, and keys that its section has not."""
+    """Refuse an unknown table, and unknown keys in a table."""
     names = (*SECTIONS, *_SWEEPS)
     if name in SECTION_OF and name not in SECTIONS:
-        raise InputError(f"{name}: belongs in [{SECTION_OF[name]}]")
+        raise InputError(f"{name}: a key of [{SECTION_OF[name]}] (move it there)")
     if name in _DROPPED:
         raise InputError(f"[{name}]: was dropped, {_DROPPED[name]} (remove the section)")
     if name not in names:
         hint = near(name, names, "[{}]") + unusable()
-        hint = hint or " (of a method whose package is not installed?)"
+        hint = hint or " (is it of a method whose package is not installed?)"
         raise InputError(f"[{name}]: unknown section{hint}")
     if name == "cases":
         return
@@ -339,12 +340,12 @@ def _check_table(name: str, table: Any) -> None:
             if name in SECTIONS and key not in SECTIONS[name].model_fields:
                 raise InputError(f"[{name}] {key}: {_unknown_key(key, name)}")
             if value is None:
-                raise InputError(f"[{name}] {key}: None is no value (leave the key out)")
+                raise InputError(f"[{name}] {key}: None is not a value (leave the key out)")
     errors.raise_all()
 
 
 def _unknown_key(key: str, section: str) -> str:
-    """Return what is wrong with a key of a section: its home, what replaced it, or a hint."""
+    """Return the error text of a key in the wrong section, or unknown."""
     if key in SECTION_OF:
         return f"unknown key (it belongs in [{SECTION_OF[key]}])"
     here = unknown_key(key, SECTIONS[section].model_fields)
@@ -367,8 +368,8 @@ def _check_rivals(where: rules.Where) -> None:
         raise InputError(*lines)
 
 
-def _filled(tables: TomlTable, sweep: Sweep, where: rules.Where, name: str) -> TomlTable:
-    """The sections that apply, with the defaults that depend on other keys."""
+def _fill_defaults(tables: TomlTable, sweep: Sweep, where: rules.Where, name: str) -> TomlTable:
+    """Return the sections that apply, with the defaults that depend on other keys."""
     recorded = "record" in tables
     unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record",)
     unread = keys_unread(_values_of("method", tables, sweep) & METHODS.keys())
@@ -408,21 +409,21 @@ def _filled(tables: TomlTable, sweep: Sweep, where: rules.Where, name: str) -> T
 
 
 def _feedback_each_sample(rate_hz: Any) -> TomlTable:
-    """Return the default of ``feedback_interval_s``; none until the rate is known and right."""
+    """Return the default of ``feedback_interval_s``; empty until a valid rate is known."""
     known = isinstance(rate_hz, int | float) and 1e-12 <= rate_hz <= 1e12
     return {_FEEDBACK: 1 / rate_hz} if known else {}
 
 
 def _values_of(key: str, tables: TomlTable, sweep: Sweep) -> set[Any]:
-    """The values that a key takes over the variants, its section's default where none is given."""
+    """Return the values of a key over the variants, or the default of its section."""
     section = SECTION_OF[key]
     default = SECTIONS[section].model_fields[key].default
     given = tables.get(section, {}).get(key, default)
-    # What is no word is refused where all values are checked.
+    # Values that are not text are refused when all values are checked.
     return sweep.values(key) or {given if isinstance(given, str) else default}
 
 
-def _validated(sections: TomlTable) -> Study:
+def _validate(sections: TomlTable) -> Study:
     try:
         return Study.model_validate(sections)
     except ValidationError as error:
@@ -430,10 +431,10 @@ def _validated(sections: TomlTable) -> Study:
 
 
 def _value_error(error: ErrorDetails) -> str:
-    """Return the line of a value that its key does not take, or of a key that is missing."""
+    """Return the error line of an invalid value or of a missing key."""
     section = str(error["loc"][0])
     key = error["loc"][1] if len(error["loc"]) > 1 else error["ctx"]["key"]
     hint = ""
     if error["type"] == "missing" and len(error["loc"]) == 2:
-        hint = f" ({SECTIONS[section].model_fields[str(key)].description})"
+        hint = f" ({summary(section, str(key))})"
     return f"[{section}] {key}{index(error)}: {explained(error)}{hint}"

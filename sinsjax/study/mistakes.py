@@ -1,8 +1,8 @@
 """Every mistake in a study at once.
 
-A study is built in stages, each of which reports all of its errors; but the later ones need values
-that the earlier ones have accepted. After an error the study is therefore built again without the
-keys in error, until there is nothing new to report.
+A study is built in stages, each of which reports all of its errors, but the later stages need
+values that the earlier ones have accepted. After an error the study is therefore built again
+without the wrong keys, until no new error is found.
 """
 
 import re
@@ -12,34 +12,34 @@ from typing import Any, NamedTuple
 
 from sinsjax.alignment.filters.section import Q_DENSITIES, WHITE_NOISE
 from sinsjax.errors import InputError
-from sinsjax.study.changes import copied
+from sinsjax.study.changes import copy_tables
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, deciding, rivals
 from sinsjax.study.study import Study
 
 _PLACE = re.compile(r"\[(?P<table>[^\]]+)\](?: (?P<key>[^\s:.\[]+))?|(?P<top>[^\s:]+):")
 _STAND_INS = (1e5, 100.0, 45.0, 1.0, 1, "psd")
-"""Values for a required key in error, such as a duration, a rate, a latitude or the unit of Q."""
+"""Values for a wrong required key, such as a duration, a rate, a latitude or the unit of Q."""
 _MOST_ROUNDS = 20
 
 Build = Callable[[TomlTable], Study]
 
 
 class Place(NamedTuple):
-    """Where an error is: a table with dots, and a key in it; empty without one."""
+    """The place of an error: a table with dots, and a key in it; empty without a key."""
 
     table: str
     key: str = ""
 
 
 def build_or_report(build: Build, data: TomlTable) -> Study:
-    """Return the study that a function builds from tables.
+    """Return the study that a function builds from tables, or report every mistake.
 
     Args:
-        build: raises `InputError` with lines that begin ``[table] key``.
-        data: sections by name; left as it is.
+        build: function that raises `InputError` with lines that begin ``[table] key``.
+        data: sections by name; left as they are.
 
     Raises:
-        InputError: a line for every mistake, without those that may follow from another one.
+        InputError: a line per mistake, without possible consequences of other mistakes.
     """
     found: dict[str, None] = {}
     counts: Counter[Place] = Counter()
@@ -57,7 +57,7 @@ def build_or_report(build: Build, data: TomlTable) -> Study:
         places = {*lines.values()}
         counts.update(places)
         left_out |= {place.key or place.table for place in places} | _keys_of_cases(data, places)
-        if "record" in left_out:  # without its record it would be another study
+        if "record" in left_out:  # without its record it would be a simulation
             break
         for place in (place for place in places if counts[place] == 1):
             data = _without(data, place)
@@ -75,12 +75,12 @@ def _place(line: str) -> Place:
 
 
 def _follows(place: Place, left_out: set[str]) -> bool:
-    """Whether an error may follow from those before, whose keys and tables are left out."""
+    """Whether an error may be a consequence of earlier ones, whose keys are left out."""
     related = {place.key, place.table, *rivals(place.key)}
     related |= {key for key in SECTION_OF if place.key in deciding(key)}
-    if place.key in WHITE_NOISE:  # which Q is by default
+    if place.key in WHITE_NOISE:  # the default of Q
         related |= {"sensors", *WHITE_NOISE[place.key][:2]}
-    if place.key == "q_reading":  # whose numbers may be left out
+    if place.key == "q_reading":  # its numbers may be left out
         related |= {form for key, forms in Q_DENSITIES.items() for form in (key, *forms)}
     if place.key in SECTION_OF:
         related |= {*deciding(place.key)}
@@ -88,7 +88,7 @@ def _follows(place: Place, left_out: set[str]) -> bool:
 
 
 def _keys_of_cases(data: TomlTable, places: set[Place]) -> set[str]:
-    """Return the keys of the cases if they have an error, as they are left out together."""
+    """Return the keys of all cases if one has an error, since cases are left out together."""
     rows = data.get("cases")
     if all(place.table != "cases" for place in places) or not isinstance(rows, list | tuple):
         return set()
@@ -96,8 +96,8 @@ def _keys_of_cases(data: TomlTable, places: set[Place]) -> set[str]:
 
 
 def _without(data: TomlTable, place: Place) -> TomlTable:
-    """Return tables without what is at a place; without all cases, and [tune] with its tables."""
-    out = copied(data)
+    """Return tables without a place; for one in cases or below [tune], without all of it."""
+    out = copy_tables(data)
     path = [*place.table.split("."), *([place.key] if place.key else [])]
     if path[0] == "cases" or place.table.startswith("tune."):
         path = path[:1]
@@ -107,14 +107,14 @@ def _without(data: TomlTable, place: Place) -> TomlTable:
         table = table.get(part) if isinstance(table, dict) else None
     if isinstance(table, dict):
         table.pop(last, None)
-        # Axes or draws with nothing left to vary.
+        # Remove axes and draws that vary nothing any more.
         if tops and tops[0] in ("axes", "drawn") and not table.keys() - {"sampling"}:
             return _without(out, Place(".".join(tops)))
     return out
 
 
 def _with_stand_in(build: Build, data: TomlTable, place: Place) -> TomlTable:
-    """Return tables with the first value for a missing key that is no error itself.
+    """Return tables with the first stand-in for a missing key that is not an error itself.
 
     Without one, a section that a study need not have is left out.
     """

@@ -1,4 +1,4 @@
-"""Rules of Q: its keys are given with their unit, or it is the white noise of the sensors."""
+"""Rules of Q: its keys are given with q_reading, or it is the white noise of the sensors."""
 
 from collections.abc import Iterator, Mapping
 
@@ -11,11 +11,11 @@ _SENSORS = {"q_accel_ug": "accelerometers", "q_gyro_deg_per_h": "gyros"}
 
 
 def check_process_noise(study: Study, where: Mapping[str, str]) -> None:
-    """Refuse a Q without its unit, a unit without Q, and a Q that nothing gives.
+    """Refuse a Q without its unit, a unit without Q, and a study that does not determine Q.
 
     Args:
         study: checked study.
-        where: the table, in brackets, of every key that the file gives.
+        where: the table, in brackets, of each key that the file gives.
 
     Raises:
         InputError: ``[section] key: what is wrong (hint)``.
@@ -32,15 +32,15 @@ def _check_reading(study: Study, where: Mapping[str, str]) -> Iterator[tuple[str
     given = [key for key in Q_DENSITIES if key in where]
     readings = {point["q_reading"] for point in study.combinations("q_reading")}
     if (given or densities) and "q_reading" not in where:
-        why = "'psd', as a density has no other"
+        why = "give 'psd', the only one for a density"
         if not densities:
-            why = "one of 'psd', 'per_sample', 'per_step'; it used to be 'per_step' by default"
+            why = "give 'psd', 'per_sample' or 'per_step', which was the default before"
         yield "q_reading", f"required with {' and '.join([*given, *densities])} ({why})"
     elif densities and (others := readings - {"psd"}):
-        yield densities[0], f"requires q_reading = 'psd' (it is '{min(others)}')"
+        yield densities[0], f"requires q_reading = 'psd', not '{min(others)}'"
     elif not given and (others := readings - {"psd", None}):
-        why = "without q_ keys, Q is the white noise of the study's sensors"
-        yield "q_reading", f"'{min(others)}' is the unit of q_ keys, and none is given ({why})"
+        why = "drop it: without q_ keys Q is the white noise of the study's sensors"
+        yield "q_reading", f"'{min(others)}' needs q_ keys, and none is given ({why})"
 
 
 def _check_given(study: Study, where: Mapping[str, str]) -> Iterator[tuple[str, str]]:
@@ -48,12 +48,12 @@ def _check_given(study: Study, where: Mapping[str, str]) -> Iterator[tuple[str, 
         if where.keys().isdisjoint((key, *Q_DENSITIES[key])):
             if why := _without_noise(study, key, noises):
                 density = [*Q_DENSITIES[key]][-1]
-                hint = f"give {density} of the data sheet, with q_reading = 'psd'"
+                hint = f"give {density} from the data sheet, with q_reading = 'psd'"
                 yield key, f"required ({why}; {hint})"
 
 
 def _without_noise(study: Study, q_key: str, noises: list[str]) -> str | None:
-    """Why the sensors give no Q to a filter, in words; None if they give it to all variants."""
+    """Return the reason why the sensors do not determine Q, as text; None if they do."""
     using = readers(q_key)
     if study.is_recorded:
         if not any(method in using for method in study.methods):
@@ -64,7 +64,7 @@ def _without_noise(study: Study, q_key: str, noises: list[str]) -> str | None:
             continue
         for noise in noises:
             if noise in study.drawn_keys:
-                return f"{noise} is drawn, and a filter has one Q in all draws"
+                return f"{noise} is drawn, but the filter has the same Q in all draws"
         if not white_density(q_key, 1.0, *(point[noise] for noise in noises)):
-            return f"the {_SENSORS[q_key]} have no white noise in [sensors] to take it from"
+            return f"the {_SENSORS[q_key]} have no white noise in [sensors]"
     return None

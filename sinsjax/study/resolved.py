@@ -1,7 +1,7 @@
-"""A study resolved into columns: the values of its keys over all variants, each distinct one once.
+"""A study resolved into columns: the distinct values of its keys, and a code per variant.
 
-A sweep repeats few values many times. What follows from a value is therefore worked out once for
-each distinct one, or for each distinct combination, and laid out over the variants by NumPy.
+A sweep repeats few values many times. Functions of a value are therefore evaluated once for each
+distinct value, or each distinct combination, and expanded over the variants by NumPy.
 """
 
 import math
@@ -17,7 +17,7 @@ class Coded(NamedTuple):
     """A dictionary-coded column.
 
     Attributes:
-        codes: (variants,) place of each variant's value in ``choices``.
+        codes: (variants,) index of each variant's value in ``choices``.
         choices: the distinct values, in the units of the file.
     """
 
@@ -25,35 +25,35 @@ class Coded(NamedTuple):
     choices: tuple[Any, ...]
 
     def each(self, function: Callable[[Any], Any], dtype: Any = float) -> np.ndarray:
-        """A function of the values, called once for each distinct one; (variants, ...)."""
+        """Return a function of the values, called once per distinct value; (variants, ...)."""
         made = np.asarray([function(value) for value in self.choices], dtype)
-        if len(made) == 1:  # most columns: nothing to lay out
+        if len(made) == 1:  # most columns
             return np.broadcast_to(made[0], (len(self.codes), *made.shape[1:]))
         return made[self.codes]
 
     def map(self, function: Callable[[Any], Any]) -> "Coded":
-        """A column of what a function makes of the values."""
+        """Return the column of a function of the values."""
         return Coded(self.codes, tuple(map(function, self.choices)))
 
     def to_list(self) -> list[Any]:
-        """The values, one a variant."""
+        """Return the values, one per variant."""
         return list(map(self.choices.__getitem__, self.codes.tolist()))
 
 
-def same(count: int, value: Any) -> Coded:
-    """The column of one value for some variants."""
+def constant_column(count: int, value: Any) -> Coded:
+    """Return the column of one value for some variants."""
     return Coded(np.zeros(count, np.int32), (value,))
 
 
 class Resolved:
-    """The columns of a study, each made when it is first asked for."""
+    """The columns of a study, each computed at its first use."""
 
     def __init__(self, dimensions: Sequence[Dimension], constant: Callable[[str], Any]) -> None:
         """Take a sweep as the product of its dimensions.
 
         Args:
-            dimensions: values by key, the slowest first; the keys of one go together.
-            constant: value of a key that is in no dimension.
+            dimensions: values by key, the slowest first; the keys of a dimension vary together.
+            constant: function that returns the value of a key outside all dimensions.
         """
         lengths = [len(next(iter(dimension.values()))) for dimension in dimensions]
         self._dimensions, self._constant = dimensions, constant
@@ -62,7 +62,7 @@ class Resolved:
         self._made: dict[tuple[str, ...], Coded] = {}
 
     def column(self, *keys: str) -> Coded:
-        """The column of a key; of several, that of the combinations which they take, as tuples.
+        """Return the column of a key, or of the combinations of several keys, as tuples.
 
         Raises:
             KeyError: no sweepable section of the study has the key.
@@ -78,7 +78,7 @@ class Resolved:
                 once = np.array([place[value] for value in dimension[key]], np.int32)
                 turns = self.n_variants // (repeats * len(once))
                 return Coded(np.tile(np.repeat(once, repeats), turns), tuple(place))
-        return same(self.n_variants, self._constant(key))
+        return constant_column(self.n_variants, self._constant(key))
 
     def _joint(self, keys: Sequence[str]) -> Coded:
         columns = [self.column(key) for key in keys]
@@ -92,12 +92,12 @@ class Resolved:
 
 
 def distinct(numbers: np.ndarray, end: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The distinct ones of integers from 0 to ``end`` - 1, and the place of each among them."""
+    """Return the distinct values of integers from 0 to ``end`` - 1, and the index of each."""
     if end is None or end > 8 * len(numbers):
         return np.unique(numbers, return_inverse=True)
     if end == 1:
         return np.zeros(1, int), numbers
-    present = np.flatnonzero(np.bincount(numbers, minlength=end))  # far quicker than sorting
+    present = np.flatnonzero(np.bincount(numbers, minlength=end))  # much faster than sorting
     place = np.zeros(end, np.int32)
     place[present] = np.arange(len(present))
     return present, place[numbers]

@@ -1,11 +1,11 @@
-"""The rules between the keys of a study, checked before anything runs; see the lists at the end.
+"""The rules between the keys of a study, checked before anything runs; the end lists them.
 
-A rule is a function that refuses a study, ``[section] key: what is wrong (way on)``.
-Rules hold for every variant, and are checked over the distinct values that the keys of a rule take
-together: a sweep of a million variants costs no more than its axes.
+A rule is a function that refuses a study with ``[section] key: what is wrong (way on)``.
+Rules hold for every variant, and are checked over the distinct combinations of the values of their
+keys: a sweep of a million variants costs no more than its axes.
 
-The usual ranges of numbers stand beside their keys, see `value_types.KeyInfo`, and are generous: a
-value outside is most likely in another unit, or a slip. ``[study] unchecked = true`` insists on it.
+The usual ranges of numbers are part of their keys, see `value_types.KeyInfo`, and generous: a value
+outside is most likely a mistake or in another unit. ``[study] unchecked = true`` accepts it.
 """
 
 import math
@@ -30,6 +30,7 @@ from sinsjax.study.keys import (
     SECTION_OF,
     SECTIONS,
     acts,
+    summary,
 )
 from sinsjax.study.process_noise import check_process_noise
 from sinsjax.study.schema import (
@@ -44,15 +45,15 @@ from sinsjax.study.sweep import wrong_value
 from sinsjax.value_types import ROUNDING, ActsWhere
 
 Where = Mapping[str, str]
-"""The table, in brackets, of every key that a file gives, or the one that sweeps or draws it."""
+"""The table, in brackets, that gives, sweeps or draws a key, for each key of a file."""
 
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
-_BLOCK = 2**19  # draws that are looked at together, which bounds the memory
-_MOST_LOOKED_AT = 2**22  # about one second; with more draws, what a law could give counts
+_BLOCK = 2**19  # draws that are checked together, which bounds the memory
+_MOST_CHECKED = 2**22  # about one second; of more draws, only the limits of the law are checked
 _SIGMAS = 8.3  # the furthest of 2^52 points of a normal law
-_DEEPEST = 0.99  # of the radius; the least one of an ellipsoid is smaller than its own
+_DEEPEST = 0.99  # of the radius, since the polar radius of an ellipsoid is smaller
 
-INSIST = "[study] unchecked = true insists on it"
+ACCEPT = "[study] unchecked = true accepts it"
 
 
 def failures(study: Study, where: Where) -> tuple[str, ...]:
@@ -60,9 +61,9 @@ def failures(study: Study, where: Where) -> tuple[str, ...]:
 
     Args:
         study: sections, axes and cases, each value checked.
-        where: the keys that the file gives.
+        where: table of each key that the file gives.
     """
-    timed = TIMED if study.study.rate_hz else ()  # a record may yet give the rate
+    timed = TIMED if study.study.rate_hz else ()  # else the record will give the rate
     for stage in (KEYS_GIVEN, *timed, VALUES):
         errors = ErrorCollector()
         for rule in stage:
@@ -74,7 +75,7 @@ def failures(study: Study, where: Where) -> tuple[str, ...]:
 
 
 class _Checked:
-    """A study as the rules of its methods see it, see `alignment.description.CheckedStudy`."""
+    """A study as the rules of its methods see it: an `alignment.description.CheckedStudy`."""
 
     def __init__(self, study: Study, where: Where) -> None:
         self._study, self._where = study, where
@@ -96,47 +97,45 @@ def _refuse_at(place: str, text: str) -> NoReturn:
 
 
 def _check_required(study: Study, where: Where) -> None:
-    """Refuses a key that is missing, or given for nothing, because of another key's value."""
+    """Refuse a missing key, and a key without effect, because of the value of another key."""
     simulated = not study.is_recorded
     untimed = (
         study.record and study.record.format in ("csv", "parquet") and not study.record.time_column
     )
     if "rate_hz" not in where and (simulated or untimed):
-        description = SECTIONS["study"].model_fields["rate_hz"].description
-        why = "[record] has no time_column to tell it" if untimed else description
+        why = "without a time_column in [record]" if untimed else summary("study", "rate_hz")
         _refuse("rate_hz", where, f"required ({why})")
     for key in ("latitude_deg", "yaw_center_deg") if simulated else ():
         if key not in where:
-            description = SECTIONS[SECTION_OF[key]].model_fields[key].description
-            _refuse(key, where, f"required ({description})")
+            _refuse(key, where, f"required ({summary(SECTION_OF[key], key)})")
     for angle in ("pitch", "roll", "yaw") if simulated else ():
         amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"
         sways = amplitude in study.drawn_keys or any(
             p[amplitude] for p in study.combinations(amplitude)
         )
         if period not in where and sways:
-            _refuse(period, where, f"required where {amplitude} > 0")
+            _refuse(period, where, f"required with {amplitude} > 0")
     if all(point["earth"] != "constants" for point in study.combinations("earth")):
         for key in EARTH_CONSTANTS:
             if key in where:
-                _refuse(key, where, "requires earth = 'constants'")
+                _refuse(key, where, "requires earth = 'constants' (drop it with 'wgs84')")
 
 
 def _check_size(study: Study, where: Where) -> None:
-    """Refuses what no machine could run, from the lengths of the axes alone."""
+    """Refuse a study that no machine could run, from the lengths of its axes alone."""
     settings = study.study
     if settings.duration_s * settings.rate_hz > _MAX_SAMPLES * (1 + ROUNDING):
         text = f"{settings.duration_s:.12g} s at rate_hz = {settings.rate_hz:.12g}"
-        hint = " (is time_unit right?)" if study.is_recorded else ""
-        _refuse("duration_s", where, f"{text} is more than {_MAX_SAMPLES} samples a run{hint}")
+        hint = "is time_unit right?" if study.is_recorded else "shorten the run"
+        _refuse("duration_s", where, f"{text} is more than {_MAX_SAMPLES} samples per run ({hint})")
     if study.n_draws * study.n_variants > _MAX_RUNS:
         key = "start_s" if study.is_recorded else "draws"
         text = f"{study.n_draws} draws x {study.n_variants} variants of [axes] and [[cases]]"
-        _refuse(key, where, f"{text} are more than {_MAX_RUNS} runs")
+        _refuse(key, where, f"{text} are more than {_MAX_RUNS} runs (reduce one of them)")
 
 
 def _check_intervals(study: Study, where: Where) -> None:
-    """Refuses times that are no whole number of samples, and a study shorter than a record."""
+    """Refuse times that are not whole numbers of samples, and runs without a record time."""
     rate, record = study.rate_hz, study.study.record_interval_s
     _check_whole(study, where, "record_interval_s", record)
     for point in study.combinations("feedback_interval_s"):
@@ -148,14 +147,14 @@ def _check_intervals(study: Study, where: Where) -> None:
     for start in study.record.start_s if study.record else ():
         _check_whole(study, where, "start_s", start, least=0)
         if taken.setdefault(round(start * rate), start) != start:
-            _refuse("start_s", where, f"{start!r} s falls on the sample of another start time")
+            _refuse("start_s", where, f"{start!r} s is the sample of another start time (drop one)")
     if study.study.duration_s < record * (1 - ROUNDING):
         duration = f"duration_s = {study.duration_s:.12g}"
-        _refuse("record_interval_s", where, f"{record:.12g} s is longer than the study, {duration}")
+        _refuse("record_interval_s", where, f"{record:.12g} s is longer than a run, {duration}")
 
 
 def _check_methods(study: Study, where: Where) -> None:
-    """Refuses keys that no method of the study reads, those of a whole section at once."""
+    """Refuse keys that no method of the study reads, a whole section in one line."""
     methods = sorted(study.methods)
     text = f"does not apply to method {' or '.join(methods)}"
     unread = keys_unread(methods)
@@ -163,45 +162,48 @@ def _check_methods(study: Study, where: Where) -> None:
         section = f"[{SECTION_OF[key]}]"
         here = [other for other, place in where.items() if place == section]
         if where[key] == section and len(here) > 1 and unread.issuperset(here):
-            how = f"drop it, as by --set {SECTION_OF[key]}={{}}"
-            raise InputError(f"{section}: {text} ({how}: {', '.join(here)})")
-        if where[key].startswith("[axes"):
-            text += f" (drop it, as by --set {where[key].strip('[]')}.{key}={{}})"
-        _refuse(key, where, text)
+            how = f"drop the section: --set {SECTION_OF[key]}={{}}"
+            raise InputError(f"{section}: {text}: {', '.join(here)} ({how})")
+        place = where[key].strip("[]")
+        how = f": --set {place}.{key}={{}}" if place.startswith("axes") else ""
+        _refuse(key, where, f"{text} (drop it{how})")
 
 
 def _check_passes(study: Study, where: Where) -> None:
-    """Refuses a stored record of no whole number of record intervals, or passes that do not fit."""
+    """Refuse a stored record of a wrong length, and passes that do not fit into the run."""
     duration = study.duration_s * (1 + ROUNDING)
     for point in study.combinations(*PASS_KEYS) if study.passes else ():
         record_s, passes = point["stored_s"], point["passes"]
         rewinds = point["direction"] == "rewind"
         if record_s is None:
             if (passes or 1) > 1:
-                _refuse("passes", where, f"{passes} need a stored record to repeat (give stored_s)")
+                _refuse("passes", where, f"{passes} passes need a stored record (give stored_s)")
             continue
         _check_multiple(study, where, "stored_s", record_s)
         if record_s > duration:
-            _refuse("stored_s", where, f"{record_s:.12g} s is longer than the study, {_end(study)}")
+            _refuse("stored_s", where, f"{record_s:.12g} s is longer than a run ({_end(study)})")
         if passes and passes * record_s > duration:
-            text = f"{passes} over a record of {record_s:.12g} s last {passes * record_s:.12g} s"
-            _refuse("passes", where, f"{text}, longer than the study ({_end(study)})")
+            text = f"{passes} passes of {record_s:.12g} s take {passes * record_s:.12g} s"
+            _refuse("passes", where, f"{text}, longer than a run ({_end(study)})")
         if passes and passes % 2 == 0 and point["ending"] == "forward" and not rewinds:
-            _refuse("passes", where, f"{passes} end backward, not as ending = 'forward' says")
+            text = f"{passes} passes end backward, which ending = 'forward' excludes"
+            _refuse("passes", where, f"{text} (give an odd number)")
 
 
 def _check_coarse_method(study: Study, where: Where) -> None:
-    """Refuse a method of coarse alignment that no run can begin with."""
+    """Refuse a method of coarse alignment with which no run can start."""
     for point in study.combinations(*COARSE_KEYS) if study.coarse else ():
         method, _, then = (point[key] for key in COARSE_KEYS)
         if study.is_recorded and method == "none":
-            _refuse("coarse_method", where, "a record tells no attitude to begin with")
+            text = "'none' needs an initial attitude, which a record does not give"
+            _refuse("coarse_method", where, f"{text} (use 'inertial')")
         if method == "analytic" and study.has_coarse_stage(method, then):
-            _refuse("coarse_method", where, "'analytic' is only for the hand-over of a record")
+            text = "'analytic' can only hand over a record (use 'inertial')"
+            _refuse("coarse_method", where, text)
 
 
 def _check_coarse_times(study: Study, where: Where) -> None:
-    """Refuse coarse alignment that leaves no time, and resets before its hand-over."""
+    """Refuse coarse alignment that leaves no time for the method, and resets before its end."""
     every_s = study.record_every / study.rate_hz
     stored = ("stored_s",) if study.passes else ()
     resets = OF_RESETS if study.has("resets") else ()
@@ -212,19 +214,21 @@ def _check_coarse_times(study: Study, where: Where) -> None:
         _check_multiple(study, where, "coarse_duration_s", length_s)
         end_s = min(study.run_s - every_s, point.get("stored_s") or math.inf)
         if length_s > end_s * (1 + ROUNDING):
-            text = f"{length_s:.12g} s leaves nothing to fine alignment (at most {end_s:.12g})"
+            text = f"{length_s:.12g} s leaves no time for the method (at most {end_s:.12g})"
             _refuse("coarse_duration_s", where, text)
         times = reset_times(*(point[key] for key in OF_SCHEDULES)) if resets else ()
         if then == "replay" or not times:
             continue
         if (first_s := min(times)) <= length_s:
             key = "reset_times_s" if point["reset_times_s"] is not None else "reset_count"
-            text = f"a reset at {first_s:.12g} s is not after coarse alignment, {length_s:.12g} s"
-            _refuse(key, where, text)
+            text = f"the reset at {first_s:.12g} s is not after the end of coarse alignment"
+            _refuse(key, where, f"{text}, at {length_s:.12g} s (reset later)")
         interval_s = point["feedback_interval_s"]
         if point["reset_at_feedback"] and _samples(study, length_s) % _samples(study, interval_s):
-            text = f"coarse alignment of {length_s:.12g} s is no whole number of feedback intervals"
-            _refuse("reset_at_feedback", where, f"{text}, feedback_interval_s = {interval_s:.12g}")
+            text = (
+                f"coarse alignment of {length_s:.12g} s is not a whole number of feedback intervals"
+            )
+            _refuse("reset_at_feedback", where, f"{text} (feedback_interval_s = {interval_s:.12g})")
 
 
 def _samples(study: Study, time_s: float) -> int:
@@ -232,20 +236,20 @@ def _samples(study: Study, time_s: float) -> int:
 
 
 def _check_multiple(study: Study, where: Where, key: str, time: float) -> None:
-    """Refuses a time that is no whole number of record intervals."""
+    """Refuse a time that is not a whole number of record intervals."""
     record = study.study.record_interval_s
     count = time / record
     if abs(count - round(count)) > ROUNDING * count or round(count) < 1:
         near = sorted({max(1, math.floor(count)), max(1, math.ceil(count))})
         shown = " or ".join(f"{n * record:.12g}" for n in near)
-        text = f"{time:.12g} s is no whole number of record intervals, record_interval_s ="
-        _refuse(key, where, f"{text} {record:.12g} (nearest: {shown})")
+        text = f"{time:.12g} s is not a whole number of record intervals of {record:.12g} s"
+        _refuse(key, where, f"{text} (nearest: {shown})")
 
 
 def _check_whole(study: Study, where: Where, key: str, time: float, *, least: int = 1) -> None:
-    """Refuses a time that is no whole number of samples, or less than ``least`` of them.
+    """Refuse a time that is not a whole number of samples, or less than ``least`` of them.
 
-    A record has the rate that it has: there the nearest number of samples is taken.
+    For a record, whose rate is given, the time is rounded to a whole number of samples.
     """
     rate, samples = study.rate_hz, time * study.rate_hz
     off = 0.0 if study.is_recorded else abs(samples - round(samples))
@@ -253,16 +257,16 @@ def _check_whole(study: Study, where: Where, key: str, time: float, *, least: in
         whole = {max(least, math.floor(samples)), max(least, math.ceil(samples))}
         near = " or ".join(f"{n / rate:.12g}" for n in sorted(whole))
         more = f", {least} or more" if least > 1 else ""
-        text = f"{time:.12g} s is no whole number of samples of {1 / rate:.12g} s{more}"
+        text = f"{time:.12g} s is not a whole number of samples of {1 / rate:.12g} s{more}"
         slow = study.is_recorded and rate < 1
         hint = f"{rate:.6g} Hz: is time_unit right?" if slow else f"nearest: {near}"
         _refuse(key, where, f"{text} ({hint})")
 
 
 def _check_window(study: Study, where: Where) -> None:
-    """Refuses a window in which no run has a standard deviation, of two record times or more.
+    """Refuse a window in which no run has the two record times of a standard deviation.
 
-    Runs that end before it have none; those of other lengths do.
+    Some of the runs may end before the window.
     """
     (start, end), every, rate = study.study.window_s, study.record_every, study.rate_hz
     longest = max(span.records for span in study.distinct_spans)
@@ -271,12 +275,12 @@ def _check_window(study: Study, where: Where) -> None:
     while last * every / rate > end:
         last -= 1
     if (last - 1) * every / rate <= start:
-        text = f"fewer than 2 records are after {start:.12g} s and up to {end:.12g} s"
-        _refuse("window_s", where, f"{text} ({_end(study)})")
+        text = f"fewer than 2 record times are after {start:.12g} s and up to {end:.12g} s"
+        _refuse("window_s", where, f"{text} (widen it; {_end(study)})")
 
 
 def _check_report_times(study: Study, where: Where) -> None:
-    """Refuses report times that are no record times of every run."""
+    """Refuse report times that are not record times of every run."""
     key, rate, every = "report_times_s", study.rate_hz, study.record_every
     befores = {0}
     if study.counts_before:
@@ -287,27 +291,27 @@ def _check_report_times(study: Study, where: Where) -> None:
         if time > (min(befores) / rate + study.run_s) * (1 + ROUNDING):
             _refuse(key, where, f"{time:.12g} s is not within the run ({_end(study)})")
         for before in sorted(befores, reverse=True):
-            after = f"runs that follow coarse alignment of {before / rate:.12g} s"
+            after = f"runs after coarse alignment of {before / rate:.12g} s"
             if round(time * rate) <= before:
-                _refuse(key, where, f"{time:.12g} s is before the first record of {after}")
+                _refuse(key, where, f"{time:.12g} s is before the first record time of {after}")
             if before % every:
-                _refuse(key, where, f"{time:.12g} s is between two records of {after}")
+                _refuse(key, where, f"{time:.12g} s is between two record times of {after}")
 
 
 def _check_success(study: Study, where: Where) -> None:
-    """Refuses a success that no run can reach, or that is judged from a missing bias floor."""
+    """Refuse a success that no run can reach, and bands whose columns would share a name."""
     names = [columns.settle_column(band).name for band in success.bands(study)]
     if len(set(names)) < len(names):
         key = "success_band_arcmin" if "success_band_arcmin" in where else "settle_bands_arcmin"
-        text = "gives another of the bands the same name, to the 6 digits that its column shows"
+        text = "two bands agree to the 6 digits of their column names (drop one)"
         _refuse(key, where, text)
     dwell = study.study.dwell_s
     if dwell is not None and dwell >= study.run_s:
-        _refuse("dwell_s", where, f"{dwell:.12g} s is not less than the run ({_end(study)})")
+        _refuse("dwell_s", where, f"{dwell:.12g} s is not shorter than the run ({_end(study)})")
 
 
 def _end(study: Study) -> str:
-    """Where a study and its shortest run end, in words."""
+    """Return the end of a study and of its shortest run, as text."""
     text = f"duration_s = {study.duration_s:.12g}"
     whole_s = study.duration_s - study.dropped_s
     if study.dropped_s:
@@ -318,13 +322,13 @@ def _end(study: Study) -> str:
 
 
 def _check_stop(study: Study, where: Where) -> None:
-    """Refuses a statistic that the study has not, and a share that says nothing."""
+    """Refuse a statistic that the study does not have, and a share that is always met."""
     if study.stop_when is None:
         return
     bands = success.bands(study)
     known = ["success_rate", *(f"{columns.settle_column(band).name}_mean" for band in bands)]
     if study.stop_when.statistic not in known:
-        text = f"'{shortened(study.stop_when.statistic, 60)}' is none of {', '.join(known)}"
+        text = f"'{shortened(study.stop_when.statistic, 60)}' is not one of {', '.join(known)}"
         _refuse("statistic", where, text)
     if study.stop_when.statistic == "success_rate" and study.stop_when.half_width >= 1:
         _refuse(
@@ -335,7 +339,7 @@ def _check_stop(study: Study, where: Where) -> None:
 
 
 def _check_rules_of_methods(study: Study, where: Where) -> None:
-    """Refuse what the rules of a study's methods refuse."""
+    """Apply the rules of the study's methods."""
     checked, errors = _Checked(study, where), ErrorCollector()
     for rule in dict.fromkeys(rule for name in study.methods for rule in METHODS[name].rules):
         with errors.collect():
@@ -344,9 +348,9 @@ def _check_rules_of_methods(study: Study, where: Where) -> None:
 
 
 def _check_unreached(study: Study, where: Where) -> None:
-    """Refuse values that no run comes to: times after its end, and keys that nobody reads.
+    """Refuse values that no run reaches: times after its end, and keys that have no effect.
 
-    A time may be after the end of some runs of a sweep if others with it continue for longer.
+    A time may be after the end of some runs of a sweep if other runs with it are longer.
     """
     errors = ErrorCollector()
     for (name, key), entry in KEYS.items():
@@ -362,7 +366,7 @@ def _check_unreached(study: Study, where: Where) -> None:
 
 
 def _check_time(study: Study, where: Where, key: str) -> None:
-    """Refuse a time within a run that is after the end of all runs with it."""
+    """Refuse a time that is after the end of all runs that use it."""
     entry = KEYS[SECTION_OF[key], key]
     latest: dict[float, float] = {}  # the end of the longest run with each value
     every_s = study.study.record_interval_s
@@ -378,25 +382,24 @@ def _check_time(study: Study, where: Where, key: str) -> None:
         latest[until] = max(latest.get(until, 0.0), span.records * every_s)
     for until, end in latest.items():
         if until > end * (1 + ROUNDING):
-            _refuse(
-                key, where, f"{until:.12g} s is after the end of all runs with it, at {end:.12g} s"
-            )
+            text = f"{until:.12g} s is after the end of all runs that use it, at {end:.12g} s"
+            _refuse(key, where, f"{text} (give an earlier time, or longer runs)")
 
 
 def _check_unread(study: Study, where: Where, section: str, condition: ActsWhere) -> None:
-    """Refuse values of keys, other than their defaults, where they do not act."""
+    """Refuse values of keys, other than their defaults, that have no effect."""
     for key in condition.keys:
         default: Any = SECTIONS[section].model_fields[key].default
         for point in study.combinations(key, *condition.given):
             values = [point[given] for given in condition.given]
             if point[key] != default and not condition.acts(*values):
                 given = next(k for k in condition.given if k in where)
-                text = f"is ignored beside {given} in {where[given]} (give one of them)"
+                text = f"has no effect with {given} in {where[given]} (give one of them)"
                 raise InputError(f"{where.get(key, f'[{section}]')} {key}: {text}")
 
 
 def _check_usual(study: Study, where: Where) -> None:
-    """Question values of sections, axes, zips and cases; drawn keys are those of `_check_draws`."""
+    """Refuse unusual values of sections, axes, zips and cases; `_check_draws` checks drawn keys."""
     if study.study.unchecked:
         return
     errors = ErrorCollector()
@@ -416,7 +419,7 @@ def _check_usual(study: Study, where: Where) -> None:
 
 
 def doubt(key: str, value: Any) -> str | None:
-    """Return what to ask about a value of a leaf key; None if it is as usual."""
+    """Return the question about an unusual value of a leaf key; None for a usual value."""
     for at, number in _numbers(value):
         if found := _beyond(SECTION_OF[key], key, number):
             return f"{at}{found}"
@@ -435,11 +438,11 @@ def _beyond(section: str, key: str, number: float) -> str | None:
     low, high = KEYS[section, key].info.usual or (-math.inf, math.inf)
     if low <= number <= high:
         return None
-    return f"{number:.12g} is outside the usual {low:g} to {high:g} ({INSIST})"
+    return f"{number:.12g} is outside the usual range of {low:g} to {high:g} ({ACCEPT})"
 
 
 def _numbers(value: Any, at: str = "") -> Iterator[tuple[str, float]]:
-    """Return the numbers of a value, each after its place in lists."""
+    """Yield the numbers of a value, each after its index in lists."""
     if isinstance(value, tuple):
         for i, entry in enumerate(value):
             yield from _numbers(entry, f"{at}[{i}]")
@@ -448,7 +451,7 @@ def _numbers(value: Any, at: str = "") -> Iterator[tuple[str, float]]:
 
 
 def _check_feedback(study: Study, where: Where) -> None:
-    """Question a feedback that no run ever comes to."""
+    """Refuse a feedback interval that is longer than any run."""
     if study.study.unchecked or not study.study.rate_hz:
         return
     longest = max(span.records for span in study.distinct_spans) * study.record_every
@@ -456,92 +459,94 @@ def _check_feedback(study: Study, where: Where) -> None:
     for point in study.combinations("feedback_interval_s"):
         interval = point["feedback_interval_s"]
         if interval is not None and interval > run_s * (1 + ROUNDING):
-            text = f"{interval:.12g} s is longer than a run of {run_s:.12g} s: nothing would be fed"
+            text = f"{interval:.12g} s is longer than a run of {run_s:.12g} s: there is no feedback"
             place = where.get("feedback_interval_s", "[alignment]")
-            _refuse_at(f"{place} feedback_interval_s", f"{text} back ({INSIST})")
+            _refuse_at(f"{place} feedback_interval_s", f"{text} ({ACCEPT})")
 
 
 def _check_centre(study: Study, where: Where) -> None:
-    """Refuses a place where there is no north, east and up."""
+    """Refuse a place at the centre of the Earth, without north, east and up."""
     for point in study.combinations("height_m", "radius_m"):
         radius = point["radius_m"] or EARTH_CONSTANTS["radius_m"]
         if point["height_m"] is not None and point["height_m"] <= -_DEEPEST * radius:
-            text = f"{point['height_m']:.12g} m is at the centre of the Earth or below it"
+            text = (
+                f"{point['height_m']:.12g} m reaches the centre of the Earth (give the height in m)"
+            )
             raise InputError(f"{where.get('height_m', '[earth]')} height_m: {text}")
 
 
 def require_modelled(study: Study) -> None:
-    """Refuses what covariance analysis does not hold for.
+    """Refuse a study that covariance analysis does not model.
 
     Raises:
-        InputError: names the key, and why.
+        InputError: names the key and the reason.
     """
-    told = next(_unmodelled(study, {}), None)
-    if told is not None:
-        raise InputError(f"{study.name}: {told}")
+    line = next(_unmodelled(study, {}), None)
+    if line is not None:
+        raise InputError(f"{study.name}: {line} (run draws instead)")
 
 
 def is_modelled(study: Study) -> bool:
-    """Whether covariance analysis holds for a study."""
+    """Whether covariance analysis models a study."""
     return next(_unmodelled(study, {}), None) is None
 
 
 def _check_estimated(study: Study, where: Where) -> None:
-    """Refuse what does not go with covariance analysis, where a study or its tuning asks for it."""
+    """Refuse keys that conflict with covariance analysis, of a study or of its tuning."""
     if study.tune and "covariance" in study.tune.searches:
-        if told := next(_unmodelled(study, where), None):
-            text = f"'covariance' cannot be one of them (use 'sobol'): {told}"
+        if line := next(_unmodelled(study, where), None):
+            text = f"'covariance' does not apply to this study (use 'sobol'): {line}"
             raise InputError(f"[tune] searches: {text}")
     if not study.is_estimated:
         for key in ("check_linearity", "estimate_samples"):
             if getattr(study.study, key) is not None:
                 raise InputError(f"[study] {key}: requires estimate = 'covariance'")
         return
-    told = next(_unmodelled(study, where), None)
-    if told is not None:
-        raise InputError(f"{told} (use estimate = 'draws')")
-    search = "a search by covariance analysis is one of its searches"
+    line = next(_unmodelled(study, where), None)
+    if line is not None:
+        raise InputError(f"{line} (use estimate = 'draws')")
     unread = {
-        "[tune]": (study.has("tune"), search),
-        "[study] curves": (study.study.curves, "there are no runs to have any"),
-        "[stop_when]": (study.has("stop_when"), "there are no draws to stop"),
+        "[tune]": (study.has("tune"), "use estimate = 'draws', and 'covariance' in searches"),
+        "[study] curves": (study.study.curves, "drop it: there are no runs"),
+        "[stop_when]": (study.has("stop_when"), "drop it: there are no draws"),
     }
-    for place, (given, why) in unread.items():
+    for place, (given, hint) in unread.items():
         if given:
-            raise InputError(f"{place}: is not read beside estimate = 'covariance' ({why})")
+            raise InputError(f"{place}: does not apply to estimate = 'covariance' ({hint})")
 
 
 def _unmodelled(study: Study, where: Where) -> Iterator[str]:
-    """What there is that covariance analysis does not hold for, a line each."""
+    """Yield a line for each part of a study that covariance analysis does not model."""
     if study.is_recorded:
-        yield "[record]: covariance analysis needs the noise of a simulation"
+        yield "[record]: covariance analysis needs simulated sensors"
         return
     if study.passes:
-        yield "[passes]: covariance analysis takes noise as white, passes take it in again"
+        yield "[passes]: covariance analysis assumes new white noise, which repeated passes lack"
     if study.coarse_stages:
-        yield "[coarse]: covariance analysis begins with the method's own P0"
+        yield "[coarse]: covariance analysis starts from the method's P0"
     for key, law in study.drawn.laws.items() if study.drawn else ():
         if key not in (*INITIAL_NUMBERS, *BIAS_KEYS):
-            yield f"[drawn] {key}: covariance analysis takes its value as given (sweep it instead)"
+            yield f"[drawn] {key}: covariance analysis needs a fixed value (sweep it instead)"
         elif not is_normal(key, law):
-            yield f"[drawn] {key}: covariance analysis takes what is drawn as normal"
+            yield f"[drawn] {key}: covariance analysis needs a normal distribution"
     if any_trigger(study):
         place = where.get("reset_trigger", "[resets]")
         yield f"{place} reset_trigger: covariance analysis needs resets at given times"
     for key in study.sequential_keys:
         if key.startswith("vibration") or "quantisation" in key:
             place = where.get(key, f"[{SECTION_OF[key]}]")
-            yield f"{place} {key}: covariance analysis knows no vibration and no digits"
+            yield f"{place} {key}: covariance analysis does not model vibration or quantisation"
     for name in study.methods:
         if not METHODS[name].has_error_step:
             place = where.get("method", "[alignment]")
-            yield f"{place} method: covariance analysis knows no linear part of {name}"
+            yield f"{place} method: covariance analysis has no linear model of {name}"
 
 
 def _check_draws(study: Study, where: Where) -> None:
-    """Refuse a draw of a value that its key does not take, and what no draw comes to.
+    """Refuse drawn values that their key does not accept, and list entries that no draw reaches.
 
-    Draws are looked at one by one if their law leaves it open, and if they are not too many.
+    Draws are checked one by one if their law does not exclude such values, unless there are too
+    many of them.
     """
     laws = study.drawn.laws if study.drawn else {}
     _check_lists(study, laws)
@@ -552,11 +557,11 @@ def _check_draws(study: Study, where: Where) -> None:
             if text := _wrong(key, value, unchecked):
                 open_[key] = value, text
     errors = ErrorCollector()
-    if study.n_draws > _MOST_LOOKED_AT:
+    if study.n_draws > _MOST_CHECKED:
         for key in open_:
             for value in _ends(laws[key], _reached(study.n_draws)):
                 if text := _wrong(key, value, unchecked):
-                    text = f"one of so many draws may give {value:.6g}: {text}"
+                    text = f"one of {study.n_draws} draws may give {value:.6g}: {text}"
                     raise InputError(f"[drawn] {key}: {text}")
         return
     for first in range(0, study.n_draws if open_ else 0, _BLOCK):
@@ -573,25 +578,26 @@ def _check_draws(study: Study, where: Where) -> None:
 
 
 def _check_lists(study: Study, laws: Mapping[str, Distribution]) -> None:
-    """Refuses lists of values, and a grid, that are longer than the draws."""
-    there = f"{study.n_draws} {'start times' if study.is_recorded else 'draws'}"
+    """Refuse lists of values and grids that are longer than the number of draws."""
+    draws = f"{study.n_draws} {'start times' if study.is_recorded else 'draws'}"
     for key, law in laws.items():
         if law.values and len(law.values) > study.n_draws:
-            text = f"has {len(law.values)} entries for {there}"
-            raise InputError(f"[drawn] {key}.values: {text}: the last ones are never drawn")
+            text = f"has {len(law.values)} entries for {draws} (drop those that are never drawn)"
+            raise InputError(f"[drawn] {key}.values: {text}")
     grids = {key: len(law.grid) for key, law in laws.items() if law.grid}
     if math.prod(grids.values()) > study.n_draws and grids:
         text = f"{math.prod(grids.values())} points of the grid of {', '.join(grids)}"
-        raise InputError(f"[drawn] {next(iter(grids))}.grid: {text} are more than {there}")
+        text = f"{text} are more than {draws} (drop some, or draw more)"
+        raise InputError(f"[drawn] {next(iter(grids))}.grid: {text}")
 
 
 def _reached(draws: int) -> float:
-    """Standard deviations that any of so many normal draws exceeds in one study of a thousand."""
+    """Return the sigmas that one of many normal draws exceeds with probability 0.001."""
     return min(_SIGMAS, statistics.NormalDist().inv_cdf(1 - 1e-3 / draws))
 
 
 def _ends(law: Distribution, sigmas: float = _SIGMAS) -> tuple[float, ...]:
-    """The least and the greatest number that a law can give, a normal one within some sigmas."""
+    """Return the limits of the values of a law, of a normal one within some sigmas."""
     if law.uniform:
         return law.uniform
     if law.normal:
@@ -602,34 +608,32 @@ def _ends(law: Distribution, sigmas: float = _SIGMAS) -> tuple[float, ...]:
 
 
 def _wrong(key: str, value: float, unchecked: bool) -> str | None:
-    """Return what is wrong with a drawn number."""
+    """Return the error text of a drawn number; None if it is valid."""
     return wrong_value(value, key) or (None if unchecked else doubt(key, value))
 
 
 def _check_tune(study: Study, where: Where) -> None:
-    """Refuse a [tune] that does not go with the rest of its study."""
+    """Refuse a [tune] that conflicts with the rest of its study."""
     tune = study.tune
     if tune is None:
         return
     if study.stop_when:
-        _refuse_at("[stop_when]", "conflicts with [tune], whose draws are counted")
+        _refuse_at("[stop_when]", "conflicts with [tune], which fixes its draws (drop one)")
     if study.record and len(study.record.start_s) < 2:
-        _refuse_at(
-            "[record] start_s", "tuning needs two start times, one to tune and one to judge by"
-        )
+        text = "tuning needs two start times or more, to search and to evaluate"
+        _refuse_at("[record] start_s", text)
     bands = success.bands(study)
     if tune.objective_band_arcmin not in bands:
-        text = f"{tune.objective_band_arcmin:g} is none of {', '.join(f'{b:g}' for b in bands)}"
-        _refuse_at(
-            "[tune] objective_band_arcmin", f"{text} (settle_bands_arcmin, and that of success)"
-        )
-    space = search_space.SearchSpace.of(study)
+        text = f"{tune.objective_band_arcmin:g} is not one of {', '.join(f'{b:g}' for b in bands)}"
+        hint = "settle_bands_arcmin and success_band_arcmin"
+        _refuse_at("[tune] objective_band_arcmin", f"{text} ({hint})")
+    space = search_space.SearchSpace.from_study(study)
     most = max((len(space.used(point)) for point in space.combinations), default=0)
     if "grid" in tune.searches and most > search_space.GRID_MOST:
-        text = f"'grid' takes up to {search_space.GRID_MOST} variables at a time, here are {most}"
+        text = f"'grid' is for up to {search_space.GRID_MOST} variables, not {most}"
         _refuse_at("[tune] searches", f"{text} (use 'sobol')")
     if "gradient" in tune.searches and not most and tune.variables:
-        _refuse_at("[tune] searches", "'gradient' needs a variable with low and high")
+        _refuse_at("[tune] searches", "'gradient' needs a variable with low and high (use 'grid')")
 
 
 Rule = Callable[[Study, Where], None]
@@ -640,7 +644,7 @@ KEYS_GIVEN: tuple[Rule, ...] = (
     check_process_noise,
     _check_estimated,
 )
-"""Rules about which keys are given."""
+"""Rules for the presence of keys."""
 
 TIMED: tuple[tuple[Rule, ...], ...] = (
     (_check_size, _check_intervals),
@@ -657,8 +661,7 @@ TIMED: tuple[tuple[Rule, ...], ...] = (
     (_check_unreached,),
     (_check_tune,),
 )
-"""Rules about times and counts, which need the sample rate, in stages: each relies on those before
-it."""
+"""Rules for times and counts, which need the sample rate; each stage relies on the earlier ones."""
 
 VALUES: tuple[Rule, ...] = (_check_centre, _check_usual, _check_feedback, _check_draws)
-"""Rules about values alone, and whether they are what such values usually are."""
+"""Rules for values alone, such as their usual ranges."""

@@ -1,8 +1,7 @@
-"""The values of drawn keys, draw by draw: points of a design that neither count nor block changes.
+"""The values of drawn keys per draw, independent of the number of draws and of their blocks.
 
 Every value is a function of the study's seed, of [drawn] and of the number of the draw. With random
-sampling each key has a stream of its own, which no other key changes; Sobol points are of all keys
-together.
+sampling each key has a separate stream; Sobol points have one dimension per number of all keys.
 """
 
 import math
@@ -15,21 +14,21 @@ import numpy as np
 from sinsjax.study.schema import NUMBERS_DRAWN, Distribution, DrawnSection
 from sinsjax.study.study import Study
 
-_SOBOL_BITS = 30  # 2^30 points, more than a study has draws
+_SOBOL_BITS = 30  # 2^30 points, more than the draws of a study
 _RANDOM_BITS = 52  # the middle of an interval of 2^-52 is still a double
 
 
 def values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]:
-    """The values of all drawn keys in the draws ``first`` to ``first + count - 1``.
+    """Return the values of all drawn keys in the draws ``first`` to ``first + count - 1``.
 
     Args:
         study: checked study.
         count: number of draws.
-        first: number of the first one.
+        first: number of the first draw.
 
     Returns:
-        By key, in the order written and in the units of the file: (count,), or (count, 3 or 6) for
-        a key with a number for each axis. Empty where nothing is drawn.
+        Values by key, in the order and in the units of the file: (count,), or (count, 3 or 6) for a
+        key with one number per axis. Empty if nothing is drawn.
     """
     if study.drawn is None:
         return {}
@@ -45,12 +44,12 @@ def values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]
     return {key: rows if NUMBERS_DRAWN[key] > 1 else rows[:, 0] for key, rows in drawn.items()}
 
 
-def of_fewer(drawn: DrawnSection, count: int) -> dict[str, Any]:
-    """The table [drawn] of fewer draws, with the same values in each of them.
+def drawn_table(drawn: DrawnSection, count: int) -> dict[str, Any]:
+    """Return the table [drawn] of a study with fewer draws, with the same values in each of them.
 
     Args:
-        drawn: of a study.
-        count: of the draws; lists end where no further entry is drawn.
+        drawn: section of the study.
+        count: number of draws; lists are truncated to the entries that are drawn.
     """
     table = drawn.model_dump(exclude_none=True)
     grids = {key: law.grid for key, law in drawn.laws.items() if law.grid}
@@ -66,10 +65,10 @@ def of_fewer(drawn: DrawnSection, count: int) -> dict[str, Any]:
 
 
 def _random(keys: Iterable[str], seed: int, first: int, count: int) -> dict[str, np.ndarray]:
-    """Independent points in (0, 1), (count, numbers) by key; a key has its stream by its name."""
+    """Return independent points in (0, 1), (count, numbers) by key, from one stream per key."""
     points = {}
     for key in keys:
-        # Raw words and not a Generator, whose methods numpy may change.
+        # Raw words instead of a Generator, whose methods numpy may change.
         bits = np.random.PCG64(np.random.SeedSequence(seed, spawn_key=tuple(key.encode())))
         bits.advance(first * NUMBERS_DRAWN[key])
         words = bits.random_raw(count * NUMBERS_DRAWN[key]) >> np.uint64(64 - _RANDOM_BITS)
@@ -78,10 +77,10 @@ def _random(keys: Iterable[str], seed: int, first: int, count: int) -> dict[str,
 
 
 def _sobol(keys: list[str], seed: int, first: int, count: int) -> dict[str, np.ndarray]:
-    """Scrambled Sobol points in (0, 1), (count, numbers) by key: one dimension a number."""
+    """Return scrambled Sobol points in (0, 1), (count, numbers) by key, a dimension per number."""
     if not keys:
         return {}
-    # A second or more, and few studies need it.
+    # The import takes a second or more, and few studies need it.
     from scipy.stats import qmc
 
     numbers = [NUMBERS_DRAWN[key] for key in keys]
@@ -89,14 +88,14 @@ def _sobol(keys: list[str], seed: int, first: int, count: int) -> dict[str, np.n
     engine = qmc.Sobol(sum(numbers), bits=_SOBOL_BITS, rng=rng)
     if first:
         engine.fast_forward(first)
-    # One point at first: scipy warns where a first call asks for another number than 2^m.
+    # One point first: scipy warns if the first call does not ask for 2^m points.
     points = np.concatenate([engine.random(min(count, 1)), engine.random(max(count - 1, 0))])
     points += 2.0 ** -(_SOBOL_BITS + 1)
     return dict(zip(keys, np.split(points, np.cumsum(numbers)[:-1], axis=1), strict=True))
 
 
 def _spread(law: Distribution, points: np.ndarray) -> np.ndarray:
-    """Points in (0, 1), taken to a law's distribution."""
+    """Transform points in (0, 1) to a distribution."""
     if law.uniform:
         low, high = law.uniform
         return low + (high - low) * points
@@ -108,7 +107,7 @@ def _spread(law: Distribution, points: np.ndarray) -> np.ndarray:
 
 
 def _cycled(laws: dict[str, Distribution], draws: np.ndarray) -> dict[str, np.ndarray]:
-    """The entries of lists and grids in some draws, (draws, numbers) by key."""
+    """Return the entries of lists and grids in some draws, (draws, numbers) by key."""
     grids = {key: len(law.grid) for key, law in laws.items() if law.grid}
     fastest = math.prod(grids.values())
     taken = {}

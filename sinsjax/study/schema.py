@@ -1,8 +1,8 @@
-"""The sections of a study file: one frozen model each, one field a key, the unit in its name.
+"""The sections of a study file: one frozen model per section, one field per key.
 
-Values stay in the file's units; leaf keys are unique over all sections, so that a key alone names
-an axis and a result column. Rules that hold inside one section live here, those between sections in
-`rules`. The sections of methods come with them, see `alignment.methods`.
+Values stay in the units of the file, which the names of keys state. Leaf keys are unique over all
+sections, so a key alone names an axis and a result column. Rules within one section are here, rules
+between sections in `rules`. The methods have sections of their own, see `alignment.methods`.
 """
 
 from typing import Annotated, Any, Literal, cast, get_args, get_origin
@@ -49,92 +49,125 @@ from sinsjax.value_types import (
 
 
 class StudySection(Section):
-    """[study]: what all runs of a study share; never an axis."""
+    """[study]: settings that all runs of a study share; none of them can be swept."""
 
-    name: Name = Field(description="the study's name; default: the file's stem")
-    duration_s: Seconds = Field(description="length of the fine alignment, s")
-    # None only in a recorded study whose record is yet to be read, see `load.with_rate`.
+    name: Name = Field(
+        description="name of the study in reports and manifests; default: the file's stem"
+    )
+    duration_s: Seconds = Field(
+        description="length of each run, s. It includes all passes over a stored record and a"
+        " coarse alignment, except one that hands over a record"
+    )
+    # None only in a recorded study before its record is read, see `load.with_rate`.
     rate_hz: Annotated[Positive, KeyInfo(usual=(1e-3, 1e6))] = Field(
         cast(float, None),
-        description="sample rate, Hz; a record that tells its own must have this one",
+        description="sample rate of the sensors, Hz. Required in a simulation and for a record"
+        " without time stamps; otherwise it must agree with the rate of the record",
     )
-    record_interval_s: Seconds = Field(1.0, description="time between recorded values, s")
+    record_interval_s: Seconds = Field(
+        1.0,
+        description="time between two record times, s. Settling times, statistics and curves use"
+        " the attitude at record times",
+    )
     draws: Annotated[Count, Field(ge=1)] | None = Field(
         None,
-        description="draws of noise and of [drawn], with [stop_when] at most, with estimate ="
-        " 'covariance' of variants that it does not hold for; default 64 where the sensors are"
-        " simulated",
+        description="number of Monte Carlo draws, each one realisation of the sensor noise and of"
+        " [drawn]; the maximum with [stop_when]. With estimate = 'covariance', the draws of a"
+        " variant for which the linear estimate does not hold. A recorded study has one draw per"
+        " start time; default: 64 in a simulation",
     )
     estimate: Literal["draws", "covariance"] = Field(
         "draws",
-        description="source of the statistics: Monte Carlo over draws, with one run per draw"
-        " (`summary/`), or linear covariance analysis, with one noise-free run per variant"
-        " (`estimates/`)",
+        description="source of the statistics. 'draws': Monte Carlo with one run per draw and"
+        " variant, stored in `summary/`. 'covariance': linear covariance analysis with one"
+        " noise-free run per variant, stored in `estimates/`",
     )
     estimate_samples: Annotated[int, Field(ge=4, le=2**16, multiple_of=2)] | None = Field(
         None,
-        description="sampled errors that settling times are estimated from, an even number;"
-        " default 256 with estimate = 'covariance'",
+        description="number of errors sampled from the covariance to estimate settling times, an"
+        " even number since they come in pairs of opposite sign; default: 256 with estimate ="
+        " 'covariance'",
     )
     check_linearity: bool | None = Field(
         None,
-        description="whether 8 draws tell how far an estimate by covariance holds (`nonlinearity`),"
-        " and `draws` of them stand for it where it does not; estimate = 'covariance' only, default"
-        " true",
+        description="whether 8 draws per variant check the linear estimate (column"
+        " `nonlinearity`). If it exceeds 0.5, `draws` Monte Carlo draws replace the estimate of"
+        " the heading. Only with estimate = 'covariance'; default: true",
     )
-    seed: int = Field(1, ge=0, lt=2**63, description="seed of all that is drawn")
+    seed: int = Field(
+        1, ge=0, lt=2**63, description="seed of all random numbers; equal seeds give equal draws"
+    )
     settle_bands_arcmin: Bands = Field(
-        (60.0, 10.0, 3.0), description="heading error bands of the settling times, arcmin"
+        (60.0, 10.0, 3.0),
+        description="half-widths of the heading error bands into which settling times are"
+        " reported, arcmin",
     )
     window_s: Annotated[tuple[NonNegative, Positive], KeyInfo(usual=(0, 1e8))] = Field(
-        # A pydantic below 2.14 asks for it even where the duration is missing or wrong.
+        # A pydantic below 2.14 calls it even if the duration is missing or wrong.
         default_factory=lambda given: (
             given.get("duration_s", 1.0) / 1.5,
             given.get("duration_s", 1.0),
         ),
-        description="statistics window, s; default: the last third of the duration",
+        description="start and end of the window over which means and standard deviations of the"
+        " errors are taken, s; default: the last third of the duration",
     )
     consistency_after_s: SecondsOrZero = Field(
-        10.0, description="start of the consistency statistics, s"
+        10.0,
+        description="time after which record times count in the columns p_above_error_share and"
+        " p_above_floor_error_share, s",
     )
     steady_after_s: SecondsOrZero = Field(
-        300.0, description="start of the steady process in the consistency statistics, s"
+        300.0,
+        description="time after which record times count in the column"
+        " p_above_error_steady_share, s",
     )
-    curves: bool = Field(False, description="whether a sweep stores curves too")
+    curves: bool = Field(
+        False,
+        description="whether a sweep also stores the errors of every run at every record time, in"
+        " `curves/`",
+    )
     judged_from: Literal["truth", "floor"] | None = Field(
         None,
-        description="what a run's success is judged from: the truth (default), or the bias floor"
-        " that its own sensor biases leave",
+        description="reference from which the success of a run is judged. 'truth': true north, or"
+        " the reference of a record. 'floor': the bias floor, the heading error that the constant"
+        " sensor biases of the run leave; default: 'truth'",
     )
     success_band_arcmin: Band | None = Field(
-        None, description="heading error band that a success ends in, arcmin; default 10"
+        None,
+        description="half-width of the band in which the heading error of a successful run ends,"
+        " arcmin; default: 10",
     )
     level_band_arcmin: Band | None = Field(
-        None, description="level error band that a success ends in, arcmin; default 10"
+        None,
+        description="half-width of the band in which both level errors of a successful run end,"
+        " arcmin. Judged from the truth, the tilt that the accelerometer biases leave is added to"
+        " it; default: 10",
     )
     dwell_s: SecondsOrZero | None = Field(
         None,
-        description="how long before its end a success has stayed in the heading band, s; default:"
-        " the smaller of 30 s and a tenth of the run",
+        description="time that a successful run has spent in the heading band without"
+        " interruption when it ends, s; default: the smaller of 30 s and a tenth of the run",
     )
     diverged_deg: AngleSigma | None = Field(
         None,
-        description="heading error at the end beyond which a run has diverged, deg; default 10",
+        description="final heading error beyond which a run that is no success counts as"
+        " diverged, deg. It is measured from the bias floor, or from the truth if the run has no"
+        " floor; default: 10",
     )
     report_times_s: ReportTimes | None = Field(
         None,
-        description="times from the first sample of data at which every run's heading error, its"
-        " sigma and NEES are told too, s; default none",
+        description="times from the first sample of data at which the summary also lists the"
+        " heading error of each run, its sigma and its NEES, s; default: none",
     )
     unchecked: bool | None = Field(
-        None, description="whether numbers beyond what is usual are run; default false"
+        None, description="whether values outside their usual range are accepted; default: false"
     )
 
     @field_validator("judged_from", mode="before")
     @classmethod
     def _refuse_limit(cls, value: Any) -> Any:
         if value == "limit":
-            raise invalid("'limit' was renamed to 'floor'")
+            raise invalid("'limit' was renamed (use 'floor')")
         return value
 
     @field_validator("estimate", mode="before")
@@ -158,7 +191,7 @@ class StudySection(Section):
 
 
 class EarthSection(Section):
-    """[earth]: the model of gravity and of the earth's shape and turn."""
+    """[earth]: gravity, shape and rotation of the Earth, and the place on it."""
 
     conditions = (
         ActsWhere(
@@ -168,34 +201,45 @@ class EarthSection(Section):
         ),
     )
 
-    earth: Literal["constants", "wgs84"] = Field("constants", description="earth model")
+    earth: Literal["constants", "wgs84"] = Field(
+        "constants",
+        description="Earth model. 'constants': a sphere with constant gravity, given by the next"
+        " three keys. 'wgs84': the WGS-84 ellipsoid with normal gravity at the latitude and"
+        " height",
+    )
     gravity_m_per_s2: Annotated[Positive, KeyInfo(usual=(9, 10.5))] | None = Field(
-        None, description="gravity, m/s^2; constants only, default 9.8"
+        None, description="gravity, m/s^2; only with earth = 'constants'; default 9.8"
     )
     radius_m: Annotated[Positive, KeyInfo(usual=(6e6, 7e6))] | None = Field(
-        None, description="radius, m; constants only, default 6378137"
+        None, description="radius of the sphere, m; only with earth = 'constants'; default 6378137"
     )
     earth_rate_deg_per_h: Annotated[Positive, KeyInfo(usual=(10, 20))] | None = Field(
-        None, description="rotation rate, deg/h; constants only, default 15.041067"
+        None,
+        description="rotation rate of the Earth, deg/h; only with earth = 'constants'; default"
+        " 15.041067",
     )
     latitude_deg: Elevation | None = Field(
-        None, description="latitude, deg; a recorded study may take it from the record"
+        None,
+        description="latitude, positive north, deg. Required in a simulation; a recorded study"
+        " may leave it out if the header of its record gives it",
     )
     height_m: Annotated[Finite, KeyInfo(usual=(-12e3, 1e6))] | None = Field(
-        None, description="height, m; default: in a recorded study its record's if known, else 0"
+        None,
+        description="height above the ellipsoid or the sphere, m; default: the height in the"
+        " header of the record, or 0",
     )
 
 
 def _some(*values: Any) -> bool:
-    """Whether one of some numbers, or lists of them, is not zero; a drawn one is None."""
+    """Whether any of some numbers, or lists of numbers, is not zero; a drawn one is None."""
     return any(value is None or np.any(value) for value in values)
 
 
 class MotionSection(Section):
-    """[motion]: angle(t) = center + amplitude sin(2 pi t / period + phase), each angle its own.
+    """[motion]: simulated motion; angles are center + amplitude sin(2 pi t / period + phase).
 
-    The sway turns about a point that the sensors may be away from; surge moves that point, and
-    vibration the box.
+    The base sways about a point that may be a lever arm away from the sensors. Surge moves that
+    point, vibration the sensor housing.
     """
 
     conditions = (
@@ -223,45 +267,79 @@ class MotionSection(Section):
         ),
     )
 
-    pitch_center_deg: Elevation = Field(0.0, description="mean pitch, deg")
-    pitch_amplitude_deg: Amplitude = Field(0.0, description="pitch amplitude, deg")
-    pitch_period_s: Period = Field(10.0, description="pitch period, s")
-    pitch_phase_deg: Angle = Field(0.0, description="pitch phase, deg")
-    roll_center_deg: HalfTurn = Field(0.0, description="mean roll, deg")
-    roll_amplitude_deg: Amplitude = Field(0.0, description="roll amplitude, deg")
-    roll_period_s: Period = Field(10.0, description="roll period, s")
-    roll_phase_deg: Angle = Field(0.0, description="roll phase, deg")
-    yaw_center_deg: Angle | None = Field(None, description="yaw, deg, counter-clockwise from north")
-    yaw_amplitude_deg: Amplitude = Field(0.0, description="yaw amplitude, deg")
-    yaw_period_s: Period = Field(10.0, description="yaw period, s")
-    yaw_phase_deg: Angle = Field(0.0, description="yaw phase, deg")
+    pitch_center_deg: Elevation = Field(
+        0.0, description="mean pitch, positive with the front up, deg"
+    )
+    pitch_amplitude_deg: Amplitude = Field(
+        0.0, description="amplitude of the sinusoidal pitch motion, deg"
+    )
+    pitch_period_s: Period = Field(
+        10.0,
+        description="period of the pitch motion, s. It must be given if the amplitude is not zero",
+    )
+    pitch_phase_deg: Angle = Field(0.0, description="phase of the pitch motion at t = 0, deg")
+    roll_center_deg: HalfTurn = Field(
+        0.0, description="mean roll, positive with the right side down, deg"
+    )
+    roll_amplitude_deg: Amplitude = Field(
+        0.0, description="amplitude of the sinusoidal roll motion, deg"
+    )
+    roll_period_s: Period = Field(
+        10.0,
+        description="period of the roll motion, s. It must be given if the amplitude is not zero",
+    )
+    roll_phase_deg: Angle = Field(0.0, description="phase of the roll motion at t = 0, deg")
+    yaw_center_deg: Angle | None = Field(
+        None, description="mean yaw, deg, counter-clockwise from north: the negative of the heading"
+    )
+    yaw_amplitude_deg: Amplitude = Field(
+        0.0, description="amplitude of the sinusoidal yaw motion, deg"
+    )
+    yaw_period_s: Period = Field(
+        10.0,
+        description="period of the yaw motion, s. It must be given if the amplitude is not zero",
+    )
+    yaw_phase_deg: Angle = Field(0.0, description="phase of the yaw motion at t = 0, deg")
     lever_arm_m: Annotated[Vector, KeyInfo(usual=(-1e3, 1e3))] = Field(
-        0.0, description="from the centre of the sway to the sensors, right, front and up, m"
+        0.0,
+        description="vector from the centre of the sway to the sensors along the body axes right,"
+        " front, up, m",
     )
     surge_m_per_s: Annotated[NoisePerAxis, KeyInfo(usual=(0, 100))] = Field(
-        0.0, description="surge of the base, rms of the velocity east, north and up, m/s"
+        0.0,
+        description="rms velocity of the surge, a random motion about a fixed place, along east,"
+        " north, up, m/s",
     )
-    surge_time_s: Period = Field(5.0, description="correlation time of the surge, s")
+    surge_time_s: Period = Field(5.0, description="correlation time of the surge velocity, s")
     surge_bandwidth_hz: Bandwidth = Field(
-        1.0, description="bandwidth of the surge, which bounds its acceleration, Hz"
+        1.0,
+        description="bandwidth of the surge, which limits its acceleration, Hz; only with"
+        " surge_model = 'third_order'",
     )
     surge_model: Literal["third_order", "gauss_markov"] = Field(
         "third_order",
-        description="third_order: position, velocity and acceleration are bounded; gauss_markov:"
-        " first-order velocity, whose acceleration grows with the sample rate",
+        description="random process of the surge. 'third_order': position, velocity and"
+        " acceleration have finite variances. 'gauss_markov': the velocity is a first-order"
+        " Gauss-Markov process, whose acceleration grows with the sample rate",
     )
     vibration_ug_rms: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e8))] = Field(
-        0.0, description="vibration of the box, specific force along body axes, ug rms"
+        0.0,
+        description="specific force of the sensor housing's vibration along the body axes right,"
+        " front, up, ug rms",
     )
     vibration_deg_per_h_rms: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e8))] = Field(
-        0.0, description="vibration of the box, angular rate about body axes, deg/h rms"
+        0.0,
+        description="angular rate of the sensor housing's vibration about the body axes right,"
+        " front, up, deg/h rms",
     )
-    vibration_hz: Bandwidth = Field(30.0, description="resonant frequency of the vibration, Hz")
-    vibration_damping: Damping = Field(0.05, description="damping ratio of the resonance")
+    vibration_hz: Bandwidth = Field(
+        30.0, description="undamped natural frequency of the vibration, Hz"
+    )
+    vibration_damping: Damping = Field(0.05, description="damping ratio of the vibration")
 
 
 class SensorsSection(Section):
-    """[sensors]: what the sensors do; a number for all three body axes or one number each."""
+    """[sensors]: errors of the simulated sensors; one number for all body axes, or one per axis."""
 
     exclusive = (
         ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h"),
@@ -273,66 +351,89 @@ class SensorsSection(Section):
     )
 
     gyro_bias_deg_per_h: Annotated[Vector, KeyInfo(usual=(-1e5, 1e5))] = Field(
-        0.0, description="gyro bias, deg/h"
+        0.0, description="constant gyro bias, measured minus true rate, deg/h"
     )
     gyro_noise_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e6))] | None = Field(
-        None, description="gyro white noise, standard deviation of a sample, deg/h"
+        None,
+        description="white noise of the gyros as the standard deviation of one sample of the"
+        " rate, deg/h; an alternative to gyro_arw_deg_per_sqrt_h; default: no noise if both are"
+        " left out",
     )
     gyro_arw_deg_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e4))] | None = Field(
-        None, description="gyro angle random walk, deg/sqrt(h)"
+        None,
+        description="white noise of the gyros as the angle random walk of a data sheet,"
+        " deg/sqrt(h); an alternative to gyro_noise_deg_per_h",
     )
     gyro_instability_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e4))] = Field(
         0.0,
-        description="gyro bias instability, rms of a first-order Gauss-Markov bias, deg/h;"
-        " its Allan deviation is at most 0.617 of it",
+        description="gyro bias instability as the rms of a first-order Gauss-Markov process,"
+        " deg/h. The Allan deviation of this process is at most 0.617 of its rms",
     )
     gyro_instability_time_s: Period = Field(
         300.0, description="correlation time of the gyro bias instability, s"
     )
     gyro_rrw_deg_per_h_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e4))] = Field(
-        0.0, description="gyro rate random walk, deg/h/sqrt(h)"
+        0.0,
+        description="rate random walk of the gyros, deg/h/sqrt(h). It starts from zero at the"
+        " first sample",
     )
     gyro_quantisation_arcsec: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e4))] = Field(
-        0.0, description="quantum of the angle that a gyro puts out, arcsec"
+        0.0,
+        description="resolution of the gyros' angle output, arcsec. What is rounded off is"
+        " carried over to the next sample",
     )
     gyro_scale_ppm: Annotated[Vector, KeyInfo(usual=(-1e6, 1e6))] = Field(
-        0.0, description="gyro scale factor error, ppm"
+        0.0, description="scale factor error of the gyros, ppm"
     )
     gyro_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual=(-1e5, 1e5))] = Field(
-        0.0, description="gyro cross-axis angles xy, xz, yx, yz, zx, zy, arcsec"
+        0.0,
+        description="small misalignment angles of the gyro axes xy, xz, yx, yz, zx, zy, arcsec:"
+        " with xy, gyro x also measures that fraction of the rate about y",
     )
     accel_bias_ug: Annotated[Vector, KeyInfo(usual=(-1e6, 1e6))] = Field(
-        0.0, description="accelerometer bias, ug"
+        0.0, description="constant accelerometer bias, measured minus true specific force, ug"
     )
     accel_noise_ug: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e7))] | None = Field(
-        None, description="accelerometer white noise, standard deviation of a sample, ug"
+        None,
+        description="white noise of the accelerometers as the standard deviation of one sample,"
+        " ug; an alternative to accel_vrw_ug_per_sqrt_hz; default: no noise if both are left out",
     )
     accel_vrw_ug_per_sqrt_hz: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e7))] | None = Field(
-        None, description="accelerometer velocity random walk, ug/sqrt(Hz)"
+        None,
+        description="white noise of the accelerometers as the velocity random walk of a data"
+        " sheet, ug/sqrt(Hz); an alternative to accel_noise_ug",
     )
     accel_instability_ug: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e6))] = Field(
         0.0,
-        description="accelerometer bias instability, rms of a first-order Gauss-Markov bias, ug",
+        description="accelerometer bias instability as the rms of a first-order Gauss-Markov"
+        " process, ug",
     )
     accel_instability_time_s: Period = Field(
         300.0, description="correlation time of the accelerometer bias instability, s"
     )
     accel_rrw_ug_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e6))] = Field(
-        0.0, description="accelerometer acceleration random walk, ug/sqrt(h)"
+        0.0,
+        description="acceleration random walk of the accelerometers, ug/sqrt(h). It starts from"
+        " zero at the first sample",
     )
     accel_quantisation_um_per_s: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e6))] = Field(
-        0.0, description="quantum of the velocity that an accelerometer puts out, um/s"
+        0.0,
+        description="resolution of the accelerometers' velocity output, um/s. What is rounded off"
+        " is carried over to the next sample",
     )
     accel_scale_ppm: Annotated[Vector, KeyInfo(usual=(-1e6, 1e6))] = Field(
-        0.0, description="accelerometer scale factor error, ppm"
+        0.0, description="scale factor error of the accelerometers, ppm"
     )
     accel_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual=(-1e5, 1e5))] = Field(
-        0.0, description="accelerometer cross-axis angles xy, xz, yx, yz, zx, zy, arcsec"
+        0.0,
+        description="small misalignment angles of the accelerometer axes xy, xz, yx, yz, zx, zy,"
+        " arcsec: with xy, accelerometer x also measures that fraction of the specific force"
+        " along y",
     )
 
 
 def _axes_order(order: str) -> str:
-    """Refuses what no turn of the box gives."""
+    """Refuse an order of axes that is not a rotation."""
     try:
         axes(order)
     except ValueError as error:
@@ -341,54 +442,83 @@ def _axes_order(order: str) -> str:
 
 
 class RecordSection(Section):
-    """[record]: how to read an IMU record, and where in it the draws start."""
+    """[record]: format, units and axes of an IMU record, and the start times of the alignments."""
 
     format: Literal["psins", "csv", "parquet", "arrays"] = Field(
-        description="file format, or 'arrays' from Python"
+        description="format of the record. 'psins': PSINS text. 'csv': text with a header line."
+        " 'parquet': Apache Parquet. 'arrays': a record given as arrays in Python"
     )
     from_s: SecondsOrZero | None = Field(
-        None, description="where the part that is used begins, s from the record's beginning"
+        None,
+        description="start of the part of the record that is used, s from its beginning; default:"
+        " its beginning",
     )
-    to_s: Seconds | None = Field(None, description="where that part ends, s; default: its end")
+    to_s: Seconds | None = Field(
+        None,
+        description="end of the part of the record that is used, s from its beginning; default:"
+        " its end",
+    )
     quantity: Literal["increments", "rates"] | None = Field(
-        None, description="what the columns hold (csv, parquet)"
+        None,
+        description="quantity in the columns (csv, parquet). 'increments': integrals over each"
+        " sample. 'rates': means over each sample",
     )
     time_column: str | None = Field(
-        None, description="time stamps (csv, parquet); without it rate_hz gives the times"
+        None,
+        description="column of the time stamps, which mark the end of each sample (csv, parquet)."
+        " Without it the sample times follow from rate_hz",
     )
-    gyro_columns: Triad | None = Field(None, description="x, y, z gyro columns (csv, parquet)")
+    gyro_columns: Triad | None = Field(
+        None, description="columns of the x, y and z gyro (csv, parquet)"
+    )
     accel_columns: Triad | None = Field(
-        None, description="x, y, z accelerometer columns (csv, parquet)"
+        None, description="columns of the x, y and z accelerometer (csv, parquet)"
     )
     gyro_unit: Literal["rad", "deg", "arcsec", "rad_per_s", "deg_per_s", "deg_per_h"] | None = (
-        Field(None, description="unit of the gyro columns (csv, parquet)")
+        Field(
+            None,
+            description="unit of the gyro columns (csv, parquet): 'rad', 'deg' and 'arcsec' for"
+            " increments, the others for rates",
+        )
     )
     accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = Field(
-        None, description="unit of the accelerometer columns (csv, parquet)"
+        None,
+        description="unit of the accelerometer columns (csv, parquet): 'm_per_s', 'g_s' and"
+        " 'ug_s' for increments, the others for rates",
     )
     axes_order: Annotated[str, AfterValidator(_axes_order)] = Field(
         "xyz",
-        description="the record's axes that point right, front and up, such as 'y-xz', or where its"
-        " x, y and z point: 'rfu', 'frd', 'flu'",
+        description="axes of the record that point right, front and up. 'y-xz': right is +y of"
+        " the record, front is -x, up is +z. Or the directions of its x, y and z axes by name:"
+        " 'rfu', 'frd' or 'flu'",
     )
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
-        None, description="unit of the time stamps, 'iso' for dates with time; default 's'"
+        None, description="unit of the time stamps, or 'iso' for dates with time; default: 's'"
     )
     start_s: Starts = Field(
         default_factory=lambda given: (given.get("from_s") or 0.0,),
-        description="start times from the record's beginning, s; default: from_s, else 0",
+        description="start times of the alignments, one per draw, s from the beginning of the"
+        " record. A coarse alignment starts there; default: from_s, else 0",
     )
     max_gap_s: SecondsOrZero | None = Field(
-        None, description="longest gap that is interpolated, s; default 0: none"
+        None,
+        description="longest time between two good samples across which missing ones are"
+        " interpolated, s; default: 0, no interpolation",
     )
     gyro_bias_deg_per_h: GyroNoise | None = Field(
-        None, description="gyro bias that a plausible record may have, deg/h; default 10"
+        None,
+        description="largest gyro bias that the check of the record accepts as plausible, deg/h;"
+        " default: 10",
     )
     accel_bias_ug: AccelNoise | None = Field(
-        None, description="accelerometer bias that a plausible record may have, ug; default 5000"
+        None,
+        description="largest accelerometer bias that the check of the record accepts as"
+        " plausible, ug; default: 5000",
     )
     trust: bool | None = Field(
-        None, description="whether an implausible record is aligned all the same; default false"
+        None,
+        description="whether a record is aligned even if the check finds errors in it; default:"
+        " false",
     )
 
     @model_validator(mode="after")
@@ -396,50 +526,51 @@ class RecordSection(Section):
         self._check_times()
         needed = ("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
         if self.format in ("psins", "arrays"):
-            told = [
+            given = [
                 key
                 for key in (*needed, "time_column", "max_gap_s")
                 if getattr(self, key) is not None
             ]
             if self.format == "arrays" and self.axes_order != "xyz":
-                told.append("axes_order")
-            why = "which fixes it" if self.format == "psins" else "which come with it"
-            for key in told:
-                raise invalid(f"does not apply to format '{self.format}', {why}", key=key)
+                given.append("axes_order")
+            why = "fixes it" if self.format == "psins" else "has it already"
+            for key in given:
+                text = f"does not apply to format '{self.format}', which {why} (drop it)"
+                raise invalid(text, key=key)
             return self
         for key in needed:
             if getattr(self, key) is None:
                 raise invalid(f"required with format '{self.format}'", key=key)
-        # Whether a rate is needed is known with the rest of the study.
+        # `rules` checks whether a rate is needed.
         if found := fault(self.layout(rate_hz=1.0)):
             raise invalid(found.text, key=found.key)
         return self
 
     def layout(self, rate_hz: float | None) -> Layout:
-        """How the file holds the record, at a rate if the study gives one."""
+        """Return the layout of the record in its file, with the rate of the study, if any."""
         given = {key: getattr(self, key, None) for key in Layout._fields} | {"rate_hz": rate_hz}
         return Layout(**{key: value for key, value in given.items() if value is not None})
 
     def _check_times(self) -> None:
         if self.time_unit is not None and self.time_column is None:
-            raise invalid("requires a time_column", key="time_unit")
+            raise invalid("requires a time_column (give it, or drop this)", key="time_unit")
         begin, end = self.from_s or 0.0, self.to_s
         if end is not None and end <= begin:
             raise invalid(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
         if min(self.start_s) < begin:
-            text = f"{min(self.start_s):g} s lies before from_s = {begin:g}"
+            text = f"{min(self.start_s):g} s is before from_s = {begin:g} (start later)"
             raise invalid(text, key="start_s")
 
 
 INITIAL_NUMBERS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s")
-"""The keys of [alignment] that may be drawn; in a recorded study no others may."""
+"""Keys of [alignment] that may be drawn, in a recorded study the only ones."""
 
 BIAS_KEYS = ("gyro_bias_deg_per_h", "accel_bias_ug")
-"""The keys of the constant sensor biases."""
+"""Keys of the constant sensor biases."""
 
 
 def _longest_list(annotation: Any) -> int:
-    """The longest list that a type takes, 1 if it takes none; 0 of what is no number."""
+    """Return the longest list length of a type, 1 for a number, 0 for text."""
     if annotation is str or get_origin(annotation) is Literal:
         return 0
     if get_origin(annotation) is tuple:
@@ -457,55 +588,67 @@ NUMBERS_DRAWN = {
     },
     **dict.fromkeys(INITIAL_NUMBERS, 1),
 }
-"""Every key that may be drawn and its numbers a draw: one, or one for each axis of a vector."""
+"""Keys that may be drawn, with the numbers per draw: one, or one per axis of a vector."""
 
 ListEntries = Annotated[tuple[Any, ...], Field(min_length=1)]
 
 
 class Distribution(Section):
-    """How the values of a key are drawn; exactly one of the fields is given.
+    """Distribution of a drawn key, by exactly one of these keys.
 
-    The entries of a list are values of the key: for a vector one number or one for each axis.
+    The entries of a list are values of the drawn key: for a vector one number or one per axis.
     """
 
-    uniform: IncreasingPair | None = Field(None, description="evenly between [low, high]")
-    normal: Normal | None = Field(None, description="normally, with [mean, standard deviation]")
-    values: ListEntries | None = Field(None, description="one entry a draw, from the first again")
+    uniform: IncreasingPair | None = Field(
+        None, description="uniform distribution from low to high, [low, high]"
+    )
+    normal: Normal | None = Field(
+        None, description="normal distribution, [mean, standard deviation]"
+    )
+    values: ListEntries | None = Field(
+        None, description="list of values, one per draw, used again from the first after the last"
+    )
     grid: ListEntries | None = Field(
-        None, description="one point a draw of the product of all grids, the last key fastest"
+        None,
+        description="list of grid values. The draws are the points of the product of all grids,"
+        " the last key fastest",
     )
 
 
 def is_normal(key: str, law: Distribution) -> bool:
-    """Whether a key adds normal numbers to what runs begin with, or to constant biases."""
+    """Whether a key draws initial errors or constant biases from a normal distribution."""
     return law.normal is not None and key in (*INITIAL_NUMBERS, *BIAS_KEYS)
 
 
 class DrawnSection(Section):
-    """[drawn]: one value a draw, common to all variants of the draw."""
+    """[drawn]: keys with a random value per draw, which all variants of the draw share."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Distribution] = Field(init=False)
 
     sampling: Literal["random", "sobol"] = Field(
-        "random", description="uniform and normal numbers: independent, or scrambled Sobol points"
+        "random",
+        description="source of uniform and normal values. 'random': independent numbers. 'sobol':"
+        " scrambled Sobol points of all drawn keys together",
     )
 
     @property
     def laws(self) -> dict[str, Distribution]:
-        """How every drawn key is drawn, in the order written."""
+        """The distribution of each drawn key, in the order of the file."""
         return self.__pydantic_extra__
 
 
 class StopWhenSection(Section):
-    """[stop_when]: drawing goes on until a statistic is known well in every variant."""
+    """[stop_when]: the precision of a statistic at which a study stops before its last draw."""
 
     statistic: Name = Field(
-        description="'success_rate', or the mean settling time 'settle_B_s_mean' of a band of B',"
-        " from the truth or the bias floor as judged_from says"
+        description="statistic whose precision ends the study: 'success_rate', or"
+        " 'settle_B_s_mean', the mean settling time into the band of B arcmin. Both follow"
+        " judged_from"
     )
     half_width: Positive = Field(
-        description="of its 95 % interval in the variant where it is widest: a share, or s"
+        description="half-width of the 95 % confidence interval at which the study stops, in the"
+        " variant where it is widest: a share for 'success_rate', otherwise s"
     )
 
 
@@ -518,26 +661,27 @@ Searches = Annotated[
 
 
 class Range(Section):
-    """What a variable may be: between two ends, or one value, or one of some.
+    """Range of a tuned key: low and high, or one fixed value, or a list of candidates."""
 
-    Exactly one of these is given; ``scale`` requires low and high.
-    """
-
-    low: Finite | None = Field(None, description="least value")
-    high: Finite | None = Field(None, description="greatest value")
+    low: Finite | None = Field(None, description="lowest value")
+    high: Finite | None = Field(None, description="highest value")
     scale: Literal["linear", "log"] | None = Field(
-        None, description="how it is gone through from low to high; default 'linear'"
+        None,
+        description="spacing of the values from low to high, 'log' for equal ratios; default:"
+        " 'linear'",
     )
-    fixed: Any = Field(None, description="the one value, which is not searched")
-    candidates: ListEntries | None = Field(None, description="values that are tried one by one")
+    fixed: Any = Field(None, description="one value, which is not searched")
+    candidates: ListEntries | None = Field(
+        None, description="list of values, each of which is tried"
+    )
 
     @model_validator(mode="after")
     def _one_of_three(self) -> "Range":
         names = ("low", "high", "fixed", "candidates")
         given = [name for name in names if getattr(self, name) is not None]
         if given not in (["low", "high"], ["fixed"], ["candidates"]):
-            told = " and ".join(given) or "none"
-            raise invalid(f"needs low and high, or fixed, or candidates, not {told}")
+            listed = " and ".join(given) or "none"
+            raise invalid(f"needs low and high, or fixed, or candidates, not {listed}")
         if self.low is None or self.high is None:
             if self.scale is not None:
                 raise invalid("requires low and high", key="scale")
@@ -550,70 +694,95 @@ class Range(Section):
 
     @property
     def is_free(self) -> bool:
-        """Whether it has two ends to search between."""
+        """Whether it is an interval to be searched."""
         return self.low is not None
 
 
 class TuneSection(Section):
-    """[tune]: an objective, the variables that it is tuned by, and how they are searched."""
+    """[tune]: objective and variables of `sinsjax tune`, and the searches for the best values."""
 
     objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = Field(
-        "settle_mean", description="what is made as small as it can be"
+        "settle_mean",
+        description="quantity to be minimised. 'settle_mean': mean settling time; a run that"
+        " never settles counts with its length. 'settle_quantile': quantile of the settling time."
+        " 'final_error': rms of the final heading error. 'failure_rate': share of the runs that"
+        " never settle",
     )
     objective_band_arcmin: Band = Field(
-        10.0, description="band of settling times and failures, arcmin; one of the study's"
+        10.0,
+        description="half-width of the heading error band of settling times and failures, arcmin:"
+        " one of settle_bands_arcmin, or the success band",
     )
     objective_quantile: Annotated[float, Field(gt=0, lt=1)] = Field(
-        0.9, description="of the settling time, for 'settle_quantile'"
+        0.9, description="quantile of the settling time with objective = 'settle_quantile'"
     )
     objective_across: Literal["mean", "worst"] = Field(
-        "mean", description="what of the objectives of all variants"
+        "mean", description="objective of several variants: the mean of theirs, or the worst"
     )
-    searches: Searches = Field(("grid", "gradient"), description="searches, in this order")
+    searches: Searches = Field(
+        ("grid", "gradient"),
+        description="searches, in this order. 'grid': all points of a grid. 'sobol' and 'random':"
+        " points in the ranges. 'gradient': descents along the derivatives. 'covariance': an"
+        " evolution strategy on linear covariance analysis",
+    )
     tune_draws: Some | None = Field(
         None,
-        description="draws that tune; default 16. In a recorded study every other start time does",
+        description="number of draws that the searches use. A recorded study uses every second"
+        " start time instead; default: 16 in a simulation",
     )
     evaluation_draws: Some | None = Field(
-        None, description="draws that judge what was found; default 64. Recorded: the other starts"
+        None,
+        description="number of other draws on which the best points are compared with the"
+        " baseline. A recorded study uses the other start times instead; default: 64 in a"
+        " simulation",
     )
     grid_points: Annotated[Count, Field(ge=2)] = Field(
-        15, description="points a variable of a grid, of up to two variables"
+        15, description="points per variable in a 'grid' search, which takes up to two variables"
     )
-    sobol_points: Some = Field(256, description="points of a Sobol or random search")
+    sobol_points: Some = Field(
+        256, description="points of a 'sobol' or 'random' search per combination of candidates"
+    )
     descent_screen: Some = Field(
         16,
-        description="points looked at first, on `descent_draws` draws or by covariance analysis;"
-        " the best are begun at",
+        description="Sobol points that are evaluated before the descents, on `descent_draws`"
+        " draws or by covariance analysis. The descents start from the best of them",
     )
-    descent_starts: Some = Field(4, description="descents side by side")
-    descent_steps: Some = Field(16, description="steps of a descent")
+    descent_starts: Some = Field(4, description="number of parallel descents")
+    descent_steps: Some = Field(16, description="number of steps of a descent")
     descent_draws: Some = Field(
         4,
-        description="draws a step and descent, in turn; none where all variables leave resets where"
-        " they are and covariance analysis holds, which then stands for draws",
+        description="draws per step of a descent, the next ones at each step. None are needed if"
+        " no variable moves a reset and covariance analysis applies",
     )
-    descent_rate: Positive = Field(0.1, description="rate of Adam, all ranges being one long")
+    descent_rate: Positive = Field(
+        0.1, description="learning rate of the optimiser Adam, in lengths of the ranges"
+    )
     relaxed_window_s: tuple[Seconds, Seconds] = Field(
         (4.0, 1.0),
-        description="half width of relaxed resets at the first and last step, s; only where a"
-        " variable moves resets",
+        description="half-width of the smooth windows over which the resets are spread at the"
+        " first and last step of a descent, s; only if a variable moves a reset",
     )
     relaxed_sharpness: tuple[Positive, Positive] = Field(
-        (6.0, 16.0), description="sharpness of the band's relaxed edge at the first and last step"
+        (6.0, 16.0),
+        description="sharpness of the smooth edge of the heading error band at the first and last"
+        " step of a descent",
     )
     evolution_screen: Some = Field(
-        64, description="Sobol points looked at first by 'covariance'; the best is begun at"
+        64,
+        description="Sobol points that a 'covariance' search evaluates first per combination of"
+        " candidates. It starts from the best of them",
     )
-    evolution_steps: Some = Field(12, description="generations")
+    evolution_steps: Some = Field(12, description="generations of a 'covariance' search")
     feedback_phases: Some = Field(
         4,
-        description="shifts of the reset times within a feedback interval that 'covariance' "
-        "averages over; 1 leaves them as they are",
+        description="number of shifts of the reset times within a feedback interval over which a"
+        " 'covariance' search averages; 1 is no shift",
     )
     variables: dict[str, Range | tuple[Range, ...]] = Field(
-        description="what may change: [tune.variables] with a range a key"
+        description="keys to be tuned, each with its range, in the table [tune.variables]"
     )
     baseline: dict[str, Any] = Field(
-        default={}, description="what to stand beside; default: the study's own values"
+        default={},
+        description="values to compare the tuned ones with, in the table [tune.baseline];"
+        " default: those of the study",
     )

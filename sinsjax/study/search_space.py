@@ -1,8 +1,8 @@
 """The variables of a tuning, and the points that they span.
 
-A *box point* has a place in [0, 1] for every free variable, in the order written, each entry of a
-list being a variable of its own. Its *values* are in the units of the file. A *point* is the table
-of keys that they come to, with one combination of all candidates: what is put into the study.
+A *box point* has a position in [0, 1] for each free variable, in the order of the file; each entry
+of a list is a variable. Its *values* are in the units of the file. A *point* is the table of keys
+with these values and one combination of all candidates, for a copy of the study.
 """
 
 import math
@@ -19,18 +19,18 @@ from sinsjax.study.sweep import COUNT, TIMES, Ranges
 from sinsjax.value_types import KeyInfo
 
 GRID_MOST = 2
-"""Free variables of a full grid, at the most."""
+"""Largest number of free variables of a full grid."""
 
 
 class Variable(NamedTuple):
-    """A number that is searched between two ends.
+    """A number that is searched in an interval.
 
     Attributes:
         key: leaf key of the study.
-        entry: which number of a list, from 0; None where the key is one number.
-        low: least value, in the unit of the key.
-        high: greatest value.
-        log: whether the way from low to high is geometric.
+        entry: index in a list, from 0; None if the key is one number.
+        low: lowest value, in the unit of the key.
+        high: highest value.
+        log: whether the scale from low to high is logarithmic.
     """
 
     key: str
@@ -45,13 +45,13 @@ class Variable(NamedTuple):
         return self.key if self.entry is None else f"{self.key}[{self.entry}]"
 
     def value(self, place: Any) -> Any:
-        """The value at a place from 0 to 1; of arrays and traced numbers too."""
+        """Return the value at a position from 0 to 1, which may be an array or a traced number."""
         if self.log:
             return self.low * (self.high / self.low) ** place
         return self.low + (self.high - self.low) * place
 
     def place(self, value: float) -> float:
-        """The place of a value, the inverse of `value`."""
+        """Return the position of a value, the inverse of `value`."""
         if self.log:
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
@@ -59,15 +59,15 @@ class Variable(NamedTuple):
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """All points that a tuning may look at.
+    """All points of a tuning.
 
     Attributes:
-        ranges: of [tune.variables], by key.
-        variables: the free ones, in the order written: the dimensions of the box.
-        combinations: of the candidates of all keys that have some, the last one fastest; fixed
-            values are in each of them.
-        rate_hz: samples a second of the study.
-        record_interval_s: of the study.
+        ranges: ranges of [tune.variables], by key.
+        variables: free variables in the order of the file, the dimensions of the box.
+        combinations: combinations of the candidates of all keys, the last key fastest, each with
+            the fixed values.
+        rate_hz: sample rate of the study, Hz.
+        record_interval_s: record interval of the study, s.
     """
 
     ranges: Ranges
@@ -77,8 +77,8 @@ class SearchSpace:
     record_interval_s: float
 
     @classmethod
-    def of(cls, study: Study) -> "SearchSpace":
-        """The space of a study with [tune]."""
+    def from_study(cls, study: Study) -> "SearchSpace":
+        """Return the search space of a study with [tune]."""
         assert study.tune is not None
         ranges = study.tune.variables
         chosen = {
@@ -95,7 +95,7 @@ class SearchSpace:
         )
 
     def used(self, combination: TomlTable) -> list[int]:
-        """Numbers of the variables that a combination leaves something to do."""
+        """Return the indices of the variables that have an effect in a combination."""
         count = combination.get(COUNT, math.inf)
         return [
             number
@@ -104,17 +104,17 @@ class SearchSpace:
         ]
 
     def values(self, box: Iterable[Any]) -> list[Any]:
-        """The values at a box point: one a variable, those that are not used too."""
+        """Return the values at a box point, one per variable, including unused variables."""
         return [v.value(place) for v, place in zip(self.variables, box, strict=True)]
 
     def box(self, values: Sequence[float]) -> list[float]:
-        """The box point of some values, the inverse of `values`."""
+        """Return the box point of some values, the inverse of `values`."""
         return [v.place(value) for v, value in zip(self.variables, values, strict=True)]
 
     def point(self, values: Sequence[float], combination: TomlTable) -> TomlTable:
-        """The keys that values and a combination come to.
+        """Return the keys of some values and a combination.
 
-        Times are whole numbers of samples and ascend. Resets on one sample are one.
+        Times are rounded to whole samples and increase. Resets at the same sample are merged.
         """
         numbers = iter(
             min(max(float(value), v.low), v.high)
@@ -133,10 +133,10 @@ class SearchSpace:
             for key, value in out.items()
         }
 
-    def located(self, case: TomlTable, combination: TomlTable) -> list[float] | None:
-        """Values of the variables that a combination uses in a case; None if it is no such point.
+    def locate(self, case: TomlTable, combination: TomlTable) -> list[float] | None:
+        """Return the values in a case of the variables that a combination uses.
 
-        It is none with other candidates, another number of entries, or a value out of its range.
+        None if the case has other candidates, another number of entries, or a value out of range.
         """
         if any(case[key] != value for key, value in combination.items() if key in case):
             return None
@@ -155,7 +155,7 @@ class SearchSpace:
         return values
 
     def _whole(self, value: Any, about: KeyInfo) -> Any:
-        """Times as whole numbers of samples or of record intervals; those of a list ascend."""
+        """Round times to whole samples or record intervals; those of a list increase."""
         if about.whole == "record":
             return max(1, round(value / self.record_interval_s)) * self.record_interval_s
         if not isinstance(value, tuple):
@@ -163,7 +163,7 @@ class SearchSpace:
         samples = sorted(max(1, round(time * self.rate_hz)) for time in value)
         if about.merged:
             samples = list(dict.fromkeys(samples))
-        for number in range(1, len(samples)):  # a piece each, be it a sample long
+        for number in range(1, len(samples)):  # at least one sample between two times
             samples[number] = max(samples[number], samples[number - 1] + 1)
         return tuple(sample / self.rate_hz for sample in samples)
 
@@ -183,8 +183,8 @@ def _refuse(place: str, text: str) -> NoReturn:
 
 
 def corners(study: Study) -> Iterator[tuple[str, TomlTable]]:
-    """The points at which all ranges are at one of their ends, and what to call them."""
-    space = SearchSpace.of(study)
+    """Yield the points with all ranges at their low or high end, each after its description."""
+    space = SearchSpace.from_study(study)
     ends = {"low": 0.0, "high": 1.0} if space.variables else {}
     for combination in space.combinations:
         for name, place in ends.items():
@@ -194,10 +194,11 @@ def corners(study: Study) -> Iterator[tuple[str, TomlTable]]:
             yield "with these values", space.point([], combination)
 
 
-def told(study: Study, keys: Iterable[str]) -> TomlTable:
-    """The values that keys have in a study, none of them swept or drawn; None where it has none.
+def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
+    """Return the values of keys in a study, which neither sweeps nor draws them; None without one.
 
-    What a key that is left out stands for is told too, and ``reset_times_s`` of counted resets.
+    An omitted key has the value of the key that it defaults to, and ``reset_times_s`` the times of
+    counted resets.
     """
     out = {}
     for key in keys:
@@ -213,13 +214,15 @@ def told(study: Study, keys: Iterable[str]) -> TomlTable:
     return out
 
 
-def comparable(study: Study, based: Study, points: Mapping[str, TomlTable]) -> dict[str, TomlTable]:
-    """Points and the baseline, each with the same keys, so that they can be cases of one study.
+def comparable_points(
+    study: Study, based: Study, points: Mapping[str, TomlTable]
+) -> dict[str, TomlTable]:
+    """Return points and the baseline with the same keys, as cases of one study.
 
     Args:
-        study: with [tune], whose points they are.
-        based: the study with the baseline put in.
-        points: by name.
+        study: study with [tune].
+        based: study with the values of the baseline.
+        points: points of the tuning by name.
 
     Raises:
         InputError: the baseline lacks a key of the points, or the study one of the baseline.
@@ -227,19 +230,21 @@ def comparable(study: Study, based: Study, points: Mapping[str, TomlTable]) -> d
     assert study.tune is not None
     keys = list(next(iter(points.values())))
     taken = {*keys, *(other for key in keys for other in rivals(key))}
-    own = told(study, [key for key in study.tune.baseline if key not in taken])
-    out = {"baseline": told(based, [*keys, *own])}
+    own = effective_values(study, [key for key in study.tune.baseline if key not in taken])
+    out = {"baseline": effective_values(based, [*keys, *own])}
     for key, value in own.items():
         if value is None:
-            _refuse(f"[tune.baseline] {key}", "must have a value in the study too, for all others")
+            _refuse(
+                f"[tune.baseline] {key}", "needs a value in the study too, for the other points"
+            )
     for key, value in out["baseline"].items():
         if value is None:
-            _refuse(f"[tune.baseline] {key}", "required, as the study itself gives none")
+            _refuse(f"[tune.baseline] {key}", "required, as the study has no value of it")
     return out | {name: own | point for name, point in points.items()}
 
 
-def cleared(tables: TomlTable, keys: Sequence[str]) -> TomlTable:
-    """A study's tables without some keys and what says them in another way, and without [tune]."""
+def without_keys(tables: TomlTable, keys: Sequence[str]) -> TomlTable:
+    """Return a study's tables without some keys and their alternatives, and without [tune]."""
     gone = {*keys, *(other for key in keys for other in rivals(key))}
     for condition in (c for section in SECTIONS.values() for c in section.conditions):
         if condition.refused and not {*condition.given}.isdisjoint(keys):
@@ -253,9 +258,9 @@ def cleared(tables: TomlTable, keys: Sequence[str]) -> TomlTable:
     }
 
 
-def put(tables: TomlTable, point: TomlTable) -> TomlTable:
-    """A study's tables with the keys of a point in their sections, and without [tune]."""
-    out = cleared(tables, list(point))
+def put_point(tables: TomlTable, point: TomlTable) -> TomlTable:
+    """Return a study's tables with the keys of a point in their sections, and without [tune]."""
+    out = without_keys(tables, list(point))
     for key, value in point.items():
         out[SECTION_OF[key]] = out.get(SECTION_OF[key], {}) | {key: value}
     return out

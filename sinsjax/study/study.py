@@ -1,6 +1,6 @@
-"""The study: its sections, the axes it sweeps, the variants that they span.
+"""The study: its sections, its axes, and the variants that they span.
 
-`load` makes one from a file or tables, with all `rules` checked.
+`load` builds a study from a file or tables, and checks all `rules`.
 """
 
 import math
@@ -27,7 +27,7 @@ from sinsjax.study.keys import (
     acts,
     deciding,
 )
-from sinsjax.study.resolved import Coded, Dimension, Resolved, distinct, same
+from sinsjax.study.resolved import Coded, Dimension, Resolved, constant_column, distinct
 from sinsjax.study.schema import (
     DrawnSection,
     EarthSection,
@@ -42,7 +42,7 @@ from sinsjax.study.sweep import dimensions_of
 from sinsjax.value_types import ROUNDING
 
 COARSE_START = ("coarse_method", "coarse_then")
-"""The keys that decide whether a run begins with coarse alignment."""
+"""Keys that determine whether a run starts with coarse alignment."""
 
 SEQUENTIAL_KEYS = (
     *("surge_m_per_s", "vibration_ug_rms", "vibration_deg_per_h_rms"),
@@ -50,15 +50,16 @@ SEQUENTIAL_KEYS = (
     *("gyro_rrw_deg_per_h_per_sqrt_h", "accel_rrw_ug_per_sqrt_h"),
     *("gyro_quantisation_arcsec", "accel_quantisation_um_per_s"),
 )
-"""The keys with which a sample of a simulation depends on those before it."""
+"""Keys of disturbances whose samples depend on earlier samples."""
 
 
 class Span(NamedTuple):
-    """How long a variant runs, in record intervals.
+    """The length of a variant's runs, in record intervals.
 
     Attributes:
-        records: in the run.
-        pass_records: in a pass over the stored record; the whole run if there is only one pass.
+        records: record intervals of a run.
+        pass_records: record intervals of a pass over the stored record; the whole run if there is
+            only one pass.
         rewinds: whether every pass is forward.
     """
 
@@ -72,11 +73,11 @@ class Span(NamedTuple):
         return min(self.records, self.pass_records)
 
     def pass_numbers(self) -> np.ndarray:
-        """Return the pass, from 1, that each record of the run ends or lies in; (records,)."""
+        """Return the number, from 1, of the pass of each record interval; (records,)."""
         return np.arange(self.records) // self.pass_records + 1
 
 
-if TYPE_CHECKING:  # asked for by name, with `Study.has`
+if TYPE_CHECKING:  # their attributes are read by name, after `Study.has`
     _SectionsOfMethods = BaseModel
 else:
     _SectionsOfMethods = create_model(
@@ -86,21 +87,22 @@ else:
 
 
 class Study(_SectionsOfMethods):
-    """A checked study: its sections with all defaults filled in, and what it sweeps and draws.
+    """A checked study: its sections with all defaults, its sweep and its drawn keys.
 
-    A variant is one point of the sweep: cases outermost, then the zips, then the axes, each as
-    written, the last one fastest. A section that does not apply is None: ``motion`` and ``sensors``
-    of a recorded study, ``record`` of a simulated one, those of methods where no method reads them,
-    ``passes`` where the record is used once, ``drawn``, ``stop_when``, ``tune`` and, in a simulated
-    study, ``coarse`` where not given. So is a key that does not apply, such as
-    ``gravity_m_per_s2`` where no variant has constants.
+    A variant is one point of the sweep: cases outermost, then the zips, then the axes in the order
+    of the file, the last one fastest. A section that does not apply is None: ``motion`` and
+    ``sensors`` of a recorded study, ``record`` of a simulated one, those of methods if no method
+    reads them, ``passes`` if the record is used once; also ``drawn``, ``stop_when``, ``tune`` and,
+    in a simulated study, ``coarse`` if they are not given. A key that does not apply is None too,
+    such as ``gravity_m_per_s2`` if no variant has constants.
 
     Attributes:
-        axes: values by leaf key, in the order written, of the axes that stand alone.
-        zips: axes that go together, by the name of their table: values by leaf key, of one length.
-        cases: one table of leaf keys a case, all with the same keys, ``case`` being its label.
-        drawn: how the keys are drawn whose value differs from draw to draw; no section, axis or
-            case has them.
+        axes: values of single axes by leaf key, in the order of the file.
+        zips: axes that vary together by the name of their table: values by leaf key, all of the
+            same length.
+        cases: one table of leaf keys per case, all with the same keys; ``case`` is the label.
+        drawn: distributions of keys whose value differs between draws; no section, axis or case
+            has these keys.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -121,15 +123,15 @@ class Study(_SectionsOfMethods):
     cases: tuple[TomlTable, ...]
 
     rebuild: ClassVar[Callable[["Study", Mapping[str, Any]], "Study"]]
-    """Set by `load`, which builds studies."""
+    """Function that builds a changed study, set by `load`."""
 
     def replace(self, changes: Mapping[str, Any]) -> "Study":
-        """Return the study with the values of some ``section.key`` changed, see `load.replaced`."""
+        """Return the study with values by ``section.key`` changed, see `load.replace_values`."""
         return type(self).rebuild(self, changes)
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """Name of the study."""
         return self.study.name
 
     @property
@@ -139,34 +141,34 @@ class Study(_SectionsOfMethods):
 
     @property
     def duration_s(self) -> float:
-        """Length of the fine alignment, s."""
+        """Length of a run, s."""
         return self.study.duration_s
 
     @property
     def seed(self) -> int:
-        """Of all that is drawn."""
+        """Seed of all random numbers."""
         return self.study.seed
 
     @property
     def is_estimated(self) -> bool:
-        """Whether its results are estimates of variants, and no runs."""
+        """Whether its results are estimates per variant instead of runs."""
         return self.study.estimate == "covariance"
 
     @property
     def checks_linearity(self) -> bool:
-        """Whether draws tell how far its estimates hold."""
+        """Whether draws check its estimates."""
         return self.is_estimated and bool(self.study.check_linearity)
 
     @property
     def is_recorded(self) -> bool:
-        """Whether the sensors come from a record and not from a simulation."""
+        """Whether the sensor data are from a record instead of a simulation."""
         return self.record is not None
 
     @property
     def n_draws(self) -> int:
-        """Number of draws, or of the start times in a record; with ``stop_when`` the most.
+        """Number of draws, or of start times in a record; with ``stop_when`` the maximum.
 
-        1 where one noise-free run stands for all.
+        1 if the results are estimates from one noise-free run.
         """
         if self.is_estimated:
             return 1
@@ -174,45 +176,45 @@ class Study(_SectionsOfMethods):
 
     @property
     def n_variants(self) -> int:
-        """Number of points of the sweep; 1 where nothing is swept."""
+        """Number of points of the sweep; 1 without a sweep."""
         return math.prod(map(_length, self.dimensions))
 
     @property
     def dimensions(self) -> list[Dimension]:
-        """What the sweep is the product of, as `dimensions_of` gives it."""
+        """Dimensions of the sweep, see `dimensions_of`."""
         return dimensions_of(self.cases, self.zips.values(), self.axes)
 
     @property
     def record_every(self) -> int:
-        """Samples in a record interval."""
+        """Samples per record interval."""
         return round(self.study.record_interval_s * self.rate_hz)
 
     @property
     def records(self) -> int:
-        """Whole record intervals in the duration; a last partial one is not run."""
+        """Number of whole record intervals in the duration; a last partial one is not run."""
         samples = self.duration_s * self.rate_hz
         return math.floor(samples * (1 + ROUNDING)) // self.record_every
 
     @property
     def resolved(self) -> Resolved:
-        """Its columns, made once."""
+        """The columns of the study, computed once."""
         return _resolved(_Itself(self))
 
     @property
     def lengths(self) -> Coded:
-        """How long every variant runs, as a column of `Span`."""
+        """The length of each variant's runs, as a column of `Span`."""
         if self.passes is None:
-            return same(self.n_variants, self.span())
+            return constant_column(self.n_variants, self.span())
         return self.resolved.column(*PASS_KEYS).map(lambda values: self.span(*values))
 
     @property
     def spans(self) -> list[Span]:
-        """How long every variant runs."""
+        """The length of each variant's runs."""
         return self.lengths.to_list()
 
     @property
     def distinct_spans(self) -> set[Span]:
-        """How long variants run, each length once, from the axes alone."""
+        """The distinct lengths of the variants' runs, from the axes alone."""
         points = self.combinations(*PASS_KEYS) if self.passes else [{}]
         return {self.span(**point) for point in points}
 
@@ -223,7 +225,7 @@ class Study(_SectionsOfMethods):
         ending: str = "duration",
         direction: str | None = None,
     ) -> Span:
-        """How long a variant with some values of `PASS_KEYS` runs."""
+        """Return the length of the runs of a variant with some values of `PASS_KEYS`."""
         rewinds = direction == "rewind"
         if stored_s is None:
             return Span(self.records, self.records)
@@ -237,16 +239,16 @@ class Study(_SectionsOfMethods):
 
     @property
     def spans_s(self) -> np.ndarray:
-        """Lengths of every variant's run and of a pass over its stored record, s; (variants, 2)."""
+        """Length of each variant's runs and of a pass over its stored record, s; (variants, 2)."""
         lengths = self.lengths.each(lambda span: (span.records, span.pass_records), int)
         return lengths * self.record_every / self.rate_hz
 
     def update_times(self, span: Span) -> np.ndarray:
-        """Return the update times of a run's records from the start of fine alignment, s."""
+        """Return the update time of each record time of a run, from its start, s; (records,)."""
         return np.arange(1, span.records + 1) * self.record_every / self.rate_hz
 
     def stored_times(self, span: Span) -> np.ndarray:
-        """Return the place in its stored record of each record of a run, s from the beginning."""
+        """Return the position in the stored record of each record time, s from its beginning."""
         place = np.arange(span.records) % span.pass_records + 1
         forward = span.rewinds | (span.pass_numbers() % 2 == 1)
         place = np.where(forward, place, span.pass_records - place)
@@ -255,13 +257,13 @@ class Study(_SectionsOfMethods):
     def samples_before(
         self, rate_hz: float, coarse_method: str, coarse_duration_s: float, coarse_then: str | None
     ) -> int:
-        """Return the samples of a record that are coarsely aligned before runs begin.
+        """Return the number of samples that are coarsely aligned before a run starts.
 
         Args:
             rate_hz: sample rate of the record, Hz.
-            coarse_method: as all that follow, of `COARSE_KEYS`.
+            coarse_method: value of this key, as the following arguments.
             coarse_duration_s: length of coarse alignment, s.
-            coarse_then: where fine alignment begins.
+            coarse_then: start of the method after coarse alignment.
         """
         if self.has_coarse_stage(coarse_method, coarse_then):
             return 0
@@ -269,36 +271,36 @@ class Study(_SectionsOfMethods):
 
     @property
     def counts_before(self) -> bool:
-        """Whether data before t = 0 of some runs count, because other runs begin with the first.
+        """Whether data before t = 0 of some runs count, since other runs start at the first sample.
 
-        If none does, data are counted from t = 0 too.
+        If no run does, data count from t = 0.
         """
         return self.is_recorded and bool(self.coarse_stages)
 
     @property
     def report_times_s(self) -> tuple[float, ...]:
-        """Times at which runs are reported in addition to their end, s of data; none by default."""
+        """Times of data at which runs are reported in addition to their end, s."""
         return self.study.report_times_s or ()
 
     def report_samples(self, before: int) -> np.ndarray:
         """Return the numbers, from 1, of the samples of a run at the report times; (times,).
 
         Args:
-            before: samples of data that count before the run's first, see `counts_before`.
+            before: samples of data that count before the first of the run, see `counts_before`.
         """
         samples = np.asarray(self.report_times_s) * self.rate_hz - before
         return np.round(samples / self.record_every) * self.record_every
 
     def has_coarse_stage(self, coarse_method: str, coarse_then: str | None) -> bool:
-        """Whether runs with some values of these keys begin with coarse alignment.
+        """Whether coarse alignment is a stage of runs with these values.
 
-        The hand-over of a record is made before its runs.
+        Coarse alignment that hands over a record precedes the runs.
         """
         return coarse_method != "none" and (not self.is_recorded or coarse_then == "replay")
 
     @property
     def coarse_stages(self) -> tuple[dict[str, Any], ...]:
-        """The values that `COARSE_KEYS` take together where coarse alignment is a stage of runs."""
+        """Combinations of the values of `COARSE_KEYS` with coarse alignment as a stage of runs."""
         if self.coarse is None:
             return ()
         points = self.combinations(*COARSE_KEYS)
@@ -306,7 +308,7 @@ class Study(_SectionsOfMethods):
 
     @property
     def run_s(self) -> float:
-        """Length of the shortest run, whole record intervals, s."""
+        """Length of the shortest run in whole record intervals, s."""
         return min(s.records for s in self.distinct_spans) * self.record_every / self.study.rate_hz
 
     @property
@@ -316,41 +318,41 @@ class Study(_SectionsOfMethods):
         return left if left > ROUNDING * self.duration_s else 0.0
 
     def has(self, section: str) -> bool:
-        """Whether it has a section; without it none of its keys may be asked for."""
+        """Whether it has a section; otherwise the keys of the section must not be read."""
         return getattr(self, section) is not None
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """The methods of its variants, each once."""
+        """The distinct methods of its variants."""
         return tuple(point["method"] for point in self.combinations("method"))
 
     @property
     def schedules(self) -> Coded:
-        """The schedule of resets of every variant: their times, s."""
+        """Times of the scheduled resets of each variant, s."""
         if not self.has("resets"):
-            return same(self.n_variants, ())
+            return constant_column(self.n_variants, ())
         return self.resolved.column(*OF_SCHEDULES).map(lambda values: reset_times(*values))
 
     def reset_times(self) -> list[tuple[float, ...]]:
-        """Reset times of every variant, s."""
+        """Return the reset times of each variant, s."""
         return self.schedules.to_list()
 
     @property
     def axis_keys(self) -> tuple[str, ...]:
-        """Every key that varies over the variants: ``case`` if labelled, then as they number them.
+        """Keys that vary over the variants, in the order of the dimensions: cases, zips, axes.
 
-        Those of the cases, of the zips, the axes.
+        The label ``case``, if any, is the first.
         """
         return tuple(key for dimension in self.dimensions for key in dimension)
 
     @property
     def drawn_keys(self) -> tuple[str, ...]:
-        """Every key whose value differs from draw to draw, in the order written."""
+        """Keys whose value differs between draws, in the order of the file."""
         return tuple(self.drawn.laws) if self.drawn else ()
 
     @property
     def sequential_keys(self) -> list[str]:
-        """The `SEQUENTIAL_KEYS` that some variant has."""
+        """The `SEQUENTIAL_KEYS` that are not zero in some variant."""
         if self.is_recorded:
             return []
 
@@ -362,16 +364,16 @@ class Study(_SectionsOfMethods):
 
     @property
     def requires_sequential(self) -> bool:
-        """Whether a sample of some variant depends on those before it."""
+        """Whether samples of some variant depend on earlier samples."""
         return bool(self.sequential_keys)
 
     @property
     def axes_shown(self) -> dict[tuple[str, ...], tuple[Any, ...]]:
-        """What is swept as a reader counts it: the values of each axis by the keys that name it.
+        """The axes for a reader: the values of each axis by the keys that identify its points.
 
-        Keys that go together, in cases or in axes, are one axis. Its name is the label or the first
-        of its keys if no two of its points share that value, otherwise all of them; its values are
-        tuples then.
+        Keys that vary together, in cases or in axes, are one axis. It is identified by the label or
+        its first key if no two points share that value, otherwise by all its keys, with tuples as
+        values.
         """
         axes: dict[tuple[str, ...], tuple[Any, ...]] = {}
         for dimension in self.dimensions:
@@ -391,8 +393,7 @@ class Study(_SectionsOfMethods):
     def figure_axes(self) -> tuple[dict[str, tuple[Any, ...]], list[str]]:
         """The axes of the study's figures with their values, and all other swept keys.
 
-        They are the first two swept numbers; without any the first key whose values are lists, such
-        as reset times.
+        They are the first two swept numbers, or else the first key with lists, such as reset times.
         """
         numeric, listed = {}, {}
         for (key, *more), values in self.axes_shown.items():
@@ -407,11 +408,13 @@ class Study(_SectionsOfMethods):
         """Return the one value of a key.
 
         Raises:
-            InputError: the study sweeps it.
+            InputError: the study sweeps the key.
         """
         first, *rest = self.combinations(key)
         if rest:
-            raise InputError(f"{self.name}: one {key} is needed, not a sweep of it")
+            raise InputError(
+                f"{self.name}: {key} must have one value (use a study without a sweep of it)"
+            )
         return first[key]
 
     def without_effect(self, key: str) -> np.ndarray:
@@ -420,10 +423,10 @@ class Study(_SectionsOfMethods):
 
     @property
     def duplicate_of(self) -> np.ndarray:
-        """The first variant that equals each one in every key with an effect; (variants,).
+        """The first variant with the same values of all effective keys, per variant; (variants,).
 
-        Such variants have the same runs: ``reset_count = 0`` is one schedule whatever the cycle.
-        The label of a case is no key.
+        Such variants have the same runs: with ``reset_count = 0`` the cycle has no effect. The
+        label of a case is ignored.
         """
         alike = np.zeros(self.n_variants, np.int64)
         for key in self.axis_keys:
@@ -440,7 +443,7 @@ class Study(_SectionsOfMethods):
         return [k for k, v in swept.items() if any(v[i] != v[at] for i, at in enumerate(first))]
 
     def _effective(self, key: str) -> Coded:
-        """Return the values of a key over the variants, those without an effect being equal."""
+        """Return the values of a key over the variants; all values without effect are equal."""
         coarse = COARSE_START if key in INITIAL_KEYS and self.coarse else ()
         keys = tuple(dict.fromkeys((key, *deciding(key), *coarse)))
 
@@ -455,14 +458,14 @@ class Study(_SectionsOfMethods):
         return Coded(np.asarray([place[choice] for choice in choices])[codes], tuple(place))
 
     def variant_values(self) -> dict[str, list[Any]]:
-        """The values of every axis key, one a variant, in variant order."""
+        """Return the values of each axis key, one per variant."""
         return {key: self.values(key) for key in self.axis_keys}
 
     def values(self, key: str) -> list[Any]:
-        """The values of a sweepable leaf key, one a variant, in the units of the file.
+        """Return the values of a sweepable leaf key, one per variant, in the units of the file.
 
         Args:
-            key: leaf key of a section in `SWEEPABLE`; one that is drawn is None.
+            key: leaf key of a section in `SWEEPABLE`; the values of a drawn key are None.
 
         Raises:
             KeyError: no sweepable section of this study has the key.
@@ -470,9 +473,9 @@ class Study(_SectionsOfMethods):
         return self.resolved.column(key).to_list()
 
     def combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
-        """The distinct values that sweepable keys take together over all variants.
+        """Yield the distinct combinations of the values of sweepable keys over all variants.
 
-        A drawn key is None.
+        The value of a drawn key is None.
         """
         points = []
         for dimension in self.dimensions:
@@ -493,7 +496,7 @@ class Study(_SectionsOfMethods):
 
 @dataclass(frozen=True, eq=False)
 class _Itself:
-    """A study as a key, told from others by identity: it never changes, and copies are others."""
+    """A study as a key, compared by identity, since studies never change."""
 
     study: Study
 

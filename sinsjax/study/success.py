@@ -1,7 +1,7 @@
-"""When an alignment is a success: what its heading is judged from, and how well it has to do.
+"""The success of an alignment: the reference of its heading, and the criteria that it must meet.
 
-Two questions, never mixed. Does the filter converge? That is judged from the bias floor, the
-heading error that the run's own constant sensor biases leave. Does the vehicle know its heading?
+There are two separate questions. Does the filter converge? That is judged from the bias floor, the
+heading error that the constant sensor biases of the run leave. Does the vehicle know its heading?
 That is judged from the truth: true north, or the reference of a record.
 """
 
@@ -15,19 +15,19 @@ from sinsjax import columns
 from sinsjax.study.study import Study
 
 MOST_DWELL_S = 30.0
-"""The longest that a run has to have stayed in its band where the study does not say it."""
+"""Longest dwell time that a run needs if the study does not give one."""
 
 
 class Success(NamedTuple):
-    """What a run has to do to end with status ``ok``.
+    """The criteria of a run with status ``ok``.
 
     Attributes:
-        judged_from: the bias floor or the truth, from which its heading error counts.
-        band_arcmin: half-width of the band that its heading error ends in.
-        level_band_arcmin: half-width of that of its level errors.
-        diverged_deg: a heading error beyond this at the end has diverged.
-        dwell_s: how long before the end it has stayed in the band; None: the smaller of 30 s and
-            a tenth of the run.
+        judged_from: reference of the heading error, the bias floor or the truth.
+        band_arcmin: half-width of the band in which the heading error ends.
+        level_band_arcmin: half-width of the band in which the level errors end.
+        diverged_deg: final heading error beyond which a run has diverged.
+        dwell_s: time in the band before the end; None for the smaller of 30 s and a tenth of the
+            run.
     """
 
     judged_from: Literal["truth", "floor"]
@@ -38,18 +38,18 @@ class Success(NamedTuple):
 
     @property
     def from_truth(self) -> bool:
-        """Whether the truth is what it is judged from."""
+        """Whether it is judged from the truth."""
         return self.judged_from == "truth"
 
     def dwell(self, run_s: ArrayLike) -> NDArray:
-        """How long runs of some lengths (s) have to have stayed in the band, s."""
+        """Return the time in the band that runs of some lengths (s) need, s."""
         if self.dwell_s is not None:
             return np.full(np.shape(run_s), self.dwell_s)
         return np.minimum(MOST_DWELL_S, np.asarray(run_s) / 10)
 
 
 def success_of(study: Study) -> Success:
-    """What the runs of a study have to do, defaults filled in."""
+    """Return the success criteria of a study, with defaults."""
     given = study.study
     return Success(
         judged_from=given.judged_from or "truth",
@@ -61,20 +61,20 @@ def success_of(study: Study) -> Success:
 
 
 def bands(study: Study) -> tuple[float, ...]:
-    """The bands of a study's settling times, that of success among them, arcmin."""
+    """Return the bands of a study's settling times, including the success band, arcmin."""
     return columns.bands(study.study.settle_bands_arcmin, study.study.success_band_arcmin)
 
 
 FLOOR_COLUMNS = ("phi_u_arcmin", "floor_arcmin")
-"""Columns that tell how far from its bias floor a run ends."""
+"""Columns of the final heading error of a run and its bias floor."""
 
 
 class Yardstick(NamedTuple):
-    """What a success is counted from, with its columns of the summary.
+    """A reference of success, with its columns of the summary.
 
     Attributes:
-        truth: whether that is the truth, or else the bias floor.
-        words: what a success is: ``within 10' of true north``.
+        truth: whether it is the truth, or else the bias floor.
+        words: description of a success: ``within 10' of true north``.
         settle: column of the time at which a run entered the band for good.
         ok: column of the successes.
         band_arcmin: half-width of the band.
@@ -88,23 +88,24 @@ class Yardstick(NamedTuple):
 
     @property
     def of_several(self) -> str:
-        """What successes of several runs are: ``within 10' of their bias floors``."""
+        """The description for several runs: ``within 10' of their bias floors``."""
         return self.words.replace("its bias floor", "their bias floors")
 
     @property
     def rate(self) -> str:
-        """The share of successes, as a statistic of the summary."""
+        """The name of the share of successes in the summary."""
         return f"success_{'truth' if self.truth else 'floor'}_rate"
 
     def end(self, first: "Yardstick") -> str:
-        """The end of a figure's name: none of what a study is judged from, which is the first."""
+        """Return the suffix of a figure's name; empty for the reference of the study, the first."""
         return "" if self == first else "_truth" if self.truth else "_floor"
 
     def off_floor(self, column: Callable[[str], NDArray]) -> NDArray:
-        """Which runs are ok and yet end outside the band about their bias floor: not converged.
+        """Return whether each run is ok but ends outside the band about its bias floor.
 
         Args:
-            column: gives ``ok`` and `FLOOR_COLUMNS` as numbers, of any shape; null is NaN.
+            column: function that returns ``ok`` and `FLOOR_COLUMNS` as numbers of any shape, with
+                NaN for null.
         """
         apart = np.abs(column("phi_u_arcmin") - column("floor_arcmin"))
         found: NDArray = (column(self.ok) > 0) & (apart > self.band_arcmin)
@@ -112,11 +113,11 @@ class Yardstick(NamedTuple):
 
 
 def yardsticks(study: Study, band_arcmin: float | None = None) -> tuple[Yardstick, ...]:
-    """What a study's success is judged from, then the other; of a record the reference alone.
+    """Return the reference of a study's success, then the other one; for a record its reference.
 
     Args:
-        study: whose runs.
-        band_arcmin: half-width of the band; None: that of success.
+        study: study of the runs.
+        band_arcmin: half-width of the band; None for the success band.
     """
     judged = success_of(study)
     band = judged.band_arcmin if band_arcmin is None else band_arcmin
@@ -125,7 +126,7 @@ def yardsticks(study: Study, band_arcmin: float | None = None) -> tuple[Yardstic
 
 
 def judged_columns(study: Study) -> list[str]:
-    """The columns that tell successes and when they settled."""
+    """Return the columns of successes and of their settling times."""
     return [name for yard in yardsticks(study) for name in (yard.ok, yard.settle)]
 
 

@@ -1,8 +1,8 @@
 """Reading the tables that vary a study: [axes] with their zips, [[cases]], [drawn], [tune].
 
-Every value is checked as the key that it stands for. One that is wrong is named by its place, from
-0: ``[axes] phi_u0_deg[3]``, ``[axes.level] phi_e0_deg[0]``, ``[drawn] phi_u0_deg.values[2]``,
-``[tune.variables] reset_times_s[1].low``. All that are wrong are reported.
+Every value is checked as a value of its key. Errors name all wrong values by their index, from 0:
+``[axes] phi_u0_deg[3]``, ``[axes.level] phi_e0_deg[0]``, ``[drawn] phi_u0_deg.values[2]``,
+``[tune.variables] reset_times_s[1].low``.
 """
 
 import functools
@@ -30,7 +30,7 @@ from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, Distribution, D
 from sinsjax.value_types import Name
 
 TIMES, COUNT = "reset_times_s", "reset_count"
-"""Of the ranges of the one, as many are used as the other says, where both are variables."""
+"""If both are variables, the second is the number of ranges of the first that are used."""
 
 Ranges = dict[str, Range | tuple[Range, ...]]
 
@@ -44,15 +44,16 @@ _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 def dimensions_of(
     cases: Sequence[TomlTable], zips: Iterable[Dimension], axes: Dimension
 ) -> list[Dimension]:
-    """What a sweep is the product of: values by key, those of one dimension going together.
+    """Return the dimensions of a sweep: tables of values by key, whose product is the sweep.
 
     Args:
-        cases: one table a case.
-        zips: values by key of every zip.
-        axes: values by key, each a dimension of its own.
+        cases: one table per case.
+        zips: values by key of each zip.
+        axes: values by key, one dimension per key.
 
     Returns:
-        The cases first, as the slowest, a label before their keys; then the zips; then the axes.
+        The cases first, since they vary most slowly, with the label before their keys; then the
+        zips; then the axes.
     """
     keys = sorted(cases[0] if cases else (), key=lambda key: key != "case")
     joint = {key: tuple(case[key] for case in cases) for key in keys}
@@ -60,7 +61,7 @@ def dimensions_of(
 
 
 class Sweep(NamedTuple):
-    """What varies a study; attributes as those of `Study`."""
+    """The variation of a study, with attributes of the same name as in `Study`."""
 
     axes: Dimension
     zips: dict[str, Dimension]
@@ -78,16 +79,16 @@ class Sweep(NamedTuple):
         }
 
     def values(self, key: str) -> set[Any]:
-        """The values that a key is swept over; empty where it is not swept."""
+        """Return the values over which a key is swept; empty if it is not swept."""
         dimensions = dimensions_of(self.cases, self.zips.values(), self.axes)
         return {value for dimension in dimensions for value in dimension.get(key, ())}
 
 
 def read_sweep(tables: TomlTable) -> Sweep:
-    """The axes, zips, cases and drawn keys of a study.
+    """Return the axes, zips, cases and drawn keys of a study.
 
     Args:
-        tables: of the file, lists as tuples.
+        tables: tables of the file, with tuples for lists.
 
     Raises:
         InputError: ``[table] key: what is wrong (hint)``.
@@ -106,18 +107,18 @@ def read_sweep(tables: TomlTable) -> Sweep:
 
 
 def check_value(value: Any, key: str, place: str) -> Any:
-    """A value of a key, as a study holds it.
+    """Return a value of a key, as a study has it.
 
     Args:
-        value: to check.
+        value: value to check.
         key: leaf key, or ``case``.
-        place: what an error names.
+        place: place that an error names.
 
     Raises:
-        InputError: it is none.
+        InputError: the key does not accept the value.
     """
     if value is None:
-        raise InputError(f"{place}: None is no value")
+        raise InputError(f"{place}: None is not a value")
     try:
         return _validator(key)(value)
     except ValidationError as error:
@@ -127,10 +128,10 @@ def check_value(value: Any, key: str, place: str) -> Any:
 
 
 def errors_of(error: ValidationError) -> list[ErrorDetails]:
-    """Return the errors of values that a user can mend.
+    """Return the errors of values that a user can correct.
 
-    A list without its wrong entries may be too short, and a default that depends on a wrong value
-    cannot be made.
+    Consequences of these errors are left out: a list too short without its wrong entries, and a
+    default that depends on a wrong value.
     """
     errors = [one for one in error.errors() if one["type"] != "default_factory_not_called"]
     with_entries = {_without_entries(one) for one in errors if index(one)}
@@ -142,7 +143,7 @@ def _without_entries(error: ErrorDetails) -> tuple[int | str, ...]:
 
 
 def wrong_value(value: Any, key: str) -> str | None:
-    """Return the rule that a value of a leaf key breaks; None if it breaks none."""
+    """Return the rule that a value of a leaf key breaks; None for a valid value."""
     try:
         _validator(key)(value)
     except ValidationError as error:
@@ -154,7 +155,7 @@ def check_values(values: Iterable[Any], key: str, place: str) -> tuple[Any, ...]
     """Return the entries of a list as values of a key, see `check_value`.
 
     Raises:
-        InputError: some are none; a line for each.
+        InputError: some are not valid; a line per value.
     """
     errors, out = ErrorCollector(), []
     for i, value in enumerate(values):
@@ -165,7 +166,7 @@ def check_values(values: Iterable[Any], key: str, place: str) -> tuple[Any, ...]
 
 
 def _axes(tables: TomlTable) -> tuple[Dimension, dict[str, Dimension]]:
-    """The axes that stand alone, and the zips."""
+    """Return the single axes and the zips."""
     axes, zips, errors = {}, {}, ErrorCollector()
     for key, values in tables.get("axes", {}).items():
         with errors.collect():
@@ -186,14 +187,14 @@ def _axes(tables: TomlTable) -> tuple[Dimension, dict[str, Dimension]]:
 
 
 def _named_axes(tables: TomlTable) -> set[str]:
-    """Return the keys of all axes, be their values right or wrong."""
+    """Return the keys of all axes, with right or wrong values."""
     axes = tables.get("axes", {})
     zipped = {key for values in axes.values() if isinstance(values, Mapping) for key in values}
     return zipped | {key for key, values in axes.items() if not isinstance(values, Mapping)}
 
 
 def _zip(tables: TomlTable, name: str, keys: Mapping[str, Any]) -> Dimension:
-    """The axes of a table, which go together."""
+    """Return the axes of a table, which vary together."""
     table = f"axes.{name}"
     if not keys:
         raise InputError(f"[{table}]: must not be empty")
@@ -205,8 +206,8 @@ def _zip(tables: TomlTable, name: str, keys: Mapping[str, Any]) -> Dimension:
     first = next(iter(joint))
     for key, values in joint.items():
         if len(values) != len(joint[first]):
-            text = f"has {len(values)} values, {first} has {len(joint[first])}"
-            raise InputError(f"[{table}] {key}: {text} (the axes of a table go together)")
+            text = f"has {len(values)} values, but {first} has {len(joint[first])}"
+            raise InputError(f"[{table}] {key}: {text} (give as many, since they vary together)")
     _refuse_repeated(list(zip(*joint.values(), strict=True)), f"[{table}] {', '.join(joint)}")
     return joint
 
@@ -221,10 +222,10 @@ def _axis(table: str, key: str, values: Any, recorded: bool) -> tuple[Any, ...]:
 
 
 def _cases(tables: TomlTable, axes: set[str]) -> tuple[TomlTable, ...]:
-    """The cases, none of whose keys is an axis."""
+    """Return the cases, with no key that is an axis too."""
     rows = tables.get("cases", ())
     if not isinstance(rows, tuple) or not all(isinstance(row, Mapping) for row in rows):
-        raise InputError("[cases]: must be tables that each begin with [[cases]]")
+        raise InputError("[cases]: must be tables, each under a line [[cases]]")
     if "cases" in tables and not any(rows):
         raise InputError("[cases]: must not be empty")
     keys = list(rows[0]) if rows else []
@@ -238,7 +239,9 @@ def _cases(tables: TomlTable, axes: set[str]) -> tuple[TomlTable, ...]:
     for i, row in enumerate(rows):
         for key in dict.fromkeys((*keys, *row)):
             if key not in row or key not in keys:
-                raise InputError(f"[cases] {key}[{i}]: all cases must set the same keys")
+                raise InputError(
+                    f"[cases] {key}[{i}]: is not in every case (give it in all of them)"
+                )
     errors.raise_all()
     columns = {}
     for key in keys:
@@ -255,13 +258,13 @@ def _cases(tables: TomlTable, axes: set[str]) -> tuple[TomlTable, ...]:
 
 
 def _drawn(tables: TomlTable, taken: Mapping[str, str]) -> DrawnSection | None:
-    """How keys are drawn, none of which is given elsewhere."""
+    """Return the distributions of the drawn keys, none of which is given elsewhere."""
     if "drawn" not in tables:
         return None
     table = dict(tables["drawn"])
     sampling = {"sampling": table.pop("sampling")} if "sampling" in table else {}
     if not table:
-        raise InputError("[drawn]: names no key to draw")
+        raise InputError("[drawn]: has no key to draw (drop it)")
     laws, errors = {}, ErrorCollector()
     for key, law in table.items():
         with errors.collect():
@@ -277,7 +280,7 @@ def _drawn(tables: TomlTable, taken: Mapping[str, str]) -> DrawnSection | None:
 
 
 def _law(key: str, table: Any) -> Distribution:
-    """How a key is drawn, every entry of a list checked as the key."""
+    """Return the distribution of a key, with all list entries checked as its values."""
     if not isinstance(table, Mapping):
         example = f"{key} = {{ uniform = [0, 1] }}"
         raise InputError(f"[drawn] {key}: must be a table such as {example}, not {table!r}")
@@ -290,7 +293,7 @@ def _law(key: str, table: Any) -> Distribution:
     ((name, value),) = table.items()
     place = f"[drawn] {key}.{name}"
     if value is None:
-        raise InputError(f"{place}: None is no value")
+        raise InputError(f"{place}: None is not a value")
     try:
         law = Distribution.model_validate({name: value})
     except ValidationError as error:
@@ -304,16 +307,16 @@ def _law(key: str, table: Any) -> Distribution:
 def _check_sweepable(table: str, key: str, recorded: bool) -> None:
     section = SECTION_OF.get(key)
     if key == "start_s":
-        reason = "is no axis (list the start times in [record]: one draw each)"
+        reason = "cannot be swept (list the start times in [record], one draw each)"
     elif section is None:
         sweepable = [name for name, home in SECTION_OF.items() if home in SWEEPABLE]
         reason = unknown_key(key, sweepable)
     elif section == "study":
-        reason = "cannot be swept (all runs of a study share [study])"
+        reason = "cannot be swept (all runs share [study]: use one study per value)"
     elif section not in SWEEPABLE:
         reason = f"cannot be swept (it is a key of [{section}])"
     elif recorded and section in SIMULATED_ONLY:
-        reason = f"does not apply to a recorded study ([{section}] is the simulation's)"
+        reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
     else:
         return
     raise InputError(f"[{table}] {key}: {reason}")
@@ -325,11 +328,11 @@ def _check_drawable(key: str, recorded: bool) -> None:
         reason = f"unknown key{near(key, NUMBERS_DRAWN)}"
     elif key not in NUMBERS_DRAWN:
         kinds = "latitude_deg, keys of [motion] and [sensors]"
-        reason = f"cannot be drawn (what can: {kinds}, {', '.join(INITIAL_NUMBERS)})"
+        reason = f"cannot be drawn (possible: {kinds}, {', '.join(INITIAL_NUMBERS)})"
     elif recorded and section in SIMULATED_ONLY:
-        reason = f"does not apply to a recorded study ([{section}] is the simulation's)"
+        reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
     elif recorded and key not in INITIAL_NUMBERS:
-        reason = f"cannot be drawn in a recorded study (what can: {', '.join(INITIAL_NUMBERS)})"
+        reason = f"cannot be drawn in a recorded study (possible: {', '.join(INITIAL_NUMBERS)})"
     else:
         return
     raise InputError(f"[drawn] {key}: {reason}")
@@ -339,7 +342,7 @@ def _refuse_repeated(values: Sequence[Any], place: str) -> None:
     seen: dict[Any, int] = {}
     for i, value in enumerate(values):
         if seen.setdefault(value, i) < i:
-            raise InputError(f"{place}[{i}]: repeats what [{seen[value]}] says")
+            raise InputError(f"{place}[{i}]: repeats [{seen[value]}] (drop one of them)")
 
 
 @functools.cache
@@ -353,11 +356,11 @@ def _validator(key: str) -> Callable[[Any], Any]:
 
 
 def read_tuning(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -> TomlTable:
-    """The section [tune] with its ranges and values checked, and the draws it leaves out.
+    """Return the section [tune] with checked ranges and values, and default numbers of draws.
 
     Args:
-        table: of the file, lists as tuples.
-        swept: the table, in brackets, of every key that is swept or drawn.
+        table: table of the file, with tuples for lists.
+        swept: the table, in brackets, of each key that is swept or drawn.
         recorded: whether the study reads a record.
 
     Raises:
@@ -368,7 +371,7 @@ def read_tuning(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -
         if not recorded:
             table.setdefault(key, default)
         elif key in table:
-            text = "does not apply to a recorded study (its start times tune and judge in turn)"
+            text = "does not apply to a recorded study (drop it: tuning uses the start times)"
             with errors.collect():
                 raise InputError(f"[tune] {key}: {text}")
     for key, read in (("variables", _ranges), ("baseline", _baseline)):
@@ -396,7 +399,7 @@ def _baseline(table: TomlTable, swept: Mapping[str, str]) -> TomlTable:
 
 def _ranges(table: TomlTable, swept: Mapping[str, str]) -> Ranges:
     if not table:
-        raise InputError(f"{_VARIABLES}: names no key to tune")
+        raise InputError(f"{_VARIABLES}: has no key to tune (give one with its range)")
     ranges: Ranges = {}
     errors = ErrorCollector()
     for key, value in table.items():
@@ -409,7 +412,7 @@ def _ranges(table: TomlTable, swept: Mapping[str, str]) -> Ranges:
     if isinstance(times, tuple) and isinstance(count, Range):
         for number in count.candidates or (count.fixed,):
             if number > len(times):
-                text = f"{number} are more than the {len(times)} ranges of {TIMES}"
+                text = f"{number} are more than the {len(times)} ranges of {TIMES} (add ranges)"
                 raise InputError(f"{_VARIABLES} {COUNT}: {text}")
         del taken[COUNT]
     for key in taken:
@@ -418,7 +421,7 @@ def _ranges(table: TomlTable, swept: Mapping[str, str]) -> Ranges:
 
 
 def _check_tunable(key: str, swept: Mapping[str, str], place: str) -> None:
-    """Refuse a key that is none, that cannot be tuned, or that the study varies itself."""
+    """Refuse a key that is unknown, that cannot be tuned, or that the study varies."""
     section = SECTION_OF.get(key)
     if section is None:
         known = [name for name, home in SECTION_OF.items() if home in TUNABLE]
@@ -437,7 +440,7 @@ def _check_rivals(key: str, taken: Mapping[str, str], place: str) -> None:
 
 
 def _kind(key: str, value: Any) -> Range | tuple[Range, ...]:
-    """The range of a number, the ranges of a list's entries, or the values that a key may have."""
+    """Return the range of a key: of its number, of each entry of its list, or its candidates."""
     place, entries = (
         f"{_VARIABLES} {key}",
         _entry_types(SECTIONS[SECTION_OF[key]].model_fields[key].annotation),
@@ -445,13 +448,13 @@ def _kind(key: str, value: Any) -> Range | tuple[Range, ...]:
     if not isinstance(value, tuple):
         kind = _range(place, key, value)
         if kind.is_free and entries:
-            raise InputError(f"{place}: needs a list of ranges, one an entry, not one range")
+            raise InputError(f"{place}: needs a list with one range per entry, not one range")
         if kind.is_free:
             for name in ("low", "high"):
                 _check_end(check_value(value[name], key, f"{place}.{name}"), place)
         return kind
     if not entries:
-        raise InputError(f"{place}: is one number and needs one range, not a list")
+        raise InputError(f"{place}: needs one range, not a list (the key is one number)")
     if not value:
         raise InputError(f"{place}: must not be empty")
     if Ellipsis not in entries and len(value) != len(entries):
@@ -465,10 +468,10 @@ def _kind(key: str, value: Any) -> Range | tuple[Range, ...]:
 
 
 def _entry(place: str, value: Any, kind_of: Any) -> Range:
-    """The range of one entry of a list whose entries have some type."""
+    """Return the range of one entry of a list, whose entries have a given type."""
     kind = _range(place, None, value)
     if kind.candidates is not None:
-        raise InputError(f"{place}.candidates: are those of a whole key, not of one entry")
+        raise InputError(f"{place}.candidates: must be of the whole key, not of one entry")
     for name in ("low", "high") if kind.is_free else ("fixed",):
         try:
             end = TypeAdapter(kind_of, config=_STRICT).validate_python(value[name])
@@ -480,7 +483,7 @@ def _entry(place: str, value: Any, kind_of: Any) -> Range:
 
 
 def _range(place: str, key: str | None, value: Any) -> Range:
-    """A range as the file gives it; with a key, its values are checked as that key's."""
+    """Return a range of the file, with its values checked as those of a key, if any."""
     if not isinstance(value, Mapping):
         raise InputError(f"{place}: must be a table such as {{ low = 0, high = 1 }}, not {value!r}")
     for name in value:
@@ -501,18 +504,18 @@ def _range(place: str, key: str | None, value: Any) -> Range:
         at = f"{place}.candidates"
         values = check_values(kind.candidates, key, at)
         if len(set(values)) < len(values):
-            raise InputError(f"{at}: repeats a value")
+            raise InputError(f"{at}: repeats a value (drop one)")
         return kind.model_copy(update={"candidates": values})
     return kind
 
 
 def _check_end(end: Any, place: str) -> None:
     if isinstance(end, int):
-        raise InputError(f"{place}: takes whole numbers only (list them as candidates)")
+        raise InputError(f"{place}: must be whole numbers (list them as candidates)")
 
 
 def _entry_types(annotation: Any) -> tuple[Any, ...]:
-    """What the entries of a list key are, as a tuple's type says it; nothing for other keys."""
+    """Return the types of the entries of a list key; empty for other keys."""
     origin, inside = get_origin(annotation), get_args(annotation)
     if origin is tuple:
         return inside

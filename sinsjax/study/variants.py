@@ -1,4 +1,4 @@
-"""The values that keys take in some variants of a study: those of a part."""
+"""The values of keys in a part of a study, which is some of its variants."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -13,32 +13,32 @@ from sinsjax.study.resolved import Coded
 from sinsjax.study.study import Study
 
 Lookup = Callable[[str], Any]
-"""The one value of a key for all variants of a part, or its draws'."""
+"""Function of a key that returns its common value in all variants of a part, or its draws."""
 
 
 class Variants:
     """Columns of a study for some of its variants.
 
     Attributes:
-        ids: (variants,) their numbers in the study.
+        ids: (variants,) numbers of the variants in the study.
     """
 
     def __init__(
         self, study: Study, ids: np.ndarray, drawn: Mapping[str, np.ndarray] | None = None
     ) -> None:
-        """Take the variants ``ids`` of a study, and perhaps the values of its draws."""
+        """Take the variants ``ids`` of a study, and optionally the values of its draws."""
         self._study = study
         self._drawn = drawn or {}
         self.ids = ids
 
     @property
     def count(self) -> int:
-        """How many they are."""
+        """Number of variants."""
         return len(self.ids)
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second, of the study."""
+        """Sample rate of the study, Hz."""
         return self._study.rate_hz
 
     def has(self, section: str) -> bool:
@@ -50,34 +50,34 @@ class Variants:
         return len(self.ids) == self._study.n_variants and bool(np.all(np.diff(self.ids) == 1))
 
     def coded(self, *keys: str) -> Coded:
-        """These variants' part of a column, see `Resolved.column`."""
+        """Return a column for these variants, see `Resolved.column`."""
         whole = self._study.resolved.column(*keys)
         return whole if self._are_all else whole._replace(codes=whole.codes[self.ids])
 
     def raw(self, key: str) -> list[Any]:
-        """Values of one key, in the file's units."""
+        """Return the values of one key, in the units of the file."""
         return self.coded(key).to_list()
 
     def value(self, key: str, variant: int) -> Any:
-        """The value of a key for one of them, by its place among them."""
+        """Return the value of a key in the variant with this index in the part."""
         codes, choices = self._study.resolved.column(key)
         return choices[codes[self.ids[variant]]]
 
     def column(self, key: str, factor: float = 1.0) -> np.ndarray:
-        """Values of a numeric key times a factor, (variants,); zero for what is drawn."""
+        """Return the values of a numeric key times a factor, (variants,); zeros for a drawn key."""
         if key in self._study.drawn_keys:
             return np.zeros(len(self.ids))
         return self.each(lambda value: math.nan if value is None else value * factor, key)
 
     def each(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
-        """A function of the values of some keys, called once for each combination that is taken."""
+        """Return a function of the values of some keys, called once per combination."""
         column = self.coded(*keys)
         if len(keys) == 1:
             return column.each(function, dtype)
         return column.each(lambda values: function(*values), dtype)
 
     def lists(self, function: Callable[..., Any], *keys: str, rest: float) -> np.ndarray:
-        """The same of a function that gives lists, (variants, longest), filled up with ``rest``."""
+        """Return a function that gives lists, (variants, longest), padded with ``rest``."""
         column = self.coded(*keys)
         made = column.map(function if len(keys) == 1 else lambda values: function(*values))
         taken = np.flatnonzero(np.bincount(made.codes, minlength=len(made.choices)))
@@ -85,19 +85,19 @@ class Variants:
         return made.each(lambda own: [*own, *([rest] * (longest - len(own)))][:longest])
 
     def common(self, key: str) -> Any:
-        """The one value of a key that does not differ between these variants.
+        """Return the value of a key that all these variants share.
 
-        Of a drawn key, None or the draws' values, (draws, ...), if they were given.
+        For a drawn key, None, or the values of the draws, (draws, ...), if they were given.
         """
         return self._drawn[key] if key in self._drawn else self.value(key, 0)
 
     def takes(self, *keys: str) -> bool:
-        """Whether one of some keys is drawn, or not zero; they differ between no variants."""
+        """Whether one of some keys, which all variants share, is drawn or not zero."""
         drawn = self._study.drawn_keys
         return any(key in drawn or np.any(self.value(key, 0) or 0) for key in keys)
 
     def refused(self, key: str, why: str) -> InputError:
-        """The error of a value that cannot be run, naming the study, and where the key stands."""
+        """Return the error of a value that cannot be run, with study and table of the key."""
         study = self._study
         zipped = (f"[axes.{name}]" for name, keys in study.zips.items() if key in keys)
         where = next(zipped, "[axes]" if key in study.axes else f"[{SECTION_OF[key]}]")

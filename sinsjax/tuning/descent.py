@@ -44,7 +44,7 @@ def descend(study: Study, stored: StoredRecord | None = None, *, tell: Tell | No
         InputError: a variable has no gradient, or the record does not fit.
     """
     looks: list[Evaluation] = []
-    for number in range(len(SearchSpace.of(study).combinations)):
+    for number in range(len(SearchSpace.from_study(study).combinations)):
         looks += _Descents(study, stored, number, looks[-1].cost if looks else 0).looks(tell)
     return Found(NAME, looks)
 
@@ -55,7 +55,7 @@ class _Descents:
     def __init__(self, study: Study, stored: StoredRecord | None, number: int, cost: int) -> None:
         assert study.tune is not None
         self._study, self._stored, self._number, self._cost = study, stored, number, cost
-        self._tune, self._space = study.tune, SearchSpace.of(study)
+        self._tune, self._space = study.tune, SearchSpace.from_study(study)
         relaxation = Relaxation(study, self._space, self._space.combinations[number])
         self._samples = estimates.SAMPLES if relaxation.by_covariance else 0
         self._moves_resets = relaxation.moves_resets

@@ -46,7 +46,7 @@ class _Evolution:
 
     def __init__(self, study: Study, tell: Tell | None) -> None:
         assert study.tune is not None
-        self._study, self._tune, self._space = study, study.tune, SearchSpace.of(study)
+        self._study, self._tune, self._space = study, study.tune, SearchSpace.from_study(study)
         self._tell = tell or (lambda progress: None)
         self._looks: list[Evaluation] = []
         self._cost = 0.0

@@ -131,7 +131,7 @@ def write(directory: Path, study: Study, found: Iterable[Found]) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    table = _table(SearchSpace.of(study), found)
+    table = _table(SearchSpace.from_study(study), found)
     with replacing(directory / FILE) as file:
         file.write(sealed.sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)}))
 

@@ -87,7 +87,7 @@ class Tuning:
             InputError: a search is missing: the evaluation is that of an earlier tuning run.
         """
         study = load_tuned_study(source.directory)
-        found = history.read(source.directory, SearchSpace.of(study))
+        found = history.read(source.directory, SearchSpace.from_study(study))
         by_name = {one.search.replace("_", " "): one for one in found}
         tuning = cls(study, source.study, source, by_name)
         if not by_name or tuning.places.keys() - {"baseline", *by_name}:
@@ -114,7 +114,7 @@ class Tuning:
     @property
     def on_bounds(self) -> dict[str, list[tuple[Variable, float]]]:
         """By search, what its best point has at an end of its range, and the value there."""
-        space = SearchSpace.of(self.study)
+        space = SearchSpace.from_study(self.study)
         found = {}
         for name, search_ in self.found.items():
             best = search_.best

@@ -25,7 +25,7 @@ from sinsjax.study.identity import differences, fingerprint
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import load_study, study_to_toml, with_point
 from sinsjax.study.schema import TuneSection
-from sinsjax.study.search_space import SearchSpace, comparable
+from sinsjax.study.search_space import SearchSpace, comparable_points
 from sinsjax.study.study import Study
 from sinsjax.tuning import evolution, history, search
 from sinsjax.tuning.history import Found
@@ -133,7 +133,7 @@ def check_searches(study: Study, record: StoredRecord | None = None) -> None:
         InputError: a variable without a gradient, or a method of another package whose numbers do
             not follow its keys.
     """
-    space = SearchSpace.of(study)
+    space = SearchSpace.from_study(study)
     if GRADIENT in require_tune(study).searches:
         for combination in space.combinations:
             relaxation = Relaxation(study, space, combination)
@@ -142,7 +142,7 @@ def check_searches(study: Study, record: StoredRecord | None = None) -> None:
 
 
 def _search_and_evaluate(study: Study, session: SearchSession) -> None:
-    directory, space = session.directory, SearchSpace.of(study)
+    directory, space = session.directory, SearchSpace.from_study(study)
     known = _begin(study, space, session)
     found: list[Found] = []
     for name in require_tune(study).searches:
@@ -322,7 +322,7 @@ def _evaluate(
     baseline = with_point(study, require_tune(study).baseline)
     points = {one.search.replace("_", " "): one.point(space) for one in found}
     cases: dict[tuple[object, ...], tuple[list[str], TomlTable]] = {}
-    for name, point in comparable(study, baseline, points).items():
+    for name, point in comparable_points(study, baseline, points).items():
         cases.setdefault(tuple(point.values()), ([], point))[0].append(name)
     labelled = {", ".join(names): point for names, point in cases.values()}
     session.run(search.derive(study, labelled, name=study.name, judging=True), EVALUATION)

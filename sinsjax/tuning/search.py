@@ -148,7 +148,7 @@ def evaluate(study: Study, name: str, design: Design, session: SearchSession) ->
         StudyInterrupted: the session was stopped.
     """
     assert study.tune is not None
-    space = SearchSpace.of(study)
+    space = SearchSpace.from_study(study)
     values = np.array(space.values(design.box.T)).T if space.variables else design.box
     points = [
         space.point(list(np.nan_to_num(row)), space.combinations[candidate])
@@ -235,7 +235,7 @@ def derive(
     tune = study.tune
     assert tune is not None
     keys = next(iter(points.values()))
-    tables = search_space.cleared(tables_of(study), list(keys))
+    tables = search_space.without_keys(tables_of(study), list(keys))
     tables["study"] = tables["study"] | {"name": name, "curves": False}
     if study.record:
         starts = study.record.start_s[1 if judging else 0 :: 2]
@@ -246,7 +246,7 @@ def derive(
         tables["study"] |= {"seed": seed, "draws": draws}
     if study.drawn:
         count = len(tables["record"]["start_s"]) if study.record else tables["study"]["draws"]
-        tables["drawn"] = sampling.of_fewer(study.drawn, count)
+        tables["drawn"] = sampling.drawn_table(study.drawn, count)
     own = {key: values for key, values in _own_cases(study).items() if key != "case"}
     if own:  # the labels are now those of the points
         tables["axes"] = tables.get("axes", {}) | {_free_name(study): own}

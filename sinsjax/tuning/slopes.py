@@ -113,7 +113,7 @@ class Slope:
             InputError: a variable has no gradient, or the record does not fit.
         """
         assert study.tune is not None
-        space = SearchSpace.of(study)
+        space = SearchSpace.from_study(study)
         combination = space.combinations[number]
         self.used = space.used(combination)
         self._relaxation = Relaxation(study, space, combination)

@@ -102,34 +102,39 @@ def test_resolved_toml_loads_as_equal_study() -> None:
     [
         (
             {"coarse": {"coarse_duration_s": 2.5}},
-            "[coarse] coarse_duration_s: 2.5 s is no whole number of record intervals,"
-            " record_interval_s = 1 (nearest: 2 or 3)",
+            "[coarse] coarse_duration_s: 2.5 s is not a whole number of record intervals of 1 s"
+            " (nearest: 2 or 3)",
         ),
         (
             {"coarse": {"coarse_duration_s": 6.0}},
-            "[coarse] coarse_duration_s: 6 s leaves nothing to fine alignment (at most 5)",
+            "[coarse] coarse_duration_s: 6 s leaves no time for the method (at most 5)",
         ),
         (
             {"coarse": {"coarse_duration_s": 3.0}, "passes": {"stored_s": 2.0}},
-            "[coarse] coarse_duration_s: 3 s leaves nothing to fine alignment (at most 2)",
+            "[coarse] coarse_duration_s: 3 s leaves no time for the method (at most 2)",
         ),
         (
             {"coarse": {"coarse_method": "analytic", "coarse_duration_s": 2.0}},
-            "[coarse] coarse_method: 'analytic' is only for the hand-over of a record",
+            "[coarse] coarse_method: 'analytic' can only hand over a record (use 'inertial')",
         ),
         (
             {"coarse": {"coarse_duration_s": 2.0}, "alignment": {"method": "optimisation"}},
-            "[coarse] coarse_method: method optimisation needs no coarse alignment before it"
-            " (give 'none')",
+            "[coarse] coarse_method: method optimisation needs no coarse alignment (give 'none')",
         ),
         (
             {"coarse": {"coarse_duration_s": 2.0}, "resets": {"reset_times_s": [2.0, 4.0]}},
-            "[resets] reset_times_s: a reset at 2 s is not after coarse alignment, 2 s",
+            (
+                "[resets] reset_times_s: the reset at 2 s is not after the end of coarse alignment,"
+                " at 2 s (reset later)"
+            ),
         ),
         (
             {"coarse": {"coarse_duration_s": 2.0}, "resets": {"reset_count": 2}}
             | {"axes": {"reset_cycle_s": [1.5, 2.5]}},
-            "[resets] reset_count: a reset at 1.5 s is not after coarse alignment, 2 s",
+            (
+                "[resets] reset_count: the reset at 1.5 s is not after the end of coarse alignment,"
+                " at 2 s (reset later)"
+            ),
         ),
     ],
 )

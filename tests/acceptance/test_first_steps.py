@@ -70,7 +70,7 @@ def sinsjax(
 def test_shipped_studies_are_found_by_name(sinsjax: Command) -> None:
     path = ROOT / "configs" / "reset_sweep.toml"
     for name in ("reset_sweep", "reset_sweep.toml", "configs/reset_sweep.toml", path):
-        assert files.found(name).samefile(path)
+        assert files.find_study(name).samefile(path)
     assert package.load_study("reset_sweep").name == "reset_sweep"
     with pytest.raises(package.InputError, match=r"^reset_sweeps: cannot .*mean reset_sweep\?"):
         package.load_study("reset_sweeps")
@@ -78,9 +78,9 @@ def test_shipped_studies_are_found_by_name(sinsjax: Command) -> None:
 
 def test_local_study_file_precedes_shipped_study(sinsjax: Command, tmp_path: Path) -> None:
     (tmp_path / "reset_sweep").mkdir()  # results are no study
-    assert files.found("reset_sweep").samefile(ROOT / "configs" / "reset_sweep.toml")
+    assert files.find_study("reset_sweep").samefile(ROOT / "configs" / "reset_sweep.toml")
     (tmp_path / "reset_sweep.toml").write_text("x = 1\n")
-    assert files.found("reset_sweep").samefile(tmp_path / "reset_sweep.toml")
+    assert files.find_study("reset_sweep").samefile(tmp_path / "reset_sweep.toml")
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "/", "x" * 300, "a/b"])
@@ -340,10 +340,10 @@ def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
     [
         ("phi_u0_deg", "must be SECTION.KEY=VALUE"),
         ("phi_u0_deg=1", "(alignment.phi_u0_deg)"),
-        ("alignment.phi_u0_deg=[", "no TOML value"),
+        ("alignment.phi_u0_deg=[", "not a TOML value"),
         ("alignment.phi=1", "[alignment] phi: unknown key"),
-        ("study.seed.x=1", "lies below a value"),
-        ("cases.p0_yaw_deg=1", "cases are a list"),
+        ("study.seed.x=1", "is below a value"),
+        ("cases.p0_yaw_deg=1", "the entries of cases"),
     ],
 )
 def test_invalid_set_option_gives_one_line_error(sinsjax: Command, text: str, reason: str) -> None:
@@ -394,7 +394,7 @@ def test_empty_table_drops_existing_section_or_key(sinsjax: Command) -> None:
     assert not drawn.replace({"drawn": {}}).drawn_keys
     for place in ("coarse", "axes.p0_yaw_deg", "filter.p0_yaw_deg.high"):
         code, _, error = sinsjax("validate", "reset_phase", "--set", f"{place}={{}}")
-        assert (code, error.count("\n")) == (2, 1) and f"{place}: nothing is there to drop" in error
+        assert (code, error.count("\n")) == (2, 1) and f"{place}: cannot be dropped" in error
 
 
 DROPPED = (
@@ -440,12 +440,12 @@ def test_keys_command_explains_key_and_section(sinsjax: Command) -> None:
     code, told, _ = sinsjax("keys", "reset_count")
     assert code == 0
     assert told.startswith("[resets] reset_count: default 0; methods: all but optimisation, ")
-    assert "number of resets" in told and told.count("\n") == 2
+    assert "number of scheduled resets" in told and told.count("\n") == 2
     assert sinsjax("keys", "earth")[1].count("[earth]") == 6
     code, _, error = sinsjax("keys", "reset_cont")
     assert code == 2 and "did you mean reset_count?" in error
     code, _, error = sinsjax("keys", "axes")
-    assert code == 2 and "[axes]: has no keys of its own; `[axes] KEY = [...]`" in error
+    assert code == 2 and "[axes]: has the keys of other sections (`[axes] KEY = [...]`" in error
 
 
 def test_keys_command_finds_keys_by_part_of_name(sinsjax: Command) -> None:

@@ -229,7 +229,7 @@ HERE = "[study] report_times_s: "
     [
         (
             {"study": {"report_times_s": [2.0, 2.5]}},
-            "2.5 s is no whole number of record intervals, record_interval_s = 1 (nearest: 2 or 3)",
+            "2.5 s is not a whole number of record intervals of 1 s (nearest: 2 or 3)",
         ),
         (
             {"study": {"report_times_s": [2.0, 7.0]}},
@@ -250,8 +250,8 @@ def test_report_times_between_records_or_after_run_are_refused(
 @pytest.mark.parametrize(
     ("times", "coarse_s", "line"),
     [
-        ([2.0], 2.0, "2 s is before the first record of runs that follow coarse alignment of 2 s"),
-        ([4.0], 2.5, "4 s is between two records of runs that follow coarse alignment of 2.5 s"),
+        ([2.0], 2.0, "2 s is before the first record time of runs after coarse alignment of 2 s"),
+        ([4.0], 2.5, "4 s is between two record times of runs after coarse alignment of 2.5 s"),
         ([5.0], 2.0, "5 s is not within the run (duration_s = 4)"),
     ],
 )

@@ -110,7 +110,7 @@ def test_tuning_writes_study_history_and_evaluation(made: Path) -> None:
     assert {path.name for path in made.iterdir()} == names | {".lock", ".writer"}
     study = load_study(made / "study.toml")
     assert study == load_study(made.parent / "swing.toml")
-    grid, gradient, equal = history.read(made, SearchSpace.of(study))
+    grid, gradient, equal = history.read(made, SearchSpace.from_study(study))
     assert [one.search for one in (grid, gradient, equal)] == ["grid", "gradient", "equal_cost"]
     assert [look.candidate for look in grid.looks] == [0] * 3 + [1] * 9
     assert grid.cost == 12 * COST and equal.cost == gradient.cost == 5 * COST
@@ -127,7 +127,7 @@ def test_tuning_writes_study_history_and_evaluation(made: Path) -> None:
 
 def test_tuned_study_has_best_point_of_tuning_draws(made: Path) -> None:
     study = load_study(made / "study.toml")
-    space = SearchSpace.of(study)
+    space = SearchSpace.from_study(study)
     best = min(history.read(made, space), key=lambda one: one.best.objective)
     tuned_study = load_study(made / "tuned.toml")
     assert best.search != "gradient"
@@ -152,7 +152,7 @@ def test_tuning_report_is_built_from_stored_files(made: Path, tmp_path: Path) ->
 
 def test_report_flags_values_at_range_bounds(made: Path) -> None:
     tuning = Tuning.of(results.read(made))
-    space = SearchSpace.of(tuning.study)
+    space = SearchSpace.from_study(tuning.study)
     bounds = {
         name: {v.name for v, x in there if x in (v.low, v.high)}
         for name, there in tuning.on_bounds.items()

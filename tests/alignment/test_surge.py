@@ -139,6 +139,9 @@ def test_kalman_surge_refuses_triggers_and_covariance_analysis():
         alignment={"method": "kalman_surge"},
         resets={"reset_trigger": "nis", "trigger_threshold": 3.0},
     )
-    assert line == ("[resets] reset_trigger: method kalman_surge takes resets at given times alone")
+    assert line == (
+        "[resets] reset_trigger: does not apply to method kalman_surge (use"
+        " reset_times_s or reset_count)"
+    )
     line = refusal(alignment={"method": "kalman_surge"}, study={"estimate": "covariance"})
-    assert "covariance analysis knows no linear part of kalman_surge" in line
+    assert "covariance analysis has no linear model of kalman_surge" in line

@@ -70,38 +70,63 @@ def test_vector_key_can_be_swept_by_numbers_and_lists() -> None:
 
 
 SAID = {
-    "case": ("", "swept by the study: label of the case"),
-    "gyro_bias_deg_per_h": ("deg/h", "drawn by the study: gyro bias, deg/h"),
-    "gyro_scale_ppm": ("ppm", "drawn by the study: gyro scale factor error, ppm"),
+    "case": (
+        "",
+        "swept by the study: label of the case",
+    ),
+    "gyro_bias_deg_per_h": (
+        "deg/h",
+        "drawn by the study: constant gyro bias, measured minus true rate, deg/h",
+    ),
+    "gyro_scale_ppm": (
+        "ppm",
+        "drawn by the study: scale factor error of the gyros, ppm",
+    ),
     "gyro_misalignment_arcsec": (
         "arcsec",
-        "drawn by the study: gyro cross-axis angles xy, xz, yx, yz, zx, zy, arcsec",
+        "drawn by the study: small misalignment angles of the gyro axes xy, xz, yx, yz, zx, zy,"
+        " arcsec: with xy, gyro x also measures that fraction of the rate about y",
     ),
-    "accel_bias_ug": ("ug", "drawn by the study: accelerometer bias, ug"),
+    "accel_bias_ug": (
+        "ug",
+        "drawn by the study: constant accelerometer bias, measured minus true specific force, ug",
+    ),
     "latitude_deg": (
         "deg",
-        "drawn by the study: latitude, deg; a recorded study may take it from the record",
+        "drawn by the study: latitude, positive north, deg. Required in a simulation; a"
+        " recorded study may leave it out if the header of its record gives it",
     ),
-    "ve0_m_per_s": ("m/s", "drawn by the study: initial east velocity, m/s"),
+    "ve0_m_per_s": (
+        "m/s",
+        "drawn by the study: initial east velocity of the navigation solution, m/s. The base"
+        " does not travel, so this is its error",
+    ),
     "accel_vrw_ug_per_sqrt_hz": (
         "ug/sqrt(Hz)",
-        "swept by the study: accelerometer velocity random walk, ug/sqrt(Hz)",
+        "swept by the study: white noise of the accelerometers as the velocity random walk of a"
+        " data sheet, ug/sqrt(Hz); an alternative to accel_noise_ug",
     ),
     "feedback_interval_s": (
         "s",
-        "swept by the study: time between feedbacks, s; default: one sample",
+        "swept by the study: time between two feedbacks of the estimated errors into the"
+        " navigation solution, s; default: one sample",
     ),
     "gravity_m_per_s2": (
         "m/s^2",
-        "swept by the study: gravity, m/s^2; constants only, default 9.8",
+        "swept by the study: gravity, m/s^2; only with earth = 'constants'; default 9.8",
     ),
-    "radius_m": ("m", "swept by the study: radius, m; constants only, default 6378137"),
+    "radius_m": (
+        "m",
+        "swept by the study: radius of the sphere, m; only with earth = 'constants'; default"
+        " 6378137",
+    ),
     "q_reading": (
         "",
-        "swept by the study: what the q_ numbers mean, required with them. 'psd': noise densities,"
-        " as in a data sheet. 'per_sample': standard deviation of one sample. 'per_step': standard"
-        " deviation that a filter step adds, as paper 1 prints it; at 100 Hz a hundred times the"
-        " noise of 'per_sample'",
+        "swept by the study: what the q_ numbers mean, required with them. 'psd': noise"
+        " densities from a data sheet (ug/sqrt(Hz), and deg/h/sqrt(Hz) or deg/sqrt(h))."
+        " 'per_sample': standard deviation of one sample. 'per_step': standard deviation added"
+        " per filter step, as paper 1 prints it; at 100 Hz a hundred times the noise of"
+        " 'per_sample'",
     ),
 }
 """Unit and meaning of columns of keys."""

@@ -98,23 +98,23 @@ def signature(error: BaseException) -> str:
 
 
 def line_of(error: InputError, *names: object) -> str:
-    """The line of a refusal, once it is one, and names what it is about.
+    """Return the first line of a refusal, once each is one and names what it is about.
 
     Args:
         error: the refusal.
         names: one of which it begins with.
     """
-    line = str(error)
-    if len(line) > _LONGEST_LINE:
-        raise Broken(f"a line of {len(line)} characters: {line[:200]}...") from error
-    if CONTROL.search(line):
-        raise Broken(f"more than a line, or control characters: {line[:200]!r}") from error
-    if names and not line.startswith(tuple(map(str, names))):
-        raise Broken(f"names none of {names}: {line[:200]}") from error
-    return line
+    for line in error.lines:
+        if len(line) > _LONGEST_LINE:
+            raise Broken(f"a line of {len(line)} characters: {line[:200]}...") from error
+        if CONTROL.search(line):
+            raise Broken(f"control characters: {line[:200]!r}") from error
+        if names and not line.startswith(tuple(map(str, names))):
+            raise Broken(f"names none of {names}: {line[:200]}") from error
+    return error.lines[0]
 
 
-_WHOLE = ("is no TOML", "is no UTF-8", "is nested too deeply", "cannot be read")
+_WHOLE = ("is not TOML", "is not UTF-8", "is nested too deeply", "cannot be read")
 """What is said of a whole file."""
 
 

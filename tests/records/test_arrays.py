@@ -335,8 +335,12 @@ def test_wrong_accelerometer_unit_is_refused(drive: tuple[Any, Any]) -> None:
 @pytest.mark.parametrize(
     ("scale", "unit", "says"),
     [
-        (1e6, "s", "1 s is no whole number of samples of 10000 s (0.0001 Hz: is time_unit right?)"),
-        (1.0, "ns", "more than 100000000 samples a run (is time_unit right?)"),
+        (
+            1e6,
+            "s",
+            "1 s is not a whole number of samples of 10000 s (0.0001 Hz: is time_unit right?)",
+        ),
+        (1.0, "ns", "more than 100000000 samples per run (is time_unit right?)"),
     ],
 )
 def test_wrong_time_unit_is_refused(

@@ -61,15 +61,15 @@ def test_study_with_densities_round_trips_with_same_fingerprint() -> None:
         ),
         (
             {"filter": {"q_accel_ug_per_sqrt_hz": 1.0}},
-            "study: [filter] q_accel_ug_per_sqrt_hz: requires q_reading = 'psd' (it is 'per_step')",
+            "study: [filter] q_accel_ug_per_sqrt_hz: requires q_reading = 'psd', not 'per_step'",
         ),
         (
             {
                 "filter": {"q_gyro_arw_deg_per_sqrt_h": 0.1},
                 "axes": {"q_reading": ["psd", "per_sample"]},
             },
-            "study: [filter] q_gyro_arw_deg_per_sqrt_h: requires q_reading = 'psd' (it"
-            " is 'per_sample')",
+            "study: [filter] q_gyro_arw_deg_per_sqrt_h: requires q_reading = 'psd', not"
+            " 'per_sample'",
         ),
     ],
 )

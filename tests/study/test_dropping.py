@@ -59,11 +59,11 @@ def expected_refusal(study: Study, method: str) -> str | None:
         return "reads none of"  # nothing is left to tune
     by_covariance = study.is_estimated or (study.tune and "covariance" in study.tune.searches)
     if by_covariance and not new.has_error_step:
-        return "covariance analysis knows no linear part of"  # draws take far longer
+        return "covariance analysis has no linear model of"  # draws take far longer
     if study.is_recorded and "filter" in new.sections and not study.has("filter"):
         return "a record does not give the noise of its"  # nor does the study
     if "coarse_method" in new.refuses and study.passes:
-        return "takes a record in once"  # without passes it would read more data than the others
+        return "reads a record once"  # without passes it would read more data than the others
     return None
 
 
@@ -132,14 +132,14 @@ def test_replace_and_load_study_warn_of_what_is_dropped(tmp_path: Path) -> None:
 def test_key_given_for_method_that_does_not_read_it_is_refused(tmp_path: Path) -> None:
     to_inertial = {"alignment.method": "inertial"}
     line = refusal_of_change(to_inertial | {"filter.p0_yaw_deg": 9.0}, FULL, tmp_path)
-    assert line == "[filter] p0_yaw_deg: does not apply to method inertial"
+    assert line == "[filter] p0_yaw_deg: does not apply to method inertial (drop it)"
     line = refusal_of_change(to_inertial | {"axes.reset_count": [0, 1]}, FULL, tmp_path)
     assert line.startswith("[axes] reset_count: does not apply to method inertial")
 
 
 def test_unread_keys_of_unchanged_method_are_refused(tmp_path: Path) -> None:
     tables = FULL | {"compass": {"level_time_s": 9.0}}
-    line = "[compass] level_time_s: does not apply to method kalman5"
+    line = "[compass] level_time_s: does not apply to method kalman5 (drop it)"
     for changes in ({}, {"study.draws": 4}, {"alignment.method": "kalman5"}):
         assert refusal_of_change(changes, tables, tmp_path) == line
 
@@ -184,12 +184,13 @@ def test_cases_and_zips_that_become_equal_are_left_out(tmp_path: Path) -> None:
     )
     assert study.zips == {"policy": {"phi_u0_deg": (5.0, 7.0)}}
     assert notes == [
-        "Dropped, as method compass does not read them: [axes.policy] q_scale, [cases] p0_yaw_deg;"
-        " left out, as they then repeat others: 1 of 3 [cases], 1 of 3 points of [axes.policy]."
+        "Dropped, as method compass does not read them: [axes.policy] q_scale, [cases]"
+        " p0_yaw_deg; left out, as they now repeat others: 1 of 3 [cases], 1 of 3 points of"
+        " [axes.policy]."
     ]
     study, notes = change_study({"alignment.method": "kalman5"}, tables, tmp_path)
     assert study.n_variants == 6
-    assert notes == ["Left out, as they then repeat others: 1 of 3 [cases]."]
+    assert notes == ["Left out, as they now repeat others: 1 of 3 [cases]."]
     bare = [{key: case[key] for key in ("case", "method", "p0_yaw_deg")} for case in cases]
     study, notes = change_study(
         {"alignment.method": "compass"}, {**BASE, "cases": bare, "axes": zips}, tmp_path
@@ -217,7 +218,7 @@ def test_tuned_keys_are_dropped_while_one_is_left(tmp_path: Path) -> None:
     to_compass = {"alignment.method": "compass"}
     line = refusal_of_change(to_compass, template, tmp_path)
     assert line.startswith("[tune.variables]: method compass reads none of reset_times_s, p0_yaw")
-    assert line.endswith("or drop the section by --set tune={})")
+    assert line.endswith("or drop the section, --set tune={})")
     assert change_study(to_compass | {"tune": {}}, template, tmp_path)[0].tune is None
     variables["ve0_m_per_s"] = ranges
     study, notes = change_study(to_compass, template, tmp_path)
@@ -346,10 +347,11 @@ def test_line_names_keys_whose_condition_does_not_hold(tmp_path: Path) -> None:
     )
     _, notes = change_study({}, tables, tmp_path)
     assert notes == [
-        "[motion] pitch_period_s has no effect with pitch_amplitude_deg = 0; [motion] surge_time_s"
-        " has no effect with surge_m_per_s = 0; [alignment] phi_e0_deg, phi_n0_deg, phi_u0_deg have"
-        " no effect beside coarse alignment; [resets] reset_yaw_deg has no effect with reset_kind ="
-        " scale, reset_times_s = (2.0,), no reset_count, no reset_trigger."
+        "[motion] pitch_period_s has no effect with pitch_amplitude_deg = 0; [motion]"
+        " surge_time_s has no effect with surge_m_per_s = 0; [alignment] phi_e0_deg,"
+        " phi_n0_deg, phi_u0_deg have no effect with coarse alignment; [resets] reset_yaw_deg"
+        " has no effect with reset_kind = scale, reset_times_s = (2.0,), no reset_count, no"
+        " reset_trigger."
     ]
     tables["axes"] = {"pitch_amplitude_deg": [0.0, 1.0], "reset_kind": ["scale", "yaw"]}
     tables["axes"] |= {"coarse_method": ["none", "inertial"], "surge_m_per_s": [0.0, 0.1]}

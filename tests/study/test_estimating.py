@@ -12,7 +12,7 @@ from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, tables_of
 
 ESTIMATED = {"estimate": "covariance", "draws": None}
-COLOURED = "knows no vibration and no digits"
+COLOURED = "does not model vibration or quantisation"
 WHY: dict[str, tuple[dict[str, Any], str]] = {
     "[motion] vibration_ug_rms": ({"motion": {"vibration_ug_rms": 10.0}}, COLOURED),
     "[motion] vibration_deg_per_h_rms": (
@@ -29,15 +29,15 @@ WHY: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "[alignment] method": (
         {"alignment": {"method": "inertial"}},
-        "knows no linear part of inertial",
+        "has no linear model of inertial",
     ),
     "[axes] method": (
         {"axes": {"method": ["kalman5", "inertial"]}},
-        "knows no linear part of inertial",
+        "has no linear model of inertial",
     ),
     "[cases] method": (
         {"cases": [{"method": "compass"}, {"method": "inertial"}]},
-        "knows no linear part of inertial",
+        "has no linear model of inertial",
     ),
     "[resets] reset_trigger": (
         {"resets": {"reset_trigger": "nis", "trigger_threshold": 5.0}},
@@ -45,16 +45,19 @@ WHY: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "[coarse]": (
         {"coarse": {"coarse_method": "inertial", "coarse_duration_s": 2.0}},
-        "begins with the method's own P0",
+        "starts from the method's P0",
     ),
-    "[passes]": ({"passes": {"stored_s": 2.0}}, "takes noise as white, passes take it in again"),
+    "[passes]": (
+        {"passes": {"stored_s": 2.0}},
+        "assumes new white noise, which repeated passes lack",
+    ),
     "[drawn] gyro_scale_ppm": (
         {"drawn": {"gyro_scale_ppm": {"normal": [0, 1]}}},
-        "takes its value as given (sweep it instead)",
+        "needs a fixed value (sweep it instead)",
     ),
     "[drawn] vn0_m_per_s": (
         {"drawn": {"vn0_m_per_s": {"uniform": [-1, 1]}}},
-        "takes what is drawn as normal",
+        "needs a normal distribution",
     ),
 }
 
@@ -74,16 +77,16 @@ def test_covariance_search_without_linear_part_is_refused_at_load() -> None:
         "variables": {"phi_u0_deg": {"low": 1.0, "high": 9.0}},
     }
     assert refusal(alignment={"method": "inertial"}, tune=tune) == (
-        "[tune] searches: 'covariance' cannot be one of them (use 'sobol'): [alignment] method:"
-        " covariance analysis knows no linear part of inertial"
+        "[tune] searches: 'covariance' does not apply to this study (use 'sobol'): [alignment]"
+        " method: covariance analysis has no linear model of inertial"
     )
 
 
 UNREAD: dict[str, tuple[dict[str, Any], str]] = {
-    "[study] curves": ({"study": {"curves": True}}, "there are no runs to have any"),
+    "[study] curves": ({"study": {"curves": True}}, "drop it: there are no runs"),
     "[stop_when]": (
         {"stop_when": {"statistic": "success_rate", "half_width": 0.1}},
-        "there are no draws to stop",
+        "drop it: there are no draws",
     ),
     "[tune]": (
         {
@@ -94,7 +97,7 @@ UNREAD: dict[str, tuple[dict[str, Any], str]] = {
                 "searches": ["sobol"],
             }
         },
-        "a search by covariance analysis is one of its searches",
+        "use estimate = 'draws', and 'covariance' in searches",
     ),
 }
 
@@ -103,7 +106,7 @@ UNREAD: dict[str, tuple[dict[str, Any], str]] = {
 def test_covariance_estimate_refuses_settings_that_need_draws(place: str) -> None:
     changes, why = UNREAD[place]
     changes = changes | {"study": ESTIMATED | changes.get("study", {})}
-    told = f"{place}: is not read beside estimate = 'covariance' ({why})"
+    told = f"{place}: does not apply to estimate = 'covariance' ({why})"
     assert refusal(**changes) == told
 
 
@@ -114,8 +117,7 @@ def test_covariance_estimate_refuses_recorded_data() -> None:
     with pytest.raises(InputError) as caught:
         study_from_dict(recorded)
     assert str(caught.value) == (
-        "study: [record]: covariance analysis needs the noise of a simulation (use estimate ="
-        " 'draws')"
+        "study: [record]: covariance analysis needs simulated sensors (use estimate = 'draws')"
     )
 
 

@@ -20,7 +20,7 @@ from sinsjax.errors import InputError
 from sinsjax.records.layout import NAMED_AXES, Record, from_body
 from sinsjax.records.names import triads
 from sinsjax.records.psins import write_psins
-from sinsjax.study.from_record import study_of
+from sinsjax.study.from_record import study_text
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
@@ -78,7 +78,7 @@ def write(
 
 def described(path: Path) -> tuple[dict[str, Any], list[str]]:
     """The study of a file, and its doubts."""
-    text = study_of(path, Path("its.toml"))
+    text = study_text(path, Path("its.toml"))
     doubts = re.findall(r"^# DOUBT: (.*(?:\n#   .*)*)", text, re.MULTILINE)
     return tomllib.loads(text), [" ".join(doubt.replace("\n#  ", "").split()) for doubt in doubts]
 
@@ -179,7 +179,7 @@ def test_log_becomes_study_that_runs(
     assert study["study"].get("rate_hz") == (None if untimed else RATE)
     assert study["earth"]["latitude_deg"] == pytest.approx(45.0, abs=0.3)
     told = " ".join(doubts)
-    assert "put the true one here" in told
+    assert "put the true latitude here" in told
     assert study["alignment"] == {"method": "inertial"} and "filter" not in study
     assert ("nothing tells the rate" in told) == untimed
     row = runs(sinsjax, path, *(["--set", "study.rate_hz=100"] if untimed else []))
@@ -195,7 +195,7 @@ def test_reasons_and_doubts_are_written_next_to_their_keys(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.01), NAMES)
-    lines = study_of(path, Path("its.toml")).splitlines()
+    lines = study_text(path, Path("its.toml")).splitlines()
     at = {line.partition(" =")[0]: number for number, line in enumerate(lines) if " = " in line}
     assert "sinsjax align log.csv its.toml" in "".join(lines[:6])
     unit = lines[at["gyro_unit"]]
@@ -211,11 +211,13 @@ def test_nominal_rate_is_marked_in_study(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.0100003), NAMES)
-    text = study_of(path, Path("its.toml"))
-    assert re.search(r"\nrate_hz = 100.0 +# Hz, the nominal rate: the stamps tell 99.997\n", text)
+    text = study_text(path, Path("its.toml"))
+    assert re.search(
+        r"\nrate_hz = 100.0 +# Hz, the nominal rate; that of the stamps is 99.997\n", text
+    )
     assert "# steps of 0.01 s: 100 Hz\n" in text
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.01), NAMES)
-    assert "nominal" not in study_of(path, Path("its.toml"))
+    assert "nominal" not in study_text(path, Path("its.toml"))
 
 
 def test_short_gaps_are_interpolated_and_long_gap_moves_start(
@@ -228,10 +230,10 @@ def test_short_gaps_are_interpolated_and_long_gap_moves_start(
     study, doubts = described(path)
     assert study["record"]["max_gap_s"] == 0.04
     assert study["record"]["start_s"] == [21.0]
-    text = study_of(path, Path("its.toml")).replace("\n#   ", " ")
+    text = study_text(path, Path("its.toml")).replace("\n#   ", " ")
     assert "of 100 s in the file, of which 21 to 100 s is the longest part without a gap\n" in text
     assert any("a gap at 100 Hz, from 20.0 to 21.01 s" in doubt for doubt in doubts)
-    assert any(doubt.startswith("if the base moves in them") for doubt in doubts)
+    assert any(doubt.startswith("if the base moves in these gaps") for doubt in doubts)
     assert abs((runs(sinsjax, path)["yaw_deg"] - 10 + 45) % 90 - 45) < 4
 
 
@@ -346,7 +348,7 @@ def test_dead_gyro_is_ignored_in_choice_of_unit(
         study, doubts = described(write(tmp_path / "log.csv", table))
         assert study["record"]["gyro_unit"] == unit
         assert f"told without '{NAMES[1 + axis]}', which never changes" in doubts
-        assert "the gyros do not tell the latitude: put the true one here" in doubts
+        assert "the gyros do not show the latitude: put the true one here" in doubts
 
 
 def test_missing_sample_marks_give_one_doubt_with_remedy(
@@ -393,7 +395,7 @@ def test_missing_sample_marks_give_one_doubt_with_remedy(
             lambda t: (t, (*NAMES[:6], "accel_z\x7f")),
             r"column 'accel_z\x7f': control characters in its name (rename it)",
         ),
-        (lambda t: (t[:500], NAMES), "has 5 s without a gap, and an alignment needs 10"),
+        (lambda t: (t[:500], NAMES), "has only 5 s without a gap (an alignment needs 10 s)"),
         (lambda t: (t[:, :5], NAMES[:5]), "row 1: 5 columns between commas"),
     ],
 )
@@ -530,7 +532,7 @@ def test_text_column_in_parquet_is_refused_by_name(
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(table | {"gyro_y": table["gyro_y"].astype(str)}), path)
     with pytest.raises(InputError, match="column 'gyro_y' holds string, not numbers"):
-        study_of(path, Path("x.toml"))
+        study_text(path, Path("x.toml"))
 
 
 def test_column_names_in_comment_are_refused_with_hint(
@@ -540,7 +542,7 @@ def test_column_names_in_comment_are_refused_with_hint(
     path = tmp_path / "log.csv"
     np.savetxt(path, table, delimiter=",", header=",".join(NAMES))
     with pytest.raises(InputError, match="its names stand in a comment: take the sign away"):
-        study_of(path, Path("x.toml"))
+        study_text(path, Path("x.toml"))
 
 
 def test_first_row_may_have_empty_cells_but_no_text(
@@ -557,7 +559,7 @@ def test_first_row_may_have_empty_cells_but_no_text(
     ):
         path.write_text("\n".join([header, row, first, *rest]))
         with pytest.raises(InputError) as caught:
-            study_of(path, Path("x.toml"))
+            study_text(path, Path("x.toml"))
         assert str(caught.value).startswith(f"{path}: row 2: column 'gyro_x': {hint}")
 
 

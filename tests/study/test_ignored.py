@@ -18,37 +18,61 @@ TRIGGER = {"reset_trigger": "nis", "trigger_threshold": 9.0}
     [
         (
             COMPASS | {"compass": {"level_time_s": 7.0}},
-            "[compass] level_time_s: 7 s is after the end of all runs with it, at 6 s",
+            (
+                "[compass] level_time_s: 7 s is after the end of all runs that use it, at 6 s (give"
+                " an earlier time, or longer runs)"
+            ),
         ),
         (
             COMPASS | {"compass": {"sigma_factors": [2, 1], "sigma_times_s": [6.5]}},
-            "[compass] sigma_times_s: 6.5 s is after the end of all runs with it, at 6 s",
+            (
+                "[compass] sigma_times_s: 6.5 s is after the end of all runs that use it, at 6 s"
+                " (give an earlier time, or longer runs)"
+            ),
         ),
         (
             COMPASS | {"compass": {"level_passes": 4}, "passes": {"stored_s": 2.0}},
-            "[compass] level_passes: 8 s is after the end of all runs with it, at 6 s",
+            (
+                "[compass] level_passes: 8 s is after the end of all runs that use it, at 6 s (give"
+                " an earlier time, or longer runs)"
+            ),
         ),
         (
             COMPASS
             | {"compass": {"sigma_factors": [2, 1], "sigma_passes": [5]}}
             | {"axes": {"passes": [1, 2]}, "passes": {"stored_s": 2.0}},
-            "[compass] sigma_passes: 10 s is after the end of all runs with it, at 4 s",
+            (
+                "[compass] sigma_passes: 10 s is after the end of all runs that use it, at 4 s"
+                " (give an earlier time, or longer runs)"
+            ),
         ),
         (
             {"resets": TRIGGER | {"trigger_until_s": 6.1}},
-            "[resets] trigger_until_s: 6.1 s is after the end of all runs with it, at 6 s",
+            (
+                "[resets] trigger_until_s: 6.1 s is after the end of all runs that use it, at 6 s"
+                " (give an earlier time, or longer runs)"
+            ),
         ),
         (
             {"resets": TRIGGER | {"trigger_refractory_s": 10.0}},
-            "[resets] trigger_refractory_s: 10 s is after the end of all runs with it, at 6 s",
+            (
+                "[resets] trigger_refractory_s: 10 s is after the end of all runs that use it, at 6"
+                " s (give an earlier time, or longer runs)"
+            ),
         ),
         (
             {"resets": TRIGGER, "axes": {"trigger_until_s": [3.0, 600.0]}},
-            "[axes] trigger_until_s: 600 s is after the end of all runs with it, at 6 s",
+            (
+                "[axes] trigger_until_s: 600 s is after the end of all runs that use it, at 6 s"
+                " (give an earlier time, or longer runs)"
+            ),
         ),
         (
             COMPASS | {"cases": [{"level_time_s": 1.0}, {"level_time_s": 60.0}]},
-            "[cases] level_time_s: 60 s is after the end of all runs with it, at 6 s",
+            (
+                "[cases] level_time_s: 60 s is after the end of all runs that use it, at 6 s (give"
+                " an earlier time, or longer runs)"
+            ),
         ),
     ],
 )
@@ -84,7 +108,7 @@ def test_default_time_after_end_of_study_is_accepted():
 def test_damping_given_with_gains_is_refused(loop: str):
     gains = {"level": [1.0, 2.0, 3.0], "azimuth": [1.0, 2.0, 3.0, 4.0]}[loop]
     compass = {f"{loop}_gains": gains, f"{loop}_damping": 0.6}
-    text = f"{loop}_damping: is ignored beside {loop}_gains in"
+    text = f"{loop}_damping: has no effect with {loop}_gains in"
     assert refusal(**COMPASS, compass=compass) == f"[compass] {text} [compass] (give one of them)"
     axes = {f"{loop}_gains": [gains]}
     line = refusal(**COMPASS, compass={f"{loop}_damping": 0.6}, axes=axes)
@@ -109,12 +133,12 @@ def drawing(laws: dict[str, Any], **changes: Any) -> Any:
     [
         (
             {"yaw_center_deg": {"values": [1, 2, 3, 4]}},
-            "yaw_center_deg.values: has 4 entries for 3 draws: the last ones are never drawn",
+            "yaw_center_deg.values: has 4 entries for 3 draws (drop those that are never drawn)",
         ),
         (
             {"yaw_center_deg": {"grid": [1, 2]}, "phi_u0_deg": {"grid": [3, 4]}},
-            "yaw_center_deg.grid: 4 points of the grid of yaw_center_deg, phi_u0_deg are more than"
-            " 3 draws",
+            "yaw_center_deg.grid: 4 points of the grid of yaw_center_deg, phi_u0_deg are more"
+            " than 3 draws (drop some, or draw more)",
         ),
     ],
 )

@@ -41,10 +41,10 @@ def test_key_table_shows_unit_default_and_methods(key, unit, default, read_by):
 
 def test_about_method_separates_read_keys_from_ignored_keys():
     _, _, reads, silent = key_table.about_method("inertial")
-    assert reads.endswith("it reads nothing")
-    assert silent.startswith("    takes without effect: phi_e0_deg, phi_n0_deg, phi_u0_deg, ")
+    assert reads.endswith("keys of [alignment] and [passes]: nothing")
+    assert silent.startswith("    keys without effect: phi_e0_deg, phi_n0_deg, phi_u0_deg, ")
     _, _, reads = key_table.about_method("compass")
-    assert "it reads phi_e0_deg, " in reads
+    assert "[passes]: phi_e0_deg, " in reads
 
 
 def test_key_meaning_lists_allowed_words():

@@ -362,7 +362,7 @@ def test_unreadable_files_are_refused(tmp_path: Path):
     assert_load_refused(tmp_path, "cannot be read: Is a directory")
     path = tmp_path / "s.toml"
     path.write_bytes(b"\xff\xfe")
-    assert_load_refused(path, "no UTF-8 text")
+    assert_load_refused(path, "not UTF-8 text")
 
 
 @pytest.mark.parametrize(
@@ -371,7 +371,7 @@ def test_unreadable_files_are_refused(tmp_path: Path):
 def test_syntax_errors_name_the_line(tmp_path: Path, text: str):
     path = tmp_path / "s.toml"
     path.write_text(text)
-    assert_load_refused(path, r"no TOML: .*line \d")
+    assert_load_refused(path, r"not TOML: .*line \d")
 
 
 def test_invalid_values_in_file_are_refused_with_file_name(tmp_path: Path):
@@ -388,7 +388,7 @@ def test_invalid_values_in_file_are_refused_with_file_name(tmp_path: Path):
     )
     assert_load_refused(path, r"\[study\] a b: unknown key")
     path.write_text("[study]\nseed = " + "9" * 5000)
-    assert_load_refused(path, "no TOML")
+    assert_load_refused(path, "not TOML")
 
 
 # Round trip
@@ -561,9 +561,9 @@ def test_fingerprint_changes_with_zips_drawn_keys_and_stop_rule():
         ({"sensor": {}}, "[sensor]: unknown section (did you mean [sensors]?)"),
         (
             {"zzz": {}},
-            "[zzz]: unknown section (of a method whose package is not installed?)",
+            "[zzz]: unknown section (is it of a method whose package is not installed?)",
         ),
-        ({"duration_s": 1.0}, "duration_s: belongs in [study]"),
+        ({"duration_s": 1.0}, "duration_s: a key of [study] (move it there)"),
         ({"sensors": 3}, "[sensors]: must be a table of keys"),
         ({"axes": [1]}, "[axes]: must be a table of keys"),
         (
@@ -581,7 +581,7 @@ def test_fingerprint_changes_with_zips_drawn_keys_and_stop_rule():
         ({"cases": [{"tape_s": 80}]}, "[cases] tape_s: was renamed to stored_s"),
         (
             {"filter": {"p0_yaw_deg": None}},
-            "[filter] p0_yaw_deg: None is no value (leave the key out)",
+            "[filter] p0_yaw_deg: None is not a value (leave the key out)",
         ),
         (
             {"axes": {"phi_u_deg": [1]}},
@@ -603,19 +603,22 @@ def test_fingerprint_changes_with_zips_drawn_keys_and_stop_rule():
         ),
         (
             {"axes": {"duration_s": [1, 2]}},
-            "[axes] duration_s: cannot be swept (all runs of a study share [study])",
+            (
+                "[axes] duration_s: cannot be swept (all runs share [study]: use one study per"
+                " value)"
+            ),
         ),
         (
             {"cases": [{"rate_hz": 1}]},
-            "[cases] rate_hz: cannot be swept (all runs of a study share [study])",
+            "[cases] rate_hz: cannot be swept (all runs share [study]: use one study per value)",
         ),
         (
             {"axes": {"start_s": [0, 30]}},
-            "[axes] start_s: is no axis (list the start times in [record]: one draw each)",
+            "[axes] start_s: cannot be swept (list the start times in [record], one draw each)",
         ),
         (
             {"cases": [{"start_s": 0}]},
-            "[cases] start_s: is no axis (list the start times in [record]: one draw each)",
+            "[cases] start_s: cannot be swept (list the start times in [record], one draw each)",
         ),
     ],
 )
@@ -649,15 +652,15 @@ def test_unknown_and_misplaced_names_are_refused(tables: dict[str, Any], line: s
         ("study", "curves", 1, "must be true or false, not 1"),
         ("study", "consistency_after_s", -1, "must be greater than or equal to 0"),
         ("study", "settle_bands_arcmin", 10, "must be a list, not 10"),
-        ("study", "settle_bands_arcmin", [10, 10.0], "repeats a value"),
+        ("study", "settle_bands_arcmin", [10, 10.0], "repeats a value (drop one)"),
         ("study", "settle_bands_arcmin", [3, 3.0000001], "repeats a value, to the 6 digits"),
         # 10 arcmin is always a column.
-        ("study", "settle_bands_arcmin", [10.0000001], "gives another of the bands the same name"),
+        ("study", "settle_bands_arcmin", [10.0000001], "two bands agree to the 6 digits"),
         ("study", "judged_from", "reference", "'truth' or 'floor'"),
-        ("study", "judged_from", "limit", "'limit' was renamed to 'floor'"),
-        ("study", "success_band_arcmin", 10.0000001, "gives another of the bands the same name"),
+        ("study", "judged_from", "limit", "'limit' was renamed (use 'floor')"),
+        ("study", "success_band_arcmin", 10.0000001, "two bands agree to the 6 digits"),
         ("study", "level_band_arcmin", 0, "greater than 0"),
-        ("study", "dwell_s", 1e9, "is not less than the run"),
+        ("study", "dwell_s", 1e9, "is not shorter than the run"),
         ("study", "diverged_deg", -1, "greater than 0"),
         ("study", "report_times_s", 100, "must be a list, not 100"),
         ("study", "report_times_s", [], "must not be empty"),
@@ -763,10 +766,10 @@ def test_missing_latitude_and_heading_are_refused():
     ]
     data = copy.deepcopy(SIMULATED)
     del data["motion"]
-    assert refusal(data).startswith("[motion] yaw_center_deg: required (yaw, deg")
+    assert refusal(data).startswith("[motion] yaw_center_deg: required (mean yaw, deg")
     del data["earth"]
     latitude, _ = refusals(data)
-    assert latitude.startswith("[earth] latitude_deg: required (latitude, deg")
+    assert latitude.startswith("[earth] latitude_deg: required (latitude, positive north, deg")
 
 
 # Axes and cases
@@ -778,10 +781,10 @@ def test_missing_latitude_and_heading_are_refused():
         ({"phi_u0_deg": 30}, "[axes] phi_u0_deg: must be a list of values, not 30"),
         ({"phi_u0_deg": []}, "[axes] phi_u0_deg: must not be empty"),
         ({"phi_u0_deg": [0, 1, 2, "3"]}, "[axes] phi_u0_deg[3]: must be a number, not '3'"),
-        ({"phi_u0_deg": [0, None]}, "[axes] phi_u0_deg[1]: None is no value"),
-        ({"reset_cycle_s": [None]}, "[axes] reset_cycle_s[0]: None is no value"),
+        ({"phi_u0_deg": [0, None]}, "[axes] phi_u0_deg[1]: None is not a value"),
+        ({"reset_cycle_s": [None]}, "[axes] reset_cycle_s[0]: None is not a value"),
         ({"phi_u0_deg": [0, 200]}, "[axes] phi_u0_deg[1]: must be less than or equal to 180"),
-        ({"phi_u0_deg": [30, 1, 30.0]}, "[axes] phi_u0_deg[2]: repeats what [0] says"),
+        ({"phi_u0_deg": [30, 1, 30.0]}, "[axes] phi_u0_deg[2]: repeats [0] (drop one of them)"),
         (
             {"method": ["kalman5", "x"]},
             f"[axes] method[1]: must be {ONE_OF_METHODS}, not 'x'",
@@ -798,14 +801,14 @@ def test_missing_latitude_and_heading_are_refused():
         ({"level": {"phi_u0_deg": None}}, "[axes.level] phi_u0_deg: must be a list of values"),
         ({"level": {"phi_u0_deg": []}}, "[axes.level] phi_u0_deg: must not be empty"),
         ({"level": {"phi_u0_deg": [1, 181]}}, "[axes.level] phi_u0_deg[1]: must be less than"),
-        ({"level": {"rate_hz": [1]}}, "[axes.level] rate_hz: cannot be swept (all runs of a"),
+        ({"level": {"rate_hz": [1]}}, "[axes.level] rate_hz: cannot be swept (all runs share"),
         (
             {"level": {"phi_u0_deg": [1, 2], "phi_e0_deg": [1]}},
-            "[axes.level] phi_e0_deg: has 1 values, phi_u0_deg has 2 (the axes of a table",
+            "[axes.level] phi_e0_deg: has 1 values, but phi_u0_deg has 2 (give as many",
         ),
         (
             {"level": {"phi_u0_deg": [1, 1, 1], "phi_e0_deg": [1, 2, 1.0]}},
-            "[axes.level] phi_u0_deg, phi_e0_deg[2]: repeats what [0] says",
+            "[axes.level] phi_u0_deg, phi_e0_deg[2]: repeats [0] (drop one of them)",
         ),
         (
             {"phi_u0_deg": [1], "level": {"phi_u0_deg": [1]}},
@@ -830,19 +833,25 @@ def test_invalid_axis_values_are_refused(axes: dict[str, Any], start: str):
         ([], "[cases]: must not be empty"),
         ([{}], "[cases]: must not be empty"),
         ([{"phi_u0_deg": 1}, {"phi_u0_deg": "x"}], "[cases] phi_u0_deg[1]: must be a number"),
-        ([{"phi_u0_deg": None}], "[cases] phi_u0_deg[0]: None is no value"),
-        ([{"phi_u0_deg": 1}, {"phi_e0_deg": 1}], "[cases] phi_u0_deg[1]: all cases must set the"),
-        ([{"phi_u0_deg": 1}, {"phi_u0_deg": 2, "case": "b"}], "[cases] case[1]: all cases must"),
-        ([{"case": "a", "phi_u0_deg": 1}, {"phi_u0_deg": 2}], "[cases] case[1]: all cases must"),
+        ([{"phi_u0_deg": None}], "[cases] phi_u0_deg[0]: None is not a value"),
+        ([{"phi_u0_deg": 1}, {"phi_e0_deg": 1}], "[cases] phi_u0_deg[1]: is not in every case"),
+        (
+            [{"phi_u0_deg": 1}, {"phi_u0_deg": 2, "case": "b"}],
+            "[cases] case[1]: is not in every case",
+        ),
+        (
+            [{"case": "a", "phi_u0_deg": 1}, {"phi_u0_deg": 2}],
+            "[cases] case[1]: is not in every case",
+        ),
         ([{"case": "", "phi_u0_deg": 1}], "[cases] case[0]: must not be empty"),
         ([{"case": 1, "phi_u0_deg": 1}], "[cases] case[0]: must be text, not 1"),
         (
             [{"case": "a", "phi_u0_deg": 1}, {"case": "a", "phi_u0_deg": 2}],
-            "[cases] case[1]: repeats what [0] says",
+            "[cases] case[1]: repeats [0] (drop one of them)",
         ),
         (
             [{"case": "a", "phi_u0_deg": 1}, {"case": "b", "phi_u0_deg": 1.0}],
-            "[cases] phi_u0_deg[1]: repeats what [0] says",
+            "[cases] phi_u0_deg[1]: repeats [0] (drop one of them)",
         ),
         ([{"reset_kind": "full"}], "[cases] reset_kind: is an axis already"),
     ],
@@ -896,30 +905,30 @@ def test_noise_given_in_two_units_is_refused(one: str, other: str):
         (
             {"reset_count": 1},
             {},
-            "[resets] reset_cycle_s: required where reset_count > 0 (it is 1)",
+            "[resets] reset_cycle_s: required with reset_count > 0 (it is 1)",
         ),
         (
             {},
             {"reset_count": [0, 2]},
-            "[resets] reset_cycle_s: required where reset_count > 0 (it is 2)",
+            "[resets] reset_cycle_s: required with reset_count > 0 (it is 2)",
         ),
         (
             {"reset_count": 3, "reset_cycle_s": 301},
             {},
-            "[resets] reset_cycle_s: 3 resets every 301 s last 903 s,"
-            " longer than the study (duration_s = 900)",
+            "[resets] reset_cycle_s: 3 resets every 301 s take 903 s,"
+            " longer than the run (duration_s = 900)",
         ),
         (
             {"reset_cycle_s": 50},
             {"reset_count": [0, 19]},
-            "[axes] reset_count: 19 resets every 50 s last 950 s,"
-            " longer than the study (duration_s = 900)",
+            "[axes] reset_count: 19 resets every 50 s take 950 s,"
+            " longer than the run (duration_s = 900)",
         ),
         (
             {"reset_count": 2},
             {"reset_cycle_s": [50, 451]},
-            "[axes] reset_cycle_s: 2 resets every 451 s last 902 s,"
-            " longer than the study (duration_s = 900)",
+            "[axes] reset_cycle_s: 2 resets every 451 s take 902 s,"
+            " longer than the run (duration_s = 900)",
         ),
         (
             {"reset_count": 2, "reset_cycle_s": 0.006},
@@ -929,18 +938,18 @@ def test_noise_given_in_two_units_is_refused(one: str, other: str):
         (
             {"reset_times_s": [50, 901]},
             {},
-            "[resets] reset_times_s: 901 s is after the study's end (duration_s = 900)",
+            "[resets] reset_times_s: 901 s is after the end of the run (duration_s = 900)",
         ),
         (
             {"reset_times_s": [0.004]},
             {},
-            "[resets] reset_times_s: 0.004 s falls on the sample of the start (0.01 s a sample)",
+            "[resets] reset_times_s: 0.004 s is at the sample of the start (a sample is 0.01 s)",
         ),
         (
             {},
             {"reset_times_s": [[], [50.0, 50.004]]},
-            "[axes] reset_times_s: 50.004 s falls on the sample of the reset at 50 s"
-            " (0.01 s a sample)",
+            "[axes] reset_times_s: 50.004 s is at the sample of the reset at 50 s (a sample is"
+            " 0.01 s)",
         ),
         (
             {"reset_times_s": [1], "reset_first_s": 50},
@@ -950,23 +959,23 @@ def test_noise_given_in_two_units_is_refused(one: str, other: str):
         (
             {"reset_first_s": 25},
             {"reset_count": [0, 1, 2]},
-            "[resets] reset_cycle_s: required where reset_count > 1 (it is 2)",
+            "[resets] reset_cycle_s: required with reset_count > 1 (it is 2)",
         ),
         (
             {"reset_count": 1},
             {"reset_first_s": [25, 901]},
-            "[axes] reset_first_s: 901 s is after the study's end (duration_s = 900)",
+            "[axes] reset_first_s: 901 s is after the end of the run (duration_s = 900)",
         ),
         (
             {"reset_count": 2, "reset_first_s": 0.004, "reset_cycle_s": 50},
             {},
-            "[resets] reset_first_s: 0.004 s falls on the sample of the start (0.01 s a sample)",
+            "[resets] reset_first_s: 0.004 s is at the sample of the start (a sample is 0.01 s)",
         ),
         (
             {"reset_count": 3, "reset_first_s": 101, "reset_cycle_s": 400},
             {},
-            "[resets] reset_cycle_s: 3 resets from 101 s every 400 s last 901 s,"
-            " longer than the study (duration_s = 900)",
+            "[resets] reset_cycle_s: 3 resets from 101 s every 400 s take 901 s,"
+            " longer than the run (duration_s = 900)",
         ),
         (
             {"reset_count": 2, "reset_first_s": 25, "reset_cycle_s": 0.006},
@@ -976,8 +985,8 @@ def test_noise_given_in_two_units_is_refused(one: str, other: str):
         (
             {"reset_count": 2, "reset_first_s": 0.015, "reset_cycle_s": 0.01},
             {},
-            "[resets] reset_first_s: 0.015 s and a cycle of 0.01 s put two resets on one sample"
-            " (0.01 s a sample)",
+            "[resets] reset_first_s: 0.015 s and a cycle of 0.01 s put two resets at one sample"
+            " (a sample is 0.01 s)",
         ),
     ],
 )
@@ -1037,8 +1046,8 @@ def test_supported_stop_statistics_are_accepted(statistic: str):
     [
         (
             STOP | {"statistic": "settle_3_s_mean"},
-            "[stop_when] statistic: 'settle_3_s_mean' is none of success_rate, settle_60_s_mean,"
-            " settle_10_s_mean",
+            "[stop_when] statistic: 'settle_3_s_mean' is not one of success_rate,"
+            " settle_60_s_mean, settle_10_s_mean",
         ),
         (STOP | {"statistic": 3}, "[stop_when] statistic: must be text, not 3"),
         ({"half_width": 1}, "[stop_when] statistic: required ("),
@@ -1062,27 +1071,27 @@ def test_stop_half_width_of_mean_time_may_exceed_one_second():
     [
         (
             {"study": {"record_interval_s": 0.015}},
-            "[study] record_interval_s: 0.015 s is no whole number of samples of 0.01 s"
+            "[study] record_interval_s: 0.015 s is not a whole number of samples of 0.01 s"
             " (nearest: 0.01 or 0.02)",
         ),
         (
             {"alignment": {"feedback_interval_s": 0.001}},
-            "[alignment] feedback_interval_s: 0.001 s is no whole number of samples of 0.01 s"
+            "[alignment] feedback_interval_s: 0.001 s is not a whole number of samples of 0.01 s"
             " (nearest: 0.01)",
         ),
         (
             {"axes": {"feedback_interval_s": [1, 1.005]}},
-            "[axes] feedback_interval_s: 1.005 s is no whole number of samples of 0.01 s"
+            "[axes] feedback_interval_s: 1.005 s is not a whole number of samples of 0.01 s"
             " (nearest: 1 or 1.01)",
         ),
         (
             {"cases": [{"feedback_interval_s": 1e-300}]},
-            "[cases] feedback_interval_s: 1e-300 s is no whole number of samples of 0.01 s"
+            "[cases] feedback_interval_s: 1e-300 s is not a whole number of samples of 0.01 s"
             " (nearest: 0.01)",
         ),
         (
             {"study": {"record_interval_s": 901, "window_s": [0, 900]}},
-            "[study] record_interval_s: 901 s is longer than the study, duration_s = 900",
+            "[study] record_interval_s: 901 s is longer than a run, duration_s = 900",
         ),
     ],
 )
@@ -1096,24 +1105,28 @@ def test_invalid_intervals_are_refused(tables: dict[str, Any], line: str):
         (
             {"start_s": [30, 30.000000001]},
             {},
-            "[record] start_s: 30.000000001 s falls on the sample of another start time",
+            "[record] start_s: 30.000000001 s is the sample of another start time (drop one)",
         ),
         (
             {"from_s": 30, "start_s": [20, 40]},
             {},
-            "[record] start_s: 20 s lies before from_s = 30",
+            "[record] start_s: 20 s is before from_s = 30 (start later)",
         ),
         ({"from_s": 30, "to_s": 30}, {}, "[record] to_s: must be after from_s = 30, not 30"),
-        ({"time_unit": "ms"}, {}, "[record] time_unit: requires a time_column"),
+        (
+            {"time_unit": "ms"},
+            {},
+            ("[record] time_unit: requires a time_column (give it, or drop this)"),
+        ),
         (
             {"max_gap_s": 1},
             {},
-            "[record] max_gap_s: does not apply to format 'psins', which fixes it",
+            "[record] max_gap_s: does not apply to format 'psins', which fixes it (drop it)",
         ),
         (
             {},
             {"coarse_duration_s": 0.01},
-            "[coarse] coarse_duration_s: 0.01 s is no whole number of samples of 0.01 s,"
+            "[coarse] coarse_duration_s: 0.01 s is not a whole number of samples of 0.01 s,"
             " 2 or more (nearest: 0.02)",
         ),
     ],
@@ -1130,7 +1143,7 @@ def test_record_intervals_round_to_nearest_samples():
     """A simulation has the rate that it is given: there it is a mistake."""
     study = built(RECORDED, study={"rate_hz": 199.8}, record={"start_s": [0, 0.004]})
     assert study.record_every == 200
-    line = "[study] record_interval_s: 1 s is no whole number of samples of 0.005005005005"
+    line = "[study] record_interval_s: 1 s is not a whole number of samples of 0.005005005005"
     assert refusals(study={"rate_hz": 199.8})[0].startswith(line)
 
 
@@ -1142,7 +1155,7 @@ def test_record_may_supply_sample_rate():
         assert with_rate(study, rate).study.rate_hz == rate
     whole = built(RECORDED)
     assert fingerprint(with_rate(study, whole.study.rate_hz)) == fingerprint(whole)
-    with pytest.raises(InputError, match="is longer than the study"):
+    with pytest.raises(InputError, match="is longer than a run"):
         with_rate(
             study.model_copy(
                 update={"study": study.study.model_copy(update={"record_interval_s": 301.0})}
@@ -1151,9 +1164,7 @@ def test_record_may_supply_sample_rate():
         )
     csv = {"format": "csv", "quantity": "rates", "gyro_unit": "deg_per_s", "accel_unit": "g"}
     csv |= {"gyro_columns": ["a", "b", "c"], "accel_columns": ["d", "e", "f"]}
-    with pytest.raises(
-        InputError, match=r"\[study\] rate_hz: required \(\[record\] has no time_col"
-    ):
+    with pytest.raises(InputError, match=r"\[study\] rate_hz: required \(without a time_col"):
         study_from_dict({"study": {"duration_s": 300.0}, "record": csv})
     timed = {"study": {"duration_s": 300.0}, "record": csv | {"time_column": "t"}}
     study_from_dict(with_paper_values(timed))
@@ -1207,15 +1218,17 @@ def test_record_may_supply_sample_rate():
 )
 def test_keys_read_by_no_method_are_refused(tables: dict[str, Any], key: str, method: str):
     place, _, name = key.partition(" ")
-    drop = f" (drop it, as by --set axes.{name}={{}})" if place == "[axes]" else ""
-    assert refusal(**tables) == f"{key}: does not apply to method {method}{drop}"
+    drop = f": --set axes.{name}={{}}" if place == "[axes]" else ""
+    assert refusal(**tables) == f"{key}: does not apply to method {method} (drop it{drop})"
     built(merged(SIMULATED, **tables), axes={"method": ["kalman5", "compass"]})
 
 
 def test_section_read_by_no_method_is_refused_in_one_line():
     tables = {"alignment": {"method": "inertial"}, "filter": {"p0_yaw_deg": 9.0, "p0_level_deg": 9}}
-    text = "does not apply to method inertial (drop it, as by --set filter={}: "
-    assert refusal(**tables) == f"[filter]: {text}p0_yaw_deg, p0_level_deg)"
+    assert refusal(**tables) == (
+        "[filter]: does not apply to method inertial: p0_yaw_deg, p0_level_deg"
+        " (drop the section: --set filter={})"
+    )
 
 
 def test_sections_and_defaults_depend_on_methods():
@@ -1268,28 +1281,29 @@ def test_loop_settings_given_in_two_ways_are_refused(one: str, others: tuple[str
 @pytest.mark.parametrize(
     ("passes", "line"),
     [
-        ({"stored_s": 901}, "stored_s: 901 s is longer than the study, duration_s = 900"),
+        ({"stored_s": 901}, "stored_s: 901 s is longer than a run (duration_s = 900)"),
         (
             {"stored_s": 80.5},
-            "stored_s: 80.5 s is no whole number of record intervals, record_interval_s = 1"
-            " (nearest: 80 or 81)",
+            "stored_s: 80.5 s is not a whole number of record intervals of 1 s (nearest: 80 or 81)",
         ),
         (
             {"stored_s": 0.4},
-            "stored_s: 0.4 s is no whole number of record intervals, record_interval_s = 1"
-            " (nearest: 1)",
+            "stored_s: 0.4 s is not a whole number of record intervals of 1 s (nearest: 1)",
         ),
         ({"stored_s": 0}, "stored_s: must be greater than 0, not 0"),
         ({"stored_s": 80, "passes": 0}, "passes: must be greater than or equal to 1, not 0"),
         (
             {"stored_s": 80, "passes": 12},
-            "passes: 12 over a record of 80 s last 960 s, longer than the study (duration_s = 900)",
+            "passes: 12 passes of 80 s take 960 s, longer than a run (duration_s = 900)",
         ),
         (
             {"stored_s": 80, "passes": 4, "ending": "forward"},
-            "passes: 4 end backward, not as ending = 'forward' says",
+            (
+                "passes: 4 passes end backward, which ending = 'forward' excludes (give an odd"
+                " number)"
+            ),
         ),
-        ({"passes": 2}, "passes: 2 need a stored record to repeat (give stored_s)"),
+        ({"passes": 2}, "passes: 2 passes need a stored record (give stored_s)"),
         (
             {"stored_s": 80, "turn": "flip"},
             "turn: must be 'reflect', 'velocity', 'velocity_and_rate', 'velocity_drop_rate',"
@@ -1303,7 +1317,7 @@ def test_invalid_passes_are_refused(passes: dict[str, Any], line: str):
 
 def test_passes_are_checked_per_variant():
     axes = {"stored_s": [80, 100], "passes": [3, 10]}
-    line = "[axes] passes: 10 over a record of 100 s last 1000 s, longer than the study"
+    line = "[axes] passes: 10 passes of 100 s take 1000 s, longer than a run"
     assert refusal(axes=axes).startswith(line)
     built(cases=[{"stored_s": 80, "passes": 10}, {"stored_s": 100, "passes": 3}])
 
@@ -1349,11 +1363,11 @@ def test_run_and_pass_lengths_follow_passes_settings(
         ({"sigma_factors": [3, 2, 1], "sigma_times_s": [3, 2]}, "sigma_times_s: must increase"),
         (
             {"sigma_factors": [2, 1], "sigma_passes": [2]},
-            "sigma_passes: counts passes over a stored record (give [passes] stored_s)",
+            "sigma_passes: needs passes over a stored record (give [passes] stored_s)",
         ),
         (
             {"level_passes": 1},
-            "level_passes: counts passes over a stored record (give [passes] stored_s)",
+            "level_passes: needs passes over a stored record (give [passes] stored_s)",
         ),
         ({"level_passes": 0}, "level_passes: must be greater than or equal to 1, not 0"),
         ({"sigma_factors": []}, "sigma_factors: must not be empty, not []"),
@@ -1381,7 +1395,7 @@ def test_sigma_times_must_match_sigma_factors_in_every_variant():
     pairs = zip(factors, times, strict=True)
     built(COMPASS, cases=[{"sigma_factors": f, "sigma_times_s": t} for f, t in pairs])
     counted = [{"sigma_factors": [2.0, 1.0], "sigma_passes": [2]}]
-    assert refusal(COMPASS, cases=counted).startswith("[cases] sigma_passes: counts passes")
+    assert refusal(COMPASS, cases=counted).startswith("[cases] sigma_passes: needs passes")
     built(COMPASS, cases=counted, passes={"stored_s": 80})
 
 
@@ -1393,15 +1407,18 @@ PARTIAL = {"duration_s": 900.5, "window_s": [600, 900]}
     [
         (
             {"resets": {"reset_times_s": [900.2]}},
-            "[resets] reset_times_s: 900.2 s is after the study's end (",
+            "[resets] reset_times_s: 900.2 s is after the end of the run (",
         ),
         (
             {"resets": {"reset_count": 1, "reset_cycle_s": 900.2}},
-            "[resets] reset_cycle_s: 1 resets every 900.2 s last 900.2 s, longer than the study (",
+            "[resets] reset_cycle_s: 1 resets every 900.2 s take 900.2 s, longer than the run (",
         ),
         (
             {"study": {"window_s": [899, 900.5]}},
-            "[study] window_s: fewer than 2 records are after 899 s and up to 900.5 s (",
+            (
+                "[study] window_s: fewer than 2 record times are after 899 s and up to 900.5 s"
+                " (widen it; "
+            ),
         ),
     ],
 )
@@ -1414,8 +1431,8 @@ def test_run_ends_at_last_whole_record_interval():
     study = built(study=PARTIAL, resets={"reset_times_s": [900]})
     assert (study.run_s, study.dropped_s) == (900.0, 0.5)
     built(study=PARTIAL | {"window_s": [898, 900.5]})
-    line = "[study] window_s: fewer than 2 records are after 10 s and up to 11.9 s"
-    assert refusal(study={"window_s": [10, 11.9]}) == f"{line} (duration_s = 900)"
+    line = "[study] window_s: fewer than 2 record times are after 10 s and up to 11.9 s"
+    assert refusal(study={"window_s": [10, 11.9]}) == f"{line} (widen it; duration_s = 900)"
     assert refusal(study={"window_s": [0, 0.5]}).startswith("[study] window_s: fewer than 2")
 
 
@@ -1437,11 +1454,17 @@ def test_window_must_contain_two_record_times(every: int, rate: float, ends: tup
 
 
 def test_oversized_studies_are_refused():
-    line = "[study] duration_s: 1000010 s at rate_hz = 100 is more than 100000000 samples a run"
+    line = (
+        "[study] duration_s: 1000010 s at rate_hz = 100 is more than 100000000 samples per"
+        " run (shorten the run)"
+    )
     assert refusal(study={"duration_s": 1000010}) == line
     built(study={"duration_s": 1000000})
     axes = {key: [i / 100 for i in range(1000)] for key in ("phi_e0_deg", "phi_n0_deg")}
-    line = "draws x 1000000 variants of [axes] and [[cases]] are more than 1000000000 runs"
+    line = (
+        "draws x 1000000 variants of [axes] and [[cases]] are more than 1000000000 runs"
+        " (reduce one of them)"
+    )
     assert refusal(study={"draws": 1001}, axes=axes) == f"[study] draws: 1001 {line}"
     built(study={"draws": 1000}, axes=axes)
     starts = [float(i) for i in range(1001)]
@@ -1472,7 +1495,7 @@ def test_suggested_nearest_intervals_are_accepted(samples: float, rate: float):
 
 @pytest.mark.parametrize("key", ["gravity_m_per_s2", "radius_m", "earth_rate_deg_per_h"])
 def test_earth_constants_are_refused_with_wgs84(key: str):
-    text = f"{key}: requires earth = 'constants'"
+    text = f"{key}: requires earth = 'constants' (drop it with 'wgs84')"
     assert refusal(earth={"earth": "wgs84", key: 1}) == f"[earth] {text}"
     assert refusal(earth={"earth": "wgs84"}, axes={key: [1, 2]}) == f"[axes] {text}"
     assert refusal(earth={key: 1}, cases=[{"earth": "wgs84"}]) == f"[earth] {text}"
@@ -1483,7 +1506,7 @@ def test_earth_constants_are_refused_with_wgs84(key: str):
 
 
 def test_sway_amplitude_requires_period():
-    line = "[motion] roll_period_s: required where roll_amplitude_deg > 0"
+    line = "[motion] roll_period_s: required with roll_amplitude_deg > 0"
     assert refusal(motion={"roll_amplitude_deg": 1}) == line
     assert refusal(axes={"roll_amplitude_deg": [0, 1]}) == line
     built(motion={"roll_amplitude_deg": 0})
@@ -1500,24 +1523,31 @@ def test_sway_amplitude_requires_period():
         ({"sensors": {}}, "[sensors]: does not apply to a recorded study (drop it or [record])"),
         (
             {"study": {"draws": 1}},
-            "[study] draws: does not apply to a recorded study (one draw a start time)",
+            (
+                "[study] draws: does not apply to a recorded study (drop it: there is one draw per"
+                " start time)"
+            ),
         ),
         (
             {"axes": {"accel_bias_ug": [1]}},
-            "[axes] accel_bias_ug: does not apply to a recorded study"
-            " ([sensors] is the simulation's)",
+            "[axes] accel_bias_ug: does not apply to a recorded study (drop it, [sensors] is"
+            " for simulations)",
         ),
         (
             {"axes": {"coarse_duration_s": [0.01]}},
-            "[axes] coarse_duration_s: 0.01 s is no whole number of samples of 0.01 s, 2 or more",
+            "[axes] coarse_duration_s: 0.01 s is not a whole number of samples of 0.01 s, 2 or"
+            " more",
         ),
         ({"axes": {"to_s": [1]}}, "[axes] to_s: cannot be swept (it is a key of [record])"),
         (
             {"coarse": {"coarse_method": "none"}},
-            "[coarse] coarse_method: a record tells no attitude to begin with",
+            (
+                "[coarse] coarse_method: 'none' needs an initial attitude, which a record does not"
+                " give (use 'inertial')"
+            ),
         ),
         ({"record": {"start_s": [0, -1]}}, "[record] start_s[1]: must be greater than or equal to"),
-        ({"record": {"start_s": [0, 30, 0.0]}}, "[record] start_s: repeats a value"),
+        ({"record": {"start_s": [0, 30, 0.0]}}, "[record] start_s: repeats a value (drop one)"),
         ({"record": {"start_s": []}}, "[record] start_s: must not be empty"),
         ({"record": {"start_s": "0"}}, "[record] start_s[0]: must be a number, not '0'"),
         (
@@ -1550,7 +1580,7 @@ def test_record_keys_depend_on_format():
     for key in (*TABULAR, "time_column"):
         if key != "format":
             value = TABULAR.get(key, "t")
-            expected = f"[record] {key}: does not apply to format 'psins', which fixes it"
+            expected = f"[record] {key}: does not apply to format 'psins', which fixes it (drop it)"
             assert refusal(RECORDED, record={key: value}) == expected
     for format_ in ("csv", "parquet"):
         for key in TABULAR:
@@ -1560,7 +1590,7 @@ def test_record_keys_depend_on_format():
                 assert refusal(RECORDED, record=table) == expected
     data = merged(RECORDED, record={"start_s": 0})
     del data["record"]["format"]
-    assert refusal(data) == "[record] format: required (file format, or 'arrays' from Python)"
+    assert refusal(data) == "[record] format: required (format of the record)"
 
 
 @pytest.mark.parametrize(

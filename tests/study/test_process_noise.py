@@ -166,7 +166,7 @@ def test_resolved_study_without_q_reloads_equal_and_has_own_fingerprint() -> Non
 # What is refused
 
 BOTH = "q_accel_ug and q_gyro_deg_per_h"
-READINGS = "one of 'psd', 'per_sample', 'per_step'; it used to be 'per_step' by default"
+READINGS = "give 'psd', 'per_sample' or 'per_step', which was the default before"
 
 
 @pytest.mark.parametrize(
@@ -182,22 +182,22 @@ READINGS = "one of 'psd', 'per_sample', 'per_step'; it used to be 'per_step' by 
         ),
         (
             {"filter": {"q_gyro_arw_deg_per_sqrt_h": 0.01}},
-            "[filter] q_reading: required with q_gyro_arw_deg_per_sqrt_h ('psd', as a density has"
-            " no other)",
+            "[filter] q_reading: required with q_gyro_arw_deg_per_sqrt_h (give 'psd', the only"
+            " one for a density)",
         ),
         (
             {"filter": {"q_gyro_arw_deg_per_sqrt_h": 0.01, "q_reading": "per_step"}},
-            "[filter] q_gyro_arw_deg_per_sqrt_h: requires q_reading = 'psd' (it is 'per_step')",
+            "[filter] q_gyro_arw_deg_per_sqrt_h: requires q_reading = 'psd', not 'per_step'",
         ),
         (
             {"filter": {"q_reading": "per_step"}},
-            "[filter] q_reading: 'per_step' is the unit of q_ keys, and none is given (without q_"
-            " keys, Q is the white noise of the study's sensors)",
+            "[filter] q_reading: 'per_step' needs q_ keys, and none is given (drop it: without"
+            " q_ keys Q is the white noise of the study's sensors)",
         ),
         (
             {"axes": {"q_reading": ["psd", "per_step"]}},
-            "[axes] q_reading: 'per_step' is the unit of q_ keys, and none is given (without q_"
-            " keys, Q is the white noise of the study's sensors)",
+            "[axes] q_reading: 'per_step' needs q_ keys, and none is given (drop it: without q_"
+            " keys Q is the white noise of the study's sensors)",
         ),
     ],
 )
@@ -245,8 +245,8 @@ def test_replaced_q_needs_its_unit() -> None:
 
 
 NONE = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
-OF_GYROS = "give q_gyro_arw_deg_per_sqrt_h of the data sheet, with q_reading = 'psd'"
-OF_ACCELS = "give q_accel_ug_per_sqrt_hz of the data sheet, with q_reading = 'psd'"
+OF_GYROS = "give q_gyro_arw_deg_per_sqrt_h from the data sheet, with q_reading = 'psd'"
+OF_ACCELS = "give q_accel_ug_per_sqrt_hz from the data sheet, with q_reading = 'psd'"
 
 
 @pytest.mark.parametrize(
@@ -254,29 +254,29 @@ OF_ACCELS = "give q_accel_ug_per_sqrt_hz of the data sheet, with q_reading = 'ps
     [
         (
             {"sensors": NONE},
-            "[filter] q_accel_ug: required (the accelerometers have no white noise in [sensors] to"
-            f" take it from; {OF_ACCELS})",
+            "[filter] q_accel_ug: required (the accelerometers have no white noise in [sensors];"
+            f" {OF_ACCELS})",
         ),
         (
             {"sensors": {"gyro_noise_deg_per_h": 0.0}},
-            "[filter] q_gyro_deg_per_h: required (the gyros have no white noise in [sensors] to"
-            f" take it from; {OF_GYROS})",
+            "[filter] q_gyro_deg_per_h: required (the gyros have no white noise in [sensors];"
+            f" {OF_GYROS})",
         ),
         (
             {
                 "sensors": {"gyro_noise_deg_per_h": None},
                 "axes": {"gyro_arw_deg_per_sqrt_h": [0.01, 0.0]},
             },
-            "[filter] q_gyro_deg_per_h: required (the gyros have no white noise in [sensors] to"
-            f" take it from; {OF_GYROS})",
+            "[filter] q_gyro_deg_per_h: required (the gyros have no white noise in [sensors];"
+            f" {OF_GYROS})",
         ),
         (
             {
                 "sensors": {"accel_noise_ug": None},
                 "drawn": {"accel_noise_ug": {"uniform": [10.0, 20.0]}},
             },
-            "[filter] q_accel_ug: required (accel_noise_ug is drawn, and a filter has one Q in all"
-            f" draws; {OF_ACCELS})",
+            "[filter] q_accel_ug: required (accel_noise_ug is drawn, but the filter has the same"
+            f" Q in all draws; {OF_ACCELS})",
         ),
     ],
 )

@@ -152,29 +152,29 @@ def test_reset_at_feedback_makes_reset_restarts_feedback_irrelevant() -> None:
     [
         (
             {"alignment": {"feedback_interval_s": 4.0}, "resets": {AT: True, "reset_times_s": [5]}},
-            f"[resets] {AT}: puts the reset at 5 s off to the feedback at 8 s,"
-            " after the study's end (duration_s = 6)",
+            f"[resets] {AT}: delays the reset at 5 s to the feedback at 8 s,"
+            " after the end of the run (duration_s = 6)",
         ),
         (
             {"axes": {AT: [False, True], "feedback_interval_s": [1.0, 4.0]}}
             | {"resets": {"reset_count": 2, "reset_cycle_s": 2.5}},
-            f"[axes] {AT}: puts the reset at 5 s off to the feedback at 8 s,"
-            " after the study's end (duration_s = 6)",
+            f"[axes] {AT}: delays the reset at 5 s to the feedback at 8 s,"
+            " after the end of the run (duration_s = 6)",
         ),
         (
             {"coarse": {"coarse_duration_s": 2.0}, "alignment": {"feedback_interval_s": 1.5}}
             | {"resets": {AT: True, "reset_times_s": [3.0]}},
-            f"[resets] {AT}: coarse alignment of 2 s is no whole number of feedback intervals,"
-            " feedback_interval_s = 1.5",
+            f"[resets] {AT}: coarse alignment of 2 s is not a whole number of feedback intervals"
+            " (feedback_interval_s = 1.5)",
         ),
         ({"resets": {AT: 1}}, f"[resets] {AT}: must be true or false, not 1"),
         (
             {"resets": {RESTARTS: True}, "alignment": {"method": "compass"}},
-            f"[resets] {RESTARTS}: does not apply to method compass",
+            f"[resets] {RESTARTS}: does not apply to method compass (drop it)",
         ),
         (
             {"drawn": {RESTARTS: {"values": [True]}}},
-            f"[drawn] {RESTARTS}: cannot be drawn (what can: latitude_deg, keys of [motion] and"
+            f"[drawn] {RESTARTS}: cannot be drawn (possible: latitude_deg, keys of [motion] and"
             " [sensors], phi_e0_deg, phi_n0_deg, phi_u0_deg, ve0_m_per_s, vn0_m_per_s)",
         ),
     ],

@@ -237,7 +237,7 @@ def test_fewer_draws_have_the_same_values(lengths: list[int], count: int):
     laws |= LAWS | {k: laws[k] for k in keys[: len(lengths)]}
     whole = study_of(laws, study={"draws": 64})
     assert whole.drawn
-    fewer = study_of(sampling.of_fewer(whole.drawn, count), study={"draws": count})
+    fewer = study_of(sampling.drawn_table(whole.drawn, count), study={"draws": count})
     for key, rows in sampling.values(fewer, count).items():
         np.testing.assert_array_equal(rows, sampling.values(whole, count)[key])
 
@@ -272,8 +272,8 @@ def test_drawn_key_given_elsewhere_is_refused():
     ("laws", "line"),
     [
         (3, "[drawn]: must be a table of keys"),
-        ({}, "[drawn]: names no key to draw"),
-        ({"sampling": "sobol"}, "[drawn]: names no key to draw"),
+        ({}, "[drawn]: has no key to draw (drop it)"),
+        ({"sampling": "sobol"}, "[drawn]: has no key to draw (drop it)"),
         (
             {"sampling": "halton", "phi_e0_deg": {"uniform": [0, 1]}},
             "[drawn] sampling: must be 'random' or 'sobol', not 'halton'",
@@ -285,12 +285,12 @@ def test_drawn_key_given_elsewhere_is_refused():
         ({"case": {"values": ["a"]}}, "[drawn] case: unknown key"),
         (
             {"height_m": {"uniform": [0, 1]}},
-            "[drawn] height_m: cannot be drawn (what can: latitude_deg, keys of [motion] and"
+            "[drawn] height_m: cannot be drawn (possible: latitude_deg, keys of [motion] and"
             " [sensors], phi_e0_deg, phi_n0_deg, phi_u0_deg, ve0_m_per_s, vn0_m_per_s)",
         ),
-        ({"seed": {"values": [1]}}, "[drawn] seed: cannot be drawn (what can: "),
-        ({"method": {"values": ["kalman5"]}}, "[drawn] method: cannot be drawn (what can: "),
-        ({"phi_e0_deg": None}, "[drawn] phi_e0_deg: None is no value"),
+        ({"seed": {"values": [1]}}, "[drawn] seed: cannot be drawn (possible: "),
+        ({"method": {"values": ["kalman5"]}}, "[drawn] method: cannot be drawn (possible: "),
+        ({"phi_e0_deg": None}, "[drawn] phi_e0_deg: None is not a value"),
         (
             {"phi_e0_deg": 3},
             "[drawn] phi_e0_deg: must be a table such as phi_e0_deg = { uniform = [0, 1] }, not 3",
@@ -307,7 +307,7 @@ def test_drawn_key_given_elsewhere_is_refused():
             {"phi_e0_deg": {"uniform": [0, 1], "grid": [1]}},
             "[drawn] phi_e0_deg: needs one of uniform, normal, values, grid, not uniform and grid",
         ),
-        ({"phi_e0_deg": {"uniform": None}}, "[drawn] phi_e0_deg.uniform: None is no value"),
+        ({"phi_e0_deg": {"uniform": None}}, "[drawn] phi_e0_deg.uniform: None is not a value"),
         ({"phi_e0_deg": {"uniform": 3}}, "[drawn] phi_e0_deg.uniform: must be a list, not 3"),
         ({"phi_e0_deg": {"uniform": []}}, "[drawn] phi_e0_deg.uniform[0]: required"),
         ({"phi_e0_deg": {"uniform": [1]}}, "[drawn] phi_e0_deg.uniform[1]: required"),
@@ -426,7 +426,7 @@ def test_drawn_key_counts_as_given():
         "accel_vrw_ug_per_sqrt_hz": {"values": [1]},
         "roll_amplitude_deg": {"uniform": [0, 0]},
     }
-    with pytest.raises(InputError, match=r"roll_period_s: required where roll_amplitude_deg > 0"):
+    with pytest.raises(InputError, match=r"roll_period_s: required with roll_amplitude_deg > 0"):
         study_from_dict(data | {"drawn": laws})
     laws["roll_period_s"] = {"uniform": [5, 6]}
     study = study_from_dict(with_paper_values(data | {"drawn": laws}))
@@ -447,14 +447,17 @@ def test_recorded_study_may_draw_only_initial_keys():
     study = study_from_dict(with_paper_values(RECORDED | {"record": record, "drawn": laws}))
     assert study.n_draws == 3 and study.drawn_keys == INITIAL_NUMBERS
     for key, reason in (
-        ("yaw_center_deg", "does not apply to a recorded study ([motion] is the simulation's)"),
+        (
+            "yaw_center_deg",
+            ("does not apply to a recorded study (drop it, [motion] is for simulations)"),
+        ),
         (
             "gyro_bias_deg_per_h",
-            "does not apply to a recorded study ([sensors] is the simulation's)",
+            "does not apply to a recorded study (drop it, [sensors] is for simulations)",
         ),
         (
             "latitude_deg",
-            f"cannot be drawn in a recorded study (what can: {', '.join(INITIAL_NUMBERS)})",
+            f"cannot be drawn in a recorded study (possible: {', '.join(INITIAL_NUMBERS)})",
         ),
     ):
         with pytest.raises(InputError) as caught:

@@ -113,26 +113,29 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "candidate twice": (
         {"reset_kind": {"candidates": ["full", "full"]}},
-        "[tune.variables] reset_kind.candidates: repeats a value",
+        "[tune.variables] reset_kind.candidates: repeats a value (drop one)",
     ),
     "candidates of an entry": (
         {"reset_times_s": [{"candidates": [1.0, 2.0]}]},
-        "[tune.variables] reset_times_s[0].candidates: are those of a whole key, not of one entry",
+        (
+            "[tune.variables] reset_times_s[0].candidates: must be of the whole key, not of one"
+            " entry"
+        ),
     ),
     "range of whole numbers": (
         {"reset_count": {"low": 1, "high": 3}},
-        "[tune.variables] reset_count: takes whole numbers only (list them as candidates)",
+        "[tune.variables] reset_count: must be whole numbers (list them as candidates)",
     ),
     "range of a list": (
         {"reset_times_s": YAW},
-        "[tune.variables] reset_times_s: needs a list of ranges, one an entry, not one range",
+        "[tune.variables] reset_times_s: needs a list with one range per entry, not one range",
     ),
     "ranges of a number": (
         {"p0_yaw_deg": [YAW]},
-        "[tune.variables] p0_yaw_deg: is one number and needs one range, not a list",
+        "[tune.variables] p0_yaw_deg: needs one range, not a list (the key is one number)",
     ),
     "empty list": ({"reset_times_s": []}, "[tune.variables] reset_times_s: must not be empty"),
-    "no key": ({}, "[tune.variables]: names no key to tune"),
+    "no key": ({}, "[tune.variables]: has no key to tune (give one with its range)"),
     "rivals": (
         {"reset_times_s": TIMES, "reset_cycle_s": YAW},
         "[tune.variables] reset_times_s: conflicts with reset_cycle_s in [tune.variables] (give one"
@@ -145,22 +148,25 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "more resets than ranges": (
         {"reset_times_s": TIMES, "reset_count": {"candidates": [1, 3]}},
-        "[tune.variables] reset_count: 3 are more than the 2 ranges of reset_times_s",
+        (
+            "[tune.variables] reset_count: 3 are more than the 2 ranges of reset_times_s (add"
+            " ranges)"
+        ),
     ),
     "after the end": (
         {"reset_times_s": [{"low": 1.0, "high": 7.0}]},
-        "[tune.variables] with every range at its high end: [resets] reset_times_s: 7 s is after"
-        " the study's end (duration_s = 6)",
+        "[tune.variables] with every range at its high end: [resets] reset_times_s: 7 s is"
+        " after the end of the run (duration_s = 6)",
     ),
     "key of another method": (
         {"azimuth_sigma_per_s": {"low": 0.01, "high": 0.02}},
         "[tune.variables] with every range at its low end: [compass] azimuth_sigma_per_s: does"
-        " not apply to method kalman5",
+        " not apply to method kalman5 (drop it)",
     ),
     "candidate that makes no study": (
         {"reset_trigger": {"candidates": ["nis"]}},
-        "[tune.variables] with these values: [resets] trigger_threshold: required with"
-        " reset_trigger = 'nis'",
+        "[tune.variables] with these values: [resets] trigger_threshold: required"
+        " with reset_trigger = 'nis'",
     ),
 }
 
@@ -177,7 +183,10 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "no variables": (
         {},
         {"objective": "final_error"},
-        "[tune] variables: required (what may change: [tune.variables] with a range a key)",
+        (
+            "[tune] variables: required (keys to be tuned, each with its range, in the table"
+            " [tune.variables])"
+        ),
     ),
     "variables no table": ({}, {"variables": 3}, "[tune] variables: must be a table of keys"),
     "unknown key": (
@@ -194,23 +203,23 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "search twice": (
         {},
         {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid", "grid"]},
-        "[tune] searches: repeats a value",
+        "[tune] searches: repeats a value (drop one)",
     ),
     "unknown band": (
         {},
         {"variables": {"p0_yaw_deg": YAW}, "objective_band_arcmin": 5.0},
-        "[tune] objective_band_arcmin: 5 is none of 60, 10, 3 (settle_bands_arcmin, and that of"
-        " success)",
+        "[tune] objective_band_arcmin: 5 is not one of 60, 10, 3 (settle_bands_arcmin and"
+        " success_band_arcmin)",
     ),
     "grid of three": (
         {},
         {"variables": {"p0_yaw_deg": YAW, "reset_times_s": TIMES}, "searches": ["grid"]},
-        "[tune] searches: 'grid' takes up to 2 variables at a time, here are 3 (use 'sobol')",
+        "[tune] searches: 'grid' is for up to 2 variables, not 3 (use 'sobol')",
     ),
     "gradient of nothing": (
         {},
         {"variables": {"p0_yaw_deg": {"fixed": 1.0}}, "searches": ["gradient"]},
-        "[tune] searches: 'gradient' needs a variable with low and high",
+        "[tune] searches: 'gradient' needs a variable with low and high (use 'grid')",
     ),
     "an axis": (
         {"axes": {"p0_yaw_deg": [1.0]}},
@@ -264,22 +273,28 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "baseline that makes no study": (
         {},
         {"variables": {"p0_yaw_deg": YAW}, "baseline": {"reset_times_s": [9.0]}},
-        "[tune.baseline]: [resets] reset_times_s: 9 s is after the study's end (duration_s = 6)",
+        (
+            "[tune.baseline]: [resets] reset_times_s: 9 s is after the end of the run (duration_s ="
+            " 6)"
+        ),
     ),
     "baseline that lacks a variable": (
         {},
         {"variables": {"reset_first_s": {"low": 1.0, "high": 2.0}, "reset_count": {"fixed": 1}}},
-        "[tune.baseline] reset_first_s: required, as the study itself gives none",
+        "[tune.baseline] reset_first_s: required, as the study has no value of it",
     ),
     "study that lacks a key of the baseline": (
         {},
         {"variables": {"p0_yaw_deg": YAW}, "baseline": {"trigger_until_s": 3.0}},
-        "[tune.baseline]: [resets] trigger_until_s: requires a reset_trigger",
+        (
+            "[tune.baseline]: [resets] trigger_until_s: requires a reset_trigger (give one, or drop"
+            " this)"
+        ),
     ),
     "stop_when": (
         {"stop_when": {"statistic": "success_rate", "half_width": 0.1}},
         {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid"]},
-        "[stop_when]: conflicts with [tune], whose draws are counted",
+        "[stop_when]: conflicts with [tune], which fixes its draws (drop one)",
     ),
 }
 
@@ -316,11 +331,13 @@ def test_recorded_tuning_uses_start_times_as_draws(key: str) -> None:
     with pytest.raises(InputError) as error:
         study_from_dict(RECORDED | {"tune": tune | {key: 3}})
     assert str(error.value) == (
-        f"study: [tune] {key}: does not apply to a recorded study (its start times tune and judge"
-        " in turn)"
+        f"study: [tune] {key}: does not apply to a recorded study (drop it: tuning uses the start"
+        " times)"
     )
     alone = RECORDED["record"] | {"start_s": 0.0}
-    with pytest.raises(InputError, match=r"\[record\] start_s: tuning needs two start times, one"):
+    with pytest.raises(
+        InputError, match=r"\[record\] start_s: tuning needs two start times or more"
+    ):
         study_from_dict(RECORDED | {"tune": tune, "record": alone})
 
 
@@ -345,7 +362,7 @@ def test_fingerprint_ignores_tuning_section() -> None:
 
 
 def test_variables_and_combinations_keep_written_order() -> None:
-    space = SearchSpace.of(tuned(EVERYTHING))
+    space = SearchSpace.from_study(tuned(EVERYTHING))
     names = ["reset_times_s[0]", "reset_times_s[1]", "feedback_time_constant_s"]
     assert [variable.name for variable in space.variables] == names
     told = [(c["reset_count"], c["reset_kind"], c["p0_yaw_deg"]) for c in space.combinations]
@@ -355,12 +372,12 @@ def test_variables_and_combinations_keep_written_order() -> None:
 
 
 def test_study_without_candidates_has_one_combination() -> None:
-    assert SearchSpace.of(tuned({"p0_yaw_deg": YAW})).combinations == ({},)
+    assert SearchSpace.from_study(tuned({"p0_yaw_deg": YAW})).combinations == ({},)
 
 
 @given(box=st.lists(st.floats(0, 1), min_size=3, max_size=3))
 def test_box_and_values_round_trip(box: list[float]) -> None:
-    space = SearchSpace.of(tuned(EVERYTHING))
+    space = SearchSpace.from_study(tuned(EVERYTHING))
     values = space.values(box)
     assert space.box(values) == pytest.approx(box, abs=1e-12)
     for variable, value in zip(space.variables, values, strict=True):
@@ -371,7 +388,7 @@ def test_box_and_values_round_trip(box: list[float]) -> None:
 
 
 def test_point_has_ascending_reset_times_on_samples() -> None:
-    space = SearchSpace.of(tuned(EVERYTHING))
+    space = SearchSpace.from_study(tuned(EVERYTHING))
     last = space.combinations[-1]
     assert space.point([2.9999, 2.123456, 11.0], last) == {
         "reset_times_s": (2.12, 3.0, 4.0),
@@ -389,7 +406,7 @@ def test_sigma_times_never_coincide() -> None:
         "sigma_times_s": [{"low": 1.0, "high": 3.0}] * 2,
         "sigma_factors": {"fixed": [4.0, 2.0, 1.0]},
     }
-    space = SearchSpace.of(
+    space = SearchSpace.from_study(
         tuned(
             given, changes=COMPASS, baseline={"sigma_times_s": [1.0, 2.0], "sigma_factors": [1] * 3}
         )
@@ -403,7 +420,7 @@ def test_tuned_lengths_are_rounded_to_samples_and_records() -> None:
         {"feedback_interval_s": {"low": 0.1, "high": 1}, "stored_s": {"low": 1, "high": 3}},
         changes=changes,
     )
-    space = SearchSpace.of(study)
+    space = SearchSpace.from_study(study)
     point = space.point([0.3333, 2.4], space.combinations[0])
     assert point == {"feedback_interval_s": 0.33, "stored_s": 2.0}
 
@@ -427,7 +444,7 @@ def test_comparable_lists_same_keys_for_baseline_and_points() -> None:
         baseline=baseline,
     )
     points = {"grid": {"reset_times_s": (3.0,), "reset_yaw_deg": 20.0, "q_scale": 0.5}}
-    told = search_space.comparable(study, with_point(study, baseline), points)
+    told = search_space.comparable_points(study, with_point(study, baseline), points)
     assert told == {
         "baseline": {
             "reset_times_s": (2.0, 4.0),
@@ -447,7 +464,7 @@ def test_baseline_only_key_requires_value_in_study() -> None:
             changes={"resets": resets},
             baseline={"trigger_until_s": 3.0},
         )
-    text = "[tune.baseline] trigger_until_s: must have a value in the study too, for all others"
+    text = "[tune.baseline] trigger_until_s: needs a value in the study too, for the other points"
     assert str(error.value) == f"study: {text}"
 
 

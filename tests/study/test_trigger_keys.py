@@ -96,7 +96,7 @@ def test_reset_trigger_without_threshold_is_refused(tables: dict[str, Any]) -> N
 @pytest.mark.parametrize("trigger", [{}, {"reset_trigger": "none"}])
 def test_trigger_keys_without_reset_trigger_are_refused(key: str, trigger: dict[str, str]) -> None:
     value = OF_TRIGGERS[key]
-    told = f"{key}: requires a reset_trigger"
+    told = f"{key}: requires a reset_trigger (give one, or drop this)"
     assert refusal(resets=trigger | {key: value}) == f"[resets] {told}"
     assert refusal(resets=trigger, axes={key: [value, 2 * value]}) == f"[axes] {told}"
     assert built(resets=trigger) and built(resets=NIS | {key: value})
@@ -128,7 +128,7 @@ def test_zero_q_and_r_scales_are_refused(key: str) -> None:
 def test_filter_and_reset_keys_are_refused_for_compass(section: str) -> None:
     for key, value in NEW[section].items():
         line = refusal(alignment={"method": "compass"}, **{section: {key: value}})
-        assert line == f"[{section}] {key}: does not apply to method compass"
+        assert line == f"[{section}] {key}: does not apply to method compass (drop it)"
     # Beside a filter they are the filter's.
     assert built(axes={"method": ["kalman5", "compass"]}, **NEW)
 

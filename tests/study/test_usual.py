@@ -79,8 +79,8 @@ def test_defaults_lie_in_usual_range():
 )
 def test_unusual_value_is_refused_unless_unchecked(section: str, key: str, value: float):
     low, high = KEYS[section, key].info.usual
-    line = f"[{section}] {key}: {value:.12g} is outside the usual {low:g} to {high:g}"
-    line += " ([study] unchecked = true insists on it)"
+    line = f"[{section}] {key}: {value:.12g} is outside the usual range of {low:g} to {high:g}"
+    line += " ([study] unchecked = true accepts it)"
     assert refusal(**{section: {key: value}}) == line
     if section != "study":
         assert getattr(getattr(insisted(**{section: {key: value}}), section), key) == value
@@ -123,7 +123,8 @@ def test_unusual_drawn_value_is_refused_unless_unchecked(law: dict[str, Any]):
 
 
 @pytest.mark.parametrize(
-    ("law", "text"), [({"normal": [0, 1.0]}, None), ({"normal": [0, 2e4]}, "so many draws")]
+    ("law", "text"),
+    [({"normal": [0, 1.0]}, None), ({"normal": [0, 2e4]}, "one of 896000000 draws")],
 )
 def test_law_of_huge_draw_count_is_checked_without_listing_draws(
     law: dict[str, Any], text: str | None
@@ -154,8 +155,8 @@ def test_unusual_tuning_value_is_refused_unless_unchecked(kind: dict[str, Any], 
 def test_feedback_interval_longer_than_run_is_refused_unless_unchecked():
     line = refusal(alignment={"feedback_interval_s": 7.0})
     assert line == (
-        "[alignment] feedback_interval_s: 7 s is longer than a run of 6 s: nothing would be fed"
-        " back ([study] unchecked = true insists on it)"
+        "[alignment] feedback_interval_s: 7 s is longer than a run of 6 s: there is no feedback"
+        " ([study] unchecked = true accepts it)"
     )
     insisted(alignment={"feedback_interval_s": 7.0})
     small_study(alignment={"feedback_interval_s": 6.0})
@@ -164,7 +165,9 @@ def test_feedback_interval_longer_than_run_is_refused_unless_unchecked():
 @pytest.mark.parametrize("earth", ["constants", "wgs84"])
 def test_height_below_earth_centre_is_always_refused(earth: str):
     line = refusal(earth={"height_m": -6378137.0, "earth": earth}, study={"unchecked": True})
-    assert line == "[earth] height_m: -6378137 m is at the centre of the Earth or below it"
+    assert line == (
+        "[earth] height_m: -6378137 m reaches the centre of the Earth (give the height in m)"
+    )
 
 
 def test_default_feedback_interval_is_accepted_in_short_study():

@@ -157,7 +157,9 @@ STUDIES = {
     ),
 }
 VARIABLES = [
-    (name, v.name) for name, study in STUDIES.items() for v in SearchSpace.of(study).variables
+    (name, v.name)
+    for name, study in STUDIES.items()
+    for v in SearchSpace.from_study(study).variables
 ]
 
 
@@ -178,7 +180,7 @@ def gradients(name: str) -> dict[str, tuple[float, float]]:
     comes to the edge of a window, where the slope has a bend.
     """
     study = STUDIES[name]
-    variables = SearchSpace.of(study).variables
+    variables = SearchSpace.from_study(study).variables
     count = len(variables)
     box = np.tile(0.457 + 0.013 * np.arange(count), (1 + 4 * count, 1))
     times = [v.key in ("reset_times_s", "reset_first_s", "reset_cycle_s") for v in variables]
@@ -256,7 +258,7 @@ def numbers(study: Study, point: dict[str, Any]) -> list[Any]:
 
 def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -> None:
     """Relaxed numbers are those of the study with the keys set to these places' values."""
-    space = SearchSpace.of(study)
+    space = SearchSpace.from_study(study)
     chosen = space.combinations[combination]
     box = np.array([places.get(v.name, 0.5) for v in space.variables])
     relaxation, (method,) = Relaxation(study, space, chosen), study.methods
@@ -278,7 +280,9 @@ def test_relaxed_variable_matches_setting_study_key(name: str, variable: str) ->
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_all_relaxed_variables_match_setting_study_keys(name: str) -> None:
-    assert_moved(STUDIES[name], {v.name: 0.75 for v in SearchSpace.of(STUDIES[name]).variables})
+    assert_moved(
+        STUDIES[name], {v.name: 0.75 for v in SearchSpace.from_study(STUDIES[name]).variables}
+    )
 
 
 COUNTED = {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
@@ -329,7 +333,7 @@ def test_relaxed_objective_converges_to_hard_objective() -> None:
         objective_band_arcmin=300.0,
         tune_draws=3,
     )
-    space = SearchSpace.of(study)
+    space = SearchSpace.from_study(study)
     box = np.array([[0.1, 0.5], [0.6, 0.2], [0.35, 0.9]])
     points = {str(i): space.point(space.values(own), {}) for i, own in enumerate(box)}
     derived = search.derive(study, points, name="hard")
@@ -416,7 +420,7 @@ def test_covariance_descents_improve_simulated_runs(
     costs = [12 * 3 * one + (i + 1) * 9 * 3 * one * (1 + TANGENT_STEPS * 2) for i in range(3)]
     assert [look.cost for look in steps[::9]] == costs
     assert found.cost == costs[-1] + 9 * 2 * one
-    space = SearchSpace.of(SMOOTH)
+    space = SearchSpace.from_study(SMOOTH)
     points = {str(i): space.point(look.values, {}) for i, look in enumerate(steps[:9])}
     derived = search.derive(SMOOTH, points, name="begin")
     hard = estimates.values(derived, tune).reshape(9, -1)
@@ -473,7 +477,7 @@ def test_fixed_resets_use_covariance_analysis_only_if_valid(
 ) -> None:
     key = "azimuth_sigma_per_s" if "compass" in sections else "p0_yaw_deg"
     study = tuned({key: log(0.02, 0.05) if "compass" in sections else log(5.0, 80.0)}, sections)
-    relaxation = Relaxation(study, SearchSpace.of(study), {})
+    relaxation = Relaxation(study, SearchSpace.from_study(study), {})
     assert not relaxation.moves_resets and relaxation.by_covariance == holds
 
 
@@ -508,7 +512,7 @@ def down() -> tuple[Study, history.Found]:
 def test_descents_decrease_objective_and_stay_in_bounds(down: tuple[Study, history.Found]) -> None:
     """One ends in the least objective of all, one at the edge, which is a least one of its own."""
     study, found = down
-    space = SearchSpace.of(study)
+    space = SearchSpace.from_study(study)
     values = np.array([look.values for look in found.looks])
     assert values.min() >= 0.02 and values.max() <= 0.08
     for start in range(2):
@@ -586,7 +590,7 @@ def test_resumed_tuning_takes_each_search_from_its_own_points() -> None:
         threading.Event(),
     )
     for one in known:
-        found = run_tuning._search(study, SearchSpace.of(study), one.search, session, known)
+        found = run_tuning._search(study, SearchSpace.from_study(study), one.search, session, known)
         assert found.search == one.search
 
 
@@ -618,7 +622,10 @@ def test_descent_runs_each_candidate_in_turn() -> None:
     costs = [3 * one, 2 * one * 3, 2 * one * 3, 3 * one]
     assert [look.cost for look in found.looks] == list(np.cumsum(costs))
     assert [look.window_s for look in found.looks] == [None, 4.0, 1.0, None]
-    space, hard = SearchSpace.of(study), [look for look in found.looks if look.sharpness is None]
+    space, hard = (
+        SearchSpace.from_study(study),
+        [look for look in found.looks if look.sharpness is None],
+    )
     assert [look.step for look in hard] == [2, 2]
     assert study.tune is not None
     for look in hard:

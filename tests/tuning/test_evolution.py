@@ -97,7 +97,7 @@ def test_shift_moves_all_resets_to_whole_samples() -> None:
 def test_finalists_are_evaluated_with_tuning_draws(found: history.Found) -> None:
     study = tuned()
     assert study.tune is not None
-    space = SearchSpace.of(study)
+    space = SearchSpace.from_study(study)
     judged = [look for look in found.looks if not look.estimated]
     assert (len(found.looks), len(judged)) == (4 + 2 * 4 + 3, 3)
     best = sorted(look.objective for look in found.looks if look.estimated)
@@ -142,7 +142,7 @@ def test_covariance_search_works_with_any_number_of_variables(
     monkeypatch.setattr(evolution, "FINALISTS", finalists)
     study = tuned(changes, variables=variables)
     found = evolution.evolve(study)
-    space = SearchSpace.of(study)
+    space = SearchSpace.from_study(study)
     assert not found.best.estimated
     for look in found.looks:
         point = space.point(list(np.nan_to_num(look.values)), space.combinations[look.candidate])
@@ -156,7 +156,7 @@ def test_covariance_tuning_history_is_stored_and_resumed(
     sinsjax.tune(study, tmp_path / "out")
     rows = history.read_history(tmp_path / "out")
     assert rows["estimated"].to_pylist().count(False) == 3
-    assert history.read(tmp_path / "out", SearchSpace.of(study)) == [found]
+    assert history.read(tmp_path / "out", SearchSpace.from_study(study)) == [found]
     sinsjax.tune(study, tmp_path / "out", resume=True)
     assert history.read_history(tmp_path / "out").equals(rows)
 
@@ -166,12 +166,12 @@ def test_covariance_tuning_history_is_stored_and_resumed(
     [
         (
             {"axes": {"method": ["kalman5", "inertial"]}},
-            "method: covariance analysis knows no linear part of inertial",
+            "method: covariance analysis has no linear model of inertial",
         ),
-        ({"passes": {"stored_s": 20.0}}, "[passes]: covariance analysis takes noise as white"),
+        ({"passes": {"stored_s": 20.0}}, "[passes]: covariance analysis assumes new white noise"),
         (
             {"motion": {"vibration_ug_rms": 10.0}},
-            "[motion] vibration_ug_rms: covariance analysis knows no vibration",
+            "[motion] vibration_ug_rms: covariance analysis does not model vibration",
         ),
         (
             {"resets": {"reset_trigger": "nis", "trigger_threshold": 9.0}},
@@ -179,7 +179,7 @@ def test_covariance_tuning_history_is_stored_and_resumed(
         ),
         (
             {"drawn": {"ve0_m_per_s": {"uniform": [0.0, 3.0]}}},
-            "[drawn] ve0_m_per_s: covariance analysis takes what is drawn as normal",
+            "[drawn] ve0_m_per_s: covariance analysis needs a normal distribution",
         ),
     ],
 )

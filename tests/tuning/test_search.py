@@ -43,7 +43,7 @@ def seed(study: Study, name: str = "sobol") -> np.random.SeedSequence:
 
 
 def test_grid_has_every_point_of_every_combination() -> None:
-    candidate, box = search.grid(SearchSpace.of(COUNTED), 3)
+    candidate, box = search.grid(SearchSpace.from_study(COUNTED), 3)
     assert candidate.tolist() == [0, *[1] * 3, *[2] * 9]
     np.testing.assert_array_equal(box[0], [np.nan, np.nan])
     np.testing.assert_array_equal(box[1:4], [[0, np.nan], [0.5, np.nan], [1, np.nan]])
@@ -53,7 +53,7 @@ def test_grid_has_every_point_of_every_combination() -> None:
 
 @pytest.mark.parametrize("draw", [search.sobol, search.random])
 def test_search_points_are_determined_by_seed(draw: Any) -> None:
-    space = SearchSpace.of(COUNTED)
+    space = SearchSpace.from_study(COUNTED)
     candidate, box = draw(space, [4, 3, 5], seed(COUNTED))
     assert candidate.tolist() == [0, *[1] * 3, *[2] * 5]
     inside = box[np.isfinite(box)]
@@ -67,7 +67,7 @@ def test_search_points_are_determined_by_seed(draw: Any) -> None:
 
 
 def test_sobol_points_are_spread_evenly() -> None:
-    space = SearchSpace.of(tuned({"reset_times_s": TIMES}))
+    space = SearchSpace.from_study(tuned({"reset_times_s": TIMES}))
     box = search.sobol(space, [64], seed(COUNTED)).box
     cells = np.floor(box * 8).astype(int)
     assert len({tuple(cell) for cell in cells}) == 64
@@ -202,7 +202,7 @@ FOUND = [
 
 
 def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
-    space = SearchSpace.of(COUNTED)
+    space = SearchSpace.from_study(COUNTED)
     history.write(tmp_path, COUNTED, FOUND)
     again = history.read(tmp_path, space)
     for one, other in zip(FOUND, again, strict=True):
@@ -220,7 +220,7 @@ def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
         b"unit": b"s",
         b"meaning": b"explicit reset times, s; null if not used",
     }
-    other_space = SearchSpace.of(tuned({"p0_yaw_deg": YAW}))
+    other_space = SearchSpace.from_study(tuned({"p0_yaw_deg": YAW}))
     with pytest.raises(InputError, match=r"history\.parquet: column p0_yaw_deg is missing"):
         history.read(tmp_path, other_space)
     (tmp_path / "history.parquet").write_text("no table")
@@ -229,7 +229,7 @@ def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
 
 
 def test_only_unrelaxed_evaluations_can_be_best() -> None:
-    space = SearchSpace.of(COUNTED)
+    space = SearchSpace.from_study(COUNTED)
     grid, gradient = FOUND
     assert (grid.best.step, grid.cost, grid.point(space)) == (0, 14, {"reset_times_s": ()})
     assert (gradient.best.start, gradient.cost) == (1, 30)
@@ -250,7 +250,7 @@ def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None
     session = SearchSession(
         Job(study, directory=tmp_path), lambda name: nullcontext(), threading.Event()
     )
-    design = search.grid(SearchSpace.of(study), 3)
+    design = search.grid(SearchSpace.from_study(study), 3)
     found = search.evaluate(study, "grid", design, session)
     places = [1.0, 2.0, 3.0]
     pairs = [(a, b) for a in places for b in places]

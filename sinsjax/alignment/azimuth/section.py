@@ -1,4 +1,4 @@
-"""[azimuth]: the filters whose model is nonlinear in the azimuth."""
+"""[azimuth]: keys of the filters whose model is nonlinear in the azimuth."""
 
 from typing import Literal
 
@@ -8,9 +8,11 @@ from sinsjax.value_types import Section
 
 
 class AzimuthSection(Section):
-    """[azimuth]: how filters with a large azimuth feed their estimate back."""
+    """[azimuth]: feedback of the filters whose model is nonlinear in the azimuth."""
 
     azimuth_feedback: Literal["vector", "angles"] = Field(
         "vector",
-        description="attitude is fed back as azimuth and turn of the vertical, or as small angles",
+        description="form in which the estimated attitude error is fed back. 'vector': rotation"
+        " by the azimuth error and the shortest rotation of the vertical. 'angles': rotation by"
+        " three small angles",
     )

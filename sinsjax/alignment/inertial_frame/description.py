@@ -22,22 +22,24 @@ _NAMES = ("optimisation", "optimisation_position", "inertial")
 
 
 def check_passes(study: CheckedStudy) -> None:
-    """Refuse repeated passes, which hold nothing that the first has not told."""
+    """Refuse repeated passes, which add no information."""
     if not study.has("passes"):
         return
     for point in study.combinations("method", "stored_s"):
         if point["method"] in _NAMES and point["stored_s"] is not None:
-            text = f"method {point['method']} takes a record in once: read again it tells no more"
+            text = (
+                f"does not apply to method {point['method']}, which reads a record once (drop it)"
+            )
             study.refuse("stored_s", text)
 
 
 def check_coarse(study: CheckedStudy) -> None:
-    """Refuse coarse alignment before what aligns by itself, from the first sample on."""
+    """Refuse coarse alignment before a method that needs no initial attitude."""
     if study.is_recorded or not study.has("coarse"):
         return
     for point in study.combinations("method", "coarse_method"):
         if point["method"] in _NAMES and point["coarse_method"] != "none":
-            text = f"method {point['method']} needs no coarse alignment before it (give 'none')"
+            text = f"method {point['method']} needs no coarse alignment (give 'none')"
             study.refuse("coarse_method", text)
 
 

@@ -1,4 +1,4 @@
-"""[surge]: what a filter that knows of a surge believes of it."""
+"""[surge]: the surge of the base that a filter with states for it assumes."""
 
 from pydantic import Field
 
@@ -8,18 +8,23 @@ from sinsjax.value_types import Seconds, Section, SpeedSigma
 
 
 class SurgeSection(Section):
-    """[surge]: the surge that a filter has states for; what the base does is in [motion]."""
+    """[surge]: the surge of the base that a filter with states for it assumes."""
 
     r_surge_m_per_s: SpeedSigma = Field(
-        0.1, description="velocity of the base about zero, rms on each level axis, m/s"
+        0.1,
+        description="rms velocity of the surge that the filter assumes along east and along"
+        " north, m/s",
     )
-    r_surge_time_s: Seconds = Field(5.0, description="correlation time of that velocity, s")
+    r_surge_time_s: Seconds = Field(
+        5.0, description="correlation time of the surge velocity that the filter assumes, s"
+    )
 
 
 def check_no_trigger(study: CheckedStudy) -> None:
-    """Refuses triggers, which take the first two states for what is measured."""
+    """Refuse triggers, which assume that the first two states are measured."""
     if not study.has("resets"):
         return
     for point in study.combinations("method", "reset_trigger"):
         if point["method"] == "kalman_surge" and has_trigger(point["reset_trigger"]):
-            study.refuse("reset_trigger", "method kalman_surge takes resets at given times alone")
+            text = "does not apply to method kalman_surge (use reset_times_s or reset_count)"
+            study.refuse("reset_trigger", text)
