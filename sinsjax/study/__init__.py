@@ -1,1 +1,1 @@
-"""A study: what its file may say, checked, and the variants and draws that it spans."""
+"""Studies: files, keys, rules, variants and draws."""

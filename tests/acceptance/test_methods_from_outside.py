@@ -282,7 +282,7 @@ def test_unsupported_covariance_search_names_file_and_remedy(
     tuning(tmp_path / "tuned.toml", '[tune]\nsearches = ["covariance"]\n')
     (told,) = forked(("validate", "tuned.toml"), site=site, cwd=tmp_path)
     why = "[axes] method: covariance analysis has no linear model of averaged"
-    line = f"[tune] searches: 'covariance' cannot be one of them (use 'sobol'): {why}"
+    line = f"[tune] searches: 'covariance' does not apply to this study (use 'sobol'): {why}"
     assert (told.returncode, told.stderr) == (2, f"error: tuned.toml: {line}\n")
 
 
