@@ -64,7 +64,7 @@ def failures(study: Study, where: Where) -> tuple[str, ...]:
         where: table of each key that the file gives.
     """
     timed = TIMED if study.study.rate_hz else ()  # else the record will give the rate
-    for stage in (KEYS_GIVEN, *timed, VALUES):
+    for stage in ((_check_required,), KEYS_GIVEN, *timed, VALUES):
         errors = ErrorCollector()
         for rule in stage:
             with errors.collect():
@@ -639,7 +639,6 @@ def _check_tune(study: Study, where: Where) -> None:
 Rule = Callable[[Study, Where], None]
 
 KEYS_GIVEN: tuple[Rule, ...] = (
-    _check_required,
     _check_methods,
     check_process_noise,
     _check_estimated,
