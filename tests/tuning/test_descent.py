@@ -409,6 +409,7 @@ def test_covariance_descents_improve_simulated_runs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Their points are estimates, at nearly a hard edge those of hard ones; their ends are not."""
+    monkeypatch.setattr(estimates, "SAMPLES", 32)
     monkeypatch.setattr(descent, "Slope", lambda *_, **given: smooth_slope(**given))
     found, tune = descent.descend(SMOOTH), SMOOTH.tune
     assert tune is not None
