@@ -68,7 +68,7 @@ def unusable() -> str:
 
     An entry point may be one of another name than its method's, which is not known then.
     """
-    text = "an installed package brings a method that cannot be used, `sinsjax info` tells why"
+    text = "an installed package brings a method that cannot be used, `sinsjax info` shows why"
     return f" ({text})" if BROKEN else ""
 
 

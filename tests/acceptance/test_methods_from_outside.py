@@ -217,9 +217,9 @@ def test_misnamed_entry_point_is_reported_by_validate_and_info(
     )
     assert told.returncode == 2 and told.stderr.count("\n") == 1
     assert told.stderr.startswith("error: averages.toml: [axes] method[0]: must be 'kalman5', ")
-    assert "not 'averaged'" in told.stderr and "`sinsjax info` tells why" in told.stderr
+    assert "not 'averaged'" in told.stderr and "`sinsjax info` shows why" in told.stderr
     assert of_section.returncode == 2
-    assert all("`sinsjax info` tells why" in line for line in of_section.stderr.splitlines())
+    assert all("`sinsjax info` shows why" in line for line in of_section.stderr.splitlines())
     assert all(map(is_listed, of_section.stderr.splitlines()))
     assert f"not usable  entry point '{name}' in sinsjax.methods of averaged-a" in info.stdout
 
