@@ -323,5 +323,5 @@ def test_abort_at_teardown_does_not_change_exit_code_or_output() -> None:
     """Exit code and output stand, whatever the objects that are left would do when destroyed."""
     ended = subprocess.run([sys.executable, "-c", ENDING], capture_output=True, text=True)
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
-    assert ended.stderr.startswith("error: no_such_key: no section, key or method")
+    assert ended.stderr.startswith("error: no_such_key: unknown section, key or method")
     assert ended.stdout.splitlines() == ["threads end", "handlers run"]

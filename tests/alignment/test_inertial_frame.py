@@ -203,5 +203,5 @@ def test_initial_heading_does_not_change_inertial_frame_runs():
 def test_inertial_frame_methods_refuse_passes_with_reason(name):
     line = refusal(alignment={"method": name}, passes={"stored_s": 2.0})
     assert line == (
-        f"[passes] stored_s: method {name} takes a record in once: read again it tells no more"
+        f"[passes] stored_s: does not apply to method {name}, which reads a record once (drop it)"
     )
