@@ -47,6 +47,10 @@ class ErrorCollector:
         except InputError as error:
             self.lines |= dict.fromkeys(error.lines)
 
+    def add(self, line: str) -> None:
+        """Keep a line, as if `InputError` had been raised with it."""
+        self.lines |= dict.fromkeys(InputError(line).lines)
+
     def raise_all(self) -> None:
         """Raise the errors so far as one, if there are any."""
         if self.lines:

@@ -23,7 +23,7 @@ from sinsjax.study.keys import (
     info,
     readers,
 )
-from sinsjax.study.study import Study
+from sinsjax.study.study import COARSE_START, Study
 
 _AMPLITUDES = tuple(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw"))
 _MOST_VALUES = 3  # of a key in one line
@@ -304,7 +304,7 @@ def _why_idle(study: Study, key: str, *, tuned: bool) -> str | None:
         return f"with {_name_methods(study.methods)}"
     if tuned or not varied.isdisjoint(deciding(key)) or not study.has(SECTION_OF[key]):
         return None
-    coarse = COARSE_KEYS[::2] if key in INITIAL_KEYS and study.coarse else ()
+    coarse = COARSE_START if key in INITIAL_KEYS and study.coarse else ()
     points = list(study.combinations(*dict.fromkeys((*deciding(key), *coarse))))
     if coarse:
         points = [p for p in points if not study.has_coarse_stage(*(p[k] for k in coarse))]

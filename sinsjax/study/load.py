@@ -76,8 +76,7 @@ def load_study(path: str | Path, changes: Mapping[str, Any] | None = None) -> St
     Warns:
         StudyWarning: the changes drop keys that another method does not read.
     """
-    data, dropped = _read(path, changes)
-    study = study_from_dict(data, str(files.find_study(path)))
+    study, _, dropped = _load(path, changes)
     for line in dropped:
         warnings.warn(line, StudyWarning, stacklevel=2)
     return study
@@ -92,14 +91,18 @@ def load_with_notes(path: str | Path, changes: Mapping[str, Any]) -> tuple[Study
     Raises:
         InputError: see `load_study`.
     """
-    data, dropped = _read(path, changes)
-    study = study_from_dict(data, str(files.find_study(path)))
+    study, data, dropped = _load(path, changes)
     return study, [*dropped, *dropping.keys_without_effect(study, data)]
 
 
-def _read(path: str | Path, changes: Mapping[str, Any] | None) -> tuple[TomlTable, list[str]]:
-    data = files.read_tables(path)
-    return change_tables(data, changes, str(path)) if changes else (data, [])
+def _load(
+    path: str | Path, changes: Mapping[str, Any] | None
+) -> tuple[Study, TomlTable, list[str]]:
+    """Return the study of a file, its tables, and lines about the keys that changes drop."""
+    data, dropped = files.read_tables(path), list[str]()
+    if changes:
+        data, dropped = change_tables(data, changes, str(path))
+    return study_from_dict(data, str(files.find_study(path))), data, dropped
 
 
 def change_tables(
@@ -306,16 +309,13 @@ def _check_tables(data: TomlTable) -> None:
     for name, table in data.items():
         with errors.collect():
             _check_table(name, table)
+    text = "does not apply to a recorded study"
     for name in SIMULATED_ONLY:
-        with errors.collect():
-            if name in data and "record" in data:
-                text = "does not apply to a recorded study (drop it or [record])"
-                raise InputError(f"[{name}]: {text}")
-    with errors.collect():
-        study = data.get("study")
-        if "record" in data and isinstance(study, Mapping) and "draws" in study:
-            text = "does not apply to a recorded study (drop it: there is one draw per start time)"
-            raise InputError(f"[study] draws: {text}")
+        if name in data and "record" in data:
+            errors.add(f"[{name}]: {text} (drop it or [record])")
+    study = data.get("study")
+    if "record" in data and isinstance(study, Mapping) and "draws" in study:
+        errors.add(f"[study] draws: {text} (drop it: there is one draw per start time)")
     errors.raise_all()
 
 
@@ -336,11 +336,10 @@ def _check_table(name: str, table: Any) -> None:
         raise InputError(f"[{name}]: must be a table of keys")
     errors = ErrorCollector()
     for key, value in table.items():
-        with errors.collect():
-            if name in SECTIONS and key not in SECTIONS[name].model_fields:
-                raise InputError(f"[{name}] {key}: {_unknown_key(key, name)}")
-            if value is None:
-                raise InputError(f"[{name}] {key}: None is not a value (leave the key out)")
+        if name in SECTIONS and key not in SECTIONS[name].model_fields:
+            errors.add(f"[{name}] {key}: {_unknown_key(key, name)}")
+        elif value is None:
+            errors.add(f"[{name}] {key}: None is not a value (leave the key out)")
     errors.raise_all()
 
 

@@ -551,11 +551,7 @@ def _check_draws(study: Study, where: Where) -> None:
     laws = study.drawn.laws if study.drawn else {}
     _check_lists(study, laws)
     unchecked = bool(study.study.unchecked)
-    open_ = {}
-    for key, law in laws.items():
-        for value in _ends(law):
-            if text := _wrong(key, value, unchecked):
-                open_[key] = value, text
+    open_ = [k for k, law in laws.items() if any(_wrong(k, v, unchecked) for v in _ends(law))]
     errors = ErrorCollector()
     if study.n_draws > _MOST_CHECKED:
         for key in open_:

@@ -372,8 +372,7 @@ def read_tuning(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -
             table.setdefault(key, default)
         elif key in table:
             text = "does not apply to a recorded study (drop it: tuning uses the start times)"
-            with errors.collect():
-                raise InputError(f"[tune] {key}: {text}")
+            errors.add(f"[tune] {key}: {text}")
     for key, read in (("variables", _ranges), ("baseline", _baseline)):
         with errors.collect():
             if key in table and not isinstance(table[key], Mapping):
