@@ -309,13 +309,13 @@ def _check_tables(data: TomlTable) -> None:
     for name, table in data.items():
         with errors.collect():
             _check_table(name, table)
-    text = "does not apply to a recorded study"
     for name in SIMULATED_ONLY:
         if name in data and "record" in data:
-            errors.add(f"[{name}]: {text} (drop it or [record])")
+            errors.add(f"[{name}]: does not apply to a recorded study (drop it or [record])")
     study = data.get("study")
     if "record" in data and isinstance(study, Mapping) and "draws" in study:
-        errors.add(f"[study] draws: {text} (drop it: there is one draw per start time)")
+        why = "does not apply to a recorded study (drop it: there is one draw per start time)"
+        errors.add(f"[study] draws: {why}")
     errors.raise_all()
 
 
