@@ -17,6 +17,7 @@ from sinsjax.cli.options import (
     Config,
     Devices,
     Draws,
+    Full,
     Out,
     Overwrite,
     Record,
@@ -66,6 +67,7 @@ def run(
     overwrite: Overwrite = False,
     resume: Resume = False,
     devices: Devices = None,
+    full: Full = False,
 ) -> None:
     """Simulate a few runs: curves, figures and a table.
 
@@ -78,6 +80,7 @@ def run(
         overwrite=overwrite,
         resume=resume,
         devices=devices,
+        full=full,
         every_curve=True,
     )
 
@@ -91,6 +94,7 @@ def sweep(
     overwrite: Overwrite = False,
     resume: Resume = False,
     devices: Devices = None,
+    full: Full = False,
     workers: Annotated[
         int | None,
         typer.Option(
@@ -127,6 +131,7 @@ def sweep(
         overwrite=overwrite,
         resume=resume,
         devices=devices,
+        full=full,
         every_curve=False,
         chunk_runs=chunk_runs,
         cluster=(workers, scheduler),
@@ -148,6 +153,7 @@ def align(
     overwrite: Overwrite = False,
     resume: Resume = False,
     devices: Devices = None,
+    full: Full = False,
 ) -> None:
     """Align recorded data: attitude and 1 sigma from every start time of the study.
 
@@ -160,6 +166,7 @@ def align(
         overwrite=overwrite,
         resume=resume,
         devices=devices,
+        full=full,
         every_curve=True,
         files=(record, reference),
     )
@@ -175,6 +182,7 @@ def tune(
     overwrite: Overwrite = False,
     resume: Resume = False,
     devices: Devices = None,
+    full: Full = False,
 ) -> None:
     """Search the variables of a study's [tune] for the best, and evaluate it on other draws.
 
@@ -201,7 +209,7 @@ def tune(
         run_tuning.run_tuning(
             job, watch=lambda name: progress(terminal, f"{job.study.name}: {name}"), stop=stop
         )
-    import_module("sinsjax.report").summarise([job.directory], terminal, warned=True)
+    import_module("sinsjax.report").summarise([job.directory], terminal, full=full, warned=True)
 
 
 @command()
@@ -257,14 +265,23 @@ def report(
         Path | None,
         typer.Option(help="Also write a self-contained HTML file there.", metavar="FILE"),
     ] = None,
+    full: Full = False,
 ) -> None:
-    """Draw the figures and print the tables again from the Parquet files.
+    """Print the verdict on results again, and draw their figures, from the Parquet files.
 
     Example: sinsjax report out --page docs/my_sweep.md
     """
     from sinsjax import report as reports
 
-    reports.summarise(directories, plain_console(), page, html)
+    reports.summarise(directories, plain_console(), page, html, full=full)
+
+
+@command()
+def terms() -> None:
+    """Explain the words of a report."""
+    from sinsjax.report import print_terms
+
+    print_terms(plain_console())
 
 
 @command()

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from sinsjax.alignment.compass import design as loops
 from sinsjax.report.base import Table
-from sinsjax.report.output import print_table
+from sinsjax.report.terminal import print_table
 
 
 def design(

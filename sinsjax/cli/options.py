@@ -87,6 +87,7 @@ Devices = Annotated[
         metavar="N",
     ),
 ]
+Full = Annotated[bool, typer.Option("--full", help="Print all tables below the verdict.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue the results in the directory.")]
 Record = Annotated[Path | None, typer.Option(help="Record of a recorded study.", metavar="FILE")]
 Reference = Annotated[Path | None, typer.Option(help="Its reference attitude.", metavar="FILE")]

@@ -22,6 +22,7 @@ def run_study(
     overwrite: bool,
     devices: int | None,
     every_curve: bool,
+    full: bool = False,
     resume: bool = False,
     chunk_runs: int | None = None,
     cluster: tuple[int | None, str | None] = (None, None),
@@ -36,6 +37,7 @@ def run_study(
         overwrite: whether to replace existing results.
         devices: threads that run the compiled program; None for all cores.
         every_curve: whether to keep the curves of all runs, if they are few.
+        full: whether to print all tables.
         resume: whether to complete existing results.
         chunk_runs: runs per chunk; None for the default.
         cluster: workers to start, and the address of a Dask scheduler.
@@ -75,7 +77,7 @@ def run_study(
         stop = stack.enter_context(interruptible(terminal))
         tell = stack.enter_context(progress(terminal, job.study.name))
         run_job(job, executor=executor, tell=tell, stop=stop)
-    import_module("sinsjax.report").summarise([job.directory], terminal, warned=True)
+    import_module("sinsjax.report").summarise([job.directory], terminal, full=full, warned=True)
 
 
 def print_job(terminal: Any, job: Any, plan: str) -> None:

@@ -5,8 +5,7 @@ from collections.abc import Iterator
 import jax
 import numpy as np
 
-from sinsjax.alignment.filters.parameters import level_settling_s, q_readings
-from sinsjax.alignment.filters.section import Q_DENSITIES, WHITE_NOISE, white_density
+from sinsjax.alignment.filters.parameters import level_settling_s
 from sinsjax.alignment.methods import METHODS, PACKAGES, from_package
 from sinsjax.engine import batch, simulate
 from sinsjax.engine.build import parts
@@ -20,15 +19,14 @@ from sinsjax.records.oddities import told
 from sinsjax.records.plausible import StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
-from sinsjax.study.keys import COARSE_KEYS, readers
+from sinsjax.study.keys import COARSE_KEYS
+from sinsjax.study.process_noise import assumed_noise
 from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
 
 _BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
 _TRUST = "[record] trust = true aligns it anyway"
-_NOISE = {"accelerometers": "q_accel_ug", "gyros": "q_gyro_deg_per_h"}
-"""The keys of Q by the sensors whose noise they stand for."""
 _DRAWS = 1024  # draws in which a drawn period is checked
 
 
@@ -110,36 +108,17 @@ def process_noise(study: Study) -> str | None:
     Args:
         study: checked study with simulated sensors.
     """
-    times = {name: _assumed_noise(study, key) for name, key in _NOISE.items()}
+    times = assumed_noise(study)
     words = {name: _number_of_times(ratios) for name, ratios in times.items() if ratios}
     if not words:
         return None
-    if len(words) == len(_NOISE) and len({*words.values()}) == 1:
+    if len(words) == len(times) and len({*words.values()}) == 1:
         often = words.popitem()[1]
         return f"The filter assumes {often}the sensors'{'' if often else ' own'} noise" + (
             ", in standard deviation" if often else ""
         )
     parts = (f"{often}the noise of the {name}" for name, often in words.items())
     return f"The filter assumes {' and '.join(parts)}, in standard deviation"
-
-
-def _assumed_noise(study: Study, q_key: str) -> set[float]:
-    """Ratios of the noise in Q to that of the sensors, for all variants."""
-    *noises, _ = WHITE_NOISE[q_key]
-    forms, using = {q_key: 1.0, **Q_DENSITIES[q_key]}, readers(q_key)
-    readings = q_readings(1 / study.rate_hz)
-    ratios: set[float] = set()
-    if not study.has("filter"):
-        return ratios
-    for point in study.combinations("method", "q_reading", "q_scale", *forms, *noises):
-        white = white_density(q_key, study.rate_hz, *(point[noise] for noise in noises))
-        given = [point[form] * factor for form, factor in forms.items() if point[form] is not None]
-        if point["method"] in using and white:
-            scale = 1.0 if point["q_scale"] is None else point["q_scale"]
-            if given:
-                scale *= readings[point["q_reading"]] * study.rate_hz
-            ratios.add((given[0] if given else white) / white * scale**0.5)
-    return ratios
 
 
 def _number_of_times(ratios: set[float]) -> str:

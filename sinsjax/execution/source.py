@@ -31,6 +31,7 @@ class Source:
         table: the summary by run_id, where it need not be read; the estimates by variant_id.
         warnings: what was doubtful before the study ran, a line each.
         version: of the package that computed them.
+        wall_s: how long the study took, s; None if unknown.
         whole_draws: of an unfinished study, the draws that all variants have; no others are read.
     """
 
@@ -40,6 +41,7 @@ class Source:
     table: pa.Table | None = None
     warnings: tuple[str, ...] = ()
     version: str = "unknown"
+    wall_s: float | None = None
     whole_draws: np.ndarray | None = None
 
     @classmethod
@@ -69,7 +71,9 @@ class Source:
         versions = manifest.get("versions")
         version = (versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown")
         version, config = one_line(str(version)), one_line(str(name))
-        source = cls(directory, study, config, table, warnings, version)
+        took = manifest.get("wall_s")
+        wall_s = float(took) if isinstance(took, int | float) else None
+        source = cls(directory, study, config, table, warnings, version, wall_s)
         is_going_on = unfinished and manifest.get("state") in ("running", "interrupted")
         return source._of_what_is_there() if is_going_on else source
 

@@ -51,13 +51,13 @@ WORDS = {
 
 def label(column: str) -> str:
     """A key or column as an axis label: ``phi_u0_deg`` becomes ``initial heading error (deg)``."""
-    name, unit = _split(column)
+    name, unit = words_and_unit(column)
     return f"{name} ({unit})" if unit else name
 
 
 def setting(key: str, value: str) -> str:
     """A key with its value: ``phi_u0_deg`` at 30 becomes ``initial heading error 30 deg``."""
-    name, unit = _split(key)
+    name, unit = words_and_unit(key)
     return f"{name} {value} {unit}" if unit and value[-1:].isdigit() else f"{name} {value}"
 
 
@@ -76,7 +76,7 @@ def value_text(value: Any) -> str:
     return "-" if value is None else escape_controls(str(value))
 
 
-def _split(column: str) -> tuple[str, str]:
+def words_and_unit(column: str) -> tuple[str, str]:
     """Plain-English name of a column, and its unit as printed."""
     name, unit = split_unit(column)
     return WORDS.get(name, name.replace("_", " ")), unit.replace("ug", "µg")

@@ -16,7 +16,7 @@ from sinsjax.execution.source import Source
 from sinsjax.messages import shortened
 from sinsjax.platform.files import require_writable
 from sinsjax.report import auto, estimated, folder, tuned
-from sinsjax.report.base import Chapter, Report, Text, at_the_end
+from sinsjax.report.base import Chapter, Report, Text
 from sinsjax.report.markup import template
 from sinsjax.report.names import NO_NAMES
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_html, write_page
@@ -30,20 +30,26 @@ def summarise(
     page: Path | None = None,
     html: Path | None = None,
     *,
+    full: bool = False,
     warned: bool = False,
 ) -> None:
-    """Prints the tables of results or tunings, draws their figures to ``figures/`` in each of them.
+    """Print the verdict on results or tunings, and draw their figures to ``figures/`` in each.
 
-    On request it writes a Markdown file, with figures beside it, and an HTML file that holds all.
-    What was doubtful stands first, unless the user was ``warned`` before the study ran.
-    Of a page that is a folder with prose and a script, nothing else is made, unless ``html`` asks.
+    Args:
+        directories: of results or tunings.
+        console: the console.
+        page: a Markdown file to write, with figures beside it; or the folder of a page with prose
+            and a script, of which nothing else is made unless ``html`` asks.
+        html: an HTML file to write, which holds all.
+        full: whether to print all tables.
+        warned: whether the user has seen the studies' warnings.
 
     Raises:
         InputError: a directory holds no results that its layout can use, or cannot be written; or
             a report that fails otherwise. The results are as they were then.
     """
     try:
-        _summarise(directories, console, page, html, warned=warned)
+        _summarise(directories, console, page, html, full=full, warned=warned)
     except InputError:
         raise
     except Exception as error:
@@ -59,6 +65,7 @@ def _summarise(
     page: Path | None,
     html: Path | None,
     *,
+    full: bool,
     warned: bool,
 ) -> None:
     if html is not None:
@@ -74,25 +81,31 @@ def _summarise(
     made = []
     for directory in directories:
         source = _read(directory, unfinished=True)
+        every = full or page is not None or html is not None
         if is_tuning(directory):
-            told = tuned.report(source)
+            report = tuned.report(source)
         else:
-            told = (estimated if source.study.is_estimated else auto).report(source)
-            doubtful = [] if warned else [f"Warning: {line}" for line in source.warnings]
-            told = told._replace(headline=[*doubtful, *told.headline, *at_the_end(source)])
-        made.append(_tell(told, source, console))
+            kind = estimated if source.study.is_estimated else auto
+            report = kind.report(source, full=every, warned=warned)
+        made.append(_draw(report, source))
+        print_report(made[-1], console, full=full)
+    if page is None and html is None:
+        return
     names = list(dict.fromkeys(one.source.study.name for one in made))
-    words = template("words.md.j2").render()
-    console.print()
-    for line in words.splitlines():
-        screen.say(console, NO_NAMES.plain(line.removeprefix("- ")), wrap=True)
     *_, last = made
-    sections = [*last.report.sections, Chapter("What the words mean", [Text(words.rstrip())])]
+    words = template("words.md.j2").render().rstrip()
+    sections = [*last.report.sections, Chapter("What the words mean", [Text(words)])]
     made[-1] = last._replace(report=last.report._replace(sections=sections))
     if page is not None:
         write_page(page, ", ".join(names), made)
     if html is not None:
         write_html(html, ", ".join(names), made)
+
+
+def print_terms(console: Console) -> None:
+    """Print what the words of a report mean."""
+    for line in template("words.md.j2").render().splitlines():
+        screen.say(console, NO_NAMES.plain(line.removeprefix("- ")), wrap=True)
 
 
 def _read(directory: Path, *, unfinished: bool = False) -> Source:
@@ -101,10 +114,9 @@ def _read(directory: Path, *, unfinished: bool = False) -> Source:
     return Source.read(directory, unfinished=unfinished)
 
 
-def _tell(report: Report, source: Source, console: Console) -> Made:
-    """Draws a report's figures into the directory of its source, and prints its tables."""
+def _draw(report: Report, source: Source) -> Made:
+    """Draw a report's figures into the directory of its source."""
     made = Made.of(source, report)
     save_figures(made.images, source.directory / FIGURES)
     list_figures({f"{name}.png": image for name, image in made.images.items()}, source.directory)
-    print_report(made, console)
     return made

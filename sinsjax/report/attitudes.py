@@ -1,12 +1,114 @@
 """The attitude that a run ends with: the first thing that a user of a record wants."""
 
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
 from scipy import special
 
 from sinsjax import analysis
+from sinsjax.alignment.filters.description import knows_biases
+from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
-from sinsjax.report.base import MOST_ROWS, Table, table_of
+from sinsjax.plots.words import name_of
+from sinsjax.records.means import EARTH_RATE
+from sinsjax.report.base import MOST_ROWS, Fact, Table, Verdict, table_of
 from sinsjax.report.markup import said
+from sinsjax.report.verdict import Outcome, title_of, verdict, warnings_of
+from sinsjax.units import ARCMIN, DEG_PER_H, MICRO
+
+_ANGLES = ("heading", "pitch", "roll")
+_COLUMNS = (*(f"{angle}_deg" for angle in _ANGLES), "sigma_u_arcmin", "phi_u_arcmin")
+_EXAMPLES = (0.01, 100.0)  # deg/h and ug, whose effect is stated if the biases are unknown
+
+
+def attitude_verdict(source: Source, *, warned: bool = False) -> Verdict:
+    """Return the attitude of each start, what may be wrong with it, and what is best.
+
+    Args:
+        source: results on a record, or of a study without truth.
+        warned: whether the user has seen the study's warnings.
+    """
+    study = source.study
+    names = ["draw_id", "variant_id", "start_s", *study.keys_shown, *_COLUMNS]
+    rows = source.rows(names).to_pylist()
+    judged = None
+    if any(row["phi_u_arcmin"] is not None for row in rows) and study.n_variants > 1:
+        judged = verdict(source, warned=True)
+    doubts = [*warnings_of(source, warned=warned), *_doubts(source)]
+    if judged is None:
+        facts = [_attitude(source, rows[-1], len(rows)), *_floor(source), *doubts]
+        table = _table(source, rows) if len(rows) > 1 else None
+    else:
+        best = Outcome.from_source(source).best_variant
+        last = next(row for row in reversed(rows) if row["variant_id"] == best)
+        facts = [*judged.facts, _attitude(source, last, len(rows)), *_floor(source), *doubts]
+        table = judged.table
+    return Verdict(title_of(source), facts, table)
+
+
+def _attitude(source: Source, row: Mapping[str, Any], runs: int) -> Fact:
+    """The attitude that a run ends with, and which run it is if there are several."""
+    heading, pitch, roll, sigma, error = (row[name] for name in _COLUMNS)
+    if heading is None:
+        return Fact("Attitude", "unknown, the run is not finite", True)
+    text = f"heading {heading:.3f} deg"
+    text += "" if sigma is None else f" (1 sigma {sigma:.1f}')"
+    text += f", pitch {pitch:.3f}, roll {roll:.3f} deg"
+    text += "" if error is None else f"; {error:+.1f}' from the reference"
+    if runs > 1:
+        start = f"start at {row['start_s']:g} s" if source.study.is_recorded else "last draw"
+        text += f" ({start})"
+    return Fact("Attitude", text)
+
+
+def _floor(source: Source) -> Iterator[Fact]:
+    """The heading error that biases leave on a parked vehicle, if its latitude is known."""
+    latitude_deg, record = source.study.values("latitude_deg")[0], source.study.record
+    if latitude_deg is None:
+        return
+    gyro, accel = _EXAMPLES
+    if record is not None:
+        gyro, accel = record.gyro_bias_deg_per_h or gyro, record.accel_bias_ug or accel
+    rate = EARTH_RATE * math.cos(math.radians(latitude_deg))
+    east = math.atan2(gyro * DEG_PER_H, rate) / ARCMIN
+    north = abs(accel * MICRO * math.tan(math.radians(latitude_deg))) / ARCMIN
+    text = f"a gyro bias of {gyro:g} deg/h shifts the heading of a parked vehicle by {east:.1f}',"
+    yield Fact("Biases", f"{text} an accelerometer bias of {accel:g} ug by {north:.1f}'")
+
+
+def _doubts(source: Source) -> Iterator[Fact]:
+    filters = [METHODS[name] for name in source.study.methods if METHODS[name].has_covariance]
+    if filters and not all(map(knows_biases, filters)):
+        yield Fact("Caution", "1 sigma is the filter's own and leaves constant biases out", True)
+    found = _above_band(source)
+    if found:
+        yield Fact("Caution", f"the innovations of {found:,} runs contradict their 1 sigma", True)
+
+
+def _table(source: Source, rows: list[dict[str, Any]]) -> Table:
+    """Final heading, pitch and roll of each start, or of each variant at the last start."""
+    one_variant = source.study.n_variants == 1
+    keys = source.study.keys_shown
+    words = {"sigma_u_arcmin": "1 sigma (')", "phi_u_arcmin": "error (')"}
+    words |= {f"{angle}_deg": f"{angle} (deg)" for angle in _ANGLES}
+    digits = dict(zip(_COLUMNS, (3, 3, 3, 1, 1), strict=True))
+    shown = [name for name in digits if any(row[name] is not None for row in rows)]
+    wanted = rows if one_variant else rows[-source.study.n_variants :]
+    if one_variant:
+        first = "start (s)" if source.study.is_recorded else "draw"
+        names = [
+            f"{row['start_s'] if source.study.is_recorded else row['draw_id']:g}" for row in rows
+        ]
+    else:
+        first, names = "variant", [name_of({key: row[key] for key in keys}) for row in wanted]
+    cells = [
+        [name, *(analysis.format_number(row[one], digits[one]) for one in shown)]
+        for name, row in zip(names, wanted, strict=True)
+    ]
+    return Table("Attitude at the end", [first, *(words[name] for name in shown)], cells)
 
 
 def attitudes(source: Source) -> Table:
@@ -32,15 +134,30 @@ def innovations(source: Source) -> str:
     Only values above the chi-square band contradict a belief. One below it tells of an R that is
     larger than the noise: the heading then shows in no innovation.
     """
+    found = _innovations(source)
+    if found is None:
+        return "Innovations: none are recorded."
+    mean, low, high = found
+    if not mean.size:
+        return "No method here has innovations."
+    above, below = int((mean > high).sum()), int((mean < low).sum())
+    return said("innovations", mean=mean, low=low.min(), high=high.max(), above=above, below=below)
+
+
+def _above_band(source: Source) -> int:
+    """How many runs have innovations above the chi-square band."""
+    found = _innovations(source)
+    return 0 if found is None else int((found[0] > found[2]).sum())
+
+
+def _innovations(source: Source) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """The mean of r' S^-1 r of each run with a filter, and its 95 % chi-square band."""
     try:
         rows = source.rows(["innovation_nis", "innovation_freedom"])
     except InputError:
-        return "Innovations: none are recorded."
+        return None
     mean, freedom = (analysis.numbers(rows, name) for name in rows.column_names)
     mean, freedom = mean[freedom > 0], freedom[freedom > 0]
-    if not mean.size:
-        return "No method here has innovations."
     tail = (1 - analysis.CONFIDENCE) / 2
     low, high = (2 * special.chdtri(freedom, p) / freedom for p in (1 - tail, tail))
-    above, below = int((mean > high).sum()), int((mean < low).sum())
-    return said("innovations", mean=mean, low=low.min(), high=high.max(), above=above, below=below)
+    return mean, low, high

@@ -12,39 +12,44 @@ from sinsjax.analysis.references import compare_with_first
 from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import heading, percent
 from sinsjax.columns import report_columns
-from sinsjax.execution import stopping
 from sinsjax.execution.source import Source
-from sinsjax.messages import counted
 from sinsjax.plots.words import name_of
-from sinsjax.report.attitudes import attitudes
+from sinsjax.report.attitudes import attitude_verdict, attitudes
 from sinsjax.report.base import MOST_ROWS, Block, Picture, Report, Table, Text, intervals, table_of
 from sinsjax.report.groupings import BINS, binned
 from sinsjax.report.markup import said
 from sinsjax.report.over_axes import over_axes, repeats
 from sinsjax.report.spreads import spreads
+from sinsjax.report.verdict import verdict
 from sinsjax.study.keys import is_given
-from sinsjax.study.success import FLOOR_COLUMNS, judged_columns, yardsticks
+from sinsjax.study.success import judged_columns, yardsticks
 
 _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8
 _END = "phi_u_arcmin"
 _SAME = 0.01  # arcmin; bias floors that lie closer are one line
-_RARE = 0.1  # of the runs that are ok: so many may be at the edge of both bands
 
 
-def report(source: Source) -> Report:
-    """What is best, curves where they were stored, figures over the axes, and all tables."""
+def report(source: Source, *, full: bool = True, warned: bool = False) -> Report:
+    """The verdict and the figures of a study, and all tables if they are wanted.
+
+    Args:
+        source: the results.
+        full: whether to compute the tables.
+        warned: whether the user has seen the study's warnings.
+    """
     yaw = analysis.numbers(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
     has_truth = bool(np.isfinite(yaw).any())
-    tables = [*repeats(source), *_tables(source)] if has_truth else []
-    if source.study.is_recorded or not has_truth:
-        tables = [attitudes(source), *tables]
     blocks = [*over_axes(source), *spreads(source)] if has_truth else []
-    best = [block for block in blocks if isinstance(block, Table)]
     figures = [*_curves(source, has_truth), *(b for b in blocks if not isinstance(b, Table))]
-    parts: dict[str, Sequence[Block]] = {"What is best": best, "Figures": figures, "Tables": tables}
-    return Report.of([*_headline(source, has_truth), *_stopped(source)], parts)
+    parts: dict[str, Sequence[Block]] = {"Figures": figures}
+    needs_attitude = source.study.is_recorded or not has_truth
+    if full:
+        tables = [*repeats(source), *_tables(source)] if has_truth else []
+        parts["Tables"] = [attitudes(source), *tables] if needs_attitude else tables
+    found = attitude_verdict if needs_attitude else verdict
+    return Report.of(found(source, warned=warned), parts)
 
 
 def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
@@ -138,34 +143,6 @@ def against_first(source: Source) -> Table:
         [(one.header, one.cell) for one in shown],
         said("against", intervals=pairs, mixed=mixed),
     )
-
-
-def _headline(source: Source, has_truth: bool) -> list[str]:
-    """How many runs are ok, and whether some of these are near north without having converged."""
-    study = source.study
-    draws = counted(source.draws, "start time" if study.is_recorded else "draw")
-    text = f"{counted(source.runs, 'run')}: {counted(study.n_variants, 'variant')}, {draws}."
-    if not has_truth:
-        return [f"{text} Without truth or reference, attitude and its 1 sigma is what is known."]
-    several, doubts = [], []
-    column = partial(
-        analysis.numbers, source.rows([*(y.ok for y in source.yardsticks), *FLOOR_COLUMNS])
-    )
-    for yard in source.yardsticks:
-        ok, off = int((column(yard.ok) > 0).sum()), int(yard.off_floor(column).sum())
-        several.append(f"{ok:,} {yard.of_several}")
-        if off > _RARE * ok:
-            doubts.append(said("off_floor", off=off, ok=ok, yard=yard))
-    return [f"{text} Of these {' and '.join(several)} are ok.", *doubts]
-
-
-def _stopped(source: Source) -> list[str]:
-    """Why drawing ended where it did, for a study that decides it by itself."""
-    study = source.study
-    if not study.stop_when or source.whole_draws is not None:
-        return []
-    found = stopping.analyse_interim(study, source.rows(stopping.columns(study)), source.draws)
-    return [said("stopped", rule=study.stop_when, found=found)]
 
 
 def _tables(source: Source) -> Sequence[Block]:

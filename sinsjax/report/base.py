@@ -1,14 +1,12 @@
 """What a report is made of, and words that all of them use."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from sinsjax import analysis
-from sinsjax.analysis.words import percent
-from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import value_text
 from sinsjax.report.markup import said
@@ -92,26 +90,62 @@ class Chapter(NamedTuple):
     blocks: Sequence[Block]
 
 
+class Fact(NamedTuple):
+    """A line of a verdict.
+
+    Attributes:
+        label: a word or two, such as ``Accuracy``.
+        text: a sentence, in Markdown without links.
+        is_doubt: whether it warns.
+    """
+
+    label: str
+    text: str
+    is_doubt: bool = False
+
+
+class Verdict(NamedTuple):
+    """What a reader wants to know first.
+
+    Attributes:
+        title: name of the study, number of runs, and failures.
+        facts: the answer, then its basis, then doubts.
+        table: the answer per condition, if there are several.
+    """
+
+    title: str
+    facts: Sequence[Fact]
+    table: Table | None = None
+
+
 class Report(NamedTuple):
     """What is made of a directory of results.
 
     Attributes:
-        headline: what was found, a sentence or two each.
-        sections: in the order in which they are read.
-        rests_on: said below the figures, where they rest on other runs than those of the source.
+        verdict: the answer.
+        sections: all the rest, in the order in which it is read.
+        rests_on: footer of the figures, if they rest on other runs than those of the source.
     """
 
-    headline: Sequence[str]
+    verdict: Verdict
     sections: Sequence[Chapter]
     rests_on: str = ""
 
     @classmethod
     def of(
-        cls, headline: Sequence[str], parts: Mapping[str, Sequence[Block]], rests_on: str = ""
+        cls, verdict: Verdict, parts: Mapping[str, Sequence[Block]], rests_on: str = ""
     ) -> "Report":
-        """A report of those parts, by their headings, that hold something."""
-        sections = [Chapter(heading, blocks) for heading, blocks in parts.items() if blocks]
-        return cls(headline, sections, rests_on)
+        """A report of the parts, by their headings, that have blocks; the verdict's table first."""
+        first = [] if verdict.table is None else [verdict.table]
+        every = {"Verdict": first, **parts}
+        sections = [Chapter(heading, blocks) for heading, blocks in every.items() if blocks]
+        return cls(verdict, sections, rests_on)
+
+    @property
+    def headline(self) -> list[str]:
+        """The verdict without its table as lines of Markdown."""
+        facts = self.verdict.facts
+        return [f"{self.verdict.title}.", *(f"**{one.label}:** {one.text}." for one in facts)]
 
 
 def yardstick(study: Study) -> str:
@@ -131,21 +165,6 @@ def yardstick(study: Study) -> str:
         level_band=rule.level_band_arcmin,
         has_floor=not study.is_recorded,
     )
-
-
-def at_the_end(source: Source) -> Iterator[str]:
-    """How many headings are right at the end, where there is a truth: of all runs of a study."""
-    try:
-        rows = source.rows(["draw_id", "start_s", "phi_u_arcmin", "status"])
-    except InputError:
-        return  # some columns of a summary alone tell nothing of it
-    if not analysis.has_truth(rows):
-        return
-    band = success_of(source.study).band_arcmin
-    right = np.abs(analysis.numbers(rows, "phi_u_arcmin")) <= band
-    about = "the reference" if source.study.is_recorded else "true north"
-    found = percent(analysis.share(right, analysis.clusters_of(rows)))
-    yield f"Within {band:g}' of {about} at the end: {found} % of the runs."
 
 
 def intervals(source: Source, over: str = "draws", what: str = "Number") -> str:

@@ -4,16 +4,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sinsjax import analysis, columns, plots
 from sinsjax.analysis import UNKNOWN, Estimate, format_estimate, format_number
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
 from sinsjax.plots import Shown
-from sinsjax.report.base import Block, Picture, Report, Table, table_of
+from sinsjax.report.base import Block, Fact, Picture, Report, Table, Verdict, table_of
+from sinsjax.report.choices import Choices, point_cell, point_header
 from sinsjax.report.groupings import lines_of
 from sinsjax.report.markup import said
 from sinsjax.report.over_axes import Maps, repeats
+from sinsjax.report.verdict import q_doubt, warnings_of
 from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import Yardstick, success_of, yardsticks
 
@@ -62,8 +65,13 @@ class _Names(NamedTuple):
         ]
 
 
-def report(source: Source) -> Report:
-    """What is best, figures over the axes, and every variant.
+def report(source: Source, *, full: bool = True, warned: bool = False) -> Report:
+    """The verdict, figures over the axes, and all tables if they are wanted.
+
+    Args:
+        source: the estimates.
+        full: whether to make the tables.
+        warned: whether the user has seen the study's warnings.
 
     Raises:
         InputError: variants are missing.
@@ -71,23 +79,122 @@ def report(source: Source) -> Report:
     assert source.draws  # of which none is missing, or that is told
     found = _yards(source)
     parts: dict[str, Sequence[Block]] = {
-        "What is best": [block for one in found[:1] for block in _best(source, one)],
-        "Figures": [block for one in found for block in _figures(source, one, found[0])],
-        "Tables": [*repeats(source), _every_variant(source, found)],
+        "Figures": [block for one in found for block in _figures(source, one, found[0])]
     }
-    name, variants = source.study.name, counted(source.study.n_variants, "variant")
-    how = "the covariance of the true error beside one noise-free run of each"
-    headline = [f"{variants}, estimated without draws: by {how}.", *_linearity(source)]
-    return Report.of(headline, parts, f"{name}: {variants}, no Monte Carlo runs")
+    if full:
+        best = [block for one in found[:1] for block in _best(source, one)]
+        parts["Tables"] = [*best, *repeats(source), _every_variant(source, found)]
+    study = source.study
+    variants = counted(study.n_variants, "variant")
+    title = f"{study.name}: {variants} by covariance analysis, without draws"
+    facts = [*_verdict(source, found[0]), *_linearity(source)]
+    doubts = [*warnings_of(source, warned=warned), *q_doubt(source)]
+    verdict = Verdict(title, [*facts, *doubts], _per_condition(source, found[0]))
+    return Report.of(verdict, parts, f"{study.name}: {variants}, no Monte Carlo runs")
 
 
-def _linearity(source: Source) -> Iterator[str]:
-    """How far covariance analysis holds, in a sentence."""
+class _Expected(NamedTuple):
+    """The estimates of a study over its options and conditions.
+
+    Attributes:
+        choices: the options and conditions.
+        mean_s: (options, conditions) expected settling time, s; NaN if it is unknown.
+        error_s: its standard error over the sampled errors, s.
+        within: probability of the band at the end.
+        heading: rms heading error from the truth at the end, arcmin.
+    """
+
+    choices: Choices
+    mean_s: NDArray
+    error_s: NDArray
+    within: NDArray
+    heading: NDArray
+
+    @classmethod
+    def from_source(cls, source: Source, names: _Names) -> "_Expected":
+        choices = Choices.from_study(source.study)
+        columns = (names.mean, names.error, names.within, _YAW, _SIGMA)
+        rows = source.rows(columns)
+        mean, error, within, yaw, sigma = (
+            choices.runs(analysis.numbers(rows, name))[..., 0] for name in columns
+        )
+        return cls(choices, mean, error, within, np.hypot(yaw, sigma))
+
+    def best(self, options: Sequence[int] | None = None) -> int:
+        """The option with the shortest expected settling time, averaged over the conditions."""
+        wanted = list(range(len(self.mean_s)) if options is None else options)
+        mean = [np.inf if np.isnan(m) else m for m in self.mean_s[wanted].mean(axis=1)]
+        return wanted[int(np.argmin(mean))]
+
+    def settling(self, option: int, conditions: Sequence[int] | slice = slice(None)) -> str:
+        """The expected settling time of an option in some conditions, on average."""
+        mean, error = self.mean_s[option, conditions], self.error_s[option, conditions]
+        return format_estimate(_interval(float(mean.mean()), float(error.mean())), digits=0)
+
+
+def _verdict(source: Source, names: _Names) -> Iterator[Fact]:
+    """The best option, what it is compared with, and its accuracy."""
+    expected = _Expected.from_source(source, names)
+    words, counts = expected.choices.options, expected.choices.reset_counts
+    best = expected.best()
+    least = 100 * float(expected.within[best].min())
+    text = f"{expected.settling(best)} s expected, at least {least:.0f} % settled at the end"
+    if len(words) == 1:
+        yield Fact("Settling", text)
+    else:
+        yield Fact("Best", f"{words[best]}: {text}")
+        others = [place for place in range(len(words)) if place != best]
+        rivals = [others]
+        if expected.choices.are_schedules:
+            rivals = [[p for p in others if counts[p] == n] for n in (1, 0) if counts[best] != n]
+        told = [expected.best(some) for some in rivals if some]
+        if told:
+            text = "; ".join(f"{words[one]}: {expected.settling(one)} s" for one in told)
+            yield Fact("Others", text)
+    heading = float(np.sqrt(np.mean(expected.heading[best] ** 2)))
+    yield Fact("Accuracy", f"{heading:.1f}' rms expected from true north at the end")
+    yield Fact("Settled", f"{names.yard.words}; a run that never is counts its whole length")
+
+
+def _per_condition(source: Source, names: _Names) -> Table | None:
+    """The best option at each point of the condition that matters most."""
+    expected = _Expected.from_source(source, names)
+    choices, best = expected.choices, expected.best()
+    axis = choices.axis_that_matters(expected.mean_s[best])
+    if axis is None:
+        return None
+    counts = choices.reset_counts
+    none = [place for place, count in enumerate(counts) if count == 0]
+    several, rows = len(choices.options) > 1, []
+    for point, here in choices.places(axis).items():
+        cell = point_cell(axis, point)
+        if several:
+            mean = np.nan_to_num(expected.mean_s[:, here].mean(axis=1), nan=np.inf)
+            own = int(np.argmin(mean))
+            rival = min(none, key=lambda place: mean[place]) if none else best
+            words = choices.options[own]
+            rows.append([cell, words, expected.settling(own, here), expected.settling(rival, here)])
+        else:
+            within = f"{100 * float(expected.within[0, here].min()):.0f}"
+            error = f"{float(np.sqrt(np.mean(expected.heading[0, here] ** 2))):.1f}"
+            rows.append([cell, within, expected.settling(0, here), error])
+    last = "no reset (s)" if none else "best overall (s)"
+    header = (
+        ["best schedule" if choices.are_schedules else "best option", "expected after (s)", last]
+        if several
+        else ["settled (%)", "expected after (s)", "error, rms (arcmin)"]
+    )
+    return Table(f"Per {point_header(axis)}", [point_header(axis), *header], rows)
+
+
+def _linearity(source: Source) -> Iterator[Fact]:
+    """How far covariance analysis holds."""
     if source.study.checks_linearity:
         index, filled = (analysis.numbers(source.rows([name]), name) for name in _CHECKED)
         largest = f"{np.nanmax(index):.2f}" if np.isfinite(index).any() else "unknown"
         beyond = int(np.nansum(filled))
-        yield said("linearity", largest=largest, beyond=beyond, variants=len(filled))
+        text = said("linearity", largest=largest, beyond=beyond, variants=len(filled))
+        yield Fact("Linearity", text, is_doubt=beyond > 0)
 
 
 def _index(row: Row) -> str:

@@ -1,6 +1,5 @@
 """Where a report goes: a console, a directory of figures, a page in Markdown or in HTML."""
 
-import os
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -8,10 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
-from rich import box
-from rich import table as rich_table
 from rich.console import Console
-from rich.measure import Measurement
 
 from sinsjax import console as screen
 from sinsjax import plots
@@ -21,6 +17,7 @@ from sinsjax.platform.files import file_stem, make_folder, replacing
 from sinsjax.report.base import Block, Picture, Report, Table, Text, yardstick
 from sinsjax.report.markup import template
 from sinsjax.report.names import NO_NAMES, Names
+from sinsjax.report.terminal import print_table, print_verdict
 
 FIGURES = "figures"
 """Directory of the figures, in that of the results or of a page."""
@@ -51,23 +48,27 @@ class Made(NamedTuple):
         return cls(source, report, images, Names.of(source.study, source.config, *source.warnings))
 
 
-def print_report(made: Made, console: Console) -> None:
-    """Prints what was found and every table that is not folded, and names the figures."""
+def print_report(made: Made, console: Console, *, full: bool = False) -> None:
+    """Print the verdict, where the figures are, and all tables that are not folded if wanted."""
     source, report, images, names = made
     console.print()
-    screen.say(console, source.study.name, style="bold")
-    lines = (yardstick(source.study), *report.headline)
-    for line in sorted(lines, key=lambda line: not line.startswith("Warning: ")):
-        screen.say(console, names.plain(line), wrap=True)
+    last = [f"Figures: {source.directory / FIGURES}"] if images else []
+    if not full:
+        last.append(f"All tables: sinsjax report {source.directory} --full")
+        print_verdict(report.verdict, console, names, last)
+        return
+    print_verdict(report.verdict, console, names, last, full=True)
+    console.print()
+    screen.say(console, yardstick(source.study), wrap=True)
     for section in report.sections:
         for block in section.blocks:
             if isinstance(block, Text):
                 screen.say(console, names.plain(block.text), wrap=True)
-            elif isinstance(block, Table) and not block.folded:
+            elif isinstance(block, Table) and not block.folded and block != report.verdict.table:
                 print_table(block, console, names)
     if images:
         listed = ", ".join(f"{name}.png" for name in images)
-        screen.say(console, f"Figures in {source.directory / FIGURES}: {listed}", wrap=True)
+        screen.say(console, f"Figures: {listed}. Words: sinsjax terms.", wrap=True)
 
 
 def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
@@ -163,29 +164,6 @@ def markdown(block: Block, prefix: str = "", names: Names = NO_NAMES) -> str:
         rule=["---"] * len(block.header) if isinstance(block, Table) else [],
     )
     return text.rstrip()
-
-
-def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None:
-    """Prints one table; into a file or a pipe each row on a line, unless COLUMNS has a width."""
-    free = not console.is_terminal and not os.environ.get("COLUMNS")
-    table = rich_table.Table(
-        title=screen.literal(block.title, "bold"),
-        caption=screen.literal(names.plain(block.note)) if block.note else None,
-        title_justify="left",
-        caption_justify="left",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    for name in map(screen.literal, block.header):
-        table.add_column(name, overflow="fold")  # a cut name would be another key's too
-    for row in block.rows:
-        table.add_row(*map(screen.literal, row))
-    width = console.width
-    if free:
-        wide = console.options.update(max_width=10_000)
-        console.width = Measurement.get(console, wide, table).maximum
-    console.print(table)
-    console.width = width
 
 
 def _inline(text: str, names: Names = NO_NAMES) -> Markup:

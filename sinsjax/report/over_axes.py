@@ -7,18 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import format_estimate
-from sinsjax.analysis.grids import Cells, Panel
+from sinsjax.analysis.grids import Panel
 from sinsjax.analysis.summaries import NEEDED, estimate_of
-from sinsjax.analysis.words import percent
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
 from sinsjax.plots import Shown
 from sinsjax.plots.words import name_of, value_text
-from sinsjax.report.base import Block, Picture, Table, Text, intervals
+from sinsjax.report.base import Block, Picture, Text, intervals
 from sinsjax.report.groupings import BINS, binned, lines_of
 from sinsjax.report.markup import said
-from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import FLOOR_COLUMNS, Yardstick, judged_columns
 
 MOST_PANELS = 12
@@ -104,8 +101,6 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
     maps = Maps(source, (yard.settle, yard.ok, *FLOOR_COLUMNS, "draw_id", "start_s"))
     shown = maps.panels[: 2 * MOST_PANELS]
     every = [one.cells(yard.ok, yard.settle, yard.off_floor(one.of)) for one in shown]
-    if all(map(is_chosen, maps.axes)):
-        yield _best(yard, maps, every)
     cells, end = every[: len(maps.drawn)], yard.end(source.yardsticks[0])
     hatched = [one.not_converged for one in cells]
     mark = f" Cross-hatched: {said('not_converged', yard=yard)}" if np.any(hatched) else ""
@@ -130,40 +125,6 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
             Shown("runs that are ok (%)", 0.0, 100.0),
             hatched,
         )
-
-
-def _best(yard: Yardstick, maps: Maps, every: Sequence[Cells]) -> Table:
-    """At each point of the other keys, where most runs are ok, and among those the fastest."""
-    rows, axes = [], maps.axes
-    for panel, cells in zip(maps.panels, every, strict=False):
-        cluster = np.asarray(analysis.clusters_of(panel.rows)).reshape(cells.ok.shape)[:, 0, 0]
-        best = cells.best
-        at = best or (0, 0)  # without a best, all have the same rate
-        rates = [
-            percent(analysis.share(cells.ok[:, *cell], cluster))
-            + (f", {_NOT_CONVERGED}" if cells.not_converged[cell] else "")
-            for cell in (at, (0, 0))
-        ]
-        time = analysis.quantile(cells.settle_s[:, *at], cluster=cluster)
-        named = [v[i] if best else None for v, i in zip(axes.values(), at, strict=True)]
-        told = format_estimate(time, digits=0) if best else "never"
-        rows.append([*map(value_text, [*panel.point.values(), *named]), rates[0], told, rates[1]])
-    first = ", ".join(f"{key} {value_text(values[0])}" for key, values in axes.items())
-    header = [
-        *maps.panels[0].point,
-        *(f"best {key}" for key in axes),
-        f"ok: {yard.words} (%)",
-        "from when on, median (s)",
-        f"at {first} (%)",
-    ]
-    over = " and ".join(axes)
-    title = f"Where most runs are ok, {yard.of_several}, and settle first, over {over}"
-    note = "Equals: the first in the study's order."
-    if any(cells.best is None for cells in every):
-        note += " *-*: no run is ok, so none is best."
-    if any(_NOT_CONVERGED in cell for row in rows for cell in row):
-        note += f" *{_NOT_CONVERGED}*: {said('not_converged', yard=yard)}"
-    return Table(title, header, rows, note)
 
 
 def _along_axis(source: Source, axis: str, values: Sequence[Any], others: Sequence[str]) -> Picture:

@@ -1,21 +1,22 @@
 """A tuning: what its searches found, judged on draws that tuned nothing, and how they did."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
 from sinsjax.analysis import NO_INTERVAL, Estimate, format_estimate
 from sinsjax.execution.source import Source
-from sinsjax.plots.words import value_text
+from sinsjax.messages import counted
+from sinsjax.plots.words import setting, value_text
 from sinsjax.report import tuned_figures
-from sinsjax.report.base import Block, Report, Table
-from sinsjax.report.markup import template
+from sinsjax.report.base import Block, Fact, Report, Table, Verdict
+from sinsjax.report.markup import said
 from sinsjax.study.search_space import Variable
 from sinsjax.study.success import yardsticks
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import objective
-from sinsjax.tuning.results import Tuning, words
+from sinsjax.tuning.results import SEARCHES, Tuning, words
 from sinsjax.tuning.run_tuning import GRADIENT
 
 NEAR_S = 1.0
@@ -37,7 +38,7 @@ def report(source: Source) -> Report:
         "How it was found": pictures,
     }
     rests_on = f"{tuning.study.name}: {_drawn(tuning)}{each} a point"
-    return Report.of(_headline(tuning), parts, rests_on)
+    return Report.of(_verdict(tuning), parts, rests_on)
 
 
 def _drawn(tuning: Tuning) -> str:
@@ -47,45 +48,93 @@ def _drawn(tuning: Tuning) -> str:
     return f"{tuning.tune.tune_draws} Monte Carlo runs"
 
 
-def _headline(tuning: Tuning) -> list[str]:
-    tune, rival = tuning.tune, tuning.rival
+def _verdict(tuning: Tuning) -> Verdict:
+    """The best point, its gain over the start on unused draws, and why it is in ``tuned.toml``."""
+    study, best = tuning.study, tuning.best
+    looks = sum(len(found.looks) for found in tuning.found.values())
+    unit = "start time" if study.is_recorded else "draw"
+    name, in_unit = words(study)[0], partial(_said, tuning)
+    fresh = counted(tuning.runs.shape[2], f"unused {unit}")
+    gain = tuning.difference(best, "baseline")
+    verb = "worse" if gain.value > 0 else "better"
+    size = gain if gain.value > 0 else Estimate(-gain.value, -gain.high, -gain.low, gain.n)
+    facts = [
+        Fact("Best", _point(tuning, best)),
+        Fact(
+            "Gain",
+            f"{in_unit(tuning.score(best))}, {in_unit(size)} {verb} than the start, on {fresh}",
+        ),
+        Fact("Measure", name + _across(tuning)),
+        Fact(
+            "Why",
+            f"in tuned.toml: best of {counted(looks, 'evaluation')} on {_drawn(tuning)}"
+            f" ({SEARCHES.get(best, best)})",
+        ),
+    ]
+    title = f"{study.name}: tuned by {_listed([SEARCHES.get(one, one) for one in tuning.found])}"
+    return Verdict(title, [*facts, *_comparison(tuning), *_doubts(tuning, gain)], _few(tuning))
+
+
+def _point(tuning: Tuning, name: str) -> str:
+    """The values of a candidate in words."""
+    bounds = tuning.on_bounds.get(name, ())
+    case = tuning.judged.cases[tuning.places[name]]
+    return ", ".join(
+        setting(key, _value(value, bounds, key)) for key, value in case.items() if key != "case"
+    )
+
+
+def _across(tuning: Tuning) -> str:
+    variants = tuning.runs.shape[1]
+    across = tuning.tune.objective_across
+    return f", {across} over {variants} variants" if variants > 1 else ""
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
+def _comparison(tuning: Tuning) -> Iterator[Fact]:
+    """The gradient compared with the best of the other searches."""
+    if GRADIENT in tuning.found and tuning.rival != GRADIENT:
+        apart = tuning.difference(GRADIENT)
+        lower = "better than" if apart.high < 0 else "as good as far as these draws show as"
+        verdict = "worse than" if apart.low > 0 else lower
+        share = _percent(tuning.found[GRADIENT].cost / tuning.found[tuning.rival].cost)
+        text = f"{verdict} the {SEARCHES.get(tuning.rival, tuning.rival)}, at {share} of its cost"
+        yield Fact("Gradient", text)
+
+
+def _doubts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
+    """Why the best point may not be what it seems."""
     looks = [
         look.objective
         for found in tuning.found.values()
         for look in found.looks
         if look.sharpness is None
     ]
-    gradient = {}
-    if GRADIENT in tuning.found and rival != GRADIENT:
-        apart = tuning.difference(GRADIENT)
-        lower = "better than" if apart.high < 0 else "not told apart from"
-        gradient = {
-            "verdict": "worse than" if apart.low > 0 else lower,
-            "difference": _said(tuning, apart),
-            "share": _percent(tuning.found[GRADIENT].cost / tuning.found[rival].cost),
-        }
-    text = template("tuned.md.j2").render(
-        study=tuning.study.name,
-        drawn=_drawn(tuning),
-        others=tuning.runs.shape[2],
-        variants=tuning.runs.shape[1],
-        unit="start times" if tuning.study.is_recorded else "draws",
-        name=words(tuning.study)[0],
-        across=tune.objective_across,
-        best=tuning.best,
-        score=_said(tuning, tuning.score(tuning.best)),
-        baseline=_said(tuning, tuning.score("baseline")),
-        fails=min(looks) >= objective.failing(tune, tuning.study),
-        judged=yardsticks(tuning.study, tune.objective_band_arcmin)[0],
-        gradient=gradient,
-        rival=rival,
-        bounds=[
-            f"{variable.name} = {value_text(value)} of '{name}'"
-            for name, there in tuning.on_bounds.items()
-            for variable, value in there
-        ],
-    )
-    return text.splitlines()
+    if min(looks) >= objective.failing(tuning.tune, tuning.study):
+        judged = yardsticks(tuning.study, tuning.tune.objective_band_arcmin)[0]
+        text = said("all_fail", words=judged.words, from_truth=judged.truth)
+        yield Fact("Caution", text, True)
+    elif not gain.high < 0 and not tuning.study.is_recorded:
+        yield Fact("Caution", "not better than the start as far as these draws show", True)
+    if tuning.study.is_recorded:
+        yield Fact("Caution", "no intervals, since all runs are on one record", True)
+    ends = [f"{v.name} = {value_text(value)}" for v, value in tuning.on_bounds.get(tuning.best, ())]
+    if ends:
+        text = f"{', '.join(ends)}: the end of the range, a better value may lie beyond"
+        yield Fact("Caution", text, True)
+
+
+def _few(tuning: Tuning) -> Table:
+    """The candidates by their objective."""
+    rows = []
+    for name in sorted(tuning.places, key=lambda name: tuning.score(name).value):
+        apart = "-" if name == "baseline" else _said(tuning, tuning.difference(name, "baseline"))
+        own = "start" if name == "baseline" else SEARCHES.get(name, name)
+        rows.append([own, _said(tuning, tuning.score(name)), apart])
+    return Table("Candidates", ["candidate", "unused draws", "less the start"], rows)
 
 
 def _value(value: Any, bounds: Sequence[tuple[Variable, float]], key: str) -> str:

@@ -1,8 +1,13 @@
-"""Rules of Q: its keys are given with q_reading, or it is the white noise of the sensors."""
+"""Q: its keys are given with q_reading, or it is the white noise of the sensors."""
 
 from collections.abc import Iterator, Mapping
 
-from sinsjax.alignment.filters.section import Q_DENSITIES, WHITE_NOISE, white_density
+from sinsjax.alignment.filters.section import (
+    Q_DENSITIES,
+    WHITE_NOISE,
+    q_readings,
+    white_density,
+)
 from sinsjax.errors import InputError
 from sinsjax.study.keys import readers
 from sinsjax.study.study import Study
@@ -25,6 +30,37 @@ def check_process_noise(study: Study, where: Mapping[str, str]) -> None:
     found = [*_check_reading(study, where), *_check_given(study, where)]
     if found:
         raise InputError(*(f"{where.get(key, '[filter]')} {key}: {text}" for key, text in found))
+
+
+def assumed_noise(study: Study) -> dict[str, set[float]]:
+    """Return the ratios of the noise in Q to that of the sensors, as standard deviations.
+
+    Args:
+        study: checked study with simulated sensors.
+
+    Returns:
+        The distinct ratios over all variants, for ``accelerometers`` and ``gyros``; empty without a
+        filter, and without white noise that all draws have.
+    """
+    return {name: _noise_ratios(study, key) for key, name in _SENSORS.items()}
+
+
+def _noise_ratios(study: Study, q_key: str) -> set[float]:
+    *noises, _ = WHITE_NOISE[q_key]
+    forms, using = {q_key: 1.0, **Q_DENSITIES[q_key]}, readers(q_key)
+    readings = q_readings(1 / study.rate_hz)
+    ratios: set[float] = set()
+    if not study.has("filter"):
+        return ratios
+    for point in study.combinations("method", "q_reading", "q_scale", *forms, *noises):
+        white = white_density(q_key, study.rate_hz, *(point[noise] for noise in noises))
+        given = [point[form] * factor for form, factor in forms.items() if point[form] is not None]
+        if point["method"] in using and white:
+            scale = 1.0 if point["q_scale"] is None else point["q_scale"]
+            if given:
+                scale *= readings[point["q_reading"]] * study.rate_hz
+            ratios.add((given[0] if given else white) / white * scale**0.5)
+    return ratios
 
 
 def _check_reading(study: Study, where: Mapping[str, str]) -> Iterator[tuple[str, str]]:

@@ -150,9 +150,9 @@ class Tuning:
         runs = self.runs[self.places[name]]
         return self._estimate(lambda pick: objective.score(self.tune, runs[:, pick]), runs.shape[1])
 
-    def difference(self, name: str) -> Estimate:
-        """The objective of a candidate less that of the rival, on the same draws."""
-        own, other = (self.runs[self.places[one]] for one in (name, self.rival))
+    def difference(self, name: str, less: str | None = None) -> Estimate:
+        """The objective of a candidate less that of another, or of the rival, on the same draws."""
+        own, other = (self.runs[self.places[one]] for one in (name, less or self.rival))
         return self._estimate(
             lambda pick: (
                 objective.score(self.tune, own[:, pick])

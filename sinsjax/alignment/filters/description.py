@@ -34,3 +34,8 @@ filter_description = partial(
     last_called=last_called,
 )
 """`Description` of a filter without states of sensor biases; what differs is given."""
+
+
+def knows_biases(method: Description) -> bool:
+    """Whether a filter has states of sensor biases."""
+    return not {*OF_BIASES} <= {*method.silent}

@@ -12,6 +12,7 @@ from sinsjax.alignment.filters.section import (
     OF_RESETS,
     Q_DENSITIES,
     WHITE_NOISE,
+    q_readings,
     times_of_resets,
     white_density,
 )
@@ -65,11 +66,6 @@ def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -
         else CovarianceReset(*(np.broadcast_to(k, zero.shape) for k in UNCHANGED)),
         trigger=_trigger(columns),
     )
-
-
-def q_readings(dt: float) -> dict[str, float]:
-    """What makes Q of a step of dt s from the square of its key, by the words of ``q_reading``."""
-    return {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
 
 
 def level_settling_s(

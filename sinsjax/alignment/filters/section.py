@@ -123,6 +123,11 @@ class FilterSection(Section):
     )
 
 
+def q_readings(dt: float) -> dict[str, float]:
+    """What makes Q of a step of dt s from the square of its key, by the words of ``q_reading``."""
+    return {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
+
+
 def white_density(q_key: str, rate_hz: float, per_sample: Any, density: Any) -> float | None:
     """Return the density of the sensors' white noise, in the unit of a key of Q under 'psd'.
 

@@ -1,0 +1,213 @@
+"""The options and the conditions of a study: what an engineer decides, and what is given.
+
+An axis with a starting error, a motion, a sensor or a site is a condition. Any other axis, such as
+a reset schedule, a filter key or the method, is a choice. Options are compared over all conditions.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax.alignment.filters.section import OF_SCHEDULES
+from sinsjax.analysis.words import degrees
+from sinsjax.messages import counted
+from sinsjax.plots.words import setting, value_text, words_and_unit
+from sinsjax.study.keys import is_given
+from sinsjax.study.study import Study
+
+LEAST_DRAWS = 8
+"""Fewest draws whose halves choose and judge in turn."""
+
+_ANGLES = {"phi_e0_deg": "east", "phi_n0_deg": "north", "phi_u0_deg": "up"}
+_MOST_WORDS = 40  # characters of an option; the tables have all its keys
+_MOST_TIMES = 4  # reset times listed in a phrase
+
+
+@dataclass(frozen=True)
+class Choices:
+    """The variants of a study by option and condition.
+
+    Attributes:
+        study: the study.
+        variants: (options, conditions) number of the variant; copies of others are left out.
+        dimensions: per axis, whether it is a condition, and the keys that identify its points.
+    """
+
+    study: Study
+    variants: NDArray
+    dimensions: tuple[tuple[bool, tuple[str, ...]], ...]
+
+    @classmethod
+    def from_study(cls, study: Study) -> "Choices":
+        """Sort the axes of a study into choices and conditions."""
+        conditions = [_is_condition(dimension) for dimension in study.dimensions]
+        shown = tuple(zip(conditions, study.axes_shown, strict=True))
+        sizes = [len(next(iter(dimension.values()))) for dimension in study.dimensions]
+        place = np.arange(study.n_variants).reshape(sizes)
+        chosen = [axis for axis, given in enumerate(conditions) if not given]
+        place = np.moveaxis(place, chosen, range(len(chosen)))
+        options = int(np.prod([sizes[axis] for axis in chosen], dtype=int))
+        variants = place.reshape(options, -1)
+        first = study.duplicate_of[variants] == variants
+        return cls(study, variants[first.any(axis=1)][:, first.any(axis=0)], shown)
+
+    def runs(self, column: NDArray) -> NDArray:
+        """Lay out a column of the summary, ordered by run_id, as (options, conditions, draws)."""
+        return column.reshape(-1, self.study.n_variants).T[self.variants]
+
+    @cached_property
+    def options(self) -> list[str]:
+        """Each option in words."""
+        return [self._words(variant, given=False) for variant in self.variants[:, 0]]
+
+    @cached_property
+    def reset_counts(self) -> list[int | None]:
+        """The number of scheduled resets of each option; None if options differ otherwise."""
+        if not self.are_schedules:
+            return [None] * len(self.variants)
+        return [len(self._schedules[row[0]]) for row in self.variants]
+
+    @property
+    def are_schedules(self) -> bool:
+        """Whether the options differ in their scheduled resets alone."""
+        chosen = [keys for is_condition, keys in self.dimensions if not is_condition]
+        swept = {key for keys in chosen for key in keys}
+        return bool(swept) and swept <= {*OF_SCHEDULES}
+
+    @cached_property
+    def _schedules(self) -> list[tuple[float, ...]]:
+        return self.study.reset_times()
+
+    def places(self, keys: Sequence[str]) -> dict[tuple[Any, ...], list[int]]:
+        """The conditions at each point of an axis, by the values of its keys."""
+        columns = [self.study.values(key) for key in keys]
+        found: dict[tuple[Any, ...], list[int]] = {}
+        for place, variant in enumerate(self.variants[0]):
+            found.setdefault(tuple(values[variant] for values in columns), []).append(place)
+        return found
+
+    def axis_that_matters(self, values: NDArray) -> tuple[str, ...] | None:
+        """The condition axis along which some values (conditions,) vary most; None without one."""
+        ranges: dict[tuple[str, ...], float] = {}
+        for keys in self.condition_axes:
+            means = [float(np.mean(values[here])) for here in self.places(keys).values()]
+            if len(means) > 1:
+                ranges[keys] = max(means) - min(means)
+        return max(ranges, key=ranges.__getitem__) if ranges else None
+
+    @property
+    def condition_axes(self) -> list[tuple[str, ...]]:
+        """The axes that are conditions, by the keys that identify their points."""
+        return [keys for is_condition, keys in self.dimensions if is_condition]
+
+    def _words(self, variant: int, *, given: bool) -> str:
+        """The point of a variant on the axes of one kind, in words."""
+        words: list[str] = []
+        for is_condition, keys in self.dimensions:
+            for key in keys if is_condition == given else ():
+                if key in OF_SCHEDULES:
+                    times = self._schedules[variant]
+                    words += [schedule_words(times)] if times or {*keys} <= {*OF_SCHEDULES} else []
+                else:
+                    words.append(point_words({key: self.study.values(key)[variant]}))
+        first, *more = dict.fromkeys(words) or [""]
+        text = first
+        for place, word in enumerate(more):
+            if len(text) + len(word) > _MOST_WORDS:
+                return f"{text} + {counted(len(more) - place, 'key')}"
+            text += f", {word}"
+        return text
+
+
+def _is_condition(dimension: Mapping[str, Sequence[Any]]) -> bool:
+    return any(is_given(key) or key == "start_s" for key in dimension)
+
+
+def point_words(point: Mapping[str, Any]) -> str:
+    """A point of an axis in words; a case and a method by their names."""
+    alone = ("case", "method")
+    return ", ".join(
+        value_text(value) if key in alone else setting(key, value_text(value))
+        for key, value in point.items()
+    )
+
+
+def name_and_unit(key: str) -> tuple[str, str]:
+    """The name of a condition, of a starting error without ``initial``, and its unit."""
+    name, unit = words_and_unit(key)
+    return name.removeprefix("initial "), unit
+
+
+def point_header(keys: Sequence[str]) -> str:
+    """The header of a column with the points of a condition."""
+    angles = [key for key in keys if key in _ANGLES]
+    if len(angles) < 2:
+        return ", ".join(name_and_unit(key)[0] for key in keys)
+    others = [name_and_unit(key)[0] for key in keys if key not in angles]
+    axes = ", ".join(_ANGLES[key] for key in angles)
+    return ", ".join([f"errors {axes}", *others])
+
+
+def point_cell(keys: Sequence[str], point: Sequence[Any]) -> str:
+    """A point of a condition: ``30 deg``, or ``(5, 5, 30) deg`` for starting errors together."""
+    values = dict(zip(keys, point, strict=True))
+    angles = [key for key in keys if key in _ANGLES]
+    cells = []
+    if len(angles) > 1:
+        cells.append(degrees(*(values.pop(key) for key in angles)))
+    for key, value in values.items():
+        text, unit = value_text(value), name_and_unit(key)[1]
+        cells.append(f"{text} {unit}" if unit and text[-1:].isdigit() else text)
+    return ", ".join(cells)
+
+
+def schedule_words(times_s: Sequence[float]) -> str:
+    """A reset schedule in words: ``3 resets, every 50 s``."""
+    if not times_s:
+        return "no reset"
+    if len(times_s) == 1:
+        return f"1 reset at {times_s[0]:g} s"
+    steps = np.diff([0.0, *times_s])
+    if np.allclose(steps, steps[0]):
+        return f"{len(times_s)} resets, every {steps[0]:g} s"
+    if len(times_s) <= _MOST_TIMES:
+        return f"resets at {', '.join(f'{time:g}' for time in times_s)} s"
+    return f"{len(times_s)} resets from {times_s[0]:g} to {times_s[-1]:g} s"
+
+
+def choose(time_s: NDArray, longest_s: float) -> int:
+    """Return the option with the fewest runs that never settle; of equals, the fastest on average.
+
+    Args:
+        time_s: (options, conditions, draws) settling times, infinite for never.
+        longest_s: what such a run counts in the average, s.
+    """
+    never = np.isinf(time_s).sum(axis=(1, 2))
+    mean = np.minimum(time_s, longest_s).mean(axis=(1, 2))
+    return int(np.lexsort((mean, never))[0])
+
+
+def choose_by_halves(time_s: NDArray, longest_s: float) -> NDArray:
+    """Return the option with which each draw is judged, chosen by draws it does not belong to.
+
+    Every other draw chooses for the rest, and the rest for it. Fewer than `LEAST_DRAWS` choose and
+    judge together.
+
+    Args:
+        time_s: (options, conditions, draws) settling times, infinite for never.
+        longest_s: as for `choose`.
+
+    Returns:
+        (draws,) option.
+    """
+    draws = time_s.shape[-1]
+    if draws < LEAST_DRAWS:
+        return np.full(draws, choose(time_s, longest_s))
+    found = np.empty(draws, int)
+    found[1::2] = choose(time_s[..., ::2], longest_s)
+    found[::2] = choose(time_s[..., 1::2], longest_s)
+    return found

@@ -1,0 +1,198 @@
+"""Verdicts and tables on a terminal: nothing is wider than it, and no word is broken.
+
+In a pipe the same is printed without colour, at most `PIPE_WIDTH` columns wide.
+"""
+
+import os
+import re
+from collections.abc import Iterable, Sequence
+
+from rich import box
+from rich.cells import cell_len
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table as Grid
+from rich.text import Text as Line
+
+from sinsjax import console as screen
+from sinsjax.report.base import Fact, Table, Verdict
+from sinsjax.report.names import NO_NAMES, Names
+
+MOST_LINES = 15
+"""Lines of a verdict, its empty lines and its last line included."""
+
+PIPE_WIDTH = 120
+"""Columns of a table in a pipe, unless ``COLUMNS`` is set."""
+
+_GAP, _EDGES = 3, 2  # blanks between two columns of a table, and at its sides
+_INTERVAL = re.compile(r"\S+ \[\S+ \S+\]( \S+)?")
+_LEAST_ROWS = 2  # of a verdict's table
+_RED = ("never", "failed")
+
+
+def print_verdict(
+    verdict: Verdict,
+    console: Console,
+    names: Names = NO_NAMES,
+    last: Sequence[str] = (),
+    *,
+    full: bool = False,
+) -> None:
+    """Print a verdict in at most `MOST_LINES` lines on 80 columns or more.
+
+    Its table is reduced to rows evenly over the conditions; if that is not enough, facts are left
+    out, doubts last, and counted.
+
+    Args:
+        verdict: the verdict.
+        console: the console.
+        names: the names of the study, which are printed literally.
+        last: what its last line names: figures, and the command for all tables.
+        full: whether to print all of it instead.
+    """
+    facts = list(verdict.facts)
+    rows = len(verdict.table.rows) if verdict.table else 0
+    while True:
+        shown = _verdict(verdict, facts, rows, names, _packed(last, console.width), console.width)
+        if full or len(console.render_lines(shown, pad=False)) <= MOST_LINES:
+            break
+        least = [fact for fact in facts[1:] if not fact.is_doubt] or facts[1:]
+        if rows > _LEAST_ROWS:
+            rows -= 1
+        elif least:
+            facts.remove(least[-1])
+        elif rows:
+            rows -= 1
+        else:
+            break
+    console.print(shown)
+
+
+def _verdict(
+    verdict: Verdict,
+    facts: Sequence[Fact],
+    rows: int,
+    names: Names,
+    last: Sequence[str],
+    width: int,
+) -> Group:
+    parts: list[RenderableType] = [screen.literal(names.plain(verdict.title), "bold")]
+    grid = Grid.grid(padding=(0, 2, 0, 0))
+    grid.add_column(no_wrap=True)
+    grid.add_column()
+    for number, fact in enumerate(facts):
+        style = "yellow" if fact.is_doubt else "bold" if number == 0 else ""
+        text = screen.literal(names.plain(fact.text), "bold" if number == 0 else "")
+        grid.add_row(screen.literal(fact.label, style), _reddened(text))
+    if left := len(verdict.facts) - len(facts):
+        grid.add_row(Line("Also", "yellow"), Line(f"{left} more, see --full"))
+    parts.append(Padding(grid, (0, 0, 0, 2)))
+    if verdict.table is not None:
+        parts += [Line(), _rows(verdict.table, rows, names, width)] if rows else []
+    return Group(*parts, *(screen.literal(line, "dim") for line in last))
+
+
+def _rows(table: Table, count: int, names: Names, width: int) -> RenderableType:
+    """Some rows of a verdict's table, evenly over all of them."""
+    every = len(table.rows)
+    places = sorted({round(n * (every - 1) / max(count - 1, 1)) for n in range(count)})
+    shown = [[names.plain(cell) for cell in table.rows[place]] for place in places]
+    header = [names.plain(name) for name in table.header]
+    grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    for name, size in zip(header, _widths([header, *shown], width - 2, 2), strict=True):
+        grid.add_column(screen.literal(name), width=size, overflow="fold")
+    for row in shown:
+        grid.add_row(*(_reddened(screen.literal(cell)) for cell in row))
+    return Padding(grid, (0, 0, 0, 2))
+
+
+def _widths(rows: Sequence[Sequence[str]], width: int, gap: int) -> list[int]:
+    """Widths of columns that break no word, as long as the words of a row have room.
+
+    Args:
+        rows: cells.
+        width: columns of the terminal.
+        gap: blanks between two columns.
+    """
+    whole = [max(map(cell_len, cells)) for cells in zip(*rows, strict=True)]
+    least = [max(map(_least, cells)) for cells in zip(*rows, strict=True)]
+    room = width - gap * (len(whole) - 1)
+    if sum(least) > room:  # a word has to break, the longest first
+        while sum(least) > max(room, len(least)):
+            least[least.index(max(least))] -= 1
+        return least
+    while sum(whole) > room:
+        wide = max(range(len(whole)), key=lambda place: (whole[place] - least[place], place))
+        whole[wide] -= 1
+    return whole
+
+
+def _reddened(text: Line) -> Line:
+    text.highlight_words(_RED, "red")
+    return text
+
+
+def _packed(words: Iterable[str], width: int) -> list[str]:
+    """Words in as few lines as have room, three blanks between them."""
+    lines: list[str] = []
+    for word in words:
+        if lines and len(lines[-1]) + 3 + len(word) <= width:
+            lines[-1] += f"   {word}"
+        else:
+            lines.append(word)
+    return lines
+
+
+def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None:
+    """Print a table as wide as the terminal at most; a wider one continues below, first key first.
+
+    Args:
+        block: the table.
+        console: the console.
+        names: the names of the study, which are printed literally.
+    """
+    width = console.width
+    if not console.is_terminal and not os.environ.get("COLUMNS"):
+        width = PIPE_WIDTH
+    console.print(screen.literal(names.plain(block.title), "bold"), width=width)
+    cells = [[name.replace(" (", "\n(") for name in block.header], *block.rows]
+    for columns in _parts(cells, width - _EDGES):
+        console.print(_grid([[row[column] for column in columns] for row in cells], width - _EDGES))
+    if block.note:
+        console.print(screen.literal(names.plain(block.note), "dim"), width=width)
+    console.print()
+
+
+def _least(cell: str) -> int:
+    """The least width of a cell: of its longest word, or of a number with its interval."""
+    if _INTERVAL.fullmatch(cell):
+        return cell_len(cell)
+    return max(map(cell_len, cell.split()), default=1)
+
+
+def _parts(cells: Sequence[Sequence[str]], width: int) -> list[list[int]]:
+    """The columns of each part of a table, none of whose words is broken."""
+    least = [max(map(_least, column)) for column in zip(*cells, strict=True)]
+    parts: list[list[int]] = [[]]
+    for column in range(len(least)):
+        wanted = [*parts[-1], column]
+        if sum(least[one] + _GAP for one in wanted) - _GAP > width and len(parts[-1]) > 1:
+            parts.append([0, column])
+        else:
+            parts[-1] = wanted
+    return parts
+
+
+def _grid(cells: Sequence[Sequence[str]], width: int) -> Grid:
+    """The first row is the header."""
+    table = Grid(box=box.SIMPLE_HEAD, pad_edge=False)
+    header, *rows = cells
+    lines = [line for name in header for line in [name.split("\n")]]
+    tall = max(map(len, lines))
+    heads = [[line[n] if n < len(line) else "" for line in lines] for n in range(tall)]
+    for line, size in zip(lines, _widths([*heads, *rows], width, _GAP), strict=True):
+        text = Line("\n").join(map(screen.literal, line))
+        table.add_column(text, width=size, overflow="fold")
+    for row in rows:
+        table.add_row(*(_reddened(screen.literal(cell)) for cell in row))
+    return table
