@@ -32,6 +32,7 @@ class Source:
         warnings: what was doubtful before the study ran, a line each.
         version: of the package that computed them.
         wall_s: how long the study took, s; None if unknown.
+        record_latitude_deg: that of the header of the record, deg; None if there is none.
         whole_draws: of an unfinished study, the draws that all variants have; no others are read.
     """
 
@@ -42,6 +43,7 @@ class Source:
     warnings: tuple[str, ...] = ()
     version: str = "unknown"
     wall_s: float | None = None
+    record_latitude_deg: float | None = None
     whole_draws: np.ndarray | None = None
 
     @classmethod
@@ -71,9 +73,9 @@ class Source:
         versions = manifest.get("versions")
         version = (versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown")
         version, config = one_line(str(version)), one_line(str(name))
-        took = manifest.get("wall_s")
-        wall_s = float(took) if isinstance(took, int | float) else None
-        source = cls(directory, study, config, table, warnings, version, wall_s)
+        numbers = (manifest.get(name) for name in ("wall_s", "record_latitude_deg"))
+        wall_s, latitude_deg = (float(x) if isinstance(x, int | float) else None for x in numbers)
+        source = cls(directory, study, config, table, warnings, version, wall_s, latitude_deg)
         is_going_on = unfinished and manifest.get("state") in ("running", "interrupted")
         return source._of_what_is_there() if is_going_on else source
 

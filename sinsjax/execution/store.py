@@ -239,6 +239,7 @@ class Store:
             self._chunks.get(t.name, {"name": t.name, "state": "missing", "runs": t.runs})
             for t in self._planned
         ]
+        record = None if job.stored is None else job.stored.record
         content = sealed_json(
             {
                 "schema": columns.SCHEMA_VERSION,
@@ -253,6 +254,9 @@ class Store:
                 **({"extended_at": job.extended_at} if job.extended_at else {}),
                 "config": job.source,
                 "record": None if job.stored is None else Path(job.stored.record.source).name,
+                "record_latitude_deg": None
+                if job.stored is None
+                else job.stored.record.latitude_deg,
                 "warnings": job.warnings,
                 **self._facts,
                 "started_unix_s": sessions[0]["started_unix_s"],

@@ -44,7 +44,7 @@ def attitude_verdict(source: Source, *, warned: bool = False) -> Verdict:
     else:
         best = Outcome.from_source(source).best_variant
         last = next(row for row in reversed(rows) if row["variant_id"] == best)
-        facts = [*judged.facts, _attitude(source, last, len(rows)), *_floor(source), *doubts]
+        facts = [_attitude(source, last, len(rows)), *_floor(source), *judged.facts, *doubts]
         table = judged.table
     return Verdict(title_of(source), facts, table)
 
@@ -68,6 +68,8 @@ def _floor(source: Source) -> Iterator[Fact]:
     """The heading error that biases leave on a parked vehicle, if its latitude is known."""
     latitude_deg, record = source.study.values("latitude_deg")[0], source.study.record
     if latitude_deg is None:
+        latitude_deg = source.record_latitude_deg
+    if latitude_deg is None:
         return
     gyro, accel = _EXAMPLES
     if record is not None:
@@ -75,8 +77,8 @@ def _floor(source: Source) -> Iterator[Fact]:
     rate = EARTH_RATE * math.cos(math.radians(latitude_deg))
     east = math.atan2(gyro * DEG_PER_H, rate) / ARCMIN
     north = abs(accel * MICRO * math.tan(math.radians(latitude_deg))) / ARCMIN
-    text = f"a gyro bias of {gyro:g} deg/h shifts the heading of a parked vehicle by {east:.1f}',"
-    yield Fact("Biases", f"{text} an accelerometer bias of {accel:g} ug by {north:.1f}'")
+    text = f"{east:.1f}' per {gyro:g} deg/h of gyro bias, {north:.1f}' per {accel:g} ug, parked"
+    yield Fact("Floor", text)
 
 
 def _doubts(source: Source) -> Iterator[Fact]:

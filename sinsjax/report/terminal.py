@@ -40,8 +40,8 @@ def print_verdict(
 ) -> None:
     """Print a verdict in at most `MOST_LINES` lines on 80 columns or more.
 
-    Its table is reduced to rows evenly over the conditions; if that is not enough, facts are left
-    out, doubts last, and counted.
+    Its table is reduced to rows evenly over the conditions; if that is not enough, it is left out,
+    then facts, doubts last, and these are counted.
 
     Args:
         verdict: the verdict.
@@ -57,12 +57,10 @@ def print_verdict(
         if full or len(console.render_lines(shown, pad=False)) <= MOST_LINES:
             break
         least = [fact for fact in facts[1:] if not fact.is_doubt] or facts[1:]
-        if rows > _LEAST_ROWS:
-            rows -= 1
+        if rows:
+            rows = rows - 1 if rows > _LEAST_ROWS else 0
         elif least:
             facts.remove(least[-1])
-        elif rows:
-            rows -= 1
         else:
             break
     console.print(shown)
