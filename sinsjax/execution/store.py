@@ -253,10 +253,8 @@ class Store:
                 "chunk_runs": job.chunk_runs,
                 **({"extended_at": job.extended_at} if job.extended_at else {}),
                 "config": job.source,
-                "record": None if job.stored is None else Path(job.stored.record.source).name,
-                "record_latitude_deg": None
-                if job.stored is None
-                else job.stored.record.latitude_deg,
+                "record": None if record is None else Path(record.source).name,
+                "record_latitude_deg": None if record is None else record.latitude_deg,
                 "warnings": job.warnings,
                 **self._facts,
                 "started_unix_s": sessions[0]["started_unix_s"],

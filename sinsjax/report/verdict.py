@@ -255,7 +255,8 @@ def _rivals(outcome: Outcome, best: Choice) -> Iterator[tuple[str, Choice]]:
                 yield names[found.option] if names[found.option] != words else words, found
         return
     second = outcome.best([place for place in range(len(names)) if place != best.option])
-    yield names[second.option], second
+    name = names[second.option]
+    yield name if name != names[best.option] else "the next best", second
 
 
 def _accuracy(outcome: Outcome) -> Fact:
@@ -265,15 +266,16 @@ def _accuracy(outcome: Outcome) -> Fact:
     found = analysis.rms(error, outcome.cluster)
     aim = "the reference" if outcome.source.study.is_recorded else "true north"
     text = f"{heading(found)}' rms from {aim}"
-    if not np.isfinite(floor).any():
+    known = np.isfinite(error)
+    never = np.isinf(outcome.judged(best, outcome.time_s))
+    squares = float(np.sum(error[known] ** 2))
+    if float(np.sum(error[known & never] ** 2)) > squares / 2:
+        return Fact("Accuracy", f"{text}, mostly of runs that never settle")
+    if outcome.source.study.is_recorded or not np.isfinite(floor).any():
         return Fact("Accuracy", text)
     lowest = analysis.rms(floor).value
-    never = np.isinf(outcome.judged(best, outcome.time_s)).any()
-    if lowest >= _LIMITING * found.value:
-        cause = "mostly bias floor"
-    else:
-        cause = "mostly runs that never settle; bias floor" if never else "mostly noise; bias floor"
-    return Fact("Accuracy", f"{text}, {cause} ({lowest:.1f}')")
+    cause = "mostly" if lowest >= _LIMITING * found.value else "of which little is"
+    return Fact("Accuracy", f"{text}, {cause} bias floor ({lowest:.1f}')")
 
 
 def _basis(outcome: Outcome) -> Iterator[Fact]:
