@@ -29,6 +29,7 @@ SCRIPTS = (
     "devices",
     "scaling",
     "cold_start",
+    "first_command",
     "resolve",
     "derivative",
     "memory",

@@ -43,6 +43,10 @@ SPEEDUP, SHARE = 1.8, 0.85
 FIRST_S = {"first_result": 4.5, "cached": 2.0}
 """Seconds to the first result, with nothing compiled and with all of it."""
 
+FIRST_RATIO, FIRST_MORE_S, REPORT_CPU_S = 1.1, 3.0, 2.0
+"""Most wall time of the first command with cached programs: the first times its compiled calls,
+plus the second, s; and most CPU time of its report, s."""
+
 RESOLVED_S = {"resolve": 0.5, "part": 0.05}
 """Seconds to resolve a study of 600,000 variants, and to make a part's arguments."""
 
@@ -82,6 +86,7 @@ def judged(machine: Machine) -> list[Judged]:
         *_methods(machine),
         *_devices(machine),
         *_start(machine),
+        *_first(machine),
         *_resolved(machine),
         *_slopes(machine),
         *_tuning(machine),
@@ -241,6 +246,26 @@ def _start(machine: Machine) -> Iterator[Judged]:
                 f"all of a command, {sizes(row)}",
                 row["median_s"] < most,
             )
+
+
+def _first(machine: Machine) -> Iterator[Judged]:
+    if row := machine.row("first_command", "first_command"):
+        yield Judged(
+            "`sinsjax sweep reset_sweep`, compile cache full, beyond"
+            f" {FIRST_RATIO:g} times its compiled calls",
+            f"at most {FIRST_MORE_S:g} s",
+            f"{row['more_s']:.1f} ± {row['spread_s']:.1f} s",
+            f"{row['median_s']:.1f} s of which {row['calls_s']:.1f} s are calls",
+            row["more_s"] <= FIRST_MORE_S,
+        )
+    if row := machine.row("first_command", "report_command"):
+        yield Judged(
+            "`sinsjax report` of it, CPU time of user and system",
+            f"at most {REPORT_CPU_S:g} s",
+            f"{row['cpu_s']:.1f} s",
+            "all of the command",
+            row["cpu_s"] <= REPORT_CPU_S,
+        )
 
 
 def _resolved(machine: Machine) -> Iterator[Judged]:

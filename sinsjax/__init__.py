@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from sinsjax.execution.results import read_curves, read_estimates, read_summary
     from sinsjax.execution.run import Results, align, estimate, run, run_into
     from sinsjax.platform.runtime import configure, info
+    from sinsjax.plots import plot_belief, plot_compare, plot_curves, plot_map
     from sinsjax.records import read_record, read_reference, record_from_arrays
     from sinsjax.study.load import load_study, study_from_dict
     from sinsjax.study.study import Study
@@ -74,6 +75,10 @@ __all__ = [
     "load_study",
     "load_increments",
     "one_run",
+    "plot_belief",
+    "plot_compare",
+    "plot_curves",
+    "plot_map",
     "read_curves",
     "read_estimates",
     "read_history",
@@ -102,6 +107,7 @@ _HOMES = {
     "execution.results": ("read_curves", "read_estimates", "read_summary"),
     "execution.run": ("Results", "align", "estimate", "run", "run_into"),
     "platform.runtime": ("configure", "info"),
+    "plots": ("plot_belief", "plot_compare", "plot_curves", "plot_map"),
     "records": ("read_record", "read_reference", "record_from_arrays"),
     "study.load": ("Study", "load_study", "study_from_dict"),
     "tuning.history": ("read_history",),

@@ -9,8 +9,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax.analysis.estimates import Estimate, mean, share
-from sinsjax.analysis.tables import numbers
+from sinsjax.analysis.tables import codes, groups, numbers, require
 from sinsjax.errors import InputError
+
+_PLACE = "place in the grid"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,7 @@ class Panel(NamedTuple):
 
     Attributes:
         point: the keys' values.
-        rows: in run order: the draws are outermost, and among a draw's variants the first axis.
+        rows: the draws are outermost, and among the runs of a draw the first axis.
         shape: of the map.
     """
 
@@ -94,6 +96,43 @@ class Panel(NamedTuple):
     def cells(self, ok: str, settle: str, off_floor: NDArray) -> "Cells":
         """Its runs by the columns of successes and settling times; off_floor as in `Cells`."""
         return Cells(self.of(ok) > 0, off_floor, np.nan_to_num(self.of(settle), nan=np.inf))
+
+
+def panels_of(
+    table: pa.Table, rows: str, columns: str, by: Sequence[str] = ()
+) -> tuple[dict[str, tuple[Any, ...]], list[Panel]]:
+    """Lay the runs of a table out over two keys, a panel for each point of further keys.
+
+    Args:
+        table: one row per run, ordered by draw within each variant.
+        rows: key of the rows of each panel.
+        columns: key of its columns.
+        by: keys of the panels; runs that differ in other keys share a cell.
+
+    Returns:
+        The values of the two keys by first appearance, and the panels likewise.
+
+    Raises:
+        InputError: a key is missing, or the cells of a panel do not have as many runs each.
+    """
+    axes, places = {}, []
+    for key in (rows, columns):
+        places.append(codes(require(table, key)))
+        first = np.unique(places[-1], return_index=True)[1]
+        axes[key] = tuple(table[key].take(first).to_pylist())
+    shape = tuple(map(len, axes.values()))
+    place = np.ravel_multi_index(places, shape)
+    found = []
+    for point, own in groups(table.append_column(_PLACE, pa.array(place)), by):
+        cell = numbers(own, _PLACE).astype(np.int64)
+        if np.ptp(np.bincount(cell, minlength=np.prod(shape))):
+            raise InputError(
+                f"{rows}, {columns}: the runs are no full grid of these keys, with as many runs in"
+                " each cell (name the other keys that differ in `by`)"
+            )
+        order = np.argsort(cell, kind="stable").reshape(np.prod(shape), -1)
+        found.append(Panel(point, own.take(order.T.ravel()), shape))
+    return axes, found
 
 
 class Cells(NamedTuple):

@@ -105,7 +105,7 @@ def groups(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, Any],
     code = np.zeros(table.num_rows, dtype=np.int64)
     for name in by:
         # Renumbered after each key, so that the product of many keys cannot overflow.
-        code = code * (table.num_rows + 1) + _codes(require(table, name))
+        code = code * (table.num_rows + 1) + codes(require(table, name))
         code = np.unique(code, return_inverse=True)[1]
     _, first, size = np.unique(code, return_index=True, return_counts=True)
     ordered = table.take(np.argsort(code, kind="stable"))
@@ -115,17 +115,30 @@ def groups(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, Any],
         yield {name: rows[name][0].as_py() for name in by}, rows
 
 
-def _codes(column: pa.ChunkedArray) -> NDArray:
-    """A number for each distinct value of a column, shape (rows,)."""
+def codes(column: pa.ChunkedArray) -> NDArray:
+    """A number for each distinct value of a column by first appearance, shape (rows,)."""
     if not (pa.types.is_nested(column.type) or pa.types.is_dictionary(column.type)):
         whole = column.combine_chunks()
         return pc.dictionary_encode(whole, null_encoding="encode").indices.to_numpy()
     seen: dict[str, int] = {}
-    codes = np.empty(len(column), dtype=np.int64)
+    found = np.empty(len(column), dtype=np.int64)
     for start in range(0, len(column), _SLICE):
         values = column.slice(start, _SLICE).to_pylist()
-        codes[start : start + _SLICE] = [seen.setdefault(repr(v), len(seen)) for v in values]
-    return codes
+        found[start : start + _SLICE] = [seen.setdefault(repr(v), len(seen)) for v in values]
+    return found
+
+
+def as_table(runs: Any) -> pa.Table:
+    """Runs as a table: an Arrow table as it is, a pandas data frame without its index.
+
+    Raises:
+        InputError: they are neither.
+    """
+    if isinstance(runs, pa.Table):
+        return runs
+    if hasattr(runs, "to_numpy") and hasattr(runs, "columns"):
+        return pa.Table.from_pandas(runs, preserve_index=False)
+    raise InputError(f"{type(runs).__name__}: is no table (give a pyarrow table or a pandas frame)")
 
 
 def require(table: pa.Table, name: str) -> pa.ChunkedArray:

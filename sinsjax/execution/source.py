@@ -1,7 +1,7 @@
 """A directory of results as reports and pages read it."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from sinsjax.execution import results
 from sinsjax.messages import counted, one_line
 from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick, yardsticks
+
+_KEPT = 2**20  # runs; of more, columns are read anew each time, to bound the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,7 @@ class Source:
     wall_s: float | None = None
     record_latitude_deg: float | None = None
     whole_draws: np.ndarray | None = None
+    _kept: dict[str, pa.Table] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def read(cls, directory: Path, *, unfinished: bool = False) -> "Source":
@@ -154,7 +157,7 @@ class Source:
         return rows if names is None else rows.select(names)
 
     def rows(self, names: Iterable[str]) -> pa.Table:
-        """Some columns, one row a run, by run_id; read anew each time.
+        """Some columns, one row a run, by run_id; each is read once, unless there are many runs.
 
         Args:
             names: of the columns; repeated ones are there once.
@@ -164,7 +167,15 @@ class Source:
         """
         wanted = list(dict.fromkeys(names))
         if self.table is None:
-            return self._whole(wanted)
+            if self.runs > _KEPT or not wanted:
+                return self._whole(wanted)
+            if missing := [name for name in wanted if name not in self._kept]:
+                read = self._whole(missing)
+                self._kept.update((name, read.select([name])) for name in missing)
+            columns = [self._kept[name] for name in wanted]
+            fields = [one.schema.field(0) for one in columns]
+            schema = pa.schema(fields, columns[0].schema.metadata)
+            return pa.Table.from_arrays([one.column(0) for one in columns], schema=schema)
         if missing := [name for name in wanted if name not in self.table.column_names]:
             raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
         return self.table.select(wanted)

@@ -4,7 +4,7 @@ Every function returns a new matplotlib `Figure`; `png` converts it to bytes tha
 figure. Nothing here changes matplotlib's global state.
 """
 
-from sinsjax.plots.beliefs import BeliefPanel, beliefs
+from sinsjax.plots.beliefs import BeliefPanel, beliefs, plot_belief
 from sinsjax.plots.believed import Course, believed
 from sinsjax.plots.curves import (
     Ensemble,
@@ -13,6 +13,7 @@ from sinsjax.plots.curves import (
     draw,
     ensembles,
     misalignment,
+    plot_curves,
     squares,
     yaw_errors,
 )
@@ -28,7 +29,8 @@ from sinsjax.plots.grids import (
     spread,
     verdict_matrix,
 )
-from sinsjax.plots.spreads import Expected, along_axis, tells
+from sinsjax.plots.maps import plot_map
+from sinsjax.plots.spreads import Expected, along_axis, plot_compare, tells
 from sinsjax.plots.stored_records import survival
 from sinsjax.plots.style import COLOURS, STYLE, colour, png
 from sinsjax.plots.words import label, setting
@@ -58,6 +60,10 @@ __all__ = [
     "label",
     "misalignment",
     "over_time",
+    "plot_belief",
+    "plot_compare",
+    "plot_curves",
+    "plot_map",
     "png",
     "setting",
     "spread",

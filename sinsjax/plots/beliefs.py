@@ -13,8 +13,11 @@ from scipy import special
 
 from sinsjax import analysis
 from sinsjax.analysis import NEES_FREEDOM, Estimate
+from sinsjax.analysis.tables import as_table
+from sinsjax.errors import InputError
 from sinsjax.plots.spreads import steps
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
+from sinsjax.plots.words import name_of
 
 SHARES = {"from truth": "p_above_error_share", "from the bias floor": "p_above_floor_error_share"}
 """Columns of the shares of records with P above the squared error."""
@@ -50,6 +53,50 @@ class BeliefPanel(NamedTuple):
         return cls(label, analysis.numbers(rows, "nees"), shares)
 
 
+def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> Figure:
+    """Draw whether filters know their own error: NEES and P against the true error, line by line.
+
+    On the left the distribution of NEES, the squared attitude error at the end in units of the
+    filter's covariance (no unit), against chi-square of 3 degrees of freedom. On the right the mean
+    share of records in which the heading variance exceeds the squared heading error, from the truth
+    and from the bias floor, with 95 % intervals, against the 68 % of a consistent filter.
+
+    Args:
+        runs: one row per run, with ``nees``, ``p_above_error_share`` and
+            ``p_above_floor_error_share``: a pyarrow Table such as `Results.summary`, or a pandas
+            data frame. Lines without any finite NEES are left out.
+        by: key or keys of the lines; without keys all runs make one.
+        title: title of the figure; by default it states the mean NEES.
+
+    Raises:
+        InputError: no table, a missing column, or no run with a finite NEES.
+
+    Example:
+        >>> import pyarrow as pa, sinsjax
+        >>> runs = pa.table({
+        ...     "nees": [1.0, 3.0, 5.0],
+        ...     "p_above_error_share": [0.6, 0.7, 0.75],
+        ...     "p_above_floor_error_share": [0.6, 0.7, 0.8],
+        ... })
+        >>> sinsjax.plot_belief(runs).get_suptitle()
+        'Mean NEES 3, where a consistent filter has 3'
+    """
+    keys = [by] if isinstance(by, str) else list(by)
+    groups = analysis.groups(as_table(runs), keys)
+    shown = [BeliefPanel.of(name_of(point), rows) for point, rows in groups]
+    shown = [one for one in shown if np.isfinite(one.nees).any()]
+    if not shown:
+        raise InputError("plot_belief: no run has a finite nees (only filters have a covariance)")
+    return beliefs(shown, title or _finding(shown))
+
+
+def _finding(shown: Sequence[BeliefPanel]) -> str:
+    """The mean NEES of the lines, in words."""
+    means = [float(np.mean(one.nees[np.isfinite(one.nees)])) for one in shown]
+    ends = dict.fromkeys(f"{mean:.2g}" for mean in (min(means), max(means)))
+    return f"Mean NEES {' to '.join(ends)}, where a consistent filter has {NEES_FREEDOM}"
+
+
 @styled
 def beliefs(shown: Sequence[BeliefPanel], title: str) -> Figure:
     """Distribution of NEES against chi-square, and how often P exceeds the squared error.
@@ -58,12 +105,12 @@ def beliefs(shown: Sequence[BeliefPanel], title: str) -> Figure:
         shown: one line each; all with shares of the same names.
         title: title of the figure.
     """
-    figure = Figure(figsize=(9.2, 4.8 + 0.3 * max(len(shown) - 3, 0)))
+    figure = Figure(figsize=(9.2, 4.4 + 0.3 * max(len(shown) - 3, 0)))
     figure.suptitle(title)
     left, right = figure.subplots(1, 2, width_ratios=[3, 2])
     _nees(left, shown)
     _shares(right, shown)
-    legend_outside(figure, left)
+    legend_outside(figure, left, {one.label for one in shown})  # named on the right
     return figure
 
 
@@ -79,6 +126,8 @@ def _nees(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
     at = np.geomspace(low, high, 400)
     name = f"chi-square, {NEES_FREEDOM} degrees of freedom"
     axes.plot(at, special.chdtr(NEES_FREEDOM, at), "--", color="black", label=name)
+    for mark, of in zip(_MARKS, shown[0].shares if shown else (), strict=False):
+        axes.plot([], [], mark, color=GREY, label=f"share {of}")
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     axes.xaxis.set_major_locator(FixedLocator(list(10.0 ** np.arange(-2, 5))))
@@ -104,12 +153,8 @@ def _shares(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
                 markersize=6,
             )
         axes.text(0.0, i - _BELOW, belief.label, color=colour(i), fontsize=8.5, va="center")
-    names = list(shown[0].shares) if shown else []
-    for mark, name in zip(_MARKS, names, strict=False):
-        axes.plot([], [], mark, color=GREY, label=name)
     axes.axvline(_WITHIN_SIGMA, color="black", linestyle="--")
     axes.set_xlim(-0.03, 1.03)
     axes.set_ylim(len(shown) - 0.4, -0.6)  # room for the marks of the last, the name of the first
     axes.set_yticks([])
     axes.set_xlabel("share of records with the variance\nabove the squared heading error")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16), ncols=len(names) or 1, fontsize=10)

@@ -1,7 +1,8 @@
 """Figures of curves over time: misalignment, attitude, covariance against the true error."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from itertools import islice
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -10,11 +11,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sinsjax.plots.style import GREY, both_sides, colour, legend_outside, styled
+from sinsjax.analysis.tables import as_table, groups, numbers, require
+from sinsjax.errors import InputError
+from sinsjax.plots.style import GREY, both_sides, colour, label_lines, legend_outside, styled
+from sinsjax.plots.words import name_of
+
+MOST_LINES = 6
+"""Lines of a figure at most."""
 
 BAND = (0.025, 0.975)
 """Quantiles over the draws at the edges of a band."""
 
+_MOST_DRAWS = 256  # in a line's band
+_MOST_MOMENTS = 8  # reset times that are marked
+_SAME = 0.01  # arcmin; bias floors that lie closer are one line
 _FAINT = 0.22  # opacity of a band
 _LINEAR = (0.1, 10.0)  # arcmin; least and most up to which an asinh axis is about linear
 _WIDE = 12.0  # times the least end of a line; beyond it a linear axis would hide that end
@@ -101,6 +111,111 @@ def draw(axes: Axes, line: Line) -> Extent:
     return Extent(time, np.minimum(low, mean), np.maximum(high, mean))
 
 
+def plot_curves(
+    curves: Any,
+    runs: Any = None,
+    *,
+    by: str | Sequence[str] = (),
+    zoom_s: tuple[float, float] | None = None,
+    title: str = "",
+) -> Figure:
+    """Draw the misalignment over time, or the attitude of runs without a truth, line by line.
+
+    A line is the mean over its runs with the band of 95 % of them, dashed the filter's own 1 sigma.
+    Of many lines the first 6 are drawn, of many runs of a line the first 256.
+
+    Args:
+        curves: one row per run and record time, ordered by run and time, with ``run_id``,
+            ``time_s`` and the columns of `Results.curves` (arcmin, and deg for the attitude): a
+            pyarrow Table or a pandas data frame.
+        runs: the runs to draw, one row each, such as `Results.summary`, with the keys of ``by``;
+            reset times and a bias floor in it are marked. None draws every run as its own line.
+        by: key or keys of the lines; without keys all runs make one.
+        zoom_s: time span to enlarge beside the whole run, s.
+        title: title of the figure; by default it states the heading error at the end.
+
+    Raises:
+        InputError: no table, a missing column, or no curves of these runs.
+
+    Example:
+        >>> import pyarrow as pa, sinsjax
+        >>> phi = {f"phi_{axis}_arcmin": [30.0, 2.0] for axis in "enu"}
+        >>> curves = pa.table({"run_id": [0, 0], "time_s": [1.0, 2.0], **phi})
+        >>> sinsjax.plot_curves(curves).get_suptitle()
+        'Heading error after 2 s: 2 arcmin'
+    """
+    table = as_table(curves)
+    keys = [by] if isinstance(by, str) else list(by)
+    found = [f"phi_{axis}_arcmin" for axis in "enu" if f"phi_{axis}_arcmin" in table.column_names]
+    has_truth = any(np.isfinite(numbers(table, name)).any() for name in found)
+    angles = [f"{angle}_deg" for angle in ("pitch", "roll", "yaw")]
+    needed = found if has_truth else [*angles, *(f"sigma_{axis}_arcmin" for axis in "enu")]
+    for name in ("run_id", "time_s", *needed):
+        require(table, name)
+    summary = pa.table({"run_id": table["run_id"].unique()}) if runs is None else as_table(runs)
+    lines = runs_of_lines(summary, ["run_id"] if runs is None else keys)
+    there = {*table["run_id"].unique().to_pylist()}
+    lines = {name: ids for name, ids in lines.items() if there.intersection(ids)}
+    if not lines:
+        raise InputError("plot_curves: there are no curves of these runs")
+    shown = ensembles(table, lines)
+    sigmas = [one.columns.get("sigma_u_arcmin") for one in shown]
+    with_sigma = any(sigma is not None and np.isfinite(sigma).any() for sigma in sigmas)
+    if not has_truth:
+        return attitude(shown, title or f"Attitude{' and 1 sigma of the filter' * with_sigma}")
+    drawn = summary.filter(pc.is_in(summary["run_id"], pa.array(sum(lines.values(), []))))
+    limit = _only_floor(summary)
+    return misalignment(
+        shown,
+        title or _finding(shown),
+        limits=None if limit is None else {"u": limit},
+        resets_s=_few_resets(drawn),
+        zoom_s=zoom_s,
+        with_sigma=with_sigma,
+    )
+
+
+def runs_of_lines(summary: pa.Table, by: Sequence[str]) -> dict[str, list[int]]:
+    """The runs of each line that `plot_curves` draws, by its name.
+
+    Args:
+        summary: one row per run, with ``run_id`` and the keys.
+        by: keys of the lines.
+    """
+    keys = dict.fromkeys(["run_id", *by])
+    lines = islice(groups(summary.select(list(keys)), by), MOST_LINES)
+    return {name_of(key): rows["run_id"].slice(0, _MOST_DRAWS).to_pylist() for key, rows in lines}
+
+
+def _only_floor(summary: pa.Table) -> float | None:
+    """The bias floor of all runs that have one, if it is the same, arcmin."""
+    if "floor_arcmin" not in summary.column_names:
+        return None
+    floors = numbers(summary, "floor_arcmin")
+    floors = floors[np.isfinite(floors)]
+    return float(floors[0]) if floors.size and np.ptp(floors) < _SAME else None
+
+
+def _few_resets(summary: pa.Table) -> list[float]:
+    """The reset times of the runs in ascending order, s; none if there are too many to mark."""
+    if "reset_times_s" not in summary.column_names:
+        return []
+    moments = {time for times in summary["reset_times_s"].to_pylist() for time in times or ()}
+    return sorted(moments) if len(moments) <= _MOST_MOMENTS else []
+
+
+def _finding(shown: Sequence[Ensemble]) -> str:
+    """The heading error at the end of each line, in words."""
+    last = [np.abs(e.columns["phi_u_arcmin"][:, -1]) for e in shown]
+    errors = [float(np.sqrt(np.mean(one**2))) for one in last if np.isfinite(one).all()]
+    end = max(float(e.time_s[-1]) for e in shown)
+    if not errors:
+        return "Misalignment"
+    ends = dict.fromkeys(f"{error:.3g}" for error in (min(errors), max(errors)))
+    rms = ", rms" if max(map(len, last)) > 1 else ""
+    return f"Heading error after {end:g} s: {' to '.join(ends)} arcmin{rms}"
+
+
 @styled
 def misalignment(
     shown: Sequence[Ensemble],
@@ -142,8 +257,21 @@ def misalignment(
         grid[0, 1].set_title(f"Enlarged: {zoom_s[0]:g} to {zoom_s[1]:g} s")
     for axes in grid[-1]:
         axes.set_xlabel("time (s)")
-    legend_outside(figure, grid[-1, 0])
+    legend_outside(figure, grid[-1, 0], _labelled(grid[:, -1], shown))
     return figure
+
+
+def _labelled(panels: NDArray, shown: Sequence[Ensemble]) -> set[str]:
+    """Write the names of the lines beside the first panel that has room; gives these names."""
+    for axes, axis in reversed(list(zip(panels, "enu", strict=True))):
+        last = [float(e.columns[f"phi_{axis}_arcmin"][:, -1].mean()) for e in shown]
+        ends = [
+            (e.label, value, colour(i))
+            for i, (e, value) in enumerate(zip(shown, last, strict=True))
+        ]
+        if label_lines(axes, ends):
+            return {e.label for e in shown}
+    return set()
 
 
 def _draw_misalignment(

@@ -15,7 +15,16 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
-from sinsjax.plots.style import COLOURS, GREY, colour, legend_outside, styled
+from sinsjax.plots.style import (
+    AND_MORE,
+    COLOURS,
+    GREY,
+    LETTERS,
+    colour,
+    colour_range,
+    legend_outside,
+    styled,
+)
 
 _COLOURS = "viridis_r"  # light where the objective is small
 _MARKERS = ("*", "D", "^", "s", "o", "P", "X")
@@ -122,12 +131,10 @@ def descent(landscape: Landscape, ways: Sequence[Way], spots: Sequence[Spot], ti
         else:
             _scatter(axes, landscape, (0, 1), norm)
         _over(axes, landscape.sides, (0, 1), ways, spots)
-        figure.colorbar(
-            ScalarMappable(norm, _COLOURS), ax=axes, label=fill(landscape.name, _LETTERS), aspect=30
-        )
+        _colour_bar(figure, axes, landscape)
     else:
         figure = _pairs(landscape, ways, spots)
-    figure.suptitle(title)
+    figure.suptitle(fill(title, int(LETTERS * figure.get_figwidth())))
     legend_outside(figure, figure.axes[0])
     return figure
 
@@ -144,20 +151,22 @@ def _pairs(landscape: Landscape, ways: Sequence[Way], spots: Sequence[Spot]) -> 
         _over(axes, landscape.sides, pair, ways, spots)
     for axes in list(grid.flat)[len(pairs) :]:
         axes.set_visible(False)
-    figure.colorbar(
-        ScalarMappable(norm, _COLOURS),
-        ax=grid,
-        label=fill(landscape.name, _LETTERS),
-        aspect=30,
-        shrink=0.9,
-    )
+    _colour_bar(figure, grid, landscape, shrink=0.9)
     return figure
 
 
 def _norm(landscape: Landscape) -> Normalize:
+    return Normalize(*colour_range(landscape.objective[np.isfinite(landscape.objective)]))
+
+
+def _colour_bar(figure: Figure, axes: Any, landscape: Landscape, **style: Any) -> None:
+    norm = _norm(landscape)
     finite = landscape.objective[np.isfinite(landscape.objective)]
-    low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
-    return Normalize(low, high if high > low else low + 1)
+    above = bool(np.any(finite > norm.vmax))
+    name = fill(f"{landscape.name}{AND_MORE if above else ''}", _LETTERS)
+    extend = "max" if above else "neither"
+    mappable = ScalarMappable(norm, _COLOURS)
+    figure.colorbar(mappable, ax=axes, label=name, aspect=30, extend=extend, **style)
 
 
 def _curve(axes: Axes, landscape: Landscape, ways: Sequence[Way], spots: Sequence[Spot]) -> None:

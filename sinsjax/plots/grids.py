@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from textwrap import fill
 from typing import Any, NamedTuple
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, LogNorm, Normalize
@@ -15,8 +16,8 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from sinsjax.plots.style import COLOURS, styled
-from sinsjax.plots.words import label
+from sinsjax.plots.style import AND_MORE, COLOURS, LETTERS, styled
+from sinsjax.plots.words import label, value_text
 
 _NEVER, _NEVER_EDGE = "#dcdcdc", "#b5b5b5"
 _HATCH, _MARKED = "////", "xx"
@@ -24,6 +25,7 @@ _CONTOUR = COLOURS[1]
 _ROOMY = 6  # most cells side by side in a panel with full-size numbers
 _LEGIBLE = 10  # most cells side by side with small numbers
 _LETTERS = 9  # characters per inch in a panel's title
+_BEST = COLOURS[1]  # frame of the best cell
 _LIGHT = 0.5  # position in the colour map beyond which cells are light and have dark numbers
 
 
@@ -36,7 +38,7 @@ class Scale(NamedTuple):
     """
 
     key: str
-    values: Sequence[float]
+    values: Sequence[Any]
 
 
 class Shown(NamedTuple):
@@ -95,11 +97,15 @@ class Marks(NamedTuple):
             have the same runs, and their value is written once.
         hatched: for each panel, the cells (rows, columns) to hatch; empty for none.
         name: meaning of the hatch, for the legend.
+        best: for each panel, the cell (row, column) to outline, or None; empty for none.
+        best_name: meaning of the outline, for the legend.
     """
 
     alike: Sequence[NDArray]
     hatched: Sequence[NDArray] = ()
     name: str = ""
+    best: Sequence[tuple[int, int] | None] = ()
+    best_name: str = ""
 
 
 def spread(values: Sequence[float], count: int) -> NDArray:
@@ -119,7 +125,7 @@ def spread(values: Sequence[float], count: int) -> NDArray:
     return np.exp(np.interp(places, middles, [ends[0], *logs, ends[1]]))
 
 
-def differ(values: Sequence[NDArray]) -> bool:
+def differ(values: NDArray | Sequence[NDArray]) -> bool:
     """Whether cells of `heat_maps` differ; a figure of equal ones says nothing."""
     return len(np.unique(values)) > 1
 
@@ -151,29 +157,32 @@ def heat_maps(
     """
     width = min(4, across or 4, len(panels))
     height = -(-len(panels) // width)
-    side = max(2.5, 7.2 / width)  # width of a panel, in; together as wide as the title
+    side = max(2.2, 7.2 / width)  # width of a panel, in; together as wide as the title
     names = [fill(name, int(_LETTERS * side)) for name, _ in panels]
     line = 0.2 * max(name.count("\n") for name in names)
     figure = Figure(figsize=(1.2 + side * width, 1.4 + (2.5 + line) * height))
-    figure.suptitle(title)
+    figure.suptitle(fill(title, int(LETTERS * figure.get_figwidth())))
+    # Set before the axes are made: later, every tick would be made twice.
+    tick = 10.5 if len(columns.values) <= _ROOMY else 9
+    mpl.rcParams.update({"axes.grid": False, "xtick.labelsize": tick})
     grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
+    grid[0, 0].set_xticks(range(len(columns.values)), map(value_text, columns.values))
+    grid[0, 0].set_yticks(range(len(rows.values)), map(value_text, rows.values))
     for number, (axes, (_, values)) in enumerate(zip(grid.flat, panels, strict=False)):
         image = _heat_map(axes, values, shown, marks.alike[number] if marks else None)
         if marks and marks.hatched:
             _mark(axes, np.isfinite(values) & marks.hatched[number], values, shown)
+        if marks and marks.best and (best := marks.best[number]) is not None:
+            _outline(axes, marks.alike[number], best)
         axes.set_title(names[number])
-        ticks = [f"{v:g}" for v in columns.values]
-        axes.set_xticks(range(len(ticks)), ticks, fontsize=10.5 if len(ticks) <= _ROOMY else 9)
-        axes.set_yticks(range(len(rows.values)), [f"{v:g}" for v in rows.values])
         if contours:
             _contour(axes, contours.levels, contours.values[number])
     label_rim(grid, len(panels), rows=rows, columns=columns)
     finite = np.concatenate([values[np.isfinite(values)] for _, values in panels])
     below, above = bool(np.any(finite < shown.low)), bool(np.any(finite > shown.high))
     extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get((below, above))
-    figure.colorbar(
-        image, ax=grid, label=shown.name, shrink=0.8, aspect=30, extend=extend or "neither"
-    )
+    name = f"{shown.name}{AND_MORE if above else ''}"
+    figure.colorbar(image, ax=grid, label=name, shrink=0.8, aspect=30, extend=extend or "neither")
     handles: list[Patch | Line2D] = []
     if contours:
         styles = zip(contours.levels, _level_styles(contours.levels), strict=True)
@@ -183,8 +192,10 @@ def heat_maps(
     if any(not np.isfinite(values).all() for _, values in panels):
         never = Patch(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH, label="never (median)")
         handles.append(never)
-    if marks and any(axes.patches for axes in grid.flat):
+    if marks and np.any(marks.hatched):
         handles.append(Patch(facecolor="none", edgecolor="black", hatch=_MARKED, label=marks.name))
+    if marks and any(best is not None for best in marks.best):
+        handles.append(Patch(fill=False, edgecolor=_BEST, linewidth=2.5, label=marks.best_name))
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
@@ -214,12 +225,18 @@ def label_rim(grid: NDArray, panels: int, *, rows: Scale, columns: Scale) -> Non
         rows: scale of the y axes.
         columns: scale of the x axes.
     """
-    for axes in list(grid.flat)[panels:]:
-        axes.set_visible(False)
+    height, width = grid.shape
+    lowest = [max(i for i in range(height) if i * width + j < panels) for j in range(width)]
+    for number, axes in enumerate(grid.flat):
+        row, column = divmod(number, width)
+        axes.set_visible(number < panels)
+        axes.set_in_layout(column == 0 or row == lowest[column])  # the others have no labels
     for axes in grid[:, 0]:
         axes.set_ylabel(label(rows.key))
-    for axes in grid[-1]:
-        axes.set_xlabel(label(columns.key))
+    for row, axes in zip(lowest, grid.T, strict=True):
+        axes[row].set_xlabel(label(columns.key))
+        if row < height - 1:
+            axes[row].tick_params(labelbottom=True)
 
 
 def _heat_map(axes: Axes, values: NDArray, shown: Shown, alike: NDArray | None = None) -> AxesImage:
@@ -230,33 +247,53 @@ def _heat_map(axes: Axes, values: NDArray, shown: Shown, alike: NDArray | None =
         aspect="auto",
         origin="lower",
     )
-    axes.grid(visible=False)
     axes.patch.set(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH)  # behind masked cells
     size = 9.0 if values.shape[1] <= _ROOMY else 7.5
     if shown.numbers and values.shape[1] <= _LEGIBLE:
         own = np.arange(values.size).reshape(values.shape)
+        shades = _shades(values, shown)
         for cell, (row, column) in _places(own if alike is None else alike):
             if np.isfinite(values[cell]):
-                text = axes.text(
-                    column, row, shown.text(values[cell]), ha="center", va="center", fontsize=size
-                )
-                text.set_color(_shade(values[cell], shown))
+                style: Any = {"ha": "center", "va": "center", "size": size, "color": shades[cell]}
+                text = axes.text(column, row, shown.text(values[cell]), **style)
+                text.set_in_layout(False)  # it is within its axes
     return image
 
 
 def _places(alike: NDArray) -> Iterator[tuple[tuple[int, int], tuple[float, float]]]:
     """A cell of each kind, and where its value is written: mid-way if they make a rectangle."""
     for kind in np.unique(alike):
-        cells = np.argwhere(alike == kind)
-        low, high = cells.min(axis=0), cells.max(axis=0)
-        is_whole = np.prod(high - low + 1) == len(cells)
-        row, column = (low + high) / 2 if is_whole else cells[0]
-        yield (int(cells[0][0]), int(cells[0][1])), (float(row), float(column))
+        (low, high), first = _extent(alike, int(kind))
+        row, column = (low + high) / 2
+        yield first, (float(row), float(column))
+
+
+def _extent(alike: NDArray, kind: int) -> tuple[NDArray, tuple[int, int]]:
+    """The lower and upper corner (2, 2) of the cells of a kind, and the first of these cells.
+
+    The corners are those of the first cell alone if the cells do not make a rectangle.
+    """
+    cells = np.argwhere(alike == kind)
+    low, high = cells.min(axis=0), cells.max(axis=0)
+    is_whole = np.prod(high - low + 1) == len(cells)
+    first = (int(cells[0][0]), int(cells[0][1]))
+    return np.array([low, high] if is_whole else [cells[0], cells[0]]), first
+
+
+def _outline(axes: Axes, alike: NDArray, cell: tuple[int, int]) -> None:
+    """Frame a cell, with the cells that have the same runs."""
+    (low, high), _ = _extent(alike, int(alike[cell]))
+    height, width = high - low + 1
+    frame: dict[str, Any] = {"fill": False, "clip_on": False, "zorder": 3}
+    for colour, line in (("white", 4.0), (_BEST, 2.5)):
+        corner = (low[1] - 0.5, low[0] - 0.5)
+        axes.add_patch(Rectangle(corner, width, height, edgecolor=colour, linewidth=line, **frame))
 
 
 def _mark(axes: Axes, hatched: NDArray, values: NDArray, shown: Shown) -> None:
+    shades = _shades(values, shown)
     for row, column in np.argwhere(hatched):
-        shade, corner = _shade(values[row, column], shown), (column - 0.5, row - 0.5)
+        shade, corner = shades[row, column], (column - 0.5, row - 0.5)
         patch = Rectangle(corner, 1, 1, fill=False, edgecolor=shade, hatch=_MARKED, linewidth=0)
         axes.add_patch(patch)
     (image,) = axes.get_images()
@@ -266,9 +303,10 @@ def _mark(axes: Axes, hatched: NDArray, values: NDArray, shown: Shown) -> None:
         text.set_bbox({"facecolor": colour, "linewidth": 0, "pad": 1.0})
 
 
-def _shade(value: float, shown: Shown) -> str:
-    """What is legible on a cell's colour."""
-    return "black" if (shown.norm(value) > _LIGHT) != shown.reverse else "white"
+def _shades(values: NDArray, shown: Shown) -> NDArray:
+    """What is legible on the colour of each cell."""
+    light = np.ma.filled(shown.norm(np.ma.masked_invalid(values)), 0.0) > _LIGHT
+    return np.where(light != shown.reverse, "black", "white")
 
 
 class Verdicts(NamedTuple):

@@ -1,23 +1,33 @@
 """Figures of statistics over the draws: along one swept key, and whole distributions."""
 
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
-from sinsjax.analysis import Estimate
-from sinsjax.plots.style import GREY, colour, legend_outside, styled
-from sinsjax.plots.words import label, value_text
+from sinsjax.analysis import Estimate, groups, summarise
+from sinsjax.analysis.summaries import estimate_of
+from sinsjax.analysis.tables import as_table
+from sinsjax.plots.style import GREY, LETTERS, colour, label_lines, legend_outside, styled
+from sinsjax.plots.words import label, name_of, point_text, value_text
+
+MOST_LINES = 7
+"""Lines of a figure at most."""
 
 _MARKS = "os^Dv*P"
 _DODGE = 0.008  # share of the axis by which the marks of two lines are offset to remain visible
 _MOST_STEPS = 1000
 _APART = 0.06  # share of the axis needed between marks
 _WIDE = 12  # letters of a word that has no room beside others
+_SIMILAR = 0.1  # of the largest value of a panel: another one as near as that is left out
+_CLEAR = 0.05  # share by which the best line is better than the second
+_RANGE = 30.0  # largest over smallest value, beyond which an axis is logarithmic
 _LONG = 4.0  # times the median bar of a panel; beyond it a bar leaves the panel
 
 
@@ -35,13 +45,116 @@ class Expected(NamedTuple):
     band: tuple[float, float]
 
 
+def plot_compare(
+    runs: Any,
+    key: str,
+    *,
+    by: str | Sequence[str] = (),
+    statistics: Mapping[str, str] | None = None,
+    condition: bool = False,
+    title: str = "",
+) -> Figure:
+    """Draw statistics of the runs along one swept key, with 95 % intervals, one line per variant.
+
+    Panels that say nothing are left out: without finite values, with shares that are all equal, or
+    hardly different from an earlier panel of the same unit. Of many lines the first 7 are drawn.
+
+    Args:
+        runs: one row per run: a pyarrow Table such as `Results.summary`, or a pandas data frame.
+        key: key along the horizontal axis, numbers or lists such as reset times.
+        by: key or keys of the lines; runs that differ in other keys share a line.
+        statistics: statistics of `sinsjax.summarise` and the title of the panel of each, with its
+            unit (shares become percent); by default the median settling times, the shares of
+            success and the rms of the heading error at the end that the columns allow.
+        condition: whether the key is a condition of the runs such as the initial heading error, so
+            that the title names the best line over all of its values; else it names the best value.
+        title: title of the figure; by default it states what is best.
+
+    Raises:
+        InputError: no table, no runs, a missing column, or an unknown statistic.
+
+    Example:
+        >>> import pyarrow as pa, sinsjax
+        >>> runs = pa.table({
+        ...     "q_scale": [1.0, 1.0, 4.0, 4.0],
+        ...     "draw_id": [0, 1, 0, 1],
+        ...     "status": ["ok"] * 4,
+        ...     "phi_u_arcmin": [2.0, -1.0, 9.0, -8.0],
+        ... })
+        >>> figure = sinsjax.plot_compare(runs, "q_scale")
+        >>> [axes.get_title(loc="left") for axes in figure.axes]
+        ['heading error at the end, rms (arcmin)']
+    """
+    table = as_table(runs)
+    by = [by] if isinstance(by, str) else list(by)
+    shown = _statistics(table) if statistics is None else dict(statistics)
+    lines = {name_of(point): rows for point, rows in groups(table, by)}
+    lines = dict(list(lines.items())[:MOST_LINES])
+    rows = {name: summarise(own, [key], list(shown)).to_pylist() for name, own in lines.items()}
+    panels = {
+        words: {name: [_estimate(row, statistic) for row in own] for name, own in rows.items()}
+        for statistic, words in shown.items()
+    }
+    values = [row[key] for row in max(rows.values(), key=len)]
+    told = worth_drawing(panels) or dict(list(panels.items())[-1:])
+    return along_axis(key, values, told, title=title, condition=condition)
+
+
+def _statistics(table: pa.Table) -> dict[str, str]:
+    """The statistics that a summary allows, with the titles of their panels."""
+    found = {}
+    for name in table.column_names:
+        if name.startswith("settle_") and not name.endswith("_data_s"):
+            band, _, truth = name.removeprefix("settle_").removesuffix("_s").partition("_")
+            aim = "the truth" if truth else "the bias floor"
+            found[f"{name}_median"] = f"median time (s) to within {band}' of {aim}"
+    for flag, aim in {"ok_floor": "the bias floor", "ok_truth": "the truth"}.items():
+        if flag in table.column_names:
+            rate = f"{flag.replace('ok', 'success')}_rate"
+            found[rate] = f"share of successful runs, from {aim} (%)"
+    return found | {"phi_u_arcmin_rms": "heading error at the end, rms (arcmin)"}
+
+
+def _estimate(row: Mapping[str, Any], statistic: str) -> Estimate:
+    """A statistic in a row of `summarise`, shares in percent."""
+    found = estimate_of(row, statistic)
+    if not statistic.endswith("_rate"):
+        return found
+    value, low, high = (100 * number for number in found[:3])
+    return Estimate(value, low, high, found.n)
+
+
+def worth_drawing(
+    panels: Mapping[str, Mapping[str, Sequence[Estimate]]],
+) -> dict[str, Mapping[str, Sequence[Estimate]]]:
+    """The panels of `along_axis` that show something that no earlier one does."""
+    found: dict[str, Mapping[str, Sequence[Estimate]]] = {}
+    seen: list[tuple[str, NDArray]] = []
+    for name, panel in panels.items():
+        values = np.array([e.value for line in panel.values() for e in line])
+        same = "(%)" in name and np.ptp(values) == 0
+        unit = name.partition("(")[2].partition(")")[0]
+        known = any(unit == other and _alike(values, before) for other, before in seen)
+        if tells(panel) and not same and not known:
+            found[name] = panel
+            seen.append((unit, values))
+    return found
+
+
+def _alike(values: NDArray, before: NDArray) -> bool:
+    """Whether a panel hardly differs from another one, in values and in what is *never*."""
+    reach = _SIMILAR * np.abs(before[np.isfinite(before)]).max(initial=0.0)
+    return np.allclose(values, before, rtol=0.0, atol=reach, equal_nan=True)
+
+
 @styled
 def along_axis(
     key: str,
     values: Sequence[Any],
     panels: Mapping[str, Mapping[str, Sequence[Estimate]]],
     *,
-    title: str,
+    title: str = "",
+    condition: bool = False,
     expected: Expected | None = None,
     log: bool = False,
 ) -> Figure:
@@ -52,12 +165,14 @@ def along_axis(
         values: values of the key; lists stand side by side, as words.
         panels: quantity, with its unit, to line label to one estimate per value; infinite ones are
             marked at the upper edge as *never*; a bar far longer than the others ends outside.
-        title: title of the figure.
+        title: title of the figure; by default what is best in the first panel.
+        condition: whether the key is a condition, see `plot_compare`.
         expected: expected value, drawn in every panel.
-        log: whether the vertical axes are logarithmic.
+        log: whether the vertical axes are logarithmic; others are too where values differ widely.
     """
-    figure = Figure(figsize=(9.2, 1.2 + 2.5 * len(panels)))
-    figure.suptitle(title)
+    figure = Figure(figsize=(9.2, 1.2 + 2.2 * len(panels)))
+    title = title or _finding(key, values, panels, condition=condition)
+    figure.suptitle(fill(title, int(LETTERS * figure.get_figwidth())))
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     words = [value_text(value) for value in values if isinstance(value, list | tuple)]
     x = np.arange(len(values)) if words else np.asarray(values, dtype=float)
@@ -65,9 +180,13 @@ def along_axis(
         if expected:
             axes.axhspan(*expected.band, color=GREY, alpha=0.25, linewidth=0)
             axes.axhline(expected.value, color=GREY, linestyle="--", label=expected.name)
-        if log:
+        every = [e for estimates in lines.values() for e in estimates]
+        if log or _is_wide(every):
             axes.set_yscale("log")
-            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            decades = np.ptp(np.log10([e.value for e in every if 0 < e.value < np.inf] or [1.0]))
+            axes.yaxis.set_major_locator(
+                LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2 else (1.0,))
+            )
             axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
             axes.yaxis.set_minor_formatter(NullFormatter())
         for i, (line, estimates) in enumerate(lines.items()):
@@ -81,10 +200,12 @@ def along_axis(
                 height = np.full(never.size, 0.97)  # of the axes: their upper edge
                 edge = axes.get_xaxis_transform()
                 axes.plot(never, height, "x", color=colour(i), transform=edge)
-        if not log:
-            _follow(axes, [e for estimates in lines.values() for e in estimates], expected)
+        if "(%)" in name:
+            axes.set_ylim(-4, 104)
+        elif axes.get_yscale() == "linear":
+            _follow(axes, every, expected)
         axes.set_title(name, loc="left", size="medium")
-        if not any(np.isfinite(e.value) for estimates in lines.values() for e in estimates):
+        if not any(np.isfinite(e.value) for e in every):
             axes.set_yticks([])
     if words:
         turned = {"rotation": 20, "ha": "right"} if max(map(len, words)) > _WIDE else {}
@@ -94,8 +215,62 @@ def along_axis(
     grid[-1].set_xlabel(label(key))
     if any(np.isposinf(e.value) for p in panels.values() for line in p.values() for e in line):
         grid[0].plot([], [], "x", color=GREY, label="never (median)")
-    legend_outside(figure, grid[0])
+    for axes, lines in zip(grid, panels.values(), strict=True):
+        ends = [(name, some[-1].value, colour(i)) for i, (name, some) in enumerate(lines.items())]
+        if not words and label_lines(axes, ends):
+            break
+    else:
+        ends = []
+    legend_outside(figure, grid[0], {name for name, *_ in ends})
     return figure
+
+
+def _is_wide(estimates: Sequence[Estimate]) -> bool:
+    """Whether values differ so much that a linear axis would hide the small ones."""
+    values = np.array([e.value for e in estimates])
+    values = values[np.isfinite(values)]
+    return bool(values.size and values.min() > 0 and values.max() > _RANGE * values.min())
+
+
+def _finding(
+    key: str,
+    values: Sequence[Any],
+    panels: Mapping[str, Mapping[str, Sequence[Estimate]]],
+    *,
+    condition: bool,
+) -> str:
+    """What is best in the first panel, in words."""
+    name, lines = next(iter(panels.items()))
+    sign, quantity = (-1 if "(%)" in name else 1), name.partition(" (")[0]
+    unit = name.partition("(")[2].partition(")")[0]
+    table = np.array([[e.value for e in line] for line in lines.values()])
+    known = np.isfinite(table)
+    if not known.any():
+        return f"{quantity[:1].upper()}{quantity[1:]}"
+    if not condition:
+        order = np.where(known, sign * table, np.inf)
+        line, place = np.unravel_index(np.argmin(order), table.shape)
+        best = point_text({key: values[int(place)]})
+        best += f", {list(lines)[line]}" if len(lines) > 1 else ""
+        return f"Best: {best} ({quantity} {table[line, place]:.3g} {unit})"
+    if len(lines) > 1:
+        means = [
+            sign * t[k].mean() if k.any() else np.inf for t, k in zip(table, known, strict=True)
+        ]
+        settled = known.sum(axis=1)
+        line, second = np.lexsort((means, -settled))[:2]
+        if settled[line] == settled[second] and abs(means[line] / means[second] - 1) < _CLEAR:
+            return (
+                f"{quantity[:1].upper()}{quantity[1:]}: no line is clearly better than the others"
+            )
+        found = f"{table[line][known[line]].mean():.3g} {unit} on average"
+        missing = "" if known[line].all() else f", at {known[line].sum()} of {len(values)} values"
+        return f"Best: {list(lines)[line]} ({quantity} {found}{missing})"
+    low, high = table[known].min(), table[known].max()
+    missing = (
+        "" if known.all() else f", never at {np.count_nonzero(~known)} of {len(values)} values"
+    )
+    return f"{quantity[:1].upper()}{quantity[1:]}: {low:.3g} to {high:.3g} {unit}{missing}"
 
 
 def _bars(estimates: Sequence[Estimate]) -> tuple[NDArray, NDArray]:

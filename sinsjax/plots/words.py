@@ -67,6 +67,26 @@ def name_of(key: Mapping[str, Any]) -> str:
     return ", ".join(words) or "all runs"
 
 
+def point_text(point: Mapping[str, Any]) -> str:
+    """A point of some axes as a phrase: ``2 resets, 50 s apart``, or keys with their values.
+
+    A single reset is ``1 reset at 50 s`` only if the point has ``reset_times_s``: its time may be
+    given by other keys than the cycle.
+    """
+    left = dict(point)
+    count, cycle_s = left.pop("reset_count", None), left.pop("reset_cycle_s", None)
+    times_s = left.pop("reset_times_s", None)
+    count = len(times_s) if count is None and times_s is not None else count
+    if count is None:
+        return name_of(point)
+    words = "no reset" if not count else f"{count:g} reset{'s' if count > 1 else ''}"
+    if count > 1 and cycle_s is not None:
+        words += f", {cycle_s:g} s apart"
+    elif times_s:
+        words += f" at {value_text(times_s)} s"
+    return ", ".join([words, *([name_of(left)] if left else [])])
+
+
 def value_text(value: Any) -> str:
     """A key's value as a reader wants it: 50 for 50.0, ``none`` for an empty list."""
     if isinstance(value, list | tuple):

@@ -15,13 +15,12 @@ from sinsjax.execution.directory import list_figures
 from sinsjax.execution.source import Source
 from sinsjax.messages import shortened
 from sinsjax.platform.files import require_writable
-from sinsjax.report import auto, estimated, folder, tuned
+from sinsjax.report import auto, estimated, folder
 from sinsjax.report.base import Chapter, Report, Text
 from sinsjax.report.markup import template
 from sinsjax.report.names import NO_NAMES
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_html, write_page
-from sinsjax.tuning import results
-from sinsjax.tuning.run_tuning import is_tuning
+from sinsjax.tuning.stored import is_tuning
 
 
 def summarise(
@@ -83,6 +82,8 @@ def _summarise(
         source = _read(directory, unfinished=True)
         every = full or page is not None or html is not None
         if is_tuning(directory):
+            from sinsjax.report import tuned  # late: it needs JAX
+
             report = tuned.report(source)
         else:
             kind = estimated if source.study.is_estimated else auto
@@ -110,6 +111,8 @@ def print_terms(console: Console) -> None:
 
 def _read(directory: Path, *, unfinished: bool = False) -> Source:
     if is_tuning(directory):
+        from sinsjax.tuning import results  # late, as above
+
         return results.read(directory)
     return Source.read(directory, unfinished=unfinished)
 

@@ -13,6 +13,7 @@ from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import heading, percent
 from sinsjax.columns import report_columns
 from sinsjax.execution.source import Source
+from sinsjax.plots.curves import runs_of_lines
 from sinsjax.plots.words import name_of
 from sinsjax.report.attitudes import attitude_verdict, attitudes
 from sinsjax.report.base import MOST_ROWS, Block, Picture, Report, Table, Text, intervals, table_of
@@ -24,11 +25,7 @@ from sinsjax.report.verdict import verdict
 from sinsjax.study.keys import is_given
 from sinsjax.study.success import judged_columns, yardsticks
 
-_MOST_LINES = 6
-_MOST_DRAWS = 256  # in a line's band
-_MOST_MOMENTS = 8
 _END = "phi_u_arcmin"
-_SAME = 0.01  # arcmin; bias floors that lie closer are one line
 
 
 def report(source: Source, *, full: bool = True, warned: bool = False) -> Report:
@@ -42,7 +39,7 @@ def report(source: Source, *, full: bool = True, warned: bool = False) -> Report
     yaw = analysis.numbers(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
     has_truth = bool(np.isfinite(yaw).any())
     blocks = [*over_axes(source), *spreads(source)] if has_truth else []
-    figures = [*_curves(source, has_truth), *(b for b in blocks if not isinstance(b, Table))]
+    figures = [*_curves(source), *(b for b in blocks if not isinstance(b, Table))]
     parts: dict[str, Sequence[Block]] = {"Figures": figures}
     needs_attitude = source.study.is_recorded or not has_truth
     if full:
@@ -171,40 +168,26 @@ def _over_drawn(source: Source, keys: Sequence[str]) -> Iterator[Table]:
         yield statistics(own, [key, *(keys if few else ())], f"Over {key}, drawn", note=note)
 
 
-def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
+def _curves(source: Source) -> Iterator[Block]:
     """Misalignment, or attitude, over time: the first few variants."""
     if not source.has_curves:
         return
     keys = source.study.keys_shown
     table = source.distinct([*keys, "run_id", "reset_times_s", "floor_arcmin"])
-    groups = list(analysis.groups(table, keys))
-    drawn = {name_of(key): rows.slice(0, _MOST_DRAWS) for key, rows in groups[:_MOST_LINES]}
-    runs = {name: rows["run_id"].to_pylist() for name, rows in drawn.items()}
+    runs = runs_of_lines(table, keys)
     curves = source.curves(run for ids in runs.values() for run in ids)
     if curves.num_rows == 0:
         return
-    shown = plots.ensembles(curves, runs)
     count = max(map(len, runs.values()))
     caption = f"Mean of {count} runs" if count > 1 else "One run each"
-    if left := len(groups) - len(runs):
+    if left := sum(1 for _ in analysis.groups(table.select(keys), keys)) - len(runs):
         caption += f" (the first {len(runs)} variants; {left} more are not drawn)"
+    figure = plots.plot_curves(curves, table, by=keys, zoom_s=source.study.study.window_s)
     has_sigma = bool(np.isfinite(analysis.numbers(curves, "sigma_u_arcmin")).any())
-    if not has_truth:
-        title = "Attitude with the filter's own 1 sigma" if has_sigma else "Attitude"
+    if not np.isfinite(analysis.numbers(curves, "phi_u_arcmin")).any():
         shading = "; shading: the filter's own 1 sigma" if has_sigma else ""
-        yield Picture("attitude", f"{caption}{shading}.", plots.attitude(shown, title))
+        yield Picture("attitude", f"{caption}{shading}.", figure)
         return
-    floors = analysis.numbers(table, "floor_arcmin")
-    limits = floors[np.isfinite(floors)]  # a method without a bias floor has none
-    moments = {time for rows in drawn.values() for time in rows["reset_times_s"][0].as_py()}
-    figure = plots.misalignment(
-        shown,
-        "Misalignment left after correction",
-        limits={"u": limits[0]} if limits.size and np.ptp(limits) < _SAME else None,
-        resets_s=sorted(moments) if len(moments) <= _MOST_MOMENTS else (),
-        zoom_s=source.study.study.window_s,
-        with_sigma=has_sigma,
-    )
     band = "; shading: 95 % of them" if count > 1 else ""
     dashed = "; dashed: the filter's own 1 sigma" if has_sigma else ""
     yield Picture("misalignment", f"{caption}{band}{dashed}.", figure)

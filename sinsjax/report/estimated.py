@@ -10,10 +10,9 @@ from sinsjax import analysis, columns, plots
 from sinsjax.analysis import UNKNOWN, Estimate, format_estimate, format_number
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
-from sinsjax.plots import Shown
 from sinsjax.report.base import Block, Fact, Picture, Report, Table, Verdict, table_of
 from sinsjax.report.choices import Choices, point_cell, point_header
-from sinsjax.report.groupings import lines_of
+from sinsjax.report.groupings import lines_left, lines_of
 from sinsjax.report.markup import said
 from sinsjax.report.over_axes import Maps, repeats
 from sinsjax.report.verdict import q_doubt, warnings_of
@@ -290,25 +289,23 @@ def _figures(source: Source, names: _Names, first: _Names) -> Iterator[Picture]:
 
 
 def _heat_maps(source: Source, names: _Names, end: str) -> Iterator[Picture]:
+    """The maps from one yardstick, and only those that show something."""
     maps, words = Maps(source, (names.mean, names.within)), names.yard.words
-    times = [panel.of(names.mean)[0] for panel in maps.drawn]
-    if plots.differ(times):
+    within = np.round(100 * maps.of(names.within))
+    if not within.any():
+        return
+    if plots.differ(maps.of(names.mean)):
         yield maps.draw(
             f"settling_time{end}",
             f"Expected time until the heading stays {words}; where it never does, the length of the"
             " run counts.",
-            times,
-            f"How long until the heading stays {words}?",
-            Shown("expected settling time (s)", 0.0, float(np.nanmax(times)) or 1.0, reverse=True),
+            names.mean,
         )
-    shares = [100 * panel.of(names.within)[0] for panel in maps.drawn]
-    if plots.differ(shares):
+    if not np.isin(within, (0.0, 100.0)).all():
         yield maps.draw(
             f"within_band{end}",
             f"Probability that the heading is {words} at the end of the run.",
-            shares,
-            f"How likely is the heading {words} at the end?",
-            Shown("probability (%)", 0.0, 100.0),
+            names.within,
         )
 
 
@@ -316,7 +313,8 @@ def _along_axis(
     source: Source, names: _Names, axis: str, values: Sequence[float], others: Sequence[str]
 ) -> Picture:
     needed = [*others, names.mean, names.error, _YAW, _SIGMA, _OWN, axis]
-    lines, left = lines_of(source.rows(needed), others)
+    table = source.rows(needed)
+    lines = lines_of(table, others)
 
     def panel(of: Callable[[Row], Estimate]) -> dict[str, list[Estimate]]:
         return {name: [of(row) for row in rows.to_pylist()] for name, rows in lines.items()}
@@ -333,6 +331,6 @@ def _along_axis(
         "along_axis",
         "When the heading has entered the band for good [95 % interval over the sampled errors],"
         " and how far the true heading error spreads at the end beside what the filter believes."
-        f"{left}",
-        plots.along_axis(axis, values, panels, title=f"What {axis} decides"),
+        f"{lines_left(table, others)}",
+        plots.along_axis(axis, values, panels, condition=not is_chosen(axis)),
     )

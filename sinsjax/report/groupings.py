@@ -10,23 +10,27 @@ from numpy.typing import NDArray
 from sinsjax import analysis
 from sinsjax.analysis.summaries import NEEDED
 from sinsjax.execution.source import Source
+from sinsjax.plots.spreads import MOST_LINES
 from sinsjax.plots.words import name_of
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.success import judged_columns
 
-MOST_LINES = 7
 BINS = "the median of each bin, of about as many draws."
 _MOST_BINS = 8
 _LEAST_DRAWS = 10  # a bin: an interval of fewer says little
 _DIGITS = 3  # significant ones of a bin's name
 
 
-def lines_of(table: pa.Table, others: Sequence[str]) -> tuple[dict[str, pa.Table], str]:
-    """The rows of each line along an axis by its name, and what is said of those left out."""
+def lines_of(table: pa.Table, others: Sequence[str]) -> dict[str, pa.Table]:
+    """The rows of each line along an axis by its name: of the first ones that have room."""
     groups = list(analysis.groups(table, others))
-    left = len(groups) - MOST_LINES
-    said = f" {left} more lines are not drawn." if left > 0 else ""
-    return {name_of(point): rows for point, rows in groups[:MOST_LINES]}, said
+    return {name_of(point): rows for point, rows in groups[:MOST_LINES]}
+
+
+def lines_left(table: pa.Table, others: Sequence[str]) -> str:
+    """A sentence on the lines along an axis that have no room, if there are any."""
+    left = sum(1 for _ in analysis.groups(table.select(others), others)) - MOST_LINES
+    return f" {left} more lines are not drawn." if left > 0 else ""
 
 
 def keys_of_lines(source: Source) -> tuple[Sequence[str], str]:

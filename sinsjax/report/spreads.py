@@ -1,15 +1,16 @@
 """What a method's covariance is worth: its error in units of what it believes, over the runs."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
 from sinsjax.alignment.filters.description import knows_biases
 from sinsjax.alignment.methods import METHODS
 from sinsjax.execution.source import Source
-from sinsjax.plots.beliefs import SHARES, BeliefPanel
-from sinsjax.plots.words import name_of
+from sinsjax.plots.beliefs import SHARES
 from sinsjax.report.base import Picture, Text
 from sinsjax.report.groupings import keys_of_lines
 from sinsjax.report.markup import said
@@ -21,42 +22,51 @@ _FAR = 2.0  # times the upper end of its band: a mean NEES beyond it is explaine
 
 
 def spreads(source: Source) -> Iterator[Picture | Text]:
-    """Consistency where the method has a covariance.
+    """Consistency where the method has a covariance, or why none is to be expected.
 
     A line a variant; of many variants, a line a value of the first key that has few.
     """
     keys, note = keys_of_lines(source)
-    needed = (*keys, "nees", *SHARES.values(), "draw_id", "start_s")
-    groups = analysis.groups(source.rows(needed), keys)
-    beliefs = [BeliefPanel.of(name_of(key), rows) for key, rows in groups]
-    if beliefs := [one for one in beliefs if np.isfinite(one.nees).any()]:
-        yield consistency(beliefs, note)
-        yield from _biases_unknown(source)
+    table = source.rows((*keys, "nees", *SHARES.values(), "draw_id", "start_s"))
+    if not np.isfinite(analysis.numbers(table, "nees")).any():
+        return
+    told, swamped = _biases_unknown(source)
+    yield from told
+    if not swamped:
+        yield consistency(plots.plot_belief(table, by=keys), note)
 
 
-def _biases_unknown(source: Source) -> Iterator[Text]:
-    """Why filters without bias states have no NEES of 3 where the sensors have constant biases."""
+def _biases_unknown(source: Source) -> tuple[list[Text], bool]:
+    """Why filters without bias states have no NEES of 3 where the sensors have constant biases.
+
+    Returns:
+        Sentences, and whether the biases exceed the filters' own sigma, so that a figure of their
+        consistency shows the biases alone.
+    """
     study = source.study
     filters = [METHODS[name] for name in study.methods if METHODS[name].has_covariance]
     if study.is_recorded or any(map(knows_biases, filters)):
-        return
+        return [], False
     gyro, accel = (source.largest(key) for key in BIAS_KEYS)
     if not gyro and not accel:
-        return
+        return [], False
     names = [*(f"sigma_{axis}_arcmin" for axis in "enu"), "floor_arcmin", _YAW, "nees"]
     rows = source.rows(names)
     *sigmas, limit, yaw, nees = (analysis.numbers(rows, name) for name in names)
     east, north, up = np.nanmedian(sigmas, axis=1)
-    told = {"gyro": gyro, "accel": accel, "tilt": accel * MICRO / ARCMIN, "sigmas": (east, north)}
-    yield Text(said("biases_unknown", nees=_FREEDOM, **told))
+    tilt = accel * MICRO / ARCMIN
+    told: dict[str, Any] = {"gyro": gyro, "accel": accel, "tilt": tilt, "sigmas": (east, north)}
+    found = [Text(said("biases_unknown", nees=_FREEDOM, **told))]
     mean, most = analysis.mean(nees).value, analysis.chi2_mean_band(_FREEDOM, source.draws)[1]
-    left, found = (analysis.rms(one).value for one in (limit, yaw))
+    left, errors = (analysis.rms(one).value for one in (limit, yaw))
     if mean > _FAR * most and left > up:
-        yield Text(said("overconfident", mean=mean, most=most, sigma=up, limit=left, found=found))
+        told = {"mean": mean, "most": most, "sigma": up, "limit": left, "found": errors}
+        found.append(Text(said("overconfident", **told)))
+    return found, bool(left > up or tilt > max(east, north))
 
 
-def consistency(beliefs: Sequence[BeliefPanel], note: str = "") -> Picture:
-    """The figure of what the filter believes of its error."""
+def consistency(figure: Figure, note: str = "") -> Picture:
+    """The figure of what filters believe of their error, with its caption."""
     return Picture(
         "consistency",
         "Left: NEES, the squared attitude error at the end in units of the filter's own covariance;"
@@ -64,5 +74,5 @@ def consistency(beliefs: Sequence[BeliefPanel], note: str = "") -> Picture:
         " Right: mean share of records, with its 95 % interval, in which the filter's heading"
         " variance exceeds the squared heading error; a consistent filter has 68 % (dashed), a too"
         f" cautious one more.{note}",
-        plots.beliefs(beliefs, "Does the filter know its own error?"),
+        figure,
     )

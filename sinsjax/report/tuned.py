@@ -30,7 +30,7 @@ def report(source: Source) -> Report:
         InputError: a file of the tuning cannot be read.
     """
     tuning = Tuning.of(source)
-    pictures = [*tuned_figures.landscape(tuning), tuned_figures.course(tuning)]
+    pictures = [*tuned_figures.landscape(tuning), *tuned_figures.course(tuning)]
     variants = tuning.runs.shape[1]
     each = f" × {variants} variants" if variants > 1 else ""
     parts: dict[str, Sequence[Block]] = {

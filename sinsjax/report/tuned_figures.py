@@ -43,7 +43,10 @@ def landscape(tuning: Tuning) -> list[Picture]:
         has_ways=bool(ways),
         chosen=chosen if len(space.combinations) > 1 else "",
     )
-    figure = descent(seen, ways, spots, "Where the searches looked, and the best of each")
+    best = tuning.found[tuning.best].best
+    point = zip((_side(space.variables[i]) for i in used), np.array(best.values)[used], strict=True)
+    words = ", ".join(_value_of(side, value) for side, value in point)
+    figure = descent(seen, ways, spots, f"Best: {words}")
     return [Picture("descent", caption, figure)]
 
 
@@ -56,6 +59,12 @@ def _side(variable: Variable) -> Side:
     return Side(f"{name}{bracket}{unit}", variable.low, variable.high, variable.log)
 
 
+def _value_of(side: Side, value: float) -> str:
+    """A value of a variable in words: ``reset 1 at 3.31 s``."""
+    name, _, unit = side.name.partition(" (")
+    return f"{name} {value:.3g} {unit.rstrip(')')}".rstrip()
+
+
 def _spots(tuning: Tuning, number: int, used: list[int]) -> list[Spot]:
     """The best point of each search that has the combination."""
     named = ((name, found.best) for name, found in tuning.found.items())
@@ -66,13 +75,15 @@ def _spots(tuning: Tuning, number: int, used: list[int]) -> list[Spot]:
     ]
 
 
-def course(tuning: Tuning) -> Picture:
-    """The best objective of each search against what it had cost by then."""
+def course(tuning: Tuning) -> list[Picture]:
+    """The best objective of each search against what it had cost by then, to compare searches."""
+    if len(tuning.found) < 2:
+        return []
     searches = []
     for name, found in tuning.found.items():
         cost, best, relaxed = found.course
         ending = (found.cost, found.best.objective) if relaxed else None
         searches.append(CostCurve(SEARCHES[name], cost, best, relaxed, ending))
     caption = said("course", relaxed=any(one.relaxed for one in searches))
-    title = "Best so far against what the search had cost"
-    return Picture("history", caption, best_by_cost(searches, axis(tuning.study), title))
+    title = f"The best point is of the search: {SEARCHES[tuning.best]}"
+    return [Picture("history", caption, best_by_cost(searches, axis(tuning.study), title))]

@@ -23,9 +23,9 @@ from sinsjax.tuning.run_tuning import (
     COVARIANCE,
     EVALUATION,
     GRADIENT,
-    load_tuned_study,
     require_tune,
 )
+from sinsjax.tuning.stored import load_tuned_study
 
 SEARCHES = {
     "grid": "grid",

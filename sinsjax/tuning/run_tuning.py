@@ -14,7 +14,7 @@ from typing import Any
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
-from sinsjax.execution.directory import MANIFEST, STUDY
+from sinsjax.execution.directory import STUDY
 from sinsjax.execution.prepare import Kind, Options, prepare, warn_of_doubts
 from sinsjax.execution.run import RunProgress, Tell
 from sinsjax.execution.sealed import Damaged
@@ -23,7 +23,7 @@ from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import differences, fingerprint
 from sinsjax.study.keys import TomlTable
-from sinsjax.study.load import load_study, study_to_toml, with_point
+from sinsjax.study.load import study_to_toml, with_point
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, comparable_points
 from sinsjax.study.study import Study
@@ -31,6 +31,7 @@ from sinsjax.tuning import evolution, history, search
 from sinsjax.tuning.history import Found
 from sinsjax.tuning.relaxation import Relaxation
 from sinsjax.tuning.search import SearchSession
+from sinsjax.tuning.stored import is_tuning, stored_study
 
 TUNED, EVALUATION = "tuned.toml", "evaluation"
 GRADIENT, EQUAL_COST, COVARIANCE = "gradient", "equal_cost", evolution.NAME
@@ -194,48 +195,6 @@ def check_free(directory: Path, *, overwrite: bool, resume: bool) -> None:
         )
 
 
-def is_tuning(directory: Path) -> bool:
-    """Whether a directory holds a tuning run, complete or not.
-
-    Raises:
-        InputError: a link or a pipe takes the place of one of its files or folders.
-    """
-    places.check_entries(directory)
-    if (directory / MANIFEST).exists():  # plain results of a study with [tune]
-        return False
-    return _stored_study(directory) is not None
-
-
-def load_tuned_study(directory: Path) -> Study:
-    """Load the study with [tune] of a tuning run.
-
-    Raises:
-        InputError: it cannot be read, or is not the study of the history.
-    """
-    remedy = "(delete it: `sinsjax tune --resume` writes it again)"
-    tuned = history.read_study(directory)
-    try:
-        study = load_study(directory / STUDY)
-    except InputError as error:
-        raise InputError(f"{error} {remedy}" if tuned else str(error)) from None
-    if tuned is not None and study_to_toml(tuned) != study_to_toml(study):
-        differing = "; ".join(differences(tuned, study, ("in the history", "in the file")))
-        path = directory / STUDY
-        raise InputError(f"{path}: is not the study of the history: {differing} {remedy}")
-    return study
-
-
-def _stored_study(directory: Path) -> Study | None:
-    """The study of a tuning run, from its history or else its file; None if there is none."""
-    if (study := history.read_study(directory)) is not None:
-        return study
-    try:
-        study = load_study(directory / STUDY)
-    except InputError:
-        return None
-    return study if study.tune else None
-
-
 def _begin(study: Study, space: SearchSpace, session: SearchSession) -> list[Found]:
     """Prepare a directory; gives the complete searches when resuming."""
     directory, known = session.directory, []
@@ -259,7 +218,7 @@ def _begin(study: Study, space: SearchSpace, session: SearchSession) -> list[Fou
 def _check_same(job: Job) -> Job:
     """Reject resuming the tuning run of another study."""
     assert job.directory is not None
-    stored = _stored_study(job.directory)
+    stored = stored_study(job.directory)
     if stored is None:
         return job
     old, new = (require_tune(study).model_dump() for study in (stored, job.study))

@@ -24,6 +24,7 @@ import answer  # noqa: E402
 import common  # noqa: E402
 import derivative  # noqa: E402
 import devices  # noqa: E402
+import first_command  # noqa: E402
 import gate  # noqa: E402
 import gpu  # noqa: E402
 import instructions  # noqa: E402
@@ -625,6 +626,24 @@ def test_cold_start_is_judged_and_listed_by_phase(tmp_path):
     assert (row.target, row.measured, row.reached) == ("under 4.5 s", "5.9 ± 0.2 s", False)
     page.write(tmp_path / "p.md", machines, "")
     assert "| `cold_start_compile` | 2.50 ± 0.10 |" in (tmp_path / "p.md").read_text()
+
+
+@pytest.mark.parametrize(("more_s", "cpu_s", "reached"), [(2.9, 1.9, True), (3.1, 2.1, False)])
+def test_first_command_is_judged_beside_its_compiled_calls(tmp_path, more_s, cpu_s, reached):
+    more = {"median_s": 13.9, "spread_s": 0.2, "calls_s": 10.0, "more_s": more_s}
+    first = told("first_command", "first_command", 0.0, **more)
+    report = told("first_command", "report_command", 0.0, median_s=2.0, spread_s=0.1, cpu_s=cpu_s)
+    for row in (first, report):
+        for key in ("ns_per_step_run", "compile_s"):
+            del row[key]
+    (machine,) = written(tmp_path, [first, report])
+    assert [row.reached for row in judged(machine)] == [reached, reached]
+
+
+def test_time_of_overlapping_calls_counts_once():
+    assert first_command.covered([[4.0, 5.0], [0.0, 2.0], [1.0, 3.0], [1.5, 1.6]]) == 4.0
+    with pytest.raises(InputError, match="no compiled call was timed"):
+        first_command.covered([])
 
 
 def test_performance_page_shows_history_rows(tmp_path):

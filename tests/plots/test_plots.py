@@ -109,9 +109,8 @@ def test_misalignment_figure_has_panels_labels_and_legend():
     assert low < 0.0 and high > 900.0
     assert [len(axes.get_lines()) for axes in whole] == [4, 4, 5]
     assert figure.get_suptitle() == "Title"
+    assert [t.get_text() for t in enlarged[2].texts] == ["a", "b"]  # at the ends of their lines
     assert [t.get_text() for t in figure.legends[0].get_texts()] == [
-        "a",
-        "b",
         "95 % of the runs",
         "bias floor",
         "reset",
@@ -349,7 +348,7 @@ def test_beliefs_figure_shows_nees_distribution_and_shares():
     shares = {"a": Estimate(0.7, 0.6, 0.8, 4), "b": Estimate(0.4, math.nan, math.nan, 4)}
     shown = [BeliefPanel("x", nees, shares), BeliefPanel("y", 4 * nees, shares)]
     left, right = plots.beliefs(shown, "Title").axes
-    first, second, chi2 = left.get_lines()
+    first, second, chi2, *marks = left.get_lines()
     assert [line.get_label() for line in (first, second)] == ["x", "y"]
     np.testing.assert_array_equal(first.get_ydata(), [0.0, 0.25, 0.5, 0.75])
     expected = stats.chi2.cdf(chi2.get_xdata(), 3)
@@ -359,7 +358,7 @@ def test_beliefs_figure_shows_nees_distribution_and_shares():
     assert dashed[0].get_xdata()[0] == pytest.approx(stats.chi2.cdf(1.0, 1))
     points = [container.lines[0].get_xdata()[0] for container in right.containers]
     assert points == [0.7, 0.4, 0.7, 0.4]
-    assert [t.get_text() for t in right.get_legend().get_texts()] == ["a", "b"]
+    assert [mark.get_label() for mark in marks] == ["share a", "share b"]
 
 
 @pytest.mark.parametrize("lines", [1, 7])

@@ -59,7 +59,8 @@ NAME = "[/b] <script>x</script> $x^$ ../../a"
 def stored(directory: Path) -> Path:
     """Results of a study whose names are as bad as can be."""
     cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
-    study = small_study(study={"name": NAME, "draws": 2}, cases=cases)
+    unbiased = {"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0}
+    study = small_study(study={"name": NAME, "draws": 2}, cases=cases, sensors=unbiased)
     count = 2 * len(NASTY)
     names = [c.name for c in (*columns.IDENTITY, *columns.OBSERVED, *columns.JUDGED)]
     rows: dict[str, Any] = dict.fromkeys([*names, "settle_10_s", "settle_10_truth_s"])

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 from scipy import special
 
-from sinsjax import analysis
+from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.words import percent, share
 from sinsjax.execution.source import Source
@@ -60,7 +60,8 @@ def page(sources: Sources) -> Page:
             checked[BIASED].nees.low > nees[1] and within(checked[BIASED].nis_u, nis)
         ),
     }
-    figure = consistency([BeliefPanel.of(case, one.rows) for case, one in checked.items()])
+    lines = [BeliefPanel.of(case, one.rows) for case, one in checked.items()]
+    figure = consistency(plots.beliefs(lines, "Does the filter know its own error?"))
     return Page(values, {"all": table(checked, nees, nis)}, {"consistency": figure}, claims)
 
 
