@@ -35,7 +35,11 @@ def report(source: Source, *, full: bool = True, warned: bool = False) -> Report
         source: the results.
         full: whether to compute the tables.
         warned: whether the user has seen the study's warnings.
+
+    Raises:
+        InputError: runs are missing.
     """
+    assert source.draws  # of which none is missing, or that is reported
     yaw = analysis.numbers(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
     has_truth = bool(np.isfinite(yaw).any())
     blocks = [*over_axes(source), *spreads(source)] if has_truth else []

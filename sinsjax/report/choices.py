@@ -62,7 +62,7 @@ class Choices:
     @cached_property
     def options(self) -> list[str]:
         """Each option in words."""
-        return [self._words(variant, given=False) for variant in self.variants[:, 0]]
+        return [self._words(int(variant), given=False) for variant in self.variants[:, 0]]
 
     @cached_property
     def reset_counts(self) -> list[int | None]:
@@ -86,7 +86,7 @@ class Choices:
         """The conditions at each point of an axis, by the values of its keys."""
         columns = [self.study.values(key) for key in keys]
         found: dict[tuple[Any, ...], list[int]] = {}
-        for place, variant in enumerate(self.variants[0]):
+        for place, variant in enumerate(self.variants[0].tolist()):
             found.setdefault(tuple(values[variant] for values in columns), []).append(place)
         return found
 

@@ -15,6 +15,7 @@ from rich.table import Table as Grid
 from rich.text import Text as Line
 
 from sinsjax import console as screen
+from sinsjax.messages import escape_controls
 from sinsjax.report.base import Fact, Table, Verdict
 from sinsjax.report.names import NO_NAMES, Names
 
@@ -94,8 +95,10 @@ def _rows(table: Table, count: int, names: Names, width: int) -> RenderableType:
     """Some rows of a verdict's table, evenly over all of them."""
     every = len(table.rows)
     places = sorted({round(n * (every - 1) / max(count - 1, 1)) for n in range(count)})
-    shown = [[names.plain(cell) for cell in table.rows[place]] for place in places]
-    header = [names.plain(name) for name in table.header]
+    header, *shown = (
+        [escape_controls(names.plain(cell)) for cell in row]
+        for row in (table.header, *(table.rows[place] for place in places))
+    )
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for name, size in zip(header, _widths([header, *shown], width - 2, 2), strict=True):
         grid.add_column(screen.literal(name), width=size, overflow="fold")
@@ -153,7 +156,8 @@ def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None
     if not console.is_terminal and not os.environ.get("COLUMNS"):
         width = PIPE_WIDTH
     console.print(screen.literal(names.plain(block.title), "bold"), width=width)
-    cells = [[name.replace(" (", "\n(") for name in block.header], *block.rows]
+    header = [escape_controls(name).replace(" (", "\n(") for name in block.header]
+    cells = [header, *([escape_controls(cell) for cell in row] for row in block.rows)]
     for columns in _parts(cells, width - _EDGES):
         console.print(_grid([[row[column] for column in columns] for row in cells], width - _EDGES))
     if block.note:

@@ -49,7 +49,7 @@ def verdict(source: Source, *, warned: bool = False) -> Verdict:
     outcome = Outcome.from_source(source)
     facts = [*_best(outcome), _accuracy(outcome), *_basis(outcome)]
     doubts = [*warnings_of(source, warned=warned), *_doubts(outcome)]
-    return Verdict(title_of(source), [*facts, *doubts], _per_condition(outcome))
+    return Verdict(title_of(source), facts + doubts, _per_condition(outcome))
 
 
 @dataclass(frozen=True)
@@ -166,15 +166,15 @@ class Choice(NamedTuple):
 def title_of(source: Source) -> str:
     """The name of a study, how many runs it has, how long they took, and how many failed."""
     study, runs = source.study, source.runs
-    took = (
-        "" if source.wall_s is None else f" in {source.wall_s:,.{0 if source.wall_s > 9 else 1}f} s"
-    )
+    count = counted(runs, "run")
+    if source.whole_draws is not None:
+        count = f"unfinished, {runs:,} of {study.n_draws * study.n_variants:,} runs"
+    if source.wall_s is not None:
+        count += f" in {source.wall_s:,.{0 if source.wall_s > 9 else 1}f} s"
     kept = len({*study.duplicate_of}) * runs // study.n_variants
-    parts = [f"{counted(runs, 'run')}{took}"]
-    parts[0] += f" ({kept:,} distinct)" if kept < runs else ""
+    count += f" ({kept:,} distinct)" if kept < runs else ""
     failed = int(analysis.has_status(source.rows(["status"]), "nonfinite").sum())
-    parts.append(f"{failed:,} failed" if failed else "none failed")
-    return f"{study.name}: {', '.join(parts)}"
+    return f"{study.name}: {count}, {f'{failed:,}' if failed else 'none'} failed"
 
 
 def warnings_of(source: Source, *, warned: bool) -> Iterator[Fact]:
@@ -275,7 +275,12 @@ def _accuracy(outcome: Outcome) -> Fact:
         return Fact("Accuracy", text)
     lowest = analysis.rms(floor).value
     cause = "mostly" if lowest >= _LIMITING * found.value else "of which little is"
-    return Fact("Accuracy", f"{text}, {cause} bias floor ({lowest:.1f}')")
+    text += f", {cause} bias floor ({lowest:.1f}')"
+    if not outcome.yard.truth:
+        band = outcome.yard.band_arcmin
+        right = analysis.share(np.abs(error) <= band, outcome.cluster)
+        text += f"; {percent(right)} % within {band:g}'"
+    return Fact("Accuracy", text)
 
 
 def _basis(outcome: Outcome) -> Iterator[Fact]:

@@ -34,7 +34,7 @@ from sinsjax.messages import CONTROL
 from sinsjax.platform.files import file_stem
 from sinsjax.plots import png
 from sinsjax.plots.style import styled
-from sinsjax.report.base import Chapter, Report, Table, Text
+from sinsjax.report.base import Chapter, Fact, Report, Table, Text, Verdict
 from sinsjax.report.names import NO_NAMES, Names, escaped
 from sinsjax.report.output import Made, print_report, write_html, write_page
 from sinsjax.study.load import load_study
@@ -143,7 +143,7 @@ def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: P
     for text in (said, written, shown):
         assert not CONTROL.search(text.replace("\n", "")) and "\nWarning: c" not in text
     assert "<script" not in written and "<script" not in shown
-    assert r"Warning: a\x1b]0;x\x07\x7f\u202e \u061c\udcff|`<script>" in said
+    assert r"Warning   a\x1b]0;x\x07\x7f\u202e \u061c\udcff|`<script>" in said
     first, _ = written.split("\n", 1)
     assert first.startswith(r"<!-- Written by: sinsjax report --page page\x1b\u202e.md (a\x1b]0;")
     assert first.count("-->") == 1 and first.endswith("do not edit -->")
@@ -154,21 +154,25 @@ def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: P
 
 
 def test_control_characters_in_any_part_of_report_are_escaped(
-    results: Path, tmp_path: Path
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever a layout puts there, and wherever that comes from."""
-    said, odd = Console(file=io.StringIO(), width=200), "\x1b[2J\u202e"
+    monkeypatch.setenv("COLUMNS", "200")
+    said, odd = Console(file=io.StringIO()), "\x1b[2J\u202e"
     table = Table(f"title{odd}", [f"header{odd}"], [[f"cell{odd}"]], f"note{odd}")
+    row = Table(f"verdict{odd}", [f"head{odd}"], [[f"row{odd}"]])
+    verdict = Verdict(f"study{odd}", [Fact(f"label{odd}", f"fact{odd}")], row)
     chapter = Chapter(f"chapter{odd}", [Text(f"text{odd}"), table])
-    made = Made.of(Source.read(results), Report([f"headline{odd}"], [chapter]))
+    made = Made.of(Source.read(results), Report(verdict, [chapter]))
     print_report(made, said)
+    print_report(made, said, full=True)
     write_page(tmp_path / "page.md", f"name{odd}", [made])
     write_html(tmp_path / "page.html", f"name{odd}", [made])
     printed = said.file.getvalue()
     pages = [(tmp_path / f"page.{end}").read_text() for end in ("md", "html")]
     for text in (printed, *pages):
         assert not CONTROL.search(text.replace("\n", ""))
-        for part in ("headline", "text", "title", "header", "cell", "note"):
+        for part in ("study", "label", "fact", "text", "title", "header", "cell", "note"):
             assert rf"{part}\x1b" in text, part
     assert all(rf"{part}\x1b" in page for page in pages for part in ("name", "chapter"))
 

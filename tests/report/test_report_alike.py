@@ -49,8 +49,8 @@ def test_tables_section_explains_how_duplicate_variants_count(source: Source) ->
     (chapter,) = (one for one in auto.report(source).sections if one.heading == "Tables")
     assert chapter.blocks[0] == Text(
         "2 of the 6 variants repeat another one, because reset_cycle_s does not act there. The"
-        " tables below count what is repeated once: 12 of 18 runs. The lines at the top and the"
-        " Parquet files count all."
+        " tables below count what is repeated once: 12 of 18 runs. The Parquet files have"
+        " all."
     )
 
 

@@ -44,10 +44,11 @@ class Reader(HTMLParser):
         self.text.append(data)
 
 
-def made(*blocks, headline=("Found: *much*.",), name="swing"):
+def made(*blocks, headline=("Found: *much*",), name="swing"):
     study = small_study(study={"name": name})
     table = pa.table({"run_id": np.arange(3)})
-    report = base.Report(list(headline), [base.Chapter("A `part`", blocks)])
+    facts = [base.Fact("Best", text) for text in headline]
+    report = base.Report(base.Verdict("title", facts), [base.Chapter("A `part`", blocks)])
     images = {block.name: PNG for block in blocks if isinstance(block, base.Picture)}
     return Made(Source(Path("results"), study, f"{name}.toml", table), report, images)
 
@@ -68,7 +69,7 @@ def test_html_page_contains_whole_report(tmp_path):
     seen = [path[-1] for path in read.seen]
     assert seen.count("table") == 1 and seen.count("td") == 4 and seen.count("th") == 2
     assert seen.count("h1") == 1 and "<h2>A <code>part</code></h2>" in text
-    assert "<li>Found: <em>much</em>.</li>" in text
+    assert "<li><strong>Best:</strong> Found: <em>much</em>.</li>" in text
     assert "<p>Some <em>words</em>.</p>\n<p>More.</p>" in text
     assert "<caption>A <em>table</em></caption>" in text and "<td><code>2</code></td>" in text
     assert '<p class="note">a note</p>' in text

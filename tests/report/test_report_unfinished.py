@@ -35,7 +35,7 @@ def interrupted(out: Path, **tables: Any) -> Path:
 
 def told(out: Path, page: Path | None = None) -> list[str]:
     console = Console(file=io.StringIO(), width=2000)
-    report.summarise([out], console, page)
+    report.summarise([out], console, page, full=True)
     return console.file.getvalue().splitlines()
 
 
@@ -51,10 +51,10 @@ def test_unfinished_report_warns_with_share_of_runs(tmp_path: Path) -> None:
         draw for draw in range(whole) for _ in range(3)
     ]
     share = f"unfinished: {there} of 900 runs are there ({100 * there / 900:.2g} %)"
-    assert lines[1].startswith(f"Warning: {share}; shown are the {whole} draws")
-    assert lines[2].startswith("Settled: ")
-    assert lines[3].startswith(f"{3 * whole} runs: 3 variants, {whole} draws.")
-    assert f"- Warning: {share}" in page.read_text()
+    assert lines[0].startswith(f"study: unfinished, {3 * whole} of 900 runs in ")
+    (warning,) = (line for line in lines if line.startswith("  Warning "))
+    assert f"{share}; shown are the {whole} draws" in warning
+    assert f"- **Warning:** {share}" in page.read_text()
     with pytest.raises(InputError, match="are the results complete"):  # a page with its own words
         _ = Source.read(out).draws
 

@@ -2,8 +2,10 @@
 
 import io
 import json
+import os
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pyarrow as pa
 from rich.console import Console
@@ -68,8 +70,15 @@ def store(
     return directory
 
 
-def told(*directories: Path, page: Path | None = None, html: Path | None = None) -> str:
-    """What a report of some results prints."""
+def told(
+    *directories: Path,
+    page: Path | None = None,
+    html: Path | None = None,
+    full: bool = True,
+    width: int | None = 1000,
+) -> str:
+    """What a report of some results prints, on so many columns; None for those of a pipe."""
     file = io.StringIO()
-    report.summarise(directories, Console(file=file), page, html)
+    with mock.patch.dict(os.environ, {} if width is None else {"COLUMNS": str(width)}):
+        report.summarise(directories, Console(file=file), page, html, full=full)
     return file.getvalue()
