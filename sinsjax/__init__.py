@@ -50,14 +50,15 @@ if TYPE_CHECKING:
     from sinsjax.execution.information import information_bound
     from sinsjax.execution.prepare import load_increments
     from sinsjax.execution.results import read_curves, read_estimates, read_summary
-    from sinsjax.execution.run import Results, align, estimate, run, run_into
+    from sinsjax.execution.run import align, estimate, run, run_into
+    from sinsjax.execution.study_results import Results
     from sinsjax.platform.runtime import configure, info
     from sinsjax.plots import plot_belief, plot_compare, plot_curves, plot_map
     from sinsjax.records import read_record, read_reference, record_from_arrays
     from sinsjax.study.load import load_study, study_from_dict
     from sinsjax.study.study import Study
+    from sinsjax.tuning.from_python import TuningResults, tune
     from sinsjax.tuning.history import read_history
-    from sinsjax.tuning.run_tuning import tune
 
 __version__ = runtime.package_version()
 
@@ -66,6 +67,7 @@ __all__ = [
     "Results",
     "Study",
     "StudyWarning",
+    "TuningResults",
     "align",
     "configure",
     "estimate",
@@ -105,13 +107,14 @@ _HOMES = {
     "execution.information": ("information_bound",),
     "execution.prepare": ("load_increments",),
     "execution.results": ("read_curves", "read_estimates", "read_summary"),
-    "execution.run": ("Results", "align", "estimate", "run", "run_into"),
+    "execution.run": ("align", "estimate", "run", "run_into"),
+    "execution.study_results": ("Results",),
     "platform.runtime": ("configure", "info"),
     "plots": ("plot_belief", "plot_compare", "plot_curves", "plot_map"),
     "records": ("read_record", "read_reference", "record_from_arrays"),
     "study.load": ("Study", "load_study", "study_from_dict"),
+    "tuning.from_python": ("TuningResults", "tune"),
     "tuning.history": ("read_history",),
-    "tuning.run_tuning": ("tune",),
 }
 
 

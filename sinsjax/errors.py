@@ -8,10 +8,21 @@ from sinsjax.messages import one_line
 
 
 class InputError(ValueError):
-    """A user's mistakes, one visible line each: the file, the key or row, and what is wrong.
+    r"""A user's mistakes, one visible line each: the file, the key or row, and what is wrong.
+
+    A study is checked in full before anything runs, so the error of one has a line for each of its
+    mistakes, as ``sinsjax validate`` prints them.
 
     Attributes:
         lines: the mistakes; most errors have one.
+
+    Examples:
+        >>> try:
+        ...     sinsjax.load_study("reset_sweep", {"study.draws": 0, "earth.latitude_deg": 95.0})
+        ... except sinsjax.InputError as error:
+        ...     print(*error.lines, sep="\n")
+        reset_sweep: [study] draws: must be greater than or equal to 1, not 0
+        reset_sweep: [earth] latitude_deg: must be less than 90, not 95.0
     """
 
     def __init__(self, *messages: str) -> None:
@@ -58,7 +69,16 @@ class ErrorCollector:
 
 
 class StudyWarning(UserWarning):
-    """A doubt about a study or its record, which the command line prints and Python warns of."""
+    """A doubt about a study or its record, which the command line prints and Python warns of.
+
+    Examples:
+        >>> import warnings
+        >>> with warnings.catch_warnings(record=True) as doubts:
+        ...     warnings.simplefilter("always", sinsjax.StudyWarning)
+        ...     study = sinsjax.load_study("reset_sweep", {"alignment.method": "optimisation"})
+        >>> len(doubts)
+        1
+    """
 
 
 class StudyInterrupted(Exception):

@@ -223,3 +223,7 @@ class Section(BaseModel):
     conditions: ClassVar[tuple[ActsWhere, ...]] = ()
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    def __dir__(self) -> list[str]:
+        """Return the keys, for the completion of interactive sessions."""
+        return sorted(type(self).model_fields)

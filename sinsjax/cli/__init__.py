@@ -11,7 +11,16 @@ from typing import Annotated
 import typer
 
 from sinsjax.cli import machine, studies
-from sinsjax.cli.helping import Command, UsageError, command_to_resume, wrong_usage
+from sinsjax.cli.helping import (
+    LOOK,
+    RUN,
+    SET_UP,
+    Command,
+    Group,
+    UsageError,
+    command_to_resume,
+    wrong_usage,
+)
 from sinsjax.cli.options import (
     Changes,
     Config,
@@ -32,6 +41,7 @@ from sinsjax.messages import escape_controls
 from sinsjax.platform import runtime
 
 app = typer.Typer(
+    cls=Group,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode=None,  # markup would swallow the name of a section such as [tune]
@@ -59,7 +69,7 @@ def _of_all(
     """Initial alignment of strapdown inertial navigators, thousands of runs at a time."""
 
 
-@command()
+@command(rich_help_panel=RUN)
 def run(
     config: Config,
     out: Out,
@@ -85,7 +95,7 @@ def run(
     )
 
 
-@command()
+@command(rich_help_panel=RUN)
 def sweep(
     config: Config,
     out: Out,
@@ -138,7 +148,7 @@ def sweep(
     )
 
 
-@command()
+@command(rich_help_panel=RUN)
 def align(
     record: Annotated[
         Path, typer.Argument(help="Inertial record.", show_default=False, metavar="RECORD")
@@ -172,7 +182,7 @@ def align(
     )
 
 
-@command()
+@command(rich_help_panel=RUN)
 def tune(
     config: Config,
     given: Out,
@@ -212,7 +222,7 @@ def tune(
     import_module("sinsjax.report").summarise([job.directory], terminal, full=full, warned=True)
 
 
-@command()
+@command(rich_help_panel=LOOK)
 def rerun(
     directory: Annotated[
         Path, typer.Argument(help="Directory of results.", show_default=False, metavar="DIR")
@@ -247,7 +257,7 @@ def rerun(
         raise typer.Exit(1)
 
 
-@command()
+@command(rich_help_panel=LOOK)
 def report(
     directories: Annotated[
         list[Path],
@@ -276,7 +286,7 @@ def report(
     reports.summarise(directories, plain_console(), page, html, full=full)
 
 
-@command()
+@command(rich_help_panel=LOOK)
 def terms() -> None:
     """Explain the words of a report."""
     from sinsjax.report import print_terms
@@ -284,7 +294,11 @@ def terms() -> None:
     print_terms(plain_console())
 
 
-@command()
+for _one in (*studies.COMMANDS, *machine.COMMANDS):
+    command(rich_help_panel=SET_UP)(_one)
+
+
+@command(rich_help_panel=SET_UP)
 def gains(
     level_sigma: Annotated[
         float, typer.Option(help="Decay rate of levelling, 1/s.", metavar="X")
@@ -317,10 +331,6 @@ def gains(
             raise InputError(f"{option}: must be above 0{below}, not {value:g}")
     rates = (level_sigma, azimuth_sigma, damping)
     print_gains(plain_console(), *rates, gravity=gravity, radius=radius)
-
-
-for _one in (*machine.COMMANDS, *studies.COMMANDS):
-    command()(_one)
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ import sys
 from typing import Any
 
 import typer
-from typer.core import TyperArgument, TyperCommand
+from typer.core import TyperArgument, TyperCommand, TyperGroup
 
 from sinsjax.messages import one_line
 
@@ -21,6 +21,32 @@ def wrong_usage(error: Any) -> str:
     text = one_line(error.format_message()).rstrip(".")
     help_ = "" if error.ctx is None else f" (see `{error.ctx.command_path} -h`)"
     return f"{text[:1].lower()}{text[1:]}{help_}"
+
+
+RUN, LOOK, SET_UP = PANELS = ("Run", "Look", "Set up")
+"""Panels of the commands in the help of all: the ``rich_help_panel`` of each."""
+
+
+class Group(TyperGroup):
+    """The commands, whose help lists them by panel.
+
+    Typer draws panels only with markup, which would swallow the name of a section such as [tune].
+    """
+
+    def panels(self, ctx: Any) -> dict[str, dict[str, Any]]:
+        """Return the commands by name in each panel."""
+        names = self.list_commands(ctx)
+        commands: dict[str, Any] = {name: self.get_command(ctx, name) for name in names}
+        return {
+            panel: {k: c for k, c in commands.items() if c.rich_help_panel == panel}
+            for panel in PANELS
+        }
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write each panel with its commands and their first sentences."""
+        for panel, commands in self.panels(ctx).items():
+            with formatter.section(panel):
+                formatter.write_dl([(k, c.get_short_help_str()) for k, c in commands.items()])
 
 
 class Command(TyperCommand):

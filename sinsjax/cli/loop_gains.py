@@ -26,34 +26,49 @@ def design(
     level = loops.level_gains(level_sigma, damping, **earth)
     azimuth = loops.azimuth_gains(azimuth_sigma, damping, **earth)
     gains = [
-        ["level", f"{level.k1:.6g}", f"{level.k2:.12g}", f"{level.k3:.6g}", "-"],
-        ["azimuth", *(f"{k:.12g}" for k in (azimuth.k1, azimuth.k2, azimuth.k3, azimuth.k4))],
+        ["K1", f"{level.k1:.4g}", "1/s", f"{azimuth.k1:.4g}", "1/s"],
+        ["K2", f"{level.k2:.4g}", "-", f"{azimuth.k2:.4g}", "-"],
+        ["K3", f"{level.k3:.4g}", "rad/(m s)", f"{azimuth.k3:.4g}", "rad/(m s^2)"],
+        ["K4", "-", "-", f"{azimuth.k4:.4g}", "1/s"],
     ]
     found = [
         _times("level", level_sigma, damping, loops.level_polynomial(level, **earth)),
         _times("azimuth", azimuth_sigma, damping, loops.azimuth_polynomial(azimuth, **earth)),
     ]
-    header = ["loop", "roots (1/s)", "exp(-sigma t) = 5 % after (s)", "damped period (s)"]
     return [
         Table(
             "Gains",
-            ["loop", "K1 (1/s)", "K2", "K3 (level: rad/(m s), azimuth: rad/(m s^2))", "K4 (1/s)"],
+            ["", "level", "unit", "azimuth", "unit"],
             gains,
             f"g = {gravity:g} m/s^2, R = {radius:.0f} m, damping {damping:.4g}.",
         ),
-        Table("Roots", header, found),
+        Table(
+            "Roots",
+            ["loop", "roots (1/s)", "5 % left after (s)", "period (s)"],
+            found,
+            "5 % left: of exp(-sigma t). Period: of the damped oscillation.",
+        ),
     ]
 
 
 def _times(name: str, sigma: float, damping: float, polynomial: np.ndarray) -> list[str]:
-    # Equal real parts differ in their last digit, which no order may hang on.
-    found = sorted(loops.roots(polynomial), key=lambda root: (-round(root.real, 6), -root.imag))
-    shown = ", ".join(
-        f"{root.real:+.4f}" + (f" {root.imag:+.4f}j" if abs(root.imag) > 1e-9 else "")
-        for root in found
-    )
     period = 2 * math.pi * damping / (sigma * math.sqrt(1 - damping**2))
-    return [name, shown, f"{math.log(20) / sigma:.1f}", f"{period:.1f}"]
+    return [name, _roots(polynomial), f"{math.log(20) / sigma:.4g}", f"{period:.4g}"]
+
+
+def _roots(polynomial: np.ndarray) -> str:
+    """Return the roots, conjugate pairs together, and how often each occurs."""
+    found = loops.roots(polynomial)
+    size = np.abs(found).max()
+    # Double roots are found to half of the digits only.
+    rounded = [(round(r.real / size, 6), round(r.imag / size, 6)) for r in found]
+    upper = sorted(root for root in rounded if root[1] >= 0)
+    shown = []
+    for real, imag in dict.fromkeys(upper):
+        pair = f" +- {imag * size:.4g}j" if imag else ""
+        double = " (double)" if upper.count((real, imag)) > 1 else ""
+        shown.append(f"{real * size:.4g}{pair}{double}")
+    return ", ".join(shown)
 
 
 def print_gains(console: Console, *args: float, **earth: float) -> None:

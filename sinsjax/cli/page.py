@@ -9,7 +9,10 @@ from sinsjax.cli import app
 
 def page() -> str:
     """Usage, arguments, options and an example of every command, as Markdown."""
-    commands: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    group: Any = typer.main.get_command(app)
+    panels = group.panels(typer.Context(group))
+    commands = {name: command for panel in panels.values() for name, command in panel.items()}
+    about = {name: _about(command) for name, command in commands.items()}
     lines = [
         "# Commands",
         "",
@@ -17,12 +20,10 @@ def page() -> str:
         " `sinsjax --install-completion` has the shell complete commands, studies and keys. A"
         " mistake is one line ([messages](messages.md)) and exit code 2; an interrupted study ends"
         " with exit code 130, and `--resume` continues it.",
-        "",
-        "| command | |",
-        "| --- | --- |",
     ]
-    about = {name: _about(command) for name, command in commands.items()}
-    lines += [f"| [`{name}`](#{name}) | {about[name][0]} |" for name in commands]
+    for panel, here in panels.items():
+        lines += ["", f"**{panel}**", "", "| command | |", "| --- | --- |"]
+        lines += [f"| [`{name}`](#{name}) | {about[name][0]} |" for name in here]
     for name, command in commands.items():
         lines += ["", f"## {name}", "", *_described(name, command, *about[name])]
     return "\n".join([*lines, ""])

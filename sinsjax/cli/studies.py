@@ -1,6 +1,7 @@
 """Commands about studies themselves: beginning one, and checking one before it runs."""
 
 import os
+import textwrap
 from pathlib import Path
 from typing import Annotated
 
@@ -10,13 +11,14 @@ from sinsjax.cli import options
 from sinsjax.cli.options import Changes, Config
 from sinsjax.console import plain_console, say
 from sinsjax.errors import InputError
+from sinsjax.messages import near
 from sinsjax.platform.files import replacing
 
 
 def _names(incomplete: str) -> list[str]:
     from sinsjax.study import files
 
-    known = {**files.templates(), **files.studies()}
+    known = {**files.templates(), **files.studies(), **files.GROUPS}
     return [name for name in known if name.startswith(incomplete)]
 
 
@@ -24,7 +26,7 @@ def init(
     name: Annotated[
         str | None,
         typer.Argument(
-            help="Template or shipped study.",
+            help="Template or shipped study; with --list also a group of studies.",
             show_default=False,
             metavar="NAME",
             autocompletion=_names,
@@ -43,7 +45,9 @@ def init(
             metavar="LOG",
         ),
     ] = None,
-    list_: Annotated[bool, typer.Option("--list", help="List the names and exit.")] = False,
+    list_: Annotated[
+        bool, typer.Option("--list", help="List the names, or describe those of a group, and exit.")
+    ] = False,
 ) -> None:
     """Begin a study file: a copy of a template or a shipped study, with its comments.
 
@@ -53,12 +57,8 @@ def init(
 
     console = plain_console()
     if list_:
-        shown = (("Templates", files.templates()), ("Studies", files.studies()))
-        width = max(len(name) for _, known in shown for name in known)
-        for title, known in shown:
-            say(console, f"{title}:")
-            for each, path in known.items():
-                say(console, f"  {each:<{width}} {files.purpose(path)}")
+        for line in _listed(name, console.width):
+            say(console, line)
         return
     if name is None:
         raise InputError("NAME: required (`sinsjax init --list` shows the names)")
@@ -80,6 +80,46 @@ def init(
         doubts = text.count(files.DOUBT)
         say(console, f"What {from_} cannot tell: {doubts} lines of {path} begin with # DOUBT.")
         say(console, f"`sinsjax align {from_} {path} -o out` runs it.")
+
+
+def _listed(name: str | None, width: int) -> list[str]:
+    """Return the names of templates, first studies and groups, or the purposes of some studies."""
+    from sinsjax.study import files
+
+    groups, templates = files.groups(), files.templates()
+    if name is not None:
+        each = {one: {one: path} for one, path in (files.studies() | templates).items()}
+        known = groups | each
+        if name not in known:
+            raise InputError(f"{name}: no study or group of this name{near(name, known)}")
+        return _table({one: files.purpose(path) for one, path in known[name].items()}, width)
+    first = groups.pop("first")
+    begin = {
+        title: {each: files.purpose(path) for each, path in some.items()}
+        for title, some in (("Templates", templates), (files.GROUPS["first"].capitalize(), first))
+    }
+    column = max(len(each) for some in begin.values() for each in some)
+    lines = []
+    for title, some in begin.items():
+        lines += [f"{title}:", *_table(some, width, column)]
+    lines.append("More studies, by group (`sinsjax init --list GROUP` describes them):")
+    for group, members in groups.items():
+        lines += _table({group: f"{files.GROUPS[group]}:"}, width, column)
+        lines += _table({"": "  ".join(members)}, width, column)
+    return lines
+
+
+def _table(rows: dict[str, str], width: int, column: int = 0) -> list[str]:
+    """Return lines of a terminal with a name in the first column and a text in the second."""
+    column = column or max(map(len, rows))
+    space = " " * (column + 4)
+    lines = []
+    for name, text in rows.items():
+        begun = f"  {name:<{column}}  "
+        lines += textwrap.wrap(
+            text, width, initial_indent=begun, subsequent_indent=space, break_on_hyphens=False
+        )
+    return lines
 
 
 def validate(config: Config, changes: Changes = None) -> None:

@@ -104,6 +104,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     from sinsjax.execution import checks
     from sinsjax.execution.prepare import Options, prepare
     from sinsjax.study.changes import parse_changes
+    from sinsjax.study.files import source_name
     from sinsjax.study.load import load_with_notes
     from sinsjax.tuning.run_tuning import prepare_tuning
 
@@ -115,7 +116,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     else:
         draws = "start times" if study.is_recorded else "draws"
         what = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
-    lines = [f"{config}: valid; {what}.", *notes]
+    lines = [f"{source_name(config)}: valid; {what}.", *notes]
     if study.is_recorded:
         return [*lines, "The record determines the rate, and so how long this takes."]
     if study.tune:

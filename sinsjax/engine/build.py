@@ -7,6 +7,7 @@ by the values of `PROGRAM_KEYS`, `ENVIRONMENT_KEYS` and `PASS_KEYS`, wherever th
 
 from collections.abc import Iterator
 from functools import cached_property
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -30,6 +31,7 @@ from sinsjax.platform import runtime
 from sinsjax.records import Record
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
+from sinsjax.study.load import load_study
 from sinsjax.study.resolved import Coded
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import SEQUENTIAL_KEYS, Span, Study
@@ -150,18 +152,24 @@ def parts(
     return (scenario.part(number) for number in range(len(scenario.variant_ids)))
 
 
-def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Record:
+def simulated_record(study: Study | str | Path, draw_id: int = 0, variant_id: int = 0) -> Record:
     """What the sensors of a simulated study put out, as a record that can be written to a file.
 
     Args:
-        study: a simulated study.
+        study: simulated study, its file, or the name of a shipped study.
         draw_id: whose noise.
         variant_id: whose Earth, motion and sensors, where these are swept.
 
     Raises:
         InputError: the study has no such variant, or reads a record itself.
+
+    Examples:
+        >>> record = sinsjax.simulated_record("paper1_resets")
+        >>> record.rate_hz, record.dtheta.shape  # rad per sample
+        (100.0, (90000, 3))
     """
     runtime.ensure_configured()
+    study = load_study(study)
     if study.is_recorded or not 0 <= variant_id < study.n_variants:
         raise InputError(f"{study.name}: has no simulated variant {variant_id}")
     scenario = Scenario(study, curves=False)

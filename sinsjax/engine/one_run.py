@@ -7,6 +7,7 @@ outcomes = jax.vmap(run, in_axes=(None, 0))(run.params, run.draws)
 
 import warnings
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -24,7 +25,7 @@ from sinsjax.engine.simulate import RunParams, simulate
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import with_rate
+from sinsjax.study.load import load_study, with_rate
 from sinsjax.study.study import Study
 from sinsjax.types import Array, Quat
 
@@ -112,7 +113,7 @@ class OneRun:
 
 
 def one_run(
-    study: Study,
+    study: Study | str | Path,
     record: StoredRecord | None = None,
     *,
     variant_id: int = 0,
@@ -122,7 +123,7 @@ def one_run(
     """One run of a study as a function of its numbers, see `OneRun`.
 
     Args:
-        study: checked study.
+        study: study, its file, or the name of a shipped study.
         record: the record of a recorded study.
         variant_id: which variant of the study.
         window_s: None for resets at their times; else each is spread over a smooth window of this
@@ -133,8 +134,16 @@ def one_run(
     Raises:
         InputError: the study has no such variant, the record does not fit, or resets that cannot be
             spread.
+
+    Examples:
+        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
+        >>> run = sinsjax.one_run(study, variant_id=2)
+        >>> outcome = run(run.params, run.draw(0))
+        >>> bool(abs(outcome.last.phi.z) < 0.01)  # rad
+        True
     """
     runtime.ensure_configured()
+    study = load_study(study)
     if record is not None and study.is_recorded:
         study = with_rate(study, record.record.rate_hz)
     if not 0 <= variant_id < study.n_variants:

@@ -217,6 +217,13 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
     Raises:
         InputError: there is no manifest, it has changed since it was written (`Damaged`), or
             another version wrote it (`OtherVersion`).
+
+    Examples:
+        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
+        >>> _ = sinsjax.run_into(study, "out")
+        >>> manifest = sinsjax.read_manifest("out")
+        >>> manifest["state"], manifest["runs_done"], manifest["seed"]
+        ('complete', 6, 1)
     """
     directory = Path(directory)
     path = directory / MANIFEST

@@ -5,6 +5,7 @@ One noise-free run of a variant, and the covariance of the true error beside it,
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import layouts
 from sinsjax.execution.tables import nullable, table_of
 from sinsjax.platform import runtime
+from sinsjax.study.load import load_study
 from sinsjax.study.rules import require_modelled
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
@@ -174,11 +176,12 @@ def settled_of(until_s: NDArray, end_s: NDArray, *, opposite: bool = True) -> tu
     return (until_s.mean(axis=1), error, *quantiles)
 
 
-def estimated_curves(study: Study) -> pa.Table:
+def estimated_curves(study: Study | str | Path) -> pa.Table:
     """Covariance analysis of a study's variants over time, in memory.
 
     Args:
-        study: checked study for which covariance analysis holds, with draws of its own or without.
+        study: study for which covariance analysis holds, with draws of its own or without, its
+            file, or the name of a shipped study.
 
     Returns:
         One row per variant and record time: the misalignment of the noise-free run, its 1 sigma
@@ -186,8 +189,15 @@ def estimated_curves(study: Study) -> pa.Table:
 
     Raises:
         InputError: covariance analysis does not hold for the study.
+
+    Examples:
+        >>> study = sinsjax.load_study("paper1_resets", {"study.rate_hz": 10.0})
+        >>> curves = sinsjax.estimated_curves(study)
+        >>> curves.num_rows, curves.column_names[:3]
+        (2700, ['variant_id', 'time_s', 'phi_e_arcmin'])
     """
     runtime.ensure_configured()
+    study = load_study(study)
     require_modelled(study)
     scenario = Scenario(study)
     tables = []

@@ -17,7 +17,8 @@ from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.dropping import keys_without_effect
-from sinsjax.study.load import load_with_notes, tables_of, with_rate
+from sinsjax.study.files import find_study, source_name
+from sinsjax.study.load import load_study, load_with_notes, tables_of, with_rate
 from sinsjax.study.study import Study
 
 
@@ -98,20 +99,29 @@ def prepare(
     """
     runtime.ensure_configured()
     place = None if options.directory is None else directory.results_path(options.directory)
-    study, label, unused = _load(source, overrides, options)
+    study, unused = _load(source, overrides)
+    name = study.name if isinstance(source, Study) else source_name(source)
     kind.check_study(study)
-    _check_needs_record(study, label, record, reference)
+    _check_needs_record(study, name, record, reference)
     overwrite, resumes = options.overwrite, options.resume
     if place is not None:
         directory.check_unlocked(place)
         kind.check_free(place, overwrite=overwrite, resume=resumes)
-    curves, notes = _curves(study, label, options)
+    curves, notes = _curves(study, name, options)
     notes = [*unused, *notes]
     stored = _stored(study, record, reference)
     if stored is not None:
         study = with_rate(study, stored.record.rate_hz)
     job = Job(
-        study, stored, curves, options.chunk_runs, (), place, overwrite, resumes, source=label
+        study,
+        stored,
+        curves,
+        options.chunk_runs,
+        (),
+        place,
+        overwrite,
+        resumes,
+        source=_config(source, options),
     )
     if place is not None:
         job = job._replace(seen=resume.state_of(place))
@@ -162,18 +172,29 @@ def subordinate(job: Job, study: Study, name: str) -> Job:
 
 
 def load_increments(
-    study: Study, record: str | Path, reference: str | Path | None = None
+    study: Study | str | Path, record: str | Path, reference: str | Path | None = None
 ) -> StoredRecord:
     """Read the record of a recorded study, and the reference attitude if given.
 
     Args:
-        study: checked study with [record].
+        study: study with [record], its file, or the name of a shipped study.
         record: file of the inertial record.
         reference: file of the reference attitude.
 
     Raises:
         InputError: a file cannot be used, or the study has no [record].
+
+    Examples:
+        >>> from sinsjax.records import write_psins
+        >>> write_psins(sinsjax.simulated_record("paper1_resets"), "car.imu")
+        >>> stored = sinsjax.load_increments("car_test", "car.imu")
+        >>> stored.record.rate_hz, stored.reference is None
+        (100.0, True)
     """
+    return _increments(load_study(study), record, reference)
+
+
+def _increments(study: Study, record: str | Path, reference: str | Path | None) -> StoredRecord:
     if study.record is None:
         raise InputError(f"{study.name}: has no [record] section")
     if study.record.format == "arrays":
@@ -185,28 +206,31 @@ def load_increments(
 
 
 def _load(
-    source: Path | str | Study, overrides: Mapping[str, Any] | None, options: Options
-) -> tuple[Study, str | None, list[str]]:
-    """The study, words for it, and lines about keys of its file that its methods do not use."""
-    label, notes = options.source, list[str]()
+    source: Path | str | Study, overrides: Mapping[str, Any] | None
+) -> tuple[Study, list[str]]:
+    """Return the study, and lines about keys of its file that its methods do not use."""
     if isinstance(source, Study):
-        study = source.replace(overrides) if overrides else source
-    else:
-        study, notes = load_with_notes(source, overrides or {})
-        label = label or Path(source)
-    if isinstance(label, Path):  # an absolute path means nothing on another machine
-        label = label.name if label.is_absolute() else label.as_posix()
-    return study, label, notes
+        return source.replace(overrides) if overrides else source, []
+    return load_with_notes(source, overrides or {})
+
+
+def _config(source: Path | str | Study, options: Options) -> str | None:
+    """Return the words for the study in the manifest; None for a study without a file."""
+    words = options.source
+    if words is None and not isinstance(source, Study):
+        words = find_study(source)
+    if isinstance(words, Path):  # an absolute path means nothing on another machine
+        return words.name if words.is_absolute() else words.as_posix()
+    return words
 
 
 def _check_needs_record(
     study: Study,
-    label: str | None,
+    name: str,
     record: StoredRecord | Path | str | None,
     reference: Path | str | None,
 ) -> None:
     given = record if record is not None else reference
-    name = label or study.name
     if study.is_recorded and record is None:
         ways = "`sinsjax align RECORD`, `sinsjax tune --record`, in Python `sinsjax.align`"
         raise InputError(f"{name}: [record]: the study needs a record ({ways})")
@@ -223,14 +247,14 @@ def _stored(
     if record is None or isinstance(record, StoredRecord):
         return record
     if isinstance(record, Path | str):
-        return load_increments(study, record, reference)
+        return _increments(study, record, reference)
     raise InputError(
         f"{study.name}: record: must be what sinsjax.load_increments or"
         f" sinsjax.record_from_arrays gives, not a {type(record).__name__}"
     )
 
 
-def _curves(study: Study, label: str | None, options: Options) -> tuple[bool | None, list[str]]:
+def _curves(study: Study, name: str, options: Options) -> tuple[bool | None, list[str]]:
     """Whether to keep curves, and notes about that."""
     runs, most = study.n_draws * study.n_variants, options.most_curves
     if most is None:
@@ -242,6 +266,6 @@ def _curves(study: Study, label: str | None, options: Options) -> tuple[bool | N
     if study.is_recorded:
         return None, [f"{runs} runs: curves are kept only if [study] curves = true."]
     raise InputError(
-        f"{label or study.name}: {runs} runs are too many to keep every curve (at most {most}; use"
+        f"{name}: {runs} runs are too many to keep every curve (at most {most}; use"
         " `sinsjax sweep`)"
     )

@@ -62,6 +62,12 @@ def read_summary(
 
     Raises:
         InputError: the directory holds no results, a part has changed, or a column is missing.
+
+    Examples:
+        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
+        >>> _ = sinsjax.run_into(study, "out")
+        >>> sinsjax.read_summary("out", ["run_id", "status"], run_ids=[4]).to_pylist()
+        [{'run_id': 4, 'status': 'ok'}]
     """
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
     return _read(directory, "summary", names, ["run_id"], verify=verify, rows=rows)
@@ -79,6 +85,14 @@ def read_estimates(
 
     Raises:
         InputError: the directory holds no estimates, a part has changed, or a column is missing.
+
+    Examples:
+        >>> changes = {"study.rate_hz": 10.0, "study.check_linearity": False}
+        >>> changes |= {"study.estimate_samples": 16}
+        >>> changes |= {"axes.reset_count": [0, 2], "axes.reset_cycle_s": [50.0]}
+        >>> _ = sinsjax.run_into(sinsjax.load_study("covariance", changes), "out")
+        >>> sinsjax.read_estimates("out", ["variant_id", "true_sigma_u_arcmin"]).num_rows
+        16
     """
     return _read(directory, "estimates", names, ["variant_id"], verify=verify)
 
@@ -95,6 +109,12 @@ def read_curves(
 
     Raises:
         InputError: a part has changed or cannot be read.
+
+    Examples:
+        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
+        >>> _ = sinsjax.run_into(study, "out")
+        >>> sinsjax.read_curves("out", [4]).num_rows
+        900
     """
     if not has_dataset(directory, "curves", verify=verify):
         return columns.schema(columns.CURVES).empty_table()

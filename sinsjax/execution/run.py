@@ -1,6 +1,7 @@
 """Running a prepared study, into tables in memory or into a directory."""
 
 import threading
+import time
 from collections.abc import Callable, Iterable, Mapping
 from itertools import takewhile
 from pathlib import Path
@@ -14,23 +15,12 @@ from sinsjax.execution import layouts, resume, stopping
 from sinsjax.execution import tasks as study_tasks
 from sinsjax.execution.prepare import Options, prepare, warn_of_doubts
 from sinsjax.execution.store import MemoryStore, Sink, Store
+from sinsjax.execution.study_results import Results
 from sinsjax.execution.tasks import Executor, Job, Task, TaskRunner
 from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
-
-
-class Results(NamedTuple):
-    """Results of a study.
-
-    Attributes:
-        summary: one row per run, ordered by run_id.
-        curves: one row per run and record time; empty if curves were not kept.
-    """
-
-    summary: pa.Table
-    curves: pa.Table
 
 
 class RunProgress(NamedTuple):
@@ -59,7 +49,7 @@ Tell = Callable[[RunProgress], None]
 
 
 def run(
-    study: Study,
+    study: Study | str | Path,
     record: StoredRecord | None = None,
     *,
     curves: bool | None = None,
@@ -69,7 +59,7 @@ def run(
     """Run a study in memory.
 
     Args:
-        study: checked study.
+        study: study, its file, or the name of a shipped study.
         record: the record of a recorded study.
         curves: whether to keep curves; None follows the study.
         chunk_runs: runs per chunk; does not affect the rows.
@@ -79,8 +69,16 @@ def run(
         Tables of all runs.
 
     Raises:
-        InputError: the record does not fit the study, or that has no runs but estimates.
+        InputError: the study is not valid, the record does not fit it, or it has no runs but
+            estimates.
+
+    Examples:
+        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
+        >>> results = sinsjax.run(study)
+        >>> results.summary.select(["case", "reset_count"]).slice(2, 1).to_pylist()
+        [{'case': 'condition 5 with resets', 'reset_count': 3}]
     """
+    study = load_study(study)
     if study.is_estimated:
         text = "covariance estimates have no runs (use sinsjax.estimate)"
         raise InputError(f"{study.name}: [study] estimate: {text}")
@@ -101,7 +99,7 @@ def align(
 
     Args:
         record: inertial record: a file, or what `record_from_arrays` or `load_increments` return.
-        study: study with [record], or its file.
+        study: study with [record], its file, or the name of a shipped study.
         reference: file of a reference attitude to compare with, if the record is a file.
         overrides: values of the study by ``section.key`` to change, see `Study.replace`.
         curves: whether to keep curves; None keeps them for up to 1,024 runs.
@@ -115,22 +113,37 @@ def align(
         InputError: the study has no [record], a file cannot be read, the record is certainly wrong,
             or does not cover the span that the study reads.
 
-    Example:
-        ``sinsjax.align("drive.imu", "car_test").summary.select(["start_s", "heading_deg"])``
+    Examples:
+        >>> made = sinsjax.simulated_record("paper1_resets")
+        >>> record = sinsjax.record_from_arrays(
+        ...     None, made.dtheta, made.dv, gyro_unit="rad", accel_unit="m_per_s", rate_hz=100.0
+        ... )
+        >>> study = sinsjax.study_from_dict(
+        ...     {
+        ...         "study": {"duration_s": 60.0},
+        ...         "earth": {"latitude_deg": 32.0},
+        ...         "record": {"format": "arrays"},
+        ...         "coarse": {"coarse_method": "inertial", "coarse_duration_s": 30.0},
+        ...         "alignment": {"method": "inertial"},
+        ...     }
+        ... )
+        >>> results = sinsjax.align(record, study)
+        >>> [round(heading) for heading in results.summary["heading_deg"].to_pylist()]
+        [359]
     """
     most = MOST_CURVES if curves is None else None
     options = Options(curves=curves, most_curves=most)
-    if not isinstance(study, Study):  # read here, so that what a change drops is warned of
-        options = options._replace(source=Path(study))
-        study, overrides = load_study(study, overrides), None
-    return _results(warn_of_doubts(prepare(study, overrides, record, reference, options)), tell)
+    study = load_study(study, overrides)  # here, so that what a change drops is warned of
+    return _results(warn_of_doubts(prepare(study, None, record, reference, options)), tell)
 
 
-def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None = None) -> pa.Table:
+def estimate(
+    study: Study | str | Path, *, chunk_runs: int | None = None, tell: Tell | None = None
+) -> pa.Table:
     """Estimate the errors of a study's variants in memory, by covariance analysis.
 
     Args:
-        study: checked study with ``estimate = "covariance"``.
+        study: study with ``estimate = "covariance"``, its file, or the name of a shipped study.
         chunk_runs: variants per chunk; does not affect the rows.
         tell: called with the progress after every chunk.
 
@@ -139,7 +152,16 @@ def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None =
 
     Raises:
         InputError: the study asks for draws, or covariance analysis does not hold for it.
+
+    Examples:
+        >>> changes = {"study.rate_hz": 10.0, "study.check_linearity": False}
+        >>> changes |= {"study.estimate_samples": 16}
+        >>> changes |= {"axes.reset_count": [0, 2], "axes.reset_cycle_s": [50.0]}
+        >>> table = sinsjax.estimate(sinsjax.load_study("covariance", changes))
+        >>> table.num_rows, table.field("true_sigma_u_arcmin").metadata[b"unit"]
+        (16, b'arcmin')
     """
+    study = load_study(study)
     if not study.is_estimated:
         raise InputError(f"{study.name}: [study] estimate: is 'draws' (use sinsjax.run)")
     job = warn_of_doubts(prepare(study, options=Options(chunk_runs=chunk_runs)))
@@ -147,7 +169,7 @@ def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None =
 
 
 def run_into(
-    study: Study,
+    study: Study | str | Path,
     directory: str | Path,
     record: StoredRecord | None = None,
     *,
@@ -159,11 +181,11 @@ def run_into(
     tell: Tell | None = None,
     stop: threading.Event | None = None,
     source: Path | str | None = None,
-) -> None:
+) -> Results:
     """Run a study into a directory, one Parquet part per chunk.
 
     Args:
-        study: checked study.
+        study: study, its file, or the name of a shipped study.
         directory: results directory; must hold no results unless ``overwrite`` or ``resume``.
         record: the record of a recorded study.
         curves: whether to keep curves; None follows the study.
@@ -173,19 +195,31 @@ def run_into(
         executor: runs the tasks; None for all devices of this process.
         tell: called with the progress before the first chunk and after every one.
         stop: event that ends the study after the running chunks.
-        source: the study's file, or words for it, named in the manifest.
+        source: words for the study in the manifest; None for its file.
+
+    Returns:
+        The results, read from the directory when needed.
 
     Raises:
         InputError: the record does not fit, or the directory cannot be used; both are checked
             before anything is written or removed. Also if the directory can no longer be written;
             complete parts are kept.
         StudyInterrupted: ``stop`` was set; the running chunks have been stored.
+
+    Examples:
+        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
+        >>> sinsjax.run_into(study, "out").summary.num_rows
+        6
+        >>> sinsjax.read_summary("out").num_rows
+        6
     """
     options = Options(
         directory, curves, None, chunk_runs, overwrite=overwrite, resume=resume, source=source
     )
+    began = time.monotonic()
     job = warn_of_doubts(prepare(study, None, record, None, options))
     run_job(job, executor=executor, tell=tell, stop=stop)
+    return Results(job.study, time.monotonic() - began, directory=job.directory)
 
 
 def run_job(
@@ -237,10 +271,12 @@ def run_in_memory(job: Job, tell: Tell | None = None) -> dict[str, pa.Table]:
 
 
 def _results(job: Job, tell: Tell | None) -> Results:
+    began = time.monotonic()
     tables = run_in_memory(job, tell)
     order = [("run_id", "ascending"), ("time_s", "ascending")]
     curves = tables.get("curves", columns.schema(layouts.curves(job.study)).empty_table())
-    return Results(tables["summary"].sort_by("run_id"), curves.sort_by(order))
+    tables |= {"summary": tables["summary"].sort_by("run_id"), "curves": curves.sort_by(order)}
+    return Results(job.study, time.monotonic() - began, tables=tables)
 
 
 def _run(

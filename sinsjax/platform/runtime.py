@@ -47,6 +47,11 @@ def configure(devices: int | None = None) -> None:
 
     Warns:
         ConfigurationWarning: once, if JAX has started with other devices or compiler options.
+
+    Examples:
+        >>> sinsjax.configure(devices=2)
+        >>> sinsjax.info()["x64"]
+        True
     """
     global _configured
     import jax
@@ -168,6 +173,10 @@ def info() -> dict[str, Any]:
         ``compile_cache``: the folder of compiled programs, or off and why; ``options``: each XLA
         option with its value in ``XLA_FLAGS`` or None; ``opted_out``; ``jaxlib_tested``: whether
         this version is in `xla.TESTED_JAXLIB`.
+
+    Examples:
+        >>> sinsjax.info()["x64"]
+        True
     """
     import jax
 

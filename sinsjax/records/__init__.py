@@ -57,6 +57,12 @@ def read_record(path: str | Path, layout: Layout) -> Record:
 
     Raises:
         InputError: the layout or the file is invalid; the message names the key or the row.
+
+    Examples:
+        >>> from sinsjax.records import PSINS_LAYOUT, write_psins
+        >>> write_psins(sinsjax.simulated_record("paper1_resets"), "car.imu")
+        >>> sinsjax.read_record("car.imu", PSINS_LAYOUT).dv.shape  # m/s per sample
+        (90000, 3)
     """
     check_layout(layout, str(path))
     return _READERS[layout.format](path, layout)

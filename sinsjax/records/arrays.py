@@ -72,6 +72,13 @@ def record_from_arrays(
 
     Raises:
         InputError: an argument is wrong; one line names the array and the row, from 0.
+
+    Examples:
+        >>> import numpy as np
+        >>> gyro, accel = np.zeros((600, 3)), np.tile([0.0, 0.0, 9.8], (600, 1))
+        >>> stored = sinsjax.record_from_arrays(None, gyro, accel, rate_hz=100.0)
+        >>> float(stored.record.dv[0, 2])  # m/s per sample
+        0.098
     """
     layout = Layout(
         format="csv",  # its fields are those of any table

@@ -30,7 +30,7 @@ class Reference(NamedTuple):
 
 
 def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
-    """Read a reference attitude from a Parquet file (suffix .parquet) or comma-separated text.
+    r"""Read a reference attitude from a Parquet file (suffix .parquet) or comma-separated text.
 
     Columns: time_s, pitch_deg, roll_deg, one of yaw_deg, yaw_ccw_deg (both counter-clockwise from
     north) and heading_deg (clockwise), and optionally all of sigma_e_deg, sigma_n_deg, sigma_u_deg.
@@ -46,6 +46,13 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
     Raises:
         InputError: the file cannot be read, a column is missing or a value is wrong; the message
             names the column and the row.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> lines = ("time_s,pitch_deg,roll_deg,yaw_deg", "0,0,0,10", "60,0,0,12")
+        >>> _ = Path("reference.csv").write_text("\n".join(lines))
+        >>> sinsjax.read_reference("reference.csv").attitude_deg[:, 2].tolist()  # yaw
+        [10.0, 12.0]
     """
     table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_csv(path)
     return reference_of(path, table, layout)

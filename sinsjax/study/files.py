@@ -12,7 +12,7 @@ from sinsjax.messages import near
 from sinsjax.platform.assets import asset
 
 _FOLDER = "configs"
-_SCHEMA = "#:schema"
+_SCHEMA, _GROUP = "#:schema", "#:group "
 DOUBT = "# DOUBT: "
 """Start of a comment about an uncertain value in a study that is written for a record."""
 
@@ -22,6 +22,18 @@ TOO_DEEP = "is nested too deeply"
 _MOST_NESTED = 50
 """Largest depth of nested tables and lists; a study has at most five."""
 
+GROUPS = {
+    "first": "studies to begin with",
+    "papers": "what the two papers print, and what they leave open",
+    "resets": "covariance resets: how many, when, and set by triggers",
+    "comparison": "which method to use, and why",
+    "stored": "repeated passes over a stored record",
+    "records": "recorded data of a car",
+    "tuning": "settings and schedules found by a search",
+    "theory": "consistency, and estimates without draws",
+}
+"""Groups of shipped studies. The second line of a study, ``#:group NAME``, names its group."""
+
 TEMPLATES = ("sweep", "record", "tune", "compare")
 """Kinds of study with a template."""
 
@@ -29,6 +41,15 @@ TEMPLATES = ("sweep", "record", "tune", "compare")
 def studies() -> dict[str, Path]:
     """Return the files of the shipped studies by name, in alphabetical order."""
     return {path.stem: path for path in sorted(asset(_FOLDER).glob("*.toml"))}
+
+
+def groups() -> dict[str, dict[str, Path]]:
+    """Return the shipped studies by group, in the order of their numbers and names."""
+    placed = sorted(((_group(path), name), path) for name, path in studies().items())
+    return {
+        group: {name: path for (place, name), path in placed if place.split()[:1] == [group]}
+        for group in GROUPS
+    }
 
 
 def templates() -> dict[str, Path]:
@@ -52,6 +73,16 @@ def find_study(given: str | Path) -> Path:
     if path.parent.as_posix() in (".", _FOLDER):
         return studies().get(with_suffix.stem, path)
     return path
+
+
+def source_name(given: str | Path) -> str:
+    """Return the name of a study in messages: a shipped study's own, otherwise its path as given.
+
+    Args:
+        given: file, or name of a shipped study, see `find_study`.
+    """
+    path = find_study(given)
+    return path.stem if path.parent == asset(_FOLDER) else str(path)
 
 
 def purpose(path: Path) -> str:
@@ -90,10 +121,16 @@ def schema_line() -> str:
     return f"{_SCHEMA} {asset(f'{_FOLDER}/schema.json').as_uri()}"
 
 
+def _group(path: Path) -> str:
+    """Return the group of a shipped study, and its number there if it has one; empty if none."""
+    lines = path.read_text("utf-8").splitlines()[:2]
+    return next((line.removeprefix(_GROUP) for line in lines if line.startswith(_GROUP)), "")
+
+
 def _body(path: Path) -> str:
-    """Return a shipped file without its first line, the path of the schema."""
-    first, _, rest = path.read_text("utf-8").partition("\n")
-    return rest if first.startswith(_SCHEMA) else f"{first}\n{rest}"
+    """Return a shipped file without its first lines, the path of the schema and the group."""
+    lines = path.read_text("utf-8").splitlines(keepends=True)
+    return "".join(line for line in lines if not line.startswith((_SCHEMA, _GROUP)))
 
 
 def read_tables(path: str | Path) -> dict[str, Any]:
@@ -105,19 +142,20 @@ def read_tables(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: the file cannot be read or is not TOML.
     """
+    name = source_name(path)
     try:
         tables = tomllib.loads(find_study(path).read_text("utf-8-sig"))
     except FileNotFoundError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}{_hint(path)}") from None
+        raise InputError(f"{name}: cannot be read: {error.strerror}{_hint(path)}") from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        raise InputError(f"{name}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path}: is not UTF-8 text (save it as UTF-8)") from None
+        raise InputError(f"{name}: is not UTF-8 text (save it as UTF-8)") from None
     except ValueError as error:
-        raise InputError(f"{path}: is not TOML: {error}") from None
+        raise InputError(f"{name}: is not TOML: {error}") from None
     except RecursionError:
-        raise InputError(f"{path}: {TOO_DEEP}") from None
-    require_shallow(tables, path)
+        raise InputError(f"{name}: {TOO_DEEP}") from None
+    require_shallow(tables, name)
     return tables
 
 

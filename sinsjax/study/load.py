@@ -63,20 +63,32 @@ _DROPPED = {
 """Sections of 0.5 and 0.6, with the reasons for their removal."""
 
 
-def load_study(path: str | Path, changes: Mapping[str, Any] | None = None) -> Study:
-    """Read and check a study file.
+def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = None) -> Study:
+    """Read and check a study.
+
+    All functions that take a study take what this one takes.
 
     Args:
-        path: file, or name of a shipped study, see `files.find_study`.
-        changes: values by ``section.key`` that replace those of the file, see `changes`.
+        source: file, or else name of a shipped study (``sinsjax init --list``), or study.
+        changes: values by ``section.key`` that replace those of the study, see `Study.replace`.
 
     Raises:
         InputError: the file cannot be read, is not TOML or not a valid study; a line per mistake.
 
     Warns:
         StudyWarning: the changes drop keys that another method does not read.
+
+    Examples:
+        >>> sinsjax.load_study("reset_sweep", {"study.draws": 2})
+        Study reset_sweep
+          runs    448 variants x 2 draws = 896 runs
+          axes    reset_count 0..6 (7); reset_cycle_s 10..100 (8); phi_u0_deg 0..90 (8)
+          method  kalman5
+          length  900 s at 100 Hz
     """
-    study, _, dropped = _load(path, changes)
+    if isinstance(source, Study):
+        return source.replace(changes) if changes else source
+    study, _, dropped = _load(source, changes)
     for line in dropped:
         warnings.warn(line, StudyWarning, stacklevel=2)
     return study
@@ -99,10 +111,11 @@ def _load(
     path: str | Path, changes: Mapping[str, Any] | None
 ) -> tuple[Study, TomlTable, list[str]]:
     """Return the study of a file, its tables, and lines about the keys that changes drop."""
+    name = files.source_name(path)
     data, dropped = files.read_tables(path), list[str]()
     if changes:
-        data, dropped = change_tables(data, changes, str(path))
-    return study_from_dict(data, str(files.find_study(path))), data, dropped
+        data, dropped = change_tables(data, changes, name)
+    return study_from_dict(data, name), data, dropped
 
 
 def change_tables(
@@ -133,6 +146,21 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
 
     Raises:
         InputError: the study is not valid; a line per mistake.
+
+    Examples:
+        >>> tables = {
+        ...     "study": {"duration_s": 60.0, "rate_hz": 100.0, "draws": 8},
+        ...     "earth": {"latitude_deg": 45.0},
+        ...     "motion": {"yaw_center_deg": 0.0},
+        ...     "sensors": {"gyro_arw_deg_per_sqrt_h": 0.002, "accel_vrw_ug_per_sqrt_hz": 20.0},
+        ...     "axes": {"phi_u0_deg": [1.0, 10.0, 30.0]},
+        ... }
+        >>> sinsjax.study_from_dict(tables, "mine")
+        Study mine
+          runs    3 variants x 8 draws = 24 runs
+          axes    phi_u0_deg 1, 10, 30
+          method  kalman5
+          length  60 s at 100 Hz
     """
     try:
         return _checked_study(data, escape_controls(Path(source).stem))
@@ -150,6 +178,13 @@ def tables_of(study: Study) -> TomlTable:
     content["axes"] |= content.pop("zips")
     names = (*SECTIONS, *_SWEEPS)
     return {name: content[name] for name in names if content.get(name)}
+
+
+def given_tables(study: Study) -> TomlTable:
+    """Return a study as tables and lists, without the keys that have their defaults."""
+    filled = _FILLED | _feedback_each_sample(study.study.rate_hz)
+    tables = changing.copy_tables(changing.without_defaults(tables_of(study), filled))
+    return {name: table for name, table in tables.items() if table}
 
 
 def study_to_toml(study: Study) -> str:
@@ -186,9 +221,7 @@ def replace_values(study: Study, changes: Mapping[str, Any]) -> Study:
     Warns:
         StudyWarning: the changes drop keys that another method does not read.
     """
-    filled = _FILLED | _feedback_each_sample(study.study.rate_hz)
-    tables = changing.without_defaults(tables_of(study), filled)
-    tables, dropped = change_tables(tables, changes, study.name)
+    tables, dropped = change_tables(given_tables(study), changes, study.name)
     made = study_from_dict(tables, study.name)
     for line in dropped:
         warnings.warn(line, StudyWarning, stacklevel=3)
@@ -220,6 +253,7 @@ def with_rate(study: Study, rate_hz: float) -> Study:
 
 
 Study.rebuild = staticmethod(replace_values)
+Study.tables = staticmethod(given_tables)
 
 
 def _checked_study(data: TomlTable, name: str) -> Study:

@@ -18,10 +18,13 @@ from sinsjax.alignment.filters.section import OF_SCHEDULES, reset_times
 from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.errors import InputError
+from sinsjax.messages import counted
+from sinsjax.study import display
 from sinsjax.study.keys import (
     COARSE_KEYS,
     PASS_KEYS,
     SECTION_OF,
+    SECTIONS,
     SWEEPABLE,
     TomlTable,
     acts,
@@ -40,6 +43,13 @@ from sinsjax.study.schema import (
 )
 from sinsjax.study.sweep import dimensions_of
 from sinsjax.value_types import ROUNDING
+
+_FOR_USERS = (
+    *("axes", "axis_keys", "cases", "drawn_keys", "duration_s", "is_estimated", "is_recorded"),
+    *("methods", "n_draws", "n_variants", "name", "rate_hz", "replace", "seed", "to_dict"),
+    *("values", "variant_values", "zips"),
+)
+"""Names of a study that users need, in addition to its sections."""
 
 COARSE_START = ("coarse_method", "coarse_then")
 """Keys that determine whether a run starts with coarse alignment."""
@@ -103,6 +113,13 @@ class Study(_SectionsOfMethods):
         cases: one table of leaf keys per case, all with the same keys; ``case`` is the label.
         drawn: distributions of keys whose value differs between draws; no section, axis or case
             has these keys.
+
+    Examples:
+        >>> study = sinsjax.load_study("reset_sweep")
+        >>> study.n_variants, study.n_draws, study.axis_keys
+        (448, 16, ('reset_count', 'reset_cycle_s', 'phi_u0_deg'))
+        >>> study.alignment.method
+        'kalman5'
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -125,9 +142,72 @@ class Study(_SectionsOfMethods):
     rebuild: ClassVar[Callable[["Study", Mapping[str, Any]], "Study"]]
     """Function that builds a changed study, set by `load`."""
 
+    tables: ClassVar[Callable[["Study"], TomlTable]]
+    """Function that returns a study as tables without defaults, set by `load`."""
+
     def replace(self, changes: Mapping[str, Any]) -> "Study":
-        """Return the study with values by ``section.key`` changed, see `load.replace_values`."""
+        """Return the study with some values changed, and new defaults where they depend on these.
+
+        Args:
+            changes: values by ``section.key``, such as ``{"alignment.phi_u0_deg": 12.0}``; each
+                replaces the value, the axis and the distribution of the key in the study.
+
+        Raises:
+            InputError: the result is not a valid study.
+
+        Warns:
+            StudyWarning: the changes drop keys that another method does not read.
+
+        Examples:
+            >>> study = sinsjax.load_study("reset_sweep")
+            >>> study.n_variants, study.replace({"alignment.phi_u0_deg": 12.0}).n_variants
+            (448, 56)
+        """
         return type(self).rebuild(self, changes)
+
+    def to_dict(self) -> TomlTable:
+        """Return the study as nested tables, as in its TOML file, without keys at their defaults.
+
+        `study_from_dict` makes an equal study of them.
+
+        Examples:
+            >>> study = sinsjax.load_study("reset_sweep")
+            >>> study.to_dict()["alignment"]["phi_e0_deg"]
+            5.0
+            >>> sinsjax.study_from_dict(study.to_dict()) == study
+            True
+        """
+        return type(self).tables(self)
+
+    def __repr__(self) -> str:
+        """Return five short lines: runs, axes, method and length."""
+        return display.as_text(f"Study {self.name}", self.facts)
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        """Return the lines of `__repr__` as a table, for notebooks."""
+        return display.as_html(f"Study {self.name}", self.facts)
+
+    def __dir__(self) -> list[str]:
+        """Return the names that a user needs, for the completion of interactive sessions."""
+        return sorted((*_FOR_USERS, *(name for name in SECTIONS if self.has(name))))
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Runs, axes, methods and length of runs, in words."""
+        variants = counted(self.n_variants, "variant")
+        draws = counted(self.n_draws, "start time" if self.is_recorded else "draw")
+        runs = f"{variants} x {draws} = {counted(self.n_draws * self.n_variants, 'run')}"
+        axes = (display.axis_text(keys, values) for keys, values in self.axes_shown.items())
+        rate = f"{self.rate_hz:g} Hz" if self.rate_hz else "the rate of its record"
+        several = len(self.methods) > 1
+        return {
+            "runs": f"{variants}, estimated without draws" if self.is_estimated else runs,
+            "axes": "; ".join(axes) or "none",
+            "methods" if several else "method": ", ".join(self.methods),
+            "length": f"{self.duration_s:g} s at {rate}",
+        }
 
     @property
     def name(self) -> str:
@@ -458,7 +538,13 @@ class Study(_SectionsOfMethods):
         return Coded(np.asarray([place[choice] for choice in choices])[codes], tuple(place))
 
     def variant_values(self) -> dict[str, list[Any]]:
-        """Return the values of each axis key, one per variant."""
+        """Return the values of each axis key, one per variant.
+
+        Examples:
+            >>> study = sinsjax.load_study("paper1_resets")
+            >>> study.variant_values()["phi_u0_deg"]
+            [0.0, 30.0, 30.0]
+        """
         return {key: self.values(key) for key in self.axis_keys}
 
     def values(self, key: str) -> list[Any]:
@@ -469,6 +555,10 @@ class Study(_SectionsOfMethods):
 
         Raises:
             KeyError: no sweepable section of this study has the key.
+
+        Examples:
+            >>> sinsjax.load_study("paper1_resets").values("latitude_deg")
+            [32.0, 32.0, 32.0]
         """
         return self.resolved.column(key).to_list()
 

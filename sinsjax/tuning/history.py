@@ -178,6 +178,13 @@ def read_history(directory: str | Path) -> pa.Table:
 
     Raises:
         InputError: there is no history, or it has changed since it was written.
+
+    Examples:
+        >>> changes = {"study.rate_hz": 10.0, "tune.searches": ["grid"], "tune.grid_points": 2}
+        >>> changes |= {"tune.tune_draws": 2, "tune.evaluation_draws": 4}
+        >>> _ = sinsjax.tune(sinsjax.load_study("tune_condition5", changes), "tuned")
+        >>> sinsjax.read_history("tuned").select(["search", "reset_times_s[0]"]).num_rows
+        4
     """
     table = _read(Path(directory))
     return table.replace_schema_metadata({"sinsjax.schema": SCHEMA_VERSION})

@@ -15,7 +15,7 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
 from sinsjax.execution.directory import STUDY
-from sinsjax.execution.prepare import Kind, Options, prepare, warn_of_doubts
+from sinsjax.execution.prepare import Kind, Options, prepare
 from sinsjax.execution.run import RunProgress, Tell
 from sinsjax.execution.sealed import Damaged
 from sinsjax.execution.tasks import Job
@@ -41,42 +41,6 @@ _NAMES = (STUDY, TUNED, history.FILE, "figures", *_SEARCHES)
 Watch = Callable[[str], AbstractContextManager[Tell | None]]
 
 
-def tune(
-    study: Study,
-    directory: str | Path,
-    record: StoredRecord | None = None,
-    *,
-    overwrite: bool = False,
-    resume: bool = False,
-    watch: Watch | None = None,
-    stop: threading.Event | None = None,
-    source: Path | str | None = None,
-) -> None:
-    """Tune a study into a directory.
-
-    At the end it holds ``tuned.toml`` (the study with the best point), the results of each search
-    and of the evaluation, and the history that `history.read_history` reads.
-
-    Args:
-        study: study with [tune].
-        directory: must hold no tuning run unless ``overwrite`` or ``resume``.
-        record: the record of a recorded study, with a reference (`prepare.load_increments`).
-        overwrite: whether to replace an earlier tuning run.
-        resume: whether to keep complete searches of the same tuning run and do only the rest.
-        watch: gives the progress callback for the name of a search.
-        stop: event that ends the tuning run; complete stages are kept.
-        source: the study's file, or words for it, named in manifests.
-
-    Raises:
-        InputError: no [tune] or no reference, a variable without a gradient, a record that does not
-            fit, or a directory that cannot be used.
-        StudyInterrupted: ``stop`` was set.
-    """
-    options = Options(directory, overwrite=overwrite, resume=resume, source=source)
-    job = warn_of_doubts(prepare_tuning(study, None, record, None, options))
-    run_tuning(job, watch=watch, stop=stop)
-
-
 def prepare_tuning(
     source: Path | str | Study,
     overrides: Mapping[str, Any] | None,
@@ -87,7 +51,7 @@ def prepare_tuning(
     """Check a tuning run and forecast what it takes, see `prepare.prepare`.
 
     Raises:
-        InputError: as `tune`.
+        InputError: as `from_python.tune`.
     """
     kind = Kind(check_free, forecast.of_tuning, _check_same, require_tune)
     job = prepare(source, overrides, record, reference, options, kind=kind)

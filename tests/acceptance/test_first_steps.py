@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -9,11 +10,12 @@ from pathlib import Path
 
 import pytest
 import tomli_w
+import typer
 from support.commands import Command, command_line
 from support.studies import BASE
 
 import sinsjax as package
-from sinsjax.cli import options
+from sinsjax.cli import app, options
 from sinsjax.errors import InputError
 from sinsjax.study import files, key_table
 from sinsjax.study.keys import SECTION_OF, Key
@@ -96,14 +98,83 @@ def test_init_copies_study_file_with_comments(sinsjax: Command, tmp_path: Path) 
     schema, _, text = copy.read_text().partition("\n")
     assert schema == f"#:schema {(ROOT / 'configs' / 'schema.json').as_uri()}"
     original = (ROOT / "configs" / "reset_sweep.toml").read_text()
-    assert original == f"#:schema ./schema.json\n{text}"
+    assert original == f"#:schema ./schema.json\n#:group first 1\n{text}"
     code, _, error = sinsjax("init", "tune", "--out", copy)
     assert (code, error.count("\n")) == (2, 1) and "exists" in error
     code, _, error = sinsjax("init", "reset_swep")
     assert code == 2 and "did you mean reset_sweep?" in error
     code, told, _ = sinsjax("init", "--list")
     assert "docs/" not in told and "configs/" not in told  # a wheel has no such folders
-    assert code == 0 and {*files.templates(), *files.studies()} <= set(told.split())
+    assert code == 0 and {*files.templates(), *files.studies(), *files.GROUPS} - {"first"} <= set(
+        told.split()
+    )
+
+
+def test_every_shipped_study_is_in_one_group_and_five_are_for_newcomers() -> None:
+    groups = files.groups()
+    placed = [name for group in groups.values() for name in group]
+    assert sorted(placed) == sorted(files.studies())  # each in one group of a known name
+    assert [*groups["first"]][:2] == ["reset_sweep", "paper1_resets"] and all(groups.values())
+    for path in groups["first"].values():
+        assert files.purpose(path).endswith("?") and len(files.purpose(path)) < 65
+    assert len(groups["first"]) == 5
+    assert groups.keys().isdisjoint({*files.studies(), *files.templates()})
+
+
+def test_init_lists_newcomers_studies_then_groups_within_80_columns(
+    sinsjax: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = sinsjax("init", "--list")[1].splitlines()
+    assert max(map(len, lines)) <= 80 and len(lines) < 45
+    more = next(i for i, line in enumerate(lines) if line.startswith("More studies"))
+    told = [*map(str.split, lines)]
+    assert ["reset_phase"] not in [words[:1] for words in told[:more]]
+    assert "reset_sweep" in [words[0] for words in told[:more]]
+    code, group, _ = sinsjax("init", "resets", "--list")
+    assert code == 0 and "  reset_phase " in group and "reset_sweep" not in group
+    assert max(map(len, group.splitlines())) <= 80
+    assert "car test" in sinsjax("init", "car_test", "--list")[1]
+    code, _, error = sinsjax("init", "--list", "reset")
+    assert (code, error) == (
+        2,
+        "error: reset: no study or group of this name (did you mean resets?)\n",
+    )
+
+
+def test_errors_of_shipped_studies_name_the_study(sinsjax: Command, tmp_path: Path) -> None:
+    text = (ROOT / "configs" / "reset_sweep.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text)
+    whole = str(tmp_path / "mine.toml")
+    names = {"reset_sweep": "reset_sweep", "mine": "mine.toml", whole: whole}
+    for given, name in names.items():
+        for change, reason in (
+            ("alignment.foo=3", "[alignment] foo: unknown key"),
+            ("axes.reset_count={}", "valid; "),
+        ):
+            _, told, error = sinsjax("validate", given, "--set", change)
+            line = told or error.removeprefix("error: ")
+            assert line.startswith(f"{name}: {reason}"), line
+        _, _, error = sinsjax("run", given, "-o", "out")
+        assert error.startswith(f"error: {name}: 7168 runs are too many"), error
+    _, _, error = sinsjax("run", "car_test", "-o", "out")
+    assert error.startswith("error: car_test: [record]: the study needs a record")
+
+
+def test_help_lists_commands_in_panels_and_shows_brackets(sinsjax: Command) -> None:
+    code, told, _ = sinsjax("--help")
+    panels = re.split(r"^(Run|Look|Set up):$", told, flags=re.M)
+    found = {
+        name: re.findall(r"^  (\w+) ", text, re.M)
+        for name, text in zip(panels[1::2], panels[2::2], strict=True)
+    }
+    assert code == 0 and [*found] == ["Run", "Look", "Set up"]
+    assert found["Run"] == ["run", "sweep", "align", "tune"]
+    assert {"report", "rerun"} <= set(found["Look"])
+    assert {"init", "validate", "keys", "info", "gains", "bench"} == set(found["Set up"])
+    assert "Search the variables of a study's [tune]" in told
+    listed = typer.main.get_command(app)
+    assert sorted(name for names in found.values() for name in names) == sorted(listed.commands)
 
 
 def test_study_file_is_written_whole_or_not_at_all(
@@ -493,14 +564,22 @@ def test_wheel_alone_finds_templates_and_configs(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / wheel) as archive:
         archive.extractall(tmp_path / "site")
     (tmp_path / "empty").mkdir()
-    for words in (["init", "sweep"], ["validate", "configs/reset_sweep.toml"]):
+    found = "from sinsjax.study import files; print(files.find_study('reset_sweep'))"
+    told = []
+    for words in (
+        ["-m", "sinsjax", "init", "sweep"],
+        ["-m", "sinsjax", "validate", "configs/reset_sweep.toml"],
+        ["-c", found],
+    ):
         done = subprocess.run(
-            [sys.executable, "-m", "sinsjax", *words],
+            [sys.executable, *words],
             cwd=tmp_path / "empty",
             env=os.environ | {"PYTHONPATH": str(tmp_path / "site")},
             capture_output=True,
             text=True,
         )
         assert (done.returncode, done.stderr) == (0, "")
-    assert str(tmp_path / "site" / "sinsjax" / "assets") in done.stdout
+        told.append(done.stdout)
+    assert told[1].startswith("reset_sweep: valid; ")
+    assert told[2].startswith(str(tmp_path / "site" / "sinsjax" / "assets"))
     assert (tmp_path / "empty" / "sweep.toml").is_file()

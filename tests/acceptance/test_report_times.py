@@ -216,7 +216,9 @@ def test_report_times_count_same_data_for_hand_over_and_replay() -> None:
 
 
 def test_report_times_without_reference_give_only_sigma() -> None:
-    summary = run.run(study_from_dict(recorded([1.0], {})), record()._replace(reference=None))[0]
+    summary = run.run(
+        study_from_dict(recorded([1.0], {})), record()._replace(reference=None)
+    ).summary
     assert summary["phi_u_at_1_arcmin"].null_count == summary["nees_at_1"].null_count == 1
     assert summary["sigma_u_at_1_arcmin"].to_pylist()[0] > 1 * ARCMIN
 

@@ -31,7 +31,7 @@ from sinsjax.report import tuned
 from sinsjax.study.load import load_study, study_from_dict, with_point
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
-from sinsjax.tuning import history, objective, results, run_tuning, search
+from sinsjax.tuning import from_python, history, objective, results, run_tuning, search
 from sinsjax.tuning.history import Evaluation, Found
 from sinsjax.tuning.results import Tuning
 
@@ -101,7 +101,7 @@ def made(faked: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) ->
     """A tuning by grid and gradient; its study is beside it."""
     folder = tmp_path_factory.mktemp("tune")
     config = write(folder / "swing.toml")
-    run_tuning.tune(load_study(config), folder / "out", source=config)
+    from_python.tune(load_study(config), folder / "out", source=config)
     return folder / "out"
 
 
@@ -224,7 +224,7 @@ def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, f
             runs[job.directory.name] = seen[-1]
 
         patch.setattr(search, "run_job", counted)
-        run_tuning.tune(study, out, resume=True)
+        from_python.tune(study, out, resume=True)
     assert runs == {"grid": 0, "equal_cost": 5 * 6, "evaluation": 0}
     assert {name: everything(out / name / "summary") for name in whole} == whole
     assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
@@ -267,7 +267,7 @@ def test_overwrite_removes_previous_tuning_results(
 
     monkeypatch.setattr(search, "run_job", stopped)
     with pytest.raises(StudyInterrupted):
-        run_tuning.tune(load_study(out / "study.toml"), out, overwrite=True)
+        from_python.tune(load_study(out / "study.toml"), out, overwrite=True)
     assert not (out / "tuned.toml").exists() and history.read_history(out).num_rows == 0
     with pytest.raises(InputError, match="out: holds a tuning run that is not complete"):
         told(out)
@@ -288,7 +288,7 @@ def test_resume_removes_temporary_files_of_killed_tuning(
 
     monkeypatch.setattr(search, "run_job", stopped)
     with pytest.raises(StudyInterrupted):
-        run_tuning.tune(load_study(out / "study.toml"), out, resume=True)
+        from_python.tune(load_study(out / "study.toml"), out, resume=True)
     left = {path.name for path in out.glob("*.tmp")}
     assert left == {"notes.tmp", ".tuned.toml.mine.tmp"}
 
@@ -305,7 +305,7 @@ def test_concurrent_tunings_in_one_directory_are_refused(
         with pytest.raises(
             InputError, match=r"out: another process is writing there: pid \d+ on .+"
         ):
-            run_tuning.tune(load_study(out / "study.toml"), out, **{how: True})
+            from_python.tune(load_study(out / "study.toml"), out, **{how: True})
     finally:
         held.release()
     assert everything(out) == before
@@ -315,7 +315,7 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
     study, stop = load_study(write(tmp_path / "swing.toml")), threading.Event()
     stop.set()
     with pytest.raises(StudyInterrupted, match=r"0 of 72 runs are in .*grid"):
-        run_tuning.tune(study, tmp_path / "out", stop=stop)
+        from_python.tune(study, tmp_path / "out", stop=stop)
     with pytest.raises(InputError, match=r"out: holds a tuning run that is not complete \(`sinsj"):
         told(tmp_path / "out")
     alone = load_study(write(tmp_path / "swing.toml", tune=TUNE | {"searches": ["gradient"]}))
@@ -323,7 +323,7 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
         fake = sys.modules["sinsjax.tuning.descent"]
         patch.setattr(fake, "descend", lambda study, stored, tell: tell(RunProgress(0, 1, 0, 0)))
         with pytest.raises(StudyInterrupted, match="the complete searches are in"):
-            run_tuning.tune(alone, tmp_path / "alone", stop=stop)
+            from_python.tune(alone, tmp_path / "alone", stop=stop)
 
 
 @pytest.mark.parametrize("damage", ["flipped", "emptied", "gone"])
@@ -341,7 +341,7 @@ def test_damaged_history_is_refused_by_report_and_made_again_by_resume(
     words = "there is no such file" if damage == "gone" else "has changed since .*tune --resume"
     with pytest.raises(InputError, match=rf"history\.parquet: {words}"):
         told(out)
-    run_tuning.tune(load_study(out / "study.toml"), out, resume=True)
+    from_python.tune(load_study(out / "study.toml"), out, resume=True)
     assert history.read_history(out).equals(whole)
     assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
 
@@ -365,7 +365,7 @@ def test_damaged_study_of_tuning_is_named_and_restored_by_resume(
     }
     with pytest.raises(InputError, match=rf"out/study\.toml: {named[damage]}"):
         told(out)
-    run_tuning.tune(study, out, resume=True)
+    from_python.tune(study, out, resume=True)
     assert (out / "study.toml").read_text() == text
     assert "swing" in told(out)
 
@@ -377,7 +377,7 @@ def test_search_folder_that_is_a_link_is_refused(made: Path, tmp_path: Path) -> 
     (out / "grid").symlink_to(other / "grid")
     before = everything(tmp_path)
     for attempt in (
-        lambda: run_tuning.tune(load_study(out / "study.toml"), out, overwrite=True),
+        lambda: from_python.tune(load_study(out / "study.toml"), out, overwrite=True),
         lambda: told(out),
     ):
         with pytest.raises(InputError, match=r"out/grid: is a symbolic link"):
@@ -455,7 +455,7 @@ def test_tune_input_error_is_one_line(name: str, tmp_path: Path, sinsjax_: Comma
 def test_too_long_output_path_raises_input_error(tmp_path: Path) -> None:
     study = load_study(write(tmp_path / "swing.toml"))
     with pytest.raises(InputError, match="n: cannot be written: File name too long"):
-        run_tuning.tune(study, tmp_path / ("n" * 5000))
+        from_python.tune(study, tmp_path / ("n" * 5000))
 
 
 def test_tune_refuses_output_path_with_foreign_files(tmp_path: Path, sinsjax_: Command) -> None:
@@ -478,7 +478,7 @@ def test_equal_points_are_evaluated_once_under_joined_names(
     monkeypatch.setattr(search, "run_job", lambda job, **options: seen.append(job.study))
     monkeypatch.setattr(search.results, "read_summary", lambda *_: pa.table({}))
     monkeypatch.setattr(objective, "values", lambda tune, own, _: np.ones((own.n_variants, 2)))
-    run_tuning.tune(study, tmp_path / "out")
+    from_python.tune(study, tmp_path / "out")
     assert [case["case"] for case in seen[-1].cases] == ["baseline, grid"]
 
 

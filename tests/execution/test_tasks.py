@@ -70,7 +70,7 @@ def test_result_bytes_do_not_depend_on_task_order_or_runner(
     executor = Executor(elsewhere, {})
     study_run.run_into(study, tmp_path / "here", chunk_runs=chunk_runs, executor=executor)
     assert parts(tmp_path / "here") == parts(tmp_path / "there")
-    read = study_run.Results(read_summary(tmp_path / "here"), read_curves(tmp_path / "here"))
+    read = (read_summary(tmp_path / "here"), read_curves(tmp_path / "here"))
     for a, b in zip(read, reference, strict=True):
         assert a.cast(b.schema).equals(b)
 

@@ -25,7 +25,15 @@ from sinsjax.execution import run
 from sinsjax.execution.tasks import Job
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.tuning import descent, estimates, history, objective, run_tuning, search
+from sinsjax.tuning import (
+    descent,
+    estimates,
+    from_python,
+    history,
+    objective,
+    run_tuning,
+    search,
+)
 from sinsjax.tuning.relaxation import Relaxation
 from sinsjax.tuning.slopes import TANGENT_STEPS, Slope, Softness
 from sinsjax.types import Vec3
@@ -681,7 +689,7 @@ def test_study_without_gradient_is_refused_before_running(name: str, tmp_path: P
     variables, sections, what = REFUSED[name]
     study = tuned(variables, sections, searches=["sobol", "gradient"])
     with pytest.raises(InputError) as refused:
-        run_tuning.tune(study, tmp_path / "out")
+        from_python.tune(study, tmp_path / "out")
     text = f"study: {what}: has no gradient (use 'sobol' instead of 'gradient')"
     assert str(refused.value) == text
     assert not (tmp_path / "out").exists()

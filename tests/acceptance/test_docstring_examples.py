@@ -1,0 +1,50 @@
+"""Examples in the docstrings of all that is public: each name has one, and it runs."""
+
+import doctest
+import inspect
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sinsjax
+
+pytestmark = pytest.mark.optimised(False)
+
+FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+WITH_METHODS = ("Results", "Study", "TuningResults")
+WITHOUT = {"summarise"}
+"""Names whose docstring has no example yet."""
+LIBRARIES = {"Results.to_pandas": ["pandas"], "Results.to_xarray": ["pandas", "xarray"]}
+
+
+def public_names() -> dict[str, Any]:
+    """Everything public by name, with the methods of `WITH_METHODS` that completion shows."""
+    found = {name: getattr(sinsjax, name) for name in sinsjax.__all__}
+    shown = set(dir(sinsjax.load_study("reset_sweep")))
+    for name in WITH_METHODS:
+        methods = {key for key, _ in inspect.getmembers(found[name], callable)}
+        own = {key for key in methods & {*vars(found[name])} if not key.startswith("_")}
+        own = own & shown if name == "Study" else own
+        found |= {f"{name}.{key}": getattr(found[name], key) for key in sorted(own)}
+    return found
+
+
+EXAMPLES = public_names()
+
+
+def test_methods_have_examples_too() -> None:
+    assert {"Study.replace", "Study.to_dict", "Study.values", "Results.read"} <= {*EXAMPLES}
+
+
+@pytest.mark.parametrize("name", sorted(EXAMPLES.keys() - WITHOUT))
+def test_docstring_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for library in LIBRARIES.get(name, ()):
+        pytest.importorskip(library)
+    monkeypatch.chdir(tmp_path)
+    text = inspect.getdoc(EXAMPLES[name]) or ""
+    test = doctest.DocTestParser().get_doctest(text, {"sinsjax": sinsjax}, name, None, None)
+    assert test.examples, f"{name}: its docstring has no example"
+    told: list[str] = []
+    doctest.DocTestRunner(optionflags=FLAGS).run(test, out=told.append)
+    assert not told, "".join(told)

@@ -1,0 +1,114 @@
+"""How a study shows itself: text, HTML, completion, and the tables that make it again."""
+
+import tomllib
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pydantic
+import pytest
+import tomli_w
+from support.studies import small_study
+
+import sinsjax
+from sinsjax.study import display, files
+
+
+@pytest.mark.parametrize("name", files.studies())
+def test_shipped_study_shows_itself_in_five_short_lines_and_returns_as_tables(name: str) -> None:
+    study = sinsjax.load_study(name)
+    title, *facts = lines = repr(study).splitlines()
+    assert title == f"Study {name}" and len(lines) == 5 and max(map(len, lines)) <= 80
+    assert str(study) == repr(study)
+    assert f"{study.n_variants:,} variant" in facts[0] and study.methods[0] in facts[2]
+    tables = study.to_dict()
+    assert sinsjax.study_from_dict(tables) == study
+    assert sinsjax.study_from_dict(tomllib.loads(tomli_w.dumps(tables))) == study
+
+
+def test_tables_of_a_study_may_be_changed_and_leave_it_alone() -> None:
+    study = small_study(axes={"phi_u0_deg": [1.0, 2.0]})
+    tables = study.to_dict()
+    tables["axes"]["phi_u0_deg"].append(3.0)
+    assert study.n_variants == 2 and sinsjax.study_from_dict(tables).n_variants == 3
+    assert "p0_yaw_deg" not in tables.get("filter", {})  # its default
+    assert "max_gap_s" not in tables["study"]
+
+
+def test_axis_is_shown_by_range_by_its_values_or_by_their_number() -> None:
+    assert display.axis_text(["phi_u0_deg"], [0.0, 10, 30.5, 120]) == "phi_u0_deg 0..120 (4)"
+    assert display.axis_text(["phi_u0_deg"], [0.0, 12.5]) == "phi_u0_deg 0, 12.5"
+    assert display.axis_text(["turn"], ["flip", "fold"]) == "turn flip, fold"
+    assert display.axis_text(["case"], ["a, b", "c"]) == "case (2)"  # commas would be taken apart
+    assert display.axis_text(["reset_times_s"], [(), (1.0, 2.0)]) == "reset_times_s (2)"
+    assert display.axis_text(["surge_m_per_s"], [None, 1.0, 2.0, 3.0]) == "surge_m_per_s (4)"
+    assert display.axis_text(["a", "b", "c"], [(1, 2, 3)] * 4) == "a and 2 more (4)"
+    assert display.axis_text(["curves"], [True, False]) == "curves True, False"
+
+
+class _Cells(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        self.tags.add(tag)
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_html_escapes_text_from_a_file() -> None:
+    study = small_study(study={"name": "<script>alert(1)</script>&"})
+    reader = _Cells()
+    reader.feed(study._repr_html_())
+    assert reader.tags == {"table", "caption", "tr", "th", "td"}
+    assert "<script>alert(1)</script>&" in reader.text
+    for shown in (display.as_text("t", {"a": "\x1b[31m"}), display.as_html("\x1b", {"a": "b"})):
+        assert "\x1b" not in shown and "\\x1b" in shown
+    assert "<b>" not in display.as_html("t", {"<b>name": "<b>fact"})
+
+
+def test_completion_shows_what_users_need_without_pydantic() -> None:
+    study = small_study(axes={"phi_u0_deg": [1.0, 2.0]})
+    pydantics = {name for name in dir(pydantic.BaseModel) if not name.startswith("__")}
+    for thing in (study, study.alignment, study.study):
+        shown = dir(thing)
+        assert shown and not pydantics & {*shown} and not [n for n in shown if n.startswith("_")]
+        assert all(hasattr(thing, name) for name in shown)
+    assert {"n_variants", "replace", "to_dict", "alignment", "sensors"} <= {*dir(study)}
+    assert "record" not in dir(study)  # it has none
+    assert "phi_u0_deg" in dir(study.alignment)
+
+
+def test_study_is_loaded_from_name_path_or_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = sinsjax.load_study("reset_sweep")
+    assert sinsjax.load_study(shipped) is shipped
+    assert sinsjax.load_study(shipped, {"study.draws": 2}).n_draws == 2
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "reset_sweep").write_bytes(tomli_w.dumps(small_study().to_dict()).encode())
+    assert sinsjax.load_study("reset_sweep").n_variants == 1  # a file of that name comes first
+    with pytest.raises(sinsjax.InputError, match=r"^reset_swep: .*did you mean reset_sweep\?"):
+        sinsjax.run("reset_swep")
+    with pytest.raises(sinsjax.InputError, match=r"did you mean tune_large\?"):
+        sinsjax.tune("tune_larg", tmp_path / "out")
+    with pytest.raises(sinsjax.InputError, match=r"did you mean covariance\?"):
+        sinsjax.estimate("covarianc")
+
+
+def test_input_error_carries_a_line_for_every_mistake() -> None:
+    tables = small_study().to_dict()
+    tables["study"]["draws"] = 0
+    tables["alignment"]["foo"] = 1
+    tables["earth"]["latitude_deg"] = 95.0
+    with pytest.raises(sinsjax.InputError) as caught:
+        sinsjax.study_from_dict(tables, "mine")
+    lines = caught.value.lines
+    assert {line.partition(": ")[2].split(":")[0] for line in lines} == {
+        "[study] draws",
+        "[alignment] foo",
+        "[earth] latitude_deg",
+    }
+    assert str(caught.value) == "\n".join(lines)
