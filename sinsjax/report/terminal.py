@@ -152,17 +152,19 @@ def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None
         console: the console.
         names: the names of the study, which are printed literally.
     """
-    width = console.width
+    before = console.width
     if not console.is_terminal and not os.environ.get("COLUMNS"):
-        width = PIPE_WIDTH
-    console.print(screen.literal(names.plain(block.title), "bold"), width=width)
+        console.width = PIPE_WIDTH
+    width = console.width - _EDGES
+    console.print(screen.literal(names.plain(block.title), "bold"))
     header = [escape_controls(name).replace(" (", "\n(") for name in block.header]
     cells = [header, *([escape_controls(cell) for cell in row] for row in block.rows)]
-    for columns in _parts(cells, width - _EDGES):
-        console.print(_grid([[row[column] for column in columns] for row in cells], width - _EDGES))
+    for columns in _parts(cells, width):
+        console.print(_grid([[row[column] for column in columns] for row in cells], width))
     if block.note:
-        console.print(screen.literal(names.plain(block.note), "dim"), width=width)
+        console.print(screen.literal(names.plain(block.note), "dim"))
     console.print()
+    console.width = before
 
 
 def _least(cell: str) -> int:

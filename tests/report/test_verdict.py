@@ -1,0 +1,269 @@
+"""The verdict: what it chooses, on which draws it judges, and how it fits a terminal."""
+
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+from support.made_up import summary_of
+from support.stored import store, told
+from support.studies import small_study
+
+from sinsjax import analysis
+from sinsjax.execution.source import Source
+from sinsjax.report import estimated, terminal
+from sinsjax.report.base import Fact, Table, Verdict
+from sinsjax.report.choices import Choices, choose, choose_by_halves, schedule_words
+from sinsjax.report.verdict import q_doubt, verdict
+from sinsjax.study.study import Study
+
+SWEEP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [5.0, 30.0, 60.0]}
+NEVER = np.inf
+
+
+def sweep(draws: int = 16, **changes: Any) -> Study:
+    return small_study(study={"draws": draws, "name": "sweep"}, axes=SWEEP, **changes)
+
+
+def facts(found: Verdict) -> dict[str, str]:
+    """The facts by label; several of a label are joined."""
+    texts: dict[str, str] = {}
+    for label, text, _ in found.facts:
+        texts[label] = f"{texts[label]}; {text}" if label in texts else text
+    return texts
+
+
+def judged(study: Study, settle_s: np.ndarray) -> Verdict:
+    """The verdict on settling times (draws, variants), NaN for never."""
+    flags = np.isfinite(settle_s.ravel())
+    status = list(np.where(flags, "ok", "not_settled"))
+    names = ("settle_10_s", "settle_10_truth_s")
+    columns = dict.fromkeys(names, np.where(flags, settle_s.ravel(), np.nan))
+    summary = summary_of(study, status=status, **columns)
+    return verdict(Source(Path("out"), study, "x.toml", summary))
+
+
+# --- the choice -----------------------------------------------------------------------------
+
+
+def test_each_draw_is_judged_with_option_chosen_by_the_other_half() -> None:
+    random = np.random.default_rng(3)
+    time_s = random.gamma(4.0, 10.0, (5, 3, 17))
+    time_s[random.random(time_s.shape) < 0.1] = NEVER
+    found = choose_by_halves(time_s, 90.0)
+    for draw in range(17):
+        others = [other for other in range(17) if other % 2 != draw % 2]
+        ranks = []
+        for option in range(5):
+            own = time_s[option][:, others]
+            ranks.append((np.isinf(own).sum(), np.where(np.isinf(own), 90.0, own).mean(), option))
+        assert found[draw] == min(ranks)[-1]
+    assert len(set(found)) <= 2
+
+
+def test_choice_prefers_fewest_failures_then_fastest() -> None:
+    time_s = np.array([[[NEVER, 1.0]], [[50.0, 60.0]], [[50.0, 40.0]]])
+    assert choose(time_s, 100.0) == 2
+    assert choose(time_s[:2], 100.0) == 1
+
+
+def test_held_out_choice_is_not_flattered_by_many_equal_options() -> None:
+    """All options have the same law: their best, judged on its own draws, would seem faster."""
+    random = np.random.default_rng(1)
+    own, fresh = [], []
+    for _ in range(200):
+        time_s = random.normal(100.0, 10.0, (50, 1, 16))
+        places = choose_by_halves(time_s, 200.0)
+        fresh.append(time_s[places, 0, np.arange(16)].mean())
+        own.append(time_s[choose(time_s, 200.0), 0].mean())
+    assert abs(np.mean(fresh) - 100.0) < 3 * np.std(fresh) / np.sqrt(200) < 1.0
+    assert np.mean(own) < 96.0
+
+
+def test_copies_of_a_variant_are_one_option() -> None:
+    choices = Choices.from_study(sweep())
+    assert choices.options == [
+        "no reset",
+        "1 reset at 1 s",
+        "1 reset at 2 s",
+        "2 resets, every 1 s",
+        "2 resets, every 2 s",
+    ]
+    assert choices.reset_counts == [0, 1, 1, 2, 2] and choices.variants.shape == (5, 3)
+    column = np.arange(18 * 4.0)
+    runs = choices.runs(column)
+    assert runs.shape == (5, 3, 4)
+    np.testing.assert_array_equal(runs[0, 0], [0, 18, 36, 54])
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        ((), "no reset"),
+        ((20.0,), "1 reset at 20 s"),
+        ((50.0, 100.0, 150.0), "3 resets, every 50 s"),
+        ((20.0, 100.0), "resets at 20, 100 s"),
+        ((1.0, 2.0, 3.0, 4.0, 9.0), "5 resets from 1 to 9 s"),
+    ],
+)
+def test_schedule_is_described_by_its_times(times: tuple[float, ...], words: str) -> None:
+    assert schedule_words(times) == words
+
+
+# --- what it states -------------------------------------------------------------------------
+
+
+def settling() -> np.ndarray:
+    """Settling times (16 draws, 18 variants): 2 resets every 2 s are best from 30 and 60 deg."""
+    draw = np.arange(16.0)[:, None, None]
+    at = np.full((16, 6, 3), np.nan)  # counts and cycles, misalignments
+    at[:, 0:2, 0] = 30.0 + draw[:, 0]  # without a reset, from 5 deg alone
+    at[:, 2] = (20.0 + draw)[:, 0]
+    at[:, 3] = (60.0 + draw)[:, 0]
+    at[:, 4] = (50.0 + draw)[:, 0]
+    at[:, 5] = (np.array([45.0, 40.0, 30.0]) + draw)[:, 0]
+    at[:2, 2, 2] = np.nan  # the fastest fails once in each half
+    return at.reshape(16, 18)
+
+
+def test_verdict_names_best_schedule_its_rivals_and_each_condition() -> None:
+    found = judged(sweep(), settling())
+    told = facts(found)
+    mean = analysis.mean((np.array([45.0, 40.0, 30.0]) + np.arange(16.0)[:, None]).ravel(), DRAW)
+    assert told["Best"] == (
+        "2 resets, every 2 s: every heading error from 5 to 60 deg settles,"
+        f" after {analysis.format_estimate(mean, 's', 0)} on average"
+    )
+    assert told["Others"].startswith("1 reset at 2 s: 68 [") and "no reset: 33 [" in told["Others"]
+    assert told["Settled"] == "within 10' of true north; halves of 16 draws chose and judged"
+    assert found.title == "sweep: 288 runs (240 distinct), none failed"
+    table = found.table
+    assert table is not None
+    assert table.header == ["heading error", "best schedule", "settles after (s)", "no reset (s)"]
+    assert [row[0] for row in table.rows] == ["5 deg", "30 deg", "60 deg"]
+    assert [row[1] for row in table.rows] == ["1 reset at 1 s"] * 2 + ["2 resets, every 2 s"]
+    assert table.rows[0][3].startswith("38 [") and table.rows[1][3] == "never"
+
+
+DRAW = np.repeat(np.arange(16), 3)
+
+
+def test_few_draws_are_judged_as_they_choose_and_verdict_says_so() -> None:
+    found = facts(judged(sweep(4), settling()[:4]))
+    assert found["Settled"] == "within 10' of true north; 4 draws (few)"
+    assert "only 4 draws: chosen and judged on them alike" in found["Caution"]
+
+
+def test_runs_that_never_settle_limit_the_accuracy() -> None:
+    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [5.0, 60.0]}, sensors={})
+    never = np.tile([False, True], 8)
+    summary = summary_of(
+        study,
+        ok_truth=~never,
+        phi_u_arcmin=np.where(never, 500.0, 5.0),
+        floor_arcmin=np.full(16, 4.0),
+    )
+    source = Source(Path("out"), study, "x.toml", summary)
+    assert "mostly of runs that never settle" in facts(verdict(source))["Accuracy"]
+    near = summary_of(study, phi_u_arcmin=np.full(16, 5.0), floor_arcmin=np.full(16, 4.0))
+    found = facts(verdict(Source(Path("out"), study, "x.toml", near)))["Accuracy"]
+    assert found.startswith("5.0 [") and found.endswith("mostly bias floor (4.0')")
+
+
+@pytest.mark.parametrize(("scale", "cautions"), [(None, True), (1e-3, False)])
+def test_q_above_ten_times_the_noise_is_cautioned(scale: float | None, cautions: bool) -> None:
+    study = small_study(filter={} if scale is None else {"q_scale": scale})
+    (*told,) = q_doubt(Source(Path("out"), study, "x.toml"))
+    assert bool(told) == cautions
+    if told:  # 100 Hz with Q per step: 100 times the standard deviation of a sample
+        assert told[0].text.startswith("Q is 100 times the sensors' noise") and told[0].is_doubt
+
+
+def test_method_that_has_no_bias_floor_is_compared_from_the_truth() -> None:
+    study = small_study(study={"draws": 8, "judged_from": "floor"}, axes={"phi_u0_deg": [0.0, 9.0]})
+    flags = [True] * 15 + [None]
+    summary = summary_of(study, ok_floor=flags)
+    found = verdict(Source(Path("out"), study, "x.toml", summary))
+    assert "of true north" in facts(found)["Settled"]
+
+
+def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> None:
+    from sinsjax import run_into
+
+    study = small_study(
+        study={"estimate": "covariance", "draws": None, "duration_s": 20.0, "window_s": [5, 20]},
+        axes={"reset_count": [0, 2], "reset_cycle_s": [2.0, 4.0], "phi_u0_deg": [0.5, 5.0]},
+    )
+    run_into(study, tmp_path / "out")
+    source = Source.read(tmp_path / "out")
+    found = estimated.report(source, full=False).verdict
+    assert source.table is not None
+    mean = source.table.column("settle_10_truth_mean_s").to_numpy().reshape(4, 2).mean(axis=1)
+    best = int(np.argmin(mean[[0, 2, 3]]))
+    names = ["no reset", "2 resets, every 2 s", "2 resets, every 4 s"]
+    told = facts(found)
+    assert told["Best"].startswith(f"{names[best]}: {mean[[0, 2, 3]][best]:.0f} [")
+    assert found.table is not None and len(found.table.rows) == 2
+
+
+# --- the terminal ---------------------------------------------------------------------------
+
+
+def printed(found: Verdict, width: int, last: list[str] | None = None) -> list[str]:
+    file = io.StringIO()
+    terminal.print_verdict(found, Console(file=file, width=width, markup=False), last=last or [])
+    return [line.rstrip() for line in file.getvalue().splitlines()]
+
+
+LONG = "a sentence of many words that has to be wrapped on most terminals, however wide they are"
+
+
+@pytest.mark.parametrize("width", [80, 120])
+@pytest.mark.parametrize("doubts", [0, 4, 12])
+def test_verdict_fits_terminal_in_fifteen_lines(width: int, doubts: int) -> None:
+    rows = [[f"{n} deg", f"{n} resets, every 50 s", "105 [91, 130]", "never"] for n in range(30)]
+    table = Table(
+        "T", ["initial heading error", "best schedule", "settles after (s)", "none"], rows
+    )
+    some = [Fact("Best", LONG), Fact("Others", LONG), Fact("Accuracy", LONG)]
+    found = Verdict("study: 7 runs", [*some, *([Fact("Caution", LONG, True)] * doubts)], table)
+    lines = printed(found, width, ["Figures: out/figures", "All tables: sinsjax report out --full"])
+    assert len(lines) <= terminal.MOST_LINES and max(map(len, lines)) <= width
+    text = " ".join(lines)
+    words = {*LONG.split(), *"study: 7 runs Figures: out/figures".split()}
+    assert words <= {*text.split()}  # no word is broken
+    if doubts == 0:
+        numbers = [int(n) for n in re.findall(r"^  (\d+) deg", "\n".join(lines), re.M)]
+        assert {0, 29} <= {*numbers} and len(numbers) >= 2
+    shown = sum(line.startswith("  Caution") for line in lines)
+    left = re.search(r"Also +(\d+) more, see --full", text)
+    hidden = int(left[1]) if left else 0
+    seen = sum(line.startswith(("  Best", "  Others", "  Accuracy")) for line in lines)
+    assert shown + seen + hidden == 3 + doubts  # every fact is shown or counted
+    assert not hidden or seen < 3 or shown == 0 or doubts == 12  # doubts are left out last
+
+
+def test_wide_table_continues_below_with_its_first_column() -> None:
+    header = ["key", *(f"statistic{n} (unit)" for n in range(9))]
+    rows = [[f"row{n}", *(f"{n}.0 [1.0, 2.0]" for _ in range(9))] for n in range(3)]
+    file = io.StringIO()
+    terminal.print_table(Table("Title", header, rows, "note"), Console(file=file))
+    lines = file.getvalue().splitlines()
+    assert 80 < max(map(len, lines)) <= terminal.PIPE_WIDTH  # in a pipe
+    text = "\n".join(lines)
+    assert text.count("row1") == text.count(" key") > 1
+    assert text.count("1.0 [1.0, 2.0]") == 9  # no interval is broken
+    assert all(text.count(f"statistic{n}") == 1 for n in range(9))
+
+
+def test_report_prints_verdict_alone_until_all_tables_are_asked_for(tmp_path: Path) -> None:
+    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
+    directory = store(tmp_path / "out", study, summary_of(study))
+    short = told(directory, full=False, width=80)
+    assert len(short.splitlines()) <= 1 + terminal.MOST_LINES and "Every variant" not in short
+    assert "--full" in short
+    full = told(directory)
+    assert "Every variant" in full and "Heading error from true north" in full
