@@ -84,7 +84,12 @@ OBSERVED = (
 
 FLOOR = (
     Column("has_floor", pa.bool_(), "", "whether phi_u has a bias floor under the run's biases"),
-    Column("floor_arcmin", _F, "arcmin", "bias floor of phi_u under the run's constant biases"),
+    Column(
+        "floor_arcmin",
+        _F,
+        "arcmin",
+        "bias floor of phi_u under the run's constant biases, without its drift by the up gyro",
+    ),
 )
 """Columns of the bias floor that a heading is judged from."""
 

@@ -127,6 +127,10 @@ def unaided(place: Place, biases: Biases, heading: Scalar = 0.0) -> Limit:
     phi_E = -nabla_N/g, phi_N = nabla_E/g and, the mean rate being felt across the tilted vertical,
     phi_U = -atan2(eps_E, omega_N + eps_N) + (nabla_E/g) tan L to first order in the tilt.
 
+    The drift of the heading by eps_U is not included. The slope of the tilt over T gives the
+    heading of its middle, so that a run ends at -eps_U T/2 from here, T since the start or the last
+    reset: -0.75' for 0.1 deg/h and 900 s. It depends on how much old data a method forgets.
+
     Args:
         place: Earth rates and gravity, of a forward pass.
         biases: mean biases in n.

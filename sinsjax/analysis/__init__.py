@@ -1,6 +1,7 @@
 """Statistics over the summary table, each with its 95 % interval.
 
-`clusters` determines which runs are dependent. `estimates` computes statistics of some runs,
+`clusters` determines which runs are dependent. `bounded` has the intervals of shares and quantiles
+over draws. `estimates` computes statistics of some runs,
 `differences` those between runs on the same noise, and `summaries` tables of them from a whole
 summary, with the help of `tables`; `headings` has those of the heading error, time by time. `grids`
 lays runs out over the axes of a study. `formats` and `words` print estimates.
@@ -25,13 +26,14 @@ from sinsjax.analysis.estimates import (
     share,
     std,
 )
-from sinsjax.analysis.formats import format_difference, format_estimate, format_number
+from sinsjax.analysis.formats import FEW_DRAWS, format_difference, format_estimate, format_number
 from sinsjax.analysis.headings import heading_errors
 from sinsjax.analysis.summaries import NEES_FREEDOM, compare, summarise
 from sinsjax.analysis.tables import groups, has_status, has_truth, numbers, paired
 
 __all__ = [
     "CONFIDENCE",
+    "FEW_DRAWS",
     "NEES_FREEDOM",
     "NO_INTERVAL",
     "UNKNOWN",

@@ -25,6 +25,8 @@ NO_INTERVAL = (
 )
 """Note for results of runs on a record."""
 
+_SYMMETRIC = 1e-6
+
 
 def clusters_of(table: pa.Table) -> NDArray | None:
     """The cluster of each run, shape (rows,): its draw, or 0 for all runs on a record.
@@ -68,13 +70,14 @@ class Clustered(NamedTuple):
         mean: mean of the values.
         error: its standard error, NaN for one cluster.
         n: number of clusters.
-        size: number of values.
+        skewness: of the clusters' sums, with the usual correction for small samples; 0 for fewer
+            than three clusters.
     """
 
     mean: float
     error: float
     n: int
-    size: int
+    skewness: float
 
     @classmethod
     def of(cls, data: NDArray, cluster: ArrayLike | None) -> "Clustered":
@@ -91,16 +94,26 @@ class Clustered(NamedTuple):
         sums: NDArray = data - centre
         if cluster is not None:
             sums = np.bincount(np.unique(of_each(cluster, data.size), return_inverse=True)[1], sums)
-        count = sums.size
-        spread = float(np.sum(sums**2)) * count / (count - 1) if count > 1 else math.nan
-        return cls(centre, math.sqrt(spread) / data.size, count, data.size)
+        n = sums.size
+        square = float(np.sum(sums**2))
+        error = math.sqrt(square * n / (n - 1)) / data.size if n > 1 else math.nan
+        skewness = 0.0
+        if n > 2 and square > 0:
+            cubic = float(np.mean(sums**3)) / (square / n) ** 1.5
+            skewness = cubic * math.sqrt(n * (n - 1)) / (n - 2)
+        return cls(centre, error, n, skewness)
 
     def factor(self, tail: float) -> float:
         """Upper ``tail`` quantile of Student's t for the clusters; NaN for one cluster."""
         return float(special.stdtrit(self.n - 1, 1 - tail)) if self.n > 1 else math.nan
 
-    def worth(self, share: float) -> float:
-        """Effective number of independent values for a share, at most the number of values."""
-        if share in (0.0, 1.0):
-            return float(self.n)
-        return share * (1 - share) / max(self.error**2, share * (1 - share) / self.size)
+    def skewed(self, score: float) -> float:
+        """The standardised error of the mean that Hall's transformation maps to a score.
+
+        Args:
+            score: quantile of Student's t.
+        """
+        skew = self.skewness / math.sqrt(self.n)
+        if abs(skew) < _SYMMETRIC:
+            return score
+        return 3 / skew * (float(np.cbrt(1 + skew * (score - skew / 6))) - 1)

@@ -8,12 +8,13 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import special
 
-from sinsjax.analysis.estimates import SEED, Estimate, bootstrap, clean, mean, place, proportion
+from sinsjax.analysis.estimates import SEED, TAIL, Estimate, bootstrap, clean, mean, place
 
 
 def difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
-    """The mean of a - b over pairs on the same noise, with Student's t interval.
+    """The mean of a - b over pairs on the same noise, with the interval of `mean`.
 
     Pairs whose difference is not finite are omitted; ``n`` is the number used.
 
@@ -101,7 +102,7 @@ def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     """
     first, second = (x.astype(bool) for x in _pair(a, b))
     n = first.size
-    one, other = (proportion(int(np.count_nonzero(x)), n) for x in (first, second))
+    one, other = (_wilson(int(np.count_nonzero(x)), n) for x in (first, second))
     shared = _correlation(first, second)
     apart = one.value - other.value
 
@@ -111,6 +112,15 @@ def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     low = apart - reach(one.value - one.low, other.high - other.value)
     high = apart + reach(one.high - one.value, other.value - other.low)
     return Estimate(apart, low, high, n)
+
+
+def _wilson(k: int, n: int) -> Estimate:
+    """The share k/n with Wilson's score interval."""
+    share, z = k / n, float(special.ndtri(1 - TAIL))
+    centre = (k + z * z / 2) / (n + z * z)
+    half = z / (n + z * z) * math.sqrt(n * share * (1 - share) + z * z / 4)
+    # At 0 and 1 an end of the interval equals the share, apart from rounding.
+    return Estimate(share, centre - half if k else 0.0, centre + half if k < n else 1.0, n)
 
 
 def _correlation(a: NDArray, b: NDArray) -> float:

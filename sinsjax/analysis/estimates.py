@@ -3,8 +3,9 @@
 Nothing is omitted silently: a run that never settled counts as an infinite settling time, and an
 `Estimate` states the number of values used. The intervals:
 
-* shares: Wilson's score interval; means: Student's t;
-* quantiles: two of the values, from the binomial distribution of the number below the quantile;
+* shares: Clopper and Pearson's, extended to several runs per draw in `sinsjax.analysis.bounded`;
+* quantiles: two of the values, by inverting the interval of the share below a value;
+* means: Student's t, corrected for skewness;
 * standard deviations and root mean squares: on a logarithmic scale, see `_root`; for normal values
   chi-square.
 
@@ -12,8 +13,10 @@ Their coverage is in ``docs/results.md``, measured by ``benchmarks/interval_cove
 
 The runs of a draw share its noise, and all runs on a record share the record, so they are not
 independent. All functions take the cluster of each value (see `sinsjax.analysis.clusters_of`) and
-count clusters instead of values. One cluster has no interval, since the spread between clusters is
-unknown. An end of an interval is also NaN if there are too few values to bound it.
+count clusters instead of values. An interval holds for other draws of the same variants: the
+spread between variants is not a sampling error. One cluster has no interval, since the spread
+between clusters is unknown. An end of an interval is also NaN if there are too few values to bound
+it.
 """
 
 import math
@@ -25,13 +28,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
+from sinsjax.analysis.bounded import Draws, quantile_bounds
 from sinsjax.analysis.clusters import Clustered, of_each
 
 CONFIDENCE = 0.95
 RESAMPLES = 1000
 SEED = 0
 TAIL = (1 - CONFIDENCE) / 2
-_NORMAL = float(special.ndtri(1 - TAIL))
 _LEAST = 5  # fewest clusters that bound a standard deviation or a root mean square
 _UPPER = 1.3  # factor on the upper reach of a root's interval, see `_root`
 _BLOCK = 2**22  # values drawn at a time, to bound the bootstrap's memory
@@ -59,7 +62,7 @@ UNKNOWN = Estimate(math.nan, math.nan, math.nan, 0)
 
 @lru_cache(maxsize=4096)
 def proportion(k: int, n: int) -> Estimate:
-    """The share k/n with Wilson's score interval.
+    """The share k/n of independent runs with the interval of Clopper and Pearson.
 
     Args:
         k: number of runs that have the property.
@@ -67,28 +70,23 @@ def proportion(k: int, n: int) -> Estimate:
 
     Raises:
         ValueError: n is below 1, or k outside 0..n.
+
+    Example:
+        >>> analysis.format_estimate(analysis.proportion(16, 16), digits=2)
+        '1.00 [0.79, 1.00]'
     """
     if n < 1 or not 0 <= k <= n:
         raise ValueError(f"a share needs 0 <= k <= n and n >= 1, got k = {k}, n = {n}")
-    return Estimate(k / n, *_wilson(k / n, float(n), _NORMAL), n)
-
-
-def _wilson(share: float, n: float, z: float) -> tuple[float, float]:
-    """The ends of Wilson's interval of a share of n values; n may be fractional."""
-    centre = (n * share + z * z / 2) / (n + z * z)
-    half = z / (n + z * z) * math.sqrt(n * share * (1 - share) + z * z / 4)
-    # At 0 and 1 an end of the interval equals the share, apart from rounding.
-    return centre - half if share > 0 else 0.0, centre + half if share < 1 else 1.0
+    low = float(special.betaincinv(k, n - k + 1, TAIL)) if k else 0.0
+    high = float(special.betaincinv(k + 1, n - k, 1 - TAIL)) if k < n else 1.0
+    return Estimate(k / n, low, high, n)
 
 
 def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
-    """The share of the values that are true, with Wilson's score interval.
+    """The share of the values that are true, with an interval that holds for any dependence.
 
-    With clusters, the interval uses the effective number of independent values, from the variance
-    of the share over the clusters, and Student's t of the clusters instead of z (Korn and Graubard
-    1998, Survey Methodology 24, 193, with Wilson's interval instead of Clopper and Pearson's). If
-    all values are equal, their correlation within clusters is unknown, so each cluster counts as
-    one value.
+    The draws count, whatever the number and dependence of their runs: see
+    `sinsjax.analysis.bounded`. For independent runs the interval equals that of `proportion`.
 
     Args:
         flags: shape (n,), bool.
@@ -96,15 +94,26 @@ def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
 
     Raises:
         ValueError: no values.
+
+    Example:
+        Three draws of two runs each, of which one run fails:
+
+        >>> found = analysis.share([True, True, True, True, True, False], [0, 0, 1, 1, 2, 2])
+        >>> analysis.format_estimate(found, digits=2)
+        '0.83 [0.23, 1.00]'
     """
     data = clean(flags)
-    n, clustered = data.size, Clustered.of(data, cluster)
-    value = float(np.mean(data))
-    if cluster is not None and clustered.n < 2:  # a draw or a record alone, be it of one run
-        return UNKNOWN._replace(value=value, n=n)
-    if clustered.n == n:
+    n, value = data.size, float(np.mean(data))
+    if cluster is None:
         return proportion(round(value * n), n)
-    return Estimate(value, *_wilson(value, clustered.worth(value), clustered.factor(TAIL)), n)
+    place = np.unique(of_each(cluster, n), return_inverse=True)[1]
+    runs = np.bincount(place)
+    if runs.size < 2:  # a draw or a record alone, be it of one run
+        return UNKNOWN._replace(value=value, n=n)
+    if runs.size == n:
+        return proportion(round(value * n), n)
+    draws = Draws.from_runs(np.bincount(place, data), runs)
+    return Estimate(value, draws.lower_bound(TAIL), 1 - draws.misses().lower_bound(TAIL), n)
 
 
 def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None) -> Estimate:
@@ -113,11 +122,12 @@ def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None
     NaN (null in a table: never settled) counts as infinite, so the result is infinite if fewer than
     a share q ever settled. It is always one of the values, never interpolated.
 
-    The interval is distribution-free: the number of values below the quantile is binomial, and each
-    end is an order statistic exceeded by it with at most 2.5 % probability (Conover 1999, section
-    3.2). An end is NaN if there are too few values for such a bound. With clusters, n is the
-    effective number of independent values for that share, see `share` (Woodruff 1952, Journal of
-    the American Statistical Association 47, 635).
+    The interval is distribution-free. For independent values the number below the quantile is
+    binomial, and each end is an order statistic exceeded by it with at most 2.5 % probability
+    (Conover 1999, section 3.2). With clusters an end is the last value whose share of runs below
+    it, by draw, agrees with q: see `sinsjax.analysis.bounded.quantile_bounds`. An end is NaN if
+    there are too few draws for such a bound: 16 draws of one run each do not bound a 90 % quantile
+    from above.
 
     Args:
         values: shape (n,), any unit.
@@ -126,20 +136,26 @@ def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None
 
     Raises:
         ValueError: no values, or q out of range.
+
+    Example:
+        >>> never = float("nan")
+        >>> analysis.format_estimate(analysis.quantile([50, 60, 70, 80, 90, never]), "s", 0)
+        '70 [50, never] s'
+        >>> analysis.format_estimate(analysis.quantile(range(16), q=0.9), "s", 0)
+        '14 [11, few draws] s'
     """
     data = clean(values, missing=math.inf)
     n, at = data.size, place(data.size, q)
     value = float(np.partition(data, at)[at])
-    clustered = Clustered.of((data <= value).astype(float), cluster)
-    if clustered.n < 2 <= n:
+    draw = np.arange(n)
+    if cluster is not None:
+        draw = np.unique(of_each(cluster, n), return_inverse=True)[1]
+    draws = int(draw.max()) + 1
+    if draws < 2 <= n:
         return UNKNOWN._replace(value=value, n=n)
-    worth = n
-    if clustered.n < n:
-        reached = float(np.mean(data <= value))
-        worth = max(int(clustered.worth(reached) * (_NORMAL / clustered.factor(TAIL)) ** 2), 1)
-    low, high = _bounds(worth, q)
-    if worth < n:  # scale the ranks among fewer values to ranks among these
-        low, high = math.floor(low * n / worth), math.ceil(high * n / worth)
+    if draws < n:
+        return Estimate(value, *quantile_bounds(data, draw, q, TAIL), n)
+    low, high = _bounds(n, q)
     ends = np.partition(data, [max(low - 1, 0), min(high - 1, n - 1)])
     return Estimate(
         value,
@@ -169,11 +185,14 @@ def _bounds(n: int, q: float) -> tuple[int, int]:
 
 
 def mean(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
-    """The mean of the finite values with Student's t interval.
+    """The mean of the finite values with Student's t interval, wider if the values are skewed.
 
     Non-finite values are omitted; ``n`` is the number used. One value has no interval, none gives
     :data:`UNKNOWN`. With clusters, the variance is that of a ratio estimate: sums over the clusters
     by their sizes (Cochran 1977, Sampling techniques, section 9A).
+
+    Each end is the outer one of Student's interval and of Hall's, which corrects it for the
+    skewness of the values (Hall 1992, Journal of the Royal Statistical Society B 54, 221).
 
     Args:
         values: shape (m,), any unit.
@@ -181,13 +200,19 @@ def mean(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
 
     Raises:
         ValueError: no values at all.
+
+    Example:
+        >>> analysis.format_estimate(analysis.mean([1.0, 2.0, 3.0, 4.0]))
+        '2.5 [0.4, 4.6]'
     """
     data, cluster = _finite(values, cluster)
     if data.size == 0:
         return UNKNOWN
     clustered = Clustered.of(data, cluster)
-    centre, half = float(np.mean(data)), clustered.factor(TAIL) * clustered.error
-    return Estimate(centre, centre - half, centre + half, data.size)
+    centre, reach = float(np.mean(data)), clustered.factor(TAIL)
+    low = centre - max(reach, clustered.skewed(reach)) * clustered.error
+    high = centre + max(reach, -clustered.skewed(-reach)) * clustered.error
+    return Estimate(centre, low, high, data.size)
 
 
 def std(
@@ -196,8 +221,9 @@ def std(
     """The sample standard deviation (n - 1) of the finite values.
 
     Non-finite values are omitted; ``n`` is the number used. Fewer than two values have no standard
-    deviation, fewer than five no interval unless they are normal. For runs of mixed outcome use
-    quantiles instead.
+    deviation, fewer than five no interval unless they are normal. With clusters, the variance about
+    the mean and that of the mean over the clusters are added; for independent values that is the
+    same. For runs of mixed outcome use quantiles instead.
 
     Args:
         values: shape (m,), any unit.
@@ -214,7 +240,10 @@ def std(
         return UNKNOWN._replace(n=n)
     centred = data - np.mean(data)
     clustered = Clustered.of(centred**2, cluster)
+    of_mean = Clustered.of(data, cluster)  # its variance is missing in that about the mean
     value = float(np.std(data, ddof=1))
+    if of_mean.n > 1:
+        value = math.sqrt(np.mean(centred**2) + of_mean.error**2)
     if is_normal and clustered.n == n:
         low, high = chi2_mean_band(n - 1, 1)
         return Estimate(value, value * ((n - 1) / high) ** 0.5, value * ((n - 1) / low) ** 0.5, n)

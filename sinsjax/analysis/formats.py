@@ -4,6 +4,9 @@ import math
 
 from sinsjax.analysis.estimates import Estimate
 
+FEW_DRAWS = "few draws"
+"""Words for an end of an interval that the draws are too few to bound."""
+
 
 def format_estimate(
     estimate: Estimate, unit: str = "", digits: int = 1, infinite: str = "never"
@@ -11,19 +14,20 @@ def format_estimate(
     """An estimate as text, such as ``12.3 [11.9, 12.8] s``.
 
     Args:
-        estimate: estimate to write; infinite numbers become words, NaN becomes ``unknown``, and an
-            interval with neither end known, or of infinite numbers alone, is omitted.
+        estimate: estimate to write; infinite numbers become words, a value of NaN ``unknown``, and
+            one end of NaN ``few draws``, since too few do not bound it. An interval with neither
+            end known, or of infinite numbers alone, is omitted.
         unit: unit, written after the interval.
         digits: decimals.
         infinite: words for infinite numbers.
     """
-    words = {"nan": "unknown", "inf": infinite, "-inf": f"-{infinite}"}
+    words = {"nan": FEW_DRAWS, "inf": infinite, "-inf": f"-{infinite}"}
     printed = (f"{number:.{digits}f}" for number in estimate[:3])
     value, low, high = (words.get(text, text) for text in printed)
-    if value == low == high == words["inf"]:
+    if value == low == high == infinite:
         return value
-    interval = "" if low == high == words["nan"] else f"[{low}, {high}] "
-    return f"{value} {interval}{unit}".rstrip()
+    interval = "" if low == high == FEW_DRAWS else f"[{low}, {high}] "
+    return f"{'unknown' if math.isnan(estimate.value) else value} {interval}{unit}".rstrip()
 
 
 def format_number(value: float | None, digits: int = 1, factor: float = 1.0) -> str:

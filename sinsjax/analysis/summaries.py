@@ -106,6 +106,13 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
 
     Raises:
         InputError: the table has no rows, a column is missing, or there is no such statistic.
+
+    Example:
+        >>> import pyarrow as pa
+        >>> draws = {"draw_id": range(16), "status": ["ok"] * 16, "phi_u_arcmin": [2.0] * 16}
+        >>> (row,) = sinsjax.summarise(pa.table(draws), [], ["success_rate"]).to_pylist()
+        >>> row["n"], row["success_rate"], round(row["success_rate_low"], 3)
+        (16, 1.0, 0.794)
     """
     if table.num_rows == 0:
         raise InputError("summary: there are no runs to summarise")
@@ -139,7 +146,7 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
     ``settle_B_s_median_difference`` for each band B (infinite: only one of the two ever settles;
     null between two ends: neither does) and
     ``phi_u_error_arcmin_difference`` (distance of the window mean of phi_u from its floor, by draw;
-    mean with Student's t interval), whose ``X_n`` is the number of draws used. Null means unknown,
+    mean), whose ``X_n`` is the number of draws used. Null means unknown,
     as all are without truth or reference, and all ends of intervals for runs on a record.
 
     Args:

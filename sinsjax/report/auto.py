@@ -16,7 +16,17 @@ from sinsjax.execution.source import Source
 from sinsjax.plots.curves import runs_of_lines
 from sinsjax.plots.words import name_of
 from sinsjax.report.attitudes import attitude_verdict, attitudes
-from sinsjax.report.base import MOST_ROWS, Block, Picture, Report, Table, Text, intervals, table_of
+from sinsjax.report.base import (
+    ENOUGH_DRAWS,
+    MOST_ROWS,
+    Block,
+    Picture,
+    Report,
+    Table,
+    Text,
+    intervals,
+    table_of,
+)
 from sinsjax.report.groupings import BINS, binned
 from sinsjax.report.markup import said
 from sinsjax.report.over_axes import over_axes, repeats
@@ -107,8 +117,9 @@ def heading_errors(source: Source, keys: Sequence[str], title: str) -> Table:
         ("90 % of the runs below", lambda row: heading(row["q90"])),
     ]
     rows = list(analysis.heading_errors(table, keys, times))
-    unbounded = any(np.isnan(row["q90"].high) for row in rows) and not source.study.is_recorded
-    note = f"{intervals(source)}{' *unknown*: too few draws to bound it.' if unbounded else ''}"
+    unbounded = any(np.isnan(row["q90"].high) for row in rows) and source.draws >= ENOUGH_DRAWS
+    few = f" *{analysis.FEW_DRAWS}*: too few to bound it."
+    note = f"{intervals(source)}{few if unbounded and not source.study.is_recorded else ''}"
     return table_of(title, keys, rows, cells, note, most=MOST_ROWS * len(times))
 
 

@@ -16,6 +16,9 @@ from sinsjax.study.success import success_of
 MOST_ROWS = 20
 """Rows of a table; what is left out is said."""
 
+ENOUGH_DRAWS = 16
+"""Draws from which on the coverage of all intervals is measured; below it, notes warn."""
+
 
 class Text(NamedTuple):
     """A paragraph, in Markdown without links."""
@@ -171,4 +174,10 @@ def intervals(source: Source, over: str = "draws", what: str = "Number") -> str:
     """What the brackets of a table are, or why there are none, in words."""
     if source.study.is_recorded:
         return analysis.NO_INTERVAL
-    return f"{what} [95 % interval over the {over}]."
+    note = f"{what} [95 % interval over the {over}]."
+    if source.draws >= ENOUGH_DRAWS:
+        return note
+    return (
+        f"{note} *{analysis.FEW_DRAWS}*, or no interval: so few do not bound the number. With fewer"
+        f" than {ENOUGH_DRAWS} draws, intervals of the means of skewed values are too narrow."
+    )

@@ -189,7 +189,7 @@ def _per_condition(source: Source, names: _Names) -> Table | None:
 def _linearity(source: Source) -> Iterator[Fact]:
     """How far covariance analysis holds."""
     if source.study.checks_linearity:
-        index, filled = (analysis.numbers(source.rows([name]), name) for name in _CHECKED)
+        index, filled = (analysis.numbers(source.distinct([name]), name) for name in _CHECKED)
         largest = f"{np.nanmax(index):.2f}" if np.isfinite(index).any() else "unknown"
         beyond = int(np.nansum(filled))
         text = said("linearity", largest=largest, beyond=beyond, variants=len(filled))

@@ -27,7 +27,7 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
     A line a variant; of many variants, a line a value of the first key that has few.
     """
     keys, note = keys_of_lines(source)
-    table = source.rows((*keys, "nees", *SHARES.values(), "draw_id", "start_s"))
+    table = source.distinct((*keys, "nees", *SHARES.values(), "draw_id", "start_s"))
     if not np.isfinite(analysis.numbers(table, "nees")).any():
         return
     told, swamped = _biases_unknown(source)
@@ -51,7 +51,7 @@ def _biases_unknown(source: Source) -> tuple[list[Text], bool]:
     if not gyro and not accel:
         return [], False
     names = [*(f"sigma_{axis}_arcmin" for axis in "enu"), "floor_arcmin", _YAW, "nees"]
-    rows = source.rows(names)
+    rows = source.distinct(names)
     *sigmas, limit, yaw, nees = (analysis.numbers(rows, name) for name in names)
     east, north, up = np.nanmedian(sigmas, axis=1)
     tilt = accel * MICRO / ARCMIN

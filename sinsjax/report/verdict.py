@@ -17,7 +17,7 @@ from sinsjax.analysis.words import heading, percent
 from sinsjax.execution import stopping
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
-from sinsjax.report.base import Fact, Table, Verdict
+from sinsjax.report.base import ENOUGH_DRAWS, Fact, Table, Verdict
 from sinsjax.report.choices import (
     LEAST_DRAWS,
     Choices,
@@ -30,9 +30,6 @@ from sinsjax.report.choices import (
 from sinsjax.report.markup import said
 from sinsjax.study.process_noise import assumed_noise
 from sinsjax.study.success import FLOOR_COLUMNS, Yardstick
-
-FEW_DRAWS = 16
-"""Fewer draws than this have wide intervals, which the verdict mentions."""
 
 _MOST_Q = 10.0  # times the sensors' noise that Q may be before the verdict cautions
 _LIMITING = 0.7  # share of the rms error from which the bias floor is its cause
@@ -287,7 +284,7 @@ def _basis(outcome: Outcome) -> Iterator[Fact]:
     """What settled means, and which draws chose and which judged."""
     study, draws, best = outcome.source.study, outcome.draws, outcome.best()
     unit = counted(draws, "start time" if study.is_recorded else "draw")
-    unit += " (few)" if draws < FEW_DRAWS else ""
+    unit += " (few)" if draws < ENOUGH_DRAWS else ""
     names = outcome.choices.options
     text = f"{outcome.yard.words}; {unit}"
     if len(names) > 1 and draws >= LEAST_DRAWS:

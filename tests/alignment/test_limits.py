@@ -139,6 +139,26 @@ def ends(study: Study) -> dict[int, tuple[np.ndarray, Any]]:
     return found
 
 
+@pytest.mark.parametrize("resets_s", [(), (300.0,)])
+@pytest.mark.parametrize("method", ["kalman5", "kalman_sincos", "kalman_surge"])
+def test_up_gyro_moves_heading_off_its_floor_by_half_its_drift(
+    method: str, resets_s: tuple[float, ...]
+) -> None:
+    """As the floor's definition states: -eps_U T/2, T since the start or the last reset."""
+    study = study_of(
+        method,
+        study={"duration_s": 900.0, "window_s": [800.0, 900.0]},
+        sensors={"gyro_bias_deg_per_h": [0.0, 0.0, 0.1]},
+        alignment={"phi_u0_deg": 1.0},
+        filter={"q_reading": "psd", "q_accel_ug": 20.0, "q_gyro_deg_per_h": 0.01},
+        resets={"reset_times_s": list(resets_s)},
+    )
+    ((phi, limit),) = ends(study).values()
+    assert limit.phi[2] == pytest.approx(0.0, abs=1e-9)
+    expected = -0.1 * 60 / 3600 * (900 - max(resets_s, default=0.0)) / 2
+    assert phi[2] / ARCMIN == pytest.approx(expected, rel=0.01)
+
+
 def closed_form(eps: Any, latitude: float, nabla_g: Any = (0.0, 0.0)) -> float:
     """phi_U, rad, of biases in deg/h and g, small in the tilts alone."""
     north = RATE * np.cos(latitude * DEG) + eps[1]

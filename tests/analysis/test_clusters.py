@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pyarrow as pa
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import special, stats
 
 from sinsjax import analysis
@@ -26,7 +28,7 @@ def test_clusters_of_one_value_equal_independent_values(statistic):
     assert analysis.share(values > 2, np.arange(20)) == analysis.share(values > 2)
 
 
-def test_share_without_clusters_is_wilson_interval():
+def test_share_without_clusters_counts_runs():
     assert analysis.share([True, False, True, True]) == analysis.proportion(3, 4)
 
 
@@ -55,23 +57,108 @@ def test_nonfinite_values_are_left_out_with_their_clusters():
     assert analysis.mean(holed, np.append(draws, [0, 99])) == analysis.mean(values, draws)
 
 
+def test_deviation_of_identical_runs_per_draw_is_that_of_draws():
+    values = np.random.default_rng(13).normal(size=DRAWS)
+    found = analysis.std(*pooled(np.repeat(values[:, None], VARIANTS, axis=1)))
+    assert found.value == pytest.approx(np.std(values, ddof=1))
+
+
 def test_share_of_identical_runs_per_draw_is_share_of_draws():
     whole = np.repeat(np.arange(DRAWS) < 5, VARIANTS).reshape(DRAWS, VARIANTS)
-    found = analysis.share(*pooled(whole))
-    share, worth = 5 / 16, DRAWS - 1  # the variance of a mean is told with n - 1
-    t = stats.t.ppf(0.975, DRAWS - 1)
-    ends = np.roots([1 + t * t / worth, -2 * share - t * t / worth, share**2])
-    assert found[1:3] == pytest.approx(sorted(ends))
-    naive = analysis.proportion(60, 192)
-    assert found.high - found.low > 3 * (naive.high - naive.low)
+    oracle = stats.binomtest(5, DRAWS).proportion_ci(0.95, "exact")
+    assert analysis.share(*pooled(whole))[:3] == pytest.approx((5 / 16, *oracle), rel=1e-9)
 
 
-def test_interval_of_zero_or_full_share_counts_draws():
-    flags, draws = pooled(np.zeros((DRAWS, VARIANTS)))
+def test_one_failure_never_tightens_interval_of_share():
+    """16 of 16 draws end at 79.4 %, with any number of runs; a failure lowers both ends."""
+    least = 0.025 ** (1 / 16)
+    assert analysis.proportion(16, 16)[1:3] == pytest.approx((least, 1.0))
+    flags, draws = pooled(np.ones((16, 64), bool))
+    assert analysis.share(flags, draws)[1:3] == pytest.approx((least, 1.0))
+    flags[100] = False
     found = analysis.share(flags, draws)
-    t = stats.t.ppf(0.975, DRAWS - 1)
-    assert found[:3] == pytest.approx((0.0, 0.0, t * t / (DRAWS + t * t)))
-    assert analysis.share(1 - flags, draws)[1:3] == pytest.approx((1 - found.high, 1.0))
+    assert found.low < least and 1023 / 1024 < found.high < 1.0
+
+
+def test_share_that_all_draws_have_is_bounded_by_one_unseen_kind_of_draw():
+    """2 of 8 starts settle in each of 16 draws: by hand, 2.5 % quantiles of Beta(16, 1)."""
+    flags, draws = pooled(np.tile(np.arange(8) < 2, (16, 1)))
+    least = 0.025 ** (1 / 16)
+    assert analysis.share(flags, draws)[1:3] == pytest.approx((least / 4, 1 - least * 3 / 4))
+
+
+@pytest.mark.parametrize("sizes", [[12] * 16, [5, 12, 1, 7, 12, 12, 3, 8]])
+def test_share_ends_are_quantiles_of_dirichlet_weighted_share(sizes):
+    """Against simulated weights of the draws and one that fails, or succeeds, in all its runs."""
+    random = np.random.default_rng(14)
+    draw = np.repeat(np.arange(len(sizes)), sizes)
+    likely = random.uniform(0.3, 1.0, len(sizes))
+    flags = random.random(draw.size) < likely[draw]
+    hits = np.bincount(draw, flags)
+    weight = random.exponential(size=(200_000, len(sizes) + 1))
+    weighted = [
+        weight @ np.append(hits, one) / (weight @ np.append(sizes, 12)) for one in (0.0, 12.0)
+    ]
+    expected = np.quantile(weighted[0], 0.025), np.quantile(weighted[1], 0.975)
+    assert analysis.share(flags, draw)[1:3] == pytest.approx(expected, abs=2e-3)
+
+
+FLAGS = st.lists(st.lists(st.booleans(), min_size=1, max_size=8), min_size=2, max_size=20)
+
+
+@given(FLAGS, st.integers(0, 10**6))
+def test_share_ends_never_rise_with_further_failure(flags, chosen):
+    draws = np.repeat(np.arange(len(flags)), [len(one) for one in flags])
+    runs = np.concatenate(flags)
+    found = analysis.share(runs, draws)
+    assert 0 <= found.low <= found.value <= found.high <= 1
+    succeeded = np.flatnonzero(runs)
+    if succeeded.size:
+        runs[succeeded[chosen % succeeded.size]] = False
+        worse = analysis.share(runs, draws)
+        assert worse.low <= found.low + 1e-7 and worse.high <= found.high + 1e-7
+
+
+def test_spread_between_variants_does_not_widen_intervals():
+    """Of eight fixed variants the mean has the width of equal ones, and q90 is of the last."""
+    random = np.random.default_rng(15)
+    noise = random.uniform(-0.6, 0.6, (16, 8))
+    spread = noise + [40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 98.0, 148.4]
+    one, other = analysis.mean(*pooled(noise)), analysis.mean(*pooled(spread))
+    assert other.high - other.low == pytest.approx(one.high - one.low)
+    runs, draws = pooled(spread)
+    found = analysis.quantile(runs, 0.9, draws)
+    least, most = spread[:, -1].min(), spread[:, -1].max()
+    assert least <= found.low <= found.value <= found.high < most
+    # The quantile is the 20 % one of the last variant; 8 of 16 below it have 0.7 % probability.
+    assert found.high == np.sort(spread[:, -1])[7]
+
+
+@pytest.mark.parametrize(("q", "ends"), [(0.1, (1, 2)), (0.5, (5, 6)), (0.9, (9, 10))])
+def test_quantile_between_two_constant_variants_is_bounded_by_them(q, ends):
+    """The share up to the lower one is q in every draw, which rounding must not decide."""
+    runs, draws = pooled(np.tile(np.arange(1.0, 11.0), (16, 1)))
+    assert analysis.quantile(runs, q, draws)[:3] == (ends[0], *ends)
+
+
+@pytest.mark.parametrize("q", [0.1, 0.5, 0.9])
+@pytest.mark.parametrize("n", [5, 16, 64])
+def test_quantile_of_identical_runs_per_draw_is_that_of_draws(n, q):
+    values = np.random.default_rng(n).normal(size=n).round(1)
+    values[:2] = math.inf
+    runs, draws = pooled(np.repeat(values[:, None], 3, axis=1))
+    np.testing.assert_array_equal(
+        analysis.quantile(runs, q, draws)[:3], analysis.quantile(values, q)[:3]
+    )
+
+
+def test_quantile_of_draws_with_unequal_numbers_of_runs_has_bounds():
+    random = np.random.default_rng(16)
+    draws = np.repeat(np.arange(40), random.integers(1, 9, 40))
+    values = random.normal(size=40)[draws] + random.normal(0, 0.3, draws.size)
+    found = analysis.quantile(values, 0.5, draws)
+    means = np.sort([values[draws == d].mean() for d in range(40)])
+    assert means[8] < found.low < found.value < found.high < means[-9]
 
 
 @pytest.mark.slow

@@ -1,3 +1,4 @@
+import doctest
 import math
 from fractions import Fraction
 
@@ -5,10 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
+from scipy import optimize, stats
 
+import sinsjax
 from sinsjax import analysis
-from sinsjax.analysis import Estimate, estimates
+from sinsjax.analysis import Estimate, estimates, summaries
 
 NEVER = math.inf
 
@@ -20,7 +22,8 @@ NEVER = math.inf
         (Estimate(12.31, 11.88, 12.84, 5), "s", "12.3 [11.9, 12.8] s"),
         (Estimate(NEVER, 300.0, NEVER, 5), "s", "never [300.0, never] s"),
         (Estimate(-NEVER, -NEVER, 0.0, 5), "", "-never [-never, 0.0]"),
-        (Estimate(1.0, math.nan, 2.0, 1), "", "1.0 [unknown, 2.0]"),
+        (Estimate(1.0, math.nan, 2.0, 9), "", "1.0 [few draws, 2.0]"),
+        (Estimate(NEVER, 9.0, math.nan, 9), "s", "never [9.0, few draws] s"),
         (Estimate(1.0, math.nan, math.nan, 1), "s", "1.0 s"),
         (analysis.UNKNOWN, "", "unknown"),
     ],
@@ -60,14 +63,18 @@ def test_format_estimate_uses_requested_digits():
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 64), (61, 64), (64, 64), (500, 1000)])
-def test_proportion_interval_matches_wilson_closed_form(k, n):
-    z = stats.norm.ppf(0.975)
-    share = k / n
-    centre = (share + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+def test_proportion_interval_is_clopper_pearson(k, n):
+    oracle = stats.binomtest(k, n).proportion_ci(0.95, "exact")
     found = analysis.proportion(k, n)
-    assert (found.value, found.n) == (share, n)
-    assert found[1:3] == pytest.approx((max(0, centre - half), min(1, centre + half)), abs=1e-12)
+    assert (found.value, found.n) == (k / n, n)
+    assert found[1:3] == pytest.approx((oracle.low, oracle.high), rel=1e-12)
+
+
+def test_docstring_examples_run():
+    names = {"analysis": analysis, "sinsjax": sinsjax}
+    for module, least in ((estimates, 4), (summaries, 1)):
+        found = doctest.testmod(module, extraglobs=names)
+        assert found.failed == 0 and found.attempted >= least
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 0), (-1, 4), (5, 4)])
@@ -151,11 +158,38 @@ def test_quantile_counts_unsettled_runs_as_never():
     assert analysis.quantile([10.0] * 31 + [math.nan] * 33).value == NEVER
 
 
-def test_mean_interval_matches_student_t():
-    values = np.random.default_rng(1).normal(3.0, 2.0, 20)
+def test_mean_interval_of_symmetric_values_is_student_t():
+    half = np.random.default_rng(1).normal(3.0, 2.0, 10)
+    values = np.r_[half, 6.0 - half]
     found = analysis.mean(np.append(values, [math.nan, NEVER]))
     oracle = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
     assert found == pytest.approx((values.mean(), oracle.low, oracle.high, 20), rel=1e-12)
+
+
+def hall(values, end):
+    """The end at which Hall's transformation of the studentised mean equals a t quantile."""
+    n, skew = len(values), stats.skew(values, bias=False)
+    mean, error = np.mean(values), stats.sem(values)
+    a = skew / math.sqrt(n)
+
+    def apart(true):
+        score = (mean - true) / error
+        return score + a * score**2 / 3 + a**2 * score**3 / 27 + a / 6 - stats.t.ppf(end, n - 1)
+
+    return optimize.brentq(apart, mean - 100 * error, mean + 100 * error, xtol=1e-13)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_mean_interval_of_skewed_values_is_wider_on_their_long_side_only(sign):
+    values = sign * np.random.default_rng(1).lognormal(0.0, 1.0, 24)
+    ends = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
+    found = analysis.mean(values)
+    if sign > 0:
+        assert found.low == pytest.approx(ends.low) and found.high > 1.04 * ends.high
+        assert found.high == pytest.approx(hall(values, 0.025))
+    else:
+        assert found.high == pytest.approx(ends.high) and found.low < 1.04 * ends.low
+        assert found.low == pytest.approx(hall(values, 0.975))
 
 
 def test_std_interval_of_normal_values_matches_chi_square():
@@ -241,8 +275,8 @@ def test_quantile_out_of_range_is_refused():
 
 def test_difference_matches_paired_t_test():
     random = np.random.default_rng(4)
-    a = random.normal(size=30)
-    b = a + random.normal(0.3, 0.1, 30)
+    a, apart = random.normal(size=30), random.normal(0.3, 0.1, 15)
+    b = a + np.r_[apart, 0.6 - apart]
     oracle = stats.ttest_rel(b, a).confidence_interval(0.95)
     found = analysis.difference(b, a)
     assert found == pytest.approx(((b - a).mean(), oracle.low, oracle.high, 30), rel=1e-9)
@@ -276,7 +310,8 @@ def test_proportion_difference_interval_matches_newcombe_examples(table, interva
 def test_proportion_difference_of_equal_shares_has_nonzero_width(share):
     same = np.full(64, share)
     found = analysis.proportion_difference(same, same)
-    reach = abs(analysis.proportion(int(64 * share), 64)[2 - int(share)] - share)
+    wilson = stats.binomtest(int(64 * share), 64).proportion_ci(0.95, "wilson")
+    reach = wilson.high - wilson.low
     assert found[:3] == pytest.approx((0.0, -reach, reach))
 
 
