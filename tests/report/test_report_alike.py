@@ -11,7 +11,7 @@ from sinsjax import analysis
 from sinsjax.execution import run as study_run
 from sinsjax.execution.source import Source
 from sinsjax.report import auto, over_axes
-from sinsjax.report.base import Picture, Table, Text, at_the_end
+from sinsjax.report.base import Picture, Table, Text
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -53,7 +53,7 @@ def test_tables_section_explains_how_duplicate_variants_count(source: Source) ->
     )
 
 
-def test_first_and_last_line_count_duplicate_variants_once(source: Source) -> None:
+def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> None:
     """The runs without resets end right, those with one do not: 3 of 12 runs, not 9 of 18."""
     table = source.summary
     right = analysis.numbers(table, "reset_count") == 0
@@ -66,14 +66,14 @@ def test_first_and_last_line_count_duplicate_variants_once(source: Source) -> No
     for name, values in columns.items():
         table = table.set_column(table.column_names.index(name), name, pa.array(values))
     changed = Source(source.directory, source.study, source.config, table)
-    first = auto.report(changed).headline[0]
-    assert first.startswith("18 runs: 6 variants, 3 draws. Of the 12 that differ 3 within 10'")
+    found = auto.report(changed, full=False).verdict
+    assert found.title == "alike: 18 runs (12 distinct), none failed"
+    assert found.facts[0].text.startswith("no reset: every run settles")
     # A quarter of each of 3 draws: 2.5 % quantiles of Beta(3, 1), of the share and of the rest.
     least = 0.025 ** (1 / 3)
-    ends = f"25 [{100 * least / 4:.0f}, {100 * (1 - 3 * least / 4):.0f}] %"
-    assert [*at_the_end(changed)] == [
-        f"Within 10' of true north at the end: {ends} of the 12 runs that differ."
-    ]
+    ends = f"25 [{100 * least / 4:.0f}, {100 * (1 - 3 * least / 4):.0f}]"
+    (row,) = auto.statistics(changed, [], "All runs").rows
+    assert row[0] == "12" and ends in row[1]
 
 
 def test_idle_keys_lists_keys_that_differ_between_duplicate_variants() -> None:
