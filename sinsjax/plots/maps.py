@@ -77,11 +77,12 @@ def plot_map(
         >>> runs = pa.table({
         ...     "reset_count": [1, 1, 2, 2],
         ...     "reset_cycle_s": [10.0, 50.0, 10.0, 50.0],
+        ...     "reset_times_s": [[10.0], [50.0], [10.0, 20.0], [50.0, 100.0]],
         ...     "settle_10_s": [240.0, 320.0, 250.0, 190.0],
         ... })
         >>> figure = sinsjax.plot_map(runs, "reset_count", "reset_cycle_s", "settle_10_s")
         >>> figure.get_suptitle()
-        '2 resets, 50 s apart settle soonest: 190 s'
+        'Soonest: 2 resets, every 50 s (190 s)'
     """
     table = as_table(runs)
     if not table.num_rows:
@@ -201,7 +202,8 @@ def _finding(
         if _best(runs, quantity) is None:
             continue
         settled = np.isfinite(runs).mean(axis=0)
-        shown = runs.mean(axis=0) if quantity.settles else quantity.of(runs)
+        shown = np.nansum(runs, axis=0) / np.maximum(settled * len(runs), 1)  # mean of the settled
+        shown = shown if quantity.settles else quantity.of(runs)
         order = np.nan_to_num(shown, nan=np.inf) * (1 if quantity.reverse else -1)
         best = np.lexsort((order.ravel(), -settled.ravel()))[0]
         here = dict(point)
@@ -214,12 +216,7 @@ def _finding(
     words = point_text(point)
     if not quantity.settles:
         unit = quantity.name.rpartition("(")[2].rstrip(")")
-        return f"Best: {words}, {shown:.3g} {unit}".rstrip()
-    if not {"reset_count", "reset_times_s"} & point.keys():
-        words, verb = f"With {words} runs", "settle"
-    else:
-        verb = "settles" if words.startswith(("no reset", "1 reset")) else "settle"
-    words = f"{words[:1].upper()}{words[1:]}"
+        return f"Best: {words} ({shown:.3g} {unit})"
     if missing > -1:
-        return f"{words} {verb} most often: {-100 * missing:.3g} % of the runs"
-    return f"{words} {verb} soonest: {shown:.0f} s{' on average' if runs.shape[0] > 1 else ''}"
+        return f"Most often: {words} ({-100 * missing:.3g} % of the runs settle)"
+    return f"Soonest: {words} ({shown:.0f} s{' on average' * (runs.shape[0] > 1)})"

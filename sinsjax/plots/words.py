@@ -1,7 +1,9 @@
 """Plain-English names of a study's keys, for figures."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from sinsjax.messages import escape_controls
 from sinsjax.units import split_unit
@@ -49,6 +51,9 @@ WORDS = {
 """Names by key without its unit; for other keys underscores are replaced by spaces."""
 
 
+_MOST_TIMES = 4  # reset times listed in a phrase
+
+
 def label(column: str) -> str:
     """A key or column as an axis label: ``phi_u0_deg`` becomes ``initial heading error (deg)``."""
     name, unit = words_and_unit(column)
@@ -68,23 +73,28 @@ def name_of(key: Mapping[str, Any]) -> str:
 
 
 def point_text(point: Mapping[str, Any]) -> str:
-    """A point of some axes as a phrase: ``2 resets, 50 s apart``, or keys with their values.
-
-    A single reset is ``1 reset at 50 s`` only if the point has ``reset_times_s``: its time may be
-    given by other keys than the cycle.
-    """
+    """A point of some axes in words: its schedule if it has ``reset_times_s``, and other keys."""
     left = dict(point)
-    count, cycle_s = left.pop("reset_count", None), left.pop("reset_cycle_s", None)
     times_s = left.pop("reset_times_s", None)
-    count = len(times_s) if count is None and times_s is not None else count
-    if count is None:
-        return name_of(point)
-    words = "no reset" if not count else f"{count:g} reset{'s' if count > 1 else ''}"
-    if count > 1 and cycle_s is not None:
-        words += f", {cycle_s:g} s apart"
-    elif times_s:
-        words += f" at {value_text(times_s)} s"
-    return ", ".join([words, *([name_of(left)] if left else [])])
+    if times_s is None:
+        return name_of(left)
+    for key in ("reset_count", "reset_cycle_s", "reset_first_s"):  # they give the times
+        left.pop(key, None)
+    return ", ".join([schedule_words(times_s), *([name_of(left)] if left else [])])
+
+
+def schedule_words(times_s: Sequence[float]) -> str:
+    """A reset schedule in words: ``3 resets, every 50 s``."""
+    if not times_s:
+        return "no reset"
+    if len(times_s) == 1:
+        return f"1 reset at {times_s[0]:g} s"
+    steps = np.diff([0.0, *times_s])
+    if np.allclose(steps, steps[0]):
+        return f"{len(times_s)} resets, every {steps[0]:g} s"
+    if len(times_s) <= _MOST_TIMES:
+        return f"resets at {', '.join(f'{time:g}' for time in times_s)} s"
+    return f"{len(times_s)} resets from {times_s[0]:g} to {times_s[-1]:g} s"
 
 
 def value_text(value: Any) -> str:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sinsjax.alignment.filters.section import OF_SCHEDULES
 from sinsjax.analysis.words import degrees
 from sinsjax.messages import counted
-from sinsjax.plots.words import setting, value_text, words_and_unit
+from sinsjax.plots.words import schedule_words, setting, value_text, words_and_unit
 from sinsjax.study.keys import is_given
 from sinsjax.study.study import Study
 
@@ -24,7 +24,6 @@ LEAST_DRAWS = 8
 
 _ANGLES = {"phi_e0_deg": "east", "phi_n0_deg": "north", "phi_u0_deg": "up"}
 _MOST_WORDS = 40  # characters of an option; the tables have all its keys
-_MOST_TIMES = 4  # reset times listed in a phrase
 
 
 @dataclass(frozen=True)
@@ -163,20 +162,6 @@ def point_cell(keys: Sequence[str], point: Sequence[Any]) -> str:
         text, unit = value_text(value), name_and_unit(key)[1]
         cells.append(f"{text} {unit}" if unit and text[-1:].isdigit() else text)
     return ", ".join(cells)
-
-
-def schedule_words(times_s: Sequence[float]) -> str:
-    """A reset schedule in words: ``3 resets, every 50 s``."""
-    if not times_s:
-        return "no reset"
-    if len(times_s) == 1:
-        return f"1 reset at {times_s[0]:g} s"
-    steps = np.diff([0.0, *times_s])
-    if np.allclose(steps, steps[0]):
-        return f"{len(times_s)} resets, every {steps[0]:g} s"
-    if len(times_s) <= _MOST_TIMES:
-        return f"resets at {', '.join(f'{time:g}' for time in times_s)} s"
-    return f"{len(times_s)} resets from {times_s[0]:g} to {times_s[-1]:g} s"
 
 
 def choose(time_s: NDArray, longest_s: float) -> int:

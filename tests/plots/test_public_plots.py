@@ -40,6 +40,9 @@ def runs(settle=SETTLE, draws=3, **more):
     points = zip(count, cycle, start, draw, strict=True)
     phi = [10.0 * n + (cycle if n else 0) + u + d for n, cycle, u, d in points]  # acts if n > 0
     columns = {
+        "reset_times_s": [
+            [b * i for i in range(1, n + 1)] for n, b in zip(count, cycle, strict=True)
+        ],
         "reset_count": count,
         "reset_cycle_s": cycle,
         "phi_u0_deg": start,
@@ -73,7 +76,7 @@ def test_plot_functions_are_public_names():
 
 def test_map_states_best_cell_over_all_panels_and_frames_best_of_each():
     figure = sinsjax.plot_map(runs(), *MAP, "settle_10_s", by="phi_u0_deg")
-    assert figure.get_suptitle() == "2 resets, 10 s apart settle soonest: 180 s on average"
+    assert figure.get_suptitle() == "Soonest: 2 resets, every 10 s (180 s on average)"
     first, second = panels(figure)
     np.testing.assert_array_equal(
         first.get_images()[0].get_array(), [[300, 300], [100, 200], [150, 180]]
@@ -91,13 +94,14 @@ def test_map_title_names_best_choice_where_panels_are_choices():
     table = runs()
     table = table.append_column("method", table["phi_u0_deg"].cast(pa.string()))
     figure = sinsjax.plot_map(table, *MAP, "settle_10_s", by=["method"], pooled=[])
-    assert figure.get_suptitle().startswith("1 reset, ") and "100 s" in figure.get_suptitle()
+    title = "Soonest: 1 reset at 10 s, method 0 (100 s on average)"
+    assert figure.get_suptitle().replace("\n", " ") == title
 
 
 def test_map_of_schedule_that_fails_sometimes_states_share():
     settle = {point: None if point[2] else time for point, time in SETTLE.items()}
     figure = sinsjax.plot_map(runs(settle), *MAP, "settle_10_s", by="phi_u0_deg")
-    assert figure.get_suptitle().endswith("settles most often: 50 % of the runs")
+    assert figure.get_suptitle() == "Most often: 1 reset at 10 s (50 % of the runs settle)"
 
 
 def test_outlier_ends_beyond_colour_scale():
@@ -179,7 +183,7 @@ def test_compare_leaves_out_panels_that_show_nothing_more():
 def test_compare_states_best_value_of_choice_and_best_line_over_conditions():
     table = runs({point: time for point, time in SETTLE.items() if point[0]})
     choice = sinsjax.plot_compare(table, "reset_count", by=["reset_cycle_s", "phi_u0_deg"])
-    assert "Best: 1 reset, time between resets 10 s" in choice.get_suptitle().replace("\n", " ")
+    assert "Best: number of resets 1, time between resets 10 s" in choice.get_suptitle()
     assert "100 s" in choice.get_suptitle()
     over = sinsjax.plot_compare(table, "phi_u0_deg", by=MAP, condition=True)
     said = over.get_suptitle().replace("\n", " ")
