@@ -15,23 +15,16 @@ from sinsjax.plots.curves import (
     misalignment,
     plot_curves,
     squares,
-    yaw_errors,
 )
-from sinsjax.plots.errors import over_time
 from sinsjax.plots.grids import (
-    Contours,
     Marks,
     Scale,
     Shown,
-    Verdicts,
     differ,
     heat_maps,
-    spread,
-    verdict_matrix,
 )
 from sinsjax.plots.maps import plot_map
 from sinsjax.plots.spreads import Expected, along_axis, plot_compare, tells
-from sinsjax.plots.stored_records import survival
 from sinsjax.plots.style import COLOURS, STYLE, colour, png
 from sinsjax.plots.words import label, setting
 
@@ -39,7 +32,6 @@ __all__ = [
     "COLOURS",
     "STYLE",
     "BeliefPanel",
-    "Contours",
     "Course",
     "Ensemble",
     "Expected",
@@ -47,7 +39,6 @@ __all__ = [
     "Marks",
     "Scale",
     "Shown",
-    "Verdicts",
     "along_axis",
     "attitude",
     "beliefs",
@@ -59,17 +50,12 @@ __all__ = [
     "heat_maps",
     "label",
     "misalignment",
-    "over_time",
     "plot_belief",
     "plot_compare",
     "plot_curves",
     "plot_map",
     "png",
     "setting",
-    "spread",
     "squares",
-    "survival",
     "tells",
-    "verdict_matrix",
-    "yaw_errors",
 ]

@@ -249,7 +249,7 @@ def misalignment(
                 )
             _mark(axes, resets_s)
         row[0].set_xlim(0, max(extent.time_s[-1] for extent in extents))
-        row[0].set_ylabel(f"{_NAMES[axis]} (arcmin){_fit(row[0], extents)}")
+        row[0].set_ylabel(f"{_NAMES[axis]} (arcmin){fit_range(row[0], extents)}")
         if zoom_s:
             _enlarge(row[1], zoom_s, extents)
     grid[0, 0].set_title("Whole run")
@@ -297,7 +297,7 @@ def _draw_misalignment(
     return extents
 
 
-def _fit(axes: Axes, extents: Sequence[Extent]) -> str:
+def fit_range(axes: Axes, extents: Sequence[Extent]) -> str:
     """Make a wide range of values legible; gives a note for the axis label."""
     far = [np.maximum(np.abs(e.low), np.abs(e.high)) for e in extents if e.time_s.size]
     end = max(min((float(one[-1]) for one in far), default=0.0), _LINEAR[0])
@@ -385,35 +385,4 @@ def squares(
         axes.set_xlabel("time (s)")
     grid[0].set_ylabel("heading variance (arcmin²)")
     legend_outside(figure, grid[0])
-    return figure
-
-
-@styled
-def yaw_errors(panels: Mapping[str, Sequence[Ensemble]], title: str) -> Figure:
-    """Yaw error over time, one panel per setting.
-
-    Args:
-        panels: panel title to lines with the ``phi_u_arcmin`` column.
-        title: title of the figure.
-    """
-    width = min(2, len(panels))
-    height = -(-len(panels) // width)
-    figure = Figure(figsize=(9.2, 1.6 + 2.6 * height))
-    figure.suptitle(title)
-    grid = figure.subplots(height, width, sharex=True, squeeze=False)
-    far = ""
-    for axes, (name, shown) in zip(grid.flat, panels.items(), strict=False):
-        extents = [
-            draw(axes, Line(e.label, e.time_s, e.columns["phi_u_arcmin"], colour(i)))
-            for i, e in enumerate(shown)
-        ]
-        far = _fit(axes, extents) or far
-        axes.set_title(name)
-    for axes in list(grid.flat)[len(panels) :]:
-        axes.set_visible(False)
-    for axes in grid[:, 0]:
-        axes.set_ylabel(f"heading error (arcmin){far}")
-    for axes in grid[-1]:
-        axes.set_xlabel("time (s)")
-    legend_outside(figure, grid[0, 0])
     return figure

@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap, LogNorm, Normalize
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
-from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from sinsjax.plots.style import AND_MORE, COLOURS, LETTERS, styled
@@ -21,7 +20,6 @@ from sinsjax.plots.words import label, value_text
 
 _NEVER, _NEVER_EDGE = "#dcdcdc", "#b5b5b5"
 _HATCH, _MARKED = "////", "xx"
-_CONTOUR = COLOURS[1]
 _ROOMY = 6  # most cells side by side in a panel with full-size numbers
 _LEGIBLE = 10  # most cells side by side with small numbers
 _LETTERS = 9  # characters per inch in a panel's title
@@ -75,20 +73,6 @@ class Shown(NamedTuple):
         return f"{value:.{digits}f}"
 
 
-class Contours(NamedTuple):
-    """Contour lines over heat maps.
-
-    Attributes:
-        name: name of the quantity in the legend.
-        levels: ascending levels.
-        values: (n, m) values for each panel, evenly spaced from edge to edge, see `spread`.
-    """
-
-    name: str
-    levels: Sequence[float]
-    values: Sequence[NDArray]
-
-
 class Marks(NamedTuple):
     """What cells of heat maps show besides their colour.
 
@@ -108,23 +92,6 @@ class Marks(NamedTuple):
     best_name: str = ""
 
 
-def spread(values: Sequence[float], count: int) -> NDArray:
-    """Positive values of an axis, evenly spaced on the figure from edge to edge of its cells.
-
-    Args:
-        values: values at the centres of two or more cells, ascending.
-        count: number of values.
-
-    Returns:
-        (count,) values, geometric between the centres and beyond the outer ones.
-    """
-    logs, last = np.log(values), len(values) - 1
-    middles = np.arange(-1, last + 2)
-    ends = (2 * logs[0] - logs[1], 2 * logs[-1] - logs[-2])
-    places = np.linspace(-0.5, last + 0.5, count)
-    return np.exp(np.interp(places, middles, [ends[0], *logs, ends[1]]))
-
-
 def differ(values: NDArray | Sequence[NDArray]) -> bool:
     """Whether cells of `heat_maps` differ; a figure of equal ones says nothing."""
     return len(np.unique(values)) > 1
@@ -138,7 +105,7 @@ def heat_maps(
     *,
     rows: Scale,
     columns: Scale,
-    contours: Contours | None = None,
+    legend: Sequence[Patch | Line2D] = (),
     across: int | None = None,
     marks: Marks | None = None,
 ) -> Figure:
@@ -151,7 +118,7 @@ def heat_maps(
         shown: quantity to show.
         rows: key from bottom to top.
         columns: key from left to right.
-        contours: contour lines over the panels.
+        legend: further entries of the legend.
         across: panels per row, such as the values of a third key; at most 4.
         marks: cells to hatch, and cells whose value is written once.
     """
@@ -175,20 +142,13 @@ def heat_maps(
         if marks and marks.best and (best := marks.best[number]) is not None:
             _outline(axes, marks.alike[number], best)
         axes.set_title(names[number])
-        if contours:
-            _contour(axes, contours.levels, contours.values[number])
     label_rim(grid, len(panels), rows=rows, columns=columns)
     finite = np.concatenate([values[np.isfinite(values)] for _, values in panels])
     below, above = bool(np.any(finite < shown.low)), bool(np.any(finite > shown.high))
     extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get((below, above))
     name = f"{shown.name}{AND_MORE if above else ''}"
     figure.colorbar(image, ax=grid, label=name, shrink=0.8, aspect=30, extend=extend or "neither")
-    handles: list[Patch | Line2D] = []
-    if contours:
-        styles = zip(contours.levels, _level_styles(contours.levels), strict=True)
-        for i, (level, style) in enumerate(styles):
-            name = f"{contours.name} {level:g}" if i == 0 else f"{level:g}"
-            handles.append(Line2D([], [], color=_CONTOUR, linestyle=style, label=name))
+    handles = [*legend]
     if any(not np.isfinite(values).all() for _, values in panels):
         never = Patch(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH, label="never (median)")
         handles.append(never)
@@ -199,21 +159,6 @@ def heat_maps(
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
-
-
-def _contour(axes: Axes, levels: Sequence[float], values: NDArray) -> None:
-    sides = zip((axes.get_ylim(), axes.get_xlim()), values.shape, strict=True)
-    down, right = (np.linspace(min(side), max(side), count) for side, count in sides)
-    styles = _level_styles(levels)
-    lines = axes.contour(
-        right, down, values, levels, colors=_CONTOUR, linewidths=1.3, linestyles=styles
-    )
-    lines.set_path_effects([withStroke(linewidth=2.2, foreground="white", alpha=0.6)])
-
-
-def _level_styles(levels: Sequence[float]) -> list[Any]:
-    """A line style for each level, from the sparsest to solid."""
-    return [*((0, (1 + 2 * i, 1.5)) for i in range(len(levels) - 1)), "-"]
 
 
 def label_rim(grid: NDArray, panels: int, *, rows: Scale, columns: Scale) -> None:
@@ -307,57 +252,3 @@ def _shades(values: NDArray, shown: Shown) -> NDArray:
     """What is legible on the colour of each cell."""
     light = np.ma.filled(shown.norm(np.ma.masked_invalid(values)), 0.0) > _LIGHT
     return np.where(light != shown.reverse, "black", "white")
-
-
-class Verdicts(NamedTuple):
-    """Statements tested under several readings of a paper.
-
-    Attributes:
-        readings: names of the rows.
-        statements: names of the columns.
-        holds: (readings, statements) bool.
-        straddles: (readings, statements) bool, whether the interval includes the threshold.
-        best: row to highlight.
-    """
-
-    readings: Sequence[str]
-    statements: Sequence[str]
-    holds: NDArray
-    straddles: NDArray
-    best: int
-
-
-@styled
-def verdict_matrix(verdicts: Verdicts, title: str) -> Figure:
-    """Matrix of which statement holds under which reading.
-
-    Args:
-        verdicts: rows in drawing order, from the top.
-        title: title of the figure.
-    """
-    rows, columns = verdicts.holds.shape
-    figure = Figure(figsize=(9.2, 3.2 + 0.17 * rows))
-    figure.suptitle(title)
-    axes = figure.subplots()
-    no, yes = COLOURS[1], COLOURS[0]
-    axes.imshow(verdicts.holds, cmap=ListedColormap([no, yes]), vmin=0, vmax=1, aspect="auto")
-    axes.set_xticks(range(columns), verdicts.statements, fontsize=9, rotation=60, ha="right")
-    held = verdicts.holds.sum(axis=1)
-    names = [f"{name}   {n:2d}" for name, n in zip(verdicts.readings, held, strict=True)]
-    axes.set_yticks(range(rows), names, fontsize=7.5)
-    axes.get_yticklabels()[verdicts.best].set_fontweight("bold")
-    axes.set_xticks(np.arange(columns + 1) - 0.5, minor=True)
-    axes.set_yticks(np.arange(rows + 1) - 0.5, minor=True)
-    axes.grid(visible=False, which="major")
-    axes.grid(which="minor", color="white", linewidth=1)
-    axes.tick_params(which="both", length=0)
-    for row, column in np.argwhere(verdicts.straddles):
-        axes.text(column, row, "~", ha="center", va="center", color="white", fontsize=9)
-    axes.set_ylabel("interpretation of Q, of R, feedback; how many hold")
-    handles = [
-        Patch(color=yes, label="holds"),
-        Patch(color=no, label="does not hold"),
-        Patch(facecolor="none", label="~  the interval reaches across"),
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
-    return figure

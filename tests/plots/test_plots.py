@@ -5,13 +5,13 @@ import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
 import pytest
-from matplotlib.colors import to_rgb
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from scipy import stats
 
 from sinsjax import plots
 from sinsjax.analysis import Estimate
-from sinsjax.plots import BeliefPanel, Course, Ensemble, Line, Scale, Shown, Verdicts
+from sinsjax.plots import BeliefPanel, Course, Ensemble, Line, Scale, Shown
 from sinsjax.plots.spreads import steps
 
 TIME = np.arange(1.0, 11.0)
@@ -183,16 +183,6 @@ def test_squares_figure_uses_log_axes_in_square_arcmin():
     assert figure.axes[0].get_lines()[0].get_linestyle() == "--"
 
 
-def test_yaw_errors_have_one_panel_per_name():
-    panels = {name: [ensemble("s1"), ensemble("s2", size=800.0)] for name in "abc"}
-    figure = plots.yaw_errors(panels, "Title")
-    visible = [axes for axes in figure.axes if axes.get_visible()]
-    assert [axes.get_title(loc="left") for axes in visible] == list("abc")
-    assert all(len(solid(axes)) == 2 for axes in visible)
-    assert len(figure.axes) == 4
-    assert plots.png(figure)
-
-
 def test_heat_maps_show_values_and_hatch_infinite_cells():
     values = np.array([[10.0, 20.0, np.inf], [30.0, np.nan, 40.0]])
     figure = plots.heat_maps(
@@ -269,24 +259,22 @@ def test_heat_map_numbers_contrast_with_cell_colour():
     assert sum(colours(0.0)[:3]) < 1.0 < 1.5 < sum(colours(1.0)[:3])
 
 
-def test_verdict_matrix_shows_counts_and_marks_best_reading():
-    verdicts = Verdicts(
-        readings=["a", "b"],
-        statements=["S1", "S2", "S3"],
-        holds=np.array([[True, False, True], [True, True, True]]),
-        straddles=np.array([[False, True, False], [False, False, False]]),
-        best=1,
+def test_heat_map_uses_log_colours_and_two_digits_per_cell():
+    figure = plots.heat_maps(
+        [("a", np.array([[0.123, 4.56], [78.9, 1234.0], [0.0, np.inf]]))],
+        "Title",
+        Shown("error (arcmin)", 0.1, 100.0, reverse=True, log=True),
+        rows=Scale("azimuth_sigma_per_s", [0.01, 0.02, 0.04]),
+        columns=Scale("stored_s", [20.0, 40.0]),
     )
-    figure = plots.verdict_matrix(verdicts, "Title")
-    assert plots.png(figure)
     axes = figure.axes[0]
-    assert [t.get_text() for t in axes.get_xticklabels()] == ["S1", "S2", "S3"]
-    assert [t.get_text().split() for t in axes.get_yticklabels()] == [["a", "2"], ["b", "3"]]
-    assert [t.get_fontweight() for t in axes.get_yticklabels()] == ["normal", "bold"]
-    assert [t.get_position() for t in axes.texts] == [(1, 0)]
-    image = axes.get_images()[0]
-    held = image.to_rgba(image.get_array())[..., :3]
-    np.testing.assert_allclose(held[1, 1], to_rgb(plots.COLOURS[0]), atol=0.01)
+    assert [t.get_text() for t in axes.texts] == ["0.12", "4.6", "79", "1234", "0"]
+    norm = axes.get_images()[0].norm
+    assert isinstance(norm, LogNorm)
+    assert norm(math.sqrt(0.1 * 100.0)) == pytest.approx(0.5)
+    assert [t.get_color() for t in axes.texts][:4] == ["black", "white", "white", "white"]
+    assert axes.get_ylabel() == "sigma of the azimuth loop (1/s)"
+    assert plots.png(figure)
 
 
 def height_of(high, *, others=12.0, last=20.0):

@@ -8,10 +8,10 @@ from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.grids import median, shared
 from sinsjax.analysis.words import percent, share
 from sinsjax.execution.source import Source
-from sinsjax.plots.cells import Class, ratio_maps
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 
+from .cells import Class, ratio_maps
 from .scores import NONE, PAPER, SETTLE, WITHIN, Policy, Scores
 
 SHORT = (0.01, 1.0)  # s, feedback intervals

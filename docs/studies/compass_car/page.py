@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis
 from sinsjax.execution.source import Source
-from sinsjax.plots.starts import strips
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 
 from ..loops.turns import TURNS
+from .starts import strips
 
 HEADING, SIGMA = "phi_u_arcmin", "sigma_u_arcmin"
 

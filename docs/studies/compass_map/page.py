@@ -9,7 +9,7 @@ from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.grids import Grid, median, shared
 from sinsjax.analysis.words import percent, share
 from sinsjax.execution.source import Source
-from sinsjax.plots import Contours, Scale, Shown
+from sinsjax.plots import Scale, Shown
 from sinsjax.plots.words import value_text
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
@@ -18,6 +18,8 @@ from sinsjax.units import ARCMIN, DEG
 from ..common.settling import median_time, settled
 from ..loops.runs import bound_arcmin
 from ..loops.turns import TURNS, cycle_radius
+from .contours import Contours, draw_contours, legend, spread
+from .survival import survival
 
 SIGMA, LENGTH = "azimuth_sigma_per_s", "stored_s"
 _LEVELS = (0.5, 1.0)  # of the spectral radius
@@ -121,7 +123,7 @@ def compared(source: Source) -> Page:
         "with 600 s of data nearly every draw comes within the narrow band": (reached[LONG] > 0.99),
     }
     times = {f"within {wide:g} arcmin": wide_s, f"within {narrow:g} arcmin": narrow_s}
-    figure = plots.survival(
+    figure = survival(
         {band: dict(zip(NAMES, runs, strict=True)) for band, runs in times.items()},
         "How many runs have not settled yet? Heading from its limit",
         end_s=study.duration_s,
@@ -193,21 +195,22 @@ def mapped(source: Source) -> Page:
 def _error_maps(source: Source, grid: Grid, rms: NDArray) -> Picture:
     """Constant sigma: how far from its limit the heading ends, by turn."""
     study, rows, columns = source.study, grid.axes["sigma"], grid.axes["length"]
-    sigma, length_s = np.meshgrid(
-        *(plots.spread(axis, _FINE) for axis in (rows, columns)), indexing="ij"
-    )
+    sigma, length_s = np.meshgrid(*(spread(axis, _FINE) for axis in (rows, columns)), indexing="ij")
     radii = [cycle_radius(study, turn, sigma, length_s) for turn in grid.axes["turn"]]
     low = float(bound_arcmin(study, max(columns)))
     high = abs(study.only("phi_u0_deg")) * DEG / ARCMIN
+    contours = Contours("share that a cycle leaves (linear loops)", _LEVELS, radii)
     figure = plots.heat_maps(
         [(TURNS[turn], rms[i].T) for i, turn in enumerate(grid.axes["turn"])],
         "How far from its limit does the heading end? By turn, sigma and record",
         Shown("rms heading error (arcmin)", low, high, reverse=True, log=True, numbers=False),
-        contours=Contours("share that a cycle leaves (linear loops)", _LEVELS, radii),
+        legend=legend(contours),
         rows=Scale(SIGMA, rows),
         columns=Scale(LENGTH, columns),
         across=2,
     )
+    for axes, values in zip(figure.axes, contours.values, strict=False):
+        draw_contours(axes, contours.levels, values)
     caption = (
         f"Rms over {study.n_draws} Monte Carlo runs, constant sigma; light is good, the darkest is"
         " the initial error and more. Left of the line of 1 a record cannot converge. *Too*: the"

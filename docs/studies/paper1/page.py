@@ -17,6 +17,7 @@ from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 
 from ..loops.runs import limits_of
+from .figures import Verdicts, verdict_matrix, yaw_errors
 from .statements import AS_PRECISE_ARCMIN, CONDITIONS, RESET, STATEMENTS, Judged, best_of, judge_all
 
 BAND_ARCMIN = 10.0
@@ -80,7 +81,7 @@ def _heading(source: Source, shown: Mapping[str, Ensemble], title: str) -> Figur
         one._replace(columns={"phi_u_arcmin": one.columns["phi_u_arcmin"] - limit})
         for one in shown.values()
     ]
-    figure = plots.yaw_errors({"": moved}, f"{title}: heading error from its limit")
+    figure = yaw_errors({"": moved}, f"{title}: heading error from its limit")
     (axes,) = figure.axes
     axes.set_xlim(0, source.study.duration_s)
     axes.axhspan(-BAND_ARCMIN, BAND_ARCMIN, color=GREY, alpha=0.25, linewidth=0)
@@ -200,7 +201,7 @@ def _statements(judged: Sequence[Judged], source: Source) -> Page:
 
 def _verdicts(judged: Sequence[Judged], best: int, source: Source) -> Picture:
     found = [one.findings.values() for one in judged]
-    verdicts = plots.Verdicts(
+    verdicts = Verdicts(
         readings=[", ".join(one.words) for one in judged],
         statements=[one.text.replace("condition ", "") for one in STATEMENTS.values()],
         holds=np.array([[finding.holds for finding in one] for one in found]),
@@ -208,7 +209,7 @@ def _verdicts(judged: Sequence[Judged], best: int, source: Source) -> Picture:
         best=best,
     )
     title = "Which statement holds under which interpretation of Q, R and feedback?"
-    drawn = plots.verdict_matrix(verdicts, title)
+    drawn = verdict_matrix(verdicts, title)
     caption = (
         f"{source.draws} Monte Carlo runs a condition, heading from its limit; the interpretation"
         " under which most statements hold is in bold."

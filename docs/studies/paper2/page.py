@@ -27,6 +27,7 @@ from sinsjax.units import ARCMIN, DEG, MICRO
 
 from ..loops.runs import limits_of
 from ..loops.turns import TURNS, cycle_radius
+from .lines import over_time
 
 PRINTED_K3 = "K3 as printed"
 V_FLIPPED, BOTH_FLIPPED, REFLECTED = "V flipped", "V and azimuth rate flipped", "reflected"
@@ -226,7 +227,7 @@ def _turns(cases: Mapping[str, Case]) -> Page:
         "reversing the azimuth rate too makes it grow": radii[1] > 1,
         "reflecting the tilt makes the tape converge": radii[2] < 0.5 and abs(ends[2]) < 0.1,
     }
-    figure = plots.over_time(
+    figure = over_time(
         {"": lines},
         "Scheme 2 by what is done at a turn: heading error from its limit",
         quantity="heading error from its limit (deg)",
