@@ -1,17 +1,15 @@
 """A directory of results as reports and pages read it."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from sinsjax import analysis
-from sinsjax.analysis.grids import Grid
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
 from sinsjax.execution import results
@@ -185,23 +183,6 @@ class Source:
         drawn = key in self.study.drawn_keys
         values = self.rows([key])[key].to_pylist() if drawn else self.study.values(key)
         return float(f"{max(float(np.max(np.abs(value or 0.0))) for value in values):.3g}")
-
-    def grid(self, columns: Sequence[str], **axes: str | Sequence[Any]) -> Grid:
-        """Every run as arrays over the axes that a page names.
-
-        Args:
-            columns: of the summary, numbers.
-            axes: a key of the study, or a value for each variant, by the name of the axis.
-
-        Raises:
-            InputError: runs are missing, or a point of the axes is there not once.
-        """
-        values = {n: self.study.values(v) if isinstance(v, str) else v for n, v in axes.items()}
-        rows, draws = self.rows(columns), self.draws
-        try:
-            return Grid.of(rows, draws, values)
-        except InputError as error:
-            raise InputError(f"{self.study.name}: {error}") from error
 
     def distinct(self, names: Iterable[str]) -> pa.Table:
         """As `rows`, of variants that differ: one of each kind that has the same runs.

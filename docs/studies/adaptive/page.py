@@ -5,12 +5,14 @@ import math
 import numpy as np
 
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import median, shared
-from sinsjax.analysis.words import percent, share
+from sinsjax.analysis.grids import median
+from sinsjax.analysis.words import percent
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 
+from ..common.grids import grid_of, shared
+from ..common.words import share
 from .cells import Class, ratio_maps
 from .scores import NONE, PAPER, SETTLE, WITHIN, Policy, Scores
 
@@ -169,7 +171,7 @@ def _simulated(scores: Scores, footer: str) -> Page:
 
 def _recorded(source: Source) -> Page:
     """The winning trigger on the recorded car, beside fixed resets."""
-    grid = source.grid((TRUTH,), case="case", yaw="phi_u0_deg")
+    grid = grid_of(source, (TRUTH,), case="case", yaw="phi_u0_deg")
     cases = ("linearisation", FIXED, "no reset")
     worst = [grid.at(TRUTH, case=case, yaw=grid.axes["yaw"][-1]) for case in cases]
     own, fixed = (float(median(settle_s)) for settle_s in worst[:2])

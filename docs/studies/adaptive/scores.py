@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
 from sinsjax.analysis.estimates import RESAMPLES, SEED, TAIL, place
-from sinsjax.analysis.grids import held_out, median, shared, soonest
+from sinsjax.analysis.grids import median
 from sinsjax.execution.source import Source
+
+from ..common.grids import grid_of, held_out, shared, soonest
 
 WITHIN = 1.1
 """A policy does what the best single reset does up to this ratio of median settling times."""
@@ -74,7 +76,8 @@ class Scores:
         keys = ("threshold", "window_s", "refractory_s", "until_s", "most")
         numbers = [study.values(f"trigger_{key}") for key in keys]
         rows = zip(study.reset_times(), study.values("reset_trigger"), *numbers, strict=True)
-        self.grid = source.grid(
+        self.grid = grid_of(
+            source,
             (SETTLE, COUNT),
             q="q_reading",
             feedback="feedback_interval_s",

@@ -5,13 +5,14 @@ from itertools import product
 import numpy as np
 
 from sinsjax import analysis
-from sinsjax.analysis.grids import Grid, median
+from sinsjax.analysis.grids import median
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale
 from sinsjax.report.base import Table
 from sinsjax.report.folder import Page, Sources
 from sinsjax.units import ARCMIN, DEG
 
+from ..common.grids import Grid, grid_of
 from ..common.settling import settling_maps
 
 PAPER, UNIT = "paper's tuning", "laser-gyro tuning"
@@ -26,7 +27,7 @@ def page(sources: Sources) -> Page:
 
 def _schemes(source: Source) -> Page:
     """The three schemes with two tunings each, by feedback interval (s) and start time."""
-    grid = source.grid((END, MEAN, TRUTH), case="case", feedback="feedback_interval_s")
+    grid = grid_of(source, (END, MEAN, TRUTH), case="case", feedback="feedback_interval_s")
 
     def worst(case: str, **feedback: float) -> float:
         return float(np.abs(grid.at(END, case=case, **feedback)).max()) * ARCMIN / DEG
@@ -55,7 +56,7 @@ def _schemes(source: Source) -> Page:
 def _batch(source: Source) -> Page:
     """Four resets and none over the misalignments of a batch."""
     times = [tuple(times) for times in source.study.reset_times()]
-    grid = source.grid((TRUTH,), resets=times, level="phi_e0_deg", yaw="phi_u0_deg")
+    grid = grid_of(source, (TRUTH,), resets=times, level="phi_e0_deg", yaw="phi_u0_deg")
     without, resets = (grid.at(TRUTH, resets=times) for times in ((), RESETS))
     share = [100 * float(np.isfinite(runs).mean()) for runs in (without, resets)]
     small = grid.at(TRUTH, resets=(), yaw=[-10, 0, 10])

@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis.grids import median, pooled_mean, shared
-from sinsjax.analysis.words import seconds, share
+from sinsjax.analysis.grids import median
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale, Shown
 from sinsjax.report.base import Picture
+
+from .grids import pooled_mean, shared
+from .words import seconds, share
 
 
 def settled(settle_s: NDArray) -> str:

@@ -11,6 +11,7 @@ from sinsjax.execution.source import Source
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 
+from ..common.grids import grid_of
 from ..loops.turns import TURNS
 from .starts import strips
 
@@ -53,7 +54,7 @@ class Case(NamedTuple):
 def cases_of(source: Source) -> list[Case]:
     """The runs by variant, in the study's order."""
     study = source.study
-    grid = source.grid((HEADING, SIGMA), case="case")
+    grid = grid_of(source, (HEADING, SIGMA), case="case")
     found = []
     for variant, (name, span) in enumerate(zip(grid.axes["case"], study.spans, strict=True)):
         is_compass = study.values("method")[variant] == "compass"

@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from sinsjax import analysis, plots
 from sinsjax.alignment.bounds import share_outside
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import Grid, median, shared
-from sinsjax.analysis.words import percent, share
+from sinsjax.analysis.grids import median
+from sinsjax.analysis.words import percent
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale, Shown
 from sinsjax.plots.words import value_text
@@ -15,7 +15,9 @@ from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 from sinsjax.units import ARCMIN, DEG
 
+from ..common.grids import Grid, grid_of, shared
 from ..common.settling import median_time, settled
+from ..common.words import share
 from ..loops.runs import bound_arcmin
 from ..loops.turns import TURNS, cycle_radius
 from .contours import Contours, draw_contours, legend, spread
@@ -46,7 +48,7 @@ def page(sources: Sources) -> Page:
 def settling(source: Source) -> tuple[NDArray, NDArray]:
     """Settling times to the widest and to the narrowest band, (variants, draws), s."""
     wide, narrow = (f"settle_{band:g}_s" for band in bands_of(source))
-    grid = source.grid((wide, narrow), variant=range(source.study.n_variants))
+    grid = grid_of(source, (wide, narrow), variant=range(source.study.n_variants))
     return grid.columns[wide], grid.columns[narrow]
 
 
@@ -161,7 +163,7 @@ def layout(source: Source) -> Grid:
     """Every run by schedule, turn, length of the record, sigma and draw."""
     columns = ("phi_u_arcmin", "floor_arcmin")
     sides = {"schedule": "sigma_factors", "turn": "turn", "length": LENGTH, "sigma": SIGMA}
-    return source.grid(columns, **sides)
+    return grid_of(source, columns, **sides)
 
 
 def mapped(source: Source) -> Page:

@@ -8,12 +8,14 @@ from scipy import special
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.words import percent, share
+from sinsjax.analysis.words import percent
 from sinsjax.execution.source import Source
 from sinsjax.plots import BeliefPanel
 from sinsjax.report.base import Table
 from sinsjax.report.folder import Page, Sources
 from sinsjax.report.spreads import consistency
+
+from ..common.words import share
 
 TRUE, SLOW = "Q as the noise", "the same, feedback every 10 s"
 SMALL_Q, LARGE_Q = "a quarter of that Q", "four times that Q"

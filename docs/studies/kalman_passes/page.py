@@ -5,10 +5,11 @@ from typing import Any, NamedTuple
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import Grid
-from sinsjax.analysis.words import arcmin
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
+
+from ..common.grids import Grid, grid_of
+from ..common.words import arcmin
 
 SMALL, LARGE = "0.01, 0.01, 0.15 deg", "0.1, 0.1, 1.5 deg"
 CARRIED, INFLATED, RESET = "carried", "inflated", "reset"
@@ -33,7 +34,7 @@ def page(sources: Sources) -> Page:
     source = sources["kalman_passes"]
     study = source.study
     columns = ("nees", "phi_u_arcmin", "floor_arcmin", "sigma_u_arcmin")
-    grid = source.grid(columns, case="case", turn="turn_covariance", passes="passes")
+    grid = grid_of(source, columns, case="case", turn="turn_covariance", passes="passes")
     counts, turns = grid.axes["passes"], grid.axes["turn"]
     last = counts[-1]
     points = {

@@ -9,13 +9,14 @@ from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import format_estimate, numbers
-from sinsjax.analysis.words import arcmin, degrees, percent, share
+from sinsjax.analysis.words import degrees, percent
 from sinsjax.execution.source import Source
 from sinsjax.plots import Ensemble
 from sinsjax.plots.style import GREY
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 
+from ..common.words import arcmin, share
 from ..loops.runs import limits_of
 from .figures import Verdicts, verdict_matrix, yaw_errors
 from .statements import AS_PRECISE_ARCMIN, CONDITIONS, RESET, STATEMENTS, Judged, best_of, judge_all

@@ -5,14 +5,16 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import Grid, held_out, least_mean, median, shared, soonest
-from sinsjax.analysis.words import apart, degrees, share
+from sinsjax.analysis.grids import median
+from sinsjax.analysis.words import degrees
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 
+from ..common.grids import Grid, grid_of, held_out, least_mean, shared, soonest
 from ..common.settling import mean_time, median_time, settled, settling_maps
+from ..common.words import apart, share
 
 Schedule = tuple[float, ...]
 
@@ -259,7 +261,8 @@ def _answer_figure(source: Source, grid: Grid) -> Picture:
 def layout(source: Source) -> Grid:
     """Every run by force in A(t), reading of Q, feedback interval, level, yaw, schedule, draw."""
     study = source.study
-    return source.grid(
+    return grid_of(
+        source,
         (SETTLE,),
         force="specific_force",
         q="q_reading",

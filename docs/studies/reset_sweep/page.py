@@ -4,11 +4,12 @@ import numpy as np
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import Choice, Grid, held_out, median, soonest
+from sinsjax.analysis.grids import median
 from sinsjax.plots import Scale
 from sinsjax.report.base import Table
 from sinsjax.report.folder import Page, Sources
 
+from ..common.grids import Choice, Grid, grid_of, held_out, soonest
 from ..common.settling import mean_time, settled, settling_maps
 
 LIMIT, TRUTH = "settle_10_s", "settle_10_truth_s"
@@ -19,7 +20,7 @@ def page(sources: Sources) -> Page:
     source = sources["reset_sweep"]
     run_s = source.study.run_s
     axes = {"count": "reset_count", "cycle": "reset_cycle_s", "yaw": "phi_u0_deg"}
-    grid = source.grid((LIMIT, TRUTH), **axes)
+    grid = grid_of(source, (LIMIT, TRUTH), **axes)
     counts, cycles, yaws = grid.axes.values()
     without = grid.at(LIMIT, count=0)[0]
     reset = grid.at(LIMIT, count=list(counts[1:]))

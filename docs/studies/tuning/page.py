@@ -7,8 +7,6 @@ import numpy as np
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
-from sinsjax.analysis.grids import pooled_mean
-from sinsjax.analysis.words import seconds
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import value_text
 from sinsjax.report import tuned_figures
@@ -18,6 +16,9 @@ from sinsjax.study.study import Study
 from sinsjax.tuning import results
 from sinsjax.tuning.results import Tuning
 from sinsjax.tuning.run_tuning import COVARIANCE, GRADIENT
+
+from ..common.grids import grid_of, pooled_mean
+from ..common.words import seconds
 
 STUDIES = {
     "small": "tune_condition5",
@@ -51,7 +52,7 @@ def page(sources: Sources) -> Page:
     """What each tuning found, judged on noise that tuned nothing, beside the plain two resets."""
     tunings = {name: results.Tuning.of(sources[study]) for name, study in STUDIES.items()}
     beside = sources["tuned_schedules"]
-    grid = beside.grid((SETTLE, "nees"), case="case", start=_starts(beside.study))
+    grid = grid_of(beside, (SETTLE, "nees"), case="case", start=_starts(beside.study))
 
     def time_s(case: str, **start: tuple[float, float]) -> Estimate:
         return pooled_mean(np.minimum(grid.at(SETTLE, case=case, **start), beside.study.run_s))
@@ -140,7 +141,7 @@ def _shifted(source: Source) -> Page:
     study = source.study
     keys = ("reset_times_s", "q_scale", "reset_at_feedback")
     schedules = list(zip(*map(study.values, keys), strict=True))
-    grid = source.grid((SETTLE,), schedule=schedules, start=_starts(study))
+    grid = grid_of(source, (SETTLE,), schedule=schedules, start=_starts(study))
     runs = np.minimum(grid.at(SETTLE), study.run_s)
     runs = runs.reshape(len(SHIFTED), len(SHIFTS_S), *runs.shape[1:])
     times = [[pooled_mean(one) for one in of] for of in runs]

@@ -8,6 +8,7 @@ from sinsjax.execution.source import Source
 from sinsjax.report.base import Table
 from sinsjax.report.folder import Page
 
+from ..common.grids import grid_of
 from .field import bases_of, starts_of
 
 TIME_S = 300
@@ -28,7 +29,9 @@ def bounded(source: Source) -> Page:
         for base, model in zip(bases_of(source), models, strict=True)
     ]
     column = f"phi_u_at_{TIME_S}_arcmin"
-    grid = source.grid([column, "floor_arcmin"], case="case", start=starts_of(source), base=words)
+    grid = grid_of(
+        source, [column, "floor_arcmin"], case="case", start=starts_of(source), base=words
+    )
     bounds = {
         words[row["variant_id"]]: row["bound_u_arcmin"]
         for row in sinsjax.information_bound(study).to_pylist()

@@ -6,12 +6,12 @@ from itertools import product
 import numpy as np
 
 from sinsjax.analysis import format_estimate, quantile
-from sinsjax.analysis.grids import pooled_mean, shared
 from sinsjax.analysis.words import degrees, percent
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import value_text
 from sinsjax.report.base import Table
 
+from ..common.grids import grid_of, pooled_mean, shared
 from .field import TIMES_S, Cell, Field, Start, angle, reach
 
 BAND_ARCMIN = 10.0
@@ -111,7 +111,8 @@ def by_latitude(source: Source) -> Table:
     """Some methods from the equator to 75 deg, on a swaying and on a disturbed base."""
     lever = [float(np.max(one)) for one in source.study.values("lever_arm_m")]
     starts = (source.study.values(f"phi_{axis}0_deg") for axis in "enu")
-    grid = source.grid(
+    grid = grid_of(
+        source,
         ["phi_u_at_300_arcmin"],
         case="case",
         latitude="latitude_deg",

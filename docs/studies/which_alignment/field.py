@@ -11,6 +11,8 @@ from sinsjax.analysis.estimates import bootstrap, place, quantile
 from sinsjax.analysis.formats import format_estimate
 from sinsjax.execution.source import Source
 
+from ..common.grids import grid_of
+
 TIMES_S = (30, 60, 120, 300, 600)
 STORED_S = 100
 """Of the stored record that the prose tells of."""
@@ -85,7 +87,7 @@ class Field:
     def __init__(self, *sources: Source) -> None:
         columns = [f"phi_u_at_{t}_arcmin" for t in (*TIMES_S, STORED_S)]
         columns += [f"nees_at_{t}" for t in TIMES_S] + ["floor_arcmin", "settle_10_s"]
-        self.grids = [one.grid(columns, **_axes(one)) for one in sources]
+        self.grids = [grid_of(one, columns, **_axes(one)) for one in sources]
         first = self.grids[0].axes
         self.starts: tuple[Start, ...] = first["start"]
         self.bases: dict[str, Base] = {base.words: base for base in first["base"]}

@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate, mean
-from sinsjax.analysis.grids import Grid
-from sinsjax.analysis.words import arcmin, degrees
+from sinsjax.analysis.words import degrees
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Table
 from sinsjax.report.folder import Page
 
+from ..common.grids import Grid, grid_of
+from ..common.words import arcmin
 from .field import MOST, STORED_S, Base, Cell, Field, Start, angle, bases_of, reach, starts_of
 
 HALF = 0.5
@@ -22,8 +23,8 @@ class Experiment:
 
     def __init__(self, source: Source, *columns: str, **axes: Sequence[object]) -> None:
         self.source = source
-        self.grid: Grid = source.grid(
-            [*columns, "floor_arcmin"], case="case", start=starts_of(source), **axes
+        self.grid: Grid = grid_of(
+            source, [*columns, "floor_arcmin"], case="case", start=starts_of(source), **axes
         )
 
     def errors(self, column: str, *, limit: bool = False, **points: object) -> NDArray:
@@ -259,7 +260,7 @@ PSINS 2024.11.09 (commit c1706f13) in Octave 7.3, one noise seed; its sign is th
 def psins(source: Source) -> Page:
     """The same conditions as those functions were run on."""
     sway = [value > 0 for value in source.study.values("pitch_amplitude_deg")]
-    grid = source.grid(["phi_u_mean_arcmin"], case="case", sways=sway)
+    grid = grid_of(source, ["phi_u_mean_arcmin"], case="case", sways=sway)
     rows = []
     for case in grid.axes["case"]:
         name, *theirs = PSINS.get(case, ("-", "-", "-"))

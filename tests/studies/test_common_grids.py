@@ -1,0 +1,121 @@
+"""Runs as arrays over the axes that a page names, and choices told by unused draws."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from support.made_up import summary_of
+from support.studies import small_study
+
+from docs.studies.common import grids
+from docs.studies.common.grids import held_out, least_mean, pooled_mean, shared, soonest
+from sinsjax import analysis
+from sinsjax.analysis.grids import median
+from sinsjax.errors import InputError
+from sinsjax.execution.source import Source
+
+NEVER = np.inf
+AXES = {"reset_count": [0, 1, 2], "phi_u0_deg": [5.0, 30.0]}
+
+
+def source_of(axes=AXES, **given):
+    study = small_study(study={"draws": 4}, axes=axes, resets={"reset_cycle_s": 1.0})
+    return Source(Path("results"), study, "x.toml", summary_of(study, **given))
+
+
+def grid_of(source, columns=("settle_10_s",)):
+    return grids.grid_of(source, columns, yaw="phi_u0_deg", count="reset_count")
+
+
+@pytest.mark.parametrize("axes", [AXES, dict(reversed(AXES.items()))])
+def test_grid_places_every_run_at_its_axis_values(axes):
+    settle = np.arange(24.0)
+    settle[[3, 17]] = np.nan
+    source = source_of(axes, settle_10_s=settle)
+    grid = grid_of(source)
+    assert grid.axes == {"yaw": (5.0, 30.0), "count": (0, 1, 2)} and grid.draws == 4
+    for yaw, count in itertools.product(*grid.axes.values()):
+        rows = source.summary.to_pylist()
+        expected = [
+            NEVER if row["settle_10_s"] is None else row["settle_10_s"]
+            for row in rows
+            if (row["phi_u0_deg"], row["reset_count"]) == (yaw, count)
+        ]
+        assert grid.at("settle_10_s", yaw=yaw, count=count).tolist() == expected
+
+
+def test_grid_selection_drops_scalar_axes_and_keeps_list_axes():
+    grid = grid_of(source_of())
+    whole = grid.columns["settle_10_s"]
+    assert whole.shape == (2, 3, 4)
+    np.testing.assert_array_equal(grid.at("settle_10_s", yaw=30.0), whole[1])
+    np.testing.assert_array_equal(grid.at("settle_10_s", count=[2, 0]), whole[:, [2, 0]])
+
+
+def test_axes_without_full_grid_are_refused():
+    source = source_of()
+    with pytest.raises(InputError, match="swing: is no full grid of count|is no full grid of"):
+        grids.grid_of(source, ["settle_10_s"], count="reset_count")
+
+
+def test_incomplete_results_are_refused():
+    whole = source_of()
+    part = Source(whole.directory, whole.study, whole.config, whole.summary.slice(1))
+    with pytest.raises(InputError, match="are the results complete"):
+        grid_of(part)
+
+
+def naive_held_out(settle):
+    """Draw by draw, the setting that is best on the draws of the other half."""
+    chosen = []
+    for draw in range(settle.shape[1]):
+        seen = [d for d in range(settle.shape[1]) if d % 2 != draw % 2]
+        scores = []
+        for place, runs in enumerate(settle):
+            times = sorted(runs[d] for d in seen)
+            scores.append((times.count(NEVER), times[(len(times) - 1) // 2], place))
+        chosen.append(min(scores)[2])
+    return chosen
+
+
+@given(
+    arrays.arrays(
+        float,
+        st.tuples(st.integers(2, 5), st.integers(2, 9)),
+        elements=st.sampled_from([10.0, 20.0, 30.0, NEVER]),
+    )
+)
+def test_held_out_choice_matches_naive_cross_validation(settle):
+    choice = held_out(settle, soonest)
+    expected = naive_held_out(settle)
+    np.testing.assert_array_equal(choice.places, expected)
+    np.testing.assert_array_equal(choice.values, settle[expected, np.arange(settle.shape[1])])
+
+
+def test_held_out_choice_among_equal_settings_is_unbiased():
+    settle = 100 + 20 * np.random.default_rng(0).standard_normal((100, 40, 8))
+    each = [held_out(one, least_mean).values for one in settle]
+    np.testing.assert_array_equal(held_out(settle, least_mean).values, each)
+    told = np.mean(each)
+    flattered = np.mean([np.sort(one.mean(axis=1))[0] for one in settle])
+    assert abs(told - 100) < 3 and flattered < 90
+
+
+def test_held_out_choice_names_settings_of_both_halves():
+    settle = np.array([[1.0, 9.0, 1.0, 9.0], [9.0, 1.0, 9.0, 1.0]])
+    assert held_out(settle, soonest).named(["a", "b"]) == "b / a"
+
+
+def test_pooled_statistics_group_runs_by_draw():
+    runs = np.random.default_rng(1).uniform(size=(3, 5, 8))
+    draws = np.tile(np.arange(8), 15)
+    assert shared(runs < 0.5) == analysis.share((runs < 0.5).ravel(), draws)
+    assert pooled_mean(runs) == analysis.mean(runs.ravel(), draws)
+    assert median(np.array([[3.0, 1.0, NEVER, NEVER], [1.0, NEVER, NEVER, NEVER]])).tolist() == [
+        3.0,
+        NEVER,
+    ]
