@@ -71,8 +71,8 @@ def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> 
     Raises:
         InputError: no table, a missing column, or no run with a finite NEES.
 
-    Example:
-        >>> import pyarrow as pa, sinsjax
+    Examples:
+        >>> import pyarrow as pa
         >>> runs = pa.table({
         ...     "nees": [1.0, 3.0, 5.0],
         ...     "p_above_error_share": [0.6, 0.7, 0.75],

@@ -25,6 +25,7 @@ BAND = (0.025, 0.975)
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8  # reset times that are marked
 _SAME = 0.01  # arcmin; bias floors that lie closer are one line
+_SPIKES = (0.05, 0.95)  # quantiles over time of a band of 1 sigma that an axis covers
 _FAINT = 0.22  # opacity of a band
 _LINEAR = (0.1, 10.0)  # arcmin; least and most up to which an asinh axis is about linear
 _WIDE = 12.0  # times the least end of a line; beyond it a linear axis would hide that end
@@ -137,8 +138,8 @@ def plot_curves(
     Raises:
         InputError: no table, a missing column, or no curves of these runs.
 
-    Example:
-        >>> import pyarrow as pa, sinsjax
+    Examples:
+        >>> import pyarrow as pa
         >>> phi = {f"phi_{axis}_arcmin": [30.0, 2.0] for axis in "enu"}
         >>> curves = pa.table({"run_id": [0, 0], "time_s": [1.0, 2.0], **phi})
         >>> sinsjax.plot_curves(curves).get_suptitle()
@@ -162,7 +163,7 @@ def plot_curves(
     sigmas = [one.columns.get("sigma_u_arcmin") for one in shown]
     with_sigma = any(sigma is not None and np.isfinite(sigma).any() for sigma in sigmas)
     if not has_truth:
-        return attitude(shown, title or f"Attitude{' and 1 sigma of the filter' * with_sigma}")
+        return attitude(shown, title or _attitude_finding(shown))
     drawn = summary.filter(pc.is_in(summary["run_id"], pa.array(sum(lines.values(), []))))
     limit = _only_floor(summary)
     return misalignment(
@@ -202,6 +203,13 @@ def _few_resets(summary: pa.Table) -> list[float]:
         return []
     moments = {time for times in summary["reset_times_s"].to_pylist() for time in times or ()}
     return sorted(moments) if len(moments) <= _MOST_MOMENTS else []
+
+
+def _attitude_finding(shown: Sequence[Ensemble]) -> str:
+    """The yaw at the end of each line, in words."""
+    last = [float(one.columns["yaw_deg"][:, -1].mean()) for one in shown]
+    ends = dict.fromkeys(f"{yaw:.2f}" for yaw in (min(last), max(last)))
+    return f"Yaw after {shown[0].time_s[-1]:g} s: {' to '.join(ends)} deg"
 
 
 def _finding(shown: Sequence[Ensemble]) -> str:
@@ -344,12 +352,19 @@ def attitude(shown: Sequence[Ensemble], title: str) -> Figure:
     for axes, (angle, axis) in zip(
         panels, {"pitch": "e", "roll": "n", "yaw": "u"}.items(), strict=True
     ):
+        edges = []
         for i, ensemble in enumerate(shown):
             values = ensemble.columns[f"{angle}_deg"].mean(axis=0)
             sigma = ensemble.columns[f"sigma_{axis}_arcmin"].mean(axis=0) / 60
             axes.plot(ensemble.time_s, values, color=colour(i), label=ensemble.label)
             low, high = values - sigma, values + sigma
             axes.fill_between(ensemble.time_s, low, high, color=colour(i), alpha=0.18, linewidth=0)
+            edges += [values, np.nanquantile([low, high], _SPIKES, axis=1).ravel()]
+        known = np.concatenate(edges)
+        known = known[np.isfinite(known)]
+        if known.size:  # without the spikes of sigma at resets, which would flatten the rest
+            margin = 0.05 * max(float(np.ptp(known)), 0.01)
+            axes.set_ylim(known.min() - margin, known.max() + margin)
         axes.set_ylabel(f"{angle} (deg)")
     panels[-1].set_xlabel("time (s)")
     legend_outside(figure, panels[0])

@@ -72,8 +72,8 @@ def plot_map(
     Raises:
         InputError: no table, no runs, a missing column, or runs that are no full grid of the keys.
 
-    Example:
-        >>> import pyarrow as pa, sinsjax
+    Examples:
+        >>> import pyarrow as pa
         >>> runs = pa.table({
         ...     "reset_count": [1, 1, 2, 2],
         ...     "reset_cycle_s": [10.0, 50.0, 10.0, 50.0],

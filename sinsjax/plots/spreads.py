@@ -73,8 +73,8 @@ def plot_compare(
     Raises:
         InputError: no table, no runs, a missing column, or an unknown statistic.
 
-    Example:
-        >>> import pyarrow as pa, sinsjax
+    Examples:
+        >>> import pyarrow as pa
         >>> runs = pa.table({
         ...     "q_scale": [1.0, 1.0, 4.0, 4.0],
         ...     "draw_id": [0, 1, 0, 1],
@@ -241,36 +241,31 @@ def _finding(
 ) -> str:
     """What is best in the first panel, in words."""
     name, lines = next(iter(panels.items()))
-    sign, quantity = (-1 if "(%)" in name else 1), name.partition(" (")[0]
-    unit = name.partition("(")[2].partition(")")[0]
+    quantity, _, unit = name.partition(" (")
+    unit = unit.partition(")")[0]
+    title, names = f"{quantity[:1].upper()}{quantity[1:]}", list(lines)
     table = np.array([[e.value for e in line] for line in lines.values()])
     known = np.isfinite(table)
     if not known.any():
-        return f"{quantity[:1].upper()}{quantity[1:]}"
+        return title
+    never = np.count_nonzero(~known)
+    if condition and len(lines) == 1:
+        missing = f", never at {never} of {len(values)} values" if never else ""
+        return f"{title}: {table[known].min():.3g} to {table[known].max():.3g} {unit}{missing}"
+    sign, best = (-1, "Largest") if "(%)" in name else (1, "Smallest")
+    order = np.where(known, sign * table, np.inf)
     if not condition:
-        order = np.where(known, sign * table, np.inf)
         line, place = np.unravel_index(np.argmin(order), table.shape)
-        best = point_text({key: values[int(place)]})
-        best += f", {list(lines)[line]}" if len(lines) > 1 else ""
-        return f"Best: {best} ({quantity} {table[line, place]:.3g} {unit})"
-    if len(lines) > 1:
-        means = [
-            sign * t[k].mean() if k.any() else np.inf for t, k in zip(table, known, strict=True)
-        ]
-        settled = known.sum(axis=1)
-        line, second = np.lexsort((means, -settled))[:2]
-        if settled[line] == settled[second] and abs(means[line] / means[second] - 1) < _CLEAR:
-            return (
-                f"{quantity[:1].upper()}{quantity[1:]}: no line is clearly better than the others"
-            )
-        found = f"{table[line][known[line]].mean():.3g} {unit} on average"
-        missing = "" if known[line].all() else f", at {known[line].sum()} of {len(values)} values"
-        return f"Best: {list(lines)[line]} ({quantity} {found}{missing})"
-    low, high = table[known].min(), table[known].max()
-    missing = (
-        "" if known.all() else f", never at {np.count_nonzero(~known)} of {len(values)} values"
-    )
-    return f"{quantity[:1].upper()}{quantity[1:]}: {low:.3g} to {high:.3g} {unit}{missing}"
+        words = point_text({key: values[int(place)]})
+        words += f", {names[line]}" if len(lines) > 1 else ""
+        return f"{best} {quantity}: {words} ({table[line, place]:.3g} {unit})"
+    counts = known.sum(axis=1)
+    means = np.where(known, table, 0.0).sum(axis=1) / np.maximum(counts, 1)
+    line, second = np.lexsort((sign * means, -counts))[:2]
+    if counts[line] == counts[second] and abs(means[line] / means[second] - 1) < _CLEAR:
+        return f"{title}: no line is clearly the best"
+    missing = "" if known[line].all() else f", at {counts[line]} of {len(values)} values"
+    return f"{best} {quantity}: {names[line]} ({means[line]:.3g} {unit} on average{missing})"
 
 
 def _bars(estimates: Sequence[Estimate]) -> tuple[NDArray, NDArray]:

@@ -67,20 +67,23 @@ def setting(key: str, value: str) -> str:
 
 
 def name_of(key: Mapping[str, Any]) -> str:
-    """A variant in words: ``reset_count 3, phi_u0 30 deg``; a case by its label alone."""
-    words = (value_text(v) if k == "case" else setting(k, value_text(v)) for k, v in key.items())
-    return ", ".join(words) or "all runs"
+    """A variant in words: ``number of resets 3, q scale 4``; a case by its label alone."""
+    return ", ".join(_setting_text(k, v) for k, v in key.items()) or "all runs"
+
+
+def _setting_text(key: str, value: Any) -> str:
+    if key == "reset_times_s" and value is not None:
+        return schedule_words(value)
+    return value_text(value) if key == "case" else setting(key, value_text(value))
 
 
 def point_text(point: Mapping[str, Any]) -> str:
-    """A point of some axes in words: its schedule if it has ``reset_times_s``, and other keys."""
-    left = dict(point)
-    times_s = left.pop("reset_times_s", None)
-    if times_s is None:
-        return name_of(left)
-    for key in ("reset_count", "reset_cycle_s", "reset_first_s"):  # they give the times
-        left.pop(key, None)
-    return ", ".join([schedule_words(times_s), *([name_of(left)] if left else [])])
+    """A point of some axes in words; of its schedule only the times, if it has them."""
+    if point.get("reset_times_s") is None:
+        return name_of(point)
+    others = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
+    left = {key: value for key, value in point.items() if key not in others}
+    return name_of({"reset_times_s": point["reset_times_s"]} | left)
 
 
 def schedule_words(times_s: Sequence[float]) -> str:

@@ -1,6 +1,8 @@
 import io
 import json
 import re
+import subprocess
+import sys
 from html import unescape
 
 import numpy as np
@@ -587,3 +589,17 @@ def test_missing_part_of_stopped_study_is_refused(tmp_path):
     rewrite_manifest(tmp_path / "out", chunks=[])
     with pytest.raises(InputError, match="64 runs where the study has 128"):
         report.auto.report(Source.read(tmp_path / "out"))
+
+
+def test_report_of_draws_does_not_import_jax(tmp_path):
+    study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
+    directory = store(tmp_path, study, summary_of(study))
+    script = (
+        "import sys; from sinsjax.cli import app; app(standalone_mode=False);"
+        "sys.exit('jax' in sys.modules or 'scipy.stats' in sys.modules)"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", script, "report", str(directory), "--full"], capture_output=True
+    )
+    assert not ended.returncode, ended.stderr
+    assert (directory / "figures").is_dir()
