@@ -172,10 +172,8 @@ def label_rim(grid: NDArray, panels: int, *, rows: Scale, columns: Scale) -> Non
     """
     height, width = grid.shape
     lowest = [max(i for i in range(height) if i * width + j < panels) for j in range(width)]
-    for number, axes in enumerate(grid.flat):
-        row, column = divmod(number, width)
-        axes.set_visible(number < panels)
-        axes.set_in_layout(column == 0 or row == lowest[column])  # the others have no labels
+    for axes in list(grid.flat)[panels:]:
+        axes.set_visible(False)
     for axes in grid[:, 0]:
         axes.set_ylabel(label(rows.key))
     for row, axes in zip(lowest, grid.T, strict=True):

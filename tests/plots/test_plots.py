@@ -411,6 +411,25 @@ def test_heat_maps_use_requested_columns_and_wrap_long_names():
     assert axes[0].get_title(loc="left").replace("\n", " ") == name
 
 
+@pytest.mark.parametrize(("count", "across"), [(8, 4), (5, 3)])
+def test_heat_map_panels_have_equal_size_and_labels_below(count, across):
+    figure = plots.heat_maps(
+        [(f"panel {i}", np.ones((3, 4))) for i in range(count)],
+        "Title",
+        Shown("share (%)", 0.0, 100.0),
+        rows=Scale("a", range(3)),
+        columns=Scale("b", range(4)),
+        across=across,
+    )
+    plots.png(figure)  # lays it out
+    panels = [axes for axes in figure.axes if axes.get_images()][:count]
+    sizes = np.array([axes.get_window_extent().size for axes in panels])
+    assert np.ptp(sizes, axis=0).max() < 1.0
+    for axes in panels[-across:]:  # the lowest of each column
+        assert axes.get_xlabel() == "b"
+        assert any(label.get_visible() for label in axes.get_xticklabels())
+
+
 def image(content):
     from PIL import Image
 
