@@ -93,7 +93,9 @@ def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> 
 def _finding(shown: Sequence[BeliefPanel]) -> str:
     """The mean NEES of the lines, in words."""
     means = [float(np.mean(one.nees[np.isfinite(one.nees)])) for one in shown]
-    ends = dict.fromkeys(f"{mean:.2g}" for mean in (min(means), max(means)))
+    ends = dict.fromkeys(
+        f"{mean:,.0f}" if mean >= 10 else f"{mean:.2g}" for mean in (min(means), max(means))
+    )
     return f"Mean NEES {' to '.join(ends)}, where a consistent filter has {NEES_FREEDOM}"
 
 

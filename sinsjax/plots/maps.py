@@ -18,6 +18,8 @@ from sinsjax.plots.words import label, name_of, point_text, value_text
 MOST_PANELS = 12
 """Panels of a figure at most."""
 
+_YAW = "phi_u_arcmin"
+
 
 class _Quantity(NamedTuple):
     """The statistic of a column in a cell.
@@ -148,9 +150,15 @@ def _shown(quantity: _Quantity, cells: Sequence[NDArray], alike: Sequence[NDArra
 
 
 def _alike(panel: Panel, value: str) -> NDArray:
-    """A number per cell (rows, columns), the same for cells with the same runs in all draws."""
-    names = [name for name in (value, "phi_u_arcmin") if name in panel.rows.column_names]
-    runs = np.stack([np.nan_to_num(panel.of(name), nan=np.inf) for name in names])
+    """A number per cell (rows, columns), the same for cells with the same runs in all draws.
+
+    Runs are told apart by their final heading error; without that column each cell is its own kind.
+    """
+    if _YAW not in panel.rows.column_names:
+        return np.arange(np.prod(panel.shape)).reshape(panel.shape)
+    runs = np.stack(
+        [np.nan_to_num(panel.of(name), nan=np.inf) for name in dict.fromkeys([value, _YAW])]
+    )
     flat = runs.reshape(-1, np.prod(panel.shape)).T
     kinds = np.unique(flat, axis=0, return_inverse=True)[1]
     return np.asarray(kinds).reshape(panel.shape)

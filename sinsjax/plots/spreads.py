@@ -1,6 +1,7 @@
 """Figures of statistics over the draws: along one swept key, and whole distributions."""
 
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from textwrap import fill
 from typing import Any, NamedTuple
 
@@ -85,19 +86,41 @@ def plot_compare(
         >>> [axes.get_title(loc="left") for axes in figure.axes]
         ['heading error at the end, rms (arcmin)']
     """
+    keys = [by] if isinstance(by, str) else list(by)
+    values, panels = compare_panels(runs, key, keys, statistics)
+    return along_axis(key, values, panels, title=title, condition=condition)
+
+
+def compare_panels(
+    runs: Any, key: str, by: Sequence[str], statistics: Mapping[str, str] | None = None
+) -> tuple[list[Any], dict[str, Mapping[str, Sequence[Estimate]]]]:
+    """The values of a key and the panels of `plot_compare`, with the same arguments."""
     table = as_table(runs)
-    by = [by] if isinstance(by, str) else list(by)
     shown = _statistics(table) if statistics is None else dict(statistics)
-    lines = {name_of(point): rows for point, rows in groups(table, by)}
-    lines = dict(list(lines.items())[:MOST_LINES])
+    lines = {name_of(point): rows for point, rows in islice(groups(table, by), MOST_LINES)}
     rows = {name: summarise(own, [key], list(shown)).to_pylist() for name, own in lines.items()}
     panels = {
         words: {name: [_estimate(row, statistic) for row in own] for name, own in rows.items()}
         for statistic, words in shown.items()
     }
     values = [row[key] for row in max(rows.values(), key=len)]
-    told = worth_drawing(panels) or dict(list(panels.items())[-1:])
-    return along_axis(key, values, told, title=title, condition=condition)
+    return values, worth_drawing(panels) or dict(list(panels.items())[-1:])
+
+
+def acts(panels: Mapping[str, Mapping[str, Sequence[Estimate]]]) -> bool:
+    """Whether the key of some panels acts: two values of a line lie far outside each other's bars.
+
+    Bars of twice the length are compared, since there are many pairs of values.
+    """
+    for panel in panels.values():
+        for line in panel.values():
+            value, low, high = np.array([e[:3] for e in line], dtype=float).T
+            with np.errstate(invalid="ignore"):
+                lowest = np.where(np.isfinite(value), 2 * high - value, np.inf)
+                highest = np.where(np.isfinite(value), 2 * low - value, value)
+            if np.nanmax(highest, initial=-np.inf) > np.nanmin(lowest, initial=np.inf):
+                return True
+    return False
 
 
 def _statistics(table: pa.Table) -> dict[str, str]:

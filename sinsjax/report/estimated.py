@@ -290,10 +290,11 @@ def _figures(source: Source, names: _Names, first: _Names) -> Iterator[Picture]:
 
 def _heat_maps(source: Source, names: _Names, end: str) -> Iterator[Picture]:
     """The maps from one yardstick, and only those that show something."""
-    maps, words = Maps(source, (names.mean, names.within)), names.yard.words
+    words, of_floor = names.yard.words, names.within.replace("_truth", "")
+    maps = Maps(source, (names.mean, names.within, of_floor, "phi_u_arcmin"))
     within = np.round(100 * maps.of(names.within))
-    if not within.any():
-        return
+    if not np.round(100 * np.fmin(maps.of(names.within), maps.of(of_floor))).any():
+        return  # no cell is within the band, or those that are only pass through it
     if plots.differ(maps.of(names.mean)):
         yield maps.draw(
             f"settling_time{end}",

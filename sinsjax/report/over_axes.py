@@ -12,6 +12,7 @@ from sinsjax.analysis.summaries import NEEDED
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
 from sinsjax.plots.maps import MOST_PANELS
+from sinsjax.plots.spreads import acts, compare_panels
 from sinsjax.report.base import Block, Picture, Text, intervals
 from sinsjax.report.groupings import BINS, binned, lines_left
 from sinsjax.report.markup import said
@@ -34,10 +35,16 @@ def over_axes(source: Source) -> list[Block]:
     if len(shown) == 2:
         found = [block for yard in source.yardsticks for block in _heat_maps(source, yard)]
     else:
-        found = [_along_axis(source, axis, others) for axis in shown]
+        found = [one for axis in shown if (one := _along_axis(source, axis, others))]
+    idle = []
     for key, (own, _) in binned(source).items():
-        drawn = _along_axis(own, key, source.study.keys_shown)
+        drawn = _along_axis(own, key, source.study.keys_shown, only_if_it_acts=True)
+        if drawn is None:
+            idle.append(key)
+            continue
         found.append(drawn._replace(name=f"over_{key}", caption=f"{drawn.caption} {key}: {BINS}"))
+    if idle:
+        found.append(Text(f"No figure over {', '.join(idle)}: no effect beyond the intervals."))
     return found
 
 
@@ -123,20 +130,21 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
         )
 
 
-def _along_axis(source: Source, axis: str, others: Sequence[str]) -> Picture:
+def _along_axis(
+    source: Source, axis: str, others: Sequence[str], *, only_if_it_acts: bool = False
+) -> Picture | None:
     shown = {f"{y.settle}_median": f"median time (s) to {y.words}" for y in source.yardsticks}
     shown |= {y.rate: f"share of runs that are ok, {y.of_several} (%)" for y in source.yardsticks}
     shown["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
     table = source.rows([*others, axis, *judged_columns(source.study), *NEEDED])
-    figure = plots.plot_compare(
-        table, axis, by=others, statistics=shown, condition=not is_chosen(axis)
-    )
-    titles = [axes.get_title(loc="left") for axes in figure.axes]
-    left = "; ".join(words for words in shown.values() if words not in titles)
+    values, panels = compare_panels(table, axis, others, shown)
+    if only_if_it_acts and not acts(panels):
+        return None
+    left = "; ".join(words for words in shown.values() if words not in panels)
     return Picture(
         "along_axis",
         "How soon their heading enters the band for good, how many runs are ok, and how large the"
         f" heading error is. {intervals(source, what='Estimate')}{lines_left(table, others)}"
         + (f" Left out, since it shows nothing more: {left}." if left else ""),
-        figure,
+        plots.along_axis(axis, values, panels, condition=not is_chosen(axis)),
     )

@@ -44,6 +44,7 @@ def solid(axes):
         ("accel_bias_ug", "accelerometer bias (µg)", "accelerometer bias 30 µg"),
         ("p0_velocity_m_per_s", "velocity sigma in P0 (m/s)", "velocity sigma in P0 30 m/s"),
         ("reset_count", "number of resets", "number of resets 30"),
+        ("yaw_center_deg", "yaw, counter-clockwise (deg)", "yaw, counter-clockwise 30 deg"),
     ],
 )
 def test_labels_and_settings_show_units(column, label, setting):

@@ -6,9 +6,10 @@ import pytest
 from matplotlib.figure import Figure
 
 import sinsjax
-from sinsjax import plots
+from sinsjax import analysis, plots
 from sinsjax.errors import InputError
 from sinsjax.plots.beliefs import SHARES
+from sinsjax.plots.spreads import acts
 
 COUNTS, CYCLES, STARTS = (0, 1, 2), (10.0, 50.0), (0.0, 30.0)
 SETTLE = {  # s, by number of resets, cycle and start; None never settles
@@ -169,6 +170,21 @@ def test_compare_leaves_out_panels_that_show_nothing_more():
         "median time (s) to within 10' of the bias floor",  # and not the same from the truth
         "heading error at the end, rms (arcmin)",  # and no share, 100 % everywhere
     ]
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [
+        ([(10.0, 9.0, 11.0), (14.5, 13.5, 15.5)], True),
+        ([(10.0, 9.0, 11.0), (13.5, 12.5, 14.5)], False),  # bars of twice the length overlap
+        ([(10.0, 9.0, 11.0), (np.inf, 12.0, np.inf)], True),
+        ([(np.nan, np.nan, np.nan), (10.0, 9.0, 11.0)], False),
+        ([(np.inf, np.nan, np.nan)] * 2, False),
+    ],
+)
+def test_key_acts_if_values_lie_far_outside_each_others_intervals(ends, expected):
+    line = [analysis.Estimate(*numbers, 9) for numbers in ends]
+    assert acts({"x": {"a": line}}) == expected
 
 
 def test_compare_states_best_value_of_choice_and_best_line_over_conditions():
