@@ -62,12 +62,14 @@ def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> Non
         "ok_truth": right,
         "ok_floor": right,
         "status": np.where(right, "ok", "not_settled"),
+        "settle_10_s": np.where(right, 2.0, np.nan),
+        "settle_10_truth_s": np.where(right, 2.0, np.nan),
     }
     for name, values in columns.items():
         table = table.set_column(table.column_names.index(name), name, pa.array(values))
     changed = Source(source.directory, source.study, source.config, table)
     found = auto.report(changed, full=False).verdict
-    assert found.title == "alike: 18 runs (12 distinct), none failed"
+    assert found.title == "study: 18 runs (12 distinct), none failed"
     assert found.facts[0].text.startswith("no reset: every run settles")
     # A quarter of each of 3 draws: 2.5 % quantiles of Beta(3, 1), of the share and of the rest.
     least = 0.025 ** (1 / 3)
