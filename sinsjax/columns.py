@@ -25,6 +25,9 @@ gyro bias exceeds the level component of Earth rate, which shows north. ok: ``ok
 study's `diverged_deg` from its bias floor (from the truth if there is none). not_settled: the rest.
 """
 
+FAILED = ("diverged", "nonfinite")
+"""The statuses that progress and verdicts count as failed."""
+
 SUCCESS_BAND_ARCMIN = 10.0
 """Default band within which the heading and level errors of a successful run end."""
 

@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax.columns import Column
+from sinsjax.columns import FAILED, Column
 from sinsjax.engine.batch import Calls, Chunk, Plan
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import Group
@@ -92,7 +92,7 @@ class Runs:
     def failures(self, tables: Mapping[str, pa.Table]) -> int:
         """Return the number of runs that diverged or became non-finite, by their status."""
         status = tables["summary"]["status"].to_pylist()
-        return status.count("diverged") + status.count("nonfinite")
+        return sum(map(status.count, FAILED))
 
 
 def output_of(scenario: Scenario) -> Output:

@@ -8,6 +8,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from sinsjax import columns
 from sinsjax.execution import frames
 from sinsjax.execution.directory import read_manifest, results_path
 from sinsjax.execution.results import (
@@ -19,8 +20,6 @@ from sinsjax.execution.results import (
 from sinsjax.messages import counted
 from sinsjax.study import display
 from sinsjax.study.study import Study
-
-_FAILED = pa.array(["diverged", "nonfinite"])
 
 
 class Results:
@@ -183,7 +182,7 @@ class Results:
         facts = self.study.facts
         facts.pop("length")
         if not self.study.is_estimated:
-            failed = pc.sum(pc.is_in(self.summary["status"], _FAILED)).as_py() or 0
+            failed = pc.sum(pc.is_in(self.summary["status"], pa.array(columns.FAILED))).as_py() or 0
             planned = self.study.n_draws * self.study.n_variants
             if (runs := self.summary.num_rows) < planned:
                 facts["runs"] = f"{runs:,} of {counted(planned, 'run')}"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.words import heading, percent
+from sinsjax.columns import FAILED
 from sinsjax.execution import stopping
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
@@ -137,8 +138,9 @@ class Outcome:
         return analysis.share(np.isfinite(self.judged(choice, self.time_s)), self.cluster)
 
     def mean_s(self, choice: "Choice") -> Estimate:
-        """The mean settling time of the runs that settle with a choice, s."""
-        return analysis.mean(self.judged(choice, self.time_s), self.cluster)
+        """The mean settling time of the runs that settle with a choice, s; never below 0."""
+        found = analysis.mean(self.judged(choice, self.time_s), self.cluster)
+        return found._replace(low=max(found.low, 0.0))
 
     def short(self, choice: "Choice", unit: str = "") -> str:
         """Settling with a choice in a few words: a mean time, ``never``, or how many settle."""
@@ -170,7 +172,8 @@ def title_of(source: Source) -> str:
         count += f" in {source.wall_s:,.{0 if source.wall_s > 9 else 1}f} s"
     kept = len({*study.duplicate_of}) * runs // study.n_variants
     count += f" ({kept:,} distinct)" if kept < runs else ""
-    failed = int(analysis.has_status(source.rows(["status"]), "nonfinite").sum())
+    status = source.rows(["status"])
+    failed = sum(int(analysis.has_status(status, one).sum()) for one in FAILED)
     return f"{study.name}: {count}, {f'{failed:,}' if failed else 'none'} failed"
 
 

@@ -42,7 +42,7 @@ def test_deduplicated_rows_equal_rows_of_all_variants_computed(
     singly = study_run.run(study, curves=curves, chunk_runs=128)
     for one, other in zip(together, singly, strict=True):
         assert one.equals(other)
-    assert len(together[0]) == study.n_draws * study.n_variants
+    assert together.summary.num_rows == study.n_draws * study.n_variants
 
 
 def test_duplicate_variants_are_computed_once_but_all_runs_counted(study: Study) -> None:

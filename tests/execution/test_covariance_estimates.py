@@ -301,12 +301,12 @@ def test_report_lists_fastest_settings_and_plots_axes(
     study_run.run_into(study, tmp_path / "out")
     page = tmp_path / "page.md"
     said = told(tmp_path / "out", page=page)
-    assert "8 variants, estimated without draws" in said
+    assert "8 variants by covariance analysis, without draws" in said
     table = said.partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
     made = read_estimates(tmp_path / "out")
     seconds = made["settle_10_truth_mean_s"].to_numpy().reshape(2, 2, 2).mean(-1)
     seconds[0, 1] = np.inf  # as the first: without resets there is no cycle
-    assert f"{seconds.min():.1f}" in table.splitlines()[4]
+    assert f"{seconds.min():.1f}" in table.splitlines()[5]
     assert "settling_time.png" in said and "within_band.png" in said
     assert page.read_text().count("](figures/") == said.count(".png")
 
@@ -324,7 +324,7 @@ def test_report_prints_least_share_over_starts_of_each_setting(tmp_path: Path) -
         made = made.set_column(place, made.schema.field(place), pa.array(values))
     out = store(tmp_path, study, estimates=made)
     table = told(out).partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
-    assert [line.split()[-2] for line in table.splitlines()[4:6]] == ["30", "60"]
+    assert [line.split()[-2] for line in table.splitlines()[5:7]] == ["30", "60"]
 
 
 @pytest.mark.slow
@@ -338,7 +338,7 @@ def test_report_of_estimates_handles_any_axes(
     resets, study = {"reset_times_s": [10.0]}, {"check_linearity": checked}
     study_run.run_into(study_of(axes=axes, resets=resets, study=study), tmp_path)
     said = told(tmp_path)
-    assert "Every variant" in said and "estimated without draws" in said
+    assert "Every variant" in said and "by covariance analysis" in said
     assert columns.settle_estimates(10.0)[0].name in read_estimates(tmp_path).column_names
 
 

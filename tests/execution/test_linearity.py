@@ -110,4 +110,4 @@ def test_report_counts_variants_with_high_nonlinearity_index(tmp_path: Any) -> N
     study_run.run_into(study_of(estimate="covariance", draws=DRAWS), tmp_path / "out")
     said = told(tmp_path / "out")
     assert "index of nonlinearity" in said
-    assert "2 of 4 variants are beyond 0.5" in said
+    assert "2 of 4 variants exceed 0.5" in said
