@@ -15,6 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
+from sinsjax.plots.digits import Number
 from sinsjax.plots.style import AND_MORE, COLOURS, LETTERS, styled
 from sinsjax.plots.words import label, value_text
 
@@ -176,7 +177,11 @@ def label_rim(grid: NDArray, panels: int, *, rows: Scale, columns: Scale) -> Non
         axes.set_visible(False)
     for axes in grid[:, 0]:
         axes.set_ylabel(label(rows.key))
+    for axes in grid[:, 1:].flat:
+        axes.yaxis.set_visible(False)
     for row, axes in zip(lowest, grid.T, strict=True):
+        for upper in axes[:row]:
+            upper.xaxis.set_visible(False)
         axes[row].set_xlabel(label(columns.key))
         if row < height - 1:
             axes[row].tick_params(labelbottom=True)
@@ -198,8 +203,9 @@ def _heat_map(axes: Axes, values: NDArray, shown: Shown, alike: NDArray | None =
         for cell, (row, column) in _places(own if alike is None else alike):
             if np.isfinite(values[cell]):
                 style: Any = {"ha": "center", "va": "center", "size": size, "color": shades[cell]}
-                text = axes.text(column, row, shown.text(values[cell]), **style)
-                text.set_in_layout(False)  # it is within its axes
+                number = Number(column, row, shown.text(values[cell]), **style)
+                number.set_transform(axes.transData)
+                axes.add_artist(number)
     return image
 
 
