@@ -24,6 +24,9 @@ _HATCH, _MARKED = "////", "xx"
 _ROOMY = 6  # most cells side by side in a panel with full-size numbers
 _LEGIBLE = 10  # most cells side by side with small numbers
 _LETTERS = 9  # characters per inch in a panel's title
+_LEAST, _PANEL, _BETWEEN = 2.3, 2.5, 0.14  # in: least width and height of a panel, and the gap
+_LINE, _LETTER = 0.21, 0.085  # in: a line of text, and a letter
+_BAR = 11  # characters per inch along the colour bar
 _BEST = COLOURS[1]  # frame of the best cell
 _LIGHT = 0.5  # position in the colour map beyond which cells are light and have dark numbers
 
@@ -125,17 +128,46 @@ def heat_maps(
     """
     width = min(4, across or 4, len(panels))
     height = -(-len(panels) // width)
-    side = max(2.2, 7.2 / width)  # width of a panel, in; together as wide as the title
+    side = max(_LEAST, 7.2 / width)  # width of a panel, in; together as wide as the title
     names = [fill(name, int(_LETTERS * side)) for name, _ in panels]
-    line = 0.2 * max(name.count("\n") for name in names)
-    figure = Figure(figsize=(1.2 + side * width, 1.4 + (2.5 + line) * height))
-    figure.suptitle(fill(title, int(LETTERS * figure.get_figwidth())))
+    ticks = [[value_text(value) for value in scale.values] for scale in (rows, columns)]
+    finite = np.concatenate([values[np.isfinite(values)] for _, values in panels])
+    below, above = bool(np.any(finite < shown.low)), bool(np.any(finite > shown.high))
+    bar = fill(f"{shown.name}{AND_MORE if above else ''}", int(_BAR * (_PANEL + 0.5) * height))
+    handles = [*legend, *_handles(panels, marks)]
+    # Laid out from the sizes of the texts: to measure each would take longer than to draw them.
+    turned = _LETTER * sum(map(len, ticks[1])) > 0.8 * side
+    lines = [
+        max(name.count("\n") + 1 for name in row)
+        for row in (names[i : i + width] for i in range(0, len(names), width))
+    ]
+    above_in = [_LINE * count + 0.1 for count in lines]  # of each row of panels
+    below_in = 0.62 + (_LETTER * max(map(len, ticks[1])) if turned else 0.0)
+    left_in = 0.5 + _LETTER * max(map(len, ticks[0]))
+    right_in = 1.0 + _LINE * (bar.count("\n") + 1)
+    wide = left_in + side * width + right_in
+    heading = fill(title, int(LETTERS * wide))
+    top_in = 0.25 * (heading.count("\n") + 1) + 0.1
+    foot_in = below_in + (0.4 if handles else 0.05)
+    tall = top_in + sum(above_in) + (_PANEL + _BETWEEN) * height - _BETWEEN + foot_in
+    figure = Figure(figsize=(wide, tall))
+    figure.set_layout_engine("none")
+    figure.suptitle(heading, y=1 - 0.06 / tall, va="top")
     # Set before the axes are made: later, every tick would be made twice.
     tick = 10.5 if len(columns.values) <= _ROOMY else 9
     mpl.rcParams.update({"axes.grid": False, "xtick.labelsize": tick})
     grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
-    grid[0, 0].set_xticks(range(len(columns.values)), map(value_text, columns.values))
-    grid[0, 0].set_yticks(range(len(rows.values)), map(value_text, rows.values))
+    grid[0, 0].set_xticks(range(len(ticks[1])), ticks[1])
+    grid[0, 0].set_yticks(range(len(ticks[0])), ticks[0])
+    upper = tall - top_in
+    for line, row in zip(above_in, grid, strict=True):
+        upper -= line + _PANEL
+        for number, axes in enumerate(row):
+            place = (left_in + side * number, upper, side - _BETWEEN, _PANEL)
+            axes.set_position([x / size for x, size in zip(place, (wide, tall) * 2, strict=True)])
+            if turned:
+                axes.tick_params(axis="x", labelrotation=90)
+        upper -= _BETWEEN
     for number, (axes, (_, values)) in enumerate(zip(grid.flat, panels, strict=False)):
         image = _heat_map(axes, values, shown, marks.alike[number] if marks else None)
         if marks and marks.hatched:
@@ -144,22 +176,24 @@ def heat_maps(
             _outline(axes, marks.alike[number], best)
         axes.set_title(names[number])
     label_rim(grid, len(panels), rows=rows, columns=columns)
-    finite = np.concatenate([values[np.isfinite(values)] for _, values in panels])
-    below, above = bool(np.any(finite < shown.low)), bool(np.any(finite > shown.high))
     extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get((below, above))
-    name = f"{shown.name}{AND_MORE if above else ''}"
-    figure.colorbar(image, ax=grid, label=name, shrink=0.8, aspect=30, extend=extend or "neither")
-    handles = [*legend]
-    if any(not np.isfinite(values).all() for _, values in panels):
-        never = Patch(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH, label="never (median)")
-        handles.append(never)
-    if marks and np.any(marks.hatched):
-        handles.append(Patch(facecolor="none", edgecolor="black", hatch=_MARKED, label=marks.name))
-    if marks and any(best is not None for best in marks.best):
-        handles.append(Patch(fill=False, edgecolor=_BEST, linewidth=2.5, label=marks.best_name))
+    low, high = foot_in / tall, 1 - (top_in + above_in[0]) / tall
+    at = (left_in + side * width + 0.1) / wide, low + 0.1 * (high - low)
+    side_bar = figure.add_axes((*at, 0.16 / wide, 0.8 * (high - low)))
+    figure.colorbar(image, cax=side_bar, label=bar, extend=extend or "neither")
     if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+        figure.legend(handles=handles, loc="lower center", ncols=len(handles))
     return figure
+
+
+def _handles(panels: Sequence[tuple[str, NDArray]], marks: Marks | None) -> Iterator[Patch]:
+    """The entries of the legend."""
+    if any(not np.isfinite(values).all() for _, values in panels):
+        yield Patch(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH, label="never (median)")
+    if marks and np.any(marks.hatched):
+        yield Patch(facecolor="none", edgecolor="black", hatch=_MARKED, label=marks.name)
+    if marks and any(best is not None for best in marks.best):
+        yield Patch(fill=False, edgecolor=_BEST, linewidth=2.5, label=marks.best_name)
 
 
 def label_rim(grid: NDArray, panels: int, *, rows: Scale, columns: Scale) -> None:
