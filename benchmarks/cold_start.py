@@ -134,7 +134,9 @@ def command(arguments: list[str], cache: str = "0") -> tuple[float, str]:
     Raises:
         InputError: it failed.
     """
-    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
+    # An installed package has its bytecode; here the first command writes it.
+    left_out = ("JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
+    environment = {k: v for k, v in os.environ.items() if k not in left_out}
     path = os.pathsep.join(filter(None, [str(common.ROOT), os.environ.get("PYTHONPATH")]))
     since = time.perf_counter()
     ended = subprocess.run(
