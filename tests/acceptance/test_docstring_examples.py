@@ -13,8 +13,6 @@ pytestmark = pytest.mark.optimised(False)
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 WITH_METHODS = ("Results", "Study", "TuningResults")
-WITHOUT = {"summarise"}
-"""Names whose docstring has no example yet."""
 LIBRARIES = {"Results.to_pandas": ["pandas"], "Results.to_xarray": ["pandas", "xarray"]}
 
 
@@ -37,7 +35,7 @@ def test_methods_have_examples_too() -> None:
     assert {"Study.replace", "Study.to_dict", "Study.values", "Results.read"} <= {*EXAMPLES}
 
 
-@pytest.mark.parametrize("name", sorted(EXAMPLES.keys() - WITHOUT))
+@pytest.mark.parametrize("name", sorted(EXAMPLES))
 def test_docstring_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for library in LIBRARIES.get(name, ()):
         pytest.importorskip(library)
