@@ -116,7 +116,12 @@ class Outcome:
     @property
     def best_variant(self) -> int:
         """The number of the best option's variant in the last condition."""
-        return int(self.choices.variants[self.best().option, -1])
+        return int(self.choices.variants[self.overall.option, -1])
+
+    @cached_property
+    def overall(self) -> "Choice":
+        """The best of all options."""
+        return self.best()
 
     def at(self, conditions: Sequence[int]) -> "Outcome":
         """The same in some conditions."""
@@ -199,7 +204,7 @@ def q_doubt(source: Source) -> Iterator[Fact]:
 
 def _best(outcome: Outcome) -> Iterator[Fact]:
     """The best option, and those that it is compared with."""
-    options, best = outcome.choices.options, outcome.best()
+    options, best = outcome.choices.options, outcome.overall
     if len(options) == 1:
         yield Fact("Settling", _sentence(outcome, best))
         return
@@ -261,7 +266,7 @@ def _rivals(outcome: Outcome, best: Choice) -> Iterator[tuple[str, Choice]]:
 
 def _accuracy(outcome: Outcome) -> Fact:
     """The heading error at the end, and what limits it."""
-    best = outcome.best()
+    best = outcome.overall
     error, floor = (outcome.judged(best, one) for one in (outcome.error, outcome.floor))
     found = analysis.rms(error, outcome.cluster)
     aim = "the reference" if outcome.source.study.is_recorded else "true north"
@@ -274,27 +279,26 @@ def _accuracy(outcome: Outcome) -> Fact:
     if outcome.source.study.is_recorded or not np.isfinite(floor).any():
         return Fact("Accuracy", text)
     lowest = analysis.rms(floor).value
-    cause = "mostly" if lowest >= _LIMITING * found.value else "of which little is"
-    text += f", {cause} bias floor ({lowest:.1f}')"
-    if not outcome.yard.truth:
-        band = outcome.yard.band_arcmin
-        right = analysis.share(np.abs(error) <= band, outcome.cluster)
-        text += f"; {percent(right)} % within {band:g}'"
-    return Fact("Accuracy", text)
+    if lowest >= _LIMITING * found.value:
+        return Fact("Accuracy", f"{text}, mostly bias floor ({lowest:.1f}')")
+    return Fact("Accuracy", f"{text}, bias floor only {lowest:.1f}'")
 
 
 def _basis(outcome: Outcome) -> Iterator[Fact]:
-    """What settled means, and which draws chose and which judged."""
-    study, draws, best = outcome.source.study, outcome.draws, outcome.best()
-    unit = counted(draws, "start time" if study.is_recorded else "draw")
-    unit += " (few)" if draws < ENOUGH_DRAWS else ""
+    """The success, and which draws chose and which judged."""
+    study, draws, best = outcome.source.study, outcome.draws, outcome.overall
+    yard, error = outcome.yard, outcome.judged(outcome.overall, outcome.error)
+    text = f"{percent(outcome.success(best))} % {yard.words}"
+    if not yard.truth:
+        right = analysis.share(np.abs(error) <= yard.band_arcmin, outcome.cluster)
+        text += f", {percent(right)} % of north"
+    yield Fact("Success", text)
     names = outcome.choices.options
-    text = f"{outcome.yard.words}; {unit}"
+    text = f"{draws}{' (few)' if draws < ENOUGH_DRAWS else ''}"
     if len(names) > 1 and draws >= LEAST_DRAWS:
-        text = f"{outcome.yard.words}; halves of {unit} chose and judged"
-        if len(halves := {names[place] for place in best.places[:2]}) > 1:
-            text += f" (they chose {' and '.join(sorted(halves))})"
-    yield Fact("Settled", text)
+        text += ": each half judged what the other half chose"
+        text += ", not the same" if len({*best.places[:2]}) > 1 else ""
+    yield Fact("Starts" if study.is_recorded else "Draws", text)
     if study.stop_when and outcome.source.whole_draws is None:
         rows = outcome.source.rows(stopping.columns(study))
         found = stopping.analyse_interim(study, rows, draws)
@@ -313,7 +317,7 @@ def _doubts(outcome: Outcome) -> Iterator[Fact]:
         )
     if study.is_recorded:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)
-    best = outcome.best()
+    best = outcome.overall
     ok = outcome.judged(best, outcome.settled)
     off = outcome.judged(best, outcome.off_floor)
     if off.sum() > _RARE * ok.sum():
@@ -327,7 +331,7 @@ def _doubts(outcome: Outcome) -> Iterator[Fact]:
 
 def _per_condition(outcome: Outcome) -> Table | None:
     """The best option at each point of the condition that matters most."""
-    overall = outcome.best()
+    overall = outcome.overall
     time_s = np.minimum(outcome.time_s[overall.option], outcome.longest_s).mean(axis=-1)
     axis = outcome.choices.axis_that_matters(time_s)
     if axis is None:

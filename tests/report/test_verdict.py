@@ -138,7 +138,8 @@ def test_verdict_names_best_schedule_its_rivals_and_each_condition() -> None:
         f" after {analysis.format_estimate(mean, 's', 0)} on average"
     )
     assert told["Others"].startswith("1 reset at 2 s: 68 [") and "no reset: 33 [" in told["Others"]
-    assert told["Settled"] == "within 10' of true north; halves of 16 draws chose and judged"
+    assert told["Draws"] == "16: each half judged what the other half chose"
+    assert told["Success"] == "100 [79, 100] % within 10' of true north"
     assert found.title == "sweep: 288 runs (240 distinct), none failed"
     table = found.table
     assert table is not None
@@ -153,7 +154,7 @@ DRAW = np.repeat(np.arange(16), 3)
 
 def test_few_draws_are_judged_as_they_choose_and_verdict_says_so() -> None:
     found = facts(judged(sweep(4), settling()[:4]))
-    assert found["Settled"] == "within 10' of true north; 4 draws (few)"
+    assert found["Draws"] == "4 (few)"
     assert "only 4 draws: chosen and judged on them alike" in found["Caution"]
 
 
@@ -187,7 +188,7 @@ def test_method_that_has_no_bias_floor_is_compared_from_the_truth() -> None:
     flags = [True] * 15 + [None]
     summary = summary_of(study, ok_floor=flags)
     found = verdict(Source(Path("out"), study, "x.toml", summary))
-    assert "of true north" in facts(found)["Settled"]
+    assert "of true north" in facts(found)["Success"]
 
 
 def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> None:
