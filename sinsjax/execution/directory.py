@@ -376,7 +376,9 @@ def _is_own_folder(path: Path) -> bool:
 
 
 def list_figures(images: Mapping[str, bytes], directory: Path) -> None:
-    """Add figures to the list of those drawn in a directory.
+    """List the figures drawn in a directory, and remove earlier ones that are drawn no longer.
+
+    A figure that has changed since it was drawn is a person's, and stays.
 
     Args:
         images: contents of PNG files by file name.
@@ -386,8 +388,12 @@ def list_figures(images: Mapping[str, bytes], directory: Path) -> None:
         InputError: the list cannot be written.
     """
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in images.items()}
+    for path in _figures(directory):
+        if path != directory / FIGURES and path.name not in images:
+            with suppress(OSError):  # of a directory that may be read only
+                path.unlink()
     with replacing(directory / FIGURES) as file:
-        file.write((json.dumps(_listed(directory) | digests, indent=1) + "\n").encode())
+        file.write((json.dumps(digests, indent=1) + "\n").encode())
 
 
 def _figures(directory: Path) -> Iterator[Path]:

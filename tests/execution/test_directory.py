@@ -64,11 +64,23 @@ def test_figure_list_ignores_outside_paths_and_malformed_content(tmp_path: Path)
     (out / "figures" / "a.png").write_bytes(b"a")
     listed = out / ".figures.json"
     assert owned_files(out) == [out / "figures" / "a.png", listed]
-    list_figures({"b.png": b"b"}, out)
-    assert owned_files(out) == [out / "figures" / "a.png", listed]
     for content in ("[]", "{", "3", "[" * 100_000):
         listed.write_text(content)
         assert owned_files(out) == [listed]
+
+
+def test_figure_drawn_no_longer_is_removed_unless_it_was_changed(tmp_path: Path) -> None:
+    figures = tmp_path / "figures"
+    figures.mkdir()
+    drawn = {"a.png": b"a", "b.png": b"b", "c.png": b"c"}
+    for name, content in drawn.items():
+        (figures / name).write_bytes(content)
+    list_figures(drawn, tmp_path)
+    (figures / "b.png").write_bytes(b"by a person")
+    (figures / "mine.png").write_bytes(b"a")
+    list_figures({"c.png": b"c"}, tmp_path)
+    assert sorted(path.name for path in figures.iterdir()) == ["b.png", "c.png", "mine.png"]
+    assert owned_files(tmp_path) == [figures / "c.png", tmp_path / ".figures.json"]
 
 
 def test_empty_results_directory_name_is_refused(
