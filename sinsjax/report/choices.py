@@ -4,7 +4,7 @@ An axis with a starting error, a motion, a sensor or a site is a condition. Any 
 a reset schedule, a filter key or the method, is a choice. Options are compared over all conditions.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,6 +16,7 @@ from sinsjax.alignment.filters.section import OF_SCHEDULES
 from sinsjax.analysis.words import degrees
 from sinsjax.messages import counted
 from sinsjax.plots.words import schedule_words, setting, value_text, words_and_unit
+from sinsjax.report.base import Table
 from sinsjax.study.keys import is_given
 from sinsjax.study.study import Study
 
@@ -97,6 +98,50 @@ class Choices:
             if len(means) > 1:
                 ranges[keys] = max(means) - min(means)
         return max(ranges, key=ranges.__getitem__) if ranges else None
+
+    @property
+    def noun(self) -> str:
+        """What an option is."""
+        if self.are_schedules:
+            return "schedule"
+        chosen = [keys for is_condition, keys in self.dimensions if not is_condition]
+        return "method" if chosen == [("method",)] else "option"
+
+    @property
+    def without_reset(self) -> list[int]:
+        """The options without a scheduled reset, if schedules are compared."""
+        return [place for place, count in enumerate(self.reset_counts) if count == 0]
+
+    def rivals(self, best: int) -> list[list[int]]:
+        """The options of each kind that the best is compared with.
+
+        Of schedules those with a single reset and those with none; else all the others.
+        """
+        counts = self.reset_counts
+        if not self.are_schedules:
+            others = [place for place in range(len(counts)) if place != best]
+            return [others] if others else []
+        kinds = ([i for i, count in enumerate(counts) if count == number] for number in (1, 0))
+        return [kind for kind in kinds if kind and best not in kind]
+
+    def table(
+        self, axis: tuple[str, ...], row: Callable[[list[int]], list[str]], settles: str
+    ) -> Table:
+        """The table of a verdict with the points of a condition axis.
+
+        Args:
+            axis: the keys of the axis.
+            row: returns the cells of some conditions: the best option, its settling time and that
+                of its rival; or success, settling time and heading error of a single option.
+            settles: header of the settling times, without its unit.
+        """
+        rival = "no reset (s)" if self.without_reset else "best overall (s)"
+        header = ["settled (%)", f"{settles} (s)", "error, rms (arcmin)"]
+        if len(self.options) > 1:
+            header = [f"best {self.noun}", f"{settles} (s)", rival]
+        first = point_header(axis)
+        rows = [[point_cell(axis, point), *row(here)] for point, here in self.places(axis).items()]
+        return Table(f"Per {first}", [first, *header], rows)
 
     @property
     def condition_axes(self) -> list[tuple[str, ...]]:

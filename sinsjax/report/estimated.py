@@ -11,7 +11,7 @@ from sinsjax.analysis import UNKNOWN, Estimate, format_estimate, format_number
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
 from sinsjax.report.base import Block, Fact, Picture, Report, Table, Verdict, table_of
-from sinsjax.report.choices import Choices, point_cell, point_header
+from sinsjax.report.choices import Choices
 from sinsjax.report.groupings import lines_left, lines_of
 from sinsjax.report.markup import said
 from sinsjax.report.over_axes import Maps, repeats
@@ -119,11 +119,13 @@ class _Expected(NamedTuple):
         )
         return cls(choices, mean, error, within, np.hypot(yaw, sigma))
 
-    def best(self, options: Sequence[int] | None = None) -> int:
+    def best(
+        self, options: Sequence[int] | None = None, conditions: Sequence[int] | slice = slice(None)
+    ) -> int:
         """The option with the shortest expected settling time, averaged over the conditions."""
         wanted = list(range(len(self.mean_s)) if options is None else options)
-        mean = [np.inf if np.isnan(m) else m for m in self.mean_s[wanted].mean(axis=1)]
-        return wanted[int(np.argmin(mean))]
+        mean_s = self.mean_s[wanted][:, conditions].mean(axis=1)
+        return wanted[int(np.argmin(np.nan_to_num(mean_s, nan=np.inf)))]
 
     def settling(self, option: int, conditions: Sequence[int] | slice = slice(None)) -> str:
         """The expected settling time of an option in some conditions, on average."""
@@ -134,25 +136,19 @@ class _Expected(NamedTuple):
 def _verdict(source: Source, names: _Names) -> Iterator[Fact]:
     """The best option, what it is compared with, and its accuracy."""
     expected = _Expected.from_source(source, names)
-    words, counts = expected.choices.options, expected.choices.reset_counts
-    best = expected.best()
+    words, best = expected.choices.options, expected.best()
     least = 100 * float(expected.within[best].min())
-    text = f"{expected.settling(best)} s expected, at least {least:.0f} % settled at the end"
+    share = "all settle" if least > 99.95 else f"at least {least:.0f} % settle"
+    text = f"{expected.settling(best)} s expected, {share}"
     if len(words) == 1:
         yield Fact("Settling", text)
     else:
         yield Fact("Best", f"{words[best]}: {text}")
-        others = [place for place in range(len(words)) if place != best]
-        rivals = [others]
-        if expected.choices.are_schedules:
-            rivals = [[p for p in others if counts[p] == n] for n in (1, 0) if counts[best] != n]
-        told = [expected.best(some) for some in rivals if some]
-        if told:
-            text = "; ".join(f"{words[one]}: {expected.settling(one)} s" for one in told)
-            yield Fact("Others", text)
+        rivals = map(expected.best, expected.choices.rivals(best))
+        yield Fact("Others", "; ".join(f"{words[i]}: {expected.settling(i)} s" for i in rivals))
     heading = float(np.sqrt(np.mean(expected.heading[best] ** 2)))
     yield Fact("Accuracy", f"{heading:.1f}' rms expected from true north at the end")
-    yield Fact("Settled", f"{names.yard.words}; a run that never is counts its whole length")
+    yield Fact("Settled", f"{names.yard.words}; never counts as the length of the run")
 
 
 def _per_condition(source: Source, names: _Names) -> Table | None:
@@ -162,28 +158,19 @@ def _per_condition(source: Source, names: _Names) -> Table | None:
     axis = choices.axis_that_matters(expected.mean_s[best])
     if axis is None:
         return None
-    counts = choices.reset_counts
-    none = [place for place, count in enumerate(counts) if count == 0]
-    several, rows = len(choices.options) > 1, []
-    for point, here in choices.places(axis).items():
-        cell = point_cell(axis, point)
-        if several:
-            mean = np.nan_to_num(expected.mean_s[:, here].mean(axis=1), nan=np.inf)
-            own = int(np.argmin(mean))
-            rival = min(none, key=lambda place: mean[place]) if none else best
-            words = choices.options[own]
-            rows.append([cell, words, expected.settling(own, here), expected.settling(rival, here)])
-        else:
-            within = f"{100 * float(expected.within[0, here].min()):.0f}"
-            error = f"{float(np.sqrt(np.mean(expected.heading[0, here] ** 2))):.1f}"
-            rows.append([cell, within, expected.settling(0, here), error])
-    last = "no reset (s)" if none else "best overall (s)"
-    header = (
-        ["best schedule" if choices.are_schedules else "best option", "expected after (s)", last]
-        if several
-        else ["settled (%)", "expected after (s)", "error, rms (arcmin)"]
-    )
-    return Table(f"Per {point_header(axis)}", [point_header(axis), *header], rows)
+
+    def row(conditions: list[int]) -> list[str]:
+        if len(choices.options) == 1:
+            within = 100 * float(expected.within[0, conditions].min())
+            error = float(np.sqrt(np.mean(expected.heading[0, conditions] ** 2)))
+            return [f"{within:.0f}", expected.settling(0, conditions), f"{error:.1f}"]
+        own = expected.best(conditions=conditions)
+        none = choices.without_reset
+        rival = expected.best(none, conditions) if none else best
+        times = [expected.settling(option, conditions) for option in (own, rival)]
+        return [choices.options[own], *times]
+
+    return choices.table(axis, row, "expected after")
 
 
 def _linearity(source: Source) -> Iterator[Fact]:

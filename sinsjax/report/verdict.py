@@ -25,8 +25,6 @@ from sinsjax.report.choices import (
     choose,
     choose_by_halves,
     name_and_unit,
-    point_cell,
-    point_header,
 )
 from sinsjax.report.markup import said
 from sinsjax.study.process_noise import assumed_noise
@@ -215,14 +213,6 @@ def _best(outcome: Outcome) -> Iterator[Fact]:
         yield Fact("Others", text)
 
 
-def _noun(outcome: Outcome) -> str:
-    """What an option is."""
-    chosen = [keys for is_condition, keys in outcome.choices.dimensions if not is_condition]
-    if outcome.choices.are_schedules:
-        return "schedule"
-    return "method" if chosen == [("method",)] else "option"
-
-
 def _sentence(outcome: Outcome, choice: Choice) -> str:
     """How many runs settle with a choice, and when."""
     settled = np.isfinite(outcome.judged(choice, outcome.time_s))
@@ -247,21 +237,12 @@ def _every(outcome: Outcome) -> str:
 
 
 def _rivals(outcome: Outcome, best: Choice) -> Iterator[tuple[str, Choice]]:
-    """What the best option is compared with, each the best of its kind.
-
-    Of schedules, a single reset and none; else the next best option, and the last.
-    """
-    names, counts = outcome.choices.options, outcome.choices.reset_counts
-    if 0 in counts or 1 in counts:
-        for number, words in ((1, "one reset"), (0, "no reset")):
-            some = [place for place, count in enumerate(counts) if count == number]
-            if some and counts[best.option] != number:
-                found = outcome.best(some)
-                yield names[found.option] if names[found.option] != words else words, found
-        return
-    second = outcome.best([place for place in range(len(names)) if place != best.option])
-    name = names[second.option]
-    yield name if name != names[best.option] else "the next best", second
+    """What the best option is compared with, each the best of its kind."""
+    names = outcome.choices.options
+    for kind in outcome.choices.rivals(best.option):
+        found = outcome.best(kind)
+        name = names[found.option]
+        yield name if name != names[best.option] else "the next best", found
 
 
 def _accuracy(outcome: Outcome) -> Fact:
@@ -331,31 +312,19 @@ def _doubts(outcome: Outcome) -> Iterator[Fact]:
 
 def _per_condition(outcome: Outcome) -> Table | None:
     """The best option at each point of the condition that matters most."""
-    overall = outcome.overall
+    choices, overall = outcome.choices, outcome.overall
     time_s = np.minimum(outcome.time_s[overall.option], outcome.longest_s).mean(axis=-1)
-    axis = outcome.choices.axis_that_matters(time_s)
+    axis = choices.axis_that_matters(time_s)
     if axis is None:
         return None
-    names, counts = outcome.choices.options, outcome.choices.reset_counts
-    none = [place for place, count in enumerate(counts) if count == 0]
-    several = len(names) > 1
-    rows = []
-    for point, places in outcome.choices.places(axis).items():
-        here = outcome.at(places)
+
+    def row(conditions: list[int]) -> list[str]:
+        here = outcome.at(conditions)
+        if len(choices.options) == 1:
+            error = analysis.rms(here.judged(overall, here.error), here.cluster)
+            return [percent(here.success(overall)), here.short(overall), heading(error)]
         best = here.best()
-        row = [point_cell(axis, point)]
-        if several:
-            rival = here.best(none) if none else overall
-            row += [names[best.option], here.short(best), here.short(rival)]
-        else:
-            row += [f"{percent(here.success(best))}", here.short(best)]
-            row.append(heading(analysis.rms(here.judged(best, here.error), here.cluster)))
-        rows.append(row)
-    last = "no reset (s)" if none else "best overall (s)"
-    header = (
-        [f"best {_noun(outcome)}", "settles after (s)", last]
-        if several
-        else ["settled (%)", "settles after (s)", "error, rms (arcmin)"]
-    )
-    first = point_header(axis)
-    return Table(f"Per {first}", [first, *header], rows)
+        rival = here.best(choices.without_reset) if choices.without_reset else overall
+        return [choices.options[best.option], here.short(best), here.short(rival)]
+
+    return choices.table(axis, row, "settles after")
