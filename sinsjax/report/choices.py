@@ -24,7 +24,7 @@ LEAST_DRAWS = 8
 """Fewest draws whose halves choose and judge in turn."""
 
 _ANGLES = {"phi_e0_deg": "east", "phi_n0_deg": "north", "phi_u0_deg": "up"}
-_MOST_WORDS = 40  # characters of an option; the tables have all its keys
+_MOST_WORDS = 80  # characters of an option; the tables have all its keys
 
 
 @dataclass(frozen=True)
@@ -66,17 +66,14 @@ class Choices:
 
     @cached_property
     def reset_counts(self) -> list[int | None]:
-        """The number of scheduled resets of each option; None if options differ otherwise."""
-        if not self.are_schedules:
+        """The number of scheduled resets of each option; None if no axis is a schedule."""
+        if not any({*keys} <= {*OF_SCHEDULES} for keys in self._chosen):
             return [None] * len(self.variants)
         return [len(self._schedules[row[0]]) for row in self.variants]
 
     @property
-    def are_schedules(self) -> bool:
-        """Whether the options differ in their scheduled resets alone."""
-        chosen = [keys for is_condition, keys in self.dimensions if not is_condition]
-        swept = {key for keys in chosen for key in keys}
-        return bool(swept) and swept <= {*OF_SCHEDULES}
+    def _chosen(self) -> list[tuple[str, ...]]:
+        return [keys for is_condition, keys in self.dimensions if not is_condition]
 
     @cached_property
     def _schedules(self) -> list[tuple[float, ...]]:
@@ -102,27 +99,24 @@ class Choices:
     @property
     def noun(self) -> str:
         """What an option is."""
-        if self.are_schedules:
+        if all({*keys} <= {*OF_SCHEDULES} for keys in self._chosen):
             return "schedule"
-        chosen = [keys for is_condition, keys in self.dimensions if not is_condition]
-        return "method" if chosen == [("method",)] else "option"
+        return "method" if self._chosen == [("method",)] else "option"
 
     @property
     def without_reset(self) -> list[int]:
-        """The options without a scheduled reset, if schedules are compared."""
+        """The options without a scheduled reset, if an axis is a schedule."""
         return [place for place, count in enumerate(self.reset_counts) if count == 0]
 
     def rivals(self, best: int) -> list[list[int]]:
         """The options of each kind that the best is compared with.
 
-        Of schedules those with a single reset and those with none; else all the others.
+        With schedules those with a single reset and those with none; else all the others.
         """
         counts = self.reset_counts
-        if not self.are_schedules:
-            others = [place for place in range(len(counts)) if place != best]
-            return [others] if others else []
-        kinds = ([i for i, count in enumerate(counts) if count == number] for number in (1, 0))
-        return [kind for kind in kinds if kind and best not in kind]
+        kinds = [[i for i, count in enumerate(counts) if count == number] for number in (1, 0)]
+        kinds = [kind for kind in kinds if kind and best not in kind]
+        return kinds or [[i for i in range(len(counts)) if i != best]]
 
     def table(
         self, axis: tuple[str, ...], row: Callable[[list[int]], list[str]], settles: str

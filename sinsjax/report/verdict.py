@@ -189,13 +189,14 @@ def q_doubt(source: Source) -> Iterator[Fact]:
     """A caution if the filter's Q is far larger than the noise of the sensors."""
     if source.study.is_recorded:
         return
-    ratios = assumed_noise(source.study)
-    most = max((ratio for found in ratios.values() for ratio in found), default=0.0)
+    ratios = [ratio for found in assumed_noise(source.study).values() for ratio in found]
+    most = max(ratios, default=0.0)
     if most > _MOST_Q:
+        which = "Q" if min(ratios) > _MOST_Q else "Q of some variants"
         yield Fact(
             "Caution",
-            f"Q is {float(f'{most:.2g}'):,g} times the sensors' noise (sigma): a schedule that"
-            " repairs a mistuned filter is not advice (drop the q_ keys)",
+            f"{which} is {float(f'{most:.2g}'):,g} times the sensors' noise (sigma): a schedule"
+            " that repairs a mistuned filter is not advice (leave Q's keys out)",
             True,
         )
 
