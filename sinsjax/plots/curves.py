@@ -247,6 +247,7 @@ def misalignment(
     figure = Figure(figsize=(9.2, 8.4))
     figure.suptitle(title)
     grid = figure.subplots(3, 2 if zoom_s else 1, sharex="col", squeeze=False)
+    notes = {""}
     for row, axis in zip(grid, "enu", strict=True):
         for axes in row:
             extents = _draw_misalignment(axes, axis, shown, with_sigma=with_sigma)
@@ -257,10 +258,11 @@ def misalignment(
                 )
             _mark(axes, resets_s)
         row[0].set_xlim(0, max(extent.time_s[-1] for extent in extents))
-        row[0].set_ylabel(f"{_NAMES[axis]} (arcmin){fit_range(row[0], extents)}")
+        notes.add(fit_range(row[0], extents).replace("\n", ", "))
+        row[0].set_ylabel(f"{_NAMES[axis]}\n(arcmin)")
         if zoom_s:
             _enlarge(row[1], zoom_s, extents)
-    grid[0, 0].set_title("Whole run")
+    grid[0, 0].set_title(f"Whole run{max(notes)}")
     if zoom_s:
         grid[0, 1].set_title(f"Enlarged: {zoom_s[0]:g} to {zoom_s[1]:g} s")
     for axes in grid[-1]:

@@ -188,7 +188,8 @@ def _curves(source: Source) -> Iterator[Block]:
     if not source.has_curves:
         return
     keys = source.study.keys_shown
-    table = source.distinct([*keys, "run_id", "reset_times_s", "floor_arcmin"])
+    floor = () if source.study.is_recorded else ("floor_arcmin",)  # whose biases are unknown
+    table = source.distinct([*keys, "run_id", "reset_times_s", *floor])
     runs = runs_of_lines(table, keys)
     curves = source.curves(run for ids in runs.values() for run in ids)
     if curves.num_rows == 0:
