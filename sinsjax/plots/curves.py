@@ -361,7 +361,9 @@ def attitude(shown: Sequence[Ensemble], title: str) -> Figure:
             axes.plot(ensemble.time_s, values, color=colour(i), label=ensemble.label)
             low, high = values - sigma, values + sigma
             axes.fill_between(ensemble.time_s, low, high, color=colour(i), alpha=0.18, linewidth=0)
-            edges += [values, np.nanquantile([low, high], _SPIKES, axis=1).ravel()]
+            edges.append(values)
+            if (there := np.isfinite(sigma)).any():
+                edges += [np.quantile(edge[there], _SPIKES) for edge in (low, high)]
         known = np.concatenate(edges)
         known = known[np.isfinite(known)]
         if known.size:  # without the spikes of sigma at resets, which would flatten the rest
