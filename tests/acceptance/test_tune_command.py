@@ -511,7 +511,8 @@ def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax_: Comm
     assert code == 2 and "[tune]: tuning on a record needs a reference (give it with --ref" in error
     code, said, error = sinsjax_(*words, "--reference", tmp_path / "true.csv")
     assert (code, error) == (0, "")
-    assert "Tuned on 2 start times, judged on 1 others" in said
+    said = " ".join(said.split())
+    assert "on 1 unused start time" in said and "evaluations on 2 start times (grid)" in said
     grid = read_summary(tmp_path / "out" / "grid")
     assert sorted(set(grid["start_s"].to_pylist())) == [0.0, 1.0]
     judged = read_summary(tmp_path / "out" / "evaluation")

@@ -78,13 +78,13 @@ def test_start_tutorial_commands_run_with_expected_output(
     few = "--draws 2 --set axes.reset_cycle_s=[10,50] --set axes.phi_u0_deg=[0,90]"
     few += " --set study.duration_s=450 --set study.window_s=[300,450]"
     told = typed("start.md", command, capsys, progress=True, shorter={"sweep reset_sweep": few})
-    first, gravity, mine, worse = told[0], told[2], told[6], told[7]
-    assert "56 runs: 28 variants, 2 draws." in first
-    assert "Of these 56 within 10' of their bias floors and 0" in gravity
-    assert "north at the end: 78 [" in mine and "north at the end: 16 [" in worse
-    near = [int(re.findall(r"Of these (\d+) within", text)[0]) for text in (mine, worse)]
-    assert abs(near[0] - near[1]) < 5
-    assert "identical" in told[8]
+    first, full, mine, worse = told[0], told[2], told[7], told[8]
+    assert "reset_sweep: 56 runs in " in first and "By reset_count" not in first
+    assert "By reset_count" in full
+    assert sinsjax.read_summary(Path("gravity"))["ok_floor"].to_pylist() == [True] * 56
+    shares = [re.findall(r"Success +(\d+) \[.* floor, (\d+) \[", text) for text in (mine, worse)]
+    assert shares == [[("92", "92")], [("92", "8")]]  # from the bias floor, and from north
+    assert "identical" in told[9]
     assert Path("first/figures/settling_time.png").exists()
 
 
