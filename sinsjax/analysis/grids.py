@@ -1,6 +1,6 @@
 """The runs of a table laid out over two of its keys."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,23 @@ _PLACE = "place in the grid"
 def median(settle_s: NDArray) -> NDArray:
     """Median over the draws, the last axis; infinite where fewer than half of them settled."""
     return np.asarray(np.quantile(settle_s, 0.5, axis=-1, method="inverted_cdf"))
+
+
+def held_out_choice(values: NDArray, best: Callable[[NDArray], int]) -> NDArray:
+    """Return the setting that judges each draw, shape (draws,), chosen without that draw.
+
+    Every other draw chooses for the rest, and the rest for it. A choice judged by the draws that
+    made it would flatter the longer list of settings.
+
+    Args:
+        values: shape (settings, ..., draws).
+        best: returns the place of the best setting of the values of some draws.
+    """
+    chosen = np.empty(values.shape[-1], dtype=int)
+    halves = slice(0, None, 2), slice(1, None, 2)
+    for choosing, judging in (halves, halves[::-1]):
+        chosen[judging] = best(values[..., choosing])
+    return chosen
 
 
 class Panel(NamedTuple):

@@ -128,6 +128,11 @@ def codes(column: pa.ChunkedArray) -> NDArray:
     return found
 
 
+def as_keys(by: str | Sequence[str]) -> list[str]:
+    """A key, or several, as a list."""
+    return [by] if isinstance(by, str) else list(by)
+
+
 def as_table(runs: Any) -> pa.Table:
     """Runs as a table: an Arrow table as it is, a pandas data frame without its index.
 

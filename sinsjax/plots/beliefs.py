@@ -13,7 +13,7 @@ from scipy import special
 
 from sinsjax import analysis
 from sinsjax.analysis import NEES_FREEDOM, Estimate
-from sinsjax.analysis.tables import as_table
+from sinsjax.analysis.tables import as_keys, as_table
 from sinsjax.errors import InputError
 from sinsjax.plots.spreads import steps
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
@@ -81,7 +81,7 @@ def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> 
         >>> sinsjax.plot_belief(runs).get_suptitle()
         'Mean NEES 3, where a consistent filter has 3'
     """
-    keys = [by] if isinstance(by, str) else list(by)
+    keys = as_keys(by)
     groups = analysis.groups(as_table(runs), keys)
     shown = [BeliefPanel.of(name_of(point), rows) for point, rows in groups]
     shown = [one for one in shown if np.isfinite(one.nees).any()]

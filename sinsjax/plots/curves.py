@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sinsjax.analysis.tables import as_table, groups, numbers, require
+from sinsjax.analysis.tables import as_keys, as_table, groups, numbers, require
 from sinsjax.errors import InputError
 from sinsjax.plots.style import GREY, both_sides, colour, label_lines, legend_outside, styled
 from sinsjax.plots.words import name_of
@@ -146,7 +146,7 @@ def plot_curves(
         'Heading error after 2 s: 2 arcmin'
     """
     table = as_table(curves)
-    keys = [by] if isinstance(by, str) else list(by)
+    keys = as_keys(by)
     found = [f"phi_{axis}_arcmin" for axis in "enu" if f"phi_{axis}_arcmin" in table.column_names]
     has_truth = any(np.isfinite(numbers(table, name)).any() for name in found)
     angles = [f"{angle}_deg" for angle in ("pitch", "roll", "yaw")]

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sinsjax.analysis.grids import Panel, median, panels_of
-from sinsjax.analysis.tables import as_table, groups, require
+from sinsjax.analysis.tables import as_keys, as_table, groups, require
 from sinsjax.errors import InputError
 from sinsjax.plots.grids import Marks, Scale, Shown, heat_maps
 from sinsjax.plots.style import colour_range
@@ -89,7 +89,7 @@ def plot_map(
     table = as_table(runs)
     if not table.num_rows:
         raise InputError("plot_map: there are no runs")
-    by = [by] if isinstance(by, str) else list(by)
+    by = as_keys(by)
     axes, panels = panels_of(table, rows, columns, by)
     quantity = _quantity(require(table, value), value)
     if not title:

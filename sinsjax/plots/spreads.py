@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate, groups, summarise
 from sinsjax.analysis.summaries import estimate_of
-from sinsjax.analysis.tables import as_table
+from sinsjax.analysis.tables import as_keys, as_table
 from sinsjax.plots.style import GREY, LETTERS, colour, label_lines, legend_outside, styled
 from sinsjax.plots.words import label, name_of, point_text, value_text
 
@@ -86,7 +86,7 @@ def plot_compare(
         >>> [axes.get_title(loc="left") for axes in figure.axes]
         ['heading error at the end, rms (arcmin)']
     """
-    keys = [by] if isinstance(by, str) else list(by)
+    keys = as_keys(by)
     values, panels = compare_panels(runs, key, keys, statistics)
     return along_axis(key, values, panels, title=title, condition=condition)
 

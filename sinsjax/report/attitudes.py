@@ -16,7 +16,14 @@ from sinsjax.plots.words import name_of
 from sinsjax.records.means import EARTH_RATE
 from sinsjax.report.base import MOST_ROWS, Fact, Table, Verdict, table_of
 from sinsjax.report.markup import said
-from sinsjax.report.verdict import Outcome, title_of, verdict, warnings_of
+from sinsjax.report.verdict import (
+    Outcome,
+    answer,
+    doubts_of,
+    per_condition,
+    title_of,
+    warnings_of,
+)
 from sinsjax.units import ARCMIN, DEG_PER_H, MICRO
 
 _ANGLES = ("heading", "pitch", "roll")
@@ -34,19 +41,16 @@ def attitude_verdict(source: Source, *, warned: bool = False) -> Verdict:
     study = source.study
     names = ["draw_id", "variant_id", "start_s", *study.keys_shown, *_COLUMNS]
     rows = source.rows(names).to_pylist()
-    judged = None
+    last, judged, table = rows[-1], [], None
     if any(row["phi_u_arcmin"] is not None for row in rows) and study.n_variants > 1:
-        judged = verdict(source, warned=True)
+        outcome = Outcome.from_source(source)
+        last = next(row for row in reversed(rows) if row["variant_id"] == outcome.best_variant)
+        judged, table = [*answer(outcome), *doubts_of(outcome)], per_condition(outcome)
+    elif len(rows) > 1:
+        table = _table(source, rows)
+    facts = [_attitude(source, last, len(rows)), *_floor(source), *judged]
     doubts = [*warnings_of(source, warned=warned), *_doubts(source)]
-    if judged is None:
-        facts = [_attitude(source, rows[-1], len(rows)), *_floor(source), *doubts]
-        table = _table(source, rows) if len(rows) > 1 else None
-    else:
-        best = Outcome.from_source(source).best_variant
-        last = next(row for row in reversed(rows) if row["variant_id"] == best)
-        facts = [_attitude(source, last, len(rows)), *_floor(source), *judged.facts, *doubts]
-        table = judged.table
-    return Verdict(title_of(source), facts, table)
+    return Verdict(title_of(source), facts + doubts, table)
 
 
 def _attitude(source: Source, row: Mapping[str, Any], runs: int) -> Fact:
@@ -100,10 +104,8 @@ def _table(source: Source, rows: list[dict[str, Any]]) -> Table:
     shown = [name for name in digits if any(row[name] is not None for row in rows)]
     wanted = rows if one_variant else rows[-source.study.n_variants :]
     if one_variant:
-        first = "start (s)" if source.study.is_recorded else "draw"
-        names = [
-            f"{row['start_s'] if source.study.is_recorded else row['draw_id']:g}" for row in rows
-        ]
+        first, key = ("start (s)", "start_s") if source.study.is_recorded else ("draw", "draw_id")
+        names = [f"{row[key]:g}" for row in rows]
     else:
         first, names = "variant", [name_of({key: row[key] for key in keys}) for row in wanted]
     cells = [

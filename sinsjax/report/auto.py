@@ -53,8 +53,7 @@ def report(source: Source, *, full: bool = True, warned: bool = False) -> Report
     yaw = analysis.numbers(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
     has_truth = bool(np.isfinite(yaw).any())
     blocks = [*over_axes(source), *spreads(source)] if has_truth else []
-    figures = [*_curves(source), *(b for b in blocks if not isinstance(b, Table))]
-    parts: dict[str, Sequence[Block]] = {"Figures": figures}
+    parts: dict[str, Sequence[Block]] = {"Figures": [*_curves(source), *blocks]}
     needs_attitude = source.study.is_recorded or not has_truth
     if full:
         tables = [*repeats(source), *_tables(source)] if has_truth else []

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.alignment.filters.section import OF_SCHEDULES
+from sinsjax.analysis.grids import held_out_choice
 from sinsjax.analysis.words import degrees
 from sinsjax.messages import counted
-from sinsjax.plots.words import schedule_words, setting, value_text, words_and_unit
+from sinsjax.plots.words import name_of, schedule_words, value_text, words_and_unit
 from sinsjax.report.base import Table
 from sinsjax.study.keys import is_given
 from sinsjax.study.study import Study
@@ -62,7 +63,7 @@ class Choices:
     @cached_property
     def options(self) -> list[str]:
         """Each option in words."""
-        return [self._words(int(variant), given=False) for variant in self.variants[:, 0]]
+        return [self._words(int(variant)) for variant in self.variants[:, 0]]
 
     @cached_property
     def reset_counts(self) -> list[int | None]:
@@ -142,16 +143,17 @@ class Choices:
         """The axes that are conditions, by the keys that identify their points."""
         return [keys for is_condition, keys in self.dimensions if is_condition]
 
-    def _words(self, variant: int, *, given: bool) -> str:
-        """The point of a variant on the axes of one kind, in words."""
+    def _words(self, variant: int) -> str:
+        """The option of a variant in words."""
         words: list[str] = []
-        for is_condition, keys in self.dimensions:
-            for key in keys if is_condition == given else ():
+        for keys in self._chosen:
+            for key in keys:
                 if key in OF_SCHEDULES:
                     times = self._schedules[variant]
                     words += [schedule_words(times)] if times or {*keys} <= {*OF_SCHEDULES} else []
                 else:
-                    words.append(point_words({key: self.study.values(key)[variant]}))
+                    value = self.study.values(key)[variant]
+                    words.append(value_text(value) if key == "method" else name_of({key: value}))
         first, *more = dict.fromkeys(words) or [""]
         text = first
         for place, word in enumerate(more):
@@ -163,15 +165,6 @@ class Choices:
 
 def _is_condition(dimension: Mapping[str, Sequence[Any]]) -> bool:
     return any(is_given(key) or key == "start_s" for key in dimension)
-
-
-def point_words(point: Mapping[str, Any]) -> str:
-    """A point of an axis in words; a case and a method by their names."""
-    alone = ("case", "method")
-    return ", ".join(
-        value_text(value) if key in alone else setting(key, value_text(value))
-        for key, value in point.items()
-    )
 
 
 def name_and_unit(key: str) -> tuple[str, str]:
@@ -231,7 +224,4 @@ def choose_by_halves(time_s: NDArray, longest_s: float) -> NDArray:
     draws = time_s.shape[-1]
     if draws < LEAST_DRAWS:
         return np.full(draws, choose(time_s, longest_s))
-    found = np.empty(draws, int)
-    found[1::2] = choose(time_s[..., ::2], longest_s)
-    found[::2] = choose(time_s[..., 1::2], longest_s)
-    return found
+    return held_out_choice(time_s, lambda some: choose(some, longest_s))

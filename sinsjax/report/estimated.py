@@ -86,9 +86,10 @@ def report(source: Source, *, full: bool = True, warned: bool = False) -> Report
     study = source.study
     variants = counted(study.n_variants, "variant")
     title = f"{study.name}: {variants} by covariance analysis, without draws"
-    facts = [*_verdict(source, found[0]), *_linearity(source)]
+    expected = _Expected.from_source(source, found[0])
+    facts = [*_answer(expected, found[0].yard), *_linearity(source)]
     doubts = [*warnings_of(source, warned=warned), *q_doubt(source)]
-    verdict = Verdict(title, [*facts, *doubts], _per_condition(source, found[0]))
+    verdict = Verdict(title, [*facts, *doubts], _per_condition(expected))
     return Report.of(verdict, parts, f"{study.name}: {variants}, no Monte Carlo runs")
 
 
@@ -133,9 +134,8 @@ class _Expected(NamedTuple):
         return format_estimate(_interval(float(mean.mean()), float(error.mean())), digits=0)
 
 
-def _verdict(source: Source, names: _Names) -> Iterator[Fact]:
+def _answer(expected: _Expected, yard: Yardstick) -> Iterator[Fact]:
     """The best option, what it is compared with, and its accuracy."""
-    expected = _Expected.from_source(source, names)
     words, best = expected.choices.options, expected.best()
     least = 100 * float(expected.within[best].min())
     share = "all settle" if least > 99.95 else f"at least {least:.0f} % settle"
@@ -148,12 +148,11 @@ def _verdict(source: Source, names: _Names) -> Iterator[Fact]:
         yield Fact("Others", "; ".join(f"{words[i]}: {expected.settling(i)} s" for i in rivals))
     heading = float(np.sqrt(np.mean(expected.heading[best] ** 2)))
     yield Fact("Accuracy", f"{heading:.1f}' rms expected from true north at the end")
-    yield Fact("Settled", f"{names.yard.words}; never counts as the length of the run")
+    yield Fact("Settled", f"{yard.words}; never counts as the length of the run")
 
 
-def _per_condition(source: Source, names: _Names) -> Table | None:
+def _per_condition(expected: _Expected) -> Table | None:
     """The best option at each point of the condition that matters most."""
-    expected = _Expected.from_source(source, names)
     choices, best = expected.choices, expected.best()
     axis = choices.axis_that_matters(expected.mean_s[best])
     if axis is None:

@@ -6,6 +6,7 @@ In a pipe the same is printed without colour, at most `PIPE_WIDTH` columns wide.
 import os
 import re
 from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 
 from rich import box
 from rich.cells import cell_len
@@ -191,9 +192,8 @@ def _grid(cells: Sequence[Sequence[str]], width: int) -> Grid:
     """The first row is the header."""
     table = Grid(box=box.SIMPLE_HEAD, pad_edge=False)
     header, *rows = cells
-    lines = [line for name in header for line in [name.split("\n")]]
-    tall = max(map(len, lines))
-    heads = [[line[n] if n < len(line) else "" for line in lines] for n in range(tall)]
+    lines = [name.split("\n") for name in header]
+    heads = zip_longest(*lines, fillvalue="")
     for line, size in zip(lines, _widths([*heads, *rows], width, _GAP), strict=True):
         text = Line("\n").join(map(screen.literal, line))
         table.add_column(text, width=size, overflow="fold")

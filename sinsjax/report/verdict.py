@@ -43,9 +43,8 @@ def verdict(source: Source, *, warned: bool = False) -> Verdict:
         warned: whether the user has seen the study's warnings.
     """
     outcome = Outcome.from_source(source)
-    facts = [*_best(outcome), _accuracy(outcome), *_basis(outcome)]
-    doubts = [*warnings_of(source, warned=warned), *_doubts(outcome)]
-    return Verdict(title_of(source), facts + doubts, _per_condition(outcome))
+    doubts = [*warnings_of(source, warned=warned), *doubts_of(outcome)]
+    return Verdict(title_of(source), [*answer(outcome), *doubts], per_condition(outcome))
 
 
 @dataclass(frozen=True)
@@ -201,6 +200,13 @@ def q_doubt(source: Source) -> Iterator[Fact]:
         )
 
 
+def answer(outcome: Outcome) -> Iterator[Fact]:
+    """The best option, its accuracy, and what the answer rests on."""
+    yield from _best(outcome)
+    yield _accuracy(outcome)
+    yield from _basis(outcome)
+
+
 def _best(outcome: Outcome) -> Iterator[Fact]:
     """The best option, and those that it is compared with."""
     options, best = outcome.choices.options, outcome.overall
@@ -287,7 +293,7 @@ def _basis(outcome: Outcome) -> Iterator[Fact]:
         yield Fact("Stopped", said("stopped", rule=study.stop_when, found=found))
 
 
-def _doubts(outcome: Outcome) -> Iterator[Fact]:
+def doubts_of(outcome: Outcome) -> Iterator[Fact]:
     """Why the answer may mislead."""
     draws, study = outcome.draws, outcome.source.study
     several = len(outcome.choices.options) > 1
@@ -311,7 +317,7 @@ def _doubts(outcome: Outcome) -> Iterator[Fact]:
     yield from q_doubt(outcome.source)
 
 
-def _per_condition(outcome: Outcome) -> Table | None:
+def per_condition(outcome: Outcome) -> Table | None:
     """The best option at each point of the condition that matters most."""
     choices, overall = outcome.choices, outcome.overall
     time_s = np.minimum(outcome.time_s[overall.option], outcome.longest_s).mean(axis=-1)

@@ -208,19 +208,7 @@ def with_point(study: Study, point: TomlTable) -> Study:
 
 
 def replace_values(study: Study, changes: Mapping[str, Any]) -> Study:
-    """Return a study with some values changed, and new defaults where they depend on these.
-
-    Args:
-        study: checked study, left as it is.
-        changes: values by ``section.key``, such as ``{"alignment.phi_u0_deg": 12.0}``; each
-            replaces the value, the axis and the distribution of the key in the study.
-
-    Raises:
-        InputError: the result is not a valid study.
-
-    Warns:
-        StudyWarning: the changes drop keys that another method does not read.
-    """
+    """Return a study with some values changed: the body of `Study.replace`."""
     tables, dropped = change_tables(given_tables(study), changes, study.name)
     made = study_from_dict(tables, study.name)
     for line in dropped:

@@ -9,7 +9,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate, mean, numbers, share
-from sinsjax.analysis.grids import median
+from sinsjax.analysis.grids import held_out_choice, median
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 
@@ -121,19 +121,15 @@ class Choice(NamedTuple):
 def held_out(values: NDArray, best: Callable[[NDArray], int]) -> Choice:
     """Chooses a setting on every other draw and judges it by the rest, both ways.
 
-    A choice judged by the draws that made it would flatter the longer list of settings.
-
     Args:
         values: (..., settings, draws); each of the leading places chooses for itself.
         best: the place of the best setting of values (settings, some draws).
     """
     chosen = np.empty((*values.shape[:-2], values.shape[-1]), dtype=int)
-    halves = slice(0, None, 2), slice(1, None, 2)
-    for choosing, judging in (halves, halves[::-1]):
-        for point in np.ndindex(values.shape[:-2]):
-            chosen[point][judging] = best(values[point][:, choosing])
-    told = np.take_along_axis(values, chosen[..., None, :], axis=-2)
-    return Choice(chosen, told[..., 0, :])
+    for point in np.ndindex(values.shape[:-2]):
+        chosen[point] = held_out_choice(values[point], best)
+    judged = np.take_along_axis(values, chosen[..., None, :], axis=-2)
+    return Choice(chosen, judged[..., 0, :])
 
 
 def soonest(settle_s: NDArray) -> int:
