@@ -7,7 +7,6 @@ swept acts on has one, and stands beside the filter with one. Each side in turns
 import common
 from derivative import loops_of, operations
 
-from sinsjax.alignment.methods import METHODS
 from sinsjax.bench.cases import (
     RECORD_S,
     TILES,
@@ -23,6 +22,7 @@ from sinsjax.bench.cases import (
 from sinsjax.bench.timing import Row, measure_against
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.lanes import Group, tiles_of
+from sinsjax.methods.registry import METHODS
 
 OTHERS = tuple(name for name in METHODS if name not in ("kalman5", "compass"))
 QUICK = ("kalman10", "kalman_sincos", "optimisation")

@@ -14,10 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.alignment import kalman
-from sinsjax.alignment.base import Method, Options, Site
-from sinsjax.alignment.methods import METHODS
-from sinsjax.alignment.zero_velocity import method as zero_velocity
 from sinsjax.bench.cases import default_group, engine, shortened, without_noise
 from sinsjax.bench.timing import Row, measure_against
 from sinsjax.engine.batch import chunks
@@ -25,6 +21,10 @@ from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.verdicts import FLOOR
 from sinsjax.maths.algebra import numbers_of
+from sinsjax.methods import kalman
+from sinsjax.methods.base import Method, Options, Site
+from sinsjax.methods.registry import METHODS
+from sinsjax.methods.zero_velocity import method as zero_velocity
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.error_model import MODELS, ErrorModel
 from sinsjax.types import Navigation, Sample, Scalar

@@ -12,7 +12,7 @@ FLOORS = (
     {"console", "errors", "messages", "types", "units"},
     {"analysis", "columns", "maths", "platform"},
     {"plots", "records", "strapdown", "value_types"},
-    {"alignment"},
+    {"methods"},
     {"study"},
     {"engine"},
     {"bench", "execution"},
@@ -24,15 +24,15 @@ FLOORS = (
 
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 METHODS = {
-    f"alignment.{path.parent.name}"
-    for path in Path(sinsjax.__file__).parent.glob("alignment/*/method.py")
+    f"methods.{path.parent.name}"
+    for path in Path(sinsjax.__file__).parent.glob("methods/*/method.py")
 }
 """Folders of alignment methods; no method knows another."""
-KNOW_METHODS = {"alignment.methods", "alignment.page", "alignment.sections"}
-"""What in `alignment` may know the methods' folders."""
+KNOW_METHODS = {"methods.registry", "methods.page", "methods.sections"}
+"""What in `methods` may know the methods' folders."""
 WITHOUT_JAX = {"columns", "errors", "messages", "records", "study", "units", "value_types"}
 SAYS_KEYS = {"description", "methods", "section", "sections"}
-"""Modules of `alignment` that studies are read with."""
+"""Modules of `methods` that studies are read with."""
 FOR_PEOPLE = {"matplotlib", "rich", "typer"}
 MEETS_PEOPLE = {"bench", "cli", "console", "execution", "plots", "report", "tuning"}
 JAX = {"jax", "jaxlib", "optax"}
@@ -145,7 +145,7 @@ def violations(sources: Sources) -> list[str]:
             for other in sorted(graph[name])
             if (floor(other) or 0) > floor(name)
         ]
-        if folder(name) == "alignment" and name not in KNOW_METHODS:
+        if folder(name) == "methods" and name not in KNOW_METHODS:
             wrong += [
                 f"{name} imports {other}: no method knows another"
                 for other in sorted(graph[name] - {name})
@@ -170,7 +170,7 @@ def test_imports_reach_only_same_or_lower_floors():
     assert not violations(read_sources())
 
 
-BY_NAME = {"alignment.triggers.description", "cli", "cli.study", "report.folder"}
+BY_NAME = {"methods.triggers.description", "cli", "cli.study", "report.folder"}
 """Modules that import others by name: with JAX in them, when a command needs them, or a page's."""
 
 
@@ -182,7 +182,7 @@ def test_no_other_modules_are_imported_by_name():
 
 def test_method_package_init_files_import_nothing():
     """Else importing a section would load every method, and JAX."""
-    for name in ("alignment", *METHODS, "alignment.triggers"):
+    for name in ("methods", *METHODS, "methods.triggers"):
         tree = ast.parse(read_sources()[name])
         assert [type(node) for node in tree.body] == [ast.Expr], name
 
@@ -193,7 +193,7 @@ def test_package_has_py_typed_marker():
 
 
 def test_read_sources_includes_packages_and_modules():
-    assert {"types", "platform.runtime", "alignment", "alignment.base"} <= read_sources().keys()
+    assert {"types", "platform.runtime", "methods", "methods.base"} <= read_sources().keys()
 
 
 def test_every_folder_has_docstring():
@@ -236,43 +236,43 @@ def test_every_folder_has_docstring():
         ),
         (
             {
-                "alignment.compass.method": "from sinsjax.alignment.zero_velocity.method import x",
-                "alignment.zero_velocity.method": "",
+                "methods.compass.method": "from sinsjax.methods.zero_velocity.method import x",
+                "methods.zero_velocity.method": "",
             },
-            "alignment.compass.method imports alignment.zero_velocity.method: no method knows",
+            "methods.compass.method imports methods.zero_velocity.method: no method knows",
         ),
         (
             {
-                "alignment.compass.method": "from sinsjax.alignment.methods import METHODS",
-                "alignment.methods": "",
+                "methods.compass.method": "from sinsjax.methods.registry import METHODS",
+                "methods.registry": "",
             },
-            "alignment.compass.method imports alignment.methods: no method knows",
+            "methods.compass.method imports methods.registry: no method knows",
         ),
         (
             {
-                "alignment.kalman": "from sinsjax.alignment.compass import design",
-                "alignment.compass.design": "",
+                "methods.kalman": "from sinsjax.methods.compass import design",
+                "methods.compass.design": "",
             },
-            "alignment.kalman imports alignment.compass.design: no method knows",
+            "methods.kalman imports methods.compass.design: no method knows",
         ),
         ({"study.load": "import jax.numpy as jnp"}, "study.load reads input, but importing it"),
         ({"records.psins": "from jax import jit"}, "records.psins reads input"),
         (
             {
-                "study.schema": "from sinsjax.alignment.sections import AlignmentSection",
-                "alignment": "from sinsjax.alignment import base",
-                "alignment.base": "import jax",
-                "alignment.sections": "",
+                "study.schema": "from sinsjax.methods.sections import AlignmentSection",
+                "methods": "from sinsjax.methods import base",
+                "methods.base": "import jax",
+                "methods.sections": "",
             },
             "study.schema reads input, but importing it loads jax",
         ),
         (
             {
-                "alignment.compass.section": "from sinsjax.maths import algebra",
+                "methods.compass.section": "from sinsjax.maths import algebra",
                 "maths.algebra": "from sinsjax.maths import rng",
                 "maths.rng": "import jaxlib",
             },
-            "alignment.compass.section reads input, but importing it loads jax",
+            "methods.compass.section reads input, but importing it loads jax",
         ),
         ({"engine.simulate": "import matplotlib.pyplot"}, "engine.simulate must not import"),
     ],
@@ -291,11 +291,11 @@ def test_allowed_imports_are_not_reported():
         {
             "units": "import math",
             "maths.rng": "import jax\nfrom sinsjax.units import DEG",
-            "alignment.base": "from sinsjax.maths import rng",
-            "alignment.compass.method": "from sinsjax.alignment.base import Method",
-            "alignment.compass.section": "def f():\n    import jax",
-            "alignment.compass.description": "def f():\n    import jax",
-            "alignment.methods": "from sinsjax.alignment.compass import description",
+            "methods.base": "from sinsjax.maths import rng",
+            "methods.compass.method": "from sinsjax.methods.base import Method",
+            "methods.compass.section": "def f():\n    import jax",
+            "methods.compass.description": "def f():\n    import jax",
+            "methods.registry": "from sinsjax.methods.compass import description",
             "plots": "import matplotlib",
         }
     )

@@ -12,7 +12,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.bench.baseline import Setting, align
 from sinsjax.bench.timing import Workload
 from sinsjax.engine.batch import compiled, in_threads, plan
@@ -21,6 +20,7 @@ from sinsjax.engine.lanes import LANES, STACKED_TILES, Group, Tiles, tiles_of
 from sinsjax.engine.realisations import Draw, Environment
 from sinsjax.engine.simulate import RunParams, simulate
 from sinsjax.maths.rotations import matrix, misalign
+from sinsjax.methods.registry import METHODS, keys_unread
 from sinsjax.platform.assets import asset
 from sinsjax.study.load import load_study, study_from_dict
 from sinsjax.types import Quat

@@ -21,7 +21,7 @@ def info() -> None:
 
 def _methods_from_outside() -> dict[str, str]:
     """Methods that other packages bring, and why some cannot be used."""
-    from sinsjax.alignment.methods import PACKAGES
+    from sinsjax.methods.registry import PACKAGES
     from sinsjax.study.keys import BROKEN
 
     brought = (f"{name} ({' '.join(PACKAGES[name])})" for name in PACKAGES)

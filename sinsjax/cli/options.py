@@ -22,7 +22,7 @@ def study_names(incomplete: str) -> list[str]:
 
 def sections_and_keys(incomplete: str) -> list[str]:
     """The sections, keys and methods that `sinsjax keys` explains."""
-    from sinsjax.alignment.methods import METHODS
+    from sinsjax.methods.registry import METHODS
     from sinsjax.study.keys import TABLES
 
     known = [*TABLES, *(key for model in TABLES.values() for key in model.model_fields), *METHODS]

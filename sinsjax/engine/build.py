@@ -13,8 +13,6 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from sinsjax.alignment.base import Options, Site
-from sinsjax.alignment.methods import METHODS
 from sinsjax.engine import true_motion
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.measurements import measured, nothing_read
@@ -27,6 +25,8 @@ from sinsjax.engine.study_limits import require_floor
 from sinsjax.engine.truth import recorded, simulated, site_of
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import euler_vector
+from sinsjax.methods.base import Options, Site
+from sinsjax.methods.registry import METHODS
 from sinsjax.platform import runtime
 from sinsjax.records import Record
 from sinsjax.records.reference import StoredRecord

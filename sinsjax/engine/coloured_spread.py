@@ -2,7 +2,7 @@
 
 The states of the processes (`strapdown.processes`) stand beside the error d of the corrected
 solution. What a record interval makes of all of them is put together from what a watched method
-tells of d (`alignment.error_growth`) and from the processes themselves, the same for all runs.
+tells of d (`methods.error_growth`) and from the processes themselves, the same for all runs.
 """
 
 from typing import NamedTuple
@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import block_diag
 
-from sinsjax.alignment import coloured_growth
-from sinsjax.alignment.coloured_growth import Coloured
+from sinsjax.methods import coloured_growth
+from sinsjax.methods.coloured_growth import Coloured
 from sinsjax.strapdown.processes import Process
 from sinsjax.types import Array
 

@@ -1,7 +1,7 @@
 """The linear error of given draws beside the noise-free run of each variant.
 
 What a draw's sensors measure beyond noise-free ones drives the error d of the corrected solution in
-closed loop (`alignment.error_growth`). The run itself and its transition, gains and attitude are
+closed loop (`methods.error_growth`). The run itself and its transition, gains and attitude are
 those of the variant, common to its draws: a companion costs a part of a run. The misalignment of
 the run with the same noise differs from that of its companion by the nonlinear part.
 """
@@ -13,8 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.alignment import passes
-from sinsjax.alignment.error_growth import driven
 from sinsjax.engine import simulate, tile
 from sinsjax.engine.batch import MOST_PROGRAMS, Program
 from sinsjax.engine.lanes import Group, Tiles
@@ -24,6 +22,8 @@ from sinsjax.engine.realisations import Draw, Environment, Static, method_of
 from sinsjax.engine.sensitivity import sensitivity, starts_beyond
 from sinsjax.engine.simulate import Run
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
+from sinsjax.methods import passes
+from sinsjax.methods.error_growth import driven
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.types import Array, Count, Increments, Sample, Scalar
 

@@ -1,7 +1,7 @@
 """The spread of a study's runs from one noise-free run of each variant: linear covariance analysis.
 
 The noise-free run is the mean; beside it go the closed loop F of each record interval and the
-covariance W of the noise that enters in it (`alignment.error_growth`). S <- F S F' + W is the
+covariance W of the noise that enters in it (`methods.error_growth`). S <- F S F' + W is the
 covariance of the true error, and e <- F e + chol(W) n are errors as runs with noise would have
 them, which are judged as runs are.
 """
@@ -13,15 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.alignment import coloured_growth
-from sinsjax.alignment.error_growth import ErrorParams, IncrementNoise
-from sinsjax.alignment.schedules import mix
 from sinsjax.engine import coloured_spread, metrics
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import FIELDS
 from sinsjax.engine.realisations import Environment, Static
 from sinsjax.engine.sensitivity import Sensitivity, limit_by_states
 from sinsjax.maths.algebra import Triangle, cholesky, triangle_index
+from sinsjax.methods import coloured_growth
+from sinsjax.methods.error_growth import ErrorParams, IncrementNoise
+from sinsjax.methods.schedules import mix
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.types import Array, Count, Scalar
 

@@ -7,8 +7,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment import passes
-from sinsjax.alignment.passes import BodyTurn
 from sinsjax.engine.realisations import (
     Draw,
     Environment,
@@ -18,6 +16,8 @@ from sinsjax.engine.realisations import (
     quantised,
     site_of,
 )
+from sinsjax.methods import passes
+from sinsjax.methods.passes import BodyTurn
 from sinsjax.strapdown import base_motion, disturbances, sensors
 from sinsjax.strapdown.base_motion import Sensed
 from sinsjax.strapdown.disturbances import Disturbances

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment.base import AttitudeCovariance
-from sinsjax.alignment.limits import Limit
-from sinsjax.alignment.schedules import mix
 from sinsjax.maths.algebra import dot, solve3
 from sinsjax.maths.rotations import misalignment, to_euler
+from sinsjax.methods.base import AttitudeCovariance
+from sinsjax.methods.limits import Limit
+from sinsjax.methods.schedules import mix
 from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
 
 

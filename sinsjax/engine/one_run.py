@@ -14,8 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.alignment.methods import METHODS
-from sinsjax.alignment.schedules import Feedback, Pieces, Resets
 from sinsjax.engine import batch
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import Group
@@ -23,6 +21,8 @@ from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.realisations import Draw
 from sinsjax.engine.simulate import RunParams, simulate
 from sinsjax.errors import InputError
+from sinsjax.methods.registry import METHODS
+from sinsjax.methods.schedules import Feedback, Pieces, Resets
 from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import load_study, with_rate

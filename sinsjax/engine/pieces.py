@@ -12,8 +12,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment import passes
-from sinsjax.alignment.passes import PassReading
 from sinsjax.engine.measurements import (
     Ahead,
     Read,
@@ -31,6 +29,8 @@ from sinsjax.engine.measurements import (
 from sinsjax.engine.reading import turned_on
 from sinsjax.engine.realisations import Draw, Environment, Static
 from sinsjax.engine.stepping import Make
+from sinsjax.methods import passes
+from sinsjax.methods.passes import PassReading
 from sinsjax.strapdown.base_motion import Sensed
 from sinsjax.types import Array, Count, Increments, Sample
 

@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
-from sinsjax.alignment import passes
-from sinsjax.alignment.passes import BodyTurn, PassReading
 from sinsjax.engine import measurements
 from sinsjax.engine.measurements import Read
 from sinsjax.engine.realisations import Draw, Environment, Static, method_of
+from sinsjax.methods import passes
+from sinsjax.methods.passes import BodyTurn, PassReading
 from sinsjax.types import Count, Sample
 
 

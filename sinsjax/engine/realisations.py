@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.alignment.base import Method, Options, Site
-from sinsjax.alignment.coloured_growth import Coloured
-from sinsjax.alignment.error_growth import with_growth
-from sinsjax.alignment.limits import Biases, mean_biases
-from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.metrics import Criteria
+from sinsjax.methods.base import Method, Options, Site
+from sinsjax.methods.coloured_growth import Coloured
+from sinsjax.methods.error_growth import with_growth
+from sinsjax.methods.limits import Biases, mean_biases
+from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.base_motion import Sensed
 from sinsjax.strapdown.disturbances import Disturbances

@@ -10,8 +10,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment.base import Site, StartChange
-from sinsjax.alignment.limits import mean_biases
 from sinsjax.engine import simulate
 from sinsjax.engine.realisations import (
     Draw,
@@ -24,6 +22,8 @@ from sinsjax.engine.realisations import (
 from sinsjax.engine.simulate import RunParams
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import scale
+from sinsjax.methods.base import Site, StartChange
+from sinsjax.methods.limits import mean_biases
 from sinsjax.types import Array, Scalar, Vec3
 
 

@@ -14,10 +14,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment import passes
-from sinsjax.alignment.base import AttitudeCovariance, Ending, Site
-from sinsjax.alignment.limits import Biases, Limit
-from sinsjax.alignment.passes import BodyTurn, PassReading
 from sinsjax.engine import measurements, metrics
 from sinsjax.engine.measurements import Read
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
@@ -36,6 +32,10 @@ from sinsjax.engine.realisations import (
 )
 from sinsjax.engine.stages import StageFunctions, coarse_program, over_stages
 from sinsjax.maths import rotations
+from sinsjax.methods import passes
+from sinsjax.methods.base import AttitudeCovariance, Ending, Site
+from sinsjax.methods.limits import Biases, Limit
+from sinsjax.methods.passes import BodyTurn, PassReading
 from sinsjax.types import (
     Array,
     Count,

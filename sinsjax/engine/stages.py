@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment import passes
-from sinsjax.alignment.base import Options
 from sinsjax.engine.measurements import Read
 from sinsjax.engine.realisations import Static
+from sinsjax.methods import passes
+from sinsjax.methods.base import Options
 from sinsjax.types import Array
 
 

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from sinsjax.alignment.filters.section import OF_RESETS, times_of_resets
-from sinsjax.alignment.limits import mean_attitude
-from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.simulator import errors_of, motion_of
 from sinsjax.errors import InputError
+from sinsjax.methods.filters.section import OF_RESETS, times_of_resets
+from sinsjax.methods.limits import mean_attitude
+from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import earth
 from sinsjax.study import sampling
 from sinsjax.study.keys import SECTION_OF

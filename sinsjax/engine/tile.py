@@ -12,10 +12,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment import passes
-from sinsjax.alignment.base import Site
-from sinsjax.alignment.limits import Limit
-from sinsjax.alignment.passes import BodyTurn, PassReading
 from sinsjax.engine import metrics, reading, simulate
 from sinsjax.engine.covariance import Spread, spread
 from sinsjax.engine.lanes import Tiles
@@ -38,6 +34,10 @@ from sinsjax.engine.sensitivity import sensitivity
 from sinsjax.engine.simulate import Run, RunParams
 from sinsjax.engine.stages import StageFunctions, over_stages
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
+from sinsjax.methods import passes
+from sinsjax.methods.base import Site
+from sinsjax.methods.limits import Limit
+from sinsjax.methods.passes import BodyTurn, PassReading
 from sinsjax.types import Array, Count, Flag, Increments, Quat, Sample, Scalar
 
 

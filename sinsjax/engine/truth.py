@@ -11,10 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax import units
-from sinsjax.alignment.base import Site
-from sinsjax.alignment.coarse import COARSE
-from sinsjax.alignment.inertial_frame.method import optimised
-from sinsjax.alignment.limits import NO_BIASES, mean_biases
 from sinsjax.engine import true_motion
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import (
@@ -34,6 +30,10 @@ from sinsjax.engine.simulator import (
 )
 from sinsjax.errors import InputError
 from sinsjax.messages import seconds
+from sinsjax.methods.base import Site
+from sinsjax.methods.coarse import COARSE
+from sinsjax.methods.inertial_frame.method import optimised
+from sinsjax.methods.limits import NO_BIASES, mean_biases
 from sinsjax.records import require_span
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors

@@ -5,8 +5,6 @@ from collections.abc import Iterator
 import jax
 import numpy as np
 
-from sinsjax.alignment.filters.parameters import level_settling_s
-from sinsjax.alignment.methods import METHODS, PACKAGES, from_package
 from sinsjax.engine import batch, simulate
 from sinsjax.engine.build import parts
 from sinsjax.engine.lanes import Group, shown, tiles_of
@@ -14,6 +12,8 @@ from sinsjax.engine.study_limits import hidden_north
 from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
 from sinsjax.messages import one_line, seconds
+from sinsjax.methods.filters.parameters import level_settling_s
+from sinsjax.methods.registry import METHODS, PACKAGES, from_package
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.oddities import told
 from sinsjax.records.plausible import StationaryValues, findings

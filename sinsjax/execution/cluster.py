@@ -23,11 +23,11 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
-from sinsjax.alignment.methods import packages_of
 from sinsjax.console import warn
 from sinsjax.errors import InputError
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.messages import first_line
+from sinsjax.methods.registry import packages_of
 from sinsjax.platform import affinity, runtime, xla
 
 CONNECT_S = 10.0

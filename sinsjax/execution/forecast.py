@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.engine.batch import CHUNK_RECORDS
 from sinsjax.engine.build import PROGRAM_KEYS
@@ -23,6 +22,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import layouts, stopping
 from sinsjax.execution.directory import find_manifest
 from sinsjax.messages import counted
+from sinsjax.methods.registry import METHODS
 from sinsjax.platform import machine, runtime
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.search_space import SearchSpace

@@ -7,12 +7,12 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.alignment.information import heading_bound
-from sinsjax.alignment.limits import mean_attitude
 from sinsjax.engine.build import ENVIRONMENT_KEYS, Scenario
 from sinsjax.engine.simulator import motion_of
 from sinsjax.errors import InputError
 from sinsjax.execution.tables import table_of
+from sinsjax.methods.information import heading_bound
+from sinsjax.methods.limits import mean_attitude
 from sinsjax.platform import runtime
 from sinsjax.strapdown.base_motion import Motion
 from sinsjax.study.keys import SECTION_OF
@@ -23,7 +23,7 @@ from sinsjax.units import ARCMIN
 
 
 def information_bound(study: Study | str | Path) -> pa.Table:
-    """Information bound of a simulated study's heading, see `alignment.information`.
+    """Information bound of a simulated study's heading, see `methods.information`.
 
     No unbiased method has a smaller standard deviation of phi_u from its bias floor than this,
     whatever it starts from; its methods' own settings do not enter. Variants that share Earth,

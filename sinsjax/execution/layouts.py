@@ -5,9 +5,9 @@ from collections.abc import Iterable
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.alignment.description import OwnColumn
-from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
+from sinsjax.methods.description import OwnColumn
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import meaning
 from sinsjax.study.resolved import Coded, constant_column
 from sinsjax.study.schema import BIAS_KEYS, NUMBERS_DRAWN

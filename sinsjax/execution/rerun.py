@@ -10,7 +10,6 @@ from rich.console import Console
 
 from sinsjax import console as screen
 from sinsjax import plots
-from sinsjax.alignment.methods import packages_of
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
@@ -20,6 +19,7 @@ from sinsjax.execution.outputs import output_of
 from sinsjax.execution.prepare import load_increments
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line
+from sinsjax.methods.registry import packages_of
 from sinsjax.platform.files import make_folder, replacing
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.study import Study

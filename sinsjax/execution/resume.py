@@ -5,7 +5,6 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from sinsjax.alignment.methods import packages_of
 from sinsjax.errors import InputError
 from sinsjax.execution.directory import (
     DATASETS,
@@ -22,6 +21,7 @@ from sinsjax.execution.directory import (
 from sinsjax.execution.results import CHUNK_MARK, STUDY_MARK, part_marks
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line, shortened
+from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular
 from sinsjax.study.identity import differences, fingerprint, with_draws

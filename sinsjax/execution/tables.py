@@ -8,8 +8,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from sinsjax import columns
-from sinsjax.alignment.description import Description
-from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation, Outcome
@@ -17,6 +15,8 @@ from sinsjax.engine.study_limits import has_floor, limited_variants, scheduled_l
 from sinsjax.engine.truth import starts_of
 from sinsjax.engine.verdicts import FLOOR, TRUTH, Judge, Verdict
 from sinsjax.execution import layouts
+from sinsjax.methods.description import Description
+from sinsjax.methods.registry import METHODS
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.study import Study

@@ -8,10 +8,10 @@ import numpy as np
 from scipy import special
 
 from sinsjax import analysis
-from sinsjax.alignment.filters.description import knows_biases
-from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
+from sinsjax.methods.filters.description import knows_biases
+from sinsjax.methods.registry import METHODS
 from sinsjax.plots.words import name_of
 from sinsjax.records.means import EARTH_RATE
 from sinsjax.report.base import MOST_ROWS, Fact, Table, Verdict, table_of

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.alignment.filters.section import OF_SCHEDULES
 from sinsjax.analysis.grids import held_out_choice
 from sinsjax.analysis.words import degrees
 from sinsjax.messages import counted
+from sinsjax.methods.filters.section import OF_SCHEDULES
 from sinsjax.plots.words import name_of, schedule_words, value_text, words_and_unit
 from sinsjax.report.base import Table
 from sinsjax.study.keys import is_given

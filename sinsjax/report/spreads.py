@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
-from sinsjax.alignment.filters.description import knows_biases
-from sinsjax.alignment.methods import METHODS
 from sinsjax.execution.source import Source
+from sinsjax.methods.filters.description import knows_biases
+from sinsjax.methods.registry import METHODS
 from sinsjax.plots.beliefs import SHARES
 from sinsjax.report.base import Picture, Text
 from sinsjax.report.groupings import keys_of_lines

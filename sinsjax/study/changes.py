@@ -9,8 +9,8 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.errors import InputError
+from sinsjax.methods.registry import SECTIONS_OF_METHODS
 from sinsjax.study.files import TOO_DEEP
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, info, rivals
 

@@ -7,9 +7,9 @@ are listed before the study runs.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from sinsjax.alignment.description import INITIAL_KEYS
-from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.errors import InputError
+from sinsjax.methods.description import INITIAL_KEYS
+from sinsjax.methods.registry import METHODS, keys_unread
 from sinsjax.study.changes import copy_tables
 from sinsjax.study.keys import (
     COARSE_KEYS,

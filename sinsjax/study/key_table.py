@@ -1,8 +1,8 @@
 """The page of all keys: ``python -m sinsjax.study.key_table > docs/keys.md``."""
 
-from sinsjax.alignment.methods import BROKEN, METHODS, PACKAGES
 from sinsjax.errors import InputError
 from sinsjax.messages import near
+from sinsjax.methods.registry import BROKEN, METHODS, PACKAGES
 from sinsjax.study.keys import KEYS, SWEEPABLE, TABLES, Key
 from sinsjax.value_types import Section
 

@@ -11,16 +11,16 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from sinsjax.alignment.description import INITIAL_KEYS
-from sinsjax.alignment.methods import (
+from sinsjax.messages import near
+from sinsjax.methods.description import INITIAL_KEYS
+from sinsjax.methods.registry import (
     BROKEN,
     METHODS,
     PACKAGES,
     SECTIONS_OF_METHODS,
     from_package,
 )
-from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
-from sinsjax.messages import near
+from sinsjax.methods.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.schema import (
     Distribution,
     DrawnSection,

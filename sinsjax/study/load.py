@@ -15,9 +15,9 @@ import tomli_w
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from sinsjax.alignment.methods import BROKEN, METHODS, SECTIONS_OF_METHODS, keys_unread, unusable
 from sinsjax.errors import ErrorCollector, InputError, StudyWarning
 from sinsjax.messages import escape_controls, explained, index, near
+from sinsjax.methods.registry import BROKEN, METHODS, SECTIONS_OF_METHODS, keys_unread, unusable
 from sinsjax.study import changes as changing
 from sinsjax.study import dropping, files, rules, search_space
 from sinsjax.study.keys import (

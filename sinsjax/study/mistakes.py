@@ -10,8 +10,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from sinsjax.alignment.filters.section import Q_DENSITIES, WHITE_NOISE
 from sinsjax.errors import InputError
+from sinsjax.methods.filters.section import Q_DENSITIES, WHITE_NOISE
 from sinsjax.study.changes import copy_tables
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, deciding, rivals
 from sinsjax.study.study import Study

@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator, Mapping
 
-from sinsjax.alignment.filters.section import (
+from sinsjax.errors import InputError
+from sinsjax.methods.filters.section import (
     Q_DENSITIES,
     WHITE_NOISE,
     q_readings,
     white_density,
 )
-from sinsjax.errors import InputError
 from sinsjax.study.keys import readers
 from sinsjax.study.study import Study
 

@@ -16,11 +16,11 @@ from typing import Any, NoReturn
 import numpy as np
 
 from sinsjax import columns
-from sinsjax.alignment.filters.section import OF_RESETS, OF_SCHEDULES, reset_times
-from sinsjax.alignment.methods import METHODS, keys_unread
-from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import shortened
+from sinsjax.methods.filters.section import OF_RESETS, OF_SCHEDULES, reset_times
+from sinsjax.methods.registry import METHODS, keys_unread
+from sinsjax.methods.triggers.section import any_trigger
 from sinsjax.study import sampling, search_space, success
 from sinsjax.study.keys import (
     COARSE_KEYS,
@@ -75,7 +75,7 @@ def failures(study: Study, where: Where) -> tuple[str, ...]:
 
 
 class _Checked:
-    """A study as the rules of its methods see it: an `alignment.description.CheckedStudy`."""
+    """A study as the rules of its methods see it: an `methods.description.CheckedStudy`."""
 
     def __init__(self, study: Study, where: Where) -> None:
         self._study, self._where = study, where

@@ -2,7 +2,7 @@
 
 Values stay in the units of the file, which the names of keys state. Leaf keys are unique over all
 sections, so a key alone names an axis and a result column. Rules within one section are here, rules
-between sections in `rules`. The methods have sections of their own, see `alignment.methods`.
+between sections in `rules`. The methods have sections of their own, see `methods.registry`.
 """
 
 from typing import Annotated, Any, Literal, cast, get_args, get_origin

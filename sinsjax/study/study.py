@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, create_model
 
-from sinsjax.alignment.description import INITIAL_KEYS
-from sinsjax.alignment.filters.section import OF_SCHEDULES, reset_times
-from sinsjax.alignment.methods import SECTIONS_OF_METHODS
-from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.errors import InputError
 from sinsjax.messages import counted
+from sinsjax.methods.description import INITIAL_KEYS
+from sinsjax.methods.filters.section import OF_SCHEDULES, reset_times
+from sinsjax.methods.registry import SECTIONS_OF_METHODS
+from sinsjax.methods.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study import display
 from sinsjax.study.keys import (
     COARSE_KEYS,

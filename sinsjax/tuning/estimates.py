@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.alignment.methods import METHODS
 from sinsjax.engine import batch, covariance
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.verdicts import FLOOR, TRUTH
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands, success_of

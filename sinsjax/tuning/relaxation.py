@@ -1,7 +1,7 @@
 """Differentiable dependence of a method's parameters on the tuning variables.
 
 Each variable changes its method's parameters by the ratio of its value to that at a base point, see
-`alignment.base.Relaxed`. Where a variable moves resets, these become smooth windows.
+`methods.base.Relaxed`. Where a variable moves resets, these become smooth windows.
 """
 
 from collections.abc import Iterator
@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.alignment.base import Change, Relaxed
-from sinsjax.alignment.guarding import defined, place
-from sinsjax.alignment.methods import METHODS, PACKAGES, from_package
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
+from sinsjax.methods.base import Change, Relaxed
+from sinsjax.methods.guarding import defined, place
+from sinsjax.methods.registry import METHODS, PACKAGES, from_package
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import SECTION_OF, TomlTable
 from sinsjax.study.load import with_point

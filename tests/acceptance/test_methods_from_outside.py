@@ -17,7 +17,7 @@ import pytest
 from support.forked import Server
 
 import sinsjax as package
-from sinsjax.alignment import base
+from sinsjax.methods import base
 
 EXAMPLE = Path(__file__).parents[1] / "example_method"
 PAGE = (EXAMPLE.parents[1] / "docs" / "own_method.md").read_text("utf-8")

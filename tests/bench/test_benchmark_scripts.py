@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from sinsjax.alignment.methods import METHODS
 from sinsjax.bench import limit
 from sinsjax.bench.timing import Row, Workload
 from sinsjax.errors import InputError
+from sinsjax.methods.registry import METHODS
 
 FOLDER = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(FOLDER))

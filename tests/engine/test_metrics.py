@@ -8,10 +8,10 @@ from oracles.in_engine import ARCMIN
 from oracles.naive import DEG, exp, judge, log, quaternion
 from scipy.spatial.transform import Rotation
 
-from sinsjax.alignment.base import AttitudeCovariance
-from sinsjax.alignment.limits import Limit
 from sinsjax.engine import metrics
 from sinsjax.engine.metrics import Criteria, Observation
+from sinsjax.methods.base import AttitudeCovariance
+from sinsjax.methods.limits import Limit
 from sinsjax.types import Quat, Vec3
 
 BANDS = np.array([60.0, 10.0, 3.0]) * ARCMIN

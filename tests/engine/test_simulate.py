@@ -29,8 +29,6 @@ from oracles.naive import (
 )
 from scipy.spatial.transform import Rotation
 
-from sinsjax.alignment.base import Options
-from sinsjax.alignment.limits import Biases
 from sinsjax.engine.measurements import measured, noise, nothing_read
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.pieces import SAMPLES_A_PIECE, piece
@@ -41,6 +39,8 @@ from sinsjax.engine.realisations import (
     Static,
 )
 from sinsjax.engine.simulate import RunParams, simulate
+from sinsjax.methods.base import Options
+from sinsjax.methods.limits import Biases
 from sinsjax.strapdown import sensors
 from sinsjax.types import Quat, Vec3
 

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.studies import small_study
 
-from sinsjax.alignment.schedules import Resets, next_due, reset_due
 from sinsjax.engine import batch, build, tile
 from sinsjax.engine import lanes as lane_layout
 from sinsjax.engine.realisations import Static
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
+from sinsjax.methods.schedules import Resets, next_due, reset_due
 
 HEEDING = {"reset_at_feedback": [False, True], "reset_restarts_feedback": [False, True]}
 SCHEDULES = {

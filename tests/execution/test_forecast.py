@@ -9,10 +9,10 @@ from support.memory import at_most_mb
 from support.stored import write_manifest
 from support.studies import small_study, with_paper_values
 
-from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, run
+from sinsjax.methods.registry import METHODS
 from sinsjax.platform import machine
 from sinsjax.study.load import study_from_dict, with_rate
 from sinsjax.study.study import Study

@@ -14,7 +14,6 @@ from support.commands import command_line
 from support.kept import STUDIES, everything, rewrite_manifest, study_of
 from support.studies import small_study, with_paper_values, with_truth
 
-from sinsjax.alignment import methods
 from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun
@@ -22,6 +21,7 @@ from sinsjax.execution import run as study_run
 from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import count_runs, part_marks, read_summary
 from sinsjax.execution.sealed import sealed_parquet
+from sinsjax.methods import registry as methods
 from sinsjax.records import PSINS_LAYOUT, read_psins, write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict

@@ -10,12 +10,12 @@ import pytest
 from support.kept import rewrite_manifest
 from support.studies import small_study
 
-from sinsjax.alignment import methods
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tasks
 from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import load_stored_study
 from sinsjax.execution.source import Source
+from sinsjax.methods import registry as methods
 from sinsjax.platform import runtime, xla
 from sinsjax.study.identity import differences
 from sinsjax.study.load import study_to_toml

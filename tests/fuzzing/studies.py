@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fuzzing.edits import Quiet, edited, mangled
 from fuzzing.values import TEXTS, misfits, of_field, table
-from sinsjax.alignment.methods import METHODS
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import SECTIONS, SWEEPABLE, TUNABLE, rivals
 from sinsjax.study.schema import NUMBERS_DRAWN
 

@@ -9,14 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
-from sinsjax.alignment.base import Options, Site
-from sinsjax.alignment.compass import method as compass
-from sinsjax.alignment.compass.design import AzimuthGains, LevelGains
-from sinsjax.alignment.filters.section import times_of_resets
-from sinsjax.alignment.filters.stages import FilterParams
-from sinsjax.alignment.limits import NO_BIASES
-from sinsjax.alignment.methods import METHODS
-from sinsjax.alignment.schedules import CovarianceReset, Feedback, Pieces, Resets
 from sinsjax.engine.measurements import Read
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import Draw, Environment, Static
@@ -28,6 +20,14 @@ from sinsjax.engine.simulate import (
     over_record,
     set_up,
 )
+from sinsjax.methods.base import Options, Site
+from sinsjax.methods.compass import method as compass
+from sinsjax.methods.compass.design import AzimuthGains, LevelGains
+from sinsjax.methods.filters.section import times_of_resets
+from sinsjax.methods.filters.stages import FilterParams
+from sinsjax.methods.limits import NO_BIASES
+from sinsjax.methods.registry import METHODS
+from sinsjax.methods.schedules import CovarianceReset, Feedback, Pieces, Resets
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.error_model import MODELS
 from sinsjax.types import Navigation, Quat, Vec3

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from sinsjax.alignment import passes
 from sinsjax.engine import measurements, simulate
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.realisations import attitudes, method_of
 from sinsjax.maths import rotations
+from sinsjax.methods import passes
 from sinsjax.types import Increments, Quat, Vec3
 
 BLOCK = 50

@@ -149,7 +149,7 @@ def test_extending_page_describes_names_imported_by_example(
                 missing |= {f"{node.module}.{alias.name}" for alias in node.names}
     described = {name for name in missing for a in anchors if f"{a}.".startswith(f"{name}.")}
     assert missing - described == {"sinsjax.types.Scalar"}  # told in words
-    assert described > {"sinsjax.alignment.base.Relaxed", "sinsjax.maths.rotations"}
+    assert described > {"sinsjax.methods.base.Relaxed", "sinsjax.maths.rotations"}
 
 
 @pytest.mark.parametrize(

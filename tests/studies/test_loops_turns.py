@@ -8,9 +8,9 @@ from support.studies import small_study
 
 from docs.studies.loops.runs import limits_of
 from docs.studies.loops.turns import cycle_radius
-from sinsjax.alignment.compass import design as loops
-from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.execution import run as study_run
+from sinsjax.methods.compass import design as loops
+from sinsjax.methods.compass.parameters import REVERSALS
 from sinsjax.study.load import one_variant
 
 G, R = 9.8, 6378137.0

@@ -10,8 +10,8 @@ from support.stored import store
 from docs.studies.loops.runs import limits_of
 from docs.studies.paper2 import page as paper2
 from sinsjax import analysis
-from sinsjax.alignment.compass import design as loops
 from sinsjax.execution.source import Source
+from sinsjax.methods.compass import design as loops
 from sinsjax.study.load import load_study, one_variant, study_from_dict
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -1,7 +1,7 @@
 import pytest
 
 from docs.studies.paper2 import page as paper2
-from sinsjax.alignment.compass import design
+from sinsjax.methods.compass import design
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from sinsjax.alignment.methods import METHODS
 from sinsjax.execution import prepare, run
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.load import load_study, study_from_dict
 
 CONFIGS = Path(__file__).parents[2] / "configs"

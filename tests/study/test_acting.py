@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from support.studies import small_study
 
-from sinsjax.alignment.description import COMMON_KEYS
-from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.batch import chunks
 from sinsjax.engine.build import Scenario
+from sinsjax.methods.description import COMMON_KEYS
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import SECTIONS, acts, conditions, deciding
 
 pytestmark = pytest.mark.optimised(False)

@@ -13,12 +13,12 @@ import tomli_w
 from support.studies import BASE, small_study, small_tables
 
 from sinsjax import InputError, StudyWarning, load_study
-from sinsjax.alignment.description import COMMON_KEYS
-from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.batch import chunks
 from sinsjax.engine.build import Scenario
 from sinsjax.execution.prepare import prepare
 from sinsjax.execution.run import run
+from sinsjax.methods.description import COMMON_KEYS
+from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
 from sinsjax.study.dropping import drop_unread, keys_without_effect
 from sinsjax.study.keys import SECTION_OF, conditions, readers

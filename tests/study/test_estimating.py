@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 from support.studies import refusal, small_study, small_tables
 
-from sinsjax.alignment.base import Options
-from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
+from sinsjax.methods.base import Options
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, tables_of
 

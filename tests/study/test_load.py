@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.studies import with_paper_values
 
-from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.keys import SECTION_OF, SECTIONS, SWEEPABLE
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml, with_rate

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.studies import refusal, small_study
 
-from sinsjax.alignment.filters.section import times_of_resets
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.study_limits import scheduled_last_s
 from sinsjax.execution import run as study_run
+from sinsjax.methods.filters.section import times_of_resets
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_to_toml
 

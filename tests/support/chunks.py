@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from sinsjax.alignment.base import FilterResults
-from sinsjax.alignment.limits import Limit
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation, Outcome
+from sinsjax.methods.base import FilterResults
+from sinsjax.methods.limits import Limit
 from sinsjax.types import Vec3
 from sinsjax.units import ARCMIN
 

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
+from sinsjax.methods.registry import METHODS
 from sinsjax.records import Record, Reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import rivals

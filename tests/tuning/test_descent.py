@@ -15,14 +15,14 @@ import pytest
 from scipy.stats import mstats, norm
 from support.studies import small_study
 
-from sinsjax.alignment.limits import Limit
-from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.covariance import Spread
 from sinsjax.engine.metrics import Criteria, Outcome
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.tasks import Job
+from sinsjax.methods.limits import Limit
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import (

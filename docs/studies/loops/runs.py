@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.alignment.bounds import Number, record_bound
 from sinsjax.engine.truth import errors_of, site_of
 from sinsjax.errors import InputError
+from sinsjax.methods.bounds import Number, record_bound
 from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN, DEG, MICRO

@@ -4,9 +4,9 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from sinsjax.alignment.compass import design as loops
-from sinsjax.alignment.compass.design import Number
-from sinsjax.alignment.compass.parameters import REVERSALS
+from sinsjax.methods.compass import design as loops
+from sinsjax.methods.compass.design import Number
+from sinsjax.methods.compass.parameters import REVERSALS
 from sinsjax.study.study import Study
 
 TURNS = {

@@ -15,9 +15,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.alignment.compass import design
 from sinsjax.analysis import format_estimate
 from sinsjax.execution.source import Source
+from sinsjax.methods.compass import design
 from sinsjax.plots import Line
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources

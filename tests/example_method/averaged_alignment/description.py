@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from sinsjax.alignment.description import INITIAL_KEYS, Description, Implementation
+from sinsjax.methods.description import INITIAL_KEYS, Description, Implementation
 from sinsjax.value_types import Seconds, Section
 
 

@@ -5,12 +5,12 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.alignment.base import Method, Options, Site, no_covariance
-from sinsjax.alignment.coarse import two_vectors
-from sinsjax.alignment.limits import unaided
-from sinsjax.alignment.parameters import Columns
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, scale
+from sinsjax.methods.base import Method, Options, Site, no_covariance
+from sinsjax.methods.coarse import two_vectors
+from sinsjax.methods.limits import unaided
+from sinsjax.methods.parameters import Columns
 from sinsjax.strapdown import mechanisation
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from averaged_alignment.method import Numbers
-from sinsjax.alignment.base import Relaxed
+from sinsjax.methods.base import Relaxed
 from sinsjax.types import Scalar
 
 

@@ -1,0 +1,176 @@
+"""What a method says of itself before anything is compiled: its keys, its columns, its bias floor.
+
+Free of JAX: a study is read, checked and reported with this alone. What computes is loaded when it
+is asked for.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, NoReturn, Protocol, runtime_checkable
+
+from numpy.typing import NDArray
+
+from sinsjax.columns import Column
+from sinsjax.methods.parameters import Columns
+from sinsjax.value_types import Section
+
+INITIAL_KEYS = (
+    *("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "misalignment"),
+    *("ve0_m_per_s", "vn0_m_per_s"),
+)
+"""The keys of [alignment] that a method reads which begins with an attitude and a velocity."""
+
+COMMON_KEYS = ("position",)
+"""The keys of [alignment] that act on every method, but for those that are silent of them."""
+
+
+@runtime_checkable
+class StudyView(Protocol):
+    """What a method may ask of a study."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples a second."""
+        ...
+
+    @property
+    def is_recorded(self) -> bool:
+        """Whether its sensors come from a record."""
+        ...
+
+    @property
+    def run_s(self) -> float:
+        """Length of the shortest run, s."""
+        ...
+
+    def has(self, section: str) -> bool:
+        """Whether it has a section; without it none of its keys may be asked for."""
+        ...
+
+    def combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
+        """The distinct values that keys take together over all variants; None of a drawn key."""
+        ...
+
+
+@runtime_checkable
+class CheckedStudy(StudyView, Protocol):
+    """A study whose rules between keys are being checked."""
+
+    @property
+    def end(self) -> str:
+        """Where its shortest run ends, in words."""
+        ...
+
+    def place(self, key: str) -> str | None:
+        """The table, in brackets, that gives a key; None of one that is left out."""
+        ...
+
+    def refuse(self, key: str, text: str) -> NoReturn:
+        """Raise the error of a key: `InputError`, ``[section] key: what is wrong (hint)``."""
+        ...
+
+
+class OwnColumn(NamedTuple):
+    """A result column of a method's own.
+
+    Attributes:
+        column: name, type, unit and meaning.
+        value: (`Method.results` of runs, samples a second) -> values, (runs,), NaN for none.
+        missing: value of runs whose method has no such column; NaN for none.
+        where: whether a study has it.
+    """
+
+    column: Column
+    value: Callable[[Any, float], NDArray]
+    missing: float = float("nan")
+    where: Callable[[StudyView], bool] = lambda study: True
+
+
+def no_check(columns: Columns, site: Any) -> None:
+    """Every number can be run."""
+
+
+class Implementation(NamedTuple):
+    """What computes a method; arguments named in quotes are those of `methods.base`.
+
+    Attributes:
+        build: ``Options`` -> ``Method``.
+        parameters: (columns of a study, ``Site``, a micro-g in m/s^2) -> the method's numbers,
+            leaves (variants, ...).
+        check: (columns, ``Site``): refuses numbers that cannot be run, by `InputError`.
+        relaxed: ``Relaxed``, how its numbers follow the keys of a study; None: it has no gradient.
+    """
+
+    build: Callable[[Any], Any]
+    parameters: Callable[[Columns, Any, float], Any]
+    check: Callable[[Columns, Any], None] = no_check
+    relaxed: Any = None
+
+
+@dataclass(frozen=True)
+class Description:
+    """An alignment method, as studies, results and tables of documentation know it.
+
+    Attributes:
+        name: in ``[alignment] method``.
+        summary: what it does, in half a line.
+        source: paper and equation.
+        sections: its sections of a study file, by name; methods may share one.
+        reads: keys of [alignment] and [passes] that act on it, but for those that act on all.
+        load: makes its `Implementation`, importing JAX.
+        silent: keys of its sections, of ``reads`` and of `COMMON_KEYS` that do not act on it.
+        refuses: keys of its sections, and of [coarse] in a simulated study, that its rules refuse;
+            a change to it drops them.
+        has_covariance: whether it has a covariance P.
+        has_floor: whether constant sensor biases leave its heading a bias floor that is known.
+        gyro_bias_keys: pairs of keys, the sigma of gyro bias states and that of heading beside
+            them: such a filter tells gyro biases from heading once the base moves. Empty for a
+            method without these states.
+        has_error_step: whether its steps tell their linear part, so that the covariance of its true
+            error can be computed without draws.
+        rules: check the rules between its keys.
+        columns: its own result columns.
+        last_called: (`Method.results` of runs) -> sample of the last reset that a run itself called
+            for, 0 for none; None where none can.
+        step_s: time of a sample of one run on one core, s, roughly; see `docs/performance.md`.
+        estimate_runs: plain runs that one without noise takes as long as, with the covariance of
+            its error and 64 sampled errors, roughly.
+    """
+
+    name: str
+    summary: str
+    source: str
+    sections: Mapping[str, type[Section]]
+    reads: tuple[str, ...]
+    load: Callable[[], Implementation]
+    silent: tuple[str, ...] = ()
+    refuses: tuple[str, ...] = ()
+    has_covariance: bool = True
+    has_floor: bool = True
+    gyro_bias_keys: tuple[tuple[str, str], ...] = ()
+    has_error_step: bool = False
+    rules: tuple[Callable[[CheckedStudy], None], ...] = ()
+    columns: tuple[OwnColumn, ...] = ()
+    last_called: Callable[[Any], NDArray | None] = lambda results: None
+    step_s: float = 20e-9
+    estimate_runs: float = 3.0
+
+    @cached_property
+    def keys(self) -> frozenset[str]:
+        """Every key of a study that it takes, but for those that all methods do."""
+        own = (key for section in self.sections.values() for key in section.model_fields)
+        return frozenset([*own, *self.reads])
+
+    def columns_of(self, study: StudyView) -> tuple[OwnColumn, ...]:
+        """Its own columns in a study."""
+        return tuple(own for own in self.columns if own.where(study))
+
+    @cached_property
+    def implementation(self) -> Implementation:
+        """What computes."""
+        return self.load()
+
+    def __call__(self, options: Any) -> Any:
+        """Build the method: ``Options`` -> ``Method``, see `methods.base`."""
+        return self.implementation.build(options)

@@ -1,0 +1,362 @@
+"""[filter] and [resets]: P0, Q and R of the zero-velocity filters, and resets of P."""
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from sinsjax.methods.description import CheckedStudy
+from sinsjax.methods.triggers.section import TriggerKeys, has_trigger
+from sinsjax.value_types import (
+    ROUNDING,
+    AccelNoise,
+    AccelSigma,
+    ActsWhere,
+    AngleSigma,
+    Count,
+    Factor,
+    GyroNoise,
+    GyroSigma,
+    GyroWalk,
+    HeadingSigma,
+    KeyInfo,
+    Seconds,
+    Section,
+    SpeedSigma,
+    Times,
+)
+
+Q_DENSITIES = {
+    "q_accel_ug": {"q_accel_ug_per_sqrt_hz": 1.0},
+    "q_gyro_deg_per_h": {"q_gyro_deg_per_h_per_sqrt_hz": 1.0, "q_gyro_arw_deg_per_sqrt_h": 60.0},
+}
+"""Keys of Q as noise densities, with their factors to the key in front, under ``psd``."""
+
+WHITE_NOISE = {
+    "q_accel_ug": ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz", 1.0),
+    "q_gyro_deg_per_h": ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h", 60.0),
+}
+"""Keys of [sensors] for omitted keys of Q: white noise as the standard deviation of a sample and as
+a density, and the factor of the density to the unit of Q."""
+
+OF_SCHEDULES = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
+"""Keys of the times of scheduled resets, in the order of `reset_times`."""
+
+OF_RESETS = (*OF_SCHEDULES, "reset_at_feedback", "feedback_interval_s")
+"""Keys of the times at which resets act, in the order of `times_of_resets`."""
+
+
+class FilterSection(Section):
+    """[filter]: initial covariance P0, process noise Q and measurement noise R of a filter."""
+
+    exclusive = tuple(
+        pair for key, forms in Q_DENSITIES.items() for pair in combinations((key, *forms), 2)
+    )
+
+    p0_velocity_m_per_s: SpeedSigma = Field(
+        0.1, description="initial standard deviation of the east and north velocity errors, m/s"
+    )
+    p0_level_deg: AngleSigma = Field(
+        15.0,
+        description="initial standard deviation of the misalignments about east and north, deg",
+    )
+    p0_yaw_deg: HeadingSigma = Field(
+        80.0,
+        description="initial standard deviation of the misalignment about up, the heading error,"
+        " deg",
+    )
+    p0_gyro_bias_deg_per_h: GyroSigma = Field(
+        0.1, description="initial standard deviation of the gyro biases, deg/h"
+    )
+    p0_accel_bias_ug: AccelSigma = Field(
+        500.0, description="initial standard deviation of the accelerometer biases, ug"
+    )
+    q_accel_ug: AccelNoise | None = Field(
+        None,
+        description="process noise of the velocity errors, ug, or ug/sqrt(Hz) with q_reading ="
+        " 'psd'; default: the white noise of the study's accelerometers",
+    )
+    q_gyro_deg_per_h: GyroNoise | None = Field(
+        None,
+        description="process noise of the misalignments, deg/h, or deg/h/sqrt(Hz) with q_reading"
+        " = 'psd'; default: the white noise of the study's gyros",
+    )
+    q_accel_ug_per_sqrt_hz: AccelNoise | None = Field(
+        None,
+        description="process noise of the velocity errors as a noise density, ug/sqrt(Hz); an"
+        " alternative to q_accel_ug, only with q_reading = 'psd'",
+    )
+    q_gyro_deg_per_h_per_sqrt_hz: GyroNoise | None = Field(
+        None,
+        description="process noise of the misalignments as a noise density, deg/h/sqrt(Hz); an"
+        " alternative to q_gyro_deg_per_h, only with q_reading = 'psd'",
+    )
+    q_gyro_arw_deg_per_sqrt_h: GyroWalk | None = Field(
+        None,
+        description="process noise of the misalignments as an angle random walk, deg/sqrt(h), a"
+        " sixtieth of the number in deg/h/sqrt(Hz); an alternative to q_gyro_deg_per_h, only with"
+        " q_reading = 'psd'",
+    )
+    q_reading: Literal["psd", "per_sample", "per_step"] | None = Field(
+        None,
+        description="what the q_ numbers mean, required with them. 'psd': noise densities from a"
+        " data sheet (ug/sqrt(Hz), and deg/h/sqrt(Hz) or deg/sqrt(h)). 'per_sample': standard"
+        " deviation of one sample. 'per_step': standard deviation added per filter step, as paper"
+        " 1 prints it; at 100 Hz a hundred times the noise of 'per_sample'",
+    )
+    r_velocity_m_per_s: SpeedSigma = Field(
+        0.1,
+        description="standard deviation r of the velocity measurement, which takes the velocity"
+        " of the base for zero, m/s, or m/s/sqrt(Hz) with r_reading = 'psd'",
+    )
+    r_reading: Literal["per_update", "psd"] = Field(
+        "per_update",
+        description="variance R of one update. 'per_update': r squared, whatever the sample rate."
+        " 'psd': r squared divided by the sample time, as for a noise density",
+    )
+    q_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
+        None, description="factor on Q, a variance; default 1"
+    )
+    r_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
+        None, description="factor on R, a variance; default 1"
+    )
+
+
+def q_readings(dt: float) -> dict[str, float]:
+    """What makes Q of a step of dt s from the square of its key, by the words of ``q_reading``."""
+    return {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
+
+
+def white_density(q_key: str, rate_hz: float, per_sample: Any, density: Any) -> float | None:
+    """Return the density of the sensors' white noise, in the unit of a key of Q under 'psd'.
+
+    It is that of the noisiest axis; None if the study gives no noise, or draws it.
+
+    Args:
+        q_key: key of `WHITE_NOISE`.
+        rate_hz: samples per second.
+        per_sample: value of the key for the standard deviation of a sample.
+        density: value of the key for the density.
+    """
+    if density is not None:
+        return _largest(density) * WHITE_NOISE[q_key][2]
+    return None if per_sample is None else _largest(per_sample) / rate_hz**0.5
+
+
+def _largest(noise: float | tuple[float, ...]) -> float:
+    return max(noise) if isinstance(noise, tuple) else noise
+
+
+_RESETS = ("reset_times_s", "reset_count", "reset_trigger")
+"""Keys that determine whether P is reset at all."""
+
+_SET_BY_FULL = (
+    "reset_velocity_m_per_s",
+    "reset_level_deg",
+    "reset_gyro_bias_deg_per_h",
+    "reset_accel_bias_ug",
+)
+
+
+def _resets(times: Sequence[float] | None, count: int | None, trigger: str | None) -> bool:
+    return bool(times or count or has_trigger(trigger))
+
+
+def _scales(kind: str, *schedule: Any) -> bool:
+    return kind == "scale" and _resets(*schedule)
+
+
+def _sets_yaw(kind: str, *schedule: Any) -> bool:
+    return kind != "scale" and _resets(*schedule)
+
+
+def _sets_all(kind: str, *schedule: Any) -> bool:
+    return kind == "full" and _resets(*schedule)
+
+
+def _moves_feedback(at_feedback: bool, *schedule: Any) -> bool:
+    return not at_feedback and _resets(*schedule)
+
+
+def _needs_cycle(count: int | None, first_s: float | None) -> bool:
+    return (count or 0) > (0 if first_s is None else 1)
+
+
+class ResetsSection(TriggerKeys):
+    """[resets]: resets of the covariance P by count and cycle, at given times, or by a trigger."""
+
+    exclusive = tuple(("reset_times_s", key) for key in OF_SCHEDULES[1:])
+    conditions = (
+        *TriggerKeys.conditions,
+        ActsWhere(("reset_first_s",), ("reset_count",), bool),
+        ActsWhere(("reset_cycle_s",), ("reset_count", "reset_first_s"), _needs_cycle),
+        ActsWhere(("reset_kind", "reset_at_feedback"), _RESETS, _resets),
+        ActsWhere(("reset_restarts_feedback",), ("reset_at_feedback", *_RESETS), _moves_feedback),
+        ActsWhere(("reset_scale",), ("reset_kind", *_RESETS), _scales),
+        ActsWhere(("reset_yaw_deg",), ("reset_kind", *_RESETS), _sets_yaw),
+        ActsWhere(_SET_BY_FULL, ("reset_kind", *_RESETS), _sets_all),
+    )
+
+    reset_count: Annotated[Count | None, KeyInfo(default=0)] = Field(
+        None, description="number of scheduled resets, reset_cycle_s apart; default 0"
+    )
+    reset_cycle_s: Seconds | None = Field(
+        None,
+        description="time between two of the reset_count resets, s; required unless reset_first_s"
+        " gives the time of a single one",
+    )
+    reset_first_s: Seconds | None = Field(
+        None, description="time of the first of reset_count resets, s; default: the cycle"
+    )
+    reset_times_s: Annotated[Times | None, KeyInfo(whole="sample", merged=True)] = Field(
+        None, description="times of the scheduled resets, s; an alternative to reset_count"
+    )
+    reset_at_feedback: bool = Field(
+        False, description="whether a reset waits for the next feedback"
+    )
+    reset_restarts_feedback: bool = Field(
+        False,
+        description="whether the next feedback takes place a whole feedback_interval_s after a"
+        " reset",
+    )
+    reset_kind: Literal["full", "yaw", "scale"] = Field(
+        "full",
+        description="effect of a reset on P. 'full': all variances are set to the values below,"
+        " all covariances to zero. 'yaw': only the variance of the heading is set, and its"
+        " covariances become zero. 'scale': all of P is multiplied by reset_scale",
+    )
+    reset_scale: Factor = Field(10.0, description="factor on P with reset_kind = 'scale'")
+    reset_velocity_m_per_s: Annotated[SpeedSigma | None, KeyInfo(same_as="p0_velocity_m_per_s")] = (
+        Field(
+            None,
+            description="standard deviation of the velocity errors after a reset, m/s; default:"
+            " as at the start",
+        )
+    )
+    reset_level_deg: Annotated[AngleSigma | None, KeyInfo(same_as="p0_level_deg")] = Field(
+        None,
+        description="standard deviation of the misalignments about east and north after a reset,"
+        " deg; default: as at the start",
+    )
+    reset_yaw_deg: Annotated[HeadingSigma | None, KeyInfo(same_as="p0_yaw_deg")] = Field(
+        None,
+        description="standard deviation of the misalignment about up after a reset, deg; default:"
+        " as at the start",
+    )
+    reset_gyro_bias_deg_per_h: Annotated[
+        GyroSigma | None, KeyInfo(same_as="p0_gyro_bias_deg_per_h")
+    ] = Field(
+        None,
+        description="standard deviation of the gyro biases after a reset, deg/h; default: as at"
+        " the start",
+    )
+    reset_accel_bias_ug: Annotated[AccelSigma | None, KeyInfo(same_as="p0_accel_bias_ug")] = Field(
+        None,
+        description="standard deviation of the accelerometer biases after a reset, ug; default:"
+        " as at the start",
+    )
+
+
+def counted_resets(count: int, cycle_s: float | None, first_s: float | None) -> tuple[float, ...]:
+    """Return the times of counted resets, s.
+
+    Args:
+        count: number of resets.
+        cycle_s: time between two resets; not needed for a single one with ``first_s``.
+        first_s: time of the first reset; None for resets at the multiples of the cycle.
+    """
+    if first_s is None:
+        return tuple((i + 1) * (cycle_s or 0.0) for i in range(count))
+    return tuple(first_s + i * (cycle_s or 0.0) for i in range(count))
+
+
+def reset_times(
+    times_s: tuple[float, ...] | None,
+    count: int | None,
+    cycle_s: float | None,
+    first_s: float | None,
+) -> tuple[float, ...]:
+    """Return the times of scheduled resets as the study gives or counts them, s."""
+    return counted_resets(count or 0, cycle_s, first_s) if times_s is None else tuple(times_s)
+
+
+def times_of_resets(rate_hz: float, *values: Any) -> tuple[float, ...]:
+    """Return the times at which scheduled resets act, s; two may wait for the same feedback.
+
+    Args:
+        rate_hz: samples per second.
+        values: values of the keys of `OF_RESETS`.
+    """
+    *schedule, at_feedback, interval_s = values
+    times = reset_times(*schedule)
+    if not at_feedback:
+        return times
+    every = round(interval_s * rate_hz)
+    return tuple(-(-round(time * rate_hz) // every) * every / rate_hz for time in times)
+
+
+def check_resets(study: CheckedStudy) -> None:
+    """Refuse resets after the end, at the start, or two at one sample."""
+    for point in study.combinations(*OF_RESETS) if study.has("resets") else ():
+        times, count, cycle, first = (point[key] for key in OF_SCHEDULES)
+        if times is not None:
+            _check_times(study, times)
+        elif count:
+            _check_counted(study, count, cycle, first)
+        if point["reset_at_feedback"]:
+            _check_put_off(study, [point[key] for key in OF_RESETS])
+
+
+def _check_put_off(study: CheckedStudy, values: Sequence[Any]) -> None:
+    """Refuse a reset that waits for a feedback after the end."""
+    written = reset_times(*values[: len(OF_SCHEDULES)])
+    for time, later in zip(written, times_of_resets(study.rate_hz, *values), strict=True):
+        if later > study.run_s * (1 + ROUNDING):
+            text = f"delays the reset at {time:.12g} s to the feedback at {later:.12g} s"
+            study.refuse("reset_at_feedback", f"{text}, after the end of the run ({study.end})")
+
+
+def _check_times(study: CheckedStudy, times: tuple[float, ...], key: str = "reset_times_s") -> None:
+    """Refuse given reset times after the end, at the start, or two at one sample."""
+    rate = study.rate_hz
+    earlier, taken = 0.0, 0
+    for time in times:
+        if time > study.run_s * (1 + ROUNDING):
+            study.refuse(key, f"{time:.12g} s is after the end of the run ({study.end})")
+        sample = round(time * rate)
+        if sample == taken:
+            other = f"the reset at {earlier:.12g} s" if taken else "the start"
+            text = f"{time:.12g} s is at the sample of {other} (a sample is {1 / rate:.12g} s)"
+            study.refuse(key, text)
+        earlier, taken = time, sample
+
+
+def _check_counted(
+    study: CheckedStudy, count: int, cycle: float | None, first: float | None
+) -> None:
+    """Refuse counted resets after the end, at the start, or two at one sample."""
+    alone = 0 if first is None else 1  # resets that need no cycle
+    if cycle is None and count > alone:
+        study.refuse("reset_cycle_s", f"required with reset_count > {alone} (it is {count})")
+    if first is not None:
+        _check_times(study, (first,), key="reset_first_s")
+    if cycle is None or count <= alone:
+        return
+    rate = study.rate_hz
+    begin, last = ("", count * cycle)
+    if first is not None:
+        begin, last = f" from {first:.12g} s", first + (count - 1) * cycle
+    if last > study.run_s * (1 + ROUNDING):
+        key = "reset_cycle_s" if study.place("reset_count") == "[resets]" else "reset_count"
+        text = f"{count} resets{begin} every {cycle:.12g} s take {last:.12g} s"
+        study.refuse(key, f"{text}, longer than the run ({study.end})")
+    if cycle * rate < 1 - ROUNDING:
+        text = f"{cycle:.12g} s is shorter than a sample of {1 / rate:.12g} s"
+        study.refuse("reset_cycle_s", text)
+    if first is not None and cycle * rate < 2:
+        # Halves are rounded to even: both 1.5 and 2.5 samples become 2.
+        samples = [round(time * rate) for time in counted_resets(count, cycle, first)]
+        if len(set(samples)) < count:
+            text = f"{first:.12g} s and a cycle of {cycle:.12g} s put two resets at one sample"
+            study.refuse("reset_first_s", f"{text} (a sample is {1 / rate:.12g} s)")

@@ -1,0 +1,24 @@
+"""The right-invariant filter, as studies know it."""
+
+from functools import partial
+
+from sinsjax.methods.description import Implementation
+from sinsjax.methods.filters.description import filter_description
+
+
+def _load() -> Implementation:
+    from sinsjax.methods.filters.parameters import parameters
+    from sinsjax.methods.filters.relaxed import relaxed
+    from sinsjax.methods.invariant.method import STATES, build
+
+    return Implementation(build, partial(parameters, STATES), relaxed=relaxed(STATES))
+
+
+INVARIANT = filter_description(
+    name="invariant",
+    summary="right-invariant Kalman filter of a base at rest, fed back by the group",
+    source="Barrau and Bonnabel (2017)",
+    load=_load,
+    step_s=15e-9,
+    estimate_runs=6.5,
+)

@@ -1,0 +1,76 @@
+"""What methods say of themselves: ``python -m sinsjax.methods.page > docs/methods.md``."""
+
+from sinsjax.methods.description import Description
+from sinsjax.methods.registry import METHODS
+from sinsjax.methods.triggers.description import TRIGGERS
+
+_RESETS_AND_FEEDBACK = (
+    "At a reset all of the estimate is fed back, then P is set anew. What comes of it depends on"
+    " how soon after the reset the next feedback is due, which is whatever part of"
+    " `feedback_interval_s` the schedule happens to leave. Two keys of [resets] settle it, for"
+    " schedules and triggers alike. With `reset_restarts_feedback = true` the next feedback comes"
+    " a whole interval after a reset, and the following ones an interval apart from there, over"
+    " the ends of passes too. With `reset_at_feedback = true` a reset waits for the next feedback."
+    " Two that wait for the same one are one reset; the columns of the schedule tell its times as"
+    " written. A reset that a trigger called for is counted when it comes, and forgotten if a pass"
+    " ends before. A reset that has waited restarts nothing, so that both keys together do what"
+    " the second does alone; with feedback after every sample neither does anything. Neither has"
+    " a gradient, as a reset spread over a window has no phase. After coarse alignment that hands"
+    " over, the clock begins with fine alignment: a schedule can wait for feedback there only if"
+    " the coarse alignment lasts whole feedback intervals."
+)
+
+
+def page() -> str:
+    """What every method reads, gives and can be tuned by, as Markdown."""
+    cells = (
+        (f"`{m.name}`", m.summary, m.source, _yes(m.has_covariance), _yes(m.has_floor))
+        for m in METHODS.values()
+    )
+    lines = [
+        "# Alignment methods",
+        "",
+        "`[alignment] method` names one; it may be swept. The bias floor is the heading error that"
+        " constant sensor biases leave.",
+        "",
+        "| method | what it does | source | covariance | bias floor |",
+        "| --- | --- | --- | --- | --- |",
+        *(f"| {' | '.join(row)} |" for row in cells),
+    ]
+    for method in METHODS.values():
+        lines += ["", f"## `{method.name}`", "", *_keys(method)]
+    lines += ["", "## Resets between two feedbacks", "", _RESETS_AND_FEEDBACK]
+    lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]
+    lines += ["| trigger | calls for a reset at |", "| --- | --- |"]
+    lines += [
+        f"| `{t.name}` | {t.summary}{' (P fades instead)' if t.fades else ''} |"
+        for t in TRIGGERS.values()
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _yes(flag: bool) -> str:
+    return "yes" if flag else "no"
+
+
+def _keys(method: Description) -> list[str]:
+    """The keys that a method reads, and which of them have a gradient in `[tune]`."""
+    own = {name: list(section.model_fields) for name, section in method.sections.items()}
+    own = {"alignment, passes": sorted(method.reads)} | own
+    relaxed = method.implementation.relaxed
+    lines = []
+    for name, its_keys in own.items():
+        read = ", ".join(f"`{key}`" for key in its_keys if key not in method.silent)
+        lines.append(f"- `[{name}]`: {read or 'none'}.")
+    if method.columns:
+        told = (f"`{own.column.name}` ({own.column.meaning})" for own in method.columns)
+        lines.append(f"- Own columns: {', '.join(told)}.")
+    if relaxed:
+        keys = {*relaxed.changes, *filter(None, [relaxed.times])}
+        with_gradient = sorted(keys.difference(method.silent))
+        lines.append(f"- With a gradient: {', '.join(f'`{key}`' for key in with_gradient)}.")
+    return lines
+
+
+if __name__ == "__main__":
+    print(page(), end="")

@@ -1,0 +1,241 @@
+"""The triggers: what each remembers, and the score that it gives a sample."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from sinsjax.maths.algebra import Triangle, triangle_index
+from sinsjax.methods import kalman
+from sinsjax.methods.kalman import Belief, normalised
+from sinsjax.methods.triggers.base import (
+    AssumedNoise,
+    FilterSnapshot,
+    Pair,
+    Trigger,
+    TriggerParams,
+)
+from sinsjax.strapdown.error_model import VE, VN
+from sinsjax.types import Flag, Scalar
+from sinsjax.units import DEG
+
+
+class _Block(NamedTuple):
+    """Sums over a window that begins anew when it is full."""
+
+    count: Scalar
+    sums: tuple[Scalar, ...]
+
+
+def _block(terms: int) -> Callable[[TriggerParams, Triangle], _Block]:
+    def start(trigger_params: TriggerParams, p: Triangle) -> _Block:
+        zero = jnp.zeros_like(trigger_params.threshold)
+        return _Block(zero, tuple(zero for _ in range(terms)))
+
+    return start
+
+
+def _add(
+    trigger_params: TriggerParams, block: _Block, terms: tuple[Scalar, ...]
+) -> tuple[_Block, Flag]:
+    """Add one sample to the window, which begins anew where it was full; and whether it is now."""
+    again = block.count >= trigger_params.window
+    sums = tuple(jnp.where(again, 0.0, s) + t for s, t in zip(block.sums, terms, strict=True))
+    count = jnp.where(again, 0.0, block.count) + 1
+    return _Block(count, sums), count >= trigger_params.window
+
+
+def _innovation(
+    trigger_params: TriggerParams, noise: AssumedNoise, block: _Block, snapshot: FilterSnapshot
+) -> Any:
+    """Innovation windowed over time: (sum r)' (sum S)^-1 (sum r), chi-square with 2 degrees."""
+    block, full = _add(trigger_params, block, (*snapshot.innovation, *snapshot.variance))
+    e, n, *s = block.sums
+    return block, jnp.where(full, normalised((e, n), s), 0.0)
+
+
+def _nis(
+    trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, snapshot: FilterSnapshot
+) -> Any:
+    """Normalised innovation squared of a sample, r' S^-1 r, chi-square with 2 degrees."""
+    return memory, normalised(snapshot.innovation, snapshot.variance)
+
+
+def _whiteness(
+    trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, snapshot: FilterSnapshot
+) -> Any:
+    """sqrt(N) |rho|, rho the innovations' correlation over one sample in a window of N."""
+    block, before = memory
+    e, n = snapshot.innovation
+    block, full = _add(trigger_params, block, (e * before[0] + n * before[1], e * e + n * n))
+    lagged, power = block.sums
+    rho = jnp.abs(lagged) / jnp.maximum(power, jnp.finfo(power.dtype).tiny)
+    return (block, snapshot.innovation), jnp.where(full, jnp.sqrt(block.count) * rho, 0.0)
+
+
+def _whiteness_start(trigger_params: TriggerParams, p: Triangle) -> Any:
+    zero = jnp.zeros_like(trigger_params.threshold)
+    return _block(2)(trigger_params, p), (zero, zero)
+
+
+class _Levels(NamedTuple):
+    """A window over the corrections of the level: samples so far, and where it began, rad."""
+
+    count: Scalar
+    east: Scalar
+    north: Scalar
+
+
+def _levels_start(trigger_params: TriggerParams, p: Triangle) -> _Levels:
+    zero = jnp.zeros_like(trigger_params.threshold)
+    return _Levels(zero, zero, zero)
+
+
+def _drift(
+    trigger_params: TriggerParams, levels: _Levels, snapshot: FilterSnapshot
+) -> tuple[_Levels, Flag, Pair]:
+    """Rates at which the level was corrected over a window, rad/s, and whether it is full."""
+    count = levels.count + 1
+    full, span = count >= trigger_params.window, count * snapshot.dt
+    e, n, _ = snapshot.correction
+    begun = _Levels(
+        jnp.where(full, 0.0, count),
+        jnp.where(full, e, levels.east),
+        jnp.where(full, n, levels.north),
+    )
+    return begun, full, ((e - levels.east) / span, (n - levels.north) / span)
+
+
+def _tilt_drift(
+    trigger_params: TriggerParams, noise: AssumedNoise, levels: _Levels, snapshot: FilterSnapshot
+) -> Any:
+    """Measured tilt drift about east over the predicted one: (drift / omega_N)^2 / P_UU.
+
+    A heading error phi_U tilts the platform at omega_N phi_U, which the filter corrects; what it
+    goes on correcting is more than its belief allows where that is false.
+    """
+    levels, full, (east, _) = _drift(trigger_params, levels, snapshot)
+    p_uu = snapshot.covariance(snapshot.belief).uu
+    score = (east / snapshot.place.rate_n) ** 2 / p_uu
+    return levels, jnp.where(full, score, 0.0)
+
+
+STILL = 9.21
+"""r' S^-1 r under which velocity is still: 99 % of chi-square with 2 degrees of freedom."""
+
+
+def _levelled(
+    trigger_params: TriggerParams, noise: AssumedNoise, levels: _Levels, snapshot: FilterSnapshot
+) -> Any:
+    """Levelled now: omega_N over the rate at which the level is corrected, where velocity is still.
+
+    Once it exceeds 1, what is left of the drift can be the work of heading alone.
+    """
+    levels, full, (east, north) = _drift(trigger_params, levels, snapshot)
+    still = normalised(snapshot.innovation, snapshot.variance) < STILL
+    # The Earth of a backward pass turns the other way.
+    score = jnp.abs(snapshot.place.rate_n) / jnp.sqrt(east**2 + north**2)
+    return levels, jnp.where(full & still, score, 0.0)
+
+
+_SMALL_LEVEL, _SMALL_HEADING = 0.1 * DEG, 4 * DEG
+"""Errors of the linearisation point that do no harm, rad."""
+
+
+def _linearisation(
+    trigger_params: TriggerParams, noise: AssumedNoise, p: Triangle, snapshot: FilterSnapshot
+) -> Any:
+    """How much more the filter knows of heading, or is about to, than its linear model can tell.
+
+    While the level is wrong, the horizontal specific force enters A(t), and heading seems to show
+    in velocity. The honest covariance P* of a base at rest (f = (0, 0, g)) does without. Three
+    shares of variance make up the score, the root of 1 and their sum:
+
+    * P*_UU / P_UU - 1: what is known already that there was not to know; as far as the level was
+      corrected since the last reset, in full from 0.1 deg: where it was not, the base moves, and
+      heading does show;
+    * P*_UU (phi_E^2 / P*_EE + phi_N^2 / P*_NN) / 4: what will be, when the level phi that is not
+      yet fed back (in units of 2 sigma) is, and the specific force jumps; likewise from 0.1 deg;
+    * (d - sin d)^2 / (P_UU + (4 deg)^2): what a heading correction d since the last reset left
+      out, as the tilt it was told by goes with sin d; corrections up to 30 deg count little.
+    """
+    zeros = tuple(jnp.zeros_like(v) for v in snapshot.belief.x)
+    honest = kalman.predict(Belief(zeros, p), snapshot.at_rest, noise.q)
+    honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), noise.r)
+    p_star = snapshot.covariance(honest._replace(x=snapshot.belief.x))
+    believed = snapshot.covariance(snapshot.belief).uu
+    done, left = snapshot.correction, snapshot.left
+    known = _counts(done.x, done.y) * (p_star.uu / believed - 1)
+    jump = _counts(left.x, left.y)
+    jump = jump * p_star.uu * (left.x**2 / p_star.ee + left.y**2 / p_star.nn) / 4
+    left_out = (done.z - _sine(done.z)) ** 2 / (believed + _SMALL_HEADING**2)
+    return honest.p, jnp.sqrt(1 + known + jump + left_out)
+
+
+def _sine(angle: Scalar) -> Scalar:
+    """Sine to some 1e-15 in arithmetic alone: XLA:CPU calls the library's for one lane at a time.
+
+    Args:
+        angle: rad, of no more than some turns, which it is reduced by.
+    """
+    within = angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))
+    folded = within - 2 * (within - jnp.clip(within, -np.pi / 2, np.pi / 2))
+    square, series = folded * folded, 0.0
+    for n in range(19, 0, -2):
+        series = series * square + (-1) ** (n // 2) / math.factorial(n)
+    return series * folded
+
+
+def _counts(east: Scalar, north: Scalar) -> Scalar:
+    """The share to which a level angle counts: its square, in full from `_SMALL_LEVEL`."""
+    return jnp.minimum(1.0, (east**2 + north**2) / _SMALL_LEVEL**2)
+
+
+def _as_it_is(trigger_params: TriggerParams, p: Triangle) -> Triangle:
+    return p
+
+
+def _fading(
+    trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, p: Triangle, r: Pair
+) -> Any:
+    """Fading memory: P is multiplied by the threshold at each sample, such as 1.0001."""
+    return memory, trigger_params.threshold
+
+
+def _strong(
+    trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, p: Triangle, r: Pair
+) -> Any:
+    """Strong tracking (Zhou and Frank 1996), one factor; the threshold is its beta, from 0 to 1.
+
+    V <- (rho V + r r') / (1 + rho), rho = 0.95; N = V - H Q H' - beta R; M = H Phi P Phi' H';
+    the factor is max(1, tr N / tr M).
+    """
+    forgetting = 0.95
+    begun, before = memory
+    power = r[0] ** 2 + r[1] ** 2
+    v = jnp.where(begun, (forgetting * before + power) / (1 + forgetting), power)
+    n = v - noise.q[VE] - noise.q[VN] - 2 * trigger_params.threshold * noise.r
+    at = triangle_index(len(noise.q))
+    factor = jnp.maximum(1.0, n / (p[at[VE, VE]] + p[at[VN, VN]]))
+    return (jnp.ones_like(begun), v), factor
+
+
+def _strong_start(trigger_params: TriggerParams, p: Triangle) -> Any:
+    zero = jnp.zeros_like(trigger_params.threshold)
+    return zero.astype(bool), zero
+
+
+def _nothing(trigger_params: TriggerParams, p: Triangle) -> Any:
+    return ()
+
+
+INNOVATION = Trigger(_block(5), _innovation)
+NIS = Trigger(_nothing, _nis)
+WHITENESS = Trigger(_whiteness_start, _whiteness)
+TILT_DRIFT = Trigger(_levels_start, _tilt_drift)
+LEVELLED = Trigger(_levels_start, _levelled)
+LINEARISATION = Trigger(_as_it_is, _linearisation)
+STRONG_TRACKING = Trigger(_strong_start, fade=_strong)
+FADING = Trigger(_nothing, fade=_fading)

@@ -1,0 +1,104 @@
+"""The keys of triggers in [resets], which reset P in addition to the schedule."""
+
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from sinsjax.methods.description import CheckedStudy, StudyView
+from sinsjax.methods.triggers.description import TRIGGERS
+from sinsjax.value_types import (
+    ActsWhere,
+    Count,
+    KeyInfo,
+    NonNegative,
+    Seconds,
+    SecondsOrZero,
+    Section,
+)
+
+if TYPE_CHECKING:
+    TriggerName = str
+else:
+    TriggerName = Literal["none", *TRIGGERS]
+
+
+_NUMBERS = (
+    "trigger_threshold",
+    "trigger_window_s",
+    "trigger_refractory_s",
+    "trigger_most",
+    "trigger_until_s",
+)
+
+
+def has_trigger(name: str | None) -> bool:
+    """Whether a value of ``reset_trigger`` names a trigger."""
+    return name not in (None, "none")
+
+
+def any_trigger(study: StudyView) -> bool:
+    """Whether some variant of a study has a trigger."""
+    points = study.combinations("reset_trigger") if study.has("resets") else ()
+    return any(has_trigger(point["reset_trigger"]) for point in points)
+
+
+def check_trigger(study: CheckedStudy) -> None:
+    """Refuse a trigger without a threshold, and keys of triggers without a trigger."""
+    if not study.has("resets"):
+        return
+    if not any_trigger(study):
+        for key in _NUMBERS:
+            if study.place(key):
+                study.refuse(key, "requires a reset_trigger (give one, or drop this)")
+    for point in study.combinations("reset_trigger", "trigger_threshold"):
+        name, threshold = point["reset_trigger"], point["trigger_threshold"]
+        if has_trigger(name) and threshold is None:
+            study.refuse("trigger_threshold", f"required with reset_trigger = '{name}'")
+
+
+class TriggerKeys(Section):
+    """The keys of triggers, in the section of the resets that they cause."""
+
+    conditions: ClassVar[tuple[ActsWhere, ...]] = (
+        ActsWhere(_NUMBERS, ("reset_trigger",), has_trigger),
+    )
+
+    reset_trigger: TriggerName | None = Field(
+        None,
+        description="score that calls for a reset when it exceeds trigger_threshold, in addition"
+        " to the schedule. 'innovation': squared sum of the innovations over a window,"
+        " normalised. 'nis': normalised innovation squared of one sample. 'whiteness':"
+        " correlation of successive innovations over a window. 'tilt_drift': squared tilt drift"
+        " about east relative to the drift that P_UU allows. 'levelled': north component of the"
+        " Earth rate relative to the rate of the level correction. 'linearisation': excess of the"
+        " filter's knowledge of the heading over that of a base at rest. The other two enlarge P"
+        " at each sample instead of resetting it: 'strong_tracking' if the innovations exceed"
+        " their covariance, 'fading' always; default 'none'",
+    )
+    trigger_threshold: NonNegative | None = Field(
+        None,
+        description="score above which the trigger resets P. With 'fading' it is the factor on P"
+        " per sample, such as 1.0001; with 'strong_tracking' the weight beta of R, from 0 to 1."
+        " Required with a trigger",
+    )
+    trigger_window_s: Annotated[Seconds | None, KeyInfo(default=10.0, beside="reset_trigger")] = (
+        Field(
+            None,
+            description="length of the window of 'innovation', 'whiteness', 'tilt_drift' and"
+            " 'levelled', s; default 10",
+        )
+    )
+    trigger_refractory_s: Annotated[
+        SecondsOrZero | None, KeyInfo(default=5.0, beside="reset_trigger", time="s")
+    ] = Field(
+        None,
+        description="shortest time from the start, or from any reset, to a reset by the trigger,"
+        " s; default 5",
+    )
+    trigger_most: Annotated[
+        Annotated[Count, Field(ge=1)] | None, KeyInfo(default=10, beside="reset_trigger")
+    ] = Field(None, description="largest number of resets by the trigger in a run; default 10")
+    trigger_until_s: Annotated[Seconds | None, KeyInfo(time="s")] = Field(
+        None,
+        description="time after which the trigger does not reset any more, s; default: no limit",
+    )

@@ -1,0 +1,40 @@
+"""The zero-velocity Kalman filters, as studies know them."""
+
+from functools import partial
+
+from sinsjax.methods.description import Implementation
+from sinsjax.methods.filters.description import READS, filter_description
+
+
+def _load(model: str) -> Implementation:
+    from sinsjax.methods.filters.parameters import parameters
+    from sinsjax.methods.filters.relaxed import relaxed
+    from sinsjax.methods.zero_velocity.method import build
+    from sinsjax.strapdown.error_model import MODELS
+
+    states = MODELS[model].states
+    return Implementation(
+        partial(build, MODELS[model]), partial(parameters, states), relaxed=relaxed(states)
+    )
+
+
+KALMAN5 = filter_description(
+    name="kalman5",
+    summary="Kalman filter of velocity and attitude errors, zero velocity measured",
+    source="[P1] eq. (1)",
+    reads=(*READS, "specific_force"),
+    load=partial(_load, "kalman5"),
+)
+
+KALMAN10 = filter_description(
+    name="kalman10",
+    summary="the same with states of gyro and level accelerometer biases",
+    source="[P1] eq. (1), biases as states",
+    reads=(*READS, "specific_force"),
+    load=partial(_load, "kalman10"),
+    silent=(),
+    gyro_bias_keys=(
+        ("p0_gyro_bias_deg_per_h", "p0_yaw_deg"),
+        ("reset_gyro_bias_deg_per_h", "reset_yaw_deg"),
+    ),
+)

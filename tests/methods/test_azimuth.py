@@ -1,0 +1,238 @@
+"""Filters for a large azimuth, and the invariant one: models, naive filters, and their limits."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles.in_engine import (
+    DEG_PER_H,
+    PAPER1,
+    UG,
+    filter_params,
+    measured,
+    navigation,
+    place,
+    runner,
+    site,
+)
+from oracles.naive import DEG, PAPER, WGS84, Filter, exp, log, of_quaternion, skew
+from oracles.naive_filters import (
+    EXTENDED,
+    INVARIANT,
+    UNSCENTED,
+    about_up,
+    closed_loop,
+    jacobian,
+    unscented_transform,
+    upright,
+)
+from support.studies import small_study
+
+from sinsjax import run as run_study
+from sinsjax.maths.algebra import numbers_of, triangle_index
+from sinsjax.methods.azimuth import model, prediction
+from sinsjax.methods.azimuth.method import AzimuthParams
+from sinsjax.methods.invariant.method import left_jacobian
+from sinsjax.methods.kalman import Belief
+from sinsjax.types import Vec3
+
+RATE, SAMPLES, LATITUDE, DT = 100, 1000, 32 * DEG, 0.01
+P0 = np.array([0.1, 0.1, 15 * DEG, 15 * DEG, 80 * DEG]) ** 2
+Q = (np.array([500 * UG] * 2 + [0.1 * DEG_PER_H] * 3) / RATE) ** 2
+R = 0.1**2
+PHI0, V0 = np.array([5.0, -6.0, 30.0]) * DEG, np.array([0.3, -0.2])
+NAIVE = {"ekf_azimuth": EXTENDED, "unscented": UNSCENTED, "invariant": INVARIANT}
+SMALL = ("ekf_azimuth", "unscented")
+"""Those that are linear in a small azimuth."""
+
+errors = st.tuples(*(st.floats(-1, 1) for _ in range(2)), *(st.floats(-0.3, 0.3) for _ in range(2)))
+
+
+def attitude_rates(a, tilt, v, planet, latitude):
+    """V', and the rates of tilt and azimuth, of a navigator that is off, on a base at rest.
+
+    The rotation C_{n'}^n turns at its own rate; tilt and azimuth follow by central differences.
+    """
+    true = exp([0.3, -0.4, 2.2])
+    w_ie, _ = planet.rates(latitude, (0.0, 0.0))
+    f_b = true.T @ [0.0, 0.0, planet.g(latitude)]
+    off = about_up(a) @ upright(tilt)  # C_{n'}^n
+    c = off.T @ true
+    w, w_en = planet.rates(latitude, v)
+    acceleration = c @ f_b - np.cross(2 * w + w_en, [*v, 0.0])
+    # C_{n'}^n = C_b^n (C_b^{n'})': n' turns at w_ie + w_en as it is computed, n at w_ie.
+    off_dot = -skew(w_ie) @ off + off @ skew(w + w_en)
+    step = 1e-4
+    ends = [_tilt_and_azimuth(off + side * step * off_dot) for side in (1, -1)]
+    return np.array([*acceleration[:2], *(ends[0] - ends[1]) / (2 * step)])
+
+
+def _tilt_and_azimuth(off):
+    up = off.T @ [0.0, 0.0, 1.0]
+    up = up / np.linalg.norm(up)
+    tilt = np.array([up[1], -up[0]])
+    around = off @ upright(tilt).T
+    return np.array([*tilt, np.arctan2(around[1, 0] - around[0, 1], around[0, 0] + around[1, 1])])
+
+
+@pytest.mark.parametrize("planet", [WGS84, PAPER])
+@given(st.floats(-3.1, 3.1), st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_error_model_matches_navigator_at_any_azimuth(planet, a, seed):
+    """Exactly in the azimuth; to first order in velocity and tilt."""
+    x = np.random.default_rng(seed).normal(size=4) * np.array([1e-3, 1e-3, 1e-5, 1e-5])
+    here = place(planet, LATITUDE)
+
+    def engine(x):
+        errors = tuple(map(jnp.asarray, (*x, a)))
+        return np.array(model.after(errors, here, 1.0)) - np.array(errors)
+
+    def navigator(x):
+        return attitude_rates(a, x[2:], x[:2], planet, LATITUDE)
+
+    np.testing.assert_allclose(engine(0 * x), navigator(0 * x), rtol=0, atol=3e-11)
+    slope = (engine(x) - engine(-x)) / 2
+    np.testing.assert_allclose((navigator(x) - navigator(-x))[:4] / 2, slope[:4], atol=4e-9)
+    # The azimuth's rate is of the size of w_N times the tilt.
+    np.testing.assert_allclose((navigator(x) - navigator(-x))[4] / 2, slope[4], atol=1e-11)
+
+
+@given(errors, st.floats(-6, 6))
+@settings(max_examples=50, deadline=None)
+def test_model_derivative_matches_automatic_differentiation(level, azimuth):
+    x, here = (*map(jnp.asarray, level), jnp.asarray(azimuth)), place(PAPER, LATITUDE)
+    slope = np.array(jax.jacfwd(lambda x: jnp.stack(model.after(x, here, DT)))(x)).T
+    entries = np.eye(5)
+    for at, value in numbers_of(model.derivative(x, here, DT)).items():
+        entries[at] += value
+    np.testing.assert_allclose(slope, entries, rtol=0, atol=1e-14)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 0.5, 1.0]))
+@settings(max_examples=30, deadline=None)
+def test_unscented_prediction_matches_textbook_transform(seed, alpha):
+    rng, here = np.random.default_rng(seed), place(PAPER, LATITUDE)
+    x = rng.normal(size=5) * np.array([1.0, 1.0, 0.2, 0.2, 2.0])
+    root = rng.normal(size=(5, 5)) * np.array([0.1, 0.1, 0.2, 0.2, 1.0])[:, None]
+    p = root @ root.T + 1e-6 * np.eye(5)
+
+    def after(x):
+        return np.array(model.after(tuple(map(jnp.asarray, x)), here, 1.0))
+
+    belief = Belief(tuple(map(jnp.asarray, x)), tuple(map(jnp.asarray, p[np.triu_indices(5)])))
+    found = prediction.unscented(belief, here, 1.0, alpha)
+    mean, spread = unscented_transform(after, x, p, alpha)
+    tolerance = 1e-9 / alpha**2 * 1e-3  # the textbook's weights cancel
+    np.testing.assert_allclose(found.x, mean, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(found.p, spread[np.triu_indices(5)], rtol=0, atol=100 * tolerance)
+
+
+@given(st.tuples(*(st.floats(-3, 3) for _ in range(6))))
+@settings(max_examples=50, deadline=None)
+def test_left_jacobian_matches_mean_of_rotations(numbers):
+    phi, v = np.array(numbers[:3]), np.array(numbers[3:])
+    found = left_jacobian(Vec3(*map(jnp.asarray, phi)), Vec3(*map(jnp.asarray, v)))
+    np.testing.assert_allclose(found, jacobian(phi) @ v, rtol=0, atol=1e-13)
+
+
+def numbers_with(name, filt, *, by_angles=False):
+    params = filter_params(filt)
+    own = AzimuthParams(np.float64(by_angles), np.float64(0.5))
+    return params if name == "invariant" else params._replace(own=own)
+
+
+SCHEDULES = {
+    "feedback every sample": {},
+    "feedback every second, resets": {"every": 100, "resets": (333, 700)},
+    "partial feedback, heading reset": {"every": 10, "gain": 0.3, "resets": (250,), "kind": "yaw"},
+    "P times 10": {"every": 50, "resets": (500,), "kind": "scale"},
+    "resets restart feedback": {"every": 100, "resets": (333, 700), "restarts": True},
+    "resets wait for feedback": {"every": 60, "resets": (301, 720), "at_feedback": True},
+}
+
+
+@pytest.mark.representative(
+    "ekf_azimuth-resets restart feedback",
+    "unscented-partial feedback, heading reset",
+    "invariant-resets restart feedback",
+)
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("name", NAIVE)
+def test_azimuth_filters_match_naive_closed_loop(name, schedule):
+    filt = Filter(P0, Q, R, **SCHEDULES[schedule])
+    start = exp(-PHI0) @ PAPER1.matrix(0.0)
+    about = {"latitude": LATITUDE, "c": start, "v": V0, "filt": filt}
+    naive = closed_loop(NAIVE[name], measured(PAPER, LATITUDE, SAMPLES), DT, PAPER, **about)
+    nav = navigation(start, V0, LATITUDE)
+    state, attitude, _ = runner(name)(
+        numbers_with(name, filt), site(PAPER, LATITUDE), nav, measured(PAPER, LATITUDE, SAMPLES)
+    )
+    close = {"rtol": 0, "atol": 1e-8}
+    np.testing.assert_allclose(of_quaternion(np.stack(state.nav.q, axis=1)), naive.c, **close)
+    v = np.stack([state.nav.ve, state.nav.vn], axis=1)
+    np.testing.assert_allclose(v, naive.v[:, :2], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(np.stack(state.belief.x, axis=1), naive.x, rtol=0, atol=1e-7)
+    if name == "invariant":
+        np.testing.assert_allclose(state.own, naive.v[:, 2], rtol=0, atol=1e-7)
+    order = triangle_index(5)
+    p = np.array(state.belief.p)[[[order[i, j] for j in range(5)] for i in range(5)]]
+    np.testing.assert_allclose(np.moveaxis(p, -1, 0), naive.p, rtol=1e-6, atol=1e-9)
+    c = of_quaternion(np.stack(attitude, axis=1))
+    np.testing.assert_allclose(c, naive.corrected, **close)
+
+
+def test_angle_feedback_corrects_attitude_by_rotation_vector():
+    """The user's attitude is the same rotation of the solution before feedback and after."""
+    filt = Filter(P0, Q, R, every=100)
+    nav = navigation(exp(-PHI0) @ PAPER1.matrix(0.0), V0, LATITUDE)
+    params = numbers_with("ekf_azimuth", filt, by_angles=True)
+    state, attitude, _ = runner("ekf_azimuth")(
+        params, site(PAPER, LATITUDE), nav, measured(PAPER, LATITUDE, SAMPLES)
+    )
+    before, x = (np.array(a)[:, 98] for a in (np.stack(state.nav.q), np.stack(state.belief.x)))
+    expected = exp(x[2:5]) @ of_quaternion(before)
+    np.testing.assert_allclose(of_quaternion(np.stack(attitude)[:, 98]), expected, atol=1e-12)
+
+
+def test_invariant_error_is_linear_without_earth_rotation():
+    """C C'^-1 = exp(phi) stays, V - exp(phi) V' = J(phi) (g x phi) t, from 20, 20 and 120 deg."""
+    phi0 = np.array([20.0, 20.0, 120.0]) * DEG
+    still = PAPER._replace(rate=0.0, a=1e15, b=1e15)
+    rows = np.zeros((SAMPLES, 6))
+    rows[:, 3:] = PAPER1.matrix(0.0).T @ [0.0, 0.0, still.gravity] * DT
+    nav = navigation(exp(-phi0) @ PAPER1.matrix(0.0), np.zeros(2), LATITUDE)
+    never = numbers_with("invariant", Filter(P0, Q, R, every=10**9))
+    state, *_ = runner("invariant")(never, site(still, LATITUDE), nav, rows)
+    c = of_quaternion(np.stack(state.nav.q, axis=1)[-1])
+    np.testing.assert_allclose(log(PAPER1.matrix(0.0) @ c.T), phi0, rtol=0, atol=1e-9)
+    v = np.array([state.nav.ve[-1], state.nav.vn[-1], state.own[-1]])
+    rho = np.linalg.solve(jacobian(phi0), -exp(phi0) @ v)
+    linear = np.cross([0.0, 0.0, -still.gravity], phi0) * SAMPLES * DT
+    np.testing.assert_allclose(rho, linear, rtol=0, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def from_a_small_azimuth():
+    """phi_U (draws, methods, records) of `kalman5` with gravity and two others, from 60 s on."""
+    study = small_study(
+        study={"draws": 4, "duration_s": 120.0, "window_s": [60, 120], "curves": True},
+        alignment={
+            **{"phi_e0_deg": 0.0, "phi_n0_deg": 0.0, "phi_u0_deg": 0.01},
+            **{"specific_force": "gravity"},
+        },
+        filter={"q_reading": "per_sample", "p0_yaw_deg": 5.0, "p0_level_deg": 1.0},
+        axes={"method": ["kalman5", *SMALL]},
+    )
+    return run_study(study).curves["phi_u_arcmin"].to_numpy().reshape(4, 3, -1)[:, :, 60:]
+
+
+@pytest.mark.slow
+@pytest.mark.optimised(False)
+@pytest.mark.parametrize("name", SMALL)
+def test_small_azimuth_filters_agree_with_kalman5_using_gravity(from_a_small_azimuth, name):
+    """To what the second order of 0.01 deg and the transform leave."""
+    phi = from_a_small_azimuth[:, [0, 1 + SMALL.index(name)]]
+    assert np.abs(phi[:, 0] - phi[:, 1]).max() < 0.02 * (1 + 2 * np.abs(phi[:, 0]).max() / 60)
+    assert np.abs(phi[:, 0]).max() < 120

@@ -1,0 +1,234 @@
+"""Coarse alignment: exact without errors, as good as theory says with them, sound on a record."""
+
+import functools
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from sinsjax import records
+from sinsjax.maths import rotations
+from sinsjax.methods.coarse import COARSE
+from sinsjax.strapdown import base_motion, earth, sensors
+from sinsjax.strapdown.base_motion import Motion, Sway
+from sinsjax.strapdown.earth import Place
+from sinsjax.types import Array, Quat, Sample
+from sinsjax.units import ARCSEC, DEG, DEG_PER_H, MICRO
+
+pytestmark = pytest.mark.optimised(False)
+
+RATE = 100.0
+DT = 1 / RATE
+SECONDS = 23  # no whole number of any sway period below
+GYRO, ACCEL = slice(0, 3), slice(3, 6)
+
+latitudes = st.floats(-75, 75)
+turns = st.floats(-180, 180)
+pitches = st.floats(-80, 80)
+some = settings(max_examples=40, deadline=None)
+
+
+def still(pitch=0.0, roll=0.0, yaw=0.0) -> Motion:
+    return swinging(0.0, pitch, roll, yaw)
+
+
+def swinging(amplitude, pitch=0.0, roll=0.0, yaw=0.0) -> Motion:
+    """Angles in degrees; [P1]'s periods."""
+    sways = ((pitch, 6.0, 0.3), (roll, 8.0, 1.1), (yaw, 10.0, 2.0))
+    return Motion(*(Sway(c * DEG, amplitude * DEG, period, phase) for c, period, phase in sways))
+
+
+def at(latitude_deg) -> Place:
+    return earth.place(earth.wgs84(), latitude_deg * DEG)
+
+
+@functools.partial(jax.jit, static_argnames="seconds")
+def ideal(motion: Motion, place: Place, seconds: int = SECONDS) -> Array:
+    """Increments of one sample that goes before, and of the interval."""
+    return base_motion.increments(motion, place, RATE, round(seconds * RATE) + 1)
+
+
+@functools.partial(jax.jit, static_argnames="method")
+def error(method: str, increments: Array, place: Place, truth: Quat) -> Array:
+    """Misalignment (rad) of the coarse attitude after the last increment."""
+    samples = sensors.compensate_record(increments[1:], increments[0])
+    return jnp.stack(rotations.misalignment(truth, COARSE[method](samples, place, DT)))
+
+
+def end(motion: Motion, increments: Array) -> Quat:
+    return base_motion.attitude(motion, len(increments) * DT)
+
+
+def rms(values: Array) -> float:
+    return float(jnp.sqrt(jnp.mean(values**2)))
+
+
+@some
+@given(latitudes, pitches, turns, turns)
+@example(-33.0, 0.0, 0.0, 180.0)
+@example(48.0, 0.0, 180.0, 0.0)
+@example(48.0, 0.0, 180.0, 180.0)
+def test_both_methods_are_exact_on_static_base(latitude, pitch, roll, yaw):
+    motion, place = still(pitch, roll, yaw), at(latitude)
+    increments = ideal(motion, place)
+    for method in COARSE:
+        phi = error(method, increments, place, end(motion, increments))
+        np.testing.assert_allclose(phi, 0, atol=1e-10)
+
+
+@some
+@given(latitudes, st.floats(-40, 40), st.floats(-40, 40), turns)
+def test_inertial_is_exact_at_interval_end_on_swinging_base(latitude, pitch, roll, yaw):
+    motion, place = swinging(2.0, pitch, roll, yaw), at(latitude)
+    increments = ideal(motion, place)
+    phi = error("inertial", increments, place, end(motion, increments))
+    np.testing.assert_allclose(phi, 0, atol=0.1 * ARCSEC)
+
+
+@pytest.mark.parametrize("yaw", [-135.0, 0.0, 30.0])
+def test_analytic_fails_but_inertial_succeeds_on_swinging_base(yaw):
+    motion, place = swinging(2.0, yaw=yaw), at(32.0)
+    increments = ideal(motion, place)
+    truth = end(motion, increments)
+    assert abs(error("analytic", increments, place, truth)[2]) > 10 * DEG
+    assert abs(error("inertial", increments, place, truth)[2]) < 0.05 * ARCSEC
+
+
+@pytest.mark.parametrize("method", COARSE)
+def test_mapped_start_times_match_single_starts(method):
+    """Several starts in one mapped call are the starts one by one."""
+    motion, place = swinging(1.0, yaw=70.0), at(-20.0)
+    increments = ideal(motion, place)
+    samples = jax.jit(sensors.compensate_record)(increments[1:], increments[0])
+    starts, n = jnp.arange(0, 1200, 300), 1000
+
+    @jax.jit
+    def coarse(start) -> Quat:
+        piece = jax.tree.map(lambda leaf: jax.lax.dynamic_slice(leaf, (start,), (n,)), samples)
+        return COARSE[method](piece, place, DT)
+
+    mapped = jnp.stack(jax.vmap(coarse)(starts), axis=1)
+    for start, q in zip(starts, mapped, strict=True):
+        np.testing.assert_allclose(q, jnp.stack(coarse(start)), atol=1e-9)
+        np.testing.assert_allclose(q @ q, 1, atol=1e-12)
+
+
+@pytest.mark.parametrize("method", COARSE)
+def test_constant_biases_leave_known_bias_floors(method):
+    yaw, latitude = 40.0, 32.0
+    motion, place = still(yaw=yaw), at(latitude)
+    increments = ideal(motion, place)
+    c_nb = Rotation.from_euler("Z", yaw, degrees=True).as_matrix()
+    eps, nabla = np.array([0.01, -0.02, 0.03]) * DEG_PER_H, np.array([30.0, 50.0, -40.0]) * MICRO
+    biased = increments.at[:, GYRO].add(c_nb.T @ eps * DT)
+    biased = biased.at[:, ACCEL].add(c_nb.T @ nabla * place.gravity * DT)
+    phi = error(method, biased, place, end(motion, increments))
+    phi_u = -eps[0] / place.rate_n + nabla[0] * np.tan(latitude * DEG)
+    since_the_middle = -eps[1] * SECONDS / 2 if method == "inertial" else 0.0
+    expected = [-nabla[1], nabla[0] + since_the_middle, phi_u]
+    np.testing.assert_allclose(phi, expected, rtol=0.01)
+
+
+def inertial_limit(force_noise: float, seconds: int, place: Place) -> float:
+    """Standard deviation of yaw (rad) from white specific force noise of a sample (in g)."""
+    slope = np.sqrt(30 / 7 / (seconds * RATE)) * force_noise / (seconds / 2)
+    return float(slope / place.rate_n)
+
+
+@pytest.mark.parametrize("seconds", [6, SECONDS])
+def test_yaw_error_from_noise_matches_theory(seconds):
+    """So it shrinks as T^-1.5 (accelerometers, inertial) and as T^-0.5 (gyros, analytic)."""
+    place, force, drift = at(32.0), 500 * MICRO, 0.1 * DEG_PER_H
+    motion = still(yaw=20.0)
+    increments = ideal(motion, place, seconds)
+    noise = np.repeat([drift, force * float(place.gravity)], 3) * DT
+    normal = np.random.default_rng(seconds).standard_normal((100, *increments.shape))
+    drawn, truth = np.asarray(increments) + noise * normal, end(motion, increments)
+    inertial, analytic = (
+        rms(jnp.stack([error(method, one, place, truth)[2] for one in drawn]))
+        for method in ("inertial", "analytic")
+    )
+    gyro_limit = drift / float(place.rate_n) / np.sqrt(seconds * RATE)
+    assert inertial == pytest.approx(inertial_limit(force, seconds, place), rel=0.2)
+    assert analytic == pytest.approx(gyro_limit, rel=0.2)
+
+
+@some
+@given(phase=st.floats(0, 360), hertz=st.floats(2, 3.4))
+def test_inertial_yaw_is_insensitive_to_vibration_at_interval_ends(phase, hertz):
+    """1 cm/s at a parked vehicle's frequencies; without the weight yaw errs by up to 22 deg."""
+    motion, place = still(), at(34.0)
+    increments = ideal(motion, place)
+    edges = np.arange(len(increments) + 1) * DT
+    velocity = 0.01 * np.sin(2 * np.pi * hertz * edges + phase * DEG)
+    shaken = increments.at[:, 4].add(np.diff(velocity))
+    assert abs(error("inertial", shaken, place, end(motion, increments))[2]) < 0.7 * DEG
+
+
+def velocity_fit(samples: Sample, place: Place) -> Rotation:
+    """Attitude at the end from all velocities, each less their mean: Wahba's problem in SciPy."""
+    attitude = [Rotation.identity()]  # of b against b at the start
+    for turn in Rotation.from_quat(np.stack(samples.turn, axis=1), scalar_first=True):
+        attitude.append(attitude[-1] * turn)
+    felt = Rotation.concatenate(attitude[:-1]).apply(np.stack(samples.dv, axis=1))
+    n, rate = len(felt), np.array([0.0, place.rate_n, place.rate_u])
+    times = (np.arange(n) + 0.5) * DT
+    known = Rotation.from_rotvec(times[:, None] * rate).apply([0, 0, float(place.gravity) * DT])
+    known_v, felt_v = (np.cumsum(dv, axis=0) for dv in (known, felt))
+    start, _ = Rotation.align_vectors(known_v - known_v.mean(axis=0), felt_v - felt_v.mean(axis=0))
+    return Rotation.from_rotvec(-n * DT * rate) * start * attitude[-1]
+
+
+def test_inertial_matches_least_squares_velocity_fit_with_unknown_start():
+    motion, place, force = swinging(2.0, yaw=-50.0), at(32.0), 100 * MICRO
+    noise = np.random.default_rng(3).normal(size=(SECONDS * int(RATE) + 1, 3))
+    increments = ideal(motion, place).at[:, ACCEL].add(noise * force * place.gravity * DT)
+    truth = end(motion, increments)
+    samples = jax.jit(sensors.compensate_record)(increments[1:], increments[0])
+    fit = Quat(*velocity_fit(samples, place).as_quat(scalar_first=True))
+    expected = jnp.stack(rotations.misalignment(truth, fit))
+    limit = inertial_limit(force, SECONDS, place)
+    assert abs(expected[2]) > 0.1 * limit
+    np.testing.assert_allclose(
+        error("inertial", increments, place, truth), expected, atol=0.005 * limit
+    )
+
+
+@pytest.fixture(scope="module")
+def vehicle(data_dir: Path) -> dict[str, np.ndarray]:
+    """Errors (deg) of each method over 60 s from each start against the reference."""
+    record = records.read_psins(data_dir / "lasergyro_0_900.imu")
+    reference = records.read_reference(data_dir / "lasergyro_0_900_reference.csv")
+    assert record.latitude_deg is not None and record.height_m is not None
+    place = earth.place(earth.wgs84(record.height_m), record.latitude_deg * DEG)
+    increments = np.concatenate([record.dtheta, record.dv], axis=1)
+    starts, n = np.arange(0, 331, 30), round(60 * record.rate_hz)
+    pieces = np.stack([increments[s : s + n] for s in (starts * record.rate_hz).astype(int)])
+    samples: Sample = jax.jit(jax.vmap(sensors.compensate_record))(pieces, pieces[:, 0])
+    assert set(starts + 60) <= set(reference.time_s)
+    angles = reference.attitude_deg[np.searchsorted(reference.time_s, starts + 60)] * DEG
+    truth = jax.vmap(rotations.from_euler)(*angles.T)
+    errors = {}
+    for name, method in COARSE.items():
+        q = jax.jit(jax.vmap(method, in_axes=(0, None, None)))(samples, place, 1 / record.rate_hz)
+        phi = jax.vmap(rotations.misalignment)(truth, q)
+        errors[name] = np.abs(np.stack(phi, axis=1)) / DEG
+    return errors
+
+
+def test_inertial_error_on_vehicle_record_is_small_from_every_start(vehicle):
+    level, yaw = vehicle["inertial"][:, :2], vehicle["inertial"][:, 2]
+    assert yaw.max() < 0.25
+    assert np.median(yaw) < 0.04
+    assert level.max() < 0.001
+
+
+def test_analytic_fails_on_vehicle_record(vehicle):
+    yaw = vehicle["analytic"][:, 2]
+    assert yaw.min() > 1
+    assert np.median(yaw) > 5

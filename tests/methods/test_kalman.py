@@ -1,0 +1,133 @@
+import jax
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from oracles.naive import update as joint_update
+
+from sinsjax.maths.algebra import triangle_index
+from sinsjax.methods import kalman
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def dense(triangle, n):
+    """The matrix of an upper triangle; what else the triangle's entries carry comes last."""
+    index, triangle = triangle_index(n), np.array(triangle)
+    return triangle[np.array([[index[i, j] for j in range(n)] for i in range(n)])]
+
+
+def random_places(rng, n):
+    """Where a random transition has entries, its diagonal among them."""
+    return [(int(i), int(j)) for i, j in np.argwhere(rng.random((n, n)) < 0.4)]
+
+
+@pytest.mark.parametrize(("n", "measured"), [(5, (0, 1)), (5, (3,)), (5, (4, 0, 2)), (10, (0, 1))])
+def test_predict_and_update_match_dense_joint_filter(n, measured):
+    rng = np.random.default_rng(n)
+    places = random_places(rng, n)
+    h = np.eye(n)[list(measured)]
+    p0 = 10.0 ** rng.uniform(-2, 2, n)
+    r = 0.3
+
+    @jax.jit
+    def step(belief, values, q, z):
+        transition = dict(zip(places, values, strict=True))
+        return kalman.update(kalman.predict(belief, transition, tuple(q)), measured, tuple(z), r)
+
+    belief = kalman.start(tuple(p0))
+    x, p = np.zeros(n), np.diag(p0)
+    np.testing.assert_array_equal(belief.x, x)
+    np.testing.assert_array_equal(dense(belief.p, n), p)
+    for _ in range(300):
+        values = rng.normal(scale=0.1, size=len(places))
+        q = 10.0 ** rng.uniform(-4, -1, n)
+        z = rng.normal(size=len(measured))
+        belief = step(belief, values, q, z)
+        phi = np.eye(n)
+        phi[tuple(zip(*places, strict=True))] += values
+        x, p = joint_update(phi @ x, phi @ p @ phi.T + np.diag(q), h, z, r)
+        np.testing.assert_allclose(belief.x, x, rtol=0, atol=1e-10 * np.abs(x).max())
+        np.testing.assert_allclose(dense(belief.p, n), p, rtol=0, atol=1e-10 * np.abs(p).max())
+
+
+@pytest.mark.parametrize("n", [1, 2, 6, 9, 12])
+def test_predict_matches_dense_matrices_for_any_state_count(n):
+    rng = np.random.default_rng(n)
+    places = random_places(rng, n) or [(0, 0)]
+    values = rng.normal(scale=0.3, size=len(places))
+    phi = np.eye(n)
+    phi[tuple(zip(*places, strict=True))] += values
+    belief = kalman.start(tuple(np.ones(n)))
+    transition = dict(zip(places, values, strict=True))
+    for _ in range(3):
+        belief = kalman.predict(belief, transition, tuple(np.full(n, 0.1)))
+    p = np.eye(n)
+    for _ in range(3):
+        p = phi @ p @ phi.T + 0.1 * np.eye(n)
+    np.testing.assert_allclose(dense(belief.p, n), p, rtol=1e-12, atol=1e-13)
+
+
+@st.composite
+def alignments(draw):
+    """Numbers of an alignment filter over many decades, and a specific force in n."""
+    log_uniform = lambda low, high: st.floats(low, high).map(lambda a: 10.0**a)  # noqa: E731
+    p0 = [draw(log_uniform(-3, 0)) for _ in range(2)] + [draw(log_uniform(-4, 0)) for _ in "enu"]
+    q = [draw(log_uniform(-8, -2)) for _ in range(2)] + [draw(log_uniform(-9, -5)) for _ in "enu"]
+    force = [draw(st.floats(-1.5, 1.5)), draw(st.floats(-1.5, 1.5)), 9.8]
+    return p0, q, draw(log_uniform(-3, 0)), force
+
+
+@given(alignments())
+def test_covariance_stays_symmetric_positive(case):
+    p0, q, r, force = case
+    p = run(np.square(p0), np.square(q), r * r, np.array(force))
+    covariance = np.moveaxis(dense(p, 5), -1, 0)
+    # Scaled to unit diagonal, as the states have different units.
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    assert np.all(sigma > 0)
+    correlation = covariance / (sigma[:, :, None] * sigma[:, None, :])
+    assert np.linalg.eigvalsh(correlation).min() > 0
+
+
+@jax.jit
+def run(p0, q, r, force):
+    dt, fe, fn, fu = 0.01, *force
+    transition = {(0, 3): -fu, (0, 4): fn, (1, 2): fu, (1, 4): -fe, (2, 3): 4e-5, (2, 4): -6e-5}
+    transition = {place: dt * value for place, value in transition.items()}
+
+    def step(_, belief):
+        belief = kalman.predict(belief, transition, tuple(q))
+        return kalman.update(belief, (0, 1), (belief.x[0], belief.x[1]), r)
+
+    def record(belief, _):
+        belief = jax.lax.fori_loop(0, 20, step, belief)
+        return belief, belief.p
+
+    return jax.lax.scan(record, kalman.start(tuple(p0)), length=150)[1]
+
+
+@given(seeds)
+def test_measurement_with_huge_noise_changes_nothing(seed):
+    rng = np.random.default_rng(seed)
+    half = rng.normal(size=(5, 7))
+    p = tuple((half @ half.T)[np.triu_indices(5)])
+    belief = kalman.Belief(tuple(rng.normal(size=5)), p)
+    after = kalman.update(belief, (0, 1), (100.0, -100.0), 1e24)
+    np.testing.assert_allclose(after.x, belief.x, rtol=1e-12, atol=1e-18)
+    np.testing.assert_allclose(after.p, belief.p, rtol=1e-12, atol=1e-18)
+
+
+@given(seeds)
+def test_noise_free_measurement_is_adopted_exactly(seed):
+    rng = np.random.default_rng(seed)
+    half = rng.normal(size=(5, 7))
+    belief = kalman.Belief(tuple(np.zeros(5)), tuple((half @ half.T)[np.triu_indices(5)]))
+    after = kalman.update(belief, (0, 1), (2.0, -3.0), 0.0)
+    np.testing.assert_allclose(after.x[:2], (2.0, -3.0), rtol=1e-10)
+    np.testing.assert_allclose(dense(after.p, 5)[:2], 0, atol=1e-10)
+
+
+def test_update_refuses_wrong_number_of_measurements():
+    with pytest.raises(ValueError, match="zip"):
+        kalman.update(kalman.start((1.0, 1.0)), (0, 1), (0.5,), 1.0)

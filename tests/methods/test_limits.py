@@ -1,0 +1,402 @@
+"""What constant biases leave of an alignment: closed forms against averages, and against runs."""
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from oracles.in_engine import ARCMIN
+from oracles.naive import DEG
+from scipy.spatial.transform import Rotation
+from support.studies import STILL, small_study, with_paper_values
+
+from sinsjax.engine import build, simulate
+from sinsjax.engine.batch import chunks
+from sinsjax.engine.study_limits import has_floor, hidden_north
+from sinsjax.methods.limits import Biases, mean_attitude, unaided
+from sinsjax.strapdown import earth
+from sinsjax.strapdown.base_motion import Motion, Sway
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
+from sinsjax.types import Vec3
+
+DEG_PER_H = DEG / 3600
+
+
+def motion(**angles: tuple[float, float, float, float]) -> Motion:
+    """Center, amplitude (deg), period (s) and phase (deg) of each angle, still ones left out."""
+    still = (0.0, 0.0, 10.0, 0.0)
+    return Motion(
+        *(
+            Sway(*(np.float64(a) for a in (c * DEG, amplitude * DEG, period, phase * DEG)))
+            for c, amplitude, period, phase in (angles.get(k, still) for k in Motion._fields)
+        )
+    )
+
+
+MOTIONS = {
+    "still": motion(pitch=(5, 0, 10, 0), roll=(-8, 0, 7, 20), yaw=(200, 0, 10, 3)),
+    "paper": motion(pitch=(1, 1.8, 6, 0), roll=(0, 2.4, 8, 10), yaw=(40, 2.8, 10, 0)),
+    "large": motion(pitch=(10, 60, 6.1, 0), roll=(-20, 100, 7.3, 40), yaw=(130, 180, 9.7, 70)),
+    "in step": motion(pitch=(10, 60, 8, 0), roll=(-20, 80, 8, 40), yaw=(130, 120, 8, 70)),
+    "pitch with yaw": motion(pitch=(0, 60, 8, 30), roll=(5, 80, 7.1, 40), yaw=(30, 120, 8, 70)),
+    "roll with yaw": motion(pitch=(0, 60, 7.1, 30), roll=(5, 80, 8, 40), yaw=(30, 120, 8, 70)),
+    "pitch with roll": motion(pitch=(0, 60, 8, 30), roll=(5, 80, 8, 40), yaw=(30, 120, 7.1, 0)),
+}
+
+
+@pytest.mark.representative("still", "paper", "large")
+@pytest.mark.parametrize("name", MOTIONS)
+def test_mean_attitude_matches_average_over_many_periods(name: str) -> None:
+    one = MOTIONS[name]
+    t = np.linspace(0, 71_000, 300_007, endpoint=False)
+    angles = [
+        s.center + s.amplitude * np.sin(2 * np.pi * t / s.period + s.phase) for s in one.angles
+    ]
+    pitch, roll, yaw = angles
+    turned = Rotation.from_euler("ZXY", np.column_stack([yaw, pitch, roll])).as_matrix()
+    weights = np.hanning(len(t))  # over no whole number of all periods
+    want = np.tensordot(weights, turned, 1) / weights.sum()
+    np.testing.assert_allclose(mean_attitude(one), want, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(jax.jit(mean_attitude)(one), mean_attitude(one), rtol=0, atol=1e-14)
+
+
+def biases_of(**changes: Any) -> tuple[Any, Any]:
+    """Group and mean biases of a small study."""
+    (part,) = build.parts(small_study(**changes))
+    return part.group, part.group.environment.biases
+
+
+def limit_of(group: Any) -> Any:
+    """Limits of a group's variants."""
+    environment = group.environment
+    params = jax.tree.map(lambda a: a[0], group.variants)
+    return simulate.limit(
+        group.static, environment.pass_records, params, environment.site, environment.biases
+    )
+
+
+def test_mean_biases_rotate_with_vehicle() -> None:
+    """Heading 90 deg: east is body -y, north is body x; swayed by J0 of the amplitude."""
+    sensors = {"gyro_bias_deg_per_h": [0.1, 0.2, 0.3], "accel_bias_ug": [300.0, 500.0, 0.0]}
+    sways = STILL | {"yaw_center_deg": 90.0, "yaw_amplitude_deg": 90.0}
+    _, (eps, nabla, most) = biases_of(motion=sways, sensors=sensors)
+    shrunk = 0.47200121576823484  # J0(pi/2)
+    want = np.array([-0.2 * shrunk, 0.1 * shrunk, 0.3]) * DEG_PER_H
+    np.testing.assert_allclose(eps, want, rtol=1e-12)
+    np.testing.assert_allclose(nabla[:2], np.array([-500, 300]) * 9.8e-6 * shrunk, rtol=1e-12)
+    assert most == pytest.approx(500 * 9.8e-6)
+
+
+def test_bias_floor_matches_paper_value() -> None:
+    """[P1] section 2.4.1 prints -27.0248'; small angles, both terms and 15.041 deg/h -25.877'."""
+    group, _ = biases_of(motion={"yaw_center_deg": 0.0} | STILL)
+    phi = limit_of(group).phi
+    omega_n = 15.041067 * np.cos(32 * DEG)
+    want = -np.arctan2(0.1, omega_n + 0.1) + 500e-6 * np.tan(32 * DEG)
+    assert phi.z == pytest.approx(want, abs=0.01 * ARCMIN)
+    assert phi.z / ARCMIN == pytest.approx(-25.8769, abs=0.25)
+    np.testing.assert_allclose((phi.x, phi.y), (-500e-6, 500e-6), rtol=0.005)
+
+
+RATE = 15.041067  # deg/h, of [earth]'s default
+LATITUDES = (0.0, 60.0)
+BIASES = [(e, n, 0.0) for e, n in ((5, 0), (0, 5), (5, 5), (20, 0), (0, 20), (20, 20))]
+SETTLING = {"r_velocity_m_per_s": 1e-3, "q_reading": "psd", "q_accel_ug": 5.0}
+"""A filter that trusts what it measures: its level does not lag behind a north bias."""
+QUICK = SETTLING | {"q_gyro_deg_per_h": 5.0}
+SLOW_SWAY = {"yaw_amplitude_deg": 90.0, "yaw_period_s": 1800.0}
+SWAY = {"yaw_amplitude_deg": 90.0, "yaw_period_s": 100.0}
+SHORT = {"duration_s": 4.0, "window_s": [1.0, 4.0]}
+LOOPS = {"level_sigma_per_s": 0.04, "azimuth_sigma_per_s": 0.04, "level_time_s": 300.0}
+
+
+def study_of(method: str, **changes: Any) -> Study:
+    """Runs of 20 minutes without noise, from 10 deg of heading; headed north, body is n."""
+    data: dict[str, Any] = {
+        "study": {"duration_s": 1200.0, "rate_hz": 5.0, "window_s": [1100.0, 1200.0]},
+        "earth": {"latitude_deg": 60.0},
+        "motion": {"yaw_center_deg": 0.0},
+        "sensors": {},
+        "alignment": {"method": method, "phi_u0_deg": 10.0},
+    }
+    for name, change in changes.items():
+        data[name] = data.get(name, {}) | change
+    if "latitude_deg" in data.get("drawn", {}):
+        del data["earth"]["latitude_deg"]
+    return study_from_dict(with_paper_values(data))
+
+
+def ends(study: Study) -> dict[int, tuple[np.ndarray, Any]]:
+    """Last phi (3,) and limit of each variant, rad."""
+    found = {}
+    for part in build.parts(study):
+        for chunk in chunks(part.group):
+            phi, limit = np.array(chunk.outcome.last.phi), chunk.outcome.limit
+            for i, place in enumerate(chunk.variant):
+                one = jax.tree.map(lambda a, i=i: a[i], limit)
+                found[int(part.variant_ids[place])] = phi[:, i], one
+    return found
+
+
+@pytest.mark.parametrize("resets_s", [(), (300.0,)])
+@pytest.mark.parametrize("method", ["kalman5", "kalman_sincos", "kalman_surge"])
+def test_up_gyro_moves_heading_off_its_floor_by_half_its_drift(
+    method: str, resets_s: tuple[float, ...]
+) -> None:
+    """As the floor's definition states: -eps_U T/2, T since the start or the last reset."""
+    study = study_of(
+        method,
+        study={"duration_s": 900.0, "window_s": [800.0, 900.0]},
+        sensors={"gyro_bias_deg_per_h": [0.0, 0.0, 0.1]},
+        alignment={"phi_u0_deg": 1.0},
+        filter={"q_reading": "psd", "q_accel_ug": 20.0, "q_gyro_deg_per_h": 0.01},
+        resets={"reset_times_s": list(resets_s)},
+    )
+    ((phi, limit),) = ends(study).values()
+    assert limit.phi[2] == pytest.approx(0.0, abs=1e-9)
+    expected = -0.1 * 60 / 3600 * (900 - max(resets_s, default=0.0)) / 2
+    assert phi[2] / ARCMIN == pytest.approx(expected, rel=0.01)
+
+
+def closed_form(eps: Any, latitude: float, nabla_g: Any = (0.0, 0.0)) -> float:
+    """phi_U, rad, of biases in deg/h and g, small in the tilts alone."""
+    north = RATE * np.cos(latitude * DEG) + eps[1]
+    return float(-np.arctan2(eps[0], north) + nabla_g[0] * np.tan(latitude * DEG))
+
+
+def holds(found: float, want: float) -> bool:
+    """To 2 % and 5 arcmin."""
+    return abs(found - want) <= 0.02 * abs(want) + 5 * ARCMIN
+
+
+def check(study: Study) -> None:
+    """Runs with level gyro biases end at the closed form, and level."""
+    eps, latitude = study.values("gyro_bias_deg_per_h"), study.values("latitude_deg")
+    runs = ends(study)
+    assert len(runs) == study.n_variants
+    for i, (phi, limit) in runs.items():
+        want = closed_form(eps[i], latitude[i])
+        assert holds(phi[2], want), (eps[i], latitude[i], phi[2] / DEG, want / DEG)
+        assert limit.phi.z == pytest.approx(want, abs=1e-9)
+        assert max(abs(phi[:2])) < 6 * ARCMIN
+        assert limit.no_north == (np.hypot(*eps[i][:2]) > RATE * np.cos(latitude[i] * DEG))
+
+
+@pytest.mark.optimised(False)
+def test_filter_ends_at_exact_not_small_angle_bias_floor() -> None:
+    study = study_of(
+        "kalman5",
+        filter=SETTLING | {"q_gyro_deg_per_h": 1.0},
+        axes={"gyro_bias_deg_per_h": [[5.0, 0.0, 0.0], [5.0, 5.0, 0.0]]},
+    )
+    first, second = (np.array([phi[2], limit.phi.z]) / DEG for phi, limit in ends(study).values())
+    np.testing.assert_allclose(first, -33.62, atol=0.005)
+    np.testing.assert_allclose(second, -21.77, atol=0.005)
+    assert -5.0 / (RATE * np.cos(60 * DEG)) / DEG == pytest.approx(-38.09, abs=0.005)
+
+
+@pytest.mark.representative("kalman5")
+@pytest.mark.optimised(False)
+@pytest.mark.parametrize("method", ["kalman5", "kalman10"])
+def test_filters_end_at_bias_floor(method: str) -> None:
+    axes = {"latitude_deg": LATITUDES, "gyro_bias_deg_per_h": BIASES}
+    check(study_of(method, filter=QUICK, axes=axes))
+
+
+@pytest.mark.slow
+def test_compass_loops_end_at_bias_floor() -> None:
+    """But for 20 deg/h of both at 60 deg.
+
+    What is felt there is 4.5 times omega_N, and so is the gain of the azimuth loop, whose margin is
+    1 + 4 xi^2, 4.6 here: it still rings.
+    """
+    axes = {"latitude_deg": LATITUDES, "gyro_bias_deg_per_h": BIASES[:-1]}
+    longer = {"duration_s": 2400.0, "rate_hz": 20.0}
+    check(study_of("compass", study=longer, compass=LOOPS | {"azimuth_damping": 0.95}, axes=axes))
+
+
+@pytest.mark.slow
+def test_compass_loops_lag_under_up_gyro_bias() -> None:
+    """By 2 eps_U/sigma of the sigma in force at the end, as told; less where more is felt."""
+    study = study_of(
+        "compass",
+        study={"duration_s": 3000.0, "rate_hz": 20.0},
+        compass=LOOPS | {"sigma_times_s": [1500.0]},
+        axes={
+            "gyro_bias_deg_per_h": [(0.0, 0.0, 5.0), (0.0, 0.0, 20.0), (-5.0, -2.0, -20.0)],
+            "sigma_factors": [[1.0, 1.0], [1.0, 0.25]],
+        },
+    )
+    runs = zip(*map(study.values, ("gyro_bias_deg_per_h", "sigma_factors")), strict=True)
+    found = ends(study)
+    for i, (eps, factors) in enumerate(runs):
+        phi, limit = found[i]
+        lag = 2 * eps[2] * DEG_PER_H / (0.04 * factors[-1])
+        north = RATE * np.cos(60 * DEG)
+        felt = north / np.hypot(eps[0], north + eps[1])
+        want = closed_form(eps, 60.0) - np.arcsin(lag * felt)
+        assert limit.phi.z == pytest.approx(want, rel=0.01)
+        assert abs(phi[2] - want) < 0.02 * abs(lag)
+        assert phi[2] == pytest.approx(limit.phi.z, abs=0.1 * ARCMIN)
+
+
+@pytest.mark.slow
+def test_compass_lag_changes_sign_with_pass_direction() -> None:
+    study = study_of(
+        "compass",
+        study={"duration_s": 3000.0, "rate_hz": 20.0},
+        compass=LOOPS,
+        passes={"stored_s": 1000.0, "turn": "reflect"},
+        axes={"gyro_bias_deg_per_h": [(0.0, 0.0, 20.0), (5.0, 0.0, 20.0)], "passes": [2, 3]},
+    )
+    found = ends(study)
+    lag = 2 * 20.0 * DEG_PER_H / 0.04
+    for i, sign in ((0, 1), (1, -1)):
+        assert found[i][0][2] == pytest.approx(sign * lag, rel=0.02)
+    for phi, limit in found.values():
+        assert phi[2] == pytest.approx(limit.phi.z, abs=0.5 * ARCMIN)
+
+
+@pytest.mark.slow
+def test_bias_floor_holds_for_large_tilt_and_heading() -> None:
+    """Accelerometers off by 5 mg, loops without a memory: phi is a rotation vector, not angles."""
+    study = study_of(
+        "compass",
+        study={"duration_s": 2400.0, "rate_hz": 20.0},
+        compass=LOOPS,
+        sensors={"accel_bias_ug": [5000.0, 3000.0, 0.0]},
+        axes={"gyro_bias_deg_per_h": [(0.0, 0.0, 0.0), (5.0, 0.0, 0.0), (5.0, 5.0, -5.0)]},
+    )
+    for i, (phi, limit) in ends(study).items():
+        np.testing.assert_allclose(phi, limit.phi, rtol=0, atol=0.3 * ARCMIN)
+        eps = study.values("gyro_bias_deg_per_h")[i]
+        assert holds(phi[2], closed_form(eps, 60.0, (5e-3, 3e-3)))
+    still, turned, _ = (limit.phi for _, limit in ends(study).values())
+    np.testing.assert_allclose((still.x, still.y), (-3e-3, 5e-3), rtol=0.01)
+    assert np.hypot(turned.x + 3e-3, turned.y - 5e-3) > 3 * ARCMIN
+
+
+@pytest.mark.slow
+@pytest.mark.optimised(False)
+def test_bias_averages_over_fast_sway_but_not_slow_sway() -> None:
+    """Yaw +-90 deg: J0(pi/2) of the bias is left, but in 20 minutes not with a period of 30."""
+    axes = {"yaw_period_s": [100.0, 1800.0], "gyro_bias_deg_per_h": [(5.0, 0.0, 0.0)]}
+    filt = SETTLING | {"q_gyro_deg_per_h": 0.1, "q_accel_ug": 50.0}
+    study = study_of("kalman5", motion=SWAY, filter=filt, axes=axes)
+    (quick, limit), (slow, same) = ends(study).values()
+    want = closed_form((5.0 * 0.47200121576823484, 0.0), 60.0)
+    assert limit.phi.z == same.phi.z == pytest.approx(want, rel=1e-12)
+    assert abs(quick[2] - want) < ARCMIN
+    assert abs(slow[2] - want) > 60 * ARCMIN
+    zero = np.zeros(2)
+    np.testing.assert_array_equal(has_floor(study, zero.astype(int), np.arange(2), zero), [1, 0])
+
+
+def runs_with_floor(study: Study, last_reset_s: float = 0.0) -> list[bool]:
+    """Of the first draw's runs."""
+    ids = np.arange(study.n_variants)
+    return has_floor(study, 0 * ids, ids, np.full(ids.shape, last_reset_s)).tolist()
+
+
+def test_bias_floor_needs_ten_sway_periods_since_last_reset() -> None:
+    biased = {"gyro_bias_deg_per_h": [0.0, 1.0, 0.0]}
+    for bias in (biased, {"accel_bias_ug": 10.0}):
+        study = study_of("kalman5", motion=SWAY, sensors=bias)
+        assert runs_with_floor(study, 200.0) == [True]
+        assert runs_with_floor(study, 200.1) == [False]
+    assert runs_with_floor(study_of("kalman5", motion=SLOW_SWAY)) == [True]  # nothing to turn
+    still = study_of("kalman5", motion=SLOW_SWAY | {"yaw_amplitude_deg": 0.0}, sensors=biased)
+    assert runs_with_floor(still, 1200.0) == [True]
+    passes = {"stored_s": 600.0, "passes": 2}
+    again = study_of("kalman5", motion=SWAY, sensors=biased, passes=passes)
+    assert runs_with_floor(again) == [False]  # a record has but six periods
+
+
+def test_bias_floor_availability_varies_between_runs() -> None:
+    study = study_of(
+        "kalman5",
+        study={"draws": 3},
+        motion={"roll_amplitude_deg": 1.0},
+        sensors={"accel_bias_ug": 100.0},
+        axes={"method": ["kalman5", "compass"], "yaw_amplitude_deg": [0.0, 5.0]},
+        compass=LOOPS,
+        drawn={"yaw_period_s": {"values": [50.0, 150.0]}, "roll_period_s": {"values": [5.0]}},
+    )
+    draws, variants = np.divmod(np.arange(12), 4)
+    found = has_floor(study, draws, variants, np.zeros(12)).reshape(3, 4)
+    np.testing.assert_array_equal(found, [[1, 1, 1, 1], [1, 0, 1, 0], [1, 1, 1, 1]])
+    at = np.array([6, 2, 11])
+    np.testing.assert_array_equal(
+        has_floor(study, draws[at], variants[at], np.zeros(3)), found.ravel()[at]
+    )
+
+
+def test_kalman10_has_bias_floor_only_on_still_base() -> None:
+    biased = {"gyro_bias_deg_per_h": 0.1}
+    assert runs_with_floor(study_of("kalman10", sensors=biased)) == [True]
+    swung = {"yaw_amplitude_deg": 180.0, "yaw_period_s": 20.0}
+    for sensors in (biased, {}):
+        assert runs_with_floor(study_of("kalman10", motion=swung, sensors=sensors)) == [False]
+    wide = study_of("kalman10", filter={"p0_gyro_bias_deg_per_h": 5.0}, sensors=biased)
+    assert runs_with_floor(wide) == [False]
+    reset = study_of("kalman10", resets={"reset_gyro_bias_deg_per_h": 5.0}, sensors=biased)
+    assert runs_with_floor(reset) == [False]
+
+
+@pytest.mark.slow
+@pytest.mark.optimised(False)
+def test_wide_bias_p0_keeps_heading_off_bias_floor() -> None:
+    """By sigma_eps^2 : (omega_N sigma_phi)^2 of the way from the start."""
+    axes = {"p0_gyro_bias_deg_per_h": [0.1, 3.0]}
+    sensors = {"gyro_bias_deg_per_h": [1.0, 0.0, 0.0]}
+    study = study_of("kalman10", filter=QUICK, sensors=sensors, axes=axes)
+    (narrow, limit), (wide, _) = ends(study).values()
+    assert abs(narrow[2] - limit.phi.z) < ARCMIN
+    ratio = (3.0 / (RATE * np.cos(60 * DEG) * 80 * DEG)) ** 2
+    want = ratio / (1 + ratio) * (10 * DEG - limit.phi.z)
+    assert wide[2] - limit.phi.z == pytest.approx(want, rel=0.1)
+    assert want > 60 * ARCMIN
+
+
+@pytest.mark.optimised(False)
+def test_hidden_north_counts_runs_with_bias_above_earth_rate() -> None:
+    assert hidden_north(study_of("kalman5", sensors={"gyro_bias_deg_per_h": [5.0, 5, 50]})) is None
+    study = study_of(
+        "kalman5",
+        study={"draws": 4},
+        axes={"gyro_bias_deg_per_h": BIASES, "latitude_deg": LATITUDES, "p0_yaw_deg": [40.0, 80.0]},
+    )
+    found = hidden_north(study)
+    assert found is not None
+    assert found.bias_deg_per_h == pytest.approx(20 * np.sqrt(2))
+    assert found.rate_deg_per_h == pytest.approx(RATE / 2)
+    assert (found.runs, found.of_runs) == (48, 96)
+    for i, (_, limit) in ends(study_of("kalman5", axes=study.axes, study=SHORT)).items():
+        exceeds = np.hypot(*study.values("gyro_bias_deg_per_h")[i][:2])
+        assert limit.no_north == (exceeds > RATE * np.cos(study.values("latitude_deg")[i] * DEG))
+
+
+def test_hidden_north_accounts_for_sway_and_drawn_values() -> None:
+    large = {"gyro_bias_deg_per_h": [10.0, 0.0, 0.0]}
+    assert hidden_north(study_of("kalman5", sensors=large)) is not None
+    assert hidden_north(study_of("kalman5", sensors=large, motion=SWAY)) is None
+    drawn = {
+        "gyro_bias_deg_per_h": {"values": [[0, 0, 0], [0, 9, 0]]},
+        "latitude_deg": {"values": [60.0]},
+        "yaw_amplitude_deg": {"values": [0.0, 0.0, 0.0, 180.0]},
+        "yaw_period_s": {"uniform": [10.0, 20.0]},
+    }
+    wgs84 = {"earth": "wgs84"}
+    found = hidden_north(study_of("kalman5", study={"draws": 8}, earth=wgs84, drawn=drawn))
+    assert found is not None
+    assert found[:2] == pytest.approx((9.0, np.cos(60 * DEG) * 7.292115e-5 / DEG_PER_H))
+    assert found[2:] == (2, 8)
+
+
+def test_bias_floor_is_zero_without_biases() -> None:
+    zero = np.zeros(3)
+    none = Biases(Vec3(*zero), Vec3(*zero), np.float64(0.0))
+    here = earth.place(earth.wgs84(), 48 * DEG)
+    limit = unaided(here, none)
+    assert (*limit.phi, limit.no_north) == (0.0, 0.0, 0.0, False)
