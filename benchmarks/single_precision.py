@@ -26,7 +26,7 @@ from sinsjax.methods.base import Method, Options, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.zero_velocity import method as zero_velocity
 from sinsjax.strapdown import mechanisation
-from sinsjax.strapdown.error_model import MODELS, ErrorModel
+from sinsjax.strapdown.error_model import MODELS, LinearModel
 from sinsjax.types import Navigation, Sample, Scalar
 from sinsjax.units import ARCMIN
 
@@ -43,7 +43,7 @@ def double(tree: Any) -> Any:
     return jax.tree.map(lambda a: jnp.asarray(a).astype(jnp.float64), tree)
 
 
-def build(model: ErrorModel, options: Options) -> Method:
+def build(model: LinearModel, options: Options) -> Method:
     """`zero_velocity` with its belief in single precision; the 5-state model, f measured."""
     whole = zero_velocity.build(model, options)
 

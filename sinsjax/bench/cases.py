@@ -20,7 +20,7 @@ from sinsjax.engine.lanes import LANES, STACKED_TILES, Group, Tiles, tiles_of
 from sinsjax.engine.realisations import Draw, Environment
 from sinsjax.engine.simulate import RunParams, simulate
 from sinsjax.maths.rotations import matrix, misalign
-from sinsjax.methods.registry import METHODS, keys_unread
+from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.platform.assets import asset
 from sinsjax.study.load import load_study, study_from_dict
 from sinsjax.types import Quat
@@ -65,7 +65,7 @@ def method_group(name: str) -> Group:
     if METHODS[name].gyro_bias_keys:
         data["study"]["judged_from"] = "truth"  # it estimates what would set a limit
     data["alignment"]["method"] = name
-    unread = keys_unread([name]) | {*METHODS[name].silent}
+    unread = unread_keys([name]) | {*METHODS[name].silent}
     data = {
         section: {key: value for key, value in table.items() if key not in unread}
         for section, table in data.items()

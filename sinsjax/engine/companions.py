@@ -106,9 +106,9 @@ def companions(static: Static, environment: Environment, variants: Tiles, draws:
         setup.site, setup.params
     )
     method, count = method_of(quiet), draws.draw_id.size
-    assert method.error_angles is not None
+    assert method.error_model is not None
     none = jnp.zeros((setup.row.size, count))
-    errors = (none,) * len(jax.vmap(method.error_angles)(runs.state)[0])
+    errors = (none,) * len(jax.vmap(method.error_model.angles)(runs.state)[0])
     drawn = sensitivity(quiet, environment, variants.params, setup.site, setup.site_axis)
     if drawn is not None and environment.drawn is not None:
         errors = tuple(jnp.moveaxis(drawn.start @ starts_beyond(environment.drawn, draws), 1, 0))
@@ -154,9 +154,9 @@ def _over_record(
         return state._replace(inner=close_loop(setup.params, state.inner, n(place)))
 
     def due(state: Accompanied, place: Count) -> Scalar | None:
-        if method.next_event is None:
+        if method.feedback is None:
             return None
-        ahead = jax.vmap(method.next_event, in_axes=(0, 0, None))
+        ahead = jax.vmap(method.feedback.next_event, in_axes=(0, 0, None))
         first = ahead(setup.params.method, state.inner, n(place))
         return None if first is None else jnp.min(first) - done.astype(environment.dtype)
 
@@ -168,8 +168,8 @@ def _over_record(
     inner = tile.observe(
         quiet, environment, setup, Run(state.inner, runs.metrics), number, q_true=None
     )
-    assert method.error_angles is not None
-    angles = jax.vmap(method.error_angles)(inner.state)
+    assert method.error_model is not None
+    angles = jax.vmap(method.error_model.angles)(inner.state)
     phi = jnp.stack(
         [
             mean[:, None] + sum(a[:, None] * d for a, d in zip(row, state.errors, strict=True))
@@ -189,9 +189,9 @@ def _step(
 ) -> Accompanied:
     """The run of one lane and the errors of all draws after the ``n``-th sample."""
     method, (sample, excess) = method_of(static), made
-    assert method.error_step is not None
+    assert method.error_model is not None
     given = params.method, site, state.inner, sample, n
-    moved = partial(driven, method.error_step(*given), state.inner.nav.q)
+    moved = partial(driven, method.error_model.step(*given), state.inner.nav.q)
     errors = jax.vmap(moved)(excess, state.errors)
     return Accompanied(method.step(*given), errors)
 

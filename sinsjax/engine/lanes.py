@@ -89,7 +89,7 @@ def layout(static: Static, variants: int, lanes: int = LANES) -> tuple[int, int]
     tiles where few lanes stay idle: a tile of two draws makes the samples of `VECTOR`.
     """
     whole = lanes * -(-variants // lanes)
-    if not method_of(static).common_covariance:
+    if not method_of(static).shares_covariance:
         few = variants > lanes and whole - variants <= MOST_IDLE * variants
         return 1, whole if few else variants
     if variants > lanes:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from sinsjax.maths.algebra import dot, solve3
 from sinsjax.maths.rotations import misalignment, to_euler
 from sinsjax.methods.base import AttitudeCovariance
-from sinsjax.methods.limits import Limit
+from sinsjax.methods.floors import BiasFloor
 from sinsjax.methods.schedules import mix
 from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
 
@@ -118,7 +118,7 @@ class Outcome(NamedTuple):
     above_share: tuple[Scalar, Scalar, Scalar]
     nees: Scalar
     nis_u: Scalar
-    limit: Limit
+    limit: BiasFloor
     results: Any = None
     at_times: Array | None = None
 
@@ -252,7 +252,7 @@ def _wrap(angle: Array) -> Array:
 def finish(
     metrics: Metrics,
     covariance: AttitudeCovariance,
-    limit: Limit,
+    limit: BiasFloor,
     results: Any = None,
 ) -> Outcome:
     """What a run is reported with.

@@ -22,7 +22,7 @@ from sinsjax.engine.realisations import Draw
 from sinsjax.engine.simulate import RunParams, simulate
 from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS
-from sinsjax.methods.schedules import Feedback, Pieces, Resets
+from sinsjax.methods.schedules import FeedbackSchedule, PiecewiseConstant, Resets
 from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import load_study, with_rate
@@ -188,8 +188,11 @@ _COUNTS: dict[type, tuple[str, str]] = {
         "hard reset times is zero, whatever a change of them would do"
         " (one_run(study, window_s=...) spreads each reset over a smooth window)",
     ),
-    Feedback: ("every", "feedback intervals is zero, whatever a change of them would do"),
-    Pieces: ("samples", "times at which gains change is zero, whatever a change of them would do"),
+    FeedbackSchedule: ("every", "feedback intervals is zero, whatever a change of them would do"),
+    PiecewiseConstant: (
+        "samples",
+        "times at which gains change is zero, whatever a change of them would do",
+    ),
 }
 """Numbers of schedules that count samples, and what is said of the gradient by them."""
 

@@ -18,7 +18,7 @@ def nothing_read(static: Static, environment: Environment, draw: Draw) -> Read:
     if not static.winds_back:
         return nothing
     zero = jnp.zeros((), environment.dtype)
-    turn = passes.no_turn(zero, biased=method_of(static).gyro_bias is not None)
+    turn = passes.no_turn(zero, biased=passes.estimates_gyro_bias(method_of(static)))
     return nothing._replace(turn=turn)
 
 

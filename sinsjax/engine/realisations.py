@@ -11,7 +11,7 @@ from sinsjax.engine.metrics import Criteria
 from sinsjax.methods.base import Method, Options, Site
 from sinsjax.methods.coloured_growth import Coloured
 from sinsjax.methods.error_growth import with_growth
-from sinsjax.methods.limits import Biases, mean_biases
+from sinsjax.methods.floors import MeanBiases, mean_biases
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.base_motion import Sensed
@@ -110,7 +110,7 @@ class Environment(NamedTuple):
     errors: sensors.SensorErrors
     seed: Count
     criteria: Criteria
-    biases: Biases
+    biases: MeanBiases
     pass_records: Count
     times: Array | None = None
     motion: base_motion.Motion | None = None
@@ -159,7 +159,7 @@ class Derived(NamedTuple):
     """
 
     site: Site | None = None
-    biases: Biases | None = None
+    biases: MeanBiases | None = None
     rest: Sensed | None = None
     nodes: base_motion.Nodes | None = None
 
@@ -260,7 +260,7 @@ def site_of(environment: Environment, draw: Draw) -> Site:
     return environment.site if draw.made.site is None else draw.made.site
 
 
-def biases_of(environment: Environment, draw: Draw) -> Biases:
+def biases_of(environment: Environment, draw: Draw) -> MeanBiases:
     """Mean sensor biases of a draw."""
     return environment.biases if draw.made.biases is None else draw.made.biases
 

@@ -23,7 +23,7 @@ from sinsjax.engine.simulate import RunParams
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import scale
 from sinsjax.methods.base import Site, StartChange
-from sinsjax.methods.limits import mean_biases
+from sinsjax.methods.floors import mean_biases
 from sinsjax.types import Array, Scalar, Vec3
 
 
@@ -84,8 +84,8 @@ def _of_start(static: Static, drawn: DrawnNormally, params: RunParams, site: Sit
             rate.ve,
             rate.vn,
         )
-        assert method.start_error is not None
-        return jnp.stack(method.start_error(method.init(params.method, nav), change))
+        assert method.error_model is not None
+        return jnp.stack(method.error_model.start(method.init(params.method, nav), change))
 
     return jnp.stack([column(place) for place in range(len(begins))], axis=1)
 

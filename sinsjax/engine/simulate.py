@@ -33,8 +33,8 @@ from sinsjax.engine.realisations import (
 from sinsjax.engine.stages import StageFunctions, coarse_program, over_stages
 from sinsjax.maths import rotations
 from sinsjax.methods import passes
-from sinsjax.methods.base import AttitudeCovariance, Ending, Site
-from sinsjax.methods.limits import Biases, Limit
+from sinsjax.methods.base import AttitudeCovariance, RunEnd, Site
+from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.methods.passes import BodyTurn, PassReading
 from sinsjax.types import (
     Array,
@@ -83,7 +83,7 @@ class Setup(NamedTuple):
     draw: Draw
     params: RunParams
     site: Site
-    limit: Limit
+    limit: BiasFloor
     record: Increments | None = None
 
 
@@ -199,7 +199,8 @@ def after_coarse(
     q = method_of(coarse_program(static)).attitude(state)
     if not static.coarse.replays:
         begun = method.init(params.method, solution(site, rotations.normalise(q), zero, zero))
-        return begun if method.begin_after is None else method.begin_after(begun, zero + samples)
+        begin_after = method.passes and method.passes.begin_after
+        return begun if begin_after is None else begin_after(begun, zero + samples)
     assert turn is not None
     q = passes.wound_back(q, turn, site.place, zero + samples * static.options.dt, None)
     return method.init(params.method, solution(site, q, zero, zero))
@@ -220,12 +221,14 @@ def starting(params: RunParams, own: InitialErrors, q: Quat | None) -> RunParams
     )
 
 
-def limit(static: Static, pass_records: Count, params: RunParams, site: Site, own: Biases) -> Limit:
+def limit(
+    static: Static, pass_records: Count, params: RunParams, site: Site, own: MeanBiases
+) -> BiasFloor:
     """What the sensor biases of a run leave of its misalignment."""
     number = (static.records - 1) // pass_records
     backward = (static.repeats and not static.rewinds) & (number % 2 == 1)
-    ending = Ending(float(static.records * static.record_every), backward)
-    return method_of(static).limit(params.method, site.place, own, ending)
+    ending = RunEnd(float(static.records * static.record_every), backward)
+    return method_of(static).floor(params.method, site.place, own, ending)
 
 
 def begin(static: Static, environment: Environment, site: Site, params: RunParams) -> Run:
@@ -277,7 +280,9 @@ def open_pass(
         opened = wound_back(static, pass_records, params, site, state, turn)
     else:
         site_before = passes.site_of_pass(site, ~read.backward)
-        opened = method_of(static).turn(params.method, site_before, state)
+        passes_of_method = method_of(static).passes
+        assert passes_of_method is not None
+        opened = passes_of_method.turn(params.method, site_before, state)
     return passes.where(read.opens_pass, opened, state)
 
 
@@ -287,11 +292,12 @@ def wound_back(
     """The method's state that begins the record again, from that after some record intervals."""
     method = method_of(static)
     time = jnp.asarray(records, params.ve.dtype) * (static.record_every * static.options.dt)
-    assert method.rewind is not None
-    bias = None if method.gyro_bias is None else method.gyro_bias(state)
+    assert method.passes is not None and method.passes.rewind is not None
+    gyro_bias = method.passes.gyro_bias
+    bias = None if gyro_bias is None else gyro_bias(state)
     q = passes.wound_back(method.attitude(state), turn, site.place, time, bias)
     zero = jnp.zeros_like(params.ve)
-    return method.rewind(params.method, solution(site, q, zero, zero), state)
+    return method.passes.rewind(params.method, solution(site, q, zero, zero), state)
 
 
 def step(
@@ -304,7 +310,8 @@ def step(
 def close_loop(static: Static, params: RunParams, state: Any, n: Scalar) -> Any:
     """The method's state after the feedback and reset that are due after the ``n``-th sample."""
     method = method_of(static)
-    return state if method.close is None else method.close(params.method, state, n)
+    feedback = method.feedback
+    return state if feedback is None else feedback.close(params.method, state, n)
 
 
 def observe(
@@ -333,14 +340,15 @@ def told(static: Static, run: Run) -> tuple[Run, Array | None]:
     """The run that begins the next record interval, and what is kept of this one, see `as_row`."""
     if not static.curves:
         return run, None
-    observed, per_record = metrics.as_row(run.metrics.last), method_of(static).per_record
+    observed, model = metrics.as_row(run.metrics.last), method_of(static).error_model
+    per_record = None if model is None else model.per_record
     if per_record is None:
         return run, observed
     state, more = per_record(run.state)
     return run._replace(state=state), jnp.concatenate([observed, jnp.stack(more)])
 
 
-def end(static: Static, site: Site, run: Run, limit: Limit) -> Outcome:
+def end(static: Static, site: Site, run: Run, limit: BiasFloor) -> Outcome:
     """The outcome of a run after its last record."""
     method = method_of(static)
     results = None if method.results is None else method.results(site, run.state)

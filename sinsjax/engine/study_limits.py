@@ -10,7 +10,7 @@ import numpy as np
 from sinsjax.engine.simulator import errors_of, motion_of
 from sinsjax.errors import InputError
 from sinsjax.methods.filters.section import OF_RESETS, times_of_resets
-from sinsjax.methods.limits import mean_attitude
+from sinsjax.methods.floors import mean_attitude
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import earth
 from sinsjax.study import sampling

@@ -36,7 +36,7 @@ from sinsjax.engine.stages import StageFunctions, over_stages
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
 from sinsjax.methods import passes
 from sinsjax.methods.base import Site
-from sinsjax.methods.limits import Limit
+from sinsjax.methods.floors import BiasFloor
 from sinsjax.methods.passes import BodyTurn, PassReading
 from sinsjax.types import Array, Count, Flag, Increments, Quat, Sample, Scalar
 
@@ -57,7 +57,7 @@ class TileSetup(NamedTuple):
     row: Array
     params: RunParams
     site: Site
-    limit: Limit
+    limit: BiasFloor
     record: Increments | None = None
 
     @property
@@ -270,21 +270,27 @@ def over_samples(
         return close_loop(params, state, n(place))
 
     def due(state: Any, place: Count) -> Scalar | None:
-        if method.next_event is None:
+        if method.feedback is None:
             return None
-        ahead = jax.vmap(method.next_event, in_axes=(0, 0, None))(params.method, state, n(place))
+        ahead = jax.vmap(method.feedback.next_event, in_axes=(0, 0, None))(
+            params.method, state, n(place)
+        )
         return None if ahead is None else jnp.min(ahead) - done.astype(environment.dtype)
 
     def called(state: Any, place: Count) -> Flag:
-        assert method.called is not None
-        return jnp.any(jax.vmap(method.called, in_axes=(0, None))(state, n(place)))
+        assert method.feedback is not None and method.feedback.called is not None
+        return jnp.any(jax.vmap(method.feedback.called, in_axes=(0, None))(state, n(place)))
 
     make = maker(static, environment, setup.draws, read, setup.record)
     size = piece(static, setup.draws)
     samples = (*carry, every, take, close, make, size)
     if due(carry[0], jnp.asarray(0)) is None:
         return sample_by_sample(*samples)
-    return event_by_event(*samples, next_event=due, called=called if method.called else None)
+    return event_by_event(
+        *samples,
+        next_event=due,
+        called=called if method.feedback and method.feedback.called else None,
+    )
 
 
 def over_stacked_tiles(
@@ -297,7 +303,7 @@ def over_stacked_tiles(
         one: of a tile.
         tiles: that it will be applied to, one after the other.
     """
-    if not method_of(static).common_covariance:
+    if not method_of(static).shares_covariance:
         return one
     # Only what belongs to draws differs between the sets.
     axes: Any = jax.tree.map(lambda a: None, tiles)

@@ -32,8 +32,8 @@ from sinsjax.errors import InputError
 from sinsjax.messages import seconds
 from sinsjax.methods.base import Site
 from sinsjax.methods.coarse import COARSE
-from sinsjax.methods.inertial_frame.method import optimised
-from sinsjax.methods.limits import NO_BIASES, mean_biases
+from sinsjax.methods.floors import NO_BIASES, mean_biases
+from sinsjax.methods.inertial_frame.method import align_by_optimisation
 from sinsjax.records import require_span
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors
@@ -56,7 +56,7 @@ from sinsjax.value_types import Section
 MOST_STORED_SAMPLES = 2**22
 """Samples of the longest simulated record that is stored, 200 MB; more are made as runs go."""
 
-_COARSE = COARSE | {"optimisation": optimised}
+_COARSE = COARSE | {"optimisation": align_by_optimisation}
 _LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
 
 

@@ -13,7 +13,7 @@ from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
 from sinsjax.messages import one_line, seconds
 from sinsjax.methods.filters.parameters import level_settling_s
-from sinsjax.methods.registry import METHODS, PACKAGES, from_package
+from sinsjax.methods.registry import METHODS, PACKAGES, label_plugin
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.oddities import told
 from sinsjax.records.plausible import StationaryValues, findings
@@ -76,12 +76,12 @@ def check_methods(study: Study, stored: StoredRecord | None = None) -> list[str]
         except InputError:
             raise
         except Exception as error:  # what JAX says of another's function
-            of = from_package(static.method)
+            of = label_plugin(static.method)
             what = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
             raise InputError(f"{of}: does not trace: {what}") from error
         if static.method not in told:
             told[static.method] = _odd_covariance(part.group)
-    return [f"{from_package(name)}: covariance: {odd}" for name, odd in told.items() if odd]
+    return [f"{label_plugin(name)}: covariance: {odd}" for name, odd in told.items() if odd]
 
 
 def _odd_covariance(group: Group) -> str | None:

@@ -11,8 +11,8 @@ from sinsjax.engine.build import ENVIRONMENT_KEYS, Scenario
 from sinsjax.engine.simulator import motion_of
 from sinsjax.errors import InputError
 from sinsjax.execution.tables import table_of
+from sinsjax.methods.floors import mean_attitude
 from sinsjax.methods.information import heading_bound
-from sinsjax.methods.limits import mean_attitude
 from sinsjax.platform import runtime
 from sinsjax.strapdown.base_motion import Motion
 from sinsjax.study.keys import SECTION_OF

@@ -1,7 +1,7 @@
-"""What every alignment method is: a handful of pure functions of one run.
+"""The interface of an alignment method: a few pure functions of one run, in groups.
 
-A method is built once from what decides the program (model, options, sample time) and is then fed
-numbers. Methods never import one another; whoever drives them sees only this shape.
+A method is built once from `Options`, which decide its program, and is then given numbers, its
+params. Methods never import one another; the engine knows them by `Method` alone.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,17 +11,17 @@ import jax.numpy as jnp
 
 from sinsjax.maths.algebra import Entries
 from sinsjax.methods.description import StudyView
-from sinsjax.methods.limits import Biases, Limit
+from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.strapdown.earth import Earth, Place
 from sinsjax.types import Array, Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 
 class Site(NamedTuple):
-    """Where a run takes place.
+    """The Earth at the place of a run.
 
     Attributes:
         earth: Earth model.
-        place: its rates, curvatures and gravity at the starting latitude.
+        place: rates, curvatures and gravity at the starting latitude.
         latitude: rad.
     """
 
@@ -31,15 +31,15 @@ class Site(NamedTuple):
 
 
 class Options(NamedTuple):
-    """Choices that decide the program of a method, not its numbers (hashable).
+    """Choices that decide the program of a method but are no numbers of it (hashable).
 
     Attributes:
         dt: sample time, s.
-        specific_force: in A(t): "measured" (turned to n by the computed attitude) or "gravity"
-            (the constant (0, 0, g), with the velocity zero: A(t) of a base that is at rest).
+        specific_force: in A(t): "measured" (transformed to n with the computed attitude) or
+            "gravity" (the constant (0, 0, g) and zero velocity: A(t) of a base at rest).
         position: "fixed" or "integrated".
         trigger: name of a trigger, or "none".
-        innovations: whether a filter sums up its normalised innovations.
+        innovations: whether a filter sums its normalised innovations.
     """
 
     dt: float
@@ -50,10 +50,10 @@ class Options(NamedTuple):
 
 
 class TriggerCounts(NamedTuple):
-    """What a trigger did in a run.
+    """Resets by a trigger in a run.
 
     Attributes:
-        count: resets that it called for.
+        count: number of resets.
         first: sample of the first of them, 0 for none.
         last: sample of the last of them, 0 for none.
     """
@@ -63,25 +63,25 @@ class TriggerCounts(NamedTuple):
     last: Scalar
 
 
-class Innovations(NamedTuple):
-    """Sum of the normalised innovations squared r' S^-1 r of a run, and how many they are."""
+class InnovationSum(NamedTuple):
+    """Sum and number of the normalised innovations squared r' S^-1 r of a run."""
 
     sum: Scalar
     count: Scalar
 
 
 class FilterResults(NamedTuple):
-    """What a filter tells of itself at the end of a run.
+    """Basis of a filter's own result columns.
 
     Attributes:
-        trigger_counts: what its trigger did; None without one.
-        innovations: their sum; None where they are not summed up.
-        own: what the columns of this filter alone are made of; None of one without.
+        trigger_counts: resets by its trigger; None without one.
+        innovations: sum of its innovations; None if they are not summed.
+        extra: basis of the columns of this filter alone; None of a filter without.
     """
 
     trigger_counts: TriggerCounts | None
-    innovations: Innovations | None
-    own: Any = None
+    innovations: InnovationSum | None
+    extra: Any = None
 
 
 class AttitudeCovariance(NamedTuple):
@@ -104,18 +104,18 @@ class AttitudeCovariance(NamedTuple):
     uu: Scalar
 
 
-def no_covariance(like: Scalar) -> AttitudeCovariance:
-    """That of a method without one, in numbers of the type given."""
+def unknown_covariance(like: Scalar) -> AttitudeCovariance:
+    """Return NaN of the given number's type and shape, for a method without a covariance."""
     unknown = jnp.full_like(like, jnp.nan)
     return AttitudeCovariance(*(unknown for _ in AttitudeCovariance._fields))
 
 
-class Ending(NamedTuple):
-    """How a run ends.
+class RunEnd(NamedTuple):
+    """The end of a run.
 
     Attributes:
         n: number of its last sample.
-        backward: whether that belongs to a backward pass.
+        backward: whether the last sample is of a backward pass.
     """
 
     n: Scalar
@@ -123,19 +123,19 @@ class Ending(NamedTuple):
 
 
 class ErrorStep(NamedTuple):
-    """What a sample does to the error d of the corrected solution, to first order.
+    """The linear effect of one sample on the error d of the corrected solution.
 
-    d <- (I - k_m h_m) ... (I - k_1 h_1) ((I + A dt) d + G w): estimates that are fed back leave d
-    as it is, and what is measured, a velocity that is truly zero, has no noise of its own.
+    d <- (I - k_m h_m) ... (I - k_1 h_1) ((I + A dt) d + G w). Feeding estimates back leaves d
+    unchanged, and the measured velocity is truly zero, so the measurement adds no noise.
 
     Attributes:
         transition: non-zero entries of A dt.
-        inputs: non-zero entries of G, of errors of the increments in n: velocity east, north, up,
-            m/s, then angle, rad.
-        gains: k of each measurement, in the order they are taken, n entries each.
-        measured: numbers of the measured states.
-        axes: what takes b to the axes in which errors of the increments enter, where those are not
-            n of the navigation solution.
+        inputs: non-zero entries of G for errors of the increments in n: velocity east, north, up,
+            m/s, then angle east, north, up, rad.
+        gains: k of each measurement in the order of their updates, n entries each.
+        measured: state number of each measurement.
+        axes: rotation from b to the axes of the inputs, if these are not n of the navigation
+            solution.
     """
 
     transition: Entries
@@ -144,21 +144,21 @@ class ErrorStep(NamedTuple):
     measured: tuple[int, ...]
     axes: Quat | None = None
 
-    def entering(self, q: Quat) -> Quat:
-        """What takes b to these axes; ``q`` is the attitude of the navigation solution."""
+    def input_axes(self, q: Quat) -> Quat:
+        """Return the rotation from b to the axes of the inputs, given the solution's attitude q."""
         return q if self.axes is None else self.axes
 
 
-def updated(d: tuple[Scalar, ...], k: tuple[Scalar, ...], m: int) -> tuple[Scalar, ...]:
-    """(I - k h) d, h the row that measures state m."""
-    return tuple(one - gain * d[m] for one, gain in zip(d, k, strict=True))
+def apply_gain(d: tuple[Scalar, ...], gain: tuple[Scalar, ...], m: int) -> tuple[Scalar, ...]:
+    """Return (I - k h) d for the gain k of a measurement of state m."""
+    return tuple(error - k * d[m] for error, k in zip(d, gain, strict=True))
 
 
 class StartChange(NamedTuple):
-    """What is added to the error of a solution before its first sample, to first order.
+    """A small change of the error of a solution before its first sample.
 
     Attributes:
-        attitude: error C_true C_hat^T that it is added to.
+        attitude: error C_true C_hat^T that the change is added to.
         phi: misalignment about the computed axes, rad.
         ve: velocity east, m/s.
         vn: velocity north, m/s.
@@ -175,20 +175,20 @@ Change = Callable[[Any, int | None, Scalar, Scalar], Any]
 
 
 class Relaxed(NamedTuple):
-    """How a method's numbers follow the keys of a study, to be differentiated by them.
+    """Differentiable dependence of a method's params on the keys of a study.
 
-    Each key changes the numbers by the ratio of its value to the one before, so that no unit and no
-    formula of the method's `parameters` is said twice.
+    Each key changes the params by the ratio of its value to the one before, so that no unit and no
+    formula of the method's `parameters` is written twice.
 
     Attributes:
-        changes: what a key of the study does to the numbers; those missing have no gradient.
-        follows: keys that another one stands for where it is left out.
-        times: the key of times that are spread; None where the method has none.
-        moves: those of ``changes`` that move resets, too.
-        soften: (params, times in samples or None, half width in samples) -> params, resets spread
-            over smooth windows, at these times if given; None of a method that has none.
-        refused: (study, whether resets are spread) -> what has no gradient, ``[section] key``; None
-            if nothing.
+        changes: effect of each key on the params; a key without one has no gradient.
+        follows: keys whose value another key takes if that is left out.
+        times: the key of times that are smoothed; None of a method without.
+        moves: the keys of ``changes`` that move resets, too.
+        soften: (params, times in samples or None, half width in samples) -> params with each reset
+            spread over a smooth window, at these times if given; None of a method without resets.
+        refused: (study, whether resets are smoothed) -> first thing without a gradient, as
+            ``[section] key``; None if there is none.
     """
 
     changes: Mapping[str, Change]
@@ -196,68 +196,92 @@ class Relaxed(NamedTuple):
     times: str | None = None
     moves: tuple[str, ...] = ()
     soften: Callable[[Any, Array | None, Scalar], Any] | None = None
-    refused: Callable[[StudyView, bool], str | None] = lambda study, spread: None
+    refused: Callable[[StudyView, bool], str | None] = lambda study, smoothed: None
+
+
+class Feedback(NamedTuple):
+    """Closing the loop of a method: feedback of the estimate and resets of P.
+
+    Attributes:
+        close: (params, state, n) -> state after the feedback and reset that are due after the n-th
+            sample. If nothing is due, the state is unchanged to the bit.
+        next_event: (params, state, n) -> number of the first sample after the n-th at which
+            anything is due; None if that is known only as the run proceeds.
+        called: (state, n) -> whether the n-th sample itself called for the loop to be closed,
+            which `next_event` could not foresee; None of a method without such calls.
+    """
+
+    close: Callable[[Any, Any, Scalar], Any]
+    next_event: Callable[[Any, Any, Scalar], Scalar | None]
+    called: Callable[[Any, Scalar], Flag] | None = None
+
+
+class Passes(NamedTuple):
+    """Repeated passes over a stored record.
+
+    Attributes:
+        turn: (params, site, state) -> state after a direction reversal; the site is that of the
+            pass that ends.
+        rewind: (params, navigation, state) -> state that starts the record again, from its first
+            solution, propagated back from the state at its end; None of a method that reads a
+            record once.
+        begin_after: (first state, n) -> the same with sample n + 1 as its first; None of a method
+            whose state does not count samples.
+        gyro_bias: state -> estimated gyro bias in b, rad/s, which is removed from the stored
+            samples as the attitude is propagated back; None of a method that estimates none.
+    """
+
+    turn: Callable[[Any, Site, Any], Any]
+    rewind: Callable[[Any, Navigation, Any], Any] | None = None
+    begin_after: Callable[[Any, Scalar], Any] | None = None
+    gyro_bias: Callable[[Any], Vec3] | None = None
+
+
+class ErrorModel(NamedTuple):
+    """Linear model of the true error d of a run, for covariance analysis.
+
+    Attributes:
+        step: (params, site, state, sample, n) -> `ErrorStep` of the step from that state.
+        angles: state -> derivative of phi of the corrected attitude by d, rows (3, n) in n.
+        start: (first state, `StartChange`) -> d of a start with that additional error.
+    """
+
+    step: Callable[[Any, Site, Any, Sample, Scalar], ErrorStep]
+    angles: Callable[[Any], tuple[tuple[Scalar, ...], ...]]
+    start: Callable[[Any, StartChange], tuple[Scalar, ...]]
+    per_record: Callable[[Any], tuple[Any, tuple[Scalar, ...]]] | None = None
 
 
 class Method(NamedTuple):
-    """An alignment method. Its state has the navigation solution as ``nav``, or wraps one that has.
+    """An alignment method. Its state has the navigation solution as ``nav``.
 
     Attributes:
-        init: (params, navigation) -> state.
-        step: (params, site, state, sample, n) -> state after the n-th sample, n from 1, its loop
-            not yet closed.
-        turn: (params, site, state) -> state after a direction reversal; the site is that of the
-            pass that ends.
-        attitude: state -> best attitude, i.e. with the estimated misalignment taken out.
+        init: (params, navigation) -> state before the first sample.
+        step: (params, site, state, sample, n) -> state after the n-th sample, n from 1, before the
+            loop is closed.
+        attitude: state -> best attitude: the solution's with the estimated misalignment removed.
         covariance: state -> `AttitudeCovariance` of that attitude.
-        normalise: state -> state with its quaternion scaled to unit length.
-        limit: (params, place, biases, `Ending`) -> `Limit` that constant biases leave; the place is
-            that of a forward pass. `limits.unaided` where a method finds no heading: its level part
-            counts all the same.
-        results: (site, state) -> what the method's own columns are made of at the end of a run,
-            see `description.OwnColumn`; None of a method without.
-        close: (params, state, n) -> state after what is due after the n-th sample: feedback and
-            reset. Where nothing is due it is the state as it stands, to the bit. None of a method
-            whose loop is closed within the step.
-        next_event: (params, state, n) -> sample after the n-th at which anything is due next, as a
-            number; None, of some params or of all, where that is found out as it goes.
-        rewind: (params, navigation, state) -> state that begins the record again: the solution is
-            that of its beginning, wound back from the state at its end. None of a method that takes
-            in a record once.
-        begin_after: (state that begins, n) -> the same with sample n + 1 as its first; None of a
-            method whose state does not count samples.
-        gyro_bias: state -> estimated gyro bias in b that samples are to be freed from, rad/s; None
-            of a method that estimates none.
-        called: (state, n) -> whether the n-th sample itself called for the loop to be closed after
-            it, which no `next_event` could tell before; None of a method where none does.
-        error_step: (params, site, state, sample, n) -> `ErrorStep` of the step from that state;
-            None of a method whose step tells no linear part.
-        error_angles: state -> phi of the corrected attitude by the states of d, (3, n) rows in n;
-            None with ``error_step``.
-        start_error: (state that begins, `StartChange`) -> d of a start that is off by so much more;
-            None with ``error_step``.
-        per_record: state at a record time -> state that begins the next interval, and what is
-            told of this one beside the observation; None of a method that tells no more.
-        common_covariance: whether the covariance depends on params and n alone, so that runs that
+        normalise: state -> state with its quaternions scaled to unit length.
+        floor: (params, place, biases, `RunEnd`) -> `BiasFloor` left by constant sensor biases; the
+            place is that of a forward pass. `floors.bias_floor` also of a method that finds no
+            heading, whose level part counts.
+        results: (site, state) -> basis of the method's own result columns at the end of a run, see
+            `description.OwnColumn`; None of a method without.
+        shares_covariance: whether the covariance depends on params and n alone, so that runs that
             differ in their draw can share it.
+        feedback: how the loop is closed; None of a method that closes it within ``step``.
+        passes: how passes over a stored record begin; None of a method that reads it once.
+        error_model: linear model of its true error; None of a method without.
     """
 
     init: Callable[[Any, Navigation], Any]
     step: Callable[[Any, Site, Any, Sample, Scalar], Any]
-    turn: Callable[[Any, Site, Any], Any]
     attitude: Callable[[Any], Quat]
     covariance: Callable[[Any], AttitudeCovariance]
     normalise: Callable[[Any], Any]
-    limit: Callable[[Any, Place, Biases, Ending], Limit]
+    floor: Callable[[Any, Place, MeanBiases, RunEnd], BiasFloor]
     results: Callable[[Site, Any], Any] | None = None
-    close: Callable[[Any, Any, Scalar], Any] | None = None
-    next_event: Callable[[Any, Any, Scalar], Scalar | None] | None = None
-    called: Callable[[Any, Scalar], Flag] | None = None
-    common_covariance: bool = False
-    rewind: Callable[[Any, Navigation, Any], Any] | None = None
-    gyro_bias: Callable[[Any], Vec3] | None = None
-    begin_after: Callable[[Any, Scalar], Any] | None = None
-    error_step: Callable[[Any, Site, Any, Sample, Scalar], ErrorStep] | None = None
-    error_angles: Callable[[Any], tuple[tuple[Scalar, ...], ...]] | None = None
-    start_error: Callable[[Any, StartChange], tuple[Scalar, ...]] | None = None
-    per_record: Callable[[Any], tuple[Any, tuple[Scalar, ...]]] | None = None
+    shares_covariance: bool = False
+    feedback: Feedback | None = None
+    passes: Passes | None = None
+    error_model: ErrorModel | None = None

@@ -16,7 +16,7 @@ import numpy as np
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Minus, Triangle, times_plus_identity
-from sinsjax.methods.base import ErrorStep, updated
+from sinsjax.methods.base import ErrorStep, apply_gain
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.processes import Process, constant
 from sinsjax.types import Array, Quat, Scalar
@@ -177,7 +177,7 @@ def _moved(
     out = times_plus_identity(step.transition, d)
     out = tuple(one + h * by for one, h in zip(out, enters, strict=True))
     for k, m in zip(step.gains, step.measured, strict=True):
-        out = updated(out, k, m)
+        out = apply_gain(out, k, m)
     return out
 
 

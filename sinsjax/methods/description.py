@@ -127,7 +127,7 @@ class Description:
         gyro_bias_keys: pairs of keys, the sigma of gyro bias states and that of heading beside
             them: such a filter tells gyro biases from heading once the base moves. Empty for a
             method without these states.
-        has_error_step: whether its steps tell their linear part, so that the covariance of its true
+        has_error_model: whether its `Method` has an error model, so that the covariance of its true
             error can be computed without draws.
         rules: check the rules between its keys.
         columns: its own result columns.
@@ -149,7 +149,7 @@ class Description:
     has_covariance: bool = True
     has_floor: bool = True
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()
-    has_error_step: bool = False
+    has_error_model: bool = False
     rules: tuple[Callable[[CheckedStudy], None], ...] = ()
     columns: tuple[OwnColumn, ...] = ()
     last_called: Callable[[Any], NDArray | None] = lambda results: None

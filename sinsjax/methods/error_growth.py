@@ -21,7 +21,7 @@ from sinsjax.maths.algebra import (
     triangle_index,
 )
 from sinsjax.methods import coloured_growth
-from sinsjax.methods.base import ErrorStep, Method, Site, updated
+from sinsjax.methods.base import ErrorModel, ErrorStep, Feedback, Method, Site, apply_gain
 from sinsjax.methods.coloured_growth import Coloured
 from sinsjax.types import Increments, Navigation, Quat, Sample, Scalar
 
@@ -110,7 +110,7 @@ def advance(
         noise: of the sample's increments, white.
         coloured: errors of the increments that are not.
     """
-    n, q = len(growth.columns), step.entering(q)
+    n, q = len(growth.columns), step.input_axes(q)
     columns = tuple(times_plus_identity(step.transition, column) for column in growth.columns)
     w = congruence(step.transition, growth.noise, n)
     w = _with_inputs(step.inputs, w, _in_n(q, noise), n)
@@ -120,8 +120,8 @@ def advance(
         grown, w = coloured_growth.advance(own, process, step, enters, w)
         later.append(grown)
     for k, m in zip(step.gains, step.measured, strict=True):
-        columns = tuple(updated(column, k, m) for column in columns)
-        w = _updated(w, k, m)
+        columns = tuple(apply_gain(column, k, m) for column in columns)
+        w = _apply_gain(w, k, m)
     return ErrorGrowth(columns, w, tuple(later))
 
 
@@ -136,7 +136,7 @@ def driven(
         excess: error of the increments in b, rad and m/s.
         d: error so far.
     """
-    rows = rotations.matrix(step.entering(q))
+    rows = rotations.matrix(step.input_axes(q))
     in_n = [dot(row, excess.dv) for row in rows] + [dot(row, excess.dtheta) for row in rows]
     out = list(times_plus_identity(step.transition, d))
     for (i, axis), by in step.inputs.items():
@@ -144,7 +144,7 @@ def driven(
         out[i] = out[i] - by.of * entry if isinstance(by, Minus) else out[i] + by * entry
     d = tuple(out)
     for k, m in zip(step.gains, step.measured, strict=True):
-        d = updated(d, k, m)
+        d = apply_gain(d, k, m)
     return d
 
 
@@ -179,7 +179,7 @@ def _number(entry: Scalar | Minus) -> Scalar:
     return -entry.of if isinstance(entry, Minus) else entry
 
 
-def _updated(w: Triangle, k: tuple[Scalar, ...], m: int) -> Triangle:
+def _apply_gain(w: Triangle, k: tuple[Scalar, ...], m: int) -> Triangle:
     """(I - k h) W (I - k h)', h the row that measures state m."""
     n = len(k)
     at = triangle_index(n)
@@ -210,18 +210,9 @@ def with_growth(method: Method) -> Method:
     Args:
         method: with an `error_step`, read forward once.
     """
-    error_step, error_angles, start_error = (
-        method.error_step,
-        method.error_angles,
-        method.start_error,
-    )
-    assert error_step is not None and error_angles is not None and start_error is not None
-    close, next_event, called, results = (
-        method.close,
-        method.next_event,
-        method.called,
-        method.results,
-    )
+    assert method.error_model is not None
+    error_step, error_angles, start_error, _ = method.error_model
+    feedback, results = method.feedback, method.results
 
     def init(params: ErrorParams, nav: Navigation) -> Watched:
         inner = method.init(params.inner, nav)
@@ -251,19 +242,25 @@ def with_growth(method: Method) -> Method:
         return state._replace(growth=growth), (*rows, *told_w, *angles, *more)
 
     return Method(
-        init,
-        step,
-        lambda params, site, state: state,
-        lambda state: method.attitude(state.inner),
-        lambda state: method.covariance(state.inner),
-        lambda state: state._replace(inner=method.normalise(state.inner)),
-        lambda params, *given: method.limit(params.inner, *given),
+        init=init,
+        step=step,
+        attitude=lambda state: method.attitude(state.inner),
+        covariance=lambda state: method.covariance(state.inner),
+        normalise=lambda state: state._replace(inner=method.normalise(state.inner)),
+        floor=lambda params, *given: method.floor(params.inner, *given),
         results=results and (lambda site, state: results(site, state.inner)),
-        close=close
-        and (lambda params, state, n: state._replace(inner=close(params.inner, state.inner, n))),
-        next_event=next_event
-        and (lambda params, state, n: next_event(params.inner, state.inner, n)),
-        called=called and (lambda state, n: called(state.inner, n)),
-        per_record=per_record,
-        start_error=lambda state, change: start_error(state.inner, change),
+        feedback=feedback
+        and Feedback(
+            lambda params, state, n: state._replace(
+                inner=feedback.close(params.inner, state.inner, n)
+            ),
+            lambda params, state, n: feedback.next_event(params.inner, state.inner, n),
+            feedback.called and (lambda state, n: feedback.called(state.inner, n)),
+        ),
+        error_model=ErrorModel(
+            error_step,
+            error_angles,
+            lambda state, change: start_error(state.inner, change),
+            per_record,
+        ),
     )

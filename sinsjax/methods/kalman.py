@@ -19,7 +19,7 @@ from sinsjax.types import Scalar
 
 
 class Belief(NamedTuple):
-    """What the filter believes: the mean and covariance of n states.
+    """A filter's estimate: mean and covariance of n states.
 
     Attributes:
         x: n means.
@@ -31,10 +31,10 @@ class Belief(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """What was measured minus what was predicted.
+    """Measured minus predicted values.
 
     Attributes:
-        value: of each of m measurements.
+        value: one per measurement.
         variance: upper triangle of its covariance S = H P H' + R, m (m + 1) / 2 entries.
     """
 
@@ -42,8 +42,8 @@ class Innovation(NamedTuple):
     variance: tuple[Scalar, ...]
 
 
-def start(variances: Sequence[Scalar]) -> Belief:
-    """Zero mean and a diagonal covariance."""
+def initial_belief(variances: Sequence[Scalar]) -> Belief:
+    """Return zero means with a diagonal covariance."""
     return Belief(tuple(0.0 * v for v in variances), diagonal_triangle(variances))
 
 
@@ -82,13 +82,13 @@ def update(belief: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scal
     Args:
         belief: predicted mean and covariance.
         measured: numbers of the measured states (the rows of H).
-        z: what was measured.
+        z: measured values.
         r: variance of each measurement.
     """
     n = len(belief.x)
     x, p = belief
     for m, value in zip(measured, z, strict=True):
-        column, inverse, p = _taken(p, m, r, n)
+        column, inverse, p = _process_measurement(p, m, r, n)
         innovation = (value - x[m]) * inverse
         x = tuple(x[i] + column[i] * innovation for i in range(n))
     return Belief(x, p)
@@ -97,16 +97,18 @@ def update(belief: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scal
 def gains(
     p: Triangle, measured: Sequence[int], r: Scalar, n: int
 ) -> tuple[tuple[Scalar, ...], ...]:
-    """The gain of each measurement of an `update`, (n,) each, from the predicted covariance."""
+    """Return the gain of each measurement of an `update`, n entries each, from the predicted P."""
     columns = []
     for m in measured:
-        column, inverse, p = _taken(p, m, r, n)
+        column, inverse, p = _process_measurement(p, m, r, n)
         columns.append(tuple(c * inverse for c in column))
     return tuple(columns)
 
 
-def _taken(p: Triangle, m: int, r: Scalar, n: int) -> tuple[list[Scalar], Scalar, Triangle]:
-    """Column of P of a measured state, the inverse of its innovation's variance, and P after it."""
+def _process_measurement(
+    p: Triangle, m: int, r: Scalar, n: int
+) -> tuple[list[Scalar], Scalar, Triangle]:
+    """Return a measured state's column of P, 1 / its innovation variance, and the updated P."""
     at = triangle_index(n)
     column = [p[at[i, m]] for i in range(n)]
     inverse = 1 / (column[m] + r)
@@ -118,7 +120,7 @@ def _taken(p: Triangle, m: int, r: Scalar, n: int) -> tuple[list[Scalar], Scalar
 def innovation(
     predicted: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scalar
 ) -> Innovation:
-    """The innovation of an update; arguments as of `update`."""
+    """Return the innovation of an update; arguments as of `update`."""
     (x, p), at = predicted, triangle_index(len(predicted.x))
     pairs = [(i, j) for k, i in enumerate(measured) for j in measured[k:]]
     return Innovation(
@@ -128,6 +130,6 @@ def innovation(
 
 
 def normalised(value: Sequence[Scalar], variance: Sequence[Scalar]) -> Scalar:
-    """An innovation of two measurements squared and normalised, r' S^-1 r; see `Innovation`."""
+    """Return the normalised innovation squared r' S^-1 r of two measurements; see `Innovation`."""
     (e, n), (ee, en, nn) = value, variance
     return (nn * e * e - 2 * en * e * n + ee * n * n) / (ee * nn - en * en)

@@ -2,7 +2,7 @@
 
 from sinsjax.methods.description import Description
 from sinsjax.methods.registry import METHODS
-from sinsjax.methods.triggers.description import TRIGGERS
+from sinsjax.methods.triggers.config import TRIGGERS
 
 _RESETS_AND_FEEDBACK = (
     "At a reset all of the estimate is fed back, then P is set anew. What comes of it depends on"

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, scale
-from sinsjax.methods.base import Site
+from sinsjax.methods.base import Method, Site
 from sinsjax.strapdown import earth, sensors
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Increments, Quat, Sample, Scalar, Vec3
@@ -80,6 +80,11 @@ def compensate(now: Increments, before: Increments, backward: Flag | None) -> Sa
     earlier = where(backward, now, before)
     sample = sensors.compensate(later, earlier)
     return where(backward, sensors.reverse(sample), sample)
+
+
+def estimates_gyro_bias(method: Method) -> bool:
+    """Return whether a method estimates gyro biases, which are removed from a stored record."""
+    return method.passes is not None and method.passes.gyro_bias is not None
 
 
 class BodyTurn(NamedTuple):

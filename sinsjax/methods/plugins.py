@@ -1,39 +1,33 @@
-"""Methods that other installed packages bring, by entry points. Free of JAX.
+"""Alignment methods of other installed packages, found by their entry points. Free of JAX.
 
-A package says in its ``pyproject.toml`` where its `Description` stands:
+A package names its `Description` in its ``pyproject.toml``:
 
     [project.entry-points."sinsjax.methods"]
-    my_method = "my_package.description:MY_METHOD"
+    my_method = "my_package.config:MY_METHOD"
 
-What is wrong with one concerns the studies that use it, and no others.
+A plug-in that cannot be loaded affects only the studies that use it. An error of its code is
+reported in one line with the place in that code, see `describe_plugin_error`.
 """
 
-import math
-from collections import defaultdict
+import traceback
 from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
-from typing import Annotated, Any, NamedTuple, get_type_hints
-
-from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined
+from importlib.util import find_spec
+from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
-from sinsjax.messages import near
-from sinsjax.methods.description import COMMON_KEYS, Description
-from sinsjax.methods.guarding import guarded, mistyped, of_package, what
+from sinsjax.messages import first_line
+from sinsjax.methods.description import Description
 from sinsjax.platform import runtime
-from sinsjax.value_types import ActsWhere, key_info
 
 
-class Brought(NamedTuple):
-    """Every method, and what came of entry points.
+class PluginRegistry(NamedTuple):
+    """All methods, and the state of the plug-ins.
 
     Attributes:
-        methods: by name, those of this package and those of others after them.
-        packages: of a method from outside, its package and that one's version, by name.
-        broken: why a method cannot be used, in a line, by name or, where it has none, by that of
-            its entry point. Under the name of a method of this package, which is used all the same,
-            why that of another is not.
+        methods: usable methods by name, the built-in ones first.
+        packages: package and version of each method of a plug-in, by name.
+        broken: reason in one line why a plug-in cannot be used, by the name of its entry point.
     """
 
     methods: dict[str, Description]
@@ -41,116 +35,128 @@ class Brought(NamedTuple):
     broken: dict[str, str]
 
 
-def with_those_from_outside(built_in: Iterable[Description]) -> Brought:
-    """Every method that can be used, and what is wrong with others."""
-    methods = {method.name: method for method in built_in}
-    brought, named = Brought(methods, {}, {}), defaultdict(list)
+def load_plugins(built_in: Iterable[Description]) -> PluginRegistry:
+    """Return the built-in methods and those of plug-ins; none replaces another."""
+    registry = PluginRegistry({method.name: method for method in built_in}, {}, {})
     for point in runtime.method_entry_points():
-        named[point.name].append(point)
-    for name, points in named.items():
         try:
-            method = _the_only(points, methods)
+            method = _load_plugin(point, registry.methods)
         except InputError as error:
-            brought.broken[name] = str(error)
+            registry.broken[point.name] = str(error)
             continue
-        methods[name] = guarded(method, points[0])
-        if (package := points[0].dist) is not None:
-            brought.packages[name] = package.name, package.version
-    return brought
+        registry.methods[method.name] = method
+        if point.dist is not None:
+            registry.packages[method.name] = point.dist.name, point.dist.version
+    return registry
 
 
-def _the_only(points: list[EntryPoint], methods: Mapping[str, Description]) -> Description:
-    """The method of entry points of one name, of which there may be one."""
-    point, *others = points
+def _load_plugin(point: EntryPoint, methods: Mapping[str, Description]) -> Description:
+    """Return the method of an entry point, whose name, sections and keys must be new."""
+    source = f"entry point {point.name!r} in {point.group}{_package_label(point)}"
     if point.name in methods:
-        clashes = (f"{_named(one)}: there is already a method {one.name!r}" for one in points)
-        raise InputError("; ".join(clashes))
-    if others:
-        packages = " and".join(map(of_package, points))
-        raise InputError(
-            f"entry point {point.name!r} in {point.group}{packages}: each brings a method of this"
-            " name (uninstall all but one)"
-        )
-    method = _loaded(point)
-    if method.name in methods:
-        raise InputError(f"{_named(point)}: there is already a method {method.name!r}")
-    if method.name != point.name:
-        raise InputError(
-            f"{_named(point)}: its method is called {method.name!r} (give both one name)"
-        )
-    for name, section in method.sections.items():
-        _check_section(point, name, section.model_fields, methods)
-    return method
-
-
-def _check_section(
-    point: EntryPoint, name: str, keys: Mapping[str, object], methods: Mapping[str, Description]
-) -> None:
-    """Refuse keys of another section; methods may share a section as a whole."""
-    others = {
-        other: section
-        for method in methods.values()
-        for other, section in method.sections.items()
-        if section.model_fields is not keys
-    }
-    if name in others:
-        raise InputError(f"{_named(point)}: section [{name}] is that of another method")
-    for other, section in others.items():
-        if taken := sorted(keys & section.model_fields.keys()):
-            raise InputError(f"{_named(point)}: key {taken[0]} is one of section [{other}]")
-
-
-def _loaded(point: EntryPoint) -> Description:
-    if EntryPoint.pattern.match(point.value) is None:
-        form = "no package.module:NAME, of letters, digits and _"
-        raise InputError(f"{_named(point)}: cannot be loaded ({point.value!r} is {form})")
+        raise InputError(f"{source}: there is already a method {point.name!r}")
     try:
         method = point.load()
-    except (Exception, SystemExit) as error:  # whatever another's module raises
-        raise InputError(f"{_named(point)}: cannot be loaded ({what(error, point)})") from error
+    except (Exception, SystemExit) as error:  # anything that the code of others raises
+        where = _last_place(error, _package_folders(point)) or ""
+        raise InputError(
+            f"{source}: cannot be loaded ({type(error).__name__}: {first_line(error)}{where})"
+        ) from error
     if not isinstance(method, Description):
-        found = f"{point.value} is a {type(method).__name__}"
-        raise InputError(f"{_named(point)}: {found}, no sinsjax.methods.description.Description")
-    for field, kind in get_type_hints(Description).items():
-        _check_type(point, field, getattr(method, field), kind)
+        kind = type(method).__name__
+        raise InputError(f"{source}: {point.value} is a {kind}, not a {Description.__module__}")
+    if method.name != point.name:
+        raise InputError(f"{source}: its method is called {method.name!r} (give both one name)")
     for name, section in method.sections.items():
-        _check_type(point, f"[{name}] exclusive", section.exclusive, tuple[tuple[str, str], ...])
-        _check_type(point, f"[{name}] conditions", section.conditions, tuple[ActsWhere, ...])
-        for key, of_key in section.model_fields.items():
-            _check_defaults(point, f"[{name}] default of {key}", of_key)
-    named = {"silent": method.silent, "gyro_bias_keys": sum(method.gyro_bias_keys, ())}
-    for field, keys in named.items():
-        if unknown := sorted({*keys} - method.keys - {*COMMON_KEYS}):
-            hint = near(unknown[0], sorted(method.keys))
-            text = f"{unknown[0]!r} is in none of its sections, nor in reads{hint}"
-            raise InputError(f"{_named(point)}: {field}: {text}")
-    if not 0 < method.step_s < 1:
-        raise InputError(f"{_named(point)}: step_s: must be above 0 and below 1 s")
+        for other in methods.values():
+            for taken, existing in other.sections.items():
+                if existing is section:  # methods may share a section as a whole
+                    continue
+                if name == taken:
+                    raise InputError(f"{source}: section [{name}] is that of another method")
+                if keys := sorted(section.model_fields.keys() & existing.model_fields.keys()):
+                    raise InputError(f"{source}: key {keys[0]} is one of section [{taken}]")
     return method
 
 
-def _check_type(point: EntryPoint, field: str, value: object, kind: Any) -> None:
-    """Refuse what a description should not say: every study is read by it."""
+def check_plugin(name: str, description: Description, method: Any, params: Any, site: Any) -> None:
+    """Check the shapes of a plug-in's functions without running them (`jax.eval_shape`).
+
+    Args:
+        name: of the plug-in's method, with its package, for the message.
+        description: of the method.
+        method: the `base.Method` that it builds.
+        params: of one run, leaves (...).
+        site: `base.Site` of one run.
+
+    Raises:
+        InputError: ``step`` returns another state than ``init``, or ``attitude``, ``covariance``
+            or ``error_model`` is not what the description promises.
+    """
+    import jax
+    import numpy as np
+
+    from sinsjax.methods.base import AttitudeCovariance
+    from sinsjax.types import Navigation, Quat, Sample, Vec3
+
+    def structure(tree: Any) -> Any:
+        return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), tree)
+
+    number = np.float64(0.0)
+    q = Quat(*(number,) * 4)
+    nav, sample = Navigation(q, *(number,) * 4), Sample(q, Vec3(*(number,) * 3))
+    state = jax.eval_shape(method.init, params, nav)
+    later = jax.eval_shape(method.step, params, site, state, sample, number)
+    if structure(later) != structure(state):
+        raise InputError(
+            f"{name}: step returns the state {_format_shapes(later)}, init {_format_shapes(state)}"
+        )
+    for field, kind in (("attitude", Quat), ("covariance", AttitudeCovariance)):
+        returned = jax.eval_shape(getattr(method, field), state)
+        if not isinstance(returned, kind) or any(np.shape(leaf) for leaf in returned):
+            text = f"{field} returns {_format_shapes(returned)}, not a {kind.__name__} of numbers"
+            raise InputError(f"{name}: {text}")
+    if description.has_error_model and method.error_model is None:
+        raise InputError(f"{name}: has_error_model is True, but its Method has no error_model")
+
+
+def describe_plugin_error(error: BaseException) -> str | None:
+    """Return one line with the place in a plug-in's code that an error is from, None if from none.
+
+    The line names the package, the kind of error, file and line.
+    """
+    for point in runtime.method_entry_points():
+        if where := _last_place(error, _package_folders(point)):
+            text = f"{type(error).__name__}: {first_line(error)}{where}"
+            return f"method {point.name!r}{_package_label(point)}: {text}"
+    return None
+
+
+def _package_label(point: EntryPoint) -> str:
+    return f" of {point.dist.name} {point.dist.version}" if point.dist else ""
+
+
+def _last_place(error: BaseException, folders: tuple[str, ...]) -> str | None:
+    """Return the last place of a traceback in some folders, as ``, in file:line``."""
+    frames = traceback.extract_tb(error.__traceback__)
+    inside = [frame for frame in frames if frame.filename.startswith(folders)] if folders else []
+    return f", in {inside[-1].filename}:{inside[-1].lineno}" if inside else None
+
+
+def _package_folders(point: EntryPoint) -> tuple[str, ...]:
+    """Return the folders of a package's code, without importing it."""
     try:
-        wrong = mistyped(field, value, kind)
-    except Exception as error:  # what a validator of another's raises
-        wrong = f"{field}: {what(error, point)}"
-    if wrong:
-        raise InputError(f"{_named(point)}: {wrong}")
+        spec = find_spec(point.module.partition(".")[0])
+    except (AttributeError, ImportError, ValueError):
+        return ()
+    if spec is None:
+        return ()
+    folders = spec.submodule_search_locations
+    return tuple(f"{folder}/" for folder in folders) if folders else (str(spec.origin),)
 
 
-def _check_defaults(point: EntryPoint, where: str, field: FieldInfo) -> None:
-    """Refuse a default that no study could give: pydantic takes it as it stands."""
-    info, kind = key_info(field), Annotated[field.annotation, field]
-    for value in (field.get_default(), PydanticUndefined if info.default is None else info.default):
-        if value is PydanticUndefined:
-            continue
-        _check_type(point, where, value, kind)
-        low, high = info.usual or (-math.inf, math.inf)
-        if isinstance(value, int | float) and not low <= value <= high:
-            text = f"must be within the usual {low:g} to {high:g}, not {value!r}"
-            raise InputError(f"{_named(point)}: {where}: {text}")
+def _format_shapes(tree: Any) -> str:
+    """Return a tree of shapes on one line."""
+    import jax
 
-
-def _named(point: EntryPoint) -> str:
-    return f"entry point {point.name!r} in {point.group}{of_package(point)}"
+    return str(jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree)).replace("'", "")

@@ -1,25 +1,25 @@
-"""Alignment methods by name: this is where a method is registered. Free of JAX.
+"""All alignment methods by name; a new one is registered here. Free of JAX.
 
-Those of other packages register themselves, see `from_outside`.
+Methods of other packages are found by their entry points, see `plugins`.
 """
 
 from collections.abc import Iterable
 
-from sinsjax.methods.azimuth.description import EKF_AZIMUTH, UNSCENTED
-from sinsjax.methods.compass.description import COMPASS
+from sinsjax.methods.azimuth.config import EKF_AZIMUTH, UNSCENTED
+from sinsjax.methods.compass.config import COMPASS
 from sinsjax.methods.description import Description
-from sinsjax.methods.inertial_frame.description import (
+from sinsjax.methods.inertial_frame.config import (
     INERTIAL,
     OPTIMISATION,
     OPTIMISATION_POSITION,
 )
-from sinsjax.methods.invariant.description import INVARIANT
-from sinsjax.methods.plugins import with_those_from_outside
-from sinsjax.methods.sincos.description import SINCOS, SURGE
-from sinsjax.methods.zero_velocity.description import KALMAN5, KALMAN10
+from sinsjax.methods.invariant.config import INVARIANT
+from sinsjax.methods.plugins import load_plugins
+from sinsjax.methods.sincos.config import SINCOS, SURGE
+from sinsjax.methods.zero_velocity.config import KALMAN5, KALMAN10
 from sinsjax.value_types import Section
 
-_BROUGHT = with_those_from_outside(
+_REGISTRY = load_plugins(
     (
         KALMAN5,
         KALMAN10,
@@ -35,44 +35,41 @@ _BROUGHT = with_those_from_outside(
     )
 )
 
-METHODS: dict[str, Description] = _BROUGHT.methods
-"""Every method; a study names one, the engine drives it through `base.Method`."""
+METHODS: dict[str, Description] = _REGISTRY.methods
+"""Every method; a study names one, and the engine runs it as a `base.Method`."""
 
-PACKAGES: dict[str, tuple[str, str]] = _BROUGHT.packages
-"""Package and version of each method that another package brings."""
+PACKAGES: dict[str, tuple[str, str]] = _REGISTRY.packages
+"""Package and version of each method of a plug-in."""
 
-BROKEN: dict[str, str] = _BROUGHT.broken
-"""Why a method that another package brings cannot be used, in a line, by its name.
+BROKEN: dict[str, str] = _REGISTRY.broken
+"""Reason why a plug-in cannot be used, in one line, by the name of its entry point.
 
-Where `METHODS` has one of that name, it is another one, which can.
+`METHODS` may have a usable method of the same name.
 """
 
 SECTIONS_OF_METHODS: dict[str, type[Section]] = {
     name: section for method in METHODS.values() for name, section in method.sections.items()
 }
-"""The sections of a study that methods bring with them, by name."""
+"""The sections of a study that belong to methods, by name."""
 
 
 def packages_of(names: Iterable[str]) -> dict[str, str]:
-    """The packages that bring some methods, and their versions."""
+    """Return the packages of those methods that are of plug-ins, and their versions."""
     return dict(PACKAGES[name] for name in names if name in PACKAGES)
 
 
-def from_package(name: str) -> str:
-    """A method that another package brings, as messages name it."""
+def label_plugin(name: str) -> str:
+    """Return the name of a plug-in's method with its package, for messages."""
     return f"method {name!r} of {' '.join(PACKAGES.get(name, ('another package',)))}"
 
 
-def unusable() -> str:
-    """Where to look for what is unknown, as a method may be there that cannot be used; else empty.
-
-    An entry point may be one of another name than its method's, which is not known then.
-    """
-    text = "an installed package brings a method that cannot be used, `sinsjax info` shows why"
+def hint_broken_plugins() -> str:
+    """Return the hint for unknown names while a plug-in is broken, which may define them."""
+    text = "an installed package has a method that cannot be used, `sinsjax info` shows why"
     return f" ({text})" if BROKEN else ""
 
 
-def keys_unread(names: Iterable[str]) -> set[str]:
-    """The keys that other methods read, and none of some."""
+def unread_keys(names: Iterable[str]) -> set[str]:
+    """Return the keys that only methods other than these read."""
     read = {key for name in names for key in METHODS[name].keys}
     return {key for method in METHODS.values() for key in method.keys} - read

@@ -1,4 +1,4 @@
-"""When a method feeds back, resets its covariance or changes its pace, as data.
+"""Schedules of feedback, covariance resets and gains, as data.
 
 Times are sample counts, kept as floating-point numbers: whole below 2^53, and compared without
 leaving the vector units' float lanes.
@@ -13,14 +13,14 @@ from sinsjax.maths.algebra import Triangle, triangle_index
 from sinsjax.types import Array, Flag, Scalar
 
 
-class Feedback(NamedTuple):
-    """Closed-loop correction.
+class FeedbackSchedule(NamedTuple):
+    """Times and gain of the closed-loop correction.
 
     Attributes:
         every: samples between two corrections.
         gain: share of the estimate fed back each time, 1 for all of it.
-        restarts: 1 where a reset starts the count to the next correction anew, 0 where it goes on;
-            None where it goes on in all runs.
+        restarts: 1 if a reset restarts the count to the next correction, 0 if the count continues;
+            None if it continues in all runs.
     """
 
     every: Scalar
@@ -29,7 +29,7 @@ class Feedback(NamedTuple):
 
 
 class CovarianceReset(NamedTuple):
-    """What becomes of P when it is reset.
+    """Effect of a reset on P.
 
     Entries that touch a state of heading are multiplied by ``keep_yaw``, all others by ``keep``;
     then ``added`` times the variance that is reset to is added to each diagonal entry,
@@ -37,10 +37,10 @@ class CovarianceReset(NamedTuple):
     and clears its cross terms, (a, a, 0, 0) multiplies P by a, and (1, 1, 0, 0) leaves it.
 
     Attributes:
-        keep: see above.
-        keep_yaw: see above.
-        added: see above.
-        added_yaw: see above.
+        keep: factor on entries of other states.
+        keep_yaw: factor on entries that touch heading.
+        added: variances added to other states.
+        added_yaw: variance added to heading.
     """
 
     keep: Scalar
@@ -58,7 +58,7 @@ class Resets(NamedTuple):
 
     Attributes:
         samples: (M,) counts of the samples after which P is reset, in any order; inf for none.
-        covariance_reset: what a reset does.
+        covariance_reset: effect of a reset.
     """
 
     samples: Array
@@ -66,19 +66,19 @@ class Resets(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """A reset schedule relaxed: each reset is spread over a smooth window.
+    """A smoothed reset schedule: each reset is spread over a smooth window.
 
-    What comes of a run can then be differentiated by the times. The narrower the windows, the
-    nearer to `Resets`.
+    The outcome of a run can then be differentiated by the times. The narrower the windows, the
+    closer to `Resets`.
 
     Only for covariance resets whose ``keep`` and ``keep_yaw`` are 0 or 1, such as 'full' and 'yaw':
     of these the parts, one after the other, make what a hard reset makes at once.
 
     Attributes:
         samples: (M,) counts of the samples about which P is reset, in any order.
-        width: half the width of a window, some tens of samples or more: of fewer, a window leaves
+        width: half the width of a window, some tens of samples or more: a shorter window leaves
             more than it should, as 1/(1 + h) is not exp(-h).
-        covariance_reset: what a reset does, all windows of one put together.
+        covariance_reset: total effect of the window of one reset.
     """
 
     samples: Array
@@ -87,11 +87,11 @@ class Windows(NamedTuple):
 
 
 class Due(NamedTuple):
-    """What is due after a sample.
+    """The actions due after a sample.
 
     Attributes:
         feedback: whether the estimate is fed back.
-        reset: whether P is reset; of a relaxed schedule, which share of a reset.
+        reset: whether P is reset; of a smoothed schedule, the share of a reset.
     """
 
     feedback: Flag
@@ -99,15 +99,15 @@ class Due(NamedTuple):
 
 
 WINDOW_STRENGTH = 8.0
-"""A relaxed reset leaves some exp(-8), 3e-4, of what a whole one would take away."""
+"""A smoothed reset leaves exp(-8), 3e-4, of what a hard one removes."""
 
 
-class Pieces(NamedTuple):
-    """A number that is constant piece by piece.
+class PiecewiseConstant(NamedTuple):
+    """A number that is constant between given samples.
 
     Attributes:
-        samples: (M,) counts of the samples after which pieces begin, increasing; inf for none.
-        values: (M + 1,) the number before the first of them, and in each piece.
+        samples: (M,) samples after which the number changes, increasing; inf for none.
+        values: (M + 1,) its values before the first change and after each.
     """
 
     samples: Array
@@ -115,7 +115,7 @@ class Pieces(NamedTuple):
 
 
 def reset_due(resets: Resets | Windows, n: Scalar) -> Flag | Scalar:
-    """Whether P is reset after the n-th sample; of a relaxed schedule, which share of a reset."""
+    """Return whether P is reset after the n-th sample; of a smoothed schedule, the share."""
     if isinstance(resets, Windows):
         return _window_share(resets, n)
     due = jnp.asarray(False)
@@ -125,7 +125,7 @@ def reset_due(resets: Resets | Windows, n: Scalar) -> Flag | Scalar:
 
 
 def next_due(feedback_at: Scalar, resets: Resets, n: Scalar) -> Scalar:
-    """The sample after the n-th at which comes the next feedback or reset, whichever is first.
+    """Return the sample of the first feedback or reset after the n-th sample.
 
     Args:
         feedback_at: sample of the next feedback.
@@ -136,14 +136,14 @@ def next_due(feedback_at: Scalar, resets: Resets, n: Scalar) -> Scalar:
     return jnp.minimum(jnp.ceil(feedback_at), jnp.min(ahead, initial=jnp.inf))
 
 
-def feedback_after(feedback: Feedback, feedback_at: Scalar, due: Due, n: Scalar) -> Scalar:
-    """The sample of the next feedback, once what was due after the n-th is done.
+def next_feedback(feedback: FeedbackSchedule, feedback_at: Scalar, due: Due, n: Scalar) -> Scalar:
+    """Return the sample of the next feedback after the loop was closed at the n-th sample.
 
     Args:
-        feedback: when it comes.
-        feedback_at: sample of the next feedback before.
-        due: what was due.
-        n: number of the sample.
+        feedback: its schedule.
+        feedback_at: sample of the next feedback before that.
+        due: the actions at the n-th sample.
+        n: number of that sample.
     """
     later = jnp.where(due.feedback, feedback_at + feedback.every, feedback_at)
     if feedback.restarts is None:
@@ -162,7 +162,7 @@ def _window_share(windows: Windows, n: Scalar) -> Scalar:
 
 
 def mix(share: Array, one: Array | float, other: Array | float) -> Array:
-    """``one`` where a flag holds, else ``other``; of a share, so far from ``other`` to ``one``."""
+    """Return ``one`` if a flag is set, else ``other``; for a share, the weighted mean of both."""
     if jnp.issubdtype(jnp.result_type(share), bool):
         return jnp.where(share, one, other)
     return other + share * (one - other)
@@ -175,13 +175,13 @@ def reset_covariance(
     *,
     heading: Sequence[int],
 ) -> Triangle:
-    """P after a reset.
+    """Return P after a reset.
 
     Args:
-        covariance_reset: what a reset does.
+        covariance_reset: effect of the reset.
         p: covariance of n states.
         to: n variances that a full reset sets.
-        heading: numbers of the states of heading.
+        heading: state numbers of heading.
     """
     keep, keep_yaw, new, new_yaw = covariance_reset
     out = list(p)
@@ -193,16 +193,16 @@ def reset_covariance(
     return tuple(out)
 
 
-def where_due(due: Flag | Scalar, covariance_reset: CovarianceReset) -> CovarianceReset:
-    """The reset where it is due, elsewhere the one that leaves P as it is; or between them."""
+def reset_if_due(due: Flag | Scalar, covariance_reset: CovarianceReset) -> CovarianceReset:
+    """Return the reset if it is due, else the one that leaves P unchanged; or between them."""
     return CovarianceReset(
         *(mix(due, a, b) for a, b in zip(covariance_reset, UNCHANGED, strict=True))
     )
 
 
-def value_at(pieces: Pieces, n: Scalar) -> Scalar:
-    """The number that holds during the n-th sample."""
-    value = pieces.values[0]
-    for begin, later in zip(pieces.samples, pieces.values[1:], strict=True):
+def value_at(number: PiecewiseConstant, n: Scalar) -> Scalar:
+    """Return the value during the n-th sample."""
+    value = number.values[0]
+    for begin, later in zip(number.samples, number.values[1:], strict=True):
         value = jnp.where(n > begin, later, value)
     return value

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, ValidationError, WrapValidator
 
 from sinsjax.messages import explained
-from sinsjax.methods.registry import METHODS, unusable
+from sinsjax.methods.registry import METHODS, hint_broken_plugins
 from sinsjax.value_types import (
     ActsWhere,
     Count,
@@ -27,7 +27,7 @@ def _known(name: Any, check: Any) -> Any:
     try:
         return check(name)
     except ValidationError as error:
-        raise invalid(explained(error.errors()[0]) + unusable()) from None
+        raise invalid(explained(error.errors()[0]) + hint_broken_plugins()) from None
 
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from scipy import special
 from sinsjax import analysis
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
-from sinsjax.methods.filters.description import knows_biases
+from sinsjax.methods.filters.config import estimates_biases
 from sinsjax.methods.registry import METHODS
 from sinsjax.plots.words import name_of
 from sinsjax.records.means import EARTH_RATE
@@ -87,7 +87,7 @@ def _floor(source: Source) -> Iterator[Fact]:
 
 def _doubts(source: Source) -> Iterator[Fact]:
     filters = [METHODS[name] for name in source.study.methods if METHODS[name].has_covariance]
-    if filters and not all(map(knows_biases, filters)):
+    if filters and not all(map(estimates_biases, filters)):
         yield Fact("Caution", "1 sigma is the filter's own and leaves constant biases out", True)
     found = _above_band(source)
     if found:

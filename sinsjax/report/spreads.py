@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
 from sinsjax.execution.source import Source
-from sinsjax.methods.filters.description import knows_biases
+from sinsjax.methods.filters.config import estimates_biases
 from sinsjax.methods.registry import METHODS
 from sinsjax.plots.beliefs import SHARES
 from sinsjax.report.base import Picture, Text
@@ -45,7 +45,7 @@ def _biases_unknown(source: Source) -> tuple[list[Text], bool]:
     """
     study = source.study
     filters = [METHODS[name] for name in study.methods if METHODS[name].has_covariance]
-    if study.is_recorded or any(map(knows_biases, filters)):
+    if study.is_recorded or any(map(estimates_biases, filters)):
         return [], False
     gyro, accel = (source.largest(key) for key in BIAS_KEYS)
     if not gyro and not accel:

@@ -20,7 +20,7 @@ VE, VN, PHI_E, PHI_N, PHI_U = range(5)
 NABLA_X, NABLA_Y, EPS_X, EPS_Y, EPS_Z = range(5, 10)
 
 
-class ErrorModel(NamedTuple):
+class LinearModel(NamedTuple):
     """A linear error model.
 
     Attributes:
@@ -106,14 +106,14 @@ _FIVE = {"dve": -1.0, "dvn": -1.0, "phi_e": 1.0, "phi_n": 1.0, "phi_u": 1.0}
 _BIASES = {"nabla_x": 1.0, "nabla_y": 1.0, "eps_x": -1.0, "eps_y": -1.0, "eps_z": -1.0}
 _TEN = _FIVE | _BIASES
 MODELS = {
-    "kalman5": ErrorModel(
+    "kalman5": LinearModel(
         tuple(_FIVE),
         five_state,
         _no_biases,
         uses_attitude=False,
         reversal=tuple(_FIVE.values()),
     ),
-    "kalman10": ErrorModel(
+    "kalman10": LinearModel(
         tuple(_TEN),
         ten_state,
         _subtract_biases,

@@ -9,7 +9,7 @@ from typing import Any
 
 from sinsjax.errors import InputError
 from sinsjax.methods.description import INITIAL_KEYS
-from sinsjax.methods.registry import METHODS, keys_unread
+from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.study.changes import copy_tables
 from sinsjax.study.keys import (
     COARSE_KEYS,
@@ -168,7 +168,7 @@ def _unread_keys(methods: Iterable[str], *, recorded: bool) -> set[str]:
     refused = set.intersection(*({*METHODS[name].refuses} for name in methods))
     if recorded:  # every method may follow a coarse alignment
         refused -= {*COARSE_KEYS}
-    return keys_unread(methods) | refused
+    return unread_keys(methods) | refused
 
 
 def _drop(out: TomlTable, unread: set[str]) -> tuple[list[str], list[str]]:

@@ -18,7 +18,7 @@ from sinsjax.methods.registry import (
     METHODS,
     PACKAGES,
     SECTIONS_OF_METHODS,
-    from_package,
+    label_plugin,
 )
 from sinsjax.methods.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.schema import (
@@ -81,7 +81,7 @@ def _join_sections() -> dict[str, type[Section]]:
 
 def _refuse(method: str, why: str) -> None:
     """Remove a method of another package, with the sections that no other method has."""
-    BROKEN[method] = f"{from_package(method)}: {why}"
+    BROKEN[method] = f"{label_plugin(method)}: {why}"
     del METHODS[method]
     PACKAGES.pop(method, None)
     left = {name for one in METHODS.values() for name in one.sections}

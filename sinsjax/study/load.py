@@ -17,7 +17,13 @@ from pydantic_core import ErrorDetails
 
 from sinsjax.errors import ErrorCollector, InputError, StudyWarning
 from sinsjax.messages import escape_controls, explained, index, near
-from sinsjax.methods.registry import BROKEN, METHODS, SECTIONS_OF_METHODS, keys_unread, unusable
+from sinsjax.methods.registry import (
+    BROKEN,
+    METHODS,
+    SECTIONS_OF_METHODS,
+    hint_broken_plugins,
+    unread_keys,
+)
 from sinsjax.study import changes as changing
 from sinsjax.study import dropping, files, rules, search_space
 from sinsjax.study.keys import (
@@ -349,7 +355,7 @@ def _check_table(name: str, table: Any) -> None:
     if name in _DROPPED:
         raise InputError(f"[{name}]: was dropped, {_DROPPED[name]} (remove the section)")
     if name not in names:
-        hint = near(name, names, "[{}]") + unusable()
+        hint = near(name, names, "[{}]") + hint_broken_plugins()
         hint = hint or " (is it of a method whose package is not installed?)"
         raise InputError(f"[{name}]: unknown section{hint}")
     if name == "cases":
@@ -393,7 +399,7 @@ def _fill_defaults(tables: TomlTable, sweep: Sweep, where: rules.Where, name: st
     """Return the sections that apply, with the defaults that depend on other keys."""
     recorded = "record" in tables
     unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record",)
-    unread = keys_unread(_values_of("method", tables, sweep) & METHODS.keys())
+    unread = unread_keys(_values_of("method", tables, sweep) & METHODS.keys())
     given = {SECTION_OF.get(key) for key in where}
     optional = {"passes", "stop_when", "tune"} | (set() if recorded else {"coarse"})
     unused += tuple(optional - given - tables.keys())

@@ -19,8 +19,8 @@ from sinsjax import columns
 from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import shortened
 from sinsjax.methods.filters.section import OF_RESETS, OF_SCHEDULES, reset_times
-from sinsjax.methods.registry import METHODS, keys_unread
-from sinsjax.methods.triggers.section import any_trigger
+from sinsjax.methods.registry import METHODS, unread_keys
+from sinsjax.methods.triggers.config import any_trigger
 from sinsjax.study import sampling, search_space, success
 from sinsjax.study.keys import (
     COARSE_KEYS,
@@ -157,7 +157,7 @@ def _check_methods(study: Study, where: Where) -> None:
     """Refuse keys that no method of the study reads, a whole section in one line."""
     methods = sorted(study.methods)
     text = f"does not apply to method {' or '.join(methods)}"
-    unread = keys_unread(methods)
+    unread = unread_keys(methods)
     for key in sorted(unread & where.keys()):
         section = f"[{SECTION_OF[key]}]"
         here = [other for other, place in where.items() if place == section]
@@ -537,7 +537,7 @@ def _unmodelled(study: Study, where: Where) -> Iterator[str]:
             place = where.get(key, f"[{SECTION_OF[key]}]")
             yield f"{place} {key}: covariance analysis does not model vibration or quantisation"
     for name in study.methods:
-        if not METHODS[name].has_error_step:
+        if not METHODS[name].has_error_model:
             place = where.get("method", "[alignment]")
             yield f"{place} method: covariance analysis has no linear model of {name}"
 

@@ -15,8 +15,7 @@ import numpy as np
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.methods.base import Change, Relaxed
-from sinsjax.methods.guarding import defined, place
-from sinsjax.methods.registry import METHODS, PACKAGES, from_package
+from sinsjax.methods.registry import METHODS, PACKAGES, label_plugin
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import SECTION_OF, TomlTable
 from sinsjax.study.load import with_point
@@ -136,8 +135,8 @@ class Relaxation:
                 change = relaxed.changes[key]
                 acts = key == variable.key  # what follows it may have nothing to change
                 if wrong := _not_following(change, variable, params, acts=acts):
-                    what = f"relaxed.changes[{key!r}]: {wrong}{defined(change)}"
-                    raise InputError(f"{from_package(method)}: {what}")
+                    what = f"relaxed.changes[{key!r}]: {wrong}"
+                    raise InputError(f"{label_plugin(method)}: {what}")
         middle = jnp.full(len(self._variables), 0.5)
         jax.eval_shape(
             jax.vmap(partial(self, method), in_axes=(0, None, None)), params, middle, 1.0
@@ -176,7 +175,7 @@ def _not_following(change: Change, variable: Variable, params: Any, *, acts: boo
     made, have = jax.tree_util.tree_leaves_with_path(params), jax.tree.leaves(found)
     for (path, number), other in zip(made, have, strict=True):
         if not np.allclose(other, number, rtol=_ROUNDING, atol=0, equal_nan=True):
-            text = f"gives {place('numbers', path)} = {np.ravel(other)[0]:.6g}"
+            text = f"gives {path} = {np.ravel(other)[0]:.6g}"
             made_from = f"at the value {base:.6g} that the numbers were made from"
             return f"{text}, not {np.ravel(number)[0]:.6g}, {made_from}"
     if not acts or any(

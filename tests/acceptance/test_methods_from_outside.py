@@ -33,7 +33,7 @@ def test_own_method_pages_document_options_and_covariance() -> None:
     assert "functools.partial(_step, options.dt)" in PAGE
     extending = (EXAMPLE.parents[1] / "docs" / "extending.md").read_text("utf-8")
     _, _, section = extending.partition("\n## Covariance analysis\n")
-    for name in ("has_error_step=True", "error_step(", "error_angles(", "start_error("):
+    for name in ("has_error_model=True", "error_step(", "error_angles(", "start_error("):
         assert name in section.partition("\n## ")[0]
     assert "extending.md#covariance-analysis" in PAGE
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from sinsjax.engine import metrics
 from sinsjax.engine.metrics import Criteria, Observation
 from sinsjax.methods.base import AttitudeCovariance
-from sinsjax.methods.limits import Limit
+from sinsjax.methods.floors import BiasFloor
 from sinsjax.types import Quat, Vec3
 
 BANDS = np.array([60.0, 10.0, 3.0]) * ARCMIN
@@ -39,7 +39,7 @@ def outcome(criteria, values, sigma, p, floor):
 
     start = metrics.start(criteria, np.float64(0.0))
     so_far, _ = jax.lax.scan(record, start, (TIMES, values, sigma))
-    limit = Limit(Vec3(0.0, 0.0, floor), jnp.asarray(0.0), jnp.asarray(False))
+    limit = BiasFloor(Vec3(0.0, 0.0, floor), jnp.asarray(0.0), jnp.asarray(False))
     return metrics.finish(so_far, covariance, limit)
 
 

@@ -40,7 +40,7 @@ from sinsjax.engine.realisations import (
 )
 from sinsjax.engine.simulate import RunParams, simulate
 from sinsjax.methods.base import Options
-from sinsjax.methods.limits import Biases
+from sinsjax.methods.floors import MeanBiases
 from sinsjax.strapdown import sensors
 from sinsjax.types import Quat, Vec3
 
@@ -85,7 +85,7 @@ def environment(every, records, noise=NOISE, stored=None):
         errors,
         np.asarray(SEED),
         criteria,
-        Biases(Vec3(east, zero, zero), Vec3(zero, zero, zero), zero),
+        MeanBiases(Vec3(east, zero, zero), Vec3(zero, zero, zero), zero),
         np.asarray(stored or records),
     )
 

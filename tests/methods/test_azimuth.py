@@ -32,7 +32,7 @@ from support.studies import small_study
 
 from sinsjax import run as run_study
 from sinsjax.maths.algebra import numbers_of, triangle_index
-from sinsjax.methods.azimuth import model, prediction
+from sinsjax.methods.azimuth import method as model
 from sinsjax.methods.azimuth.method import AzimuthParams
 from sinsjax.methods.invariant.method import left_jacobian
 from sinsjax.methods.kalman import Belief
@@ -87,7 +87,7 @@ def test_error_model_matches_navigator_at_any_azimuth(planet, a, seed):
 
     def engine(x):
         errors = tuple(map(jnp.asarray, (*x, a)))
-        return np.array(model.after(errors, here, 1.0)) - np.array(errors)
+        return np.array(model.propagate_errors(errors, here, 1.0)) - np.array(errors)
 
     def navigator(x):
         return attitude_rates(a, x[2:], x[:2], planet, LATITUDE)
@@ -103,9 +103,9 @@ def test_error_model_matches_navigator_at_any_azimuth(planet, a, seed):
 @settings(max_examples=50, deadline=None)
 def test_model_derivative_matches_automatic_differentiation(level, azimuth):
     x, here = (*map(jnp.asarray, level), jnp.asarray(azimuth)), place(PAPER, LATITUDE)
-    slope = np.array(jax.jacfwd(lambda x: jnp.stack(model.after(x, here, DT)))(x)).T
+    slope = np.array(jax.jacfwd(lambda x: jnp.stack(model.propagate_errors(x, here, DT)))(x)).T
     entries = np.eye(5)
-    for at, value in numbers_of(model.derivative(x, here, DT)).items():
+    for at, value in numbers_of(model.jacobian(x, here, DT)).items():
         entries[at] += value
     np.testing.assert_allclose(slope, entries, rtol=0, atol=1e-14)
 
@@ -119,10 +119,10 @@ def test_unscented_prediction_matches_textbook_transform(seed, alpha):
     p = root @ root.T + 1e-6 * np.eye(5)
 
     def after(x):
-        return np.array(model.after(tuple(map(jnp.asarray, x)), here, 1.0))
+        return np.array(model.propagate_errors(tuple(map(jnp.asarray, x)), here, 1.0))
 
     belief = Belief(tuple(map(jnp.asarray, x)), tuple(map(jnp.asarray, p[np.triu_indices(5)])))
-    found = prediction.unscented(belief, here, 1.0, alpha)
+    found = model.predict_unscented(belief, here, 1.0, alpha)
     mean, spread = unscented_transform(after, x, p, alpha)
     tolerance = 1e-9 / alpha**2 * 1e-3  # the textbook's weights cancel
     np.testing.assert_allclose(found.x, mean, rtol=0, atol=tolerance)
@@ -140,7 +140,7 @@ def test_left_jacobian_matches_mean_of_rotations(numbers):
 def numbers_with(name, filt, *, by_angles=False):
     params = filter_params(filt)
     own = AzimuthParams(np.float64(by_angles), np.float64(0.5))
-    return params if name == "invariant" else params._replace(own=own)
+    return params if name == "invariant" else params._replace(extra=own)
 
 
 SCHEDULES = {
@@ -175,7 +175,7 @@ def test_azimuth_filters_match_naive_closed_loop(name, schedule):
     np.testing.assert_allclose(v, naive.v[:, :2], rtol=0, atol=1e-7)
     np.testing.assert_allclose(np.stack(state.belief.x, axis=1), naive.x, rtol=0, atol=1e-7)
     if name == "invariant":
-        np.testing.assert_allclose(state.own, naive.v[:, 2], rtol=0, atol=1e-7)
+        np.testing.assert_allclose(state.extra, naive.v[:, 2], rtol=0, atol=1e-7)
     order = triangle_index(5)
     p = np.array(state.belief.p)[[[order[i, j] for j in range(5)] for i in range(5)]]
     np.testing.assert_allclose(np.moveaxis(p, -1, 0), naive.p, rtol=1e-6, atol=1e-9)
@@ -207,7 +207,7 @@ def test_invariant_error_is_linear_without_earth_rotation():
     state, *_ = runner("invariant")(never, site(still, LATITUDE), nav, rows)
     c = of_quaternion(np.stack(state.nav.q, axis=1)[-1])
     np.testing.assert_allclose(log(PAPER1.matrix(0.0) @ c.T), phi0, rtol=0, atol=1e-9)
-    v = np.array([state.nav.ve[-1], state.nav.vn[-1], state.own[-1]])
+    v = np.array([state.nav.ve[-1], state.nav.vn[-1], state.extra[-1]])
     rho = np.linalg.solve(jacobian(phi0), -exp(phi0) @ v)
     linear = np.cross([0.0, 0.0, -still.gravity], phi0) * SAMPLES * DT
     np.testing.assert_allclose(rho, linear, rtol=0, atol=1e-9)

@@ -39,15 +39,15 @@ from scipy import linalg, signal
 
 from sinsjax.engine.simulate import Static
 from sinsjax.methods.base import Options
+from sinsjax.methods.compass.config import REVERSALS
 from sinsjax.methods.compass.design import (
     AzimuthGains,
     LevelGains,
     azimuth_matrix,
-    carries,
+    is_stable,
     level_matrix,
 )
-from sinsjax.methods.compass.parameters import REVERSALS
-from sinsjax.methods.schedules import Pieces
+from sinsjax.methods.schedules import PiecewiseConstant
 from sinsjax.strapdown import sensors
 
 EARTH = SECOND_PAPER
@@ -98,7 +98,9 @@ def at_rate(given, rate, begin_s=NEVER, pace=1.0):
     """Loops whose azimuth gains begin at a time, and have another pace later."""
     ((from_s, gains),) = given.azimuth
     params = loops(given._replace(azimuth=((from_s * rate, gains),)), KEEP)
-    return params._replace(pace=Pieces(np.array([begin_s * rate]), np.array([1.0, pace])))
+    return params._replace(
+        pace=PiecewiseConstant(np.array([begin_s * rate]), np.array([1.0, pace]))
+    )
 
 
 def close(got, expected, tolerance):
@@ -347,7 +349,7 @@ def test_pace_scales_sigma_of_azimuth_loop():
 
     def run(sigma, begin, paces):
         given = loops(Loops(LEVEL, ((100.0, azimuth_gains(sigma, EARTH)),)), KEEP)
-        pieces = Pieces(np.array([begin]), np.array(paces))
+        pieces = PiecewiseConstant(np.array([begin]), np.array(paces))
         return states(short_run(given._replace(pace=pieces), (1e-3, 0, 0.02)))
 
     k, never = 600, 10.0**9
@@ -374,7 +376,7 @@ def test_stability_bound_on_sigma_separates_decay_from_growth(loop, grows):
         return azimuth_matrix(gains, rate_n=EARTH.rate * np.cos(LATITUDE), **g_and_r)
 
     sigmas = np.linspace(1, 100, 1000)
-    carried = np.array([carries(matrix(sigma), 0.02) for sigma in sigmas])
+    carried = np.array([is_stable(matrix(sigma), 0.02) for sigma in sigmas])
     last = sigmas[carried].max()
     assert np.all(carried == (sigmas <= last)) and 10 < last < 90
     left = []

@@ -80,7 +80,7 @@ def test_printed_horizontal_k3_is_unstable():
         loops.roots(polynomial), [0.0254 + 0.0811j, 0.0254 - 0.0811j, -0.1108], atol=5e-5
     )
     unstable = loops.level_matrix(LEVEL._replace(k3=PRINTED_K3), **EARTH)
-    assert not loops.carries(unstable, 1e-3)
+    assert not loops.is_stable(unstable, 1e-3)
 
 
 def test_roots_of_paper_loops_match_designed_values():
@@ -279,7 +279,7 @@ def test_stability_limit_of_sample_time_matches_simulated_recursion(matrix, gain
     below, above = 1.0, 1000.0
     while above / below > 1.001:
         middle = math.sqrt(below * above)
-        below, above = (middle, above) if loops.carries(matrix, middle) else (below, middle)
+        below, above = (middle, above) if loops.is_stable(matrix, middle) else (below, middle)
     steps = 3000
     decayed = simulated(gains, below * 0.99, steps)
     grown = simulated(gains, above * 1.01, steps)
@@ -289,11 +289,11 @@ def test_stability_limit_of_sample_time_matches_simulated_recursion(matrix, gain
 
 def test_stability_check_is_batched_and_exact_for_short_samples():
     matrix = loops.azimuth_matrix(AZIMUTH, **EARTH, rate_n=RATE_N)
-    got = loops.carries(matrix, np.array([1e-9, 0.005, 1.0, 1000.0]))
+    got = loops.is_stable(matrix, np.array([1e-9, 0.005, 1.0, 1000.0]))
     assert got.tolist() == [True, True, True, False]
     level = loops.level_gains(np.array([0.02, 20.0, 2000.0]), PAPER_DAMPING, **EARTH)
-    assert loops.carries(loops.level_matrix(level, **EARTH), 0.01).tolist() == [True, True, False]
-    assert loops.carries(loops.level_matrix(LEVEL, **EARTH), 0.01).shape == ()
+    assert loops.is_stable(loops.level_matrix(level, **EARTH), 0.01).tolist() == [True, True, False]
+    assert loops.is_stable(loops.level_matrix(LEVEL, **EARTH), 0.01).shape == ()
 
 
 @pytest.mark.parametrize("turn", CYCLE_RADII)

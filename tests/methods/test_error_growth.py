@@ -99,8 +99,7 @@ def test_only_listed_methods_have_linear_error_step() -> None:
     """By name, so that a further method is thought of."""
     for name in METHODS:
         built = method_of(_program(name)[0])
-        told = built.error_step is not None, built.error_angles is not None
-        assert told == ((True, True) if name in WITH_LINEAR_PART else (False, False)), name
+        assert (built.error_model is not None) == (name in WITH_LINEAR_PART), name
 
 
 def _program(name: str, **changes: Any) -> tuple[Static, Any]:
@@ -133,15 +132,15 @@ def test_linear_error_step_predicts_error_of_corrected_solution(name: str) -> No
     The error is taken by what it means: the corrected attitude and velocity of both.
     """
     method, params, site, one = _states(name, 0.0)
-    assert method.error_step is not None and method.error_angles is not None
+    assert method.error_model is not None
     dt, place = 0.01, site.place
     rate = Vec3(0.0, place.rate_n * dt, place.rate_u * dt)
     sample = Sample(turn=rotations.exp(rate), dv=Vec3(0.0, 0.0, place.gravity * dt))
     size = 1e-8  # of first order: P follows the tilt, so that gains differ by some 20 times it
     _, _, _, other = _states(name, size)
-    step = method.error_step(params, site, one, sample, 1.0)
+    step = method.error_model.step(params, site, one, sample, 1.0)
     n = len(step.gains[0])
-    angles = np.array(method.error_angles(one))
+    angles = np.array(method.error_model.angles(one))
 
     def errors(a: Any, b: Any) -> np.ndarray:
         """Velocity and misalignment of b's corrected solution against a's."""
@@ -166,7 +165,7 @@ def test_linear_error_step_predicts_error_of_corrected_solution(name: str) -> No
 def test_linear_error_step_predicts_effect_of_increment_errors(name: str) -> None:
     """One step with increments a little off, against the step with exact ones."""
     method, params, site, state = _states(name, 0.0)
-    assert method.error_step is not None and method.error_angles is not None
+    assert method.error_model is not None
     place, size = site.place, 1e-7
     rate = Vec3(0.0, place.rate_n * 0.01, place.rate_u * 0.01)
     sample = Sample(turn=rotations.exp(rate), dv=Vec3(0.0, 0.0, place.gravity * 0.01))
@@ -175,12 +174,12 @@ def test_linear_error_step_predicts_effect_of_increment_errors(name: str) -> Non
         turn=rotations.exp(Vec3(*(a + b for a, b in zip(rate, excess.dtheta, strict=True)))),
         dv=Vec3(*(a + b for a, b in zip(sample.dv, excess.dv, strict=True))),
     )
-    step = method.error_step(params, site, state, sample, 1.0)
+    step = method.error_model.step(params, site, state, sample, 1.0)
     zero = (0.0,) * len(step.gains[0])
     d = error_growth.driven(step, state.nav.q, excess, zero)
     exact, moved = (method.step(params, site, state, s, 1.0) for s in (sample, off))
     phi = rotations.misalignment(method.attitude(exact), method.attitude(moved))
-    told = np.array(method.error_angles(exact)) @ np.array(d)
+    told = np.array(method.error_model.angles(exact)) @ np.array(d)
     np.testing.assert_allclose(told, np.array(phi), atol=1e-4 * size)
     velocity = [m.nav.ve - m.belief.x[0] for m in (exact, moved)]
     np.testing.assert_allclose(d[0], velocity[1] - velocity[0], atol=1e-4 * size)
@@ -198,12 +197,12 @@ def _compass_error(state: Any, rate: Any) -> np.ndarray:
 def test_compass_error_step_is_derivative_of_its_step(n: float) -> None:
     """By each state and each increment, while levelling and after, in any state of the loops."""
     method, params, site, state = _states("compass", 0.02)
-    assert method.error_step is not None
+    assert method.error_model is not None
     state = state._replace(integral_e=3e-4, integral_n=-2e-4, rate_u=5e-4)
     state = jax.tree.map(np.float64, state)
     turn = rotations.exp(Vec3(2e-3, -1e-3, 3e-3))
     sample = jax.tree.map(np.float64, Sample(turn=turn, dv=Vec3(0.01, -0.02, 0.098)))
-    step = method.error_step(params, site, state, sample, n)
+    step = method.error_model.step(params, site, state, sample, n)
     still, idle = (jax.tree.map(np.zeros_like, one) for one in (state, sample))
     still = jax.tree.map(np.float64, still)
     after = method.step(params, site, state, sample, n)

@@ -19,7 +19,7 @@ from oracles.naive_filters import EXTENDED, INVARIANT, SINCOS, closed_loop, surg
 from sinsjax.engine.realisations import Static
 from sinsjax.methods.azimuth.method import AzimuthParams
 from sinsjax.methods.base import Options
-from sinsjax.methods.sincos.surge import SurgeParams
+from sinsjax.methods.sincos.method import SurgeParams
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -55,9 +55,9 @@ def test_three_passes_match_naive_filter_loop(name, turn):
     )
     params = filter_params(filt)
     if name == "ekf_azimuth":
-        params = params._replace(own=AzimuthParams(np.float64(0.0), np.float64(1.0)))
+        params = params._replace(extra=AzimuthParams(np.float64(0.0), np.float64(1.0)))
     if name == "kalman_surge":
-        params = params._replace(own=SurgeParams(np.float64(0.5)))
+        params = params._replace(extra=SurgeParams(np.float64(0.5)))
     records = 3 * SAMPLES // EVERY
     static = Static(name, Options(1 / RATE), EVERY, records, False, False, repeats=True)
     static = static._replace(rewinds=turn == "rewind")

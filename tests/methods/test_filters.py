@@ -10,12 +10,11 @@ from oracles.in_engine import navigation, site, step_and_close
 from oracles.naive import PAPER
 
 from sinsjax.methods import kalman
-from sinsjax.methods.filters.stages import Filter, FilterParams, FilterState, with_innovations
+from sinsjax.methods.base import Options
+from sinsjax.methods.filters.closed_loop import Filter, FilterParams, FilterState, closed_loop
 from sinsjax.methods.kalman import Belief
-from sinsjax.methods.limits import unaided
-from sinsjax.methods.schedules import CovarianceReset, Feedback, Resets, reset_covariance
-from sinsjax.methods.triggers.base import TriggerParams
-from sinsjax.methods.triggers.watched import with_trigger
+from sinsjax.methods.schedules import CovarianceReset, FeedbackSchedule, Resets, reset_covariance
+from sinsjax.methods.triggers.trigger import TriggerParams
 from sinsjax.types import Quat, Sample, Vec3
 
 SAMPLES, SENSED = 200, 0.3
@@ -58,7 +57,7 @@ def made_up():
     return Filter(
         dt=1.0,
         init=lambda params, nav: FilterState(
-            nav, kalman.start(params.p0), (), params.feedback.every
+            nav, kalman.initial_belief(params.p0), (), params.feedback.every
         ),
         propagate=propagate,
         update=update,
@@ -70,7 +69,6 @@ def made_up():
         misalignment=nothing,
         attitude=lambda state: state.nav.q,
         covariance=lambda state: state.belief.p,
-        limit=lambda params, place, biases, ending: unaided(place, biases),
         inputs=lambda state: {},
         start_error=lambda state, change: (change.ve, change.vn),
     )
@@ -82,7 +80,7 @@ def numbers():
         p0=number(P0),
         q=number(Q),
         r=np.float64(R),
-        feedback=Feedback(np.float64(EVERY), np.float64(GAIN)),
+        feedback=FeedbackSchedule(np.float64(EVERY), np.float64(GAIN)),
         resets=Resets(np.array(RESETS), number(HALF)),
         reset_to=number(P0),
         turn=number(INFLATED),
@@ -96,7 +94,8 @@ def drifts():
 
 def engine(trigger, reversals):
     """Velocity, x and P after every sample; what is told at the end."""
-    method, filt = with_trigger(with_innovations(made_up()), trigger), numbers()
+    options = Options(dt=1.0, trigger=trigger, innovations=True)
+    method, filt = closed_loop(made_up(), options), numbers()
     zero = np.zeros(SAMPLES)
     samples = Sample(Quat(zero + 1, zero, zero, zero), Vec3(*drifts().T, zero))
     here = site(PAPER, 0.5)
@@ -105,7 +104,7 @@ def engine(trigger, reversals):
     def run(samples):
         def step(state, xs):
             sample, n, reversal = xs
-            turned = method.turn(filt, here, state)
+            turned = method.passes.turn(filt, here, state)
             state = jax.tree.map(partial(jnp.where, reversal), turned, state)
             state = step_and_close(method, filt, here, state, sample, n)
             return state, (state.nav.ve, state.nav.vn, *state.belief.x, *state.belief.p)

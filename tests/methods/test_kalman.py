@@ -35,7 +35,7 @@ def test_predict_and_update_match_dense_joint_filter(n, measured):
         transition = dict(zip(places, values, strict=True))
         return kalman.update(kalman.predict(belief, transition, tuple(q)), measured, tuple(z), r)
 
-    belief = kalman.start(tuple(p0))
+    belief = kalman.initial_belief(tuple(p0))
     x, p = np.zeros(n), np.diag(p0)
     np.testing.assert_array_equal(belief.x, x)
     np.testing.assert_array_equal(dense(belief.p, n), p)
@@ -58,7 +58,7 @@ def test_predict_matches_dense_matrices_for_any_state_count(n):
     values = rng.normal(scale=0.3, size=len(places))
     phi = np.eye(n)
     phi[tuple(zip(*places, strict=True))] += values
-    belief = kalman.start(tuple(np.ones(n)))
+    belief = kalman.initial_belief(tuple(np.ones(n)))
     transition = dict(zip(places, values, strict=True))
     for _ in range(3):
         belief = kalman.predict(belief, transition, tuple(np.full(n, 0.1)))
@@ -104,7 +104,7 @@ def run(p0, q, r, force):
         belief = jax.lax.fori_loop(0, 20, step, belief)
         return belief, belief.p
 
-    return jax.lax.scan(record, kalman.start(tuple(p0)), length=150)[1]
+    return jax.lax.scan(record, kalman.initial_belief(tuple(p0)), length=150)[1]
 
 
 @given(seeds)
@@ -130,4 +130,4 @@ def test_noise_free_measurement_is_adopted_exactly(seed):
 
 def test_update_refuses_wrong_number_of_measurements():
     with pytest.raises(ValueError, match="zip"):
-        kalman.update(kalman.start((1.0, 1.0)), (0, 1), (0.5,), 1.0)
+        kalman.update(kalman.initial_belief((1.0, 1.0)), (0, 1), (0.5,), 1.0)

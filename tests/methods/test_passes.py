@@ -44,8 +44,8 @@ from sinsjax.engine.simulate import Static
 from sinsjax.maths.algebra import numbers_of, triangle_index
 from sinsjax.methods import passes
 from sinsjax.methods.base import Options
+from sinsjax.methods.compass.config import REVERSALS
 from sinsjax.methods.compass.method import Reversal
-from sinsjax.methods.compass.parameters import REVERSALS
 from sinsjax.strapdown import earth, mechanisation, sensors
 from sinsjax.strapdown.error_model import MODELS
 from sinsjax.types import Vec3
@@ -224,7 +224,7 @@ def test_reflected_compass_loop_continues_as_without_turn():
 
 def test_reflection_with_wrong_sign_diverges():
     right, wrong = (
-        heading_errors(REVERSALS["reflect"]._replace(reflection=sign), 80, smoothing_s=2.0)
+        heading_errors((*REVERSALS["reflect"][:3], sign), 80, smoothing_s=2.0)
         for sign in (1.0, -1.0)
     )
     assert abs(right[-1]) < 0.15  # a tenth of what it began with

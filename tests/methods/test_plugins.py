@@ -104,8 +104,8 @@ HERE = f"in {__file__}:{fails.__code__.co_firstlineno + 1}"
         ),
         (
             "build",
-            {"has_error_step": True},
-            "build: gave a Method without error_step, but has_error_step is True, in ",
+            {"has_error_model": True},
+            "build: gave a Method without error_step, but has_error_model is True, in ",
         ),
         ("parameters", {"load": lambda: implementation(parameters=fails)}, "parameters: KeyError"),
         ("check", {"load": lambda: implementation(check=fails)}, "check: KeyError"),
@@ -121,7 +121,7 @@ HERE = f"in {__file__}:{fails.__code__.co_firstlineno + 1}"
             {"load": lambda: relaxing(Relaxed({"phi_u0_deg": fails}))},
             "load: relaxed: the method reads no key 'phi_u0_deg'",
         ),
-        ("limit", {}, "limit: gave nothing, not a sinsjax.methods.limits.Limit, in "),
+        ("limit", {}, "limit: gave nothing, not a sinsjax.methods.floors.Limit, in "),
     ],
 )
 def test_failing_plugin_function_is_named_in_error(

@@ -24,7 +24,7 @@ from sinsjax.maths import rotations
 from sinsjax.methods import passes
 from sinsjax.methods.azimuth.method import AzimuthParams
 from sinsjax.methods.base import Options
-from sinsjax.methods.compass.parameters import REVERSALS
+from sinsjax.methods.compass.config import REVERSALS
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import sensors
 from sinsjax.strapdown.error_model import MODELS
@@ -36,6 +36,9 @@ SWING = PAPER1._replace(center=np.array([0.05, -0.1, 2.0]))
 NEVER = 10**9
 
 methods = pytest.mark.parametrize("name", sorted(METHODS))
+READ_ONCE = {"optimisation", "optimisation_position", "inertial"}
+"""Methods without passes over a stored record."""
+reversing = pytest.mark.parametrize("name", sorted(METHODS.keys() - READ_ONCE))
 FILTERS = sorted({*MODELS, "ekf_azimuth", "invariant"})
 """Methods with [P1]'s states, a covariance and feedback."""
 filters = pytest.mark.parametrize("name", FILTERS)
@@ -56,7 +59,7 @@ def numbers(name, **changes):
         given = paper_params(model.states, **changes)
         # As angles: by the vector, a share and the rest of a tilt make it to third order only.
         own = AzimuthParams(np.float64(1.0), np.float64(1.0))
-        return given._replace(own=own) if name == "ekf_azimuth" else given
+        return given._replace(extra=own) if name == "ekf_azimuth" else given
     group = Scenario(small_study(alignment={"method": name})).part(0).group
     return jax.tree.map(lambda a: np.asarray(a)[0], group.variants.method)
 
@@ -255,21 +258,26 @@ def under_way(name, seconds):
 
 
 @methods
+def test_only_some_methods_have_passes(name):
+    assert (method_of(name).passes is None) == (name in READ_ONCE)
+
+
+@reversing
 def test_two_turns_at_one_place_cancel(name):
     method, given, here, state = under_way(name, 2)
-    once = method.turn(given, here, state)
-    twice = method.turn(given, passes.site_of_pass(here, jnp.asarray(True)), once)
+    once = method.passes.turn(given, here, state)
+    twice = method.passes.turn(given, passes.site_of_pass(here, jnp.asarray(True)), once)
     for a, b in zip(jax.tree.leaves(twice), jax.tree.leaves(state), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-15)
     assert once.nav.ve == -state.nav.ve != 0 and once.nav.vn == -state.nav.vn != 0
     assert (once.nav.latitude, once.nav.longitude) == (state.nav.latitude, state.nav.longitude)
 
 
-@methods
+@reversing
 def test_turn_does_not_change_heading(name):
     """It runs time the other way: the platform is not turned about the vertical."""
     method, given, here, state = under_way(name, 2)
-    once = method.turn(given, here, state)
+    once = method.passes.turn(given, here, state)
     turned = rotations.misalignment(method.attitude(once), method.attitude(state))
     assert abs(turned.z) < 1e-15
     # A filter does not touch its attitude, a compass levels by the specific force.

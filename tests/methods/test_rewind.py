@@ -27,7 +27,7 @@ from sinsjax.engine.realisations import Static
 from sinsjax.methods import passes
 from sinsjax.methods.azimuth.method import AzimuthParams
 from sinsjax.methods.base import Options
-from sinsjax.methods.compass.parameters import REVERSALS
+from sinsjax.methods.compass.config import REVERSALS
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import sensors
 from sinsjax.types import Quat, Vec3
@@ -64,7 +64,7 @@ def some_filter(name):
     q = (np.array([500 * UG] * 2 + [0.1 * DEG_PER_H] * 3) / RATE) ** 2
     params = filter_params(Filter(p0, q, 0.01**2, every=100))
     own = None if name in ("kalman5", "invariant") else AzimuthParams(np.float64(0), np.float64(1))
-    return params._replace(own=own)
+    return params._replace(extra=own)
 
 
 @pytest.mark.representative("kalman5")

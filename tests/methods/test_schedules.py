@@ -29,7 +29,7 @@ from sinsjax.methods.schedules import (
     mix,
     reset_covariance,
     reset_due,
-    where_due,
+    reset_if_due,
 )
 from sinsjax.strapdown import sensors
 
@@ -128,7 +128,7 @@ def renewed(shares, covariance_reset, p, to):
     """P after some shares of a reset, one after the other."""
 
     def one(p, share):
-        return reset_covariance(where_due(share, covariance_reset), p, to, heading=(4,)), None
+        return reset_covariance(reset_if_due(share, covariance_reset), p, to, heading=(4,)), None
 
     return jax.lax.scan(one, p, shares)[0]
 
@@ -150,8 +150,8 @@ def test_window_of_covariance_renewals_matches_hard_reset(kind, width):
 
 def test_covariance_reset_not_due_leaves_covariance_unchanged():
     for not_due in (jnp.asarray(False), jnp.asarray(0.0)):
-        assert tuple(map(float, where_due(not_due, KINDS["scale"]))) == UNCHANGED
-    assert tuple(map(float, where_due(jnp.asarray(True), KINDS["yaw"]))) == KINDS["yaw"]
+        assert tuple(map(float, reset_if_due(not_due, KINDS["scale"]))) == UNCHANGED
+    assert tuple(map(float, reset_if_due(jnp.asarray(True), KINDS["yaw"]))) == KINDS["yaw"]
 
 
 # In the filter: 300 samples of [P1]'s swing, at large misalignment

@@ -21,8 +21,8 @@ from support.studies import refusal, small_study
 
 from sinsjax.engine.build import Scenario
 from sinsjax.maths.algebra import numbers_of, triangle_index
-from sinsjax.methods.sincos import surge
-from sinsjax.methods.sincos.surge import SurgeParams
+from sinsjax.methods.sincos import method as surge
+from sinsjax.methods.sincos.method import SurgeParams
 from sinsjax.strapdown import processes
 
 RATE, SAMPLES, LATITUDE, TIME = 100, 1500, 32 * DEG, 2.0
@@ -46,7 +46,7 @@ def believing(rms, **changes):
 def run(name, filt):
     params = filter_params(filt)
     if name == "kalman_surge":
-        params = params._replace(own=SurgeParams(np.float64(1 / TIME)))
+        params = params._replace(extra=SurgeParams(np.float64(1 / TIME)))
     nav = navigation(exp(-PHI0) @ PAPER1.matrix(0.0), V0, LATITUDE)
     rows = measured(PAPER, LATITUDE, SAMPLES)
     return runner(name)(params, site(PAPER, LATITUDE), nav, rows)
@@ -56,7 +56,7 @@ def test_surge_model_autocovariance_matches_bounded_velocity():
     """Whose acceleration is bounded far above what the filter samples: its autocovariance."""
     a = np.zeros((10, 10))
     for entry, value in numbers_of(
-        surge.transition(place(WGS84, LATITUDE), SurgeParams(1 / TIME), 1.0)
+        surge.surge_transition(place(WGS84, LATITUDE), SurgeParams(1 / TIME), 1.0)
     ).items():
         a[entry] = value
     dt, rms = 0.05, 0.3
@@ -121,11 +121,11 @@ def test_surge_keys_of_study_set_filter_parameters():
     np.testing.assert_allclose(p0[6:], [1.44, 1.44, 0.09, 0.09], rtol=1e-12)
     np.testing.assert_allclose(q[6:], [0, 0, 4.5e-4, 4.5e-4], rtol=1e-12)
     np.testing.assert_array_equal(params.reset_to, params.p0)
-    assert params.own.rate == 0.25
+    assert params.extra.rate == 0.25
 
 
 def test_kalman_surge_covariance_does_not_depend_on_initial_state():
-    filt = filter_params(believing(0.1, every=100))._replace(own=SurgeParams(np.float64(0.5)))
+    filt = filter_params(believing(0.1, every=100))._replace(extra=SurgeParams(np.float64(0.5)))
     here, rows = site(PAPER, LATITUDE), measured(PAPER, LATITUDE, SAMPLES)
     beliefs = [
         runner("kalman_surge")(filt, here, navigation(c, v, LATITUDE), rows)[0].belief.p

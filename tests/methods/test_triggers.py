@@ -31,16 +31,15 @@ from sinsjax.execution import tables as result_tables
 from sinsjax.maths.algebra import triangle_index
 from sinsjax.methods import passes
 from sinsjax.methods.base import AttitudeCovariance, Options
+from sinsjax.methods.filters.closed_loop import FilterState
 from sinsjax.methods.kalman import Belief, predict
 from sinsjax.methods.kalman import update as kalman_update
 from sinsjax.methods.registry import METHODS
-from sinsjax.methods.triggers import base as triggers
 from sinsjax.methods.triggers import scores
-from sinsjax.methods.triggers.base import AssumedNoise, FilterSnapshot
-from sinsjax.methods.triggers.columns import TRIGGER_COUNTS
-from sinsjax.methods.triggers.description import TRIGGERS
-from sinsjax.methods.triggers.section import TriggerName
-from sinsjax.types import Quat, Sample, Vec3
+from sinsjax.methods.triggers import trigger as triggers
+from sinsjax.methods.triggers.config import TRIGGER_COUNTS, TRIGGERS, TriggerName
+from sinsjax.methods.triggers.trigger import AssumedNoise, FilterSnapshot
+from sinsjax.types import Navigation, Quat, Sample, Vec3
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -57,6 +56,14 @@ def test_every_trigger_has_study_name_and_naive_score():
 
 
 # Alone
+
+
+class Params(NamedTuple):
+    """The part of a filter's params that its trigger reads."""
+
+    q: Any
+    r: Any
+    trigger: Any
 
 
 class Step(NamedTuple):
@@ -143,16 +150,17 @@ def driven(name):
         def one(trigger_state, step):
             n, velocity, innovation, variance, propagated, updated, x, fed, at_rest, *rest = step
             due, feedback_at, _ = rest
-            before = Belief(x, propagated)
-            trigger_state, faded = triggers.fade(
-                trigger, trigger_params, noise, trigger_state, before, velocity
-            )
+            filter_params = Params(noise.q, noise.r, trigger_params)
+            nav = Navigation(None, *velocity, None, None)
+            state = FilterState(nav, Belief(x, propagated), (), feedback_at, trigger_state)
+            state = triggers.fade(trigger, filter_params, state)
+            faded = state.belief
             factor = faded.p[0] / propagated[0]
             snapshot = FilterSnapshot(
                 innovation,
                 variance,
                 Belief(x, updated),
-                Vec3(*(a + b for a, b in zip(trigger_state.fed, x[2:], strict=True))),
+                Vec3(*(a + b for a, b in zip(state.trigger_state.fed_back, x[2:], strict=True))),
                 Vec3(*x[2:]),
                 attitude_covariance,
                 at_rest,
@@ -161,17 +169,16 @@ def driven(name):
             )
             score = jnp.zeros_like(n)
             if trigger.look:
-                score = trigger.look(trigger_params, noise, trigger_state.memory, snapshot)[1]
-            trigger_state = triggers.take_in(
-                trigger, trigger_params, noise, trigger_state, snapshot, n, feedback_at=feedback_at
-            )
-            fires = triggers.fires(trigger_state, n)
+                score = trigger.look(trigger_params, noise, state.trigger_state.memory, snapshot)[1]
+            state = triggers.watch(trigger, filter_params, state, snapshot, n)
+            fires = triggers.fired(state.trigger_state, n)
             reset = due | fires
             p = tuple(jnp.where(reset, a, b) for a, b in zip(after_reset, updated, strict=True))
-            trigger_state = triggers.after(
-                trigger, trigger_params, trigger_state, reset=reset, p=p, fed=Vec3(*fed), n=n
+            closed = state._replace(belief=Belief(x, p))
+            closed = triggers.after_closing(
+                trigger, filter_params, closed, reset=reset, correction=Vec3(*fed), n=n
             )
-            return trigger_state, (score, factor, fires, faded.p[-1] / propagated[-1])
+            return closed.trigger_state, (score, factor, fires, faded.p[-1] / propagated[-1])
 
         return jax.lax.scan(one, triggers.start(trigger, trigger_params, p0), steps)
 
@@ -257,8 +264,8 @@ def test_trigger_scores_and_firing_match_naive_trigger(
         *(trigger_counts[::-1][-1:] + trigger_counts[-1:] if trigger_counts else (0, 0)),
     )
     np.testing.assert_array_equal(factor, 1.0)
-    np.testing.assert_allclose(np.stack(trigger_state.fed), naive.fed, rtol=0, atol=1e-12)
-    assert trigger_state.since == naive.reset_at
+    np.testing.assert_allclose(np.stack(trigger_state.fed_back), naive.fed, rtol=0, atol=1e-12)
+    assert trigger_state.last_reset == naive.reset_at
 
 
 @pytest.mark.parametrize("name", ["strong_tracking", "fading"])
@@ -351,7 +358,7 @@ def program(name, trigger, force):
     def run(filt, here, nav, read):
         def step(state, xs):
             sample, n, backward, turns = xs
-            turned = method.turn(filt, passes.site_of_pass(here, ~backward), state)
+            turned = method.passes.turn(filt, passes.site_of_pass(here, ~backward), state)
             state = passes.where(turns, turned, state)
             state = step_and_close(
                 method, filt, passes.site_of_pass(here, backward), state, sample, n

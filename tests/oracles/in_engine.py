@@ -23,11 +23,11 @@ from sinsjax.engine.simulate import (
 from sinsjax.methods.base import Options, Site
 from sinsjax.methods.compass import method as compass
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains
+from sinsjax.methods.filters.closed_loop import FilterParams
 from sinsjax.methods.filters.section import times_of_resets
-from sinsjax.methods.filters.stages import FilterParams
-from sinsjax.methods.limits import NO_BIASES
+from sinsjax.methods.floors import NO_BIASES
 from sinsjax.methods.registry import METHODS
-from sinsjax.methods.schedules import CovarianceReset, Feedback, Pieces, Resets
+from sinsjax.methods.schedules import CovarianceReset, FeedbackSchedule, PiecewiseConstant, Resets
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.error_model import MODELS
 from sinsjax.types import Navigation, Quat, Vec3
@@ -127,7 +127,7 @@ def filter_params(filt: Filter) -> FilterParams:
         p0=p0,
         q=tuple(map(np.float64, filt.q)),
         r=np.float64(filt.r),
-        feedback=Feedback(
+        feedback=FeedbackSchedule(
             np.float64(filt.every), np.float64(filt.gain), np.float64(1) if filt.restarts else None
         ),
         resets=Resets(
@@ -173,7 +173,7 @@ def loops(given: Loops, turn: compass.Reversal) -> compass.LoopParams:
     return compass.LoopParams(
         level=LevelGains(*map(np.float64, given.level)),
         azimuth=AzimuthGains(*map(np.float64, gains)),
-        pace=Pieces(np.array([]), np.array([1.0])),
+        pace=PiecewiseConstant(np.array([]), np.array([1.0])),
         azimuth_from=np.float64(begin),
         smoothing=np.float64(given.smoothing),
         turn=compass.Reversal(*map(np.float64, turn)),
@@ -223,7 +223,7 @@ def trail(static: Static, environment: Environment, params: RunParams) -> Any:
 def step_and_close(method, params, site, state, sample, n):
     """A sample of a run taken alone."""
     state = method.step(params, site, state, sample, n)
-    return method.close(params, state, n) if method.close else state
+    return method.feedback.close(params, state, n) if method.feedback else state
 
 
 @cache

@@ -10,7 +10,7 @@ from docs.studies.loops.runs import limits_of
 from docs.studies.loops.turns import cycle_radius
 from sinsjax.execution import run as study_run
 from sinsjax.methods.compass import design as loops
-from sinsjax.methods.compass.parameters import REVERSALS
+from sinsjax.methods.compass.config import REVERSALS
 from sinsjax.study.load import one_variant
 
 G, R = 9.8, 6378137.0

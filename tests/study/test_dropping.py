@@ -58,7 +58,7 @@ def expected_refusal(study: Study, method: str) -> str | None:
     if study.tune and new.keys.isdisjoint(study.tune.variables):
         return "reads none of"  # nothing is left to tune
     by_covariance = study.is_estimated or (study.tune and "covariance" in study.tune.searches)
-    if by_covariance and not new.has_error_step:
+    if by_covariance and not new.has_error_model:
         return "covariance analysis has no linear model of"  # draws take far longer
     if study.is_recorded and "filter" in new.sections and not study.has("filter"):
         return "a record does not give the noise of its"  # nor does the study

@@ -156,6 +156,6 @@ def test_fingerprint_changes_with_covariance_estimate_but_not_with_draws() -> No
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_has_error_step_flag_matches_method(name: str) -> None:
+def test_has_error_model_flag_matches_method(name: str) -> None:
     method = METHODS[name](Options(0.01))
-    assert METHODS[name].has_error_step == (method.error_step is not None)
+    assert METHODS[name].has_error_model == (method.error_model is not None)

@@ -8,7 +8,7 @@ import pytest
 from support.studies import with_paper_values
 
 from sinsjax.errors import InputError
-from sinsjax.methods.triggers.section import any_trigger
+from sinsjax.methods.triggers.config import any_trigger
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.study import Study

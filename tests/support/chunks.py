@@ -5,7 +5,7 @@ import numpy as np
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.methods.base import FilterResults
-from sinsjax.methods.limits import Limit
+from sinsjax.methods.floors import BiasFloor
 from sinsjax.types import Vec3
 from sinsjax.units import ARCMIN
 
@@ -36,7 +36,7 @@ def chunk(
         above_share=(one,) * 3,
         nees=one,
         nis_u=one,
-        limit=Limit(
+        limit=BiasFloor(
             Vec3(*(arcmin * ARCMIN * one for arcmin in (1.0, -1.0, -20.0))),
             1.5 * ARCMIN * one,
             np.full(n, no_north),

@@ -21,7 +21,7 @@ from sinsjax.engine.metrics import Criteria, Outcome
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.tasks import Job
-from sinsjax.methods.limits import Limit
+from sinsjax.methods.floors import BiasFloor
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
@@ -458,7 +458,7 @@ def test_relaxed_estimates_match_closed_form(
     settled = np.arange(2 * 1 * 3 * 2, dtype=float).reshape(2, 1, 3, 2)
     about = None if from_floor is None else np.full((1, 2), from_floor * ARCMIN)
     told = Spread(phi, np.full((3, 1, 2), 4.0 * ARCMIN), phi, settled, about)
-    limit = Limit(Vec3(*(np.full(2, of * ARCMIN) for of in (0.0, 0.0, 2.0))), None, None)
+    limit = BiasFloor(Vec3(*(np.full(2, of * ARCMIN) for of in (0.0, 0.0, 2.0))), None, None)
     outcome = Outcome._make([None] * len(Outcome._fields))._replace(limit=limit)
     criteria = Criteria(np.array([band * ARCMIN]), *(0.0,) * 4, sharpness=4.0)
     got = objective.relaxed_estimates(study.tune, criteria, outcome, told, truth=truth)

@@ -5,8 +5,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from sinsjax.methods.compass import design as loops
+from sinsjax.methods.compass.config import REVERSALS
 from sinsjax.methods.compass.design import Number
-from sinsjax.methods.compass.parameters import REVERSALS
 from sinsjax.study.study import Study
 
 TURNS = {

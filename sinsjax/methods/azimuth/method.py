@@ -1,7 +1,19 @@
-"""Zero-velocity alignment with a model that is nonlinear in the azimuth, and linear else.
+"""Zero-velocity alignment with a model that is nonlinear in the azimuth and linear in the rest.
 
-The loop is that of [P1]; what differs is how the belief is predicted (`prediction`), and how the
-attitude is fed back: as small angles, or as the azimuth and the shortest turn of the vertical.
+The navigator is off by an azimuth a of any size and a small tilt, C_{n'}^n = Rz(a) e (see
+`filters.attitude`); with the tilt t_E, t_N in n' its errors on a base at rest are
+
+    dV_E' =  2 w_U dV_N - g t_N      t_E' = -dV_N/R + w_U t_N - w_N sin a
+    dV_N' = -2 w_U dV_E + g t_E      t_N' =  dV_E/R - w_U t_E + w_N (1 - cos a)
+    a' = w_N (t_E (1 + cos a) - t_N sin a)/2 + (tan L / R) dV_E
+
+After Yan Gongmin's eq. (4-23), whose w_N (t_E cos a - t_N sin a) in a' is that of Euler angles: the
+shortest rotation e itself rotates as the tilt grows at w_N (-sin a, 1 - cos a), which is half of
+it. The tests differentiate the navigator.
+
+The loop is that of [P1]. The belief is predicted by the linearised model (extended Kalman filter)
+or by an unscented transform, and the attitude is fed back as small angles, or as the azimuth and
+the shortest rotation of the vertical.
 """
 
 from collections.abc import Callable
@@ -12,47 +24,143 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, Minus, triangle_index
-from sinsjax.methods.azimuth.model import (
-    AZIMUTH,
-    REVERSAL,
-    STATES,
-    TILT_E,
-    TILT_N,
-    VE,
-    VN,
-    derivative,
-)
+from sinsjax.maths.algebra import Entries, Minus, Triangle, congruence, triangle_index
+from sinsjax.maths.rotations import sin_cos
 from sinsjax.methods.base import AttitudeCovariance, Method, Options, Site, StartChange
-from sinsjax.methods.filters.stages import (
+from sinsjax.methods.filters.attitude import (
+    rotate_covariance,
+    rotation_from_tilt,
+    tilt_and_azimuth,
+    tilt_and_azimuth_change,
+)
+from sinsjax.methods.filters.closed_loop import (
     Filter,
     FilterParams,
     FilterState,
-    begin,
-    mechaniser,
-    place_of,
-    reversed_by,
-    unaided,
-    update_by_velocity,
+    closed_loop,
+    initial_state,
+    mechanise_function,
+    place_function,
+    reverse_time,
+    subtract_fed_back,
+    update_with_velocity,
 )
-from sinsjax.methods.filters.tilt import changed, of_attitude, turned, turned_covariance
 from sinsjax.methods.kalman import Belief
 from sinsjax.methods.schedules import reset_covariance
-from sinsjax.methods.triggers.watched import method_of
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
+STATES = ("dve", "dvn", "tilt_e", "tilt_n", "heading")
+VE, VN, TILT_E, TILT_N, AZIMUTH = range(5)
+REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0)
+"""Sign of each state under time reversal."""
+
+Errors = tuple[Scalar, ...]
+"""Values of the `STATES`: m/s and rad."""
+
+
+def propagate_errors(x: Errors, place: Place, dt: Scalar) -> Errors:
+    """Return the errors one step later, to first order in dt (s)."""
+    sine, cosine = sin_cos(x[AZIMUTH])
+    wn, wu, g = place.rate_n * dt, place.rate_u * dt, place.gravity * dt
+    ce, cn = place.curvature_e * dt, place.curvature_n * dt
+    ve, vn, tilt_e, tilt_n, azimuth = x
+    return (
+        ve + (2 * wu * vn - g * tilt_n),
+        vn + (g * tilt_e - 2 * wu * ve),
+        tilt_e + (wu * tilt_n - cn * vn - wn * sine),
+        tilt_n + (ce * ve - wu * tilt_e + wn * (1 - cosine)),
+        azimuth
+        + (0.5 * wn * (tilt_e * (1 + cosine) - tilt_n * sine) + place.tan_latitude * ce * ve),
+    )
+
+
+def jacobian(x: Errors, place: Place, dt: Scalar) -> Entries:
+    """Return the non-zero entries of the derivative of `propagate_errors`, less the identity."""
+    sine, cosine = sin_cos(x[AZIMUTH])
+    wn, wu, g = place.rate_n * dt, place.rate_u * dt, place.gravity * dt
+    ce, cn = place.curvature_e * dt, place.curvature_n * dt
+    by_east, by_north = wn * cosine, wn * sine
+    return {
+        (VE, VN): 2 * wu,
+        (VE, TILT_N): Minus(g),
+        (VN, VE): Minus(2 * wu),
+        (VN, TILT_E): g,
+        (TILT_E, VN): Minus(cn),
+        (TILT_E, TILT_N): wu,
+        (TILT_E, AZIMUTH): Minus(by_east),
+        (TILT_N, VE): ce,
+        (TILT_N, TILT_E): Minus(wu),
+        (TILT_N, AZIMUTH): by_north,
+        (AZIMUTH, VE): place.tan_latitude * ce,
+        (AZIMUTH, TILT_E): 0.5 * (wn + by_east),
+        (AZIMUTH, TILT_N): Minus(0.5 * by_north),
+        (AZIMUTH, AZIMUTH): Minus(0.5 * (x[TILT_E] * by_north + x[TILT_N] * by_east)),
+    }
+
+
+BETA = 2.0
+"""Weight of the central point, for a normal distribution (Wan and van der Merwe 2000)."""
+
+
+def predict_linearised(belief: Belief, place: Place, dt: Scalar, alpha: Scalar) -> Belief:
+    """Predict as an extended Kalman filter: mean by the model, P by its Jacobian at the mean."""
+    x, p = belief
+    return Belief(propagate_errors(x, place, dt), congruence(jacobian(x, place, dt), p, len(x)))
+
+
+def predict_unscented(belief: Belief, place: Place, dt: Scalar, alpha: Scalar) -> Belief:
+    """Predict by the scaled unscented transform (Julier 2002): the model at 2 n + 1 sigma points.
+
+    The sums are over differences from the central point, whose large weight then drops out: with
+    the differences d_i and s = sum d_i / (2 h^2), h = alpha sqrt(n), the mean moves by s, and
+    P = sum d_i d_i' / (2 h^2) + (beta - alpha^2) s s'.
+    """
+    x, p = belief
+    n = len(x)
+    h = alpha * n**0.5
+    weight = 1 / (2 * h * h)
+    middle = propagate_errors(x, place, dt)
+    differences: list[Errors] = []
+    for column in _cholesky_columns(p, n):
+        for side in (1.0, -1.0):
+            point = tuple(a + side * h * b for a, b in zip(x, column, strict=True))
+            moved = propagate_errors(point, place, dt)
+            differences.append(tuple(a - b for a, b in zip(moved, middle, strict=True)))
+    shift = [weight * sum(d[i] for d in differences) for i in range(n)]
+    spread = tuple(
+        weight * sum(d[i] * d[j] for d in differences) + (BETA - alpha**2) * shift[i] * shift[j]
+        for i in range(n)
+        for j in range(i, n)
+    )
+    return Belief(tuple(a + b for a, b in zip(middle, shift, strict=True)), spread)
+
+
+def _cholesky_columns(p: Triangle, n: int) -> list[Errors]:
+    """Return the columns of the lower triangular L with P = L L'."""
+    at, zero = triangle_index(n), jnp.zeros_like(p[0])
+    rows: list[list[Scalar]] = [[zero] * n for _ in range(n)]
+    for j in range(n):
+        left = p[at[j, j]] - sum(rows[j][k] ** 2 for k in range(j))
+        # Rounding may leave a variance of zero, or less.
+        rows[j][j] = jnp.sqrt(jnp.maximum(left, jnp.finfo(zero.dtype).tiny))
+        for i in range(j + 1, n):
+            off = p[at[i, j]] - sum(rows[i][k] * rows[j][k] for k in range(j))
+            rows[i][j] = off / rows[j][j]
+    return [tuple(rows[i][j] for i in range(n)) for j in range(n)]
+
+
 Prediction = Callable[[Belief, Place, Scalar, Scalar], Belief]
-"""(belief, place, dt, alpha) -> belief a sample later, its process noise not yet added."""
+"""(belief, place, dt, alpha) -> belief one sample later, before the process noise is added."""
 
 
 class AzimuthParams(NamedTuple):
-    """`FilterParams.own`, which is `FilterState.own` too.
+    """`FilterParams.extra`, which is `FilterState.extra` too.
 
     Attributes:
-        by_angles: 1 where the attitude is fed back as small angles, else 0.
-        alpha: spread of the sigma points; 1 where there are none.
+        by_angles: 1 if the attitude is fed back as small angles, else 0.
+        alpha: spread of the sigma points; 1 without sigma points.
     """
 
     by_angles: Scalar
@@ -60,78 +168,78 @@ class AzimuthParams(NamedTuple):
 
 
 def build(predict: Prediction, options: Options) -> Method:
-    """The method; `Options.specific_force` is always that of a base at rest.
+    """Return the method; `Options.specific_force` is always that of a base at rest.
 
     Args:
         predict: see `Prediction`.
-        options: what decides the program.
+        options: choices that decide the program.
     """
-    return method_of(filter_of(predict, options), options)
+    return closed_loop(build_filter(predict, options), options)
 
 
-def filter_of(predict: Prediction, options: Options) -> Filter:
-    """Its filter; arguments as of `build`."""
-    dt, mechanise = options.dt, mechaniser(options)
+def build_filter(predict: Prediction, options: Options) -> Filter:
+    """Return its filter; arguments as of `build`."""
+    dt, mechanise = options.dt, mechanise_function(options)
 
     def init(params: FilterParams, nav: Navigation) -> FilterState:
-        return begin(params, nav)._replace(own=params.own)
+        return initial_state(params, nav)._replace(extra=params.extra)
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
     ) -> tuple[FilterState, Entries]:
         nav, _, here = mechanise(site, state.nav, sample)
-        belief = predict(state.belief, here, dt, params.own.alpha)
+        belief = predict(state.belief, here, dt, params.extra.alpha)
         return state._replace(nav=nav, belief=belief), at_rest(state, here)
 
     def at_rest(state: FilterState, here: Place) -> Entries:
-        return derivative(state.belief.x, here, dt)
+        return jacobian(state.belief.x, here, dt)
 
     return Filter(
-        dt,
-        init,
-        propagate,
-        update_by_velocity,
-        _feed_back,
-        partial(reset_covariance, heading=(AZIMUTH,)),
-        partial(reversed_by, REVERSAL),
-        place_of(options.position),
-        at_rest,
-        _misalignment,
-        _attitude,
-        _covariance,
-        unaided,
-        _inputs,
-        _start_error,
+        dt=dt,
+        init=init,
+        propagate=propagate,
+        update=update_with_velocity,
+        feed_back=_feed_back,
+        reset=partial(reset_covariance, heading=(AZIMUTH,)),
+        reverse=partial(reverse_time, REVERSAL),
+        place=place_function(options.position),
+        at_rest=at_rest,
+        misalignment=_misalignment,
+        attitude=_attitude,
+        covariance=_covariance,
+        inputs=_inputs,
+        start_error=_start_error,
     )
 
 
-def _rotation(state: FilterState, phi: Vec3) -> Quat:
-    """What takes the attitude to one that is corrected by tilt and azimuth (rad)."""
+def _correction(state: FilterState, phi: Vec3) -> Quat:
+    """Return the rotation that corrects the attitude by tilt and azimuth, rad."""
     by_angles = rotations.exp(phi)
     sine, cosine = rotations.sin_cos(phi.z)
-    by_vector = turned(phi.x, phi.y, sine, cosine)
-    return jax.tree.map(lambda a, b: jnp.where(state.own.by_angles > 0, a, b), by_angles, by_vector)
+    by_vector = rotation_from_tilt(phi.x, phi.y, sine, cosine)
+    return jax.tree.map(
+        lambda a, b: jnp.where(state.extra.by_angles > 0, a, b), by_angles, by_vector
+    )
 
 
 def _inputs(state: FilterState) -> Entries:
-    turned_by = {(i, 3 + k): Minus(1.0) for k, i in enumerate((TILT_E, TILT_N, AZIMUTH))}
-    return {(VE, 0): 1.0, (VN, 1): 1.0, **turned_by}
+    angles = {(i, 3 + k): Minus(1.0) for k, i in enumerate((TILT_E, TILT_N, AZIMUTH))}
+    return {(VE, 0): 1.0, (VN, 1): 1.0, **angles}
 
 
 def _start_error(state: FilterState, change: StartChange) -> tuple[Scalar, ...]:
-    tilt_e, tilt_n, sine, cosine = changed(change)
-    _, _, s, c = of_attitude(change.attitude)
+    tilt_e, tilt_n, sine, cosine = tilt_and_azimuth_change(change)
+    _, _, s, c = tilt_and_azimuth(change.attitude)
     return (change.ve, change.vn, tilt_e, tilt_n, c * sine - s * cosine)
 
 
 def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
-    x = state.belief.x
-    fed = tuple(share * one for one in x)
-    nav = mechanisation.correct_velocity(state.nav, fed[VE], fed[VN])
-    phi = Vec3(fed[TILT_E], fed[TILT_N], fed[AZIMUTH])
+    fed_back = tuple(share * estimate for estimate in state.belief.x)
+    nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
+    phi = Vec3(fed_back[TILT_E], fed_back[TILT_N], fed_back[AZIMUTH])
     corrected = state._replace(
-        nav=nav._replace(q=rotations.multiply(_rotation(state, phi), nav.q)),
-        belief=state.belief._replace(x=tuple(a - b for a, b in zip(x, fed, strict=True))),
+        nav=nav._replace(q=rotations.multiply(_correction(state, phi), nav.q)),
+        belief=subtract_fed_back(state.belief, fed_back),
     )
     return corrected, phi
 
@@ -142,13 +250,13 @@ def _misalignment(state: FilterState) -> Vec3:
 
 
 def _attitude(state: FilterState) -> Quat:
-    return rotations.multiply(_rotation(state, _misalignment(state)), state.nav.q)
+    return rotations.multiply(_correction(state, _misalignment(state)), state.nav.q)
 
 
 def _covariance(state: FilterState) -> AttitudeCovariance:
     at = triangle_index(len(STATES))
     angles = (TILT_E, TILT_N, AZIMUTH)
-    of_tilt = AttitudeCovariance(
+    tilt_covariance = AttitudeCovariance(
         *(state.belief.p[at[i, j]] for i in angles for j in angles if i <= j)
     )
-    return turned_covariance(of_tilt, *rotations.sin_cos(state.belief.x[AZIMUTH]))
+    return rotate_covariance(tilt_covariance, *rotations.sin_cos(state.belief.x[AZIMUTH]))

@@ -237,8 +237,8 @@ def azimuth_matrix(
     )
 
 
-def carries(matrix: np.ndarray, dt: Number) -> np.ndarray:
-    """Whether a sample time carries a loop: the stepped loop decays, shape ``(...)``, bool.
+def is_stable(matrix: np.ndarray, dt: Number) -> np.ndarray:
+    """Return whether a loop is stable when stepped with a sample time, shape ``(...)``, bool.
 
     A step is forward Euler, but the velocity sees the mean tilt of the step:
     dV += g (phi + phi' dt/2) dt - K1 dV dt. It is stable where every eigenvalue of the discrete

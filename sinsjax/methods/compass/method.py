@@ -1,11 +1,11 @@
 """Compass alignment: levelling and azimuth loops of a mathematical platform, [P2] section 2.1.
 
-No covariance, no error model: the platform is levelled by what velocity and its integral show
-([P2] Fig. 1, third order), then turned in azimuth by the north velocity that the Earth rate drives
-through a heading error ([P2] Fig. 2, fourth order). The east channel levels throughout.
+Without covariance: velocity and its integral level the platform ([P2] Fig. 1, third order), then
+the north velocity that a heading error causes through the Earth rate rotates it in azimuth ([P2]
+Fig. 2, fourth order). The east channel levels throughout.
 
-The transport rate is part of the mechanisation; the loops turn the platform by K2 times it on top,
-which makes up the 1 + K2 of the characteristic polynomials.
+The transport rate is part of the mechanisation; the loops add K2 times that rate, which gives the
+1 + K2 of the characteristic polynomials.
 """
 
 from typing import NamedTuple
@@ -15,42 +15,43 @@ import jax.numpy as jnp
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus
 from sinsjax.methods.base import (
-    AttitudeCovariance,
-    Ending,
+    ErrorModel,
     ErrorStep,
     Method,
     Options,
+    Passes,
+    RunEnd,
     Site,
     StartChange,
-    no_covariance,
+    unknown_covariance,
 )
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains, at_pace
-from sinsjax.methods.limits import Biases, Limit, unaided
-from sinsjax.methods.schedules import Pieces, value_at
+from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
+from sinsjax.methods.schedules import PiecewiseConstant, value_at
 from sinsjax.strapdown import earth, mechanisation
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state
-from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Flag, Navigation, Sample, Scalar, Vec3
 
 INTEGRAL_E, INTEGRAL_N, RATE_U = range(5, 8)
-"""States of the error beyond those of `error_model.five_state`."""
+"""Error states in addition to those of `error_model.five_state`."""
 
 _INPUTS: Entries = {
     **{(VE, 0): 1.0, (VN, 1): 1.0},
     **{(angle, 3 + axis): Minus(1.0) for axis, angle in enumerate((PHI_E, PHI_N, PHI_U))},
 }
-"""See `ErrorStep.inputs`: velocities by velocity increments, phi against the angles."""
+"""`ErrorStep.inputs`: velocity increments add to velocity, angles subtract from phi."""
 
 
 class Reversal(NamedTuple):
-    """What becomes of the loops' state at a direction reversal: factors.
+    """Factors on the loops' state at a direction reversal.
 
     Attributes:
-        velocity: of both velocities.
-        integral: of both levelling integrals. They stand for gyro drift and for the Earth rate that
-            a heading error leaves, both of which change their sign with that of time.
-        rate: of the azimuth rate.
-        reflection: share by which each tilt is reflected about its equilibrium: 1 turns the
-            platform by twice what the low-passed specific force says, 0 leaves it.
+        velocity: on both velocities.
+        integral: on both levelling integrals, which balance gyro drift and the Earth rate of a
+            heading error; both change sign with time.
+        rate: on the azimuth rate.
+        reflection: share by which each tilt is reflected about its equilibrium: 1 rotates the
+            platform by twice the tilt of the low-passed specific force, 0 not at all.
     """
 
     velocity: Scalar
@@ -60,21 +61,20 @@ class Reversal(NamedTuple):
 
 
 class LoopParams(NamedTuple):
-    """Numbers of the loops.
+    """Params of the loops.
 
     Attributes:
         level: gains of the levelling loop.
         azimuth: gains of the azimuth loop at pace 1.
-        pace: factor on the sigma of the azimuth loop, whose gains follow: a loop of pace p has its
-            roots p times as far out.
+        pace: factor on the sigma of the azimuth loop, with gains that move its roots by it.
         azimuth_from: samples before the azimuth loop takes over the north channel.
         smoothing: share of each new sample in each stage of the low-passed specific force.
-        turn: what happens at a direction reversal.
+        turn: effect of a direction reversal.
     """
 
     level: LevelGains
     azimuth: AzimuthGains
-    pace: Pieces
+    pace: PiecewiseConstant
     azimuth_from: Scalar
     smoothing: Scalar
     turn: Reversal
@@ -91,10 +91,10 @@ class LowPassed(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """One run under way.
+    """The loops between two samples.
 
     Attributes:
-        nav: navigation solution; its velocity is an error, as the base does not travel.
+        nav: navigation solution; its velocity is an error, since the base does not travel.
         integral_e: K3 times the integral of the east velocity, rad/s.
         integral_n: K3 times the integral of the north velocity while levelling, rad/s.
         rate_u: azimuth rate of the platform, rad/s.
@@ -111,10 +111,10 @@ class LoopState(NamedTuple):
 
 
 def build(options: Options) -> Method:
-    """The compass method.
+    """Return the compass method.
 
     Args:
-        options: what decides the program; ``specific_force`` concerns filters only.
+        options: choices that decide the program; ``specific_force`` concerns filters only.
     """
     dt = options.dt
     integrated = options.position == "integrated"
@@ -143,8 +143,8 @@ def build(options: Options) -> Method:
             integral_e=state.integral_e + level.k3 * dt * before.ve,
             integral_n=state.integral_n + jnp.where(levelling, level.k3 * dt * before.vn, 0.0),
             rate_u=state.rate_u + jnp.where(levelling, 0.0, spin * dt),
-            force_e=_follow(state.force_e, f_dt.x / dt, params.smoothing),
-            force_n=_follow(state.force_n, f_dt.y / dt, params.smoothing),
+            force_e=_low_pass(state.force_e, f_dt.x / dt, params.smoothing),
+            force_n=_low_pass(state.force_n, f_dt.y / dt, params.smoothing),
         )
 
     def error_step(
@@ -153,32 +153,29 @@ def build(options: Options) -> Method:
         place, gains = place_of(site, state.nav), gains_at(params, n)
         control = platform_control(gains, state, place)
         _, f_dt = mechanisation.step(state.nav, sample, place, dt, control)
-        transition = linear_part(gains, state.nav, control, place, f_dt, dt)
+        transition = error_transition(gains, state.nav, control, place, f_dt, dt)
         return ErrorStep(transition, _INPUTS, (), ())
 
     def rewind(params: LoopParams, nav: Navigation, state: LoopState) -> LoopState:
-        """Levelling integrals and azimuth rate, which stand for gyro drift, go on as they are."""
+        """Start again, but keep levelling integrals and azimuth rate, which balance gyro drift."""
         return init(params, nav)._replace(
             integral_e=state.integral_e, integral_n=state.integral_n, rate_u=state.rate_u
         )
 
     return Method(
-        init,
-        step,
-        _reverse,
-        _attitude,
-        _covariance,
-        _normalise,
-        _limit,
-        rewind=rewind,
-        error_step=error_step,
-        error_angles=_error_angles,
-        start_error=_start_error,
+        init=init,
+        step=step,
+        attitude=lambda state: state.nav.q,
+        covariance=lambda state: unknown_covariance(state.rate_u),
+        normalise=_normalise,
+        floor=_bias_floor,
+        passes=Passes(turn=_reverse, rewind=rewind),
+        error_model=ErrorModel(error_step, _error_angles, _start_error),
     )
 
 
 class Gains(NamedTuple):
-    """Gains in force at a sample; those of the north channel are of levelling or of the azimuth.
+    """Gains at one sample; the north channel has those of levelling or those of the azimuth.
 
     Attributes:
         level: of the levelling loop.
@@ -196,7 +193,7 @@ class Gains(NamedTuple):
 
 
 def gains_at(params: LoopParams, n: Scalar) -> Gains:
-    """The gains in force at the n-th sample."""
+    """Return the gains at the n-th sample."""
     level, azimuth = params.level, at_pace(params.azimuth, value_at(params.pace, n))
     levelling = n <= params.azimuth_from
     k1 = jnp.where(levelling, level.k1, azimuth.k1)
@@ -205,7 +202,7 @@ def gains_at(params: LoopParams, n: Scalar) -> Gains:
 
 
 def platform_control(gains: Gains, state: LoopState, place: earth.Place) -> Vec3:
-    """Commanded rate of the platform in addition to w_in, in n, rad/s."""
+    """Return the commanded rate of the platform in addition to w_in, in n, rad/s."""
     nav, level = state.nav, gains.level
     return Vec3(
         -gains.k2 * place.curvature_n * nav.vn - jnp.where(gains.levelling, state.integral_n, 0.0),
@@ -214,16 +211,16 @@ def platform_control(gains: Gains, state: LoopState, place: earth.Place) -> Vec3
     )
 
 
-def linear_part(
+def error_transition(
     gains: Gains, nav: Navigation, control: Vec3, place: earth.Place, f_dt: Vec3, dt: Scalar
 ) -> Entries:
-    """Non-zero entries of A dt of the closed loops, by the states of the error.
+    """Return the non-zero entries of A dt of the closed loops by the error states.
 
-    Those of `error_model.five_state`, then the levelling integrals and the azimuth rate, whose
-    errors turn the platform. The latitude's error, of metres, is left out.
+    These are those of `error_model.five_state`, then the levelling integrals and the azimuth rate,
+    whose errors rotate the platform. The error of the latitude, metres, is neglected.
 
     Args:
-        gains: in force.
+        gains: at the sample.
         nav: solution before the sample.
         control: `platform_control`.
         place: Earth at the solution's latitude.
@@ -260,7 +257,7 @@ def linear_part(
     }
 
 
-def _follow(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
+def _low_pass(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
     once = low.once + share * (value - low.once)
     return LowPassed(once, low.twice + share * (once - low.twice))
 
@@ -286,27 +283,21 @@ def _reverse(params: LoopParams, site: Site, state: LoopState) -> LoopState:
     )
 
 
-def _limit(params: LoopParams, place: earth.Place, biases: Biases, ending: Ending) -> Limit:
-    """Biases taken for what the Earth does, and a lag: K(s) leaks.
+def _bias_floor(
+    params: LoopParams, place: earth.Place, biases: MeanBiases, end: RunEnd
+) -> BiasFloor:
+    """Return the floor of biases attributed to the Earth, plus a lag, since K(s) leaks.
 
-    A platform rate that cancels eps_U has to be kept up by a north velocity, whose transport rate
-    stands for a level rate that a heading error makes: (1 + K2) K4 eps_U / (R K3) of omega_N,
-    2 eps_U/sigma for the gains of [P2] eq. (23). It is of the other sign in a backward pass.
+    The platform rate that cancels eps_U needs a constant north velocity, whose transport rate has
+    the effect of the level rate of a heading error: (1 + K2) K4 eps_U / (R K3) of omega_N, which is
+    2 eps_U/sigma for the gains of [P2] eq. (23). Its sign changes in a backward pass.
     """
-    gains = at_pace(params.azimuth, value_at(params.pace, ending.n))
+    gains = at_pace(params.azimuth, value_at(params.pace, end.n))
     eps = biases.eps
     lag = (1 + gains.k2) * gains.k4 * place.curvature_n * eps.z / gains.k3
     felt = jnp.hypot(eps.x, place.rate_n + eps.y)
     lag = jnp.arcsin(jnp.clip(lag * place.rate_n / felt, -1.0, 1.0))
-    return unaided(place, biases, jnp.where(ending.backward, lag, -lag))
-
-
-def _attitude(state: LoopState) -> Quat:
-    return state.nav.q
-
-
-def _covariance(state: LoopState) -> AttitudeCovariance:
-    return no_covariance(state.rate_u)
+    return bias_floor(place, biases, jnp.where(end.backward, lag, -lag))
 
 
 def _error_angles(state: LoopState) -> tuple[tuple[Scalar, ...], ...]:

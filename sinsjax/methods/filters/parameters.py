@@ -1,13 +1,17 @@
-"""[filter], [resets] and the feedback of [alignment] as the numbers of a filter."""
+"""The params of a filter from [filter], [resets] and [alignment], and their dependence on keys."""
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.methods.base import Site
+from sinsjax.methods.base import Change, Relaxed, Site
+from sinsjax.methods.description import StudyView
+from sinsjax.methods.filters.closed_loop import FilterParams
 from sinsjax.methods.filters.section import (
     OF_RESETS,
     Q_DENSITIES,
@@ -16,15 +20,52 @@ from sinsjax.methods.filters.section import (
     times_of_resets,
     white_density,
 )
-from sinsjax.methods.filters.stages import FilterParams
-from sinsjax.methods.filters.states import STATES, StateKind
 from sinsjax.methods.parameters import Columns, column_or, in_samples
-from sinsjax.methods.schedules import UNCHANGED, CovarianceReset, Feedback, Resets
-from sinsjax.methods.triggers.base import TriggerParams
+from sinsjax.methods.schedules import UNCHANGED, CovarianceReset, FeedbackSchedule, Resets, Windows
+from sinsjax.methods.triggers.config import any_trigger
+from sinsjax.methods.triggers.trigger import TriggerParams
+from sinsjax.types import Array, Scalar
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY
 
+
+class StateKind(NamedTuple):
+    """The keys of [filter] and [resets] for one kind of state.
+
+    Attributes:
+        p0: key of its initial standard deviation; None if ``variance`` gives that.
+        reset_to: key of its standard deviation after a reset.
+        unit: of both keys in SI; None for a micro-g.
+        q: key of its process noise; None of a constant.
+        variance: its variance at the start and after a reset, if no key gives them.
+    """
+
+    p0: str | None
+    reset_to: str | None
+    unit: float | None
+    q: str | None
+    variance: float = 0.0
+
+
+VELOCITY = StateKind("p0_velocity_m_per_s", "reset_velocity_m_per_s", 1.0, "q_accel_ug")
+LEVEL = StateKind("p0_level_deg", "reset_level_deg", DEG, "q_gyro_deg_per_h")
+HEADING = StateKind("p0_yaw_deg", "reset_yaw_deg", DEG, "q_gyro_deg_per_h")
+DIRECTION = StateKind(None, None, 1.0, "q_gyro_deg_per_h", variance=0.5)
+"""Sine or cosine of an unknown heading: all headings are equally likely."""
+ACCEL_BIAS = StateKind("p0_accel_bias_ug", "reset_accel_bias_ug", None, None)
+GYRO_BIAS = StateKind("p0_gyro_bias_deg_per_h", "reset_gyro_bias_deg_per_h", DEG_PER_H, None)
+
+STATES: dict[str, StateKind] = {
+    **dict.fromkeys(("dve", "dvn"), VELOCITY),
+    **dict.fromkeys(("phi_e", "phi_n", "tilt_e", "tilt_n"), LEVEL),
+    **dict.fromkeys(("phi_u", "heading"), HEADING),
+    **dict.fromkeys(("heading_sine", "heading_versine"), DIRECTION),
+    **dict.fromkeys(("nabla_x", "nabla_y"), ACCEL_BIAS),
+    **dict.fromkeys(("eps_x", "eps_y", "eps_z"), GYRO_BIAS),
+}
+
+
 _COVARIANCE_RESETS: dict[str, tuple[float | None, ...]] = {
-    # keep, keep_yaw, renew, renew_yaw; None for the study's factor
+    # keep, keep_yaw, added, added_yaw; None for the factor that the study gives
     "full": (0.0, 0.0, 1.0, 1.0),
     "yaw": (1.0, 0.0, 0.0, 1.0),
     "scale": (None, None, 0.0, 0.0),
@@ -32,39 +73,39 @@ _COVARIANCE_RESETS: dict[str, tuple[float | None, ...]] = {
     "inflated": (None, None, 0.0, 0.0),
     "reset": (0.0, 0.0, 1.0, 1.0),
 }
-"""What becomes of P, by the names of ``reset_kind`` and ``turn_covariance``."""
+"""Effect on P by the names of ``reset_kind`` and ``turn_covariance``."""
 
 
 def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -> FilterParams:
-    """Numbers of a filter, leaves (variants,).
+    """Return the params of a filter, leaves (variants,).
 
     Args:
         states: names of its states in `STATES`.
-        columns: of variants with one method.
-        site: Earth and place; a filter asks nothing of them.
+        columns: keys of variants with one method.
+        site: Earth and place, which a filter does not need.
         ug: micro-g in m/s^2.
     """
     dt = 1 / columns.rate_hz
     zero = np.zeros(columns.count)
     q_scale, r_scale = (column_or(columns, key, 1.0) for key in ("q_scale", "r_scale"))
     units = {"q_accel_ug": ug, "q_gyro_deg_per_h": DEG_PER_H}
-    q = {key: _q(columns, key, unit) * q_scale for key, unit in units.items()}
-    spread = columns.each(lambda name: 1.0 if name == "per_update" else dt, "r_reading")
+    q = {key: _process_noise(columns, key, unit) * q_scale for key, unit in units.items()}
+    r_unit = columns.each(lambda name: 1.0 if name == "per_update" else dt, "r_reading")
     kinds = [STATES[state] for state in states]
-    p0 = [_p0(columns, kind, ug) for kind in kinds]
+    p0 = [_initial_variance(columns, kind, ug) for kind in kinds]
     return FilterParams(
         p0=tuple(p0),
         q=tuple(zero if kind.q is None else q[kind.q] for kind in kinds),
-        r=columns.column("r_velocity_m_per_s") ** 2 / spread * r_scale,
-        feedback=_feedback(columns),
-        resets=_resets(columns),
+        r=columns.column("r_velocity_m_per_s") ** 2 / r_unit * r_scale,
+        feedback=_feedback_schedule(columns),
+        resets=_reset_schedule(columns),
         reset_to=tuple(
-            _reset_to(columns, kind, start, ug) for kind, start in zip(kinds, p0, strict=True)
+            _reset_variance(columns, kind, start, ug) for kind, start in zip(kinds, p0, strict=True)
         ),
         turn=_covariance_reset(columns, "turn_covariance", "turn_inflation")
         if columns.has("passes")
         else CovarianceReset(*(np.broadcast_to(k, zero.shape) for k in UNCHANGED)),
-        trigger=_trigger(columns),
+        trigger=_trigger_params(columns),
     )
 
 
@@ -97,15 +138,15 @@ def level_settling_s(
     return (1 + bisect_left(longest, 100 * information_at_start, key=information)) * dt
 
 
-def _p0(columns: Columns, kind: StateKind, ug: float) -> np.ndarray:
-    """The initial variance of a state, (variants,)."""
+def _initial_variance(columns: Columns, kind: StateKind, ug: float) -> np.ndarray:
+    """Return the initial variance of a state, (variants,)."""
     if kind.p0 is None:
         return np.full(columns.count, kind.variance)
     return columns.column(kind.p0, ug if kind.unit is None else kind.unit) ** 2
 
 
-def _q(columns: Columns, key: str, unit: float) -> np.ndarray:
-    """Return the variance that a step adds, (variants,): a form of a key, or the sensors' own."""
+def _process_noise(columns: Columns, key: str, unit: float) -> np.ndarray:
+    """Return the variance added per step, (variants,), by a form of a key or the sensors' noise."""
     forms, readings = {key: 1.0, **Q_DENSITIES[key]}, q_readings(1 / columns.rate_hz)
     given = next((form for form in forms if columns.common(form) is not None), None)
     if given is None:
@@ -115,16 +156,16 @@ def _q(columns: Columns, key: str, unit: float) -> np.ndarray:
     return (columns.column(given, forms[given]) * unit) ** 2 * reading
 
 
-def _reset_to(columns: Columns, kind: StateKind, p0: np.ndarray, ug: float) -> np.ndarray:
-    """The variance of a state that P is reset to: its own, or that of the start."""
+def _reset_variance(columns: Columns, kind: StateKind, p0: np.ndarray, ug: float) -> np.ndarray:
+    """Return the variance of a state after a reset: as its key gives it, or as at the start."""
     if kind.reset_to is None:
         return p0
     unit = ug if kind.unit is None else kind.unit
-    own = columns.each(lambda v: math.nan if v is None else (v * unit) ** 2, kind.reset_to)
-    return np.where(np.isnan(own), p0, own)
+    given = columns.each(lambda v: math.nan if v is None else (v * unit) ** 2, kind.reset_to)
+    return np.where(np.isnan(given), p0, given)
 
 
-def _trigger(columns: Columns) -> TriggerParams | None:
+def _trigger_params(columns: Columns) -> TriggerParams | None:
     if columns.common("reset_trigger") in (None, "none"):
         return None
     rate_hz = columns.rate_hz
@@ -134,34 +175,157 @@ def _trigger(columns: Columns) -> TriggerParams | None:
         refractory=np.round(columns.column("trigger_refractory_s") * rate_hz),
         most=columns.column("trigger_most"),
         until=np.round(column_or(columns, "trigger_until_s", math.inf) * rate_hz),
-        at_feedback=_where_any(columns, "reset_at_feedback"),
+        at_feedback=_flags_or_none(columns, "reset_at_feedback"),
     )
 
 
-def _feedback(columns: Columns) -> Feedback:
+def _feedback_schedule(columns: Columns) -> FeedbackSchedule:
     rate_hz = columns.rate_hz
 
-    def one(interval_s: float, constant_s: float) -> tuple[float, float]:
+    def samples_and_gain(interval_s: float, constant_s: float) -> tuple[float, float]:
         samples = np.round(interval_s * rate_hz)
         return samples, -np.expm1(-samples / rate_hz / constant_s) if constant_s > 0 else 1.0
 
-    every, gain = columns.each(one, "feedback_interval_s", "feedback_time_constant_s").T
-    return Feedback(every, gain, _where_any(columns, "reset_restarts_feedback"))
+    every, gain = columns.each(
+        samples_and_gain, "feedback_interval_s", "feedback_time_constant_s"
+    ).T
+    return FeedbackSchedule(every, gain, _flags_or_none(columns, "reset_restarts_feedback"))
 
 
-def _resets(columns: Columns) -> Resets:
+def _reset_schedule(columns: Columns) -> Resets:
     samples = in_samples(columns, partial(times_of_resets, columns.rate_hz), *OF_RESETS)
     return Resets(samples, _covariance_reset(columns, "reset_kind", "reset_scale"))
 
 
-def _where_any(columns: Columns, key: str) -> np.ndarray | None:
-    """1 where a key holds and 0 elsewhere, (variants,); None where it holds in no variant."""
-    holds = columns.each(float, key)
-    return holds if holds.any() else None
+def _flags_or_none(columns: Columns, key: str) -> np.ndarray | None:
+    """Return 1 where a flag is set, else 0, (variants,); None if it is set in no variant."""
+    flags = columns.each(float, key)
+    return flags if flags.any() else None
 
 
 def _covariance_reset(columns: Columns, kind: str, factor: str) -> CovarianceReset:
-    def numbers(name: str, own: float) -> list[float]:
-        return [own if number is None else number for number in _COVARIANCE_RESETS[name]]
+    def numbers(name: str, given: float) -> list[float]:
+        return [given if number is None else number for number in _COVARIANCE_RESETS[name]]
 
     return CovarianceReset(*columns.each(numbers, kind, factor).T)
+
+
+_NEVER = 1e15
+"""Sample of a reset that never takes place; infinity has no derivative."""
+
+
+def _scale_states(values: tuple[Scalar, ...], states: Sequence[int], factor: Scalar) -> tuple:
+    return tuple(factor * v if i in states else v for i, v in enumerate(values))
+
+
+def _change_p0(states: Sequence[int]) -> Change:
+    def change(params: FilterParams, _: int | None, value: Scalar, base: Scalar) -> Any:
+        return params._replace(p0=_scale_states(params.p0, states, (value / base) ** 2))
+
+    return change
+
+
+def _change_reset_to(states: Sequence[int]) -> Change:
+    def change(params: FilterParams, _: int | None, value: Scalar, base: Scalar) -> Any:
+        return params._replace(reset_to=_scale_states(params.reset_to, states, (value / base) ** 2))
+
+    return change
+
+
+def _change_q(states: Sequence[int], power: int) -> Change:
+    def change(params: FilterParams, _: int | None, value: Scalar, base: Scalar) -> Any:
+        return params._replace(q=_scale_states(params.q, states, (value / base) ** power))
+
+    return change
+
+
+def _change_r(power: int) -> Change:
+    def change(params: FilterParams, _: int | None, value: Scalar, base: Scalar) -> Any:
+        return params._replace(r=params.r * (value / base) ** power)
+
+    return change
+
+
+def _change_time_constant(params: FilterParams, _: int | None, value: Scalar, base: Scalar) -> Any:
+    # 1 - gain = exp(-interval / constant).
+    gain = -jnp.expm1(jnp.log1p(-params.feedback.gain) * base / value)
+    return params._replace(feedback=params.feedback._replace(gain=gain))
+
+
+def _change_first_reset(params: FilterParams, _: int | None, value: Scalar, base: Scalar) -> Any:
+    samples = params.resets.samples
+    return _replace_reset_samples(params, samples + samples[:1] * (value / base - 1))
+
+
+def _change_cycle(params: FilterParams, _: int | None, value: Scalar, base: Scalar) -> Any:
+    samples = params.resets.samples
+    return _replace_reset_samples(params, samples[:1] + (samples - samples[:1]) * (value / base))
+
+
+def _replace_reset_samples(params: FilterParams, samples: Array) -> FilterParams:
+    return params._replace(resets=params.resets._replace(samples=samples))
+
+
+_CHANGES: dict[str, Change] = {
+    "reset_first_s": _change_first_reset,
+    "reset_cycle_s": _change_cycle,
+    "r_scale": _change_r(1),
+    "r_velocity_m_per_s": _change_r(2),
+    "feedback_time_constant_s": _change_time_constant,
+}
+"""Changes of keys that concern no single state."""
+
+
+def _state_changes(states: Sequence[str]) -> dict[str, Change]:
+    kinds = [STATES[state] for state in states]
+
+    def places(key_of: Callable[[StateKind], str | None], key: str) -> list[int]:
+        return [place for place, kind in enumerate(kinds) if key_of(kind) == key]
+
+    changes = dict(_CHANGES)
+    for kind in dict.fromkeys(kinds):
+        if kind.p0 is not None and kind.reset_to is not None:
+            at = places(lambda kind: kind.p0, kind.p0)
+            changes |= {kind.p0: _change_p0(at), kind.reset_to: _change_reset_to(at)}
+    noisy = [place for place, kind in enumerate(kinds) if kind.q is not None]
+    changes["q_scale"] = _change_q(noisy, 1)
+    for key, densities in Q_DENSITIES.items():
+        change = _change_q(places(lambda kind: kind.q, key), 2)
+        changes |= dict.fromkeys((key, *densities), change)
+    return changes
+
+
+def _smooth_resets(params: FilterParams, times: Array | None, width: Scalar) -> FilterParams:
+    resets = params.resets
+    # Infinity has no derivative.
+    samples = jnp.where(jnp.isfinite(resets.samples), resets.samples, _NEVER)
+    if times is not None:
+        samples = times
+    return params._replace(resets=Windows(samples, width, resets.covariance_reset))
+
+
+def _first_without_gradient(study: StudyView, smoothed: bool) -> str | None:
+    if not study.has("resets"):
+        return None
+    if any_trigger(study):
+        return "[resets] reset_trigger"
+    if not smoothed:
+        return None
+    if any(point["reset_kind"] == "scale" for point in study.combinations("reset_kind")):
+        return "[resets] reset_kind = 'scale'"
+    for key in ("reset_at_feedback", "reset_restarts_feedback"):
+        if any(point[key] for point in study.combinations(key)):
+            return f"[resets] {key}"
+    return None
+
+
+def relaxed(states: Sequence[str]) -> Relaxed:
+    """Return the dependence of a filter's params on keys; its states are named as in `STATES`."""
+    changes = _state_changes(states)
+    # Left out, a reset sets P0, and the first reset is one cycle after the start.
+    follows = {key: key.replace("p0_", "reset_") for key in changes if key.startswith("p0_")}
+    follows["reset_cycle_s"] = "reset_first_s"
+    moves = ("reset_first_s", "reset_cycle_s")
+    return Relaxed(
+        changes, follows, "reset_times_s", moves, _smooth_resets, _first_without_gradient
+    )

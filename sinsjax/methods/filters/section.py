@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from sinsjax.methods.description import CheckedStudy
-from sinsjax.methods.triggers.section import TriggerKeys, has_trigger
+from sinsjax.methods.triggers.config import TriggerKeys, has_trigger
 from sinsjax.value_types import (
     ROUNDING,
     AccelNoise,

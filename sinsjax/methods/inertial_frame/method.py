@@ -1,14 +1,33 @@
-"""Alignment in the inertial frame, as moments that grow sample by sample.
+"""Alignment in the inertial frame by sums that grow sample by sample.
 
-The gyros carry every specific force to the body frame frozen at the first sample, b0; gravity's
-reaction in the navigation frame frozen there, n0, is known, and turns with the Earth. One constant
-rotation takes one into the other:
+The gyros transform every specific force to the body frame frozen at the first sample, b0; gravity's
+reaction in the navigation frame frozen then, n0, is known and rotates with the Earth. One constant
+rotation relates the two:
 
     C_b^n(t) = C_{n0}^{n(t)} C_{b0}^{n0} C_{b(t)}^{b0},    C_{n0}^{n(t)} = exp(-w_ie t x).
 
-No initial attitude, velocity or belief enters: what a draw's sensors measure decides alone. Three
-ways to find C_{b0}^{n0} stand here: least squares of the integrated velocities or positions, and
-two weighted means of the force. The base must not travel; that it sways does not matter.
+No initial attitude, velocity or covariance enters; the measurements alone decide. C_{b0}^{n0} comes
+from least squares of the integrated velocities or positions, or from two weighted means of the
+force. The base must not travel, but may sway.
+
+The linear error of the velocity fit: gyro errors rotate the body frame b0 by a small angle psi, and
+so every specific force in it; the integrated force alpha is off by this and by the accelerometer
+errors. With both in n0, p = C psi and a = C d(alpha) for C = C_{b0}^{n0}, a sample of force f dt
+gives
+
+    a <- a + p x f dt + w_a,    p <- p + w_g.
+
+C solves Wahba's problem, the least sum of |C alpha - beta|^2. Rotated by a small angle theta, and
+with C alpha = beta without noise, the sum is that of |a - beta x theta|^2, so
+
+    M theta = -m,    m = sum of beta x a,    M = sum of (|beta|^2 I - beta beta').
+
+The attitude C_{n0}^n C C_b^{b0} then rotates by theta + p, and its misalignment is
+
+    phi = C_{n0}^n (M^-1 m - p).
+
+p, a and m are the nine states of d. After the first samples, whose beta are all parallel, C has no
+heading yet; their contribution to m is as short as they are.
 """
 
 from functools import partial
@@ -18,35 +37,36 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import add, scale
+from sinsjax.maths.algebra import Entries, Minus, add, cross, dot, scale
 from sinsjax.methods.base import (
-    AttitudeCovariance,
-    Ending,
+    ErrorModel,
+    ErrorStep,
     Method,
     Options,
+    RunEnd,
     Site,
-    no_covariance,
+    StartChange,
+    unknown_covariance,
 )
 from sinsjax.methods.coarse import two_vectors
-from sinsjax.methods.inertial_frame import linear_error
+from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.methods.inertial_frame.least_squares import (
-    VelocityMoments,
+    VelocitySums,
     add_position,
     add_velocity,
     earth_rate,
+    fit_positions,
+    fit_velocities,
     no_positions,
     no_velocities,
-    of_positions,
-    of_velocities,
+    reaction_velocity,
 )
-from sinsjax.methods.limits import Biases, Limit, unaided
-from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
 
 class Frames(NamedTuple):
-    """Where body and navigation frame are, seen from where they were at the start.
+    """Body and navigation frame relative to those at the start.
 
     Attributes:
         body: C_{b(t)}^{b0}.
@@ -58,29 +78,29 @@ class Frames(NamedTuple):
 
 
 class InertialState(NamedTuple):
-    """One run under way.
+    """A run between two samples.
 
     Attributes:
-        nav: what it began with, which holds until there is a sample.
+        nav: initial solution, which is the result before the first sample.
         frames: see `Frames`.
-        moments: of the velocities, of the method.
+        sums: of velocities, positions or forces, as the method needs them.
         count: samples so far.
     """
 
     nav: Navigation
     frames: Frames
-    moments: Any
+    sums: Any
     count: Scalar
 
 
-def _method(options: Options, start: Any, add_sample: Any, to_n0: Any) -> Method:
-    """A method from its moments.
+def _build_from_sums(options: Options, start: Any, add_sample: Any, fit: Any) -> Method:
+    """Return the method of one kind of sums.
 
     Args:
-        options: what decides the program.
-        start: zero -> moments before the first sample.
-        add_sample: (moments, velocity increment in b0, place, n, dt) -> moments.
-        to_n0: (moments, samples so far) -> C_{b0}^{n0}.
+        options: choices that decide the program.
+        start: zero -> sums before the first sample.
+        add_sample: (sums, velocity increment in b0, place, n, dt) -> sums.
+        fit: (sums, samples so far) -> C_{b0}^{n0}.
     """
     dt = options.dt
 
@@ -92,30 +112,29 @@ def _method(options: Options, start: Any, add_sample: Any, to_n0: Any) -> Method
     def step(
         params: Any, site: Site, state: InertialState, sample: Sample, n: Scalar
     ) -> InertialState:
-        felt = rotations.rotate(state.frames.body, sample.dv)
+        force = rotations.rotate(state.frames.body, sample.dv)
         frames = Frames(
             rotations.multiply(state.frames.body, sample.turn),
             rotations.exp(scale(-n * dt, earth_rate(site.place))),
         )
-        moments = add_sample(state.moments, felt, site.place, n, dt)
-        return InertialState(state.nav, frames, moments, n)
+        sums = add_sample(state.sums, force, site.place, n, dt)
+        return InertialState(state.nav, frames, sums, n)
 
     def attitude(state: InertialState) -> Quat:
         frames = state.frames
-        found = rotations.multiply(to_n0(state.moments, state.count), frames.body)
-        found = rotations.multiply(frames.earth, found)
-        begun = state.count > 0
-        return jax.tree.map(lambda a, b: jnp.where(begun, a, b), found, state.nav.q)
+        q = rotations.multiply(fit(state.sums, state.count), frames.body)
+        q = rotations.multiply(frames.earth, q)
+        has_sample = state.count > 0
+        return jax.tree.map(lambda a, b: jnp.where(has_sample, a, b), q, state.nav.q)
 
-    return Method(init, step, _turn, attitude, _covariance, _normalise, _limit)
-
-
-def _turn(params: Any, site: Site, state: InertialState) -> InertialState:
-    return state._replace(nav=mechanisation.reverse(state.nav))  # studies with passes are refused
-
-
-def _covariance(state: InertialState) -> AttitudeCovariance:
-    return no_covariance(state.nav.ve)
+    return Method(
+        init=init,
+        step=step,
+        attitude=attitude,
+        covariance=lambda state: unknown_covariance(state.nav.ve),
+        normalise=_normalise,
+        floor=_bias_floor,
+    )
 
 
 def _normalise(state: InertialState) -> InertialState:
@@ -124,33 +143,31 @@ def _normalise(state: InertialState) -> InertialState:
     return state._replace(nav=nav, frames=state.frames._replace(body=body))
 
 
-def _limit(params: Any, place: Place, biases: Biases, ending: Ending) -> Limit:
-    return unaided(place, biases)
+def _bias_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
+    return bias_floor(place, biases)
 
 
-def optimisation(options: Options) -> Method:
-    """The rotation that takes all velocities alpha closest to beta (Davenport's q-method).
+def build_optimisation(options: Options) -> Method:
+    """Return the method of the rotation from all alpha closest to beta (Davenport's q-method).
 
     Wu et al., Aerosp. Sci. Technol. 15 (2011), and Wu and Pan, IEEE TAES 49 (2013): the
     eigenvector of the largest eigenvalue of a 4 x 4 matrix, found at record times.
     """
-    return _method(options, no_velocities, add_velocity, of_velocities)._replace(
-        error_step=partial(linear_error.error_step, options.dt),
-        error_angles=linear_error.error_angles,
-        start_error=linear_error.start_error,
-    )
+    method = _build_from_sums(options, no_velocities, add_velocity, fit_velocities)
+    error_model = ErrorModel(partial(_error_step, options.dt), _error_angles, _start_error)
+    return method._replace(error_model=error_model)
 
 
-def optimisation_position(options: Options) -> Method:
-    """The same of positions, sums of velocities, from an initial velocity that is unknown.
+def build_optimisation_position(options: Options) -> Method:
+    """Return the same for positions, sums of velocities, from an unknown initial velocity.
 
-    On a base that surges it is left with a fraction of the error: see `least_squares`.
+    On a base that surges only a fraction of the error is left: see `least_squares`.
     """
-    return _method(options, no_positions, add_position, of_positions)
+    return _build_from_sums(options, no_positions, add_position, fit_positions)
 
 
-def optimised(samples: Sample, place: Place, dt: Scalar) -> Quat:
-    """`optimisation` of a whole interval, as a `coarse.Coarse`: attitude at its end.
+def align_by_optimisation(samples: Sample, place: Place, dt: Scalar) -> Quat:
+    """Return the attitude at the end of an interval by `optimisation`, as a `coarse.Coarse`.
 
     Args:
         samples: compensated, leaves (n,).
@@ -160,68 +177,139 @@ def optimised(samples: Sample, place: Place, dt: Scalar) -> Quat:
     counts = 1 + jnp.arange(samples.dv.x.size, dtype=samples.dv.x.dtype)
     zero = jnp.zeros_like(counts[0])
 
-    def over(
-        carry: tuple[Quat, VelocityMoments], xs: tuple[Sample, Scalar]
-    ) -> tuple[tuple[Quat, VelocityMoments], None]:
-        (body, moments), (sample, n) = carry, xs
-        felt = rotations.rotate(body, sample.dv)
-        moments = add_velocity(moments, felt, place, n, dt)
-        return (rotations.multiply(body, sample.turn), moments), None
+    def over_sample(
+        carry: tuple[Quat, VelocitySums], xs: tuple[Sample, Scalar]
+    ) -> tuple[tuple[Quat, VelocitySums], None]:
+        (body, sums), (sample, n) = carry, xs
+        force = rotations.rotate(body, sample.dv)
+        sums = add_velocity(sums, force, place, n, dt)
+        return (rotations.multiply(body, sample.turn), sums), None
 
     start = Quat(zero + 1, zero, zero, zero), no_velocities(zero)
-    (body, moments), _ = jax.lax.scan(over, start, (samples, counts))
+    (body, sums), _ = jax.lax.scan(over_sample, start, (samples, counts))
     earth = rotations.exp(scale(-counts[-1] * dt, earth_rate(place)))
-    found = rotations.multiply(of_velocities(moments, counts[-1]), body)
-    return rotations.multiply(earth, found)
+    return rotations.multiply(earth, rotations.multiply(fit_velocities(sums, counts[-1]), body))
 
 
-class ForceMoments(NamedTuple):
+class ForceSums(NamedTuple):
     """Sums of m^0, m^1, m^2 and m^3 times a velocity increment, m from mid-sample to mid-sample.
 
     Attributes:
-        felt: in b0, m/s.
+        measured: in b0, m/s.
         expected: in n0, m/s.
     """
 
-    felt: tuple[Vec3, ...]
+    measured: tuple[Vec3, ...]
     expected: tuple[Vec3, ...]
 
 
-def inertial(options: Options) -> Method:
-    """The rotation by weighted mean and slope of the specific force, `coarse.inertial`."""
-    return _method(options, _no_forces, _add_force, _mean_and_slope)
+def build_inertial(options: Options) -> Method:
+    """Return the method of `coarse.inertial`: weighted mean and slope of the specific force."""
+    return _build_from_sums(options, _no_forces, _add_force, _fit_mean_and_slope)
 
 
-def _no_forces(zero: Scalar) -> ForceMoments:
+def _no_forces(zero: Scalar) -> ForceSums:
     none = (Vec3(zero, zero, zero),) * 4
-    return ForceMoments(none, none)
+    return ForceSums(none, none)
 
 
-def _add_force(
-    moments: ForceMoments, felt: Vec3, place: Place, n: Scalar, dt: float
-) -> ForceMoments:
+def _add_force(sums: ForceSums, force: Vec3, place: Place, n: Scalar, dt: float) -> ForceSums:
     middle = n - 0.5
     up = Vec3(jnp.zeros_like(place.gravity), jnp.zeros_like(place.gravity), place.gravity * dt)
     turn = rotations.exp(scale(middle * dt, earth_rate(place)))
 
-    def added(sums: tuple[Vec3, ...], one: Vec3) -> tuple[Vec3, ...]:
-        return tuple(add(total, scale(middle**k, one)) for k, total in enumerate(sums))
+    def add_powers(totals: tuple[Vec3, ...], increment: Vec3) -> tuple[Vec3, ...]:
+        return tuple(add(total, scale(middle**k, increment)) for k, total in enumerate(totals))
 
-    return ForceMoments(
-        added(moments.felt, felt), added(moments.expected, rotations.rotate(turn, up))
+    return ForceSums(
+        add_powers(sums.measured, force), add_powers(sums.expected, rotations.rotate(turn, up))
     )
 
 
-def _mean_and_slope(moments: ForceMoments, count: Scalar) -> Quat:
-    """TRIAD of the means with weights 1 - tau^2 and (1 - tau^2) tau, tau = 2 m/n - 1."""
+def _fit_mean_and_slope(sums: ForceSums, count: Scalar) -> Quat:
+    """Return the TRIAD of the means with weights 1 - tau^2 and (1 - tau^2) tau, tau = 2 m/n - 1."""
     half = 2 / jnp.maximum(count, 1.0)
 
-    def weighted(sums: tuple[Vec3, ...]) -> Any:
+    def weighted(totals: tuple[Vec3, ...]) -> Any:
         # With h = 2/n: 1 - tau^2 = 2 hm - (hm)^2, times tau = -2 hm + 3 (hm)^2 - (hm)^3.
-        scaled = [scale(half**k, total) for k, total in enumerate(sums)]
+        scaled = [scale(half**k, total) for k, total in enumerate(totals)]
         mean = add(scale(2.0, scaled[1]), scale(-1.0, scaled[2]))
         slope = add(scale(-2.0, scaled[1]), scale(3.0, scaled[2]))
         slope = add(slope, scale(-1.0, scaled[3]))
         return jnp.stack([jnp.stack(mean), jnp.stack(slope)])
 
-    return two_vectors(weighted(moments.felt), weighted(moments.expected))
+    return two_vectors(weighted(sums.measured), weighted(sums.expected))
+
+
+TURN, VELOCITY, MOMENT = 0, 3, 6
+"""First of the three states p, a and m."""
+
+_AXES = range(3)
+_ANGLE_INPUTS: Entries = {(TURN + i, 3 + i): 1.0 for i in _AXES}
+_VELOCITY_INPUTS: Entries = {(VELOCITY + i, i): 1.0 for i in _AXES}
+
+
+def _error_step(
+    dt: Scalar, params: Any, site: Site, state: Any, sample: Sample, n: Scalar
+) -> ErrorStep:
+    """Return `ErrorModel.step` of `optimisation`; dt is the sample time, s."""
+    to_n0 = rotations.multiply(fit_velocities(state.sums, state.count), state.frames.body)
+    force, beta = rotations.rotate(to_n0, sample.dv), reaction_velocity(site.place, n * dt)
+    along, beta_entries = dot(beta, force), _cross_entries(beta)
+    # beta x (p x f) = (beta f) p - f (beta p)
+    from_turn: Entries = {
+        (MOMENT + i, TURN + j): (along if i == j else 0.0) - force[i] * beta[j]
+        for i in _AXES
+        for j in _AXES
+    }
+    return ErrorStep(
+        {
+            **{(VELOCITY + i, TURN + j): Minus(v) for (i, j), v in _cross_entries(force).items()},
+            **{(MOMENT + i, VELOCITY + j): v for (i, j), v in beta_entries.items()},
+            **from_turn,
+        },
+        {
+            **_ANGLE_INPUTS,
+            **_VELOCITY_INPUTS,
+            **{(MOMENT + i, j): v for (i, j), v in beta_entries.items()},
+        },
+        (),
+        (),
+        to_n0,
+    )
+
+
+def _cross_entries(v: Vec3) -> dict[tuple[int, int], Scalar]:
+    """Return the non-zero entries of v x."""
+    return {(0, 1): -v.z, (0, 2): v.y, (1, 0): v.z, (1, 2): -v.x, (2, 0): -v.y, (2, 1): v.x}
+
+
+def _error_angles(state: Any) -> tuple[tuple[Scalar, ...], ...]:
+    """Return `ErrorModel.angles`: C_{n0}^n (M^-1 m - p)."""
+    zero = jnp.zeros_like(state.count)
+    to_n0 = fit_velocities(state.sums, state.count)
+    # With C alpha in place of beta: sum of beta (C alpha)'.
+    rows = [rotations.rotate(to_n0, row) for row in state.sums.profile]
+    weight = rows[0].x + rows[1].y + rows[2].z
+    m = [
+        [(weight if i == j else zero) - 0.5 * (rows[i][j] + rows[j][i]) for j in _AXES]
+        for i in _AXES
+    ]
+    inverse = _inverse_columns([Vec3(*row) for row in m])
+    return tuple(
+        (-to_n.x, -to_n.y, -to_n.z, *(zero,) * 3, *(dot(to_n, column) for column in inverse))
+        for to_n in rotations.matrix(state.frames.earth)
+    )
+
+
+def _inverse_columns(rows: list[Vec3]) -> list[Vec3]:
+    """Return the columns of a symmetric matrix's inverse, not finite if it is singular."""
+    x, y, z = rows
+    adjugate = (cross(y, z), cross(z, x), cross(x, y))
+    factor = 1 / dot(x, adjugate[0])
+    return [scale(factor, column) for column in adjugate]
+
+
+def _start_error(state: Any, change: StartChange) -> tuple[Scalar, ...]:
+    """Return `ErrorModel.start`: the start does not enter."""
+    return (jnp.zeros_like(change.ve),) * 9

@@ -19,20 +19,20 @@ from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, add, cross, dot, scale
 from sinsjax.methods import kalman
 from sinsjax.methods.base import Method, Options, Site
-from sinsjax.methods.filters import misalignment
-from sinsjax.methods.filters.stages import (
+from sinsjax.methods.filters import attitude
+from sinsjax.methods.filters.closed_loop import (
     Filter,
     FilterParams,
     FilterState,
-    begin,
-    mechaniser,
-    place_of,
-    reversed_by,
-    unaided,
-    update_by_velocity,
+    closed_loop,
+    initial_state,
+    mechanise_function,
+    place_function,
+    reverse_time,
+    subtract_fed_back,
+    update_with_velocity,
 )
 from sinsjax.methods.schedules import reset_covariance
-from sinsjax.methods.triggers.watched import method_of
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import MODELS, PHI_E, PHI_N, PHI_U, VE, VN, five_state
 from sinsjax.types import Navigation, Sample, Scalar, Vec3
@@ -43,16 +43,16 @@ STATES = MODELS["kalman5"].states
 
 
 def build(options: Options) -> Method:
-    """The method; `Options.specific_force` is always that of a base at rest."""
-    return method_of(filter_of(options), options)
+    """Return the method; `Options.specific_force` is always that of a base at rest."""
+    return closed_loop(build_filter(options), options)
 
 
-def filter_of(options: Options) -> Filter:
-    """Its filter; its own state is the vertical velocity, m/s. Arguments as of `build`."""
-    dt, mechanise = options.dt, mechaniser(options)
+def build_filter(options: Options) -> Filter:
+    """Return its filter, whose extra state is the vertical velocity, m/s."""
+    dt, mechanise = options.dt, mechanise_function(options)
 
     def init(params: FilterParams, nav: Navigation) -> FilterState:
-        return begin(params, nav)._replace(own=jnp.zeros_like(nav.ve))
+        return initial_state(params, nav)._replace(extra=jnp.zeros_like(nav.ve))
 
     def transition(nav: Navigation, here: Place) -> Entries:
         gravity = Vec3(0.0, 0.0, here.gravity * dt)
@@ -63,61 +63,62 @@ def filter_of(options: Options) -> Filter:
     ) -> tuple[FilterState, Entries]:
         before = state.nav
         nav, f_dt, here = mechanise(site, before, sample)
-        up = state.own + (f_dt.z - here.gravity * dt) + _coriolis_up(before, here) * dt
+        up = state.extra + (f_dt.z - here.gravity * dt) + _coriolis_up(before, here) * dt
         entries = transition(before, here)
         belief = kalman.propagate(state.belief, entries)
-        return state._replace(nav=nav, belief=belief, own=up), entries
+        return state._replace(nav=nav, belief=belief, extra=up), entries
 
     return Filter(
-        dt,
-        init,
-        propagate,
-        update_by_velocity,
-        _feed_back,
-        partial(reset_covariance, heading=(PHI_U,)),
-        _reverse,
-        place_of(options.position),
-        lambda state, here: transition(state.nav, here),
-        misalignment.estimated,
-        misalignment.corrected,
-        misalignment.covariance,
-        unaided,
-        misalignment.inputs,
-        misalignment.start_error,
-        common_covariance=options.position == "fixed",
+        dt=dt,
+        init=init,
+        propagate=propagate,
+        update=update_with_velocity,
+        feed_back=_feed_back,
+        reset=partial(reset_covariance, heading=(PHI_U,)),
+        reverse=_reverse,
+        place=place_function(options.position),
+        at_rest=lambda state, here: transition(state.nav, here),
+        misalignment=attitude.estimated_misalignment,
+        attitude=attitude.corrected_attitude,
+        covariance=attitude.misalignment_covariance,
+        inputs=attitude.misalignment_inputs,
+        start_error=attitude.misalignment_start_error,
+        shares_covariance=options.position == "fixed",
     )
 
 
 def _coriolis_up(nav: Navigation, place: Place) -> Scalar:
-    """Upward part of -(2 w_ie + w_en) x V, m/s^2."""
+    """Return the upward component of -(2 w_ie + w_en) x V, m/s^2."""
     east = nav.ve * (2 * place.rate_n + nav.ve * place.curvature_e)
     return east + nav.vn * nav.vn * place.curvature_n
 
 
 def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
-    x = state.belief.x
-    fed = tuple(share * one for one in x)
-    phi = Vec3(fed[PHI_E], fed[PHI_N], fed[PHI_U])
+    fed_back = tuple(share * estimate for estimate in state.belief.x)
+    phi = Vec3(fed_back[PHI_E], fed_back[PHI_N], fed_back[PHI_U])
     turn = rotations.exp(phi)
-    velocity = rotations.rotate(turn, Vec3(state.nav.ve, state.nav.vn, state.own))
-    error = left_jacobian(phi, Vec3(fed[VE], fed[VN], jnp.zeros_like(fed[VE])))
+    velocity = rotations.rotate(turn, Vec3(state.nav.ve, state.nav.vn, state.extra))
+    error = left_jacobian(phi, Vec3(fed_back[VE], fed_back[VN], jnp.zeros_like(fed_back[VE])))
     corrected = state._replace(
         nav=state.nav._replace(
             q=rotations.multiply(turn, state.nav.q),
             ve=velocity.x - error.x,
             vn=velocity.y - error.y,
         ),
-        belief=state.belief._replace(x=tuple(a - b for a, b in zip(x, fed, strict=True))),
-        own=jnp.zeros_like(state.own),  # a base that does not travel
+        belief=subtract_fed_back(state.belief, fed_back),
+        extra=jnp.zeros_like(state.extra),  # a base that does not travel
     )
     return corrected, phi
 
 
 def left_jacobian(phi: Vec3, v: Vec3) -> Vec3:
-    """J v, J = I + (1 - cos th)/th^2 (phi x) + (th - sin th)/th^3 (phi x)^2, th = |phi| <= 2 pi."""
+    """Return J v for the left Jacobian J of the rotation group.
+
+    J = I + (1 - cos th)/th^2 (phi x) + (th - sin th)/th^3 (phi x)^2, th = |phi| <= 2 pi.
+    """
     across = cross(phi, v)
     square = dot(phi, phi)
-    # By their series: the closed forms have no slope at zero.
+    # As power series: the closed forms have no derivative at zero.
     first = second = jnp.zeros_like(square)
     for n in reversed(range(_TERMS)):
         first = 1 / math.factorial(2 * n + 2) - square * first
@@ -126,5 +127,5 @@ def left_jacobian(phi: Vec3, v: Vec3) -> Vec3:
 
 
 def _reverse(state: FilterState) -> FilterState:
-    turned = reversed_by(MODELS["kalman5"].reversal, state)
-    return turned._replace(own=-state.own)
+    reversed_ = reverse_time(MODELS["kalman5"].reversal, state)
+    return reversed_._replace(extra=-state.extra)

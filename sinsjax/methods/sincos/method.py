@@ -1,17 +1,29 @@
 """Zero-velocity alignment from an unknown heading: sine and cosine of the azimuth as states.
 
-The computed frame n' is turned from n by an azimuth a of any size and a tilt that is small:
-C_{n'}^n = Rz(a) e, where e turns u, the true vertical seen in n', to z. With s = sin a and
-k = 1 - cos a as states the model of a base at rest is linear whatever the heading, and constant:
+The computed frame n' is rotated from n by an azimuth a of any size and a small tilt:
+C_{n'}^n = Rz(a) e, where e rotates u, the true vertical seen in n', to z. With s = sin a and
+k = 1 - cos a as states, the model of a base at rest is linear for any heading, and constant:
 P and the gains are the same for all runs of a variant.
 
     dV_E' =  2 w_U dV_N - g t_N          t_E' = -dV_N/R + w_U t_N - w_N s
     dV_N' = -2 w_U dV_E + g t_E          t_N' =  dV_E/R - w_U t_E + w_N k
 
-with t_E = u_N and t_N = -u_E. The velocity is fed back, and the tilt as the shortest turn of u to
-z; s and k stay with the filter. They begin as of a heading of which nothing is known: mean zero of
-sin a and cos a, variance 1/2 each. What sqrt(s^2 + cos^2 a) differs from 1 by is the north gyro
-drift in units of w_N. After Dmitriyev, Stepanov and Shepel (1997) and Rogers (1997).
+with t_E = u_N and t_N = -u_E. The velocity is fed back, and the tilt as the shortest rotation of u
+to z; s and k stay in the filter. They start from an unknown heading: sin a and cos a have mean zero
+and variance 1/2 each. The deviation of sqrt(s^2 + cos^2 a) from 1 is the north gyro drift in units
+of w_N. After Dmitriyev, Stepanov and Shepel (1997) and Rogers (1997).
+
+On a base that surges a zero-velocity filter takes the base's own velocity for white measurement
+noise. The velocity of a base that stays near its place is not white: it changes over seconds, and
+cancels over minutes. Four more states of method `kalman_surge` model it, on either axis
+
+    s' = v,    v' = -s/T^2 - v/T + w,    V = dV + v,
+
+with a place s that wanders within bounds, correlation time T and rms velocity sigma: w has density
+2 sigma^2/T, s starts with variance (sigma T)^2. The measured V is that of the solution, whose error
+is dV alone; only dV and the tilt are fed back. With T and sigma of the base, Q of the sensors and a
+small R, the heading comes within a few percent of the information bound (`covariance.information`),
+and P is true.
 """
 
 import math
@@ -24,20 +36,25 @@ from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, triangle_index
 from sinsjax.methods import kalman
 from sinsjax.methods.base import AttitudeCovariance, Method, Options, Site, StartChange
-from sinsjax.methods.filters.stages import (
+from sinsjax.methods.filters.attitude import (
+    rotate_covariance,
+    rotation_from_tilt,
+    shortest_rotation,
+    tilt_and_azimuth_change,
+)
+from sinsjax.methods.filters.closed_loop import (
     Filter,
     FilterParams,
     FilterState,
-    begin,
-    mechaniser,
-    place_of,
-    reversed_by,
-    unaided,
-    update_by_velocity,
+    closed_loop,
+    initial_state,
+    mechanise_function,
+    place_function,
+    reverse_time,
+    update_with_velocity,
 )
-from sinsjax.methods.filters.tilt import changed, shortest_turn, turned, turned_covariance
+from sinsjax.methods.kalman import Innovation
 from sinsjax.methods.schedules import reset_covariance
-from sinsjax.methods.triggers.watched import method_of
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
@@ -48,17 +65,17 @@ REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0, 1.0)
 """Sign of each state under time reversal."""
 
 LEAST_AMPLITUDE = 0.05
-"""sqrt(s^2 + cos^2 a) under which the heading is not known yet: that of the start holds."""
+"""sqrt(s^2 + cos^2 a) below which the heading is still unknown and keeps its initial value."""
 
 UNKNOWN_VARIANCE = math.pi**2 / 3
-"""Of a heading anywhere on the circle, rad^2."""
+"""Variance of a heading anywhere on the circle, rad^2."""
 
 
 class Direction(NamedTuple):
     """The estimated heading as a direction in the level plane.
 
     Attributes:
-        known: whether it is told by the measurements; otherwise it is the solution's own.
+        known: whether the measurements determine it; else it is that of the solution.
         sine: of the azimuth.
         cosine: of the azimuth.
         amplitude: sqrt(s^2 + cos^2 a); 1 without gyro drift, and 1 where it is not known.
@@ -71,13 +88,13 @@ class Direction(NamedTuple):
 
 
 def build(options: Options) -> Method:
-    """The method; `Options.specific_force` is always that of a base at rest."""
-    return method_of(filter_of(options), options)
+    """Return method `kalman_sincos`; `Options.specific_force` is always that of a base at rest."""
+    return closed_loop(build_filter(options), options)
 
 
-def filter_of(options: Options) -> Filter:
-    """Its filter; arguments as of `build`."""
-    dt, mechanise = options.dt, mechaniser(options)
+def build_filter(options: Options) -> Filter:
+    """Return its filter; arguments as of `build`."""
+    dt, mechanise = options.dt, mechanise_function(options)
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
@@ -87,29 +104,28 @@ def filter_of(options: Options) -> Filter:
         return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries)), entries
 
     return Filter(
-        dt,
-        begun_anywhere,
-        propagate,
-        update_by_velocity,
-        _feed_back,
-        partial(reset_covariance, heading=(SINE, VERSINE)),
-        partial(reversed_by, REVERSAL),
-        place_of(options.position),
-        lambda state, here: transition(here, dt),
-        _misalignment,
-        _attitude,
-        _covariance,
-        unaided,
-        _inputs,
-        start_error,
-        own_results=_north_drift,
-        common_covariance=options.position == "fixed",
+        dt=dt,
+        init=init_unknown_heading,
+        propagate=propagate,
+        update=update_with_velocity,
+        feed_back=_feed_back,
+        reset=partial(reset_covariance, heading=(SINE, VERSINE)),
+        reverse=partial(reverse_time, REVERSAL),
+        place=place_function(options.position),
+        at_rest=lambda state, here: transition(here, dt),
+        misalignment=_misalignment,
+        attitude=_attitude,
+        covariance=_covariance,
+        inputs=_inputs,
+        start_error=start_error,
+        extra_results=_north_drift,
+        shares_covariance=options.position == "fixed",
         keep=_keep_amplitude,
     )
 
 
 def transition(place: Place, dt: Scalar) -> Entries:
-    """Non-zero entries of A dt, see the module."""
+    """Return the non-zero entries of A dt, see the module."""
     curvature = place.curvature_n * dt
     wn, wu, g = place.rate_n * dt, place.rate_u * dt, place.gravity * dt
     return {
@@ -126,17 +142,17 @@ def transition(place: Place, dt: Scalar) -> Entries:
     }
 
 
-def begun_anywhere(params: FilterParams, nav: Navigation) -> FilterState:
-    """A filter that has no heading yet; states after the versine begin with zero."""
-    state = begin(params, nav)
+def init_unknown_heading(params: FilterParams, nav: Navigation) -> FilterState:
+    """Return the state of a filter without a heading; states after the versine start at zero."""
+    state = initial_state(params, nav)
     return _with_versine(state, 1.0 + state.belief.x[VERSINE])  # mean zero of cos a
 
 
-def _keep_amplitude(begun: FilterState, ended: FilterState) -> FilterState:
-    """Sine and cosine stay as at a reset: the solution has their azimuth, they its amplitude."""
-    direction = _direction(ended)
-    versine = jnp.where(direction.known, 1 - direction.amplitude, begun.belief.x[VERSINE])
-    return _with_versine(begun, versine)
+def _keep_amplitude(first: FilterState, last: FilterState) -> FilterState:
+    """Keep sine and cosine as at a reset: the solution has their azimuth, they its amplitude."""
+    direction = _direction(last)
+    versine = jnp.where(direction.known, 1 - direction.amplitude, first.belief.x[VERSINE])
+    return _with_versine(first, versine)
 
 
 def _with_versine(state: FilterState, versine: Scalar) -> FilterState:
@@ -145,24 +161,24 @@ def _with_versine(state: FilterState, versine: Scalar) -> FilterState:
 
 
 def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
-    """V <- V - dV and C <- e C, by a share of the estimate; s and k stay as they are."""
+    """V <- V - dV and C <- e C by a share of the estimate; s and k stay in the filter."""
     x = state.belief.x
-    fed = tuple(share * one for one in x[:SINE])
-    nav = mechanisation.correct_velocity(state.nav, fed[VE], fed[VN])
-    turn = shortest_turn(fed[TILT_E], fed[TILT_N])
-    left = (*(a - b for a, b in zip(x[:SINE], fed, strict=True)), *x[SINE:])
+    fed_back = tuple(share * estimate for estimate in x[:SINE])
+    nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
+    turn = shortest_rotation(fed_back[TILT_E], fed_back[TILT_N])
+    left = (*(a - b for a, b in zip(x[:SINE], fed_back, strict=True)), *x[SINE:])
     corrected = state._replace(
         nav=nav._replace(q=rotations.multiply(turn, nav.q)),
         belief=state.belief._replace(x=left),
     )
-    return corrected, Vec3(fed[TILT_E], fed[TILT_N], jnp.zeros_like(fed[TILT_E]))
+    return corrected, Vec3(fed_back[TILT_E], fed_back[TILT_N], jnp.zeros_like(fed_back[TILT_E]))
 
 
 def _direction(state: Any) -> Direction:
     s, c = state.belief.x[SINE], 1 - state.belief.x[VERSINE]
     square = s * s + c * c
     known = square >= LEAST_AMPLITUDE**2
-    # Chosen before the root, which has no slope at zero.
+    # Selected before the root, which has no derivative at zero.
     amplitude = jnp.sqrt(jnp.where(known, square, 1.0))
     return Direction(
         known,
@@ -173,7 +189,7 @@ def _direction(state: Any) -> Direction:
 
 
 def _inputs(state: FilterState) -> Entries:
-    """`Filter.inputs`: a turn about the vertical moves sine and cosine of the azimuth."""
+    """Return `Filter.inputs`: a rotation about the vertical changes sine and cosine."""
     d = _direction(state)
     return {
         **{(VE, 0): 1.0, (VN, 1): 1.0, (TILT_E, 3): Minus(1.0), (TILT_N, 4): Minus(1.0)},
@@ -182,62 +198,65 @@ def _inputs(state: FilterState) -> Entries:
 
 
 def start_error(state: FilterState, change: StartChange) -> tuple[Scalar, ...]:
-    """`Filter.start_error`: of the true sine and versine, that of a heading which is not known."""
-    tilt_e, tilt_n, sine, cosine = changed(change)
+    """Return `Filter.start_error`: sine and versine change by those of the unknown heading."""
+    tilt_e, tilt_n, sine, cosine = tilt_and_azimuth_change(change)
     zeros = (jnp.zeros_like(change.ve),) * len(state.belief.x[VERSINE + 1 :])
     return (change.ve, change.vn, tilt_e, tilt_n, sine, -cosine, *zeros)
 
 
 def _misalignment(state: FilterState) -> Vec3:
-    """The tilt; heading is a state of its own, that is never fed back."""
+    """Return the tilt; the heading stays in the filter and is never fed back."""
     x = state.belief.x
     return Vec3(x[TILT_E], x[TILT_N], jnp.zeros_like(x[TILT_E]))
 
 
 def _attitude(state: FilterState) -> Quat:
-    x, at = state.belief.x, _direction(state)
-    return rotations.multiply(turned(x[TILT_E], x[TILT_N], at.sine, at.cosine), state.nav.q)
+    x, d = state.belief.x, _direction(state)
+    correction = rotation_from_tilt(x[TILT_E], x[TILT_N], d.sine, d.cosine)
+    return rotations.multiply(correction, state.nav.q)
 
 
 def _covariance(state: FilterState) -> AttitudeCovariance:
-    """Of the misalignment: the tilt's, turned by a, and to first order that of a.
+    """Return the covariance of tilt, rotated by a, and of a to first order.
 
-    A heading is never known less than if it were anywhere.
+    The variance of the heading is at most that of a heading anywhere on the circle.
     """
     at, p, d = triangle_index(len(state.belief.x)), state.belief.p, _direction(state)
 
-    def of(i: int, j: int) -> Scalar:
+    def entry(i: int, j: int) -> Scalar:
         return p[at[i, j]]
 
     # da = (C ds + s dk) / (s^2 + C^2).
     by_sine, by_versine = d.cosine / d.amplitude, d.sine / d.amplitude
-    heading = by_sine * by_sine * of(SINE, SINE) + by_versine * by_versine * of(VERSINE, VERSINE)
-    heading = heading + 2 * by_sine * by_versine * of(SINE, VERSINE)
-    told = d.known & (heading < UNKNOWN_VARIANCE)
+    heading = by_sine * by_sine * entry(SINE, SINE) + by_versine * by_versine * entry(
+        VERSINE, VERSINE
+    )
+    heading = heading + 2 * by_sine * by_versine * entry(SINE, VERSINE)
+    is_known = d.known & (heading < UNKNOWN_VARIANCE)
     tilt_e, tilt_n = (
-        jnp.where(told, by_sine * of(i, SINE) + by_versine * of(i, VERSINE), 0.0)
+        jnp.where(is_known, by_sine * entry(i, SINE) + by_versine * entry(i, VERSINE), 0.0)
         for i in (TILT_E, TILT_N)
     )
-    of_tilt = AttitudeCovariance(
-        ee=of(TILT_E, TILT_E),
-        en=of(TILT_E, TILT_N),
+    tilt_covariance = AttitudeCovariance(
+        ee=entry(TILT_E, TILT_E),
+        en=entry(TILT_E, TILT_N),
         eu=tilt_e,
-        nn=of(TILT_N, TILT_N),
+        nn=entry(TILT_N, TILT_N),
         nu=tilt_n,
-        uu=jnp.where(told, heading, UNKNOWN_VARIANCE),
+        uu=jnp.where(is_known, heading, UNKNOWN_VARIANCE),
     )
-    return turned_covariance(of_tilt, d.sine, d.cosine)
+    return rotate_covariance(tilt_covariance, d.sine, d.cosine)
 
 
 class NorthDrift(NamedTuple):
-    """What the filter tells of the gyros' north drift, rad/s; NaN where it has no heading yet."""
+    """Estimated north gyro drift and its sigma, rad/s; NaN while the heading is unknown."""
 
     value: Scalar
     sigma: Scalar
 
 
 def _north_drift(site: Site, state: FilterState) -> NorthDrift:
-    """From the amplitude: sqrt(s^2 + C^2) - 1, times w_N."""
+    """Return (sqrt(s^2 + C^2) - 1) w_N and its sigma."""
     at, p, d = triangle_index(len(state.belief.x)), state.belief.p, _direction(state)
     c, s = d.cosine, d.sine
     variance = s * s * p[at[SINE, SINE]] - 2 * s * c * p[at[SINE, VERSINE]]
@@ -245,3 +264,75 @@ def _north_drift(site: Site, state: FilterState) -> NorthDrift:
     rate = jnp.abs(site.place.rate_n)
     value, sigma = rate * (d.amplitude - 1), rate * jnp.sqrt(variance)
     return NorthDrift(*(jnp.where(d.known, number, jnp.nan) for number in (value, sigma)))
+
+
+SURGE_STATES = (*STATES, "place_e", "place_n", "surge_e", "surge_n")
+PLACE_E, PLACE_N, SURGE_E, SURGE_N = range(6, 10)
+SURGE_REVERSAL = (*REVERSAL, 1.0, 1.0, -1.0, -1.0)
+
+_TO_MEASURED: Entries = {(VE, SURGE_E): 1.0, (VN, SURGE_N): 1.0}
+_FROM_MEASURED: Entries = {(VE, SURGE_E): Minus(1.0), (VN, SURGE_N): Minus(1.0)}
+"""From dV to the measured V, and back."""
+
+
+class SurgeParams(NamedTuple):
+    """`FilterParams.extra`, which is `FilterState.extra` too.
+
+    Attributes:
+        rate: 1/T of the surge, 1/s.
+    """
+
+    rate: Scalar
+
+
+def build_surge(options: Options) -> Method:
+    """Return method `kalman_surge`; `Options.specific_force` is always that of a base at rest."""
+    return closed_loop(build_surge_filter(options), options)
+
+
+def build_surge_filter(options: Options) -> Filter:
+    """Return its filter; arguments as of `build_surge`."""
+    dt, mechanise = options.dt, mechanise_function(options)
+
+    def init(params: FilterParams, nav: Navigation) -> FilterState:
+        return init_unknown_heading(params, nav)._replace(extra=params.extra)
+
+    def propagate(
+        params: FilterParams, site: Site, state: FilterState, sample: Sample
+    ) -> tuple[FilterState, Entries]:
+        nav, _, here = mechanise(site, state.nav, sample)
+        entries = surge_transition(here, state.extra, dt)
+        return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries)), entries
+
+    return build_filter(options)._replace(
+        init=init,
+        propagate=propagate,
+        update=_update_with_surge,
+        reverse=partial(reverse_time, SURGE_REVERSAL),
+        at_rest=lambda state, here: surge_transition(here, state.extra, dt),
+        start_error=None,  # the error model takes the first two states for the measured ones
+    )
+
+
+def surge_transition(place: Place, surge: SurgeParams, dt: Scalar) -> Entries:
+    """Return the non-zero entries of A dt with the states of the surge, see the module."""
+    damping = surge.rate * dt
+    restoring = surge.rate * damping
+    return {
+        **transition(place, dt),
+        (PLACE_E, SURGE_E): dt,
+        (PLACE_N, SURGE_N): dt,
+        (SURGE_E, PLACE_E): Minus(restoring),
+        (SURGE_N, PLACE_N): Minus(restoring),
+        (SURGE_E, SURGE_E): Minus(damping),
+        (SURGE_N, SURGE_N): Minus(damping),
+    }
+
+
+def _update_with_surge(params: Any, state: Any) -> tuple[Any, Innovation]:
+    """Update with the velocity of the solution, which should be that of the base."""
+    measured = state.nav.ve, state.nav.vn
+    predicted = kalman.propagate(state.belief, _TO_MEASURED)
+    innovation = kalman.innovation(predicted, (VE, VN), measured, params.r)
+    updated = kalman.update(predicted, (VE, VN), measured, params.r)
+    return state._replace(belief=kalman.propagate(updated, _FROM_MEASURED)), innovation

@@ -10,7 +10,7 @@ import numpy as np
 from sinsjax.maths.algebra import Triangle, triangle_index
 from sinsjax.methods import kalman
 from sinsjax.methods.kalman import Belief, normalised
-from sinsjax.methods.triggers.base import (
+from sinsjax.methods.triggers.trigger import (
     AssumedNoise,
     FilterSnapshot,
     Pair,
@@ -166,7 +166,7 @@ def _linearisation(
     honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), noise.r)
     p_star = snapshot.covariance(honest._replace(x=snapshot.belief.x))
     believed = snapshot.covariance(snapshot.belief).uu
-    done, left = snapshot.correction, snapshot.left
+    done, left = snapshot.correction, snapshot.not_fed_back
     known = _counts(done.x, done.y) * (p_star.uu / believed - 1)
     jump = _counts(left.x, left.y)
     jump = jump * p_star.uu * (left.x**2 / p_star.ee + left.y**2 / p_star.nn) / 4

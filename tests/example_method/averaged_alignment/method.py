@@ -9,7 +9,7 @@ from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, scale
 from sinsjax.methods.base import Method, Options, Site, no_covariance
 from sinsjax.methods.coarse import two_vectors
-from sinsjax.methods.limits import unaided
+from sinsjax.methods.floors import unaided
 from sinsjax.methods.parameters import Columns
 from sinsjax.strapdown import mechanisation
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3

@@ -13,7 +13,7 @@ from support.studies import STILL, small_study, with_paper_values
 from sinsjax.engine import build, simulate
 from sinsjax.engine.batch import chunks
 from sinsjax.engine.study_limits import has_floor, hidden_north
-from sinsjax.methods.limits import Biases, mean_attitude, unaided
+from sinsjax.methods.floors import MeanBiases, bias_floor, mean_attitude
 from sinsjax.strapdown import earth
 from sinsjax.strapdown.base_motion import Motion, Sway
 from sinsjax.study.load import study_from_dict
@@ -396,7 +396,7 @@ def test_hidden_north_accounts_for_sway_and_drawn_values() -> None:
 
 def test_bias_floor_is_zero_without_biases() -> None:
     zero = np.zeros(3)
-    none = Biases(Vec3(*zero), Vec3(*zero), np.float64(0.0))
+    none = MeanBiases(Vec3(*zero), Vec3(*zero), np.float64(0.0))
     here = earth.place(earth.wgs84(), 48 * DEG)
-    limit = unaided(here, none)
+    limit = bias_floor(here, none)
     assert (*limit.phi, limit.no_north) == (0.0, 0.0, 0.0, False)

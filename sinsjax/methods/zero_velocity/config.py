@@ -1,14 +1,13 @@
-"""The zero-velocity Kalman filters, as studies know them."""
+"""The zero-velocity Kalman filters as studies know them; their keys are those of every filter."""
 
 from functools import partial
 
 from sinsjax.methods.description import Implementation
-from sinsjax.methods.filters.description import READS, filter_description
+from sinsjax.methods.filters.config import READS, describe_filter
 
 
 def _load(model: str) -> Implementation:
-    from sinsjax.methods.filters.parameters import parameters
-    from sinsjax.methods.filters.relaxed import relaxed
+    from sinsjax.methods.filters.parameters import parameters, relaxed
     from sinsjax.methods.zero_velocity.method import build
     from sinsjax.strapdown.error_model import MODELS
 
@@ -18,7 +17,7 @@ def _load(model: str) -> Implementation:
     )
 
 
-KALMAN5 = filter_description(
+KALMAN5 = describe_filter(
     name="kalman5",
     summary="Kalman filter of velocity and attitude errors, zero velocity measured",
     source="[P1] eq. (1)",
@@ -26,7 +25,7 @@ KALMAN5 = filter_description(
     load=partial(_load, "kalman5"),
 )
 
-KALMAN10 = filter_description(
+KALMAN10 = describe_filter(
     name="kalman10",
     summary="the same with states of gyro and level accelerometer biases",
     source="[P1] eq. (1), biases as states",

@@ -1,11 +1,19 @@
-"""The keys of triggers in [resets], which reset P in addition to the schedule."""
+"""Triggers as studies know them: their list, their keys in [resets], and their result columns.
 
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+Free of JAX.
+"""
 
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
 from pydantic import Field
 
-from sinsjax.methods.description import CheckedStudy, StudyView
-from sinsjax.methods.triggers.description import TRIGGERS
+from sinsjax.columns import Column
+from sinsjax.methods.description import CheckedStudy, OwnColumn, StudyView
 from sinsjax.value_types import (
     ActsWhere,
     Count,
@@ -15,6 +23,45 @@ from sinsjax.value_types import (
     SecondsOrZero,
     Section,
 )
+
+
+@dataclass(frozen=True)
+class TriggerDescription:
+    """A trigger as studies know it.
+
+    Attributes:
+        name: in ``[resets] reset_trigger``; in capitals, the name of its `Trigger` in `scores`.
+        summary: condition of its resets, in half a line.
+        fades: whether it makes P fade instead of resetting it.
+    """
+
+    name: str
+    summary: str
+    fades: bool = False
+
+    @cached_property
+    def trigger(self) -> Any:
+        """The `trigger.Trigger` that computes it; imports JAX."""
+        from sinsjax.methods.triggers import scores
+
+        return getattr(scores, self.name.upper())
+
+
+TRIGGERS: dict[str, TriggerDescription] = {
+    trigger.name: trigger
+    for trigger in (
+        TriggerDescription("innovation", "innovations summed over a window, normalised"),
+        TriggerDescription("nis", "normalised innovation squared of a sample"),
+        TriggerDescription("whiteness", "correlation of innovations over one sample in a window"),
+        TriggerDescription("tilt_drift", "tilt drift about east against what P_UU allows"),
+        TriggerDescription("levelled", "level corrected no faster than heading explains"),
+        TriggerDescription("linearisation", "P_UU below what a linear model can know"),
+        TriggerDescription("strong_tracking", "innovations above their covariance", fades=True),
+        TriggerDescription("fading", "every sample, by the threshold", fades=True),
+    )
+}
+"""All triggers by name; a new one is registered here."""
+
 
 if TYPE_CHECKING:
     TriggerName = str
@@ -102,3 +149,51 @@ class TriggerKeys(Section):
         None,
         description="time after which the trigger does not reset any more, s; default: no limit",
     )
+
+
+def _count(results: Any, rate_hz: float) -> NDArray:
+    counts = results.trigger_counts
+    return np.asarray(0.0 if counts is None else counts.count)
+
+
+def _first_s(results: Any, rate_hz: float) -> NDArray:
+    counts = results.trigger_counts
+    return _time_s(0.0 if counts is None else counts.first, rate_hz)
+
+
+def _last_s(results: Any, rate_hz: float) -> NDArray:
+    counts = results.trigger_counts
+    return _time_s(0.0 if counts is None else counts.last, rate_hz)
+
+
+def _time_s(sample: Any, rate_hz: float) -> NDArray:
+    """Time of a sample, s; NaN for 0, that of no reset."""
+    sample = np.asarray(sample)
+    return np.where(sample > 0, sample / rate_hz, np.nan)
+
+
+TRIGGER_COUNTS = (
+    OwnColumn(
+        Column("triggered_count", pa.int64(), "", "resets that the trigger called for"),
+        _count,
+        0.0,
+        any_trigger,
+    ),
+    OwnColumn(
+        Column("triggered_first_s", pa.float64(), "s", "time of the first of them; null for none"),
+        _first_s,
+        where=any_trigger,
+    ),
+    OwnColumn(
+        Column("triggered_last_s", pa.float64(), "s", "time of the last of them; null for none"),
+        _last_s,
+        where=any_trigger,
+    ),
+)
+"""Result columns of a trigger."""
+
+
+def last_called(results: Any) -> NDArray | None:
+    """Sample of the last reset that a trigger called for, (runs,); 0 for none. None without one."""
+    counts = results.trigger_counts
+    return None if counts is None else np.asarray(counts.last)

@@ -1,4 +1,4 @@
-"""The methods in the inertial frame, as studies know them."""
+"""The methods in the inertial frame as studies know them; they have no keys."""
 
 from functools import partial
 
@@ -11,11 +11,11 @@ from sinsjax.methods.description import (
 )
 
 
-def _load(name: str) -> Implementation:
+def _load(build: str) -> Implementation:
     from sinsjax.methods.inertial_frame import method
 
-    # They have no numbers of their own.
-    return Implementation(getattr(method, name), lambda columns, site, ug: ())
+    # These methods have no params.
+    return Implementation(getattr(method, build), lambda columns, site, ug: ())
 
 
 _NAMES = ("optimisation", "optimisation_position", "inertial")
@@ -43,7 +43,7 @@ def check_coarse(study: CheckedStudy) -> None:
             study.refuse("coarse_method", text)
 
 
-_inertial_frame = partial(
+_describe = partial(
     Description,
     sections={},
     reads=INITIAL_KEYS,
@@ -53,28 +53,28 @@ _inertial_frame = partial(
     rules=(check_passes, check_coarse),
 )
 
-OPTIMISATION = _inertial_frame(
+OPTIMISATION = _describe(
     name="optimisation",
     summary="attitude that takes all integrated velocities closest to gravity's in inertial space",
     source="Wu et al. (2011), Wu and Pan (2013)",
-    load=partial(_load, "optimisation"),
-    has_error_step=True,
+    load=partial(_load, "build_optimisation"),
+    has_error_model=True,
     step_s=3e-9,
     estimate_runs=12.0,
 )
 
-OPTIMISATION_POSITION = _inertial_frame(
+OPTIMISATION_POSITION = _describe(
     name="optimisation_position",
     summary="the same of integrated positions, from an unknown velocity: for a base that surges",
     source="`methods.inertial_frame.least_squares`",
-    load=partial(_load, "optimisation_position"),
+    load=partial(_load, "build_optimisation_position"),
     step_s=4e-9,
 )
 
-INERTIAL = _inertial_frame(
+INERTIAL = _describe(
     name="inertial",
     summary="attitude from two weighted means of the specific force, as coarse alignment does",
     source="weighted TRIAD, see methods.coarse",
-    load=partial(_load, "inertial"),
+    load=partial(_load, "build_inertial"),
     step_s=5e-9,
 )

@@ -1,4 +1,4 @@
-"""Where constant sensor biases leave an aligned attitude, in closed form.
+"""The bias floor: the misalignment that constant sensor biases leave, in closed form.
 
 A method that does not estimate the biases takes the mean specific force for the vertical and the
 horizontal part of the mean angular rate for north. The biases enter in n, averaged over the motion
@@ -19,28 +19,28 @@ from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
 
 
-class Biases(NamedTuple):
+class MeanBiases(NamedTuple):
     """Mean constant biases in n.
 
     Attributes:
         eps: of the gyros, rad/s.
         nabla: of the accelerometers, m/s^2.
-        most: the largest of the accelerometers' in b, m/s^2.
+        largest_nabla: largest accelerometer bias in b, m/s^2.
     """
 
     eps: Vec3
     nabla: Vec3
-    most: Scalar
+    largest_nabla: Scalar
 
 
-class Limit(NamedTuple):
-    """What a run's own biases leave of the misalignment.
+class BiasFloor(NamedTuple):
+    """The misalignment that the constant sensor biases of a run leave.
 
     Attributes:
         phi: rotation vector in n, rad.
         tilt: the most that the accelerometer biases can leave of a level error, max |nabla|/g, rad.
         no_north: whether the level gyro bias exceeds the north component of the Earth rate, so
-            that what the gyros feel points anywhere.
+            that the measured rate may point anywhere.
     """
 
     phi: Vec3
@@ -48,7 +48,7 @@ class Limit(NamedTuple):
     no_north: Flag
 
 
-NO_BIASES = Biases(*(Vec3(*(np.float64(0.0),) * 3),) * 2, np.float64(0.0))
+NO_BIASES = MeanBiases(*(Vec3(*(np.float64(0.0),) * 3),) * 2, np.float64(0.0))
 
 _PHASES = 2 * np.pi * np.arange(64) / 64  # exact to rounding for three amplitudes of 360 deg
 _SIGNS = np.array([-1.0, 0.0, 1.0])
@@ -57,8 +57,8 @@ _FROM_MODES = np.array([[0, 1, 0], [0.5, 0, 0.5], [0.5j, 0, -0.5j]])
 """1, cosine and sine of an angle x from exp(i s x) for the `_SIGNS` s."""
 
 
-def mean_biases(errors: SensorErrors, motion: Motion) -> Biases:
-    """Constant biases turned to n, averaged over whole periods of the motion.
+def mean_biases(errors: SensorErrors, motion: Motion) -> MeanBiases:
+    """Return constant biases in n, averaged over whole periods of the motion.
 
     Args:
         errors: of the sensors, biases ``(..., 3)``.
@@ -71,11 +71,11 @@ def mean_biases(errors: SensorErrors, motion: Motion) -> Biases:
     turned = mean_attitude(motion)
     in_n = [(turned @ b[..., None])[..., 0] for b in (errors.gyro_bias, errors.accel_bias)]
     eps, nabla = (Vec3(b[..., 0], b[..., 1], b[..., 2]) for b in in_n)
-    return Biases(eps, nabla, abs(errors.accel_bias).max(-1))
+    return MeanBiases(eps, nabla, abs(errors.accel_bias).max(-1))
 
 
 def mean_attitude(motion: Motion) -> Array:
-    """Mean of C_b^n over the motion, ``(..., 3, 3)``, see `mean_biases`."""
+    """Return the mean of C_b^n over the motion, ``(..., 3, 3)``, see `mean_biases`."""
     xp: Any = jnp if any(isinstance(a, jax.Array) for a in jax.tree.leaves(motion)) else np
     periods = [sway.period for sway in motion.angles]
     # Angles of one period share the phase of the first that has it.
@@ -121,8 +121,8 @@ def _along(axis: int) -> np.ndarray:
     return _SIGNS.reshape(shape)
 
 
-def unaided(place: Place, biases: Biases, heading: Scalar = 0.0) -> Limit:
-    """The bias floor of a method that takes the biases for what the Earth does.
+def bias_floor(place: Place, biases: MeanBiases, heading: Scalar = 0.0) -> BiasFloor:
+    """Return the bias floor of a method that attributes the effect of the biases to the Earth.
 
     phi_E = -nabla_N/g, phi_N = nabla_E/g and, the mean rate being felt across the tilted vertical,
     phi_U = -atan2(eps_E, omega_N + eps_N) + (nabla_E/g) tan L to first order in the tilt.
@@ -134,9 +134,9 @@ def unaided(place: Place, biases: Biases, heading: Scalar = 0.0) -> Limit:
     Args:
         place: Earth rates and gravity, of a forward pass.
         biases: mean biases in n.
-        heading: what the method adds to phi_U, rad.
+        heading: additional phi_U of the method, rad.
     """
-    eps, nabla, most = biases
+    eps, nabla, largest_nabla = biases
     tilt = Vec3(-nabla.y / place.gravity, nabla.x / place.gravity, jnp.zeros_like(nabla.x))
     up = place.rate_u + eps.z
     east, north = eps.x - up * tilt.y, place.rate_n + eps.y + up * tilt.x
@@ -144,5 +144,5 @@ def unaided(place: Place, biases: Biases, heading: Scalar = 0.0) -> Limit:
     zero = jnp.zeros_like(turn)
     true = Quat(zero + 1, zero, zero, zero)
     settled = misalign(Vec3(zero, zero, turn), misalign(tilt, true))
-    most_tilt = most / place.gravity
-    return Limit(misalignment(true, settled), most_tilt, eps.x**2 + eps.y**2 > place.rate_n**2)
+    tilt_bound = largest_nabla / place.gravity
+    return BiasFloor(misalignment(true, settled), tilt_bound, eps.x**2 + eps.y**2 > place.rate_n**2)

@@ -1,20 +1,19 @@
-"""The right-invariant filter, as studies know it."""
+"""The right-invariant filter as studies know it; its keys are those of every filter."""
 
 from functools import partial
 
 from sinsjax.methods.description import Implementation
-from sinsjax.methods.filters.description import filter_description
+from sinsjax.methods.filters.config import describe_filter
 
 
 def _load() -> Implementation:
-    from sinsjax.methods.filters.parameters import parameters
-    from sinsjax.methods.filters.relaxed import relaxed
+    from sinsjax.methods.filters.parameters import parameters, relaxed
     from sinsjax.methods.invariant.method import STATES, build
 
     return Implementation(build, partial(parameters, STATES), relaxed=relaxed(STATES))
 
 
-INVARIANT = filter_description(
+INVARIANT = describe_filter(
     name="invariant",
     summary="right-invariant Kalman filter of a base at rest, fed back by the group",
     source="Barrau and Bonnabel (2017)",

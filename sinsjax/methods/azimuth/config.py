@@ -1,0 +1,71 @@
+"""The filters with a large azimuth as studies know them: [azimuth], params, descriptions."""
+
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from sinsjax.methods.description import Implementation
+from sinsjax.methods.filters.config import describe_filter
+from sinsjax.methods.filters.section import FilterSection, ResetsSection
+from sinsjax.methods.parameters import Columns
+from sinsjax.value_types import Section
+
+SIGMA_POINT_ALPHA = 0.5
+"""Spread of the unscented filter's sigma points: alpha sqrt(5) standard deviations."""
+
+
+class AzimuthSection(Section):
+    """[azimuth]: feedback of the filters whose model is nonlinear in the azimuth."""
+
+    azimuth_feedback: Literal["vector", "angles"] = Field(
+        "vector",
+        description="form in which the estimated attitude error is fed back. 'vector': rotation"
+        " by the azimuth error and the shortest rotation of the vertical. 'angles': rotation by"
+        " three small angles",
+    )
+
+
+def parameters(columns: Columns, site: Any, ug: float) -> Any:
+    """Return the params of these filters, leaves (variants,); see `filters.parameters`."""
+    from sinsjax.methods.azimuth.method import STATES, AzimuthParams
+    from sinsjax.methods.filters.parameters import parameters as filter_parameters
+
+    by_angles = columns.each(lambda form: float(form == "angles"), "azimuth_feedback")
+    alpha = np.full(columns.count, SIGMA_POINT_ALPHA)
+    params = filter_parameters(STATES, columns, site, ug)
+    return params._replace(extra=AzimuthParams(by_angles, alpha))
+
+
+def _load(prediction: str) -> Implementation:
+    from sinsjax.methods.azimuth import method
+    from sinsjax.methods.filters.parameters import relaxed
+
+    build = partial(method.build, getattr(method, prediction))
+    return Implementation(build, parameters, relaxed=relaxed(method.STATES))
+
+
+_SECTIONS: dict[str, type[Section]] = {
+    "filter": FilterSection,
+    "resets": ResetsSection,
+    "azimuth": AzimuthSection,
+}
+
+EKF_AZIMUTH = describe_filter(
+    name="ekf_azimuth",
+    summary="extended Kalman filter, its model nonlinear in the azimuth",
+    source="after Yan, Strapdown Inertial Navigation, eq. (4-23)",
+    sections=_SECTIONS,
+    load=partial(_load, "predict_linearised"),
+    step_s=25e-9,
+)
+
+UNSCENTED = describe_filter(
+    name="unscented",
+    summary="the same model with an unscented transform",
+    source="Julier (2002); Wan and van der Merwe (2000)",
+    sections=_SECTIONS,
+    load=partial(_load, "predict_unscented"),
+    step_s=60e-9,
+)

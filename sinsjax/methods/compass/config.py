@@ -1,0 +1,382 @@
+"""Compass alignment as studies know it: [compass], params of the loops, description."""
+
+import math
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from sinsjax.errors import InputError
+from sinsjax.methods.compass import design as loops
+from sinsjax.methods.compass.design import AzimuthGains, LevelGains
+from sinsjax.methods.description import INITIAL_KEYS, CheckedStudy, Description, Implementation
+from sinsjax.methods.parameters import Columns, in_samples
+from sinsjax.value_types import (
+    ActsWhere,
+    Bandwidth,
+    Count,
+    Damping,
+    Factors,
+    Finite,
+    KeyInfo,
+    PassNumbers,
+    Seconds,
+    SecondsOrZero,
+    Section,
+    Times,
+)
+
+_DAMPING = 0.5**0.5
+_ADJUSTMENTS = ("level_adjustment_s", "azimuth_adjustment_s")
+
+
+def _are_designed(gains: tuple[float, ...] | None) -> bool:
+    return gains is None
+
+
+def _any_given(*times_s: float | None) -> bool:
+    return any(time is not None for time in times_s)
+
+
+def _settles(reading: str, *times_s: float | None) -> bool:
+    return reading == "settling" and _any_given(*times_s)
+
+
+class CompassSection(Section):
+    """[compass]: levelling and azimuth loops of method 'compass', and the times of their gains."""
+
+    exclusive = (
+        ("level_gains", "level_sigma_per_s"),
+        ("level_gains", "level_adjustment_s"),
+        ("level_adjustment_s", "level_sigma_per_s"),
+        ("level_passes", "level_time_s"),
+        ("azimuth_gains", "azimuth_sigma_per_s"),
+        ("azimuth_gains", "azimuth_adjustment_s"),
+        ("azimuth_adjustment_s", "azimuth_sigma_per_s"),
+        ("sigma_passes", "sigma_times_s"),
+    )
+    conditions = (
+        ActsWhere(("level_damping",), ("level_gains",), _are_designed, refused=True),
+        ActsWhere(("azimuth_damping",), ("azimuth_gains",), _are_designed, refused=True),
+        ActsWhere(("adjustment_reading",), _ADJUSTMENTS, _any_given),
+        ActsWhere(("adjustment_remainder",), ("adjustment_reading", *_ADJUSTMENTS), _settles),
+    )
+
+    level_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.02)] = Field(
+        None, description="decay rate sigma of the levelling loop, 1/s; default 0.02"
+    )
+    level_adjustment_s: Seconds | None = Field(
+        None,
+        description="adjustment time of the levelling loop, s, defined by adjustment_reading; an"
+        " alternative to its sigma",
+    )
+    level_gains: Annotated[tuple[Finite, Finite, Finite], KeyInfo(usual=(-1e11, 1e11))] | None = (
+        Field(
+            None,
+            description="gains of the levelling loop, an alternative to its sigma: K1 of the"
+            " velocity damping in 1/s, K2 of the platform rate in units of the transport rate, K3"
+            " of the velocity integral in rad/(m s)",
+        )
+    )
+    level_damping: Damping = Field(_DAMPING, description="damping ratio of the levelling loop")
+    level_time_s: Annotated[SecondsOrZero | None, KeyInfo(default=150.0, time="s")] = Field(
+        None,
+        description="time of levelling in both channels before the azimuth loop starts, s;"
+        " default 150",
+    )
+    level_passes: Annotated[Annotated[Count, Field(ge=1)] | None, KeyInfo(time="pass")] = Field(
+        None,
+        description="time of levelling as a number of passes over the stored record; an"
+        " alternative to level_time_s",
+    )
+    azimuth_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.01)] = Field(
+        None, description="decay rate sigma of the azimuth loop, 1/s; default 0.01"
+    )
+    azimuth_adjustment_s: Seconds | None = Field(
+        None,
+        description="adjustment time of the azimuth loop, s, defined by adjustment_reading; an"
+        " alternative to its sigma",
+    )
+    azimuth_gains: (
+        Annotated[tuple[Finite, Finite, Finite, Finite], KeyInfo(usual=(-1e11, 1e11))] | None
+    ) = Field(
+        None,
+        description="gains of the azimuth loop, an alternative to its sigma: K1 of the velocity"
+        " damping in 1/s, K2 of the platform rate in units of the transport rate, K3 in 1/(m s^2)"
+        " and K4 in 1/s of the azimuth control K3 / (omega_N (s + K4))",
+    )
+    azimuth_damping: Damping = Field(_DAMPING, description="damping ratio of the azimuth loop")
+    adjustment_reading: Literal["period", "settling"] = Field(
+        "period",
+        description="definition of an adjustment time. 'period': one period of the damped"
+        " oscillation. 'settling': the time in which exp(-sigma t) falls to adjustment_remainder",
+    )
+    adjustment_remainder: Annotated[float, Field(gt=0, lt=1)] = Field(
+        0.05,
+        description="value of exp(-sigma t) after an adjustment time; only with"
+        " adjustment_reading = 'settling'",
+    )
+    sigma_factors: Factors = Field(
+        (1.0,),
+        description="factors on the sigma of the azimuth loop in successive intervals of a run,"
+        " the first from its start",
+    )
+    sigma_times_s: Annotated[Times | None, KeyInfo(whole="sample", time="s")] = Field(
+        None,
+        description="update times at which the second and later intervals of sigma_factors start,"
+        " s",
+    )
+    sigma_passes: Annotated[PassNumbers | None, KeyInfo(time="pass")] = Field(
+        None,
+        description="numbers of completed passes after which the second and later intervals of"
+        " sigma_factors start; an alternative to sigma_times_s",
+    )
+    allow_unstable: bool = Field(
+        False,
+        description="whether loops are run that are unstable, or too fast for the sample time",
+    )
+
+
+def check_sigma_factors(study: CheckedStudy) -> None:
+    """Refuse sigma factors without as many times, and numbers of passes without a stored record."""
+    if not study.has("compass"):
+        return
+    for point in study.combinations("sigma_factors", "sigma_times_s", "sigma_passes"):
+        factors = point["sigma_factors"]
+        key = "sigma_passes" if point["sigma_passes"] is not None else "sigma_times_s"
+        if len(point[key] or ()) != len(factors) - 1:
+            text = f"needs {len(factors) - 1} entries for {len(factors)} sigma_factors"
+            study.refuse(key, f"{text}, not {len(point[key] or ())}")
+    for key in ("level_passes", "sigma_passes"):
+        if all(point[key] is None for point in study.combinations(key)):
+            continue
+        if not study.has("passes") or any(
+            p["stored_s"] is None for p in study.combinations("stored_s")
+        ):
+            study.refuse(key, "needs passes over a stored record (give [passes] stored_s)")
+
+
+REVERSALS = {
+    # see `method.Reversal`: velocity, integral, rate, reflection
+    "reflect": (-1.0, -1.0, 1.0, 1.0),
+    "velocity": (-1.0, -1.0, 1.0, 0.0),
+    "velocity_and_rate": (-1.0, -1.0, -1.0, 0.0),
+    "velocity_drop_rate": (-1.0, -1.0, 0.0, 0.0),
+    "restart": (0.0, 0.0, 0.0, 0.0),
+    "keep": (1.0, -1.0, 1.0, 0.0),
+}
+"""Factors on the loops' state at a direction reversal by the names of ``turn``.
+
+``velocity``, that of [P2], negates the velocity and leaves azimuth rate and tilt, which a reversed
+Earth rate turns against the loop; ``velocity_and_rate`` also negates the azimuth rate,
+``velocity_drop_rate`` sets it to zero. ``reflect`` negates velocity and tilt, so that the next pass
+continues where this one stopped. ``restart`` keeps the attitude alone, ``keep`` changes nothing but
+the levelling integrals, which all others negate, too, except ``restart``.
+"""
+
+
+def parameters(columns: Columns, site: Any, ug: float) -> Any:
+    """Return the params of the loops, leaves (variants,).
+
+    Args:
+        columns: keys of variants with this method.
+        site: Earth and place.
+        ug: micro-g in m/s^2, which the loops do not need.
+    """
+    from sinsjax.methods.compass.method import LoopParams, Reversal
+    from sinsjax.methods.schedules import PiecewiseConstant
+
+    rate = columns.rate_hz
+    passes = columns.has("passes")
+    stored = ("stored_s",) if passes else ()
+
+    def level_s(
+        time: float | None, number: int | None, stored_s: float | None = None
+    ) -> float | None:
+        return time if number is None else number * (stored_s or math.nan)
+
+    def change_times_s(
+        times: tuple[float, ...] | None,
+        numbers: tuple[int, ...] | None,
+        stored_s: float | None = None,
+    ) -> tuple[float, ...]:
+        return (
+            times or () if numbers is None else tuple(n * (stored_s or math.nan) for n in numbers)
+        )
+
+    level_gains, azimuth_gains = gains(columns, site)
+    smoothing = columns.column("turn_smoothing_s") if passes else np.ones(columns.count)
+    turn = (
+        columns.each(REVERSALS.__getitem__, "turn").T
+        if passes
+        else np.tile(np.reshape(REVERSALS["keep"], (-1, 1)), columns.count)
+    )
+    return LoopParams(
+        level=level_gains,
+        azimuth=azimuth_gains,
+        pace=PiecewiseConstant(
+            in_samples(columns, change_times_s, "sigma_times_s", "sigma_passes", *stored),
+            columns.lists(list, "sigma_factors", rest=1.0),
+        ),
+        azimuth_from=np.round(
+            columns.each(level_s, "level_time_s", "level_passes", *stored) * rate
+        ),
+        smoothing=-np.expm1(-2 / (rate * smoothing)),  # two stages share the delay
+        turn=Reversal(*turn),
+    )
+
+
+def gains(columns: Columns, site: Any) -> tuple[LevelGains, AzimuthGains]:
+    """Return the gains of the loops: as given, or designed from sigma or adjustment time, damping.
+
+    They are designed for the north channel; on an ellipsoid the east one differs in its K2 by some
+    0.1 %.
+    """
+    earth = earth_numbers(site)
+    level = loops.level_gains(*_sigma_and_damping(columns, "level"), **earth)
+    azimuth = loops.azimuth_gains(*_sigma_and_damping(columns, "azimuth"), **earth)
+    return _replace_given(columns, "level_gains", level), _replace_given(
+        columns, "azimuth_gains", azimuth
+    )
+
+
+def check(columns: Columns, site: Any) -> None:
+    """Refuse compass loops that are unstable, or too fast for the sample time.
+
+    Args:
+        columns: keys of variants with this method and one site.
+        site: Earth and place.
+
+    Raises:
+        InputError: names the roots; not if ``allow_unstable`` is set.
+    """
+    refused = ~columns.each(bool, "allow_unstable", dtype=bool)
+    earth = earth_numbers(site)
+    fastest = columns.each(max, "sigma_factors")
+    with np.errstate(over="ignore", invalid="ignore"):
+        level, azimuth = gains(columns, site)
+        azimuth = loops.at_pace(azimuth, fastest)
+    for loop, found in (("level", level), ("azimuth", azimuth)):
+        for row in np.flatnonzero(~np.isfinite(np.stack(found)).all(axis=0)):
+            raise _unusable_loop(columns, loop, int(row), "gives a gain that is no finite number")
+    dt = 1 / columns.rate_hz
+    rate_n = float(site.place.rate_n)
+    for loop, polynomial, matrix in (
+        (
+            "level",
+            loops.level_polynomial(level, **earth),
+            loops.level_matrix(level, **earth),
+        ),
+        (
+            "azimuth",
+            loops.azimuth_polynomial(azimuth, **earth),
+            loops.azimuth_matrix(azimuth, rate_n=rate_n, **earth),
+        ),
+    ):
+        roots = loops.roots(polynomial)
+        unstable = roots.real.max(axis=-1) >= 0
+        for row in np.flatnonzero(refused & (unstable | ~loops.is_stable(matrix, dt))):
+            what = (
+                "makes an unstable loop"
+                if unstable[row]
+                else f"makes a loop that a sample of {dt:g} s cannot carry"
+            )
+            text = f"{what}, its roots are {_format_roots(roots[row])} 1/s"
+            raise _unusable_loop(columns, loop, int(row), f"{text} (allow_unstable = true runs it)")
+
+
+def _unusable_loop(columns: Columns, loop: str, row: int, text: str) -> InputError:
+    """Return the error of a variant's loop, naming the key that sets its gains, and the value."""
+    keys = [f"{loop}_{kind}" for kind in ("gains", "adjustment_s", "sigma_per_s")]
+    key, value = next((k, v) for k in keys if (v := columns.value(k, row)) is not None)
+    shown = list(value) if isinstance(value, tuple) else f"{value:g}"
+    factor = max(columns.value("sigma_factors", row))
+    if loop == "azimuth" and factor != 1:
+        shown = f"{shown} with a sigma factor of {factor:g}"
+    return columns.refused(key, f"{shown} {text}")
+
+
+def earth_numbers(site: Any) -> dict[str, Any]:
+    """Return gravity and radius, the arguments of `compass.design`."""
+    return {"gravity": float(site.place.gravity), "radius": float(1 / site.place.curvature_n)}
+
+
+def _format_roots(found: np.ndarray) -> str:
+    ordered = sorted(found, key=lambda r: (-round(r.real, 9), r.imag))
+    return ", ".join(f"{r.real + 0.0:.4g}{f'{r.imag:+.4g}j' if r.imag else ''}" for r in ordered)
+
+
+def _replace_given(columns: Columns, key: str, designed: Any) -> Any:
+    """Return designed gains, replaced for variants that give gains."""
+    rows, count = np.stack(designed, axis=-1), len(designed)
+    given = columns.each(lambda v: [math.nan] * count if v is None else v, key)
+    return type(designed)(*np.where(np.isnan(given), rows, given).T)
+
+
+def _sigma_and_damping(columns: Columns, loop: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return sigma (1/s) and damping of a loop; sigma is arbitrary if a variant gives gains."""
+
+    def sigma_of(
+        given: float | None, time: float | None, damping: float, reading: str, remainder: float
+    ) -> float:
+        if given is not None:
+            return given
+        if time is None:
+            return 1.0
+        if reading == "period":
+            return loops.sigma_of_period(time, damping)
+        return loops.sigma_of_settling(time, remainder)
+
+    keys = (f"{loop}_sigma_per_s", f"{loop}_adjustment_s", f"{loop}_damping")
+    sigmas = columns.each(sigma_of, *keys, "adjustment_reading", "adjustment_remainder")
+    return sigmas, columns.column(f"{loop}_damping")
+
+
+def _change_pace(params: Any, entry: int | None, value: Any, base: Any) -> Any:
+    values = params.pace.values.at[entry].multiply(value / base)
+    return params._replace(pace=params.pace._replace(values=values))
+
+
+def _change_azimuth_sigma(params: Any, _: int | None, value: Any, base: Any) -> Any:
+    return params._replace(azimuth=loops.at_pace(params.azimuth, value / base))
+
+
+def _change_level_sigma(params: Any, _: int | None, value: Any, base: Any) -> Any:
+    return params._replace(level=loops.level_at_pace(params.level, value / base))
+
+
+def _change_smoothing(params: Any, _: int | None, value: Any, base: Any) -> Any:
+    import jax.numpy as jnp
+
+    share = -jnp.expm1(jnp.log1p(-params.smoothing) * base / value)
+    return params._replace(smoothing=share)
+
+
+_CHANGES: dict[str, Any] = {
+    "sigma_factors": _change_pace,
+    "azimuth_sigma_per_s": _change_azimuth_sigma,
+    "level_sigma_per_s": _change_level_sigma,
+    "turn_smoothing_s": _change_smoothing,
+}
+
+
+def _load() -> Implementation:
+    from sinsjax.methods.base import Relaxed
+    from sinsjax.methods.compass.method import build
+
+    return Implementation(build, parameters, check, Relaxed(_CHANGES))
+
+
+COMPASS = Description(
+    name="compass",
+    summary="gyrocompass loops: levelling of third order, azimuth of fourth",
+    source="[P2] section 2.1",
+    sections={"compass": CompassSection},
+    reads=(*INITIAL_KEYS, "turn", "turn_smoothing_s"),
+    load=_load,
+    has_covariance=False,
+    has_error_model=True,
+    rules=(check_sigma_factors,),
+    step_s=5e-9,
+    estimate_runs=7.5,
+)

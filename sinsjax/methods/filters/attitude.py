@@ -1,0 +1,109 @@
+"""The attitude in a filter's states: as misalignment phi, or as azimuth and tilt.
+
+phi is the third to the fifth state of [P1] eq. (3). Azimuth a and tilt are C_{n'}^n = Rz(a) e for
+any azimuth and a tilt of any size; e is the shortest rotation of the true vertical, seen in n' as
+(-t_N, t_E, u_z), to z.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from sinsjax.maths import rotations
+from sinsjax.maths.algebra import Entries, Minus, scale, triangle_index
+from sinsjax.methods.base import AttitudeCovariance, StartChange
+from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN
+from sinsjax.types import Quat, Scalar, Vec3
+
+_ANGLES = (PHI_E, PHI_N, PHI_U)
+
+
+def estimated_misalignment(state: Any) -> Vec3:
+    """Return the estimated rotation vector, rad: `Filter.misalignment`."""
+    return Vec3(*(state.belief.x[i] for i in _ANGLES))
+
+
+def misalignment_inputs(state: Any) -> Entries:
+    """Return `Filter.inputs`: velocity increments add to velocity, angles subtract from phi."""
+    turned = {(i, 3 + k): Minus(1.0) for k, i in enumerate(_ANGLES)}
+    return {(VE, 0): 1.0, (VN, 1): 1.0, **turned}
+
+
+def misalignment_start_error(state: Any, change: StartChange) -> tuple[Scalar, ...]:
+    """Return `Filter.start_error`: the change itself; bias estimates start from zero anyway."""
+    others = state.belief.x[PHI_U + 1 :]
+    zeros = (jnp.zeros_like(change.ve),) * len(others)
+    return (change.ve, change.vn, *change.phi, *zeros)
+
+
+def corrected_attitude(state: Any) -> Quat:
+    """Return exp(phi x) C: `Filter.attitude`."""
+    return rotations.correct(estimated_misalignment(state), state.nav.q)
+
+
+def misalignment_covariance(state: Any) -> AttitudeCovariance:
+    """Return the covariance of phi, rad^2: `Filter.covariance`."""
+    at = triangle_index(len(state.belief.x))
+    return AttitudeCovariance(
+        *(state.belief.p[at[i, j]] for i in _ANGLES for j in _ANGLES if i <= j)
+    )
+
+
+def shortest_rotation(tilt_e: Scalar, tilt_n: Scalar) -> Quat:
+    """Return e of a tilt: the shortest rotation of (-t_N, t_E, u_z) to z."""
+    u_z = jnp.sqrt(jnp.maximum(1 - tilt_e * tilt_e - tilt_n * tilt_n, 0.0))
+    w = jnp.sqrt((1 + u_z) / 2)
+    return Quat(w, tilt_e / (2 * w), tilt_n / (2 * w), jnp.zeros_like(w))
+
+
+def rotation_about_vertical(sine: Scalar, cosine: Scalar) -> Quat:
+    """Return Rz(a) for the angle with this sine and cosine."""
+    ahead = cosine >= 0
+    # The larger of cos(a/2) and |sin(a/2)| by a root, the other from sin a.
+    larger = jnp.sqrt((1 + jnp.abs(cosine)) / 2)
+    smaller = jnp.abs(sine) / (2 * larger)
+    side = jnp.where(sine < 0, -1.0, 1.0)
+    zero = jnp.zeros_like(sine)
+    return Quat(
+        jnp.where(ahead, larger, smaller), zero, zero, side * jnp.where(ahead, smaller, larger)
+    )
+
+
+def rotation_from_tilt(tilt_e: Scalar, tilt_n: Scalar, sine: Scalar, cosine: Scalar) -> Quat:
+    """Return Rz(a) e of a tilt and the sine and cosine of an azimuth."""
+    return rotations.multiply(
+        rotation_about_vertical(sine, cosine), shortest_rotation(tilt_e, tilt_n)
+    )
+
+
+def tilt_and_azimuth(q: Quat) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """Return tilt east and north, rad, and sine and cosine of the azimuth of q = Rz(a) e."""
+    vertical = rotations.matrix(q)[2]
+    tilt_e, tilt_n = vertical.y, -vertical.x
+    about = rotations.multiply(q, rotations.conjugate(shortest_rotation(tilt_e, tilt_n)))
+    return tilt_e, tilt_n, 2 * about.w * about.z, about.w * about.w - about.z * about.z
+
+
+def tilt_and_azimuth_change(change: StartChange) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """Return the change of the four numbers of `tilt_and_azimuth`, to first order."""
+    q, half = change.attitude, scale(0.5, change.phi)
+    rate = rotations.multiply(q, Quat(jnp.zeros_like(half.x), *half))
+    _, changes = jax.jvp(tilt_and_azimuth, (q,), (rate,))
+    return changes
+
+
+def rotate_covariance(
+    covariance: AttitudeCovariance, sine: Scalar, cosine: Scalar
+) -> AttitudeCovariance:
+    """Return the covariance of the misalignment in n from that of tilt (in n') and azimuth."""
+    ee, en, eu, nn, nu, uu = covariance
+    c, s = cosine, sine
+    return AttitudeCovariance(
+        ee=c * c * ee - 2 * c * s * en + s * s * nn,
+        en=c * s * (ee - nn) + (c * c - s * s) * en,
+        eu=c * eu - s * nu,
+        nn=s * s * ee + 2 * c * s * en + c * c * nn,
+        nu=s * eu + c * nu,
+        uu=uu,
+    )

@@ -1,0 +1,426 @@
+"""A Kalman filter in closed loop: from the stages of a `Filter` to its `Method`.
+
+The order within a sample is that of [P1]: mechanise and propagate, add the process noise, update
+with the measured velocity; then, if they are due, feed the estimate back and reset P. Schedules of
+feedback and resets, triggers, direction reversals and the sum of innovations are the same for every
+filter, whatever its states.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from sinsjax.maths import rotations
+from sinsjax.maths.algebra import Entries, Triangle, add, change_signs
+from sinsjax.methods import floors, kalman
+from sinsjax.methods.base import (
+    AttitudeCovariance,
+    ErrorModel,
+    ErrorStep,
+    Feedback,
+    FilterResults,
+    InnovationSum,
+    Method,
+    Options,
+    Passes,
+    RunEnd,
+    Site,
+    StartChange,
+)
+from sinsjax.methods.floors import BiasFloor, MeanBiases
+from sinsjax.methods.kalman import Belief, Innovation
+from sinsjax.methods.schedules import (
+    CovarianceReset,
+    Due,
+    FeedbackSchedule,
+    Resets,
+    Windows,
+    mix,
+    next_due,
+    next_feedback,
+    reset_due,
+    reset_if_due,
+)
+from sinsjax.methods.triggers import trigger as triggers
+from sinsjax.methods.triggers.config import TRIGGERS
+from sinsjax.methods.triggers.trigger import Trigger
+from sinsjax.strapdown import earth, mechanisation
+from sinsjax.strapdown.earth import Place
+from sinsjax.strapdown.error_model import VE, VN
+from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
+
+
+class FilterParams(NamedTuple):
+    """Numbers of a filter: its belief and its schedules.
+
+    Attributes:
+        p0: initial variances of the states, SI squared.
+        q: variances added to the states each sample, SI squared.
+        r: variance of each velocity measurement, (m/s)^2.
+        feedback: when and how much is fed back.
+        resets: when and how P is reset.
+        reset_to: variances that a full reset sets, SI squared.
+        turn: effect of a direction reversal on P.
+        trigger: `triggers.trigger.TriggerParams`; None without a trigger.
+        extra: numbers of this filter alone; None of a filter without.
+    """
+
+    p0: tuple[Scalar, ...]
+    q: tuple[Scalar, ...]
+    r: Scalar
+    feedback: FeedbackSchedule
+    resets: Resets | Windows
+    reset_to: tuple[Scalar, ...]
+    turn: CovarianceReset
+    trigger: Any = None
+    extra: Any = None
+
+
+class FilterState(NamedTuple):
+    """A filter between two samples.
+
+    Attributes:
+        nav: navigation solution.
+        belief: estimated errors of ``nav`` and of the sensors, with covariance.
+        bias: sensor biases fed back so far, one per bias state, SI.
+        feedback_at: sample of the next feedback.
+        trigger_state: `triggers.trigger.TriggerState`; None without a trigger.
+        innovations: their sum so far; None if they are not summed.
+        extra: state of this filter alone; None of a filter without.
+    """
+
+    nav: Navigation
+    belief: Belief
+    bias: tuple[Scalar, ...]
+    feedback_at: Scalar
+    trigger_state: Any = None
+    innovations: InnovationSum | None = None
+    extra: Any = None
+
+
+class Filter(NamedTuple):
+    """The stages of a filter that measures the velocity of a base that does not travel.
+
+    Its params have the fields of `FilterParams`, its state those of `FilterState`; both may have
+    more. Its first two states are the velocity errors.
+
+    Attributes:
+        dt: sample time, s.
+        init: (params, navigation) -> state.
+        propagate: (params, site, state, sample) -> state at the end of the sample, mechanised, with
+            the belief propagated but the process noise not yet added; and the transition of its
+            errors, the non-zero entries of A dt.
+        update: (params, state) -> state after the update with the velocity, and the `Innovation`.
+        feed_back: (state, share) -> state with that share of its estimate moved into the
+            navigation solution, and the correction of its attitude, rad.
+        reset: (covariance reset, P, variances) -> P.
+        reverse: state -> state with which the record is read in the other direction.
+        place: (site, navigation) -> Earth there.
+        at_rest: (state, place) -> transition of a base at rest, with specific force (0, 0, g).
+        misalignment: state -> estimated misalignment that is not fed back yet, rad.
+        attitude: state -> best attitude.
+        covariance: state -> covariance of that attitude.
+        inputs: state -> `ErrorStep.inputs`.
+        start_error: see `ErrorModel.start`; None of a filter without an error model.
+        extra_results: (site, state) -> `FilterResults.extra`; None of a filter without.
+        shares_covariance: see `Method.shares_covariance`.
+        keep: (first state of a record, state at its end) -> the first with all that is no error of
+            the navigation solution; None of a filter that keeps nothing.
+        gyro_bias: see `Passes.gyro_bias`.
+    """
+
+    dt: float
+    init: Callable[[Any, Navigation], Any]
+    propagate: Callable[[Any, Site, Any, Sample], tuple[Any, Entries]]
+    update: Callable[[Any, Any], tuple[Any, Innovation]]
+    feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]]
+    reset: Callable[[CovarianceReset, Triangle, tuple[Scalar, ...]], Triangle]
+    reverse: Callable[[Any], Any]
+    place: Callable[[Site, Navigation], Place]
+    at_rest: Callable[[Any, Place], Entries]
+    misalignment: Callable[[Any], Vec3]
+    attitude: Callable[[Any], Quat]
+    covariance: Callable[[Any], AttitudeCovariance]
+    inputs: Callable[[Any], Entries]
+    start_error: Callable[[Any, StartChange], tuple[Scalar, ...]] | None
+    extra_results: Callable[[Site, Any], Any] | None = None
+    shares_covariance: bool = False
+    keep: Callable[[Any, Any], Any] | None = None
+    gyro_bias: Callable[[Any], Vec3] | None = None
+
+
+def closed_loop(filter_: Filter, options: Options) -> Method:
+    """Return the method of a filter that feeds back and resets P on schedule or by a trigger."""
+    if options.innovations:
+        filter_ = sum_innovations(filter_)
+    trigger = None if options.trigger == "none" else TRIGGERS[options.trigger].trigger
+    loop = _ClosedLoop(filter_, trigger)
+    return Method(
+        init=loop.init,
+        step=loop.step,
+        attitude=filter_.attitude,
+        covariance=filter_.covariance,
+        normalise=_normalise,
+        floor=_bias_floor,
+        results=loop.results,
+        shares_covariance=filter_.shares_covariance and trigger is None,
+        feedback=Feedback(
+            close=loop.close,
+            next_event=_next_event,
+            called=_fired if trigger is not None and trigger.look else None,
+        ),
+        passes=Passes(
+            turn=loop.turn,
+            rewind=loop.rewind,
+            begin_after=_begin_after,
+            gyro_bias=filter_.gyro_bias,
+        ),
+        error_model=None
+        if filter_.start_error is None
+        else ErrorModel(loop.error_step, loop.error_angles, filter_.start_error),
+    )
+
+
+class _ClosedLoop(NamedTuple):
+    """A filter in closed loop, and the trigger that resets it in addition to the schedule."""
+
+    filter: Filter
+    trigger: Trigger | None
+
+    def init(self, params: Any, nav: Navigation) -> Any:
+        state = self.filter.init(params, nav)
+        if self.trigger is None:
+            return state
+        started = triggers.start(self.trigger, params.trigger, state.belief.p)
+        return state._replace(trigger_state=started)
+
+    def step(self, params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
+        before = state
+        state, _ = self.filter.propagate(params, site, state, sample)
+        if self.trigger is not None:
+            state = triggers.fade(self.trigger, params, state)
+        state, innovation = self.filter.update(params, add_process_noise(params, state))
+        if self.trigger is not None:
+            state = self._watch(params, site, before, state, innovation, n)
+        return state
+
+    def close(self, params: Any, state: Any, n: Scalar) -> Any:
+        due = due_on_schedule(params, state, n)
+        if self.trigger is not None:
+            due = due._replace(reset=due.reset | _fired(state, n))
+        closed, correction = self._feed_back_and_reset(params, state, due, n)
+        if self.trigger is not None:
+            closed = triggers.after_closing(
+                self.trigger, params, closed, reset=due.reset, correction=correction, n=n
+            )
+        return _where_due(due, closed, state)
+
+    def turn(self, params: Any, site: Site, state: Any) -> Any:
+        # x stays even if P is reset: its part of the attitude is the filter's best either way.
+        state = self.filter.reverse(state)
+        p = self.filter.reset(params.turn, state.belief.p, params.p0)
+        return self._begin_pass(params, state._replace(belief=state.belief._replace(p=p)))
+
+    def rewind(self, params: Any, nav: Navigation, state: Any) -> Any:
+        # All knowledge of the solution's errors is in the solution; P is that of a start.
+        first = self.filter.init(params, nav)
+        kept = first if self.filter.keep is None else self.filter.keep(first, state)
+        kept = kept._replace(
+            feedback_at=state.feedback_at,
+            innovations=state.innovations,
+            trigger_state=state.trigger_state,
+        )
+        return self._begin_pass(params, kept)
+
+    def results(self, site: Site, state: Any) -> FilterResults:
+        extra = self.filter.extra_results
+        return FilterResults(
+            None if self.trigger is None else state.trigger_state.trigger_counts,
+            state.innovations,
+            None if extra is None else extra(site, state),
+        )
+
+    def error_step(
+        self, params: Any, site: Site, state: Any, sample: Sample, n: Scalar
+    ) -> ErrorStep:
+        propagated, transition = self.filter.propagate(params, site, state, sample)
+        predicted = add_process_noise(params, propagated).belief
+        gains = kalman.gains(predicted.p, (VE, VN), params.r, len(predicted.x))
+        return ErrorStep(transition, self.filter.inputs(state), gains, (VE, VN))
+
+    def error_angles(self, state: Any) -> tuple[tuple[Scalar, ...], ...]:
+        """Return the derivative of the corrected attitude by the estimates, whose errors are -d."""
+        x, columns = state.belief.x, []
+
+        def attitude(x: tuple[Scalar, ...]) -> Quat:
+            return self.filter.attitude(state._replace(belief=state.belief._replace(x=x)))
+
+        zero = tuple(jnp.zeros_like(entry) for entry in x)
+        for i in range(len(x)):
+            unit = (*zero[:i], jnp.ones_like(x[i]), *zero[i + 1 :])
+            q, rate = jax.jvp(attitude, (x,), (unit,))
+            # Of q = exp(phi/2) q_0: twice the vector part of its rate times its conjugate.
+            turn = rotations.multiply(rate, rotations.conjugate(q))
+            columns.append((2 * turn.x, 2 * turn.y, 2 * turn.z))
+        return tuple(zip(*columns, strict=True))
+
+    def _feed_back_and_reset(
+        self, params: Any, state: Any, due: Due, n: Scalar
+    ) -> tuple[Any, Vec3]:
+        """Feed back, all of the estimate before a reset, and reset; also the correction, rad."""
+        share = mix(due.reset, 1.0, jnp.where(due.feedback, params.feedback.gain, 0.0))
+        corrected, correction = self.filter.feed_back(state, share)
+        covariance_reset = reset_if_due(due.reset, params.resets.covariance_reset)
+        p = self.filter.reset(covariance_reset, state.belief.p, params.reset_to)
+        feedback_at = next_feedback(params.feedback, state.feedback_at, due, n)
+        belief = corrected.belief._replace(p=p)
+        return corrected._replace(belief=belief, feedback_at=feedback_at), correction
+
+    def _watch(
+        self, params: Any, site: Site, before: Any, state: Any, innovation: Innovation, n: Scalar
+    ) -> Any:
+        """Return the state with the sample taken into account by the trigger."""
+        assert self.trigger is not None
+        place = self.filter.place(site, before.nav)
+        not_fed_back = self.filter.misalignment(state)
+        snapshot = triggers.FilterSnapshot(
+            innovation=innovation.value,
+            variance=innovation.variance,
+            belief=state.belief,
+            correction=add(state.trigger_state.fed_back, not_fed_back),
+            not_fed_back=not_fed_back,
+            covariance=lambda belief: self.filter.covariance(state._replace(belief=belief)),
+            at_rest=self.filter.at_rest(before, place),
+            place=place,
+            dt=self.filter.dt,
+        )
+        return triggers.watch(self.trigger, params, state, snapshot, n)
+
+    def _begin_pass(self, params: Any, state: Any) -> Any:
+        """Return the first state of a pass, with the trigger's memory of the last one cleared."""
+        if self.trigger is None:
+            return state
+        return triggers.begin_pass(
+            self.trigger, params, state, misalignment=self.filter.misalignment(state)
+        )
+
+
+def sum_innovations(filter_: Filter) -> Filter:
+    """Return the filter that also sums its normalised innovations."""
+
+    def init(params: Any, nav: Navigation) -> Any:
+        zero = jnp.zeros_like(params.r)
+        return filter_.init(params, nav)._replace(innovations=InnovationSum(zero, zero))
+
+    def update(params: Any, state: Any) -> tuple[Any, Innovation]:
+        updated, innovation = filter_.update(params, state)
+        total, count = state.innovations
+        total = total + kalman.normalised(*innovation)
+        return updated._replace(innovations=InnovationSum(total, count + 1)), innovation
+
+    return filter_._replace(init=init, update=update)
+
+
+def add_process_noise(params: Any, state: Any) -> Any:
+    """Return the state with a sample's process noise added to P, Q of [P1] eq. (9)."""
+    return state._replace(belief=kalman.add_noise(state.belief, params.q))
+
+
+def due_on_schedule(params: Any, state: Any, n: Scalar) -> Due:
+    """Return the feedback and reset that the schedules put after the n-th sample."""
+    return Due(n >= state.feedback_at, reset_due(params.resets, n))
+
+
+def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
+    if isinstance(params.resets, Windows):
+        return None  # a share of a reset is due at every sample
+    return next_due(state.feedback_at, params.resets, n)
+
+
+def _fired(state: Any, n: Scalar) -> Flag:
+    return triggers.fired(state.trigger_state, n)
+
+
+def _where_due(due: Due, closed: Any, state: Any) -> Any:
+    """Return the closed state if anything is due, else the state unchanged to the bit."""
+    if not jnp.issubdtype(jnp.result_type(due.reset), bool):
+        return closed  # a share of a reset is due at every sample
+    # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
+    either = due.feedback | due.reset
+    return jax.tree.map(lambda new, old: jnp.where(either, new, old), closed, state)
+
+
+def _begin_after(state: Any, n: Scalar) -> Any:
+    state = state._replace(feedback_at=state.feedback_at + n)
+    if state.trigger_state is None:
+        return state
+    last_reset = state.trigger_state.last_reset + n
+    return state._replace(trigger_state=state.trigger_state._replace(last_reset=last_reset))
+
+
+def _normalise(state: Any) -> Any:
+    return state._replace(nav=state.nav._replace(q=rotations.normalise(state.nav.q)))
+
+
+def _bias_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
+    """Return the floor of a filter that does not tell sensor biases from misalignment."""
+    return floors.bias_floor(place, biases)
+
+
+# Stages that filters share
+
+
+def place_function(position: str) -> Callable[[Site, Navigation], Place]:
+    """Return `Filter.place` for `Options.position`: fixed, or at the latitude of the solution."""
+    if position == "integrated":
+        return lambda site, nav: earth.place(site.earth, nav.latitude)
+    return lambda site, nav: site.place
+
+
+def mechanise_function(
+    options: Options,
+) -> Callable[[Site, Navigation, Sample], tuple[Navigation, Vec3, Place]]:
+    """Return the mechanisation of one sample: (site, navigation, sample) -> three results.
+
+    Returns:
+        A function that returns the solution at the end of the sample, the specific force in n times
+        dt, m/s, and the Earth at the beginning of the sample, by `Options.position`.
+    """
+    place = place_function(options.position)
+
+    def mechanise(site: Site, nav: Navigation, sample: Sample) -> tuple[Navigation, Vec3, Place]:
+        here = place(site, nav)
+        later, f_dt = mechanisation.step(nav, sample, here, options.dt)
+        if options.position == "integrated":
+            later = mechanisation.travel(later, here, options.dt)
+        return later, f_dt, here
+
+    return mechanise
+
+
+def initial_state(params: FilterParams, nav: Navigation) -> FilterState:
+    """Return the state of a filter whose estimates begin with zero, with no bias fed back."""
+    return FilterState(nav, kalman.initial_belief(params.p0), (), params.feedback.every)
+
+
+def update_with_velocity(params: Any, state: Any) -> tuple[Any, Innovation]:
+    """Update with the velocity, which should be zero: [P1] eqs (10)-(12)."""
+    measured = state.nav.ve, state.nav.vn
+    innovation = kalman.innovation(state.belief, (VE, VN), measured, params.r)
+    belief = kalman.update(state.belief, (VE, VN), measured, params.r)
+    return state._replace(belief=belief), innovation
+
+
+def reverse_time(signs: Sequence[float], state: Any) -> Any:
+    """Return the state in reversed time: velocity negated, each estimate with its sign."""
+    x, p = state.belief
+    belief = Belief(tuple(s * a for s, a in zip(signs, x, strict=True)), change_signs(signs, p))
+    return state._replace(nav=mechanisation.reverse(state.nav), belief=belief)
+
+
+def subtract_fed_back(belief: Belief, fed_back: Sequence[Scalar]) -> Belief:
+    """Return the belief after the given part of its estimates has been fed back."""
+    x = tuple(a - b for a, b in zip(belief.x, fed_back, strict=True))
+    return belief._replace(x=x)
