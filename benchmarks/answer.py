@@ -5,7 +5,7 @@ import numpy as np
 
 from sinsjax.bench.cases import default_group, engine, shortened
 from sinsjax.bench.timing import Row, measure_against
-from sinsjax.engine import covariance
+from sinsjax.covariance import analysis
 
 SAMPLES = (2, 64)
 """Errors sampled beside a noise-free run; the fewest tell what the run and its covariance cost."""
@@ -18,8 +18,8 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         ``plain``, then ``covariance_N`` with N sampled errors, with their ``ratio`` to it.
     """
     group = shortened(default_group(), 2) if quick else default_group()
-    one = group.some(np.arange(1), np.arange(group.sizes[1]))
-    cases = [engine(f"covariance_{n}", covariance.watched(one, n)) for n in SAMPLES]
+    one = group.select(np.arange(1), np.arange(group.sizes[1]))
+    cases = [engine(f"covariance_{n}", analysis.analysis_group(one, n)) for n in SAMPLES]
     return measure_against(engine("plain", group), cases, repeats)
 
 

@@ -25,15 +25,20 @@ from sinsjax.bench.timing import Row, Workload, measure_against
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.build import parts
 from sinsjax.engine.lanes import LANES, Group, Tiles, tiles_of
-from sinsjax.engine.pieces import piece
-from sinsjax.engine.simulate import RunParams
-from sinsjax.engine.tile import run_tile
+from sinsjax.engine.run import RunParams, run_tile
+from sinsjax.engine.samples import block_size
 from sinsjax.platform.assets import asset
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import search
-from sinsjax.tuning.slopes import TANGENT_STEPS, Slope, Softness, sensitivities
+from sinsjax.tuning.gradient import (
+    TANGENT_STEPS,
+    ParameterMap,
+    Slope,
+    Softness,
+    sensitivities,
+)
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
 
@@ -77,7 +82,7 @@ def loops_of(group: Group, tiles: Tiles) -> tuple[int, ...]:
     """
     every = group.static.record_every
     one = jax.tree.map(lambda a: a[0], tiles.draws)
-    size = piece(group.static, one)
+    size = block_size(group.static.record_every, one)
     return (1, every // size, size) if size > 1 else (1, every)
 
 
@@ -142,7 +147,7 @@ def program_of(group: Group, p: int) -> tuple[jax.stages.Compiled, tuple, float]
 
         return jax.lax.map(one_tile, tiles)
 
-    tiles = tiles_of(group, plan(group, tiles_a_chunk=TILES)[0])
+    tiles = tiles_of(group, plan(group, tiles_per_chunk=TILES)[0])
     arguments = (group.environment, tiles, np.ones(max(p, 1)))
     since = time.perf_counter()
     program = jax.jit(whole).lower(*arguments).compile()
@@ -190,11 +195,11 @@ def tuning(seconds: float, repeats: int) -> list[Row]:
     space = SearchSpace.from_study(study)
     box = np.linspace(0.3, 0.7, 2 * STARTS).reshape(STARTS, 2)
     points = {f"start {i}": space.point(space.values(own), {}) for i, own in enumerate(box)}
-    (part,) = parts(search.derive(study, points, name="plain"), curves=False)
+    (part,) = parts(search.derive_study(study, points, name="plain"), curves=False)
     base = engine("tune_plain", part.group)
     arguments = (box, np.arange(DRAWS), Softness(seconds / 20, 4.0))
     since = time.perf_counter()
-    slope = Slope(study, None, 0, starts=STARTS, draws=DRAWS)
+    slope = Slope(ParameterMap(study, {}), starts=STARTS, draws=DRAWS)
     (program,) = slope.programs(*arguments)
     compile_s = time.perf_counter() - since
 
@@ -206,8 +211,8 @@ def tuning(seconds: float, repeats: int) -> list[Row]:
     call()
     gradient = Workload(f"tune_gradient_p{len(box[0])}", base.runs, base.steps, compile_s, call)
     first, row = measure_against(base, [gradient], repeats)
-    tiles = tiles_of(part.group, plan(part.group, tiles_a_chunk=TILES)[0])
-    plain = compiled(part.group.static, part.group.environment, tiles)
+    tiles = tiles_of(part.group, plan(part.group, tiles_per_chunk=TILES)[0])
+    plain = compiled(part.group, tiles)
     row |= {
         "operations_ratio": round(
             operations(program) / operations(plain, loops_of(part.group, tiles)), 3
@@ -236,7 +241,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     counts = (1,) if quick else range(1, MOST + 1)
     made = {p: case(f"derivative_p{p}", group, p) for p in counts}
     first, *others = measure_against(base, [one for one, _ in made.values()], repeats)
-    loops = loops_of(group, tiles_of(group, plan(group, tiles_a_chunk=TILES)[0]))
+    loops = loops_of(group, tiles_of(group, plan(group, tiles_per_chunk=TILES)[0]))
     by = operations(plain, loops)
     for row, (p, (_, program)) in zip(others, made.items(), strict=True):
         ratio = operations(program, loops) / by

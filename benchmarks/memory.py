@@ -64,16 +64,15 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 def of_call(tiles: int, records: int, *, curves: bool) -> Row:
     """What the compiled function of `sweep` needs for one call."""
     group = shortened(default_group(), records)
-    static = group.static._replace(curves=curves)
-    places = plan(group, tiles_a_chunk=tiles)[0]
-    arguments = (group.environment, tiles_of(group, places))
-    found = compiled(static, *arguments).memory_analysis()
+    group = group._replace(static=group.static._replace(curves=curves))
+    places = plan(group, tiles_per_chunk=tiles)[0]
+    found = compiled(group, tiles_of(group, places)).memory_analysis()
     runs = places.draw.size
     total = found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
     return {
         "name": f"memory_call_{tiles}_tiles{'_curves' if curves else ''}",
         "runs": runs,
-        "steps": records * static.record_every,
+        "steps": records * group.static.record_every,
         "dtype": "float64",
         "devices": 1,
         "bytes_per_run": round(total / runs),

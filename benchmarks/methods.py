@@ -71,12 +71,12 @@ def arithmetic(group: Group) -> float:
 
     What is done once a run is left out; what is done once a record is spread over its steps.
     """
-    arguments = group.environment, tiles_of(group, plan(group, tiles_a_chunk=TILES)[0])
-    program, loops = compiled(group.static, *arguments), loops_of(group, arguments[1])
+    tiles = tiles_of(group, plan(group, tiles_per_chunk=TILES)[0])
+    program, loops = compiled(group, tiles), loops_of(group, tiles)
     records = group.static.records
     over_records = operations(program, loops) - operations(program, loops, without=records)
     steps = records * group.static.record_every
-    return over_records / (steps * arguments[1].params.q.w.size)
+    return over_records / (steps * tiles.params.q.w.size)
 
 
 if __name__ == "__main__":

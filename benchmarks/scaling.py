@@ -12,7 +12,7 @@ import devices
 import jax
 
 from sinsjax.bench.timing import Row, Workload, ratios, row, spread, turns
-from sinsjax.engine.batch import in_threads as calls_on
+from sinsjax.engine.batch import map_in_threads as calls_on
 from sinsjax.execution import cluster, run
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.study.study import Study

@@ -19,7 +19,7 @@ from sinsjax.bench.timing import Row, measure_against
 from sinsjax.engine.batch import chunks
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Outcome
-from sinsjax.engine.verdicts import FLOOR
+from sinsjax.engine.success import FLOOR
 from sinsjax.maths.algebra import numbers_of
 from sinsjax.methods import kalman
 from sinsjax.methods.base import Method, Options, Site
@@ -46,6 +46,8 @@ def double(tree: Any) -> Any:
 def build(model: LinearModel, options: Options) -> Method:
     """`zero_velocity` with its belief in single precision; the 5-state model, f measured."""
     whole = zero_velocity.build(model, options)
+    feedback, passes = whole.feedback, whole.passes
+    assert feedback is not None and passes is not None
 
     def init(params: zero_velocity.FilterParams, nav: Navigation) -> zero_velocity.FilterState:
         state = whole.init(params, nav)
@@ -68,29 +70,27 @@ def build(model: LinearModel, options: Options) -> Method:
     def close(
         params: zero_velocity.FilterParams, state: zero_velocity.FilterState, n: Scalar
     ) -> zero_velocity.FilterState:
-        assert whole.close is not None
-        closed = whole.close(params, state._replace(belief=double(state.belief)), n)
+        closed = feedback.close(params, state._replace(belief=double(state.belief)), n)
         return closed._replace(belief=single(closed.belief))
 
     def turn(
         params: zero_velocity.FilterParams, site: Site, state: zero_velocity.FilterState
     ) -> zero_velocity.FilterState:
-        turned = whole.turn(params, site, state._replace(belief=double(state.belief)))
+        turned = passes.turn(params, site, state._replace(belief=double(state.belief)))
         return turned._replace(belief=single(turned.belief))
 
     def widened(f: Callable) -> Callable:
         return lambda state: f(state._replace(belief=double(state.belief)))
 
-    return Method(
-        init,
-        step,
-        turn,
-        widened(whole.attitude),
-        widened(whole.covariance),
-        whole.normalise,
-        whole.limit,
-        close=close,
-        next_event=whole.next_event,
+    return whole._replace(
+        init=init,
+        step=step,
+        attitude=widened(whole.attitude),
+        covariance=widened(whole.covariance),
+        feedback=feedback._replace(close=close),
+        passes=passes._replace(turn=turn),
+        results=None,
+        error_model=None,
     )
 
 

@@ -15,6 +15,7 @@ FLOORS = (
     {"methods"},
     {"study"},
     {"engine"},
+    {"covariance"},
     {"bench", "execution"},
     {"tuning"},
     {"report"},

@@ -14,11 +14,11 @@ import numpy as np
 
 from sinsjax.bench.baseline import Setting, align
 from sinsjax.bench.timing import Workload
-from sinsjax.engine.batch import compiled, in_threads, plan
+from sinsjax.engine.batch import compiled, map_in_threads, plan
 from sinsjax.engine.build import parts
+from sinsjax.engine.environment import Draw, Environment, RunParams
 from sinsjax.engine.lanes import LANES, STACKED_TILES, Group, Tiles, tiles_of
-from sinsjax.engine.realisations import Draw, Environment
-from sinsjax.engine.simulate import RunParams, simulate
+from sinsjax.engine.run import run_tile
 from sinsjax.maths.rotations import matrix, misalign
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.platform.assets import asset
@@ -117,11 +117,11 @@ def compass_group(record_s: float | None = None) -> Group:
 
 def without_noise(group: Group) -> Group:
     """The group without sensor noise."""
-    errors = group.environment.errors
-    quiet = errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
+    model, static = group.environment.sensors, group.static
+    quiet = model.errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
     return group._replace(
-        static=group.static._replace(noisy=False),
-        environment=group.environment._replace(errors=quiet),
+        static=static._replace(sensors=static.sensors._replace(noisy=False)),
+        environment=group.environment._replace(sensors=model._replace(errors=quiet)),
     )
 
 
@@ -208,12 +208,12 @@ def engine(
         devices: number of devices, with one simultaneous call each.
     """
     draws, variants = group.sizes
-    calls = plan(group, tiles_a_chunk=tiles, lanes=lanes)
+    calls = plan(group, tiles_per_chunk=tiles, lanes=lanes)
     places = [calls[i % len(calls)] for i in range(devices)]
     runs = sum(int(np.sum((p.draw < draws) & (p.variant < variants))) for p in places)
     arguments = [(group.environment, tiles_of(group, p)) for p in places]
     since = time.perf_counter()
-    program = compiled(group.static, *arguments[0])
+    program = compiled(group, arguments[0][1])
     compile_s = time.perf_counter() - since
     placed = jax.device_put(arguments)
 
@@ -225,7 +225,7 @@ def engine(
 
     def call() -> float:
         since = clock()
-        list(in_threads(one, placed, devices))
+        list(map_in_threads(one, placed, devices))
         return clock() - since
 
     call()
@@ -249,9 +249,9 @@ def numpy_baseline(group: Group) -> Workload:
 
 def first_run(group: Group) -> tuple[np.ndarray, np.ndarray, Setting]:
     """The first run of a noise-free group, as the arguments of `sinsjax.bench.baseline.align`."""
-    errors, place = group.environment.errors, group.environment.site.place
+    model, place = group.environment.sensors, group.environment.site.place
     dt = group.static.options.dt
-    bias = np.concatenate([errors.gyro_bias, errors.accel_bias])
+    bias = np.concatenate([model.errors.gyro_bias, model.errors.accel_bias])
     params = _first_params(group)
     method = params.method
     setting = Setting(
@@ -267,7 +267,7 @@ def first_run(group: Group) -> tuple[np.ndarray, np.ndarray, Setting]:
         resets=tuple(int(n) for n in method.resets.samples if np.isfinite(n)),
     )
     start: np.ndarray = np.array(matrix(misalign(params.phi, params.q)))
-    return np.asarray(group.environment.increments) + bias * dt, start, setting
+    return np.asarray(model.increments) + bias * dt, start, setting
 
 
 def _first_params(group: Group) -> RunParams:
@@ -278,9 +278,12 @@ def _first_params(group: Group) -> RunParams:
 def _check(group: Group, c: np.ndarray) -> None:
     """Check that the baseline gives the engine's attitude; otherwise its time is meaningless."""
     static = group.static._replace(records=_BASELINE_SAMPLES // group.static.record_every)
-    draw = jax.tree.map(lambda a: np.asarray(a).ravel()[0], group.draws)
-    outcome, _ = jax.jit(partial(simulate, static))(group.environment, draw, _first_params(group))
-    ours = np.array([outcome.last.pitch, outcome.last.roll, outcome.last.yaw])
+    draw = jax.tree.map(lambda a: np.asarray(a).ravel()[:1], group.draws)
+    params = jax.tree.map(lambda a: np.asarray(a)[None], _first_params(group))
+    tile = Tiles(draw, np.zeros(1, np.int32), params)
+    outcome, _ = jax.jit(partial(run_tile, static))(group.environment, tile)
+    last = outcome.last
+    ours = np.array([last.pitch[0], last.roll[0], last.yaw[0]])
     theirs = np.array(
         [np.arcsin(c[2, 1]), np.arctan2(-c[2, 0], c[2, 2]), np.arctan2(-c[0, 1], c[1, 1])]
     )

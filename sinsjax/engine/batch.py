@@ -1,14 +1,23 @@
 """Many runs in one compiled call.
 
-Runs are numbered draw by draw (`run_id = draw_id * variants + variant_id`) and cut into tiles of
-64 lanes. A tile is one vectorised scan whose state stays in the first-level cache; in a call tiles
-follow one another under `lax.map`. Threads make calls: on a CPU all of one program, elsewhere each
-of the program of its own device. Samples are made once for each distinct draw of a tile and handed
-to its lanes, so that variants share their noise.
+A study has draws x variants runs, numbered draw by draw (run_id = draw_id * variants + variant_id).
+They are laid into the lanes of tiles, tiles follow one another in a chunk, and chunks are computed
+by one thread per device:
 
-Where the covariance is the same for all runs of a variant (`Method.common_covariance`), tiles of
-the same variants and different draws are stacked into sets, which share it: JAX finds by itself
-that it does not depend on what the sets are mapped over.
+    runs      d0v0 d0v1 d0v2 d1v0 d1v1 d1v2 d2v0 ...                 (here 3 variants)
+               |    |    |    |    |    |    |
+    tile 0   [ 0    1    2    3    4    5    6   ...  63 ]  64 lanes, one vectorised scan
+    tile 1   [ 0    1    2   ...                      63 ]
+      ...                                                   up to 32 tiles: a chunk = one call
+    chunk 0, chunk 1, chunk 2, ...      chunk k -> device k mod n, results in the order of chunks
+
+The state of a tile stays in the first-level cache; the tiles of a call follow one another under
+`lax.map`. The samples of each draw of a tile are made once and handed to its lanes, so variants
+share their noise. On a CPU all threads call one program, elsewhere each that of its device.
+
+If all runs of a variant have the same covariance (`Method.shares_covariance`), tiles of the same
+variants and different draws are stacked into sets, which share it: JAX itself finds that it does
+not depend on the axis of sets.
 """
 
 import threading
@@ -22,22 +31,21 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from sinsjax.engine.covariance import Spread
-from sinsjax.engine.lanes import LANES, Group, Lanes, Tiles, layout, shown, tiles_of
-from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.engine.realisations import Environment, Static
-from sinsjax.engine.tile import over_stacked_tiles, run_tile
+from sinsjax.engine.environment import Static
+from sinsjax.engine.lanes import LANES, Group, Lanes, Tiles, curve_lanes, layout, tiles_of
+from sinsjax.engine.metrics import Outcome
+from sinsjax.engine.run import map_stacked_tiles, run_tile
 
 CHUNK_TILES = 32
 CHUNK_STEPS = 2**28
 CHUNK_RECORDS = 2**20
-"""The most that a chunk has: tiles; steps, some 15 s of a core; rows of curves, some 100 MB."""
+"""Limits of a chunk: tiles; steps, some 15 s of a core; rows of curves, some 100 MB."""
 
 MOST_PROGRAMS = 64
-"""Programs that a process keeps, some MB each; the least recently used go first."""
+"""Programs that a process keeps, some MB each; the least recently used are dropped first."""
 
 LEAST_CHUNKS = 16
-"""Chunks that a group is cut into if it has the tiles for them, so that many cores find work."""
+"""Chunks that a group is cut into if it has enough tiles, so that many cores find work."""
 
 
 class Chunk(NamedTuple):
@@ -47,22 +55,22 @@ class Chunk(NamedTuple):
         draw: (runs,) number of each run's draw in the study.
         variant: (runs,) place of each run's variant in the group.
         outcome: `Outcome` with leaves (runs, ...).
-        curves: `Observation` with leaves (runs, records), or `Spread` with leaves (runs, ...),
-            or None.
+        curves: what the group's function of a tile returns beside the outcome, leaves (runs, ...):
+            `Observation` with leaves (runs, records), or None without curves.
     """
 
     draw: np.ndarray
     variant: np.ndarray
     outcome: Outcome
-    curves: Observation | Spread | None
+    curves: Any
 
 
 class Plan:
-    """The runs of a group laid into the lanes of calls of one size.
+    """The layout of a group's runs in the lanes of calls of one size.
 
-    In their order; where tiles are stacked, a few draws at a time. Depends on the group alone,
-    never on the machine. What is missing at the end is filled up with idle lanes. A call is never
-    given a single block of tiles, whose loop the compiler would unroll to other bits.
+    Runs keep their order; stacked tiles take a few draws at a time. The plan depends on the group
+    alone, never on the machine. The last call is filled up with idle lanes. A call never has a
+    single block of tiles, whose loop the compiler would unroll to other bits.
     """
 
     def __init__(
@@ -71,33 +79,33 @@ class Plan:
         draws: int,
         variants: int,
         *,
-        tiles_a_chunk: int | None = None,
+        tiles_per_chunk: int | None = None,
         lanes: int = LANES,
     ) -> None:
-        """Cut a group.
+        """Lay out a group.
 
         Args:
             static: its program.
-            draws: how many it has.
-            variants: how many it has.
-            tiles_a_chunk: tiles a call, stacked ones counted singly, as far as two blocks or more
-                make them; None takes what `CHUNK_TILES` and the other limits allow.
-            lanes: runs a tile.
+            draws: number of its draws.
+            variants: number of its variants.
+            tiles_per_chunk: tiles per call, stacked ones counted singly, rounded to two blocks or
+                more; None for as many as `CHUNK_TILES` and the other limits allow.
+            lanes: runs per tile.
         """
         self._draws, self._variants, self._lanes = draws, variants, lanes
         self._sets, self._width = layout(static, variants, lanes)
-        # A block, which cannot be cut, is a tile, or the stacked ones of several draws.
+        # A block, which cannot be cut, is a tile, or stacked tiles of several draws.
         self._stride = lanes if self._sets == 1 else max(lanes, self._width)
         self._across = self._stride // lanes  # blocks beside one another for the same draws
         blocks = -(-draws * self._width // (self._sets * self._stride)) * self._across
-        if tiles_a_chunk is None:
+        if tiles_per_chunk is None:
             records = lanes * static.records
             most = min(CHUNK_TILES, CHUNK_STEPS // (records * static.record_every))
             if static.curves:
                 most = min(most, CHUNK_RECORDS // records)
             wanted = min(most // self._sets, -(-blocks // LEAST_CHUNKS))
         else:
-            wanted = min(tiles_a_chunk // self._sets, blocks)
+            wanted = min(tiles_per_chunk // self._sets, blocks)
         self._size = max(2, wanted)
         self._count = -(-blocks // self._size)
 
@@ -118,44 +126,44 @@ class Plan:
 
     @property
     def tiles(self) -> int:
-        """How many tiles all its calls have."""
+        """Number of tiles in all calls."""
         return self._count * self._size * self._sets
 
-    def busy(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Places of draw and variant in the lanes of a call that are not idle, (runs,) each."""
+    def active_lanes(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the places of draw and variant of a call's lanes that are not idle, (runs,)."""
         places = self[number]
-        busy = (places.draw < self._draws) & (places.variant < self._variants)
-        return places.draw[busy], places.variant[busy]
+        active = (places.draw < self._draws) & (places.variant < self._variants)
+        return places.draw[active], places.variant[active]
 
-    def runs(self, number: int) -> int:
-        """How many runs a call has."""
-        return len(self.busy(number)[0])
+    def count_runs(self, number: int) -> int:
+        """Return the number of runs of a call."""
+        return len(self.active_lanes(number)[0])
 
     def call_of(self, draw: int, variant: int) -> int:
-        """The number of the call that has a run."""
+        """Return the number of the call that has a run."""
         row, place = divmod(draw * self._width + variant, self._stride)
         block = row // self._sets * self._across + place // self._lanes
         return block // self._size
 
 
-def plan(group: Group, *, tiles_a_chunk: int | None = None, lanes: int = LANES) -> Plan:
-    """How the runs of a group are cut into calls, see `Plan`."""
-    return Plan(group.static, *group.sizes, tiles_a_chunk=tiles_a_chunk, lanes=lanes)
+def plan(group: Group, *, tiles_per_chunk: int | None = None, lanes: int = LANES) -> Plan:
+    """Return the `Plan` of a group."""
+    return Plan(group.static, *group.sizes, tiles_per_chunk=tiles_per_chunk, lanes=lanes)
 
 
-def targets() -> list[jax.Device | None]:
-    """The devices that programs are compiled for.
+def target_devices() -> list[jax.Device | None]:
+    """Return the devices that programs are compiled for.
 
-    On a CPU one program serves all threads, at the same speed and with the same bits as one each;
-    accelerators have one each.
+    On a CPU one program serves all threads, at the same speed and with the same bits as one per
+    thread; accelerators have one each.
     """
     return [None] if jax.default_backend() == "cpu" else list(jax.local_devices())
 
 
 class Program:
-    """What `run_tile` becomes for tiles of some shapes: traced when made, compiled when asked for.
+    """The program of a group for tiles of given shapes, traced when made, compiled on demand.
 
-    It gives the same bits whatever thread calls it.
+    Its results have the same bits in every thread.
     """
 
     def __init__(self, lowered: jax.stages.Lowered) -> None:
@@ -164,7 +172,7 @@ class Program:
         self._lock = threading.Lock()
 
     def compiled(self) -> jax.stages.Compiled:
-        """The compiled program; XLA compiles it once, for the first who asks."""
+        """Return the compiled program, compiled once for all threads."""
         with self._lock:
             if self._compiled is None:
                 assert self._lowered is not None
@@ -172,48 +180,40 @@ class Program:
             return self._compiled
 
 
-def program(
-    static: Static,
-    environment: Environment,
-    tiles: Tiles,
-    shown: int | None = None,
-    device: jax.Device | None = None,
-) -> Program:
-    """The program for arguments of these shapes, whatever their values.
+def program(group: Group, tiles: Tiles, device: jax.Device | None = None) -> Program:
+    """Return the program of a group for arguments of these shapes, whatever their values.
 
     Args:
-        static: what decides it.
-        environment: of these shapes.
+        group: with an environment of these shapes.
         tiles: of these shapes.
-        shown: lanes of a tile whose curves are returned, see `run_tile`.
-        device: that it runs on; None for the default one.
+        device: on which it runs; None for the default one.
     """
-    leaves, structure = jax.tree.flatten((environment, tiles))
+    leaves, structure = jax.tree.flatten((group.environment, tiles))
     home = None if device is None else jax.sharding.SingleDeviceSharding(device)
     shapes = tuple(
         jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=home) for a in leaves
     )
-    return _trace(static, shown, structure, shapes)
+    return _trace(group.run or run_tile, group.static, curve_lanes(group), structure, shapes)
 
 
-def compiled(
-    static: Static, environment: Environment, tiles: Tiles, device: jax.Device | None = None
-) -> jax.stages.Compiled:
-    """`program`, compiled."""
-    return program(static, environment, tiles, device).compiled()
+def compiled(group: Group, tiles: Tiles, device: jax.Device | None = None) -> jax.stages.Compiled:
+    """Return `program`, compiled."""
+    return program(group, tiles, device).compiled()
 
 
 @lru_cache(maxsize=MOST_PROGRAMS)
-def _trace(static: Static, shown: int | None, structure: Any, shapes: tuple) -> Program:
-    def run_tiles(environment: Environment, tiles: Tiles) -> Any:
-        one = partial(run_tile, static, environment, shown=shown)
-        return jax.lax.map(over_stacked_tiles(static, one, tiles), tiles)
+def _trace(
+    run: Callable[..., Any], static: Static, shown: int | None, structure: Any, shapes: tuple
+) -> Program:
+    def run_tiles(environment: Any, tiles: Tiles) -> Any:
+        one = partial(run, static, environment, shown=shown)
+        return jax.lax.map(map_stacked_tiles(static, one, tiles), tiles)
 
     return Program(jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)))
 
 
 class _Thread(threading.local):
-    """The number of a thread of `in_threads`; 0 of any other."""
+    """Number of a thread of `map_in_threads`; 0 in all other threads."""
 
     number = 0
 
@@ -221,8 +221,8 @@ class _Thread(threading.local):
 _thread = _Thread()
 
 
-def in_threads(call: Callable[[Any], Any], arguments: Iterable, devices: int) -> Iterator[Any]:
-    """Results of calls in their order, with ``devices`` of them under way, a thread each."""
+def map_in_threads(call: Callable[[Any], Any], arguments: Iterable, devices: int) -> Iterator[Any]:
+    """Yield the results of calls in order, computed by ``devices`` threads ahead of it."""
     numbers = count()
 
     def begin() -> None:
@@ -239,45 +239,47 @@ def in_threads(call: Callable[[Any], Any], arguments: Iterable, devices: int) ->
 
 
 class Calls:
-    """The calls of a group: its chunks, any of them in any order and from any thread."""
+    """The calls of a group: its chunks, in any order and from any thread."""
 
-    def __init__(self, group: Group, *, tiles_a_chunk: int | None = None) -> None:
+    def __init__(self, group: Group, *, tiles_per_chunk: int | None = None) -> None:
         """Trace the program of a group.
 
         Args:
-            group: what to run.
-            tiles_a_chunk: as for `Plan`.
+            group: the runs.
+            tiles_per_chunk: as for `Plan`.
         """
         self._group = group
-        self.plan = plan(group, tiles_a_chunk=tiles_a_chunk)
-        arguments = group.static, group.environment, tiles_of(group, self.plan[0]), shown(group)
-        self._programs = [program(*arguments, device) for device in targets()]
+        self.plan = plan(group, tiles_per_chunk=tiles_per_chunk)
+        tiles = tiles_of(group, self.plan[0])
+        self._programs = [program(group, tiles, device) for device in target_devices()]
         # Once, and not with every call.
-        self._environments = [jax.device_put(group.environment, device) for device in targets()]
+        self._environments = [
+            jax.device_put(group.environment, device) for device in target_devices()
+        ]
 
     def compile(self) -> None:
-        """Compile what the first chunk would else compile; Python is idle meanwhile."""
-        for one in self._programs:
-            one.compiled()
+        """Compile all programs now rather than with the first chunk."""
+        for compilable in self._programs:
+            compilable.compiled()
 
-    def whole(self) -> Chunk:
-        """All chunks as one, by draw and variant."""
-        found = [self.chunk(number) for number in range(len(self.plan))]
-        made: Chunk = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
-        order = np.lexsort((made.variant, made.draw))
-        ordered: Chunk = jax.tree.map(lambda a: a[order], made)
+    def all_chunks(self) -> Chunk:
+        """Run all chunks and return them as one, by draw and variant."""
+        chunks = [self.chunk(number) for number in range(len(self.plan))]
+        joined: Chunk = jax.tree.map(lambda *leaves: np.concatenate(leaves), *chunks)
+        order = np.lexsort((joined.variant, joined.draw))
+        ordered: Chunk = jax.tree.map(lambda a: a[order], joined)
         return ordered
 
     def chunk(self, number: int) -> Chunk:
-        """Run one of the plan's calls, on the device of the thread that asks."""
+        """Run one call of the plan, on the device of the calling thread."""
         group, places = self._group, self.plan[number]
         draws, variants = group.sizes
         home = _thread.number % len(self._programs)
         call, environment = self._programs[home].compiled(), self._environments[home]
         outcome, curves = jax.device_get(call(environment, tiles_of(group, places)))
         draw, variant = places.draw.ravel(), places.variant.ravel()
-        busy = np.flatnonzero((draw < draws) & (variant < variants))
-        runs = busy[np.argsort(draw[busy] * variants + variant[busy])]
+        active = np.flatnonzero((draw < draws) & (variant < variants))
+        runs = active[np.argsort(draw[active] * variants + variant[active])]
         tile, lane = np.divmod(runs, places.draw.shape[-1])
         axes = 1 + (places.draw.shape[1] > 1)  # of tiles, and of sets
         outcome, curves = (
@@ -292,17 +294,19 @@ class Calls:
         )
 
 
-def chunks(group: Group, *, devices: int = 1, tiles_a_chunk: int | None = None) -> Iterator[Chunk]:
+def chunks(
+    group: Group, *, devices: int = 1, tiles_per_chunk: int | None = None
+) -> Iterator[Chunk]:
     """Run a group, chunk by chunk.
 
     Args:
-        group: what to run.
-        devices: how many chunks are under way at a time.
-        tiles_a_chunk: as for `Plan`.
+        group: the runs.
+        devices: number of chunks computed at a time.
+        tiles_per_chunk: as for `Plan`.
 
     Yields:
         Results in the order of the plan.
     """
-    calls = Calls(group, tiles_a_chunk=tiles_a_chunk)
+    calls = Calls(group, tiles_per_chunk=tiles_per_chunk)
     calls.compile()
-    yield from in_threads(calls.chunk, range(len(calls.plan)), devices)
+    yield from map_in_threads(calls.chunk, range(len(calls.plan)), devices)

@@ -1,28 +1,41 @@
-"""From a study to arrays: the one place where units are left behind and programs part from numbers.
+"""From a study to the groups of runs that the engine computes, in SI units.
 
-A `Part` holds the variants that share a compiled program and an environment (Earth, base motion,
-sensors); within a part everything that differs is a number. Parts are cut from the study's variants
-by the values of `PROGRAM_KEYS`, `ENVIRONMENT_KEYS` and `PASS_KEYS`, wherever these are swept.
+A `Part` holds the variants that share a compiled program and an environment (Earth, motion of the
+base, sensors); within a part all differences are numbers. The variants of a study are split into
+parts by the values of `PROGRAM_KEYS`, `ENVIRONMENT_KEYS` and `PASS_KEYS`.
 """
 
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.engine import true_motion
+from sinsjax.engine.bias_floors import require_floor
+from sinsjax.engine.environment import (
+    CoarseStage,
+    Draw,
+    Environment,
+    RunParams,
+    SensorProgram,
+    Static,
+    derive_inputs,
+    draw_site,
+)
 from sinsjax.engine.lanes import Group
-from sinsjax.engine.measurements import measured, nothing_read
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.realisations import CoarseStage, Draw, Environment, Static, derived
-from sinsjax.engine.realisations import site_of as site_of_draw
-from sinsjax.engine.simulate import RunParams
-from sinsjax.engine.simulator import AMPLITUDES, DISTORTIONS, NOISES
-from sinsjax.engine.study_limits import require_floor
-from sinsjax.engine.truth import recorded, simulated, site_of
+from sinsjax.engine.samples import draw_sensors
+from sinsjax.engine.sensor_inputs import AMPLITUDE_KEYS, DISTORTION_KEYS, NOISE_KEYS
+from sinsjax.engine.truth import (
+    normal_distributions,
+    read_site,
+    record_environment,
+    simulate_environment,
+    true_increments,
+)
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import euler_vector
 from sinsjax.methods.base import Options, Site
@@ -46,14 +59,14 @@ PROGRAM_KEYS = ("method", "specific_force", "position", "reset_trigger", *COARSE
 ENVIRONMENT_KEYS = tuple(
     key for model in (EarthSection, MotionSection, SensorsSection) for key in model.model_fields
 )
-"""Keys whose values decide the truth that runs share."""
+"""Keys whose values decide the environment."""
 
 
 class Part(NamedTuple):
     """Variants of a study that run together.
 
     Attributes:
-        group: what the engine runs.
+        group: of their runs.
         variant_ids: (variants,) their numbers in the study.
     """
 
@@ -62,34 +75,34 @@ class Part(NamedTuple):
 
 
 class Scenario:
-    """A study ready to be run: how it falls into parts, each made when it is asked for.
+    """A study ready to be run: its parts, each made on demand.
 
     Attributes:
         study: checked study.
         stored: the record of a recorded study, else None.
         curves: whether curves are returned.
-        variant_ids: of each part, the numbers of its variants.
+        variant_ids: numbers of the variants of each part.
     """
 
     def __init__(
         self, study: Study, stored: StoredRecord | None = None, *, curves: bool | None = None
     ) -> None:
-        """Check what can be checked before anything runs.
+        """Check all that can be checked before any run.
 
         Args:
             study: checked study.
             stored: the record of a recorded study, else None.
-            curves: whether curves are returned; None takes the study's word.
+            curves: whether curves are returned; None for what the study asks.
 
         Raises:
-            InputError: a record where there should be none or the other way round, compass
-                loops that cannot be run, a bias floor to judge from where there is none, or double
-                precision that cannot be turned on (`runtime.ensure_configured`).
+            InputError: a record is missing or not needed, compass loops cannot be run, runs without
+                a bias floor are to be judged from it, or double precision cannot be enabled
+                (`runtime.ensure_configured`).
         """
         runtime.ensure_configured()
         if study.is_recorded != (stored is not None):
-            what = "reads a record, none is given" if study.is_recorded else "reads no record"
-            raise InputError(f"{study.name}: the study {what}: see [record]")
+            text = "reads a record, none is given" if study.is_recorded else "reads no record"
+            raise InputError(f"{study.name}: the study {text}: see [record]")
         require_floor(study)
         self.study, self.stored = study, stored
         self.curves = study.study.curves if curves is None else curves
@@ -97,19 +110,19 @@ class Scenario:
         for ids in self.variant_ids:
             variants = Variants(study, ids)
             METHODS[variants.common("method")].implementation.check(
-                variants, site_of(study, variants, stored)[0]
+                variants, read_site(study, variants, stored)[0]
             )
 
     @property
     def has_truth(self) -> bool:
-        """Whether runs can be judged: by a simulation's truth, or a record's reference."""
+        """Whether runs can be judged, by the truth of a simulation or the reference of a record."""
         return self.stored is None or self.stored.reference is not None
 
     @cached_property
     def programs(self) -> list[Static]:
         """The program of each part."""
         variants = (Variants(self.study, ids) for ids in self.variant_ids)
-        return [_program(self.study, some, self.curves) for some in variants]
+        return [_program(self.study, part, self.curves) for part in variants]
 
     def part(
         self,
@@ -119,13 +132,13 @@ class Scenario:
         variants: np.ndarray | None = None,
         blank: bool = False,
     ) -> Part:
-        """A part with all its draws, or some in a row.
+        """Return a part with all its draws, or a range of them.
 
         Args:
             number: of the part.
-            draws: which; None for all.
-            variants: places of those that are wanted; None for all.
-            blank: whether zeros stand for the truth of a simulation: enough to compile for.
+            draws: range of draws; None for all.
+            variants: places of variants; None for all.
+            blank: whether the truth of a simulation is replaced by zeros, enough to compile.
 
         Raises:
             InputError: a record that does not fit the study.
@@ -133,32 +146,36 @@ class Scenario:
         study, ids = self.study, self.variant_ids[number]
         ids = ids if variants is None else ids[variants]
         columns = Variants(study, ids)
-        site, ug = site_of(study, columns, self.stored)
+        site, ug = read_site(study, columns, self.stored)
         span, criteria = _span(study, columns), _criteria(study, columns)
         if self.stored is None:
             draws = range(study.n_draws) if draws is None else draws
-            environment, drawn, q = simulated(study, columns, span, criteria, draws, blank=blank)
+            environment, drawn, q = simulate_environment(
+                study, columns, span, criteria, draws, blank=blank
+            )
+            normal = normal_distributions(study, ids, ug)
         else:
-            environment, drawn, q = recorded(study, columns, span, criteria, self.stored)
-        params = _params(study, columns, site, ug)
-        return Part(Group(self.programs[number], environment, drawn, q, params), ids)
+            environment, drawn, q = record_environment(study, columns, span, criteria, self.stored)
+            normal = None
+        params = _run_params(study, columns, site, ug)
+        return Part(Group(self.programs[number], environment, drawn, q, params, normal), ids)
 
 
 def parts(
     study: Study, stored: StoredRecord | None = None, *, curves: bool | None = None
 ) -> Iterator[Part]:
-    """What the engine runs for a study, part by part: see `Scenario`."""
+    """Yield the parts of a study, see `Scenario`."""
     scenario = Scenario(study, stored, curves=curves)
     return (scenario.part(number) for number in range(len(scenario.variant_ids)))
 
 
 def simulated_record(study: Study | str | Path, draw_id: int = 0, variant_id: int = 0) -> Record:
-    """What the sensors of a simulated study put out, as a record that can be written to a file.
+    """Return the output of a simulated study's sensors as a record that can be written to a file.
 
     Args:
         study: simulated study, its file, or the name of a shipped study.
-        draw_id: whose noise.
-        variant_id: whose Earth, motion and sensors, where these are swept.
+        draw_id: draw of the noise.
+        variant_id: variant of Earth, motion and sensors, if these are swept.
 
     Raises:
         InputError: the study has no such variant, or reads a record itself.
@@ -176,24 +193,27 @@ def simulated_record(study: Study | str | Path, draw_id: int = 0, variant_id: in
     number = next(i for i, ids in enumerate(scenario.variant_ids) if variant_id in ids)
     part = scenario.part(number, range(draw_id, draw_id + 1))
     static, environment = part.group.static, part.group.environment
-    draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, part.group.draws)
-    draw = draw._replace(made=derived(static, environment, draw))
-    site = site_of_draw(environment, draw)
-
+    model = environment.sensors
     samples = min(static.records, int(environment.pass_records)) * static.record_every
-    if environment.increments is None and environment.motion is not None:
-        whole = true_motion.rows(environment.motion, site.place, study.rate_hz, samples, axes=True)
-        environment = environment._replace(increments=whole[:, :6], axes=whole[:, 6:])
+    if model.increments is None and model.motion is not None:
+        place = environment.site.place
+        whole = true_increments(model.motion, place, study.rate_hz, samples, axes=True)
+        model = model._replace(increments=whole[:, :6], axes=whole[:, 6:])
+        environment = environment._replace(sensors=model)
+    draws = jax.tree.map(lambda a: a if np.ndim(a) else np.full(1, a), part.group.draws)
+    derived_site = draw_site(environment.site, _with_derived_inputs(static, environment, draws))
+    site = jax.tree.map(lambda a: np.ravel(a)[0], derived_site)
 
     @jax.jit
-    def rows(environment: Environment, draw: Draw, numbers: Array) -> Increments:
-        nothing = nothing_read(environment, draw)
-        return measured(static, environment, draw, nothing, numbers)[0]
+    def measure(environment: Environment, draws: Draw, numbers: Array) -> Increments:
+        draws = _with_derived_inputs(static, environment, draws)
+        sensors = draw_sensors(static, environment, draws)
+        return sensors.measurer(numbers)(sensors.initial_state(), jnp.arange(samples))[0]
 
-    out = rows(environment, draw, np.arange(samples))
+    out = measure(environment, draws, np.arange(samples))
     return Record(
-        dtheta=np.stack(out.dtheta, axis=1),
-        dv=np.stack(out.dv, axis=1),
+        dtheta=np.stack([np.asarray(axis)[:, 0] for axis in out.dtheta], axis=1),
+        dv=np.stack([np.asarray(axis)[:, 0] for axis in out.dv], axis=1),
         rate_hz=study.rate_hz,
         latitude_deg=float(site.latitude / DEG),
         height_m=float(site.earth.height),
@@ -202,8 +222,14 @@ def simulated_record(study: Study | str | Path, draw_id: int = 0, variant_id: in
     )
 
 
+def _with_derived_inputs(static: Static, environment: Environment, draws: Draw) -> Draw:
+    """Return a single draw, leaves (1, ...), with the inputs that follow from it."""
+    derived = jax.vmap(partial(derive_inputs, static, environment))(draws)
+    return draws._replace(derived=derived)
+
+
 def _split(study: Study) -> Iterator[np.ndarray]:
-    """Numbers of the variants that share program and environment, in order of first appearance."""
+    """Yield the numbers of variants that share program and environment, by first appearance."""
     keys = {*PROGRAM_KEYS, *ENVIRONMENT_KEYS, *PASS_KEYS}
     swept = [key for key in study.axis_keys if key in keys]
     codes = study.resolved.column(*swept).codes if swept else np.zeros(study.n_variants, int)
@@ -218,7 +244,7 @@ def _span(study: Study, variants: Variants) -> Span:
 
 
 def _criteria(study: Study, variants: Variants) -> Criteria:
-    """What the runs of some variants are judged against."""
+    """Return the criteria by which the runs of some variants are judged."""
     settings, before = study.study, 0
     if study.counts_before:
         coarse = (variants.common(key) for key in COARSE_KEYS)
@@ -234,13 +260,13 @@ def _criteria(study: Study, variants: Variants) -> Criteria:
 
 
 def _program(study: Study, variants: Variants, curves: bool) -> Static:
-    """The program of some variants."""
+    """Return the program of some variants."""
     simulated = not study.is_recorded
     span, kept = _span(study, variants), 0
     reverses = study.passes is not None and not span.rewinds
     if simulated and reverses and variants.takes(*SEQUENTIAL_KEYS):
         # Of one length for all parts, so that they share a program.
-        kept = max(each.read for each in study.distinct_spans) * study.record_every
+        kept = max(span.read for span in study.distinct_spans) * study.record_every
     return Static(
         variants.common("method"),
         Options(
@@ -253,18 +279,19 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
         study.record_every,
         span.records,
         curves,
-        noisy=simulated and variants.takes(*NOISES),
-        distorted=simulated and variants.takes(*DISTORTIONS),
-        repeats=study.passes is not None,
-        rewinds=span.rewinds,
+        sensors=SensorProgram(
+            noisy=simulated and variants.takes(*NOISE_KEYS),
+            distorted=simulated and variants.takes(*DISTORTION_KEYS),
+            sways=simulated and variants.takes(*AMPLITUDE_KEYS),
+            kept=kept,
+        ),
+        passes="rewind" if span.rewinds else "alternate" if study.passes is not None else "once",
         coarse=_coarse_stage(study, variants),
-        sways=simulated and variants.takes(*AMPLITUDES),
-        kept=kept,
     )
 
 
 def _coarse_stage(study: Study, variants: Variants) -> CoarseStage | None:
-    """Coarse alignment where it is a stage of the runs of some variants."""
+    """Return coarse alignment if it is a stage of the runs of some variants, else None."""
     if not study.coarse:
         return None
     method, length_s, then = (variants.common(key) for key in COARSE_KEYS)
@@ -274,8 +301,8 @@ def _coarse_stage(study: Study, variants: Variants) -> CoarseStage | None:
     return CoarseStage(method, records, then == "replay")
 
 
-def _params(study: Study, variants: Variants, site: Site, ug: float) -> RunParams:
-    """Numbers of the part's variants, leaves (variants, ...)."""
+def _run_params(study: Study, variants: Variants, site: Site, ug: float) -> RunParams:
+    """Return the params of a part's variants, leaves (variants, ...)."""
     zero = np.zeros(len(variants.ids))
     start = [f"phi_{axis}0_deg" for axis in "enu"]
     drawn = any(key in study.drawn_keys for key in start)
@@ -294,7 +321,7 @@ def _params(study: Study, variants: Variants, site: Site, ug: float) -> RunParam
 
 
 def _rotation_vectors(starts: Coded) -> Vec3:
-    """Rotation vectors of starts by their meaning and angles in degrees, leaves (variants,)."""
+    """Return rotation vectors of initial misalignments given in degrees, leaves (variants,)."""
     angles = np.asarray([values[1:] for values in starts.choices], dtype=float).T * DEG
     euler = np.asarray([values[0] == "euler" for values in starts.choices])
     vectors = np.where(euler, np.stack(_euler_vectors(*angles)), angles)

@@ -1,24 +1,20 @@
-"""How runs are laid into the lanes of tiles: pairs of a draw and a variant, draw by draw."""
+"""The lanes of tiles: pairs of a draw and a variant, draw by draw."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from sinsjax.engine.realisations import Draw, Environment, Static, method_of
-from sinsjax.engine.simulate import RunParams
+from sinsjax.engine.environment import Draw, DrawnNormally, RunParams, Static
 
 LANES = 64
-"""Runs a tile. Results are bit-equal for any chunk and device count only at one lane count."""
-
+"""Runs per tile. Results are bit-equal for any chunk and device count only at one lane count."""
 
 STACKED_TILES = 8
-"""Tiles that share one covariance; as `LANES`, it decides the last bits."""
-
+"""Tiles that share one covariance; like `LANES`, it decides the last bits."""
 
 MOST_IDLE = 1 / 8
-"""Share of idle lanes that a draw's last tile may have before another draw is put into it."""
-
+"""Largest share of idle lanes in a draw's last tile; beyond it another draw is put there."""
 
 VECTOR = 16
 """Single-precision numbers in the widest vector of a CPU."""
@@ -29,25 +25,30 @@ class Group(NamedTuple):
 
     Attributes:
         static: program.
-        environment: shared by all.
-        draws: `Draw` with leaves (draws,), or () for what is the same for all.
+        environment: shared by all runs, an `Environment` for `run.run_tile`.
+        draws: `Draw` with leaves (draws,), or () for what all share.
         q: (draws, 4) attitude of each draw before the misalignment.
         variants: `RunParams` with leaves (variants, ...); its ``q`` is ignored.
+        drawn: distributions of the drawn numbers if all are normal; else None.
+        run: (static, environment, one of `Tiles`, shown) -> results of a tile, hashable; None for
+            `run.run_tile`.
     """
 
     static: Static
-    environment: Environment
+    environment: Any
     draws: Draw
     q: np.ndarray
     variants: RunParams
+    drawn: DrawnNormally | None = None
+    run: Any = None
 
     @property
     def sizes(self) -> tuple[int, int]:
         """Number of draws and of variants."""
         return len(self.draws.draw_id), len(self.variants.ve)
 
-    def some(self, draws: np.ndarray, variants: np.ndarray) -> "Group":
-        """The group with some draws and some variants only, by their places."""
+    def select(self, draws: np.ndarray, variants: np.ndarray) -> "Group":
+        """Return the group with some draws and variants only, by their places."""
         return self._replace(
             draws=jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, self.draws),
             q=self.q[draws],
@@ -56,7 +57,7 @@ class Group(NamedTuple):
 
 
 class Lanes(NamedTuple):
-    """Which runs the lanes of a call take; leaves (tiles, sets, lanes).
+    """Draw and variant of each lane of a call; leaves (tiles, sets, lanes).
 
     Attributes:
         draw: place of the draw in the group; beyond its end for idle lanes.
@@ -68,11 +69,11 @@ class Lanes(NamedTuple):
 
 
 class Tiles(NamedTuple):
-    """Arguments of tiles, with a leading axis of tiles, and of sets where tiles are stacked.
+    """Arguments of tiles, with a leading axis of tiles, and of sets if tiles are stacked.
 
     Attributes:
         draws: `Draw` with leaves (tiles, [sets,] distinct).
-        row: (tiles, lanes) which of its tile's draws each lane takes.
+        row: (tiles, lanes) draw of each lane among those of its tile.
         params: `RunParams` with leaves (tiles, lanes, ...), ``q`` (tiles, [sets,] lanes).
     """
 
@@ -82,14 +83,14 @@ class Tiles(NamedTuple):
 
 
 def layout(static: Static, variants: int, lanes: int = LANES) -> tuple[int, int]:
-    """How many tiles share a covariance, and how many lanes a draw takes.
+    """Return the number of tiles that share a covariance, and of the lanes that a draw takes.
 
-    Stacked tiles need the same variants in the same lanes: there a draw is widened, with idle
-    lanes, to whole tiles or to a part of one that leaves no rest. Others are widened to whole
-    tiles where few lanes stay idle: a tile of two draws makes the samples of `VECTOR`.
+    Stacked tiles need the same variants in the same lanes: a draw is widened there, with idle
+    lanes, to whole tiles or to a divisor of a tile. Otherwise it is widened to whole tiles if few
+    lanes stay idle, since a tile of two draws makes the samples of `VECTOR`.
     """
     whole = lanes * -(-variants // lanes)
-    if not method_of(static).shares_covariance:
+    if not static.shares_covariance:
         few = variants > lanes and whole - variants <= MOST_IDLE * variants
         return 1, whole if few else variants
     if variants > lanes:
@@ -98,10 +99,10 @@ def layout(static: Static, variants: int, lanes: int = LANES) -> tuple[int, int]
 
 
 def distinct_draws(width: int, lanes: int = LANES) -> int:
-    """Draws a tile has room for, where each takes ``width`` lanes in a row.
+    """Return the number of draws that a tile has room for if each takes ``width`` lanes in a row.
 
-    At least the most that it can hold, in whole vectors: a rest would take as long as another. As
-    many as there are lanes, of which there are three or more, only where a draw takes one.
+    That is at least the most that it can hold, in whole vectors, since a part of a vector takes as
+    long as a whole one; it is as many as there are lanes only if a draw takes one lane.
     """
     if width % lanes == 0:
         return 1
@@ -113,7 +114,7 @@ def distinct_draws(width: int, lanes: int = LANES) -> int:
 
 
 def tiles_of(group: Group, places: Lanes) -> Tiles:
-    """Arguments for the tiles of one call; idle lanes repeat the last draw or variant."""
+    """Return the arguments of the tiles of a call; idle lanes repeat the last draw or variant."""
     draws, variants = group.sizes
     _, sets, lanes = places.draw.shape
     _, width = layout(group.static, variants, lanes)
@@ -133,12 +134,11 @@ def tiles_of(group: Group, places: Lanes) -> Tiles:
     )
 
 
-def shown(group: Group) -> int | None:
-    """Lanes of a tile whose curves are asked for, None for all.
+def curve_lanes(group: Group) -> int | None:
+    """Return the lanes of a tile whose curves are returned, the first ones; None for all.
 
-    A few runs are in the first lanes, and the curves of idle ones would fill the memory.
+    A few runs are in the first lanes, and the curves of idle lanes would fill the memory.
     """
     draws, variants = group.sizes
-    taken = draws * layout(group.static, variants)[1]
-    static = group.static
-    return taken if static.curves and not static.sampled_errors and taken < LANES else None
+    used = draws * layout(group.static, variants)[1]
+    return used if group.static.curves and group.run is None and used < LANES else None

@@ -1,7 +1,7 @@
-"""What a run is judged by, accumulated as it goes: no curve has to be stored for it.
+"""Metrics of a run, accumulated as it proceeds, so that no curve has to be stored.
 
-Everything is observed at record times, for one run. phi is the misalignment that is left in the
-*corrected* attitude, what a user would be given. Without a reference attitude phi is NaN.
+All are of one run, observed at record times. phi is the misalignment of the *corrected* attitude,
+which a user would be given. Without a reference attitude phi is NaN.
 """
 
 from typing import Any, NamedTuple
@@ -32,7 +32,7 @@ FIELDS = 9
 
 
 class Criteria(NamedTuple):
-    """What the runs of a study are judged against.
+    """Thresholds and times by which the runs of a study are judged.
 
     Attributes:
         bands: (B,) half-widths about the floor and about the truth, rad.
@@ -40,11 +40,11 @@ class Criteria(NamedTuple):
         window_end: s.
         consistency_after: record times after this one count for the P above error shares, s.
         steady_after: record times after this one are the steady process, s.
-        sharpness: None, or how sharp the edge of a band is where settling times are relaxed to be
-            differentiated: an error of x times the band is outside with the share
-            x^k / (1 + x^k), k being the sharpness.
-        report_samples: None, or (T,) numbers of the samples, from 1, at whose record times
-            heading error, its sigma and NEES are reported.
+        sharpness: sharpness k of the edge of a band if settling times are smoothed for
+            differentiation: an error of x times the band counts as outside with the share
+            x^k / (1 + x^k); None for a hard edge.
+        report_samples: (T,) numbers of the samples, from 1, at whose record times heading error,
+            its sigma and NEES are reported; None for none.
     """
 
     bands: Array
@@ -81,10 +81,10 @@ class Metrics(NamedTuple):
         window: see `Window`.
         above: (3,) record times at which P_UU exceeded phi_u^2, at which it exceeded
             (phi_u - floor)^2, and phi_u^2 again in the steady process.
-        judged: (3,) record times that each of these counts looked at.
+        judged: (3,) record times included in each of these counts.
         last: the latest observation.
-        at_times: None, or (T, 3) phi_u (rad), its 1 sigma (rad) and NEES at the times that are
-            reported; NaN until then.
+        at_times: (T, 3) phi_u (rad), its 1 sigma (rad) and NEES at the reported times, NaN until
+            then; None without such times.
     """
 
     outside_until: Array
@@ -96,7 +96,7 @@ class Metrics(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What is left of a run at its end, SI units; angles in rad.
+    """Results of a run, SI units; angles in rad.
 
     Attributes:
         last: observation at the last record time.
@@ -105,9 +105,9 @@ class Outcome(NamedTuple):
         std: window standard deviations of the same.
         above_share: `Metrics.above` over `Metrics.judged`.
         nees: phi' P^-1 phi over the attitude states.
-        nis_u: (phi_u - limit)^2 / P_UU.
-        limit: what the run's own sensor biases leave of phi, from which the heading was judged.
-        results: what the method tells of itself, see `Method.results`.
+        nis_u: (phi_u - floor)^2 / P_UU.
+        floor: bias floor of the run.
+        results: basis of the method's own result columns, see `Method.results`.
         at_times: as in `Metrics`.
     """
 
@@ -118,33 +118,33 @@ class Outcome(NamedTuple):
     above_share: tuple[Scalar, Scalar, Scalar]
     nees: Scalar
     nis_u: Scalar
-    limit: BiasFloor
+    floor: BiasFloor
     results: Any = None
     at_times: Array | None = None
 
 
 def observe(q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance) -> Observation:
-    """Compare a corrected attitude with the truth."""
+    """Return the observation of a corrected attitude against the truth."""
     sigma = Vec3(*(jnp.sqrt(v) for v in (covariance.ee, covariance.nn, covariance.uu)))
     return Observation(misalignment(q_true, q_hat), sigma, *to_euler(q_hat))
 
 
 def as_row(now: Observation) -> Array:
-    """An observation as one array (fields, ...), to be stored record by record.
+    """Return an observation as one array (fields, ...), to be stacked record by record.
 
-    XLA:CPU would update several arrays side by side by copying them whole, every record.
+    XLA:CPU would copy several stacked arrays whole at every record.
     """
     return jnp.stack(jax.tree.leaves(now))
 
 
 def from_rows(rows: Array) -> Observation:
-    """Observations with leaves (records, ...) from rows (records, fields, ...) of `as_row`."""
+    """Return observations with leaves (records, ...) from rows (records, fields, ...)."""
     e, n, u, *sigma, pitch, roll, yaw = (rows[:, i] for i in range(FIELDS))
     return Observation(Vec3(e, n, u), Vec3(*sigma), pitch, roll, yaw)
 
 
 def start(criteria: Criteria, zero: Scalar) -> Metrics:
-    """Accumulators before the first record, in zeros of the type given."""
+    """Return the accumulators before the first record, in zeros of the given type."""
     nothing = Vec3(zero, zero, zero)
     six, three = jnp.zeros(6) + zero, jnp.zeros(3) + zero
     window = Window(zero, six, six, six)
@@ -159,13 +159,13 @@ def start(criteria: Criteria, zero: Scalar) -> Metrics:
 def accumulate(
     metrics: Metrics, criteria: Criteria, now: Observation, *, floor: Scalar, time: Scalar
 ) -> Metrics:
-    """Take one observation in.
+    """Return the accumulators after one more observation.
 
     Args:
         metrics: so far.
         criteria: of the study.
         now: the observation.
-        floor: what phi_u should settle to, rad.
+        floor: bias floor of phi_u, rad.
         time: of the observation, s.
     """
     error = now.phi.z - floor
@@ -181,13 +181,13 @@ def accumulate(
             time,
             metrics.outside_until,
         ),
-        window=_widen(
+        window=_add_to_window(
             metrics.window,
             now,
             (time > criteria.window_start) & (time <= criteria.window_end),
         ),
-        above=_count(metrics.above, judged & above),
-        judged=_count(metrics.judged, judged),
+        above=_count_if(metrics.above, judged & above),
+        judged=_count_if(metrics.judged, judged),
         last=now,
         at_times=metrics.at_times,
     )
@@ -196,10 +196,10 @@ def accumulate(
 def report(
     metrics: Metrics, criteria: Criteria, covariance: AttitudeCovariance, n: Scalar
 ) -> Metrics:
-    """Keep what the latest observation says where its time is one that is reported.
+    """Store the latest observation if its time is one of those reported.
 
     Args:
-        metrics: with the observation taken in.
+        metrics: with the observation included.
         criteria: of the study.
         covariance: at the observation.
         n: number of its sample.
@@ -213,52 +213,52 @@ def report(
 
 
 def nees(phi: Vec3, covariance: AttitudeCovariance) -> Scalar:
-    """NEES, phi' P^-1 phi over the attitude states."""
+    """Return NEES, phi' P^-1 phi over the attitude states."""
     return dot(phi, solve3(tuple(covariance), phi))
 
 
 def outside(criteria: Criteria, error: Scalar) -> Array:
-    """Whether an error is outside each band, NaN being outside; or which share of it is."""
+    """Return whether an error is outside each band, NaN being outside; or the smoothed share."""
     if criteria.sharpness is None:
         return ~(jnp.abs(error) <= criteria.bands)
-    # Of the square, and never of zero, where the logarithm has no slope; nor so near to it that
-    # the slope overflows.
+    # The square, and never zero, where the logarithm has no derivative; nor so near to zero that
+    # the derivative overflows.
     ratio = error * error / criteria.bands**2 + 1e-24
     return jax.nn.sigmoid(criteria.sharpness / 2 * jnp.log(ratio))
 
 
-def _widen(window: Window, now: Observation, inside: Flag) -> Window:
+def _add_to_window(window: Window, now: Observation, inside: Flag) -> Window:
     opening = inside & (window.count == 0)
     values = jnp.stack([*now.phi, now.pitch, now.roll, now.yaw])
     first = jnp.where(opening, values, window.first)
     step = _wrap(values - first)
     return Window(
-        count=_count(window.count, inside),
+        count=_count_if(window.count, inside),
         first=first,
         sums=jnp.where(inside, window.sums + step, window.sums),
         squares=jnp.where(inside, window.squares + step * step, window.squares),
     )
 
 
-def _count(so_far: Array, happened: Array) -> Array:
-    return jnp.where(happened, so_far + 1, so_far)
+def _count_if(so_far: Array, counted: Array) -> Array:
+    return jnp.where(counted, so_far + 1, so_far)
 
 
 def _wrap(angle: Array) -> Array:
-    """Into [-pi, pi]."""
+    """Return the angle in [-pi, pi]."""
     return angle - 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
 
 
 def finish(
     metrics: Metrics,
     covariance: AttitudeCovariance,
-    limit: BiasFloor,
+    floor: BiasFloor,
     results: Any = None,
 ) -> Outcome:
-    """What a run is reported with.
+    """Return the outcome of a run.
 
-    The standard deviation is that of the record times in the window (divisor n - 1). An empty
-    window, or a method without covariance, gives NaN.
+    The standard deviation is over the record times in the window (divisor n - 1). An empty window,
+    or a method without covariance, gives NaN.
     """
     window, phi = metrics.window, metrics.last.phi
     n, sums = window.count, window.sums
@@ -271,8 +271,8 @@ def finish(
         std=tuple(std),
         above_share=tuple(metrics.above / metrics.judged),
         nees=nees(phi, covariance),
-        nis_u=(phi.z - limit.phi.z) ** 2 / covariance.uu,
-        limit=limit,
+        nis_u=(phi.z - floor.phi.z) ** 2 / covariance.uu,
+        floor=floor,
         results=results,
         at_times=metrics.at_times,
     )

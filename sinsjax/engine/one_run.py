@@ -1,4 +1,4 @@
-"""One run of a study as a function of its numbers, for those who map and differentiate themselves.
+"""One run of a study as a function of its numbers, to map over and to differentiate.
 
 run = sinsjax.one_run(study)
 outcome = run(run.params, run.draw(0))
@@ -16,10 +16,10 @@ import numpy as np
 
 from sinsjax.engine import batch
 from sinsjax.engine.build import Scenario
-from sinsjax.engine.lanes import Group
+from sinsjax.engine.environment import Draw, RunParams
+from sinsjax.engine.lanes import Group, Tiles
 from sinsjax.engine.metrics import Outcome
-from sinsjax.engine.realisations import Draw
-from sinsjax.engine.simulate import RunParams, simulate
+from sinsjax.engine.run import run_tile
 from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import FeedbackSchedule, PiecewiseConstant, Resets
@@ -31,7 +31,7 @@ from sinsjax.types import Array, Quat
 
 
 class Realisation(NamedTuple):
-    """What a run has from its draw.
+    """The part of a run that its draw decides.
 
     Attributes:
         draw: noise, and whatever else a study draws or a start time decides.
@@ -61,16 +61,16 @@ class OneRun:
     """
 
     def __init__(self, group: Group, params: RunParams) -> None:
-        """Take a variant of a group.
+        """Store a variant of a group.
 
         Args:
-            group: what the engine runs, with one variant.
+            group: with one variant.
             params: of that variant, leaves (...).
         """
         self._group, self.params = group, params
 
     def __call__(self, params: RunParams, draw: Realisation) -> Outcome:
-        """The outcome of one run, SI units, angles in rad, leaves (...).
+        """Return the outcome of one run, SI units, angles in rad, leaves (...).
 
         Args:
             params: as `params`, or changed.
@@ -79,13 +79,12 @@ class OneRun:
         given: tuple[RunParams, Realisation] = jax.tree.map(_as_double, (params, draw))
         params, draw = given
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(given)):
-            params = params._replace(q=draw.q, method=_guarded(params.method))
-            static, environment = self._group.static, self._group.environment
-            return simulate(static, environment, draw.draw, params)[0]
-        return self._by_engine(params, draw)
+            params = params._replace(q=draw.q, method=_warn_of_zero_gradients(params.method))
+            return self._trace(params, draw.draw)
+        return self._run_compiled(params, draw)
 
     def draw(self, number: int) -> Realisation:
-        """One of the draws, by its number; of a recorded study, that of a start time."""
+        """Return one of the draws by its number; in a recorded study, that of a start time."""
         count = len(self._group.draws.draw_id)
         if not 0 <= number < count:
             raise InputError(f"draw {number}: the study has {count} draws, from 0")
@@ -94,20 +93,29 @@ class OneRun:
 
     @cached_property
     def draws(self) -> Realisation:
-        """All draws of the study, leaves (draws, ...), to be mapped over."""
+        """All draws of the study, leaves (draws, ...), to map over."""
         count = len(self._group.draws.draw_id)
         all_: Draw = jax.tree.map(
             lambda a: a if np.ndim(a) else np.full(count, a), self._group.draws
         )
         return Realisation(all_, Quat(*np.asarray(self._group.q).T))
 
-    def _by_engine(self, params: RunParams, draw: Realisation) -> Outcome:
-        """The run in the smallest call of the engine: its bits hang on no other run."""
+    def _trace(self, params: RunParams, draw: Draw) -> Outcome:
+        """Return the outcome of a tile of one lane, traced with a loop that has all derivatives."""
+        draws, lanes = jax.tree.map(lambda a: jnp.asarray(a)[None], (draw, params))
+        tile = Tiles(draws, np.zeros(1, np.int32), lanes)
+        static = self._group.static._replace(curves=False)
+        outcome, _ = run_tile(static, self._group.environment, tile, by_event=False)
+        only: Outcome = jax.tree.map(lambda a: a[0], outcome)
+        return only
+
+    def _run_compiled(self, params: RunParams, draw: Realisation) -> Outcome:
+        """Return the outcome of the smallest compiled call, whose bits depend on no other run."""
         first = partial(jax.tree.map, lambda a: np.asarray(a)[None])
         group = self._group._replace(
             draws=first(draw.draw), q=np.stack(draw.q)[None], variants=first(params)
         )
-        chunk = batch.Calls(group, tiles_a_chunk=1).chunk(0)
+        chunk = batch.Calls(group, tiles_per_chunk=1).chunk(0)
         outcome: Outcome = jax.tree.map(lambda a: a[0], chunk.outcome)
         return outcome
 
@@ -120,7 +128,7 @@ def one_run(
     window_s: float | None = None,
     sharpness: float | None = None,
 ) -> OneRun:
-    """One run of a study as a function of its numbers, see `OneRun`.
+    """Return one run of a study as a function of its numbers, see `OneRun`.
 
     Args:
         study: study, its file, or the name of a shipped study.
@@ -157,20 +165,20 @@ def one_run(
     group = scenario.part(number, variants=np.asarray([place])).group
     params: RunParams = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
     if window_s is not None:
-        params = params._replace(method=_softened(study, group, params.method, window_s))
+        params = params._replace(method=_smooth_resets(study, group, params.method, window_s))
     if sharpness is not None:
         soft = group.environment.criteria._replace(sharpness=np.float64(sharpness))
         group = group._replace(environment=group.environment._replace(criteria=soft))
     return OneRun(group, params)
 
 
-def _softened(study: Study, group: Group, method: Any, window_s: float) -> Any:
-    """The numbers of a method with its resets spread over windows."""
+def _smooth_resets(study: Study, group: Group, method: Any, window_s: float) -> Any:
+    """Return the params of a method with each reset spread over a smooth window."""
     relaxed = METHODS[group.static.method].implementation.relaxed
     if relaxed is None or relaxed.soften is None:
         raise InputError(f"{study.name}: window_s: {group.static.method!r} has no resets to spread")
-    if what := relaxed.refused(study, True):
-        raise InputError(f"{study.name}: window_s: {what} cannot be spread over windows")
+    if key := relaxed.refused(study, True):
+        raise InputError(f"{study.name}: window_s: {key} cannot be spread over windows")
     if not window_s * study.rate_hz >= 1:
         raise InputError(f"{study.name}: window_s: must be a sample or more, not {window_s:g}")
     soft = relaxed.soften(method, None, np.float64(window_s * study.rate_hz))
@@ -178,7 +186,7 @@ def _softened(study: Study, group: Group, method: Any, window_s: float) -> Any:
 
 
 def _as_double(leaf: Any) -> Any:
-    """Numbers as arrays; those of Python in double precision, and what counts as it is."""
+    """Return a number as an array; a tracer is returned unchanged."""
     return leaf if isinstance(leaf, jax.core.Tracer) else np.asarray(leaf)
 
 
@@ -194,32 +202,34 @@ _COUNTS: dict[type, tuple[str, str]] = {
         "times at which gains change is zero, whatever a change of them would do",
     ),
 }
-"""Numbers of schedules that count samples, and what is said of the gradient by them."""
+"""Fields of schedules that count samples, and the warning about the gradient by them."""
 
 
-def _guarded(method: Any) -> Any:
-    """The numbers of a method; those that count samples warn who differentiates by them."""
+def _warn_of_zero_gradients(method: Any) -> Any:
+    """Return a method's params that warn if they are differentiated by counts of samples."""
 
-    def guard(part: Any) -> Any:
+    def wrap(part: Any) -> Any:
         if type(part) not in _COUNTS:
             return part
         field, text = _COUNTS[type(part)]
-        return part._replace(**{field: _without_slope(text, getattr(part, field))})
+        return part._replace(**{field: _constant_count(text, getattr(part, field))})
 
-    return jax.tree.map(guard, method, is_leaf=lambda part: type(part) in _COUNTS)
+    return jax.tree.map(wrap, method, is_leaf=lambda part: type(part) in _COUNTS)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _without_slope(text: str, counts: Array) -> Array:
-    """Counts of samples as they are; a warning if they are differentiated by."""
+def _constant_count(text: str, counts: Array) -> Array:
+    """Return counts of samples unchanged; warn if they are differentiated by."""
     return jnp.asarray(counts)
 
 
-def _tell(text: str, primals: tuple[Array], tangents: tuple[Any]) -> tuple[Array, Array]:
+def _warn_if_differentiated(
+    text: str, primals: tuple[Array], tangents: tuple[Any]
+) -> tuple[Array, Array]:
     (counts,), (slope,) = primals, tangents
     if counts.size and not isinstance(slope, jax.custom_derivatives.SymbolicZero):
         warnings.warn(f"sinsjax.one_run: the gradient by {text}", stacklevel=2)
     return jnp.asarray(counts), jnp.zeros_like(counts)
 
 
-_without_slope.defjvp(_tell, symbolic_zeros=True)
+_constant_count.defjvp(_warn_if_differentiated, symbolic_zeros=True)

@@ -1,153 +1,198 @@
 """The samples of a record interval: one by one, or from one event to the next.
 
-A step is taken for every sample; closing the loop is an event, due every so many samples, or called
-for by a run at a sample. Runs of a tile go together to the first event of any of them, where all
-are closed: that leaves those for which nothing is due as they are. The samples themselves are made
-some at a time, since few draws alone would not fill a vector.
+Every sample is a step. Closing the loop is an event, due every so many samples or called for by a
+run at a sample. The runs of a tile step together to the first event of any of them, at which all
+are closed: that leaves the runs for which nothing is due unchanged. The samples themselves are made
+in blocks, see `samples`.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from sinsjax.types import Count, Flag, Scalar
 
-Step = Callable[[Any, Count, Any], Any]
-"""(state, place of the sample in the interval, sample) -> state."""
 
-Close = Callable[[Any, Count], Any]
-"""(state, samples of the interval taken) -> state after what is due."""
+class Steps(NamedTuple):
+    """The effect of samples on the state of runs; ``place`` counts the samples of the interval.
 
-NextEvent = Callable[[Any, Count], Scalar]
-"""(state, samples of the interval taken) -> how many they are at the next event."""
+    Attributes:
+        step: (state, place of the sample, sample) -> state.
+        close: (state, samples taken) -> state after what is due.
+        next_event: (state, samples taken) -> their number at the next event. It is None, or
+            returns None, if every sample may be an event.
+        called: (state, samples taken) -> whether the last of them is itself an event; None if
+            `next_event` finds all events.
+    """
 
-Called = Callable[[Any, Count], Flag]
-"""(state, samples of the interval taken) -> whether the last of them is an event by itself."""
+    step: Callable[[Any, Count, Any], Any]
+    close: Callable[[Any, Count], Any]
+    next_event: Callable[[Any, Count], Scalar | None] | None = None
+    called: Callable[[Any, Count], Flag] | None = None
 
-Make = Callable[[Any, Count], tuple[Any, Any]]
-"""(what samples look back at, number of a piece) -> its samples, leaves (samples, ...), and what
-the next piece looks back at."""
+
+class Blocks(NamedTuple):
+    """The samples of an interval in blocks.
+
+    Attributes:
+        samples: of the interval.
+        size: samples per block, a divisor of ``samples``.
+        make: (sensor state, number of the block) -> its samples, leaves (size, ...), and the sensor
+            state after it.
+    """
+
+    samples: int
+    size: int
+    make: Callable[[Any, Count], tuple[Any, Any]]
+
+
+class WithCompanion(NamedTuple):
+    """The state of runs, and something that is advanced by the same samples.
+
+    Attributes:
+        runs: state of the runs.
+        companion: of each run.
+    """
+
+    runs: Any
+    companion: Any
+
+
+def with_companion(
+    steps: Steps, advance: Callable[[Any, Any, Count, Any], Any], sample_of: Callable[[Any], Any]
+) -> Steps:
+    """Return steps that also advance a companion of the runs; their state is `WithCompanion`.
+
+    Args:
+        steps: of the runs.
+        advance: (companion, runs before the sample, place, sample) -> companion after it.
+        sample_of: sample -> the part of it that the runs take.
+    """
+    next_event, called = steps.next_event, steps.called
+
+    def step(state: WithCompanion, place: Count, sample: Any) -> WithCompanion:
+        companion = advance(state.companion, state.runs, place, sample)
+        return WithCompanion(steps.step(state.runs, place, sample_of(sample)), companion)
+
+    return Steps(
+        step,
+        lambda state, place: state._replace(runs=steps.close(state.runs, place)),
+        next_event and (lambda state, place: next_event(state.runs, place)),
+        called and (lambda state, place: called(state.runs, place)),
+    )
+
+
+def advance_interval(
+    steps: Steps, state: Any, sensor_state: Any, blocks: Blocks, *, by_event: bool = True
+) -> tuple[Any, Any]:
+    """Take all samples of a record interval.
+
+    Args:
+        steps: effect of the samples.
+        state: of the runs.
+        sensor_state: of the sensors.
+        blocks: the samples.
+        by_event: whether loops are closed at events only; else after every sample, by a scan of
+            static length, which has derivatives of both modes.
+
+    Returns:
+        Both states after the interval.
+    """
+    next_event = steps.next_event and steps.next_event(state, jnp.asarray(0))
+    if by_event and next_event is not None:
+        return event_by_event(steps, state, sensor_state, blocks)
+    return sample_by_sample(steps, state, sensor_state, blocks)
 
 
 def sample_by_sample(
-    state: Any, before: Any, count: int, step: Step, close: Close, make: Make, piece: int
+    steps: Steps, state: Any, sensor_state: Any, blocks: Blocks
 ) -> tuple[Any, Any]:
-    """Close after every sample, by a static scan: it has derivatives of both modes.
-
-    Args:
-        state: what the steps hand on.
-        before: what the first samples look back at.
-        count: samples of the interval.
-        step: see `Step`.
-        close: see `Close`.
-        make: see `Make`.
-        piece: samples that are made at a time; it divides ``count``.
-
-    Returns:
-        The state, and what the next interval looks back at.
-    """
+    """Close after every sample; arguments as of `advance_interval`."""
 
     def over_sample(state: Any, xs: tuple[Count, Any]) -> tuple[Any, None]:
         place, sample = xs
-        return close(step(state, place, sample), place + 1), None
+        return steps.close(steps.step(state, place, sample), place + 1), None
 
-    def over_piece(carry: tuple[Any, Any], number: Count) -> tuple[tuple[Any, Any], None]:
-        state, before = carry
-        samples, before = make(before, number)
-        places = number * piece + jnp.arange(piece)
-        return (jax.lax.scan(over_sample, state, (places, samples))[0], before), None
+    def over_block(carry: tuple[Any, Any], number: Count) -> tuple[tuple[Any, Any], None]:
+        state, sensor_state = carry
+        samples, sensor_state = blocks.make(sensor_state, number)
+        places = number * blocks.size + jnp.arange(blocks.size)
+        return (jax.lax.scan(over_sample, state, (places, samples))[0], sensor_state), None
 
-    return jax.lax.scan(over_piece, (state, before), jnp.arange(count // piece))[0]
+    numbers = jnp.arange(blocks.samples // blocks.size)
+    return jax.lax.scan(over_block, (state, sensor_state), numbers)[0]
 
 
-def event_by_event(
-    state: Any,
-    before: Any,
-    count: int,
-    step: Step,
-    close: Close,
-    make: Make,
-    piece: int,
-    next_event: NextEvent,
-    called: Called | None = None,
-) -> tuple[Any, Any]:
-    """Close at events, and at the end of the interval, where that leaves runs as they are.
+def event_by_event(steps: Steps, state: Any, sensor_state: Any, blocks: Blocks) -> tuple[Any, Any]:
+    """Close at events and at the end of the interval; arguments as of `advance_interval`."""
+    count, size, make = blocks
+    next_event, called = steps.next_event, steps.called
+    assert next_event is not None
+    shapes = jax.eval_shape(make, sensor_state, jnp.asarray(0))[0]
+    block = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes) if size > 1 else None
 
-    Args:
-        state: what the steps hand on.
-        before: what the first samples look back at.
-        count: samples of the interval.
-        step: see `Step`.
-        close: see `Close`.
-        make: see `Make`.
-        piece: samples that are made at a time; it divides ``count``.
-        next_event: see `NextEvent`.
-        called: see `Called`; None where no sample is.
-
-    Returns:
-        The state, and what the next interval looks back at.
-    """
-    shapes = jax.eval_shape(make, before, jnp.asarray(0))[0]
-    made = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes) if piece > 1 else None
-
-    def over(
-        place: Count, end: Count, one: Callable[[Count, Any], Any], carry: Any
+    def take_until(
+        place: Count, end: Count, take: Callable[[Count, Any], Any], carry: Any
     ) -> tuple[Count, Any, Flag]:
-        """Samples up to ``end``, or to the first that is an event by itself; whether it is one."""
+        """Take samples up to ``end``, or up to the first that is itself an event, and whether."""
         if called is None:
-            return end, jax.lax.fori_loop(place, end, one, carry), jnp.asarray(False)
+            return end, jax.lax.fori_loop(place, end, take, carry), jnp.asarray(False)
 
-        def further(progress: tuple[Count, Any, Flag]) -> Flag:
+        def unfinished(progress: tuple[Count, Any, Flag]) -> Flag:
             place, _, stopped = progress
             return (place < end) & ~stopped
 
-        def on(progress: tuple[Count, Any, Flag]) -> tuple[Count, Any, Flag]:
+        def take_next(progress: tuple[Count, Any, Flag]) -> tuple[Count, Any, Flag]:
             place, carry, _ = progress
-            carry = one(place, carry)
+            carry = take(place, carry)
             return place + 1, carry, called(carry[0], place + 1)
 
-        return jax.lax.while_loop(further, on, (place, carry, jnp.asarray(False)))
+        return jax.lax.while_loop(unfinished, take_next, (place, carry, jnp.asarray(False)))
 
-    def alone(place: Count, carry: tuple[Any, Any]) -> tuple[Any, Any]:
-        state, before = carry
-        samples, before = make(before, place)
-        return step(state, place, jax.tree.map(lambda a: a[0], samples)), before
+    def take_made(place: Count, carry: tuple[Any, Any]) -> tuple[Any, Any]:
+        """Make one sample and take it."""
+        state, sensor_state = carry
+        samples, sensor_state = make(sensor_state, place)
+        sample = jax.tree.map(lambda a: a[0], samples)
+        return steps.step(state, place, sample), sensor_state
 
-    def over_piece(stop: Count, progress: tuple) -> tuple:
-        place, (state, before), made, _ = progress
-        number = place // piece
-        # An event may cut a piece in two: its second part takes the samples of the first.
-        fresh = place == number * piece
-        made, before = jax.lax.cond(fresh, make, lambda before, _: (made, before), before, number)
-        end = jnp.minimum(stop, (number + 1) * piece)
+    def over_block(stop: Count, progress: tuple) -> tuple:
+        place, (state, sensor_state), block, _ = progress
+        number = place // size
+        # An event may cut a block in two: its second part takes the samples already made.
+        is_new = place == number * size
+        block, sensor_state = jax.lax.cond(
+            is_new, make, lambda sensor_state, _: (block, sensor_state), sensor_state, number
+        )
+        end = jnp.minimum(stop, (number + 1) * size)
 
-        def one(place: Count, carry: tuple[Any]) -> tuple[Any]:
-            at = place - number * piece
+        def take(place: Count, carry: tuple[Any]) -> tuple[Any]:
+            at = place - number * size
             sample = jax.tree.map(
-                lambda a: jax.lax.dynamic_index_in_dim(a, at, keepdims=False), made
+                lambda a: jax.lax.dynamic_index_in_dim(a, at, keepdims=False), block
             )
-            return (step(carry[0], place, sample),)
+            return (steps.step(carry[0], place, sample),)
 
-        place, (state,), stopped = over(place, end, one, (state,))
-        return place, (state, before), made, stopped
+        place, (state,), stopped = take_until(place, end, take, (state,))
+        return place, (state, sensor_state), block, stopped
 
-    def to_event(progress: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
-        place, carry, made = progress
-        # Compared as it is, and infinite where nothing is due any more.
+    def to_next_event(progress: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
+        place, carry, block = progress
+        # Compared as a float, since it is infinite when nothing is due any more.
         stop = jnp.minimum(next_event(carry[0], place), count).astype(place.dtype)
-        if piece > 1:
-            place, carry, made, _ = jax.lax.while_loop(
+        if size > 1:
+            place, carry, block, _ = jax.lax.while_loop(
                 lambda progress: (progress[0] < stop) & ~progress[3],
-                partial(over_piece, stop),
-                (place, carry, made, jnp.asarray(False)),
+                partial(over_block, stop),
+                (place, carry, block, jnp.asarray(False)),
             )
         else:
-            place, carry, _ = over(place, stop, alone, carry)
-        state, before = carry
-        return place, (close(state, place), before), made
+            place, carry, _ = take_until(place, stop, take_made, carry)
+        state, sensor_state = carry
+        return place, (steps.close(state, place), sensor_state), block
 
-    start = jnp.asarray(0), (state, before), made
-    return jax.lax.while_loop(lambda progress: progress[0] < count, to_event, start)[1]
+    start = jnp.asarray(0), (state, sensor_state), block
+    return jax.lax.while_loop(lambda progress: progress[0] < count, to_next_event, start)[1]

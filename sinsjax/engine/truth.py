@@ -1,7 +1,4 @@
-"""The environment of a study's runs: Earth, base motion and sensors, or a record in their place.
-
-Everything that runs of a part share is made here, in SI units, from the study's own.
-"""
+"""The environment and the draws of a study's runs, in SI units, from a simulation or a record."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,22 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax import units
-from sinsjax.engine import true_motion
-from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.realisations import (
+from sinsjax.engine.environment import (
     Draw,
     DrawnNormally,
     Environment,
     InitialErrors,
+    SensorModel,
+    Truth,
     aligned_record,
 )
-from sinsjax.engine.simulator import (
-    OF_DISTURBANCES,
-    disturbances_of,
-    errors_of,
-    motion_of,
-    with_lever_arm,
-    with_quanta,
+from sinsjax.engine.metrics import Criteria
+from sinsjax.engine.sensor_inputs import (
+    DISTURBANCE_KEYS,
+    add_lever_arm,
+    add_quantisation,
+    read_disturbances,
+    read_errors,
+    read_motion,
 )
 from sinsjax.errors import InputError
 from sinsjax.messages import seconds
@@ -50,23 +48,27 @@ from sinsjax.study.schema import (
 )
 from sinsjax.study.study import Span, Study
 from sinsjax.study.variants import Variants
+from sinsjax.types import Array
 from sinsjax.units import DEG, DEG_PER_H
 from sinsjax.value_types import Section
 
 MOST_STORED_SAMPLES = 2**22
-"""Samples of the longest simulated record that is stored, 200 MB; more are made as runs go."""
+"""Samples of the longest simulated record that is stored, 200 MB; more are made as runs proceed."""
+
+_SAMPLES, _TIMES = 4000, 256
+"""Samples of increments, and attitudes, per call: one program serves studies of any length."""
 
 _COARSE = COARSE | {"optimisation": align_by_optimisation}
 _LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
 
 
 NOMINAL_LATITUDE_DEG = 45.0
-"""What stands for a drawn latitude where one is needed for all draws: in the gains of compass
-loops, which know of it by gravity and radius alone, 0.3 % on an ellipsoid."""
+"""Replaces a drawn latitude where one is needed for all draws: in the gains of compass loops, which
+depend on it by gravity and radius alone, 0.3 % on an ellipsoid."""
 
 
-def site_of(study: Study, variants: Variants, stored: StoredRecord | None) -> tuple[Site, float]:
-    """The Earth and place of a part, and its ug in m/s^2."""
+def read_site(study: Study, variants: Variants, stored: StoredRecord | None) -> tuple[Site, float]:
+    """Return Earth and place of a part, and its ug, m/s^2."""
     height = variants.common("height_m")
     if height is None:
         height = (stored.record.height_m if stored else None) or 0.0
@@ -91,7 +93,7 @@ def site_of(study: Study, variants: Variants, stored: StoredRecord | None) -> tu
     return jax.tree.map(np.float64, site), ug
 
 
-def simulated(
+def simulate_environment(
     study: Study,
     variants: Variants,
     span: Span,
@@ -100,17 +102,18 @@ def simulated(
     *,
     blank: bool = False,
 ) -> tuple[Environment, Draw, np.ndarray]:
-    """Environment, draws and their true starting attitudes of a simulated part.
+    """Return environment, draws and their true initial attitudes of a simulated part.
 
-    A key that is drawn has a nominal value in the environment: zero, or its default. A blank one
-    has zeros for the truth: shapes are all that a program is compiled for.
+    A drawn key has a nominal value in the environment: zero, or its default. A blank environment
+    has zeros for the truth, which is enough to compile for its shapes.
     """
-    site, ug = site_of(study, variants, None)
+    site, ug = read_site(study, variants, None)
     errors, motion, disturbances = _base_and_sensors(variants, ug)
     times = np.concatenate([[0.0], study.stored_times(span)])
     increments, axes = None, None
-    if draws_own(study, EarthSection, MotionSection):
-        # Each draw makes its own as it goes.
+    draws_motion = draws_keys_of(study, EarthSection, MotionSection)
+    if draws_motion:
+        # Each draw makes its own as it proceeds.
         increments, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     else:
         # Of one length for all parts, so that they share a program.
@@ -118,71 +121,77 @@ def simulated(
         kept = samples if samples <= MOST_STORED_SAMPLES else 0
         surges = disturbances.surge is not None
         if blank:
-            rows, attitudes = true_motion.blank(kept, len(times), axes=surges)
+            rows, attitudes = _blank_truth(kept, len(times), axes=surges)
         else:
-            rows = true_motion.rows(motion, site.place, study.rate_hz, kept, axes=surges)
-            attitudes = true_motion.attitudes(motion, times)
+            rows = true_increments(motion, site.place, study.rate_hz, kept, axes=surges)
+            attitudes = true_attitudes(motion, times)
         if kept:
             increments, axes = rows[:, :6], rows[:, 6:] if surges else None
     n = len(draws)
     environment = Environment(
         site=site,
-        increments=increments,
-        truth=attitudes[None, 1:],
-        errors=errors,
-        seed=np.asarray(study.seed),
+        sensors=SensorModel(
+            increments=increments,
+            errors=errors,
+            seed=np.asarray(study.seed),
+            motion=motion if study.drawn_keys or increments is None else None,
+            axes=axes,
+            disturbances=disturbances,
+        ),
+        truth=Truth(attitudes[None, 1:], times[1:] if draws_motion else None),
         criteria=criteria,
         biases=mean_biases(errors, motion),
         pass_records=np.asarray(span.pass_records),
-        times=times[1:] if draws_own(study, EarthSection, MotionSection) else None,
-        motion=motion if study.drawn_keys or increments is None else None,
-        axes=axes,
-        disturbances=disturbances,
-        drawn=_drawn_normally(study, variants.ids, ug),
     )
     ids = np.arange(draws.start, draws.stop)
     nominal = errors, motion, disturbances
-    own = _own(study, variants.ids, draws, ug, nominal) if study.drawn_keys else {}
+    drawn = _drawn_fields(study, variants.ids, draws, ug, nominal) if study.drawn_keys else {}
     return (
         environment,
-        Draw(ids, np.asarray(0), np.zeros(n, int), **own),
+        Draw(ids, np.asarray(0), np.zeros(n, int), **drawn),
         np.tile(attitudes[0], (n, 1)),
     )
 
 
-def draws_own(study: Study, *sections: type[Section]) -> bool:
-    """Whether a study draws a key of some sections."""
+def draws_keys_of(study: Study, *sections: type[Section]) -> bool:
+    """Return whether a study draws a key of some sections."""
     return any(key in section.model_fields for key in study.drawn_keys for section in sections)
 
 
-def _own(
+def _drawn_fields(
     study: Study,
     ids: np.ndarray,
     draws: range,
     ug: float,
     nominal: tuple[sensors.SensorErrors, base_motion.Motion, Disturbances],
 ) -> dict[str, Any]:
-    """What the draws of a simulated study have for themselves, as fields of `Draw`."""
+    """Return the drawn numbers of a simulated study as fields of `Draw`."""
     values = sampling.values(study, len(draws), first=draws.start)
     variants = Variants(study, ids, values)
     drawn = _base_and_sensors(variants, ug)
     errors, motion, disturbances = jax.tree.map(
         lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, nominal
     )
-    own: dict[str, Any] = {"begins": _begins(values)}
-    if draws_own(study, SensorsSection):
-        own["errors"] = errors
-    if draws_own(study, MotionSection, EarthSection):
-        own["motion"] = motion
-    if draws_own(study, EarthSection):
-        own["latitude"] = values["latitude_deg"] * DEG
-    if any(key in study.drawn_keys for key in OF_DISTURBANCES):
-        own["disturbances"] = disturbances
-    return own
+    fields: dict[str, Any] = {"initial": _initial_errors(values)}
+    if draws_keys_of(study, SensorsSection):
+        fields["errors"] = errors
+    if draws_keys_of(study, MotionSection, EarthSection):
+        fields["motion"] = motion
+    if draws_keys_of(study, EarthSection):
+        fields["latitude"] = values["latitude_deg"] * DEG
+    if any(key in study.drawn_keys for key in DISTURBANCE_KEYS):
+        fields["disturbances"] = disturbances
+    return fields
 
 
-def _drawn_normally(study: Study, ids: np.ndarray, ug: float) -> DrawnNormally | None:
-    """Means and standard deviations where all that draws have for themselves has such."""
+def normal_distributions(study: Study, ids: np.ndarray, ug: float) -> DrawnNormally | None:
+    """Return means and standard deviations of the drawn numbers if all are normal, else None.
+
+    Args:
+        study: checked study.
+        ids: variants of a part.
+        ug: micro-g, m/s^2.
+    """
     laws = {} if study.drawn is None else study.drawn.laws
     if not laws or any(not is_normal(key, law) for key, law in laws.items()):
         return None
@@ -195,14 +204,14 @@ def _drawn_normally(study: Study, ids: np.ndarray, ug: float) -> DrawnNormally |
         for row in moments
     )
     errors, spread = (_base_and_sensors(Variants(study, ids, a), ug)[0] for a in (means, sigmas))
-    begins, sigma = (jax.tree.map(lambda a: a[0], _begins(a)) for a in (means, sigmas))
+    initial, sigma = (jax.tree.map(lambda a: a[0], _initial_errors(a)) for a in (means, sigmas))
     gyro, accel = (key in laws for key in BIAS_KEYS)
     biases = [
         np.reshape(np.broadcast_to(a, (1, 3)), 3) for a in (errors.gyro_bias, errors.accel_bias)
     ]
     mean = errors._replace(gyro_bias=biases[0], accel_bias=biases[1])
     return DrawnNormally(
-        begins,
+        initial,
         mean if gyro or accel else None,
         np.array([a or 0.0 for a in (*sigma.phi, *sigma[1:])]),
         np.reshape(spread.gyro_bias, 3) if gyro else None,
@@ -213,53 +222,53 @@ def _drawn_normally(study: Study, ids: np.ndarray, ug: float) -> DrawnNormally |
 def _base_and_sensors(
     variants: Variants, ug: float
 ) -> tuple[sensors.SensorErrors, base_motion.Motion, Disturbances]:
-    """Sensors, base, and what disturbs both, of some variants and of their draws if given."""
+    """Return sensor errors, motion and disturbances of variants, and of their draws if given."""
     rate, common = variants.rate_hz, variants.common
     return (
-        with_quanta(errors_of(common, ug, rate), variants),
-        with_lever_arm(motion_of(common), variants),
-        disturbances_of(variants, ug, rate),
+        add_quantisation(read_errors(common, ug, rate), variants),
+        add_lever_arm(read_motion(common), variants),
+        read_disturbances(variants, ug, rate),
     )
 
 
-def _begins(values: Mapping[str, np.ndarray]) -> InitialErrors:
-    """What draws begin with, where that is drawn."""
+def _initial_errors(values: Mapping[str, np.ndarray]) -> InitialErrors:
+    """Return the drawn initial errors."""
     e, n, u = (values.get(f"phi_{axis}0_deg") for axis in "enu")
     return InitialErrors(
-        phi=(_angle(e), _angle(n), _angle(u)),
+        phi=(_to_radians(e), _to_radians(n), _to_radians(u)),
         ve=values.get("ve0_m_per_s"),
         vn=values.get("vn0_m_per_s"),
     )
 
 
-def _angle(degrees: np.ndarray | None) -> np.ndarray | None:
+def _to_radians(degrees: np.ndarray | None) -> np.ndarray | None:
     return None if degrees is None else degrees * DEG
 
 
-def starts_of(study: Study, rate_hz: float) -> np.ndarray:
-    """(draws,) the sample of a record at which the coarse alignment of each begins."""
+def start_samples(study: Study, rate_hz: float) -> np.ndarray:
+    """Return the sample of a record at which the coarse alignment of each draw starts, (draws,)."""
     assert study.record is not None
     return np.round(np.asarray(study.record.start_s) * rate_hz).astype(int)
 
 
-def recorded(
+def record_environment(
     study: Study, variants: Variants, span: Span, criteria: Criteria, stored: StoredRecord
 ) -> tuple[Environment, Draw, np.ndarray]:
-    """Environment, draws (one a start time) and coarsely aligned attitudes of a recorded part.
+    """Return environment, draws (one per start time) and coarse attitudes of a recorded part.
 
-    Where coarse alignment is a stage of the runs, nothing is known of the attitude.
+    If coarse alignment is a stage of the runs, the attitude is unknown.
     """
-    site, _ = site_of(study, variants, stored)
+    site, _ = read_site(study, variants, stored)
     record, rate = stored.record, study.rate_hz
     if abs(record.rate_hz - rate) > 1e-6 * rate:
         raise InputError(
             f"{record.source}: the record has {record.rate_hz:g} Hz, [study] rate_hz is {rate:g}"
         )
     method, *rest = (variants.common(key) for key in COARSE_KEYS)
-    coarse_n, starts = study.samples_before(rate, method, *rest), starts_of(study, rate)
+    coarse_n, starts = study.samples_before(rate, method, *rest), start_samples(study, rate)
     for start in starts / rate:
         require_span(record, start, (coarse_n + span.read * study.record_every) / rate)
-    # No more of the record than is read.
+    # Only the part of the record that is read.
     first, end = starts.min(), starts.max() + coarse_n + span.read * study.record_every
     increments = aligned_record(int(end - first))
     np.concatenate([a[first:end] for a in (record.dtheta, record.dv)], axis=1, out=increments)
@@ -270,25 +279,25 @@ def recorded(
         samples = jax.vmap(sensors.compensate_record)(pieces, pieces[:, 0])
         q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
     fine = starts + coarse_n
-    truth = np.stack([_reference_at(stored, s / rate + study.stored_times(span)) for s in fine])
+    truth = np.stack(
+        [reference_attitudes(stored, s / rate + study.stored_times(span)) for s in fine]
+    )
     environment = Environment(
         site=site,
-        increments=increments,
-        truth=truth,
-        errors=sensors.perfect(),
-        seed=np.asarray(study.seed),
+        sensors=SensorModel(increments, sensors.perfect(), np.asarray(study.seed)),
+        truth=Truth(truth),
         criteria=criteria,
         biases=NO_BIASES,
         pass_records=np.asarray(span.pass_records),
     )
     n = len(starts)
-    begins = _begins(sampling.values(study, n))
-    draws = Draw(np.arange(n), fine - first, np.arange(n), begins=begins)
+    initial = _initial_errors(sampling.values(study, n))
+    draws = Draw(np.arange(n), fine - first, np.arange(n), initial=initial)
     return environment, draws, np.asarray(q)
 
 
-def _reference_at(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
-    """(n, 4) reference attitude at times from the record's start; NaN without a reference."""
+def reference_attitudes(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
+    """Return the reference attitude at times from the record's start, (n, 4); NaN without one."""
     reference = stored.reference
     if reference is None:
         return np.full((len(times), 4), np.nan)
@@ -317,7 +326,7 @@ def _reference_at(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
             f"{reference.source}: has a gap of {gap:g} s where the study needs it"
             f" (at most {_LONGEST_GAP_S:g} s are interpolated)"
         )
-    # Half the time that importing all of sinsjax takes, and only a reference needs it.
+    # Half the import time of sinsjax, and needed only with a reference.
     from scipy.spatial.transform import Rotation, Slerp
 
     pitch, roll, yaw = reference.attitude_deg.T
@@ -325,3 +334,49 @@ def _reference_at(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
     return Slerp(reference.time_s, attitudes)(np.clip(times, first, last)).as_quat(
         scalar_first=True
     )
+
+
+# The true motion of a base over a whole study, made in calls of one size
+
+_increments = jax.jit(base_motion.increments, static_argnums=3)
+_increments_and_axes = jax.jit(base_motion.increments_and_axes, static_argnums=3)
+
+
+@jax.jit
+def _attitudes(motion: base_motion.Motion, times: Array) -> Array:
+    return jax.vmap(lambda t: jnp.stack(base_motion.attitude(motion, t)))(times)
+
+
+def true_increments(
+    motion: base_motion.Motion, place: earth.Place, rate_hz: float, samples: int, *, axes: bool
+) -> np.ndarray:
+    """Return ideal increments, rad and m/s: (samples, 6), or with the axes of n (samples, 15).
+
+    Args:
+        motion: of the base.
+        place: Earth rates and gravity.
+        rate_hz: sample rate, Hz.
+        samples: number of samples.
+        axes: whether the axes of n in b, means over each sample, are included.
+    """
+    increments, _ = _blank_truth(samples, 0, axes=axes)
+    integrate = _increments_and_axes if axes else _increments
+    for first in range(0, samples, _SAMPLES):
+        block = increments[first : first + _SAMPLES]
+        block[:] = integrate(motion, place, rate_hz, _SAMPLES, float(first))[: len(block)]
+    return increments
+
+
+def true_attitudes(motion: base_motion.Motion, times: np.ndarray) -> np.ndarray:
+    """Return true attitudes, body to n, (n, 4) quaternions at times (n,), s."""
+    _, attitudes = _blank_truth(0, len(times), axes=False)
+    for first in range(0, len(times), _TIMES):
+        block = attitudes[first : first + _TIMES]
+        padded = np.resize(times[first : first + _TIMES], _TIMES)
+        block[:] = _attitudes(motion, padded)[: len(block)]
+    return attitudes
+
+
+def _blank_truth(samples: int, times: int, *, axes: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return zeros of the shapes of `true_increments` and `true_attitudes`."""
+    return np.zeros((samples, 15 if axes else 6)), np.zeros((times, 4))

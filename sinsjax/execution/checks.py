@@ -2,14 +2,13 @@
 
 from collections.abc import Iterator
 
-import jax
 import numpy as np
 
-from sinsjax.engine import batch, simulate
+from sinsjax.engine import batch
+from sinsjax.engine.bias_floors import hidden_north
 from sinsjax.engine.build import parts
-from sinsjax.engine.lanes import Group, shown, tiles_of
-from sinsjax.engine.study_limits import hidden_north
-from sinsjax.engine.truth import site_of, starts_of
+from sinsjax.engine.lanes import tiles_of
+from sinsjax.engine.truth import read_site, start_samples
 from sinsjax.errors import InputError
 from sinsjax.messages import one_line, seconds
 from sinsjax.methods.filters.parameters import level_settling_s
@@ -61,43 +60,22 @@ def check_methods(study: Study, stored: StoredRecord | None = None) -> list[str]
     Raises:
         InputError: one of them cannot be run; names its package.
     """
-    told: dict[str, str | None] = {}
     if PACKAGES.keys().isdisjoint(study.methods):
         return []
     for part in parts(study, stored):
-        static, environment = part.group.static, part.group.environment
+        static = part.group.static
         if static.method not in PACKAGES:
             continue
         tiles = tiles_of(part.group, batch.plan(part.group)[0])
         try:
-            batch.program(
-                static, environment, tiles, shown(part.group)
-            )  # a sweep takes it from there
+            batch.program(part.group, tiles)  # kept for the sweep
         except InputError:
             raise
         except Exception as error:  # what JAX says of another's function
             of = label_plugin(static.method)
             what = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
             raise InputError(f"{of}: does not trace: {what}") from error
-        if static.method not in told:
-            told[static.method] = _odd_covariance(part.group)
-    return [f"{label_plugin(name)}: covariance: {odd}" for name, odd in told.items() if odd]
-
-
-def _odd_covariance(group: Group) -> str | None:
-    """How P at the start of a first run contradicts the description of its method, in words."""
-    draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, group.draws)
-    params = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
-    first = jax.jit(simulate.first_covariance, static_argnums=0)
-    p = first(group.static, group.environment, draw, params)
-    described, given = METHODS[group.static.method].has_covariance, not np.isnan(p).all()
-    if given and not described:
-        return "gives one, but has_covariance is False (say True, or give no_covariance)"
-    if described and not given:
-        return "gives none as a run begins, but has_covariance is True (without any, say False)"
-    if min(p.ee, p.nn, p.uu) < 0:
-        return "gives a negative variance as a run begins"
-    return None
+    return []
 
 
 def process_noise(study: Study) -> str | None:
@@ -176,7 +154,7 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
             f"{record.source}: {record.filled} missing samples are interpolated (gaps up to"
             f" {key} = {layout.max_gap_s:g} s)"
         )
-    site, _ = site_of(study, Variants(study, np.zeros(1, int)), stored)
+    site, _ = read_site(study, Variants(study, np.zeros(1, int)), stored)
     bias = {
         key: default if getattr(section, key) is None else getattr(section, key)
         for key, default in _BIASES.items()
@@ -207,7 +185,7 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
 
 def _used(study: Study, record: Record) -> list[tuple[int, int]]:
     """Spans of samples that a study reads, merged where they overlap; none are missing."""
-    starts = starts_of(study, record.rate_hz)
+    starts = start_samples(study, record.rate_hz)
     before = [
         study.samples_before(record.rate_hz, **point) for point in study.combinations(*COARSE_KEYS)
     ]

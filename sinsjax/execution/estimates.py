@@ -14,14 +14,19 @@ from numpy.typing import NDArray
 
 from sinsjax import columns
 from sinsjax.columns import Column
+from sinsjax.covariance.analysis import (
+    SAMPLES_PER_BLOCK,
+    ErrorCovariance,
+    analysis_group,
+    analysis_program,
+)
 from sinsjax.engine import batch
 from sinsjax.engine.batch import Calls, Chunk, Plan
+from sinsjax.engine.bias_floors import variants_with_floor
 from sinsjax.engine.build import Scenario
-from sinsjax.engine.covariance import MOST_TOGETHER, Spread, watched, watched_program
+from sinsjax.engine.environment import Static
 from sinsjax.engine.lanes import Group
-from sinsjax.engine.realisations import Static
-from sinsjax.engine.study_limits import limited_variants
-from sinsjax.engine.verdicts import FLOOR, TRUTH
+from sinsjax.engine.success import FLOOR, TRUTH
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts
 from sinsjax.execution.tables import nullable, table_of
@@ -62,38 +67,38 @@ class Estimates:
         self._times: list[float | None] = [*study.report_times_s, None]
         self._records = told_records(study)
         self._end_s = study.spans_s[:, 0]
-        self._limited = limited_variants(study)
+        self._limited = variants_with_floor(study)
         self._by_variant = layouts.of_variants(study, self.layouts[DATASET])
 
     def program(self, static: Static) -> Static:
         """The program of a part."""
-        return watched_program(static, self._samples)
+        return analysis_program(static)
 
     def group(self, group: Group) -> Group:
         """What the engine runs of a part."""
-        return watched(group, self._samples, self._records)
+        return analysis_group(group, self._samples, self._records)
 
     def plan(self, static: Static, draws: int, count: int, tiles: int | None) -> Plan:
         """See `Output`; many samples would fill the memory."""
-        few = FEW_TILES if self._samples > MOST_TOGETHER else tiles
-        return Plan(static, draws, count, tiles_a_chunk=few)
+        few = FEW_TILES if self._samples > SAMPLES_PER_BLOCK else tiles
+        return Plan(static, draws, count, tiles_per_chunk=few)
 
     def calls(self, group: Group, tiles: int | None) -> Calls:
         """See `Output`."""
-        few = FEW_TILES if self._samples > MOST_TOGETHER else tiles
-        return Calls(group, tiles_a_chunk=few)
+        few = FEW_TILES if self._samples > SAMPLES_PER_BLOCK else tiles
+        return Calls(group, tiles_per_chunk=few)
 
     def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
         """Estimates of a chunk, one row per variant.
 
         Args:
-            chunk: engine results, with `Spread`.
+            chunk: engine results, with `ErrorCovariance`.
             variant_ids: (variants of the part,) their numbers in the study.
         """
         spread, variant = chunk.curves, variant_ids[chunk.variant]
-        assert isinstance(spread, Spread)
+        assert isinstance(spread, ErrorCovariance)
         limited = self._limited[variant]
-        floor = np.where(limited, chunk.outcome.limit.phi.z, np.nan)
+        floor = np.where(limited, chunk.outcome.floor.phi.z, np.nan)
         values: dict[str, Any] = {"variant_id": variant}
         values |= {name: column.take(variant) for name, column in self._by_variant.items()}
         for place, time_s in enumerate(self._times):
@@ -131,7 +136,7 @@ class Estimates:
     ) -> list[pa.Array]:
         """Columns of one time from misalignment, 1 sigma and belief (runs, 3), and floor (runs,).
 
-        All of them rad, in the order of `columns.estimated`; ``from_floor`` as of `Spread`.
+        All of them rad, in the order of `columns.estimated`; see `ErrorCovariance.from_floor`.
         """
         angles = [*(np.concatenate([phi, sigma, belief], axis=1).T / ARCMIN)]
         about_floor = sigma[:, 2]
@@ -202,7 +207,7 @@ def estimated_curves(study: Study | str | Path) -> pa.Table:
     scenario = Scenario(study)
     tables = []
     for number, ids in enumerate(scenario.variant_ids):
-        group = watched(scenario.part(number, range(1)).group, _CURVE_SAMPLES)
+        group = analysis_group(scenario.part(number, range(1)).group, _CURVE_SAMPLES)
         tables += [_curve_table(study, chunk, ids[chunk.variant]) for chunk in batch.chunks(group)]
     order = [("variant_id", "ascending"), ("time_s", "ascending")]
     return pa.concat_tables(tables).sort_by(order)
@@ -210,7 +215,7 @@ def estimated_curves(study: Study | str | Path) -> pa.Table:
 
 def _curve_table(study: Study, chunk: Chunk, variant: NDArray) -> pa.Table:
     spread = chunk.curves
-    assert isinstance(spread, Spread)
+    assert isinstance(spread, ErrorCovariance)
     runs, _, records = np.shape(spread.phi)
     times = np.arange(1, records + 1) * (study.record_every / study.rate_hz)
     angles = np.concatenate(spread[:3], axis=1) / ARCMIN  # (runs, 9, records)

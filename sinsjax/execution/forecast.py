@@ -16,7 +16,12 @@ from sinsjax.columns import Column
 from sinsjax.engine.batch import CHUNK_RECORDS
 from sinsjax.engine.build import PROGRAM_KEYS
 from sinsjax.engine.lanes import LANES, STACKED_TILES
-from sinsjax.engine.simulator import AMPLITUDES, DISTORTIONS, NOISES, OF_DISTURBANCES
+from sinsjax.engine.sensor_inputs import (
+    AMPLITUDE_KEYS,
+    DISTORTION_KEYS,
+    DISTURBANCE_KEYS,
+    NOISE_KEYS,
+)
 from sinsjax.engine.truth import MOST_STORED_SAMPLES
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts, stopping
@@ -37,7 +42,7 @@ _BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD, _A_RESET = 400e6, 160, 600, 2, 
 _START_S, _COMPILE_S = 3.0, 6.0
 """Measured time on a core of two: to import, read and report, and to compile a program (5 to 8)."""
 
-_SWITCHES = {*NOISES, *DISTORTIONS, *AMPLITUDES, *OF_DISTURBANCES}
+_SWITCHES = {*NOISE_KEYS, *DISTORTION_KEYS, *AMPLITUDE_KEYS, *DISTURBANCE_KEYS}
 """Keys without which a program does less, where they are zero."""
 
 _CHECK = 12.0

@@ -7,12 +7,12 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax import columns
+from sinsjax.covariance.information import heading_bound
 from sinsjax.engine.build import ENVIRONMENT_KEYS, Scenario
-from sinsjax.engine.simulator import motion_of
+from sinsjax.engine.sensor_inputs import read_motion
 from sinsjax.errors import InputError
 from sinsjax.execution.tables import table_of
 from sinsjax.methods.floors import mean_attitude
-from sinsjax.methods.information import heading_bound
 from sinsjax.platform import runtime
 from sinsjax.strapdown.base_motion import Motion
 from sinsjax.study.keys import SECTION_OF
@@ -72,7 +72,7 @@ def _bound(scenario: Scenario, number: int, times_s: Sequence[float]) -> np.ndar
     environment = scenario.part(number, range(1), blank=True).group.environment
     if not np.all(environment.errors.accel_noise):
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
-    motion = motion_of(Variants(study, scenario.variant_ids[number]).common)
+    motion = read_motion(Variants(study, scenario.variant_ids[number]).common)
     pitch, roll, yaw = (s._replace(amplitude=0.0 * s.amplitude) for s in motion.angles)
     still = Motion(pitch, roll, yaw)
     sigma = heading_bound(

@@ -13,11 +13,11 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import columns
-from sinsjax.engine import companions
+from sinsjax.covariance import linear_draws
 from sinsjax.engine.batch import Calls
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import Group
-from sinsjax.engine.verdicts import FLOOR, TRUTH
+from sinsjax.engine.success import FLOOR, TRUTH
 from sinsjax.execution.estimates import settled_of, told_records
 from sinsjax.execution.tables import nullable, with_column
 from sinsjax.study.success import bands
@@ -61,7 +61,7 @@ class Linearity:
             group = self._runs(number)
             runs, wide = (_few(group, places[blocks[0]], n) for n in (width, _VARIANTS_CHECKED))
             Calls(runs).compile()
-            companions.program(wide, self._records).compiled()
+            linear_draws.linear_program(wide, self._records).compiled()
         index = np.concatenate(
             [self._index(table[some], group, places[some], width) for some in blocks], axis=1
         )
@@ -87,8 +87,10 @@ class Linearity:
             places: their places in it.
             width: variants per call of the runs, so that all calls share a program.
         """
-        out = Calls(_few(group, places, width)).whole().outcome
-        beside = companions.of_group(_few(group, places, _VARIANTS_CHECKED), self._records)
+        out = Calls(_few(group, places, width)).all_chunks().outcome
+        beside = linear_draws.linear_misalignments(
+            _few(group, places, _VARIANTS_CHECKED), self._records
+        )
         at_times = () if out.at_times is None else np.asarray(out.at_times)[..., 0].T
         phi = np.stack([*at_times, out.last.phi.z]).reshape(len(self._ends), CHECKED, width)
         count = len(places)
@@ -101,7 +103,7 @@ class Linearity:
     def _filled(self, table: pa.Table, group: Group, rows: NDArray, places: NDArray) -> pa.Table:
         """The table with what the draws of some rows give of the heading."""
         width = _VARIANTS_FILLED
-        made = Calls(_few(group, places, width, draws=group.sizes[0])).whole()
+        made = Calls(_few(group, places, width, draws=group.sizes[0])).all_chunks()
 
         def of(leaf: Any) -> NDArray:
             """(variants, draws, ...)."""
@@ -115,7 +117,7 @@ class Linearity:
             times = zip(np.moveaxis(phi, 2, 0), np.moveaxis(sigma, 2, 0), strict=True)
             told |= zip(self._ends, times, strict=False)
         limited = table["has_floor"].to_numpy(zero_copy_only=False)[rows]
-        floor = np.where(limited[:, None], of(out.limit.phi.z), np.nan)
+        floor = np.where(limited[:, None], of(out.floor.phi.z), np.nan)
         values: dict[str, NDArray] = {}
         for end, (phi, sigma) in told.items():
             values |= {
@@ -144,4 +146,4 @@ class Linearity:
 def _few(group: Group, places: NDArray, width: int, draws: int = CHECKED) -> Group:
     """The first draws of a few variants, the last one repeated up to so many."""
     filled = np.pad(places, (0, width - len(places)), mode="edge")
-    return group.some(np.arange(draws), filled)
+    return group.select(np.arange(draws), filled)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from sinsjax.columns import FAILED, Column
 from sinsjax.engine.batch import Calls, Chunk, Plan
 from sinsjax.engine.build import Scenario
+from sinsjax.engine.environment import Static
 from sinsjax.engine.lanes import Group
-from sinsjax.engine.realisations import Static
 from sinsjax.execution.estimates import Estimates
 from sinsjax.execution.tables import Tables
 
@@ -76,11 +76,11 @@ class Runs:
 
     def plan(self, static: Static, draws: int, count: int, tiles: int | None) -> Plan:
         """Return how some draws of so many variants are cut, into calls of so many tiles."""
-        return Plan(static, draws, count, tiles_a_chunk=tiles)
+        return Plan(static, draws, count, tiles_per_chunk=tiles)
 
     def calls(self, group: Group, tiles: int | None) -> Calls:
         """Return the calls of such a plan."""
-        return Calls(group, tiles_a_chunk=tiles)
+        return Calls(group, tiles_per_chunk=tiles)
 
     def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
         """Return one row per run, and one per run and record time if curves are kept."""

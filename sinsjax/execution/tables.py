@@ -10,10 +10,10 @@ import pyarrow.compute as pc
 from sinsjax import columns
 from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
+from sinsjax.engine.bias_floors import has_floor, last_scheduled_reset_s, variants_with_floor
 from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.engine.study_limits import has_floor, limited_variants, scheduled_last_s
-from sinsjax.engine.truth import starts_of
-from sinsjax.engine.verdicts import FLOOR, TRUTH, Judge, Verdict
+from sinsjax.engine.success import FLOOR, TRUTH, RunSuccess, SuccessEvaluator
+from sinsjax.engine.truth import start_samples
 from sinsjax.execution import layouts
 from sinsjax.methods.description import Description
 from sinsjax.methods.registry import METHODS
@@ -37,9 +37,9 @@ class Tables:
         self._study = study
         self._has_truth = has_truth
         self._bands = bands(study)
-        self._judge = Judge(study, has_truth=has_truth)
+        self._judge = SuccessEvaluator(study, has_truth=has_truth)
         self._end_s, self._pass_s = study.spans_s.T
-        self._last_reset_s = scheduled_last_s(study)
+        self._last_reset_s = last_scheduled_reset_s(study)
         self.summary_columns = layouts.summary(study)
         self.curve_columns = layouts.curves(study)
         self._tells_data = layouts.tells_data(study)
@@ -50,7 +50,7 @@ class Tables:
         self._start_s = np.zeros(study.n_draws)
         if study.is_recorded:
             assert study.record is not None
-            taken, given = starts_of(study, study.rate_hz) / study.rate_hz, study.record.start_s
+            taken, given = start_samples(study, study.rate_hz) / study.rate_hz, study.record.start_s
             # A rate of 99.9999999 Hz, from stamps that are rounded, moves no start.
             self._start_s = np.where(np.abs(taken - given) < 1e-6, given, taken)
 
@@ -89,7 +89,7 @@ class Tables:
             values[f"p_above_{name}_share"] = self._known(value)
         from_floor = {
             "p_above_floor_error_share": values["p_above_floor_error_share"],
-            "floor_arcmin": self._known(out.limit.phi.z / ARCMIN),
+            "floor_arcmin": self._known(out.floor.phi.z / ARCMIN),
             "nis_u": self._known(out.nis_u),
             "ok_floor": self._if_known(verdict.ok[FLOOR]),
         }
@@ -150,7 +150,7 @@ class Tables:
         return pa.array(flags if self._has_truth else [None] * len(flags), pa.bool_())
 
     def _settled(
-        self, verdict: Verdict, pass_s: np.ndarray, before_s: np.ndarray
+        self, verdict: RunSuccess, pass_s: np.ndarray, before_s: np.ndarray
     ) -> dict[str, pa.Array]:
         """Settling times of all bands, about the bias floor and the truth, by column."""
         values = {}
@@ -190,7 +190,7 @@ class Tables:
     @cached_property
     def _limit_by_variant(self) -> np.ndarray:
         """Which variants have a bias floor, if that depends neither on draws nor on triggers."""
-        return limited_variants(self._study)
+        return variants_with_floor(self._study)
 
 
 def _before_s(study: Study) -> np.ndarray:

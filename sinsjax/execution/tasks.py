@@ -20,9 +20,9 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.engine.alike import find_alike
-from sinsjax.engine.batch import Calls, in_threads, targets
+from sinsjax.engine.batch import Calls, map_in_threads, target_devices
 from sinsjax.engine.build import Scenario
+from sinsjax.engine.duplicates import find_duplicates
 from sinsjax.engine.lanes import LANES, Group
 from sinsjax.execution import results, sealed, stopping
 from sinsjax.execution.directory import FileState
@@ -173,7 +173,7 @@ class TaskRunner:
         self._lock = threading.Lock()
         kinds = job.study.duplicate_of
         self._alike = [
-            find_alike(static, job.first_draws, kinds[ids])
+            find_duplicates(static, job.first_draws, kinds[ids])
             for static, ids in zip(self._programs, self.scenario.variant_ids, strict=True)
         ]
         self._part = lru_cache(_PARTS_READY)(self._made)
@@ -212,7 +212,7 @@ class TaskRunner:
         static, tasks = self._programs[part], []
         plan = self._output.plan(static, len(draws), count, self._tiles)
         for call in range(len(plan)):
-            runs = plan.runs(call) if alike is None else alike.runs(plan, call)
+            runs = plan.count_runs(call) if alike is None else alike.count_runs(plan, call)
             records = {name: static.records if name == "curves" else 1 for name in self.layouts}
             rows = tuple((name, runs * each) for name, each in records.items())
             name = f"part-{part:04d}-{before + call:06d}"
@@ -233,7 +233,7 @@ class TaskRunner:
         since = time.perf_counter()
         chunk = calls.chunk(task.call)
         if alike := self._alike[task.part]:
-            chunk = alike.spread(chunk)
+            chunk = alike.expand(chunk)
         tables = self._output.tables(chunk, self.scenario.variant_ids[task.part])
         if self._linearity:
             tables = {"estimates": self._linearity.checked(task.part, tables["estimates"])}
@@ -297,13 +297,15 @@ class Executor(NamedTuple):
 def on_this_machine() -> Executor:
     """Executor on all devices of this process: threads of one program on a CPU."""
     devices = len(jax.devices())
-    are = "threads over one program" if len(targets()) == 1 else "devices with a program each"
+    are = (
+        "threads over one program" if len(target_devices()) == 1 else "devices with a program each"
+    )
     return Executor(
-        lambda runner, tasks: in_threads(runner.pack, tasks, devices),
+        lambda runner, tasks: map_in_threads(runner.pack, tasks, devices),
         {"devices": devices, "devices_are": are},
     )
 
 
 def in_memory() -> Executor:
     """Return an executor on all devices of this process whose results are tables."""
-    return Executor(lambda runner, tasks: in_threads(runner.do, tasks, len(jax.devices())), {})
+    return Executor(lambda runner, tasks: map_in_threads(runner.do, tasks, len(jax.devices())), {})

@@ -1,13 +1,12 @@
 """Repeated passes over a stored record: forward and backward in turn, or forward every time.
 
 A backward pass, [P2] section 2.3, is navigation in an environment where time is reversed: the
-samples come last to first and reversed (`sensors.reverse`), the Earth turns the other way, velocity
-has the opposite sign. Method and mechanisation are the same in both directions; what happens to a
-method's state at a direction reversal is its own affair (`Method.turn`).
+samples are read last to first and reversed (`sensors.reverse`), the Earth rotates the other way,
+and velocity has the opposite sign. Method and mechanisation are the same in both directions; the
+method decides what becomes of its state at a direction reversal (`Passes.turn`).
 
-To read the record forward again, the attitude is wound back to its beginning: by the turns that the
-gyros measured, and by the turn of the Earth. What a method keeps is its own affair again
-(`Method.rewind`).
+To read the record forward again, the attitude is propagated back to its beginning, by the rotation
+that the gyros measured and that of the Earth; the method decides what it keeps (`Passes.rewind`).
 """
 
 from typing import Any, NamedTuple
@@ -24,15 +23,14 @@ from sinsjax.types import Array, Count, Flag, Increments, Quat, Sample, Scalar, 
 
 
 class PassReading(NamedTuple):
-    """How one record interval reads the stored record.
+    """The samples that one record interval reads.
 
     Attributes:
-        samples: (n,) numbers in the record, in the order in which they are read. Backward they run
-            one ahead of what is navigated, as a sample is compensated with the one before it; -1
-            stands for what is before the record.
-        backward: whether it belongs to a backward pass; None of a run that has none.
-        opens_pass: whether it is the first of a pass other than the first; None of a run that has
-            one pass.
+        samples: (n,) numbers in the record in the order in which they are read. Backward they are
+            one ahead of navigation, since a sample is compensated with the one before it; -1 is
+            before the record.
+        backward: whether the interval is of a backward pass; None if all passes are forward.
+        opens_pass: whether it is the first of the second or a later pass; None of a single pass.
     """
 
     samples: Array
@@ -40,13 +38,18 @@ class PassReading(NamedTuple):
     opens_pass: Flag | None = None
 
 
-def reading(record: Count, pass_records: Count, every: int) -> PassReading:
-    """How the stored record is read in a record interval of repeated passes.
+def read_once(record: Count, every: int) -> PassReading:
+    """Return the samples of a record interval of a record that is read once."""
+    return PassReading(record * every + jnp.arange(every))
+
+
+def read_alternately(record: Count, pass_records: Count, every: int) -> PassReading:
+    """Return the samples of a record interval of passes that are forward and backward in turn.
 
     Args:
-        record: its number, from 0.
-        pass_records: record intervals a pass.
-        every: samples a record interval.
+        record: number of the interval, from 0.
+        pass_records: record intervals per pass.
+        every: samples per record interval.
     """
     number, place = record // pass_records, record % pass_records
     backward = number % 2 == 1
@@ -56,24 +59,24 @@ def reading(record: Count, pass_records: Count, every: int) -> PassReading:
     return PassReading(samples, backward, (place == 0) & (number > 0))
 
 
-def reading_forward(record: Count, pass_records: Count, every: int) -> PassReading:
-    """`reading` of a record that is read forward in every pass."""
+def read_forward(record: Count, pass_records: Count, every: int) -> PassReading:
+    """Return the samples of a record interval of passes that are all forward."""
     place = record % pass_records
     samples = place * every + jnp.arange(every)
     return PassReading(samples, opens_pass=(place == 0) & (record > 0))
 
 
 def site_of_pass(site: Site, backward: Flag | None) -> Site:
-    """The site, with the Earth turning the other way in a backward pass."""
+    """Return the site, with the Earth rotating the other way in a backward pass."""
     if backward is None:
         return site
     sign = jnp.where(backward, -1.0, 1.0)
-    turned = site.earth._replace(rate=sign * site.earth.rate)
-    return site._replace(earth=turned, place=earth.reverse(site.place, sign))
+    reversed_ = site.earth._replace(rate=sign * site.earth.rate)
+    return site._replace(earth=reversed_, place=earth.reverse(site.place, sign))
 
 
 def compensate(now: Increments, before: Increments, backward: Flag | None) -> Sample:
-    """The compensated sample in the direction of the pass: forward ``now``, backward ``before``."""
+    """Return the compensated sample in the direction of the pass: ``now``, backward ``before``."""
     if backward is None:
         return sensors.compensate(now, before)
     later = where(backward, before, now)
@@ -87,71 +90,73 @@ def estimates_gyro_bias(method: Method) -> bool:
     return method.passes is not None and method.passes.gyro_bias is not None
 
 
-class BodyTurn(NamedTuple):
-    """How the body has turned in inertial space since the beginning of the record, b0.
+class BodyRotation(NamedTuple):
+    """The rotation of the body in inertial space since the beginning of the record, b0.
 
     Attributes:
-        measured: C_b^{b0}, the product of the samples' turns.
-        axes_s: the body's axes seen in b0, each integrated over time, s: a constant gyro bias has
-            turned the product by their sum, weighted with it. None where no bias is estimated.
+        measured: C_b^{b0}, the product of the samples' rotations.
+        axes_s: time integrals of the body's axes in b0, s: a constant gyro bias has rotated the
+            product by their sum, weighted with the bias. None if no bias is estimated.
     """
 
     measured: Quat
     axes_s: tuple[Vec3, Vec3, Vec3] | None
 
 
-def no_turn(zero: Array, *, biased: bool) -> BodyTurn:
-    """At the beginning of the record, in zeros of the shape given; whether a bias is estimated."""
+def identity_rotation(zero: Array, *, with_bias: bool) -> BodyRotation:
+    """Return the rotation at the beginning of the record, in zeros of the given shape."""
     none = Vec3(zero, zero, zero)
-    return BodyTurn(Quat(zero + 1, zero, zero, zero), (none, none, none) if biased else None)
+    return BodyRotation(Quat(zero + 1, zero, zero, zero), (none, none, none) if with_bias else None)
 
 
-def turned_on(so_far: BodyTurn, samples: Sample, dt: Scalar) -> BodyTurn:
-    """The turn after further samples.
+def accumulate_rotation(rotation: BodyRotation, samples: Sample, dt: Scalar) -> BodyRotation:
+    """Return the rotation after further samples.
 
     Args:
-        so_far: before them, leaves (...).
+        rotation: before them, leaves (...).
         samples: compensated, leaves (n, ...).
         dt: sample time, s.
     """
 
-    def over(turn: BodyTurn, sample: Quat) -> tuple[BodyTurn, None]:
-        measured = rotations.multiply(turn.measured, sample)
-        if turn.axes_s is None:
-            return BodyTurn(measured, None), None
+    def over_sample(so_far: BodyRotation, turn: Quat) -> tuple[BodyRotation, None]:
+        measured = rotations.multiply(so_far.measured, turn)
+        if so_far.axes_s is None:
+            return BodyRotation(measured, None), None
         now = rotations.matrix(measured)
         x, y, z = (
             add(total, scale(dt, Vec3(*(row[axis] for row in now))))
-            for axis, total in enumerate(turn.axes_s)
+            for axis, total in enumerate(so_far.axes_s)
         )
-        return BodyTurn(measured, (x, y, z)), None
+        return BodyRotation(measured, (x, y, z)), None
 
-    return jax.lax.scan(over, so_far, samples.turn)[0]
+    return jax.lax.scan(over_sample, rotation, samples.turn)[0]
 
 
-def wound_back(q: Quat, turn: BodyTurn, place: Place, time: Scalar, bias: Vec3 | None) -> Quat:
-    """The attitude at the beginning of the record that has led to one at a later time.
+def rewind_attitude(
+    q: Quat, rotation: BodyRotation, place: Place, time: Scalar, bias: Vec3 | None
+) -> Quat:
+    """Return the attitude at the beginning of the record from that at a later time.
 
-    C(0) = exp(w_ie t x) C(t) C_b^{b0}' of a base that does not travel, with the measured turn freed
-    from the gyro bias to first order: what is left is of the second order in its angle over the
-    record, 1e-9 rad for 0.1 deg/h over 100 s.
+    C(0) = exp(w_ie t x) C(t) C_b^{b0}' of a base that does not travel, with the gyro bias removed
+    from the measured rotation to first order; the second order of its angle over the record is
+    1e-9 rad for 0.1 deg/h over 100 s.
 
     Args:
         q: attitude at the later time.
-        turn: since the beginning.
+        rotation: of the body since the beginning.
         place: Earth rates.
         time: since the beginning, s.
-        bias: estimated gyro bias in b, rad/s; None where none is estimated.
+        bias: estimated gyro bias in b, rad/s; None if none is estimated.
     """
     earth_turn = Vec3(jnp.zeros_like(place.rate_n), place.rate_n * time, place.rate_u * time)
     q = rotations.multiply(rotations.exp(earth_turn), q)
-    q = rotations.multiply(q, rotations.conjugate(turn.measured))
-    if bias is not None and turn.axes_s is not None:
-        x, y, z = (scale(rate, axis) for rate, axis in zip(bias, turn.axes_s, strict=True))
+    q = rotations.multiply(q, rotations.conjugate(rotation.measured))
+    if bias is not None and rotation.axes_s is not None:
+        x, y, z = (scale(rate, axis) for rate, axis in zip(bias, rotation.axes_s, strict=True))
         q = rotations.multiply(q, rotations.exp(add(add(x, y), z)))
     return rotations.normalise(q)
 
 
-def where(flag: Flag, one: Any, other: Any) -> Any:
-    """One of two trees of the same structure."""
-    return jax.tree.map(lambda a, b: jnp.where(flag, a, b), one, other)
+def where(flag: Flag, if_set: Any, otherwise: Any) -> Any:
+    """Return one of two trees of the same structure."""
+    return jax.tree.map(lambda a, b: jnp.where(flag, a, b), if_set, otherwise)

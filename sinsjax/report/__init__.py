@@ -20,7 +20,7 @@ from sinsjax.report.base import Chapter, Report, Text
 from sinsjax.report.markup import template
 from sinsjax.report.names import NO_NAMES
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_html, write_page
-from sinsjax.tuning.stored import is_tuning
+from sinsjax.tuning.history import is_tuning
 
 
 def summarise(
@@ -113,7 +113,7 @@ def _read(directory: Path, *, unfinished: bool = False) -> Source:
     if is_tuning(directory):
         from sinsjax.tuning import results  # late, as above
 
-        return results.read(directory)
+        return results.read_evaluation(directory)
     return Source.read(directory, unfinished=unfinished)
 
 

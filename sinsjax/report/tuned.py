@@ -16,7 +16,7 @@ from sinsjax.study.search_space import Variable
 from sinsjax.study.success import yardsticks
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import objective
-from sinsjax.tuning.results import SEARCHES, Tuning, words
+from sinsjax.tuning.results import SEARCH_LABELS, Tuning, describe_objective
 from sinsjax.tuning.run_tuning import GRADIENT
 
 NEAR_S = 1.0
@@ -29,9 +29,9 @@ def report(source: Source) -> Report:
     Raises:
         InputError: a file of the tuning cannot be read.
     """
-    tuning = Tuning.of(source)
+    tuning = Tuning.from_source(source)
     pictures = [*tuned_figures.landscape(tuning), *tuned_figures.course(tuning)]
-    variants = tuning.runs.shape[1]
+    variants = tuning.run_values.shape[1]
     each = f" × {variants} variants" if variants > 1 else ""
     parts: dict[str, Sequence[Block]] = {
         "What was found": [_candidates(tuning)],
@@ -51,10 +51,10 @@ def _drawn(tuning: Tuning) -> str:
 def _verdict(tuning: Tuning) -> Verdict:
     """The best point, its gain over the start on unused draws, and why it is in ``tuned.toml``."""
     study, best = tuning.study, tuning.best
-    looks = sum(len(found.looks) for found in tuning.found.values())
+    count = sum(len(result.evaluations) for result in tuning.searches.values())
     unit = "start time" if study.is_recorded else "draw"
-    name, in_unit = words(study)[0], partial(_said, tuning)
-    fresh = counted(tuning.runs.shape[2], f"unused {unit}")
+    name, in_unit = describe_objective(study)[0], partial(_said, tuning)
+    fresh = counted(tuning.run_values.shape[2], f"unused {unit}")
     gain = tuning.difference(best, "baseline")
     verb = "worse" if gain.value > 0 else "better"
     size = gain if gain.value > 0 else Estimate(-gain.value, -gain.high, -gain.low, gain.n)
@@ -67,25 +67,26 @@ def _verdict(tuning: Tuning) -> Verdict:
         Fact("Measure", name + _across(tuning)),
         Fact(
             "Why",
-            f"in tuned.toml: best of {counted(looks, 'evaluation')} on {_drawn(tuning)}"
-            f" ({SEARCHES.get(best, best)})",
+            f"in tuned.toml: best of {counted(count, 'evaluation')} on {_drawn(tuning)}"
+            f" ({SEARCH_LABELS.get(best, best)})",
         ),
     ]
-    title = f"{study.name}: tuned by {_listed([SEARCHES.get(one, one) for one in tuning.found])}"
+    searches = _listed([SEARCH_LABELS.get(name, name) for name in tuning.searches])
+    title = f"{study.name}: tuned by {searches}"
     return Verdict(title, [*facts, *_comparison(tuning), *_doubts(tuning, gain)], _few(tuning))
 
 
 def _point(tuning: Tuning, name: str) -> str:
     """The values of a candidate in words."""
-    bounds = tuning.on_bounds.get(name, ())
-    case = tuning.judged.cases[tuning.places[name]]
+    bounds = tuning.values_on_bounds.get(name, ())
+    case = tuning.evaluation_study.cases[tuning.case_numbers[name]]
     return ", ".join(
         setting(key, _value(value, bounds, key)) for key, value in case.items() if key != "case"
     )
 
 
 def _across(tuning: Tuning) -> str:
-    variants = tuning.runs.shape[1]
+    variants = tuning.run_values.shape[1]
     across = tuning.tune.objective_across
     return f", {across} over {variants} variants" if variants > 1 else ""
 
@@ -96,24 +97,26 @@ def _listed(names: Sequence[str]) -> str:
 
 def _comparison(tuning: Tuning) -> Iterator[Fact]:
     """The gradient compared with the best of the other searches."""
-    if GRADIENT in tuning.found and tuning.rival != GRADIENT:
+    if GRADIENT in tuning.searches and tuning.rival != GRADIENT:
         apart = tuning.difference(GRADIENT)
         lower = "better than" if apart.high < 0 else "as good as far as these draws show as"
         verdict = "worse than" if apart.low > 0 else lower
-        share = _percent(tuning.found[GRADIENT].cost / tuning.found[tuning.rival].cost)
-        text = f"{verdict} the {SEARCHES.get(tuning.rival, tuning.rival)}, at {share} of its cost"
+        share = _percent(tuning.searches[GRADIENT].cost / tuning.searches[tuning.rival].cost)
+        text = (
+            f"{verdict} the {SEARCH_LABELS.get(tuning.rival, tuning.rival)}, at {share} of its cost"
+        )
         yield Fact("Gradient", text)
 
 
 def _doubts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
     """Why the best point may not be what it seems."""
-    looks = [
-        look.objective
-        for found in tuning.found.values()
-        for look in found.looks
-        if look.sharpness is None
+    scores = [
+        evaluation.objective
+        for result in tuning.searches.values()
+        for evaluation in result.evaluations
+        if evaluation.sharpness is None
     ]
-    if min(looks) >= objective.failing(tuning.tune, tuning.study):
+    if min(scores) >= objective.failure_score(tuning.tune, tuning.study):
         judged = yardsticks(tuning.study, tuning.tune.objective_band_arcmin)[0]
         text = said("all_fail", words=judged.words, from_truth=judged.truth)
         yield Fact("Caution", text, True)
@@ -121,7 +124,10 @@ def _doubts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
         yield Fact("Caution", "not better than the start as far as these draws show", True)
     if tuning.study.is_recorded:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)
-    ends = [f"{v.name} = {value_text(value)}" for v, value in tuning.on_bounds.get(tuning.best, ())]
+    ends = [
+        f"{v.name} = {value_text(value)}"
+        for v, value in tuning.values_on_bounds.get(tuning.best, ())
+    ]
     if ends:
         text = f"{', '.join(ends)}: the end of the range, a better value may lie beyond"
         yield Fact("Caution", text, True)
@@ -130,9 +136,9 @@ def _doubts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
 def _few(tuning: Tuning) -> Table:
     """The candidates by their objective."""
     rows = []
-    for name in sorted(tuning.places, key=lambda name: tuning.score(name).value):
+    for name in sorted(tuning.case_numbers, key=lambda name: tuning.score(name).value):
         apart = "-" if name == "baseline" else _said(tuning, tuning.difference(name, "baseline"))
-        own = "start" if name == "baseline" else SEARCHES.get(name, name)
+        own = "start" if name == "baseline" else SEARCH_LABELS.get(name, name)
         rows.append([own, _said(tuning, tuning.score(name)), apart])
     return Table("Candidates", ["candidate", "unused draws", "less the start"], rows)
 
@@ -160,12 +166,12 @@ def _percent(share: float) -> str:
 
 def _said(tuning: Tuning, estimate: Estimate) -> str:
     digits = {"final_error": 2, "failure_rate": 3}.get(tuning.tune.objective, 1)
-    return format_estimate(estimate, words(tuning.study)[1], digits)
+    return format_estimate(estimate, describe_objective(tuning.study)[1], digits)
 
 
 def _candidates(tuning: Tuning) -> Table:
-    rival, bounds = tuning.rival, tuning.on_bounds
-    costs = {name: found.cost for name, found in tuning.found.items()}
+    rival, bounds = tuning.rival, tuning.values_on_bounds
+    costs = {name: result.cost for name, result in tuning.searches.items()}
 
     def lessened(name: str) -> str:
         return "-" if name == rival else _said(tuning, tuning.difference(name))
@@ -175,17 +181,17 @@ def _candidates(tuning: Tuning) -> Table:
         return _percent(costs[name] / costs[rival]) if known else "-"
 
     def cell(key: str, name: str) -> str:
-        value = tuning.judged.cases[tuning.places[name]][key]
+        value = tuning.evaluation_study.cases[tuning.case_numbers[name]][key]
         return _value(value, bounds.get(name, ()), key)
 
     cells: list[tuple[str, Callable[[str], str]]] = [
-        (words(tuning.study)[0], lambda name: _said(tuning, tuning.score(name))),
+        (describe_objective(tuning.study)[0], lambda name: _said(tuning, tuning.score(name))),
         (f"less that of '{rival}'", lessened),
         ("cost (10^6 steps)", lambda name: f"{costs[name] / 1e6:,.4g}" if name in costs else "-"),
         (f"of that of '{rival}'", share),
-        *((key, partial(cell, key)) for key in tuning.judged.cases[0] if key != "case"),
+        *((key, partial(cell, key)) for key in tuning.evaluation_study.cases[0] if key != "case"),
     ]
-    rows = [[name, *(tell(name) for _, tell in cells)] for name in tuning.places]
+    rows = [[name, *(tell(name) for _, tell in cells)] for name in tuning.case_numbers]
     recorded = tuning.study.is_recorded
     note = (
         "On draws that tuned nothing, the same for all."

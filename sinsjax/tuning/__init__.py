@@ -1,6 +1,7 @@
-"""Tuning of a study: searching its variables on some draws and evaluating the best on others.
+"""Tuning of a study: search of its variables on some draws, evaluation of the best on others.
 
-`objective` is the quantity to minimise, `search` evaluates points of a grid or a sequence,
-`descent` follows the gradient, `history` records the evaluations, `run_tuning` runs all that a
-study's [tune] specifies, and `results` reads a complete tuning.
+`run_tuning` runs all that a study's [tune] specifies, into a directory; `from_python` is `tune` of
+the public names. `search` scores points: a grid, Sobol points, and those of covariance analysis;
+`gradient` descends. `objective` is the quantity to minimise, `history` stores the evaluations, and
+`results` reads a complete tuning run.
 """

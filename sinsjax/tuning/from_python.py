@@ -15,7 +15,8 @@ from sinsjax.study.load import load_study
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import results
-from sinsjax.tuning.run_tuning import TUNED, Watch, prepare_tuning, run_tuning
+from sinsjax.tuning.run_tuning import TUNED, prepare_tuning, run_tuning
+from sinsjax.tuning.search import Watch
 
 
 @dataclass(frozen=True, repr=False)
@@ -45,18 +46,18 @@ class TuningResults:
     @cached_property
     def best(self) -> TomlTable:
         """The best point on the tuning draws: values by key, in the units of the file."""
-        found = self._tuning.found[self._tuning.best]
+        found = self._tuning.searches[self._tuning.best]
         return copy_tables(found.point(SearchSpace.from_study(self._tuning.study)))
 
     @property
     def search(self) -> str:
         """The search that found the best point."""
-        return results.SEARCHES[self._tuning.best]
+        return results.SEARCH_LABELS[self._tuning.best]
 
     @property
     def objective(self) -> str:
         """The minimised quantity, with its unit."""
-        return results.axis(self._tuning.study)
+        return results.objective_label(self._tuning.study)
 
     @cached_property
     def score(self) -> Estimate:
@@ -70,7 +71,7 @@ class TuningResults:
 
     @cached_property
     def _tuning(self) -> results.Tuning:
-        return results.Tuning.of(results.read(self.directory))
+        return results.Tuning.from_source(results.read_evaluation(self.directory))
 
     def __repr__(self) -> str:
         """Return five short lines: objective, best point, its score, the baseline's, place."""

@@ -1,4 +1,7 @@
-"""History of a tuning run: one row per evaluated point, in order of evaluation."""
+"""What a tuning run stores: its history, one row per evaluated point, and the study that it tunes.
+
+Reading it needs no JAX, so a report starts without it.
+"""
 
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,11 +14,14 @@ from numpy.typing import NDArray
 
 from sinsjax.columns import SCHEMA_VERSION, Column, schema
 from sinsjax.errors import InputError
+from sinsjax.execution import directory as places
 from sinsjax.execution import sealed
+from sinsjax.execution.directory import MANIFEST, STUDY
 from sinsjax.messages import escape_controls
 from sinsjax.platform.files import replacing
+from sinsjax.study.identity import differences
 from sinsjax.study.keys import TomlTable, meaning
-from sinsjax.study.load import study_from_dict, study_to_toml
+from sinsjax.study.load import load_study, study_from_dict, study_to_toml
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.units import split_unit
@@ -51,58 +57,60 @@ class Evaluation(NamedTuple):
     estimated: bool = False
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """Result of a search.
 
     Attributes:
         search: name of the search.
-        looks: all evaluations, in their order.
+        evaluations: all evaluations, in their order.
     """
 
     search: str
-    looks: Sequence[Evaluation]
+    evaluations: Sequence[Evaluation]
 
     @property
     def best(self) -> Evaluation:
         """The best evaluation by draws that is not relaxed; the first of equals."""
-        hard = (look for look in self.looks if look.sharpness is None and not look.estimated)
-        return min(hard, key=lambda look: look.objective)
+        hard = (e for e in self.evaluations if e.sharpness is None and not e.estimated)
+        return min(hard, key=lambda evaluation: evaluation.objective)
 
     @property
     def cost(self) -> int:
         """Cost of the whole search, in steps of a plain run."""
-        return max(look.cost for look in self.looks)
+        return max(evaluation.cost for evaluation in self.evaluations)
 
     @property
-    def relaxed(self) -> list[Evaluation]:
+    def relaxed_evaluations(self) -> list[Evaluation]:
         """The relaxed evaluations, those of descents."""
-        return [look for look in self.looks if look.sharpness is not None]
+        return [e for e in self.evaluations if e.sharpness is not None]
 
     @property
-    def course(self) -> tuple[NDArray, NDArray, bool]:
+    def best_by_cost(self) -> tuple[NDArray, NDArray, bool]:
         """Cost and best objective so far, and whether that is relaxed or estimated.
 
-        Of descents the best of all of them at each step.
+        Descents have the best of all of them at each step.
         """
-        if relaxed := self.relaxed:
-            steps = dict.fromkeys(look.step for look in relaxed)
-            own = [[look for look in relaxed if look.step == step] for step in steps]
-            cost = np.array([max(look.cost for look in at) for at in own])
-            return cost, np.array([min(look.objective for look in at) for at in own]), True
-        estimated = [look for look in self.looks if look.estimated]
-        looks = estimated or self.looks
-        best = np.minimum.accumulate([look.objective for look in looks])
-        return np.array([look.cost for look in looks]), best, bool(estimated)
+        if relaxed := self.relaxed_evaluations:
+            steps: dict[int, list[Evaluation]] = {}
+            for evaluation in relaxed:
+                steps.setdefault(evaluation.step, []).append(evaluation)
+            cost = [max(e.cost for e in step) for step in steps.values()]
+            best = [min(e.objective for e in step) for step in steps.values()]
+            return np.array(cost), np.array(best), True
+        estimated = [e for e in self.evaluations if e.estimated]
+        evaluations = estimated or self.evaluations
+        lowest = np.minimum.accumulate([e.objective for e in evaluations])
+        return np.array([e.cost for e in evaluations]), lowest, bool(estimated)
 
     def point(self, space: SearchSpace) -> TomlTable:
-        """The keys and values of the best point."""
+        """Return the keys and values of the best point."""
         # The value of an unused variable does not matter.
         values = np.nan_to_num(self.best.values)
         return space.point(list(values), space.combinations[self.best.candidate])
 
 
-def columns_of(space: SearchSpace) -> tuple[Column, ...]:
-    """The columns of a history."""
+def history_columns(space: SearchSpace) -> tuple[Column, ...]:
+    """Return the columns of a history."""
     return (
         Column("search", _S, "", "name of the search"),
         Column("step", _I, "", "number of the evaluation, or of the step of a descent"),
@@ -120,47 +128,35 @@ def columns_of(space: SearchSpace) -> tuple[Column, ...]:
     )
 
 
-def write(directory: Path, study: Study, found: Iterable[Found]) -> None:
+def write_history(directory: Path, study: Study, searches: Iterable[SearchResult]) -> None:
     """Write the history of some searches atomically, sealed and with the study that they tune.
 
     Args:
         directory: directory of the tuning run.
         study: study with [tune].
-        found: searches.
+        searches: their results.
 
     Raises:
         InputError: the file cannot be written.
     """
-    table = _table(SearchSpace.from_study(study), found)
+    table = _history_table(SearchSpace.from_study(study), searches)
     with replacing(directory / FILE) as file:
         file.write(sealed.sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)}))
 
 
-def read_study(directory: Path) -> Study | None:
-    """Return the study that a history tunes; None if there is no intact history."""
-    try:
-        text = (_read(directory).schema.metadata or {})[_STUDY_MARK.encode()].decode()
-        return study_from_dict(tomllib.loads(text), str(directory / FILE))
-    except (InputError, KeyError, ValueError):
-        return None
-
-
-def _table(space: SearchSpace, found: Iterable[Found]) -> pa.Table:
-    rows = [(one.search, look) for one in found for look in one.looks]
-    names = [v.name for v in space.variables]
+def _history_table(space: SearchSpace, searches: Iterable[SearchResult]) -> pa.Table:
+    rows = [(result.search, e) for result in searches for e in result.evaluations]
     columns = {
         "search": [search for search, _ in rows],
         **{
-            key: [getattr(look, key) for _, look in rows]
-            for key in Evaluation._fields
-            if key != "values"
+            key: [getattr(e, key) for _, e in rows] for key in Evaluation._fields if key != "values"
         },
         **{
-            name: pa.array([look.values[i] for _, look in rows], _F, from_pandas=True)
-            for i, name in enumerate(names)
+            variable.name: pa.array([e.values[i] for _, e in rows], _F, from_pandas=True)
+            for i, variable in enumerate(space.variables)
         },
     }
-    layout = columns_of(space)
+    layout = history_columns(space)
     arrays = [pa.array(columns[column.name], column.dtype) for column in layout]
     return pa.Table.from_arrays(arrays, schema=schema(layout))
 
@@ -186,11 +182,11 @@ def read_history(directory: str | Path) -> pa.Table:
         >>> sinsjax.read_history("tuned").select(["search", "reset_times_s[0]"]).num_rows
         4
     """
-    table = _read(Path(directory))
+    table = _read_table(Path(directory))
     return table.replace_schema_metadata({"sinsjax.schema": SCHEMA_VERSION})
 
 
-def _read(directory: Path) -> pa.Table:
+def _read_table(directory: Path) -> pa.Table:
     path = directory / FILE
     try:
         return sealed.read_parquet(path)
@@ -200,7 +196,7 @@ def _read(directory: Path) -> pa.Table:
         raise sealed.Damaged(f"{error} (`sinsjax tune --resume` makes it again)") from None
 
 
-def read(directory: Path, space: SearchSpace) -> list[Found]:
+def read_searches(directory: Path, space: SearchSpace) -> list[SearchResult]:
     """Read the searches of a history, in their order.
 
     Args:
@@ -211,15 +207,15 @@ def read(directory: Path, space: SearchSpace) -> list[Found]:
         InputError: the history cannot be read, or is of other variables.
     """
     table = read_history(directory)
-    missing = {column.name for column in columns_of(space)}.difference(table.column_names)
+    missing = {column.name for column in history_columns(space)}.difference(table.column_names)
     if missing:
         raise InputError(f"{directory / FILE}: column {sorted(missing)[0]} is missing")
-    return list(_grouped(table.to_pylist(), [v.name for v in space.variables]))
+    return list(_group_by_search(table.to_pylist(), [v.name for v in space.variables]))
 
 
-def _grouped(rows: list[TomlTable], names: list[str]) -> Iterator[Found]:
+def _group_by_search(rows: list[TomlTable], names: list[str]) -> Iterator[SearchResult]:
     for search in dict.fromkeys(row["search"] for row in rows):
-        yield Found(
+        yield SearchResult(
             escape_controls(search),
             [
                 Evaluation(
@@ -230,3 +226,57 @@ def _grouped(rows: list[TomlTable], names: list[str]) -> Iterator[Found]:
                 if row["search"] == search
             ],
         )
+
+
+# The study of a stored tuning run
+
+
+def is_tuning(directory: Path) -> bool:
+    """Return whether a directory holds a tuning run, complete or not.
+
+    Raises:
+        InputError: one of its files or folders is a link or a pipe.
+    """
+    places.check_entries(directory)
+    if (directory / MANIFEST).exists():  # plain results of a study with [tune]
+        return False
+    return load_stored_study(directory) is not None
+
+
+def load_tuned_study(directory: Path) -> Study:
+    """Load the study with [tune] of a tuning run.
+
+    Raises:
+        InputError: it cannot be read, or is not the study of the history.
+    """
+    remedy = "(delete it: `sinsjax tune --resume` writes it again)"
+    tuned = read_study(directory)
+    try:
+        study = load_study(directory / STUDY)
+    except InputError as error:
+        raise InputError(f"{error} {remedy}" if tuned else str(error)) from None
+    if tuned is not None and study_to_toml(tuned) != study_to_toml(study):
+        differing = "; ".join(differences(tuned, study, ("in the history", "in the file")))
+        path = directory / STUDY
+        raise InputError(f"{path}: is not the study of the history: {differing} {remedy}")
+    return study
+
+
+def load_stored_study(directory: Path) -> Study | None:
+    """Return the study of a tuning run, from its history or else its file; None without one."""
+    if (study := read_study(directory)) is not None:
+        return study
+    try:
+        study = load_study(directory / STUDY)
+    except InputError:
+        return None
+    return study if study.tune else None
+
+
+def read_study(directory: Path) -> Study | None:
+    """Return the study that a history tunes; None if there is no intact history."""
+    try:
+        text = (_read_table(directory).schema.metadata or {})[_STUDY_MARK.encode()].decode()
+        return study_from_dict(tomllib.loads(text), str(directory / FILE))
+    except (InputError, KeyError, ValueError):
+        return None

@@ -12,14 +12,19 @@ from numpy.typing import NDArray
 from scipy import special
 
 from sinsjax import analysis, columns
-from sinsjax.engine.covariance import Spread
+from sinsjax.covariance.analysis import ErrorCovariance, analysis_group
+from sinsjax.engine import batch
+from sinsjax.engine.build import Scenario
 from sinsjax.engine.metrics import Criteria, Outcome, outside
-from sinsjax.engine.verdicts import FLOOR, TRUTH
+from sinsjax.engine.success import FLOOR, TRUTH
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.study import Study
-from sinsjax.study.success import success_of
+from sinsjax.study.success import bands, success_of
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
+
+SAMPLES = 64
+"""Errors sampled per point and variant by covariance analysis."""
 
 _OVER_DRAWS: dict[str, Callable[[TuneSection, NDArray], NDArray]] = {
     "settle_mean": lambda tune, values: np.mean(values, axis=-1),
@@ -31,43 +36,82 @@ _OVER_DRAWS: dict[str, Callable[[TuneSection, NDArray], NDArray]] = {
 }
 
 
-def columns_of(tune: TuneSection, study: Study) -> list[str]:
-    """Columns of the summary from which the values of runs are computed."""
+def summary_columns(tune: TuneSection, study: Study) -> list[str]:
+    """Return the columns of the summary from which the values of runs are computed."""
     truth = success_of(study).from_truth
     if tune.objective == "final_error":
         return ["run_id", "phi_u_arcmin", *([] if truth else ["floor_arcmin"])]
     return ["run_id", columns.settle_column(tune.objective_band_arcmin, truth=truth).name]
 
 
-def values(tune: TuneSection, study: Study, table: pa.Table) -> NDArray:
-    """The value of each run, of which the objective is a statistic.
+def run_values(tune: TuneSection, study: Study, table: pa.Table) -> NDArray:
+    """Return the value of each run, of which the objective is a statistic.
 
     Args:
         tune: the objective.
         study: study of the runs.
-        table: `columns_of` the summary, all runs.
+        table: `summary_columns` of the summary, all runs.
 
     Returns:
         (variants, draws): settling time, s, or the run's length if it never settled; final heading
         error about the bias floor or the truth, arcmin; or 1 for a failure and 0 for a success.
     """
     order = np.argsort(analysis.numbers(table, "run_id"))
-    end = study.spans_s[:, :1]
+    numbers = [
+        analysis.numbers(table, name)[order].reshape(-1, study.n_variants).T
+        for name in summary_columns(tune, study)[1:]
+    ]
     if tune.objective == "final_error":
-        yaw, *limit = (analysis.numbers(table, name) for name in columns_of(tune, study)[1:])
-        found = np.nan_to_num(np.abs(yaw - sum(limit)), nan=np.inf)
-    else:
-        found = analysis.numbers(table, columns_of(tune, study)[1])
-    by_variant = found[order].reshape(-1, study.n_variants).T
-    if tune.objective == "final_error":
-        return by_variant
+        yaw, *floor = numbers
+        return np.nan_to_num(np.abs(yaw - sum(floor)), nan=np.inf)
+    (settled,) = numbers
     if tune.objective == "failure_rate":
-        return np.isnan(by_variant).astype(float)
-    return np.where(np.isnan(by_variant), end, by_variant)
+        return np.isnan(settled).astype(float)
+    return np.where(np.isnan(settled), study.spans_s[:, :1], settled)
 
 
-def failing(tune: TuneSection, study: Study) -> float:
-    """The objective if every run fails; infinite if it has no upper bound."""
+def estimate_values(tune: TuneSection, study: Study) -> NDArray:
+    """Return values of errors sampled by covariance analysis, one noise-free run per variant.
+
+    Args:
+        tune: the objective.
+        study: study of the runs, simulated; its draws do not matter.
+
+    Returns:
+        (variants, samples): as `run_values`; final heading errors are one rms for all samples.
+    """
+    scenario = Scenario(study, curves=True)
+    reference = TRUTH if success_of(study).from_truth else FLOOR
+    band = int(np.argmin(np.abs(np.asarray(bands(study)) - tune.objective_band_arcmin)))
+    out = np.empty((study.n_variants, SAMPLES))
+    end = study.spans_s[:, 0]
+    for number, ids in enumerate(scenario.variant_ids):
+        group = analysis_group(scenario.part(number, range(1)).group, SAMPLES)
+        for chunk in batch.chunks(group, devices=2):
+            variants = ids[chunk.variant]
+            out[variants] = _chunk_values(tune, chunk, reference, band, end[variants])
+    return out
+
+
+def _chunk_values(
+    tune: TuneSection, chunk: batch.Chunk, reference: int, band: int, end: NDArray
+) -> NDArray:
+    spread = chunk.curves
+    assert isinstance(spread, ErrorCovariance)
+    settled: NDArray = spread.outside_until[:, reference, band]
+    if tune.objective == "final_error":
+        mean = spread.phi[:, 2, -1] - (chunk.outcome.floor.phi.z if reference == FLOOR else 0.0)
+        sigma = spread.sigma[:, 2, -1]
+        if reference == FLOOR and spread.from_floor is not None:
+            sigma = spread.from_floor[:, -1]
+        return np.repeat(np.hypot(mean, sigma)[:, None] / ARCMIN, settled.shape[1], axis=1)
+    if tune.objective == "failure_rate":
+        return (settled >= end[:, None]).astype(float)
+    return settled
+
+
+def failure_score(tune: TuneSection, study: Study) -> float:
+    """Return the objective if every run fails; infinite if it has no upper bound."""
     if tune.objective == "final_error":
         return np.inf
     end = np.ones((1, 1)) if tune.objective == "failure_rate" else study.spans_s[:, :1]
@@ -75,20 +119,21 @@ def failing(tune: TuneSection, study: Study) -> float:
 
 
 def score(tune: TuneSection, values: NDArray) -> float:
-    """The objective of some runs, in the unit of their values.
+    """Return the objective of some runs, in the unit of their values.
 
     Args:
         tune: the objective.
-        values: (variants, draws), from `values`.
+        values: (variants, draws), from `run_values`.
     """
-    each = _OVER_DRAWS[tune.objective](tune, values)
-    return float(np.max(each) if tune.objective_across == "worst" else np.mean(each))
+    by_variant = _OVER_DRAWS[tune.objective](tune, values)
+    worst = tune.objective_across == "worst"
+    return float(np.max(by_variant) if worst else np.mean(by_variant))
 
 
 def relaxed_values(
     tune: TuneSection, criteria: Criteria, outcome: Outcome, *, truth: bool
 ) -> Array:
-    """The values of relaxed runs, corresponding to `values` of ordinary ones.
+    """Return the values of relaxed runs, corresponding to `run_values` of ordinary ones.
 
     Args:
         tune: the objective.
@@ -101,25 +146,25 @@ def relaxed_values(
         bias floor or the truth, arcmin; or the degree, 0 to 1, to which the end is outside the
         band.
     """
-    error = outcome.last.phi.z - (0.0 if truth else outcome.limit.phi.z)
+    error = outcome.last.phi.z - (0.0 if truth else outcome.floor.phi.z)
     if tune.objective == "final_error":
         return error[:, None] / ARCMIN
-    band = _band(tune, criteria)
+    band = _band_index(tune, criteria)
     if tune.objective == "failure_rate":
         return jax.vmap(partial(outside, criteria))(error)[:, band, None]
     return outcome.outside_until[:, TRUTH if truth else FLOOR, band, None]
 
 
 def relaxed_estimates(
-    tune: TuneSection, criteria: Criteria, outcome: Outcome, told: Spread, *, truth: bool
+    tune: TuneSection, criteria: Criteria, outcome: Outcome, spread: ErrorCovariance, *, truth: bool
 ) -> Array:
-    """As `relaxed_values`, of one noise-free run of each variant and the spread about it.
+    """Return the values of one noise-free run per variant and the spread about it, relaxed.
 
     Args:
         tune: the objective.
         criteria: of the study, with a sharpness.
         outcome: leaves (runs, ...).
-        told: of the runs, (runs,) being the last axis of each leaf.
+        spread: of the runs; the last axis of its leaves is (runs,).
         truth: whether heading errors are about the truth rather than the bias floor.
 
     Returns:
@@ -128,10 +173,10 @@ def relaxed_estimates(
     """
     if tune.objective in ("settle_mean", "settle_quantile"):
         return jnp.moveaxis(
-            told.outside_until[TRUTH if truth else FLOOR, _band(tune, criteria)], 0, 1
+            spread.outside_until[TRUTH if truth else FLOOR, _band_index(tune, criteria)], 0, 1
         )
-    mean = told.phi[2, -1] - (0.0 if truth else outcome.limit.phi.z)
-    sigma = told.sigma[2, -1] if truth or told.from_floor is None else told.from_floor[-1]
+    mean = spread.phi[2, -1] - (0.0 if truth else outcome.floor.phi.z)
+    sigma = spread.sigma[2, -1] if truth or spread.from_floor is None else spread.from_floor[-1]
     if tune.objective == "final_error":
         return jnp.sqrt(mean**2 + sigma**2)[:, None] / ARCMIN
     ends = tune.objective_band_arcmin * ARCMIN
@@ -139,13 +184,13 @@ def relaxed_estimates(
     return 1.0 - inside[:, None]
 
 
-def _band(tune: TuneSection, criteria: Criteria) -> Array:
-    """Number of the objective's band."""
+def _band_index(tune: TuneSection, criteria: Criteria) -> Array:
+    """Return the number of the objective's band."""
     return jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
 
 
 def relaxed_score(tune: TuneSection, values: NDArray) -> tuple[Array, Array]:
-    """The smooth objective of some points, and its derivatives with respect to the runs' values.
+    """Return the smooth objective of some points, and its derivatives by the runs' values.
 
     A quantile is Harrell and Davis's (1982), a weighted mean of all values; the worst variant is
     approximated by the power mean of order 16.
@@ -159,27 +204,27 @@ def relaxed_score(tune: TuneSection, values: NDArray) -> tuple[Array, Array]:
     """
     weights = np.full(values.shape[-1], 1 / values.shape[-1])
     if tune.objective == "settle_quantile":
-        weights = _harrell_davis(values.shape[-1], tune.objective_quantile)
+        weights = _harrell_davis_weights(values.shape[-1], tune.objective_quantile)
     power = _WORST if tune.objective_across == "worst" else 1
-    return _smooth(tune.objective == "final_error", power, jnp.asarray(weights), values)
+    return _smooth_score(tune.objective == "final_error", power, jnp.asarray(weights), values)
 
 
 _WORST = 16
 
 
-def _harrell_davis(n: int, q: float) -> NDArray:
-    """Weights of n sorted values whose weighted sum is their quantile q."""
+def _harrell_davis_weights(n: int, q: float) -> NDArray:
+    """Return weights of n sorted values whose weighted sum is their quantile q."""
     edges = special.betainc((n + 1) * q, (n + 1) * (1 - q), np.arange(n + 1) / n)
     return np.diff(edges)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _smooth(squared: bool, power: int, weights: Array, values: Array) -> tuple[Array, Array]:
-    def one(runs: Array) -> Array:
+def _smooth_score(squared: bool, power: int, weights: Array, values: Array) -> tuple[Array, Array]:
+    def point_score(runs: Array) -> Array:
         if squared:
-            each = jnp.sqrt(jnp.mean(runs**2, axis=-1))
+            by_variant = jnp.sqrt(jnp.mean(runs**2, axis=-1))
         else:
-            each = jnp.sort(runs, axis=-1) @ weights
-        return jnp.mean(each**power) ** (1 / power)
+            by_variant = jnp.sort(runs, axis=-1) @ weights
+        return jnp.mean(by_variant**power) ** (1 / power)
 
-    return jax.vmap(jax.value_and_grad(one))(values)
+    return jax.vmap(jax.value_and_grad(point_score))(values)

@@ -1,4 +1,4 @@
-"""A complete tuning as reports read it: what was found, and its objective on the unused draws."""
+"""A complete tuning run as reports read it: best points and their objective on unused draws."""
 
 import math
 from collections.abc import Callable
@@ -18,16 +18,15 @@ from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
 from sinsjax.study.success import yardsticks
 from sinsjax.tuning import history, objective, search
-from sinsjax.tuning.history import Evaluation, Found
+from sinsjax.tuning.history import Evaluation, SearchResult, load_tuned_study
 from sinsjax.tuning.run_tuning import (
     COVARIANCE,
     EVALUATION,
     GRADIENT,
     require_tune,
 )
-from sinsjax.tuning.stored import load_tuned_study
 
-SEARCHES = {
+SEARCH_LABELS = {
     "grid": "grid",
     GRADIENT: "gradient",
     "baseline": "baseline",
@@ -36,62 +35,63 @@ SEARCHES = {
     "random": "random points",
     COVARIANCE: "covariance analysis",
 }
-"""In words."""
+"""Names of searches in words."""
 
-LOOKS = list(SEARCHES)
-"""In the order of their markers."""
+MARKER_ORDER = list(SEARCH_LABELS)
+"""Searches in the order of their markers."""
 
 _AT_BOUND = 5e-3
 """A value within this share of its range is on the bound: descents stop short of it."""
 
 
-def read(directory: Path) -> Source:
-    """Opens a tuning: the results of its judging, with the directory of all of it.
+def read_evaluation(directory: Path) -> Source:
+    """Read the evaluation of a complete tuning run, with the directory of the whole run.
 
     Raises:
         InputError: it is not complete, or cannot be read.
     """
     if not (directory / EVALUATION / "summary").is_dir():
-        raise _incomplete(directory)
-    judged = Source.read(directory / EVALUATION)
-    assert judged.draws  # of which none is missing, or that is told
-    return replace(judged, directory=directory, table=judged.summary)
+        raise _incomplete_error(directory)
+    evaluation = Source.read(directory / EVALUATION)
+    assert evaluation.draws  # checks that no run is missing
+    return replace(evaluation, directory=directory, table=evaluation.summary)
 
 
-def _incomplete(directory: Path) -> InputError:
+def _incomplete_error(directory: Path) -> InputError:
     remedy = "`sinsjax tune --resume` continues it"
     return InputError(f"{directory}: holds a tuning run that is not complete ({remedy})")
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """A complete tuning.
+    """A complete tuning run.
 
     Attributes:
-        study: with [tune].
-        judged: the study of the judging, whose cases are what was found.
-        source: of its results.
-        found: by search.
+        study: study with [tune].
+        evaluation_study: study of the evaluation; its cases are the candidates, that is the best
+            point of each search and the baseline.
+        source: results of the evaluation.
+        searches: result of each search, by its name.
     """
 
     study: Study
-    judged: Study
+    evaluation_study: Study
     source: Source
-    found: dict[str, Found]
+    searches: dict[str, SearchResult]
 
     @classmethod
-    def of(cls, source: Source) -> "Tuning":
+    def from_source(cls, source: Source) -> "Tuning":
         """Read a completed tuning run.
 
         Raises:
             InputError: a search is missing: the evaluation is that of an earlier tuning run.
         """
         study = load_tuned_study(source.directory)
-        found = history.read(source.directory, SearchSpace.from_study(study))
-        by_name = {one.search.replace("_", " "): one for one in found}
+        searches = history.read_searches(source.directory, SearchSpace.from_study(study))
+        by_name = {result.search.replace("_", " "): result for result in searches}
         tuning = cls(study, source.study, source, by_name)
-        if not by_name or tuning.places.keys() - {"baseline", *by_name}:
-            raise _incomplete(source.directory)
+        if not by_name or tuning.case_numbers.keys() - {"baseline", *by_name}:
+            raise _incomplete_error(source.directory)
         return tuning
 
     @property
@@ -100,69 +100,73 @@ class Tuning:
         return require_tune(self.study)
 
     @cached_property
-    def places(self) -> dict[str, int]:
-        """Number of the case of each candidate: one may be that of several."""
-        labels = [case["case"] for case in self.judged.cases]
+    def case_numbers(self) -> dict[str, int]:
+        """Number of the case of each candidate; equal candidates share one."""
+        labels = [case["case"] for case in self.evaluation_study.cases]
         return {name: i for i, label in enumerate(labels) for name in label.split(", ")}
 
     @cached_property
-    def runs(self) -> NDArray:
-        """(cases, variants, draws) numbers that the objective is made of, on the unused draws."""
-        table = self.source.rows(objective.columns_of(self.tune, self.study))
-        return search.run_values(self.study, self.judged, table)
+    def run_values(self) -> NDArray:
+        """(cases, variants, draws) values of the runs for the objective, on the unused draws."""
+        table = self.source.rows(objective.summary_columns(self.tune, self.study))
+        return search.point_values(self.study, self.evaluation_study, table)
 
     @property
-    def on_bounds(self) -> dict[str, list[tuple[Variable, float]]]:
-        """By search, what its best point has at an end of its range, and the value there."""
+    def values_on_bounds(self) -> dict[str, list[tuple[Variable, float]]]:
+        """Variables at an end of their range in each search's best point, with their values."""
         space = SearchSpace.from_study(self.study)
-        found = {}
-        for name, search_ in self.found.items():
-            best = search_.best
+        on_bounds = {}
+        for name, result in self.searches.items():
+            best = result.best
             used = space.used(space.combinations[best.candidate])
-            here = [(space.variables[i], float(best.values[i])) for i in used]
-            found[name] = [(v, x) for v, x in here if not _AT_BOUND < v.place(x) < 1 - _AT_BOUND]
-        return found
+            point = [(space.variables[i], float(best.values[i])) for i in used]
+            on_bounds[name] = [
+                (v, x) for v, x in point if not _AT_BOUND < v.place(x) < 1 - _AT_BOUND
+            ]
+        return on_bounds
 
     @property
     def rival(self) -> str:
         """The candidate that all others are compared with: the grid's, if there is one."""
-        return next(name for name in ("grid", *self.found, "baseline") if name in self.places)
+        names = ("grid", *self.searches, "baseline")
+        return next(name for name in names if name in self.case_numbers)
 
     @property
     def best(self) -> str:
         """The candidate with the best objective on the tuning draws, which is in tuned.toml."""
-        return min(self.found, key=lambda name: self.found[name].best.objective)
+        return min(self.searches, key=lambda name: self.searches[name].best.objective)
 
     def descents(self, number: int) -> list[tuple[NDArray, NDArray]]:
-        """Points, (n, p), and objective of each descent of a combination of candidates."""
-        found = self.found.get(GRADIENT)
-        steps: dict[int | None, list[Evaluation]] = {}
-        for step in found.relaxed if found else ():
+        """Return points, (n, p), and objective of each descent of a combination of candidates."""
+        result = self.searches.get(GRADIENT)
+        descents: dict[int | None, list[Evaluation]] = {}
+        for step in result.relaxed_evaluations if result else ():
             if step.candidate == number:
-                steps.setdefault(step.start, []).append(step)
+                descents.setdefault(step.start, []).append(step)
         return [
-            (np.array([one.values for one in some]), np.array([one.objective for one in some]))
-            for some in steps.values()
+            (np.array([step.values for step in steps]), np.array([s.objective for s in steps]))
+            for steps in descents.values()
         ]
 
     def score(self, name: str) -> Estimate:
-        """The objective of a candidate on the unused draws."""
-        runs = self.runs[self.places[name]]
+        """Return the objective of a candidate on the unused draws."""
+        runs = self.run_values[self.case_numbers[name]]
         return self._estimate(lambda pick: objective.score(self.tune, runs[:, pick]), runs.shape[1])
 
-    def difference(self, name: str, less: str | None = None) -> Estimate:
-        """The objective of a candidate less that of another, or of the rival, on the same draws."""
-        own, other = (self.runs[self.places[one]] for one in (name, less or self.rival))
+    def difference(self, name: str, other: str | None = None) -> Estimate:
+        """Return the objective less that of another candidate, or of the rival, on equal draws."""
+        names = (name, other or self.rival)
+        runs, other_runs = (self.run_values[self.case_numbers[candidate]] for candidate in names)
         return self._estimate(
             lambda pick: (
-                objective.score(self.tune, own[:, pick])
-                - objective.score(self.tune, other[:, pick])
+                objective.score(self.tune, runs[:, pick])
+                - objective.score(self.tune, other_runs[:, pick])
             ),
-            own.shape[1],
+            runs.shape[1],
         )
 
     def _estimate(self, score: Callable[[NDArray], float], draws: int) -> Estimate:
-        """A number of some draws, with a bootstrap interval over them; none on a record."""
+        """Return a score with its bootstrap interval over the draws; none on a record."""
         every = np.arange(draws)
         if self.study.is_recorded:
             return Estimate(score(every), math.nan, math.nan, draws)
@@ -170,24 +174,24 @@ class Tuning:
         return Estimate(score(every), low, high, draws)
 
 
-def words(study: Study) -> tuple[str, str]:
-    """The objective of a study with [tune] in words, and its unit."""
+def describe_objective(study: Study) -> tuple[str, str]:
+    """Return the objective of a study with [tune] in words, and its unit."""
     tune = require_tune(study)
-    judged = yardsticks(study, tune.objective_band_arcmin)[0]
-    about = "" if judged.truth else ", from its bias floor"
+    success = yardsticks(study, tune.objective_band_arcmin)[0]
+    about = "" if success.truth else ", from its bias floor"
     return {
-        "settle_mean": (f"mean time until the heading stays {judged.words}", "s"),
+        "settle_mean": (f"mean time until the heading stays {success.words}", "s"),
         "settle_quantile": (
             f"{100 * tune.objective_quantile:g} % quantile of the time until the heading stays"
-            f" {judged.words}",
+            f" {success.words}",
             "s",
         ),
         "final_error": (f"root mean square heading error at the end{about}", "arcmin"),
-        "failure_rate": (f"share that never stays {judged.words}", ""),
+        "failure_rate": (f"share that never stays {success.words}", ""),
     }[tune.objective]
 
 
-def axis(study: Study) -> str:
-    """The objective as an axis label."""
-    name, unit = words(study)
+def objective_label(study: Study) -> str:
+    """Return the objective as an axis label."""
+    name, unit = describe_objective(study)
     return f"{name} ({unit})" if unit else name

@@ -6,8 +6,8 @@ tuning draws. Complete stages are kept when a tuning run is resumed.
 """
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
 from sinsjax.execution.directory import STUDY
 from sinsjax.execution.prepare import Kind, Options, prepare
-from sinsjax.execution.run import RunProgress, Tell
+from sinsjax.execution.run import RunProgress
 from sinsjax.execution.sealed import Damaged
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import replacing, unwritable
@@ -27,18 +27,14 @@ from sinsjax.study.load import study_to_toml, with_point
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, comparable_points
 from sinsjax.study.study import Study
-from sinsjax.tuning import evolution, history, search
-from sinsjax.tuning.history import Found
-from sinsjax.tuning.relaxation import Relaxation
-from sinsjax.tuning.search import SearchSession
-from sinsjax.tuning.stored import is_tuning, stored_study
+from sinsjax.tuning import gradient, history, search
+from sinsjax.tuning.history import SearchResult, is_tuning, load_stored_study
+from sinsjax.tuning.search import SearchSession, Watch
 
 TUNED, EVALUATION = "tuned.toml", "evaluation"
-GRADIENT, EQUAL_COST, COVARIANCE = "gradient", "equal_cost", evolution.NAME
+GRADIENT, EQUAL_COST, COVARIANCE = gradient.NAME, "equal_cost", search.COVARIANCE
 _SEARCHES = ("grid", "sobol", "random", EQUAL_COST, EVALUATION)
 _NAMES = (STUDY, TUNED, history.FILE, "figures", *_SEARCHES)
-
-Watch = Callable[[str], AbstractContextManager[Tell | None]]
 
 
 def prepare_tuning(
@@ -53,12 +49,13 @@ def prepare_tuning(
     Raises:
         InputError: as `from_python.tune`.
     """
-    kind = Kind(check_free, forecast.of_tuning, _check_same, require_tune)
+    kind = Kind(check_directory, forecast.of_tuning, _check_same_study, require_tune)
     job = prepare(source, overrides, record, reference, options, kind=kind)
     if job.stored is not None and job.stored.reference is None:
         text = "tuning on a record needs a reference (give it with --reference)"
         raise InputError(f"{job.study.name}: [tune]: {text}")
-    check_searches(job.study, job.stored)
+    if GRADIENT in require_tune(job.study).searches:
+        gradient.check_gradients(job.study)
     return job
 
 
@@ -80,53 +77,33 @@ def run_tuning(
     lock = places.lock(session.directory)
     try:
         # Again, since the directory may have changed before it was locked.
-        check_free(session.directory, overwrite=job.overwrite, resume=job.resume)
+        check_directory(session.directory, overwrite=job.overwrite, resume=job.resume)
         _search_and_evaluate(job.study, session)
     finally:
         lock.release()
 
 
-def check_searches(study: Study, record: StoredRecord | None = None) -> None:
-    """Refuse searches that do not go with the variables, before anything runs.
-
-    Args:
-        study: study with [tune], at the rate of its record.
-        record: the record of a recorded study; without it what other packages' methods say of
-            gradients is not evaluated.
-
-    Raises:
-        InputError: a variable without a gradient, or a method of another package whose numbers do
-            not follow its keys.
-    """
-    space = SearchSpace.from_study(study)
-    if GRADIENT in require_tune(study).searches:
-        for combination in space.combinations:
-            relaxation = Relaxation(study, space, combination)
-            if study.is_recorded == (record is not None):
-                relaxation.check_changes(record)
-
-
 def _search_and_evaluate(study: Study, session: SearchSession) -> None:
     directory, space = session.directory, SearchSpace.from_study(study)
-    known = _begin(study, space, session)
-    found: list[Found] = []
+    known = _prepare_directory(study, space, session)
+    results: list[SearchResult] = []
     for name in require_tune(study).searches:
-        found.append(_search(study, space, name, session, known))
-        history.write(directory, study, found)
+        results.append(_run_search(study, space, name, session, known))
+        history.write_history(directory, study, results)
         if name == GRADIENT:
-            counts = _counts(study, space, found[-1].cost)
-            design = search.sobol(space, counts, search.seed_of(study, EQUAL_COST))
-            found.append(search.evaluate(study, EQUAL_COST, design, session))
-            history.write(directory, study, found)
-    _evaluate(study, space, found, session)
-    best = min(found, key=lambda one: one.best.objective)
+            counts = _equal_cost_counts(study, space, results[-1].cost)
+            design = search.sobol_design(space, counts, search.search_seed(study, EQUAL_COST))
+            results.append(search.evaluate_design(study, EQUAL_COST, design, session))
+            history.write_history(directory, study, results)
+    _evaluate_best_points(study, space, results, session)
+    best = min(results, key=lambda result: result.best.objective)
     tuned = study_to_toml(with_point(study, best.point(space)))
     with replacing(directory / TUNED) as file:
         file.write(tuned.encode())
 
 
 def require_tune(study: Study) -> TuneSection:
-    """The [tune] section of a study.
+    """Return the [tune] section of a study.
 
     Raises:
         InputError: there is none.
@@ -136,7 +113,7 @@ def require_tune(study: Study) -> TuneSection:
     return study.tune
 
 
-def check_free(directory: Path, *, overwrite: bool, resume: bool) -> None:
+def check_directory(directory: Path, *, overwrite: bool, resume: bool) -> None:
     """Reject a directory that holds a tuning run, unless it may be used, or foreign files.
 
     Args:
@@ -159,30 +136,32 @@ def check_free(directory: Path, *, overwrite: bool, resume: bool) -> None:
         )
 
 
-def _begin(study: Study, space: SearchSpace, session: SearchSession) -> list[Found]:
-    """Prepare a directory; gives the complete searches when resuming."""
+def _prepare_directory(
+    study: Study, space: SearchSpace, session: SearchSession
+) -> list[SearchResult]:
+    """Prepare the directory; return the searches of its history when resuming."""
     directory, known = session.directory, []
     try:
         for path in places.stale_temporary_files(directory):
             path.unlink()
         if session.job.resume and (directory / history.FILE).exists():
-            with suppress(Damaged):  # its searches are made again, from the stored parts
-                known = history.read(directory, space)
+            with suppress(Damaged):  # its searches are repeated, from the stored parts
+                known = history.read_searches(directory, space)
         elif not session.job.resume:
             for name in (TUNED, history.FILE):
                 (directory / name).unlink(missing_ok=True)
     except OSError as error:
         raise InputError(unwritable(directory, error)) from error
-    history.write(directory, study, known)
+    history.write_history(directory, study, known)
     with replacing(directory / STUDY) as file:
         file.write(study_to_toml(study).encode())
     return known
 
 
-def _check_same(job: Job) -> Job:
+def _check_same_study(job: Job) -> Job:
     """Reject resuming the tuning run of another study."""
     assert job.directory is not None
-    stored = stored_study(job.directory)
+    stored = load_stored_study(job.directory)
     if stored is None:
         return job
     old, new = (require_tune(study).model_dump() for study in (stored, job.study))
@@ -195,57 +174,60 @@ def _check_same(job: Job) -> Job:
     return job
 
 
-def _search(
-    study: Study, space: SearchSpace, name: str, session: SearchSession, known: Sequence[Found]
-) -> Found:
-    """Run one search, or take it from the known ones."""
+def _run_search(
+    study: Study,
+    space: SearchSpace,
+    name: str,
+    session: SearchSession,
+    known: Sequence[SearchResult],
+) -> SearchResult:
+    """Run a search, or return it from the known ones."""
     settings = require_tune(study)
     if name in (GRADIENT, COVARIANCE):
-        done = [one for one in known if one.search == name]
-        return done[0] if done else _watched(name, study, session)
+        done = [result for result in known if result.search == name]
+        return done[0] if done else _run_in_memory(name, study, session)
     if name == "grid":
-        return search.evaluate(study, name, search.grid(space, settings.grid_points), session)
-    draw = {"sobol": search.sobol, "random": search.random}[name]
+        return search.evaluate_design(
+            study, name, search.grid_design(space, settings.grid_points), session
+        )
+    draw = {"sobol": search.sobol_design, "random": search.random_design}[name]
     count = settings.sobol_points
-    design = draw(space, [count] * len(space.combinations), search.seed_of(study, name))
-    return search.evaluate(study, name, design, session)
+    design = draw(space, [count] * len(space.combinations), search.search_seed(study, name))
+    return search.evaluate_design(study, name, design, session)
 
 
-def _watched(name: str, study: Study, session: SearchSession) -> Found:
-    """A search that keeps no results but its history."""
-    with session.watch(name) as tell:
+def _run_in_memory(name: str, study: Study, session: SearchSession) -> SearchResult:
+    """Run a search that stores nothing but its history."""
+    with session.watch(name) as on_progress:
 
-        def tell_or_stop(progress: RunProgress) -> None:
+        def report_or_stop(progress: RunProgress) -> None:
             if session.stop.is_set():
                 raise StudyInterrupted(f"the complete searches are in {session.directory}")
-            if tell is not None:
-                tell(progress)
+            if on_progress is not None:
+                on_progress(progress)
 
         if name == COVARIANCE:
-            return evolution.evolve(study, tell=tell_or_stop)
-        # Optax is slow to import, and only this search needs it.
-        from sinsjax.tuning import descent
-
-        return descent.descend(study, session.job.stored, tell=tell_or_stop)
+            return search.search_by_covariance(study, on_progress=report_or_stop)
+        return gradient.descend(study, session.job.stored, on_progress=report_or_stop)
 
 
-def _counts(study: Study, space: SearchSpace, cost: int) -> list[int]:
-    """Number of points per combination for a search of a given cost."""
+def _equal_cost_counts(study: Study, space: SearchSpace, cost: int) -> list[int]:
+    """Return the number of points of each combination for a search of a given cost."""
     point = space.point(space.values([0.5] * len(space.variables)), space.combinations[0])
-    each = search.cost(search.derive(study, {"one": point}, name=study.name))
+    point_cost = search.total_steps(search.derive_study(study, {"point": point}, name=study.name))
     count = len(space.combinations)
-    points = max(count, round(cost / each))
+    points = max(count, round(cost / point_cost))
     return [points // count + (number < points % count) for number in range(count)]
 
 
-def _evaluate(
-    study: Study, space: SearchSpace, found: Sequence[Found], session: SearchSession
+def _evaluate_best_points(
+    study: Study, space: SearchSpace, results: Sequence[SearchResult], session: SearchSession
 ) -> None:
     """Run the best points and the baseline on draws not used for tuning."""
     baseline = with_point(study, require_tune(study).baseline)
-    points = {one.search.replace("_", " "): one.point(space) for one in found}
+    points = {result.search.replace("_", " "): result.point(space) for result in results}
     cases: dict[tuple[object, ...], tuple[list[str], TomlTable]] = {}
     for name, point in comparable_points(study, baseline, points).items():
         cases.setdefault(tuple(point.values()), ([], point))[0].append(name)
     labelled = {", ".join(names): point for names, point in cases.values()}
-    session.run(search.derive(study, labelled, name=study.name, judging=True), EVALUATION)
+    session.run(search.derive_study(study, labelled, name=study.name, evaluation=True), EVALUATION)

@@ -1,7 +1,10 @@
-"""Searches without a gradient: sweeps over points of the search space.
+"""Searches that score points of the search space: grid, Sobol points, and covariance analysis.
 
-Each search is a study whose cases are the points and whose draws are the tuning draws, with an
-ordinary results directory.
+The points are the cases of a study whose draws are the tuning draws. A grid, Sobol and random
+points are swept into an ordinary results directory. The search by covariance analysis needs no
+noise: it scores points by errors that are sampled from linear covariance analysis
+(`engine.covariance`), goes on from the best of some Sobol points with an evolution strategy
+(CMA-ES, Hansen and Ostermeier 2001), and runs the best few on the tuning draws.
 """
 
 import threading
@@ -17,17 +20,21 @@ from numpy.typing import NDArray
 
 from sinsjax.execution import results
 from sinsjax.execution.prepare import subordinate
-from sinsjax.execution.run import Tell, run_job
+from sinsjax.execution.run import RunProgress, Tell, run_in_memory, run_job
 from sinsjax.execution.tasks import Job
+from sinsjax.methods.registry import METHODS
 from sinsjax.study import sampling, search_space
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict, tables_of
 from sinsjax.study.resolved import Dimension
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.study.sweep import dimensions_of
+from sinsjax.study.sweep import TIMES, dimensions_of
 from sinsjax.tuning import objective
-from sinsjax.tuning.history import Evaluation, Found
+from sinsjax.tuning.history import Evaluation, SearchResult
+
+Watch = Callable[[str], AbstractContextManager[Tell | None]]
+"""(name of a search) -> context with its progress callback, if any."""
 
 _SEEDS = 2**63
 
@@ -42,7 +49,7 @@ class SearchSession(NamedTuple):
     """
 
     job: Job
-    watch: Callable[[str], AbstractContextManager[Tell | None]]
+    watch: Watch
     stop: threading.Event
 
     @property
@@ -52,10 +59,13 @@ class SearchSession(NamedTuple):
         return self.job.directory
 
     def run(self, study: Study, name: str) -> Path:
-        """Run a study without curves into a subdirectory; gives its path."""
-        with self.watch(name) as tell:
-            run_job(subordinate(self.job, study, name), tell=tell, stop=self.stop)
+        """Run a study without curves into a subdirectory; return its path."""
+        with self.watch(name) as on_progress:
+            run_job(subordinate(self.job, study, name), tell=on_progress, stop=self.stop)
         return self.directory / name
+
+
+# Designs
 
 
 class Design(NamedTuple):
@@ -70,8 +80,8 @@ class Design(NamedTuple):
     box: NDArray
 
 
-def grid(space: SearchSpace, points: int) -> Design:
-    """All points of a grid including the ends, the last variable fastest.
+def grid_design(space: SearchSpace, points: int) -> Design:
+    """Return all points of a grid including the ends, the last variable fastest.
 
     Args:
         space: search space of the study.
@@ -79,49 +89,55 @@ def grid(space: SearchSpace, points: int) -> Design:
     """
     places = np.linspace(0.0, 1.0, points)
 
-    def own(_: int, count: int) -> NDArray:
+    def draw_points(_: int, count: int) -> NDArray:
         return np.array(list(product(places, repeat=count))).reshape(-1, count)
 
-    return _design(space, own)
+    return _design(space, draw_points)
 
 
-def sobol(space: SearchSpace, counts: Sequence[int], seed: np.random.SeedSequence) -> Design:
-    """Scrambled Sobol points.
+def sobol_design(space: SearchSpace, counts: Sequence[int], seed: np.random.SeedSequence) -> Design:
+    """Return scrambled Sobol points.
 
     Args:
         space: search space of the study.
         counts: number of points for each combination.
         seed: seed of the scrambling.
     """
-    # It takes a second to import, and few studies need it.
-    from scipy.stats import qmc
+    from scipy.stats import qmc  # late: it takes a second, and few studies need it
 
     seeds = seed.spawn(len(counts))
 
-    def own(number: int, count: int) -> NDArray:
+    def draw_points(number: int, count: int) -> NDArray:
         engine = qmc.Sobol(count, rng=np.random.Generator(np.random.PCG64(seeds[number])))
         # A single point first, because scipy warns if the first call is not for 2^m points.
         return np.concatenate([engine.random(1), engine.random(counts[number] - 1)])
 
-    return _design(space, own)
+    return _design(space, draw_points)
 
 
-def random(space: SearchSpace, counts: Sequence[int], seed: np.random.SeedSequence) -> Design:
-    """Independent random points; arguments as for `sobol`."""
+def random_design(
+    space: SearchSpace, counts: Sequence[int], seed: np.random.SeedSequence
+) -> Design:
+    """Return independent random points; arguments as for `sobol_design`."""
     seeds = seed.spawn(len(counts))
 
-    def own(number: int, count: int) -> NDArray:
+    def draw_points(number: int, count: int) -> NDArray:
         return np.random.Generator(np.random.PCG64(seeds[number])).random((counts[number], count))
 
-    return _design(space, own)
+    return _design(space, draw_points)
 
 
-def _design(space: SearchSpace, own: Callable[[int, int], NDArray]) -> Design:
-    """A design from a function that gives a combination's points by its number and dimension."""
+def _design(space: SearchSpace, draw_points: Callable[[int, int], NDArray]) -> Design:
+    """Return the design with the points of every combination.
+
+    Args:
+        space: search space of the study.
+        draw_points: (number of a combination, number p of its variables) -> (n, p) points.
+    """
     candidates, boxes = [], []
     for number, combination in enumerate(space.combinations):
         used = space.used(combination)
-        points = own(number, len(used)) if used else np.empty((1, 0))
+        points = draw_points(number, len(used)) if used else np.empty((1, 0))
         box = np.full((len(points), len(space.variables)), np.nan)
         box[:, used] = points
         boxes.append(box)
@@ -129,12 +145,17 @@ def _design(space: SearchSpace, own: Callable[[int, int], NDArray]) -> Design:
     return Design(np.concatenate(candidates), np.concatenate(boxes))
 
 
-def seed_of(study: Study, name: str) -> np.random.SeedSequence:
-    """The seed of a search, from the study's seed and the name of the search."""
+def search_seed(study: Study, name: str) -> np.random.SeedSequence:
+    """Return the seed of a search, from the study's seed and the name of the search."""
     return np.random.SeedSequence(study.seed, spawn_key=tuple(name.encode()))
 
 
-def evaluate(study: Study, name: str, design: Design, session: SearchSession) -> Found:
+# Scores of points
+
+
+def evaluate_design(
+    study: Study, name: str, design: Design, session: SearchSession
+) -> SearchResult:
     """Evaluate the points of a design on the tuning draws.
 
     Args:
@@ -147,86 +168,129 @@ def evaluate(study: Study, name: str, design: Design, session: SearchSession) ->
         InputError: the directory cannot be used, or the record does not fit.
         StudyInterrupted: the session was stopped.
     """
-    assert study.tune is not None
-    space = SearchSpace.from_study(study)
+    tune, space = study.tune, SearchSpace.from_study(study)
+    assert tune is not None
     values = np.array(space.values(design.box.T)).T if space.variables else design.box
     points = [
         space.point(list(np.nan_to_num(row)), space.combinations[candidate])
         for row, candidate in zip(values, design.candidate, strict=True)
     ]
-    names = objective.columns_of(study.tune, study)
-    scores, taken, each = scored(
-        study,
-        name,
-        points,
-        lambda derived: results.read_summary(session.run(derived, name), names),
-    )
-    paid = np.maximum.accumulate(taken) + 1
-    return Found(
+    names = objective.summary_columns(tune, study)
+
+    def run_cases(derived: Study) -> NDArray:
+        table = results.read_summary(session.run(derived, name), names)
+        return objective.run_values(tune, derived, table)
+
+    scored = score_points(study, name, points, run_cases)
+    case_cost = total_steps(scored.derived) // len(scored.derived.cases)
+    costs = case_cost * (np.maximum.accumulate(scored.cases[:, 0]) + 1)
+    return SearchResult(
         name,
         [
-            Evaluation(number, int(design.candidate[number]), list(row), score, int(n) * each)
-            for number, (row, score, n) in enumerate(zip(values, scores, paid, strict=True))
+            Evaluation(number, int(candidate), list(row), score, int(so_far))
+            for number, (candidate, row, score, so_far) in enumerate(
+                zip(design.candidate, values, scored.scores, costs, strict=True)
+            )
         ],
     )
 
 
-def scored(
-    study: Study, name: str, points: Sequence[TomlTable], run: Callable[[Study], pa.Table]
-) -> tuple[list[float], list[int], int]:
-    """The objective at some points; those with equal values are run once.
+class PointScores(NamedTuple):
+    """Scores of some points.
+
+    Attributes:
+        scores: the objective of each point.
+        derived: study of the runs, each distinct point being a case.
+        cases: (points, phases) number of the case of each point and shift.
+    """
+
+    scores: list[float]
+    derived: Study
+    cases: NDArray
+
+
+def score_points(
+    study: Study,
+    name: str,
+    points: Sequence[TomlTable],
+    run_cases: Callable[[Study], NDArray],
+    phases: int = 1,
+) -> PointScores:
+    """Score some points; equal ones are run once.
 
     Args:
         study: study with [tune].
         name: name of the search.
         points: points with the same keys.
-        run: gives the summary of a study with at least `objective.columns_of`.
-
-    Returns:
-        The objective of each point, the number of its case, and the steps of one case.
+        run_cases: gives the values of a study's runs, as `objective.run_values`.
+        phases: number of shifts of a point's resets over the feedback interval, see `shift_resets`;
+            its score is the objective over all of them.
     """
     assert study.tune is not None
     cases: dict[str, TomlTable] = {}
     case_of: dict[tuple[Any, ...], int] = {}
+    numbers = np.empty((len(points), phases), int)
     for number, point in enumerate(points):
-        if case_of.setdefault(tuple(point.values()), len(cases)) == len(cases):
-            cases[f"{name} {number}"] = point
-    derived = derive(study, cases, name=f"{study.name}_{name}")
-    found = run_values(study, derived, run(derived))
-    by_case = [objective.score(study.tune, own) for own in found]
-    taken = [case_of[tuple(point.values())] for point in points]
-    return [by_case[case] for case in taken], taken, cost(derived) // len(cases)
+        for phase in range(phases):
+            case = shift_resets(study, point, phase / phases)
+            numbers[number, phase] = case_of.setdefault(tuple(case.values()), len(cases))
+            if numbers[number, phase] == len(cases):
+                cases[f"{name} {number}" + (f" phase {phase}" if phase else "")] = case
+    derived = derive_study(study, cases, name=f"{study.name}_{name}")
+    values = run_cases(derived)
+    by_case = values.reshape(len(cases), -1, values.shape[-1])
+    scores = [
+        objective.score(study.tune, by_case[row].reshape(-1, values.shape[-1])) for row in numbers
+    ]
+    return PointScores(scores, derived, numbers)
 
 
-def run_values(study: Study, derived: Study, table: pa.Table) -> NDArray:
-    """The values of all runs for the objective, (points, variants, draws).
+def shift_resets(study: Study, point: TomlTable, share: float) -> TomlTable:
+    """Return a point with later resets, by a share of the feedback interval, on whole samples."""
+    times = point.get(TIMES)
+    if not times or not share:
+        return point
+    intervals = [value or 0.0 for value in study.values("feedback_interval_s")]
+    interval = point.get("feedback_interval_s", max(intervals))
+    rate = study.study.rate_hz
+    return point | {TIMES: tuple(round((t + share * interval) * rate) / rate for t in times)}
+
+
+def point_values(study: Study, derived: Study, table: pa.Table) -> NDArray:
+    """Return the values of all runs for the objective, (points, variants, draws).
 
     Args:
         study: study with [tune].
         derived: study of the runs, whose cases are the points.
-        table: `objective.columns_of` its summary.
+        table: `objective.summary_columns` of its summary.
     """
     assert study.tune is not None
-    found = objective.values(study.tune, derived, table)
-    return found.reshape(len(derived.cases), -1, found.shape[-1])
+    values = objective.run_values(study.tune, derived, table)
+    return values.reshape(len(derived.cases), -1, values.shape[-1])
 
 
-def cost(study: Study) -> int:
-    """Total number of steps of a study's runs."""
+def total_steps(study: Study) -> int:
+    """Return the total number of steps of a study's runs."""
     records = study.lengths.each(lambda span: span.records, int)
     return int(records.sum()) * study.record_every * study.n_draws
 
 
-def derive(
-    study: Study, points: Mapping[str, TomlTable], *, name: str, judging: bool = False
+def estimate_steps(study: Study) -> float:
+    """Return the cost of `objective.estimate_values` with the dearest method, in plain steps."""
+    runs = max(METHODS[name].estimate_runs for name in study.methods)
+    return runs * total_steps(study) / study.n_draws
+
+
+def derive_study(
+    study: Study, points: Mapping[str, TomlTable], *, name: str, evaluation: bool = False
 ) -> Study:
-    """The study of some points on the tuning draws, or on those for evaluation.
+    """Return the study of some points on the tuning draws, or on those for evaluation.
 
     Args:
         study: study with [tune]; its own axes are swept at every point.
         points: points with the same keys, by the label of their case.
         name: name of the new study.
-        judging: whether to use the evaluation draws: those of another seed, or the other start
+        evaluation: whether to use the evaluation draws: those of another seed, or the other start
             times of a record.
 
     Returns:
@@ -238,29 +302,150 @@ def derive(
     tables = search_space.without_keys(tables_of(study), list(keys))
     tables["study"] = tables["study"] | {"name": name, "curves": False}
     if study.record:
-        starts = study.record.start_s[1 if judging else 0 :: 2]
+        starts = study.record.start_s[1 if evaluation else 0 :: 2]
         tables["record"] = tables["record"] | {"start_s": starts}
     else:
-        seed = (study.seed + judging) % _SEEDS
-        draws = tune.evaluation_draws if judging else tune.tune_draws
+        seed = (study.seed + evaluation) % _SEEDS
+        draws = tune.evaluation_draws if evaluation else tune.tune_draws
         tables["study"] |= {"seed": seed, "draws": draws}
     if study.drawn:
         count = len(tables["record"]["start_s"]) if study.record else tables["study"]["draws"]
         tables["drawn"] = sampling.drawn_table(study.drawn, count)
-    own = {key: values for key, values in _own_cases(study).items() if key != "case"}
-    if own:  # the labels are now those of the points
-        tables["axes"] = tables.get("axes", {}) | {_free_name(study): own}
+    axis = {key: values for key, values in _study_cases(study).items() if key != "case"}
+    if axis:  # the labels are now those of the points
+        tables["axes"] = tables.get("axes", {}) | {_unused_axis_name(study): axis}
     tables["cases"] = [{"case": label} | point for label, point in points.items()]
     return study_from_dict(tables, name)
 
 
-def _own_cases(study: Study) -> Dimension:
+def _study_cases(study: Study) -> Dimension:
     return dimensions_of(study.cases, [], {})[0] if study.cases else {}
 
 
-def _free_name(study: Study) -> str:
-    """A name for the table of axes that a study's cases become."""
+def _unused_axis_name(study: Study) -> str:
+    """Return a name for the table of axes that a study's cases become."""
     name = "cases"
     while name in study.zips:
         name += "_"
     return name
+
+
+# Search by covariance analysis
+
+
+COVARIANCE = "covariance"
+"""Name of the search by covariance analysis."""
+
+GENERATION, FIRST_SIGMA, FINALISTS = 8, 0.2, 3
+"""Points of a generation; standard deviation of the first one, all ranges being one long; best
+points that are run on the tuning draws."""
+
+
+def search_by_covariance(study: Study, *, on_progress: Tell | None = None) -> SearchResult:
+    """Search with the objective of covariance analysis.
+
+    Args:
+        study: study with [tune], simulated.
+        on_progress: called with the progress after every generation.
+
+    Returns:
+        All evaluations; those by covariance analysis are marked as estimates.
+    """
+    return _CovarianceSearch(study, on_progress).run()
+
+
+class _CovarianceSearch:
+    """A search by covariance analysis. Resets stay hard."""
+
+    def __init__(self, study: Study, on_progress: Tell | None) -> None:
+        assert study.tune is not None
+        self._study, self._tune, self._space = study, study.tune, SearchSpace.from_study(study)
+        self._on_progress = on_progress or (lambda progress: None)
+        self._evaluations: list[Evaluation] = []
+        self._cost = 0.0
+        tune, combinations = self._tune, len(self._space.combinations)
+        self._total = (
+            tune.evolution_screen * combinations + tune.evolution_steps * GENERATION + FINALISTS
+        )
+
+    def run(self) -> SearchResult:
+        """Run the search; return all evaluations in order."""
+        tune, space = self._tune, self._space
+        counts = [tune.evolution_screen] * len(space.combinations)
+        design = sobol_design(space, counts, search_seed(self._study, COVARIANCE))
+        for candidate in range(len(space.combinations)):
+            self._estimate(design.box[design.candidate == candidate], candidate)
+        first = min(self._evaluations, key=lambda evaluation: evaluation.objective)
+        if used := space.used(space.combinations[first.candidate]):
+            self._evolve(first, used)
+        self._run_finalists()
+        return SearchResult(COVARIANCE, self._evaluations)
+
+    def _evolve(self, first: Evaluation, used: list[int]) -> None:
+        """Estimate the generations that start from the best point."""
+        import cma  # late: it takes a second, and only this search needs it
+
+        values = [1.0 if np.isnan(value) else value for value in first.values]
+        box = np.asarray(self._space.box(values))
+        seed = int(search_seed(self._study, "evolution").generate_state(1)[0]) or 1
+        settings = {
+            **{"bounds": [0.0, 1.0], "popsize": GENERATION, "seed": seed},
+            **{"verbose": -9, "CMA_stds": np.ones(max(2, len(used)))},
+        }
+        # CMA-ES needs two variables: one without effect is added to a single one.
+        start = np.append(box[used], 0.5) if len(used) == 1 else box[used]
+        strategy = cma.CMAEvolutionStrategy(start, FIRST_SIGMA, settings)
+        for _ in range(self._tune.evolution_steps):
+            generation = np.asarray(strategy.ask())
+            points = np.full((len(generation), len(self._space.variables)), np.nan)
+            points[:, used] = generation[:, : len(used)]
+            strategy.tell(list(generation), self._estimate(points, first.candidate))
+
+    def _estimate(self, box: NDArray, candidate: int) -> list[float]:
+        """Estimate the objective at some box points of a combination."""
+        combination = self._space.combinations[candidate]
+        values = [self._space.values(np.nan_to_num(row)) for row in box]
+        scored = self._score(
+            [self._space.point(row, combination) for row in values],
+            lambda derived: objective.estimate_values(self._tune, derived),
+        )
+        for row, point, score in zip(box, values, scored.scores, strict=True):
+            self._cost += estimate_steps(scored.derived) / len(box)
+            known = [np.nan if np.isnan(a) else v for a, v in zip(row, point, strict=True)]
+            step, so_far = len(self._evaluations), int(self._cost)
+            self._evaluations.append(
+                Evaluation(step, candidate, known, score, so_far, estimated=True)
+            )
+        self._report()
+        return scored.scores
+
+    def _run_finalists(self) -> None:
+        """Run the best on the tuning draws, with the shifts that they were estimated with."""
+        best: dict[tuple[Any, ...], tuple[Evaluation, TomlTable]] = {}
+        for evaluation in sorted(self._evaluations, key=lambda e: e.objective):
+            combination = self._space.combinations[evaluation.candidate]
+            point = self._space.point(list(np.nan_to_num(evaluation.values)), combination)
+            best.setdefault(tuple(point.values()), (evaluation, point))
+        finalists, points = zip(*list(best.values())[:FINALISTS], strict=True)
+
+        def run_cases(derived: Study) -> NDArray:
+            table = run_in_memory(Job(derived, curves=False))["summary"]
+            return objective.run_values(self._tune, derived, table)
+
+        scored = self._score(points, run_cases)
+        for finalist, score in zip(finalists, scored.scores, strict=True):
+            self._cost += total_steps(scored.derived) / len(points)
+            step, so_far = len(self._evaluations), int(self._cost)
+            self._evaluations.append(
+                finalist._replace(step=step, objective=score, cost=so_far, estimated=False)
+            )
+        self._report()
+
+    def _score(
+        self, points: Sequence[TomlTable], run_cases: Callable[[Study], NDArray]
+    ) -> PointScores:
+        phases = self._tune.feedback_phases
+        return score_points(self._study, COVARIANCE, points, run_cases, phases)
+
+    def _report(self) -> None:
+        self._on_progress(RunProgress(len(self._evaluations), self._total, 0, 0, "points"))

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from support.studies import small_study
 
-from sinsjax.engine import batch, build, measurements, tile, truth
+from sinsjax.engine import batch, build, samples, truth
 from sinsjax.engine import lanes as lane_layout
-from sinsjax.engine.realisations import aligned_record
+from sinsjax.engine.environment import aligned_record
+from sinsjax.engine.run import map_stacked_tiles, run_tile
 from sinsjax.execution import run
 
 pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
@@ -23,7 +24,7 @@ MOST_BYTES = 60e6
 @pytest.fixture
 def without_records(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(truth, "MOST_STORED_SAMPLES", 0)
-    monkeypatch.setattr(measurements, "SAMPLES_A_CALL", 30)
+    monkeypatch.setattr(samples, "SAMPLES_PER_CALL", 30)
 
 
 def arrays(jaxpr: Any) -> Iterator[tuple[int, str]]:
@@ -48,15 +49,15 @@ def test_day_long_run_allocates_no_large_array(specific_force: str) -> None:
         alignment={"specific_force": specific_force},
     )
     (part,) = build.parts(study, curves=True)
-    static, shown = part.group.static, lane_layout.shown(part.group)
+    static, shown = part.group.static, lane_layout.curve_lanes(part.group)
     tiles = lane_layout.tiles_of(part.group, batch.plan(part.group)[0])
     assert shown == 1 and static.records == DAY_S
 
     def program(environment: Any, tiles: Any) -> Any:
         def one(tiles: Any) -> Any:
-            return tile.run_tile(static, environment, tiles, shown)
+            return run_tile(static, environment, tiles, shown)
 
-        return jax.lax.map(tile.over_stacked_tiles(static, one, tiles), tiles)
+        return jax.lax.map(map_stacked_tiles(static, one, tiles), tiles)
 
     traced = jax.make_jaxpr(program)(part.group.environment, tiles)
     size, what = max(arrays(traced.jaxpr))
@@ -75,7 +76,7 @@ def test_curves_without_stored_increments_match_stored_ones(request: pytest.Fixt
     whole = run.run(PASSES).curves
     request.getfixturevalue("without_records")
     (part,) = build.parts(PASSES)
-    assert part.group.environment.increments is None
+    assert part.group.environment.sensors.increments is None
     pieces = run.run(PASSES).curves
     assert pieces.num_rows == whole.num_rows == 4
     for name in ("phi_e_arcmin", "phi_n_arcmin", "phi_u_arcmin", "yaw_deg"):
@@ -92,11 +93,11 @@ def test_simulated_record_is_same_without_stored_increments(request: pytest.Fixt
 
 def test_curves_of_idle_lanes_are_not_requested() -> None:
     (part,) = build.parts(small_study(study={"draws": 3}), curves=True)
-    assert lane_layout.shown(part.group) == 3
+    assert lane_layout.curve_lanes(part.group) == 3
     silent = part.group._replace(static=part.group.static._replace(curves=False))
-    assert lane_layout.shown(silent) is None
+    assert lane_layout.curve_lanes(silent) is None
     (part,) = build.parts(small_study(study={"draws": 64}), curves=True)
-    assert lane_layout.shown(part.group) is None
+    assert lane_layout.curve_lanes(part.group) is None
 
 
 @pytest.mark.parametrize("samples", [1, 5, 1000, 100_000])

@@ -247,35 +247,6 @@ def test_validate_reports_failing_plugin_step(
     assert told.stderr.endswith(f", in {method}:{line}\n")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("change", "what"),
-    [
-        ("1 / 0", "ZeroDivisionError: division by zero, in "),
-        ("value.nothing", "AttributeError: "),
-        ("params.kept * base / value", "gave one number or array, without numbers.kept, unlike "),
-        ("params._replace(kept=params.kept / value)", "gives numbers.kept = 0.0031"),
-        ("params", "no number changes with it at 10, 316.228 and 10000, in "),
-        ("params._replace(kept=params.kept + 0 * value)", "no number changes with it at 10, "),
-    ],
-)
-def test_validate_and_tune_report_wrong_relaxed_changes_of_plugin(
-    forked: Server, site: Path, tmp_path: Path, change: str, what: str
-) -> None:
-    changed = shutil.copytree(site, tmp_path / "site")
-    relaxed = changed / "averaged_alignment" / "relaxed.py"
-    text = re.sub(r"return params\._replace.*", f"return {change}", relaxed.read_text())
-    relaxed.write_text(text)
-    tuning(tmp_path / "tuned.toml")
-    commands = ("validate", "tuned.toml"), ("tune", "tuned.toml", "-o", "out")
-    for told in forked(*commands, site=changed, cwd=tmp_path):
-        whose = "method 'averaged' of averaged-alignment 1.0: relaxed.changes['averaging_time_s']"
-        assert told.returncode == 2 and told.stderr.count("\n") == 1
-        assert told.stderr.startswith(f"error: {whose}: {what}")
-        assert re.search(rf", in {relaxed}:\d+$", told.stderr)
-        assert "Error: " in told.stderr or is_listed(told.stderr)
-
-
 def test_unsupported_covariance_search_names_file_and_remedy(
     forked: Server, site: Path, tmp_path: Path
 ) -> None:

@@ -12,11 +12,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 import tomli_w
+from support.alone import run_alone
 from support.studies import with_paper_values
 
 from sinsjax import cli
 from sinsjax.engine import batch, build
-from sinsjax.engine.simulate import Draw, simulate
+from sinsjax.engine.environment import Draw
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution.tables import Tables
@@ -220,7 +221,7 @@ def test_batched_runs_with_passes_match_single_runs(tables: dict[str, Any]) -> N
     group = part.group
     pieces = [(c.outcome, c.curves) for c in batch.chunks(group)]
     many = jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
-    alone = jax.jit(lambda draw, params: simulate(group.static, group.environment, draw, params))
+    alone = jax.jit(lambda draw, params: run_alone(group.static, group.environment, draw, params))
     for run_id in range(4):
         draw, variant = divmod(run_id, 2)
         params = jax.tree.map(lambda a, v=variant: np.asarray(a)[v], group.variants)

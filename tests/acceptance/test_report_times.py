@@ -11,18 +11,18 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from rich.console import Console
+from support.alone import run_alone
 from support.studies import refusal, small_study, with_paper_values, with_truth
 
 from sinsjax.engine import batch, build
 from sinsjax.engine.lanes import tiles_of
-from sinsjax.engine.simulate import simulate
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, rerun, run
 from sinsjax.execution.tables import Tables
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_toml
-from sinsjax.tuning.slopes import Slope, Softness
+from sinsjax.tuning.gradient import ParameterMap, Slope, Softness
 from sinsjax.types import Quat
 from sinsjax.units import ARCMIN
 
@@ -118,7 +118,7 @@ def test_single_run_matches_batch_at_report_times() -> None:
     group = part.group
     draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, group.draws)
     params = jax.tree.map(lambda a: a[0], group.variants)._replace(q=Quat(*group.q[0]))
-    one, _ = jax.jit(simulate, static_argnums=0)(group.static, group.environment, draw, params)
+    one, _ = jax.jit(run_alone, static_argnums=0)(group.static, group.environment, draw, params)
     (chunk,) = batch.chunks(group)
     np.testing.assert_allclose(one.at_times, chunk.outcome.at_times[0], rtol=1e-9)
     assert abs(one.at_times[1, 0] - one.last.phi.z) == 0
@@ -142,7 +142,7 @@ def test_tuning_gradient_ignores_report_times() -> None:
     tables = {"tune": tune, "alignment": {"method": "kalman5"}}
     tables["tune"]["objective_band_arcmin"] = 60.0
     found = [
-        Slope(small_study(**tables, study=reported), None, 0, starts=2, draws=2)(
+        Slope(ParameterMap(small_study(**tables, study=reported), {}), starts=2, draws=2)(
             np.array([[0.3], [0.7]]), np.arange(2), Softness(5.0, 3.0)
         )
         for reported in ({}, {"report_times_s": [2.0]})

@@ -1,11 +1,9 @@
-"""`sinsjax tune` as a user types it: what it leaves, how it is gone on with, every mistake told."""
+"""`sinsjax tune` as a user types it: its files, its report, resuming, and every mistake."""
 
 import shutil
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,6 @@ from support.kept import everything
 from support.stored import told, write_part
 from support.studies import BASE, PAPER, small_study
 
-import sinsjax.tuning
 from sinsjax.engine.build import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution.directory import lock, read_manifest
@@ -31,8 +28,16 @@ from sinsjax.report import tuned
 from sinsjax.study.load import load_study, study_from_dict, with_point
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
-from sinsjax.tuning import from_python, history, objective, results, run_tuning, search
-from sinsjax.tuning.history import Evaluation, Found
+from sinsjax.tuning import (
+    from_python,
+    gradient,
+    history,
+    objective,
+    results,
+    run_tuning,
+    search,
+)
+from sinsjax.tuning.history import Evaluation, SearchResult
 from sinsjax.tuning.results import Tuning
 
 pytestmark = pytest.mark.optimised(False)
@@ -61,7 +66,7 @@ COST = 3 * 2 * 400  # steps a point
 
 
 def write(path: Path, **changes: Any) -> Path:
-    """The file of `STUDY` with sections replaced; None leaves one out."""
+    """Write the file of `STUDY` with sections replaced; None omits a section."""
     data = {k: v for k, v in (STUDY | changes).items() if v is not None}
     path.write_text(tomli_w.dumps(data), encoding="utf-8")
     return path
@@ -69,13 +74,13 @@ def write(path: Path, **changes: Any) -> Path:
 
 @pytest.fixture
 def sinsjax_(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command line in this process; gives exit code, output and error output."""
+    """Run a command line in this process; return exit code, output and error output."""
     return command_line(monkeypatch, capsys)
 
 
-def descend(study: Study, stored: Any, *, tell: Any) -> Found:
-    """A descent that needs no engine: of two starts, the second of which ends best."""
-    looks = [
+def descend(study: Study, stored: Any, *, on_progress: Any) -> SearchResult:
+    """Return descents without running anything: two starts, the second of which ends best."""
+    steps = [
         Evaluation(
             step, 1, [2.0 + step + start, 9.0 - step], 9.0 - step - start, 4 * COST, start, 9.0, 2
         )
@@ -83,23 +88,20 @@ def descend(study: Study, stored: Any, *, tell: Any) -> Found:
         for start in range(2)
     ]
     ends = [Evaluation(3, 1, [5.0 + n, 12.0], 1e6 - n, 5 * COST, n) for n in range(2)]
-    return Found("gradient", [*looks, *ends])
+    return SearchResult("gradient", [*steps, *ends])
 
 
 @pytest.fixture(scope="module")
 def faked() -> Iterator[pytest.MonkeyPatch]:
-    """That descent in place of the real one."""
-    fake = ModuleType("sinsjax.tuning.descent")
-    fake.descend = descend  # type: ignore[attr-defined]
+    """Replace the gradient search by `descend`."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, fake.__name__, fake)
-        patch.setattr(sinsjax.tuning, "descent", fake, raising=False)
+        patch.setattr(gradient, "descend", descend)
         yield patch
 
 
 @pytest.fixture(scope="module")
 def made(faked: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tuning by grid and gradient; its study is beside it."""
+    """Return the directory of a tuning run by grid and gradient, next to its study file."""
     folder = tmp_path_factory.mktemp("tune")
     config = write(folder / "swing.toml")
     from_python.tune(load_study(config), folder / "out", source=config)
@@ -111,14 +113,18 @@ def test_tuning_writes_study_history_and_evaluation(made: Path) -> None:
     assert {path.name for path in made.iterdir()} == names | {".lock", ".writer"}
     study = load_study(made / "study.toml")
     assert study == load_study(made.parent / "swing.toml")
-    grid, gradient, equal = history.read(made, SearchSpace.from_study(study))
-    assert [one.search for one in (grid, gradient, equal)] == ["grid", "gradient", "equal_cost"]
-    assert [look.candidate for look in grid.looks] == [0] * 3 + [1] * 9
+    grid, gradient, equal = history.read_searches(made, SearchSpace.from_study(study))
+    assert [result.search for result in (grid, gradient, equal)] == [
+        "grid",
+        "gradient",
+        "equal_cost",
+    ]
+    assert [e.candidate for e in grid.evaluations] == [0] * 3 + [1] * 9
     assert grid.cost == 12 * COST and equal.cost == gradient.cost == 5 * COST
-    np.testing.assert_array_equal([look.candidate for look in equal.looks], [0, 0, 0, 1, 1])
+    np.testing.assert_array_equal([e.candidate for e in equal.evaluations], [0, 0, 0, 1, 1])
     evaluation = read_summary(made / "evaluation")
-    own = load_study(made / "evaluation" / "study.toml")
-    assert (own.study.seed, own.n_draws, own.tune) == (2, 4, None)
+    evaluated = load_study(made / "evaluation" / "study.toml")
+    assert (evaluated.study.seed, evaluated.n_draws, evaluated.tune) == (2, 4, None)
     times = {row["case"]: row["reset_times_s"] for row in evaluation.to_pylist()}
     assert list(times) == ["baseline", "grid", "gradient", "equal cost"]
     assert times["baseline"] == [5.0, 10.0]
@@ -129,7 +135,7 @@ def test_tuning_writes_study_history_and_evaluation(made: Path) -> None:
 def test_tuned_study_has_best_point_of_tuning_draws(made: Path) -> None:
     study = load_study(made / "study.toml")
     space = SearchSpace.from_study(study)
-    best = min(history.read(made, space), key=lambda one: one.best.objective)
+    best = min(history.read_searches(made, space), key=lambda result: result.best.objective)
     tuned_study = load_study(made / "tuned.toml")
     assert best.search != "gradient"
     assert tuned_study == with_point(study, best.point(space))
@@ -152,13 +158,13 @@ def test_tuning_report_is_built_from_stored_files(made: Path, tmp_path: Path) ->
 
 
 def test_report_flags_values_at_range_bounds(made: Path) -> None:
-    tuning = Tuning.of(results.read(made))
+    tuning = Tuning.from_source(results.read_evaluation(made))
     space = SearchSpace.from_study(tuning.study)
     bounds = {
         name: {v.name for v, x in there if x in (v.low, v.high)}
-        for name, there in tuning.on_bounds.items()
+        for name, there in tuning.values_on_bounds.items()
     }
-    for name, found in tuning.found.items():
+    for name, found in tuning.searches.items():
         used = space.used(space.combinations[found.best.candidate])
         there = {
             space.variables[i].name
@@ -166,7 +172,7 @@ def test_report_flags_values_at_range_bounds(made: Path) -> None:
             if found.best.values[i] in (space.variables[i].low, space.variables[i].high)
         }
         assert bounds[name] == there
-    made_report = tuned.report(results.read(made))
+    made_report = tuned.report(results.read_evaluation(made))
     cautions = [fact.text for fact in made_report.verdict.facts if fact.is_doubt]
     assert any("the end of the range" in text for text in cautions) == bool(bounds[tuning.best])
     (table,) = (b for one in made_report.sections for b in one.blocks if b[0] == CANDIDATES)
@@ -195,12 +201,12 @@ def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path)
 
 
 def test_scores_and_differences_use_common_draws(made: Path) -> None:
-    tuning = Tuning.of(results.read(made))
-    own, other = (tuning.runs[tuning.places[name]] for name in ("gradient", "grid"))
+    tuning = Tuning.from_source(results.read_evaluation(made))
+    runs, grid_runs = (tuning.run_values[tuning.case_numbers[n]] for n in ("gradient", "grid"))
     rows = read_summary(made / "evaluation").to_pylist()
     errors = [abs(row["phi_u_arcmin"]) for row in rows if row["case"] == "gradient"]
-    assert own.shape == (2, 4) and sorted(own.ravel()) == pytest.approx(sorted(errors))
-    worst = [np.sqrt(np.mean(runs**2, axis=1)).max() for runs in (own, other)]
+    assert runs.shape == (2, 4) and sorted(runs.ravel()) == pytest.approx(sorted(errors))
+    worst = [np.sqrt(np.mean(values**2, axis=1)).max() for values in (runs, grid_runs)]
     score, difference = tuning.score("gradient"), tuning.difference("gradient")
     assert score.value == pytest.approx(worst[0]) and score.low <= score.value <= score.high
     assert difference.value == pytest.approx(worst[0] - worst[1])
@@ -208,7 +214,6 @@ def test_scores_and_differences_use_common_draws(made: Path) -> None:
 
 
 def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, faked: Any) -> None:
-    """What is complete is kept, the gradient too; only what is missing is made."""
     out = shutil.copytree(made, tmp_path / "out")
     shutil.rmtree(out / "equal_cost")
     (out / "tuned.toml").unlink()
@@ -216,7 +221,7 @@ def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, f
     whole = {name: everything(made / name / "summary") for name in ("grid", "evaluation")}
     runs = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.delattr(sys.modules["sinsjax.tuning.descent"], "descend")
+        patch.delattr(gradient, "descend")
         before = search.run_job
 
         def counted(job: Job, **options: Any) -> None:
@@ -279,7 +284,7 @@ def test_overwrite_removes_previous_tuning_results(
 def test_resume_removes_temporary_files_of_killed_tuning(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Files that were not whole yet, and nothing that a person put there."""
+    """Only its temporary files are removed, no file of a person."""
     out = shutil.copytree(made, tmp_path / "out")
     names = (".study.toml.12.tmp", ".history.parquet.3456.tmp", ".tuned.toml.7.tmp")
     for name in (*names, "notes.tmp", ".tuned.toml.mine.tmp"):
@@ -322,8 +327,8 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
         told(tmp_path / "out")
     alone = load_study(write(tmp_path / "swing.toml", tune=TUNE | {"searches": ["gradient"]}))
     with pytest.MonkeyPatch.context() as patch:
-        fake = sys.modules["sinsjax.tuning.descent"]
-        patch.setattr(fake, "descend", lambda study, stored, tell: tell(RunProgress(0, 1, 0, 0)))
+        progress = RunProgress(0, 1, 0, 0)
+        patch.setattr(gradient, "descend", lambda *_, on_progress: on_progress(progress))
         with pytest.raises(StudyInterrupted, match="the complete searches are in"):
             from_python.tune(alone, tmp_path / "alone", stop=stop)
 
@@ -472,21 +477,23 @@ def test_tune_refuses_output_path_with_foreign_files(tmp_path: Path, sinsjax_: C
 def test_equal_points_are_evaluated_once_under_joined_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One candidate, the study's own value: the grid finds the baseline."""
+    """With the study's value as only candidate, the grid finds the baseline."""
     tune = TUNE | {"searches": ["grid"], "variables": {"reset_count": {"fixed": 2}}}
     study = load_study(write(tmp_path / "swing.toml", tune=tune))
     seen: list[Study] = []
 
     monkeypatch.setattr(search, "run_job", lambda job, **options: seen.append(job.study))
     monkeypatch.setattr(search.results, "read_summary", lambda *_: pa.table({}))
-    monkeypatch.setattr(objective, "values", lambda tune, own, _: np.ones((own.n_variants, 2)))
+    monkeypatch.setattr(
+        objective, "run_values", lambda _, derived, __: np.ones((derived.n_variants, 2))
+    )
     from_python.tune(study, tmp_path / "out")
     assert [case["case"] for case in seen[-1].cases] == ["baseline, grid"]
 
 
 @pytest.mark.slow
 def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax_: Command) -> None:
-    """Its start times tune and judge in turn; the tuned study is one that `align` takes."""
+    """Every other start time tunes, the rest evaluate; `align` accepts the tuned study."""
     write_psins(simulated_record(small_study()), tmp_path / "swing.imu")
     times = np.arange(0, 6.01, 0.01)
     angles = zip((1.8, 2.4, 2.8), (6, 8, 10), (0, 0, 10), strict=True)

@@ -214,12 +214,15 @@ def test_compass_groups_match_kalman_samples_and_sizes():
     kalman, compass, stored = cases.default_group(), *map(cases.compass_group, (None, 80.0))
     for group in (compass, stored):
         assert group.sizes == kalman.sizes
-        own = group.environment.increments
-        np.testing.assert_array_equal(own, kalman.environment.increments[: len(own)])
+        own = group.environment.sensors.increments
+        np.testing.assert_array_equal(own, kalman.environment.sensors.increments[: len(own)])
         assert group.static.method == "compass"
         assert group.static.records == kalman.static.records
-    assert (compass.static.repeats, stored.static.repeats) == (False, True)
-    assert len(stored.environment.increments) == 8000 and int(stored.environment.pass_records) == 80
+    assert (compass.static.passes, stored.static.passes) == ("once", "alternate")
+    assert (
+        len(stored.environment.sensors.increments) == 8000
+        and int(stored.environment.pass_records) == 80
+    )
     assert len({tuple(row) for row in np.stack(compass.variants.method.azimuth[:3], 1)}) == 8
 
 
@@ -241,12 +244,14 @@ def test_some_variants_picks_last_variants_with_enough_draws(small_group):
 def test_without_noise_removes_only_noise(small_group):
     quiet = cases.without_noise(small_group)
     assert (
-        not quiet.environment.errors.gyro_noise.any()
-        and not quiet.environment.errors.accel_noise.any()
+        not quiet.environment.sensors.errors.gyro_noise.any()
+        and not quiet.environment.sensors.errors.accel_noise.any()
     )
-    assert quiet.static == small_group.static._replace(noisy=False)
+    assert quiet.static == small_group.static._replace(
+        sensors=small_group.static.sensors._replace(noisy=False)
+    )
     np.testing.assert_array_equal(
-        quiet.environment.errors.gyro_bias, small_group.environment.errors.gyro_bias
+        quiet.environment.sensors.errors.gyro_bias, small_group.environment.sensors.errors.gyro_bias
     )
 
 
@@ -266,7 +271,7 @@ def test_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elaps
 
 @pytest.mark.optimised(False)
 def test_idle_lanes_are_not_counted_as_runs(small_group):
-    few = cases.shortened(small_group.some(np.arange(3), np.arange(4)), 2)
+    few = cases.shortened(small_group.select(np.arange(3), np.arange(4)), 2)
     assert cases.engine("x", few, tiles=4, lanes=16).runs == 3 * 4 < 64
 
 

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.alone import run_alone
 from support.studies import small_study
 
-from sinsjax.engine import batch, build, tile
+from sinsjax.engine import batch, build
 from sinsjax.engine import lanes as lane_layout
-from sinsjax.engine.realisations import Draw
-from sinsjax.engine.simulate import RunParams, simulate
+from sinsjax.engine.environment import Draw, RunParams
+from sinsjax.engine.run import run_tile
 from sinsjax.types import Quat
 
 
@@ -56,7 +57,7 @@ def six_variants(request: pytest.FixtureRequest) -> lane_layout.Group:
 @pytest.fixture(scope="module")
 def reference(six_variants: lane_layout.Group) -> tuple:
     """All runs in one call."""
-    return all_runs(six_variants, devices=1, tiles_a_chunk=64)
+    return all_runs(six_variants, devices=1, tiles_per_chunk=64)
 
 
 @pytest.mark.representative("measured-1-2", "measured-2-2")
@@ -64,7 +65,7 @@ def reference(six_variants: lane_layout.Group) -> tuple:
 def test_results_have_the_same_bits_for_any_chunk_and_device_count(
     six_variants: lane_layout.Group, reference: tuple, devices: int, tiles: int
 ) -> None:
-    got = all_runs(six_variants, devices=devices, tiles_a_chunk=tiles)
+    got = all_runs(six_variants, devices=devices, tiles_per_chunk=tiles)
     assert_same_bits(got, reference)
 
 
@@ -76,9 +77,9 @@ def test_program_per_device_runs_each_thread_on_separate_device(
     """As on accelerators: the two virtual devices of the tests have a program each."""
     group, devices = six_variants_of("measured"), jax.local_devices()
     assert len(devices) == 2
-    monkeypatch.setattr(batch, "targets", lambda: devices[:1])
-    reference = all_runs(group, devices=1, tiles_a_chunk=2)
-    monkeypatch.setattr(batch, "targets", lambda: devices)
+    monkeypatch.setattr(batch, "target_devices", lambda: devices[:1])
+    reference = all_runs(group, devices=1, tiles_per_chunk=2)
+    monkeypatch.setattr(batch, "target_devices", lambda: devices)
     program, used = batch.program, []
 
     class Watched(NamedTuple):
@@ -94,17 +95,17 @@ def test_program_per_device_runs_each_thread_on_separate_device(
             return out
 
     monkeypatch.setattr(batch, "program", lambda *given: Watched(program(*given), given[-1]))
-    got = all_runs(group, devices=2, tiles_a_chunk=2)
+    got = all_runs(group, devices=2, tiles_per_chunk=2)
     assert_same_bits(got, reference)
     assert used and all(home == on for home, on in used)
-    calls, both = batch.Calls(group, tiles_a_chunk=2), threading.Barrier(2, timeout=60)
+    calls, both = batch.Calls(group, tiles_per_chunk=2), threading.Barrier(2, timeout=60)
 
     def together(number: int) -> batch.Chunk:
         both.wait()
         return calls.chunk(number)
 
     used.clear()
-    list(batch.in_threads(together, [0, 0], 2))
+    list(batch.map_in_threads(together, [0, 0], 2))
     assert sorted(used, key=str) == [(device, device) for device in devices]
 
 
@@ -114,7 +115,7 @@ def test_every_run_matches_same_run_simulated_alone(
 ) -> None:
     """The unmapped function of one run gives what the tile gave, to rounding."""
     group = six_variants
-    alone = jax.jit(lambda d, p: simulate(group.static, group.environment, d, p))
+    alone = jax.jit(lambda d, p: run_alone(group.static, group.environment, d, p))
     for run in (0, 5, 64, 299):
         draw, variant = divmod(run, 6)
         params = jax.tree.map(lambda a, v=variant: np.asarray(a)[v], group.variants)
@@ -133,7 +134,7 @@ def test_later_draws_do_not_change_earlier_rows(
         draws=six_variants.draws._replace(draw_id=np.arange(fewer), row=np.zeros(fewer, int)),
         q=six_variants.q[:fewer],
     )
-    got = all_runs(group, devices=1, tiles_a_chunk=2)
+    got = all_runs(group, devices=1, tiles_per_chunk=2)
     assert_same_bits(got, jax.tree.map(lambda a: a[: fewer * 6], reference))
 
 
@@ -143,7 +144,7 @@ def test_broken_runs_give_nan_rows_without_changing_other_runs(
     phi = six_variants.variants.phi
     broken = phi._replace(z=np.where(np.arange(6) == 2, np.nan, phi.z))
     group = six_variants._replace(variants=six_variants.variants._replace(phi=broken))
-    outcome, _ = all_runs(group, devices=1, tiles_a_chunk=2)
+    outcome, _ = all_runs(group, devices=1, tiles_per_chunk=2)
     variant = np.arange(300) % 6
     assert np.isnan(outcome.last.yaw[variant == 2]).all()
     good = jax.tree.map(lambda a: a[variant != 2], outcome)
@@ -195,7 +196,7 @@ def some_group(
 )
 @settings(max_examples=20)
 def test_every_run_occupies_exactly_one_lane(
-    force: str, draws: int, variants: int, tiles_a_chunk: int | None
+    force: str, draws: int, variants: int, tiles_per_chunk: int | None
 ) -> None:
     """Calls of one size; each run once; its tile holds its draw; sets share variants."""
     group = some_group(force, draws=1, variants=1)._replace(
@@ -205,8 +206,8 @@ def test_every_run_occupies_exactly_one_lane(
     )
     group = group._replace(variants=group.variants._replace(q=Quat(*[np.zeros(variants)] * 4)))
     runs, shapes = [], set()
-    plan = batch.plan(group, tiles_a_chunk=tiles_a_chunk)
-    assert sum(map(plan.runs, range(len(plan)))) == draws * variants
+    plan = batch.plan(group, tiles_per_chunk=tiles_per_chunk)
+    assert sum(map(plan.count_runs, range(len(plan)))) == draws * variants
     for number, places in enumerate(plan):
         tiles = lane_layout.tiles_of(group, places)
         shapes.add(jax.tree.leaves(jax.tree.map(lambda a: a.shape, tuple(tiles))).__repr__())
@@ -220,7 +221,7 @@ def test_every_run_occupies_exactly_one_lane(
         taken = np.broadcast_to(tiles.params.ve[:, None], places.draw.shape)
         np.testing.assert_array_equal(taken[busy], places.variant[busy])
         chunk = np.sort((places.draw * variants + places.variant)[busy])
-        assert len(chunk) == plan.runs(number)
+        assert len(chunk) == plan.count_runs(number)
         assert {plan.call_of(*divmod(int(run), variants)) for run in chunk} == {number}
         runs.extend(chunk)
     if force == "measured":
@@ -255,7 +256,7 @@ def test_shared_covariance_matches_covariance_computed_per_run() -> None:
     variants = 70
     group = some_group("gravity", draws=9, variants=variants)
     shared, _ = all_runs(group)
-    own = jax.jit(partial(tile.run_tile, group.static))
+    own = jax.jit(partial(run_tile, group.static))
     flat = group._replace(static=some_group("measured", draws=1, variants=1).static)
     for places in batch.plan(flat):
         tiles = lane_layout.tiles_of(flat, places)

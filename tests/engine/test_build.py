@@ -7,7 +7,7 @@ from support.studies import BASE, small_study, with_paper_values
 
 from sinsjax.engine import build
 from sinsjax.engine.lanes import Group
-from sinsjax.engine.truth import _reference_at
+from sinsjax.engine.truth import reference_attitudes
 from sinsjax.errors import InputError
 from sinsjax.records import Record, Reference
 from sinsjax.records.reference import StoredRecord
@@ -25,11 +25,11 @@ def group_of(**changes: object) -> Group:
 def test_paper_parameters_are_converted_to_si() -> None:
     group = group_of()
     environment, method = group.environment, group.variants.method
-    np.testing.assert_allclose(environment.errors.gyro_bias, 0.1 * DEG_PER_H)
-    np.testing.assert_allclose(environment.errors.accel_bias, 500e-6 * 9.8)
+    np.testing.assert_allclose(environment.sensors.errors.gyro_bias, 0.1 * DEG_PER_H)
+    np.testing.assert_allclose(environment.sensors.errors.accel_bias, 500e-6 * 9.8)
     # Standard deviations a sample are of a rate; an increment is dt times it.
-    np.testing.assert_allclose(environment.errors.gyro_noise, 0.1 * DEG_PER_H * 0.01)
-    np.testing.assert_allclose(environment.errors.accel_noise, 500e-6 * 9.8 * 0.01)
+    np.testing.assert_allclose(environment.sensors.errors.gyro_noise, 0.1 * DEG_PER_H * 0.01)
+    np.testing.assert_allclose(environment.sensors.errors.accel_noise, 500e-6 * 9.8 * 0.01)
     np.testing.assert_allclose(
         [p[0] for p in method.p0], [0.01, 0.01, *np.square([15 * DEG] * 2), (80 * DEG) ** 2]
     )
@@ -47,7 +47,7 @@ def test_noise_densities_scale_with_square_root_of_sample_time() -> None:
         }
     }
     (part,) = build.parts(study_from_dict(data))
-    errors = part.group.environment.errors
+    errors = part.group.environment.sensors.errors
     np.testing.assert_allclose(errors.gyro_noise, 0.003 * DEG / 60 * np.sqrt(0.01))
     np.testing.assert_allclose(errors.accel_noise, np.array([10, 20, 30]) * 9.8e-6 * 0.1)
 
@@ -67,7 +67,7 @@ def test_r_as_density_is_divided_by_sample_time() -> None:
 
 def test_wgs84_micro_g_uses_standard_gravity() -> None:
     group = group_of(earth={"earth": "wgs84"})
-    np.testing.assert_allclose(group.environment.errors.accel_bias, 500e-6 * 9.80665)
+    np.testing.assert_allclose(group.environment.sensors.errors.accel_bias, 500e-6 * 9.80665)
     assert group.environment.site.place.gravity == pytest.approx(9.79484, abs=1e-5)
 
 
@@ -130,7 +130,8 @@ def test_parts_split_by_stored_length_share_one_program() -> None:
     parts = list(build.parts(study))
     np.testing.assert_array_equal([p.variant_ids for p in parts], [range(4), range(4, 8)])
     assert parts[0].group.static == parts[1].group.static
-    assert parts[0].group.static.repeats and not group_of().static.repeats
+    assert parts[0].group.static.passes == "alternate"
+    assert group_of().static.passes == "once"
     environments = [part.group.environment for part in parts]
     assert [int(environment.pass_records) for environment in environments] == [2, 3]
     np.testing.assert_array_equal(environments[0].increments, environments[1].increments)
@@ -145,7 +146,7 @@ def test_parts_split_by_stored_length_share_one_program() -> None:
     ):
         known = np.array(places) > 0
         np.testing.assert_allclose(
-            environment.truth[0][known], true[places][known], rtol=0, atol=1e-15
+            environment.truth.attitudes[0][known], true[places][known], rtol=0, atol=1e-15
         )
 
 
@@ -173,7 +174,9 @@ def attitude_at(times: list[float], *missing: tuple[float, float]) -> np.ndarray
         time_s = time_s[(time_s <= after) | (time_s >= before)]
     heading = np.stack([0 * time_s, 0 * time_s, 6 * time_s], axis=1)
     record = Record(dtheta=np.zeros((1, 3)), dv=np.zeros((1, 3)), rate_hz=100.0)
-    return _reference_at(StoredRecord(record, Reference(time_s, heading, None)), np.asarray(times))
+    return reference_attitudes(
+        StoredRecord(record, Reference(time_s, heading, None)), np.asarray(times)
+    )
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,10 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from support.alone import measure_alone, run_alone
 from support.studies import BASE, PAPER, STILL, small_study
 
 from sinsjax.engine import batch, build
-from sinsjax.engine.measurements import measured, nothing_read
-from sinsjax.engine.simulate import simulate
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
@@ -82,10 +81,10 @@ def test_disturbed_runs_match_single_runs_and_any_chunking(changes):
     study = disturbed(study={"draws": 70, "curves": True, "duration_s": 6.0}, **changes)
     group = group_of(study)
     whole = all_runs(group)
-    again = all_runs(group, devices=2, tiles_a_chunk=2)
+    again = all_runs(group, devices=2, tiles_per_chunk=2)
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(a, b)
-    alone = jax.jit(lambda d, p: simulate(group.static, group.environment, d, p))
+    alone = jax.jit(lambda d, p: run_alone(group.static, group.environment, d, p))
     for run in (0, study.n_draws * group.sizes[1] - 1):
         draw, variant = divmod(run, group.sizes[1])
         params = jax.tree.map(lambda a, v=variant: np.asarray(a)[v], group.variants)
@@ -128,8 +127,9 @@ def test_record_samples_are_independent_of_duration_and_passes():
 
 def test_unused_disturbance_keys_are_absent_from_program():
     group = group_of(small_study(motion={"surge_time_s": 3.0, "lever_arm_m": 1.0} | STILL))
-    assert group.environment.disturbances == Disturbances() and group.environment.axes is None
-    assert group.environment.errors.gyro_quantum is None and not group.static.kept
+    assert group.environment.sensors.disturbances == Disturbances()
+    assert group.environment.sensors.axes is None
+    assert group.environment.sensors.errors.gyro_quantum is None and not group.static.sensors.kept
 
 
 RATE, LONG, AVERAGED = 5.0, 3600.0, 12
@@ -175,7 +175,7 @@ def records(static, environment, draws, numbers):
 
     def record(draw_id):
         draw = draws._replace(draw_id=draw_id, row=0)
-        return measured(static, environment, draw, nothing_read(environment, draw), numbers)[0]
+        return measure_alone(static, environment, draw, numbers)
 
     return jax.vmap(record)(draws.draw_id)
 

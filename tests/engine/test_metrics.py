@@ -89,7 +89,7 @@ def test_streamed_metrics_match_whole_curve_metrics(seed, window, after):
     np.testing.assert_allclose(got.above_share, expected.above_share, rtol=1e-14)
     np.testing.assert_allclose(got.nees, expected.nees, rtol=1e-8)
     np.testing.assert_allclose(got.nis_u, expected.nis_u, rtol=1e-12)
-    np.testing.assert_array_equal(got.limit.phi.z, FLOOR)
+    np.testing.assert_array_equal(got.floor.phi.z, FLOOR)
     np.testing.assert_array_equal((*got.last.phi, *got.last[2:]), values[-1])
     np.testing.assert_array_equal(got.last.sigma, sigma[-1])
 

@@ -12,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.studies import small_study
 
-from sinsjax.engine import batch, build, tile
+from sinsjax.engine import batch, build
 from sinsjax.engine import lanes as lane_layout
-from sinsjax.engine.realisations import Static
-from sinsjax.engine.stepping import event_by_event, sample_by_sample
+from sinsjax.engine.environment import Static
+from sinsjax.engine.run import run_tile
+from sinsjax.engine.stepping import Blocks, Steps, event_by_event, sample_by_sample
 from sinsjax.methods.schedules import Resets, next_due, reset_due
 
 HEEDING = {"reset_at_feedback": [False, True], "reset_restarts_feedback": [False, True]}
@@ -36,48 +37,40 @@ def group_of(draws: int, axes: dict[str, list], **tables: Any) -> lane_layout.Gr
 
 
 @cache
-def program(static: Static, closing: Callable) -> Callable:
-    """The program of a tile whose loops are closed as tracing finds it."""
-    return jax.jit(partial(tile.run_tile, static))
+def program(static: Static, by_event: bool) -> Callable:
+    return jax.jit(partial(run_tile, static, by_event=by_event))
 
 
-def run_tiles(group: lane_layout.Group) -> tuple:
+def run_tiles(group: lane_layout.Group, *, by_event: bool = True) -> tuple:
     """Outcomes and curves of the group's tiles."""
     tiles = lane_layout.tiles_of(group, batch.plan(group)[0])
-    one = program(group.static, tile.event_by_event)
+    one = program(group.static, by_event)
     rows = [one(group.environment, jax.tree.map(lambda a, i=i: a[i], tiles)) for i in range(2)]
     return tuple(jax.tree.leaves(rows))
-
-
-def by_sample(*given: Any, **_: Any) -> Any:
-    """`event_by_event` that takes every sample for an event."""
-    return sample_by_sample(*given)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("draws", "axes"), [(2, SCHEDULES), (130, {"reset_times_s": [(1.37, 4.0)]})]
 )
-def test_event_stepping_is_bitwise_equal_to_sample_stepping(draws, axes, monkeypatch):
+def test_event_stepping_is_bitwise_equal_to_sample_stepping(draws, axes):
     """One draw and 64 a tile: their noise is made in pieces, or by sample.
 
     Schedules have what restarts the clock, and what waits for it.
     """
     group = group_of(draws, axes)
-    at_events = run_tiles(group)
-    monkeypatch.setattr(tile, "event_by_event", by_sample)
-    for a, b in zip(at_events, run_tiles(group), strict=True):
+    by_sample = run_tiles(group, by_event=False)
+    for a, b in zip(run_tiles(group), by_sample, strict=True):
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
 
 
 @pytest.mark.optimised(False)
-def test_event_stepping_matches_sample_stepping_for_triggered_resets(monkeypatch):
+def test_event_stepping_matches_sample_stepping_for_triggered_resets():
     """To rounding: a trigger's samples are compiled anew."""
     given = {"filter": {"r_velocity_m_per_s": 1e-3}, "resets": NIS | {"reset_times_s": [1.37, 4.0]}}
     group = group_of(32, HEEDING, **given)
-    at_events = run_tiles(group)
-    monkeypatch.setattr(tile, "event_by_event", by_sample)
-    for a, b in zip(at_events, run_tiles(group), strict=True):
+    by_sample = run_tiles(group, by_event=False)
+    for a, b in zip(run_tiles(group), by_sample, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
@@ -141,9 +134,10 @@ def test_stepping_visits_every_sample_once_with_previous_sample(sizes, events, t
         return jnp.any(at[told:] == place)
 
     start = (jnp.asarray(0.0), jnp.zeros(count, int), jnp.asarray(0)), jnp.asarray(5.0)
-    one = sample_by_sample(*start, count, step, close, make, piece)
-    asked = called if told < 3 else None
-    other = event_by_event(*start, count, step, close, make, piece, next_event, asked)
+    steps = Steps(step, close, next_event, called if told < 3 else None)
+    blocks = Blocks(count, piece, make)
+    one = sample_by_sample(steps, *start, blocks)
+    other = event_by_event(steps, *start, blocks)
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         np.testing.assert_array_equal(a, b)
     (total, log, closings), last = one

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from support.studies import small_study
 
+from sinsjax.covariance import information as bounds
 from sinsjax.errors import InputError
 from sinsjax.execution.information import information_bound
-from sinsjax.methods import bounds
 from sinsjax.strapdown import earth
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
 

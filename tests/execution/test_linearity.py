@@ -8,7 +8,8 @@ import pytest
 from support.stored import told
 from support.studies import STILL, small_study
 
-from sinsjax.engine import build, companions
+from sinsjax.covariance import linear_draws
+from sinsjax.engine import build
 from sinsjax.execution import linearity
 from sinsjax.execution import run as study_run
 from sinsjax.study.study import Study
@@ -52,7 +53,7 @@ def test_nonlinearity_index_is_rms_difference_from_companions_over_sigma(made: p
     study = study_of(draws=8)
     summary = study_run.run(study).summary
     (part,) = build.parts(study, curves=False)
-    linear = companions.of_group(part.group, np.array([4, 9]))[2] / ARCMIN
+    linear = linear_draws.linear_misalignments(part.group, np.array([4, 9]))[2] / ARCMIN
     for at, beside in zip(("_at_20", ""), linear.swapaxes(1, 2), strict=True):
         run = summary[f"phi_u{at}_arcmin"].to_numpy().reshape(8, 4)
         index = made[f"nonlinearity{at}"].to_numpy()

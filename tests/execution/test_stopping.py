@@ -14,7 +14,7 @@ from scipy import stats
 from support.kept import Recorder, manifest, parts
 from support.studies import STILL, small_study
 
-from sinsjax.engine.batch import in_threads
+from sinsjax.engine.batch import map_in_threads
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import run as study_run
 from sinsjax.execution import stopping
@@ -147,7 +147,7 @@ def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     assert study_run.run(study).summary.equals(whole.summary)
     before = [n for n in stopping.interim_draws(study) if n < draws]
     assert not any(stopping.analyse_interim(study, whole.summary, n).enough for n in before)
-    backwards = Executor(lambda shop, tasks: in_threads(shop.pack, list(tasks)[::-1], 2), {})
+    backwards = Executor(lambda shop, tasks: map_in_threads(shop.pack, list(tasks)[::-1], 2), {})
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
     interrupted(study, tmp_path / "out")
     assert parts(tmp_path / "out") == parts(tmp_path / "back")

@@ -37,7 +37,7 @@ from oracles.naive import (
 )
 from scipy import linalg, signal
 
-from sinsjax.engine.simulate import Static
+from sinsjax.engine.run import Static
 from sinsjax.methods.base import Options
 from sinsjax.methods.compass.config import REVERSALS
 from sinsjax.methods.compass.design import (
@@ -75,8 +75,9 @@ def fly(params, *, planet, latitude, rate, phi=(0, 0, 0), v=(0, 0), eps=0.0, nab
     errors = sensors.perfect()._replace(
         gyro_bias=np.zeros(3) + eps, accel_bias=np.array([1.0, 1.0, 0.0]) * nabla
     )
-    environment = still_world(planet, latitude, rate)._replace(errors=errors)
-    static = Static("compass", Options(1 / rate), rate, SECONDS, curves=False, noisy=False)
+    environment = still_world(planet, latitude, rate)
+    environment = environment._replace(sensors=environment.sensors._replace(errors=errors))
+    static = Static("compass", Options(1 / rate), rate, SECONDS, curves=False)
     return states(trail(static, environment, one_run(np.eye(3), phi, v, params)))
 
 
@@ -305,7 +306,7 @@ def around_the_switch(begin):
         accel=((1e2 * UG, -5e1 * UG, 0.0), 1e2 * UG),
     )
     environment = record_world(rows, site(EARTH, LATITUDE), pass_records=900)
-    static = Static("compass", Options(0.01), 1, 900, curves=False, noisy=False)
+    static = Static("compass", Options(0.01), 1, 900, curves=False)
     given = loops(Loops(level_gains(0.2, EARTH), ((begin, azimuth_gains(0.1, EARTH)),)), KEEP)
     start = one_run(PAPER2.matrix(0.0), np.array([1, -2, 50]) * ARCMIN, (0.003, -0.002), given)
     return trail(static, environment, start)
@@ -340,7 +341,7 @@ def short_run(given, phi):
     """States of a static run of 20 s at 50 Hz after every sample."""
     rows = record_of(STILL, EARTH, LATITUDE, rate=50, samples=1000)
     environment = record_world(rows, site(EARTH, LATITUDE), pass_records=1000)
-    static = Static("compass", Options(0.02), 1, 1000, curves=False, noisy=False)
+    static = Static("compass", Options(0.02), 1, 1000, curves=False)
     return trail(static, environment, one_run(np.eye(3), phi, (0, 0), given))
 
 
@@ -431,8 +432,10 @@ def test_three_compass_passes_match_naive_loop(rule, planet, latitude_deg, posit
         stored=PASS,
         count=1800,
     )
-    static = Static("compass", Options(1 / RATE, position=position), 50, 36, False, False, True)
-    static = static._replace(rewinds=rule == "rewind")
+    static = Static(
+        "compass", Options(1 / RATE, position=position), 50, 36, False, passes="alternate"
+    )
+    static = static._replace(passes="rewind" if rule == "rewind" else "alternate")
     environment = record_world(rows, site(planet, latitude), pass_records=PASS // 50)
     turn = REVERSALS.get(rule, REVERSALS["keep"])
     params = one_run(PAPER2.matrix(0.0), phi, v, loops(given, turn))

@@ -16,7 +16,7 @@ from oracles.in_engine import (
 from oracles.naive import DEG, PAPER, Filter, exp, of_quaternion
 from oracles.naive_filters import EXTENDED, INVARIANT, SINCOS, closed_loop, surging
 
-from sinsjax.engine.realisations import Static
+from sinsjax.engine.environment import Static
 from sinsjax.methods.azimuth.method import AzimuthParams
 from sinsjax.methods.base import Options
 from sinsjax.methods.sincos.method import SurgeParams
@@ -59,8 +59,8 @@ def test_three_passes_match_naive_filter_loop(name, turn):
     if name == "kalman_surge":
         params = params._replace(extra=SurgeParams(np.float64(0.5)))
     records = 3 * SAMPLES // EVERY
-    static = Static(name, Options(1 / RATE), EVERY, records, False, False, repeats=True)
-    static = static._replace(rewinds=turn == "rewind")
+    static = Static(name, Options(1 / RATE), EVERY, records, False, passes="alternate")
+    static = static._replace(passes="rewind" if turn == "rewind" else "alternate")
     environment = record_world(rows, site(PAPER, LATITUDE), pass_records=SAMPLES // EVERY)
     state = trail(static, environment, one_run(PAPER1.matrix(0.0), phi, v, params))
     at = np.arange(EVERY, 3 * SAMPLES + 1, EVERY) - 1

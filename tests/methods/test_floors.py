@@ -10,9 +10,11 @@ from oracles.naive import DEG
 from scipy.spatial.transform import Rotation
 from support.studies import STILL, small_study, with_paper_values
 
-from sinsjax.engine import build, simulate
+from sinsjax.engine import build
 from sinsjax.engine.batch import chunks
-from sinsjax.engine.study_limits import has_floor, hidden_north
+from sinsjax.engine.bias_floors import has_floor, hidden_north
+from sinsjax.engine.environment import build_method
+from sinsjax.engine.run import end_of_run
 from sinsjax.methods.floors import MeanBiases, bias_floor, mean_attitude
 from sinsjax.strapdown import earth
 from sinsjax.strapdown.base_motion import Motion, Sway
@@ -68,12 +70,12 @@ def biases_of(**changes: Any) -> tuple[Any, Any]:
 
 
 def limit_of(group: Any) -> Any:
-    """Limits of a group's variants."""
+    """Bias floor of a group's first variant."""
     environment = group.environment
-    params = jax.tree.map(lambda a: a[0], group.variants)
-    return simulate.limit(
-        group.static, environment.pass_records, params, environment.site, environment.biases
-    )
+    params = jax.tree.map(lambda a: a[0], group.variants.method)
+    end = end_of_run(group.static, environment.pass_records)
+    method = build_method(group.static)
+    return method.floor(params, environment.site.place, environment.biases, end)
 
 
 def test_mean_biases_rotate_with_vehicle() -> None:
@@ -132,7 +134,7 @@ def ends(study: Study) -> dict[int, tuple[np.ndarray, Any]]:
     found = {}
     for part in build.parts(study):
         for chunk in chunks(part.group):
-            phi, limit = np.array(chunk.outcome.last.phi), chunk.outcome.limit
+            phi, limit = np.array(chunk.outcome.last.phi), chunk.outcome.floor
             for i, place in enumerate(chunk.variant):
                 one = jax.tree.map(lambda a, i=i: a[i], limit)
                 found[int(part.variant_ids[place])] = phi[:, i], one

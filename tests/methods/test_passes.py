@@ -40,7 +40,7 @@ from oracles.naive import (
     updates,
 )
 
-from sinsjax.engine.simulate import Static
+from sinsjax.engine.run import Static
 from sinsjax.maths.algebra import numbers_of, triangle_index
 from sinsjax.methods import passes
 from sinsjax.methods.base import Options
@@ -66,7 +66,7 @@ def test_every_stored_sample_is_read_once_per_pass(stored: int, every: int, reco
     """Forward in order, backward in reverse; each is compensated with the one before it."""
     paired, before, turns = [], -1, []
     for record in range(records):
-        read = passes.reading(jnp.asarray(record), jnp.asarray(stored), every)
+        read = passes.read_alternately(jnp.asarray(record), jnp.asarray(stored), every)
         turns += [bool(read.opens_pass)] + [False] * (every - 1)
         for now in map(int, read.samples):
             later, earlier = (before, now) if read.backward else (now, before)
@@ -125,7 +125,7 @@ def swing_record(rate: int, noise: float) -> np.ndarray:
 def there_and_back(phi, v=(0.0, 0.0), *, noise=0.0, position="fixed", rate=RATE):
     """Attitudes off (rad, n), velocities (m/s), positions (rad) every second, over two passes."""
     options = Options(1 / rate, position=position)
-    static = Static("compass", options, rate, 2 * STORED_S, curves=False, noisy=False, repeats=True)
+    static = Static("compass", options, rate, 2 * STORED_S, curves=False, passes="alternate")
     environment = record_world(
         swing_record(rate, noise), site(EARTH, LATITUDE), pass_records=STORED_S
     )
@@ -194,7 +194,7 @@ def heading_errors(turn: Reversal, stored_s, *, smoothing_s, latitude=LATITUDE):
     """phi_U (deg) every 80 s of updates up to 640 s; 80 s of them level."""
     rate, every = 50, 80
     rows = still_record(latitude, rate)
-    static = Static("compass", Options(1 / rate), rate * every, 8, False, False, repeats=True)
+    static = Static("compass", Options(1 / rate), rate * every, 8, False, passes="alternate")
     environment = record_world(rows, site(EARTH, latitude), pass_records=stored_s // every)
     given = Loops(LEVEL, ((80 * rate, AZIMUTH),), -np.expm1(-2 / (rate * smoothing_s)))
     phi = np.array([0.1, 0.1, 1.5]) * DEG
@@ -306,8 +306,8 @@ def test_three_filter_passes_match_naive_loop(name, planet, position, turn, cloc
     start = exp(-phi) @ PAPER1.matrix(0.0)
     case = {"latitude": LATITUDE, "c": start, "v": v, "filt": filt}
     naive = closed_loop(rows, 1 / rate, planet, stored=samples, count=3 * samples, **case)
-    static = Static(name, Options(1 / rate, position=position), 50, 36, False, False, repeats=True)
-    static = static._replace(rewinds=turn == "rewind")
+    static = Static(name, Options(1 / rate, position=position), 50, 36, False, passes="alternate")
+    static = static._replace(passes="rewind" if turn == "rewind" else "alternate")
     environment = record_world(rows, site(planet, LATITUDE), pass_records=samples // 50)
     state = trail(static, environment, one_run(PAPER1.matrix(0.0), phi, v, params(filt)))
 
@@ -337,7 +337,7 @@ def test_estimated_gyro_bias_changes_sign_at_each_turn():
     rate, seconds, bias = 50, 60, np.array([0.0, 2.0, 0.0]) * DEG_PER_H
     rows = swing_increments(PAPER1, EARTH, LATITUDE, rate=rate, samples=rate * seconds)
     errors = sensors.perfect()._replace(gyro_bias=bias)
-    static = Static("kalman10", Options(1 / rate), rate, 4 * seconds, False, False, repeats=True)
+    static = Static("kalman10", Options(1 / rate), rate, 4 * seconds, False, passes="alternate")
     environment = record_world(rows, site(EARTH, LATITUDE), pass_records=seconds, errors=errors)
     filt = paper_filter(10, every=rate, r=1e-10, q=np.array([1e-12] * 2 + [1e-18] * 3 + [0] * 5))
     filt = filt._replace(p0=filt.p0 * np.array([1.0] * 7 + [400.0] * 3))

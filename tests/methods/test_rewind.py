@@ -23,7 +23,7 @@ from oracles.naive import DEG, PAPER, Filter, Loops, exp, log, of_quaternion, qu
 from support.studies import small_study
 
 from sinsjax import run as run_study
-from sinsjax.engine.realisations import Static
+from sinsjax.engine.environment import Static
 from sinsjax.methods import passes
 from sinsjax.methods.azimuth.method import AzimuthParams
 from sinsjax.methods.base import Options
@@ -40,9 +40,9 @@ FREE = loops(Loops((0.0, 0.0, 0.0), ((np.inf, (0.0, 0.0, 0.0, 0.0)),)), REVERSAL
 
 def trail_of(name, rows, start, params, passes=1):
     """States after every record of some passes that begin with an attitude (3, 3) at rest."""
-    static = Static(name, Options(1 / RATE), EVERY, passes * STORED, False, False, repeats=True)
+    static = Static(name, Options(1 / RATE), EVERY, passes * STORED, False, passes="alternate")
     environment = record_world(rows, site(PAPER, LATITUDE), pass_records=STORED)
-    static = static._replace(rewinds=True)
+    static = static._replace(passes="rewind")
     return trail(static, environment, one_run(start, np.zeros(3), np.zeros(2), params))
 
 
@@ -96,9 +96,11 @@ def test_rewound_attitude_corrects_known_gyro_bias(bias_deg_per_h, left):
     @jax.jit
     def back(rows):
         samples = sensors.compensate_record(rows, rows[0])
-        turn = passes.turned_on(passes.no_turn(jnp.zeros(()), biased=True), samples, 1 / RATE)
+        turn = passes.accumulate_rotation(
+            passes.identity_rotation(jnp.zeros(()), with_bias=True), samples, 1 / RATE
+        )
         q, place = Quat(*quaternion(PAPER1.matrix(3.0))), site(PAPER, LATITUDE).place
-        return passes.wound_back(q, turn, place, len(rows) / RATE, Vec3(*bias))
+        return passes.rewind_attitude(q, turn, place, len(rows) / RATE, Vec3(*bias))
 
     c = of_quaternion(np.array(back(rows)))
     expected = wound_back(PAPER1.matrix(3.0), rows, 1 / RATE, PAPER, LATITUDE, bias)

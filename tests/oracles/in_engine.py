@@ -1,4 +1,4 @@
-"""The naive module's descriptions in the engine's words."""
+"""The naive module's descriptions as inputs of the engine."""
 
 from collections.abc import Callable, Sequence
 from functools import cache, partial
@@ -7,19 +7,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from support.alone import set_up_alone
 
 from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
-from sinsjax.engine.measurements import Read
+from sinsjax.engine.environment import Draw, Environment, RunParams, SensorModel, Static, Truth
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.realisations import Draw, Environment, Static
-from sinsjax.engine.simulate import (
-    Run,
-    RunParams,
-    begin,
-    nothing_read,
-    over_record,
-    set_up,
-)
+from sinsjax.engine.run import over_record
 from sinsjax.methods.base import Options, Site
 from sinsjax.methods.compass import method as compass
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains
@@ -167,7 +160,7 @@ def swing_increments(swing: Swing, planet: Planet, latitude: float, *, rate, sam
 _increments = jax.jit(base_motion.increments, static_argnums=3)
 
 
-def loops(given: Loops, turn: compass.Reversal) -> compass.LoopParams:
+def loops(given: Loops, turn: Sequence[float]) -> compass.LoopParams:
     """Compass loops whose azimuth gains do not change, with a turn rule in numbers."""
     ((begin, gains),) = given.azimuth
     return compass.LoopParams(
@@ -185,12 +178,11 @@ def record_world(
 ) -> Environment:
     """An environment whose truth is not known: a record and a site."""
     never = Criteria(np.zeros(1), *(np.float64(0.0),) * 4)
+    perfect = sensors.perfect() if errors is None else errors
     return Environment(
         site=here,
-        increments=rows,
-        truth=np.full((1, 1, 4), np.nan),
-        errors=sensors.perfect() if errors is None else errors,
-        seed=np.asarray(11),
+        sensors=SensorModel(rows, perfect, np.asarray(11)),
+        truth=Truth(np.full((1, 1, 4), np.nan)),
         criteria=never,
         biases=NO_BIASES,
         pass_records=np.asarray(pass_records),
@@ -207,16 +199,14 @@ def one_run(c: np.ndarray, phi: Any, v: Any, method: Any) -> RunParams:
 def trail(static: Static, environment: Environment, params: RunParams) -> Any:
     """The state of the method at every record of one run of the engine, leaves (records, ...)."""
     draw = Draw(jnp.asarray(0), jnp.asarray(0), jnp.asarray(0))
-    zero = jnp.zeros(())
-    setup = set_up(static, environment, draw, params)
-    unknown = Quat(*(zero + jnp.nan for _ in range(4)))
+    runs = set_up_alone(static, environment, draw, params)
+    unknown = Quat(*(jnp.full(1, jnp.nan) for _ in range(4)))
 
-    def record(under_way: tuple[Run, Read], number: Any) -> tuple[Any, Any]:
-        under_way, _ = over_record(static, environment, setup, under_way, (number, unknown))
-        return under_way, under_way[0].state
+    def record(carry: Any, number: Any) -> tuple[Any, Any]:
+        carry, _ = over_record(runs, carry, (number, unknown))
+        return carry, jax.tree.map(lambda a: a[0], carry[0].state)
 
-    run = begin(static, environment, environment.site, params)
-    start = run, nothing_read(static, environment, draw)
+    start = runs.start(), runs.sensors.initial_state()
     return jax.lax.scan(record, start, jnp.arange(static.records))[1]
 
 

@@ -12,10 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from support.alone import set_up_alone
 
-from sinsjax.engine import measurements, simulate
+from sinsjax.engine.environment import RunParams, stored_attitude
 from sinsjax.engine.lanes import Group
-from sinsjax.engine.realisations import attitudes, method_of
+from sinsjax.engine.samples import previous_increments
 from sinsjax.maths import rotations
 from sinsjax.methods import passes
 from sinsjax.types import Increments, Quat, Vec3
@@ -45,24 +46,24 @@ def spread(group: Group, block: int = BLOCK) -> Spread:
         block: samples over which the noise is held; it divides those of a record interval.
     """
     first = jax.tree.map(lambda a: np.asarray(a[0] if np.ndim(a) else a), group.draws)
-    static = group.static._replace(noisy=False)
+    static = group.static._replace(sensors=group.static.sensors._replace(noisy=False))
     params = group.variants._replace(q=None)
     q = Quat(*map(np.asarray, group.q[0]))
 
-    def one(params: simulate.RunParams) -> Spread:
+    def one(params: RunParams) -> Spread:
         return _one(static, group.environment, first, params._replace(q=q), block)
 
     made = jax.jit(jax.vmap(one))(params)
     return Spread(*map(np.asarray, made))
 
 
-def _one(static, environment, draw, params: simulate.RunParams, block: int) -> Spread:
-    setup = simulate.set_up(static, environment, draw, params)
-    run = simulate.begin(static, environment, setup.site, setup.params)
-    start, restore = ravel_pytree(run.state)
+def _one(static, environment, draw, params: RunParams, block: int) -> Spread:
+    runs = set_up_alone(static, environment, draw, params)
+    method, site, method_params = runs.method, runs.site, jax.tree.map(_only, runs.params.method)
+    start, restore = ravel_pytree(jax.tree.map(_only, runs.start().state))
     blocks = static.record_every // block
-    noise = _of_a_sample(environment.errors, block)
-    truth = attitudes(static, environment, setup.draw)
+    noise = _of_a_sample(environment.sensors.errors, block)
+    truth = stored_attitude(environment.truth, draw, jnp.arange(static.records))
 
     def over_block(vector, w, samples):
         """The state's numbers a block later; w are six standard normal numbers."""
@@ -72,8 +73,10 @@ def _one(static, environment, draw, params: simulate.RunParams, block: int) -> S
             n, increments, earlier = xs
             off = jax.tree.map(jnp.add, increments, held)
             sample = passes.compensate(off, earlier, None)
-            state = simulate.step(static, setup.params, setup.site, state, sample, n)
-            return simulate.close_loop(static, setup.params, state, n), None
+            state = method.step(method_params, site, state, sample, n)
+            if method.feedback is not None:
+                state = method.feedback.close(method_params, state, n)
+            return state, None
 
         state, _ = jax.lax.scan(over_sample, restore(vector), samples)
         return ravel_pytree(state)[0]
@@ -85,15 +88,18 @@ def _one(static, environment, draw, params: simulate.RunParams, block: int) -> S
         return (over_block(*at, samples), f @ s @ f.T + g @ g.T), None
 
     def misalignment(q_true: Quat, vector):
-        state = method_of(static).normalise(restore(vector))
-        return jnp.stack(rotations.misalignment(q_true, method_of(static).attitude(state)))
+        state = method.normalise(restore(vector))
+        return jnp.stack(rotations.misalignment(q_true, method.attitude(state)))
 
     def over_record(carry, record):
         (vector, s), before = carry
         number, q_true = record
         places = number * static.record_every + jnp.arange(static.record_every)
-        increments, before = measurements.measured(static, environment, setup.draw, before, places)
-        earlier, last = measurements.look_back(increments, before.last)
+        measure = runs.sensors.measurer(places)
+        increments, before = measure(before, jnp.arange(static.record_every))
+        increments = jax.tree.map(lambda a: a[:, 0], increments)
+        earlier, last = previous_increments(increments, jax.tree.map(_only, before.last))
+        last = jax.tree.map(lambda a: a[None], last)
         n = (places + 1).astype(environment.dtype)
         samples = jax.tree.map(
             lambda a: a.reshape(blocks, block, *a.shape[1:]), (n, increments, earlier)
@@ -104,10 +110,14 @@ def _one(static, environment, draw, params: simulate.RunParams, block: int) -> S
         told = misalignment(q_true, vector), sigma
         return ((vector, s), before._replace(last=last)), told
 
-    nothing = measurements.nothing_read(environment, setup.draw)
-    begun = (start, jnp.zeros((start.size, start.size))), nothing
+    begun = (start, jnp.zeros((start.size, start.size))), runs.sensors.initial_state()
     _, told = jax.lax.scan(over_record, begun, (jnp.arange(static.records), truth))
     return Spread(*told)
+
+
+def _only(a):
+    """The single lane, or draw."""
+    return a[0]
 
 
 def _of_a_sample(errors, block: int) -> Increments:

@@ -98,20 +98,22 @@ def tunings(monkeypatch):
 
     class MadeUp:
         def __init__(self, source):
-            self.study = self.judged = source.study
+            self.study = source.study
             self.tune, self.rival, self.best = source.study.tune, "grid", "grid"
             found = {"grid": 10.0, "sobol": 10.0, "gradient": 2.0, "equal cost": 2.0}
-            looks = [SimpleNamespace(estimated=True)]
-            self.found = {
-                name: SimpleNamespace(cost=cost, looks=looks)
+            evaluations = [SimpleNamespace(estimated=True)]
+            self.searches = {
+                name: SimpleNamespace(cost=cost, evaluations=evaluations)
                 for name, cost in (found | {"covariance": 1.0}).items()
             }
-            self.places = dict.fromkeys(["baseline", *found], 0)
-            self.judged = SimpleNamespace(cases=[{"case": "all", "reset_times_s": (1.0, 2.0)}])
-            self.runs = np.ones((1, 2, 8))
+            self.case_numbers = dict.fromkeys(["baseline", *found], 0)
+            self.evaluation_study = SimpleNamespace(
+                cases=[{"case": "all", "reset_times_s": (1.0, 2.0)}]
+            )
+            self.run_values = np.ones((1, 2, 8))
 
         @classmethod
-        def of(cls, source):
+        def from_source(cls, source):
             return cls(source)
 
         def score(self, name):

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.studies import refusal, small_study
 
+from sinsjax.engine.bias_floors import last_scheduled_reset_s
 from sinsjax.engine.build import Scenario
-from sinsjax.engine.study_limits import scheduled_last_s
 from sinsjax.execution import run as study_run
 from sinsjax.methods.filters.section import times_of_resets
 from sinsjax.study.identity import fingerprint
@@ -117,9 +117,9 @@ def test_scheduled_last_reset_includes_delay_to_feedback() -> None:
     study = small_study(
         alignment={"feedback_interval_s": 2.0}, resets={AT: True}, axes={"reset_times_s": [[], [3]]}
     )
-    assert scheduled_last_s(study).tolist() == [0.0, 4.0]
+    assert last_scheduled_reset_s(study).tolist() == [0.0, 4.0]
     assert study.reset_times() == [(), (3,)]
-    assert scheduled_last_s(small_study(alignment={"method": "compass"})).tolist() == [0.0]
+    assert last_scheduled_reset_s(small_study(alignment={"method": "compass"})).tolist() == [0.0]
 
 
 # What is absent, and what is refused

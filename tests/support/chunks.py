@@ -36,7 +36,7 @@ def chunk(
         above_share=(one,) * 3,
         nees=one,
         nis_u=one,
-        limit=BiasFloor(
+        floor=BiasFloor(
             Vec3(*(arcmin * ARCMIN * one for arcmin in (1.0, -1.0, -20.0))),
             1.5 * ARCMIN * one,
             np.full(n, no_north),

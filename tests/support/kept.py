@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from sinsjax.engine.batch import in_threads
+from sinsjax.engine.batch import map_in_threads
 from sinsjax.execution.directory import DATASETS
 from sinsjax.execution.sealed import KEY, is_intact, sealed_json
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
@@ -141,6 +141,6 @@ class Recorder:
         return Executor(self._do, {})
 
     def _do(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
-        for encoded in in_threads(runner.pack, tasks, 2):
+        for encoded in map_in_threads(runner.pack, tasks, 2):
             self.done.append(encoded.task.name)
             yield encoded

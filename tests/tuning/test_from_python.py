@@ -1,4 +1,4 @@
-"""What `sinsjax.tune` returns: the best point, and its objective on draws not used for tuning."""
+"""`sinsjax.tune` returns the best point and its objective on draws not used for tuning."""
 
 import dataclasses
 from pathlib import Path
@@ -32,7 +32,7 @@ def test_tune_returns_objectives_on_fresh_draws(tuned: sinsjax.TuningResults) ->
     errors = {key: [] for key in ("grid", "baseline")}
     for row in summary.to_pylist():
         errors[row["case"]].append(row["phi_u_arcmin"])
-    rms = {key: (sum(x * x for x in some) / len(some)) ** 0.5 for key, some in errors.items()}
+    rms = {key: (sum(x * x for x in values) / len(values)) ** 0.5 for key, values in errors.items()}
     assert tuned.score.value == pytest.approx(rms["grid"])
     assert tuned.baseline.value == pytest.approx(rms["baseline"]) and tuned.baseline.n == 8
     assert tuned.score.low < tuned.score.value < tuned.score.high < tuned.baseline.low

@@ -1,4 +1,4 @@
-"""Searches: which points they look at, the studies that these make, what is made of the rows."""
+"""Searches: points of designs, the studies of points, objectives and histories."""
 
 import threading
 from contextlib import nullcontext
@@ -19,7 +19,7 @@ from sinsjax.study.load import study_from_dict, tables_of
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import history, objective, search
-from sinsjax.tuning.history import Evaluation, Found
+from sinsjax.tuning.history import Evaluation, SearchResult
 from sinsjax.tuning.search import SearchSession
 
 pytestmark = pytest.mark.optimised(False)
@@ -39,11 +39,11 @@ COUNTED = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]
 
 
 def seed(study: Study, name: str = "sobol") -> np.random.SeedSequence:
-    return search.seed_of(study, name)
+    return search.search_seed(study, name)
 
 
 def test_grid_has_every_point_of_every_combination() -> None:
-    candidate, box = search.grid(SearchSpace.from_study(COUNTED), 3)
+    candidate, box = search.grid_design(SearchSpace.from_study(COUNTED), 3)
     assert candidate.tolist() == [0, *[1] * 3, *[2] * 9]
     np.testing.assert_array_equal(box[0], [np.nan, np.nan])
     np.testing.assert_array_equal(box[1:4], [[0, np.nan], [0.5, np.nan], [1, np.nan]])
@@ -51,7 +51,7 @@ def test_grid_has_every_point_of_every_combination() -> None:
     np.testing.assert_array_equal(box[4:], [[a, b] for a in places for b in places])
 
 
-@pytest.mark.parametrize("draw", [search.sobol, search.random])
+@pytest.mark.parametrize("draw", [search.sobol_design, search.random_design])
 def test_search_points_are_determined_by_seed(draw: Any) -> None:
     space = SearchSpace.from_study(COUNTED)
     candidate, box = draw(space, [4, 3, 5], seed(COUNTED))
@@ -68,7 +68,7 @@ def test_search_points_are_determined_by_seed(draw: Any) -> None:
 
 def test_sobol_points_are_spread_evenly() -> None:
     space = SearchSpace.from_study(tuned({"reset_times_s": TIMES}))
-    box = search.sobol(space, [64], seed(COUNTED)).box
+    box = search.sobol_design(space, [64], seed(COUNTED)).box
     cells = np.floor(box * 8).astype(int)
     assert len({tuple(cell) for cell in cells}) == 64
 
@@ -87,22 +87,22 @@ def test_derived_study_runs_all_variants_per_search_point() -> None:
         evaluation_draws=5,
     )
     points = {"grid 0": {"reset_times_s": (1.0,)}, "grid 4": {"reset_times_s": (1.0, 2.0)}}
-    derived = search.derive(study, points, name="own")
-    assert (derived.tune, derived.study.name, derived.study.curves) == (None, "own", False)
+    derived = search.derive_study(study, points, name="derived")
+    assert (derived.tune, derived.study.name, derived.study.curves) == (None, "derived", False)
     assert (derived.n_draws, derived.study.seed) == (2, study.seed)
     assert derived.n_variants == 2 * study.n_variants == 16
     assert derived.values("case") == ["grid 0"] * 8 + ["grid 4"] * 8
     assert derived.reset_times() == [(1.0,)] * 8 + [(1.0, 2.0)] * 8
     pairs = {*zip(derived.values("phi_e0_deg"), derived.values("phi_u0_deg"), strict=True)}
     assert pairs == {(0.0, 5.0), (3.0, 50.0)}
-    judging = search.derive(study, points, name="own", judging=True)
-    assert (judging.n_draws, judging.study.seed) == (5, study.seed + 1)
+    evaluated = search.derive_study(study, points, name="derived", evaluation=True)
+    assert (evaluated.n_draws, evaluated.study.seed) == (5, study.seed + 1)
 
 
 def test_cases_with_labels_only_add_no_zipped_axis() -> None:
     changes = {"cases": [{"case": "only"}]}
     study = tuned({"reset_times_s": TIMES}, changes=changes)
-    derived = search.derive(study, {"a": {"reset_times_s": ()}}, name="own")
+    derived = search.derive_study(study, {"a": {"reset_times_s": ()}}, name="derived")
     assert (derived.cases, derived.zips) == (({"case": "a", "reset_times_s": ()},), {})
 
 
@@ -115,21 +115,26 @@ def test_record_is_tuned_and_evaluated_on_different_start_times() -> None:
             "tune": {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid"]},
         }
     )
-    for judging, starts in ((False, (0.0, 20.0, 40.0)), (True, (10.0, 30.0))):
-        derived = search.derive(study, {"a": {"p0_yaw_deg": 1.0}}, name="x", judging=judging)
+    for evaluation, starts in ((False, (0.0, 20.0, 40.0)), (True, (10.0, 30.0))):
+        derived = search.derive_study(
+            study, {"a": {"p0_yaw_deg": 1.0}}, name="x", evaluation=evaluation
+        )
         assert derived.record is not None and derived.record.start_s == starts
 
 
 def test_evaluation_seed_wraps_after_largest_seed() -> None:
     study = tuned({"p0_yaw_deg": YAW}, changes={"study": {"seed": 2**63 - 1}})
-    assert search.derive(study, {"a": {"p0_yaw_deg": 1.0}}, name="x", judging=True).study.seed == 0
+    assert (
+        search.derive_study(study, {"a": {"p0_yaw_deg": 1.0}}, name="x", evaluation=True).study.seed
+        == 0
+    )
 
 
 def test_cost_counts_steps_of_all_runs() -> None:
     changes = {"axes": {"phi_u0_deg": [0.0, 5.0]}}
-    assert search.cost(small_study(**changes)) == 2 * 3 * 600
+    assert search.total_steps(small_study(**changes)) == 2 * 3 * 600
     repeated = {"passes": {"stored_s": 4.0, "passes": 1}}
-    assert search.cost(small_study(**changes, **repeated)) == 2 * 3 * 400
+    assert search.total_steps(small_study(**changes, **repeated)) == 2 * 3 * 400
 
 
 ROWS = pa.table(
@@ -166,7 +171,7 @@ ROWS = pa.table(
 def test_objective_is_computed_from_summary_rows(
     tune: dict[str, Any], values: list[Any], score: float, judged: str
 ) -> None:
-    """Two variants, three draws of a study of 6 s; the rows in no order, judged as it says."""
+    """Two variants and three draws of a study of 6 s; rows in no order."""
     changes = {"axes": {"phi_u0_deg": [0.0, 5.0]}, "study": {"judged_from": judged}}
     study = tuned({"p0_yaw_deg": YAW}, changes=changes, **tune)
     assert study.tune is not None
@@ -176,8 +181,8 @@ def test_objective_is_computed_from_summary_rows(
         from_truth = pc.subtract(ROWS["phi_u_arcmin"], ROWS["floor_arcmin"])
         rows = rows.drop_columns(["phi_u_arcmin", "floor_arcmin"])
         rows = rows.append_column("phi_u_arcmin", from_truth)
-    table = rows.select(objective.columns_of(study.tune, study))
-    found = objective.values(study.tune, study, table)
+    table = rows.select(objective.summary_columns(study.tune, study))
+    found = objective.run_values(study.tune, study, table)
     np.testing.assert_array_equal(found, values)
     assert objective.score(study.tune, found) == pytest.approx(score)
     finite = np.array([[3.0, 4.0]])
@@ -185,12 +190,12 @@ def test_objective_is_computed_from_summary_rows(
         assert objective.score(study.tune, finite) == pytest.approx(12.5**0.5)
 
 
-FOUND = [
-    Found(
+SEARCHED = [
+    SearchResult(
         "grid",
         [Evaluation(0, 0, [np.nan, np.nan], 3.0, 7), Evaluation(1, 2, [1.5, 2.5], np.inf, 14)],
     ),
-    Found(
+    SearchResult(
         "gradient",
         [
             Evaluation(0, 2, [2.5, 1.5], 1.0, 20, 0, 20.0, 2.0),
@@ -203,16 +208,16 @@ FOUND = [
 
 def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
     space = SearchSpace.from_study(COUNTED)
-    history.write(tmp_path, COUNTED, FOUND)
-    again = history.read(tmp_path, space)
-    for one, other in zip(FOUND, again, strict=True):
-        assert one.search == other.search
-        for a, b in zip(one.looks, other.looks, strict=True):
+    history.write_history(tmp_path, COUNTED, SEARCHED)
+    again = history.read_searches(tmp_path, space)
+    for written, read in zip(SEARCHED, again, strict=True):
+        assert written.search == read.search
+        for a, b in zip(written.evaluations, read.evaluations, strict=True):
             np.testing.assert_array_equal(a.values, b.values)
             assert a._replace(values=[]) == b._replace(values=[])
     assert [path.name for path in tmp_path.iterdir()] == ["history.parquet"]
     table = sinsjax.read_history(tmp_path)
-    assert table.column_names == [column.name for column in history.columns_of(space)]
+    assert table.column_names == [column.name for column in history.history_columns(space)]
     assert table["reset_times_s[0]"].to_pylist() == [None, 1.5, 2.5, 2.0, 2.5]
     assert table["window_s"].to_pylist() == [None, None, 20.0, None, None]
     assert table.schema.field("window_s").metadata[b"unit"] == b"s"
@@ -223,22 +228,23 @@ def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
     }
     other_space = SearchSpace.from_study(tuned({"p0_yaw_deg": YAW}))
     with pytest.raises(InputError, match=r"history\.parquet: column p0_yaw_deg is missing"):
-        history.read(tmp_path, other_space)
+        history.read_searches(tmp_path, other_space)
     (tmp_path / "history.parquet").write_text("no table")
     with pytest.raises(InputError, match=r"history\.parquet: has changed since .*--resume"):
-        history.read(tmp_path, space)
+        history.read_searches(tmp_path, space)
 
 
-def test_only_unrelaxed_evaluations_can_be_best() -> None:
+def test_only_unrelaxed_evaluations_by_draws_can_be_best() -> None:
     space = SearchSpace.from_study(COUNTED)
-    grid, gradient = FOUND
+    grid, gradient = SEARCHED
     assert (grid.best.step, grid.cost, grid.point(space)) == (0, 14, {"reset_times_s": ()})
     assert (gradient.best.start, gradient.cost) == (1, 30)
     assert gradient.point(space) == {"reset_times_s": (1.0, 2.5)}
+    estimate = grid.best._replace(objective=0.0, estimated=True)
+    assert SearchResult("covariance", [estimate, grid.best]).best == grid.best
 
 
 def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None:
-    """A grid over two reset times with the same range: pairs and their mirror images are one."""
     study = tuned(
         {"reset_times_s": TIMES},
         changes={
@@ -251,25 +257,25 @@ def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None
     session = SearchSession(
         Job(study, directory=tmp_path), lambda name: nullcontext(), threading.Event()
     )
-    design = search.grid(SearchSpace.from_study(study), 3)
-    found = search.evaluate(study, "grid", design, session)
+    design = search.grid_design(SearchSpace.from_study(study), 3)
+    found = search.evaluate_design(study, "grid", design, session)
     places = [1.0, 2.0, 3.0]
     pairs = [(a, b) for a in places for b in places]
-    assert [tuple(look.values) for look in found.looks] == pairs
-    assert [look.cost // (2 * 2 * 120) for look in found.looks] == [1, 2, 3, 3, 4, 5, 5, 5, 6]
+    assert [tuple(e.values) for e in found.evaluations] == pairs
+    assert [e.cost // (2 * 2 * 120) for e in found.evaluations] == [1, 2, 3, 3, 4, 5, 5, 5, 6]
     table = read_summary(tmp_path / "grid")
     assert sorted(set(table["case"].to_pylist())) == [f"grid {n}" for n in (0, 1, 2, 4, 5, 8)]
-    for look in found.looks:
-        times = sorted({*look.values})
+    for e in found.evaluations:
+        times = sorted({*e.values})
         rows = [row for row in table.to_pylist() if row["reset_times_s"] == times]
         assert len(rows) == 4
         squares: dict[float, list[float]] = {5.0: [], 30.0: []}
         for row in rows:
             squares[row["phi_u0_deg"]].append((row["phi_u_arcmin"] - row["floor_arcmin"]) ** 2)
-        told = np.mean([np.mean(own) ** 0.5 for own in squares.values()])
-        assert look.objective == pytest.approx(told)
-    assert found.best.objective == min(look.objective for look in found.looks)
-    assert len({look.objective for look in found.looks}) == 6
+        expected = np.mean([np.mean(values) ** 0.5 for values in squares.values()])
+        assert e.objective == pytest.approx(expected)
+    assert found.best.objective == min(e.objective for e in found.evaluations)
+    assert len({e.objective for e in found.evaluations}) == 6
 
 
 def test_study_round_trips_through_tables() -> None:

@@ -7,8 +7,8 @@ from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.grids import median
 from sinsjax.analysis.words import percent
+from sinsjax.covariance.information import share_outside
 from sinsjax.execution.source import Source
-from sinsjax.methods.bounds import share_outside
 from sinsjax.plots import Scale, Shown
 from sinsjax.plots.words import value_text
 from sinsjax.report.base import Picture, Table

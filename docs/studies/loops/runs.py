@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.engine.truth import errors_of, site_of
+from sinsjax.covariance.information import Number, record_bound
+from sinsjax.engine.sensor_inputs import read_errors
+from sinsjax.engine.truth import read_site
 from sinsjax.errors import InputError
-from sinsjax.methods.bounds import Number, record_bound
 from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN, DEG, MICRO
@@ -65,9 +66,9 @@ def bound_arcmin(study: Study, stored_s: Number) -> NDArray:
         stored_s: lengths, s.
     """
     first = Variants(study, np.array([0]))
-    site, ug = site_of(study, first, None)
+    site, ug = read_site(study, first, None)
     rate_hz = study.rate_hz
-    errors = errors_of(first.common, ug, rate_hz)
+    errors = read_errors(first.common, ug, rate_hz)
     east, north, _ = _to_n(study)
     bound = record_bound(
         stored_s,

@@ -50,7 +50,7 @@ SHIFTS_S = np.arange(-10, 10) / 20  # of configs/tuned_phase.toml, schedule by s
 
 def page(sources: Sources) -> Page:
     """What each tuning found, judged on noise that tuned nothing, beside the plain two resets."""
-    tunings = {name: results.Tuning.of(sources[study]) for name, study in STUDIES.items()}
+    tunings = {name: results.Tuning.from_source(sources[study]) for name, study in STUDIES.items()}
     beside = sources["tuned_schedules"]
     grid = grid_of(beside, (SETTLE, "nees"), case="case", start=_starts(beside.study))
 
@@ -96,11 +96,11 @@ def _filter(tunings: Mapping[str, Tuning], source: Source) -> Page:
     by_variant = every.reshape(-1, source.study.n_variants).T
     by_case = by_variant.reshape(-1, tuning.study.n_variants, by_variant.shape[1])
     nees = {
-        name: pooled_mean(by_case[tuning.places[candidate]])
+        name: pooled_mean(by_case[tuning.case_numbers[candidate]])
         for name, candidate in (("tuned", tuning.best), ("given", BASELINE))
     }
     apart = {name: tuning.difference(name) for name in (GRADIENT, COVARIANCE)}
-    share = tuning.found[COVARIANCE].cost / tuning.found["sobol"].cost
+    share = tuning.searches[COVARIANCE].cost / tuning.searches["sobol"].cost
     values = {
         "covariance": seconds(apart[COVARIANCE], 1),
         "covariance_cost": f"{100 * share:.0f} %",
@@ -120,14 +120,14 @@ def _filter(tunings: Mapping[str, Tuning], source: Source) -> Page:
 
 def _covariance(tuning: Tuning) -> Page:
     """The search by covariance analysis beside Sobol points and the gradient."""
-    found, apart = tuning.found[COVARIANCE], tuning.difference(COVARIANCE)
-    share = found.cost / tuning.found["sobol"].cost
+    found, apart = tuning.searches[COVARIANCE], tuning.difference(COVARIANCE)
+    share = found.cost / tuning.searches["sobol"].cost
     values = {
         "time": seconds(tuning.score(COVARIANCE)),
         "sobol": seconds(tuning.score("sobol")),
         "apart": seconds(apart, 1),
         "cost": f"{100 * share:.0f} %",
-        "points": sum(look.estimated for look in found.looks),
+        "points": sum(e.estimated for e in found.evaluations),
     }
     claims = {
         "covariance analysis beats Sobol points": apart.high < 0,
@@ -190,7 +190,7 @@ def _seen(tuning: Tuning, source: Source) -> Picture:
     caption = (
         f"Condition 5, a grid of reset times, each over {tuning.tune.tune_draws} Monte Carlo runs;"
         " light is good. Lines: gradient descents. The times in the table are of other runs,"
-        f" {tuning.runs.shape[2]} a setting."
+        f" {tuning.run_values.shape[2]} a setting."
     )
     return Picture("small_seen", caption, seen.figure, source.counted)
 
@@ -201,7 +201,7 @@ def _starts(study: Study) -> list[tuple[float, float]]:
 
 
 def _told(tuning: Tuning) -> dict[str, str]:
-    gradient, rival = tuning.found[GRADIENT], tuning.found[tuning.rival]
+    gradient, rival = tuning.searches[GRADIENT], tuning.searches[tuning.rival]
     return {
         "best": seconds(tuning.score(tuning.best)),
         "baseline": seconds(tuning.score(BASELINE)),
@@ -209,7 +209,7 @@ def _told(tuning: Tuning) -> dict[str, str]:
         "equal": seconds(tuning.difference(EQUAL), 1),
         "cost": f"{100 * gradient.cost / rival.cost:.0f} %",
         "tuned_on": tuning.tune.tune_draws,
-        "judged_on": tuning.runs.shape[2],
+        "judged_on": tuning.run_values.shape[2],
     }
 
 
@@ -224,7 +224,8 @@ def _claims(tunings: Mapping[str, Tuning]) -> dict[str, bool]:
             apart["large"].low > 0 and apart["compass"].low > 0
         ),
         "the gradient costs a fifth": all(
-            one.found[GRADIENT].cost < 0.21 * one.found[one.rival].cost for one in tunings.values()
+            one.searches[GRADIENT].cost < 0.21 * one.searches[one.rival].cost
+            for one in tunings.values()
         ),
         "a search of the same cost does as well where the gradient falls behind": all(
             tunings[name].difference(EQUAL).value < apart[name].value
@@ -239,7 +240,7 @@ def _expected(tunings: Mapping[str, Tuning], plain: Mapping[str, Estimate]) -> T
     for name, tuning in tunings.items():
         found = {}
         for label, candidate in (("the paper's", BASELINE), ("tuned", tuning.best)):
-            case = tuning.judged.cases[tuning.places[candidate]]
+            case = tuning.evaluation_study.cases[tuning.case_numbers[candidate]]
             settings = (
                 f"`{key} = {_shown(value)}`" for key, value in case.items() if key != "case"
             )

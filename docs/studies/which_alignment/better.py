@@ -9,7 +9,7 @@ from sinsjax.report.base import Table
 from sinsjax.report.folder import Page
 
 from ..common.grids import grid_of
-from .field import bases_of, starts_of
+from .field import bases_of, start_samples
 
 TIME_S = 300
 AIM = 1.5
@@ -30,7 +30,7 @@ def bounded(source: Source) -> Page:
     ]
     column = f"phi_u_at_{TIME_S}_arcmin"
     grid = grid_of(
-        source, [column, "floor_arcmin"], case="case", start=starts_of(source), base=words
+        source, [column, "floor_arcmin"], case="case", start=start_samples(source), base=words
     )
     bounds = {
         words[row["variant_id"]]: row["bound_u_arcmin"]

@@ -147,7 +147,7 @@ def angle(error: Estimate) -> str:
     return f"{format_estimate(degrees, digits=0 if degrees.value > 10 else 1)} deg"
 
 
-def starts_of(source: Source) -> list[Start]:
+def start_samples(source: Source) -> list[Start]:
     """Initial misalignment of each variant."""
     east, north, up = (source.study.values(f"phi_{axis}0_deg") for axis in "enu")
     return [(float(e), float(n), float(u)) for e, n, u in zip(east, north, up, strict=True)]
@@ -167,7 +167,7 @@ def _axes(source: Source) -> dict[str, str | list[Any]]:
     """What the axes of a study are called here, a value for each variant."""
     return {
         "case": "case",
-        "start": starts_of(source),
+        "start": start_samples(source),
         "base": bases_of(source),
         "grade": [float(np.max(bias)) for bias in source.study.values("gyro_bias_deg_per_h")],
     }

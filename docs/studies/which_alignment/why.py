@@ -13,7 +13,7 @@ from sinsjax.report.folder import Page
 
 from ..common.grids import Grid, grid_of
 from ..common.words import arcmin
-from .field import MOST, STORED_S, Base, Cell, Field, Start, angle, bases_of, reach, starts_of
+from .field import MOST, STORED_S, Base, Cell, Field, Start, angle, bases_of, reach, start_samples
 
 HALF = 0.5
 
@@ -24,7 +24,7 @@ class Experiment:
     def __init__(self, source: Source, *columns: str, **axes: Sequence[object]) -> None:
         self.source = source
         self.grid: Grid = grid_of(
-            source, [*columns, "floor_arcmin"], case="case", start=starts_of(source), **axes
+            source, [*columns, "floor_arcmin"], case="case", start=start_samples(source), **axes
         )
 
     def errors(self, column: str, *, limit: bool = False, **points: object) -> NDArray:

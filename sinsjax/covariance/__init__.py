@@ -1,0 +1,1 @@
+"""Linear covariance analysis of the true error: expected results without draws, and bounds."""

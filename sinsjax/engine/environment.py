@@ -1,0 +1,346 @@
+"""The inputs of runs: program, environment, draws and params.
+
+A `Static` decides the compiled program. Runs of one program share an `Environment`: Earth, base,
+sensors, truth and criteria. A `Draw` is one realisation of everything random, and `RunParams` are
+the numbers of one run. Fields of a draw that are None are those of the environment or the run.
+"""
+
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sinsjax.engine.metrics import Criteria
+from sinsjax.methods.base import Method, Options, Site
+from sinsjax.methods.floors import MeanBiases, mean_biases
+from sinsjax.methods.registry import METHODS
+from sinsjax.strapdown import base_motion, earth, sensors
+from sinsjax.strapdown.base_motion import Sensed
+from sinsjax.strapdown.disturbances import Disturbances
+from sinsjax.types import Array, Count, Flag, Quat, Scalar, Vec3
+
+# What decides the program
+
+
+class CoarseStage(NamedTuple):
+    """Coarse alignment as the first stage of a run.
+
+    Attributes:
+        method: name in `registry.METHODS`, of a method that needs no initial attitude.
+        records: its length in record intervals.
+        replays: whether fine alignment then starts from the first sample again.
+    """
+
+    method: str
+    records: int
+    replays: bool
+
+
+class SensorProgram(NamedTuple):
+    """The part of a program that simulates the sensors.
+
+    Attributes:
+        noisy: whether the sensors have white noise.
+        distorted: whether they have scale factor errors or misaligned axes.
+        sways: whether a base drawn for each draw sways; a still one is measured once.
+        kept: samples per draw that are made once and kept, when passes read them in both
+            directions and each sample depends on those before it; 0 to make samples as they are
+            read.
+    """
+
+    noisy: bool = False
+    distorted: bool = False
+    sways: bool = True
+    kept: int = 0
+
+
+class Static(NamedTuple):
+    """The choices that decide a compiled program; hashable.
+
+    Attributes:
+        method: name in `registry.METHODS`.
+        options: of that method.
+        record_every: samples per record interval.
+        records: record intervals per run; a run has records * record_every samples.
+        curves: whether observations at all record times are returned.
+        sensors: see `SensorProgram`.
+        passes: how the stored record is read: "once", forward and backward in turn ("alternate"),
+            or forward every time ("rewind").
+        coarse: the stage before the method's own; None if there is none.
+        stacks: whether tiles of a method whose covariance all draws share may share it.
+    """
+
+    method: str
+    options: Options
+    record_every: int
+    records: int
+    curves: bool
+    sensors: SensorProgram = SensorProgram()
+    passes: Literal["once", "alternate", "rewind"] = "once"
+    coarse: CoarseStage | None = None
+    stacks: bool = True
+
+    @property
+    def rewinds_attitude(self) -> bool:
+        """Whether an attitude is propagated back to the beginning of the record."""
+        return self.passes == "rewind" or (self.coarse is not None and self.coarse.replays)
+
+    @property
+    def shares_covariance(self) -> bool:
+        """Whether stacked tiles share one covariance."""
+        return self.stacks and build_method(self).shares_covariance
+
+
+def build_method(static: Static) -> Method:
+    """Return the method of a program."""
+    return METHODS[static.method](static.options)
+
+
+def coarse_program(static: Static) -> Static:
+    """Return the program of the coarse stage, which lies within one pass."""
+    assert static.coarse is not None
+    options = Options(static.options.dt)
+    return static._replace(method=static.coarse.method, options=options, passes="once")
+
+
+# What runs share
+
+
+class SensorModel(NamedTuple):
+    """The base and the sensors that all runs share.
+
+    Attributes:
+        increments: (T, 6) the stored record, ideal or measured, rad and m/s; None if increments are
+            made as a run proceeds, since all together would fill the memory.
+        errors: of the sensors.
+        seed: of all noise.
+        motion: of the base, if draws differ or no increments are stored.
+        axes: (T, 9) axes of n in b over the stored samples, if disturbances need them.
+        disturbances: random processes of base and sensors.
+    """
+
+    increments: Array | None
+    errors: sensors.SensorErrors
+    seed: Count
+    motion: base_motion.Motion | None = None
+    axes: Array | None = None
+    disturbances: Disturbances = Disturbances()
+
+
+class Truth(NamedTuple):
+    """The true or reference attitude.
+
+    Attributes:
+        attitudes: (rows, records, 4) quaternions at record times; NaN if unknown.
+        times: (records,) record times by the clock of the stored record, s; None if draws have no
+            motion of their own.
+    """
+
+    attitudes: Array
+    times: Array | None = None
+
+
+class Environment(NamedTuple):
+    """Everything that the runs of a program share.
+
+    Attributes:
+        site: Earth and place.
+        sensors: base and sensors.
+        truth: true attitudes.
+        criteria: thresholds and times by which runs are judged.
+        biases: mean sensor biases in n.
+        pass_records: record intervals per pass; without effect on a record that is read once.
+    """
+
+    site: Site
+    sensors: SensorModel
+    truth: Truth
+    criteria: Criteria
+    biases: MeanBiases
+    pass_records: Count
+
+    @property
+    def dtype(self) -> jnp.dtype:
+        """Type of all numbers of a run."""
+        stored = self.sensors.increments
+        return jnp.result_type(self.truth.attitudes if stored is None else stored)
+
+
+def aligned_record(samples: int) -> np.ndarray:
+    """Return room for a record (samples, 6), aligned so that XLA does not copy it in every call."""
+    size, line = 8 * 6 * samples, 64
+    room = np.empty(size + line, np.uint8)
+    begin = -room.ctypes.data % line
+    return room[begin : begin + size].view(float).reshape(samples, 6)
+
+
+# What belongs to a draw, and to a run
+
+
+class InitialErrors(NamedTuple):
+    """Initial errors of a draw in place of those of `RunParams`; None for those of the run.
+
+    Attributes:
+        phi: angles of the initial misalignment, rad.
+        ve: initial velocity east, m/s.
+        vn: initial velocity north, m/s.
+    """
+
+    phi: tuple[Scalar | None, Scalar | None, Scalar | None] = (None, None, None)
+    ve: Scalar | None = None
+    vn: Scalar | None = None
+
+
+class DerivedInputs(NamedTuple):
+    """Inputs that follow from those drawn; None for those of the environment.
+
+    Attributes:
+        site: at the latitude of the draw.
+        biases: mean sensor biases in n.
+        rest: what ideal sensors measure on a base that does not sway.
+        nodes: integration nodes of a base that sways.
+    """
+
+    site: Site | None = None
+    biases: MeanBiases | None = None
+    rest: Sensed | None = None
+    nodes: base_motion.Nodes | None = None
+
+
+class Draw(NamedTuple):
+    """One realisation of everything random: noise, and the numbers that a study draws.
+
+    Attributes:
+        draw_id: number that decides its noise.
+        start: first sample in the stored record; one number if many draws have the same.
+        row: row of `Truth.attitudes`.
+        initial: initial errors.
+        errors: of the sensors.
+        motion: of the base, whose increments are made as a run proceeds.
+        latitude: of the base, which then has a motion too, rad.
+        disturbances: random processes of base and sensors.
+        derived: inputs that follow from these.
+    """
+
+    draw_id: Count
+    start: Count
+    row: Count
+    initial: InitialErrors = InitialErrors()
+    errors: sensors.SensorErrors | None = None
+    motion: base_motion.Motion | None = None
+    latitude: Scalar | None = None
+    disturbances: Disturbances | None = None
+    derived: DerivedInputs = DerivedInputs()
+
+
+class RunParams(NamedTuple):
+    """Numbers of one run: all of them can be swept, mapped over or differentiated by.
+
+    Attributes:
+        q: attitude before the study's misalignment is added: true, or coarsely aligned.
+        phi: initial misalignment, rotation vector in n, rad.
+        ve: initial velocity east, m/s.
+        vn: initial velocity north, m/s.
+        method: params of the method.
+        euler: whether ``phi`` still holds Euler angles, if draws have some of them.
+    """
+
+    q: Quat
+    phi: Vec3
+    ve: Scalar
+    vn: Scalar
+    method: Any
+    euler: Flag | None = None
+
+
+class DrawnNormally(NamedTuple):
+    """Means and standard deviations of drawn numbers that are all normal.
+
+    Attributes:
+        initial: mean initial errors; None for those of the run.
+        errors: of sensors with the mean biases; None if no bias is drawn.
+        initial_sigma: (5,) of phi about e, n, u, rad, and of the velocity east and north, m/s.
+        gyro_bias_sigma: (3,) rad/s; None if it is not drawn.
+        accel_bias_sigma: (3,) m/s^2; None if it is not drawn.
+    """
+
+    initial: InitialErrors
+    errors: sensors.SensorErrors | None
+    initial_sigma: Array
+    gyro_bias_sigma: Array | None
+    accel_bias_sigma: Array | None
+
+    def mean_draw(self, draws: Draw) -> Draw:
+        """Return the first of some draws with all drawn numbers at their means, leaves (1, ...)."""
+        return Draw(
+            draws.draw_id[:1],
+            draws.start,
+            draws.row[:1],
+            *jax.tree.map(lambda a: np.asarray(a)[None], (self.initial, self.errors)),
+        )
+
+
+def derive_inputs(static: Static, environment: Environment, draw: Draw) -> DerivedInputs:
+    """Return the inputs that follow from the numbers of one draw."""
+    if draw.errors is None and draw.motion is None and draw.latitude is None:
+        return DerivedInputs()
+    site = environment.site
+    if draw.latitude is not None:
+        site = Site(site.earth, earth.place(site.earth, draw.latitude), draw.latitude)
+    errors = sensor_errors(environment.sensors, draw)
+    motion = environment.sensors.motion if draw.motion is None else draw.motion
+    assert motion is not None
+    rest = nodes = None
+    if draw.motion is not None:
+        rate_hz = 1 / static.options.dt
+        nodes = base_motion.nodes(motion, rate_hz)
+        if not static.sensors.sways:
+            rest = base_motion.sensed(motion, nodes, site.place, rate_hz, 0.0)
+            nodes = None
+    return DerivedInputs(
+        None if draw.latitude is None else site, mean_biases(errors, motion), rest, nodes
+    )
+
+
+def sensor_errors(model: SensorModel, draw: Draw) -> sensors.SensorErrors:
+    """Return the sensor errors of a draw."""
+    return model.errors if draw.errors is None else draw.errors
+
+
+def has_quantisation(model: SensorModel, draw: Draw) -> bool:
+    """Return whether the sensors of a draw quantise."""
+    return sensor_errors(model, draw).gyro_quantum is not None
+
+
+def draw_disturbances(model: SensorModel, draw: Draw) -> Disturbances:
+    """Return the random processes that disturb a draw."""
+    return model.disturbances if draw.disturbances is None else draw.disturbances
+
+
+def draw_site(site: Site, draw: Draw) -> Site:
+    """Return Earth and place of a draw."""
+    return site if draw.derived.site is None else draw.derived.site
+
+
+def draw_biases(biases: MeanBiases, draw: Draw) -> MeanBiases:
+    """Return the mean sensor biases of a draw."""
+    return biases if draw.derived.biases is None else draw.derived.biases
+
+
+def initial_true_attitude(draw: Draw) -> Quat | None:
+    """Return the true attitude before the first sample if a draw has its own motion, else None."""
+    return None if draw.motion is None else base_motion.attitude(draw.motion, 0.0)
+
+
+def stored_attitude(truth: Truth, draw: Draw, number: Array) -> Quat:
+    """Return the stored true attitude at the end of a record interval; NaN if unknown."""
+    return Quat(*jnp.moveaxis(jnp.asarray(truth.attitudes)[draw.row, number], -1, 0))
+
+
+def computed_attitudes(truth: Truth, draw: Draw, records: int) -> Quat:
+    """Return the true attitudes of a draw with its own motion, leaves (records,)."""
+    assert draw.motion is not None
+    times = jnp.asarray(truth.times)[:records]
+    return jax.vmap(partial(base_motion.attitude, draw.motion))(times)

@@ -1,0 +1,527 @@
+"""Gradient search: several descents in parallel lanes, differentiated in forward mode.
+
+Descents start at the best of some points, and the edge of the band is soft; it sharpens from step
+to step. If no variable moves a reset and covariance analysis holds, points are scored and descended
+from without noise: one noise-free run of each variant, with errors sampled from the covariance of
+the true error. Otherwise each step uses the next few draws, and resets that move are smooth
+windows, which sharpen too. The final points are scored like any other point, with hard resets on
+all tuning draws.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple, NoReturn
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax.covariance.analysis import AnalysisEnvironment, ErrorCovariance, analysis_group
+from sinsjax.engine import batch
+from sinsjax.engine.batch import Plan
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.environment import Environment
+from sinsjax.engine.lanes import LANES, Group, Tiles, tiles_of
+from sinsjax.engine.run import map_stacked_tiles, run_tile
+from sinsjax.errors import InputError
+from sinsjax.execution import run
+from sinsjax.execution.run import RunProgress, Tell
+from sinsjax.methods.base import Relaxed
+from sinsjax.methods.registry import METHODS
+from sinsjax.records.reference import StoredRecord
+from sinsjax.study.keys import SECTION_OF, TomlTable
+from sinsjax.study.load import with_point
+from sinsjax.study.rules import is_modelled
+from sinsjax.study.schema import TuneSection
+from sinsjax.study.search_space import SearchSpace, Variable
+from sinsjax.study.study import Study
+from sinsjax.study.success import success_of
+from sinsjax.study.sweep import COUNT, TIMES
+from sinsjax.tuning import objective, search
+from sinsjax.tuning.history import Evaluation, SearchResult
+from sinsjax.types import Array, Count, Scalar
+
+NAME = "gradient"
+
+TANGENT_STEPS = 2
+"""Cost of one tangent of a step, in steps of a plain run; timed by the benchmark ``derivative``."""
+
+
+def check_gradients(study: Study) -> None:
+    """Check that all variables of a study with [tune] have a gradient.
+
+    Raises:
+        InputError: ``[tune.variables] key: has no gradient (hint)``.
+    """
+    for combination in SearchSpace.from_study(study).combinations:
+        ParameterMap(study, combination)
+
+
+def descend(
+    study: Study, stored: StoredRecord | None = None, *, on_progress: Tell | None = None
+) -> SearchResult:
+    """Tune a study by gradient, for every combination of its candidates.
+
+    Args:
+        study: study with [tune].
+        stored: the record of a recorded study.
+        on_progress: called with the progress, in runs, after every step.
+
+    Returns:
+        Every step of every descent with its relaxed objective, and the final points with their
+        unrelaxed objective on all tuning draws.
+
+    Raises:
+        InputError: a variable has no gradient, or the record does not fit.
+    """
+    evaluations: list[Evaluation] = []
+    for number in range(len(SearchSpace.from_study(study).combinations)):
+        cost = evaluations[-1].cost if evaluations else 0
+        evaluations += _Descents(study, stored, number, cost).run(on_progress)
+    return SearchResult(NAME, evaluations)
+
+
+class _Descents:
+    """The descents of one combination of candidates."""
+
+    def __init__(self, study: Study, stored: StoredRecord | None, number: int, cost: int) -> None:
+        assert study.tune is not None
+        self._study, self._stored, self._number, self._cost = study, stored, number, cost
+        self._tune, self._space = study.tune, SearchSpace.from_study(study)
+        self._combination = self._space.combinations[number]
+        self._parameters = ParameterMap(study, self._combination)
+        self._used = self._space.used(self._combination)
+        self._samples = objective.SAMPLES if self._parameters.by_covariance else 0
+
+    def run(self, on_progress: Tell | None) -> list[Evaluation]:
+        """Run the descents; return all evaluations in order."""
+        if not self._used:
+            return self._evaluate_ends(np.empty((1, 0)))
+        import optax  # late: it is slow to import, and only descents need it
+
+        tune, steps, starts = self._tune, self._tune.descent_steps, self._tune.descent_starts
+        slope = Slope(
+            self._parameters,
+            self._stored,
+            starts=starts,
+            draws=tune.descent_draws,
+            samples=self._samples,
+        )
+        box = self._choose_starts(slope.draws)
+        adam = optax.adam(optax.cosine_decay_schedule(tune.descent_rate, steps, alpha=0.1))
+        state = adam.init(box)
+        evaluations: list[Evaluation] = []
+        for step in range(steps):
+            draws = (step * slope.draws + np.arange(slope.draws)) % slope.n_draws
+            softness = _softness(tune, step)
+            scores, gradient = slope(box, draws, softness)
+            self._cost += slope.cost
+            window_s = softness.window_s if self._parameters.moves_resets else None
+            relaxed = window_s, softness.sharpness, self._samples > 0
+            evaluations += [
+                Evaluation(step, self._number, values, float(score), self._cost, start, *relaxed)
+                for start, (values, score) in enumerate(zip(self._values(box), scores, strict=True))
+            ]
+            if on_progress is not None:
+                done, total = ((n * starts * slope.draws) for n in (step + 1, steps))
+                on_progress(RunProgress(done, total, 0, 0))
+            moves, state = adam.update(np.nan_to_num(gradient, posinf=0.0, neginf=0.0), state)
+            box = np.asarray(optax.projections.projection_box(box + moves, 0.0, 1.0))
+        return [*evaluations, *self._evaluate_ends(box)]
+
+    def _choose_starts(self, draws: int) -> NDArray:
+        """Return the initial positions of the descents, (starts, p): the best of some points."""
+        count = max(self._tune.descent_screen, self._tune.descent_starts)
+        counts = [count] * len(self._space.combinations)
+        design = search.sobol_design(self._space, counts, search.search_seed(self._study, NAME))
+        box = design.box[design.candidate == self._number][:, self._used]
+        if count == self._tune.descent_starts:
+            return box
+        values = self._values(box)
+        scores = self._estimate(values) if self._samples else self._score(values, draws)
+        return box[np.argsort(scores, kind="stable")[: self._tune.descent_starts]]
+
+    def _evaluate_ends(self, box: NDArray) -> list[Evaluation]:
+        """Evaluate the final points of the descents on all tuning draws."""
+        values = self._values(box)
+        scores = self._score(values, None)
+        step = self._tune.descent_steps
+        return [
+            Evaluation(step, self._number, point, score, self._cost, start)
+            for start, (point, score) in enumerate(zip(values, scores, strict=True))
+        ]
+
+    def _values(self, box: NDArray) -> list[list[float]]:
+        """Return the values of all variables at positions of the used ones; NaN for the others."""
+        whole = np.full((len(box), len(self._space.variables)), np.nan)
+        whole[:, self._used] = box
+        return [self._space.values(row) for row in whole]
+
+    def _score(self, values: Sequence[Sequence[float]], draws: int | None) -> list[float]:
+        """Return the objective at some points with hard resets, on all or the first draws."""
+        study = self._study
+        if draws is not None and not study.is_recorded:
+            study = study.model_copy(
+                update={"tune": self._tune.model_copy(update={"tune_draws": draws})}
+            )
+        scored = search.score_points(
+            study,
+            NAME,
+            self._points(values),
+            lambda derived: objective.run_values(
+                self._tune, derived, run.run(derived, self._stored, curves=False).summary
+            ),
+        )
+        self._cost += search.total_steps(scored.derived)
+        return scored.scores
+
+    def _estimate(self, values: Sequence[Sequence[float]]) -> list[float]:
+        """Return the objective at some points by covariance analysis."""
+        scored = search.score_points(
+            self._study,
+            NAME,
+            self._points(values),
+            lambda derived: objective.estimate_values(self._tune, derived),
+        )
+        self._cost += round(search.estimate_steps(scored.derived))
+        return scored.scores
+
+    def _points(self, values: Sequence[Sequence[float]]) -> list[TomlTable]:
+        return [self._space.point(list(np.nan_to_num(row)), self._combination) for row in values]
+
+
+# The objective of some descents and its gradient
+
+
+class Softness(NamedTuple):
+    """Degree of relaxation of a step.
+
+    Attributes:
+        window_s: half width of the reset windows, s.
+        sharpness: sharpness of the band's edge, see `metrics.Criteria`.
+    """
+
+    window_s: float
+    sharpness: float
+
+
+def _softness(tune: TuneSection, step: int) -> Softness:
+    """Return the degree of relaxation of a step, geometric from the first to the last."""
+    share = step / max(tune.descent_steps - 1, 1)
+    ends = (tune.relaxed_window_s, tune.relaxed_sharpness)
+    return Softness(*(first * (last / first) ** share for first, last in ends))
+
+
+class _Lane(NamedTuple):
+    """Parameters of a lane: those of the method at the base point, and the number of its descent.
+
+    They are in the place of the method's parameters until it is run.
+    """
+
+    base: Any
+    start: Count
+
+
+def _runs_of(environment: Any) -> Environment:
+    """Return the environment of the runs of a group, which may be a covariance analysis."""
+    runs: Environment = (
+        environment.runs if isinstance(environment, AnalysisEnvironment) else environment
+    )
+    return runs
+
+
+class _Program(NamedTuple):
+    """Runs of all descents that share a program, the plan of its calls, and the program."""
+
+    group: Group
+    plan: Plan
+    jitted: Any
+
+
+class Slope:
+    """Relaxed objective of some descents and its gradient, for one combination of candidates.
+
+    Attributes:
+        samples: number of sampled errors that replace the draws; 0 if runs have noise.
+        draws: number of draws per step; 1, without noise, if errors are sampled.
+        n_draws: number of tuning draws, likewise.
+    """
+
+    def __init__(
+        self,
+        parameters: "ParameterMap",
+        stored: StoredRecord | None = None,
+        *,
+        starts: int,
+        draws: int,
+        samples: int = 0,
+    ) -> None:
+        """Prepare the runs.
+
+        Args:
+            parameters: what the variables do to the methods' parameters.
+            stored: the record of a recorded study.
+            starts: number of descents.
+            draws: number of draws per step, at most.
+            samples: how many errors are sampled for each variant instead; an even number, 0 for
+                runs with noise. Only if `ParameterMap.by_covariance`.
+
+        Raises:
+            InputError: the record does not fit.
+        """
+        study = parameters.study
+        assert study.tune is not None
+        self._tune, self._parameters = study.tune, parameters
+        self._starts, self.samples = starts, samples
+        self._from_truth, self._rate_hz = success_of(study).from_truth, study.rate_hz
+        derived = search.derive_study(study, {"base": parameters.point}, name=study.name)
+        scenario = Scenario(derived, stored, curves=False)
+        groups = [self._group(scenario, number) for number in range(len(scenario.programs))]
+        self.n_draws = len(groups[0].draws.draw_id)
+        self.draws = min(draws, self.n_draws)
+        self._programs = [self._program(group) for group in groups]
+        plain = search.total_steps(derived) / derived.n_draws
+        self._draw_cost = search.estimate_steps(derived) if samples else plain
+
+    @property
+    def cost(self) -> int:
+        """Cost of one gradient of all descents, in steps of a plain run, tangents included."""
+        tangents = TANGENT_STEPS * len(self._parameters.variables)
+        return round(self._starts * self.draws * self._draw_cost * (1 + tangents))
+
+    def __call__(self, box: NDArray, draws: NDArray, softness: Softness) -> tuple[NDArray, NDArray]:
+        """Return the objective of each descent, and its gradient.
+
+        Args:
+            box: (starts, p) positions of the variables in their ranges, 0 to 1.
+            draws: (draws,) indices of the draws to use.
+            softness: degree of relaxation.
+
+        Returns:
+            The objective (starts,) in its unit, and its gradient (starts, p).
+        """
+        by_program = [self._run(program, box, draws, softness) for program in self._programs]
+        runs, slopes = (np.concatenate(parts, axis=1) for parts in zip(*by_program, strict=True))
+        score, by_run = map(np.asarray, objective.relaxed_score(self._tune, runs))
+        return score, np.einsum("svd,svdp->sp", by_run, slopes)
+
+    def programs(
+        self, box: NDArray, draws: NDArray, softness: Softness
+    ) -> list[jax.stages.Compiled]:
+        """Return the compiled programs of a call with these arguments, one per group of runs."""
+        return [
+            program.jitted.lower(*self._arguments(program, box, draws, softness)[0]).compile()
+            for program in self._programs
+        ]
+
+    def _group(self, scenario: Scenario, number: int) -> Group:
+        """Return the runs of one program, of all draws or of one without noise."""
+        if not self.samples:
+            return scenario.part(number).group
+        group = scenario.part(number, range(1)).group
+        return analysis_group(group, self.samples, np.array([group.static.records - 1]))
+
+    def _program(self, group: Group) -> _Program:
+        """Return the program of a group with lanes for each descent and variant."""
+        params = jax.tree.map(
+            lambda a: np.concatenate([np.asarray(a)] * self._starts), group.variants
+        )
+        start = np.repeat(np.arange(self._starts), group.sizes[1])
+        group = group._replace(variants=params._replace(method=_Lane(params.method, start)))
+        runs, devices = self.draws * len(start), len(jax.devices())
+        # Few runs need fewer lanes. With noise a call has at least two blocks for each device.
+        blocks = devices if self.samples else 2 * devices
+        lanes = min(LANES, 1 << (max(runs // blocks, 8) - 1).bit_length())
+        tiles = -(-runs // (lanes * devices))
+        plan = Plan(group.static, self.draws, len(start), tiles_per_chunk=tiles, lanes=lanes)
+        return _Program(group, plan, jax.jit(partial(self._differentiate, group)))
+
+    def _run(
+        self, program: _Program, box: NDArray, draws: NDArray, softness: Softness
+    ) -> tuple[NDArray, NDArray]:
+        """Return relaxed values (starts, variants, draws or samples) and derivatives (..., p)."""
+        group, plan, jitted = program
+        arguments = self._arguments(program, box, draws, softness)
+        jitted.lower(*arguments[0]).compile()  # otherwise every thread would compile
+        calls = list(
+            batch.map_in_threads(
+                lambda call: jax.device_get(jitted(*call)), arguments, len(jax.devices())
+            )
+        )
+        _, variants = group.sizes
+        p, n = box.shape[1], calls[0][0].shape[-1]  # n values per run
+        out = np.empty((len(draws) * variants, n, 1 + p))
+        for places, (value, slope) in zip(plan, calls, strict=True):
+            draw, variant = places.draw.ravel(), places.variant.ravel()
+            active = np.flatnonzero((draw < len(draws)) & (variant < variants))
+            rows = draw[active] * variants + variant[active]
+            out[rows, :, 0] = value.reshape(-1, n)[active]
+            out[rows, :, 1:] = np.moveaxis(slope, -3, -1).reshape(-1, n, p)[active]
+        shape = (len(draws), self._starts, variants // self._starts, n, 1 + p)
+        out = np.moveaxis(out.reshape(shape), 0, 2)
+        out = out.reshape(*out.shape[:2], len(draws) * n, 1 + p)
+        return out[..., 0], out[..., 1:]
+
+    def _arguments(
+        self, program: _Program, box: NDArray, draws: NDArray, softness: Softness
+    ) -> list[tuple]:
+        """Return the arguments of every call of a program."""
+        group = program.group
+        chosen = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
+        group = group._replace(draws=chosen, q=group.q[draws])
+        # What is only reported has no part in the objective, nor in its derivatives.
+        runs = _runs_of(group.environment)
+        soft = runs.criteria._replace(sharpness=np.float64(softness.sharpness), report_samples=None)
+        runs = runs._replace(criteria=soft)
+        environment: Any = runs
+        if isinstance(group.environment, AnalysisEnvironment):
+            environment = group.environment._replace(runs=runs)
+        width = np.float64(softness.window_s * self._rate_hz)
+        return [(environment, tiles_of(group, lanes), box, width) for lanes in program.plan]
+
+    def _differentiate(
+        self, group: Group, environment: Any, tiles: Tiles, box: Array, width: Array
+    ) -> tuple[Array, Array]:
+        """Return the values of some tiles' runs and their derivatives by their descent's box."""
+        p = box.shape[1]
+        directions = jnp.broadcast_to(jnp.eye(p)[:, None, :], (p, self._starts, p))
+
+        def lane_parameters(lane: _Lane, box: Array) -> Any:
+            parameters = partial(self._parameters, group.static.method)
+            if not self.samples:
+                return parameters(lane.base, box[lane.start], width)
+            return lane.base._replace(method=parameters(lane.base.method, box[lane.start], width))
+
+        def tile_values(tile: Tiles, box: Array) -> Array:
+            method = jax.vmap(lane_parameters, in_axes=(0, None))(tile.params.method, box)
+            lanes = tile._replace(params=tile.params._replace(method=method))
+            outcome, curves = (group.run or run_tile)(group.static, environment, lanes)
+            criteria = _runs_of(environment).criteria
+            given, truth = (self._tune, criteria, outcome), self._from_truth
+            if isinstance(curves, ErrorCovariance):
+                return objective.relaxed_estimates(*given, curves, truth=truth)
+            return objective.relaxed_values(*given, truth=truth)
+
+        def differentiate_tile(tile: Tiles) -> tuple[Array, Array]:
+            return sensitivities(partial(tile_values, tile), box, directions)
+
+        return jax.lax.map(map_stacked_tiles(group.static, differentiate_tile, tiles), tiles)
+
+
+def sensitivities(
+    function: Callable[[Array], Any], point: Array, directions: Array
+) -> tuple[Any, Any]:
+    """Return value and derivatives of a function along some directions, in one forward pass.
+
+    Args:
+        function: function of an array of the shape of ``point``.
+        point: where to differentiate.
+        directions: (p, *shape of the point).
+
+    Returns:
+        The value, and its derivatives with a leading axis of p.
+    """
+
+    def derivative(direction: Array) -> tuple[Any, Any]:
+        return jax.jvp(function, (point,), (direction,))
+
+    # The value does not depend on the direction, so it is computed once for all of them.
+    return jax.vmap(derivative, out_axes=(None, 0))(directions)
+
+
+# What the variables do to the parameters of methods
+
+
+class ParameterMap:
+    """Map from the variables to a method's parameters, with resets relaxed.
+
+    Each variable changes the parameters by the ratio of its value to that at a base point, see
+    `methods.base.Relaxed`.
+
+    Attributes:
+        study: study with [tune].
+        variables: (p,) variables that the combination of candidates uses.
+        point: the base point, in the middle of all ranges.
+        moves_resets: whether a variable moves resets, all of which are then smooth windows.
+        by_covariance: whether covariance analysis can replace runs with noise: no variable moves
+            resets, and it holds for the study.
+    """
+
+    def __init__(self, study: Study, combination: TomlTable) -> None:
+        """Check that all variables have a gradient.
+
+        Args:
+            study: study with [tune].
+            combination: values of the candidates, one of the combinations of its search space.
+
+        Raises:
+            InputError: ``[tune.variables] key: has no gradient (hint)``.
+        """
+        self.study, space = study, SearchSpace.from_study(study)
+        self.variables = [space.variables[i] for i in space.used(combination)]
+        self.point = space.point(space.values([0.5] * len(space.variables)), combination)
+        based = with_point(study, self.point)
+        relaxed = [
+            _relaxed(name) for name in sorted({v["method"] for v in based.combinations("method")})
+        ]
+        for variable in self.variables:
+            if all(variable.key not in (r.times, *r.changes) for r in relaxed):
+                _refuse(study, f"[tune.variables] {variable.key}")
+        keys = {variable.key for variable in self.variables}
+        self.moves_resets = any(
+            r.soften and not keys.isdisjoint({r.times, *r.moves}) for r in relaxed
+        )
+        self.by_covariance = not self.moves_resets and is_modelled(based)
+        for r in relaxed:
+            if reason := r.refused(based, self.moves_resets):
+                _refuse(study, reason)
+        self._left_out = {
+            follower
+            for r in relaxed
+            for follower in r.follows.values()
+            if not based.has(SECTION_OF[follower]) or based.values(follower)[0] is None
+        }
+        times = space.ranges.get(TIMES, ())
+        assert isinstance(times, tuple)
+        self._fixed_times = [kind.fixed for kind in times[: combination.get(COUNT, len(times))]]
+
+    def __call__(self, method: str, params: Any, box: Array, width: Scalar) -> Any:
+        """Return the method's parameters of one run at a point.
+
+        Args:
+            method: name of the method.
+            params: parameters of the method at the base point.
+            box: (p,) positions of the variables in their ranges, 0 to 1.
+            width: half width of the windows, samples.
+        """
+        relaxed = _relaxed(method)
+        times: list[Any] = list(self._fixed_times)
+        for place, variable in zip(box, self.variables, strict=True):
+            value, base = variable.value(place), variable.value(0.5)
+            if variable.key == TIMES:
+                times[variable.entry or 0] = value
+                continue
+            for key in self._changed_keys(relaxed, variable):
+                params = relaxed.changes[key](params, variable.entry, value, base)
+        if relaxed.soften is None or not self.moves_resets:
+            return params
+        samples = None
+        if times:
+            samples = jnp.stack([jnp.asarray(time) for time in times]) * self.study.rate_hz
+        return relaxed.soften(params, samples, width)
+
+    def _changed_keys(self, relaxed: Relaxed, variable: Variable) -> list[str]:
+        """Return the key of a variable, and one that has its value if the study omits it."""
+        follower = relaxed.follows.get(variable.key, "")
+        keys = [variable.key, *([follower] if follower in self._left_out else [])]
+        return [key for key in keys if key in relaxed.changes]
+
+
+def _relaxed(method: str) -> Relaxed:
+    return METHODS[method].implementation.relaxed or Relaxed({})
+
+
+def _refuse(study: Study, what: str) -> NoReturn:
+    text = "has no gradient (use 'sobol' instead of 'gradient')"
+    raise InputError(f"{study.name}: {what}: {text}")

@@ -1,0 +1,155 @@
+"""The spread of runs by linear covariance analysis, against runs with noise."""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from scipy import stats
+from support.studies import small_study
+
+from sinsjax.covariance import analysis, linear_draws
+from sinsjax.covariance.analysis import ErrorCovariance
+from sinsjax.engine import batch, build
+from sinsjax.engine.lanes import Group
+from sinsjax.units import ARCMIN
+
+pytestmark = pytest.mark.optimised(False)
+
+METHODS = ("kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "invariant", "unscented")
+WATCHED = ("kalman5", "kalman10")
+"""Without and with states that are no part of the solution; methods tell their linear parts to the
+covariance as they do to companions."""
+
+DRAWS = 192
+
+
+SMALL = {
+    **{"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0},
+    **{"gyro_noise_deg_per_h": 0.01, "accel_noise_ug": 50.0},
+}
+"""Errors that leave filters linear: A(t) and gains hardly follow them."""
+
+QUIET = {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0}
+
+
+def study_of(method: str, **changes: Any) -> Any:
+    """A minute from small misalignments, a reset within."""
+    return small_study(
+        **{
+            "study": {"duration_s": 60.0, "draws": DRAWS, "window_s": [30, 60], "curves": True},
+            "alignment": {
+                "method": method,
+                **{"phi_e0_deg": 0.001, "phi_n0_deg": -0.001, "phi_u0_deg": 0.03},
+                "feedback_interval_s": 1.0,
+            },
+            "sensors": SMALL,
+            "cases": [{"reset_times_s": []}, {"reset_times_s": [20.5]}],
+        }
+        | changes
+    )
+
+
+def group_of(study: Any) -> Group:
+    (part,) = build.parts(study, curves=True)
+    return part.group
+
+
+def first_draw_of(group: Group) -> Group:
+    draws, variants = group.sizes
+    return group.select(np.arange(1), np.arange(variants))
+
+
+def spread_of(group: Group, samples: int = 512) -> tuple[ErrorCovariance, Any]:
+    """The spread of each variant, and outcomes of the noise-free runs."""
+    (chunk,) = batch.chunks(analysis.analysis_group(first_draw_of(group), samples))
+    return chunk.curves, chunk.outcome
+
+
+def runs_of(group: Group) -> np.ndarray:
+    """(variants, draws, 3, records) misalignments."""
+    chunks = list(batch.chunks(group))
+    out = np.zeros((*group.sizes[::-1], 3, group.static.records))
+    for chunk in chunks:
+        place = np.searchsorted(group.draws.draw_id, chunk.draw)
+        out[chunk.variant, place] = np.stack(chunk.curves.phi, axis=1)
+    return out
+
+
+class Made(NamedTuple):
+    group: Group
+    phi: np.ndarray
+
+
+@cache
+def made(method: str) -> Made:
+    """A group of a method, and (variants, draws, 3, records) misalignments of its companions."""
+    group = group_of(study_of(method))
+    return Made(group, np.moveaxis(linear_draws.linear_misalignments(group), (2, 3), (0, 1)))
+
+
+@cache
+def told(method: str) -> ErrorCovariance:
+    """What is told of their spread."""
+    return spread_of(made(method).group)[0]
+
+
+@pytest.mark.representative("kalman5")
+@pytest.mark.parametrize("name", METHODS)
+def test_companion_matches_run_of_its_draw_for_small_errors(name: str) -> None:
+    group, companion = made(name)
+    # Sigma points follow the estimate, and gains with them.
+    share = 0.35 if name == "unscented" else 0.05
+    axes, first = slice(None), 10
+    if name == "kalman_sincos":
+        # Sine and cosine show no heading at first, which turns the level error of that time.
+        axes, first = slice(2, None), 40
+    companion, run = (phi[:, :, axes, first:] for phi in (companion, runs_of(group)))
+    rms = np.sqrt(np.mean((companion - run) ** 2, axis=1)) / companion.std(axis=1, ddof=1)
+    assert rms.max() < share, rms
+
+
+@pytest.mark.representative("kalman5")
+@pytest.mark.parametrize("name", WATCHED)
+def test_variance_of_companions_matches_covariance_analysis(name: str) -> None:
+    """Within the chi-square interval of each, at 99.9 % over all that is compared."""
+    spread, companion = told(name), made(name).phi
+    records = [39, 49, 59]
+    count = companion.shape[1]
+    ratio = companion[..., records].var(axis=1, ddof=1) / spread.sigma[..., records] ** 2
+    tail = 0.0005 / ratio.size
+    low, high = stats.chi2.ppf([tail, 1 - tail], count - 1) / (count - 1)
+    assert (ratio > low).all() and (ratio < high).all(), ratio
+
+
+@pytest.mark.representative("kalman5")
+@pytest.mark.parametrize("name", WATCHED)
+def test_settling_times_of_sampled_errors_match_companions(name: str) -> None:
+    """Means of settling times within four standard errors of both."""
+    spread, group, phi_u = told(name), made(name).group, made(name).phi[:, :, 2]
+    (outcome,) = (chunk.outcome for chunk in batch.chunks(first_draw_of(group)))
+    floor = np.asarray(outcome.floor.phi.z)[:, None, None]
+    bands = np.asarray(group.environment.criteria.bands)[:, None]
+    errors = np.stack([phi_u - floor, phi_u], axis=2)[:, :, :, None]
+    times = np.arange(1.0, phi_u.shape[-1] + 1)  # s, one record per second
+    # The end of the last record interval outside the band, (variants, draws, 2, B).
+    outside = np.max((np.abs(errors) > bands) * times, axis=-1)
+    sampled = np.asarray(spread.outside_until)  # (variants, 2, B, samples)
+    a, b = sampled.mean(-1), np.moveaxis(outside, 1, -1).mean(-1)
+    spread_ = np.sqrt(sampled.var(-1) / (sampled.shape[-1]) + outside.var(1) / outside.shape[1])
+    assert (np.abs(a - b) <= 4 * spread_ + 1e-9).all(), (a, b, spread_)
+
+
+def test_noise_free_run_equals_run_of_study_without_noise() -> None:
+    group = group_of(study_of("kalman5"))
+    plain = group_of(study_of("kalman5", sensors=SMALL | QUIET))
+    spread, outcome = spread_of(group)
+    np.testing.assert_allclose(spread.phi, runs_of(plain)[:, 0], rtol=0, atol=1e-9 * ARCMIN)
+    first = next(iter(batch.chunks(plain))).outcome
+    np.testing.assert_array_equal(outcome.outside_until, first.outside_until[:2])
+
+
+def test_error_covariance_without_noise_is_zero() -> None:
+    spread, _ = spread_of(group_of(study_of("kalman5", sensors=SMALL | QUIET)))
+    assert (np.asarray(spread.sigma) == 0).all()
+    assert np.ptp(spread.outside_until, axis=-1).max() == 0

@@ -1,0 +1,77 @@
+"""Variants with the same runs are computed once, and every one of them has its row."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support.studies import small_study
+
+from sinsjax.engine import duplicates
+from sinsjax.engine.build import Scenario
+from sinsjax.execution import run as study_run
+from sinsjax.execution.rerun import rerun
+from sinsjax.execution.tasks import Job, TaskRunner
+from sinsjax.study.study import Study
+
+pytestmark = pytest.mark.optimised(False)
+
+CYCLES = [0.1 * n for n in range(1, 41)]
+SWEPT: dict[str, Any] = {
+    "study": {"duration_s": 4.0, "draws": 6, "window_s": [1, 4]},
+    "axes": {"reset_cycle_s": CYCLES, "reset_count": [0, 1], "phi_u0_deg": [10.0, 30.0]},
+}
+"""160 variants of which 82 differ: without resets no cycle acts."""
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return small_study(**SWEPT)
+
+
+def apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Makes every variant be computed."""
+    monkeypatch.setattr(duplicates, "LEAST_SAVED", 1.0)
+
+
+@pytest.mark.parametrize("curves", [False, True])
+def test_deduplicated_rows_equal_rows_of_all_variants_computed(
+    study: Study, curves: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    together = study_run.run(study, curves=curves, chunk_runs=128)
+    apart(monkeypatch)
+    singly = study_run.run(study, curves=curves, chunk_runs=128)
+    for one, other in zip(together, singly, strict=True):
+        assert one.equals(other)
+    assert together.summary.num_rows == study.n_draws * study.n_variants
+
+
+def test_duplicate_variants_are_computed_once_but_all_runs_counted(study: Study) -> None:
+    runner = TaskRunner(Job(study))
+    (computed,) = [same.computed for same in runner._alike if same is not None]
+    assert len(computed) == 2 * (1 + len(CYCLES))
+    (tasks,) = runner.tasks()
+    assert sum(task.runs for task in tasks) == study.n_draws * study.n_variants
+    for task in tasks:
+        assert runner.do(task).tables["summary"].num_rows == task.runs
+
+
+def test_rerun_of_run_id_reproduces_stored_row(study: Study) -> None:
+    stored = study_run.run(study).summary
+    for run_id in (7, study.n_variants + 4):
+        row = stored.filter(np.asarray(stored["run_id"]) == run_id)
+        assert rerun(study, run_id).row.equals(row)
+
+
+def test_all_variants_are_computed_if_few_are_duplicates() -> None:
+    small = small_study(axes={"reset_cycle_s": [1.0, 2.0], "reset_count": [0, 1, 2]})
+    assert TaskRunner(Job(small))._alike == [None]
+
+
+def test_duplicate_variants_have_equal_engine_parameters(study: Study) -> None:
+    """Those by which the engine tells variants apart here: reset times and misalignment."""
+    part = Scenario(study).part(0)
+    params = part.group.variants
+    samples = np.asarray(params.method.resets.samples)
+    rows = np.column_stack([samples, *params.phi]).tolist()
+    pairs = {*zip(study.duplicate_of[part.variant_ids], map(tuple, rows), strict=True)}
+    assert len({first for first, _ in pairs}) == len({row for _, row in pairs}) == len(pairs)

@@ -1,0 +1,50 @@
+"""A run alone, and the measured increments of one draw, by the engine's only driver."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sinsjax.engine.environment import Draw, Environment, RunParams, Static, derive_inputs
+from sinsjax.engine.lanes import Tiles
+from sinsjax.engine.metrics import Observation, Outcome
+from sinsjax.engine.run import TileRuns, run_tile, set_up
+from sinsjax.engine.samples import draw_sensors
+from sinsjax.types import Increments
+
+
+def first_lane(tree: Any) -> Any:
+    """Add the axis of lanes, or of draws."""
+    return jax.tree.map(lambda a: jnp.asarray(a)[None], tree)
+
+
+def tile_of_one(draw: Draw, params: RunParams) -> Tiles:
+    return Tiles(first_lane(draw), np.zeros(1, np.int32), first_lane(params))
+
+
+def set_up_alone(
+    static: Static, environment: Environment, draw: Draw, params: RunParams
+) -> TileRuns:
+    return set_up(static, environment, tile_of_one(draw, params))
+
+
+def run_alone(
+    static: Static, environment: Environment, draw: Draw, params: RunParams
+) -> tuple[Outcome, Observation | None]:
+    """The outcome of one run, closed after every sample, and its curves, leaves (records,)."""
+    tile = tile_of_one(draw, params)
+    outcome, curves = run_tile(static, environment, tile, by_event=False)
+    outcome = jax.tree.map(lambda a: a[0], outcome)
+    return outcome, jax.tree.map(lambda a: a[..., 0], curves)
+
+
+def measure_alone(static: Static, environment: Environment, draw: Draw, numbers: Any) -> Increments:
+    """Measured increments of one draw from its first sample, leaves (n,)."""
+    draws = first_lane(draw)
+    derived = jax.vmap(lambda draw: derive_inputs(static, environment, draw))(draws)
+    sensors = draw_sensors(static, environment, draws._replace(derived=derived))
+    numbers = jnp.asarray(numbers)
+    measure = sensors.measurer(numbers)
+    increments, _ = measure(sensors.initial_state(), jnp.arange(numbers.size))
+    return jax.tree.map(lambda a: a[:, 0], increments)

@@ -1,0 +1,698 @@
+"""Gradient search: gradients against differences, parameters by variables, descents, cost."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import nullcontext
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from scipy.stats import mstats, norm
+from support.studies import small_study
+
+from sinsjax.covariance.analysis import ErrorCovariance
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.metrics import Criteria, Outcome
+from sinsjax.errors import InputError
+from sinsjax.execution import run
+from sinsjax.execution.tasks import Job
+from sinsjax.methods.floors import BiasFloor
+from sinsjax.methods.registry import METHODS
+from sinsjax.study.search_space import SearchSpace
+from sinsjax.study.study import Study
+from sinsjax.tuning import from_python, gradient, history, objective, run_tuning, search
+from sinsjax.tuning.gradient import TANGENT_STEPS, ParameterMap, Slope, Softness
+from sinsjax.types import Vec3
+from sinsjax.units import ARCMIN
+
+pytestmark = pytest.mark.optimised(False)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def mixing_optax() -> Iterator[None]:
+    """Allow type promotion in optax's update alone.
+
+    If it were allowed in a whole descent, its threads would trace the slope again without it.
+    """
+    strict = optax.adam
+
+    def adam(rate: optax.Schedule) -> optax.GradientTransformation:
+        made = strict(rate)
+
+        def update(*arguments: Any) -> Any:
+            with jax.numpy_dtype_promotion("standard"):
+                return made.update(*arguments)
+
+        return made._replace(update=update)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(optax, "adam", adam)
+        yield
+
+
+def log(low: float, high: float) -> dict[str, Any]:
+    return {"low": low, "high": high, "scale": "log"}
+
+
+def linear(low: float, high: float) -> dict[str, Any]:
+    return {"low": low, "high": high}
+
+
+def tuned(variables: dict[str, Any], sections: dict[str, Any], **tune: Any) -> Study:
+    tune = {"searches": ["gradient"], "tune_draws": 2, "variables": variables} | tune
+    return small_study(**sections, tune=tune)
+
+
+SHORT = {"duration_s": 60.0, "rate_hz": 10.0, "window_s": [20, 60], "settle_bands_arcmin": [300.0]}
+
+STUDIES = {
+    "kalman10": tuned(
+        {
+            "reset_times_s": [linear(10.0, 18.0), linear(22.0, 30.0)],
+            "reset_velocity_m_per_s": log(0.01, 1.0),
+            "reset_level_deg": log(0.1, 20.0),
+            "reset_yaw_deg": log(1.0, 90.0),
+            "reset_accel_bias_ug": log(100.0, 3000.0),
+            "reset_gyro_bias_deg_per_h": log(0.5, 50.0),
+            "p0_velocity_m_per_s": log(0.01, 1.0),
+            "p0_level_deg": log(0.5, 20.0),
+            "p0_yaw_deg": log(5.0, 90.0),
+            "p0_accel_bias_ug": log(100.0, 3000.0),
+            "p0_gyro_bias_deg_per_h": log(0.5, 50.0),
+            "q_scale": log(0.2, 5.0),
+            "q_accel_ug": log(50.0, 5000.0),
+            "q_gyro_deg_per_h": log(0.1, 10.0),
+            "r_scale": log(0.2, 5.0),
+            "r_velocity_m_per_s": log(0.02, 1.0),
+            "feedback_time_constant_s": log(0.5, 20.0),
+        },
+        {
+            "study": SHORT,
+            "alignment": {"method": "kalman10", "phi_e0_deg": 2.0, "phi_n0_deg": 2.0},
+            "filter": {"q_reading": "psd", "r_reading": "psd"},
+            "axes": {"phi_u0_deg": [5.0, 30.0]},
+        },
+        objective="settle_quantile",
+        objective_across="worst",
+        objective_band_arcmin=300.0,
+    ),
+    "counted": tuned(
+        {
+            "reset_first_s": linear(8.0, 12.0),
+            "reset_cycle_s": linear(10.0, 20.0),
+            "q_accel_ug_per_sqrt_hz": log(50.0, 5000.0),
+            "q_gyro_deg_per_h_per_sqrt_hz": log(0.1, 10.0),
+        },
+        {
+            "study": SHORT,
+            "filter": {
+                "q_reading": "psd",
+                "q_accel_ug_per_sqrt_hz": 500.0,
+                "q_gyro_deg_per_h_per_sqrt_hz": 0.1,
+            },
+            "resets": {
+                "reset_count": 2,
+                "reset_first_s": 8.0,
+                "reset_cycle_s": 10.0,
+                "reset_kind": "yaw",
+            },
+        },
+        objective="final_error",
+    ),
+    "random walk": tuned(
+        {"q_gyro_arw_deg_per_sqrt_h": log(0.002, 0.2)},
+        {"study": SHORT, "filter": {"q_reading": "psd", "q_gyro_arw_deg_per_sqrt_h": 0.0017}},
+        objective="final_error",
+    ),
+    "compass": tuned(
+        {
+            "sigma_factors": [linear(1.0, 2.0), linear(0.5, 2.0), {"fixed": 0.7}],
+            "azimuth_sigma_per_s": log(0.02, 0.05),
+            "level_sigma_per_s": log(0.05, 0.2),
+            "turn_smoothing_s": log(1.0, 8.0),
+        },
+        {
+            "study": SHORT | {"duration_s": 120.0, "window_s": [60, 120]},
+            "alignment": {
+                "method": "compass",
+                "phi_e0_deg": 0.1,
+                "phi_n0_deg": -0.1,
+                "phi_u0_deg": 2.0,
+            },
+            "compass": {
+                "level_time_s": 10.0,
+                "sigma_times_s": [40.0, 80.0],
+                "sigma_factors": [1.0, 1.0, 1.0],
+            },
+            "passes": {"stored_s": 40.0},
+        },
+        objective="failure_rate",
+        objective_band_arcmin=300.0,
+    ),
+}
+VARIABLES = [
+    (name, v.name)
+    for name, study in STUDIES.items()
+    for v in SearchSpace.from_study(study).variables
+]
+
+
+def test_studies_cover_every_variable_with_gradient() -> None:
+    tried = {variable.partition("[")[0] for _, variable in VARIABLES}
+    relaxed = [method.implementation.relaxed for method in METHODS.values()]
+    assert tried == {key for r in relaxed if r for key in r.changes} | {"reset_times_s"}
+
+
+AROUND = np.array([-2.0, -1.0, 1.0, 2.0])
+
+
+@cache
+def gradients(name: str) -> dict[str, tuple[float, float]]:
+    """Return the derivative by each variable, and central differences; every point has a lane.
+
+    The error of the differences is of the fourth power of the step. The step of times is so small
+    that no sample crosses the edge of a window, where the slope has a bend.
+    """
+    study = STUDIES[name]
+    variables = SearchSpace.from_study(study).variables
+    count = len(variables)
+    box = np.tile(0.457 + 0.013 * np.arange(count), (1 + 4 * count, 1))
+    times = [v.key in ("reset_times_s", "reset_first_s", "reset_cycle_s") for v in variables]
+    step = np.where(times, 1e-4, 2e-3)
+    for i in range(count):
+        box[1 + 4 * i : 5 + 4 * i, i] += step[i] * AROUND
+    slope = Slope(ParameterMap(study, {}), starts=len(box), draws=2)
+    score, by_box = slope(box, np.arange(2), Softness(5.0, 3.0))
+    ends = score[1:].reshape(count, 4)
+    difference = ends @ np.array([1.0, -8.0, 8.0, -1.0]) / (12 * step)
+    rows = zip(variables, by_box[0], difference, strict=True)
+    return {v.name: (float(ours), float(theirs)) for v, ours, theirs in rows}
+
+
+@pytest.mark.representative(
+    "compass-sigma_factors[0]",
+    "compass-sigma_factors[1]",
+    "counted-reset_first_s",
+    "counted-reset_cycle_s",
+)
+@pytest.mark.parametrize(("name", "variable"), VARIABLES)
+def test_gradients_match_finite_differences(name: str, variable: str) -> None:
+    ours, theirs = gradients(name)[variable]
+    assert theirs != 0 and ours == pytest.approx(theirs, rel=1e-4)
+
+
+WAYS = [
+    ("settle_mean", "mean"),
+    ("settle_quantile", "mean"),
+    ("settle_quantile", "worst"),
+    ("final_error", "mean"),
+    ("final_error", "worst"),
+    ("failure_rate", "worst"),
+]
+
+
+@pytest.mark.parametrize(("what", "across"), WAYS)
+def test_relaxed_score_is_near_hard_score_and_slope_matches_differences(
+    what: str, across: str
+) -> None:
+    study = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, objective=what, objective_across=across)
+    tune = study.tune
+    assert tune is not None
+    runs = np.random.default_rng(7).random((2, 3, 5)) + 0.5
+    score, slope = objective.relaxed_score(tune, runs)
+    if what != "settle_quantile":
+        ratio = np.divide(score, [objective.score(tune, values) for values in runs])
+        if across == "mean":
+            np.testing.assert_allclose(ratio, 1.0, rtol=1e-12)
+        else:  # a power mean of three is below the largest
+            assert np.all((ratio < 1) & (ratio > 3 ** (-1 / 16)))
+    elif across == "mean":
+        quantiles = [mstats.hdquantiles(row, [0.9])[0] for row in runs.reshape(-1, 5)]
+        np.testing.assert_allclose(score, np.reshape(quantiles, (2, 3)).mean(axis=1), rtol=1e-9)
+    for place in np.ndindex(runs.shape):
+        moved = np.zeros_like(runs)
+        moved[place] = 1e-6
+        ahead, behind = (objective.relaxed_score(tune, runs + m)[0] for m in (moved, -moved))
+        expected = np.subtract(ahead, behind) / 2e-6
+        got = np.where(np.arange(2) == place[0], slope[place], 0.0)
+        np.testing.assert_allclose(got, expected, atol=2e-9)
+
+
+# The methods' parameters by the variables
+
+
+def numbers(study: Study, point: dict[str, Any]) -> list[Any]:
+    """Return the method's parameters of every variant of a study at a point."""
+    derived = search.derive_study(study, {"point": point}, name="point")
+    params = Scenario(derived, curves=False).part(0).group.variants.method
+    count = derived.n_variants
+    return [jax.tree.map(lambda a, i=i: jnp.asarray(a)[i], params) for i in range(count)]
+
+
+def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -> None:
+    """Relaxed parameters are those of the study with the keys set to the values there."""
+    space = SearchSpace.from_study(study)
+    chosen = space.combinations[combination]
+    box = np.array([places.get(v.name, 0.5) for v in space.variables])
+    parameters, (method,) = ParameterMap(study, chosen), study.methods
+    expected = numbers(study, space.point(space.values(box), chosen))
+    for base, there in zip(numbers(study, parameters.point), expected, strict=True):
+        got = parameters(method, base, box[space.used(chosen)], np.float64(50.0))
+        if parameters.moves_resets:
+            assert got.resets.width == 50.0
+            samples = np.where(got.resets.samples < 1e14, got.resets.samples, np.inf)
+            got = got._replace(resets=there.resets._replace(samples=samples))
+        for leaf, expected_leaf in zip(jax.tree.leaves(got), jax.tree.leaves(there), strict=True):
+            np.testing.assert_allclose(leaf, expected_leaf, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "variable"), VARIABLES)
+def test_relaxed_variable_matches_setting_study_key(name: str, variable: str) -> None:
+    assert_moved(STUDIES[name], {variable: 0.75})
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_all_relaxed_variables_match_setting_study_keys(name: str) -> None:
+    assert_moved(
+        STUDIES[name], {v.name: 0.75 for v in SearchSpace.from_study(STUDIES[name]).variables}
+    )
+
+
+COUNTED = {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
+P0 = [key for key in METHODS["kalman5"].implementation.relaxed.changes if key.startswith("p0_")]
+
+
+@pytest.mark.parametrize("key", P0)
+def test_reset_covariance_follows_initial_covariance_unless_given(key: str) -> None:
+    """Without an axis of the reset covariance, and with one."""
+    sections = COUNTED | {"alignment": {"method": "kalman10"}}
+    assert_moved(tuned({key: log(1.0, 100.0)}, sections), {key: 0.75})
+    sections["axes"] = {key.replace("p0_", "reset_"): [2.0, 3.0]}
+    assert_moved(tuned({key: log(1.0, 100.0)}, sections), {key: 0.75})
+
+
+def test_first_reset_follows_reset_cycle_unless_given() -> None:
+    """Candidates without resets have nothing to move."""
+    cycle = {"reset_cycle_s": linear(8.0, 16.0), "reset_count": {"candidates": [0, 1, 3]}}
+    for combination in range(3):
+        assert_moved(tuned(cycle, COUNTED), {"reset_cycle_s": 0.75}, combination)
+    given = {"reset_count": 3, "reset_cycle_s": 10.0, "reset_first_s": 3.0}
+    assert_moved(tuned(cycle, COUNTED | {"resets": given}), {"reset_cycle_s": 0.75}, 2)
+
+
+def test_reset_times_match_candidate_reset_count() -> None:
+    ranges = [linear(4.0, 12.0), {"fixed": 20.0}, linear(24.0, 32.0)]
+    variables = {"reset_times_s": ranges, "reset_count": {"candidates": [0, 1, 2, 3]}}
+    study = tuned(variables, {"study": SHORT, "resets": {"reset_times_s": [5.0]}})
+    for combination in range(4):
+        assert_moved(study, {"reset_times_s[0]": 0.75, "reset_times_s[2]": 0.25}, combination)
+
+
+# The relaxed and the hard objective
+
+
+@pytest.mark.slow
+def test_relaxed_objective_converges_to_hard_objective() -> None:
+    """Three descents and two variants; with gravity the draws share a covariance."""
+    study = tuned(
+        {"reset_times_s": [linear(6.0, 18.0)], "q_scale": log(0.1, 10.0)},
+        {
+            "study": SHORT
+            | {"rate_hz": 50.0, "duration_s": 40.0, "window_s": [20, 40], "judged_from": "floor"},
+            "sensors": {"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0},
+            "alignment": {"specific_force": "gravity", "phi_e0_deg": 2.0, "phi_n0_deg": 2.0},
+            "axes": {"phi_u0_deg": [10.0, 30.0]},
+        },
+        objective_band_arcmin=300.0,
+        tune_draws=3,
+    )
+    space = SearchSpace.from_study(study)
+    box = np.array([[0.1, 0.5], [0.6, 0.2], [0.35, 0.9]])
+    points = {str(i): space.point(space.values(row), {}) for i, row in enumerate(box)}
+    derived = search.derive_study(study, points, name="hard")
+    table = run.run(derived, curves=False).summary
+    assert study.tune is not None
+    runs = search.point_values(study, derived, table)
+    hard = [objective.score(study.tune, values) for values in runs]
+    slope = Slope(ParameterMap(study, {}), starts=3, draws=3)
+    softening = (Softness(4.0, 4.0), Softness(2.0, 16.0), Softness(1.0, 64.0))
+    off = [np.abs(slope(box, np.arange(3), softness)[0] - hard) for softness in softening]
+    assert np.all(off[1].max() < 0.7 * off[0].max()) and off[2].max() < 0.35
+    with_other_draws = slope(box, np.array([1, 2, 0]), softening[-1])[0]
+    np.testing.assert_allclose(with_other_draws, slope(box, np.arange(3), softening[-1])[0])
+
+
+@pytest.mark.slow
+def test_memory_barely_grows_with_run_duration() -> None:
+    """Only the true attitudes at record times grow, which a draw's runs share."""
+    needed = []
+    for duration_s in (20.0, 80.0):
+        study = tuned(
+            {"reset_times_s": [linear(5.0, 15.0)]},
+            {"study": SHORT | {"duration_s": duration_s, "window_s": [10, 20]}},
+        )
+        slope = Slope(ParameterMap(study, {}), starts=32, draws=2)
+        box, softness = np.full((32, 1), 0.4), Softness(5.0, 2.0)
+        (program,) = slope.programs(box, np.arange(2), softness)
+        needed.append(program.memory_analysis().temp_size_in_bytes)
+    assert needed[0] < needed[1] < 1.1 * needed[0]
+
+
+# By covariance analysis
+
+
+SMOOTH = tuned(
+    {"p0_yaw_deg": log(5.0, 90.0), "q_scale": log(0.2, 5.0)},
+    {
+        "study": SHORT,
+        "resets": {"reset_times_s": [10.0, 20.0], "reset_kind": "scale", "reset_scale": 20.0},
+        "axes": {"phi_u0_deg": [5.0, 20.0]},
+    },
+    objective_band_arcmin=300.0,
+    descent_screen=12,
+    descent_starts=9,
+    descent_steps=3,
+    descent_draws=1,
+)
+"""Its resets do not move, and are of a kind that cannot be relaxed."""
+
+
+@cache
+def smooth_slope(*, starts: int, draws: int, samples: int) -> Slope:
+    """Return a slope of `SMOOTH`; tracing its program takes longer than a descent."""
+    return Slope(ParameterMap(SMOOTH, {}), starts=starts, draws=draws, samples=samples)
+
+
+@pytest.mark.slow
+def test_covariance_gradients_match_finite_differences() -> None:
+    """F and W are in single precision, which affects differences more than derivatives."""
+    p, step = 2, 4e-3
+    box = np.tile([0.4, 0.45], (1 + 4 * p, 1))
+    for i in range(p):
+        box[1 + 4 * i : 5 + 4 * i, i] += step * AROUND
+    slope = smooth_slope(starts=len(box), draws=1, samples=32)
+    score, by_box = slope(box, np.arange(1), Softness(5.0, 3.0))
+    expected = score[1:].reshape(p, 4) @ np.array([1.0, -8.0, 8.0, -1.0]) / (12 * step)
+    np.testing.assert_allclose(by_box[0], expected, rtol=1e-4)
+    assert np.all(np.abs(expected) > 0.5)
+
+
+@pytest.mark.slow
+def test_covariance_descents_improve_simulated_runs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Their steps are estimates, near a hard edge those of hard resets; their ends are runs."""
+    monkeypatch.setattr(objective, "SAMPLES", 32)
+    monkeypatch.setattr(gradient, "Slope", lambda *_, **given: smooth_slope(**given))
+    found, tune = gradient.descend(SMOOTH), SMOOTH.tune
+    assert tune is not None
+    steps, ends = [e for e in found.evaluations if e.estimated], found.evaluations[-9:]
+    assert [e.step for e in steps] == [i for i in range(3) for _ in range(9)]
+    assert all(e.window_s is None and e.sharpness for e in steps)
+    assert all(e.sharpness is None and not e.estimated for e in ends)
+    draw = 2 * 600  # steps of both variants
+    costs = [12 * 3 * draw + (i + 1) * 9 * 3 * draw * (1 + TANGENT_STEPS * 2) for i in range(3)]
+    assert [e.cost for e in steps[::9]] == costs
+    assert found.cost == costs[-1] + 9 * 2 * draw
+    space = SearchSpace.from_study(SMOOTH)
+    points = {str(i): space.point(e.values, {}) for i, e in enumerate(steps[:9])}
+    derived = search.derive_study(SMOOTH, points, name="begin")
+    hard = objective.estimate_values(tune, derived).reshape(9, -1)
+    box = np.array([space.box(e.values) for e in steps[:9]])
+    slope = smooth_slope(starts=9, draws=1, samples=32)
+    np.testing.assert_allclose(
+        slope(box, np.arange(1), Softness(1.0, 2.0**14))[0], hard.mean(axis=1), atol=0.02
+    )
+    runs = search.point_values(SMOOTH, derived, run.run(derived, curves=False).summary)
+    begun = np.array([objective.score(tune, values) for values in runs])
+    assert np.mean([e.objective for e in ends]) < np.mean(begun) - 1.0
+    assert found.best.objective <= begun.min()
+
+
+@pytest.mark.parametrize("from_floor", [None, 1.3])
+@pytest.mark.parametrize("truth", [False, True])
+@pytest.mark.parametrize("what", ["settle_mean", "final_error", "failure_rate"])
+def test_relaxed_estimates_match_closed_form(
+    what: str, truth: bool, from_floor: float | None
+) -> None:
+    """Two runs, arcmin: means 5 and -1, floor 2, sigma 4, about the floor possibly another."""
+    study = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, objective=what)
+    assert study.tune is not None
+    band = study.tune.objective_band_arcmin
+    phi = np.zeros((3, 1, 2)) + np.array([5.0, -1.0]) * ARCMIN
+    settled = np.arange(2 * 1 * 3 * 2, dtype=float).reshape(2, 1, 3, 2)
+    about = None if from_floor is None else np.full((1, 2), from_floor * ARCMIN)
+    spread = ErrorCovariance(phi, np.full((3, 1, 2), 4.0 * ARCMIN), phi, settled, about)
+    limit = BiasFloor(Vec3(*(np.full(2, of * ARCMIN) for of in (0.0, 0.0, 2.0))), None, None)
+    outcome = Outcome._make([None] * len(Outcome._fields))._replace(floor=limit)
+    criteria = Criteria(np.array([band * ARCMIN]), *(0.0,) * 4, sharpness=4.0)
+    got = objective.relaxed_estimates(study.tune, criteria, outcome, spread, truth=truth)
+    mean = np.array([5.0, -1.0]) - (0.0 if truth else 2.0)
+    sigma = 4.0 if truth or from_floor is None else from_floor
+    inside = norm.cdf((band - mean) / sigma) - norm.cdf((-band - mean) / sigma)
+    expected = {
+        "settle_mean": settled[1 if truth else 0, 0].T,
+        "final_error": np.hypot(mean, sigma)[:, None],
+        "failure_rate": 1.0 - inside[:, None],
+    }
+    np.testing.assert_allclose(got, expected[what], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("sections", "holds"),
+    [
+        ({"resets": {"reset_times_s": [2.0], "reset_at_feedback": True}}, True),
+        ({"alignment": {"method": "compass"}, "compass": {"level_time_s": 2.0}}, True),
+        ({"motion": {"vibration_ug_rms": 10.0}}, False),
+    ],
+)
+def test_fixed_resets_use_covariance_analysis_only_if_valid(
+    sections: dict[str, Any], holds: bool
+) -> None:
+    key = "azimuth_sigma_per_s" if "compass" in sections else "p0_yaw_deg"
+    study = tuned({key: log(0.02, 0.05) if "compass" in sections else log(5.0, 80.0)}, sections)
+    parameters = ParameterMap(study, {})
+    assert not parameters.moves_resets and parameters.by_covariance == holds
+
+
+# Descents
+
+
+@pytest.fixture(scope="module")
+def down() -> tuple[Study, history.SearchResult]:
+    """Descents of a compass whose loop may be too slow or too fast; every step uses both draws.
+
+    Of stored data, though it is navigated once: covariance analysis does not hold for such.
+    """
+    study = tuned(
+        {"azimuth_sigma_per_s": log(0.02, 0.08)},
+        {
+            "study": SHORT | {"duration_s": 120.0, "window_s": [60, 120], "judged_from": "floor"},
+            "alignment": {"method": "compass", "phi_e0_deg": 0.0, "phi_n0_deg": 0.0},
+            "compass": {"level_time_s": 10.0},
+            "passes": {"stored_s": 120.0},
+            "axes": {"phi_u0_deg": [1.0, 2.0]},
+        },
+        objective="final_error",
+        descent_screen=4,
+        descent_starts=2,
+        descent_steps=8,
+        descent_draws=2,
+    )
+    return study, gradient.descend(study)
+
+
+@pytest.mark.slow
+def test_descents_decrease_objective_and_stay_in_bounds(
+    down: tuple[Study, history.SearchResult],
+) -> None:
+    """One ends at the global minimum, one at the edge, which is a local minimum."""
+    study, found = down
+    space = SearchSpace.from_study(study)
+    values = np.array([e.values for e in found.evaluations])
+    assert values.min() >= 0.02 and values.max() <= 0.08
+    for start in range(2):
+        way = [e.objective for e in found.evaluations if e.start == start]
+        assert len(way) == 9 and way[-2] < way[0]
+    points = {str(i): space.point(space.values([i / 40]), {}) for i in range(41)}
+    derived = search.derive_study(study, points, name="scan")
+    table = run.run(derived, curves=False).summary
+    assert study.tune is not None
+    scan = [objective.score(study.tune, v) for v in search.point_values(study, derived, table)]
+    assert found.best.objective < min(scan)
+
+
+@pytest.mark.slow
+def test_descent_history_records_cost_step_and_sharpness(
+    down: tuple[Study, history.SearchResult],
+) -> None:
+    """Cost: the screening, 1 + 2 p runs per start, draw and variant, and the ends."""
+    study, found = down
+    assert TANGENT_STEPS == 2 and study.tune is not None
+    draw = 2 * 1200  # steps of both variants
+    screen, step = 4 * 2 * draw, 2 * 2 * draw * (1 + 2 * 1)
+    expected = [screen + (i + 1) * step for i in range(8) for _ in range(2)]
+    assert [e.cost for e in found.evaluations] == [
+        *expected,
+        *[expected[-1] + 2 * 2 * draw] * 2,
+    ]
+    assert [e.step for e in found.evaluations] == [i for i in range(9) for _ in range(2)]
+    assert [e.start for e in found.evaluations] == [0, 1] * 9
+    sharpness = [e.sharpness for e in found.evaluations[::2]]
+    assert sharpness[-1] is None
+    np.testing.assert_allclose(sharpness[:-1], np.geomspace(6.0, 16.0, 8))
+    assert all(e.window_s is None for e in found.evaluations)  # no resets
+
+
+@pytest.mark.slow
+def test_repeated_descent_gives_same_result(down: tuple[Study, history.SearchResult]) -> None:
+    study, found = down
+    assert gradient.descend(study) == found
+
+
+def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[list[int]] = []
+
+    class FlatSlope(Slope):
+        """A slope of zero that records which draws each step asks for."""
+
+        draws, n_draws, cost = 2, 4, 1
+
+        def __init__(self, *_: Any, **__: Any) -> None:
+            pass
+
+        def __call__(self, box: np.ndarray, draws: np.ndarray, _: Softness) -> tuple:
+            seen.append(draws.tolist())
+            return np.zeros(len(box)), np.zeros_like(box)
+
+    monkeypatch.setattr(gradient, "Slope", FlatSlope)
+    monkeypatch.setattr(
+        search,
+        "score_points",
+        lambda study, name, points, run_cases: search.PointScores([0.0] * len(points), study, None),
+    )
+    study = tuned(
+        {"azimuth_sigma_per_s": log(0.02, 0.08)},
+        {"study": SHORT, "alignment": {"method": "compass"}, "compass": {"level_time_s": 1.0}},
+        descent_screen=1,
+        descent_starts=1,
+        descent_steps=4,
+        descent_draws=2,
+        tune_draws=4,
+    )
+    gradient.descend(study)
+    assert seen == [[0, 1], [2, 3], [0, 1], [2, 3]]
+
+
+def test_resumed_tuning_takes_each_search_from_its_own_points() -> None:
+    """Gradient and covariance searches, which are kept whole."""
+    evaluation = history.Evaluation(0, 0, [1.0], 1.0, 1, 0)
+    known = [history.SearchResult(name, [evaluation]) for name in ("gradient", "covariance")]
+    study = tuned({"p0_yaw_deg": log(5.0, 50.0)}, {"study": SHORT})
+    session = search.SearchSession(
+        Job(study, directory=Path("unused"), resume=True),
+        lambda _: nullcontext(),
+        threading.Event(),
+    )
+    for result in known:
+        found = run_tuning._run_search(
+            study, SearchSpace.from_study(study), result.search, session, known
+        )
+        assert found.search == result.search
+
+
+@pytest.mark.slow
+def test_descent_runs_each_candidate_in_turn() -> None:
+    """Unused variables have no value; a candidate without variables is scored once."""
+    variables = {
+        "reset_times_s": [linear(5.0, 15.0), linear(18.0, 30.0)],
+        "reset_count": {"candidates": [0, 1]},
+    }
+    study = tuned(
+        variables,
+        {"study": SHORT, "resets": {"reset_times_s": [5.0]}},
+        objective="final_error",
+        tune_draws=3,
+        descent_screen=1,
+        descent_starts=1,
+        descent_steps=2,
+        descent_draws=2,
+    )
+    seen: list[tuple[int, int]] = []
+    found = gradient.descend(study, on_progress=lambda p: seen.append((p.done, p.total)))
+    assert seen == [(2, 4), (4, 4)]
+    assert [e.candidate for e in found.evaluations] == [0, 1, 1, 1]
+    np.testing.assert_array_equal(
+        [np.isnan(e.values) for e in found.evaluations], [[True, True], *[[False, True]] * 3]
+    )
+    draw = 600  # steps
+    costs = [3 * draw, 2 * draw * 3, 2 * draw * 3, 3 * draw]
+    assert [e.cost for e in found.evaluations] == list(np.cumsum(costs))
+    assert [e.window_s for e in found.evaluations] == [None, 4.0, 1.0, None]
+    space, hard = (
+        SearchSpace.from_study(study),
+        [e for e in found.evaluations if e.sharpness is None],
+    )
+    assert [e.step for e in hard] == [2, 2]
+    assert study.tune is not None
+    for e in hard:
+        point = space.point(list(np.nan_to_num(e.values)), space.combinations[e.candidate])
+        derived = search.derive_study(study, {"end": point}, name="end")
+        table = run.run(derived, curves=False).summary
+        (runs,) = search.point_values(study, derived, table)
+        assert e.objective == objective.score(study.tune, runs)
+
+
+YAW = {"p0_yaw_deg": log(5.0, 80.0)}
+TIMES = {"reset_times_s": [linear(1.0, 3.0)]}
+TWO = {"reset_times_s": [2.0]}
+
+REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
+    "a key without": (
+        {"feedback_interval_s": linear(0.5, 2.0)},
+        {},
+        "[tune.variables] feedback_interval_s",
+    ),
+    "scale": (TIMES, {"resets": TWO | {"reset_kind": "scale"}}, "[resets] reset_kind = 'scale'"),
+    "scale as an axis": (
+        TIMES,
+        {"resets": TWO, "axes": {"reset_kind": ["full", "scale"]}},
+        "[resets] reset_kind = 'scale'",
+    ),
+    "scale as the last candidate": (
+        TIMES | {"reset_kind": {"candidates": ["full", "yaw", "scale"]}},
+        {"resets": TWO},
+        "[resets] reset_kind = 'scale'",
+    ),
+    "a trigger": (
+        YAW,
+        {"resets": {"reset_trigger": "nis", "trigger_threshold": 9.0}},
+        "[resets] reset_trigger",
+    ),
+    "resets that wait": (
+        TIMES,
+        {"resets": TWO | {"reset_at_feedback": True}},
+        "[resets] reset_at_feedback",
+    ),
+    "resets that restart feedback, as a candidate": (
+        TIMES | {"reset_restarts_feedback": {"candidates": [False, True]}},
+        {"resets": TWO},
+        "[resets] reset_restarts_feedback",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_study_without_gradient_is_refused_before_running(name: str, tmp_path: Path) -> None:
+    variables, sections, what = REFUSED[name]
+    study = tuned(variables, sections, searches=["sobol", "gradient"])
+    with pytest.raises(InputError) as refused:
+        from_python.tune(study, tmp_path / "out")
+    text = f"study: {what}: has no gradient (use 'sobol' instead of 'gradient')"
+    assert str(refused.value) == text
+    assert not (tmp_path / "out").exists()
