@@ -33,7 +33,7 @@ from sinsjax.engine.realisations import (
 from sinsjax.engine.stages import StageFunctions, coarse_program, over_stages
 from sinsjax.maths import rotations
 from sinsjax.methods import passes
-from sinsjax.methods.base import AttitudeCovariance, RunEnd, Site
+from sinsjax.methods.base import RunEnd, Site
 from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.methods.passes import BodyTurn, PassReading
 from sinsjax.types import (
@@ -239,15 +239,6 @@ def begin(static: Static, environment: Environment, site: Site, params: RunParam
     return Run(state, metrics.start(environment.criteria, nav.longitude))
 
 
-def first_covariance(
-    static: Static, environment: Environment, draw: Draw, params: RunParams
-) -> AttitudeCovariance:
-    """The covariance of the attitude before the first sample; arguments as of `simulate`."""
-    setup = set_up(static, environment, draw, params)
-    state = begin(static, environment, setup.site, setup.params).state
-    return method_of(static).covariance(state)
-
-
 def solution(site: Site, q: Quat, ve: Scalar, vn: Scalar) -> Navigation:
     """The navigation solution at the beginning of the record."""
     zero = jnp.zeros_like(ve)
@@ -273,15 +264,14 @@ def open_pass(
         reads: how the interval reads the record, and how the body has turned since it began.
     """
     read, turn = reads
-    if read.opens_pass is None:
+    passes_of_method = method_of(static).passes
+    if read.opens_pass is None or passes_of_method is None:  # such a method has one pass
         return state
     if read.backward is None:
         assert turn is not None
         opened = wound_back(static, pass_records, params, site, state, turn)
     else:
         site_before = passes.site_of_pass(site, ~read.backward)
-        passes_of_method = method_of(static).passes
-        assert passes_of_method is not None
         opened = passes_of_method.turn(params.method, site_before, state)
     return passes.where(read.opens_pass, opened, state)
 

@@ -5,15 +5,15 @@ from collections.abc import Iterator
 import jax
 import numpy as np
 
-from sinsjax.engine import batch, simulate
-from sinsjax.engine.build import parts
-from sinsjax.engine.lanes import Group, shown, tiles_of
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.realisations import method_of
 from sinsjax.engine.study_limits import hidden_north
 from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
-from sinsjax.messages import one_line, seconds
+from sinsjax.messages import seconds
 from sinsjax.methods.filters.parameters import level_settling_s
-from sinsjax.methods.registry import METHODS, PACKAGES, label_plugin
+from sinsjax.methods.plugins import check_plugin
+from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.oddities import told
 from sinsjax.records.plausible import StationaryValues, findings
@@ -48,56 +48,34 @@ def study_warnings(study: Study, stored: StoredRecord | None = None) -> list[str
     return list(_of_record(study, stored))
 
 
-def check_methods(study: Study, stored: StoredRecord | None = None) -> list[str]:
-    """Trace what methods of other packages compute, as a run would.
+def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
+    """Check each plug-in method of a study, see `plugins.check_plugin`.
 
     Args:
         study: checked study, at the rate of its record.
         stored: the record of a recorded study.
 
-    Returns:
-        Warnings where a method's P is not what its description says, one line each.
-
     Raises:
         InputError: one of them cannot be run; names its package.
     """
-    told: dict[str, str | None] = {}
-    if PACKAGES.keys().isdisjoint(study.methods):
-        return []
-    for part in parts(study, stored):
-        static, environment = part.group.static, part.group.environment
-        if static.method not in PACKAGES:
+    plugins = PACKAGES.keys() & study.methods
+    if not plugins:
+        return
+    scenario = Scenario(study, stored, curves=False)
+    for number, static in enumerate(scenario.programs):
+        if static.method not in plugins:
             continue
-        tiles = tiles_of(part.group, batch.plan(part.group)[0])
-        try:
-            batch.program(
-                static, environment, tiles, shown(part.group)
-            )  # a sweep takes it from there
-        except InputError:
-            raise
-        except Exception as error:  # what JAX says of another's function
-            of = label_plugin(static.method)
-            what = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
-            raise InputError(f"{of}: does not trace: {what}") from error
-        if static.method not in told:
-            told[static.method] = _odd_covariance(part.group)
-    return [f"{label_plugin(name)}: covariance: {odd}" for name, odd in told.items() if odd]
-
-
-def _odd_covariance(group: Group) -> str | None:
-    """How P at the start of a first run contradicts the description of its method, in words."""
-    draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, group.draws)
-    params = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
-    first = jax.jit(simulate.first_covariance, static_argnums=0)
-    p = first(group.static, group.environment, draw, params)
-    described, given = METHODS[group.static.method].has_covariance, not np.isnan(p).all()
-    if given and not described:
-        return "gives one, but has_covariance is False (say True, or give no_covariance)"
-    if described and not given:
-        return "gives none as a run begins, but has_covariance is True (without any, say False)"
-    if min(p.ee, p.nn, p.uu) < 0:
-        return "gives a negative variance as a run begins"
-    return None
+        group = scenario.part(number, range(1), blank=stored is None).group
+        params = jax.tree.map(lambda leaf: np.asarray(leaf)[0], group.variants.method)
+        check_plugin(
+            REGISTRY.label(static.method),
+            METHODS[static.method],
+            method_of(static),
+            params,
+            group.environment.site,
+            repeats=static.repeats,
+            rewinds=static.rewinds,
+        )
 
 
 def process_noise(study: Study) -> str | None:

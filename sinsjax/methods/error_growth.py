@@ -213,6 +213,7 @@ def with_growth(method: Method) -> Method:
     assert method.error_model is not None
     error_step, error_angles, start_error, _ = method.error_model
     feedback, results = method.feedback, method.results
+    called = feedback and feedback.called
 
     def init(params: ErrorParams, nav: Navigation) -> Watched:
         inner = method.init(params.inner, nav)
@@ -255,7 +256,7 @@ def with_growth(method: Method) -> Method:
                 inner=feedback.close(params.inner, state.inner, n)
             ),
             lambda params, state, n: feedback.next_event(params.inner, state.inner, n),
-            feedback.called and (lambda state, n: feedback.called(state.inner, n)),
+            called and (lambda state, n: called(state.inner, n)),
         ),
         error_model=ErrorModel(
             error_step,

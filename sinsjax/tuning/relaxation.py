@@ -5,29 +5,20 @@ Each variable changes its method's parameters by the ratio of its value to that 
 """
 
 from collections.abc import Iterator
-from functools import partial
 from typing import Any, NoReturn
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 
-from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
-from sinsjax.methods.base import Change, Relaxed
-from sinsjax.methods.registry import METHODS, PACKAGES, label_plugin
-from sinsjax.records.reference import StoredRecord
+from sinsjax.methods.base import Relaxed
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import SECTION_OF, TomlTable
 from sinsjax.study.load import with_point
 from sinsjax.study.rules import is_modelled
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import COUNT, TIMES
-from sinsjax.tuning import search
 from sinsjax.types import Array, Scalar
-
-_ROUNDING = 1e-6
-"""Relative difference of numbers that are equal but for rounding."""
 
 
 class Relaxation:
@@ -51,13 +42,11 @@ class Relaxation:
         Raises:
             InputError: ``[tune.variables] key: what is wrong (hint)``.
         """
-        self._study = study
         self._variables = {i: space.variables[i] for i in space.used(combination)}
         self.point = space.point(space.values([0.5] * len(space.variables)), combination)
         based = with_point(study, self.point)
-        methods = {point["method"] for point in based.combinations("method")}
-        self._methods = sorted(methods)
-        relaxed = [METHODS[name].implementation.relaxed or Relaxed({}) for name in self._methods]
+        methods = sorted({point["method"] for point in based.combinations("method")})
+        relaxed = [METHODS[name].implementation.relaxed or Relaxed({}) for name in methods]
         for variable in self._variables.values():
             if all(variable.key not in (r.times, *r.changes) for r in relaxed):
                 _refuse(study, f"[tune.variables] {variable.key}")
@@ -106,42 +95,6 @@ class Relaxation:
             samples = jnp.stack([jnp.asarray(time) for time in times]) * self._rate_hz
         return relaxed.soften(params, samples, width)
 
-    def check_changes(self, stored: StoredRecord | None = None) -> None:
-        """Trace how the numbers of methods of other packages follow the variables.
-
-        At its base value a key leaves the numbers as they were made from it, and somewhere in its
-        range they follow it.
-
-        Args:
-            stored: the record of a recorded study.
-
-        Raises:
-            InputError: a function fails, or gives other numbers; names its package.
-        """
-        if PACKAGES.keys().isdisjoint(self._methods):
-            return
-        derived = search.derive(self._study, {"base": self.point}, name=self._study.name)
-        scenario = Scenario(derived, stored, curves=False)
-        for number, program in enumerate(scenario.programs):
-            if program.method in PACKAGES:
-                group = scenario.part(number, range(1), blank=stored is None).group
-                self._check_of(program.method, jax.tree.map(jnp.asarray, group.variants.method))
-
-    def _check_of(self, method: str, params: Any) -> None:
-        """Check the changes of a method; its numbers at the base point, leaves (variants, ...)."""
-        relaxed = METHODS[method].implementation.relaxed or Relaxed({})
-        for variable in self._variables.values():
-            for key in self._moved(relaxed, variable) if variable.key != TIMES else ():
-                change = relaxed.changes[key]
-                acts = key == variable.key  # what follows it may have nothing to change
-                if wrong := _not_following(change, variable, params, acts=acts):
-                    what = f"relaxed.changes[{key!r}]: {wrong}"
-                    raise InputError(f"{label_plugin(method)}: {what}")
-        middle = jnp.full(len(self._variables), 0.5)
-        jax.eval_shape(
-            jax.vmap(partial(self, method), in_axes=(0, None, None)), params, middle, 1.0
-        )
-
     def _moved(self, relaxed: Relaxed, variable: Variable) -> Iterator[str]:
         """Keys that a variable changes numbers by: its own, and one that it stands for."""
         key, twin = variable.key, relaxed.follows.get(variable.key)
@@ -149,41 +102,6 @@ class Relaxation:
             yield key
         if twin is not None and twin in relaxed.changes and twin in self._left_out:
             yield twin
-
-
-def _not_following(change: Change, variable: Variable, params: Any, *, acts: bool) -> str | None:
-    """What is wrong with the numbers that a change gives, in words; None if nothing is.
-
-    Args:
-        change: of the numbers of one run.
-        variable: that they follow.
-        params: numbers at the base point, leaves (variants, ...).
-        acts: whether some number has to follow it.
-    """
-    base = variable.value(0.5)
-
-    def one_run(params: Any, value: Scalar) -> tuple[Any, Any]:
-        def changed(value: Scalar) -> Any:
-            return change(params, variable.entry, value, base)
-
-        found, slopes = jax.jvp(changed, (value,), (jnp.ones_like(value),))
-        real = [a for a in jax.tree.leaves(slopes) if a.dtype != jax.dtypes.float0]
-        return found, jnp.array([jnp.any(a != 0) for a in real]).any()
-
-    at = jax.jit(jax.vmap(one_run, in_axes=(0, None)))
-    found, _ = at(params, jnp.asarray(base))
-    made, have = jax.tree_util.tree_leaves_with_path(params), jax.tree.leaves(found)
-    for (path, number), other in zip(made, have, strict=True):
-        if not np.allclose(other, number, rtol=_ROUNDING, atol=0, equal_nan=True):
-            text = f"gives {path} = {np.ravel(other)[0]:.6g}"
-            made_from = f"at the value {base:.6g} that the numbers were made from"
-            return f"{text}, not {np.ravel(number)[0]:.6g}, {made_from}"
-    if not acts or any(
-        np.any(at(params, jnp.asarray(variable.value(end)))[1]) for end in (0.0, 0.5, 1.0)
-    ):
-        return None
-    low, high = variable.low, variable.high
-    return f"no number changes with it at {low:.6g}, {base:.6g} and {high:.6g}"
 
 
 def _refuse(study: Study, what: str) -> NoReturn:

@@ -58,7 +58,7 @@ def prepare_tuning(
     if job.stored is not None and job.stored.reference is None:
         text = "tuning on a record needs a reference (give it with --reference)"
         raise InputError(f"{job.study.name}: [tune]: {text}")
-    check_searches(job.study, job.stored)
+    check_searches(job.study)
     return job
 
 
@@ -86,24 +86,19 @@ def run_tuning(
         lock.release()
 
 
-def check_searches(study: Study, record: StoredRecord | None = None) -> None:
+def check_searches(study: Study) -> None:
     """Refuse searches that do not go with the variables, before anything runs.
 
     Args:
         study: study with [tune], at the rate of its record.
-        record: the record of a recorded study; without it what other packages' methods say of
-            gradients is not evaluated.
 
     Raises:
-        InputError: a variable without a gradient, or a method of another package whose numbers do
-            not follow its keys.
+        InputError: a variable without a gradient.
     """
     space = SearchSpace.from_study(study)
     if GRADIENT in require_tune(study).searches:
         for combination in space.combinations:
-            relaxation = Relaxation(study, space, combination)
-            if study.is_recorded == (record is not None):
-                relaxation.check_changes(record)
+            Relaxation(study, space, combination)
 
 
 def _search_and_evaluate(study: Study, session: SearchSession) -> None:
