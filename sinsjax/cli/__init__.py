@@ -355,6 +355,14 @@ def main() -> None:
             line = f"interrupted: {interrupted} (continue: {command_to_resume()})"
             print(escape_controls(line), file=sys.stderr)
             raise SystemExit(130) from None
+        except Exception as error:
+            from sinsjax.methods.plugins import describe_plugin_error
+
+            described = describe_plugin_error(error)
+            if described is None:
+                raise
+            print(f"error: {described}", file=sys.stderr)
+            raise SystemExit(2) from None
         if code == 130:  # Ctrl-C outside of a study's chunks, which typer turns into this code
             print("interrupted: what is stored is kept", file=sys.stderr)
         raise SystemExit(code)

@@ -15,18 +15,18 @@ def info() -> None:
     console = plain_console()
     known = runtime.info()
     known["options"] = ", ".join(f"{key} = {value}" for key, value in known["options"].items())
-    for key, value in (known | _methods_from_outside()).items():
+    for key, value in (known | _describe_plugins()).items():
         say(console, f"{key:>20}  {value}")
 
 
-def _methods_from_outside() -> dict[str, str]:
-    """Methods that other packages bring, and why some cannot be used."""
-    from sinsjax.methods.registry import PACKAGES
-    from sinsjax.study.keys import BROKEN
+def _describe_plugins() -> dict[str, str]:
+    """Return the plug-in methods, and the reasons why some cannot be used."""
+    from sinsjax.study.keys import REGISTRY  # without plug-ins that clash with keys of a study
 
-    brought = (f"{name} ({' '.join(PACKAGES[name])})" for name in PACKAGES)
-    told = {"methods from outside": ", ".join(brought), "not usable": "; ".join(BROKEN.values())}
-    return {key: value for key, value in told.items() if value}
+    usable = (f"{name} ({' '.join(package)})" for name, package in REGISTRY.packages.items())
+    broken = "; ".join(REGISTRY.broken.values())
+    lines = {"plug-in methods": ", ".join(usable), "not usable": broken}
+    return {key: value for key, value in lines.items() if value}
 
 
 def bench(

@@ -108,7 +108,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     from sinsjax.study.load import load_with_notes
     from sinsjax.tuning.run_tuning import prepare_tuning
 
-    runtime.configure()  # methods of other packages are evaluated
+    runtime.configure()  # plug-in methods are traced
     overrides = parse_changes(changes or ())
     study, notes = load_with_notes(config, overrides)
     if study.tune:

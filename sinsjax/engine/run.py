@@ -225,7 +225,7 @@ class TileRuns(NamedTuple):
         self, state: Any, sensor_state: SensorState, reading: PassReading
     ) -> tuple[Any, SensorState]:
         """Return the states of runs and sensors as a record interval begins, maybe a new pass."""
-        if reading.opens_pass is None:
+        if reading.opens_pass is None or self.method.passes is None:  # such a method has one pass
             return state, sensor_state
         if reading.backward is not None:
             turn = jax.vmap(partial(turn_state, self.method), in_axes=(0, self.site_axis, 0, None))

@@ -2,17 +2,18 @@
 
 from collections.abc import Iterator
 
+import jax
 import numpy as np
 
-from sinsjax.engine import batch
 from sinsjax.engine.bias_floors import hidden_north
-from sinsjax.engine.build import parts
-from sinsjax.engine.lanes import tiles_of
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.environment import build_method
 from sinsjax.engine.truth import read_site, start_samples
 from sinsjax.errors import InputError
-from sinsjax.messages import one_line, seconds
+from sinsjax.messages import seconds
 from sinsjax.methods.filters.parameters import level_settling_s
-from sinsjax.methods.registry import METHODS, PACKAGES, label_plugin
+from sinsjax.methods.plugins import check_plugin
+from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.oddities import told
 from sinsjax.records.plausible import StationaryValues, findings
@@ -47,35 +48,34 @@ def study_warnings(study: Study, stored: StoredRecord | None = None) -> list[str
     return list(_of_record(study, stored))
 
 
-def check_methods(study: Study, stored: StoredRecord | None = None) -> list[str]:
-    """Trace what methods of other packages compute, as a run would.
+def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
+    """Check each plug-in method of a study, see `plugins.check_plugin`.
 
     Args:
         study: checked study, at the rate of its record.
         stored: the record of a recorded study.
 
-    Returns:
-        Warnings where a method's P is not what its description says, one line each.
-
     Raises:
         InputError: one of them cannot be run; names its package.
     """
-    if PACKAGES.keys().isdisjoint(study.methods):
-        return []
-    for part in parts(study, stored):
-        static = part.group.static
-        if static.method not in PACKAGES:
+    plugins = PACKAGES.keys() & study.methods
+    if not plugins:
+        return
+    scenario = Scenario(study, stored, curves=False)
+    for number, static in enumerate(scenario.programs):
+        if static.method not in plugins:
             continue
-        tiles = tiles_of(part.group, batch.plan(part.group)[0])
-        try:
-            batch.program(part.group, tiles)  # kept for the sweep
-        except InputError:
-            raise
-        except Exception as error:  # what JAX says of another's function
-            of = label_plugin(static.method)
-            what = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
-            raise InputError(f"{of}: does not trace: {what}") from error
-    return []
+        group = scenario.part(number, range(1), blank=stored is None).group
+        params = jax.tree.map(lambda leaf: np.asarray(leaf)[0], group.variants.method)
+        check_plugin(
+            REGISTRY.label(static.method),
+            METHODS[static.method],
+            build_method(static),
+            params,
+            group.environment.site,
+            repeats=static.passes != "once",
+            rewinds=static.passes == "rewind",
+        )
 
 
 def process_noise(study: Study) -> str | None:

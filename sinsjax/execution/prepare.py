@@ -131,7 +131,8 @@ def prepare(
             job = kind.continued(job)
     expected = kind.forecast(study, curves)
     forecast.require_room(study, expected, place, overwrite=overwrite, resume=resumes)
-    doubts = (*checks.check_methods(study, stored), *checks.study_warnings(study, stored))
+    checks.check_plugins(study, stored)
+    doubts = tuple(checks.study_warnings(study, stored))
     if left := study.dropped_s:
         notes.append(f"The last {left:g} s do not fill a record interval and are not run.")
     if study.run_s <= study.study.window_s[0]:

@@ -9,8 +9,10 @@ A plug-in that cannot be loaded affects only the studies that use it. An error o
 reported in one line with the place in that code, see `describe_plugin_error`.
 """
 
+import inspect
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from typing import Any, NamedTuple
@@ -19,6 +21,7 @@ from sinsjax.errors import InputError
 from sinsjax.messages import first_line
 from sinsjax.methods.description import Description
 from sinsjax.platform import runtime
+from sinsjax.value_types import Section
 
 
 class PluginRegistry(NamedTuple):
@@ -26,60 +29,100 @@ class PluginRegistry(NamedTuple):
 
     Attributes:
         methods: usable methods by name, the built-in ones first.
+        sections: their sections of a study file, by name.
         packages: package and version of each method of a plug-in, by name.
         broken: reason in one line why a plug-in cannot be used, by the name of its entry point.
     """
 
     methods: dict[str, Description]
+    sections: dict[str, type[Section]]
     packages: dict[str, tuple[str, str]]
     broken: dict[str, str]
+
+    def label(self, name: str) -> str:
+        """Return the name of a plug-in's method with its package, for messages."""
+        return f"method {name!r} of {' '.join(self.packages[name])}"
 
 
 def load_plugins(built_in: Iterable[Description]) -> PluginRegistry:
     """Return the built-in methods and those of plug-ins; none replaces another."""
-    registry = PluginRegistry({method.name: method for method in built_in}, {}, {})
+    registry = PluginRegistry({}, {}, {}, {})
+    for method in built_in:
+        registry.methods[method.name] = method
+        registry.sections.update(method.sections)
     for point in runtime.method_entry_points():
         try:
-            method = _load_plugin(point, registry.methods)
-        except InputError as error:
-            registry.broken[point.name] = str(error)
+            method = _load_plugin(point, registry)
+        except (Exception, SystemExit) as error:  # anything that the code of others raises
+            reason = str(error)
+            if not isinstance(error, InputError):
+                reason = f"cannot be loaded ({_describe_error(error, point)})"
+            source = f"entry point {point.name!r} in {point.group}{_package_label(point)}"
+            registry.broken[point.name] = f"{source}: {reason}"
             continue
         registry.methods[method.name] = method
+        registry.sections.update(method.sections)
         if point.dist is not None:
             registry.packages[method.name] = point.dist.name, point.dist.version
     return registry
 
 
-def _load_plugin(point: EntryPoint, methods: Mapping[str, Description]) -> Description:
+def _load_plugin(point: EntryPoint, registry: PluginRegistry) -> Description:
     """Return the method of an entry point, whose name, sections and keys must be new."""
-    source = f"entry point {point.name!r} in {point.group}{_package_label(point)}"
-    if point.name in methods:
-        raise InputError(f"{source}: there is already a method {point.name!r}")
-    try:
-        method = point.load()
-    except (Exception, SystemExit) as error:  # anything that the code of others raises
-        where = _last_place(error, _package_folders(point)) or ""
-        raise InputError(
-            f"{source}: cannot be loaded ({type(error).__name__}: {first_line(error)}{where})"
-        ) from error
+    if point.name in registry.methods:
+        raise InputError(f"there is already a method {point.name!r}")
+    method = point.load()
     if not isinstance(method, Description):
-        kind = type(method).__name__
-        raise InputError(f"{source}: {point.value} is a {kind}, not a {Description.__module__}")
+        kind, expected = type(method).__name__, f"{Description.__module__}.Description"
+        raise InputError(f"{point.value} is of type {kind}, expected {expected}")
     if method.name != point.name:
-        raise InputError(f"{source}: its method is called {method.name!r} (give both one name)")
-    for name, section in method.sections.items():
-        for other in methods.values():
-            for taken, existing in other.sections.items():
-                if existing is section:  # methods may share a section as a whole
-                    continue
-                if name == taken:
-                    raise InputError(f"{source}: section [{name}] is that of another method")
-                if keys := sorted(section.model_fields.keys() & existing.model_fields.keys()):
-                    raise InputError(f"{source}: key {keys[0]} is one of section [{taken}]")
+        raise InputError(f"its method is called {method.name!r} (give both one name)")
+    if not all(issubclass(section, Section) for section in method.sections.values()):
+        raise InputError(f"its sections must be subclasses of {Section.__module__}.Section")
+    if clash := _find_clash(method, registry.sections):
+        raise InputError(clash)
     return method
 
 
-def check_plugin(name: str, description: Description, method: Any, params: Any, site: Any) -> None:
+def exclude_clashing(registry: PluginRegistry, common: Mapping[str, type[Section]]) -> None:
+    """Make plug-ins unusable that have a section or key of every study.
+
+    Args:
+        registry: all methods; changed in place.
+        common: sections of every study, by name.
+    """
+    for name in list(registry.packages):
+        if clash := _find_clash(registry.methods[name], common):
+            registry.broken[name] = f"{registry.label(name)}: {clash}"
+            del registry.methods[name], registry.packages[name]
+    used = {name for method in registry.methods.values() for name in method.sections}
+    for name in registry.sections.keys() - used:
+        del registry.sections[name]
+
+
+def _find_clash(method: Description, taken: Mapping[str, type[Section]]) -> str | None:
+    """Return the first section or key of a method that others have, in words."""
+    for name, section in method.sections.items():
+        for other, existing in taken.items():
+            if existing is section:  # methods may share a section as a whole
+                continue
+            if name == other:
+                return f"there is already a section [{name}]"
+            if keys := sorted(section.model_fields.keys() & existing.model_fields.keys()):
+                return f"[{name}] {keys[0]} is a key of [{other}]"
+    return None
+
+
+def check_plugin(
+    name: str,
+    description: Description,
+    method: Any,
+    params: Any,
+    site: Any,
+    *,
+    repeats: bool = False,
+    rewinds: bool = False,
+) -> None:
     """Check the shapes of a plug-in's functions without running them (`jax.eval_shape`).
 
     Args:
@@ -88,10 +131,13 @@ def check_plugin(name: str, description: Description, method: Any, params: Any, 
         method: the `base.Method` that it builds.
         params: of one run, leaves (...).
         site: `base.Site` of one run.
+        repeats: whether a stored record is read repeatedly.
+        rewinds: whether it is read forward every time.
 
     Raises:
-        InputError: ``step`` returns another state than ``init``, or ``attitude``, ``covariance``
-            or ``error_model`` is not what the description promises.
+        InputError: ``step``, ``normalise`` or ``close`` returns another state than ``init``;
+            ``attitude``, ``covariance`` or ``error_model`` is not what the description promises; or
+            the method has no ``passes`` for a record that is read repeatedly.
     """
     import jax
     import numpy as np
@@ -99,36 +145,43 @@ def check_plugin(name: str, description: Description, method: Any, params: Any, 
     from sinsjax.methods.base import AttitudeCovariance
     from sinsjax.types import Navigation, Quat, Sample, Vec3
 
-    def structure(tree: Any) -> Any:
-        return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), tree)
-
     number = np.float64(0.0)
     q = Quat(*(number,) * 4)
     nav, sample = Navigation(q, *(number,) * 4), Sample(q, Vec3(*(number,) * 3))
     state = jax.eval_shape(method.init, params, nav)
-    later = jax.eval_shape(method.step, params, site, state, sample, number)
-    if structure(later) != structure(state):
-        raise InputError(
-            f"{name}: step returns the state {_format_shapes(later)}, init {_format_shapes(state)}"
-        )
-    for field, kind in (("attitude", Quat), ("covariance", AttitudeCovariance)):
-        returned = jax.eval_shape(getattr(method, field), state)
-        if not isinstance(returned, kind) or any(np.shape(leaf) for leaf in returned):
-            text = f"{field} returns {_format_shapes(returned)}, not a {kind.__name__} of numbers"
-            raise InputError(f"{name}: {text}")
+    changes: list[tuple[str, Callable[..., Any], tuple[Any, ...]]] = [
+        ("step", method.step, (params, site, state, sample, number)),
+        ("normalise", method.normalise, (state,)),
+    ]
+    if method.feedback is not None:
+        changes.append(("close", method.feedback.close, (params, state, number)))
+    for what, function, given in changes:
+        later = _format_shapes(jax.eval_shape(function, *given))
+        if later != _format_shapes(state):
+            text = f"{what} returns the state {later}, expected {_format_shapes(state)}"
+            raise InputError(f"{name}: {text}{_place_of(function)}")
+    for what, kind in (("attitude", Quat), ("covariance", AttitudeCovariance)):
+        function = getattr(method, what)
+        found = jax.eval_shape(function, state)
+        if not isinstance(found, kind) or any(np.shape(leaf) for leaf in found):
+            text = f"{what} returns {_format_shapes(found)}, expected {kind.__name__} of numbers"
+            raise InputError(f"{name}: {text}{_place_of(function)}")
     if description.has_error_model and method.error_model is None:
         raise InputError(f"{name}: has_error_model is True, but its Method has no error_model")
+    if repeats and method.passes is None:
+        raise InputError(f"{name}: reads a stored record once (drop [passes])")
+    if rewinds and method.passes.rewind is None:
+        raise InputError(f"{name}: cannot rewind a record (use direction = 'alternate')")
 
 
 def describe_plugin_error(error: BaseException) -> str | None:
-    """Return one line with the place in a plug-in's code that an error is from, None if from none.
+    """Return one line on an error of a plug-in's code, None if the error is not of such code.
 
-    The line names the package, the kind of error, file and line.
+    The line names method, package, kind of error, file and line.
     """
     for point in runtime.method_entry_points():
-        if where := _last_place(error, _package_folders(point)):
-            text = f"{type(error).__name__}: {first_line(error)}{where}"
-            return f"method {point.name!r}{_package_label(point)}: {text}"
+        if _last_place(error, point):
+            return f"method {point.name!r}{_package_label(point)}: {_describe_error(error, point)}"
     return None
 
 
@@ -136,11 +189,16 @@ def _package_label(point: EntryPoint) -> str:
     return f" of {point.dist.name} {point.dist.version}" if point.dist else ""
 
 
-def _last_place(error: BaseException, folders: tuple[str, ...]) -> str | None:
-    """Return the last place of a traceback in some folders, as ``, in file:line``."""
+def _describe_error(error: BaseException, point: EntryPoint) -> str:
+    return f"{type(error).__name__}: {first_line(error)}{_last_place(error, point)}"
+
+
+def _last_place(error: BaseException, point: EntryPoint) -> str:
+    """Return the last place of a traceback in a plug-in's code, as ``, in file:line``."""
+    folders = _package_folders(point)
     frames = traceback.extract_tb(error.__traceback__)
-    inside = [frame for frame in frames if frame.filename.startswith(folders)] if folders else []
-    return f", in {inside[-1].filename}:{inside[-1].lineno}" if inside else None
+    inside = [frame for frame in frames if frame.filename.startswith(folders)]
+    return f", in {inside[-1].filename}:{inside[-1].lineno}" if inside else ""
 
 
 def _package_folders(point: EntryPoint) -> tuple[str, ...]:
@@ -153,6 +211,14 @@ def _package_folders(point: EntryPoint) -> tuple[str, ...]:
         return ()
     folders = spec.submodule_search_locations
     return tuple(f"{folder}/" for folder in folders) if folders else (str(spec.origin),)
+
+
+def _place_of(function: Any) -> str:
+    """Return the place of a function's definition, as ``, in file:line``."""
+    while isinstance(function, partial):
+        function = function.func
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return f", in {code.co_filename}:{code.co_firstlineno}" if code else ""
 
 
 def _format_shapes(tree: Any) -> str:

@@ -1,6 +1,6 @@
 """All alignment methods by name; a new one is registered here. Free of JAX.
 
-Methods of other packages are found by their entry points, see `plugins`.
+Plug-in methods of other packages are found by their entry points, see `plugins`.
 """
 
 from collections.abc import Iterable
@@ -19,7 +19,7 @@ from sinsjax.methods.sincos.config import SINCOS, SURGE
 from sinsjax.methods.zero_velocity.config import KALMAN5, KALMAN10
 from sinsjax.value_types import Section
 
-_REGISTRY = load_plugins(
+REGISTRY = load_plugins(
     (
         KALMAN5,
         KALMAN10,
@@ -34,33 +34,27 @@ _REGISTRY = load_plugins(
         COMPASS,
     )
 )
+"""All methods with their sections, and the state of the plug-ins."""
 
-METHODS: dict[str, Description] = _REGISTRY.methods
+METHODS: dict[str, Description] = REGISTRY.methods
 """Every method; a study names one, and the engine runs it as a `base.Method`."""
 
-PACKAGES: dict[str, tuple[str, str]] = _REGISTRY.packages
+SECTIONS_OF_METHODS: dict[str, type[Section]] = REGISTRY.sections
+"""The sections of a study that belong to methods, by name."""
+
+PACKAGES: dict[str, tuple[str, str]] = REGISTRY.packages
 """Package and version of each method of a plug-in."""
 
-BROKEN: dict[str, str] = _REGISTRY.broken
+BROKEN: dict[str, str] = REGISTRY.broken
 """Reason why a plug-in cannot be used, in one line, by the name of its entry point.
 
 `METHODS` may have a usable method of the same name.
 """
 
-SECTIONS_OF_METHODS: dict[str, type[Section]] = {
-    name: section for method in METHODS.values() for name, section in method.sections.items()
-}
-"""The sections of a study that belong to methods, by name."""
-
 
 def packages_of(names: Iterable[str]) -> dict[str, str]:
     """Return the packages of those methods that are of plug-ins, and their versions."""
     return dict(PACKAGES[name] for name in names if name in PACKAGES)
-
-
-def label_plugin(name: str) -> str:
-    """Return the name of a plug-in's method with its package, for messages."""
-    return f"method {name!r} of {' '.join(PACKAGES.get(name, ('another package',)))}"
 
 
 def hint_broken_plugins() -> str:

@@ -13,13 +13,8 @@ from pydantic_core import PydanticUndefined
 
 from sinsjax.messages import near
 from sinsjax.methods.description import INITIAL_KEYS
-from sinsjax.methods.registry import (
-    BROKEN,
-    METHODS,
-    PACKAGES,
-    SECTIONS_OF_METHODS,
-    label_plugin,
-)
+from sinsjax.methods.plugins import exclude_clashing
+from sinsjax.methods.registry import METHODS, REGISTRY, SECTIONS_OF_METHODS
 from sinsjax.methods.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.schema import (
     Distribution,
@@ -51,45 +46,10 @@ _AFTER: dict[str, type[Section]] = {
     "tune": TuneSection,
 }
 
+_TABLES_OF_SWEEPS = dict.fromkeys(("axes", "cases", "drawn"), Section)
+exclude_clashing(REGISTRY, _BEFORE | _AFTER | _TABLES_OF_SWEEPS)
 
-def _join_sections() -> dict[str, type[Section]]:
-    """Return the sections of every study, and between them those of the methods.
-
-    A method of another package is removed if it has a section or a key that every study has, or
-    reads unknown keys.
-    """
-    common = _BEFORE | _AFTER
-    taken = {key: name for name, section in common.items() for key in section.model_fields}
-    for name, section in list(SECTIONS_OF_METHODS.items()):
-        keys = sorted(section.model_fields.keys() & taken.keys())
-        if name not in common and not keys:
-            continue
-        why = f"[{name}] is a section of every study"
-        if name not in common:
-            why = f"[{name}] {keys[0]} is a key of [{taken[keys[0]]}]"
-        for method in [one.name for one in METHODS.values() if name in one.sections]:
-            _refuse(method, why)
-    sections: list[type[Section]] = [AlignmentSection, PassesSection, *SECTIONS_OF_METHODS.values()]
-    known = {key for section in sections for key in section.model_fields}
-    for one in [*METHODS.values()]:
-        if strange := sorted({*one.reads} - known):
-            hint = near(strange[0], sorted(known))
-            why = f"reads: {strange[0]!r} is no key of [alignment] or [passes]{hint}"
-            _refuse(one.name, why)
-    return _BEFORE | SECTIONS_OF_METHODS | _AFTER
-
-
-def _refuse(method: str, why: str) -> None:
-    """Remove a method of another package, with the sections that no other method has."""
-    BROKEN[method] = f"{label_plugin(method)}: {why}"
-    del METHODS[method]
-    PACKAGES.pop(method, None)
-    left = {name for one in METHODS.values() for name in one.sections}
-    for name in SECTIONS_OF_METHODS.keys() - left:
-        del SECTIONS_OF_METHODS[name]
-
-
-SECTIONS = _join_sections()
+SECTIONS = _BEFORE | SECTIONS_OF_METHODS | _AFTER
 """Sections of leaf keys by their name in the file."""
 
 TUNABLE = ("alignment", *SECTIONS_OF_METHODS, "passes")

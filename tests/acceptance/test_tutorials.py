@@ -167,7 +167,7 @@ def test_own_method_page_shows_example_package_files() -> None:
     They run the study at its end, too.
     """
     folder = ROOT / "tests" / "example_method"
-    modules = (f"averaged_alignment/{name}.py" for name in ("description", "method", "relaxed"))
+    modules = (f"averaged_alignment/{name}.py" for name in ("config", "method"))
     files = ("pyproject.toml", *modules)
     shown = [text for language, text in blocks("own_method.md") if language in ("toml", "python")]
     assert shown[:-1] == [(folder / name).read_text("utf-8") for name in files]

@@ -134,13 +134,15 @@ def test_parts_split_by_stored_length_share_one_program() -> None:
     assert group_of().static.passes == "once"
     environments = [part.group.environment for part in parts]
     assert [int(environment.pass_records) for environment in environments] == [2, 3]
-    np.testing.assert_array_equal(environments[0].increments, environments[1].increments)
-    assert len(environments[0].increments) == 300
+    np.testing.assert_array_equal(
+        environments[0].sensors.increments, environments[1].sensors.increments
+    )
+    assert len(environments[0].sensors.increments) == 300
     whole = group_of().environment
     np.testing.assert_allclose(
-        environments[0].increments, whole.increments[:300], rtol=0, atol=1e-18
+        environments[0].sensors.increments, whole.sensors.increments[:300], rtol=0, atol=1e-18
     )
-    true = np.concatenate([whole.truth[0, :1] * np.nan, whole.truth[0]])
+    true = np.concatenate([whole.truth.attitudes[0, :1] * np.nan, whole.truth.attitudes[0]])
     for environment, places in zip(
         environments, ([1, 2, 1, 0, 1, 2], [1, 2, 3, 2, 1, 0]), strict=True
     ):

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.optimised(False)
 
 ONCE = (
     "prepare.prepare",
-    "checks.check_methods",
+    "checks.check_plugins",
     "checks.study_warnings",
     "forecast.of",
     "forecast.require_room",

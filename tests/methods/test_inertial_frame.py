@@ -204,3 +204,12 @@ def test_inertial_frame_methods_refuse_passes_with_reason(name):
     assert line == (
         f"[passes] stored_s: does not apply to method {name}, which reads a record once (drop it)"
     )
+
+
+@pytest.mark.optimised(False)
+def test_inertial_frame_method_runs_with_single_pass():
+    plain, once = (
+        run_study(small_study(alignment={"method": "inertial"}, **tables)).summary["phi_u_arcmin"]
+        for tables in ({}, {"passes": {"passes": 1}})
+    )
+    np.testing.assert_allclose(once, plain, rtol=1e-9)

@@ -1,0 +1,169 @@
+"""A plug-in method: a package with a method, found by its entry point."""
+
+import os
+import re
+import shutil
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.forked import Server
+
+import sinsjax
+from sinsjax.methods import base
+
+EXAMPLE = Path(__file__).parents[1] / "example_method"
+DOCS = EXAMPLE.parents[1] / "docs"
+PAGE, EXTENDING = ((DOCS / f"{name}.md").read_text("utf-8") for name in ("own_method", "extending"))
+STUDY = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)[-1]
+CONFIG, METHOD = (f"averaged_alignment/{name}.py" for name in ("config", "method"))
+POINTS = "averaged_alignment-1.0.dist-info/entry_points.txt"
+WHOSE = "method 'averaged' of averaged-alignment 1.0: "
+BROKEN = "averages.toml: [alignment] method: 'averaged' cannot be used: "
+SOURCE = f"{BROKEN}entry point 'averaged' in sinsjax.methods of averaged-alignment 1.0: "
+
+
+def test_own_method_pages_document_options_and_groups_of_method() -> None:
+    fields = ", ".join(base.AttitudeCovariance._fields)
+    assert f"`AttitudeCovariance({fields})`" in PAGE
+    assert all(f"`{name}`" in PAGE for name in base.Options._fields)
+    required = [name for name in base.Method._fields if name not in base.Method._field_defaults]
+    assert all(f"| `{name}` |" in PAGE for name in required)
+    for group in ("Feedback", "Passes", "ErrorModel"):
+        assert f"`{group}`" in PAGE and f"::: sinsjax.methods.base.{group}\n" in EXTENDING
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder in which the example package is installed."""
+    build = pytest.importorskip("hatchling.build")
+    folder = tmp_path_factory.mktemp("site")
+    source = shutil.copytree(EXAMPLE, tmp_path_factory.mktemp("source") / "example")
+    here = os.getcwd()
+    try:
+        os.chdir(source)
+        wheel = build.build_wheel(str(folder))
+    finally:
+        os.chdir(here)
+    with zipfile.ZipFile(folder / wheel) as archive:
+        archive.extractall(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def forked() -> Iterator[Server]:
+    """Runs command lines in processes that find the package."""
+    server = Server()
+    yield server
+    server.close()
+
+
+def change(site: Path, folder: Path, file: str, old: str, new: str) -> Path:
+    """Return a copy of the installed package with another text in one of its files."""
+    changed = shutil.copytree(site, folder / "site")
+    text = (changed / file).read_text()
+    assert old in text
+    (changed / file).write_text(text.replace(old, new))
+    return changed
+
+
+@pytest.mark.slow
+@pytest.mark.optimised(False)
+def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
+    forked: Server, site: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "averages.toml").write_text(STUDY)
+    commands = ("keys", "averaged"), ("info",), ("sweep", "averages.toml", "-o", "out")
+    keys, info, sweep = forked(*commands, site=site, cwd=tmp_path)
+    assert (keys.returncode, keys.stderr) == (0, "")
+    assert "averaging_time_s" in keys.stdout and "time constant of the averages" in keys.stdout
+    assert "package: averaged-alignment 1.0" in keys.stdout
+    assert "plug-in methods  averaged (averaged-alignment 1.0)" in info.stdout
+    assert sweep.returncode == 0, sweep.stderr
+    assert sinsjax.read_manifest(tmp_path / "out")["versions"]["averaged-alignment"] == "1.0"
+    runs = sinsjax.read_summary(tmp_path / "out").to_pylist()
+    errors = {row["method"]: row["phi_u_arcmin"] - row["floor_arcmin"] for row in runs}
+    assert set(errors) == {"averaged", "inertial"} and max(map(abs, errors.values())) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("edit", "line"),
+    [
+        (
+            (POINTS, "config:", "nowhere:"),
+            f"{SOURCE}cannot be loaded (ModuleNotFoundError: No module named 'averaged_alignment."
+            "nowhere')",
+        ),
+        (
+            (CONFIG, ": AveragedSection}", ": dict}"),
+            f"{SOURCE}its sections must be subclasses of sinsjax.value_types.Section",
+        ),
+        (
+            (CONFIG, "averaging_time_s", "duration_s"),
+            f"{BROKEN}{WHOSE}[averaged] duration_s is a key of [study]",
+        ),
+    ],
+)
+def test_broken_plugin_is_one_line_and_affects_only_studies_that_use_it(
+    forked: Server, site: Path, tmp_path: Path, edit: tuple[str, str, str], line: str
+) -> None:
+    (tmp_path / "averages.toml").write_text(STUDY)
+    changed = change(site, tmp_path, *edit)
+    commands = ("validate", "averages.toml"), ("validate", "reset_sweep")
+    own, other = forked(*commands, site=changed, cwd=tmp_path)
+    assert (own.returncode, own.stderr) == (2, f"error: {line}\n")
+    assert (other.returncode, other.stderr) == (0, "")
+
+
+def test_misnamed_entry_point_is_reported_by_validate_and_info(
+    forked: Server, site: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "averages.toml").write_text(STUDY)
+    changed = change(site, tmp_path, POINTS, "averaged =", "other =")
+    validate, info = forked(("validate", "averages.toml"), ("info",), site=changed, cwd=tmp_path)
+    assert validate.returncode == 2 and "not 'averaged'" in validate.stderr
+    for line in validate.stderr.splitlines():
+        assert "`sinsjax info` shows why" in line
+    assert "not usable  entry point 'other' in sinsjax.methods of averaged-a" in info.stdout
+
+
+@pytest.mark.parametrize(
+    ("edit", "text", "marked"),
+    [
+        (
+            (METHOD, "turn = add(", "turn = state.nothing  # ("),
+            "AttributeError: '_State' object has no attribute 'nothing'",
+            "state.nothing",
+        ),
+        ((METHOD, ", force, turn)", ", force, n)"), "step returns the state _State(", "def step"),
+        (
+            (CONFIG, "has_covariance=False", "has_error_model=True"),
+            "has_error_model is True, but its Method has no error_model",
+            "",
+        ),
+    ],
+)
+def test_validate_and_sweep_report_wrong_plugin_method_in_one_line(
+    forked: Server, site: Path, tmp_path: Path, edit: tuple[str, str, str], text: str, marked: str
+) -> None:
+    (tmp_path / "averages.toml").write_text(STUDY)
+    changed = change(site, tmp_path, *edit)
+    commands = ("validate", "averages.toml"), ("sweep", "averages.toml", "-o", "out")
+    for ended in forked(*commands, site=changed, cwd=tmp_path):
+        assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+        assert ended.stderr.startswith(f"error: {WHOSE}{text}")
+        if marked:
+            lines = (changed / METHOD).read_text().splitlines()
+            (number,) = (number for number, line in enumerate(lines, 1) if marked in line)
+            assert ended.stderr.endswith(f", in {changed / METHOD}:{number}\n")
+
+
+def test_passes_with_plugin_that_reads_record_once_are_refused(
+    forked: Server, site: Path, tmp_path: Path
+) -> None:
+    study = STUDY.replace('["averaged", "inertial"]', '["averaged"]')
+    (tmp_path / "averages.toml").write_text(f"{study}[passes]\nstored_s = 20.0\n")
+    (ended,) = forked(("validate", "averages.toml"), site=site, cwd=tmp_path)
+    line = f"{WHOSE}reads a stored record once (drop [passes])"
+    assert (ended.returncode, ended.stderr) == (2, f"error: {line}\n")
