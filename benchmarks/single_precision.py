@@ -20,7 +20,7 @@ from sinsjax.engine.batch import chunks
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.success import FLOOR
-from sinsjax.maths.algebra import numbers_of
+from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.methods import kalman
 from sinsjax.methods.base import Method, Options, Site
 from sinsjax.methods.registry import METHODS
@@ -60,8 +60,8 @@ def build(model: LinearModel, options: Options) -> Method:
         sample: Sample,
         n: Scalar,
     ) -> zero_velocity.FilterState:
-        nav, f_dt = mechanisation.step(state.nav, sample, site.place, options.dt)
-        entries = numbers_of(model.transition(state.nav, site.place, f_dt, options.dt))
+        nav, f_dt = mechanisation.advance_navigation(state.nav, sample, site.place, options.dt)
+        entries = entries_as_numbers(model.transition(state.nav, site.place, f_dt, options.dt))
         transition = single(entries)
         belief = kalman.predict(state.belief, transition, single(params.q))
         belief = kalman.update(belief, (0, 1), single((nav.ve, nav.vn)), single(params.r))

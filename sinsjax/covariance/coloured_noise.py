@@ -19,7 +19,7 @@ from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Minus, Triangle, times_plus_identity
 from sinsjax.methods.base import ErrorStep, apply_gain
 from sinsjax.strapdown.disturbances import Disturbances
-from sinsjax.strapdown.processes import Process, constant
+from sinsjax.strapdown.processes import Process, constant_process
 from sinsjax.types import Array, Quat, Scalar
 
 _LEAST_SHARE = 1e-12
@@ -97,7 +97,9 @@ def increment_errors(
         accel_bias: (3,) likewise, m/s^2.
     """
     drawn = {"gyro_bias": gyro_bias, "accel_bias": accel_bias}
-    constants = {name: constant(sigma) for name, sigma in drawn.items() if sigma is not None}
+    constants = {
+        name: constant_process(sigma) for name, sigma in drawn.items() if sigma is not None
+    }
     errors = {}
     for name, process in (disturbances._asdict() | constants).items():
         if process is None:

@@ -47,10 +47,10 @@ from sinsjax.covariance.coloured_noise import (
     increment_errors,
     present_processes,
 )
-from sinsjax.maths.algebra import numbers_of
+from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.error_model import PHI_E, PHI_U, VE, five_state
+from sinsjax.strapdown.error_model import PHI_E, PHI_U, VE, five_state_transition
 from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.types import Navigation, Quat, Vec3
 
@@ -142,8 +142,8 @@ def sample_model(
     n = PHI_U + 1 + sum(3 * len(process.drive) for process, _ in coloured)
     f, noise, initial = np.eye(n), np.zeros((n, n)), np.zeros((n, n))
     still = Navigation(Quat(1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
-    level = five_state(still, place, Vec3(0.0, 0.0, place.gravity * dt), dt)
-    for where, entry in numbers_of(level).items():
+    level = five_state_transition(still, place, Vec3(0.0, 0.0, place.gravity * dt), dt)
+    for where, entry in entries_as_numbers(level).items():
         f[where] += entry
     for first, sigma in ((VELOCITY, errors.accel_noise), (ANGLE, errors.gyro_noise)):
         effect = _effect_of_increments(first, to_n)

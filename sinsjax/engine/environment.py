@@ -17,7 +17,7 @@ from sinsjax.methods.base import Method, Options, Site
 from sinsjax.methods.floors import MeanBiases, mean_biases
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import base_motion, earth, sensors
-from sinsjax.strapdown.base_motion import Sensed
+from sinsjax.strapdown.base_motion import IdealSample
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.types import Array, Count, Flag, Quat, Scalar, Vec3
 
@@ -205,7 +205,7 @@ class DerivedInputs(NamedTuple):
 
     site: Site | None = None
     biases: MeanBiases | None = None
-    rest: Sensed | None = None
+    rest: IdealSample | None = None
     nodes: base_motion.Nodes | None = None
 
 
@@ -295,9 +295,9 @@ def derive_inputs(static: Static, environment: Environment, draw: Draw) -> Deriv
     rest = nodes = None
     if draw.motion is not None:
         rate_hz = 1 / static.options.dt
-        nodes = base_motion.nodes(motion, rate_hz)
+        nodes = base_motion.integration_nodes(motion, rate_hz)
         if not static.sensors.sways:
-            rest = base_motion.sensed(motion, nodes, site.place, rate_hz, 0.0)
+            rest = base_motion.ideal_sample(motion, nodes, site.place, rate_hz, 0.0)
             nodes = None
     return DerivedInputs(
         None if draw.latitude is None else site, mean_biases(errors, motion), rest, nodes

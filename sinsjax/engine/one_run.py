@@ -174,14 +174,14 @@ def one_run(
 
 def _smooth_resets(study: Study, group: Group, method: Any, window_s: float) -> Any:
     """Return the params of a method with each reset spread over a smooth window."""
-    relaxed = METHODS[group.static.method].implementation.relaxed
-    if relaxed is None or relaxed.soften is None:
+    relaxed = METHODS[group.static.method].implementation.relaxation
+    if relaxed is None or relaxed.smooth_resets is None:
         raise InputError(f"{study.name}: window_s: {group.static.method!r} has no resets to spread")
-    if key := relaxed.refused(study, True):
+    if key := relaxed.find_unsupported(study, True):
         raise InputError(f"{study.name}: window_s: {key} cannot be spread over windows")
     if not window_s * study.rate_hz >= 1:
         raise InputError(f"{study.name}: window_s: must be a sample or more, not {window_s:g}")
-    soft = relaxed.soften(method, None, np.float64(window_s * study.rate_hz))
+    soft = relaxed.smooth_resets(method, None, np.float64(window_s * study.rate_hz))
     return jax.tree.map(np.asarray, soft)
 
 

@@ -29,7 +29,7 @@ from sinsjax.methods import passes
 from sinsjax.methods.base import Site
 from sinsjax.methods.passes import BodyRotation, PassReading
 from sinsjax.strapdown import base_motion, disturbances, sensors
-from sinsjax.strapdown.base_motion import Sensed
+from sinsjax.strapdown.base_motion import IdealSample
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.types import Array, Count, Increments, Sample, Vec3
 
@@ -68,7 +68,7 @@ class BlockInputs(NamedTuple):
 
     numbers: Array
     normal: Increments | None
-    exact: Sensed | None
+    exact: IdealSample | None
     driving: Disturbances
 
 
@@ -125,7 +125,7 @@ class DrawSensors(NamedTuple):
                 numbers,
                 self.normal_numbers(numbers),
                 exact,
-                disturbances.driving(
+                disturbances.driving_noise(
                     draw_disturbances(self.model, self.draws),
                     self.model.seed,
                     self.draws.draw_id,
@@ -140,7 +140,7 @@ class DrawSensors(NamedTuple):
         """Return standard normal numbers of n samples, leaves (n, draws); None without noise."""
         if not self.program.noisy:
             return None
-        return sensors.noise(self.model.seed, self.draws.draw_id, numbers)
+        return sensors.draw_normal_numbers(self.model.seed, self.draws.draw_id, numbers)
 
     def make_record(self, block: int) -> Increments:
         """Return the kept records of all draws, made block by block, leaves (samples, draws)."""
@@ -169,7 +169,7 @@ class DrawSensors(NamedTuple):
         state: SensorState,
         n: Count,
         normal: Increments | None,
-        exact: Sensed | None,
+        exact: IdealSample | None,
         driving: Disturbances,
     ) -> tuple[SensorState, Increments]:
         """Measure the next sample of one draw.
@@ -187,12 +187,16 @@ class DrawSensors(NamedTuple):
         """
         errors, dt = sensor_errors(self.model, self.draws), self.dt
         exact = self._ideal_sample(n) if exact is None else exact
-        processes, disturbed = disturbances.advance(
+        processes, disturbed = disturbances.advance_processes(
             draw_disturbances(self.model, self.draws), state.processes, driving, dt
         )
-        moved = disturbances.moved(exact, disturbed, draw_site(self.site, self.draws).place, dt)
-        now = sensors.measure(moved, errors, normal, dt, distorted=self.program.distorted)
-        now, remainder = disturbances.drifted(now, disturbed), state.remainder
+        moved = disturbances.disturb_motion(
+            exact, disturbed, draw_site(self.site, self.draws).place, dt
+        )
+        now = sensors.measure_increments(
+            moved, errors, normal, dt, distorted=self.program.distorted
+        )
+        now, remainder = disturbances.add_drifts(now, disturbed), state.remainder
         if remainder is not None:
             now, remainder = sensors.quantise(now, errors, remainder)
         state = state._replace(processes=processes, remainder=remainder)
@@ -201,28 +205,30 @@ class DrawSensors(NamedTuple):
     def _initial_state_of_one(self) -> SensorState:
         zero = jnp.zeros((), self.dtype)
         zeros = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-        processes = disturbances.begin(
+        processes = disturbances.initial_states(
             draw_disturbances(self.model, self.draws), self.model.seed, self.draws.draw_id
         )
         remainder = zeros if has_quantisation(self.model, self.draws) else None
         return SensorState(zeros, processes, remainder, self.rotation)
 
-    def _ideal_sample(self, n: Count) -> Sensed:
+    def _ideal_sample(self, n: Count) -> IdealSample:
         """Return what ideal sensors measure over sample n: stored, or of the draw's own base."""
         draw = self.draws
         if draw.derived.rest is not None:
             return draw.derived.rest
         if draw.motion is None:
             place = draw.start + n
-            stored = sensors.split(jnp.asarray(self.model.increments)[place])
+            stored = sensors.split_record_row(jnp.asarray(self.model.increments)[place])
             if self.model.axes is None:
-                return Sensed(stored, None)
+                return IdealSample(stored, None)
             row = jnp.asarray(self.model.axes)[place]
-            return Sensed(stored, base_motion.Axes(*(Vec3(*row[3 * i :][:3]) for i in range(3))))
+            return IdealSample(
+                stored, base_motion.Axes(*(Vec3(*row[3 * i :][:3]) for i in range(3)))
+            )
         assert draw.derived.nodes is not None
         here = draw_site(self.site, draw).place
         k = jnp.asarray(n, self.dtype)
-        return base_motion.sensed(draw.motion, draw.derived.nodes, here, 1 / self.dt, k)
+        return base_motion.ideal_sample(draw.motion, draw.derived.nodes, here, 1 / self.dt, k)
 
     def _zero_before_record(self, n: Count, increments: Increments) -> Increments:
         if not self.starts_with_zeros:
@@ -236,7 +242,7 @@ class DrawSensors(NamedTuple):
             lambda draw: function(self._replace(draws=draw)), in_axes=(draw_axes(self.draws),)
         )(self.draws)
 
-    def _integrate_shared_motion(self, numbers: Array) -> Sensed | None:
+    def _integrate_shared_motion(self, numbers: Array) -> IdealSample | None:
         """Return ideal increments of n samples of the base that all draws share, leaves (n,).
 
         None if they are stored, or if each draw has its own base.
@@ -245,14 +251,14 @@ class DrawSensors(NamedTuple):
             return None
         assert self.model.motion is not None
         motion, place, rate_hz = self.model.motion, self.site.place, 1 / self.dt
-        nodes = base_motion.nodes(motion, rate_hz)
-        sense = partial(base_motion.sensed, motion, nodes, place, rate_hz)
+        nodes = base_motion.integration_nodes(motion, rate_hz)
+        sense = partial(base_motion.ideal_sample, motion, nodes, place, rate_hz)
         k = jnp.asarray(numbers, self.dtype)
         if k.size <= SAMPLES_PER_CALL:
             return jax.vmap(sense)(k)
         return jax.lax.map(sense, k, batch_size=SAMPLES_PER_CALL)
 
-    def _integrate_swaying_motions(self, numbers: Array) -> Sensed | None:
+    def _integrate_swaying_motions(self, numbers: Array) -> IdealSample | None:
         """Return ideal increments of n samples on the draws' swaying bases, leaves (n, draws).
 
         All are made in one row. None if draws have no swaying base.
@@ -378,4 +384,4 @@ def draw_axes(draws: Draw) -> Any:
 
 def _increments_from_rows(rows: Array) -> Increments:
     """Return increments with leaves (n, ...) from rows (n, 6, ...)."""
-    return sensors.split(jnp.moveaxis(rows, 1, 0))
+    return sensors.split_record_row(jnp.moveaxis(rows, 1, 0))

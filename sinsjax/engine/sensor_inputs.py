@@ -128,18 +128,20 @@ def read_disturbances(variants: Variants, ug: float, rate_hz: float) -> Disturba
 
     surge_s, vibration = number("surge_time_s"), number("vibration_hz")
     if variants.common("surge_model") == "gauss_markov":
-        surge = optional_process("surge_m_per_s", processes.gauss_markov, 1.0, surge_s)
+        surge = optional_process("surge_m_per_s", processes.gauss_markov_process, 1.0, surge_s)
     else:
         bandwidth = number("surge_bandwidth_hz")
         surge = optional_process(
-            "surge_m_per_s", processes.bounded_velocity, 1.0, surge_s, bandwidth
+            "surge_m_per_s", processes.bounded_velocity_process, 1.0, surge_s, bandwidth
         )
     resonant = vibration, number("vibration_damping")
-    drift, walk = processes.mean_gauss_markov, processes.mean_random_walk
+    drift, walk = processes.sampled_mean_of_gauss_markov, processes.sampled_mean_of_random_walk
     # A vibrating velocity or angle with rms 1 has a derivative with rms omega.
     omega = 2 * np.pi * vibration[..., None]
-    shaking = optional_process("vibration_ug_rms", processes.resonance, ug, *resonant)
-    rocking = optional_process("vibration_deg_per_h_rms", processes.resonance, DEG_PER_H, *resonant)
+    shaking = optional_process("vibration_ug_rms", processes.resonance_process, ug, *resonant)
+    rocking = optional_process(
+        "vibration_deg_per_h_rms", processes.resonance_process, DEG_PER_H, *resonant
+    )
     return Disturbances(
         surge=surge,
         gyro_instability=optional_process(

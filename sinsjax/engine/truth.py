@@ -284,7 +284,7 @@ def record_environment(
     )
     environment = Environment(
         site=site,
-        sensors=SensorModel(increments, sensors.perfect(), np.asarray(study.seed)),
+        sensors=SensorModel(increments, sensors.error_free_sensors(), np.asarray(study.seed)),
         truth=Truth(truth),
         criteria=criteria,
         biases=NO_BIASES,
@@ -338,8 +338,8 @@ def reference_attitudes(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
 
 # The true motion of a base over a whole study, made in calls of one size
 
-_increments = jax.jit(base_motion.increments, static_argnums=3)
-_increments_and_axes = jax.jit(base_motion.increments_and_axes, static_argnums=3)
+_increments = jax.jit(base_motion.ideal_increments, static_argnums=3)
+_increments_and_axes = jax.jit(base_motion.ideal_increments_and_axes, static_argnums=3)
 
 
 @jax.jit

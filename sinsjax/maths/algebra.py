@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from sinsjax.types import Scalar, Vec3
 
 _LEAST_SHARE = 1e-12
-"""Of a variance, that is still told from rounding."""
+"""Least remaining share of a variance; less is rounding."""
 
 
 class Minus(NamedTuple):
@@ -34,46 +34,46 @@ Triangle = tuple[Scalar, ...]
 
 
 def add(a: Vec3, b: Vec3) -> Vec3:
-    """Sum a + b."""
+    """Return a + b."""
     return Vec3(a.x + b.x, a.y + b.y, a.z + b.z)
 
 
 def scale(factor: Scalar, a: Vec3) -> Vec3:
-    """Product of a scalar and a vector."""
+    """Return the product of a scalar and a vector."""
     return Vec3(factor * a.x, factor * a.y, factor * a.z)
 
 
 def dot(a: Vec3, b: Vec3) -> Scalar:
-    """Inner product of a and b."""
+    """Return the inner product of a and b."""
     return a.x * b.x + a.y * b.y + a.z * b.z
 
 
 def cross(a: Vec3, b: Vec3) -> Vec3:
-    """Cross product of a and b."""
+    """Return the cross product of a and b."""
     return Vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
-def numbers_of(entries: Entries) -> dict[tuple[int, int], Scalar]:
-    """The entries as plain scalars, with each `Minus` negated."""
+def entries_as_numbers(entries: Entries) -> dict[tuple[int, int], Scalar]:
+    """Return the entries as plain scalars, with each `Minus` negated."""
     return {at: -a.of if isinstance(a, Minus) else a for at, a in entries.items()}
 
 
 @cache
 def triangle_index(n: int) -> dict[tuple[int, int], int]:
-    """Position in its `Triangle` of each entry (i, j) of an n x n symmetric matrix."""
+    """Return the position in its `Triangle` of each entry (i, j) of an n x n symmetric matrix."""
     upper = [(i, j) for i in range(n) for j in range(i, n)]
     return {entry: k for k, (i, j) in enumerate(upper) for entry in ((i, j), (j, i))}
 
 
 def diagonal_triangle(diagonal: Sequence[Scalar]) -> Triangle:
-    """A diagonal matrix as a `Triangle`."""
+    """Return a diagonal matrix as a `Triangle`."""
     n = len(diagonal)
     zero = 0.0 * diagonal[0]
     return tuple(diagonal[i] if i == j else zero for i in range(n) for j in range(i, n))
 
 
 def times_plus_identity(entries: Entries, x: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """(I + A) x for the non-zero ``entries`` of A; entries that are the float 0 are skipped."""
+    """Return (I + A) x for the non-zero ``entries`` of A; float zeros are skipped."""
     out = list(x)
     for (i, j), a in entries.items():
         if isinstance(a, Minus):
@@ -84,7 +84,7 @@ def times_plus_identity(entries: Entries, x: Sequence[Scalar]) -> tuple[Scalar, 
 
 
 def congruence(entries: Entries, p: Triangle, n: int) -> Triangle:
-    """(I + A) P (I + A)' for the non-zero ``entries`` of A and symmetric P (n x n)."""
+    """Return (I + A) P (I + A)' for the non-zero ``entries`` of A and symmetric P (n x n)."""
     at = triangle_index(n)
     columns = [times_plus_identity(entries, [p[at[i, j]] for i in range(n)]) for j in range(n)]
     # The product is symmetric: only its upper triangle is computed below.
@@ -93,26 +93,26 @@ def congruence(entries: Entries, p: Triangle, n: int) -> Triangle:
 
 
 def change_signs(signs: Sequence[float], p: Triangle) -> Triangle:
-    """T P T for the diagonal matrix T of n signs and symmetric P (n x n)."""
+    """Return T P T for the diagonal matrix T of n signs and symmetric P (n x n)."""
     n = len(signs)
     pairs = (signs[i] * signs[j] for i in range(n) for j in range(i, n))
     return tuple(sign * entry for sign, entry in zip(pairs, p, strict=True))
 
 
 def cholesky(p: Triangle, n: int) -> list[list[Scalar]]:
-    """Rows of the lower triangular L with P = L L', P symmetric and positive semidefinite.
+    """Return rows of the lower triangular L, P = L L', of a symmetric positive semidefinite P.
 
-    What rounding leaves of a variance that others explain wholly counts as nothing.
+    A variance that others explain except for rounding counts as explained.
     """
     at = triangle_index(n)
     rows: list[list[Scalar]] = [[] for _ in range(n)]
     for j in range(n):
         left = p[at[j, j]] - sum(x * x for x in rows[j])
-        told = left > _LEAST_SHARE * p[at[j, j]]
-        root = jnp.sqrt(jnp.where(told, left, 1.0))
+        is_left = left > _LEAST_SHARE * p[at[j, j]]
+        root = jnp.sqrt(jnp.where(is_left, left, 1.0))
         for i in range(j, n):
             off = p[at[j, i]] - sum(x * y for x, y in zip(rows[i], rows[j], strict=False))
-            rows[i].append(jnp.where(told, off / root, 0.0))
+            rows[i].append(jnp.where(is_left, off / root, 0.0))
     return rows
 
 

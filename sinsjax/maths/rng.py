@@ -83,7 +83,7 @@ def binomial_triad(words: tuple[Word, Word]) -> tuple[Scalar, Scalar, Scalar]:
     return first, second, third
 
 
-def numbers(
+def random_numbers(
     of: Callable[[tuple[Word, Word]], tuple[Scalar, ...]],
     seed: Count,
     draw_id: Array,

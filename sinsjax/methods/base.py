@@ -174,7 +174,7 @@ Change = Callable[[Any, int | None, Scalar, Scalar], Any]
 """(params of one run, entry of a list or None, value of a key, its value before) -> params."""
 
 
-class Relaxed(NamedTuple):
+class Relaxation(NamedTuple):
     """Differentiable dependence of a method's params on the keys of a study.
 
     Each key changes the params by the ratio of its value to the one before, so that no unit and no
@@ -185,9 +185,10 @@ class Relaxed(NamedTuple):
         follows: keys whose value another key takes if that is left out.
         times: the key of times that are smoothed; None of a method without.
         moves: the keys of ``changes`` that move resets, too.
-        soften: (params, times in samples or None, half width in samples) -> params with each reset
-            spread over a smooth window, at these times if given; None of a method without resets.
-        refused: (study, whether resets are smoothed) -> first thing without a gradient, as
+        smooth_resets: (params, times in samples or None, half width in samples) -> params with each
+            reset spread over a smooth window, at these times if given; None of a method without
+            resets.
+        find_unsupported: (study, whether resets are smoothed) -> first key without a gradient, as
             ``[section] key``; None if there is none.
     """
 
@@ -195,8 +196,8 @@ class Relaxed(NamedTuple):
     follows: Mapping[str, str] = {}
     times: str | None = None
     moves: tuple[str, ...] = ()
-    soften: Callable[[Any, Array | None, Scalar], Any] | None = None
-    refused: Callable[[StudyView, bool], str | None] = lambda study, smoothed: None
+    smooth_resets: Callable[[Any, Array | None, Scalar], Any] | None = None
+    find_unsupported: Callable[[StudyView, bool], str | None] = lambda study, smoothed: None
 
 
 class Feedback(NamedTuple):

@@ -1,8 +1,8 @@
-"""Coarse alignment: an attitude from nothing but sensors at rest, gravity and the Earth's turn.
+"""Coarse alignment: an attitude from sensors at rest, gravity and the rotation of the Earth.
 
-Both methods compare two vectors felt in the body frame with the same two known in n, and return
-the attitude at the interval's *end*, where fine alignment takes over. The base must not travel;
-what else it may do decides the method. No initial attitude is needed.
+Both methods compare two vectors measured in the body frame with the same two known in n, and return
+the attitude at the *end* of the interval, from which fine alignment continues. The base must not
+travel; how it sways decides the method. No initial attitude is needed.
 
 Constant sensor biases remain in both: phi_E = -nabla_N/g, phi_N = nabla_E/g and phi_U =
 -eps_E/omega_N + (nabla_E/g) tan L.
@@ -22,8 +22,8 @@ Coarse = Callable[[Sample, Place, Scalar], Quat]
 """(samples, place, dt) -> attitude at the end of the samples."""
 
 
-def analytic(samples: Sample, place: Place, dt: Scalar) -> Quat:
-    """Attitude of a *static* base from mean specific force and mean angular rate.
+def align_analytically(samples: Sample, place: Place, dt: Scalar) -> Quat:
+    """Return the attitude of a *static* base from mean specific force and mean angular rate.
 
     The two mean vectors are gravity's reaction and the Earth rate; level comes from the first, yaw
     from the second (TRIAD). Any rotation of the base enters the mean rate undiminished: 0.01 deg
@@ -42,14 +42,14 @@ def analytic(samples: Sample, place: Place, dt: Scalar) -> Quat:
     """
     rate = _earth_rate(place)
     # A sample's dv is seen from the body at its start; on average it turned half a step since.
-    reaction = rotate(exp(scale(0.5 * dt, rate)), _up(place, dt))
+    reaction = rotate(exp(scale(0.5 * dt, rate)), _reaction_increment(place, dt))
     turns = jax.vmap(log)(samples.turn)
-    felt = jnp.stack([_mean(samples.dv), _mean(turns)])
-    return two_vectors(felt, jnp.stack([jnp.stack(reaction), jnp.stack(rate)]))
+    felt = jnp.stack([_mean_vector(samples.dv), _mean_vector(turns)])
+    return triad_attitude(felt, jnp.stack([jnp.stack(reaction), jnp.stack(rate)]))
 
 
-def inertial(samples: Sample, place: Place, dt: Scalar) -> Quat:
-    """Attitude of a swaying base from the turn of gravity in inertial space.
+def align_inertially(samples: Sample, place: Place, dt: Scalar) -> Quat:
+    """Return the attitude of a swaying base from the rotation of gravity in inertial space.
 
     The gyros carry every specific force into the body frame frozen at the end, where sway is gone
     and gravity is left to turn with the Earth; the same vectors in n frozen at the end are known:
@@ -75,7 +75,7 @@ def inertial(samples: Sample, place: Place, dt: Scalar) -> Quat:
     | the same, unit vectors | 3.1 | 5.5 | 0.69 |
     | TRIAD, velocities at T/2 and T | 0.38 | 0.73 | 0.36 |
     | TRIAD, positions at T/2 and T | 0.46 | 0.85 | 0.48 |
-    | `analytic` | 14 | 64 | 68 |
+    | `align_analytically` | 14 | 64 | 68 |
 
     Args:
         samples: compensated samples of the whole interval, leaves (n,), n >= 2.
@@ -85,21 +85,23 @@ def inertial(samples: Sample, place: Place, dt: Scalar) -> Quat:
     Returns:
         q_nb at the end of the samples.
     """
-    felt = _felt(samples)
+    felt = _measured_increments(samples)
     n = len(felt)
     middle = jnp.arange(n, dtype=felt.dtype) + 0.5
     tau = 2 * middle / n - 1
     weight = 1 - tau * tau
     moments = jnp.stack([weight, weight * tau])
-    return two_vectors(moments @ felt, moments @ _expected(place, dt, (middle - n) * dt))
+    return triad_attitude(
+        moments @ felt, moments @ _expected_increments(place, dt, (middle - n) * dt)
+    )
 
 
-COARSE: dict[str, Coarse] = {"analytic": analytic, "inertial": inertial}
+COARSE: dict[str, Coarse] = {"analytic": align_analytically, "inertial": align_inertially}
 """Coarse alignment methods by the name a study gives them."""
 
 
-def _felt(samples: Sample) -> Array:
-    """Velocity increments (n, 3) in the body frame frozen at the end, m/s."""
+def _measured_increments(samples: Sample) -> Array:
+    """Return velocity increments (n, 3) in the body frame frozen at the end, m/s."""
 
     def back(later: Quat, sample: Sample) -> tuple[Quat, Array]:
         q = multiply(later, conjugate(sample.turn))
@@ -109,8 +111,8 @@ def _felt(samples: Sample) -> Array:
     return jax.lax.scan(back, end, samples, reverse=True)[1]
 
 
-def _expected(place: Place, dt: Scalar, times: Array) -> Array:
-    """What gravity's reaction adds in each sample: (n, 3) in n frozen at the end, m/s.
+def _expected_increments(place: Place, dt: Scalar, times: Array) -> Array:
+    """Return the velocity increments of gravity's reaction, (n, 3) in n frozen at the end, m/s.
 
     Args:
         place: Earth rates and gravity.
@@ -118,7 +120,7 @@ def _expected(place: Place, dt: Scalar, times: Array) -> Array:
         times: (n,) middle of each sample from the end, s. It stands for the sample's integral,
             off by (w_ie dt)^2 / 24, below rounding.
     """
-    rate, reaction = _earth_rate(place), _up(place, dt)
+    rate, reaction = _earth_rate(place), _reaction_increment(place, dt)
     return jax.vmap(lambda t: jnp.stack(rotate(exp(scale(t, rate)), reaction)))(times)
 
 
@@ -126,17 +128,17 @@ def _earth_rate(place: Place) -> Vec3:
     return Vec3(jnp.zeros_like(place.rate_n), place.rate_n, place.rate_u)
 
 
-def _up(place: Place, dt: Scalar) -> Vec3:
+def _reaction_increment(place: Place, dt: Scalar) -> Vec3:
     up = place.gravity * dt
     return Vec3(jnp.zeros_like(up), jnp.zeros_like(up), up)
 
 
-def _mean(rows: Vec3) -> Array:
+def _mean_vector(rows: Vec3) -> Array:
     return jnp.stack(rows).mean(axis=1)
 
 
-def two_vectors(body: Array, n: Array) -> Quat:
-    """TRIAD: q_nb from two vectors (2, 3) known in b and in n; the first is met exactly.
+def triad_attitude(body: Array, n: Array) -> Quat:
+    """Return q_nb by TRIAD from two vectors (2, 3) known in b and in n; the first is met exactly.
 
     Lengths do not matter. The row of q q' with the largest diagonal element gives q without
     cancellation at any attitude.
@@ -155,7 +157,7 @@ def two_vectors(body: Array, n: Array) -> Quat:
 
 
 def _triad(vectors: Array) -> Array:
-    """Orthonormal axes as columns: along the first of two vectors, normal to both, the third."""
+    """Return orthonormal axes as columns: along the first vector, normal to both, the third."""
     first = _unit(vectors[0])
     normal = _unit(jnp.cross(first, vectors[1]))
     return jnp.stack([first, normal, jnp.cross(first, normal)], axis=1)

@@ -1,7 +1,6 @@
-"""What a method says of itself before anything is compiled: its keys, its columns, its bias floor.
+"""The description of a method: its keys, columns and properties, free of JAX.
 
-Free of JAX: a study is read, checked and reported with this alone. What computes is loaded when it
-is asked for.
+Studies are read, checked and reported with it alone; the code that computes is loaded on demand.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -19,19 +18,19 @@ INITIAL_KEYS = (
     *("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "misalignment"),
     *("ve0_m_per_s", "vn0_m_per_s"),
 )
-"""The keys of [alignment] that a method reads which begins with an attitude and a velocity."""
+"""The keys of [alignment] for a method that starts from an attitude and a velocity."""
 
 COMMON_KEYS = ("position",)
-"""The keys of [alignment] that act on every method, but for those that are silent of them."""
+"""The keys of [alignment] that act on every method, except those that list them as silent."""
 
 
 @runtime_checkable
 class StudyView(Protocol):
-    """What a method may ask of a study."""
+    """The part of a study that a method may read."""
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second."""
+        """Samples per second."""
         ...
 
     @property
@@ -45,11 +44,11 @@ class StudyView(Protocol):
         ...
 
     def has(self, section: str) -> bool:
-        """Whether it has a section; without it none of its keys may be asked for."""
+        """Return whether it has a section; its keys may be read only then."""
         ...
 
     def combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
-        """The distinct values that keys take together over all variants; None of a drawn key."""
+        """Yield the distinct combinations of some keys over all variants; a drawn key is None."""
         ...
 
 
@@ -59,11 +58,11 @@ class CheckedStudy(StudyView, Protocol):
 
     @property
     def end(self) -> str:
-        """Where its shortest run ends, in words."""
+        """End of its shortest run, in words."""
         ...
 
     def place(self, key: str) -> str | None:
-        """The table, in brackets, that gives a key; None of one that is left out."""
+        """Return the table, in brackets, that gives a key; None if it is left out."""
         ...
 
     def refuse(self, key: str, text: str) -> NoReturn:
@@ -72,13 +71,13 @@ class CheckedStudy(StudyView, Protocol):
 
 
 class OwnColumn(NamedTuple):
-    """A result column of a method's own.
+    """A result column that belongs to one method.
 
     Attributes:
         column: name, type, unit and meaning.
         value: (`Method.results` of runs, samples a second) -> values, (runs,), NaN for none.
         missing: value of runs whose method has no such column; NaN for none.
-        where: whether a study has it.
+        where: study -> whether it has the column.
     """
 
     column: Column
@@ -88,38 +87,39 @@ class OwnColumn(NamedTuple):
 
 
 def no_check(columns: Columns, site: Any) -> None:
-    """Every number can be run."""
+    """Accept all params."""
 
 
 class Implementation(NamedTuple):
-    """What computes a method; arguments named in quotes are those of `methods.base`.
+    """The code of a method; types in quotes are those of `methods.base`.
 
     Attributes:
         build: ``Options`` -> ``Method``.
         parameters: (columns of a study, ``Site``, a micro-g in m/s^2) -> the method's numbers,
             leaves (variants, ...).
         check: (columns, ``Site``): refuses numbers that cannot be run, by `InputError`.
-        relaxed: ``Relaxed``, how its numbers follow the keys of a study; None: it has no gradient.
+        relaxation: ``Relaxation``, dependence of its params on keys; None of a method without
+            gradients.
     """
 
     build: Callable[[Any], Any]
     parameters: Callable[[Columns, Any, float], Any]
     check: Callable[[Columns, Any], None] = no_check
-    relaxed: Any = None
+    relaxation: Any = None
 
 
 @dataclass(frozen=True)
 class Description:
-    """An alignment method, as studies, results and tables of documentation know it.
+    """An alignment method as studies, results and the documentation know it.
 
     Attributes:
         name: in ``[alignment] method``.
-        summary: what it does, in half a line.
+        summary: half a line on the method.
         source: paper and equation.
         sections: its sections of a study file, by name; methods may share one.
         reads: keys of [alignment] and [passes] that act on it, but for those that act on all.
         load: makes its `Implementation`, importing JAX.
-        silent: keys of its sections, of ``reads`` and of `COMMON_KEYS` that do not act on it.
+        silent: keys of its sections, of ``reads`` and of `COMMON_KEYS` without effect on it.
         refuses: keys of its sections, and of [coarse] in a simulated study, that its rules refuse;
             a change to it drops them.
         has_covariance: whether it has a covariance P.
@@ -158,17 +158,17 @@ class Description:
 
     @cached_property
     def keys(self) -> frozenset[str]:
-        """Every key of a study that it takes, but for those that all methods do."""
+        """Every key of a study that it reads, except those of all methods."""
         own = (key for section in self.sections.values() for key in section.model_fields)
         return frozenset([*own, *self.reads])
 
     def columns_of(self, study: StudyView) -> tuple[OwnColumn, ...]:
-        """Its own columns in a study."""
+        """Return its own result columns in a study."""
         return tuple(own for own in self.columns if own.where(study))
 
     @cached_property
     def implementation(self) -> Implementation:
-        """What computes."""
+        """Its code; imports JAX."""
         return self.load()
 
     def __call__(self, options: Any) -> Any:

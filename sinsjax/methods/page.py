@@ -21,10 +21,10 @@ _RESETS_AND_FEEDBACK = (
 )
 
 
-def page() -> str:
-    """What every method reads, gives and can be tuned by, as Markdown."""
+def render_methods_page() -> str:
+    """Return the keys, columns and gradients of every method as Markdown."""
     cells = (
-        (f"`{m.name}`", m.summary, m.source, _yes(m.has_covariance), _yes(m.has_floor))
+        (f"`{m.name}`", m.summary, m.source, _yes_or_no(m.has_covariance), _yes_or_no(m.has_floor))
         for m in METHODS.values()
     )
     lines = [
@@ -38,7 +38,7 @@ def page() -> str:
         *(f"| {' | '.join(row)} |" for row in cells),
     ]
     for method in METHODS.values():
-        lines += ["", f"## `{method.name}`", "", *_keys(method)]
+        lines += ["", f"## `{method.name}`", "", *_describe_keys(method)]
     lines += ["", "## Resets between two feedbacks", "", _RESETS_AND_FEEDBACK]
     lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]
     lines += ["| trigger | calls for a reset at |", "| --- | --- |"]
@@ -49,15 +49,15 @@ def page() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _yes(flag: bool) -> str:
+def _yes_or_no(flag: bool) -> str:
     return "yes" if flag else "no"
 
 
-def _keys(method: Description) -> list[str]:
-    """The keys that a method reads, and which of them have a gradient in `[tune]`."""
+def _describe_keys(method: Description) -> list[str]:
+    """Return the keys that a method reads, and those with a gradient in `[tune]`."""
     own = {name: list(section.model_fields) for name, section in method.sections.items()}
     own = {"alignment, passes": sorted(method.reads)} | own
-    relaxed = method.implementation.relaxed
+    relaxed = method.implementation.relaxation
     lines = []
     for name, its_keys in own.items():
         read = ", ".join(f"`{key}`" for key in its_keys if key not in method.silent)
@@ -73,4 +73,4 @@ def _keys(method: Description) -> list[str]:
 
 
 if __name__ == "__main__":
-    print(page(), end="")
+    print(render_methods_page(), end="")

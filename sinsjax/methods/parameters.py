@@ -1,6 +1,6 @@
-"""What a method is told of a study: columns of its variants, which it takes to SI.
+"""The keys of a study's variants as columns, from which a method makes its params.
 
-A method turns them into its own numbers, leaves (variants, ...), and knows nothing else of studies.
+Params are in SI units with leaves (variants, ...). A method knows nothing else of studies.
 """
 
 from collections.abc import Callable
@@ -13,56 +13,56 @@ from sinsjax.errors import InputError
 
 @runtime_checkable
 class Columns(Protocol):
-    """Values that keys take over some variants, in the units of the file; keys of one method."""
+    """Values of the keys of one method over some variants, in the units of the study."""
 
     @property
     def count(self) -> int:
-        """How many variants there are."""
+        """Number of variants."""
         ...
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second."""
+        """Samples per second."""
         ...
 
     def has(self, section: str) -> bool:
-        """Whether the study has a section; without it none of its keys may be asked for."""
+        """Return whether the study has a section; its keys may be read only then."""
         ...
 
     def common(self, key: str) -> Any:
-        """The value of a key that is the same for all of them."""
+        """Return the value of a key that is the same for all variants."""
         ...
 
     def value(self, key: str, variant: int) -> Any:
-        """The value of a key for one of them, by its place among them."""
+        """Return the value of a key for one variant, by its place among them."""
         ...
 
     def column(self, key: str, factor: float = 1.0) -> np.ndarray:
-        """Numbers times a factor, (variants,); NaN where the key is left out."""
+        """Return numbers times a factor, (variants,); NaN if the key is left out."""
         ...
 
     def each(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
-        """A function of the values of some keys, (variants, ...)."""
+        """Return a function of the values of some keys, (variants, ...)."""
         ...
 
     def lists(self, function: Callable[..., Any], *keys: str, rest: float) -> np.ndarray:
-        """The same of a function that gives lists, (variants, longest), filled up with ``rest``."""
+        """Return lists of a function of some keys, (variants, longest), padded with ``rest``."""
         ...
 
     def refused(self, key: str, why: str) -> InputError:
-        """The error of a value that cannot be run, naming the study, and where the key stands."""
+        """Return the error of a value that cannot be run, with study and place of the key."""
         ...
 
 
-def column_or(columns: Columns, key: str, default: float) -> np.ndarray:
-    """Values of a numeric key, (variants,); the default where a variant leaves it out."""
+def column_with_default(columns: Columns, key: str, default: float) -> np.ndarray:
+    """Return a numeric key, (variants,); the default if a variant leaves it out."""
     return columns.each(lambda value: default if value is None else value, key)
 
 
-def in_samples(
+def times_in_samples(
     columns: Columns, times_s: Callable[..., tuple[float, ...]], *keys: str
 ) -> np.ndarray:
-    """(variants, longest) times in samples, from a function of keys; inf where there are fewer."""
+    """Return times in samples from a function of keys, (variants, longest); inf for none."""
     rate = columns.rate_hz
     return columns.lists(
         lambda *values: np.round(np.asarray(times_s(*values)) * rate).tolist(), *keys, rest=np.inf

@@ -1,9 +1,9 @@
 """Repeated passes over a stored record: forward and backward in turn, or forward every time.
 
 A backward pass, [P2] section 2.3, is navigation in an environment where time is reversed: the
-samples are read last to first and reversed (`sensors.reverse`), the Earth rotates the other way,
-and velocity has the opposite sign. Method and mechanisation are the same in both directions; the
-method decides what becomes of its state at a direction reversal (`Passes.turn`).
+samples are read last to first and reversed (`sensors.reverse_sample`), the Earth rotates the other
+way, and velocity has the opposite sign. Method and mechanisation are the same in both directions;
+the method decides what becomes of its state at a direction reversal (`Passes.turn`).
 
 To read the record forward again, the attitude is propagated back to its beginning, by the rotation
 that the gyros measured and that of the Earth; the method decides what it keeps (`Passes.rewind`).
@@ -72,17 +72,17 @@ def site_of_pass(site: Site, backward: Flag | None) -> Site:
         return site
     sign = jnp.where(backward, -1.0, 1.0)
     reversed_ = site.earth._replace(rate=sign * site.earth.rate)
-    return site._replace(earth=reversed_, place=earth.reverse(site.place, sign))
+    return site._replace(earth=reversed_, place=earth.reverse_rotation(site.place, sign))
 
 
 def compensate(now: Increments, before: Increments, backward: Flag | None) -> Sample:
     """Return the compensated sample in the direction of the pass: ``now``, backward ``before``."""
     if backward is None:
-        return sensors.compensate(now, before)
+        return sensors.compensate_sample(now, before)
     later = where(backward, before, now)
     earlier = where(backward, now, before)
-    sample = sensors.compensate(later, earlier)
-    return where(backward, sensors.reverse(sample), sample)
+    sample = sensors.compensate_sample(later, earlier)
+    return where(backward, sensors.reverse_sample(sample), sample)
 
 
 def estimates_gyro_bias(method: Method) -> bool:

@@ -22,7 +22,7 @@ from sinsjax.value_types import (
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
 
 
-def _known(name: Any, check: Any) -> Any:
+def _check_method_name(name: Any, check: Any) -> Any:
     """Return the name of a method, or raise an error with the known names."""
     try:
         return check(name)
@@ -33,17 +33,17 @@ def _known(name: Any, check: Any) -> Any:
 if TYPE_CHECKING:
     MethodName = str
 else:
-    MethodName = Annotated[Literal[tuple(METHODS)], WrapValidator(_known)]
+    MethodName = Annotated[Literal[tuple(METHODS)], WrapValidator(_check_method_name)]
 
 
-def _may_turn(*angles: float | None) -> bool:
+def _has_rotation(*angles: float | None) -> bool:
     return any(angle is None or angle != 0 for angle in angles)
 
 
 class AlignmentSection(Section):
     """[alignment]: the method, its initial errors, and the feedback of its estimate."""
 
-    conditions = (ActsWhere(("misalignment",), _ANGLES, _may_turn),)
+    conditions = (ActsWhere(("misalignment",), _ANGLES, _has_rotation),)
 
     method: MethodName = Field(
         "kalman5", description="alignment method; `sinsjax keys METHOD` describes one"

@@ -85,7 +85,7 @@ class Motion(NamedTuple):
 
 
 def attitude(motion: Motion, t: Scalar) -> Quat:
-    """True attitude, body to navigation frame, at time t (s)."""
+    """Return the true attitude, body to navigation frame, at time t (s)."""
     return from_euler(motion.pitch.angle(t), motion.roll.angle(t), motion.yaw.angle(t))
 
 
@@ -98,7 +98,7 @@ def rate_and_force(motion: Motion, place: Place, t: Scalar) -> tuple[Vec3, Vec3]
     now = Sines(*(sin_cos(sway.angle(t)) for sway in motion.angles))
     rates = EulerRates(*(sway.rate(t) for sway in motion.angles))
     bends = EulerRates(*(sway.acceleration(t) for sway in motion.angles))
-    return _inertial(place, _in_body(place, motion.lever, now, rates, bends))
+    return _rate_and_force_in_body(place, _motion_in_body(place, motion.lever, now, rates, bends))
 
 
 class Sines(NamedTuple):
@@ -139,10 +139,10 @@ class InBody(NamedTuple):
     force: Vec3 | None
 
 
-def _in_body(
+def _motion_in_body(
     place: Place, lever: Vec3 | None, now: Sines, rates: EulerRates, bends: EulerRates
 ) -> InBody:
-    """Motion at an attitude, from the first and second derivatives of its Euler angles."""
+    """Return the motion at an attitude from the first two derivatives of its Euler angles."""
     axes, rate = axes_in_body(now), _rate_in_body(now, rates)
     if lever is None:
         return InBody(axes, rate, None)
@@ -154,11 +154,11 @@ def _in_body(
     earth = add(scale(2 * place.rate_n, axes.north), scale(2 * place.rate_u, axes.up))
     force = add(cross(bend, lever), cross(add(rate, earth), velocity))
     east, north = dot(axes.east, velocity), dot(axes.north, velocity)
-    return InBody(axes, add(rate, transport(place, axes, east, north)), force)
+    return InBody(axes, add(rate, transport_rate(place, axes, east, north)), force)
 
 
 def _rate_in_body(now: Sines, rates: EulerRates) -> Vec3:
-    """w_nb^b from the Euler rates."""
+    """Return w_nb^b from the Euler rates."""
     (sp, cp), (sr, cr), _ = now
     across = rates.yaw * cp
     return Vec3(
@@ -169,7 +169,7 @@ def _rate_in_body(now: Sines, rates: EulerRates) -> Vec3:
 
 
 def axes_in_body(now: Sines) -> Axes:
-    """The axes of n in b: the rows of C_b^n."""
+    """Return the axes of n in b: the rows of C_b^n."""
     (sp, cp), (sr, cr), (sy, cy) = now
     tilted, leaning = cy * sp, sy * sp
     return Axes(
@@ -179,8 +179,8 @@ def axes_in_body(now: Sines) -> Axes:
     )
 
 
-def transport(place: Place, axes: Axes, east: Scalar, north: Scalar) -> Vec3:
-    """Rate of n over the Earth at a velocity (m/s), in b, rad/s."""
+def transport_rate(place: Place, axes: Axes, east: Scalar, north: Scalar) -> Vec3:
+    """Return the rate of n over the Earth at a velocity (m/s), in b, rad/s."""
     about_up = east * place.curvature_e * place.tan_latitude
     level = add(
         scale(-north * place.curvature_n, axes.east), scale(east * place.curvature_e, axes.north)
@@ -188,7 +188,7 @@ def transport(place: Place, axes: Axes, east: Scalar, north: Scalar) -> Vec3:
     return add(level, scale(about_up, axes.up))
 
 
-def _inertial(place: Place, body: InBody) -> tuple[Vec3, Vec3]:
+def _rate_and_force_in_body(place: Place, body: InBody) -> tuple[Vec3, Vec3]:
     """Angular rate w_ib (rad/s) and specific force (m/s^2) in b.
 
     Both are linear in ``body``: the mean over a time gives the mean rate and force.
@@ -219,8 +219,8 @@ class Nodes(NamedTuple):
     yaw: Advance
 
 
-def nodes(motion: Motion, rate_hz: Scalar) -> Nodes:
-    """Phase advances that `increment` takes, for a motion sampled at ``rate_hz``."""
+def integration_nodes(motion: Motion, rate_hz: Scalar) -> Nodes:
+    """Return the phase advances from mid-sample to the Gauss nodes, for samples at ``rate_hz``."""
 
     def advance(sway: Sway, node: Scalar) -> Advance:
         sin, cos = sin_cos(0.5 * jnp.pi * node / (sway.period * rate_hz))
@@ -229,7 +229,7 @@ def nodes(motion: Motion, rate_hz: Scalar) -> Nodes:
     return Nodes(*(jax.vmap(partial(advance, sway))(jnp.asarray(_NODES)) for sway in motion.angles))
 
 
-class Sensed(NamedTuple):
+class IdealSample(NamedTuple):
     """What ideal sensors measure over a sample, and where n is meanwhile.
 
     Attributes:
@@ -241,7 +241,9 @@ class Sensed(NamedTuple):
     axes: Axes | None
 
 
-def sensed(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scalar) -> Sensed:
+def ideal_sample(
+    motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scalar
+) -> IdealSample:
     """Ideal sensor increments over one sample, by Gauss quadrature.
 
     Angles and rates at the nodes follow from those at mid-sample by the angle-sum formulas, because
@@ -250,7 +252,7 @@ def sensed(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scala
 
     Args:
         motion: motion of the base.
-        ahead: its phase advances at this sample rate, see `nodes`.
+        ahead: its phase advances at this sample rate, see `integration_nodes`.
         place: Earth rates and gravity.
         rate_hz: sample rate, Hz.
         k: number of the sample, which spans k/rate to (k+1)/rate.
@@ -268,11 +270,13 @@ def sensed(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scala
             for (sin, cos, omega, here), advance in zip(waves, ahead, strict=True):
                 later, versed = side * advance.sin, advance.versed
                 change = sin * versed + cos * later
-                sines.append(_sum(here, sin_cos_near_zero(change)))
+                sines.append(_sin_cos_of_sum(here, sin_cos_near_zero(change)))
                 rates.append(omega * (cos + (cos * versed - sin * later)))
                 bends.append(-omega * omega * (sin + change))
             sides.append(
-                _in_body(place, motion.lever, Sines(*sines), EulerRates(*rates), EulerRates(*bends))
+                _motion_in_body(
+                    place, motion.lever, Sines(*sines), EulerRates(*rates), EulerRates(*bends)
+                )
             )
         return jax.tree.map(jnp.add, *sides)
 
@@ -280,47 +284,49 @@ def sensed(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scala
     pairs = jax.vmap(at_pair)(ahead)
     # A matrix product or a sum over an axis would become a loop that is not vectorised.
     mean = jax.tree.map(lambda a: sum(w * a[i] for i, w in enumerate(_WEIGHTS)), pairs)
-    increments = Increments(*(scale(1 / rate_hz, part) for part in _inertial(place, mean)))
-    return Sensed(increments, mean.axes)
+    increments = Increments(
+        *(scale(1 / rate_hz, part) for part in _rate_and_force_in_body(place, mean))
+    )
+    return IdealSample(increments, mean.axes)
 
 
 def increment(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scalar) -> Increments:
-    """The increments of `sensed`: angle increments (rad) and velocity increments (m/s) in b."""
-    return sensed(motion, ahead, place, rate_hz, k).increments
+    """Return the increments of `ideal_sample`: angles (rad) and velocities (m/s) in b."""
+    return ideal_sample(motion, ahead, place, rate_hz, k).increments
 
 
-def _sum(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+def _sin_cos_of_sum(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
     """Sine and cosine of a sum of angles, from those of each."""
     return a[0] * b[1] + a[1] * b[0], a[1] * b[1] - a[0] * b[0]
 
 
-def increments(
+def ideal_increments(
     motion: Motion, place: Place, rate_hz: Scalar, samples: int, first: Scalar = 0.0
 ) -> Array:
-    """Ideal sensor increments of samples from number ``first`` on, (samples, 6), see `sensed`."""
-    return _rows(motion, place, rate_hz, samples, first, with_axes=False)
+    """Ideal sensor increments of samples from ``first`` on, (samples, 6), see `ideal_sample`."""
+    return _increment_rows(motion, place, rate_hz, samples, first, with_axes=False)
 
 
-def increments_and_axes(
+def ideal_increments_and_axes(
     motion: Motion, place: Place, rate_hz: Scalar, samples: int, first: Scalar = 0.0
 ) -> Array:
     """Increments of samples from number ``first`` on, and the axes meanwhile, (samples, 15)."""
-    return _rows(motion, place, rate_hz, samples, first, with_axes=True)
+    return _increment_rows(motion, place, rate_hz, samples, first, with_axes=True)
 
 
-def _rows(
+def _increment_rows(
     motion: Motion, place: Place, rate_hz: Scalar, samples: int, first: Scalar, *, with_axes: bool
 ) -> Array:
-    """Rows of samples, computed in two or more batches of equal size.
+    """Return rows of samples, computed in two or more batches of equal size.
 
     A shorter last batch, or a single one whose loop the compiler removes, would give other bits.
     """
     batches = max(2, -(-samples // _BATCH))
     numbers = first + jnp.arange(batches * _BATCH, dtype=float)
-    ahead = nodes(motion, rate_hz)
+    ahead = integration_nodes(motion, rate_hz)
 
     def row(k: Scalar) -> Array:
-        made = sensed(motion, ahead, place, rate_hz, k)
+        made = ideal_sample(motion, ahead, place, rate_hz, k)
         return jnp.stack(jax.tree.leaves(made if with_axes else made.increments))
 
     return jax.lax.map(row, numbers, batch_size=_BATCH)[:samples]

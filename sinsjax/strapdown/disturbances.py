@@ -1,4 +1,4 @@
-"""What moves the base and drifts the sensors at random, from sample to sample.
+"""Random motion of the base and random drifts of the sensors, from sample to sample.
 
 Surge and vibration move the base: they are part of what ideal sensors measure. Bias instability and
 random walks are errors of the sensors, and so is what their digits leave out. All of it runs with a
@@ -12,13 +12,13 @@ import jax.numpy as jnp
 
 from sinsjax.maths.algebra import add, cross, scale
 from sinsjax.strapdown import processes
-from sinsjax.strapdown.base_motion import Sensed, transport
+from sinsjax.strapdown.base_motion import IdealSample, transport_rate
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Increments, Scalar, Vec3
 
 
 class Disturbances(NamedTuple):
-    """Processes of a draw, or a state, or numbers for each of them; None for what there is not.
+    """The processes of a draw, or a state or numbers for each; None for those that are absent.
 
     Attributes:
         surge: velocity of the base in n, m/s.
@@ -43,8 +43,8 @@ _TRIADS = Disturbances(0, 2, 3, 4, 5, 6, 7)
 """The triad of driving numbers that each takes, whatever others there are."""
 
 
-class Disturbed(NamedTuple):
-    """What disturbances do over a sample; None for what there is not.
+class SampleDisturbance(NamedTuple):
+    """The effect of disturbances over a sample; None for those that are absent.
 
     Attributes:
         before: velocity of the base at the sample's beginning, in n, m/s.
@@ -63,67 +63,69 @@ class Disturbed(NamedTuple):
     accel_drift: Vec3 | None
 
 
-def driving(
+def driving_noise(
     disturbances: Disturbances, seed: Count, draw_id: Array, samples: Array
 ) -> Disturbances:
-    """What drives the processes of one draw or of many, leaves (n, *draws), see `processes`."""
-    made = processes.driving(seed, draw_id, samples, _triads(disturbances))
+    """Return the driving noise of one draw or of many, leaves (n, *draws), see `processes`."""
+    made = processes.driving_noise(seed, draw_id, samples, _triads(disturbances))
     return Disturbances(*(made.get(triad) for triad in _TRIADS))
 
 
-def begin(disturbances: Disturbances, seed: Count, draw_id: Count) -> Disturbances:
-    """The states of one draw's processes before its first sample."""
-    made = processes.beginning(seed, draw_id, _triads(disturbances))
+def initial_states(disturbances: Disturbances, seed: Count, draw_id: Count) -> Disturbances:
+    """Return the states of one draw's processes before its first sample."""
+    made = processes.initial_normal_numbers(seed, draw_id, _triads(disturbances))
     normal = Disturbances(*(made.get(triad) for triad in _TRIADS))
-    return _each(processes.begin, disturbances, normal)
+    return _map_present(processes.initial_state, disturbances, normal)
 
 
 def _triads(disturbances: Disturbances) -> tuple[int, ...]:
     return tuple(t for t, one in zip(_TRIADS, disturbances, strict=True) if one is not None)
 
 
-def advance(
+def advance_processes(
     disturbances: Disturbances, states: Disturbances, normal: Disturbances, dt: Scalar
-) -> tuple[Disturbances, Disturbed]:
-    """One sample of one draw: the states after it, and what happened meanwhile."""
-    later = _each(processes.advance, disturbances, states, normal)
-    begins = _each(processes.output, disturbances, states)
-    ends = _each(processes.output, disturbances, later)
-    means = _each(processes.output, disturbances, states, normal)
-    return later, Disturbed(
+) -> tuple[Disturbances, SampleDisturbance]:
+    """Return the states of one draw one sample later, and the disturbance over the sample."""
+    later = _map_present(processes.advance_process, disturbances, states, normal)
+    begins = _map_present(processes.process_output, disturbances, states)
+    ends = _map_present(processes.process_output, disturbances, later)
+    means = _map_present(processes.process_output, disturbances, states, normal)
+    return later, SampleDisturbance(
         begins.surge,
         ends.surge,
-        _change(begins.rocking, ends.rocking),
-        _change(begins.shaking, ends.shaking),
-        _drift(means.gyro_instability, means.gyro_walk, dt),
-        _drift(means.accel_instability, means.accel_walk, dt),
+        _difference(begins.rocking, ends.rocking),
+        _difference(begins.shaking, ends.shaking),
+        _drift_over_sample(means.gyro_instability, means.gyro_walk, dt),
+        _drift_over_sample(means.accel_instability, means.accel_walk, dt),
     )
 
 
-def _each(function: Callable[..., Any], *trees: Disturbances) -> Disturbances:
-    """A function of each process there is, and of what belongs to it."""
+def _map_present(function: Callable[..., Any], *trees: Disturbances) -> Disturbances:
+    """Apply a function to each process that is present, with its entries of other trees."""
     rows = zip(*trees, strict=True)
     return Disturbances(*(None if row[0] is None else function(*row) for row in rows))
 
 
-def _change(before: Vec3 | None, after: Vec3 | None) -> Vec3 | None:
+def _difference(before: Vec3 | None, after: Vec3 | None) -> Vec3 | None:
     if before is None or after is None:
         return None
     return add(after, scale(-1.0, before))
 
 
-def _drift(instability: Vec3 | None, walk: Vec3 | None, dt: Scalar) -> Vec3 | None:
-    rate = plus(instability, walk) if instability is not None else walk
+def _drift_over_sample(instability: Vec3 | None, walk: Vec3 | None, dt: Scalar) -> Vec3 | None:
+    rate = add_optional(instability, walk) if instability is not None else walk
     return None if rate is None else scale(dt, rate)
 
 
-def plus(a: Vec3, b: Vec3 | None) -> Vec3:
-    """The sum of a vector and one that there may not be."""
+def add_optional(a: Vec3, b: Vec3 | None) -> Vec3:
+    """Return the sum of a vector and an optional one."""
     return a if b is None else add(a, b)
 
 
-def moved(sensed: Sensed, disturbed: Disturbed, place: Place, dt: Scalar) -> Increments:
-    """What ideal sensors measure on a base that surges and a box that vibrates.
+def disturb_motion(
+    sensed: IdealSample, disturbed: SampleDisturbance, place: Place, dt: Scalar
+) -> Increments:
+    """Return the increments of ideal sensors on a base that surges and a box that vibrates.
 
     Velocities and angles change evenly over the sample: the acceleration of the surge and the
     Coriolis acceleration of its mean velocity are integrated as the axes turn, and n turns over
@@ -141,15 +143,16 @@ def moved(sensed: Sensed, disturbed: Disturbed, place: Place, dt: Scalar) -> Inc
         axes, before, after = sensed.axes, disturbed.before, disturbed.after
         mean = scale(0.5, add(before, after))
         rate = Vec3(jnp.zeros_like(mean.x), 2 * place.rate_n, 2 * place.rate_u)
-        change = plus(scale(dt, cross(rate, mean)), _change(before, after))
+        change = add_optional(scale(dt, cross(rate, mean)), _difference(before, after))
         level = add(scale(change.x, axes.east), scale(change.y, axes.north))
         dv = add(dv, add(level, scale(change.z, axes.up)))
-        dtheta = add(dtheta, scale(dt, transport(place, axes, mean.x, mean.y)))
-    return Increments(plus(dtheta, disturbed.rocked), plus(dv, disturbed.shaken))
+        dtheta = add(dtheta, scale(dt, transport_rate(place, axes, mean.x, mean.y)))
+    return Increments(add_optional(dtheta, disturbed.rocked), add_optional(dv, disturbed.shaken))
 
 
-def drifted(measured: Increments, disturbed: Disturbed) -> Increments:
-    """Measured increments with the drifts of the biases."""
+def add_drifts(measured: Increments, disturbed: SampleDisturbance) -> Increments:
+    """Return measured increments with the drifts of the biases."""
     return Increments(
-        plus(measured.dtheta, disturbed.gyro_drift), plus(measured.dv, disturbed.accel_drift)
+        add_optional(measured.dtheta, disturbed.gyro_drift),
+        add_optional(measured.dv, disturbed.accel_drift),
     )

@@ -91,6 +91,6 @@ def place(earth: Earth, latitude: Scalar) -> Place:
     )
 
 
-def reverse(place: Place, sign: Scalar) -> Place:
+def reverse_rotation(place: Place, sign: Scalar) -> Place:
     """Earth in reversed time where ``sign`` is -1: it rotates the other way, [P2] eq. (12)."""
     return place._replace(rate_n=sign * place.rate_n, rate_u=sign * place.rate_u)

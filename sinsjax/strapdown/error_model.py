@@ -38,7 +38,7 @@ class LinearModel(NamedTuple):
     reversal: tuple[float, ...]
 
 
-def five_state(nav: Navigation, place: Place, f_dt: Vec3, dt: Scalar) -> Entries:
+def five_state_transition(nav: Navigation, place: Place, f_dt: Vec3, dt: Scalar) -> Entries:
     """Non-zero entries of A dt, [P1] eq. (3), for VU = 0.
 
     Args:
@@ -73,13 +73,13 @@ def five_state(nav: Navigation, place: Place, f_dt: Vec3, dt: Scalar) -> Entries
     }
 
 
-def ten_state(nav: Navigation, place: Place, f_dt: Vec3, dt: Scalar) -> Entries:
-    """`five_state` with two level accelerometer biases and three gyro biases in b.
+def ten_state_transition(nav: Navigation, place: Place, f_dt: Vec3, dt: Scalar) -> Entries:
+    """`five_state_transition` with two level accelerometer biases and three gyro biases in b.
 
     The biases are constant; dV' += C_b^n nabla^b and phi' -= C_b^n eps^b.
     """
     c = matrix(nav.q)
-    entries = dict(five_state(nav, place, f_dt, dt))
+    entries = dict(five_state_transition(nav, place, f_dt, dt))
     for row, (velocity, angle) in enumerate(((VE, PHI_E), (VN, PHI_N), (None, PHI_U))):
         for axis, bias in enumerate((EPS_X, EPS_Y, EPS_Z)):
             entries[angle, bias] = -dt * c[row][axis]
@@ -108,14 +108,14 @@ _TEN = _FIVE | _BIASES
 MODELS = {
     "kalman5": LinearModel(
         tuple(_FIVE),
-        five_state,
+        five_state_transition,
         _no_biases,
         uses_attitude=False,
         reversal=tuple(_FIVE.values()),
     ),
     "kalman10": LinearModel(
         tuple(_TEN),
-        ten_state,
+        ten_state_transition,
         _subtract_biases,
         uses_attitude=True,
         reversal=tuple(_TEN.values()),

@@ -9,7 +9,7 @@ from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Sample, Scalar, Vec3
 
 
-def step(
+def advance_navigation(
     nav: Navigation, sample: Sample, place: Place, dt: Scalar, control: Vec3 | None = None
 ) -> tuple[Navigation, Vec3]:
     """Advance attitude and velocity by one sample; the position is left alone.
@@ -17,8 +17,9 @@ def step(
     dV = C_b^n dv - (2 w_ie + w_en) x V dt + g dt, with C_b^n dv rotated back by half the rotation
     of the navigation frame over the sample; C <- exp(-w_in dt) C exp(dtheta).
 
-    The same step navigates backward in time, given reversed samples (`sensors.reverse`), an Earth
-    that rotates the other way (`earth.reverse`) and the negative velocity, [P2] eqs (12)-(14).
+    The same step navigates backward in time, given reversed samples (`sensors.reverse_sample`), an
+    Earth that rotates the other way (`earth.reverse_rotation`) and the negative velocity, [P2] eqs
+    (12)-(14).
 
     Args:
         nav: solution at the start of the sample.
@@ -43,7 +44,7 @@ def step(
     return nav._replace(q=q, ve=ve, vn=vn), f_dt
 
 
-def travel(nav: Navigation, place: Place, dt: Scalar) -> Navigation:
+def advance_position(nav: Navigation, place: Place, dt: Scalar) -> Navigation:
     """Advance the position at the current velocity over dt (s)."""
     secant = (1 + place.tan_latitude**2) ** 0.5
     return nav._replace(
@@ -57,6 +58,6 @@ def correct_velocity(nav: Navigation, dve: Scalar, dvn: Scalar) -> Navigation:
     return nav._replace(ve=nav.ve - dve, vn=nav.vn - dvn)
 
 
-def reverse(nav: Navigation) -> Navigation:
-    """The solution in reversed time: same position and attitude, opposite velocity."""
+def reverse_velocity(nav: Navigation) -> Navigation:
+    """Return the solution in reversed time: same position and attitude, opposite velocity."""
     return nav._replace(ve=-nav.ve, vn=-nav.vn)

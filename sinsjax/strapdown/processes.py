@@ -54,18 +54,18 @@ class Process(NamedTuple):
     scale: Array
 
 
-def constant(rms: Numbers) -> Process:
-    """A number that stays as it begins, normal with mean zero.
+def constant_process(rms: Numbers) -> Process:
+    """Return a number that stays constant, normal with mean zero.
 
     Args:
         rms: (..., 3) standard deviation of each axis.
     """
     one = np.ones(np.shape(rms)[:-1])
-    return _first_order(one, 0.0 * one, 0.0 * one, one, rms)
+    return _first_order_process(one, 0.0 * one, 0.0 * one, one, rms)
 
 
-def gauss_markov(rms: Numbers, time: Numbers, dt: float) -> Process:
-    """First-order Gauss-Markov process at sample times.
+def gauss_markov_process(rms: Numbers, time: Numbers, dt: float) -> Process:
+    """Return a first-order Gauss-Markov process at sample times.
 
     Args:
         rms: (..., 3) of each axis.
@@ -74,14 +74,15 @@ def gauss_markov(rms: Numbers, time: Numbers, dt: float) -> Process:
     """
     kept = np.exp(-dt / np.asarray(time, float))
     one = np.ones_like(kept)
-    return _first_order(kept, np.sqrt(1 - kept * kept), 0.0 * one, one, rms)
+    return _first_order_process(kept, np.sqrt(1 - kept * kept), 0.0 * one, one, rms)
 
 
-def mean_gauss_markov(rms: Numbers, time: Numbers, dt: float) -> Process:
-    """Means over the samples of a first-order Gauss-Markov process, as a sensor integrates it.
+def sampled_mean_of_gauss_markov(rms: Numbers, time: Numbers, dt: float) -> Process:
+    """Return the means over samples of a first-order Gauss-Markov process, as sensors integrate it.
 
     The means of a continuous process are an ARMA(1, 1) sequence; its two coefficients follow from
-    the variance of a mean and its covariance with the next one. Arguments as of `gauss_markov`.
+    the variance of a mean and its covariance with the next one. Arguments as of
+    `gauss_markov_process`.
     """
     r = dt / np.asarray(time, float)
     kept, lost = np.exp(-r), -np.expm1(-r)
@@ -89,27 +90,31 @@ def mean_gauss_markov(rms: Numbers, time: Numbers, dt: float) -> Process:
     series = 1 - r / 3 + r * r / 12 - r**3 / 60
     variance = np.where(small, series, 2 * (r - lost) / (r * r))
     nearby = (lost / r) ** 2
-    drive, direct = _moving_average(
+    drive, direct = _moving_average_coefficients(
         (1 + kept * kept) * variance - 2 * kept * nearby, nearby - kept * variance
     )
     begin = (kept * direct + drive) / np.sqrt(lost * (1 + kept))
-    return _first_order(kept, kept * direct + drive, direct, begin, rms)
+    return _first_order_process(kept, kept * direct + drive, direct, begin, rms)
 
 
-def mean_random_walk(density: Numbers, dt: float) -> Process:
-    """Means over the samples of a random walk that begins at zero.
+def sampled_mean_of_random_walk(density: Numbers, dt: float) -> Process:
+    """Return the means over samples of a random walk that starts at zero.
 
     Args:
         density: (..., 3) standard deviation after a second, of each axis.
         dt: sample time, s.
     """
     one = np.ones(np.shape(density)[:-1])
-    drive, direct = _moving_average(2 / 3 * one, 1 / 6 * one)
-    return _first_order(one, direct + drive, direct, 0.0 * one, np.asarray(density) * np.sqrt(dt))
+    drive, direct = _moving_average_coefficients(2 / 3 * one, 1 / 6 * one)
+    return _first_order_process(
+        one, direct + drive, direct, 0.0 * one, np.asarray(density) * np.sqrt(dt)
+    )
 
 
-def bounded_velocity(rms: Numbers, time: Numbers, bandwidth_hz: Numbers, dt: float) -> Process:
-    """Velocity of a position that wanders within bounds, at sample times.
+def bounded_velocity_process(
+    rms: Numbers, time: Numbers, bandwidth_hz: Numbers, dt: float
+) -> Process:
+    """Return the velocity of a position that wanders within bounds, at sample times.
 
     White noise through the oscillator s'' + s'/T + s/T^2 and then a first-order lag gives the
     position: it, its velocity and its acceleration have finite variances, and those of the last two
@@ -129,11 +134,11 @@ def bounded_velocity(rms: Numbers, time: Numbers, bandwidth_hz: Numbers, dt: flo
         (-rate, -rate, zero),
         (lag, zero, -lag),
     )
-    return _held(rows, (zero, one, zero), (lag, zero, -lag), rms, dt)
+    return _discretise_with_held_noise(rows, (zero, one, zero), (lag, zero, -lag), rms, dt)
 
 
-def resonance(rms: Numbers, frequency_hz: Numbers, damping: Numbers, dt: float) -> Process:
-    """What a lightly damped structure vibrates with, at sample times: white noise through it.
+def resonance_process(rms: Numbers, frequency_hz: Numbers, damping: Numbers, dt: float) -> Process:
+    """Return the vibration of a lightly damped structure driven by white noise, at sample times.
 
     Args:
         rms: (..., 3) of each axis.
@@ -144,17 +149,17 @@ def resonance(rms: Numbers, frequency_hz: Numbers, damping: Numbers, dt: float) 
     rate = 2 * np.pi * np.asarray(frequency_hz, float)
     zero, one = 0.0 * (rate + damping), 1.0 + 0.0 * (rate + damping)
     rows = ((zero, rate * one), (-rate * one, -2 * np.asarray(damping) * rate))
-    return _held(rows, (zero, one), (one, zero), rms, dt)
+    return _discretise_with_held_noise(rows, (zero, one), (one, zero), rms, dt)
 
 
-def _moving_average(variance: Numbers, covariance: Numbers) -> tuple[Numbers, Numbers]:
-    """A and b of the sequence a w_(k-1) + b w_k of a variance, and a covariance of neighbours."""
+def _moving_average_coefficients(variance: Numbers, covariance: Numbers) -> tuple[Numbers, Numbers]:
+    """Return a and b of the sequence a w_(k-1) + b w_k with a variance and a lag-one covariance."""
     b2 = (variance + np.sqrt(np.maximum(variance * variance - 4 * covariance * covariance, 0))) / 2
     b = np.sqrt(b2)
     return covariance / b, b
 
 
-def _first_order(
+def _first_order_process(
     kept: Numbers, drive: Numbers, direct: Numbers, begin: Numbers, rms: Numbers
 ) -> Process:
     matrix, column = (..., None, None), (..., None)
@@ -168,8 +173,10 @@ def _first_order(
     )
 
 
-def _held(rows: tuple, drive: tuple, output: tuple, rms: Numbers, dt: float) -> Process:
-    """A continuous process, (...,) entries, whose driving noise is held over each sample."""
+def _discretise_with_held_noise(
+    rows: tuple, drive: tuple, output: tuple, rms: Numbers, dt: float
+) -> Process:
+    """Return a continuous process, (...,) entries, with its driving noise held over each sample."""
     # Half the time that importing all of sinsjax takes, and only such a process needs it.
     from scipy.linalg import expm
 
@@ -190,7 +197,7 @@ def _held(rows: tuple, drive: tuple, output: tuple, rms: Numbers, dt: float) -> 
     return Process(a, b, c, np.zeros(a.shape[:-2]), begin, np.asarray(rms, float))
 
 
-def begin(process: Process, normal: State) -> State:
+def initial_state(process: Process, normal: State) -> State:
     """X before the first sample.
 
     Args:
@@ -198,37 +205,38 @@ def begin(process: Process, normal: State) -> State:
         normal: standard normal numbers, as many as x has components.
     """
     rows = range(len(process.drive))
-    return tuple(_combined(process.begin[i, : i + 1], normal[: i + 1]) for i in rows)
+    return tuple(_linear_combinations(process.begin[i, : i + 1], normal[: i + 1]) for i in rows)
 
 
-def output(process: Process, state: State, normal: Vec3 | None = None) -> Vec3:
-    """Y of the three axes in a state; without ``normal`` that of a process whose d is 0."""
-    y = _combined(process.output, state)
+def process_output(process: Process, state: State, normal: Vec3 | None = None) -> Vec3:
+    """Return y of the three axes in a state; without ``normal`` that of a process whose d is 0."""
+    y = _linear_combinations(process.output, state)
     if normal is not None:
         y = add(y, scale(process.direct, normal))
     return Vec3(*(factor * part for factor, part in zip(process.scale, y, strict=True)))
 
 
-def advance(process: Process, state: State, normal: Vec3) -> State:
-    """X a sample later."""
+def advance_process(process: Process, state: State, normal: Vec3) -> State:
+    """Return x one sample later."""
     rows = zip(process.transition, process.drive, strict=True)
-    return tuple(add(_combined(row, state), scale(b, normal)) for row, b in rows)
+    return tuple(add(_linear_combinations(row, state), scale(b, normal)) for row, b in rows)
 
 
-def _combined(factors: Array, vectors: State) -> Vec3:
+def _linear_combinations(factors: Array, vectors: State) -> Vec3:
     total = scale(factors[0], vectors[0])
     for factor, vector in zip(factors[1:], vectors[1:], strict=True):
         total = add(total, scale(factor, vector))
     return total
 
 
-def driving(
+def driving_noise(
     seed: Count, draw_id: Array, samples: Array, triads: tuple[int, ...]
 ) -> dict[int, Vec3]:
-    """White numbers of mean 0 and variance 1 for the processes of one draw or of many.
+    """Return white numbers of mean 0 and variance 1 for the processes of one draw or of many.
 
-    A function of seed, draw, sample and triad alone, apart from `sensors.noise`; what a process
-    takes does not depend on which others there are. Made in one row, in single precision.
+    They depend on seed, draw, sample and triad alone, are independent of
+    `sensors.draw_normal_numbers`, and do not depend on which other processes there are. They are
+    made in one row, in single precision.
 
     Args:
         seed: the study's seed, below 2^63.
@@ -242,22 +250,24 @@ def driving(
     if not triads:
         return {}
     counters = TRIADS * jnp.maximum(samples, 0)[None] + jnp.asarray(triads)[:, None]
-    made = rng.numbers(rng.binomial_triad, seed, draw_id, counters, apart=1)
+    made = rng.random_numbers(rng.binomial_triad, seed, draw_id, counters, apart=1)
     # Integers look cheap to XLA, which would make them anew for each of the numbers.
     axes = jax.lax.optimization_barrier(made)
     return {t: Vec3(*(a[i].astype(float) for a in axes)) for i, t in enumerate(triads)}
 
 
-def beginning(seed: Count, draw_id: Count, triads: tuple[int, ...]) -> dict[int, State]:
-    """Standard normal numbers for the states of one draw's processes before its first sample.
+def initial_normal_numbers(
+    seed: Count, draw_id: Count, triads: tuple[int, ...]
+) -> dict[int, State]:
+    """Return standard normal numbers for the states of a draw's processes before its first sample.
 
-    Arguments as of `driving`.
+    Arguments as of `driving_noise`.
     """
     if not triads:
         return {}
     after = MOST_SAMPLES + jnp.arange(2 * MOST_STATES)
     counters = TRIADS * after[None] + jnp.asarray(triads)[:, None]
-    pairs = rng.numbers(rng.normal_pair, seed, draw_id, counters, apart=1)
+    pairs = rng.random_numbers(rng.normal_pair, seed, draw_id, counters, apart=1)
     first, second = (a.astype(float) for a in pairs)
 
     def state(i: int, j: int) -> Vec3:

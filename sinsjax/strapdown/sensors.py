@@ -36,13 +36,13 @@ class SensorErrors(NamedTuple):
     accel_quantum: Array | None = None
 
 
-def perfect() -> SensorErrors:
-    """Error-free sensors, as for recorded data, whose errors it already contains."""
+def error_free_sensors() -> SensorErrors:
+    """Return error-free sensors, as for recorded data, which contain their errors."""
     return SensorErrors(*(jnp.zeros(3),) * 4, jnp.zeros((3, 3)), jnp.zeros((3, 3)))
 
 
-def noise(seed: Count, draw_id: Array, numbers: Array) -> Increments:
-    """Standard normal numbers for the samples of one draw or of many.
+def draw_normal_numbers(seed: Count, draw_id: Array, numbers: Array) -> Increments:
+    """Return standard normal numbers for the samples of one draw or of many.
 
     A function of seed, draw and sample alone: apart from the last bit, no record interval, run
     length, tile, chunk, device or worker can change it. Single precision is far finer than any
@@ -58,11 +58,11 @@ def noise(seed: Count, draw_id: Array, numbers: Array) -> Increments:
     """
     # A sample uses three consecutive counters, each giving a pair of numbers.
     counters = 3 * jnp.asarray(numbers)[None] + jnp.arange(3)[:, None]
-    (gx, gz, ay), (gy, ax, az) = rng.numbers(normal_pair, seed, draw_id, counters)
+    (gx, gz, ay), (gy, ax, az) = rng.random_numbers(normal_pair, seed, draw_id, counters)
     return Increments(Vec3(gx, gy, gz), Vec3(ax, ay, az))
 
 
-def measure(
+def measure_increments(
     ideal: Increments,
     errors: SensorErrors,
     normal: Increments | None,
@@ -70,7 +70,7 @@ def measure(
     *,
     distorted: bool = True,
 ) -> Increments:
-    """Measured increments from ideal ones and standard normal numbers.
+    """Return measured increments from ideal ones and standard normal numbers.
 
     Args:
         ideal: rad and m/s in b.
@@ -103,7 +103,7 @@ def _add_noise(exact: Vec3, sigma: Array, normal: Vec3) -> Vec3:
 def quantise(
     increments: Increments, errors: SensorErrors, left: Increments
 ) -> tuple[Increments, Increments]:
-    """Increments in whole quanta, and what of the integrals is left to the next sample.
+    """Return increments in whole quanta, and the remainder of the integrals for the next sample.
 
     Args:
         increments: measured, rad and m/s.
@@ -122,13 +122,13 @@ def quantise(
     return out, jax.tree.map(jnp.subtract, total, out)
 
 
-def split(row: Array) -> Increments:
-    """Increments of a row (6,) of a record: gyros, then accelerometers."""
+def split_record_row(row: Array) -> Increments:
+    """Return the increments of a record's row (6,): gyros, then accelerometers."""
     return Increments(Vec3(*row[:3]), Vec3(*row[3:]))
 
 
-def compensate(now: Increments, before: Increments) -> Sample:
-    """Coning and sculling compensation with the previous sample.
+def compensate_sample(now: Increments, before: Increments) -> Sample:
+    """Return a sample with coning and sculling compensated by the previous one.
 
     Rotation vector dtheta + (dtheta_prev x dtheta)/12; velocity in the body frame at the start of
     the sample dv + dtheta x dv/2 + dtheta x (dtheta x dv)/6 + (dtheta_prev x dv + dv_prev x
@@ -147,8 +147,8 @@ def compensate(now: Increments, before: Increments) -> Sample:
     return Sample(turn=exp_of_sample(add(theta, coning)), dv=add(body, sculling))
 
 
-def reverse(sample: Sample) -> Sample:
-    """The compensated sample of the same motion in reversed time.
+def reverse_sample(sample: Sample) -> Sample:
+    """Return the compensated sample of the same motion in reversed time.
 
     The rotation is inverted and the velocity increment is resolved in the body frame at the end of
     the sample: [P2] section 2.3 changes the sign of the gyro; this is exact for any rotation.
@@ -158,7 +158,7 @@ def reverse(sample: Sample) -> Sample:
 
 
 def compensate_record(rows: Array, previous: Array) -> Sample:
-    """Compensated samples of a record.
+    """Return the compensated samples of a record.
 
     Args:
         rows: (n, 6) measured increments.
@@ -168,4 +168,6 @@ def compensate_record(rows: Array, previous: Array) -> Sample:
         `Sample` with leaves of shape (n,).
     """
     before = jnp.concatenate([previous[None], rows[:-1]])
-    return jax.vmap(lambda a, b: compensate(split(a), split(b)))(rows, before)
+    return jax.vmap(lambda a, b: compensate_sample(split_record_row(a), split_record_row(b)))(
+        rows, before
+    )

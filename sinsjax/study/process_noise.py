@@ -6,8 +6,8 @@ from sinsjax.errors import InputError
 from sinsjax.methods.filters.section import (
     Q_DENSITIES,
     WHITE_NOISE,
-    q_readings,
-    white_density,
+    q_unit_factors,
+    sensor_noise_density,
 )
 from sinsjax.study.keys import readers
 from sinsjax.study.study import Study
@@ -48,12 +48,12 @@ def assumed_noise(study: Study) -> dict[str, set[float]]:
 def _noise_ratios(study: Study, q_key: str) -> set[float]:
     *noises, _ = WHITE_NOISE[q_key]
     forms, using = {q_key: 1.0, **Q_DENSITIES[q_key]}, readers(q_key)
-    readings = q_readings(1 / study.rate_hz)
+    readings = q_unit_factors(1 / study.rate_hz)
     ratios: set[float] = set()
     if not study.has("filter"):
         return ratios
     for point in study.combinations("method", "q_reading", "q_scale", *forms, *noises):
-        white = white_density(q_key, study.rate_hz, *(point[noise] for noise in noises))
+        white = sensor_noise_density(q_key, study.rate_hz, *(point[noise] for noise in noises))
         given = [point[form] * factor for form, factor in forms.items() if point[form] is not None]
         if point["method"] in using and white:
             scale = 1.0 if point["q_scale"] is None else point["q_scale"]
@@ -101,6 +101,6 @@ def _without_noise(study: Study, q_key: str, noises: list[str]) -> str | None:
         for noise in noises:
             if noise in study.drawn_keys:
                 return f"{noise} is drawn, but the filter has the same Q in all draws"
-        if not white_density(q_key, 1.0, *(point[noise] for noise in noises)):
+        if not sensor_noise_density(q_key, 1.0, *(point[noise] for noise in noises)):
             return f"the {_SENSORS[q_key]} have no white noise in [sensors]"
     return None

@@ -18,7 +18,7 @@ import numpy as np
 from sinsjax import columns
 from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import shortened
-from sinsjax.methods.filters.section import OF_RESETS, OF_SCHEDULES, reset_times
+from sinsjax.methods.filters.section import OF_RESETS, OF_SCHEDULES, scheduled_reset_times
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.methods.triggers.config import any_trigger
 from sinsjax.study import sampling, search_space, success
@@ -216,7 +216,7 @@ def _check_coarse_times(study: Study, where: Where) -> None:
         if length_s > end_s * (1 + ROUNDING):
             text = f"{length_s:.12g} s leaves no time for the method (at most {end_s:.12g})"
             _refuse("coarse_duration_s", where, text)
-        times = reset_times(*(point[key] for key in OF_SCHEDULES)) if resets else ()
+        times = scheduled_reset_times(*(point[key] for key in OF_SCHEDULES)) if resets else ()
         if then == "replay" or not times:
             continue
         if (first_s := min(times)) <= length_s:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, create_model
 from sinsjax.errors import InputError
 from sinsjax.messages import counted
 from sinsjax.methods.description import INITIAL_KEYS
-from sinsjax.methods.filters.section import OF_SCHEDULES, reset_times
+from sinsjax.methods.filters.section import OF_SCHEDULES, scheduled_reset_times
 from sinsjax.methods.registry import SECTIONS_OF_METHODS
 from sinsjax.methods.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study import display
@@ -411,7 +411,9 @@ class Study(_SectionsOfMethods):
         """Times of the scheduled resets of each variant, s."""
         if not self.has("resets"):
             return constant_column(self.n_variants, ())
-        return self.resolved.column(*OF_SCHEDULES).map(lambda values: reset_times(*values))
+        return self.resolved.column(*OF_SCHEDULES).map(
+            lambda values: scheduled_reset_times(*values)
+        )
 
     def reset_times(self) -> list[tuple[float, ...]]:
         """Return the reset times of each variant, s."""

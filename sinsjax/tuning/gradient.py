@@ -27,7 +27,7 @@ from sinsjax.engine.run import map_stacked_tiles, run_tile
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.run import RunProgress, Tell
-from sinsjax.methods.base import Relaxed
+from sinsjax.methods.base import Relaxation
 from sinsjax.methods.registry import METHODS
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import SECTION_OF, TomlTable
@@ -437,7 +437,7 @@ class ParameterMap:
     """Map from the variables to a method's parameters, with resets relaxed.
 
     Each variable changes the parameters by the ratio of its value to that at a base point, see
-    `methods.base.Relaxed`.
+    `methods.base.Relaxation`.
 
     Attributes:
         study: study with [tune].
@@ -470,11 +470,11 @@ class ParameterMap:
                 _refuse(study, f"[tune.variables] {variable.key}")
         keys = {variable.key for variable in self.variables}
         self.moves_resets = any(
-            r.soften and not keys.isdisjoint({r.times, *r.moves}) for r in relaxed
+            r.smooth_resets and not keys.isdisjoint({r.times, *r.moves}) for r in relaxed
         )
         self.by_covariance = not self.moves_resets and is_modelled(based)
         for r in relaxed:
-            if reason := r.refused(based, self.moves_resets):
+            if reason := r.find_unsupported(based, self.moves_resets):
                 _refuse(study, reason)
         self._left_out = {
             follower
@@ -504,22 +504,22 @@ class ParameterMap:
                 continue
             for key in self._changed_keys(relaxed, variable):
                 params = relaxed.changes[key](params, variable.entry, value, base)
-        if relaxed.soften is None or not self.moves_resets:
+        if relaxed.smooth_resets is None or not self.moves_resets:
             return params
         samples = None
         if times:
             samples = jnp.stack([jnp.asarray(time) for time in times]) * self.study.rate_hz
-        return relaxed.soften(params, samples, width)
+        return relaxed.smooth_resets(params, samples, width)
 
-    def _changed_keys(self, relaxed: Relaxed, variable: Variable) -> list[str]:
+    def _changed_keys(self, relaxed: Relaxation, variable: Variable) -> list[str]:
         """Return the key of a variable, and one that has its value if the study omits it."""
         follower = relaxed.follows.get(variable.key, "")
         keys = [variable.key, *([follower] if follower in self._left_out else [])]
         return [key for key in keys if key in relaxed.changes]
 
 
-def _relaxed(method: str) -> Relaxed:
-    return METHODS[method].implementation.relaxed or Relaxed({})
+def _relaxed(method: str) -> Relaxation:
+    return METHODS[method].implementation.relaxation or Relaxation({})
 
 
 def _refuse(study: Study, what: str) -> NoReturn:

@@ -30,9 +30,9 @@ Q = Quat(*(jnp.asarray(x) for x in np.array([0.9, 0.1, -0.3, 0.2]) / 0.9746794))
 
 SCALES = np.array([0.3, 0.7, 1.1])
 ALL = Disturbances(
-    surge=processes.bounded_velocity(SCALES, 2.0, 0.5, DT),
-    gyro_instability=processes.mean_gauss_markov(SCALES, 3.0, DT),
-    accel_walk=processes.mean_random_walk(SCALES, DT),
+    surge=processes.bounded_velocity_process(SCALES, 2.0, 0.5, DT),
+    gyro_instability=processes.sampled_mean_of_gauss_markov(SCALES, 3.0, DT),
+    accel_walk=processes.sampled_mean_of_random_walk(SCALES, DT),
 )
 
 

@@ -15,7 +15,7 @@ from sinsjax.covariance.coloured_noise import ColouredInputs
 from sinsjax.engine import build
 from sinsjax.engine.environment import Static, build_method
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Minus, numbers_of, triangle_index
+from sinsjax.maths.algebra import Minus, entries_as_numbers, triangle_index
 from sinsjax.methods import kalman
 from sinsjax.methods.base import ErrorStep
 from sinsjax.methods.registry import METHODS
@@ -33,7 +33,7 @@ def dense(triangle: Any, n: int) -> np.ndarray:
 
 def matrix(entries: Any, shape: tuple[int, int]) -> np.ndarray:
     out = np.zeros(shape)
-    for at, value in numbers_of(entries).items():
+    for at, value in entries_as_numbers(entries).items():
         out[at] = value
     return out
 

@@ -8,20 +8,20 @@ from sinsjax.covariance import information as bounds
 from sinsjax.covariance.information import heading_bound
 from sinsjax.strapdown import earth, processes
 from sinsjax.strapdown.disturbances import Disturbances
-from sinsjax.strapdown.sensors import perfect
+from sinsjax.strapdown.sensors import error_free_sensors
 from sinsjax.units import DEG, DEG_PER_H, MICRO
 
 DT = 0.25
 PLACE = earth.place(earth.wgs84(), 50 * DEG)
 ACCEL, GYRO = 500 * MICRO * 9.8 * 0.05, 0.5 * DEG_PER_H * DT  # of an increment, m/s and rad
 OF_SURGE = {
-    "third order": processes.bounded_velocity(np.array([0.1, 0.2, 0.1]), 5.0, 0.5, DT),
-    "gauss-markov": processes.gauss_markov(np.array([0.1, 0.2, 0.1]), 5.0, DT),
+    "third order": processes.bounded_velocity_process(np.array([0.1, 0.2, 0.1]), 5.0, 0.5, DT),
+    "gauss-markov": processes.gauss_markov_process(np.array([0.1, 0.2, 0.1]), 5.0, DT),
 }
 
 
 def errors(accel=(ACCEL,) * 3, gyro=(GYRO,) * 3):
-    return perfect()._replace(accel_noise=np.array(accel), gyro_noise=np.array(gyro))
+    return error_free_sensors()._replace(accel_noise=np.array(accel), gyro_noise=np.array(gyro))
 
 
 def bound(times_s, disturbances=None, **changes):
@@ -145,7 +145,7 @@ def test_white_noise_bound_is_near_closed_form(gyro, most):
 
 def test_bound_grows_with_surge_correlation_time():
     def of(time_s, rms=0.1):
-        surge = processes.gauss_markov(np.full(3, rms), time_s, DT)
+        surge = processes.gauss_markov_process(np.full(3, rms), time_s, DT)
         return bound([60.0], Disturbances(surge=surge))[0]
 
     assert bound([60.0])[0] < of(0.5) < of(5.0)
@@ -153,15 +153,15 @@ def test_bound_grows_with_surge_correlation_time():
 
 
 def test_bounded_vibration_barely_raises_bound():
-    shaking = processes.resonance(np.full(3, 1e-3), 1.5, 0.1, DT)
-    rocking = processes.resonance(np.full(3, 1e-6), 1.5, 0.1, DT)
+    shaking = processes.resonance_process(np.full(3, 1e-3), 1.5, 0.1, DT)
+    rocking = processes.resonance_process(np.full(3, 1e-6), 1.5, 0.1, DT)
     alone, shaken = bound([120.0])[0], bound([120.0], Disturbances(shaking=shaking))[0]
     assert alone < shaken < 1.01 * alone
     assert alone < bound([120.0], Disturbances(rocking=rocking))[0] < 1.05 * alone
 
 
 def test_gyro_random_walk_raises_bound():
-    walk = processes.mean_random_walk(np.full(3, 1e-8), DT)
+    walk = processes.sampled_mean_of_random_walk(np.full(3, 1e-8), DT)
     assert bound([300.0], Disturbances(gyro_walk=walk))[0] > 1.5 * bound([300.0])[0]
 
 

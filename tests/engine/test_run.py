@@ -116,7 +116,7 @@ def draw(number=DRAW):
 
 def naive_measured():
     """Ideal increments, bias and the draw's own numbers."""
-    numbers = sensors.noise(np.asarray(SEED), np.asarray(DRAW), np.arange(WHOLE))
+    numbers = sensors.draw_normal_numbers(np.asarray(SEED), np.asarray(DRAW), np.arange(WHOLE))
     normal = np.stack([*numbers.dtheta, *numbers.dv], axis=1).astype(float)
     return ideal()[2:] + BIAS / RATE + NOISE * normal
 

@@ -31,7 +31,7 @@ from oracles.naive_filters import (
 from support.studies import small_study
 
 from sinsjax import run as run_study
-from sinsjax.maths.algebra import numbers_of, triangle_index
+from sinsjax.maths.algebra import entries_as_numbers, triangle_index
 from sinsjax.methods.azimuth import method as model
 from sinsjax.methods.azimuth.method import AzimuthParams
 from sinsjax.methods.invariant.method import left_jacobian
@@ -105,7 +105,7 @@ def test_model_derivative_matches_automatic_differentiation(level, azimuth):
     x, here = (*map(jnp.asarray, level), jnp.asarray(azimuth)), place(PAPER, LATITUDE)
     slope = np.array(jax.jacfwd(lambda x: jnp.stack(model.propagate_errors(x, here, DT)))(x)).T
     entries = np.eye(5)
-    for at, value in numbers_of(model.jacobian(x, here, DT)).items():
+    for at, value in entries_as_numbers(model.jacobian(x, here, DT)).items():
         entries[at] += value
     np.testing.assert_allclose(slope, entries, rtol=0, atol=1e-14)
 

@@ -50,7 +50,7 @@ def at(latitude_deg) -> Place:
 @functools.partial(jax.jit, static_argnames="seconds")
 def ideal(motion: Motion, place: Place, seconds: int = SECONDS) -> Array:
     """Increments of one sample that goes before, and of the interval."""
-    return base_motion.increments(motion, place, RATE, round(seconds * RATE) + 1)
+    return base_motion.ideal_increments(motion, place, RATE, round(seconds * RATE) + 1)
 
 
 @functools.partial(jax.jit, static_argnames="method")

@@ -72,7 +72,7 @@ def still_world(planet, latitude, rate):
 
 def fly(params, *, planet, latitude, rate, phi=(0, 0, 0), v=(0, 0), eps=0.0, nabla=0.0):
     """The engine's run on a static base, level and pointing north, without noise."""
-    errors = sensors.perfect()._replace(
+    errors = sensors.error_free_sensors()._replace(
         gyro_bias=np.zeros(3) + eps, accel_bias=np.array([1.0, 1.0, 0.0]) * nabla
     )
     environment = still_world(planet, latitude, rate)

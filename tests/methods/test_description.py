@@ -12,7 +12,7 @@ from sinsjax.engine.build import Scenario
 from sinsjax.execution import layouts
 from sinsjax.methods.base import Options
 from sinsjax.methods.description import COMMON_KEYS
-from sinsjax.methods.page import page
+from sinsjax.methods.page import render_methods_page
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import COARSE_KEYS, SECTIONS, TUNABLE
 
@@ -20,7 +20,7 @@ methods = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 
 
 def test_methods_page_is_up_to_date():
-    assert (Path(__file__).parents[2] / "docs" / "methods.md").read_text() == page()
+    assert (Path(__file__).parents[2] / "docs" / "methods.md").read_text() == render_methods_page()
 
 
 @methods
@@ -30,7 +30,7 @@ def test_methods_name_only_existing_keys(method):
     assert {*method.refuses} <= {*method.keys, *COARSE_KEYS}
     for pair in method.gyro_bias_keys:
         assert {*pair} <= method.keys
-    if relaxed := method.implementation.relaxed:
+    if relaxed := method.implementation.relaxation:
         followed = {*relaxed.follows, *relaxed.follows.values()}
         assert {*relaxed.changes, *followed, *({relaxed.times} - {None})} <= method.keys
 

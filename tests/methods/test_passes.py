@@ -41,7 +41,7 @@ from oracles.naive import (
 )
 
 from sinsjax.engine.run import Static
-from sinsjax.maths.algebra import numbers_of, triangle_index
+from sinsjax.maths.algebra import entries_as_numbers, triangle_index
 from sinsjax.methods import passes
 from sinsjax.methods.base import Options
 from sinsjax.methods.compass.config import REVERSALS
@@ -87,12 +87,13 @@ def test_backward_sample_undoes_forward_sample() -> None:
     """After both, a body is where it was, and has gained twice the velocity, seen from there."""
     rng = np.random.default_rng(1)
     now, before = (
-        sensors.split(np.concatenate(rng.normal(size=(2, 3)) * [[0.1], [1.0]])) for _ in "ab"
+        sensors.split_record_row(np.concatenate(rng.normal(size=(2, 3)) * [[0.1], [1.0]]))
+        for _ in "ab"
     )
     forward = passes.compensate(now, before, jnp.asarray(False))
     # Backward the sample before it on the record comes last.
     backward = passes.compensate(before, now, jnp.asarray(True))
-    alone = sensors.compensate(now, before)
+    alone = sensors.compensate_sample(now, before)
     jax.tree.map(np.testing.assert_array_equal, forward, alone)
     there, back = (of_quaternion(np.array(s.turn)) for s in (forward, backward))
     np.testing.assert_allclose(there @ back, np.eye(3), atol=1e-15)
@@ -175,8 +176,12 @@ def test_backward_pass_without_reversed_earth_rate_misses_start():
     @jax.jit
     def back(nav):
         def step(nav, row):
-            sample = sensors.reverse(sensors.compensate(sensors.split(row), sensors.split(0 * row)))
-            return mechanisation.step(nav, sample, here.place, 1 / RATE)[0], None
+            sample = sensors.reverse_sample(
+                sensors.compensate_sample(
+                    sensors.split_record_row(row), sensors.split_record_row(0 * row)
+                )
+            )
+            return mechanisation.advance_navigation(nav, sample, here.place, 1 / RATE)[0], None
 
         return jax.lax.scan(step, nav, swing_record(RATE, 0.0)[::-1])[0]
 
@@ -255,7 +260,10 @@ def test_backward_error_model_is_reversed_forward_model(name, v, phi, latitude_d
     f_dt = Vec3(0.3 * dt, -0.2 * dt, 9.9 * dt)
     forward, backward = (
         dense(model.transition(n, p, f_dt, dt), len(model.states))
-        for n, p in ((nav, here), (mechanisation.reverse(nav), earth.reverse(here, -1.0)))
+        for n, p in (
+            (nav, here),
+            (mechanisation.reverse_velocity(nav), earth.reverse_rotation(here, -1.0)),
+        )
     )
     t = np.diag(model.reversal)
     np.testing.assert_allclose(backward, -t @ forward @ t, rtol=1e-13, atol=1e-25)
@@ -264,7 +272,7 @@ def test_backward_error_model_is_reversed_forward_model(name, v, phi, latitude_d
 
 def dense(entries, n):
     matrix = np.zeros((n, n))
-    for place_, value in numbers_of(entries).items():
+    for place_, value in entries_as_numbers(entries).items():
         matrix[place_] = value
     return matrix
 
@@ -336,7 +344,7 @@ def test_estimated_gyro_bias_changes_sign_at_each_turn():
     """kalman10 finds the bias of the north gyro, and over a turn goes on with its opposite."""
     rate, seconds, bias = 50, 60, np.array([0.0, 2.0, 0.0]) * DEG_PER_H
     rows = swing_increments(PAPER1, EARTH, LATITUDE, rate=rate, samples=rate * seconds)
-    errors = sensors.perfect()._replace(gyro_bias=bias)
+    errors = sensors.error_free_sensors()._replace(gyro_bias=bias)
     static = Static("kalman10", Options(1 / rate), rate, 4 * seconds, False, passes="alternate")
     environment = record_world(rows, site(EARTH, LATITUDE), pass_records=seconds, errors=errors)
     filt = paper_filter(10, every=rate, r=1e-10, q=np.array([1e-12] * 2 + [1e-18] * 3 + [0] * 5))

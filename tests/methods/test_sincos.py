@@ -22,7 +22,7 @@ from oracles.naive_filters import SINCOS, about_up, closed_loop, upright
 from support.studies import small_study
 
 from sinsjax import run as run_study
-from sinsjax.maths.algebra import numbers_of, triangle_index
+from sinsjax.maths.algebra import entries_as_numbers, triangle_index
 from sinsjax.methods.base import Options
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.sincos import method as sincos
@@ -58,7 +58,7 @@ def rates_at_rest(a, tilt, v, planet, latitude):
 def test_sincos_transition_matches_navigator_at_any_azimuth(planet, a, seed):
     """Exactly in the azimuth; to first order in velocity and tilt, by central differences."""
     model = np.zeros((6, 6))
-    for entry, value in numbers_of(sincos.transition(place(planet, LATITUDE), 1.0)).items():
+    for entry, value in entries_as_numbers(sincos.transition(place(planet, LATITUDE), 1.0)).items():
         model[entry] = value
     x = np.random.default_rng(seed).normal(size=4) * np.array([1e-3, 1e-3, 1e-5, 1e-5])
     here = rates_at_rest(a, x[2:], x[:2], planet, LATITUDE)

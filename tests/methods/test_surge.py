@@ -20,7 +20,7 @@ from scipy.linalg import expm
 from support.studies import refusal, small_study
 
 from sinsjax.engine.build import Scenario
-from sinsjax.maths.algebra import numbers_of, triangle_index
+from sinsjax.maths.algebra import entries_as_numbers, triangle_index
 from sinsjax.methods.sincos import method as surge
 from sinsjax.methods.sincos.method import SurgeParams
 from sinsjax.strapdown import processes
@@ -55,12 +55,12 @@ def run(name, filt):
 def test_surge_model_autocovariance_matches_bounded_velocity():
     """Whose acceleration is bounded far above what the filter samples: its autocovariance."""
     a = np.zeros((10, 10))
-    for entry, value in numbers_of(
+    for entry, value in entries_as_numbers(
         surge.surge_transition(place(WGS84, LATITUDE), SurgeParams(1 / TIME), 1.0)
     ).items():
         a[entry] = value
     dt, rms = 0.05, 0.3
-    whole = processes.bounded_velocity(np.full(3, rms), TIME, 1e3, 1e-3)
+    whole = processes.bounded_velocity_process(np.full(3, rms), TIME, 1e3, 1e-3)
     stationary = whole.begin @ whole.begin.T
     axis = np.ix_([surge.PLACE_E, surge.SURGE_E], [surge.PLACE_E, surge.SURGE_E])
     own = np.diag([(rms * TIME) ** 2, rms**2])

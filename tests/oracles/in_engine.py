@@ -17,7 +17,7 @@ from sinsjax.methods.base import Options, Site
 from sinsjax.methods.compass import method as compass
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains
 from sinsjax.methods.filters.closed_loop import FilterParams
-from sinsjax.methods.filters.section import times_of_resets
+from sinsjax.methods.filters.section import acting_reset_times
 from sinsjax.methods.floors import NO_BIASES
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import CovarianceReset, FeedbackSchedule, PiecewiseConstant, Resets
@@ -113,7 +113,7 @@ def filter_params(filt: Filter) -> FilterParams:
     """Numbers of a filter whose states are in one order here and there."""
     scale = (filt.factor, filt.factor, 0.0, 0.0)
     written = tuple(map(float, filt.resets)), None, None, None
-    when = times_of_resets(1.0, *written, filt.at_feedback, float(filt.every))
+    when = acting_reset_times(1.0, *written, filt.at_feedback, float(filt.every))
     when = [*when, *[np.inf] * (RESETS - len(when))]
     p0 = tuple(map(np.float64, filt.p0))
     return FilterParams(
@@ -157,7 +157,7 @@ def swing_increments(swing: Swing, planet: Planet, latitude: float, *, rate, sam
     return rows
 
 
-_increments = jax.jit(base_motion.increments, static_argnums=3)
+_increments = jax.jit(base_motion.ideal_increments, static_argnums=3)
 
 
 def loops(given: Loops, turn: Sequence[float]) -> compass.LoopParams:
@@ -178,7 +178,7 @@ def record_world(
 ) -> Environment:
     """An environment whose truth is not known: a record and a site."""
     never = Criteria(np.zeros(1), *(np.float64(0.0),) * 4)
-    perfect = sensors.perfect() if errors is None else errors
+    perfect = sensors.error_free_sensors() if errors is None else errors
     return Environment(
         site=here,
         sensors=SensorModel(rows, perfect, np.asarray(11)),

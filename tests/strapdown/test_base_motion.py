@@ -14,7 +14,7 @@ from sinsjax.strapdown import base_motion
 
 attitude = jax.jit(base_motion.attitude)
 rate_and_force = jax.jit(base_motion.rate_and_force)
-increments = jax.jit(base_motion.increments, static_argnums=3)
+increments = jax.jit(base_motion.ideal_increments, static_argnums=3)
 
 STATIC = Swing(np.array([3.0, -5.0, 200.0]) * DEG, np.zeros(3), np.ones(3), np.ones(3))
 ODD = Swing(
@@ -41,7 +41,7 @@ def swings(draw):
 def test_increments_in_blocks_match_whole_record_bit_for_bit(with_axes):
     n, block = 5001, 4000
     given = motion(ODD), place(WGS84, 0.5), 100.0
-    plain = base_motion.increments_and_axes if with_axes else base_motion.increments
+    plain = base_motion.ideal_increments_and_axes if with_axes else base_motion.ideal_increments
     rows = jax.jit(plain, static_argnums=3)
     blocks = [rows(*given, block, k * 1.0 * block) for k in (0, 1)]
     np.testing.assert_array_equal(np.concatenate(blocks)[:n], rows(*given, n))
@@ -117,7 +117,7 @@ def test_increment_derivative_matches_finite_difference():
     def total(amplitude):
         swing = motion(PAPER1)
         swing = swing._replace(pitch=swing.pitch._replace(amplitude=amplitude))
-        return base_motion.increments(swing, here, 100.0, 50).sum()
+        return base_motion.ideal_increments(swing, here, 100.0, 50).sum()
 
     derivative = jax.jit(partial(jax.jvp, total))((0.1,), (1.0,))[1]
     step = 1e-5

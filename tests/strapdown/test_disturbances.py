@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from sinsjax.maths import rotations
 from sinsjax.strapdown import base_motion, disturbances, mechanisation, processes, sensors
-from sinsjax.strapdown.disturbances import Disturbances, Disturbed
+from sinsjax.strapdown.disturbances import Disturbances, SampleDisturbance
 from sinsjax.types import Increments, Navigation, Vec3
 
 LEVER = Vec3(*np.array([1.2, -0.7, 2.0]))
@@ -58,7 +58,7 @@ def navigated(rows, q, v, here, rate, seconds):
 
     def one_second(nav, block):
         def step(nav, sample):
-            return mechanisation.step(nav, sample, here, 1 / rate)[0], None
+            return mechanisation.advance_navigation(nav, sample, here, 1 / rate)[0], None
 
         nav = jax.lax.scan(step, nav, block)[0]
         return nav, (jnp.stack([nav.ve, nav.vn]), nav.q)
@@ -69,7 +69,7 @@ def navigated(rows, q, v, here, rate, seconds):
 def test_free_navigation_follows_lever_arm_motion():
     """60 s at 200 Hz: 5e-5 m/s of 0.1 m/s, and 0.1 arcsec."""
     here, moving, rate, seconds = place(PAPER, 32 * DEG), with_lever(PAPER1), 200, 60
-    rows = base_motion.increments(moving, here, rate * 1.0, rate * seconds)
+    rows = base_motion.ideal_increments(moving, here, rate * 1.0, rate * seconds)
     times = np.arange(seconds + 1.0)
     truth = np.asarray(VELOCITY(moving, times))[:, :2]
     q0 = base_motion.attitude(moving, 0.0)
@@ -85,22 +85,22 @@ def surging(rate, seconds, model):
     # Level: the mechanisation takes the vertical velocity for zero.
     numbers = np.array([0.1, 0.1, 0.0]), np.asarray(5.0)
     if model == "gauss_markov":
-        surge = processes.gauss_markov(*numbers, 1 / rate)
+        surge = processes.gauss_markov_process(*numbers, 1 / rate)
     else:
-        surge = processes.bounded_velocity(*numbers, np.asarray(1.0), 1 / rate)
+        surge = processes.bounded_velocity_process(*numbers, np.asarray(1.0), 1 / rate)
     here, them, moving = place(WGS84, 0.6), Disturbances(surge=surge), motion(PAPER1)
-    ahead = base_motion.nodes(moving, rate * 1.0)
+    ahead = base_motion.integration_nodes(moving, rate * 1.0)
 
     @jax.jit
     def run(draw):
-        states = disturbances.begin(them, np.asarray(1), draw)
-        driven = disturbances.driving(them, np.asarray(1), draw, jnp.arange(rate * seconds))
+        states = disturbances.initial_states(them, np.asarray(1), draw)
+        driven = disturbances.driving_noise(them, np.asarray(1), draw, jnp.arange(rate * seconds))
 
         def step(states, one):
             k, driven = one
-            states, now = disturbances.advance(them, states, driven, 1 / rate)
-            exact = base_motion.sensed(moving, ahead, here, rate * 1.0, k)
-            made = disturbances.moved(exact, now, here, 1 / rate)
+            states, now = disturbances.advance_processes(them, states, driven, 1 / rate)
+            exact = base_motion.ideal_sample(moving, ahead, here, rate * 1.0, k)
+            made = disturbances.disturb_motion(exact, now, here, 1 / rate)
             return states, (jnp.stack(jax.tree.leaves(made)), jnp.stack([*now.before, *now.after]))
 
         numbers = jnp.arange(rate * seconds * 1.0)
@@ -130,30 +130,32 @@ def test_free_navigation_follows_surge_velocity(model):
 def test_vibration_and_drift_are_added_to_matching_increments():
     """Every part goes where it belongs, and what there is not costs no sum."""
     three = [Vec3(*np.arange(3.0) + i) for i in range(4)]
-    still = base_motion.Sensed(Increments(three[0], three[1]), None)
+    still = base_motion.IdealSample(Increments(three[0], three[1]), None)
     here = place(PAPER, 0.5)
-    shaken = Disturbed(None, None, three[2], three[3], None, None)
-    moved = disturbances.moved(still, shaken, here, 0.1)
+    shaken = SampleDisturbance(None, None, three[2], three[3], None, None)
+    moved = disturbances.disturb_motion(still, shaken, here, 0.1)
     np.testing.assert_array_equal(moved.dtheta, np.add(three[0], three[2]))
     np.testing.assert_array_equal(moved.dv, np.add(three[1], three[3]))
-    drifting = Disturbed(None, None, None, None, None, three[2])
-    drifted = disturbances.drifted(still.increments, drifting)
+    drifting = SampleDisturbance(None, None, None, None, None, three[2])
+    drifted = disturbances.add_drifts(still.increments, drifting)
     assert drifted.dtheta is three[0]
     np.testing.assert_array_equal(drifted.dv, np.add(three[1], three[2]))
-    states, none = disturbances.advance(Disturbances(), Disturbances(), Disturbances(), 0.1)
+    states, none = disturbances.advance_processes(
+        Disturbances(), Disturbances(), Disturbances(), 0.1
+    )
     assert not any(jax.tree.leaves((states, none)))
 
 
 def test_quantised_increment_sums_stay_within_half_quantum():
     """Sums of quantised increments are those of the exact ones to half a quantum."""
     rows = np.random.default_rng(1).normal(size=(500, 6)) * 3e-6
-    errors = sensors.perfect()._replace(
+    errors = sensors.error_free_sensors()._replace(
         gyro_quantum=np.array([1e-6, 2e-6, 0.0]), accel_quantum=np.array([5e-6, 0.0, 1e-7])
     )
     zero = Vec3(*(jnp.zeros(()) for _ in range(3)))
 
     def step(left, row):
-        out, left = sensors.quantise(sensors.split(row), errors, left)
+        out, left = sensors.quantise(sensors.split_record_row(row), errors, left)
         return left, jnp.stack(jax.tree.leaves(out))
 
     out = np.asarray(jax.lax.scan(step, Increments(zero, zero), jnp.asarray(rows))[1])

@@ -18,7 +18,7 @@ from oracles.naive import (
 )
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import numbers_of
+from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.strapdown import mechanisation, sensors
 from sinsjax.strapdown.error_model import MODELS
 from sinsjax.types import Navigation, Quat, Sample, Vec3
@@ -34,7 +34,7 @@ def engine_matrix(method, c, v, f, planet, latitude):
     model = MODELS[method]
     entries = model.transition(nav, place(planet, latitude), Vec3(*(DT * f)), DT)
     a = np.zeros((len(model.states),) * 2)
-    for entry, value in numbers_of(entries).items():
+    for entry, value in entries_as_numbers(entries).items():
         a[entry] = value / DT
     return a
 
@@ -104,7 +104,7 @@ def test_transition_is_derivative_of_engine_step():
         )
         # What is left in the increments is what has not been taken out of them.
         biased = model.correct_sample(sample, tuple(-b for b in x[5:]), DT)
-        nav, f_dt = mechanisation.step(off, biased, here, DT)
+        nav, f_dt = mechanisation.advance_navigation(off, biased, here, DT)
         return nav, f_dt
 
     def error_after(x):
@@ -113,10 +113,10 @@ def test_transition_is_derivative_of_engine_step():
         return jnp.stack([nav.ve - true.ve, nav.vn - true.vn, *phi, *x[5:]])
 
     start = Navigation(q, *map(jnp.asarray, v), jnp.asarray(latitude), jnp.asarray(0.0))
-    _, f_dt = mechanisation.step(start, sample, here, DT)
+    _, f_dt = mechanisation.advance_navigation(start, sample, here, DT)
     entries = model.transition(start, here, f_dt, DT)
     phi = np.eye(n)
-    for entry, value in numbers_of(entries).items():
+    for entry, value in entries_as_numbers(entries).items():
         phi[entry] += value
     jacobian = np.array(jax.jit(jax.jacfwd(error_after))(jnp.zeros(n)))
     np.testing.assert_allclose(jacobian[:5, :5], phi[:5, :5], rtol=0, atol=1e-7)

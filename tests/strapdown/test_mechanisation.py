@@ -45,7 +45,7 @@ def off_truth(samples, swing, here, dt):
 
         def step(i, nav):
             sample = jax.tree.map(lambda a: a[i], block)
-            return mechanisation.step(nav, sample, here, dt)[0]
+            return mechanisation.advance_navigation(nav, sample, here, dt)[0]
 
         nav = jax.lax.fori_loop(0, block.dv.x.shape[0], step, nav)
         nav = nav._replace(q=rotations.normalise(nav.q))
@@ -59,7 +59,7 @@ def off_truth(samples, swing, here, dt):
 @partial(jax.jit, static_argnames=("rate", "seconds"))
 def free_runs(swing, here, *, rate, seconds):
     """Errors of a run without sensor errors, by previous-sample and by single-sample scheme."""
-    rows = base_motion.increments(swing, here, rate * 1.0, rate * seconds)
+    rows = base_motion.ideal_increments(swing, here, rate * 1.0, rate * seconds)
     runs = []
     for scheme in (previous_sample, single_sample):
         samples = jax.tree.map(lambda a: a.reshape(seconds, rate), scheme(rows))
@@ -153,8 +153,8 @@ def flight(rows, rate, start, v, planet, latitude, *, moves):
     def fly(nav, samples):
         def step(nav, sample):
             now = earth.place(model, nav.latitude) if moves else here
-            nav, _ = mechanisation.step(nav, sample, now, 1 / rate)
-            return mechanisation.travel(nav, now, 1 / rate), None
+            nav, _ = mechanisation.advance_navigation(nav, sample, now, 1 / rate)
+            return mechanisation.advance_position(nav, now, 1 / rate), None
 
         return jax.lax.scan(step, nav, samples)[0]
 
@@ -218,7 +218,7 @@ def test_travel_along_meridian_matches_arc_length(latitude_deg, speed):
 @jax.jit
 def meridian_run(latitude, speed, dt, n):
     def step(_, nav):
-        return mechanisation.travel(nav, earth.place(earth.wgs84(), nav.latitude), dt)
+        return mechanisation.advance_position(nav, earth.place(earth.wgs84(), nav.latitude), dt)
 
     zero = jnp.zeros(())
     nav = Navigation(Quat(zero + 1, zero, zero, zero), zero, zero + speed, zero + latitude, zero)
@@ -231,7 +231,7 @@ def test_travel_along_parallel_matches_arc_length(latitude_deg, height):
     latitude = latitude_deg * DEG
     numbers = [jnp.asarray(x) for x in (120.0, 0.0, latitude, 0.3)]
     here = earth.place(earth.wgs84(height), latitude)
-    nav = mechanisation.travel(Navigation(Quat(1.0, 0.0, 0.0, 0.0), *numbers), here, 2.0)
+    nav = mechanisation.advance_position(Navigation(Quat(1.0, 0.0, 0.0, 0.0), *numbers), here, 2.0)
     radius = (WGS84.radii(latitude)[1] + height) * np.cos(latitude)
     np.testing.assert_allclose(nav.longitude - 0.3, 240.0 / radius, rtol=1e-9)
     np.testing.assert_allclose(nav.latitude, latitude, rtol=0, atol=1e-300)
@@ -245,7 +245,7 @@ def test_attitude_without_increments_rotates_back_with_earth_rate(latitude_deg, 
     zero = jnp.zeros(())
     nav = Navigation(Quat(*map(jnp.asarray, quaternion(c))), zero, zero, zero, zero)
     still = Sample(Quat(1.0, 0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.0))
-    nav, f_dt = mechanisation.step(nav, still, here, 10.0)
+    nav, f_dt = mechanisation.advance_navigation(nav, still, here, 10.0)
     w_ie = np.array([0.0, here.rate_n, here.rate_u])
     np.testing.assert_allclose(of_quaternion(nav.q), exp(-10 * w_ie) @ c, atol=1e-9)
     np.testing.assert_array_equal((nav.ve, nav.vn, *f_dt), 0.0)

@@ -34,7 +34,7 @@ def assert_stationary(process):
 
 @given(times, rates)
 def test_gauss_markov_keeps_its_variance_and_correlation(time, rate):
-    process = processes.gauss_markov(RMS, time, 1 / rate)
+    process = processes.gauss_markov_process(RMS, time, 1 / rate)
     assert_stationary(process)
     expected = np.exp(-np.arange(3) / (rate * time))
     np.testing.assert_allclose(covariances(process, 2), expected, rtol=1e-9)
@@ -43,7 +43,7 @@ def test_gauss_markov_keeps_its_variance_and_correlation(time, rate):
 @pytest.mark.parametrize("ratio", [1e-6, 1e-3, 0.0099, 0.0101, 0.3, 4.0])
 def test_mean_gauss_markov_covariance_matches_integrals(ratio):
     """Of sample times up to four times the correlation time."""
-    process = processes.mean_gauss_markov(RMS, np.asarray(1.0), ratio)
+    process = processes.sampled_mean_of_gauss_markov(RMS, np.asarray(1.0), ratio)
     assert_stationary(process)
 
     def integral(lag):
@@ -61,7 +61,7 @@ def test_mean_gauss_markov_covariance_matches_integrals(ratio):
 
 def test_mean_random_walk_variance_grows_as_its_integral():
     """Var of the difference of two means k samples apart: (k - 1/3) times that of a sample."""
-    process = processes.mean_random_walk(RMS, 0.1)
+    process = processes.sampled_mean_of_random_walk(RMS, 0.1)
     (a, d) = process.drive[0], process.direct
     for k in (1, 2, 5):
         between = d**2 + (k - 1) * a**2 + (a - d) ** 2
@@ -76,7 +76,7 @@ def test_surge_velocity_acceleration_and_position_rms_at_any_rate(rate):
     Of y''' + a2 y'' + a1 y' + a0 y = white: var y'' / var y' = a1, var y / var y' = a2 / a0.
     """
     time, bandwidth, rms = 5.0, 1.0, 0.1
-    process = processes.bounded_velocity(
+    process = processes.bounded_velocity_process(
         np.full(3, rms), np.asarray(time), np.asarray(bandwidth), 1 / rate
     )
     assert_stationary(process)
@@ -97,7 +97,7 @@ def test_surge_velocity_acceleration_and_position_rms_at_any_rate(rate):
 
 @given(st.floats(0.01, 0.9).map(np.asarray), st.floats(0.1, 40).map(np.asarray))
 def test_resonance_has_given_variance_and_frequency(damping, frequency):
-    process = processes.resonance(RMS, frequency, damping, 1 / 400)
+    process = processes.resonance_process(RMS, frequency, damping, 1 / 400)
     assert_stationary(process)
     found, omega = covariances(process, 4), 2 * np.pi * frequency
     damped = omega * np.sqrt(1 - damping**2)
@@ -110,13 +110,13 @@ def test_resonance_has_given_variance_and_frequency(damping, frequency):
 
 
 def test_batched_process_parameters_match_single_draw():
-    many = processes.mean_gauss_markov(np.ones((5, 3)), np.array([1.0, 2, 3, 4, 5]), 0.1)
-    one = processes.mean_gauss_markov(np.ones(3), np.asarray(3.0), 0.1)
+    many = processes.sampled_mean_of_gauss_markov(np.ones((5, 3)), np.array([1.0, 2, 3, 4, 5]), 0.1)
+    one = processes.sampled_mean_of_gauss_markov(np.ones(3), np.asarray(3.0), 0.1)
     for a, b in zip(jax.tree.map(lambda a: a[2], many), one, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
-DRIVING = jax.jit(processes.driving, static_argnums=3)
+DRIVING = jax.jit(processes.driving_noise, static_argnums=3)
 
 
 def drawn(seed, draws, samples, triads):
@@ -157,20 +157,22 @@ def test_binomial_triad_sums_sixteen_bits_per_number():
 def test_process_is_stationary_from_first_sample(order):
     """By 4000 draws: the variance of the first sample is that of the last."""
     if order == 1:
-        process = processes.gauss_markov(RMS, np.asarray(2.0), 0.1)
+        process = processes.gauss_markov_process(RMS, np.asarray(2.0), 0.1)
     else:
-        process = processes.bounded_velocity(RMS, np.asarray(2.0), np.asarray(1.0), 0.1)
+        process = processes.bounded_velocity_process(RMS, np.asarray(2.0), np.asarray(1.0), 0.1)
 
     @jax.jit
     @jax.vmap
     def run(draw):
-        start = processes.beginning(np.asarray(1), draw, (0,))[0]
-        driven = processes.driving(np.asarray(1), draw, jnp.arange(40), (0,))[0]
+        start = processes.initial_normal_numbers(np.asarray(1), draw, (0,))[0]
+        driven = processes.driving_noise(np.asarray(1), draw, jnp.arange(40), (0,))[0]
 
         def step(state, w):
-            return processes.advance(process, state, w), processes.output(process, state)
+            return processes.advance_process(process, state, w), processes.process_output(
+                process, state
+            )
 
-        return jnp.stack(jax.lax.scan(step, processes.begin(process, start), driven)[1])
+        return jnp.stack(jax.lax.scan(step, processes.initial_state(process, start), driven)[1])
 
     y = np.asarray(run(np.arange(4000)))
     rms = np.sqrt((y**2).mean(axis=0))

@@ -27,9 +27,11 @@ def test_measure_applies_scale_misalignment_bias_and_noise(seed):
     dt = 0.25
     gyro = (np.eye(3) + errors.gyro_matrix) @ ideal[:3] + errors.gyro_bias * dt
     accel = (np.eye(3) + errors.accel_matrix) @ ideal[3:] + errors.accel_bias * dt
-    quiet = sensors.measure(sensors.split(ideal), errors, None, dt)
+    quiet = sensors.measure_increments(sensors.split_record_row(ideal), errors, None, dt)
     np.testing.assert_allclose(joined(quiet), [*gyro, *accel], atol=1e-13)
-    noisy = sensors.measure(sensors.split(ideal), errors, sensors.split(normal), dt)
+    noisy = sensors.measure_increments(
+        sensors.split_record_row(ideal), errors, sensors.split_record_row(normal), dt
+    )
     blur = np.concatenate([errors.gyro_noise, errors.accel_noise]) * normal
     np.testing.assert_allclose(joined(noisy), [*gyro, *accel] + blur, atol=1e-13)
 
@@ -37,7 +39,12 @@ def test_measure_applies_scale_misalignment_bias_and_noise(seed):
 def test_perfect_sensors_leave_increments_unchanged():
     ideal = np.random.default_rng(1).normal(size=6)
     normal = np.ones(6, np.float32)
-    got = sensors.measure(sensors.split(ideal), sensors.perfect(), sensors.split(normal), 0.01)
+    got = sensors.measure_increments(
+        sensors.split_record_row(ideal),
+        sensors.error_free_sensors(),
+        sensors.split_record_row(normal),
+        0.01,
+    )
     np.testing.assert_array_equal(joined(got), ideal)
 
 
@@ -49,7 +56,7 @@ def joined(increments):
 @pytest.fixture(scope="module")
 def normal():
     """Noise of 20 draws and 3,000 samples: (draws, samples, 6)."""
-    numbers = jax.jit(sensors.noise)(jnp.asarray(7), jnp.arange(20), jnp.arange(3000))
+    numbers = jax.jit(sensors.draw_normal_numbers)(jnp.asarray(7), jnp.arange(20), jnp.arange(3000))
     return joined(numbers).astype(float).swapaxes(0, 1)
 
 
@@ -78,7 +85,7 @@ def test_noise_is_white_and_differs_between_axes_and_draws(normal):
 
 
 def test_noise_depends_only_on_seed_draw_and_sample():
-    noise = jax.jit(sensors.noise)
+    noise = jax.jit(sensors.draw_normal_numbers)
 
     def once(seed, draw, sample):
         return joined(noise(jnp.asarray(seed), jnp.asarray(draw), jnp.asarray([sample])))[0]
@@ -90,7 +97,7 @@ def test_noise_depends_only_on_seed_draw_and_sample():
     many = noise(jnp.asarray(3), jnp.arange(2, 9), jnp.arange(4, 50))
     assert many.dv.x.shape == (46, 7)
     np.testing.assert_allclose(here, joined(many)[4, 3], **rounding)
-    over_draws = jax.jit(jax.vmap(sensors.noise, in_axes=(None, 0, None)))
+    over_draws = jax.jit(jax.vmap(sensors.draw_normal_numbers, in_axes=(None, 0, None)))
     mapped = over_draws(jnp.asarray(3), jnp.arange(9), jnp.arange(4, 50))
     np.testing.assert_allclose(here, joined(mapped)[5, 4], **rounding)
     others = (4, 5, 8), (3, 6, 8), (3, 5, 9), (5, 3, 8), (8, 5, 3), (3 + 2**32, 5, 8)
@@ -101,7 +108,7 @@ def test_noise_depends_only_on_seed_draw_and_sample():
 def test_noise_uses_three_counters_per_sample():
     """Pair k of a sample is the pair of counter 3 sample + k."""
     word = jnp.uint32
-    now = sensors.noise(*map(jnp.asarray, (3 + 2**32 * 9, 5, [8])))
+    now = sensors.draw_normal_numbers(*map(jnp.asarray, (3 + 2**32 * 9, 5, [8])))
     pairs = [normal_pair(threefry((word(9), word(3)), (word(5), word(24 + k)))) for k in range(3)]
     np.testing.assert_allclose(joined(now)[0], np.ravel(pairs), rtol=0, atol=1e-6)
 

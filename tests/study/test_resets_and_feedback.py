@@ -11,7 +11,7 @@ from support.studies import refusal, small_study
 from sinsjax.engine.bias_floors import last_scheduled_reset_s
 from sinsjax.engine.build import Scenario
 from sinsjax.execution import run as study_run
-from sinsjax.methods.filters.section import times_of_resets
+from sinsjax.methods.filters.section import acting_reset_times
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_to_toml
 
@@ -104,12 +104,12 @@ def test_triggered_resets_wait_for_next_feedback() -> None:
 @settings(max_examples=50)
 def test_resets_are_delayed_to_next_feedback_only(samples, every, rate_hz) -> None:
     written = tuple(sample / rate_hz for sample in sorted(samples))
-    later = times_of_resets(rate_hz, written, None, None, None, True, every / rate_hz)
+    later = acting_reset_times(rate_hz, written, None, None, None, True, every / rate_hz)
     for sample, time in zip(sorted(samples), later, strict=True):
         tick = round(time * rate_hz)
         assert time * rate_hz == pytest.approx(tick, rel=1e-12)
         assert tick % every == 0 and sample <= tick < sample + every
-    assert times_of_resets(rate_hz, written, None, None, None, False, every / rate_hz) == written
+    assert acting_reset_times(rate_hz, written, None, None, None, False, every / rate_hz) == written
 
 
 def test_scheduled_last_reset_includes_delay_to_feedback() -> None:

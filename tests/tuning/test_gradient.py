@@ -164,7 +164,7 @@ VARIABLES = [
 
 def test_studies_cover_every_variable_with_gradient() -> None:
     tried = {variable.partition("[")[0] for _, variable in VARIABLES}
-    relaxed = [method.implementation.relaxed for method in METHODS.values()]
+    relaxed = [method.implementation.relaxation for method in METHODS.values()]
     assert tried == {key for r in relaxed if r for key in r.changes} | {"reset_times_s"}
 
 
@@ -284,7 +284,7 @@ def test_all_relaxed_variables_match_setting_study_keys(name: str) -> None:
 
 
 COUNTED = {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
-P0 = [key for key in METHODS["kalman5"].implementation.relaxed.changes if key.startswith("p0_")]
+P0 = [key for key in METHODS["kalman5"].implementation.relaxation.changes if key.startswith("p0_")]
 
 
 @pytest.mark.parametrize("key", P0)

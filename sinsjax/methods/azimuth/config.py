@@ -40,10 +40,10 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
 
 def _load(prediction: str) -> Implementation:
     from sinsjax.methods.azimuth import method
-    from sinsjax.methods.filters.parameters import relaxed
+    from sinsjax.methods.filters.parameters import filter_relaxation
 
     build = partial(method.build, getattr(method, prediction))
-    return Implementation(build, parameters, relaxed=relaxed(method.STATES))
+    return Implementation(build, parameters, relaxation=filter_relaxation(method.STATES))
 
 
 _SECTIONS: dict[str, type[Section]] = {

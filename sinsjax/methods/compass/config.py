@@ -10,7 +10,7 @@ from sinsjax.errors import InputError
 from sinsjax.methods.compass import design as loops
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains
 from sinsjax.methods.description import INITIAL_KEYS, CheckedStudy, Description, Implementation
-from sinsjax.methods.parameters import Columns, in_samples
+from sinsjax.methods.parameters import Columns, times_in_samples
 from sinsjax.value_types import (
     ActsWhere,
     Bandwidth,
@@ -215,7 +215,7 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
         level=level_gains,
         azimuth=azimuth_gains,
         pace=PiecewiseConstant(
-            in_samples(columns, change_times_s, "sigma_times_s", "sigma_passes", *stored),
+            times_in_samples(columns, change_times_s, "sigma_times_s", "sigma_passes", *stored),
             columns.lists(list, "sigma_factors", rest=1.0),
         ),
         azimuth_from=np.round(
@@ -361,10 +361,10 @@ _CHANGES: dict[str, Any] = {
 
 
 def _load() -> Implementation:
-    from sinsjax.methods.base import Relaxed
+    from sinsjax.methods.base import Relaxation
     from sinsjax.methods.compass.method import build
 
-    return Implementation(build, parameters, check, Relaxed(_CHANGES))
+    return Implementation(build, parameters, check, Relaxation(_CHANGES))
 
 
 COMPASS = Description(

@@ -29,11 +29,11 @@ from sinsjax.methods.compass.design import AzimuthGains, LevelGains, at_pace
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.methods.schedules import PiecewiseConstant, value_at
 from sinsjax.strapdown import earth, mechanisation
-from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state
+from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
 from sinsjax.types import Flag, Navigation, Sample, Scalar, Vec3
 
 INTEGRAL_E, INTEGRAL_N, RATE_U = range(5, 8)
-"""Error states in addition to those of `error_model.five_state`."""
+"""Error states in addition to those of `error_model.five_state_transition`."""
 
 _INPUTS: Entries = {
     **{(VE, 0): 1.0, (VN, 1): 1.0},
@@ -132,9 +132,9 @@ def build(options: Options) -> Method:
         before, place, gains = state.nav, place_of(site, state.nav), gains_at(params, n)
         level, azimuth, levelling = params.level, gains.azimuth, gains.levelling
         control = platform_control(gains, state, place)
-        nav, f_dt = mechanisation.step(before, sample, place, dt, control)
+        nav, f_dt = mechanisation.advance_navigation(before, sample, place, dt, control)
         if integrated:
-            nav = mechanisation.travel(nav, place, dt)
+            nav = mechanisation.advance_position(nav, place, dt)
         spin = azimuth.k3 / place.rate_n * before.vn - azimuth.k4 * state.rate_u
         return LoopState(
             nav=mechanisation.correct_velocity(
@@ -152,7 +152,7 @@ def build(options: Options) -> Method:
     ) -> ErrorStep:
         place, gains = place_of(site, state.nav), gains_at(params, n)
         control = platform_control(gains, state, place)
-        _, f_dt = mechanisation.step(state.nav, sample, place, dt, control)
+        _, f_dt = mechanisation.advance_navigation(state.nav, sample, place, dt, control)
         transition = error_transition(gains, state.nav, control, place, f_dt, dt)
         return ErrorStep(transition, _INPUTS, (), ())
 
@@ -216,8 +216,8 @@ def error_transition(
 ) -> Entries:
     """Return the non-zero entries of A dt of the closed loops by the error states.
 
-    These are those of `error_model.five_state`, then the levelling integrals and the azimuth rate,
-    whose errors rotate the platform. The error of the latitude, metres, is neglected.
+    These are those of `error_model.five_state_transition`, then the levelling integrals and the
+    azimuth rate, whose errors rotate the platform. The error of the latitude is neglected.
 
     Args:
         gains: at the sample.
@@ -228,7 +228,7 @@ def error_transition(
         dt: sample time, s.
     """
     level, azimuth = gains.level, gains.azimuth
-    entries = dict(five_state(nav, place, f_dt, dt))
+    entries = dict(five_state_transition(nav, place, f_dt, dt))
 
     def add(row: int, column: int, value: Scalar) -> None:
         before = entries.get((row, column), 0.0)

@@ -392,9 +392,9 @@ def mechanise_function(
 
     def mechanise(site: Site, nav: Navigation, sample: Sample) -> tuple[Navigation, Vec3, Place]:
         here = place(site, nav)
-        later, f_dt = mechanisation.step(nav, sample, here, options.dt)
+        later, f_dt = mechanisation.advance_navigation(nav, sample, here, options.dt)
         if options.position == "integrated":
-            later = mechanisation.travel(later, here, options.dt)
+            later = mechanisation.advance_position(later, here, options.dt)
         return later, f_dt, here
 
     return mechanise
@@ -417,7 +417,7 @@ def reverse_time(signs: Sequence[float], state: Any) -> Any:
     """Return the state in reversed time: velocity negated, each estimate with its sign."""
     x, p = state.belief
     belief = Belief(tuple(s * a for s, a in zip(signs, x, strict=True)), change_signs(signs, p))
-    return state._replace(nav=mechanisation.reverse(state.nav), belief=belief)
+    return state._replace(nav=mechanisation.reverse_velocity(state.nav), belief=belief)
 
 
 def subtract_fed_back(belief: Belief, fed_back: Sequence[Scalar]) -> Belief:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sinsjax.columns import Column
 from sinsjax.methods.description import INITIAL_KEYS, Description, OwnColumn, StudyView
 from sinsjax.methods.filters.section import FilterSection, ResetsSection, check_resets
-from sinsjax.methods.triggers.config import TRIGGER_COUNTS, check_trigger, last_called
+from sinsjax.methods.triggers.config import TRIGGER_COUNTS, check_trigger, last_triggered_sample
 
 READS = (
     *INITIAL_KEYS,
@@ -72,7 +72,7 @@ describe_filter = partial(
     has_error_model=True,
     rules=(check_trigger, check_resets),
     columns=COLUMNS,
-    last_called=last_called,
+    last_called=last_triggered_sample,
 )
 """Return the `Description` of a filter without sensor bias states; the arguments add the rest."""
 

@@ -9,18 +9,18 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.methods.base import Change, Relaxed, Site
+from sinsjax.methods.base import Change, Relaxation, Site
 from sinsjax.methods.description import StudyView
 from sinsjax.methods.filters.closed_loop import FilterParams
 from sinsjax.methods.filters.section import (
     OF_RESETS,
     Q_DENSITIES,
     WHITE_NOISE,
-    q_readings,
-    times_of_resets,
-    white_density,
+    acting_reset_times,
+    q_unit_factors,
+    sensor_noise_density,
 )
-from sinsjax.methods.parameters import Columns, column_or, in_samples
+from sinsjax.methods.parameters import Columns, column_with_default, times_in_samples
 from sinsjax.methods.schedules import UNCHANGED, CovarianceReset, FeedbackSchedule, Resets, Windows
 from sinsjax.methods.triggers.config import any_trigger
 from sinsjax.methods.triggers.trigger import TriggerParams
@@ -87,7 +87,7 @@ def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -
     """
     dt = 1 / columns.rate_hz
     zero = np.zeros(columns.count)
-    q_scale, r_scale = (column_or(columns, key, 1.0) for key in ("q_scale", "r_scale"))
+    q_scale, r_scale = (column_with_default(columns, key, 1.0) for key in ("q_scale", "r_scale"))
     units = {"q_accel_ug": ug, "q_gyro_deg_per_h": DEG_PER_H}
     q = {key: _process_noise(columns, key, unit) * q_scale for key, unit in units.items()}
     r_unit = columns.each(lambda name: 1.0 if name == "per_update" else dt, "r_reading")
@@ -147,10 +147,10 @@ def _initial_variance(columns: Columns, kind: StateKind, ug: float) -> np.ndarra
 
 def _process_noise(columns: Columns, key: str, unit: float) -> np.ndarray:
     """Return the variance added per step, (variants,), by a form of a key or the sensors' noise."""
-    forms, readings = {key: 1.0, **Q_DENSITIES[key]}, q_readings(1 / columns.rate_hz)
+    forms, readings = {key: 1.0, **Q_DENSITIES[key]}, q_unit_factors(1 / columns.rate_hz)
     given = next((form for form in forms if columns.common(form) is not None), None)
     if given is None:
-        white = partial(white_density, key, columns.rate_hz)
+        white = partial(sensor_noise_density, key, columns.rate_hz)
         return (columns.each(white, *WHITE_NOISE[key][:2]) * unit) ** 2 * readings["psd"]
     reading = columns.each(readings.__getitem__, "q_reading")
     return (columns.column(given, forms[given]) * unit) ** 2 * reading
@@ -174,7 +174,7 @@ def _trigger_params(columns: Columns) -> TriggerParams | None:
         window=np.round(columns.column("trigger_window_s") * rate_hz),
         refractory=np.round(columns.column("trigger_refractory_s") * rate_hz),
         most=columns.column("trigger_most"),
-        until=np.round(column_or(columns, "trigger_until_s", math.inf) * rate_hz),
+        until=np.round(column_with_default(columns, "trigger_until_s", math.inf) * rate_hz),
         at_feedback=_flags_or_none(columns, "reset_at_feedback"),
     )
 
@@ -193,7 +193,7 @@ def _feedback_schedule(columns: Columns) -> FeedbackSchedule:
 
 
 def _reset_schedule(columns: Columns) -> Resets:
-    samples = in_samples(columns, partial(times_of_resets, columns.rate_hz), *OF_RESETS)
+    samples = times_in_samples(columns, partial(acting_reset_times, columns.rate_hz), *OF_RESETS)
     return Resets(samples, _covariance_reset(columns, "reset_kind", "reset_scale"))
 
 
@@ -319,13 +319,13 @@ def _first_without_gradient(study: StudyView, smoothed: bool) -> str | None:
     return None
 
 
-def relaxed(states: Sequence[str]) -> Relaxed:
+def filter_relaxation(states: Sequence[str]) -> Relaxation:
     """Return the dependence of a filter's params on keys; its states are named as in `STATES`."""
     changes = _state_changes(states)
     # Left out, a reset sets P0, and the first reset is one cycle after the start.
     follows = {key: key.replace("p0_", "reset_") for key in changes if key.startswith("p0_")}
     follows["reset_cycle_s"] = "reset_first_s"
     moves = ("reset_first_s", "reset_cycle_s")
-    return Relaxed(
+    return Relaxation(
         changes, follows, "reset_times_s", moves, _smooth_resets, _first_without_gradient
     )

@@ -41,10 +41,10 @@ WHITE_NOISE = {
 a density, and the factor of the density to the unit of Q."""
 
 OF_SCHEDULES = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
-"""Keys of the times of scheduled resets, in the order of `reset_times`."""
+"""Keys of the times of scheduled resets, in the order of `scheduled_reset_times`."""
 
 OF_RESETS = (*OF_SCHEDULES, "reset_at_feedback", "feedback_interval_s")
-"""Keys of the times at which resets act, in the order of `times_of_resets`."""
+"""Keys of the times at which resets act, in the order of `acting_reset_times`."""
 
 
 class FilterSection(Section):
@@ -123,12 +123,12 @@ class FilterSection(Section):
     )
 
 
-def q_readings(dt: float) -> dict[str, float]:
+def q_unit_factors(dt: float) -> dict[str, float]:
     """What makes Q of a step of dt s from the square of its key, by the words of ``q_reading``."""
     return {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
 
 
-def white_density(q_key: str, rate_hz: float, per_sample: Any, density: Any) -> float | None:
+def sensor_noise_density(q_key: str, rate_hz: float, per_sample: Any, density: Any) -> float | None:
     """Return the density of the sensors' white noise, in the unit of a key of Q under 'psd'.
 
     It is that of the noisiest axis; None if the study gives no noise, or draws it.
@@ -140,11 +140,11 @@ def white_density(q_key: str, rate_hz: float, per_sample: Any, density: Any) -> 
         density: value of the key for the density.
     """
     if density is not None:
-        return _largest(density) * WHITE_NOISE[q_key][2]
-    return None if per_sample is None else _largest(per_sample) / rate_hz**0.5
+        return _noisiest_axis(density) * WHITE_NOISE[q_key][2]
+    return None if per_sample is None else _noisiest_axis(per_sample) / rate_hz**0.5
 
 
-def _largest(noise: float | tuple[float, ...]) -> float:
+def _noisiest_axis(noise: float | tuple[float, ...]) -> float:
     return max(noise) if isinstance(noise, tuple) else noise
 
 
@@ -159,24 +159,24 @@ _SET_BY_FULL = (
 )
 
 
-def _resets(times: Sequence[float] | None, count: int | None, trigger: str | None) -> bool:
+def _is_reset(times: Sequence[float] | None, count: int | None, trigger: str | None) -> bool:
     return bool(times or count or has_trigger(trigger))
 
 
-def _scales(kind: str, *schedule: Any) -> bool:
-    return kind == "scale" and _resets(*schedule)
+def _scales_covariance(kind: str, *schedule: Any) -> bool:
+    return kind == "scale" and _is_reset(*schedule)
 
 
-def _sets_yaw(kind: str, *schedule: Any) -> bool:
-    return kind != "scale" and _resets(*schedule)
+def _sets_heading_variance(kind: str, *schedule: Any) -> bool:
+    return kind != "scale" and _is_reset(*schedule)
 
 
-def _sets_all(kind: str, *schedule: Any) -> bool:
-    return kind == "full" and _resets(*schedule)
+def _sets_all_variances(kind: str, *schedule: Any) -> bool:
+    return kind == "full" and _is_reset(*schedule)
 
 
 def _moves_feedback(at_feedback: bool, *schedule: Any) -> bool:
-    return not at_feedback and _resets(*schedule)
+    return not at_feedback and _is_reset(*schedule)
 
 
 def _needs_cycle(count: int | None, first_s: float | None) -> bool:
@@ -191,11 +191,11 @@ class ResetsSection(TriggerKeys):
         *TriggerKeys.conditions,
         ActsWhere(("reset_first_s",), ("reset_count",), bool),
         ActsWhere(("reset_cycle_s",), ("reset_count", "reset_first_s"), _needs_cycle),
-        ActsWhere(("reset_kind", "reset_at_feedback"), _RESETS, _resets),
+        ActsWhere(("reset_kind", "reset_at_feedback"), _RESETS, _is_reset),
         ActsWhere(("reset_restarts_feedback",), ("reset_at_feedback", *_RESETS), _moves_feedback),
-        ActsWhere(("reset_scale",), ("reset_kind", *_RESETS), _scales),
-        ActsWhere(("reset_yaw_deg",), ("reset_kind", *_RESETS), _sets_yaw),
-        ActsWhere(_SET_BY_FULL, ("reset_kind", *_RESETS), _sets_all),
+        ActsWhere(("reset_scale",), ("reset_kind", *_RESETS), _scales_covariance),
+        ActsWhere(("reset_yaw_deg",), ("reset_kind", *_RESETS), _sets_heading_variance),
+        ActsWhere(_SET_BY_FULL, ("reset_kind", *_RESETS), _sets_all_variances),
     )
 
     reset_count: Annotated[Count | None, KeyInfo(default=0)] = Field(
@@ -258,7 +258,9 @@ class ResetsSection(TriggerKeys):
     )
 
 
-def counted_resets(count: int, cycle_s: float | None, first_s: float | None) -> tuple[float, ...]:
+def counted_reset_times(
+    count: int, cycle_s: float | None, first_s: float | None
+) -> tuple[float, ...]:
     """Return the times of counted resets, s.
 
     Args:
@@ -271,17 +273,17 @@ def counted_resets(count: int, cycle_s: float | None, first_s: float | None) -> 
     return tuple(first_s + i * (cycle_s or 0.0) for i in range(count))
 
 
-def reset_times(
+def scheduled_reset_times(
     times_s: tuple[float, ...] | None,
     count: int | None,
     cycle_s: float | None,
     first_s: float | None,
 ) -> tuple[float, ...]:
     """Return the times of scheduled resets as the study gives or counts them, s."""
-    return counted_resets(count or 0, cycle_s, first_s) if times_s is None else tuple(times_s)
+    return counted_reset_times(count or 0, cycle_s, first_s) if times_s is None else tuple(times_s)
 
 
-def times_of_resets(rate_hz: float, *values: Any) -> tuple[float, ...]:
+def acting_reset_times(rate_hz: float, *values: Any) -> tuple[float, ...]:
     """Return the times at which scheduled resets act, s; two may wait for the same feedback.
 
     Args:
@@ -289,7 +291,7 @@ def times_of_resets(rate_hz: float, *values: Any) -> tuple[float, ...]:
         values: values of the keys of `OF_RESETS`.
     """
     *schedule, at_feedback, interval_s = values
-    times = reset_times(*schedule)
+    times = scheduled_reset_times(*schedule)
     if not at_feedback:
         return times
     every = round(interval_s * rate_hz)
@@ -301,23 +303,25 @@ def check_resets(study: CheckedStudy) -> None:
     for point in study.combinations(*OF_RESETS) if study.has("resets") else ():
         times, count, cycle, first = (point[key] for key in OF_SCHEDULES)
         if times is not None:
-            _check_times(study, times)
+            _check_reset_times(study, times)
         elif count:
-            _check_counted(study, count, cycle, first)
+            _check_counted_resets(study, count, cycle, first)
         if point["reset_at_feedback"]:
-            _check_put_off(study, [point[key] for key in OF_RESETS])
+            _check_delayed_resets(study, [point[key] for key in OF_RESETS])
 
 
-def _check_put_off(study: CheckedStudy, values: Sequence[Any]) -> None:
+def _check_delayed_resets(study: CheckedStudy, values: Sequence[Any]) -> None:
     """Refuse a reset that waits for a feedback after the end."""
-    written = reset_times(*values[: len(OF_SCHEDULES)])
-    for time, later in zip(written, times_of_resets(study.rate_hz, *values), strict=True):
+    written = scheduled_reset_times(*values[: len(OF_SCHEDULES)])
+    for time, later in zip(written, acting_reset_times(study.rate_hz, *values), strict=True):
         if later > study.run_s * (1 + ROUNDING):
             text = f"delays the reset at {time:.12g} s to the feedback at {later:.12g} s"
             study.refuse("reset_at_feedback", f"{text}, after the end of the run ({study.end})")
 
 
-def _check_times(study: CheckedStudy, times: tuple[float, ...], key: str = "reset_times_s") -> None:
+def _check_reset_times(
+    study: CheckedStudy, times: tuple[float, ...], key: str = "reset_times_s"
+) -> None:
     """Refuse given reset times after the end, at the start, or two at one sample."""
     rate = study.rate_hz
     earlier, taken = 0.0, 0
@@ -332,7 +336,7 @@ def _check_times(study: CheckedStudy, times: tuple[float, ...], key: str = "rese
         earlier, taken = time, sample
 
 
-def _check_counted(
+def _check_counted_resets(
     study: CheckedStudy, count: int, cycle: float | None, first: float | None
 ) -> None:
     """Refuse counted resets after the end, at the start, or two at one sample."""
@@ -340,7 +344,7 @@ def _check_counted(
     if cycle is None and count > alone:
         study.refuse("reset_cycle_s", f"required with reset_count > {alone} (it is {count})")
     if first is not None:
-        _check_times(study, (first,), key="reset_first_s")
+        _check_reset_times(study, (first,), key="reset_first_s")
     if cycle is None or count <= alone:
         return
     rate = study.rate_hz
@@ -356,7 +360,7 @@ def _check_counted(
         study.refuse("reset_cycle_s", text)
     if first is not None and cycle * rate < 2:
         # Halves are rounded to even: both 1.5 and 2.5 samples become 2.
-        samples = [round(time * rate) for time in counted_resets(count, cycle, first)]
+        samples = [round(time * rate) for time in counted_reset_times(count, cycle, first)]
         if len(set(samples)) < count:
             text = f"{first:.12g} s and a cycle of {cycle:.12g} s put two resets at one sample"
             study.refuse("reset_first_s", f"{text} (a sample is {1 / rate:.12g} s)")

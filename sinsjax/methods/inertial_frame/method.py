@@ -48,7 +48,7 @@ from sinsjax.methods.base import (
     StartChange,
     unknown_covariance,
 )
-from sinsjax.methods.coarse import two_vectors
+from sinsjax.methods.coarse import triad_attitude
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.methods.inertial_frame.least_squares import (
     VelocitySums,
@@ -204,7 +204,7 @@ class ForceSums(NamedTuple):
 
 
 def build_inertial(options: Options) -> Method:
-    """Return the method of `coarse.inertial`: weighted mean and slope of the specific force."""
+    """Return the method of `coarse.align_inertially`: weighted mean and slope of the force."""
     return _build_from_sums(options, _no_forces, _add_force, _fit_mean_and_slope)
 
 
@@ -238,7 +238,7 @@ def _fit_mean_and_slope(sums: ForceSums, count: Scalar) -> Quat:
         slope = add(slope, scale(-1.0, scaled[3]))
         return jnp.stack([jnp.stack(mean), jnp.stack(slope)])
 
-    return two_vectors(weighted(sums.measured), weighted(sums.expected))
+    return triad_attitude(weighted(sums.measured), weighted(sums.expected))
 
 
 TURN, VELOCITY, MOMENT = 0, 3, 6

@@ -7,10 +7,10 @@ from sinsjax.methods.filters.config import describe_filter
 
 
 def _load() -> Implementation:
-    from sinsjax.methods.filters.parameters import parameters, relaxed
+    from sinsjax.methods.filters.parameters import filter_relaxation, parameters
     from sinsjax.methods.invariant.method import STATES, build
 
-    return Implementation(build, partial(parameters, STATES), relaxed=relaxed(STATES))
+    return Implementation(build, partial(parameters, STATES), relaxation=filter_relaxation(STATES))
 
 
 INVARIANT = describe_filter(

@@ -34,7 +34,7 @@ from sinsjax.methods.filters.closed_loop import (
 )
 from sinsjax.methods.schedules import reset_covariance
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.error_model import MODELS, PHI_E, PHI_N, PHI_U, VE, VN, five_state
+from sinsjax.strapdown.error_model import MODELS, PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
 from sinsjax.types import Navigation, Sample, Scalar, Vec3
 
 _TERMS = 20  # of a series in th^2, whose rest is below rounding for th = 2 pi
@@ -56,7 +56,7 @@ def build_filter(options: Options) -> Filter:
 
     def transition(nav: Navigation, here: Place) -> Entries:
         gravity = Vec3(0.0, 0.0, here.gravity * dt)
-        return five_state(nav._replace(ve=0.0, vn=0.0), here, gravity, dt)
+        return five_state_transition(nav._replace(ve=0.0, vn=0.0), here, gravity, dt)
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample

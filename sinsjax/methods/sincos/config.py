@@ -63,17 +63,17 @@ def surge_parameters(columns: Columns, site: Any, ug: float) -> Any:
 
 
 def _load() -> Implementation:
-    from sinsjax.methods.filters.parameters import parameters, relaxed
+    from sinsjax.methods.filters.parameters import filter_relaxation, parameters
     from sinsjax.methods.sincos.method import STATES, build
 
-    return Implementation(build, partial(parameters, STATES), relaxed=relaxed(STATES))
+    return Implementation(build, partial(parameters, STATES), relaxation=filter_relaxation(STATES))
 
 
 def _load_surge() -> Implementation:
-    from sinsjax.methods.filters.parameters import relaxed
+    from sinsjax.methods.filters.parameters import filter_relaxation
     from sinsjax.methods.sincos.method import STATES, build_surge
 
-    return Implementation(build_surge, surge_parameters, relaxed=relaxed(STATES))
+    return Implementation(build_surge, surge_parameters, relaxation=filter_relaxation(STATES))
 
 
 def _north_drift(results: Any, rate_hz: float) -> NDArray:

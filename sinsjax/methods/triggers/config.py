@@ -151,17 +151,17 @@ class TriggerKeys(Section):
     )
 
 
-def _count(results: Any, rate_hz: float) -> NDArray:
+def _triggered_count(results: Any, rate_hz: float) -> NDArray:
     counts = results.trigger_counts
     return np.asarray(0.0 if counts is None else counts.count)
 
 
-def _first_s(results: Any, rate_hz: float) -> NDArray:
+def _triggered_first_s(results: Any, rate_hz: float) -> NDArray:
     counts = results.trigger_counts
     return _time_s(0.0 if counts is None else counts.first, rate_hz)
 
 
-def _last_s(results: Any, rate_hz: float) -> NDArray:
+def _triggered_last_s(results: Any, rate_hz: float) -> NDArray:
     counts = results.trigger_counts
     return _time_s(0.0 if counts is None else counts.last, rate_hz)
 
@@ -175,25 +175,25 @@ def _time_s(sample: Any, rate_hz: float) -> NDArray:
 TRIGGER_COUNTS = (
     OwnColumn(
         Column("triggered_count", pa.int64(), "", "resets that the trigger called for"),
-        _count,
+        _triggered_count,
         0.0,
         any_trigger,
     ),
     OwnColumn(
         Column("triggered_first_s", pa.float64(), "s", "time of the first of them; null for none"),
-        _first_s,
+        _triggered_first_s,
         where=any_trigger,
     ),
     OwnColumn(
         Column("triggered_last_s", pa.float64(), "s", "time of the last of them; null for none"),
-        _last_s,
+        _triggered_last_s,
         where=any_trigger,
     ),
 )
 """Result columns of a trigger."""
 
 
-def last_called(results: Any) -> NDArray | None:
+def last_triggered_sample(results: Any) -> NDArray | None:
     """Sample of the last reset that a trigger called for, (runs,); 0 for none. None without one."""
     counts = results.trigger_counts
     return None if counts is None else np.asarray(counts.last)

@@ -29,7 +29,7 @@ class _Block(NamedTuple):
     sums: tuple[Scalar, ...]
 
 
-def _block(terms: int) -> Callable[[TriggerParams, Triangle], _Block]:
+def _start_block(terms: int) -> Callable[[TriggerParams, Triangle], _Block]:
     def start(trigger_params: TriggerParams, p: Triangle) -> _Block:
         zero = jnp.zeros_like(trigger_params.threshold)
         return _Block(zero, tuple(zero for _ in range(terms)))
@@ -37,7 +37,7 @@ def _block(terms: int) -> Callable[[TriggerParams, Triangle], _Block]:
     return start
 
 
-def _add(
+def _add_to_block(
     trigger_params: TriggerParams, block: _Block, terms: tuple[Scalar, ...]
 ) -> tuple[_Block, Flag]:
     """Add one sample to the window, which begins anew where it was full; and whether it is now."""
@@ -47,37 +47,39 @@ def _add(
     return _Block(count, sums), count >= trigger_params.window
 
 
-def _innovation(
+def _score_innovation(
     trigger_params: TriggerParams, noise: AssumedNoise, block: _Block, snapshot: FilterSnapshot
 ) -> Any:
     """Innovation windowed over time: (sum r)' (sum S)^-1 (sum r), chi-square with 2 degrees."""
-    block, full = _add(trigger_params, block, (*snapshot.innovation, *snapshot.variance))
+    block, full = _add_to_block(trigger_params, block, (*snapshot.innovation, *snapshot.variance))
     e, n, *s = block.sums
     return block, jnp.where(full, normalised((e, n), s), 0.0)
 
 
-def _nis(
+def _score_nis(
     trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, snapshot: FilterSnapshot
 ) -> Any:
     """Normalised innovation squared of a sample, r' S^-1 r, chi-square with 2 degrees."""
     return memory, normalised(snapshot.innovation, snapshot.variance)
 
 
-def _whiteness(
+def _score_whiteness(
     trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, snapshot: FilterSnapshot
 ) -> Any:
     """sqrt(N) |rho|, rho the innovations' correlation over one sample in a window of N."""
     block, before = memory
     e, n = snapshot.innovation
-    block, full = _add(trigger_params, block, (e * before[0] + n * before[1], e * e + n * n))
+    block, full = _add_to_block(
+        trigger_params, block, (e * before[0] + n * before[1], e * e + n * n)
+    )
     lagged, power = block.sums
     rho = jnp.abs(lagged) / jnp.maximum(power, jnp.finfo(power.dtype).tiny)
     return (block, snapshot.innovation), jnp.where(full, jnp.sqrt(block.count) * rho, 0.0)
 
 
-def _whiteness_start(trigger_params: TriggerParams, p: Triangle) -> Any:
+def _start_whiteness(trigger_params: TriggerParams, p: Triangle) -> Any:
     zero = jnp.zeros_like(trigger_params.threshold)
-    return _block(2)(trigger_params, p), (zero, zero)
+    return _start_block(2)(trigger_params, p), (zero, zero)
 
 
 class _Levels(NamedTuple):
@@ -88,12 +90,12 @@ class _Levels(NamedTuple):
     north: Scalar
 
 
-def _levels_start(trigger_params: TriggerParams, p: Triangle) -> _Levels:
+def _start_levels(trigger_params: TriggerParams, p: Triangle) -> _Levels:
     zero = jnp.zeros_like(trigger_params.threshold)
     return _Levels(zero, zero, zero)
 
 
-def _drift(
+def _level_correction_rates(
     trigger_params: TriggerParams, levels: _Levels, snapshot: FilterSnapshot
 ) -> tuple[_Levels, Flag, Pair]:
     """Rates at which the level was corrected over a window, rad/s, and whether it is full."""
@@ -108,7 +110,7 @@ def _drift(
     return begun, full, ((e - levels.east) / span, (n - levels.north) / span)
 
 
-def _tilt_drift(
+def _score_tilt_drift(
     trigger_params: TriggerParams, noise: AssumedNoise, levels: _Levels, snapshot: FilterSnapshot
 ) -> Any:
     """Measured tilt drift about east over the predicted one: (drift / omega_N)^2 / P_UU.
@@ -116,7 +118,7 @@ def _tilt_drift(
     A heading error phi_U tilts the platform at omega_N phi_U, which the filter corrects; what it
     goes on correcting is more than its belief allows where that is false.
     """
-    levels, full, (east, _) = _drift(trigger_params, levels, snapshot)
+    levels, full, (east, _) = _level_correction_rates(trigger_params, levels, snapshot)
     p_uu = snapshot.covariance(snapshot.belief).uu
     score = (east / snapshot.place.rate_n) ** 2 / p_uu
     return levels, jnp.where(full, score, 0.0)
@@ -126,14 +128,14 @@ STILL = 9.21
 """r' S^-1 r under which velocity is still: 99 % of chi-square with 2 degrees of freedom."""
 
 
-def _levelled(
+def _score_levelled(
     trigger_params: TriggerParams, noise: AssumedNoise, levels: _Levels, snapshot: FilterSnapshot
 ) -> Any:
     """Levelled now: omega_N over the rate at which the level is corrected, where velocity is still.
 
     Once it exceeds 1, what is left of the drift can be the work of heading alone.
     """
-    levels, full, (east, north) = _drift(trigger_params, levels, snapshot)
+    levels, full, (east, north) = _level_correction_rates(trigger_params, levels, snapshot)
     still = normalised(snapshot.innovation, snapshot.variance) < STILL
     # The Earth of a backward pass turns the other way.
     score = jnp.abs(snapshot.place.rate_n) / jnp.sqrt(east**2 + north**2)
@@ -144,7 +146,7 @@ _SMALL_LEVEL, _SMALL_HEADING = 0.1 * DEG, 4 * DEG
 """Errors of the linearisation point that do no harm, rad."""
 
 
-def _linearisation(
+def _score_linearisation(
     trigger_params: TriggerParams, noise: AssumedNoise, p: Triangle, snapshot: FilterSnapshot
 ) -> Any:
     """How much more the filter knows of heading, or is about to, than its linear model can tell.
@@ -167,8 +169,8 @@ def _linearisation(
     p_star = snapshot.covariance(honest._replace(x=snapshot.belief.x))
     believed = snapshot.covariance(snapshot.belief).uu
     done, left = snapshot.correction, snapshot.not_fed_back
-    known = _counts(done.x, done.y) * (p_star.uu / believed - 1)
-    jump = _counts(left.x, left.y)
+    known = _weight_of_level(done.x, done.y) * (p_star.uu / believed - 1)
+    jump = _weight_of_level(left.x, left.y)
     jump = jump * p_star.uu * (left.x**2 / p_star.ee + left.y**2 / p_star.nn) / 4
     left_out = (done.z - _sine(done.z)) ** 2 / (believed + _SMALL_HEADING**2)
     return honest.p, jnp.sqrt(1 + known + jump + left_out)
@@ -188,23 +190,23 @@ def _sine(angle: Scalar) -> Scalar:
     return series * folded
 
 
-def _counts(east: Scalar, north: Scalar) -> Scalar:
+def _weight_of_level(east: Scalar, north: Scalar) -> Scalar:
     """The share to which a level angle counts: its square, in full from `_SMALL_LEVEL`."""
     return jnp.minimum(1.0, (east**2 + north**2) / _SMALL_LEVEL**2)
 
 
-def _as_it_is(trigger_params: TriggerParams, p: Triangle) -> Triangle:
+def _start_with_covariance(trigger_params: TriggerParams, p: Triangle) -> Triangle:
     return p
 
 
-def _fading(
+def _fade_constantly(
     trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, p: Triangle, r: Pair
 ) -> Any:
     """Fading memory: P is multiplied by the threshold at each sample, such as 1.0001."""
     return memory, trigger_params.threshold
 
 
-def _strong(
+def _fade_strong_tracking(
     trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, p: Triangle, r: Pair
 ) -> Any:
     """Strong tracking (Zhou and Frank 1996), one factor; the threshold is its beta, from 0 to 1.
@@ -222,20 +224,20 @@ def _strong(
     return (jnp.ones_like(begun), v), factor
 
 
-def _strong_start(trigger_params: TriggerParams, p: Triangle) -> Any:
+def _start_strong_tracking(trigger_params: TriggerParams, p: Triangle) -> Any:
     zero = jnp.zeros_like(trigger_params.threshold)
     return zero.astype(bool), zero
 
 
-def _nothing(trigger_params: TriggerParams, p: Triangle) -> Any:
+def _start_without_memory(trigger_params: TriggerParams, p: Triangle) -> Any:
     return ()
 
 
-INNOVATION = Trigger(_block(5), _innovation)
-NIS = Trigger(_nothing, _nis)
-WHITENESS = Trigger(_whiteness_start, _whiteness)
-TILT_DRIFT = Trigger(_levels_start, _tilt_drift)
-LEVELLED = Trigger(_levels_start, _levelled)
-LINEARISATION = Trigger(_as_it_is, _linearisation)
-STRONG_TRACKING = Trigger(_strong_start, fade=_strong)
-FADING = Trigger(_nothing, fade=_fading)
+INNOVATION = Trigger(_start_block(5), _score_innovation)
+NIS = Trigger(_start_without_memory, _score_nis)
+WHITENESS = Trigger(_start_whiteness, _score_whiteness)
+TILT_DRIFT = Trigger(_start_levels, _score_tilt_drift)
+LEVELLED = Trigger(_start_levels, _score_levelled)
+LINEARISATION = Trigger(_start_with_covariance, _score_linearisation)
+STRONG_TRACKING = Trigger(_start_strong_tracking, fade=_fade_strong_tracking)
+FADING = Trigger(_start_without_memory, fade=_fade_constantly)

@@ -7,13 +7,15 @@ from sinsjax.methods.filters.config import READS, describe_filter
 
 
 def _load(model: str) -> Implementation:
-    from sinsjax.methods.filters.parameters import parameters, relaxed
+    from sinsjax.methods.filters.parameters import filter_relaxation, parameters
     from sinsjax.methods.zero_velocity.method import build
     from sinsjax.strapdown.error_model import MODELS
 
     states = MODELS[model].states
     return Implementation(
-        partial(build, MODELS[model]), partial(parameters, states), relaxed=relaxed(states)
+        partial(build, MODELS[model]),
+        partial(parameters, states),
+        relaxation=filter_relaxation(states),
     )
 
 

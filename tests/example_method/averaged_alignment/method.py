@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from sinsjax.maths.algebra import add, scale
 from sinsjax.maths.rotations import log, normalise
 from sinsjax.methods.base import Method, Options, unknown_covariance
-from sinsjax.methods.coarse import two_vectors
+from sinsjax.methods.coarse import triad_attitude
 from sinsjax.methods.floors import bias_floor
 from sinsjax.types import Navigation, Sample, Vec3
 
@@ -29,7 +29,7 @@ def build(options: Options) -> Method:
     def step(kept: Any, site: Any, state: _State, sample: Sample, n: Any) -> _State:
         force = add(scale(kept, state.force), sample.dv)
         turn = add(scale(kept, state.turn), log(sample.turn))
-        q = two_vectors(jnp.array([force, turn]), jnp.array([[0.0, 0, 1], [0, 1, 0]]))
+        q = triad_attitude(jnp.array([force, turn]), jnp.array([[0.0, 0, 1], [0, 1, 0]]))
         return _State(state.nav._replace(q=q), force, turn)
 
     return Method(
