@@ -25,9 +25,9 @@ from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
 
-_BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
-_TRUST = "[record] trust = true aligns it anyway"
-_DRAWS = 1024  # draws in which a drawn period is checked
+_EXPECTED_BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
+_TRUST_HINT = "[record] trust = true aligns it anyway"
+_CHECKED_DRAWS = 1024  # draws in which a drawn period is checked
 
 
 def study_warnings(study: Study, stored: StoredRecord | None = None) -> list[str]:
@@ -42,13 +42,13 @@ def study_warnings(study: Study, stored: StoredRecord | None = None) -> list[str
             cover the span that the study reads.
     """
     if stored is None:
-        hidden = hidden_north(study)
-        told = [*_fast_sways(study), *_rough_surges(study)]
-        return [*told, *([str(hidden)] if hidden else [])]
-    return list(_of_record(study, stored))
+        hidden_north_warning = hidden_north(study)
+        lines = [*_sway_warnings(study), *_surge_warnings(study)]
+        return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
+    return list(_record_warnings(study, stored))
 
 
-def check_methods(study: Study, stored: StoredRecord | None = None) -> list[str]:
+def check_plugin_methods(study: Study, stored: StoredRecord | None = None) -> list[str]:
     """Trace what methods of other packages compute, as a run would.
 
     Args:
@@ -61,7 +61,7 @@ def check_methods(study: Study, stored: StoredRecord | None = None) -> list[str]
     Raises:
         InputError: one of them cannot be run; names its package.
     """
-    told: dict[str, str | None] = {}
+    mismatches: dict[str, str | None] = {}
     if PACKAGES.keys().isdisjoint(study.methods):
         return []
     for part in parts(study, stored):
@@ -76,31 +76,38 @@ def check_methods(study: Study, stored: StoredRecord | None = None) -> list[str]
         except InputError:
             raise
         except Exception as error:  # what JAX says of another's function
-            of = from_package(static.method)
-            what = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
-            raise InputError(f"{of}: does not trace: {what}") from error
-        if static.method not in told:
-            told[static.method] = _odd_covariance(part.group)
-    return [f"{from_package(name)}: covariance: {odd}" for name, odd in told.items() if odd]
+            package = from_package(static.method)
+            reason = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
+            raise InputError(f"{package}: does not trace: {reason}") from error
+        if static.method not in mismatches:
+            mismatches[static.method] = _covariance_mismatch(part.group)
+    return [
+        f"{from_package(name)}: covariance: {mismatch}"
+        for name, mismatch in mismatches.items()
+        if mismatch
+    ]
 
 
-def _odd_covariance(group: Group) -> str | None:
+def _covariance_mismatch(group: Group) -> str | None:
     """How P at the start of a first run contradicts the description of its method, in words."""
     draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, group.draws)
     params = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
     first = jax.jit(simulate.first_covariance, static_argnums=0)
     p = first(group.static, group.environment, draw, params)
-    described, given = METHODS[group.static.method].has_covariance, not np.isnan(p).all()
-    if given and not described:
+    expects_covariance, has_covariance = (
+        METHODS[group.static.method].has_covariance,
+        not np.isnan(p).all(),
+    )
+    if has_covariance and not expects_covariance:
         return "gives one, but has_covariance is False (say True, or give no_covariance)"
-    if described and not given:
+    if expects_covariance and not has_covariance:
         return "gives none as a run begins, but has_covariance is True (without any, say False)"
     if min(p.ee, p.nn, p.uu) < 0:
         return "gives a negative variance as a run begins"
     return None
 
 
-def process_noise(study: Study) -> str | None:
+def describe_process_noise(study: Study) -> str | None:
     """Compare Q with the white noise of the sensors, as standard deviations, in one sentence.
 
     The largest axis counts. None without a filter, and without white noise that all draws have.
@@ -108,30 +115,30 @@ def process_noise(study: Study) -> str | None:
     Args:
         study: checked study with simulated sensors.
     """
-    times = assumed_noise(study)
-    words = {name: _number_of_times(ratios) for name, ratios in times.items() if ratios}
-    if not words:
+    ratios_by_sensor = assumed_noise(study)
+    phrases = {name: _format_ratios(ratios) for name, ratios in ratios_by_sensor.items() if ratios}
+    if not phrases:
         return None
-    if len(words) == len(times) and len({*words.values()}) == 1:
-        often = words.popitem()[1]
-        return f"The filter assumes {often}the sensors'{'' if often else ' own'} noise" + (
-            ", in standard deviation" if often else ""
+    if len(phrases) == len(ratios_by_sensor) and len({*phrases.values()}) == 1:
+        phrase = phrases.popitem()[1]
+        return f"The filter assumes {phrase}the sensors'{'' if phrase else ' own'} noise" + (
+            ", in standard deviation" if phrase else ""
         )
-    parts = (f"{often}the noise of the {name}" for name, often in words.items())
+    parts = (f"{phrase}the noise of the {name}" for name, phrase in phrases.items())
     return f"The filter assumes {' and '.join(parts)}, in standard deviation"
 
 
-def _number_of_times(ratios: set[float]) -> str:
+def _format_ratios(ratios: set[float]) -> str:
     """``100 times``, ``5 to 20 times``, or nothing for once, before a noun."""
-    text = _span({float(f"{ratio:.2g}") for ratio in ratios})
+    text = _format_range({float(f"{ratio:.2g}") for ratio in ratios})
     return "" if text == "1" else f"{text} times "
 
 
-def _span(numbers: set[float]) -> str:
+def _format_range(numbers: set[float]) -> str:
     return " to ".join(f"{number:,g}" for number in sorted({min(numbers), max(numbers)}))
 
 
-def feedback(study: Study) -> str | None:
+def describe_feedback(study: Study) -> str | None:
     """Compare the time between feedbacks with the settling time of the filter's level.
 
     None without a filter whose measured velocity tells level alone.
@@ -141,35 +148,37 @@ def feedback(study: Study) -> str | None:
     """
     if not study.has("filter"):
         return None
-    every: set[float] = set()
-    settling: set[float] = set()
-    of_level = ("p0_velocity_m_per_s", "p0_level_deg", "r_velocity_m_per_s")
-    of_r = ("r_reading", "r_scale")
-    for point in study.combinations("method", "feedback_interval_s", *of_level, *of_r):
+    intervals_s: set[float] = set()
+    settling_s: set[float] = set()
+    level_keys = ("p0_velocity_m_per_s", "p0_level_deg", "r_velocity_m_per_s")
+    noise_keys = ("r_reading", "r_scale")
+    for point in study.combinations("method", "feedback_interval_s", *level_keys, *noise_keys):
         method = METHODS[point["method"]]
         if "filter" not in method.sections or "surge" in method.sections:
             continue
-        every.add(point["feedback_interval_s"])
-        time_s = level_settling_s(study.rate_hz, *(point[key] for key in (*of_level, *of_r)))
-        settling.add(float(f"{time_s:.2g}"))
-    if not every:
+        intervals_s.add(point["feedback_interval_s"])
+        time_s = level_settling_s(
+            study.rate_hz, *(point[key] for key in (*level_keys, *noise_keys))
+        )
+        settling_s.add(float(f"{time_s:.2g}"))
+    if not intervals_s:
         return None
     return (
-        f"The filter feeds back every {_span(every)} s; its level settles in {_span(settling)} s"
-        " (to a tenth of its initial standard deviation)"
+        f"The filter feeds back every {_format_range(intervals_s)} s; its level settles in"
+        f" {_format_range(settling_s)} s (to a tenth of its initial standard deviation)"
     )
 
 
-def layout_of(study: Study) -> Layout:
+def record_layout(study: Study) -> Layout:
     """Layout of a study's record."""
     assert study.record is not None
     return study.record.layout(study.study.rate_hz)
 
 
-def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
+def _record_warnings(study: Study, stored: StoredRecord) -> Iterator[str]:
     section, record = study.record, stored.record
     assert section is not None
-    layout = record.layout or layout_of(study)
+    layout = record.layout or record_layout(study)
     if record.filled:
         key = "max_gap_s" if record.layout else "[record] max_gap_s"
         yield (
@@ -179,7 +188,7 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
     site, _ = site_of(study, Variants(study, np.zeros(1, int)), stored)
     bias = {
         key: default if getattr(section, key) is None else getattr(section, key)
-        for key, default in _BIASES.items()
+        for key, default in _EXPECTED_BIASES.items()
     }
     expected = StationaryValues(
         earth_rate=float(site.earth.rate),
@@ -188,33 +197,39 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
         gyro_bias=bias["gyro_bias_deg_per_h"] * DEG_PER_H,
         accel_bias=bias["accel_bias_ug"] * micro_g(),
     )
-    used = _used(study, record)
-    for odd in told(record.oddities, used):
-        if odd.hard and not section.trust:
-            raise InputError(f"{record.source}: {odd.text} ({_TRUST})")
-        yield f"{record.source}: {odd.text}"
-    dead = [odd.text for odd in record.oddities if (odd.begin, odd.end) == (0, len(record.dv))]
+    used = _used_spans(study, record)
+    for anomaly in told(record.oddities, used):
+        if anomaly.hard and not section.trust:
+            raise InputError(f"{record.source}: {anomaly.text} ({_TRUST_HINT})")
+        yield f"{record.source}: {anomaly.text}"
+    constant_channels = [
+        anomaly.text
+        for anomaly in record.oddities
+        if (anomaly.begin, anomaly.end) == (0, len(record.dv))
+    ]
     for begin, end in used:
         begin_s, end_s = (seconds(sample / record.rate_hz) for sample in (begin, end))
         where = f"{record.source}: {begin_s} to {end_s} s"
         for finding in findings(record, (begin, end), layout, expected):
             if finding.hard and not section.trust:
                 # A channel that never changes may be the cause, and only the refusal is seen.
-                text = "; ".join([finding.text, *dead])
-                raise InputError(f"{where}: {text} ({_TRUST})")
+                text = "; ".join([finding.text, *constant_channels])
+                raise InputError(f"{where}: {text} ({_TRUST_HINT})")
             yield f"{where}: {finding.text}"
 
 
-def _used(study: Study, record: Record) -> list[tuple[int, int]]:
+def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
     """Spans of samples that a study reads, merged where they overlap; none are missing."""
     starts = starts_of(study, record.rate_hz)
-    before = [
+    samples_before = [
         study.samples_before(record.rate_hz, **point) for point in study.combinations(*COARSE_KEYS)
     ]
-    fine = max(span.read for span in study.distinct_spans) * study.record_every
-    needed, coarse = max(before) + fine, ""
-    if max(before):
-        lengths = [f"{seconds(count / record.rate_hz)} s" for count in (max(before), fine)]
+    fine_samples = max(span.read for span in study.distinct_spans) * study.record_every
+    needed, coarse = max(samples_before) + fine_samples, ""
+    if max(samples_before):
+        lengths = [
+            f"{seconds(count / record.rate_hz)} s" for count in (max(samples_before), fine_samples)
+        ]
         coarse = f" ({lengths[0]} of coarse alignment + {lengths[1]})"
     merged: list[tuple[int, int]] = []
     for start in sorted(starts.tolist()):
@@ -233,7 +248,7 @@ def _used(study: Study, record: Record) -> list[tuple[int, int]]:
     return merged
 
 
-def _rough_surges(study: Study) -> Iterator[str]:
+def _surge_warnings(study: Study) -> Iterator[str]:
     """The acceleration of first-order surges, which the sample rate decides."""
     keys = ("surge_model", "surge_m_per_s", "surge_time_s")
     worst = 0.0
@@ -248,7 +263,7 @@ def _rough_surges(study: Study) -> Iterator[str]:
         )
 
 
-def _fast_sways(study: Study) -> Iterator[str]:
+def _sway_warnings(study: Study) -> Iterator[str]:
     """Warnings about sways above the Nyquist frequency."""
     half = study.rate_hz / 2
     for angle in ("pitch", "roll", "yaw"):
@@ -256,7 +271,7 @@ def _fast_sways(study: Study) -> Iterator[str]:
         points = list(study.combinations(amplitude, period))
         periods = [p[period] for p in points if p[amplitude] or amplitude in study.drawn_keys]
         if periods and period in study.drawn_keys:
-            periods = sampling.values(study, min(study.n_draws, _DRAWS))[period].tolist()
+            periods = sampling.values(study, min(study.n_draws, _CHECKED_DRAWS))[period].tolist()
         if periods and 1 / min(periods) > half:
             yield (
                 f"[motion] {period}: a sway of {1 / min(periods):.4g} Hz is above half of rate_hz ="

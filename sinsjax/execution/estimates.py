@@ -23,8 +23,8 @@ from sinsjax.engine.realisations import Static
 from sinsjax.engine.study_limits import limited_variants
 from sinsjax.engine.verdicts import FLOOR, TRUTH
 from sinsjax.errors import InputError
-from sinsjax.execution import layouts
-from sinsjax.execution.tables import nullable, table_of
+from sinsjax.execution import schemas
+from sinsjax.execution.tables import make_table, nullable_array
 from sinsjax.platform import runtime
 from sinsjax.study.load import load_study
 from sinsjax.study.rules import require_modelled
@@ -33,17 +33,17 @@ from sinsjax.study.success import bands
 from sinsjax.units import ARCMIN
 
 DATASET = "estimates"
-FEW_TILES = 2
+TILES_PER_CALL = 2
 _QUANTILES = {"q10": 0.1, "median": 0.5, "q90": 0.9}
 _CURVE_SAMPLES = 2
 """Sampled errors of a run, none of which curves show: the fewest."""
 
 
-class Estimates:
+class EstimateOutput:
     """The covariance of the true error as the output of a study's tasks, see `outputs.Output`.
 
     Attributes:
-        layouts: columns by dataset.
+        schemas: columns by dataset.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -56,34 +56,34 @@ class Estimates:
         if scenario.curves:
             raise InputError(f"{study.name}: a covariance estimate has no runs with curves to keep")
         assert study.study.estimate_samples is not None
-        self.layouts: Mapping[str, tuple[Column, ...]] = {DATASET: layouts.estimates(study)}
+        self.schemas: Mapping[str, tuple[Column, ...]] = {DATASET: schemas.estimate_columns(study)}
         self._samples = study.study.estimate_samples
         self._bands = bands(study)
         self._times: list[float | None] = [*study.report_times_s, None]
-        self._records = told_records(study)
+        self._records = report_record_indices(study)
         self._end_s = study.spans_s[:, 0]
-        self._limited = limited_variants(study)
-        self._by_variant = layouts.of_variants(study, self.layouts[DATASET])
+        self._has_floor = limited_variants(study)
+        self._by_variant = schemas.variant_columns(study, self.schemas[DATASET])
 
-    def program(self, static: Static) -> Static:
+    def adapt_program(self, static: Static) -> Static:
         """The program of a part."""
         return watched_program(static, self._samples)
 
-    def group(self, group: Group) -> Group:
+    def adapt_group(self, group: Group) -> Group:
         """What the engine runs of a part."""
         return watched(group, self._samples, self._records)
 
-    def plan(self, static: Static, draws: int, count: int, tiles: int | None) -> Plan:
+    def plan_calls(self, static: Static, draws: int, variants: int, tiles: int | None) -> Plan:
         """See `Output`; many samples would fill the memory."""
-        few = FEW_TILES if self._samples > MOST_TOGETHER else tiles
-        return Plan(static, draws, count, tiles_a_chunk=few)
+        tiles_per_call = TILES_PER_CALL if self._samples > MOST_TOGETHER else tiles
+        return Plan(static, draws, variants, tiles_a_chunk=tiles_per_call)
 
-    def calls(self, group: Group, tiles: int | None) -> Calls:
+    def make_calls(self, group: Group, tiles: int | None) -> Calls:
         """See `Output`."""
-        few = FEW_TILES if self._samples > MOST_TOGETHER else tiles
-        return Calls(group, tiles_a_chunk=few)
+        tiles_per_call = TILES_PER_CALL if self._samples > MOST_TOGETHER else tiles
+        return Calls(group, tiles_a_chunk=tiles_per_call)
 
-    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
+    def make_tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
         """Estimates of a chunk, one row per variant.
 
         Args:
@@ -92,68 +92,77 @@ class Estimates:
         """
         spread, variant = chunk.curves, variant_ids[chunk.variant]
         assert isinstance(spread, Spread)
-        limited = self._limited[variant]
-        floor = np.where(limited, chunk.outcome.limit.phi.z, np.nan)
+        has_floor = self._has_floor[variant]
+        floor = np.where(has_floor, chunk.outcome.limit.phi.z, np.nan)
         values: dict[str, Any] = {"variant_id": variant}
         values |= {name: column.take(variant) for name, column in self._by_variant.items()}
         for place, time_s in enumerate(self._times):
             phi, sigma, belief = (np.asarray(a)[:, :, place] for a in spread[:3])
-            own = None if spread.from_floor is None else np.asarray(spread.from_floor)[:, place]
-            names = (
-                c.name for c in columns.estimated(self._bands, time_s, own_floors=own is not None)
+            sigma_about_floor = (
+                None if spread.from_floor is None else np.asarray(spread.from_floor)[:, place]
             )
-            values |= zip(names, self._at(phi, sigma, belief, floor, own), strict=True)
-        until = np.ascontiguousarray(spread.outside_until)  # sums of one order, however cut
-        for truth, about in ((False, FLOOR), (True, TRUTH)):
+            names = (
+                c.name
+                for c in columns.estimated(
+                    self._bands, time_s, own_floors=sigma_about_floor is not None
+                )
+            )
+            values |= zip(
+                names, self._time_columns(phi, sigma, belief, floor, sigma_about_floor), strict=True
+            )
+        outside_until = np.ascontiguousarray(spread.outside_until)  # sums of one order, however cut
+        for truth, centre in ((False, FLOOR), (True, TRUTH)):
             for number, band in enumerate(self._bands):
-                settled = settled_of(until[:, about, number], self._end_s[variant])
-                known = limited if about == FLOOR else np.ones_like(limited)
+                settled = settling_statistics(
+                    outside_until[:, centre, number], self._end_s[variant]
+                )
+                known = has_floor if centre == FLOOR else np.ones_like(has_floor)
                 names = (c.name for c in columns.settle_estimates(band, truth=truth))
-                cells = (nullable(np.where(known, value, np.nan)) for value in settled)
+                cells = (nullable_array(np.where(known, value, np.nan)) for value in settled)
                 values |= zip(names, cells, strict=True)
-        values |= {"has_floor": pa.array(limited), "floor_arcmin": nullable(floor / ARCMIN)}
+        values |= {"has_floor": pa.array(has_floor), "floor_arcmin": nullable_array(floor / ARCMIN)}
         # Those of the check of linearity are still to come.
-        for column in self.layouts[DATASET]:
+        for column in self.schemas[DATASET]:
             values.setdefault(column.name, pa.nulls(len(variant), column.dtype))
-        return {DATASET: table_of(self.layouts[DATASET], values)}
+        return {DATASET: make_table(self.schemas[DATASET], values)}
 
-    def failures(self, tables: Mapping[str, pa.Table]) -> int:
+    def count_failures(self, tables: Mapping[str, pa.Table]) -> int:
         """Number of variants whose noise-free run became non-finite."""
         return tables[DATASET]["phi_u_arcmin"].null_count
 
-    def _at(
+    def _time_columns(
         self,
         phi: NDArray,
         sigma: NDArray,
         belief: NDArray,
         floor: NDArray,
-        from_floor: NDArray | None,
+        sigma_about_floor: NDArray | None,
     ) -> list[pa.Array]:
         """Columns of one time from misalignment, 1 sigma and belief (runs, 3), and floor (runs,).
 
-        All of them rad, in the order of `columns.estimated`; ``from_floor`` as of `Spread`.
+        All of them rad, in the order of `columns.estimated`; ``sigma_about_floor`` as of `Spread`.
         """
         angles = [*(np.concatenate([phi, sigma, belief], axis=1).T / ARCMIN)]
-        about_floor = sigma[:, 2]
-        if from_floor is not None:
-            about_floor = np.where(np.isnan(floor), np.nan, from_floor)
-            angles.append(about_floor / ARCMIN)
+        sigma_used = sigma[:, 2]
+        if sigma_about_floor is not None:
+            sigma_used = np.where(np.isnan(floor), np.nan, sigma_about_floor)
+            angles.append(sigma_used / ARCMIN)
         shares = [
-            _share_within(band * ARCMIN, phi[:, 2] - centre, spread)
-            for centre, spread in ((floor, about_floor), (np.zeros_like(floor), sigma[:, 2]))
+            _probability_within(band * ARCMIN, phi[:, 2] - centre, spread)
+            for centre, spread in ((floor, sigma_used), (np.zeros_like(floor), sigma[:, 2]))
             for band in self._bands
         ]
-        return [nullable(one) for one in (*angles, *shares)]
+        return [nullable_array(values) for values in (*angles, *shares)]
 
 
-def told_records(study: Study) -> NDArray:
+def report_record_indices(study: Study) -> NDArray:
     """Numbers, from 0, of the records at the report times and at the end."""
-    every_s = study.record_every / study.rate_hz
-    numbers = [round(time_s / every_s) - 1 for time_s in study.report_times_s]
+    interval_s = study.record_every / study.rate_hz
+    numbers = [round(time_s / interval_s) - 1 for time_s in study.report_times_s]
     return np.array([*numbers, study.records - 1])
 
 
-def _share_within(band: float, mean: NDArray, sigma: NDArray) -> NDArray:
+def _probability_within(band: float, mean: NDArray, sigma: NDArray) -> NDArray:
     """P(|error| <= band) of normal errors, (runs,)."""
     from scipy.special import ndtr  # late: a tenth of a second, which studies of draws do not need
 
@@ -161,19 +170,23 @@ def _share_within(band: float, mean: NDArray, sigma: NDArray) -> NDArray:
         return ndtr((band - mean) / sigma) - ndtr((-band - mean) / sigma)
 
 
-def settled_of(until_s: NDArray, end_s: NDArray, *, opposite: bool = True) -> tuple[NDArray, ...]:
+def settling_statistics(
+    outside_until_s: NDArray, end_s: NDArray, *, antithetic: bool = True
+) -> tuple[NDArray, ...]:
     """Mean, its standard error, and quantiles of settling times, in the order of their columns.
 
     Args:
-        until_s: (runs, samples) end of the last interval outside the band, s.
+        outside_until_s: (runs, samples) end of the last interval outside the band, s.
         end_s: (runs,) lengths, s.
-        opposite: whether the second half of the samples has the opposite noise of the first.
+        antithetic: whether the second half of the samples has the opposite noise of the first.
     """
-    apart = np.mean(np.split(until_s, 2, axis=1), axis=0) if opposite else until_s
-    error = apart.std(axis=1, ddof=1) / np.sqrt(apart.shape[1])
-    settled = np.where(until_s >= end_s[:, None] * (1 - 1e-12), np.inf, until_s)
+    independent = (
+        np.mean(np.split(outside_until_s, 2, axis=1), axis=0) if antithetic else outside_until_s
+    )
+    error = independent.std(axis=1, ddof=1) / np.sqrt(independent.shape[1])
+    settled = np.where(outside_until_s >= end_s[:, None] * (1 - 1e-12), np.inf, outside_until_s)
     quantiles = np.quantile(settled, list(_QUANTILES.values()), axis=1, method="inverted_cdf")
-    return (until_s.mean(axis=1), error, *quantiles)
+    return (outside_until_s.mean(axis=1), error, *quantiles)
 
 
 def estimated_curves(study: Study | str | Path) -> pa.Table:
@@ -203,12 +216,14 @@ def estimated_curves(study: Study | str | Path) -> pa.Table:
     tables = []
     for number, ids in enumerate(scenario.variant_ids):
         group = watched(scenario.part(number, range(1)).group, _CURVE_SAMPLES)
-        tables += [_curve_table(study, chunk, ids[chunk.variant]) for chunk in batch.chunks(group)]
+        tables += [
+            _make_curve_table(study, chunk, ids[chunk.variant]) for chunk in batch.chunks(group)
+        ]
     order = [("variant_id", "ascending"), ("time_s", "ascending")]
     return pa.concat_tables(tables).sort_by(order)
 
 
-def _curve_table(study: Study, chunk: Chunk, variant: NDArray) -> pa.Table:
+def _make_curve_table(study: Study, chunk: Chunk, variant: NDArray) -> pa.Table:
     spread = chunk.curves
     assert isinstance(spread, Spread)
     runs, _, records = np.shape(spread.phi)
@@ -217,5 +232,7 @@ def _curve_table(study: Study, chunk: Chunk, variant: NDArray) -> pa.Table:
     layout = columns.ESTIMATED_CURVES
     names = (c.name for c in layout[2:])
     values = {"variant_id": np.repeat(variant, records), "time_s": np.tile(times, runs)}
-    values |= zip(names, (nullable(one.ravel()) for one in np.moveaxis(angles, 1, 0)), strict=True)
-    return table_of(layout, values)
+    values |= zip(
+        names, (nullable_array(angle.ravel()) for angle in np.moveaxis(angles, 1, 0)), strict=True
+    )
+    return make_table(layout, values)

@@ -10,7 +10,7 @@ from sinsjax import columns
 from sinsjax.engine.build import ENVIRONMENT_KEYS, Scenario
 from sinsjax.engine.simulator import motion_of
 from sinsjax.errors import InputError
-from sinsjax.execution.tables import table_of
+from sinsjax.execution.tables import make_table
 from sinsjax.methods.information import heading_bound
 from sinsjax.methods.limits import mean_attitude
 from sinsjax.platform import runtime
@@ -48,45 +48,49 @@ def information_bound(study: Study | str | Path) -> pa.Table:
     """
     runtime.ensure_configured()
     study = load_study(study)
-    _require_bounded(study)
+    _check_bound_applies(study)
     scenario, ends = Scenario(study), study.spans_s[:, 0]
     swept = [key for key in study.axis_keys if key in ENVIRONMENT_KEYS]
     codes = study.resolved.column(*swept).codes if swept else np.zeros(study.n_variants, int)
-    found: dict[tuple[int, float], dict[float, float]] = {}
+    bounds: dict[tuple[int, float], dict[float, float]] = {}
     rows: list[tuple[int, float, float]] = []
-    for number, ids in enumerate(scenario.variant_ids):
+    for part, ids in enumerate(scenario.variant_ids):
         for variant in ids:
             key = int(codes[variant]), float(ends[variant])
-            if key not in found:
+            if key not in bounds:
                 times = sorted({*(t for t in study.report_times_s if t < key[1]), key[1]})
-                found[key] = dict(zip(times, _bound(scenario, number, times), strict=True))
-            rows += [(int(variant), time, sigma) for time, sigma in found[key].items()]
+                bounds[key] = dict(
+                    zip(times, _heading_sigma_bound(scenario, part, times), strict=True)
+                )
+            rows += [(int(variant), time, sigma) for time, sigma in bounds[key].items()]
     names = (c.name for c in columns.INFORMATION_BOUND)
-    values = zip(names, (np.array(one) for one in zip(*sorted(rows), strict=True)), strict=True)
-    return table_of(columns.INFORMATION_BOUND, dict(values))
+    values = zip(
+        names, (np.array(column) for column in zip(*sorted(rows), strict=True)), strict=True
+    )
+    return make_table(columns.INFORMATION_BOUND, dict(values))
 
 
-def _bound(scenario: Scenario, number: int, times_s: Sequence[float]) -> np.ndarray:
+def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]) -> np.ndarray:
     """Of the variants of a part, arcmin."""
     study = scenario.study
-    environment = scenario.part(number, range(1), blank=True).group.environment
+    environment = scenario.part(part, range(1), blank=True).group.environment
     if not np.all(environment.errors.accel_noise):
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
-    motion = motion_of(Variants(study, scenario.variant_ids[number]).common)
+    motion = motion_of(Variants(study, scenario.variant_ids[part]).common)
     pitch, roll, yaw = (s._replace(amplitude=0.0 * s.amplitude) for s in motion.angles)
-    still = Motion(pitch, roll, yaw)
+    still_motion = Motion(pitch, roll, yaw)
     sigma = heading_bound(
         times_s,
         place=environment.site.place,
         errors=environment.errors,
         disturbances=environment.disturbances,
         dt=1 / study.rate_hz,
-        to_n=np.asarray(mean_attitude(still)),
+        to_n=np.asarray(mean_attitude(still_motion)),
     )
     return sigma / ARCMIN
 
 
-def _require_bounded(study: Study) -> None:
+def _check_bound_applies(study: Study) -> None:
     """Refuses what the bound is not known of."""
     if study.is_recorded:
         raise InputError("[record]: the information bound needs the noise of a simulation")

@@ -11,8 +11,8 @@ from sinsjax.engine.batch import Calls, Chunk, Plan
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.realisations import Static
-from sinsjax.execution.estimates import Estimates
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.estimates import EstimateOutput
+from sinsjax.execution.tables import TableBuilder
 
 
 @runtime_checkable
@@ -20,85 +20,85 @@ class Output(Protocol):
     """What becomes of the parts of a study.
 
     Attributes:
-        layouts: columns of the datasets that every task writes, in the order in which they are
+        schemas: columns of the datasets that every task writes, in the order in which they are
             written: the last one is there only if the others are.
     """
 
-    layouts: Mapping[str, tuple[Column, ...]]
+    schemas: Mapping[str, tuple[Column, ...]]
 
-    def program(self, static: Static) -> Static:
+    def adapt_program(self, static: Static) -> Static:
         """The program of a part, from that of its runs."""
         ...
 
-    def group(self, group: Group) -> Group:
+    def adapt_group(self, group: Group) -> Group:
         """What the engine runs of a part, from all its runs."""
         ...
 
-    def plan(self, static: Static, draws: int, count: int, tiles: int | None) -> Plan:
+    def plan_calls(self, static: Static, draws: int, variants: int, tiles: int | None) -> Plan:
         """How some draws of so many variants are cut, into calls of so many tiles."""
         ...
 
-    def calls(self, group: Group, tiles: int | None) -> Calls:
+    def make_calls(self, group: Group, tiles: int | None) -> Calls:
         """Return the calls of such a plan."""
         ...
 
-    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
+    def make_tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
         """Tables by dataset, of a chunk of the variants of a part."""
         ...
 
-    def failures(self, tables: Mapping[str, pa.Table]) -> int:
+    def count_failures(self, tables: Mapping[str, pa.Table]) -> int:
         """Number of runs in these tables that diverged or became non-finite."""
         ...
 
 
-class Runs:
+class RunOutput:
     """Summary and curves of all runs, see `Output`.
 
     Attributes:
-        layouts: columns by dataset.
+        schemas: columns by dataset.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self._made = Tables(scenario.study, has_truth=scenario.has_truth)
-        curves = {"curves": self._made.curve_columns} if scenario.curves else {}
-        self.layouts: Mapping[str, tuple[Column, ...]] = {
+        self._builder = TableBuilder(scenario.study, has_truth=scenario.has_truth)
+        curves = {"curves": self._builder.curve_columns} if scenario.curves else {}
+        self.schemas: Mapping[str, tuple[Column, ...]] = {
             **curves,
-            "summary": self._made.summary_columns,
+            "summary": self._builder.summary_columns,
         }
 
-    def program(self, static: Static) -> Static:
+    def adapt_program(self, static: Static) -> Static:
         """Return the program of the runs."""
         return static
 
-    def group(self, group: Group) -> Group:
+    def adapt_group(self, group: Group) -> Group:
         """Return the runs."""
         return group
 
-    def plan(self, static: Static, draws: int, count: int, tiles: int | None) -> Plan:
+    def plan_calls(self, static: Static, draws: int, variants: int, tiles: int | None) -> Plan:
         """Return how some draws of so many variants are cut, into calls of so many tiles."""
-        return Plan(static, draws, count, tiles_a_chunk=tiles)
+        return Plan(static, draws, variants, tiles_a_chunk=tiles)
 
-    def calls(self, group: Group, tiles: int | None) -> Calls:
+    def make_calls(self, group: Group, tiles: int | None) -> Calls:
         """Return the calls of such a plan."""
         return Calls(group, tiles_a_chunk=tiles)
 
-    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
+    def make_tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
         """Return one row per run, and one per run and record time if curves are kept."""
-        made = {"summary": self._made.summary(chunk, variant_ids)}
-        if "curves" in self.layouts:
-            made["curves"] = self._made.curves(chunk, variant_ids)
-        return made
+        tables = {"summary": self._builder.summary_table(chunk, variant_ids)}
+        if "curves" in self.schemas:
+            tables["curves"] = self._builder.curve_table(chunk, variant_ids)
+        return tables
 
-    def failures(self, tables: Mapping[str, pa.Table]) -> int:
+    def count_failures(self, tables: Mapping[str, pa.Table]) -> int:
         """Return the number of runs that diverged or became non-finite, by their status."""
         status = tables["summary"]["status"].to_pylist()
         return sum(map(status.count, FAILED))
 
 
-def output_of(scenario: Scenario) -> Output:
+def make_output(scenario: Scenario) -> Output:
     """Return the output that a study asks for.
 
     Raises:
         InputError: curves are asked for where there are no runs.
     """
-    return Estimates(scenario) if scenario.study.is_estimated else Runs(scenario)
+    return EstimateOutput(scenario) if scenario.study.is_estimated else RunOutput(scenario)

@@ -16,7 +16,7 @@ from sinsjax.execution import sealed
 from sinsjax.execution.directory import (
     STUDY,
     FileState,
-    check_entries,
+    check_directory,
     find_manifest,
     list_parts,
     read_manifest,
@@ -28,11 +28,11 @@ from sinsjax.study.identity import differences, fingerprint
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
-STUDY_MARK, CHUNK_MARK = "sinsjax.study", "sinsjax.chunk"
+STUDY_METADATA, CHUNK_METADATA = "sinsjax.study", "sinsjax.chunk"
 """Metadata of a part: identity of its job, and its chunk as JSON."""
 
-_REMEDY = "`--resume` computes damaged parts again"
-_OTHERWISE = {
+_RESUME_HINT = "`--resume` computes damaged parts again"
+_ALTERNATIVES = {
     "summary": ("estimates", "estimates of variants, and no runs (`read_estimates` reads them)"),
     "estimates": ("summary", "runs, and no estimates of variants (`read_summary` reads them)"),
 }
@@ -70,7 +70,7 @@ def read_summary(
         [{'run_id': 4, 'status': 'ok'}]
     """
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
-    return _read(directory, "summary", names, ["run_id"], verify=verify, rows=rows)
+    return _read_sorted(directory, "summary", names, ["run_id"], verify=verify, rows=rows)
 
 
 def read_estimates(
@@ -94,7 +94,7 @@ def read_estimates(
         >>> sinsjax.read_estimates("out", ["variant_id", "true_sigma_u_arcmin"]).num_rows
         16
     """
-    return _read(directory, "estimates", names, ["variant_id"], verify=verify)
+    return _read_sorted(directory, "estimates", names, ["variant_id"], verify=verify)
 
 
 def read_curves(
@@ -119,7 +119,7 @@ def read_curves(
     if not has_dataset(directory, "curves", verify=verify):
         return columns.schema(columns.CURVES).empty_table()
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
-    return _read(directory, "curves", None, ["run_id", "time_s"], verify=verify, rows=rows)
+    return _read_sorted(directory, "curves", None, ["run_id", "time_s"], verify=verify, rows=rows)
 
 
 def count_runs(directory: str | Path) -> int:
@@ -128,7 +128,7 @@ def count_runs(directory: str | Path) -> int:
     Raises:
         InputError: the directory holds no results, or a part has changed.
     """
-    return query(directory, "summary", lambda dataset: dataset.count_rows())
+    return query_dataset(directory, "summary", lambda dataset: dataset.count_rows())
 
 
 def load_stored_study(directory: Path) -> Study:
@@ -141,7 +141,9 @@ def load_stored_study(directory: Path) -> Study:
     try:
         study = load_study(directory / STUDY)
     except InputError as error:
-        missing = " and ".join(f"{name} {version}" for name, version in _missing(directory))
+        missing = " and ".join(
+            f"{name} {version}" for name, version in _missing_packages(directory)
+        )
         if not missing:
             raise
         raise InputError(
@@ -159,7 +161,7 @@ def load_stored_study(directory: Path) -> Study:
     return study
 
 
-def _missing(directory: Path) -> list[tuple[str, str]]:
+def _missing_packages(directory: Path) -> list[tuple[str, str]]:
     """Packages in the manifest that are not installed, and their versions."""
     stored = read_manifest(directory).get("versions")
     versions = stored if isinstance(stored, dict) else {}
@@ -181,43 +183,45 @@ def has_dataset(directory: str | Path, name: str, *, verify: bool = True) -> boo
     if list_parts(Path(directory), name):
         return True
     if verify:
-        _verify(Path(directory), name, ())
+        _verify_parts(Path(directory), name, ())
     return False
 
 
-def query(
-    directory: str | Path, name: str, question: Callable[[ds.Dataset], Any], *, verify: bool = True
+def query_dataset(
+    directory: str | Path, name: str, function: Callable[[ds.Dataset], Any], *, verify: bool = True
 ) -> Any:
     """Query a dataset.
 
     Args:
         directory: results directory.
         name: name of the dataset.
-        question: function of the dataset that gives the answer.
+        function: function of the dataset that gives the answer.
         verify: whether to verify the parts first.
 
     Raises:
         InputError: there are no parts, or a part has changed or cannot be read.
     """
     directory = Path(directory)
-    check_entries(directory)
+    check_directory(directory)
     if not has_dataset(directory, name, verify=verify):
-        other, why = _OTHERWISE.get(name, ("", ""))
-        is_other = other and list_parts(directory, other)
-        raise InputError(
-            f"{directory}: holds {why if is_other else f'no results (no part in {name}/)'}"
-        )
+        alternative, contents = _ALTERNATIVES.get(name, ("", ""))
+        has_alternative = alternative and list_parts(directory, alternative)
+        if not has_alternative:
+            contents = f"no results (no part in {name}/)"
+        raise InputError(f"{directory}: holds {contents}")
     parts = list_parts(directory, name)
     try:
         if verify:
-            _verify(directory, name, parts)
-        return question(ds.dataset(parts, format="parquet"))
+            _verify_parts(directory, name, parts)
+        return function(ds.dataset(parts, format="parquet"))
     except (OSError, pa.ArrowException) as error:
-        what = first_line(error)
-        raise InputError(f"{directory / name}: cannot be read: {what} ({_REMEDY})") from error
+        reason = first_line(error)
+        raise InputError(
+            f"{directory / name}: cannot be read: {reason} ({_RESUME_HINT})"
+        ) from error
 
 
-def part_marks(content: bytes) -> dict[str, str] | None:
+def read_part_metadata(content: bytes) -> dict[str, str] | None:
     """Return the marks of a part, see `tasks.TaskRunner.marks`; None if it is not intact.
 
     Args:
@@ -226,15 +230,19 @@ def part_marks(content: bytes) -> dict[str, str] | None:
     if not sealed.is_intact(content):
         return None
     try:
-        about = pq.read_metadata(pa.BufferReader(content))
-        found = about.metadata or {}
-        marks = {key: found[key.encode()].decode() for key in (STUDY_MARK, CHUNK_MARK)}
-        return marks if json.loads(marks[CHUNK_MARK])["rows"] == about.num_rows else None
+        file_metadata = pq.read_metadata(pa.BufferReader(content))
+        entries = file_metadata.metadata or {}
+        metadata = {key: entries[key.encode()].decode() for key in (STUDY_METADATA, CHUNK_METADATA)}
+        return (
+            metadata
+            if json.loads(metadata[CHUNK_METADATA])["rows"] == file_metadata.num_rows
+            else None
+        )
     except (KeyError, ValueError, TypeError, pa.ArrowException):
         return None
 
 
-def _read(
+def _read_sorted(
     directory: str | Path,
     dataset: str,
     names: Sequence[str] | None,
@@ -243,49 +251,49 @@ def _read(
     verify: bool,
     rows: ds.Expression | None = None,
 ) -> pa.Table:
-    def ask(there: ds.Dataset) -> pa.Table:
-        known = there.schema.names
-        wanted = known if names is None else list(names)
-        if missing := [name for name in wanted if name not in known]:
+    def select_rows(dataset_: ds.Dataset) -> pa.Table:
+        known_columns = dataset_.schema.names
+        selected = known_columns if names is None else list(names)
+        if missing := [name for name in selected if name not in known_columns]:
             raise InputError(f"{directory}: {dataset}: column {missing[0]} is missing")
-        table = there.to_table(columns=sorted({*order, *wanted}), filter=rows)
-        return table.sort_by([(name, "ascending") for name in order]).select(wanted)
+        table = dataset_.to_table(columns=sorted({*order, *selected}), filter=rows)
+        return table.sort_by([(name, "ascending") for name in order]).select(selected)
 
-    table = query(directory, dataset, ask, verify=verify)
+    table = query_dataset(directory, dataset, select_rows, verify=verify)
     # The metadata of the first part does not apply to the others.
     return table.replace_schema_metadata({"sinsjax.schema": columns.SCHEMA_VERSION})
 
 
-def _verify(directory: Path, dataset: str, parts: Sequence[Path]) -> None:
+def _verify_parts(directory: Path, dataset: str, parts: Sequence[Path]) -> None:
     """Verify parts, and that none is missing which the manifest lists."""
     manifest = find_manifest(directory)
     if manifest is not None:
         listed = {part.file for chunk in manifest.chunks for part in chunk.files}
-        there = {f"{dataset}/{path.name}" for path in parts}
-        for file in sorted(name for name in listed - there if name.startswith(f"{dataset}/")):
+        present = {f"{dataset}/{path.name}" for path in parts}
+        for file in sorted(name for name in listed - present if name.startswith(f"{dataset}/")):
             # It may have been written after `parts` were listed and before the manifest was read.
             if not (directory / file).exists():
                 raise InputError(
-                    f"{directory / file}: listed in the manifest but missing ({_REMEDY})"
+                    f"{directory / file}: listed in the manifest but missing ({_RESUME_HINT})"
                 )
     with ThreadPoolExecutor(_READERS) as pool:
-        for path, identity in zip(parts, pool.map(_identity, parts), strict=True):
+        for path, identity in zip(parts, pool.map(_verified_identity, parts), strict=True):
             if manifest is not None and identity != manifest.identity:
-                raise InputError(f"{path}: is a part of another study's results ({_REMEDY})")
+                raise InputError(f"{path}: is a part of another study's results ({_RESUME_HINT})")
 
 
-def _identity(path: Path) -> str:
+def _verified_identity(path: Path) -> str:
     """Verify a part; gives the identity of its job."""
-    file = FileState.of(path)
-    if (known := _verified.get(file)) is not None:
-        return known
-    marks = part_marks(read_regular(path))
-    if marks is None:
-        raise InputError(f"{path}: has changed since it was written ({_REMEDY})")
-    chunk = json.loads(marks[CHUNK_MARK])
+    file = FileState.from_path(path)
+    if (identity := _verified.get(file)) is not None:
+        return identity
+    metadata = read_part_metadata(read_regular(path))
+    if metadata is None:
+        raise InputError(f"{path}: has changed since it was written ({_RESUME_HINT})")
+    chunk = json.loads(metadata[CHUNK_METADATA])
     if (chunk["dataset"], chunk["name"]) != (path.parent.name, path.stem):
         text = f"is part {chunk['dataset']}/{chunk['name']} under another name"
-        raise InputError(f"{path}: {text} ({_REMEDY})")
+        raise InputError(f"{path}: {text} ({_RESUME_HINT})")
     if file.is_settled:
-        _verified[file] = marks[STUDY_MARK]
-    return marks[STUDY_MARK]
+        _verified[file] = metadata[STUDY_METADATA]
+    return metadata[STUDY_METADATA]

@@ -9,16 +9,16 @@ from sinsjax.errors import InputError
 from sinsjax.execution.directory import (
     DATASETS,
     MANIFEST,
-    ONE_ROW_EACH,
+    ROW_DATASETS,
     STUDY,
     FileState,
     Manifest,
-    OtherVersion,
+    OtherVersionError,
+    existing_names,
     find_manifest,
     list_parts,
-    present_names,
 )
-from sinsjax.execution.results import CHUNK_MARK, STUDY_MARK, part_marks
+from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA, read_part_metadata
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line, shortened
 from sinsjax.methods.registry import packages_of
@@ -28,10 +28,10 @@ from sinsjax.study.identity import differences, fingerprint, with_draws
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
-_NAMES = (*DATASETS, "figures", STUDY, MANIFEST)
+_RESULT_NAMES = (*DATASETS, "figures", STUDY, MANIFEST)
 
 
-def check_free(directory: Path, *, overwrite: bool, resume: bool) -> None:
+def check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
     """Reject a directory that holds results, unless they may be used, or foreign files.
 
     Results are identified by their manifest or parts; a foreign file of the same name is never
@@ -45,18 +45,18 @@ def check_free(directory: Path, *, overwrite: bool, resume: bool) -> None:
     Raises:
         InputError: the directory cannot be used.
     """
-    taken = present_names(directory, _NAMES)
-    if not taken:
+    existing = existing_names(directory, _RESULT_NAMES)
+    if not existing:
         return
     try:
-        known = _known(directory)
-    except OtherVersion:
+        manifest = _find_or_rebuild_manifest(directory)
+    except OtherVersionError:
         if overwrite:
             return
         raise
-    if known is None:
+    if manifest is None:
         raise InputError(
-            f"{directory}: holds a {taken[0]} that is not a result (give another directory)"
+            f"{directory}: holds a {existing[0]} that is not a result (give another directory)"
         )
     if not (overwrite or resume):
         raise InputError(
@@ -65,15 +65,15 @@ def check_free(directory: Path, *, overwrite: bool, resume: bool) -> None:
         )
 
 
-def state_of(directory: Path) -> FileState | None:
+def manifest_state(directory: Path) -> FileState | None:
     """Return the state of a directory's manifest, which every writer changes; None without one."""
     try:
-        return FileState.of(directory / MANIFEST)
+        return FileState.from_path(directory / MANIFEST)
     except OSError:
         return None
 
 
-def continued(job: Job) -> Job:
+def continue_job(job: Job) -> Job:
     """Return the job as a continuation of the results in its directory, if it holds any.
 
     It keeps their runs per chunk and choice of curves. Its draws may be more than theirs: it is
@@ -88,55 +88,62 @@ def continued(job: Job) -> Job:
     """
     directory = job.directory
     assert directory is not None
-    known = _known(directory)
-    is_same = known is not None and _is_same(job, known)
+    manifest = _find_or_rebuild_manifest(directory)
+    is_same = manifest is not None and _has_same_study(job, manifest)
     # Whatever study.toml contains, it is written again for results of the same study.
     stored = None if is_same else _check_same_study(directory, job.study)
-    if known is None:
+    if manifest is None:
         return job
-    if job.chunk_runs not in (None, known.chunk_runs):
+    if job.chunk_runs not in (None, manifest.chunk_runs):
         raise InputError(
             f"{directory}: chunk_runs: {job.chunk_runs} requested, but its results were begun with"
-            f" {known.chunk_runs or 'the default'} (--resume keeps that: leave --chunk-runs out)"
+            f" {manifest.chunk_runs or 'the default'} (--resume keeps that: leave --chunk-runs out)"
         )
-    extended = stored is not None and _is_extended(stored, job.study)
-    before = {*known.extended_at, *([stored.n_draws] if stored is not None and extended else [])}
-    job = _extended(job, before)._replace(curves=known.curves, chunk_runs=known.chunk_runs)
-    _check_versions(directory, known, packages_of(job.study.methods))
-    if known.identity != job.identity:
+    extended = stored is not None and _has_more_draws(stored, job.study)
+    earlier_draws = {
+        *manifest.extended_at,
+        *([stored.n_draws] if stored is not None and extended else []),
+    }
+    job = _with_extensions(job, earlier_draws)._replace(
+        curves=manifest.curves, chunk_runs=manifest.chunk_runs
+    )
+    _check_versions(directory, manifest, packages_of(job.study.methods))
+    if manifest.identity != job.identity:
         kind = "record or reference" if is_same or stored else "study"
         raise InputError(f"{directory}: holds results of another {kind}")
     return job
 
 
-def _is_same(job: Job, known: Manifest) -> bool:
+def _has_same_study(job: Job, manifest: Manifest) -> bool:
     """Whether results are certainly of a job's study, with as many draws."""
-    same_study = known.fingerprint == fingerprint(job.study)
-    return same_study or (not known.extended_at and known.identity == job.identity)
+    same_study = manifest.fingerprint == fingerprint(job.study)
+    return same_study or (not manifest.extended_at and manifest.identity == job.identity)
 
 
-def _extended(job: Job, before: Iterable[int]) -> Job:
+def _with_extensions(job: Job, earlier_draws: Iterable[int]) -> Job:
     """A job whose results had numbers of draws before, those that it has not yet left out."""
-    return job._replace(extended_at=tuple(sorted(d for d in before if d <= job.study.n_draws)))
+    return job._replace(
+        extended_at=tuple(sorted(d for d in earlier_draws if d <= job.study.n_draws))
+    )
 
 
-def check_instructions(directory: Path, here: str) -> None:
+def check_instruction_set(directory: Path, current: str) -> None:
     """Reject rows of another instruction set: last bits differ, and the difference grows.
 
     Args:
         directory: results directory.
-        here: instruction set that will compute the missing rows.
+        current: instruction set that will compute the missing rows.
 
     Raises:
         InputError: names both instruction sets.
     """
-    known = find_manifest(directory)
-    for session in known.sessions if known else ():
-        if (there := shortened(one_line(session.instructions or here))) != here:
+    manifest = find_manifest(directory)
+    for session in manifest.sessions if manifest else ():
+        if (stored := shortened(one_line(session.instructions or current))) != current:
             raise InputError(
-                f"{directory}: was computed with instruction set {there}, but here is {here} (use a"
-                f" machine with that one, XLA_FLAGS=--xla_cpu_max_isa={there} on a larger one, or"
-                " --overwrite)"
+                f"{directory}: was computed with instruction set {stored}, but here is {current}"
+                f" (use a machine with that one, XLA_FLAGS=--xla_cpu_max_isa={stored} on a"
+                " larger one, or --overwrite)"
             )
 
 
@@ -149,19 +156,19 @@ def _check_same_study(directory: Path, study: Study) -> Study | None:
         stored = load_study(directory / STUDY)
     except InputError:  # the parts identify their study too
         return None
-    if _is_extended(stored, study):
+    if _has_more_draws(stored, study):
         _check_extension(directory, stored, study)
     elif fingerprint(stored) != fingerprint(study):
         text = "; ".join(differences(stored, study))
-        if _is_extended(study, stored):
+        if _has_more_draws(study, stored):
             text += f" (there can be more, not fewer: continue with --draws {stored.n_draws})"
-        elif more := _added_values(stored, study):
-            text += f" ({more})"
+        elif hint := _added_values_hint(stored, study):
+            text += f" ({hint})"
         raise InputError(f"{directory}: holds results of another study: {text}")
     return stored
 
 
-def _is_extended(stored: Study, study: Study) -> bool:
+def _has_more_draws(stored: Study, study: Study) -> bool:
     """Whether a study is a simulated one, ``stored``, with more draws and nothing else changed."""
     draws = study.study.draws
     if stored.study.draws is None or draws is None or draws <= stored.study.draws:
@@ -169,7 +176,7 @@ def _is_extended(stored: Study, study: Study) -> bool:
     return fingerprint(with_draws(stored, draws)) == fingerprint(study)
 
 
-def _added_values(stored: Study, study: Study) -> str:
+def _added_values_hint(stored: Study, study: Study) -> str:
     """The way on if axes have further values: run ids number all variants, and would move."""
     added = [
         key
@@ -206,38 +213,38 @@ def _check_extension(directory: Path, stored: Study, study: Study) -> None:
             )
 
 
-def _check_versions(directory: Path, known: Manifest, packages: Iterable[str]) -> None:
+def _check_versions(directory: Path, manifest: Manifest, packages: Iterable[str]) -> None:
     """Reject rows of other versions, packages that provide methods included: bits may differ."""
-    here = runtime.versions()
-    for session in known.sessions:
+    current = runtime.versions()
+    for session in manifest.sessions:
         for name in (*runtime.DECISIVE, *packages):
-            there = shortened(one_line(session.versions.get(name, here[name])))
-            if there != here[name]:
+            stored = shortened(one_line(session.versions.get(name, current[name])))
+            if stored != current[name]:
                 raise InputError(
-                    f"{directory}: was computed with {name} {there}, but here is {here[name]}"
+                    f"{directory}: was computed with {name} {stored}, but here is {current[name]}"
                     " (install that one, or give --overwrite)"
                 )
 
 
-def _known(directory: Path) -> Manifest | None:
+def _find_or_rebuild_manifest(directory: Path) -> Manifest | None:
     """The manifest of a directory, or one from its intact parts; None if it holds no results."""
-    return find_manifest(directory) or _from_parts(directory)
+    return find_manifest(directory) or _manifest_from_parts(directory)
 
 
-def _from_parts(directory: Path) -> Manifest | None:
+def _manifest_from_parts(directory: Path) -> Manifest | None:
     """A manifest from the intact part with most extensions."""
     curves = True if list_parts(directory, "curves") else None
-    found = []
-    for path in (path for name in ONE_ROW_EACH for path in list_parts(directory, name)):
+    manifests = []
+    for path in (path for name in ROW_DATASETS for path in list_parts(directory, name)):
         with suppress(OSError, InputError):
-            if marks := part_marks(read_regular(path)):
-                chunk = json.loads(marks[CHUNK_MARK])
-                found.append(
+            if metadata := read_part_metadata(read_regular(path)):
+                chunk = json.loads(metadata[CHUNK_METADATA])
+                manifests.append(
                     Manifest(
-                        identity=marks[STUDY_MARK],
+                        identity=metadata[STUDY_METADATA],
                         curves=curves,
                         chunk_runs=chunk["chunk_runs"],
                         extended_at=chunk.get("extended_at", ()),
                     )
                 )
-    return max(found, key=lambda part: len(part.extended_at), default=None)
+    return max(manifests, key=lambda part: len(part.extended_at), default=None)

@@ -17,7 +17,7 @@ from sinsjax.messages import counted, one_line
 from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick, yardsticks
 
-_KEPT = 2**20  # runs; of more, columns are read anew each time, to bound the memory
+_MAX_CACHED_RUNS = 2**20  # runs; of more, columns are read anew each time, to bound the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Source:
     wall_s: float | None = None
     record_latitude_deg: float | None = None
     whole_draws: np.ndarray | None = None
-    _kept: dict[str, pa.Table] = field(default_factory=dict, init=False, repr=False)
+    _cached_columns: dict[str, pa.Table] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def read(cls, directory: Path, *, unfinished: bool = False) -> "Source":
@@ -60,7 +60,7 @@ class Source:
             InputError: it holds none, or its study cannot be read, or no draw is whole yet.
         """
         table = None
-        places.check_entries(directory)
+        places.check_directory(directory)
         manifest = places.read_manifest(directory)
         has_estimates = results.has_dataset(directory, "estimates")
         if has_estimates and not results.has_dataset(directory, "summary"):
@@ -69,38 +69,42 @@ class Source:
             results.count_runs(directory)
         study = results.load_stored_study(directory)
         name = manifest.get("config") or f"study.toml of {study.name}"
-        told = manifest.get("warnings")
-        warnings = tuple(one_line(str(line)) for line in (told if isinstance(told, list) else ()))
+        manifest_warnings = manifest.get("warnings")
+        warnings = tuple(
+            one_line(str(line))
+            for line in (manifest_warnings if isinstance(manifest_warnings, list) else ())
+        )
         versions = manifest.get("versions")
         version = (versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown")
         version, config = one_line(str(version)), one_line(str(name))
         numbers = (manifest.get(name) for name in ("wall_s", "record_latitude_deg"))
         wall_s, latitude_deg = (float(x) if isinstance(x, int | float) else None for x in numbers)
         source = cls(directory, study, config, table, warnings, version, wall_s, latitude_deg)
-        is_going_on = unfinished and manifest.get("state") in ("running", "interrupted")
-        return source._of_what_is_there() if is_going_on else source
+        restrict = unfinished and manifest.get("state") in ("running", "interrupted")
+        return source._restrict_to_whole_draws() if restrict else source
 
-    def _of_what_is_there(self) -> "Source":
+    def _restrict_to_whole_draws(self) -> "Source":
         """The same of the draws that are whole: variants are compared on the same draws."""
         study, runs = self.study, self.runs
-        whole, shown = None, ""
+        whole_draws, suffix = None, ""
         if self.table is None:
             draws = analysis.numbers(results.read_summary(self.directory, ["draw_id"]), "draw_id")
-            number, count = np.unique(draws.astype(int), return_counts=True)
-            whole = number[count == study.n_variants]
-            shown = f"; shown are the {len(whole):,} draws that every variant has"
-        most = study.n_draws * study.n_variants
-        if runs >= most:
+            draw_ids, variant_counts = np.unique(draws.astype(int), return_counts=True)
+            whole_draws = draw_ids[variant_counts == study.n_variants]
+            suffix = f"; shown are the {len(whole_draws):,} draws that every variant has"
+        planned_runs = study.n_draws * study.n_variants
+        if runs >= planned_runs:
             return self
         kind = "runs" if self.table is None else "variants"
-        there = f"unfinished: {runs:,} of {most:,} {kind} are there ({100 * runs / most:.2g} %)"
-        if whole is not None and not len(whole):
+        share = 100 * runs / planned_runs
+        progress = f"unfinished: {runs:,} of {planned_runs:,} {kind} are there ({share:.2g} %)"
+        if whole_draws is not None and not len(whole_draws):
             raise InputError(
-                f"{self.directory}: {there}, and no draw that every variant has (continue with"
+                f"{self.directory}: {progress}, and no draw that every variant has (continue with"
                 " `--resume`)"
             )
-        told = f"{there}{shown}; `sinsjax sweep --resume` adds the others."
-        return replace(self, whole_draws=whole, warnings=(told, *self.warnings))
+        warning = f"{progress}{suffix}; `sinsjax sweep --resume` adds the others."
+        return replace(self, whole_draws=whole_draws, warnings=(warning, *self.warnings))
 
     @cached_property
     def runs(self) -> int:
@@ -110,14 +114,18 @@ class Source:
         return results.count_runs(self.directory) if self.table is None else self.table.num_rows
 
     @property
-    def counted(self) -> str:
+    def sample_size_text(self) -> str:
         """What a figure rests on, for its footer: the study's name and how many runs it has."""
         study = self.study
         unit = "start time" if study.is_recorded else "Monte Carlo run"
         if study.n_variants == 1:
             return f"{study.name}: {counted(self.runs, unit)}"
-        each = self.runs / study.n_variants
-        rows = counted(int(each), unit) if each.is_integer() else f"{each:,g} {unit}s"
+        runs_per_variant = self.runs / study.n_variants
+        rows = (
+            counted(int(runs_per_variant), unit)
+            if runs_per_variant.is_integer()
+            else f"{runs_per_variant:,g} {unit}s"
+        )
         return f"{study.name}: {study.n_variants:,} variants × {rows} = {self.runs:,} runs"
 
     @property
@@ -143,14 +151,14 @@ class Source:
     @cached_property
     def summary(self) -> pa.Table:
         """All columns, one row a run, by run_id; kept. A large study has no room for it."""
-        return self._whole(None) if self.table is None else self.table
+        return self._read_columns(None) if self.table is None else self.table
 
-    def _whole(self, names: list[str] | None) -> pa.Table:
+    def _read_columns(self, names: list[str] | None) -> pa.Table:
         """Columns of the runs that are read; None for all columns."""
         if self.whole_draws is None:
             return results.read_summary(self.directory, names)
-        more = None if names is None else [*names, *({"draw_id"} - {*names})]
-        rows = results.read_summary(self.directory, more)
+        needed = None if names is None else [*names, *({"draw_id"} - {*names})]
+        rows = results.read_summary(self.directory, needed)
         rows = rows.filter(pc.is_in(rows["draw_id"], pa.array(self.whole_draws)))
         return rows if names is None else rows.select(names)
 
@@ -163,45 +171,45 @@ class Source:
         Raises:
             InputError: a column is missing.
         """
-        wanted = list(dict.fromkeys(names))
+        selected = list(dict.fromkeys(names))
         if self.table is None:
-            if self.runs > _KEPT or not wanted:
-                return self._whole(wanted)
-            if missing := [name for name in wanted if name not in self._kept]:
-                read = self._whole(missing)
-                self._kept.update((name, read.select([name])) for name in missing)
-            columns = [self._kept[name] for name in wanted]
-            fields = [one.schema.field(0) for one in columns]
+            if self.runs > _MAX_CACHED_RUNS or not selected:
+                return self._read_columns(selected)
+            if missing := [name for name in selected if name not in self._cached_columns]:
+                table = self._read_columns(missing)
+                self._cached_columns.update((name, table.select([name])) for name in missing)
+            columns = [self._cached_columns[name] for name in selected]
+            fields = [column.schema.field(0) for column in columns]
             schema = pa.schema(fields, columns[0].schema.metadata)
-            return pa.Table.from_arrays([one.column(0) for one in columns], schema=schema)
-        if missing := [name for name in wanted if name not in self.table.column_names]:
+            return pa.Table.from_arrays([column.column(0) for column in columns], schema=schema)
+        if missing := [name for name in selected if name not in self.table.column_names]:
             raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
-        return self.table.select(wanted)
+        return self.table.select(selected)
 
-    def largest(self, key: str) -> float:
+    def largest_magnitude(self, key: str) -> float:
         """The largest magnitude of a number or vector of the study, given or drawn, to 3 digits."""
         drawn = key in self.study.drawn_keys
         values = self.rows([key])[key].to_pylist() if drawn else self.study.values(key)
         return float(f"{max(float(np.max(np.abs(value or 0.0))) for value in values):.3g}")
 
-    def distinct(self, names: Iterable[str]) -> pa.Table:
+    def distinct_rows(self, names: Iterable[str]) -> pa.Table:
         """As `rows`, of variants that differ: one of each kind that has the same runs.
 
         Keys are null where they do not act: without resets there is no cycle.
         """
-        first = self.study.duplicate_of
-        if (first == np.arange(len(first))).all():
+        first_duplicate = self.study.duplicate_of
+        if (first_duplicate == np.arange(len(first_duplicate))).all():
             return self.rows(names)
         table = self.rows(names)
-        variant = np.tile(np.arange(len(first)), self.draws)
-        keep = first[variant] == variant
+        variant = np.tile(np.arange(len(first_duplicate)), self.draws)
+        keep = first_duplicate[variant] == variant
         table, variant = table.filter(pa.array(keep)), variant[keep]
         for key in self.study.axis_keys:
             if key != "case" and key in table.column_names:
-                place = table.column_names.index(key)
-                nothing = pa.array(self.study.without_effect(key)[variant])
-                values = pc.if_else(nothing, None, table[key])
-                table = table.set_column(place, key, values)
+                index = table.column_names.index(key)
+                no_effect = pa.array(self.study.without_effect(key)[variant])
+                values = pc.if_else(no_effect, None, table[key])
+                table = table.set_column(index, key, values)
         return table
 
     @cached_property
@@ -210,9 +218,11 @@ class Source:
 
         Neither the truth nor the bias floor where no run has one.
         """
-        found = yardsticks(self.study)
-        flags = self.rows([yard.ok for yard in found])
-        return tuple(yard for yard in found if flags[yard.ok].null_count < flags.num_rows)
+        criteria = yardsticks(self.study)
+        flags = self.rows([criterion.ok for criterion in criteria])
+        return tuple(
+            criterion for criterion in criteria if flags[criterion.ok].null_count < flags.num_rows
+        )
 
     @property
     def has_curves(self) -> bool:

@@ -132,7 +132,7 @@ class Results:
             >>> len(frame), frame.attrs["units"]["phi_u_arcmin"]
             (6, 'arcmin')
         """
-        return frames.frame_of(self.curves if curves else self._rows)
+        return frames.to_dataframe(self.curves if curves else self._rows)
 
     def to_xarray(self) -> Any:
         """Return the summary as an xarray dataset, or the estimates of a covariance study.
@@ -152,7 +152,7 @@ class Results:
             >>> dict(dataset.sizes), dataset["settle_60_s"].attrs["units"]
             ({'draw': 2, 'case': 3}, 's')
         """
-        return frames.dataset_of(self.study, self._rows)
+        return frames.to_dataset(self.study, self._rows)
 
     @property
     def _rows(self) -> pa.Table:
@@ -187,5 +187,5 @@ class Results:
             if (runs := self.summary.num_rows) < planned:
                 facts["runs"] = f"{runs:,} of {counted(planned, 'run')}"
             facts["runs"] += f", {failed:,} diverged or not finite"
-        place = f"in {self.directory}" if self.directory else "in memory"
-        return facts | {"computed": f"in {self.wall_s:.3g} s, {place}"}
+        location = f"in {self.directory}" if self.directory else "in memory"
+        return facts | {"computed": f"in {self.wall_s:.3g} s, {location}"}

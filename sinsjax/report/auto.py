@@ -65,7 +65,7 @@ def report(source: Source, *, full: bool = True, warned: bool = False) -> Report
 def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
     """The statistics of each group of runs, told apart by some keys, as a table."""
     shown = _shown(source)
-    table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
+    table = source.distinct_rows([*keys, *NEEDED, *judged_columns(source.study)])
     rows = analysis.summarise(table, keys, [one.name for one in shown]).to_pylist()
     cells = [("runs", lambda row: str(row["n"])), *((one.header, one.cell) for one in shown)]
     return table_of(title, keys, rows, cells, note)
@@ -108,7 +108,7 @@ def heading_errors(source: Source, keys: Sequence[str], title: str) -> Table:
     """How far from the truth the headings are, at each report time and at the end."""
     times_s = source.study.study.report_times_s or ()
     times = {report_columns(time)[0].name: f"{time:g} s" for time in times_s} | {_END: "the end"}
-    table = source.distinct([*keys, *NEEDED, *times])
+    table = source.distinct_rows([*keys, *NEEDED, *times])
     cells = [
         ("runs", lambda row: str(row["n"])),
         ("at", lambda row: row["at"]),
@@ -125,7 +125,7 @@ def heading_errors(source: Source, keys: Sequence[str], title: str) -> Table:
 def against_first(source: Source) -> Table:
     """How each variant differs from the first one under the same conditions, draw by draw."""
     keys, yards = source.study.keys_shown, source.yardsticks
-    table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
+    table = source.distinct_rows([*keys, *NEEDED, *judged_columns(source.study)])
     given = [key for key in keys if is_given(key)]
     first, rows = compare_with_first(table, keys, given)
     compared = [each for each in source.study.dimensions if first.keys() & each.keys()]
@@ -188,7 +188,7 @@ def _curves(source: Source) -> Iterator[Block]:
         return
     keys = source.study.keys_shown
     floor = () if source.study.is_recorded else ("floor_arcmin",)  # whose biases are unknown
-    table = source.distinct([*keys, "run_id", "reset_times_s", *floor])
+    table = source.distinct_rows([*keys, "run_id", "reset_times_s", *floor])
     runs = runs_of_lines(table, keys)
     curves = source.curves(run for ids in runs.values() for run in ids)
     if curves.num_rows == 0:

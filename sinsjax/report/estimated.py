@@ -175,7 +175,7 @@ def _per_condition(expected: _Expected) -> Table | None:
 def _linearity(source: Source) -> Iterator[Fact]:
     """How far covariance analysis holds."""
     if source.study.checks_linearity:
-        index, filled = (analysis.numbers(source.distinct([name]), name) for name in _CHECKED)
+        index, filled = (analysis.numbers(source.distinct_rows([name]), name) for name in _CHECKED)
         largest = f"{np.nanmax(index):.2f}" if np.isfinite(index).any() else "unknown"
         beyond = int(np.nansum(filled))
         text = said("linearity", largest=largest, beyond=beyond, variants=len(filled))
@@ -214,7 +214,7 @@ def _best(source: Source, names: _Names) -> Iterator[Table]:
         return
     given = [key for key in keys if key not in chosen]
     needed = (names.mean, names.error, names.within, _SIGMA)
-    table = source.distinct([*keys, *needed])
+    table = source.distinct_rows([*keys, *needed])
     points = []
     for point, rows in analysis.groups(table, chosen):
         time, error, share, sigma = (
@@ -260,7 +260,7 @@ def _every_variant(source: Source, found: Sequence[_Names]) -> Table:
     if source.study.checks_linearity:
         cells.append(("index of nonlinearity", _index))
         needed += _CHECKED
-    rows = source.distinct([*keys, *needed, _YAW, _SIGMA, _OWN]).to_pylist()
+    rows = source.distinct_rows([*keys, *needed, _YAW, _SIGMA, _OWN]).to_pylist()
     left = "variants are in `estimates/`"
     return table_of("Every variant", keys, rows, cells, f"{_TIMES} {_SIGMAS}", left=left)
 

@@ -288,7 +288,7 @@ def _basis(outcome: Outcome) -> Iterator[Fact]:
         text += ", not the same" if len({*best.places[:2]}) > 1 else ""
     yield Fact("Starts" if study.is_recorded else "Draws", text)
     if study.stop_when and outcome.source.whole_draws is None:
-        rows = outcome.source.rows(stopping.columns(study))
+        rows = outcome.source.rows(stopping.required_columns(study))
         found = stopping.analyse_interim(study, rows, draws)
         yield Fact("Stopped", said("stopped", rule=study.stop_when, found=found))
 

@@ -14,7 +14,7 @@ import optax
 from numpy.typing import NDArray
 
 from sinsjax.execution import run
-from sinsjax.execution.run import RunProgress, Tell
+from sinsjax.execution.run import ProgressCallback, RunProgress
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.schema import TuneSection
@@ -28,7 +28,9 @@ from sinsjax.tuning.slopes import Slope, Softness
 NAME = "gradient"
 
 
-def descend(study: Study, stored: StoredRecord | None = None, *, tell: Tell | None = None) -> Found:
+def descend(
+    study: Study, stored: StoredRecord | None = None, *, tell: ProgressCallback | None = None
+) -> Found:
     """Tune a study by gradient, for every combination of its candidates.
 
     Args:
@@ -60,7 +62,7 @@ class _Descents:
         self._samples = estimates.SAMPLES if relaxation.by_covariance else 0
         self._moves_resets = relaxation.moves_resets
 
-    def looks(self, tell: Tell | None) -> list[Evaluation]:
+    def looks(self, tell: ProgressCallback | None) -> list[Evaluation]:
         """Run the descents; gives all evaluations in order."""
         tune, steps = self._tune, self._tune.descent_steps
         if not self._space.used(self._space.combinations[self._number]):

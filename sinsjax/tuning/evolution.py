@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.execution.run import RunProgress, Tell, run_in_memory
+from sinsjax.execution.run import ProgressCallback, RunProgress, run_in_memory
 from sinsjax.execution.tasks import Job
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.search_space import SearchSpace
@@ -28,7 +28,7 @@ POINTS, SPREAD, FINALISTS = 8, 0.2, 3
 points that are run on the tuning draws."""
 
 
-def evolve(study: Study, *, tell: Tell | None = None) -> Found:
+def evolve(study: Study, *, tell: ProgressCallback | None = None) -> Found:
     """Search with the objective of covariance analysis.
 
     Args:
@@ -44,7 +44,7 @@ def evolve(study: Study, *, tell: Tell | None = None) -> Found:
 class _Evolution:
     """A search under way."""
 
-    def __init__(self, study: Study, tell: Tell | None) -> None:
+    def __init__(self, study: Study, tell: ProgressCallback | None) -> None:
         assert study.tune is not None
         self._study, self._tune, self._space = study, study.tune, SearchSpace.from_study(study)
         self._tell = tell or (lambda progress: None)

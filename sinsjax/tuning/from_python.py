@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 from sinsjax.analysis import Estimate
-from sinsjax.execution.prepare import Options, warn_of_doubts
+from sinsjax.execution.prepare import RunOptions, issue_warnings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import display
 from sinsjax.study.changes import copy_tables
@@ -135,8 +135,8 @@ def tune(
         >>> tuned.score.value < tuned.baseline.value
         True
     """
-    options = Options(directory, overwrite=overwrite, resume=resume, source=source)
-    job = warn_of_doubts(prepare_tuning(study, None, record, None, options))
+    options = RunOptions(directory, overwrite=overwrite, resume=resume, source=source)
+    job = issue_warnings(prepare_tuning(study, None, record, None, options))
     run_tuning(job, watch=watch, stop=stop)
     assert job.directory is not None
     return TuningResults(job.directory)

@@ -133,7 +133,7 @@ def write(directory: Path, study: Study, found: Iterable[Found]) -> None:
     """
     table = _table(SearchSpace.from_study(study), found)
     with replacing(directory / FILE) as file:
-        file.write(sealed.sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)}))
+        file.write(sealed.to_sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)}))
 
 
 def read_study(directory: Path) -> Study | None:
@@ -196,8 +196,8 @@ def _read(directory: Path) -> pa.Table:
         return sealed.read_parquet(path)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
-    except sealed.Damaged as error:
-        raise sealed.Damaged(f"{error} (`sinsjax tune --resume` makes it again)") from None
+    except sealed.DamagedError as error:
+        raise sealed.DamagedError(f"{error} (`sinsjax tune --resume` makes it again)") from None
 
 
 def read(directory: Path, space: SearchSpace) -> list[Found]:

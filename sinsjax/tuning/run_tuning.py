@@ -15,9 +15,9 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
 from sinsjax.execution.directory import STUDY
-from sinsjax.execution.prepare import Kind, Options, prepare
-from sinsjax.execution.run import RunProgress, Tell
-from sinsjax.execution.sealed import Damaged
+from sinsjax.execution.prepare import JobKind, RunOptions, prepare_job
+from sinsjax.execution.run import ProgressCallback, RunProgress
+from sinsjax.execution.sealed import DamagedError
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
@@ -38,7 +38,7 @@ GRADIENT, EQUAL_COST, COVARIANCE = "gradient", "equal_cost", evolution.NAME
 _SEARCHES = ("grid", "sobol", "random", EQUAL_COST, EVALUATION)
 _NAMES = (STUDY, TUNED, history.FILE, "figures", *_SEARCHES)
 
-Watch = Callable[[str], AbstractContextManager[Tell | None]]
+Watch = Callable[[str], AbstractContextManager[ProgressCallback | None]]
 
 
 def prepare_tuning(
@@ -46,15 +46,15 @@ def prepare_tuning(
     overrides: Mapping[str, Any] | None,
     record: StoredRecord | Path | str | None,
     reference: Path | str | None,
-    options: Options,
+    options: RunOptions,
 ) -> Job:
-    """Check a tuning run and forecast what it takes, see `prepare.prepare`.
+    """Check a tuning run and forecast what it takes, see `prepare.prepare_job`.
 
     Raises:
         InputError: as `from_python.tune`.
     """
-    kind = Kind(check_free, forecast.of_tuning, _check_same, require_tune)
-    job = prepare(source, overrides, record, reference, options, kind=kind)
+    kind = JobKind(check_free, forecast.forecast_tuning, _check_same, require_tune)
+    job = prepare_job(source, overrides, record, reference, options, kind=kind)
     if job.stored is not None and job.stored.reference is None:
         text = "tuning on a record needs a reference (give it with --reference)"
         raise InputError(f"{job.study.name}: [tune]: {text}")
@@ -77,7 +77,7 @@ def run_tuning(
         StudyInterrupted: ``stop`` was set.
     """
     session = SearchSession(job, watch or (lambda name: nullcontext()), stop or threading.Event())
-    lock = places.lock(session.directory)
+    lock = places.lock_directory(session.directory)
     try:
         # Again, since the directory may have changed before it was locked.
         check_free(session.directory, overwrite=job.overwrite, resume=job.resume)
@@ -147,7 +147,7 @@ def check_free(directory: Path, *, overwrite: bool, resume: bool) -> None:
     Raises:
         InputError: the directory cannot be used.
     """
-    taken = places.present_names(directory, _NAMES)
+    taken = places.existing_names(directory, _NAMES)
     if taken and not is_tuning(directory):
         raise InputError(
             f"{directory}: holds a {taken[0]} that is not of a tuning run (give another directory)"
@@ -163,10 +163,10 @@ def _begin(study: Study, space: SearchSpace, session: SearchSession) -> list[Fou
     """Prepare a directory; gives the complete searches when resuming."""
     directory, known = session.directory, []
     try:
-        for path in places.stale_temporary_files(directory):
+        for path in places.stale_temp_files(directory):
             path.unlink()
         if session.job.resume and (directory / history.FILE).exists():
-            with suppress(Damaged):  # its searches are made again, from the stored parts
+            with suppress(DamagedError):  # its searches are made again, from the stored parts
                 known = history.read(directory, space)
         elif not session.job.resume:
             for name in (TUNED, history.FILE):

@@ -16,8 +16,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax.execution import results
-from sinsjax.execution.prepare import subordinate
-from sinsjax.execution.run import Tell, run_job
+from sinsjax.execution.prepare import make_subjob
+from sinsjax.execution.run import ProgressCallback, run_job
 from sinsjax.execution.tasks import Job
 from sinsjax.study import sampling, search_space
 from sinsjax.study.keys import TomlTable
@@ -42,7 +42,7 @@ class SearchSession(NamedTuple):
     """
 
     job: Job
-    watch: Callable[[str], AbstractContextManager[Tell | None]]
+    watch: Callable[[str], AbstractContextManager[ProgressCallback | None]]
     stop: threading.Event
 
     @property
@@ -54,7 +54,7 @@ class SearchSession(NamedTuple):
     def run(self, study: Study, name: str) -> Path:
         """Run a study without curves into a subdirectory; gives its path."""
         with self.watch(name) as tell:
-            run_job(subordinate(self.job, study, name), tell=tell, stop=self.stop)
+            run_job(make_subjob(self.job, study, name), on_progress=tell, stop=self.stop)
         return self.directory / name
 
 

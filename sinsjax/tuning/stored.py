@@ -17,7 +17,7 @@ def is_tuning(directory: Path) -> bool:
     Raises:
         InputError: a link or a pipe takes the place of one of its files or folders.
     """
-    places.check_entries(directory)
+    places.check_directory(directory)
     if (directory / MANIFEST).exists():  # plain results of a study with [tune]
         return False
     return stored_study(directory) is not None

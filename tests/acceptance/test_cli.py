@@ -116,7 +116,7 @@ def test_help_prints_docstring_and_option_help_in_full(sinsjax: Command, command
 def test_brackets_in_output_are_not_parsed_as_markup(
     sinsjax: Command, tmp_path: Path, record: build.Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sinsjax.execution.run.MOST_CURVES", 1)
+    monkeypatch.setattr("sinsjax.execution.run.MAX_CURVE_RUNS", 1)
     write_psins(record, tmp_path / "swing.imu")
     study = RECORDED["study"] | {"name": "swing [tune]"}
     config = write_study(tmp_path, **RECORDED | {"study": study})

@@ -15,7 +15,7 @@ from support.studies import refusal, small_study, with_paper_values, with_truth
 
 from sinsjax.engine import build
 from sinsjax.execution import rerun, run
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.study import Study
 
@@ -87,7 +87,7 @@ def test_coarse_summary_has_data_length_per_settling_time() -> None:
         for kind in ("", "_truth"):
             data = summary[f"settle_{band}{kind}_data_s"]
             assert data.equals(summary[f"settle_{band}{kind}_s"])
-    plain = Tables(small_study()).summary_columns
+    plain = TableBuilder(small_study()).summary_columns
     assert not any(column.name.endswith("data_s") for column in plain)
 
 
@@ -160,7 +160,7 @@ def test_rerun_with_coarse_stage_is_identical(tmp_path: Path) -> None:
     run.run_into(one, tmp_path / "out", curves=False)
     for run_id in (2, 5):
         told = StringIO()
-        rerun.rerun_into(tmp_path / "out", run_id, Console(file=told, width=200))
+        rerun.rerun_stored_run(tmp_path / "out", run_id, Console(file=told, width=200))
         assert "identical" in told.getvalue()
 
 

@@ -111,8 +111,8 @@ def test_version_mismatch_is_reported_in_one_printable_line(key: str, text: str,
     session |= {key: {"numpy": text} if key == "versions" else text}
     out = directory_with({"sessions": [session]}, tmp_path)
     with pytest.raises(InputError, match="was computed with (numpy|instruction set)") as caught:
-        resume.continued(Job(manifests.STUDY, directory=out))
-        resume.check_instructions(out, "AVX2")
+        resume.continue_job(Job(manifests.STUDY, directory=out))
+        resume.check_instruction_set(out, "AVX2")
     assert len(line_of(caught.value, out)) < 1000
 
 

@@ -118,7 +118,7 @@ def test_study_nested_too_deeply_is_refused_in_one_line(
     for words in (*commands, ("validate", path)):
         assert sinsjax(*words) == (2, f"error: {path}: is nested too deeply\n")
     job = Job(small_study(), directory=out)
-    assert resume.continued(job).identity == job.identity  # resume asks the parts whose they are
+    assert resume.continue_job(job).identity == job.identity  # resume asks the parts whose they are
 
 
 @pytest.mark.parametrize("place", ["study.window_s", "study" + ".x" * 50_000])

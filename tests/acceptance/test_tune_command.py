@@ -21,7 +21,7 @@ from support.studies import BASE, PAPER, small_study
 import sinsjax.tuning
 from sinsjax.engine.build import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution.directory import lock, read_manifest
+from sinsjax.execution.directory import lock_directory, read_manifest
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.tasks import Job
@@ -221,7 +221,7 @@ def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, f
 
         def counted(job: Job, **options: Any) -> None:
             seen: list[int] = []
-            before(job, **options | {"tell": lambda p: seen.append(p.done - p.before)})
+            before(job, **options | {"tell": lambda p: seen.append(p.done - p.done_before)})
             assert job.directory is not None
             runs[job.directory.name] = seen[-1]
 
@@ -301,7 +301,7 @@ def test_concurrent_tunings_in_one_directory_are_refused(
 ) -> None:
     """Not even between two searches, where no results are written."""
     out = shutil.copytree(made, tmp_path / "out")
-    held = lock(out)
+    held = lock_directory(out)
     before = everything(out)
     try:
         with pytest.raises(

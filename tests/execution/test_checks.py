@@ -18,7 +18,7 @@ from sinsjax.cli.study import describe_plan
 from sinsjax.engine import build
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import checks, prepare, run
-from sinsjax.execution.checks import process_noise, study_warnings
+from sinsjax.execution.checks import describe_process_noise, study_warnings
 from sinsjax.execution.directory import read_manifest
 from sinsjax.platform.assets import asset
 from sinsjax.records import Layout, Record, Reference, means, write_csv
@@ -204,7 +204,7 @@ def test_hard_findings_are_refused_unless_record_is_trusted(tmp_path: Path) -> N
     with pytest.raises(InputError, match="points down"):
         run.run(recorded(), stored)
     trusting = recorded(record={"trust": True})
-    assert "points down" in prepare.prepare(trusting, record=stored).warnings[0]
+    assert "points down" in prepare.prepare_job(trusting, record=stored).warnings[0]
 
 
 def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None:
@@ -228,7 +228,9 @@ def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None
 
 def test_too_short_record_error_includes_coarse_alignment_time() -> None:
     with pytest.raises(InputError) as caught:
-        prepare.prepare(recorded(record={"start_s": [120.0]}), record=StoredRecord(record(), None))
+        prepare.prepare_job(
+            recorded(record={"start_s": [120.0]}), record=StoredRecord(record(), None)
+        )
     assert str(caught.value) == (
         "study: has 200 s, but 90 s (60 s of coarse alignment + 30 s) from start_s = 120 need 210 s"
     )
@@ -237,10 +239,10 @@ def test_too_short_record_error_includes_coarse_alignment_time() -> None:
 def test_data_after_to_s_are_not_used() -> None:
     stored = StoredRecord(record(), None)
     study = recorded(record={"from_s": 100.0, "to_s": 190.0})
-    assert not prepare.prepare(study, record=stored).warnings
+    assert not prepare.prepare_job(study, record=stored).warnings
     study = recorded(record={"from_s": 101.0, "to_s": 190.0})
     with pytest.raises(InputError, match=r"needs data up to 191 s, but \[record\] to_s is 190"):
-        prepare.prepare(study, record=stored)
+        prepare.prepare_job(study, record=stored)
 
 
 def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None:
@@ -271,12 +273,12 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
     stored = prepare.load_increments(study, tmp_path / "drive.csv", tmp_path / "r.csv")
     assert stored.record.rate_hz == pytest.approx(rate, rel=1e-9)
     made = run.run(study, stored, curves=True)
-    times = made.curves["time_s"].to_pylist()[:4]
+    times = made.curve_table["time_s"].to_pylist()[:4]
     np.testing.assert_allclose(times, 200 / rate * np.arange(1, 5), rtol=1e-9)
-    starts = made.summary["start_s"].to_pylist()
+    starts = made.summary_table["start_s"].to_pylist()
     np.testing.assert_allclose(starts, [0, 400 / rate], rtol=1e-9)
-    assert np.abs(made.summary["phi_u_arcmin"]).max() < 60
-    np.testing.assert_allclose(made.summary["heading_deg"], 350, atol=1)
+    assert np.abs(made.summary_table["phi_u_arcmin"]).max() < 60
+    np.testing.assert_allclose(made.summary_table["heading_deg"], 350, atol=1)
     early = stored.reference
     assert isinstance(early, Reference) and early.time_s[0] == pytest.approx(0)
     epoch = stored._replace(record=stored.record._replace(t0_s=1763000000.25))
@@ -305,7 +307,7 @@ def test_shipped_studies_of_real_record_give_no_warnings(name: str, data_dir: Pa
     study = load_study(Path(__file__).parents[2] / "configs" / f"{name}.toml")
     assert study.is_recorded
     stored = prepare.load_increments(study, data_dir / "lasergyro_0_900.imu")
-    assert prepare.prepare(study, record=stored).warnings == ()
+    assert prepare.prepare_job(study, record=stored).warnings == ()
 
 
 # Simulations
@@ -374,7 +376,7 @@ def test_process_noise_is_compared_with_white_noise_of_sensors(
     """At 100 Hz, 0.1 deg/h a sample and 1000 ug/sqrt(Hz), which is 10,000 ug a sample."""
     sensors = {"gyro_noise_deg_per_h": 0.1, "accel_vrw_ug_per_sqrt_hz": 1000.0}
     study = with_noise(sensors, filter=filter_)
-    assert process_noise(study) == f"The filter assumes {told}, in standard deviation"
+    assert describe_process_noise(study) == f"The filter assumes {told}, in standard deviation"
 
 
 def of_sensors(**sections: Any) -> Study:
@@ -383,30 +385,30 @@ def of_sensors(**sections: Any) -> Study:
 
 
 def test_process_noise_of_sensors_is_reported_as_their_own() -> None:
-    assert process_noise(of_sensors()) == "The filter assumes the sensors' own noise"
+    assert describe_process_noise(of_sensors()) == "The filter assumes the sensors' own noise"
     axes = {"gyro_noise_deg_per_h": [0.1, [0.3, 0.1, 0.2]]}
     sensors = {"accel_noise_ug": 500.0}
     assert (
-        process_noise(of_sensors(sensors=sensors, axes=axes))
+        describe_process_noise(of_sensors(sensors=sensors, axes=axes))
         == "The filter assumes the sensors' own noise"
     )
     scaled = of_sensors(axes={"q_scale": [0.25, 4.0]})
-    assert process_noise(scaled) == (
+    assert describe_process_noise(scaled) == (
         "The filter assumes 0.5 to 2 times the sensors' noise, in standard deviation"
     )
     one = of_sensors(filter={"q_accel_ug": 5000.0, "q_reading": "per_sample"})
-    assert process_noise(one) == (
+    assert describe_process_noise(one) == (
         "The filter assumes 10 times the noise of the accelerometers and the noise of the gyros,"
         " in standard deviation"
     )
 
 
 def test_process_noise_is_not_reported_without_filter_or_white_noise() -> None:
-    assert process_noise(with_noise({"gyro_bias_deg_per_h": 0.1})) is None
+    assert describe_process_noise(with_noise({"gyro_bias_deg_per_h": 0.1})) is None
     sensors = {"gyro_noise_deg_per_h": 0.1}
-    assert process_noise(with_noise(sensors, alignment={"method": "inertial"})) is None
+    assert describe_process_noise(with_noise(sensors, alignment={"method": "inertial"})) is None
     swept = with_noise(sensors, axes={"q_gyro_deg_per_h": [0.1, 0.2]})
-    assert process_noise(swept) == (
+    assert describe_process_noise(swept) == (
         "The filter assumes 100 to 200 times the noise of the gyros, in standard deviation"
     )
 
@@ -423,7 +425,7 @@ def test_level_of_filter_settles_in_forecast_time(filter_: dict[str, Any]) -> No
     """From its P0 to a tenth of it, by sigma of the level in a run."""
     settings = {"duration_s": 3.0, "rate_hz": 100.0, "draws": 1, "record_interval_s": 0.01}
     study = of_sensors(study=settings, alignment={"phi_u0_deg": 1.0}, filter=filter_)
-    line = checks.feedback(study)
+    line = checks.describe_feedback(study)
     assert line is not None
     (time_s,) = re.findall(
         r"every 0.01 s; its level settles in ([0-9.]+) s \(to a tenth of its initial st", line
@@ -436,13 +438,15 @@ def test_level_of_filter_settles_in_forecast_time(filter_: dict[str, Any]) -> No
 
 def test_feedback_is_compared_with_settling_level_over_whole_sweep() -> None:
     axes = {"feedback_interval_s": [0.1, 1.0], "r_reading": ["per_update", "psd"]}
-    line = checks.feedback(of_sensors(alignment={}, axes=axes))
+    line = checks.describe_feedback(of_sensors(alignment={}, axes=axes))
     assert line == (
         "The filter feeds back every 0.1 to 1 s; its level settles in 0.26 to 0.89 s (to a tenth"
         " of its initial standard deviation)"
     )
-    assert checks.feedback(of_sensors(alignment={"method": "compass"})) is None
-    both = checks.feedback(of_sensors(alignment={}, axes={"method": ["inertial", "kalman5"]}))
+    assert checks.describe_feedback(of_sensors(alignment={"method": "compass"})) is None
+    both = checks.describe_feedback(
+        of_sensors(alignment={}, axes={"method": ["inertial", "kalman5"]})
+    )
     assert both is not None and "every 0.01 s; its level settles in 0.26 s" in both
 
 

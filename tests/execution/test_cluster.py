@@ -136,7 +136,7 @@ class TestTwoWorkers:
         self, two: study_tasks.Executor, study: Study
     ) -> None:
         runner = study_tasks.TaskRunner(study_tasks.Job(study, chunk_runs=CHUNK))
-        (tasks,) = runner.tasks()
+        (tasks,) = runner.plan_tasks()
         taken: list[study_tasks.Task] = []
 
         def offered() -> Iterator[study_tasks.Task]:
@@ -145,9 +145,9 @@ class TestTwoWorkers:
                 yield task
 
         done = []
-        for encoded in two.do(runner, offered()):
+        for encoded in two.run_tasks(runner, offered()):
             done.append(encoded.task)
-            assert len(taken) - len(done) < 2 * cluster.AHEAD
+            assert len(taken) - len(done) < 2 * cluster.TASKS_PER_THREAD
         assert sorted(done) == taken == tasks[:9]
 
     def test_killed_worker_loses_no_row(
@@ -382,8 +382,8 @@ def test_workers_with_differing_instruction_sets_are_refused(begin: Begin, sched
 def test_scheduler_without_workers_is_refused_after_timeout(
     scheduler: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
-    monkeypatch.setattr(cluster, "PATIENCE_S", 1.2)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 1.2)
     assert refusal(scheduler=scheduler) == f"{scheduler}: no worker for 0.02 min"
     assert capsys.readouterr().err.count("waiting") == 1
 

@@ -93,7 +93,7 @@ def test_workers_give_same_files_and_read_job_once(
 
     monkeypatch.setattr(distributed.Variable, "get", counting)
     runner = recorded_runner()
-    (tasks,) = runner.tasks()
+    (tasks,) = runner.plan_tasks()
     taken: list[Task] = []
 
     def offered() -> Iterator[Task]:
@@ -109,12 +109,12 @@ def test_workers_give_same_files_and_read_job_once(
             "scheduler": scheduler,
             "instructions": xla.instructions(),
         }
-        for encoded in executor.do(runner, offered()):
+        for encoded in executor.run_tasks(runner, offered()):
             found[encoded.task.name] = encoded
-            assert len(taken) < len(found) + 2 * cluster.AHEAD
-        again = list(executor.do(runner, tasks[:1]))
+            assert len(taken) < len(found) + 2 * cluster.TASKS_PER_THREAD
+        again = list(executor.run_tasks(runner, tasks[:1]))
     assert len(tasks) > 5 and found.keys() == {task.name for task in tasks}
-    assert all(found[task.name].files == runner.pack(task).files for task in tasks)
+    assert all(found[task.name].files == runner.compute_files(task).files for task in tasks)
     assert again[0].files == found[tasks[0].name].files
     assert len(read) == 1
 
@@ -132,9 +132,9 @@ def test_finished_tasks_are_released_from_scheduler(
 
     monkeypatch.setattr(distributed, "wait", keeping)
     runner = recorded_runner()
-    (tasks,) = runner.tasks()
+    (tasks,) = runner.plan_tasks()
     with cluster.executor(scheduler=local.scheduler_address) as executor:
-        assert len(list(executor.do(runner, tasks))) == len(tasks) and kept
+        assert len(list(executor.run_tasks(runner, tasks))) == len(tasks) and kept
         until = time.monotonic() + 20.0
         while local.scheduler.tasks and time.monotonic() < until:
             time.sleep(0.01)
@@ -152,13 +152,13 @@ def test_task_that_fails_repeatedly_is_named(
         raise ValueError("no such thing\nat all")
 
     runner = recorded_runner()
-    (tasks,) = runner.tasks()
+    (tasks,) = runner.plan_tasks()
     monkeypatch.setattr(TaskRunner, "pack", fail)
     with (
         cluster.executor(scheduler=scheduler) as executor,
         pytest.raises(InputError) as refused,
     ):
-        list(executor.do(runner, tasks[:1]))
+        list(executor.run_tasks(runner, tasks[:1]))
     assert str(refused.value) == ("part-0000-000000: failed on a worker: ValueError: no such thing")
     assert len(tried) == 3
 
@@ -191,7 +191,7 @@ class SilentHandler(http.server.BaseHTTPRequestHandler):
 def test_other_service_at_scheduler_address_is_reported(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 1.0)
     with ExitStack() as stack:
         if kind == "http":
             server = stack.enter_context(
@@ -211,7 +211,7 @@ def test_worker_address_is_refused_as_scheduler(
     scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A worker of a recent Dask gives an error, and one of an old Dask never answers."""
-    monkeypatch.setattr(cluster, "CONNECT_S", 2.0)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 2.0)
     with distributed.Client(scheduler, set_as_default=False) as client:
         worker, *_ = client.nthreads()
     reason = r"\((another service does|no answer in 2 s)\)"
@@ -246,7 +246,7 @@ class FakeClient:
 def test_lost_and_missing_workers_are_reported_once(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", 0.0)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.0)
     client = FakeClient()
     pool = cluster._Workers(client, "tcp://head:8786")
 
@@ -350,7 +350,7 @@ def test_worker_is_pinned_and_configured_before_it_builds_job(
         steps.append(built.identity)
 
     monkeypatch.setattr(TaskRunner, "__init__", build)
-    cluster._prepare("job", {"instruction set": xla.instructions()})
+    cluster._make_runner("job", {"instruction set": xla.instructions()})
     assert steps == [*(["pin"] if pinned else []), "1 device", job.identity]
 
 
@@ -364,7 +364,7 @@ def test_dask_log_is_silent_unless_user_configures_it(configured: bool) -> None:
     logger.addHandler(handler)
     try:
         chosen: dict[str, Any] = {"logging": {"distributed": "info"}} if configured else {}
-        with dask.config.set(chosen), pytest.raises(InputError), cluster._log_silenced():
+        with dask.config.set(chosen), pytest.raises(InputError), cluster._silence_log():
             logger.error("within")
             raise InputError("ended")
         logger.error("after")

@@ -22,7 +22,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import forecast, rerun
 from sinsjax.execution import run as study_run
 from sinsjax.execution.estimates import estimated_curves
-from sinsjax.execution.prepare import Options, prepare
+from sinsjax.execution.prepare import RunOptions, prepare_job
 from sinsjax.execution.results import read_estimates, read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.study.load import study_to_toml
@@ -217,7 +217,7 @@ def test_stored_estimates_are_bytewise_equal_for_any_task_order(
         todo = list(tasks)
         random.Random(3).shuffle(todo)
         for task in todo:
-            yield TaskRunner(Job(short(), None, None, 128)).pack(task)
+            yield TaskRunner(Job(short(), None, None, 128)).compute_files(task)
 
     study_run.run_into(short(), tmp_path, chunk_runs=128, executor=Executor(elsewhere, {}))
     assert_complete(tmp_path, whole)
@@ -235,7 +235,7 @@ def test_resume_recomputes_only_missing_or_broken_parts(whole: Path, tmp_path: P
     assert {name: times(tmp_path)[name] for name in kept} == {name: before[name] for name in kept}
     with pytest.raises(InputError, match=r"another study: \[study\] estimate_samples: 16 there"):
         study_run.run_into(short(study={"estimate_samples": 18}), tmp_path, resume=True)
-    job = prepare(short(), options=Options(tmp_path, resume=True))
+    job = prepare_job(short(), options=RunOptions(tmp_path, resume=True))
     assert job.chunk_runs == 128
 
 
@@ -276,7 +276,7 @@ def test_operations_that_need_runs_are_refused_for_estimates(whole: Path) -> Non
         f"{whole}: holds estimates of variants, and no runs (`read_estimates` reads them)"
     )
     with pytest.raises(InputError) as caught:
-        rerun.rerun_into(whole, 0, Console())
+        rerun.rerun_stored_run(whole, 0, Console())
     assert str(caught.value) == f"{whole}: a covariance estimate has no run to repeat"
     with pytest.raises(InputError, match="a covariance estimate has no runs with curves to keep"):
         study_run.run_into(short(), whole.parent / "curves", curves=True)
@@ -286,7 +286,9 @@ def test_operations_that_need_runs_are_refused_for_estimates(whole: Path) -> Non
 
 
 def test_forecast_counts_noise_free_runs() -> None:
-    assert forecast.of(short()).describe(1).startswith("260 noise-free runs of up to 2 s")
+    assert (
+        forecast.forecast_sweep(short()).describe(1).startswith("260 noise-free runs of up to 2 s")
+    )
 
 
 # --- reported -----------------------------------------------------------------------------------

@@ -14,7 +14,13 @@ from support.studies import small_study
 import sinsjax
 from sinsjax import cli
 from sinsjax.errors import InputError
-from sinsjax.execution.directory import WRITER, check_unlocked, list_figures, lock, owned_files
+from sinsjax.execution.directory import (
+    WRITER,
+    check_unlocked,
+    lock_directory,
+    owned_files,
+    register_figures,
+)
 from sinsjax.execution.source import Source
 from sinsjax.study.load import study_to_toml
 
@@ -39,7 +45,7 @@ def test_lock_names_other_writer_until_it_dies(tmp_path: Path) -> None:
     )
     try:
         assert holder.stdout is not None and holder.stdout.readline() == "held\n"
-        for ask in (lock, check_unlocked):
+        for ask in (lock_directory, check_unlocked):
             told = rf"out: another process is writing there: pid {holder.pid} on \S+ \(wait until"
             with pytest.raises(InputError, match=told):
                 ask(out)
@@ -51,7 +57,7 @@ def test_lock_names_other_writer_until_it_dies(tmp_path: Path) -> None:
         holder.communicate()
     (out / WRITER).write_text(f"pid {holder.pid} on here\n")
     check_unlocked(out)
-    lock(out).release()
+    lock_directory(out).release()
     assert str(holder.pid) not in (out / WRITER).read_text()
 
 
@@ -60,7 +66,7 @@ def test_figure_list_ignores_outside_paths_and_malformed_content(tmp_path: Path)
     out = tmp_path / "out"
     (out / "figures").mkdir(parents=True)
     (tmp_path / "mine.png").write_bytes(b"mine")
-    list_figures({"../../mine.png": b"mine", "a.png": b"a"}, out)
+    register_figures({"../../mine.png": b"mine", "a.png": b"a"}, out)
     (out / "figures" / "a.png").write_bytes(b"a")
     listed = out / ".figures.json"
     assert owned_files(out) == [out / "figures" / "a.png", listed]
@@ -75,10 +81,10 @@ def test_figure_drawn_no_longer_is_removed_unless_it_was_changed(tmp_path: Path)
     drawn = {"a.png": b"a", "b.png": b"b", "c.png": b"c"}
     for name, content in drawn.items():
         (figures / name).write_bytes(content)
-    list_figures(drawn, tmp_path)
+    register_figures(drawn, tmp_path)
     (figures / "b.png").write_bytes(b"by a person")
     (figures / "mine.png").write_bytes(b"a")
-    list_figures({"c.png": b"c"}, tmp_path)
+    register_figures({"c.png": b"c"}, tmp_path)
     assert sorted(path.name for path in figures.iterdir()) == ["b.png", "c.png", "mine.png"]
     assert owned_files(tmp_path) == [figures / "c.png", tmp_path / ".figures.json"]
 

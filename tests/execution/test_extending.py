@@ -62,7 +62,7 @@ def test_rerun_works_on_extended_results(tmp_path: Path) -> None:
     """One of before and one of after; the manifest names the study that it began as."""
     out = assert_extended(of(40), of(50), tmp_path)
     for run_id in (0, 149):
-        assert rerun.rerun_into(out, run_id, Console(quiet=True))
+        assert rerun.rerun_stored_run(out, run_id, Console(quiet=True))
 
 
 def test_extension_continues_sobol_list_and_grid_draws(tmp_path: Path) -> None:

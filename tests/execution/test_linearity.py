@@ -93,8 +93,8 @@ def test_filled_columns_equal_statistics_of_draws(made: pa.Table, drawn: pa.Tabl
 
 @pytest.mark.slow
 def test_check_does_not_depend_on_variants_per_call(made: pa.Table, monkeypatch: Any) -> None:
-    monkeypatch.setattr(linearity, "_VARIANTS_CHECKED", 3)  # 3 of the 4, then 1
-    monkeypatch.setattr(linearity, "_VARIANTS_FILLED", 1)
+    monkeypatch.setattr(linearity, "_VARIANTS_PER_CHECK", 3)  # 3 of the 4, then 1
+    monkeypatch.setattr(linearity, "_VARIANTS_PER_FILL", 1)
     cut = study_run.estimate(study_of(estimate="covariance", draws=DRAWS))
     assert cut["filled_by_draws"].equals(made["filled_by_draws"])
     for name in ("nonlinearity", "nonlinearity_at_20", "phi_u_arcmin", "true_sigma_u_arcmin"):

@@ -14,7 +14,7 @@ from support.studies import PAPER, small_study
 import sinsjax
 from sinsjax.engine import build
 from sinsjax.errors import InputError
-from sinsjax.execution.prepare import Options, prepare
+from sinsjax.execution.prepare import RunOptions, prepare_job
 from sinsjax.records import write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict, study_to_toml
@@ -137,8 +137,8 @@ def test_refused_study_leaves_directory_as_it_was(tmp_path: Path) -> None:
     wrong = small_study()
     stored = StoredRecord(build.simulated_record(wrong), None)
     with pytest.raises(InputError, match=r"has no \[record\] section"):
-        prepare(wrong, record=stored, options=Options(out))
-    job = prepare(wrong, options=Options(out))
+        prepare_job(wrong, record=stored, options=RunOptions(out))
+    job = prepare_job(wrong, options=RunOptions(out))
     assert job.directory == out and job.forecast is not None and job.forecast.runs == 3
     assert not out.exists()
 

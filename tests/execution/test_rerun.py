@@ -19,8 +19,8 @@ from sinsjax.errors import InputError
 from sinsjax.execution import rerun
 from sinsjax.execution import run as study_run
 from sinsjax.execution.directory import read_manifest
-from sinsjax.execution.results import count_runs, part_marks, read_summary
-from sinsjax.execution.sealed import sealed_parquet
+from sinsjax.execution.results import count_runs, read_part_metadata, read_summary
+from sinsjax.execution.sealed import to_sealed_parquet
 from sinsjax.methods import registry as methods
 from sinsjax.records import PSINS_LAYOUT, read_psins, write_psins
 from sinsjax.records.reference import StoredRecord
@@ -39,7 +39,7 @@ def assert_alone_as_among_others(
 ) -> None:
     whole = study_run.run(study, stored, curves=curves)
     for run_id in runs:
-        again = rerun.rerun(study, run_id, stored)
+        again = rerun.repeat_run(study, run_id, stored)
         assert again.row.num_rows == 1
         assert again.row.equals(of_run(whole.summary, run_id)), run_id
         if curves:
@@ -146,7 +146,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def rerun_into(directory: Path, run_id: int, **options: Any) -> str:
     file = io.StringIO()
-    rerun.rerun_into(directory, run_id, Console(file=file, width=40), **options)
+    rerun.rerun_stored_run(directory, run_id, Console(file=file, width=40), **options)
     return file.getvalue()
 
 
@@ -178,11 +178,11 @@ def turned(out: Path, by: float) -> Iterator[int]:
     """The stored headings of the first rows are others; gives the number of columns."""
     (part, *_) = sorted(out.glob("summary/*.parquet"))
     content, manifest = part.read_bytes(), (out / "manifest.json").read_bytes()
-    table, marks = pq.read_table(part), part_marks(content)
+    table, marks = pq.read_table(part), read_part_metadata(content)
     column = table.column_names.index("yaw_deg")
     yaw = pa.compute.add(table["yaw_deg"], by)
     changed = table.set_column(column, table.schema.field(column), yaw)
-    part.write_bytes(sealed_parquet(changed, marks))
+    part.write_bytes(to_sealed_parquet(changed, marks))
     try:
         yield table.num_columns
     finally:

@@ -116,7 +116,7 @@ def test_resume_with_other_instruction_set_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=told):
         run.run_into(study, out, resume=True)
     # Workers are asked, not the process that hands their rows on.
-    theirs = tasks.on_this_machine()._replace(facts={"workers": 1, "instructions": "SSE4_2"})
+    theirs = tasks.local_executor()._replace(facts={"workers": 1, "instructions": "SSE4_2"})
     assert (out / "manifest.json").read_bytes() == before
     run.run_into(study, out, resume=True, executor=theirs)
     assert [s["instructions"] for s in read_manifest(out)["sessions"]] == ["SSE4_2"] * 2

@@ -104,12 +104,14 @@ def test_interim_analysis_matches_naive_count(
         ("settle_10_s_mean", means, 400 * wanted),
     ):
         study = study_of(statistic, half_width, axes=axes, study={"judged_from": judged})
-        assert set(stopping.columns(study)) - set(COLUMNS) <= set(table.column_names)
-        found = stopping.analyse_interim(study, table.select(stopping.columns(study)), draws)
+        assert set(stopping.required_columns(study)) - set(COLUMNS) <= set(table.column_names)
+        found = stopping.analyse_interim(
+            study, table.select(stopping.required_columns(study)), draws
+        )
         assert found.draws == draws
         assert found.half_width == pytest.approx(max(widths), rel=1e-9, abs=1e-9)
         if not math.isclose(max(widths), half_width, rel_tol=1e-6):
-            assert found.enough == (max(widths) <= half_width)
+            assert found.is_sufficient == (max(widths) <= half_width)
 
 
 # --- in a sweep ---------------------------------------------------------------------------------
@@ -146,8 +148,10 @@ def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     assert whole.summary.num_rows == 2 * draws
     assert study_run.run(study).summary.equals(whole.summary)
     before = [n for n in stopping.interim_draws(study) if n < draws]
-    assert not any(stopping.analyse_interim(study, whole.summary, n).enough for n in before)
-    backwards = Executor(lambda shop, tasks: in_threads(shop.pack, list(tasks)[::-1], 2), {})
+    assert not any(stopping.analyse_interim(study, whole.summary, n).is_sufficient for n in before)
+    backwards = Executor(
+        lambda shop, tasks: in_threads(shop.compute_files, list(tasks)[::-1], 2), {}
+    )
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
     interrupted(study, tmp_path / "out")
     assert parts(tmp_path / "out") == parts(tmp_path / "back")
@@ -170,7 +174,7 @@ def interrupted(study: Study, out: Path) -> None:
                 chunk_runs=128,
                 resume=True,
                 stop=Once(),
-                executor=Executor(lambda shop, tasks: map(shop.pack, tasks), {}),
+                executor=Executor(lambda shop, tasks: map(shop.compute_files, tasks), {}),
             )
             return
         except StudyInterrupted:
@@ -194,6 +198,6 @@ def test_stages_cover_every_draw_once() -> None:
     study = sweep_of("share, cap")
     runner = TaskRunner(Job(study))
     assert runner.stages == [range(0, 64), range(64, 128), range(128, 150)]
-    names = [task.name for tasks in runner.tasks() for task in tasks]
+    names = [task.name for tasks in runner.plan_tasks() for task in tasks]
     assert len(set(names)) == len(names)
-    assert [sum(t.runs for t in tasks) for tasks in runner.tasks()] == [128, 128, 44]
+    assert [sum(t.runs for t in tasks) for tasks in runner.plan_tasks()] == [128, 128, 44]

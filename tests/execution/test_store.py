@@ -33,10 +33,10 @@ from sinsjax.engine import build
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import forecast, store, tables
 from sinsjax.execution import run as study_run
-from sinsjax.execution.directory import list_figures
-from sinsjax.execution.prepare import Options, prepare
+from sinsjax.execution.directory import register_figures
+from sinsjax.execution.prepare import RunOptions, prepare_job
 from sinsjax.execution.results import count_runs, read_curves, read_summary
-from sinsjax.execution.sealed import sealed_parquet
+from sinsjax.execution.sealed import to_sealed_parquet
 from sinsjax.execution.tasks import Job, TaskRunner
 from sinsjax.platform import files
 from sinsjax.records import Reference
@@ -72,7 +72,7 @@ def out(whole: Path, tmp_path: Path) -> Path:
 
 
 def prepared(directory: Path, **options: Any) -> Job:
-    return prepare(STUDY, options=Options(directory, chunk_runs=CHUNK_RUNS, **options))
+    return prepare_job(STUDY, options=RunOptions(directory, chunk_runs=CHUNK_RUNS, **options))
 
 
 def chunk(number: int) -> str:
@@ -135,7 +135,7 @@ def flipped(place: Callable[[bytes], int]) -> Callable[[Path], None]:
 
 def rewrite(table: pa.Table, path: Path) -> None:
     """As the engine writes parts."""
-    path.write_bytes(sealed_parquet(table))
+    path.write_bytes(to_sealed_parquet(table))
 
 
 def swapped(path: Path) -> None:
@@ -458,7 +458,7 @@ def test_another_record_or_reference_is_refused(
 
 
 def test_second_writer_of_directory_is_refused(out: Path) -> None:
-    held = store.Store(TaskRunner(prepared(out, resume=True)))
+    held = store.DirectoryStore(TaskRunner(prepared(out, resume=True)))
     before = everything(out)
     for options in ({"resume": True}, {"overwrite": True}):
         with pytest.raises(InputError, match="out: another process is writing there"):
@@ -472,7 +472,7 @@ def test_writer_releases_lock_after_failed_start(
     out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as broken:
-        broken.setattr(store, "_remove", lambda paths: 1 / 0)
+        broken.setattr(store, "_remove_files", lambda paths: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             sweep(out, resume=True)
     assert sweep(out, resume=True) == []
@@ -487,10 +487,10 @@ def test_directory_in_place_of_lock_raises_input_error(tmp_path: Path) -> None:
 def test_results_written_before_lock_are_not_lost(out: Path, whole: Path, tmp_path: Path) -> None:
     """Two starts at a time on a new directory, of which one had ended when the other took hold."""
     for study, chunk_runs in ((STUDY, None), (sweep_study(study={"seed": 2}), CHUNK_RUNS)):
-        options = Options(tmp_path / "new", chunk_runs=chunk_runs, resume=True)
-        late = TaskRunner(prepare(study, options=options)._replace(directory=out))
+        options = RunOptions(tmp_path / "new", chunk_runs=chunk_runs, resume=True)
+        late = TaskRunner(prepare_job(study, options=options)._replace(directory=out))
         with pytest.raises(InputError, match="another process has just written there"):
-            store.Store(late)
+            store.DirectoryStore(late)
     assert parts(out) == parts(whole)
 
 
@@ -546,7 +546,7 @@ def test_overwrite_keeps_user_files(whole: Path, out: Path) -> None:
         (out / name).write_bytes(b"mine")
     drawn = {"misalignment.png": b"drawn", "distribution.png": b"drawn"}
     (out / "figures" / "distribution.png").write_bytes(b"drawn")
-    list_figures(drawn, out)  # one of which the person drew anew
+    register_figures(drawn, out)  # one of which the person drew anew
     assert count_runs(out) == CHUNKS * CHUNK_RUNS
     assert sweep(out, resume=True) == []
     assert len(sweep(out, overwrite=True)) == CHUNKS
@@ -701,7 +701,7 @@ def test_failed_write_raises_input_error_and_keeps_finished_parts(
 
 def test_failed_chunk_releases_directory_for_resume(whole: Path, tmp_path: Path) -> None:
     def do(runner: TaskRunner, tasks: Any) -> Any:
-        yield runner.pack(next(iter(tasks)))
+        yield runner.compute_files(next(iter(tasks)))
         raise MemoryError
 
     with pytest.raises(MemoryError):
@@ -740,9 +740,9 @@ def test_manifest_writing_uses_small_share_of_time(
     """However many chunks there are: here each takes no time, and a manifest a second."""
     clock, written = [0.0], []
     runner = TaskRunner(prepared(tmp_path / "out"))
-    (tasks,) = runner.tasks()
-    encoded = runner.pack(tasks[0])
-    held = store.Store(runner)
+    (tasks,) = runner.plan_tasks()
+    encoded = runner.compute_files(tasks[0])
+    held = store.DirectoryStore(runner)
     held.missing(tasks)
 
     def slow(path: Path, content: bytes) -> None:
@@ -752,7 +752,7 @@ def test_manifest_writing_uses_small_share_of_time(
         else:
             clock[0] += 0.05
 
-    monkeypatch.setattr(store, "_write", slow)
+    monkeypatch.setattr(store, "_write_file", slow)
     monkeypatch.setattr(store.time, "monotonic", lambda: clock[0])
     held._next_manifest = 0.0
     for _ in range(1000):
@@ -764,6 +764,6 @@ def test_manifest_writing_uses_small_share_of_time(
 
 def test_forecast_disk_space_is_near_actual_size(whole: Path) -> None:
     """At 128 runs a part, of which some 20 kB say how it is laid out, more is taken."""
-    expected = forecast.of(STUDY)
+    expected = forecast.forecast_sweep(STUDY)
     taken = sum(len(content) for content in parts(whole).values()) - 2 * CHUNKS * 20_000
     assert 0.5 < expected.runs * expected.run_bytes / taken < 2

@@ -9,7 +9,7 @@ import pytest
 from support.studies import small_study
 
 import sinsjax
-from sinsjax.execution.frames import dataset_of
+from sinsjax.execution.frames import to_dataset
 from sinsjax.execution.study_results import Results
 
 pytestmark = pytest.mark.optimised(False)
@@ -112,8 +112,8 @@ def test_xarray_has_keys_that_vary_together_on_one_dimension_or_variants() -> No
 def test_xarray_refuses_runs_without_some_variants(results: Results) -> None:
     pytest.importorskip("xarray")
     with pytest.raises(sinsjax.InputError, match="some variants are missing .17 runs of 3 draws"):
-        dataset_of(results.study, results.summary.slice(1))
-    assert dict(dataset_of(results.study, results.summary.slice(6)).sizes)["draw"] == 2
+        to_dataset(results.study, results.summary.slice(1))
+    assert dict(to_dataset(results.study, results.summary.slice(6)).sizes)["draw"] == 2
 
 
 def test_estimates_convert_by_variant(tmp_path: Path) -> None:

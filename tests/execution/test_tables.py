@@ -45,11 +45,11 @@ def test_summary_has_contract_columns_and_axis_columns() -> None:
         axes={"q_reading": ["psd", "per_step"], "p0_yaw_deg": [40.0, 80.0], "reset_count": [0, 2]},
         resets={"reset_cycle_s": 2.0},
     )
-    made = tables.Tables(study)
+    made = tables.TableBuilder(study)
     names = [c.name for c in made.summary_columns]
     assert len(set(names)) == len(names)
     assert set(CONTRACT) | {"q_reading", "p0_yaw_deg"} <= set(names)
-    table = made.summary(chunk([0.0] * 8, [[0.0] * 3] * 8), np.arange(8))
+    table = made.summary_table(chunk([0.0] * 8, [[0.0] * 3] * 8), np.arange(8))
     assert table["q_reading"].to_pylist() == ["psd"] * 4 + ["per_step"] * 4
     assert table["reset_count"].to_pylist() == [0, 2] * 4
     assert table["reset_times_s"].to_pylist() == [[], [2.0, 4.0]] * 4
@@ -65,7 +65,9 @@ def test_axis_column_has_type_of_its_values(values: list) -> None:
 
 def test_vector_key_can_be_swept_by_numbers_and_lists() -> None:
     study = small_study(axes={"gyro_bias_deg_per_h": [0.1, [0.1, 0.0, 0.0]]})
-    table = tables.Tables(study).summary(chunk([0.0] * 2, [[0.0] * 3] * 2), np.arange(2))
+    table = tables.TableBuilder(study).summary_table(
+        chunk([0.0] * 2, [[0.0] * 3] * 2), np.arange(2)
+    )
     assert table["gyro_bias_deg_per_h"].to_pylist() == [[0.1], [0.1, 0.0, 0.0]]
 
 
@@ -146,7 +148,7 @@ def test_key_columns_carry_unit_and_meaning() -> None:
         },
     }
     study = study_from_dict(with_paper_values(BASE | {"sensors": {}, "earth": {}} | sweep))
-    told = columns.schema(tables.Tables(study).summary_columns)
+    told = columns.schema(tables.TableBuilder(study).summary_columns)
     for key, (unit, text) in SAID.items():
         assert told.field(key).metadata == {b"unit": unit.encode(), b"meaning": text.encode()}
 
@@ -165,15 +167,15 @@ def test_summary_gives_settling_times_and_status_per_run() -> None:
     # Bands 60, 10, 3 arcmin; the run ends at 6 s.
     outside = [[0.0, 1.0, 6.0], [2.0, 6.0, 6.0], [6.0, 6.0, 6.0], [6.0, 6.0, 6.0]]
     rows = chunk([-21.0, -5.0, 700.0, np.nan], outside)
-    made = tables.Tables(study)
-    table = made.summary(rows, np.arange(4))
+    made = tables.TableBuilder(study)
+    table = made.summary_table(rows, np.arange(4))
     assert table["settle_60_s"].to_pylist() == [0.0, 2.0, None, None]
     assert table["settle_10_s"].to_pylist() == [1.0, None, None, None]
     assert table["status"].to_pylist() == ["ok", "not_settled", "diverged", "not_settled"]
     assert table["phi_u_arcmin"].null_count == 1
     assert table["phi_n_arcmin"].to_pylist() == pytest.approx([2.0] * 4)
     assert table["yaw_deg"].to_pylist() == pytest.approx([1 / DEG] * 4)
-    broken = made.summary(chunk([0.0], [[6.0, 6.0, 6.0]], yaw=np.nan), np.arange(1))
+    broken = made.summary_table(chunk([0.0], [[6.0, 6.0, 6.0]], yaw=np.nan), np.arange(1))
     assert broken["status"].to_pylist() == ["nonfinite"]
 
 
@@ -183,7 +185,7 @@ def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
     study = small_study(study=FROM_FLOOR, motion=STILL, passes={"stored_s": 2.0}, axes=axes)
     # The first two runs end after 2 s, the others after 6 s.
     outside = [[0.0, 1.0, 2.0], [2.0, 2.0, 2.0], [1.0, 2.0, 5.0], [3.0, 4.0, 6.0]]
-    table = tables.Tables(study).summary(chunk([-21.0] * 4, outside), np.arange(4))
+    table = tables.TableBuilder(study).summary_table(chunk([-21.0] * 4, outside), np.arange(4))
     for band, settled, data in (
         (60, [0.0, None, 1.0, 3.0], [0.0, None, 1.0, 2.0]),
         (10, [1.0, None, 2.0, 4.0], [1.0, None, 2.0, 2.0]),
@@ -192,8 +194,8 @@ def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
         assert table[f"settle_{band}_s"].to_pylist() == settled
         assert table[f"settle_{band}_data_s"].to_pylist() == data
     assert table["status"].to_pylist() == ["ok", "not_settled", "ok", "ok"]
-    made = tables.Tables(small_study(passes={"stored_s": 2.0}), has_truth=False)
-    table = made.summary(chunk([0.0], [[0.0] * 3]), np.arange(1))
+    made = tables.TableBuilder(small_study(passes={"stored_s": 2.0}), has_truth=False)
+    table = made.summary_table(chunk([0.0], [[0.0] * 3]), np.arange(1))
     assert table["settle_10_data_s"].null_count == 1
 
 
@@ -220,8 +222,8 @@ def test_compass_rows_have_null_sigma_and_consistency() -> None:
 
 
 def test_summary_without_truth_has_attitude_and_sigma_only() -> None:
-    made = tables.Tables(small_study(), has_truth=False)
-    table = made.summary(chunk([0.0], [[0.0, 0.0, 0.0]]), np.arange(1))
+    made = tables.TableBuilder(small_study(), has_truth=False)
+    table = made.summary_table(chunk([0.0], [[0.0, 0.0, 0.0]]), np.arange(1))
     left = {name for name in CONTRACT if table[name].null_count == 0}
     assert {"pitch_deg", "yaw_mean_deg", "yaw_std_deg", "sigma_u_arcmin"} <= left
     needing = ("phi_u_arcmin", "phi_u_mean_arcmin", "settle_10_s", "floor_arcmin", "nees", "status")
@@ -230,7 +232,7 @@ def test_summary_without_truth_has_attitude_and_sigma_only() -> None:
 
 def test_settling_bands_always_include_status_band() -> None:
     study = small_study(study={"settle_bands_arcmin": [30.0]})
-    names = [c.name for c in tables.Tables(study).summary_columns]
+    names = [c.name for c in tables.TableBuilder(study).summary_columns]
     assert {"settle_30_s", "settle_10_s"} <= set(names)
     (part,) = build.parts(study)
     np.testing.assert_allclose(part.group.environment.criteria.bands, np.array([30, 10]) * ARCMIN)
@@ -248,7 +250,7 @@ def test_drawn_keys_become_summary_columns() -> None:
     study = study_from_dict(data | {"drawn": drawn, "axes": {"p0_yaw_deg": [40.0, 80.0]}})
     rows = chunk([0.0] * 4, [[0.0] * 3] * 4)
     rows = rows._replace(draw=np.array([1, 1, 2, 2]), variant=np.array([0, 1, 0, 1]))
-    table = tables.Tables(study).summary(rows, np.arange(2))
+    table = tables.TableBuilder(study).summary_table(rows, np.arange(2))
     assert table["run_id"].to_pylist() == [2, 3, 4, 5]
     assert table["yaw_period_s"].to_pylist() == [10.0, 10.0, 9.0, 9.0]
     assert table["gyro_scale_ppm"].to_pylist() == [[4.0] * 3] * 2 + [[1.0, 2.0, 3.0]] * 2

@@ -18,7 +18,7 @@ from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import LANES
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
-from sinsjax.execution.outputs import output_of
+from sinsjax.execution.outputs import make_output
 from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.records import Reference
@@ -65,7 +65,7 @@ def test_result_bytes_do_not_depend_on_task_order_or_runner(
         todo = list(tasks)
         random.Random(3).shuffle(todo)
         for task in todo:
-            yield TaskRunner(Job(study, None, None, chunk_runs)).pack(task)
+            yield TaskRunner(Job(study, None, None, chunk_runs)).compute_files(task)
 
     executor = Executor(elsewhere, {})
     study_run.run_into(study, tmp_path / "here", chunk_runs=chunk_runs, executor=executor)
@@ -109,8 +109,8 @@ def test_tasks_are_deterministic_and_cover_every_run(
     study = small_study(
         study={"draws": draws}, axes={"p0_yaw_deg": [float(i + 1) for i in range(variants)]}
     )
-    (tasks,) = TaskRunner(Job(study, None, None, chunk_runs)).tasks()
-    assert (tasks,) == tuple(TaskRunner(Job(study, None, None, chunk_runs)).tasks())
+    (tasks,) = TaskRunner(Job(study, None, None, chunk_runs)).plan_tasks()
+    assert (tasks,) == tuple(TaskRunner(Job(study, None, None, chunk_runs)).plan_tasks())
     assert sum(task.runs for task in tasks) == draws * variants
     assert [task.call for task in tasks] == list(range(len(tasks)))
     assert sorted({task.name for task in tasks}) == [task.name for task in tasks]
@@ -161,8 +161,8 @@ def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(TaskRunner, "_compile", counted)
     runner = TaskRunner(Job(study_of("worlds"), None, None, 128))
-    (tasks,) = runner.tasks()
-    threads = [threading.Thread(target=runner.do, args=(task,)) for task in tasks]
+    (tasks,) = runner.plan_tasks()
+    threads = [threading.Thread(target=runner.compute_tables, args=(task,)) for task in tasks]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -173,7 +173,7 @@ def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None
 def test_failures_count_diverged_and_nonfinite_runs() -> None:
     status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
     summary = pa.table({"status": status})
-    assert output_of(Scenario(small_study())).failures({"summary": summary}) == 3
+    assert make_output(Scenario(small_study())).failures({"summary": summary}) == 3
 
 
 def test_record_for_simulated_study_is_refused() -> None:

@@ -11,9 +11,9 @@ from support.studies import small_study
 
 from fuzzing.edits import Quiet, edited, mangled
 from sinsjax import columns
-from sinsjax.execution import layouts
-from sinsjax.execution.results import CHUNK_MARK, STUDY_MARK
-from sinsjax.execution.sealed import KEY, sealed_json, sealed_parquet
+from sinsjax.execution import schemas
+from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA
+from sinsjax.execution.sealed import SEAL_KEY, to_sealed_json, to_sealed_parquet
 from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
 from sinsjax.study.identity import fingerprint, sections_of
@@ -34,18 +34,18 @@ def stored(directory: Path) -> dict[str, bytes]:
     """Writes what a run of `STUDY` would leave, numbers apart; gives its files."""
     runs = list(range(STUDY.n_draws * STUDY.n_variants))
     tables = {
-        PARTS[0]: _table(layouts.summary(STUDY), runs),
+        PARTS[0]: _table(schemas.summary_columns(STUDY), runs),
         PARTS[1]: _table(
-            layouts.curves(STUDY), [run for run in runs for _ in range(STUDY.records)]
+            schemas.curve_columns(STUDY), [run for run in runs for _ in range(STUDY.records)]
         ),
     }
     files: dict[str, bytes] = {TEXT: study_to_toml(STUDY).encode()}
     for name, table in tables.items():
         chunk = {"dataset": Path(name).parent.name, "name": Path(name).stem, "chunk_runs": None}
         chunk["rows"] = table.num_rows
-        marks = {STUDY_MARK: Job(STUDY).identity, CHUNK_MARK: json.dumps(chunk)}
-        files[name] = sealed_parquet(table, marks)
-    files[MANIFEST] = sealed_json(_manifest())
+        marks = {STUDY_METADATA: Job(STUDY).identity, CHUNK_METADATA: json.dumps(chunk)}
+        files[name] = to_sealed_parquet(table, marks)
+    files[MANIFEST] = to_sealed_json(_manifest())
     for name, content in files.items():
         (directory / name).parent.mkdir(parents=True, exist_ok=True)
         (directory / name).write_bytes(content)
@@ -90,8 +90,8 @@ def _manifest() -> dict[str, Any]:
 def _sealed(data: dict[str, Any]) -> bytes:
     """As `sealed_json`, of any values: NaN too, which sinsjax does not write."""
     blank = "0" * 64
-    others = {key: value for key, value in data.items() if key != KEY}
-    text = json.dumps({**others, KEY: blank}, default=str).encode()
+    others = {key: value for key, value in data.items() if key != SEAL_KEY}
+    text = json.dumps({**others, SEAL_KEY: blank}, default=str).encode()
     head, tail = text.rsplit(blank.encode(), 1)
     return head + hashlib.sha256(text).hexdigest().encode() + tail
 

@@ -21,7 +21,7 @@ from sinsjax.execution import forecast, prepare, resume
 from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import count_runs, read_curves, read_summary
 from sinsjax.execution.source import Source
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import CONTROL
 from sinsjax.study.identity import fingerprint
@@ -144,15 +144,17 @@ def resolve(study: Study) -> None:
     """What is worked out from a study before a program is compiled; refusals are one line."""
     try:
         if study.study.rate_hz:
-            expected = forecast.of_tuning(study) if study.tune else forecast.of(study)
+            expected = (
+                forecast.forecast_tuning(study) if study.tune else forecast.forecast_sweep(study)
+            )
             expected.describe(2)
             if study.n_variants > _MANY or expected.memory > _MUCH:
                 return
         if not study.is_recorded:
-            job = prepare.prepare(study)
+            job = prepare.prepare_job(study)
             assert all("\n" not in line for line in (*job.warnings, *job.notes))
             Scenario(job.study)
-            Tables(job.study)
+            TableBuilder(job.study)
     except InputError as error:
         line_of(error)
         raise
@@ -169,14 +171,14 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
         lambda: read_summary(directory, ["run_id", "status"], run_ids=run_ids),
         lambda: read_curves(directory, run_ids),
         lambda: count_runs(directory),
-        lambda: resume.check_free(directory, overwrite=False, resume=True),
-        lambda: resume.check_free(directory, overwrite=True, resume=False),
-        lambda: resume.continued(Job(manifests.STUDY, directory=directory)),
+        lambda: resume.check_available(directory, overwrite=False, resume=True),
+        lambda: resume.check_available(directory, overwrite=True, resume=False),
+        lambda: resume.continue_job(Job(manifests.STUDY, directory=directory)),
         lambda: run_tuning.is_tuning(directory),
         lambda: Source.read(directory),
-        lambda: forecast.require_room(
+        lambda: forecast.check_resources(
             manifests.STUDY,
-            forecast.of(manifests.STUDY),
+            forecast.forecast_sweep(manifests.STUDY),
             directory,
             overwrite=False,
             resume=True,
@@ -206,7 +208,9 @@ def check_record(folder: Path, case: records.Case) -> None:
         line_of(error, "align: ")
         return
     try:
-        job = prepare.prepare(study, None, record, None if case.reference is None else reference)
+        job = prepare.prepare_job(
+            study, None, record, None if case.reference is None else reference
+        )
         for line in (*job.warnings, *job.notes):
             line_of(InputError(line))
     except InputError as error:

@@ -12,8 +12,8 @@ from support.studies import STILL, small_study, small_tables
 
 import sinsjax
 from sinsjax.errors import InputError
-from sinsjax.execution.prepare import _stored as stored_record
-from sinsjax.execution.prepare import prepare
+from sinsjax.execution.prepare import _resolve_record as stored_record
+from sinsjax.execution.prepare import prepare_job
 from sinsjax.records.layout import from_body
 from sinsjax.records.reference import Reference, StoredRecord
 from sinsjax.study.load import study_from_dict
@@ -371,7 +371,7 @@ def test_interpolated_samples_are_reported(drive: tuple[Any, Any]) -> None:
     gyro = record.dtheta * record.rate_hz
     gyro[700, 1] = np.nan
     stored = sinsjax.record_from_arrays(time, gyro, record.dv * record.rate_hz, max_gap_s=0.05)
-    assert list(prepare(recorded(), record=stored).warnings) == [
+    assert list(prepare_job(recorded(), record=stored).warnings) == [
         "arrays: 1 missing samples are interpolated (gaps up to max_gap_s = 0.05 s)"
     ]
 

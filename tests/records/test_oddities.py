@@ -8,7 +8,7 @@ import pytest
 
 import sinsjax
 from sinsjax.errors import InputError
-from sinsjax.execution.prepare import prepare
+from sinsjax.execution.prepare import prepare_job
 from sinsjax.records import Layout, Record, read_csv, read_psins, write_csv, write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
@@ -52,14 +52,14 @@ def test_samples_beyond_sensor_range_are_named_and_refused() -> None:
     accel[700, 1] = 250.0
     stored = made(accel=accel)
     with pytest.raises(InputError) as caught:
-        prepare(study(), record=stored)
+        prepare_job(study(), record=stored)
     assert str(caught.value) == (
         "arrays: rows 500 to 509: column 'accel[:, 0]': -98056.7 is -9999 g, and no base at rest"
         " has more than 20 g: leave such cells empty, as missing samples; 1 more such place"
         " ([record] trust = true aligns it anyway)"
     )
-    assert "rows 500 to 509" in prepare(study(trust=True), record=stored).warnings[0]
-    assert not prepare(study(start_s=[8.0]), record=stored).warnings  # they are not read
+    assert "rows 500 to 509" in prepare_job(study(trust=True), record=stored).warnings[0]
+    assert not prepare_job(study(start_s=[8.0]), record=stored).warnings  # they are not read
     (text,) = texts(gyro=changed(GYRO, 7, 2, 50.0))
     assert text.startswith("row 7: column 'gyro[:, 2]': 50 is 2865 deg/s")
 
@@ -82,14 +82,14 @@ def test_dead_and_stuck_channels_are_reported() -> None:
     assert texts(np.zeros((T, 3)), np.zeros((T, 3)) + 9.8) == [
         "no channel changes in any row: is this a log of sensors?"
     ]
-    (warning,) = prepare(study(), record=made(gyro, accel)).warnings
+    (warning,) = prepare_job(study(), record=made(gyro, accel)).warnings
     assert warning.startswith("arrays: rows 1000 to 1099: all six")
 
 
 def test_refusal_names_dead_channel_as_possible_cause() -> None:
     stored = made(changed(GYRO, slice(None), 0, 0.1))
     with pytest.raises(InputError) as caught:
-        prepare(study(), record=stored)
+        prepare_job(study(), record=stored)
     assert str(caught.value).endswith(
         "hides Earth rate: no heading can be found; column 'gyro[:, 0]' holds 0.1 in every row: is"
         " that sensor dead? ([record] trust = true aligns it anyway)"
@@ -107,8 +107,8 @@ def test_subtracted_mean_of_whole_log_is_reported(unit: str) -> None:
     asks = "the mean of each gyro over the whole log is below 1% of Earth rate: has Earth rate been"
     stored = made(removed, gyro_unit=unit, max_gap_s=0.1)
     with pytest.raises(InputError, match=asks):
-        prepare(study(), record=stored)
-    assert any(asks in line for line in prepare(study(trust=True), record=stored).warnings)
+        prepare_job(study(), record=stored)
+    assert any(asks in line for line in prepare_job(study(trust=True), record=stored).warnings)
     for gyro in (sensed * factor, removed + [0, 0, 1e-5 * factor]):
         assert not texts(gyro, gyro_unit=unit, max_gap_s=0.1)
 

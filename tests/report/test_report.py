@@ -233,13 +233,13 @@ def test_source_rows_returns_selected_columns_sorted_by_run(tmp_path):
 def test_counted_label_states_variants_and_monte_carlo_runs(tmp_path, axes, draws, text):
     study = small_study(study={"name": "swing", "draws": draws}, axes=axes)
     source = Source(tmp_path, study, "x.toml", summary_of(study))
-    assert source.counted == text
+    assert source.sample_size_text == text
 
 
 def test_counted_label_of_record_states_start_times(tmp_path):
     study = recorded_study()
     source = Source(tmp_path, study, "x.toml", summary_of(study))
-    assert source.counted == "car: 3 start times"
+    assert source.sample_size_text == "car: 3 start times"
 
 
 def test_incomplete_results_are_refused(tmp_path):

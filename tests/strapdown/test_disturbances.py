@@ -101,7 +101,10 @@ def surging(rate, seconds, model):
             states, now = disturbances.advance(them, states, driven, 1 / rate)
             exact = base_motion.sensed(moving, ahead, here, rate * 1.0, k)
             made = disturbances.moved(exact, now, here, 1 / rate)
-            return states, (jnp.stack(jax.tree.leaves(made)), jnp.stack([*now.before, *now.after]))
+            return states, (
+                jnp.stack(jax.tree.leaves(made)),
+                jnp.stack([*now.before, *now.after]),
+            )
 
         numbers = jnp.arange(rate * seconds * 1.0)
         return jax.lax.scan(step, states, (numbers, driven))[1]

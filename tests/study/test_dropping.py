@@ -15,7 +15,7 @@ from support.studies import BASE, small_study, small_tables
 from sinsjax import InputError, StudyWarning, load_study
 from sinsjax.engine.batch import chunks
 from sinsjax.engine.build import Scenario
-from sinsjax.execution.prepare import prepare
+from sinsjax.execution.prepare import prepare_job
 from sinsjax.execution.run import run
 from sinsjax.methods.description import COMMON_KEYS
 from sinsjax.methods.registry import METHODS
@@ -93,7 +93,7 @@ def test_method_of_loaded_study_can_be_replaced(method: str) -> None:
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
 def test_reset_sweep_runs_with_any_method(method: str) -> None:
-    job = prepare("reset_sweep", {"alignment.method": method, "study.draws": 2})
+    job = prepare_job("reset_sweep", {"alignment.method": method, "study.draws": 2})
     few = {"phi_u0_deg": [0, 30]}
     if "reset_count" in job.study.axes:
         few |= {"reset_count": [0, 2], "reset_cycle_s": [10, 20]}

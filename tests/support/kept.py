@@ -7,7 +7,7 @@ from typing import Any
 
 from sinsjax.engine.batch import in_threads
 from sinsjax.execution.directory import DATASETS
-from sinsjax.execution.sealed import KEY, is_intact, sealed_json
+from sinsjax.execution.sealed import SEAL_KEY, is_intact, to_sealed_json
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
@@ -115,8 +115,8 @@ def assert_intact(directory: Path) -> None:
 def rewrite_manifest(directory: Path, **changes: Any) -> None:
     """Replace entries of a manifest by others, and seal it again."""
     content = manifest(directory) | changes
-    del content[KEY]
-    (directory / "manifest.json").write_bytes(sealed_json(content))
+    del content[SEAL_KEY]
+    (directory / "manifest.json").write_bytes(to_sealed_json(content))
 
 
 def assert_complete(directory: Path, whole: Path) -> None:
@@ -141,6 +141,6 @@ class Recorder:
         return Executor(self._do, {})
 
     def _do(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
-        for encoded in in_threads(runner.pack, tasks, 2):
+        for encoded in in_threads(runner.compute_files, tasks, 2):
             self.done.append(encoded.task.name)
             yield encoded

@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.execution import layouts
+from sinsjax.execution import schemas
 
 FLOOR = -25.9
 TIMES = np.arange(1.0, 7.0)
@@ -30,7 +30,7 @@ def summary_of(study, *, truth=True, every=False, **given):
         *columns.JUDGED,
     ]
     names = {column.name for column in layout}
-    further = [c for c in layouts.summary(study) if c.name not in names] if every else []
+    further = [c for c in schemas.summary_columns(study) if c.name not in names] if every else []
     resets = study.values("reset_times_s") if study.has("resets") else [()] * v
     starts = study.record.start_s if study.record else [0.0] * d
     values = {
@@ -70,7 +70,7 @@ def curves_of(study, *, truth=True, times=TIMES):
     runs = study.n_variants * study.n_draws
     run, time = np.repeat(np.arange(runs), times.size), np.tile(times, runs)
     noise = np.random.default_rng(6).normal(size=run.size)
-    layout = layouts.curves(study)
+    layout = schemas.curve_columns(study)
     values = {c.name: noise for c in layout}
     if not truth:
         values |= {f"phi_{a}_arcmin": np.full(run.size, np.nan) for a in "enu"}

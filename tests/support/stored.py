@@ -13,8 +13,8 @@ from rich.console import Console
 from sinsjax import report
 from sinsjax.columns import SCHEMA_VERSION
 from sinsjax.execution.directory import MANIFEST, STUDY
-from sinsjax.execution.results import CHUNK_MARK, STUDY_MARK
-from sinsjax.execution.sealed import sealed_json, sealed_parquet
+from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA
+from sinsjax.execution.sealed import to_sealed_json, to_sealed_parquet
 from sinsjax.execution.tasks import Job
 from sinsjax.study.identity import fingerprint, sections_of
 from sinsjax.study.load import study_to_toml
@@ -25,9 +25,9 @@ def write_part(path: Path, table: pa.Table, identity: str) -> None:
     """Write a table as the part of a results directory that its path names, sealed."""
     chunk = {"dataset": path.parent.name, "name": path.stem, "chunk_runs": None}
     chunk["rows"] = table.num_rows
-    marks = {STUDY_MARK: identity, CHUNK_MARK: json.dumps(chunk)}
+    marks = {STUDY_METADATA: identity, CHUNK_METADATA: json.dumps(chunk)}
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(sealed_parquet(table, marks))
+    path.write_bytes(to_sealed_parquet(table, marks))
 
 
 def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
@@ -49,7 +49,7 @@ def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
             for name, files in chunks.items()
         ],
     }
-    (directory / MANIFEST).write_bytes(sealed_json(known | entries))
+    (directory / MANIFEST).write_bytes(to_sealed_json(known | entries))
 
 
 def store(

@@ -136,7 +136,7 @@ def compared(source: Source) -> Page:
         " Scheme 2 never settles. Dashed: what the noise of that record leaves outside, whatever"
         " the method."
     )
-    picture = Picture("settling", caption, figure, source.counted)
+    picture = Picture("settling", caption, figure, source.sample_size_text)
     table = _cases(source, wide_s, narrow_s, outside)
     return Page(values, {"cases": table}, {"settling": picture}, claims)
 
@@ -218,4 +218,4 @@ def _error_maps(source: Source, grid: Grid, rms: NDArray) -> Picture:
         " the initial error and more. Left of the line of 1 a record cannot converge. *Too*: the"
         " azimuth rate, besides the velocity."
     )
-    return Picture("heading_error", caption, figure, source.counted)
+    return Picture("heading_error", caption, figure, source.sample_size_text)

@@ -235,7 +235,7 @@ def _turns(cases: Mapping[str, Case]) -> Page:
     caption = (
         f"Static base; mean over {shown[0].source.draws} Monte Carlo runs, shading: 95 % of them."
     )
-    picture = Picture("turns", caption, figure, shown[0].source.counted)
+    picture = Picture("turns", caption, figure, shown[0].source.sample_size_text)
     return Page({"turns": values}, figures={"turns": picture}, claims=claims)
 
 

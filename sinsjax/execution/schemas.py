@@ -15,35 +15,35 @@ from sinsjax.study.study import Study
 from sinsjax.study.success import bands
 
 
-def summary(study: Study) -> tuple[Column, ...]:
+def summary_columns(study: Study) -> tuple[Column, ...]:
     """Columns of the summary; the cost is proportional to the total length of the axes."""
     return (
         *columns.IDENTITY,
-        *_of_keys(study),
+        *_key_columns(study),
         *columns.OBSERVED,
-        *_settling(study),
+        *_settling_columns(study),
         *(column for t in study.report_times_s for column in columns.report_columns(t)),
         *columns.JUDGED,
-        *(own.column for own in of_methods(study).values()),
+        *(method_column.column for method_column in method_columns(study).values()),
     )
 
 
-def draws_limits(study: Study) -> bool:
+def has_drawn_biases(study: Study) -> bool:
     """Whether draws have biases of their own, and bias floors with them."""
     return any(key in study.drawn_keys for key in BIAS_KEYS)
 
 
-def estimates(study: Study) -> tuple[Column, ...]:
+def estimate_columns(study: Study) -> tuple[Column, ...]:
     """Columns of the estimates."""
-    of_runs = ("run_id", "draw_id", "start_s")
+    run_columns = ("run_id", "draw_id", "start_s")
     times: list[float | None] = [*study.report_times_s, None]
     return (
-        *(column for column in columns.IDENTITY if column.name not in of_runs),
-        *_of_keys(study),
+        *(column for column in columns.IDENTITY if column.name not in run_columns),
+        *_key_columns(study),
         *(
             c
             for time_s in times
-            for c in columns.estimated(bands(study), time_s, own_floors=draws_limits(study))
+            for c in columns.estimated(bands(study), time_s, own_floors=has_drawn_biases(study))
         ),
         *(
             c
@@ -57,7 +57,7 @@ def estimates(study: Study) -> tuple[Column, ...]:
     )
 
 
-def of_variants(study: Study, layout: Iterable[Column]) -> dict[str, pa.Array]:
+def variant_columns(study: Study, schema: Iterable[Column]) -> dict[str, pa.Array]:
     """What the study says of its variants, in the types of some columns; leaves (variants,)."""
     resets, cycle = study.schedules, constant_column(study.n_variants, None)
     if study.has("resets"):
@@ -70,15 +70,15 @@ def of_variants(study: Study, layout: Iterable[Column]) -> dict[str, pa.Array]:
         **{(key := f"phi_{a}0_deg"): study.resolved.column(key) for a in "enu"},
     }
     swept = {key: study.resolved.column(key) for key in study.axis_keys}
-    kinds = {c.name: c.dtype for c in layout}
+    kinds = {c.name: c.dtype for c in schema}
     return {
-        name: _coded(column, kinds[name])
+        name: _to_array(column, kinds[name])
         for name, column in (swept | fixed).items()
         if name not in study.drawn_keys
     }
 
 
-def _coded(column: Coded, dtype: pa.DataType) -> pa.Array:
+def _to_array(column: Coded, dtype: pa.DataType) -> pa.Array:
     """Values of a key, one per variant; a number among lists applies to all axes."""
     codes, choices = column
     if pa.types.is_list(dtype):
@@ -86,7 +86,7 @@ def _coded(column: Coded, dtype: pa.DataType) -> pa.Array:
     return pa.array(choices, dtype).take(pa.array(codes))
 
 
-def _of_keys(study: Study) -> list[Column]:
+def _key_columns(study: Study) -> list[Column]:
     """Columns of swept and of drawn keys that are not among those of every study."""
     known = {c.name for c in columns.IDENTITY}
     swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
@@ -100,23 +100,27 @@ def _of_keys(study: Study) -> list[Column]:
     ]
 
 
-def of_methods(study: Study) -> dict[str, OwnColumn]:
+def method_columns(study: Study) -> dict[str, OwnColumn]:
     """Columns specific to the study's methods, by name; methods may share a column."""
     methods = (method for name, method in METHODS.items() if name in study.methods)
-    return {own.column.name: own for method in methods for own in method.columns_of(study)}
+    return {
+        method_column.column.name: method_column
+        for method in methods
+        for method_column in method.columns_of(study)
+    }
 
 
-def curves(study: Study) -> tuple[Column, ...]:
+def curve_columns(study: Study) -> tuple[Column, ...]:
     """Columns of the curves."""
     return columns.curves(passes=study.passes is not None, coarse=bool(study.coarse_stages))
 
 
-def tells_data(study: Study) -> bool:
+def has_data_columns(study: Study) -> bool:
     """Whether the length of data stands beside settling times."""
     return bool(study.passes or study.coarse_stages)
 
 
-def _settling(study: Study) -> list[Column]:
+def _settling_columns(study: Study) -> list[Column]:
     """Settling times of all bands about bias floor and truth; then the data used until then."""
-    kinds = [columns.settle_column, *([columns.settle_data_column] * tells_data(study))]
+    kinds = [columns.settle_column, *([columns.settle_data_column] * has_data_columns(study))]
     return [kind(b, truth=t) for kind in kinds for t in (False, True) for b in bands(study)]
