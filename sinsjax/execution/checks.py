@@ -1,4 +1,4 @@
-"""Warnings about a study before it runs: its record, or its sample rate."""
+"""Warnings about a study before it runs, from its record or its sample rate."""
 
 from collections.abc import Iterator
 
@@ -31,7 +31,7 @@ _CHECKED_DRAWS = 1024  # draws in which a drawn period is checked
 
 
 def study_warnings(study: Study, stored: StoredRecord | None = None) -> list[str]:
-    """Warnings for the user before a study runs, one line each.
+    """Return warnings for the user before a study runs, one line each.
 
     Args:
         study: checked study, at the rate of its record.
@@ -49,14 +49,14 @@ def study_warnings(study: Study, stored: StoredRecord | None = None) -> list[str
 
 
 def check_plugin_methods(study: Study, stored: StoredRecord | None = None) -> list[str]:
-    """Trace what methods of other packages compute, as a run would.
+    """Trace the methods of other packages, as a run would.
 
     Args:
         study: checked study, at the rate of its record.
         stored: the record of a recorded study.
 
     Returns:
-        Warnings where a method's P is not what its description says, one line each.
+        Warnings about methods whose P contradicts their description, one line each.
 
     Raises:
         InputError: one of them cannot be run; names its package.
@@ -70,12 +70,10 @@ def check_plugin_methods(study: Study, stored: StoredRecord | None = None) -> li
             continue
         tiles = tiles_of(part.group, batch.plan(part.group)[0])
         try:
-            batch.program(
-                static, environment, tiles, shown(part.group)
-            )  # a sweep takes it from there
+            batch.program(static, environment, tiles, shown(part.group))  # a sweep uses it again
         except InputError:
             raise
-        except Exception as error:  # what JAX says of another's function
+        except Exception as error:  # JAX's own errors about the plug-in's function
             package = from_package(static.method)
             reason = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
             raise InputError(f"{package}: does not trace: {reason}") from error
@@ -89,7 +87,7 @@ def check_plugin_methods(study: Study, stored: StoredRecord | None = None) -> li
 
 
 def _covariance_mismatch(group: Group) -> str | None:
-    """How P at the start of a first run contradicts the description of its method, in words."""
+    """Return how the initial P contradicts the method's description; None if it agrees."""
     draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, group.draws)
     params = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
     first = jax.jit(simulate.first_covariance, static_argnums=0)
@@ -99,18 +97,18 @@ def _covariance_mismatch(group: Group) -> str | None:
         not np.isnan(p).all(),
     )
     if has_covariance and not expects_covariance:
-        return "gives one, but has_covariance is False (say True, or give no_covariance)"
+        return "returns one, but has_covariance is False (set True, or use no_covariance)"
     if expects_covariance and not has_covariance:
-        return "gives none as a run begins, but has_covariance is True (without any, say False)"
+        return "returns none at the start of a run, but has_covariance is True (set False)"
     if min(p.ee, p.nn, p.uu) < 0:
-        return "gives a negative variance as a run begins"
+        return "returns a negative variance at the start of a run"
     return None
 
 
 def describe_process_noise(study: Study) -> str | None:
     """Compare Q with the white noise of the sensors, as standard deviations, in one sentence.
 
-    The largest axis counts. None without a filter, and without white noise that all draws have.
+    The largest axis counts. None without a filter, or if not all draws have white noise.
 
     Args:
         study: checked study with simulated sensors.
@@ -129,7 +127,7 @@ def describe_process_noise(study: Study) -> str | None:
 
 
 def _format_ratios(ratios: set[float]) -> str:
-    """``100 times``, ``5 to 20 times``, or nothing for once, before a noun."""
+    """Return ``100 times``, ``5 to 20 times``, or nothing for once, to precede a noun."""
     text = _format_range({float(f"{ratio:.2g}") for ratio in ratios})
     return "" if text == "1" else f"{text} times "
 
@@ -141,7 +139,7 @@ def _format_range(numbers: set[float]) -> str:
 def describe_feedback(study: Study) -> str | None:
     """Compare the time between feedbacks with the settling time of the filter's level.
 
-    None without a filter whose measured velocity tells level alone.
+    None without a filter whose measured velocity observes the level angles alone.
 
     Args:
         study: checked study whose rate is known.
@@ -170,7 +168,7 @@ def describe_feedback(study: Study) -> str | None:
 
 
 def record_layout(study: Study) -> Layout:
-    """Layout of a study's record."""
+    """Return the layout of a study's record."""
     assert study.record is not None
     return study.record.layout(study.study.rate_hz)
 
@@ -212,14 +210,14 @@ def _record_warnings(study: Study, stored: StoredRecord) -> Iterator[str]:
         where = f"{record.source}: {begin_s} to {end_s} s"
         for finding in findings(record, (begin, end), layout, expected):
             if finding.hard and not section.trust:
-                # A channel that never changes may be the cause, and only the refusal is seen.
+                # A constant channel may be the cause, and only this error is shown.
                 text = "; ".join([finding.text, *constant_channels])
                 raise InputError(f"{where}: {text} ({_TRUST_HINT})")
             yield f"{where}: {finding.text}"
 
 
 def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
-    """Spans of samples that a study reads, merged where they overlap; none are missing."""
+    """Return the spans of samples that a study reads, overlapping ones merged."""
     starts = starts_of(study, record.rate_hz)
     samples_before = [
         study.samples_before(record.rate_hz, **point) for point in study.combinations(*COARSE_KEYS)
@@ -249,7 +247,7 @@ def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
 
 
 def _surge_warnings(study: Study) -> Iterator[str]:
-    """The acceleration of first-order surges, which the sample rate decides."""
+    """Warn that the acceleration of first-order surges depends on the sample rate."""
     keys = ("surge_model", "surge_m_per_s", "surge_time_s")
     worst = 0.0
     for model, surge, time in (tuple(p[key] for key in keys) for p in study.combinations(*keys)):
@@ -264,7 +262,7 @@ def _surge_warnings(study: Study) -> Iterator[str]:
 
 
 def _sway_warnings(study: Study) -> Iterator[str]:
-    """Warnings about sways above the Nyquist frequency."""
+    """Warn about sways above the Nyquist frequency."""
     half = study.rate_hz / 2
     for angle in ("pitch", "roll", "yaw"):
         amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"

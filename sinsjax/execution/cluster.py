@@ -119,7 +119,7 @@ def _connect(address: str) -> Any:
             answers.put(error.strerror or first_line(error))
         except ValueError as error:
             answers.put(first_line(error))
-        except Exception:  # depends on the service
+        except Exception:  # which one depends on the service
             answers.put("another service does")
 
     with warnings.catch_warnings():
@@ -185,7 +185,7 @@ def _block_signals() -> Iterator[None]:
 
 
 class _Workers:
-    """The workers of a scheduler, as seen from the main process.
+    """Client of a scheduler's workers, in the main process.
 
     Attributes:
         instructions: the instruction set of all workers; empty before `wait`.
@@ -194,19 +194,19 @@ class _Workers:
     def __init__(self, client: Any, name: str) -> None:
         self.instructions = ""
         self._client, self._name = client, name
-        self._threads: dict[str, int] = {}  # of each worker at the last search
-        self._last_worker_s = time.monotonic()  # when there was a worker
+        self._threads: dict[str, int] = {}  # per worker, when last counted
+        self._last_worker_s = time.monotonic()  # last time with a worker
         self._warned = False
-        self._job: Any = None  # variable with the job of this runner
+        self._job: Any = None  # Dask variable with the job of this runner
         self._runner: TaskRunner | None = None
 
     def wait_for_workers(self) -> dict[str, int]:
-        """Wait for workers, check them, and return the number of threads of each."""
+        """Wait for workers, check them, and return the number of threads per worker."""
         while not self.instructions:
             if not self.count_threads():
                 time.sleep(_POLL_S / 10)
                 continue
-            # Dask's own question first: workers may have another sinsjax, or none.
+            # Through Dask first: workers may have another sinsjax, or none.
             versions = self._call_dask(self._client.get_versions, packages=list(runtime.DECISIVE))
             required = {name: versions["client"]["packages"][name] for name in runtime.DECISIVE}
             for worker, installed in versions["workers"].items():
@@ -256,7 +256,7 @@ class _Workers:
                 self._client.cancel(list(pending))
 
     def count_threads(self) -> dict[str, int]:
-        """Return the number of threads of each worker; warn about lost and missing workers."""
+        """Return the number of threads per worker; warn about lost and missing workers."""
         before, self._threads = self._threads, dict(self._call_dask(self._client.nthreads))
         if lost := sorted(before.keys() - self._threads):
             names = f"{lost[0]} and {len(lost) - 1} more" if len(lost) > 1 else lost[0]
@@ -311,19 +311,21 @@ class _Workers:
             raise self._lost_scheduler_error() from error
 
     def _lost_scheduler_error(self) -> InputError:
-        kept = "results so far are kept: the same again with --resume, in Python resume=True"
+        kept = "completed chunks are stored: repeat with --resume, in Python resume=True"
         return InputError(f"{self._name}: lost the scheduler ({kept})")
 
 
 def _check_same_versions(
     worker: str, installed: Mapping[str, Any], required: Mapping[str, Any]
 ) -> None:
-    """Refuse a worker whose rows could differ from those of others."""
+    """Refuse a worker whose rows could differ from those of the others."""
     for name, value in required.items():
         if installed.get(name) != value:
             remedy = "install the same version on every worker"
             if name == _INSTRUCTIONS:
-                remedy = "start all with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one"
+                remedy = (
+                    "start all workers with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one"
+                )
             raise InputError(
                 f"{worker}: the worker has {name} {installed.get(name) or '(none)'}, not {value}:"
                 f" rows could differ ({remedy})"
@@ -332,7 +334,7 @@ def _check_same_versions(
 
 # --- On the workers ------------------------------------------------------------------------------
 
-_runners: dict[str, TaskRunner] = {}  # of this process, by the name of the job; at most one
+_runners: dict[str, TaskRunner] = {}  # of this process, by job name; at most one
 _prepare_lock = threading.Lock()
 
 
@@ -356,7 +358,7 @@ def run_task(job_name: str, required: Mapping[str, str], task: Task) -> EncodedR
 
 
 def _make_runner(job_name: str, required: Mapping[str, str]) -> TaskRunner:
-    """Configure a worker process and make the runner of a job."""
+    """Configure a worker process and create the runner of a job."""
     import jax
     from distributed import Variable, get_worker
 

@@ -1,9 +1,9 @@
-"""A results directory: its files, who may write to it, and which of its files sinsjax wrote.
+"""A results directory: its files, its lock, and the files that sinsjax owns.
 
-It holds ``summary/`` or ``estimates/`` and optionally ``curves/`` (Parquet datasets with a part per
+It contains ``summary/`` or ``estimates/`` and optionally ``curves/`` (Parquet datasets, a part per
 chunk), ``study.toml`` (the resolved study), ``manifest.json`` (versions, chunks, timing),
-``figures/`` and ``reruns/``. Somebody else may have made it: nothing in it is opened through a
-link, and nothing but regular files is opened. The directory itself may be a link.
+``figures/`` and ``reruns/``. Its author may be unknown, so only regular files are opened, and none
+through a link. The directory itself may be a link.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ from sinsjax.study.files import require_shallow
 
 MANIFEST, STUDY = "manifest.json", "study.toml"
 ROW_DATASETS = ("summary", "estimates")
-"""Datasets with one row per run or per variant, written last: a part in them implies its
+"""Datasets with one row per run or per variant, written last: a part of them implies its
 counterpart in the other datasets."""
 
 DATASETS = (*ROW_DATASETS, "curves")
@@ -39,19 +39,19 @@ RERUN_FILES = ("summary.parquet", "curve.parquet", "curve.png")
 """Files of a repeated run."""
 
 LOCK, WRITER, FIGURES = ".lock", ".writer", ".figures.json"
-"""The lock, the name of the last process that took it, and the list of the figures drawn."""
+"""The lock, the name of its last owner, and the list of drawn figures."""
 
 _FILES = (MANIFEST, STUDY, LOCK, WRITER, FIGURES, "tuned.toml", "history.parquet")
 _FOLDERS = (*DATASETS, "figures", "reruns", "grid", "sobol", "random", "equal_cost", "evaluation")
 _CLOCK_TICK_NS = 50_000_000
-"""More than the interval at which a file system's clock ticks: a later change has another time."""
+"""Above the clock tick of a file system, ns: any later change has another modification time."""
 
 _MAX_LIST_BYTES = 2**16
-"""Bytes of a file that names the writer or lists the figures."""
+"""Largest size of the files WRITER and FIGURES, bytes."""
 
 
 class FileState(NamedTuple):
-    """A file at a moment; a changed file compares unequal."""
+    """State of a file; a changed file compares unequal."""
 
     path: Path
     inode: int
@@ -66,7 +66,7 @@ class FileState(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether any later change will show in the time."""
+        """Whether any later change will alter the modification time."""
         return time.time_ns() - self.mtime_ns > _CLOCK_TICK_NS
 
 
@@ -153,7 +153,7 @@ def results_path(directory: str | Path) -> Path:
 
 
 def check_directory(directory: Path) -> None:
-    """Reject a directory in which a link or a pipe takes the place of a file or folder of results.
+    """Reject a directory in which a link or a pipe replaces a file or folder of results.
 
     Raises:
         InputError: names the entry, or the directory is a file, cannot be read, or has a name that
@@ -162,7 +162,7 @@ def check_directory(directory: Path) -> None:
     try:
         os.fspath(directory).encode()
     except UnicodeEncodeError:
-        text = "results cannot be kept under a name that is not UTF-8 (rename it)"
+        text = "results cannot be stored under a name that is not UTF-8 (rename it)"
         raise InputError(f"{directory}: {text}") from None
     try:
         if directory.exists() and not directory.is_dir():
@@ -182,11 +182,11 @@ def _check_kind(path: Path, is_kind: Any, kind: str) -> None:
             text = "is a symbolic link, and results are not read or written through links"
             raise InputError(f"{path}: {text} (remove it, or give another directory)")
         if not is_kind(mode):
-            raise InputError(f"{path}: is no {kind} (remove it, or give another directory)")
+            raise InputError(f"{path}: is not a {kind} (remove it, or give another directory)")
 
 
 def existing_names(directory: Path, names: Iterable[str]) -> list[str]:
-    """Return those of some names that exist in a directory, which may be missing itself.
+    """Return the names that exist in a directory, which may be missing itself.
 
     Raises:
         InputError: the directory cannot be used, see `check_directory`.
@@ -201,7 +201,7 @@ def list_parts(directory: Path, dataset: str) -> list[Path]:
 
 
 def is_part_name(path: Path) -> bool:
-    """Whether a file is named like a part, which no user's file is by chance."""
+    """Whether a file name is that of a part."""
     return re.fullmatch(r"part-\d{4,}-\d{6,}\.parquet", path.name) is not None
 
 
@@ -212,7 +212,7 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
         directory: results directory.
 
     Returns:
-        Its entries, as JSON has them.
+        Its entries, as JSON values.
 
     Raises:
         InputError: there is no manifest, it has changed since it was written (`Damaged`), or
@@ -230,7 +230,7 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
     try:
         manifest = sealed.read_json(path)
     except FileNotFoundError:
-        text = f"holds no results (there is no {MANIFEST})"
+        text = f"contains no results ({MANIFEST} is missing)"
         if any(list_parts(directory, name) for name in DATASETS):
             text = f"{MANIFEST} is missing (`--resume` writes it again)"
         raise InputError(f"{directory}: {text}") from None
@@ -265,11 +265,11 @@ def find_manifest(directory: Path) -> Manifest | None:
 
 
 _manifests: dict[FileState, Manifest] = {}
-"""The manifests that this process has read: a report asks for one at every dataset it reads."""
+"""Manifests read by this process: a report needs one for every dataset."""
 
 
 class OtherVersionError(InputError):
-    """Results that another version of sinsjax wrote."""
+    """Results written by another version of sinsjax."""
 
 
 def _check_version(directory: Path, manifest: Mapping[str, Any]) -> None:
@@ -279,14 +279,14 @@ def _check_version(directory: Path, manifest: Mapping[str, Any]) -> None:
     versions = manifest.get("versions")
     version = str(versions.get("sinsjax", "")) if isinstance(versions, dict) else ""
     raise OtherVersionError(
-        f"{directory}: holds results of {shortened(one_line(f'sinsjax {version}'.strip()), 40)},"
+        f"{directory}: contains results of {shortened(one_line(f'sinsjax {version}'.strip()), 40)},"
         f" whose columns (schema {shortened(one_line(schema), 20)}) this version does not read (run"
         " the study again, into another directory or with --overwrite, or use that version)"
     )
 
 
 def _read_unsealed_manifest(path: Path) -> dict[str, Any]:
-    """A manifest without a seal, as older versions wrote them; empty if there is none."""
+    """Return a manifest without a seal, as older versions wrote it; empty if there is none."""
     try:
         manifest = json.loads(read_regular(path))
     except (OSError, ValueError, RecursionError):
@@ -300,7 +300,7 @@ def _read_unsealed_manifest(path: Path) -> dict[str, Any]:
 def lock_directory(directory: Path) -> filelock.FileLock:
     """Lock a directory, created if missing, against other writers.
 
-    The operating system holds the lock, and releases it when the process ends in whatever way.
+    The operating system releases the lock when the process ends, in whatever way.
 
     Raises:
         InputError: another process is writing there, or the directory is not writable.
@@ -308,7 +308,7 @@ def lock_directory(directory: Path) -> filelock.FileLock:
     make_folder(directory)
     check_directory(directory)
     file_lock = _acquire_lock(directory)
-    with suppress(InputError):  # a writer without a name holds the lock all the same
+    with suppress(InputError):  # the lock holds without the writer's name
         with replacing(directory / WRITER) as file:
             file.write(f"pid {os.getpid()} on {socket.gethostname()}\n".encode())
     return file_lock
@@ -317,10 +317,10 @@ def lock_directory(directory: Path) -> filelock.FileLock:
 def check_unlocked(directory: Path) -> None:
     """Reject a directory that another process is writing to.
 
-    Asked first: its content changes, and any other message about it would mislead.
+    This check precedes all others, since the content is changing.
 
     Raises:
-        InputError: names that process, or the lock cannot be taken.
+        InputError: names that process, or the lock cannot be acquired.
     """
     check_directory(directory)
     if (directory / LOCK).exists():
@@ -347,7 +347,7 @@ def _format_writer(directory: Path) -> str:
     return f": {shortened(one_line(name))}" if name else ""
 
 
-# --- the files that sinsjax wrote; it never removes any others ------------------------------------
+# --- the files that sinsjax wrote; it removes no others -------------------------------------------
 
 
 def stale_temp_files(directory: Path) -> list[Path]:
@@ -378,9 +378,9 @@ def _is_real_folder(path: Path) -> bool:
 
 
 def register_figures(images: Mapping[str, bytes], directory: Path) -> None:
-    """List the figures drawn in a directory, and remove earlier ones that are drawn no longer.
+    """List the figures drawn in a directory, and remove those of earlier reports.
 
-    A figure that has changed since it was drawn is a person's, and stays.
+    A figure changed since it was drawn belongs to the user, and remains.
 
     Args:
         images: contents of PNG files by file name.
@@ -392,14 +392,14 @@ def register_figures(images: Mapping[str, bytes], directory: Path) -> None:
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in images.items()}
     for path in _unchanged_figures(directory):
         if path != directory / FIGURES and path.name not in images:
-            with suppress(OSError):  # of a directory that may be read only
+            with suppress(OSError):  # the directory may be read only
                 path.unlink()
     with replacing(directory / FIGURES) as file:
         file.write((json.dumps(digests, indent=1) + "\n").encode())
 
 
 def _unchanged_figures(directory: Path) -> Iterator[Path]:
-    """Listed figures that have not changed since they were drawn, and the list itself."""
+    """Yield the listed figures that are unchanged since they were drawn, and the list itself."""
     for name, digest in _figure_digests(directory).items():
         path = directory / "figures" / Path(name).name
         with suppress(OSError, InputError):

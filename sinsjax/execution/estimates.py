@@ -1,7 +1,7 @@
 """Estimates of a study's variants without draws, as tables and as curves over time.
 
-One noise-free run of a variant, and the covariance of the true error beside it, stand for all draws
-(`engine.covariance`). Rows depend only on the study, as those of runs do.
+One noise-free run of a variant and the covariance of its true error represent all draws
+(`engine.covariance`). Rows depend only on the study, like those of runs.
 """
 
 from collections.abc import Mapping
@@ -36,25 +36,27 @@ DATASET = "estimates"
 TILES_PER_CALL = 2
 _QUANTILES = {"q10": 0.1, "median": 0.5, "q90": 0.9}
 _CURVE_SAMPLES = 2
-"""Sampled errors of a run, none of which curves show: the fewest."""
+"""Sampled errors of a run; curves show none of them, so the fewest possible."""
 
 
 class EstimateOutput:
-    """The covariance of the true error as the output of a study's tasks, see `outputs.Output`.
+    """Covariance of the true error as the output of a study's tasks, see `outputs.Output`.
 
     Attributes:
         schemas: columns by dataset.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Take a study that is estimated by covariance.
+        """Prepare the columns of a study that is estimated by covariance.
 
         Raises:
-            InputError: curves are asked for where there are no runs.
+            InputError: curves are requested, but there are no runs.
         """
         study = scenario.study
         if scenario.curves:
-            raise InputError(f"{study.name}: a covariance estimate has no runs with curves to keep")
+            raise InputError(
+                f"{study.name}: curves: a covariance estimate has no runs (leave them out)"
+            )
         assert study.study.estimate_samples is not None
         self.schemas: Mapping[str, tuple[Column, ...]] = {DATASET: schemas.estimate_columns(study)}
         self._samples = study.study.estimate_samples
@@ -66,25 +68,25 @@ class EstimateOutput:
         self._by_variant = schemas.variant_columns(study, self.schemas[DATASET])
 
     def adapt_program(self, static: Static) -> Static:
-        """The program of a part."""
+        """Return the program of a part."""
         return watched_program(static, self._samples)
 
     def adapt_group(self, group: Group) -> Group:
-        """What the engine runs of a part."""
+        """Return the runs of a part for the engine."""
         return watched(group, self._samples, self._records)
 
     def plan_calls(self, static: Static, draws: int, variants: int, tiles: int | None) -> Plan:
-        """See `Output`; many samples would fill the memory."""
+        """Return the division into calls; many samples need small calls, to limit the memory."""
         tiles_per_call = TILES_PER_CALL if self._samples > MOST_TOGETHER else tiles
         return Plan(static, draws, variants, tiles_a_chunk=tiles_per_call)
 
     def make_calls(self, group: Group, tiles: int | None) -> Calls:
-        """See `Output`."""
+        """Return the calls of such a plan."""
         tiles_per_call = TILES_PER_CALL if self._samples > MOST_TOGETHER else tiles
         return Calls(group, tiles_a_chunk=tiles_per_call)
 
     def make_tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
-        """Estimates of a chunk, one row per variant.
+        """Return the estimates of a chunk, one row per variant.
 
         Args:
             chunk: engine results, with `Spread`.
@@ -121,13 +123,13 @@ class EstimateOutput:
                 cells = (nullable_array(np.where(known, value, np.nan)) for value in settled)
                 values |= zip(names, cells, strict=True)
         values |= {"has_floor": pa.array(has_floor), "floor_arcmin": nullable_array(floor / ARCMIN)}
-        # Those of the check of linearity are still to come.
+        # `linearity` fills these later.
         for column in self.schemas[DATASET]:
             values.setdefault(column.name, pa.nulls(len(variant), column.dtype))
         return {DATASET: make_table(self.schemas[DATASET], values)}
 
     def count_failures(self, tables: Mapping[str, pa.Table]) -> int:
-        """Number of variants whose noise-free run became non-finite."""
+        """Return the number of variants whose noise-free run became non-finite."""
         return tables[DATASET]["phi_u_arcmin"].null_count
 
     def _time_columns(
@@ -138,9 +140,9 @@ class EstimateOutput:
         floor: NDArray,
         sigma_about_floor: NDArray | None,
     ) -> list[pa.Array]:
-        """Columns of one time from misalignment, 1 sigma and belief (runs, 3), and floor (runs,).
+        """Return the columns of one time from phi, sigma and belief (runs, 3), and floor (runs,).
 
-        All of them rad, in the order of `columns.estimated`; ``sigma_about_floor`` as of `Spread`.
+        All in rad, in the order of `columns.estimated`; ``sigma_about_floor`` as in `Spread`.
         """
         angles = [*(np.concatenate([phi, sigma, belief], axis=1).T / ARCMIN)]
         sigma_used = sigma[:, 2]
@@ -156,15 +158,15 @@ class EstimateOutput:
 
 
 def report_record_indices(study: Study) -> NDArray:
-    """Numbers, from 0, of the records at the report times and at the end."""
+    """Return the indices of the records at the report times and at the end."""
     interval_s = study.record_every / study.rate_hz
     numbers = [round(time_s / interval_s) - 1 for time_s in study.report_times_s]
     return np.array([*numbers, study.records - 1])
 
 
 def _probability_within(band: float, mean: NDArray, sigma: NDArray) -> NDArray:
-    """P(|error| <= band) of normal errors, (runs,)."""
-    from scipy.special import ndtr  # late: a tenth of a second, which studies of draws do not need
+    """Return P(|error| <= band) of normal errors, (runs,)."""
+    from scipy.special import ndtr  # late: takes 0.1 s, and few studies need it
 
     with np.errstate(divide="ignore", invalid="ignore"):  # without noise: inside or outside
         return ndtr((band - mean) / sigma) - ndtr((-band - mean) / sigma)
@@ -173,7 +175,7 @@ def _probability_within(band: float, mean: NDArray, sigma: NDArray) -> NDArray:
 def settling_statistics(
     outside_until_s: NDArray, end_s: NDArray, *, antithetic: bool = True
 ) -> tuple[NDArray, ...]:
-    """Mean, its standard error, and quantiles of settling times, in the order of their columns.
+    """Return mean, standard error and quantiles of settling times, in the order of their columns.
 
     Args:
         outside_until_s: (runs, samples) end of the last interval outside the band, s.
@@ -190,10 +192,10 @@ def settling_statistics(
 
 
 def estimated_curves(study: Study | str | Path) -> pa.Table:
-    """Covariance analysis of a study's variants over time, in memory.
+    """Run covariance analysis of a study's variants over time, in memory.
 
     Args:
-        study: study for which covariance analysis holds, with draws of its own or without, its
+        study: study for which covariance analysis holds, with or without draws, its
             file, or the name of a shipped study.
 
     Returns:

@@ -1,7 +1,7 @@
 """Forecast of a study's runs, time, memory and disk space, before anything is created.
 
-The estimates are rough and use only the lengths of the axes, so that a study of a billion runs is
-forecast, and rejected, as fast as one of three.
+The estimates are rough and use only the lengths of the axes, so a study of a billion runs is
+forecast, and rejected, as fast as one of three runs.
 """
 
 import math
@@ -39,18 +39,18 @@ _BASE_BYTES, _SAMPLE_BYTES, _VARIANT_BYTES, _RUN_BYTES, _RECORD_BYTES, _RESET_BY
     500,
     60,
 )
-"""Measured memory, bytes: of a process with JAX, and of each of these."""
+"""Measured memory, bytes: of a process with JAX, and per sample, variant, run, record, reset."""
 
 _START_S, _COMPILE_S = 3.0, 6.0
-"""Measured time on a core of two: to import, read and report, and to compile a program (5 to 8)."""
+"""Measured times, s: to import, read and report, and to compile one program (5 to 8)."""
 
 _SWITCH_KEYS = {*NOISES, *DISTORTIONS, *AMPLITUDES, *OF_DISTURBANCES}
-"""Keys without which a program does less, where they are zero."""
+"""Keys that simplify the program if they are zero."""
 
 _LINEARITY_CHECK_RUNS = 12.0
-"""Cost of the draws that tell how far covariance analysis holds for a variant, in plain runs."""
+"""Cost of checking a variant's linearity by draws, in plain runs."""
 
-_MEASUREMENT_BYTES = 48  # bytes, of the draws of a call whose records are kept
+_MEASUREMENT_BYTES = 48  # bytes, of the stored samples of a call's draws
 
 _POINT_BYTES = 2000  # bytes for each point of a search
 
@@ -83,7 +83,7 @@ class Forecast(NamedTuple):
         memory: peak memory, bytes.
         may_stop_early: whether the study may stop early.
         length_s: length of the longest run, s.
-        noise_free: whether runs are without noise, one a variant.
+        noise_free: whether runs are without noise, one per variant.
         programs: number of programs to compile, unless they are in the compile cache.
     """
 
@@ -102,18 +102,18 @@ class Forecast(NamedTuple):
         return sum(batch.runs for batch in self.batches)
 
     def describe(self, cores: int, done: int = 0, *, threads: bool = False) -> str:
-        """One line for a user, with the time that is left, or that nothing is left.
+        """Return one line for a user: the runs, the remaining time, memory and disk space.
 
         Args:
             cores: number of cores that share the runs.
-            done: number of runs whose results are there.
-            threads: whether the cores are threads of workers, of whatever kind.
+            done: number of runs with stored results.
+            threads: whether the cores are threads of Dask workers.
         """
         kind = "noise-free run" if self.noise_free else "run"
         runs = f"{counted(self.runs, kind)} of up to {self.length_s:g} s"
         remaining = max(0, self.runs - done)
         if not remaining:
-            return f"{runs}: nothing is left to run"
+            return f"{runs}: all are done"
         if done:
             runs += f", {remaining:,} left"
         duration = _format_duration(remaining * self.run_s / cores)
@@ -130,7 +130,7 @@ class Forecast(NamedTuple):
 
 
 def forecast_sweep(study: Study, curves: bool | None = None) -> Forecast:
-    """Forecast of a sweep.
+    """Return the forecast of a sweep.
 
     Args:
         study: checked study, whose rate is known.
@@ -145,7 +145,7 @@ def forecast_sweep(study: Study, curves: bool | None = None) -> Forecast:
 def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
     """Return the forecast of a tuning run, which keeps no curves.
 
-    The cost of a descent's steps is only a guess.
+    The cost of a descent's steps is a rough guess.
     """
     tune = study.tune
     assert tune is not None
@@ -161,7 +161,7 @@ def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
         "random": tune.sobol_points * len(free_keys),
         "gradient": tune.descent_starts * tune.descent_steps * (2 + max(free_keys)),
     }
-    # A search by covariance analysis keeps its history alone.
+    # A search by covariance analysis stores only its history.
     stored = [search for search in tune.searches if search != "covariance"]
     points_by_name = {("equal_cost" if s == "gradient" else s): points[s] for s in stored}
     points_by_name = {name: max(1, count) for name, count in points_by_name.items()}
@@ -176,14 +176,14 @@ def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
         )
     )
     forecast = _forecast_batches(study, batches, False)
-    # A descent has programs of its own.
+    # A descent compiles separate programs.
     return forecast._replace(programs=forecast.programs * (1 + ("gradient" in tune.searches)))
 
 
 def check_resources(
     study: Study, forecast: Forecast, directory: Path | None, *, overwrite: bool, resume: bool
 ) -> None:
-    """Reject a study that exceeds the disk or the memory; a resumed one needs only missing runs.
+    """Reject a study that exceeds disk or memory; a resumed one needs only its missing runs.
 
     Args:
         study: checked study.
@@ -234,7 +234,7 @@ def _forecast_batches(study: Study, batches: Sequence[Batch], curves: bool) -> F
         schemas.estimate_columns(study) if study.is_estimated else schemas.summary_columns(study)
     )
     run_bytes = _row_bytes(study, row_columns)
-    # Longer simulations do not keep their increments.
+    # Longer simulations do not store their increments.
     stored_samples = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE_BYTES + _SAMPLE_BYTES * stored_samples
     alternates = study.passes is not None and any(not s.rewinds for s in study.distinct_spans)
@@ -271,7 +271,7 @@ def _forecast_batches(study: Study, batches: Sequence[Batch], curves: bool) -> F
 
 
 def _count_programs(study: Study) -> int:
-    """Number of programs, by what is swept of the keys that decide them, or do so by being zero."""
+    """Return the number of programs, from the swept keys that decide them, by value or by zero."""
     kinds = {(span.records, span.rewinds) for span in study.distinct_spans}
     count = len(kinds)
     for dimension in study.dimensions:
@@ -285,7 +285,7 @@ def _count_programs(study: Study) -> int:
 
 
 def _row_bytes(study: Study, columns: Iterable[Column]) -> float:
-    """Disk space per row, from its continuous numbers; swept values and counts compress well."""
+    """Return the disk space per row, bytes; only continuous numbers count, others compress well."""
     numbers = 0
     for column in columns:
         if column.name in study.drawn_keys:
@@ -307,7 +307,7 @@ def _total_part_bytes(directories: Iterable[Path]) -> int:
 
 
 def _format_bytes(count: float) -> str:
-    """A number of bytes as text."""
+    """Return a number of bytes as text."""
     for unit in ("B", "kB", "MB", "GB"):
         if count < 999.5:
             return f"{count:.3g} {unit}"

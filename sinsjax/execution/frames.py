@@ -55,7 +55,7 @@ def to_dataset(study: Study, table: pa.Table) -> Any:
     draws = np.unique(table["draw_id"].to_numpy()) if per_draw else np.zeros(1, int)
     if table.num_rows != len(draws) * study.n_variants:
         present = f"{counted(table.num_rows, 'run')} of {counted(len(draws), 'draw')}"
-        text = f"some variants are missing ({present}; to_pandas has the rows that are there)"
+        text = f"some variants are missing ({present}; to_pandas returns the rows that exist)"
         raise InputError(f"{study.name}: {text}")
     table = table.sort_by("run_id" if per_draw else "variant_id")
     axes, coordinates = _dimensions_and_coordinates(study)

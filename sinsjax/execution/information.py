@@ -1,4 +1,4 @@
-"""The least heading error that the data of a study allow any method, in memory."""
+"""Lower bound of the heading error of any method on the data of a study, in memory."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,11 +23,11 @@ from sinsjax.units import ARCMIN
 
 
 def information_bound(study: Study | str | Path) -> pa.Table:
-    """Information bound of a simulated study's heading, see `methods.information`.
+    """Return the information bound of a simulated study's heading, see `methods.information`.
 
-    No unbiased method has a smaller standard deviation of phi_u from its bias floor than this,
-    whatever it starts from; its methods' own settings do not enter. Variants that share Earth,
-    motion and sensors share their bound; each takes about a second for 300 s at 100 Hz.
+    No unbiased method has a smaller standard deviation of phi_u about its bias floor, whatever its
+    initial state; the settings of the study's methods have no influence. Variants with the same
+    Earth, motion and sensors share a bound; each takes about a second for 300 s at 100 Hz.
 
     Args:
         study: study, its file, or the name of a shipped study.
@@ -37,7 +37,7 @@ def information_bound(study: Study | str | Path) -> pa.Table:
         phi_u. The schema has units and meanings.
 
     Raises:
-        InputError: a study of a record, with passes, or with draws of what decides the bound; or
+        InputError: the study has a record or passes, draws a value that affects the bound, or has
             accelerometers without white noise.
 
     Examples:
@@ -71,7 +71,7 @@ def information_bound(study: Study | str | Path) -> pa.Table:
 
 
 def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]) -> np.ndarray:
-    """Of the variants of a part, arcmin."""
+    """Return the bound of 1 sigma of the heading at some times, arcmin."""
     study = scenario.study
     environment = scenario.part(part, range(1), blank=True).group.environment
     if not np.all(environment.errors.accel_noise):
@@ -91,13 +91,15 @@ def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]
 
 
 def _check_bound_applies(study: Study) -> None:
-    """Refuses what the bound is not known of."""
+    """Refuse a study for which the bound is unknown."""
     if study.is_recorded:
         raise InputError("[record]: the information bound needs the noise of a simulation")
     if study.passes:
-        text = "repeated passes add no information (take [passes] out, give the record's length)"
+        text = (
+            "repeated passes add no information (drop [passes]; duration_s is the record's length)"
+        )
         raise InputError(f"[passes]: {text}")
     for key in study.drawn_keys:
         if key in ENVIRONMENT_KEYS:
-            text = "the information bound takes its value as given (sweep it instead)"
+            text = "the information bound needs a fixed value (sweep it instead of drawing it)"
             raise InputError(f"[{SECTION_OF[key]}] {key}: {text}")

@@ -1,7 +1,7 @@
-"""How far covariance analysis holds for a variant, by a few draws; where it does not, many of them.
+"""Check of covariance analysis by a few draws per variant; many draws replace it if it fails.
 
-The index of nonlinearity is the rms over a few draws of what a run has beyond its companion, in
-standard deviations of the true error.
+The index of nonlinearity is the rms difference, over a few draws, between the heading error of a
+run and that of its linear companion, in standard deviations of the true error.
 """
 
 import threading
@@ -24,10 +24,10 @@ from sinsjax.study.success import bands
 from sinsjax.units import ARCMIN
 
 CHECKED_DRAWS = 8
-"""Draws that the index is made of."""
+"""Number of draws for the index."""
 
 MAX_INDEX = 0.5
-"""Of the index; beyond it covariance analysis does not hold."""
+"""Largest index for which covariance analysis holds."""
 
 _PARTS_READY = 2
 _VARIANTS_PER_CHECK = 64  # per call: the errors of a lane's draws stay in the first-level cache
@@ -35,7 +35,7 @@ _VARIANTS_PER_FILL = 8  # per call of many draws
 
 
 class LinearityCheck:
-    """The index of a study's variants, and the draws of those for which it is large."""
+    """Index of nonlinearity of a study's variants, and draws of those for which it is large."""
 
     def __init__(self, scenario: Scenario) -> None:
         study = scenario.study
@@ -49,7 +49,7 @@ class LinearityCheck:
         """Add the index to estimates of a part; estimate variants beyond `MAX_INDEX` from draws.
 
         Args:
-            part: of the part.
+            part: number of the part.
             table: estimates.
         """
         ids = self._scenario.variant_ids[part]
@@ -57,7 +57,7 @@ class LinearityCheck:
         cuts = range(0, len(places), _VARIANTS_PER_CHECK)
         blocks = [slice(first, first + _VARIANTS_PER_CHECK) for first in cuts]
         width = len(places[blocks[0]])
-        with self._lock:  # otherwise every thread would make the part and compile
+        with self._lock:  # otherwise every thread would build the part and compile
             group = self._cached_group(part)
             runs, wide = (
                 _select_variants(group, places[blocks[0]], n) for n in (width, _VARIANTS_PER_CHECK)
@@ -92,7 +92,7 @@ class LinearityCheck:
         Args:
             table: their rows.
             group: all variants of the part.
-            places: their places in it.
+            places: their positions in it.
             width: variants per call of the runs, so that all calls share a program.
         """
         outcome = Calls(_select_variants(group, places, width)).whole().outcome
@@ -107,18 +107,18 @@ class LinearityCheck:
         difference = (phi[..., :count] - companion_phi[2, :, :count].swapaxes(1, 2)) / ARCMIN
         names = (f"true_sigma_u{end}_arcmin" for end in self._ends)
         sigma = np.stack([table[name].to_numpy(zero_copy_only=False) for name in names])
-        with np.errstate(divide="ignore", invalid="ignore"):  # without noise there is none
+        with np.errstate(divide="ignore", invalid="ignore"):  # zero without noise
             return np.sqrt(np.mean(difference**2, axis=1)) / sigma
 
     def _fill_from_draws(
         self, table: pa.Table, group: Group, rows: NDArray, places: NDArray
     ) -> pa.Table:
-        """The table with what the draws of some rows give of the heading."""
+        """Replace the heading columns of some rows by statistics of their draws."""
         width = _VARIANTS_PER_FILL
         chunk = Calls(_select_variants(group, places, width, draws=group.sizes[0])).whole()
 
         def by_variant(leaf: Any) -> NDArray:
-            """(variants, draws, ...)."""
+            """Reshape a leaf to (variants, draws, ...)."""
             leaf = np.asarray(leaf)
             return leaf.reshape(-1, width, *leaf.shape[1:]).swapaxes(0, 1)[: len(rows)]
 
@@ -163,6 +163,6 @@ class LinearityCheck:
 def _select_variants(
     group: Group, places: NDArray, width: int, draws: int = CHECKED_DRAWS
 ) -> Group:
-    """The first draws of a few variants, the last one repeated up to so many."""
+    """Return the first draws of a few variants, padded to ``width`` with the last variant."""
     padded = np.pad(places, (0, width - len(places)), mode="edge")
     return group.some(np.arange(draws), padded)

@@ -17,25 +17,25 @@ from sinsjax.execution.tables import TableBuilder
 
 @runtime_checkable
 class Output(Protocol):
-    """What becomes of the parts of a study.
+    """Conversion of the parts of a study to result tables.
 
     Attributes:
         schemas: columns of the datasets that every task writes, in the order in which they are
-            written: the last one is there only if the others are.
+            written: the last one exists only if the others do.
     """
 
     schemas: Mapping[str, tuple[Column, ...]]
 
     def adapt_program(self, static: Static) -> Static:
-        """The program of a part, from that of its runs."""
+        """Return the program of a part, from that of its runs."""
         ...
 
     def adapt_group(self, group: Group) -> Group:
-        """What the engine runs of a part, from all its runs."""
+        """Return the runs of a part for the engine, from all its runs."""
         ...
 
     def plan_calls(self, static: Static, draws: int, variants: int, tiles: int | None) -> Plan:
-        """How some draws of so many variants are cut, into calls of so many tiles."""
+        """Return the division of a number of draws and variants into calls."""
         ...
 
     def make_calls(self, group: Group, tiles: int | None) -> Calls:
@@ -43,11 +43,11 @@ class Output(Protocol):
         ...
 
     def make_tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
-        """Tables by dataset, of a chunk of the variants of a part."""
+        """Return the tables of a chunk by dataset."""
         ...
 
     def count_failures(self, tables: Mapping[str, pa.Table]) -> int:
-        """Number of runs in these tables that diverged or became non-finite."""
+        """Return the number of runs in these tables that diverged or became non-finite."""
         ...
 
 
@@ -75,7 +75,7 @@ class RunOutput:
         return group
 
     def plan_calls(self, static: Static, draws: int, variants: int, tiles: int | None) -> Plan:
-        """Return how some draws of so many variants are cut, into calls of so many tiles."""
+        """Return the division of a number of draws and variants into calls."""
         return Plan(static, draws, variants, tiles_a_chunk=tiles)
 
     def make_calls(self, group: Group, tiles: int | None) -> Calls:
@@ -83,7 +83,7 @@ class RunOutput:
         return Calls(group, tiles_a_chunk=tiles)
 
     def make_tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
-        """Return one row per run, and one per run and record time if curves are kept."""
+        """Return one row per run, and one per run and record time if curves are stored."""
         tables = {"summary": self._builder.summary_table(chunk, variant_ids)}
         if "curves" in self.schemas:
             tables["curves"] = self._builder.curve_table(chunk, variant_ids)
@@ -96,9 +96,9 @@ class RunOutput:
 
 
 def make_output(scenario: Scenario) -> Output:
-    """Return the output that a study asks for.
+    """Return the output that a study requests.
 
     Raises:
-        InputError: curves are asked for where there are no runs.
+        InputError: curves are requested, but there are no runs.
     """
     return EstimateOutput(scenario) if scenario.study.is_estimated else RunOutput(scenario)

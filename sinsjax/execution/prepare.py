@@ -1,7 +1,7 @@
 """Preparation of a study before it runs: every check, forecast and warning, once.
 
-The command line and the functions of Python prepare a `Job` here and hand it to `run.run_job`;
-nothing is asked again. Nothing is created or changed.
+The command line and the Python functions prepare a `Job` here and pass it to `run.run_job`, which
+checks nothing again. Nothing is created or changed.
 """
 
 import warnings
@@ -23,7 +23,7 @@ from sinsjax.study.study import Study
 
 
 class RunOptions(NamedTuple):
-    """How a study is to run.
+    """Options of a run.
 
     Attributes:
         directory: results directory; None for tables in memory.
@@ -32,7 +32,7 @@ class RunOptions(NamedTuple):
         chunk_runs: runs per chunk; None for the default.
         overwrite: whether to replace existing results.
         resume: whether to continue existing results.
-        source: words for the study in the manifest; None for its file, if it has one.
+        source: label of the study in the manifest; None for its file, if it has one.
     """
 
     directory: str | Path | None = None
@@ -48,13 +48,13 @@ _DEFAULTS = RunOptions()
 
 
 class JobKind(NamedTuple):
-    """The questions whose answers differ between a sweep and a tuning run.
+    """Steps of the preparation that differ between a sweep and a tuning run.
 
     Attributes:
         check_available: rejects a directory in use, as `resume.check_available`.
-        make_forecast: of a study, and whether it keeps curves.
-        continue_job: the job as a continuation of what its directory holds.
-        check_study: rejects a study, before the directory is looked at.
+        make_forecast: returns the forecast of a study, with or without curves.
+        continue_job: returns the job as a continuation of the results in its directory.
+        check_study: rejects a study, before the directory is checked.
     """
 
     check_available: Callable[..., None]
@@ -79,23 +79,23 @@ def prepare_job(
     *,
     kind: JobKind = SWEEP,
 ) -> Job:
-    """Check a study with its record and options, and forecast what it takes.
+    """Check a study with its record and options, and forecast its cost.
 
     Args:
         source: study file, name of a shipped study, or study.
         overrides: values by ``section.key``, see `Study.replace`.
         record: inertial record of a recorded study, or its file.
         reference: file of the reference attitude of a record that is a file.
-        options: how the study is to run.
+        options: options of the run.
         kind: sweep or tuning run.
 
     Returns:
         The job, at the rate of its record, with warnings, notes and forecast.
 
     Raises:
-        InputError: the study is invalid or does not go with its record; the record is certainly
-            wrong; the directory cannot be used or holds results of another study; disk or memory
-            are too small; or double precision cannot be turned on.
+        InputError: the study is invalid or does not fit its record; the record is certainly
+            wrong; the directory cannot be used or contains results of another study; disk or memory
+            are too small; or double precision cannot be enabled.
     """
     runtime.ensure_configured()
     results_directory = (
@@ -127,7 +127,7 @@ def prepare_job(
     if results_directory is not None:
         job = job._replace(manifest_state=resume.manifest_state(results_directory))
         if options.resume and not results_directory.exists():
-            notes.append(f"{results_directory}: there is nothing to resume, all runs are new.")
+            notes.append(f"{results_directory}: no results to resume, all runs are new.")
         if options.resume:
             job = kind.continue_job(job)
     expected_cost = kind.make_forecast(study, curves)
@@ -146,10 +146,10 @@ def prepare_job(
 
 
 def issue_warnings(job: Job) -> Job:
-    """Return a prepared job after warning of its doubts, as functions of Python do.
+    """Issue the warnings of a prepared job as Python warnings, and return the job.
 
     Warns:
-        StudyWarning: one for each doubt, and one for keys without effect.
+        StudyWarning: one per doubt, and one for keys without effect.
     """
     for line in (*job.warnings, *keys_without_effect(job.study, tables_of(job.study))):
         warnings.warn(line, StudyWarning, stacklevel=3)
@@ -167,7 +167,7 @@ def make_subjob(job: Job, study: Study, name: str) -> Job:
         name: name of the folder.
 
     Raises:
-        InputError: the folder cannot be used, or holds results of another study.
+        InputError: the folder cannot be used, or contains results of another study.
     """
     assert job.directory is not None
     subdirectory = job.directory / name
@@ -211,7 +211,7 @@ def _read_stored_record(
     if study.record is None:
         raise InputError(f"{study.name}: has no [record] section")
     if study.record.format == "arrays":
-        text = f"[record] format: 'arrays' are given to sinsjax.run, not read from {record}"
+        text = f"[record] format: 'arrays' are passed to sinsjax.run, not read from {record}"
         raise InputError(f"{study.name}: {text} (see sinsjax.record_from_arrays)")
     layout = checks.record_layout(study)
     read_data = read_record(record, layout)
@@ -223,14 +223,14 @@ def _read_stored_record(
 def _load_source(
     source: Path | str | Study, overrides: Mapping[str, Any] | None
 ) -> tuple[Study, list[str]]:
-    """Return the study, and lines about keys of its file that its methods do not use."""
+    """Return the study, and a line per key of its file that its methods do not use."""
     if isinstance(source, Study):
         return source.replace(overrides) if overrides else source, []
     return load_with_notes(source, overrides or {})
 
 
 def _source_label(source: Path | str | Study, options: RunOptions) -> str | None:
-    """Return the words for the study in the manifest; None for a study without a file."""
+    """Return the label of the study in the manifest; None for a study without a file."""
     label = options.source
     if label is None and not isinstance(source, Study):
         label = find_study(source)
@@ -265,17 +265,17 @@ def _resolve_record(
         return _read_stored_record(study, record, reference)
     raise InputError(
         f"{study.name}: record: must be what sinsjax.load_increments or"
-        f" sinsjax.record_from_arrays gives, not a {type(record).__name__}"
+        f" sinsjax.record_from_arrays returns, not a {type(record).__name__}"
     )
 
 
 def _resolve_curves(study: Study, name: str, options: RunOptions) -> tuple[bool | None, list[str]]:
-    """Whether to keep curves, and notes about that."""
+    """Return whether to store curves, and notes about that."""
     runs, max_runs = study.n_draws * study.n_variants, options.max_curve_runs
     if max_runs is None:
         return options.curves, []
     if study.is_estimated:
-        return None, []  # there are no runs to have any
+        return None, []  # no runs, so no curves
     if runs <= max_runs:
         return True, []
     if study.is_recorded:

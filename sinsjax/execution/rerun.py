@@ -25,7 +25,7 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.study.study import Study
 
 _ROUNDING = 1e-6
-"""More than a difference in last bits grows to, of angles in deg or arcmin."""
+"""Above the growth of a difference in last bits, of angles in deg or arcmin."""
 
 
 class Rerun(NamedTuple):
@@ -109,12 +109,12 @@ def rerun_stored_run(
     _check_run_id(study, run_id, directory)
     stored = results.read_summary(directory, run_ids=[run_id])
     if not stored.num_rows:
-        raise InputError(f"{directory}: has no row of run {run_id} yet")
+        raise InputError(f"{directory}: run {run_id} has no row yet (continue with `--resume`)")
     if stored.num_rows > 1:
-        text = f"has {stored.num_rows} rows of run {run_id}: a part does not belong there"
+        text = f"has {stored.num_rows} rows of run {run_id}: a foreign part is among them"
         raise InputError(f"{directory / 'summary'}: {text}")
     if out is not None and (existing := [name for name in RERUN_FILES if (out / name).exists()]):
-        raise InputError(f"{out}: already holds a {existing[0]} (give another directory)")
+        raise InputError(f"{out}: already contains {existing[0]} (give another directory)")
     target = directory / "reruns" / str(run_id) if out is None else out
     if target.is_symlink() and out is None:
         raise InputError(f"{target}: is a symbolic link (remove it, or give another directory)")
@@ -169,7 +169,7 @@ def _format_row(row: pa.Table) -> list[str]:
 
 
 def _differing_columns(stored: pa.Table, repeated: pa.Table) -> list[str]:
-    """Columns in which two rows differ."""
+    """Return the columns in which two rows differ."""
     (stored_values,), (repeated_values,) = stored.to_pylist(), repeated.to_pylist()
     return [
         name
@@ -179,12 +179,12 @@ def _differing_columns(stored: pa.Table, repeated: pa.Table) -> list[str]:
 
 
 def _explain_difference(directory: Path, stored: pa.Table, repeated: pa.Table) -> str:
-    """What the difference of two rows may be due to.
+    """Return a likely cause of the difference of two rows, as text.
 
     Args:
         directory: results directory of the stored row.
         stored: row.
-        repeated: the same run's row made here.
+        repeated: the same run's row, repeated here.
     """
     packages = packages_of(repeated["method"].to_pylist())
     versions = places.read_manifest(directory).get("versions")
@@ -197,12 +197,10 @@ def _explain_difference(directory: Path, stored: pa.Table, repeated: pa.Table) -
                 f" {current_version}."
             )
         if _differs_beyond_rounding(stored, repeated):
-            return (
-                f"These are not last bits: the code of {name} {current_version} may have changed."
-            )
+            return f"This exceeds last bits: the code of {name} {current_version} may have changed."
     return (
-        "Last bits depend on jaxlib, its flags and the processor; `manifest.json` has those of the"
-        " stored row."
+        "Last bits depend on jaxlib, its flags and the processor; `manifest.json` lists those of"
+        " the stored row."
     )
 
 
@@ -221,7 +219,7 @@ def _differs_beyond_rounding(stored: pa.Table, repeated: pa.Table) -> bool:
 def _describe_comparison(
     stored: pa.Table, repeated: pa.Table, differing: list[str], explanation: str
 ) -> str:
-    """A sentence on whether two rows are identical, or where they differ."""
+    """Return a sentence that states whether two rows are identical, or where they differ."""
     (stored_values,), (repeated_values,) = stored.to_pylist(), repeated.to_pylist()
     if not differing:
         return f"The row is identical to the stored one in all {len(stored_values)} columns."

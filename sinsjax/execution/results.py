@@ -36,13 +36,13 @@ _ALTERNATIVES = {
     "summary": ("estimates", "estimates of variants, and no runs (`read_estimates` reads them)"),
     "estimates": ("summary", "runs, and no estimates of variants (`read_summary` reads them)"),
 }
-"""For a dataset that is absent: the one that may be there, and what such a directory holds."""
+"""Per absent dataset: the one that may exist instead, and the contents of such a directory."""
 
 _READERS = 4  # threads; hashing releases Python's lock
 
 
 _verified: dict[FileState, str] = {}
-"""Identity of the job of each part that this process has verified."""
+"""Identity of the job of each part verified by this process."""
 
 
 def read_summary(
@@ -61,7 +61,7 @@ def read_summary(
         verify: whether to verify the checksum of every part, once per process.
 
     Raises:
-        InputError: the directory holds no results, a part has changed, or a column is missing.
+        InputError: the directory contains no results, a part has changed, or a column is missing.
 
     Examples:
         >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
@@ -84,7 +84,7 @@ def read_estimates(
         verify: whether to verify the checksum of every part, once per process.
 
     Raises:
-        InputError: the directory holds no estimates, a part has changed, or a column is missing.
+        InputError: the directory contains no estimates, a part has changed, or a column is missing.
 
     Examples:
         >>> changes = {"study.rate_hz": 10.0, "study.check_linearity": False}
@@ -126,7 +126,7 @@ def count_runs(directory: str | Path) -> int:
     """Return the number of rows of the summary, after verifying every part.
 
     Raises:
-        InputError: the directory holds no results, or a part has changed.
+        InputError: the directory contains no results, or a part has changed.
     """
     return query_dataset(directory, "summary", lambda dataset: dataset.count_rows())
 
@@ -135,8 +135,8 @@ def load_stored_study(directory: Path) -> Study:
     """Load the study of a results directory.
 
     Raises:
-        InputError: it cannot be read, which names packages that provided methods when it was
-            computed and are not installed here; or it is not the study of the results.
+        InputError: it cannot be read (names packages that provided methods when it was computed and
+            are not installed here); or it is not the study of the results.
     """
     try:
         study = load_study(directory / STUDY)
@@ -162,7 +162,7 @@ def load_stored_study(directory: Path) -> Study:
 
 
 def _missing_packages(directory: Path) -> list[tuple[str, str]]:
-    """Packages in the manifest that are not installed, and their versions."""
+    """Return the packages in the manifest that are not installed, and their versions."""
     stored = read_manifest(directory).get("versions")
     versions = stored if isinstance(stored, dict) else {}
     others = (name for name in versions if name not in ("python", *runtime.DECISIVE))
@@ -190,12 +190,12 @@ def has_dataset(directory: str | Path, name: str, *, verify: bool = True) -> boo
 def query_dataset(
     directory: str | Path, name: str, function: Callable[[ds.Dataset], Any], *, verify: bool = True
 ) -> Any:
-    """Query a dataset.
+    """Apply a function to a dataset.
 
     Args:
         directory: results directory.
         name: name of the dataset.
-        function: function of the dataset that gives the answer.
+        function: function of the dataset that returns the result.
         verify: whether to verify the parts first.
 
     Raises:
@@ -208,7 +208,7 @@ def query_dataset(
         has_alternative = alternative and list_parts(directory, alternative)
         if not has_alternative:
             contents = f"no results (no part in {name}/)"
-        raise InputError(f"{directory}: holds {contents}")
+        raise InputError(f"{directory}: contains {contents}")
     parts = list_parts(directory, name)
     try:
         if verify:
@@ -225,7 +225,7 @@ def read_part_metadata(content: bytes) -> dict[str, str] | None:
     """Return the marks of a part, see `tasks.TaskRunner.marks`; None if it is not intact.
 
     Args:
-        content: of the file.
+        content: content of the file.
     """
     if not sealed.is_intact(content):
         return None
@@ -265,13 +265,13 @@ def _read_sorted(
 
 
 def _verify_parts(directory: Path, dataset: str, parts: Sequence[Path]) -> None:
-    """Verify parts, and that none is missing which the manifest lists."""
+    """Verify parts, and that no part listed in the manifest is missing."""
     manifest = find_manifest(directory)
     if manifest is not None:
         listed = {part.file for chunk in manifest.chunks for part in chunk.files}
         present = {f"{dataset}/{path.name}" for path in parts}
         for file in sorted(name for name in listed - present if name.startswith(f"{dataset}/")):
-            # It may have been written after `parts` were listed and before the manifest was read.
+            # It may be newer than the list `parts`, but older than the manifest.
             if not (directory / file).exists():
                 raise InputError(
                     f"{directory / file}: listed in the manifest but missing ({_RESUME_HINT})"
@@ -283,7 +283,7 @@ def _verify_parts(directory: Path, dataset: str, parts: Sequence[Path]) -> None:
 
 
 def _verified_identity(path: Path) -> str:
-    """Verify a part; gives the identity of its job."""
+    """Verify a part and return the identity of its job."""
     file = FileState.from_path(path)
     if (identity := _verified.get(file)) is not None:
         return identity

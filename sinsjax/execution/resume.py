@@ -1,4 +1,4 @@
-"""Whether a job may be written to a results directory, and how it continues the results there."""
+"""Checks of a results directory before a job writes to it, and continuation of its results."""
 
 import json
 from collections.abc import Iterable
@@ -32,7 +32,7 @@ _RESULT_NAMES = (*DATASETS, "figures", STUDY, MANIFEST)
 
 
 def check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
-    """Reject a directory that holds results, unless they may be used, or foreign files.
+    """Reject a directory with foreign files, or with results that may not be used.
 
     Results are identified by their manifest or parts; a foreign file of the same name is never
     touched.
@@ -56,17 +56,17 @@ def check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
         raise
     if manifest is None:
         raise InputError(
-            f"{directory}: holds a {existing[0]} that is not a result (give another directory)"
+            f"{directory}: contains {existing[0]}, which is not a result (give another directory)"
         )
     if not (overwrite or resume):
         raise InputError(
-            f"{directory}: already holds results (give --resume to continue them, or --overwrite"
+            f"{directory}: already contains results (give --resume to continue them, or --overwrite"
             " to replace them; in Python resume=True or overwrite=True)"
         )
 
 
 def manifest_state(directory: Path) -> FileState | None:
-    """Return the state of a directory's manifest, which every writer changes; None without one."""
+    """Return the state of a directory's manifest, which every write changes; None without one."""
     try:
         return FileState.from_path(directory / MANIFEST)
     except OSError:
@@ -74,23 +74,23 @@ def manifest_state(directory: Path) -> FileState | None:
 
 
 def continue_job(job: Job) -> Job:
-    """Return the job as a continuation of the results in its directory, if it holds any.
+    """Return the job as a continuation of the results in its directory, if there are any.
 
-    It keeps their runs per chunk and choice of curves. Its draws may be more than theirs: it is
-    then marked as extended.
+    It uses their runs per chunk and choice of curves. If it has more draws, it is marked as
+    extended.
 
     Args:
         job: the job as requested now.
 
     Raises:
-        InputError: the directory holds results of another study (names the keys that differ), of
+        InputError: the directory contains results of another study (names the keys that differ), of
             another record or version, or with other chunks.
     """
     directory = job.directory
     assert directory is not None
     manifest = _find_or_rebuild_manifest(directory)
     is_same = manifest is not None and _has_same_study(job, manifest)
-    # Whatever study.toml contains, it is written again for results of the same study.
+    # study.toml is written again for results of the same study, whatever it contains.
     stored = None if is_same else _check_same_study(directory, job.study)
     if manifest is None:
         return job
@@ -110,25 +110,25 @@ def continue_job(job: Job) -> Job:
     _check_versions(directory, manifest, packages_of(job.study.methods))
     if manifest.identity != job.identity:
         kind = "record or reference" if is_same or stored else "study"
-        raise InputError(f"{directory}: holds results of another {kind}")
+        raise InputError(f"{directory}: contains results of another {kind}")
     return job
 
 
 def _has_same_study(job: Job, manifest: Manifest) -> bool:
-    """Whether results are certainly of a job's study, with as many draws."""
+    """Whether results are certainly of a job's study, with the same number of draws."""
     same_study = manifest.fingerprint == fingerprint(job.study)
     return same_study or (not manifest.extended_at and manifest.identity == job.identity)
 
 
 def _with_extensions(job: Job, earlier_draws: Iterable[int]) -> Job:
-    """A job whose results had numbers of draws before, those that it has not yet left out."""
+    """Return a job with the earlier numbers of draws of its results, up to its own number."""
     return job._replace(
         extended_at=tuple(sorted(d for d in earlier_draws if d <= job.study.n_draws))
     )
 
 
 def check_instruction_set(directory: Path, current: str) -> None:
-    """Reject rows of another instruction set: last bits differ, and the difference grows.
+    """Reject rows of another instruction set: last bits differ, and the differences grow.
 
     Args:
         directory: results directory.
@@ -148,9 +148,9 @@ def check_instruction_set(directory: Path, current: str) -> None:
 
 
 def _check_same_study(directory: Path, study: Study) -> Study | None:
-    """Reject results of another study than this one with as many draws, or with fewer.
+    """Reject results of another study; the same study may have had fewer draws.
 
-    Gives the study that the results are of; None if the directory has none that can be read.
+    Returns the study of the results; None if the directory has no readable one.
     """
     try:
         stored = load_study(directory / STUDY)
@@ -161,15 +161,15 @@ def _check_same_study(directory: Path, study: Study) -> Study | None:
     elif fingerprint(stored) != fingerprint(study):
         text = "; ".join(differences(stored, study))
         if _has_more_draws(study, stored):
-            text += f" (there can be more, not fewer: continue with --draws {stored.n_draws})"
+            text += f" (draws can be added, not removed: continue with --draws {stored.n_draws})"
         elif hint := _added_values_hint(stored, study):
             text += f" ({hint})"
-        raise InputError(f"{directory}: holds results of another study: {text}")
+        raise InputError(f"{directory}: contains results of another study: {text}")
     return stored
 
 
 def _has_more_draws(stored: Study, study: Study) -> bool:
-    """Whether a study is a simulated one, ``stored``, with more draws and nothing else changed."""
+    """Whether a study is a simulated study ``stored`` with more draws and no other change."""
     draws = study.study.draws
     if stored.study.draws is None or draws is None or draws <= stored.study.draws:
         return False
@@ -177,7 +177,7 @@ def _has_more_draws(stored: Study, study: Study) -> bool:
 
 
 def _added_values_hint(stored: Study, study: Study) -> str:
-    """The way on if axes have further values: run ids number all variants, and would move."""
+    """Return a hint if axes have additional values, which would renumber all runs; else empty."""
     added = [
         key
         for key, values in study.axes.items()
@@ -189,32 +189,32 @@ def _added_values_hint(stored: Study, study: Study) -> str:
     new = [value for value in study.axes[key] if value not in stored.axes[key]]
     return (
         f"run the added values, axes.{key}={shortened(str(new), 40)}, into another directory;"
-        " read both together with their paths in one list, and tell the runs apart by directory and"
-        " run_id, which counts within a directory"
+        " read both with their paths in one list, and identify runs by directory and run_id, which"
+        " counts within a directory"
     )
 
 
 def _check_extension(directory: Path, stored: Study, study: Study) -> None:
-    """Reject more draws if the existing ones would mean something else.
+    """Reject more draws if the existing ones would change.
 
-    A list with an entry for every draw would begin again, which nobody meant who wrote it.
+    A list with an entry for every draw would begin again, which is hardly intended.
     """
     if stored.is_estimated:
         raise InputError(
             f"{directory}: [study] draws: {stored.study.draws} there, {study.study.draws} here:"
-            " estimates of all draws cannot be extended (give another directory)"
+            " estimates over all draws cannot be extended (give another directory)"
         )
     laws = stored.drawn.laws if stored.drawn else {}
     for key, law in laws.items():
         if law.values and len(law.values) == stored.n_draws > 1:
             raise InputError(
-                f"{directory}: [drawn] {key}.values: ends with the {stored.n_draws} draws that are"
-                " there (give another directory to begin it again)"
+                f"{directory}: [drawn] {key}.values: ends with the {stored.n_draws} existing draws"
+                " (give another directory to begin it again)"
             )
 
 
 def _check_versions(directory: Path, manifest: Manifest, packages: Iterable[str]) -> None:
-    """Reject rows of other versions, packages that provide methods included: bits may differ."""
+    """Reject rows of other versions, including packages that provide methods: bits may differ."""
     current = runtime.versions()
     for session in manifest.sessions:
         for name in (*runtime.DECISIVE, *packages):
@@ -227,12 +227,12 @@ def _check_versions(directory: Path, manifest: Manifest, packages: Iterable[str]
 
 
 def _find_or_rebuild_manifest(directory: Path) -> Manifest | None:
-    """The manifest of a directory, or one from its intact parts; None if it holds no results."""
+    """Return the manifest of a directory, or one rebuilt from its parts; None without results."""
     return find_manifest(directory) or _manifest_from_parts(directory)
 
 
 def _manifest_from_parts(directory: Path) -> Manifest | None:
-    """A manifest from the intact part with most extensions."""
+    """Rebuild a manifest from the intact part with most extensions."""
     curves = True if list_parts(directory, "curves") else None
     manifests = []
     for path in (path for name in ROW_DATASETS for path in list_parts(directory, name)):

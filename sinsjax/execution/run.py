@@ -31,7 +31,7 @@ class RunProgress(NamedTuple):
         total: number of runs; with [stop_when], at most.
         failures: runs of this session that diverged or became non-finite.
         done_before: runs completed before this session.
-        unit: what is counted, if not runs.
+        unit: unit of the counts: runs or estimates.
     """
 
     done: int
@@ -42,7 +42,7 @@ class RunProgress(NamedTuple):
 
 
 MAX_CURVE_RUNS = 1024
-"""Most runs of which every curve is kept unless the study says otherwise."""
+"""Largest number of runs whose curves are all stored by default."""
 
 ProgressCallback = Callable[[RunProgress], None]
 """Progress callback, called before the first chunk and after every one."""
@@ -69,8 +69,8 @@ def run(
         Tables of all runs.
 
     Raises:
-        InputError: the study is not valid, the record does not fit it, or it has no runs but
-            estimates.
+        InputError: the study is not valid, the record does not fit it, or it has estimates instead
+            of runs.
 
     Examples:
         >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
@@ -98,7 +98,7 @@ def align(
     """Align recorded data in memory, from every start time of the study.
 
     Args:
-        record: inertial record: a file, or what `record_from_arrays` or `load_increments` return.
+        record: inertial record: a file, or the result of `record_from_arrays` or `load_increments`.
         study: study with [record], its file, or the name of a shipped study.
         reference: file of a reference attitude to compare with, if the record is a file.
         overrides: values of the study by ``section.key`` to change, see `Study.replace`.
@@ -133,7 +133,7 @@ def align(
     """
     max_curve_runs = MAX_CURVE_RUNS if curves is None else None
     options = RunOptions(curves=curves, max_curve_runs=max_curve_runs)
-    study = load_study(study, overrides)  # here, so that what a change drops is warned of
+    study = load_study(study, overrides)  # here, to warn about keys that a change drops
     return _run_to_results(
         issue_warnings(prepare_job(study, None, record, reference, options)), tell
     )
@@ -156,7 +156,7 @@ def estimate(
         One row per variant, ordered by variant_id; the schema has units and meanings.
 
     Raises:
-        InputError: the study asks for draws, or covariance analysis does not hold for it.
+        InputError: the study has no ``estimate``, or covariance analysis does not hold for it.
 
     Examples:
         >>> changes = {"study.rate_hz": 10.0, "study.check_linearity": False}
@@ -200,7 +200,7 @@ def run_into(
         executor: runs the tasks; None for all devices of this process.
         tell: called with the progress before the first chunk and after every one.
         stop: event that ends the study after the running chunks.
-        source: words for the study in the manifest; None for its file.
+        source: label of the study in the manifest; None for its file.
 
     Returns:
         The results, read from the directory when needed.
@@ -293,7 +293,7 @@ def _run_tasks(
     on_progress: ProgressCallback | None,
     stop: threading.Event,
 ) -> None:
-    """Run the tasks that a sink misses, stage by stage."""
+    """Run the tasks that a sink lacks, stage by stage."""
     study, tasks_by_stage = runner.job.study, runner.plan_tasks()
     missing = set(sink.missing_tasks(task for tasks in tasks_by_stage for task in tasks))
     counter = _ProgressCounter(study, on_progress)

@@ -1,4 +1,4 @@
-"""Columns of a study's results."""
+"""Columns of a study's result tables."""
 
 from collections.abc import Iterable
 
@@ -16,7 +16,7 @@ from sinsjax.study.success import bands
 
 
 def summary_columns(study: Study) -> tuple[Column, ...]:
-    """Columns of the summary; the cost is proportional to the total length of the axes."""
+    """Return the columns of the summary, in a time proportional to the total length of the axes."""
     return (
         *columns.IDENTITY,
         *_key_columns(study),
@@ -29,12 +29,12 @@ def summary_columns(study: Study) -> tuple[Column, ...]:
 
 
 def has_drawn_biases(study: Study) -> bool:
-    """Whether draws have biases of their own, and bias floors with them."""
+    """Whether sensor biases, and with them bias floors, differ between draws."""
     return any(key in study.drawn_keys for key in BIAS_KEYS)
 
 
 def estimate_columns(study: Study) -> tuple[Column, ...]:
-    """Columns of the estimates."""
+    """Return the columns of the estimates."""
     run_columns = ("run_id", "draw_id", "start_s")
     times: list[float | None] = [*study.report_times_s, None]
     return (
@@ -58,7 +58,7 @@ def estimate_columns(study: Study) -> tuple[Column, ...]:
 
 
 def variant_columns(study: Study, schema: Iterable[Column]) -> dict[str, pa.Array]:
-    """What the study says of its variants, in the types of some columns; leaves (variants,)."""
+    """Return the columns that the study determines, by name, (variants,), in the schema's types."""
     resets, cycle = study.schedules, constant_column(study.n_variants, None)
     if study.has("resets"):
         cycle = study.resolved.column("reset_cycle_s")
@@ -79,7 +79,7 @@ def variant_columns(study: Study, schema: Iterable[Column]) -> dict[str, pa.Arra
 
 
 def _to_array(column: Coded, dtype: pa.DataType) -> pa.Array:
-    """Values of a key, one per variant; a number among lists applies to all axes."""
+    """Return the values of a key, one per variant; a number among lists applies to all axes."""
     codes, choices = column
     if pa.types.is_list(dtype):
         choices = tuple([v] if isinstance(v, int | float) else v for v in choices)
@@ -87,7 +87,7 @@ def _to_array(column: Coded, dtype: pa.DataType) -> pa.Array:
 
 
 def _key_columns(study: Study) -> list[Column]:
-    """Columns of swept and of drawn keys that are not among those of every study."""
+    """Return the columns of swept and drawn keys, without those of every study."""
     known = {c.name for c in columns.IDENTITY}
     swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
     return [
@@ -101,7 +101,7 @@ def _key_columns(study: Study) -> list[Column]:
 
 
 def method_columns(study: Study) -> dict[str, OwnColumn]:
-    """Columns specific to the study's methods, by name; methods may share a column."""
+    """Return the columns specific to the study's methods, by name; methods may share a column."""
     methods = (method for name, method in METHODS.items() if name in study.methods)
     return {
         method_column.column.name: method_column
@@ -111,16 +111,16 @@ def method_columns(study: Study) -> dict[str, OwnColumn]:
 
 
 def curve_columns(study: Study) -> tuple[Column, ...]:
-    """Columns of the curves."""
+    """Return the columns of the curves."""
     return columns.curves(passes=study.passes is not None, coarse=bool(study.coarse_stages))
 
 
 def has_data_columns(study: Study) -> bool:
-    """Whether the length of data stands beside settling times."""
+    """Whether there are columns for the length of data used until heading settles."""
     return bool(study.passes or study.coarse_stages)
 
 
 def _settling_columns(study: Study) -> list[Column]:
-    """Settling times of all bands about bias floor and truth; then the data used until then."""
+    """Return the settling times of all bands about bias floor and truth, then the data used."""
     kinds = [columns.settle_column, *([columns.settle_data_column] * has_data_columns(study))]
     return [kind(b, truth=t) for kind in kinds for t in (False, True) for b in bands(study)]

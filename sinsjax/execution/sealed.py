@@ -1,8 +1,8 @@
-"""Files that carry a checksum of their own content, so that any later change is noticed.
+"""Files with a checksum of their own content, which reveals any later change.
 
-The checksum of a Parquet page leaves out the footer, and a JSON file has none. A sealed file
-contains the SHA-256 of its own bytes, computed with zeros in place of the 64 digits. It needs no
-second file and stays valid when the file is copied or renamed.
+The checksums of Parquet pages do not cover the footer, and JSON has none. A sealed file contains
+the SHA-256 of its own bytes, computed with zeros in place of the 64 digits. It needs no second file
+and remains valid when the file is copied or renamed.
 """
 
 import hashlib
@@ -20,12 +20,12 @@ from sinsjax.platform.files import read_regular
 
 SEAL_KEY = "sinsjax.sha256"
 _BLANK_DIGEST = "0" * 64
-# What separates the key from its value in JSON, and in the footer of a Parquet file.
+# The separators of key and value in JSON, and in the footer of a Parquet file.
 _SEAL = re.compile(rb'sinsjax\.sha256(?:": "|\x18\x40)([0-9a-f]{64})')
 
 
 class DamagedError(InputError):
-    """A sealed file that has changed since it was written, or carries no seal."""
+    """A sealed file that has changed since it was written, or has no seal."""
 
 
 def to_sealed_json(content: Mapping[str, Any]) -> bytes:
@@ -35,21 +35,21 @@ def to_sealed_json(content: Mapping[str, Any]) -> bytes:
 
 
 def to_sealed_parquet(table: pa.Table, extra_metadata: Mapping[str, str] | None = None) -> bytes:
-    """Return a table as a sealed Parquet file; the same rows and marks give the same bytes.
+    """Return a table as a sealed Parquet file; equal rows and metadata give equal bytes.
 
     Args:
         table: the rows, with the metadata of its schema.
         extra_metadata: further entries of the file's metadata.
     """
     metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
-    metadata.pop(SEAL_KEY, None)  # of the file that the rows were read from
+    metadata.pop(SEAL_KEY, None)  # that of the file from which the rows were read
     schema = table.schema.with_metadata(metadata | dict(extra_metadata or {}))
     sink = pa.BufferOutputStream()
     # Numbers seldom repeat: a dictionary would make them larger and three times as slow.
     options = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
     with pq.ParquetWriter(sink, schema, **options) as writer:
         writer.write_table(table.replace_schema_metadata(schema.metadata))
-        # In the footer alone: the schema would store a second copy, in another encoding.
+        # In the footer only: the schema would store a second copy, in another encoding.
         writer.add_key_value_metadata({SEAL_KEY: _BLANK_DIGEST})
     return _fill_seal(sink.getvalue().to_pybytes())
 
@@ -66,9 +66,9 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         entries = json.loads(content)
     except (ValueError, RecursionError) as error:  # a seal within other text
-        raise DamagedError(f"{path}: is no JSON object") from error
+        raise DamagedError(f"{path}: is not a JSON object") from error
     if not isinstance(entries, dict):
-        raise DamagedError(f"{path}: is no JSON object")
+        raise DamagedError(f"{path}: is not a JSON object")
     return entries
 
 
@@ -83,7 +83,7 @@ def read_parquet(path: Path) -> pa.Table:
     try:
         return pq.read_table(pa.BufferReader(_read_intact(path)))
     except pa.ArrowException as error:  # a seal within other content
-        raise DamagedError(f"{path}: is no Parquet file") from error
+        raise DamagedError(f"{path}: is not a Parquet file") from error
 
 
 def is_intact(content: bytes) -> bool:
@@ -108,13 +108,13 @@ def _fill_seal(content: bytes) -> bytes:
 
 
 def _find_seal(content: bytes) -> re.Match[bytes] | None:
-    """The seal is the last entry; a text before it may look like one."""
+    """Return the match of the seal, the last one in the content; None without a seal."""
     start = content.rfind(SEAL_KEY.encode())
     return _SEAL.match(content, start) if start >= 0 else None
 
 
 def _digest(content: bytes, seal: re.Match[bytes]) -> str:
-    """SHA-256 of the content with a blank seal, as hex digits."""
+    """Return the SHA-256 of the content with a blank seal, as hex digits."""
     digest = hashlib.sha256(memoryview(content)[: seal.start(1)])
     digest.update(_BLANK_DIGEST.encode())
     digest.update(memoryview(content)[seal.end(1) :])

@@ -1,4 +1,4 @@
-"""A directory of results as reports and pages read it."""
+"""A results directory as the source of reports and pages."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -17,23 +17,23 @@ from sinsjax.messages import counted, one_line
 from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick, yardsticks
 
-_MAX_CACHED_RUNS = 2**20  # runs; of more, columns are read anew each time, to bound the memory
+_MAX_CACHED_RUNS = 2**20  # larger studies read columns anew each time, to limit the memory
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A directory of results; what is asked for is read, and no more.
+    """A results directory, of which only the requested columns are read.
 
     Attributes:
-        directory: where they are.
+        directory: results directory.
         study: the resolved study.
-        config: what a page names as the study's file.
-        table: the summary by run_id, where it need not be read; the estimates by variant_id.
-        warnings: what was doubtful before the study ran, a line each.
-        version: of the package that computed them.
-        wall_s: how long the study took, s; None if unknown.
-        record_latitude_deg: that of the header of the record, deg; None if there is none.
-        whole_draws: of an unfinished study, the draws that all variants have; no others are read.
+        config: name of the study's file on pages.
+        table: the estimates by variant_id; None if there is a summary to be read.
+        warnings: warnings from before the study ran, one line each.
+        version: version of sinsjax that computed the results.
+        wall_s: duration of the study, s; None if unknown.
+        record_latitude_deg: latitude in the record's header, deg; None if there is none.
+        whole_draws: in an unfinished study, the draws that every variant has; others are ignored.
     """
 
     directory: Path
@@ -49,15 +49,15 @@ class Source:
 
     @classmethod
     def read(cls, directory: Path, *, unfinished: bool = False) -> "Source":
-        """Opens a directory of results.
+        """Open a results directory.
 
         Args:
-            directory: where they are.
-            unfinished: whether the draws that are whole stand for a study that is not finished; a
-                warning then says how many there are.
+            directory: results directory.
+            unfinished: whether to accept an unfinished study, restricted to the draws that every
+                variant has; a warning then states how many there are.
 
         Raises:
-            InputError: it holds none, or its study cannot be read, or no draw is whole yet.
+            InputError: it contains no results or complete draws, or its study cannot be read.
         """
         table = None
         places.check_directory(directory)
@@ -84,7 +84,7 @@ class Source:
         return source._restrict_to_whole_draws() if restrict else source
 
     def _restrict_to_whole_draws(self) -> "Source":
-        """The same of the draws that are whole: variants are compared on the same draws."""
+        """Return the source restricted to draws that every variant has, for a fair comparison."""
         study, runs = self.study, self.runs
         whole_draws, suffix = None, ""
         if self.table is None:
@@ -97,7 +97,7 @@ class Source:
             return self
         kind = "runs" if self.table is None else "variants"
         share = 100 * runs / planned_runs
-        progress = f"unfinished: {runs:,} of {planned_runs:,} {kind} are there ({share:.2g} %)"
+        progress = f"unfinished: {runs:,} of {planned_runs:,} {kind} are done ({share:.2g} %)"
         if whole_draws is not None and not len(whole_draws):
             raise InputError(
                 f"{self.directory}: {progress}, and no draw that every variant has (continue with"
@@ -108,14 +108,14 @@ class Source:
 
     @cached_property
     def runs(self) -> int:
-        """Number of rows: of runs, or of variants where these are estimated."""
+        """Number of rows: runs, or variants if these are estimated."""
         if self.whole_draws is not None:
             return len(self.whole_draws) * self.study.n_variants
         return results.count_runs(self.directory) if self.table is None else self.table.num_rows
 
     @property
     def sample_size_text(self) -> str:
-        """What a figure rests on, for its footer: the study's name and how many runs it has."""
+        """Sample size for the footer of a figure: the study's name and its number of runs."""
         study = self.study
         unit = "start time" if study.is_recorded else "Monte Carlo run"
         if study.n_variants == 1:
@@ -130,7 +130,7 @@ class Source:
 
     @property
     def draws(self) -> int:
-        """Draws of every variant: fewer than the study's where it stopped or is unfinished.
+        """Number of draws per variant; fewer than the study's if it stopped early or is unfinished.
 
         Raises:
             InputError: runs are missing.
@@ -143,18 +143,18 @@ class Source:
             draws = int(analysis.numbers(self.rows(["draw_id"]), "draw_id").max()) + 1
         if self.runs != draws * study.n_variants:
             raise InputError(
-                f"{self.directory}: {self.runs} runs where the study has"
-                f" {draws * study.n_variants}: are the results complete?"
+                f"{self.directory}: has {self.runs} runs, but the study has"
+                f" {draws * study.n_variants} (continue with `--resume`)"
             )
         return draws
 
     @cached_property
     def summary(self) -> pa.Table:
-        """All columns, one row a run, by run_id; kept. A large study has no room for it."""
+        """All columns, one row per run, by run_id, cached; too large in large studies."""
         return self._read_columns(None) if self.table is None else self.table
 
     def _read_columns(self, names: list[str] | None) -> pa.Table:
-        """Columns of the runs that are read; None for all columns."""
+        """Read columns of the summary, restricted to `whole_draws`; None for all columns."""
         if self.whole_draws is None:
             return results.read_summary(self.directory, names)
         needed = None if names is None else [*names, *({"draw_id"} - {*names})]
@@ -163,10 +163,10 @@ class Source:
         return rows if names is None else rows.select(names)
 
     def rows(self, names: Iterable[str]) -> pa.Table:
-        """Some columns, one row a run, by run_id; each is read once, unless there are many runs.
+        """Return some columns, one row per run, by run_id; each is read once, unless runs are many.
 
         Args:
-            names: of the columns; repeated ones are there once.
+            names: names of the columns; repeated ones appear once.
 
         Raises:
             InputError: a column is missing.
@@ -187,15 +187,15 @@ class Source:
         return self.table.select(selected)
 
     def largest_magnitude(self, key: str) -> float:
-        """The largest magnitude of a number or vector of the study, given or drawn, to 3 digits."""
+        """Return the largest magnitude of a key's numbers, fixed or drawn, to 3 digits."""
         drawn = key in self.study.drawn_keys
         values = self.rows([key])[key].to_pylist() if drawn else self.study.values(key)
         return float(f"{max(float(np.max(np.abs(value or 0.0))) for value in values):.3g}")
 
     def distinct_rows(self, names: Iterable[str]) -> pa.Table:
-        """As `rows`, of variants that differ: one of each kind that has the same runs.
+        """Return `rows` without duplicates: one variant of each set with the same runs.
 
-        Keys are null where they do not act: without resets there is no cycle.
+        Keys without effect are null: without resets there is no cycle.
         """
         first_duplicate = self.study.duplicate_of
         if (first_duplicate == np.arange(len(first_duplicate))).all():
@@ -214,9 +214,9 @@ class Source:
 
     @cached_property
     def yardsticks(self) -> tuple[Yardstick, ...]:
-        """What success can be counted from, what the study is judged from first.
+        """Success criteria of the study, its own first.
 
-        Neither the truth nor the bias floor where no run has one.
+        Truth and bias floor are left out if no run has one.
         """
         criteria = yardsticks(self.study)
         flags = self.rows([criterion.ok for criterion in criteria])
@@ -230,7 +230,7 @@ class Source:
         return (self.directory / "curves").is_dir()
 
     def curves(self, run_ids: Iterable[int] | None = None) -> pa.Table:
-        """Curves of some runs, or of all that are read; empty where none were stored."""
+        """Return the curves of some runs, or of all; empty if none were stored."""
         if run_ids is None and self.whole_draws is not None:
             run_ids = self.rows(["run_id"])["run_id"].to_pylist()
         return results.read_curves(self.directory, None if run_ids is None else sorted(run_ids))

@@ -1,7 +1,7 @@
 """Early stopping of a study by ``[stop_when]``.
 
-Interim analyses take place at fixed numbers of draws and use all rows of those draws, so the result
-does not depend on chunks, workers or their order.
+Interim analyses occur at fixed numbers of draws and use all rows of those draws, so the result does
+not depend on chunks, workers or their order.
 """
 
 import math
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sinsjax.analysis import Estimate
 
 FIRST_INTERIM = 64
-"""Draws at the first interim analysis; each further one has twice as many."""
+"""Draws at the first interim analysis; each further one doubles them."""
 
 
 class InterimAnalysis(NamedTuple):
@@ -27,7 +27,7 @@ class InterimAnalysis(NamedTuple):
         draws: number of draws analysed.
         half_width: largest half width over the variants of the statistic's 95 % interval; infinite
             if a variant has too few settled runs for an interval.
-        is_sufficient: whether that is narrow enough.
+        is_sufficient: whether that is narrow enough to stop.
     """
 
     draws: int
@@ -36,7 +36,7 @@ class InterimAnalysis(NamedTuple):
 
 
 def interim_draws(study: Study) -> list[int]:
-    """Numbers of draws at the interim analyses; the last is the maximum."""
+    """Return the numbers of draws at the interim analyses; the last is the maximum."""
     if study.stop_when is None:
         return [study.n_draws]
     ends = [FIRST_INTERIM]
@@ -46,13 +46,13 @@ def interim_draws(study: Study) -> list[int]:
 
 
 def required_columns(study: Study) -> list[str]:
-    """Columns of the summary that an interim analysis needs."""
+    """Return the columns of the summary that an interim analysis needs."""
     assert study.stop_when is not None
     return ["run_id", "draw_id", "variant_id", _statistic_column(study)]
 
 
 def _statistic_column(study: Study) -> str:
-    """Column of the statistic, about truth or bias floor by the study's success criterion."""
+    """Return the column of the statistic, about truth or floor as the success criterion demands."""
     assert study.stop_when is not None
     name = study.stop_when.statistic
     if name == "success_rate":

@@ -1,8 +1,8 @@
-"""The results of a job as its chunks are computed: a directory of Parquet parts, or tables.
+"""Storage of a job's results while its chunks are computed: a directory, or tables in memory.
 
 Every file of a directory is written under a temporary name, synced and renamed, so a sweep killed
-at any point leaves only complete parts. A part carries its own checksum, study and chunk: it counts
-whether or not the manifest lists it yet.
+at any point leaves only complete parts. A part contains its own checksum, study and chunk, so it is
+valid whether or not the manifest lists it yet.
 """
 
 import time
@@ -25,7 +25,7 @@ from sinsjax.platform.files import read_regular, replacing, unwritable
 from sinsjax.study.identity import fingerprint, sections_of
 from sinsjax.study.load import study_to_toml
 
-_MANIFEST_SHARE = 0.05  # largest share of the time spent on writing manifests
+_MANIFEST_SHARE = 0.05  # largest share of the time for writing manifests
 _MANIFEST_EVERY_S = 1.0  # least interval: writing manifests blocks the threads
 _SESSION_ENTRIES = ("versions", "instructions", "devices", "devices_are")
 """Entries of the last session that are repeated for the whole directory."""
@@ -33,7 +33,7 @@ _SESSION_ENTRIES = ("versions", "instructions", "devices", "devices_are")
 
 @runtime_checkable
 class ResultSink(Protocol):
-    """Where the results of a job are put."""
+    """Destination of the results of a job."""
 
     place: str
 
@@ -58,7 +58,7 @@ class MemoryStore:
     """The tables of a job in memory.
 
     Attributes:
-        place: words for where results are.
+        place: location of the results, as text.
     """
 
     place = "memory"
@@ -80,7 +80,7 @@ class MemoryStore:
         return self.tables()["summary"].select(names)
 
     def finish(self, state: str, **facts: Any) -> None:
-        """Nothing remains to be done."""
+        """Do nothing."""
 
     def tables(self) -> dict[str, pa.Table]:
         """Return the rows of all tasks by dataset, in any order."""
@@ -92,7 +92,7 @@ class DirectoryStore:
 
     Attributes:
         directory: results directory.
-        place: words for where results are.
+        place: location of the results, as text.
     """
 
     def __init__(self, runner: TaskRunner, facts: dict[str, Any] | None = None) -> None:
@@ -127,7 +127,9 @@ class DirectoryStore:
     def _prepare_directory(self) -> None:
         job = self._runner.job
         if resuming.manifest_state(self.directory) != job.manifest_state:
-            raise InputError(f"{self.directory}: another process has just written there")
+            raise InputError(
+                f"{self.directory}: another process has just written there (run again)"
+            )
         _remove_files(places.stale_temp_files(self.directory))
         if not job.resume:
             _remove_files(places.owned_files(self.directory))
@@ -135,7 +137,7 @@ class DirectoryStore:
             self._sessions = [session.model_dump() for session in manifest.sessions]
             self._chunks = {c.name: c.model_dump() for c in manifest.chunks if c.state == "done"}
         else:
-            # First, so that the files of a killed run are recognised as results.
+            # First, to mark the files of a killed run as results.
             self._write_manifest("running")
             self._write_study()
 
@@ -169,7 +171,7 @@ class DirectoryStore:
         parts = (path for name in DATASETS for path in places.list_parts(self.directory, name))
         _remove_files(path for path in parts if path.stem not in self._chunks)
         self._write_manifest("running")
-        self._write_study()  # last: an extension not yet in the manifest can be requested again
+        self._write_study()  # last: an extension missing in the manifest can be requested again
         return missing
 
     def add_result(self, result: EncodedResult) -> None:
@@ -211,7 +213,7 @@ class DirectoryStore:
         return self.directory / dataset / f"{task.name}.parquet"
 
     def _chunk_entry(self, task: Task, seconds: float | None) -> dict[str, Any]:
-        """Manifest entry of a task with complete parts."""
+        """Return the manifest entry of a task with complete parts."""
         files = [
             {"file": f"{dataset}/{task.name}.parquet", "rows": rows} for dataset, rows in task.rows
         ]

@@ -1,4 +1,4 @@
-"""The results of a study as Python returns them: tables in memory, or of a directory."""
+"""Results of a study for Python: tables in memory, or those of a directory."""
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -53,19 +53,19 @@ class Results:
         tables: Mapping[str, pa.Table] | None = None,
         directory: Path | None = None,
     ) -> None:
-        """Take tables by dataset, or a directory."""
+        """Create results from tables by dataset, or from a directory."""
         self.study, self.wall_s, self.directory = study, wall_s, directory
         self._tables = tables
 
     @classmethod
     def read(cls, directory: str | Path) -> "Results":
-        """Open a results directory, of which tables are read when needed.
+        """Open a results directory; tables are read when needed.
 
         Args:
             directory: results directory.
 
         Raises:
-            InputError: the directory holds no results, or its manifest or study cannot be read.
+            InputError: the directory contains no results, or its manifest or study cannot be read.
 
         Examples:
             >>> changes = {"study.draws": 2, "study.rate_hz": 10.0}
@@ -82,7 +82,7 @@ class Results:
         """One row per run, ordered by run_id; the schema has units and meanings.
 
         Raises:
-            InputError: the directory cannot be read, or holds estimates, which have no runs.
+            InputError: the directory cannot be read, or contains estimates, which have no runs.
 
         Examples:
             >>> changes = {"study.draws": 2, "study.rate_hz": 10.0}
@@ -156,7 +156,7 @@ class Results:
 
     @property
     def _rows(self) -> pa.Table:
-        """The table with a row per run, or per variant if these are estimated."""
+        """Table with one row per run, or per variant if these are estimated."""
         if not self.study.is_estimated:
             return self.summary
         assert self.directory is not None  # in memory `estimate` returns the table itself

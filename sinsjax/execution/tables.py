@@ -54,11 +54,11 @@ class TableBuilder:
                 starts_of(study, study.rate_hz) / study.rate_hz,
                 study.record.start_s,
             )
-            # A rate of 99.9999999 Hz, from stamps that are rounded, moves no start.
+            # A rate of 99.9999999 Hz, from rounded stamps, must not move a start.
             self._start_s = np.where(np.abs(actual_s - given_s) < 1e-6, given_s, actual_s)
 
     def summary_table(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
-        """Summary of a chunk, one row per run.
+        """Return the summary of a chunk, one row per run.
 
         Args:
             chunk: engine results.
@@ -108,7 +108,7 @@ class TableBuilder:
         return make_table(self.summary_columns, values)
 
     def curve_table(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
-        """Curves of a chunk that has them, one row per run and record time."""
+        """Return the curves of a chunk that has them, one row per run and record time."""
         assert isinstance(chunk.curves, Observation)
         run_id = chunk.draw * self._study.n_variants + variant_ids[chunk.variant]
         codes, spans = self._study.lengths
@@ -135,12 +135,12 @@ class TableBuilder:
         return values | {"heading_deg": nullable_array(heading)}
 
     def _chunk_method(self, variant: np.ndarray) -> Description:
-        """The method of a chunk's variants, common to all of them."""
+        """Return the method that all variants of a chunk share."""
         codes, names = self._methods
         return METHODS[names[codes[variant[0]]]]
 
     def _method_values(self, chunk: Chunk, variant: np.ndarray) -> dict[str, pa.Array]:
-        """Columns specific to methods; all runs of a chunk have the same method."""
+        """Return the columns specific to methods; all runs of a chunk have the same method."""
         method = self._chunk_method(variant)
         method_names = {column.column.name for column in method.columns_of(self._study)}
         values = {}
@@ -155,17 +155,17 @@ class TableBuilder:
         return values
 
     def _truth_column(self, values: Any) -> pa.Array:
-        """Values that need a truth: null without one, and where they are not finite."""
+        """Return a column of values that need a truth: null without one, or if not finite."""
         return nullable_array(values if self._has_truth else np.full(np.shape(values), np.nan))
 
     def _truth_flag_column(self, flags: np.ndarray) -> pa.Array:
-        """Flags that need a truth: null without one."""
+        """Return a column of flags that need a truth: null without one."""
         return pa.array(flags if self._has_truth else [None] * len(flags), pa.bool_())
 
     def _settling_columns(
         self, verdict: Verdict, pass_s: np.ndarray, before_s: np.ndarray
     ) -> dict[str, pa.Array]:
-        """Settling times of all bands, about the bias floor and the truth, by column."""
+        """Return the settling times of all bands, about bias floor and truth, by column."""
         values = {}
         for truth, settled_by_band in (
             (False, verdict.settled_s[FLOOR]),
@@ -180,7 +180,7 @@ class TableBuilder:
         return values
 
     def _report_time_columns(self, outcome: Outcome) -> dict[str, pa.Array]:
-        """Heading error, its sigma and NEES at the report times, by column."""
+        """Return the heading error, its sigma and NEES at the report times, by column."""
         values: dict[str, pa.Array] = {}
         for number, time in enumerate(self._study.report_times_s):
             phi, sigma, nees = np.asarray(outcome.at_times)[:, number].T
@@ -194,7 +194,7 @@ class TableBuilder:
         return values
 
     def _floor_flags(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
-        """Which runs have a bias floor, given the last reset of their schedule or trigger."""
+        """Return whether each run has a bias floor, given its last scheduled or triggered reset."""
         method = self._chunk_method(variant)
         last_event = method.last_called(chunk.outcome.results)
         if last_event is None and not self._study.drawn_keys:
@@ -206,12 +206,12 @@ class TableBuilder:
 
     @cached_property
     def _has_floor_by_variant(self) -> np.ndarray:
-        """Which variants have a bias floor, if that depends neither on draws nor on triggers."""
+        """Whether each variant has a bias floor, if neither draws nor triggers decide that."""
         return limited_variants(self._study)
 
 
 def _data_before_start_s(study: Study) -> np.ndarray:
-    """(variants,) data of a record before t = 0, where other variants begin with its first, s."""
+    """Return the length of record before t = 0, s, (variants,); zero if no variant counts it."""
     if not study.counts_before:
         return np.zeros(study.n_variants)
     column = study.resolved.column(*COARSE_KEYS)
@@ -223,18 +223,18 @@ def _zip_axes(vector: Any) -> Any:
 
 
 def nullable_array(values: Any) -> pa.Array:
-    """Numbers of any shape as a column, null where they are not finite."""
+    """Return numbers of any shape as a column, null if they are not finite."""
     flat = np.asarray(values, dtype=float).ravel()
     return pa.array(flat, mask=~np.isfinite(flat))
 
 
 def replace_column(table: pa.Table, name: str, values: pa.Array) -> pa.Table:
-    """A table with other values in a column, of its type."""
+    """Return a table with new values in a column, cast to its type."""
     index, field = table.column_names.index(name), table.schema.field(name)
     return table.set_column(index, field, values.cast(field.type))
 
 
 def make_table(table_columns: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
-    """A table of some columns, from their values by name."""
+    """Return a table of some columns, from their values by name."""
     arrays = [pa.array(values[c.name]).cast(c.dtype) for c in table_columns]
     return pa.Table.from_arrays(arrays, schema=columns.schema(table_columns))

@@ -1,7 +1,7 @@
-"""Division of a study into tasks, each with the same result on any machine and in any order.
+"""Division of a study into tasks, whose results do not depend on machine or order.
 
 A task is one chunk of runs, computed by one call of the compiled program. The division depends only
-on the study, so that a task can be repeated anywhere.
+on the study, so a task can be repeated anywhere.
 """
 
 import hashlib
@@ -34,7 +34,7 @@ from sinsjax.study.identity import fingerprint, with_draws
 from sinsjax.study.study import Study
 
 _DRAWS_PER_BLOCK = 2**16  # about 30 MB if everything is drawn
-_CACHED_PARTS = 3  # a part has its own increments; threads at the border of two parts need both
+_CACHED_PARTS = 3  # a part has its own increments; threads may work on two parts
 
 
 class Job(NamedTuple):
@@ -45,14 +45,14 @@ class Job(NamedTuple):
         stored: the record of a recorded study.
         curves: whether to keep curves; None follows the study.
         chunk_runs: runs per chunk, rounded to two or more whole tiles; None for the default.
-        extended_at: numbers of draws that its results had before each extension, ascending.
+        extended_at: numbers of draws of its results before each extension, ascending.
         directory: results directory; None for tables in memory.
         overwrite: whether existing results are removed.
         resume: whether existing results are continued.
         manifest_state: state of the directory's manifest when it was checked.
-        source: the study's file, or words for it.
+        source: the study's file, or another label.
         warnings: doubts about the study or its record, one line each.
-        notes: what a user should know beside that, one line each.
+        notes: further information for the user, one line each.
         forecast: expected runs, time, memory and disk space.
     """
 
@@ -72,14 +72,14 @@ class Job(NamedTuple):
 
     @property
     def initial_draws(self) -> int:
-        """Number of draws that its results began with."""
+        """Number of draws before the first extension."""
         return min((*self.extended_at, self.study.n_draws))
 
     @property
     def identity(self) -> str:
         """Hash of everything that determines the rows: the study and its record, as hex digits.
 
-        It stays the same when the study is extended.
+        An extension of the study does not change it.
         """
         study = with_draws(self.study, self.initial_draws) if self.extended_at else self.study
         digest = hashlib.sha256(fingerprint(study).encode())
@@ -187,12 +187,12 @@ class TaskRunner:
 
     @property
     def stages(self) -> list[range]:
-        """Ranges of draws, to each interim analysis and extension; one changes no other's tasks."""
+        """Ranges of draws up to each interim analysis and extension, with independent tasks."""
         ends = sorted({*stopping.interim_draws(self.job.study), *self.job.extended_at})
         return [range(a, b) for a, b in zip([0, *ends], ends, strict=False)]
 
     def plan_tasks(self) -> list[list[Task]]:
-        """The tasks of every stage."""
+        """Return the tasks of every stage."""
         study, calls_before = self.job.study, [0] * len(self._programs)
         tasks_by_stage = []
         for stage in self.stages:
@@ -209,7 +209,7 @@ class TaskRunner:
         return tasks_by_stage
 
     def _plan_part(self, part: int, draws: range, calls_before: int) -> list[Task]:
-        """Tasks of some draws of a part, after so many."""
+        """Return the tasks of some draws of a part, numbered from ``calls_before``."""
         duplicates, ids = self._duplicates[part], self.scenario.variant_ids[part]
         variants = len(ids) if duplicates is None else len(duplicates.computed)
         static, tasks = self._programs[part], []
@@ -223,7 +223,7 @@ class TaskRunner:
         return tasks
 
     def _split_draws(self, stage: range) -> list[range]:
-        """The draws of a stage in groups that fit in memory with their drawn values."""
+        """Return the draws of a stage in blocks whose drawn values fit in memory."""
         if not self.job.study.drawn_keys:
             return [stage]
         firsts = range(stage.start, stage.stop, _DRAWS_PER_BLOCK)
@@ -244,13 +244,13 @@ class TaskRunner:
         return TaskResult(task, tables, self._output.count_failures(tables), seconds)
 
     def compute_files(self, task: Task) -> EncodedResult:
-        """Compute the Parquet files of one task: the same bytes on any machine."""
+        """Compute the Parquet files of one task, with the same bytes on any machine."""
         _, tables, failures, seconds = self.compute_tables(task)
         files = {name: self.to_parquet(name, table, task) for name, table in tables.items()}
         return EncodedResult(task, files, failures, seconds)
 
     def to_parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
-        """Return a table of a task as a sealed Parquet file: the same rows give the same bytes.
+        """Return a table of a task as a sealed Parquet file: equal rows give equal bytes.
 
         Raises:
             ValueError: the table lacks columns of the dataset.
@@ -285,7 +285,7 @@ class TaskRunner:
 
 
 class Executor(NamedTuple):
-    """A means of running tasks.
+    """Function that runs tasks, and facts about its machines.
 
     Attributes:
         run_tasks: yields results in any order, as Parquet files for a directory. It takes the next
@@ -298,7 +298,7 @@ class Executor(NamedTuple):
 
 
 def local_executor() -> Executor:
-    """Executor on all devices of this process: threads of one program on a CPU."""
+    """Return an executor on all devices of this process: threads of one program on a CPU."""
     devices = len(jax.devices())
     description = (
         "threads over one program" if len(targets()) == 1 else "devices with a program each"

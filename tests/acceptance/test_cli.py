@@ -169,13 +169,13 @@ def test_resume_computes_only_missing_runs(sinsjax: Command, tmp_path: Path) -> 
     config, out = write_study(tmp_path, **TWO, study={"draws": 100}), tmp_path / "out"
     words = ("sweep", config, "-o", out, "--resume")
     code, told, _ = sinsjax(*words, "--chunk-runs", 64)
-    assert code == 0 and f"{out}: there is nothing to resume, all runs are new." in told
+    assert code == 0 and f"{out}: no results to resume, all runs are new." in told
     before = everything(out)
     lost, *kept = sorted(out.glob("summary/*.parquet"))
     assert len(kept) == 1
     lost.unlink()
     code, told, _ = sinsjax(*words)
-    assert code == 0 and "nothing to resume" not in told
+    assert code == 0 and "no results to resume" not in told
     assert "study: 72 of 200 runs already there" in told
     assert "study: 200 of 200 runs" in told
     assert {k: v[0] for k, v in everything(out).items() if "summary" in k} == {

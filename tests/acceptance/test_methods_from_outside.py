@@ -290,8 +290,16 @@ def test_unsupported_covariance_search_names_file_and_remedy(
 @pytest.mark.parametrize(
     ("given", "described", "what"),
     [
-        ("no_covariance(state.nav.ve)", True, "gives none as a run begins, but has_covariance is"),
-        ("AttitudeCovariance(*(one, 0 * one) * 3)", False, "gives one, but has_covariance is Fal"),
+        (
+            "no_covariance(state.nav.ve)",
+            True,
+            "returns none at the start of a run, but has_covariance is",
+        ),
+        (
+            "AttitudeCovariance(*(one, 0 * one) * 3)",
+            False,
+            "returns one, but has_covariance is Fal",
+        ),
         ("AttitudeCovariance(*(-one, 0 * one) * 3)", True, "gives a negative variance as a run "),
         ("AttitudeCovariance(one, 0 * one, 0 * one, one, 0 * one, one)", True, None),
     ],

@@ -300,7 +300,7 @@ def test_sweep_that_cannot_resume_prints_no_forecast(
     write_manifest(out, small_study(study={"draws": 48}))
     code, told, error = command("sweep", config, "-o", out, "--resume")
     assert (code, told) == (2, "")
-    assert error.endswith("(there can be more, not fewer: continue with --draws 48)\n")
+    assert error.endswith("(draws can be added, not removed: continue with --draws 48)\n")
 
 
 ENDING = """

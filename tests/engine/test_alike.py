@@ -47,7 +47,7 @@ def test_deduplicated_rows_equal_rows_of_all_variants_computed(
 
 def test_duplicate_variants_are_computed_once_but_all_runs_counted(study: Study) -> None:
     runner = TaskRunner(Job(study))
-    (computed,) = [same.computed for same in runner._alike if same is not None]
+    (computed,) = [same.computed for same in runner._duplicates if same is not None]
     assert len(computed) == 2 * (1 + len(CYCLES))
     (tasks,) = runner.plan_tasks()
     assert sum(task.runs for task in tasks) == study.n_draws * study.n_variants
@@ -64,7 +64,7 @@ def test_rerun_of_run_id_reproduces_stored_row(study: Study) -> None:
 
 def test_all_variants_are_computed_if_few_are_duplicates() -> None:
     small = small_study(axes={"reset_cycle_s": [1.0, 2.0], "reset_count": [0, 1, 2]})
-    assert TaskRunner(Job(small))._alike == [None]
+    assert TaskRunner(Job(small))._duplicates == [None]
 
 
 def test_duplicate_variants_have_equal_engine_parameters(study: Study) -> None:

@@ -273,12 +273,12 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
     stored = prepare.load_increments(study, tmp_path / "drive.csv", tmp_path / "r.csv")
     assert stored.record.rate_hz == pytest.approx(rate, rel=1e-9)
     made = run.run(study, stored, curves=True)
-    times = made.curve_table["time_s"].to_pylist()[:4]
+    times = made.curves["time_s"].to_pylist()[:4]
     np.testing.assert_allclose(times, 200 / rate * np.arange(1, 5), rtol=1e-9)
-    starts = made.summary_table["start_s"].to_pylist()
+    starts = made.summary["start_s"].to_pylist()
     np.testing.assert_allclose(starts, [0, 400 / rate], rtol=1e-9)
-    assert np.abs(made.summary_table["phi_u_arcmin"]).max() < 60
-    np.testing.assert_allclose(made.summary_table["heading_deg"], 350, atol=1)
+    assert np.abs(made.summary["phi_u_arcmin"]).max() < 60
+    np.testing.assert_allclose(made.summary["heading_deg"], 350, atol=1)
     early = stored.reference
     assert isinstance(early, Reference) and early.time_s[0] == pytest.approx(0)
     epoch = stored._replace(record=stored.record._replace(t0_s=1763000000.25))

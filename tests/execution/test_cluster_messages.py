@@ -153,7 +153,7 @@ def test_task_that_fails_repeatedly_is_named(
 
     runner = recorded_runner()
     (tasks,) = runner.plan_tasks()
-    monkeypatch.setattr(TaskRunner, "pack", fail)
+    monkeypatch.setattr(TaskRunner, "compute_files", fail)
     with (
         cluster.executor(scheduler=scheduler) as executor,
         pytest.raises(InputError) as refused,
@@ -252,7 +252,7 @@ def test_lost_and_missing_workers_are_reported_once(
 
     def warnings(*workers: str) -> str:
         client.workers = workers
-        assert pool.find() == dict.fromkeys(workers, 2)
+        assert pool.count_threads() == dict.fromkeys(workers, 2)
         return capsys.readouterr().err
 
     waiting = (
@@ -277,19 +277,19 @@ def test_missing_workers_are_refused_after_ten_minutes(monkeypatch: pytest.Monke
     monkeypatch.setattr(cluster, "time", SimpleNamespace(monotonic=lambda: now))
     pool = cluster._Workers(FakeClient(), "tcp://head:8786")
     now = 1599.0
-    assert pool.find() == {}
+    assert pool.count_threads() == {}
     now = 1601.0
     with pytest.raises(InputError, match=r"^tcp://head:8786: no worker for 10 min$"):
-        pool.find()
+        pool.count_threads()
 
 
 def test_lost_scheduler_is_reported() -> None:
     client = FakeClient()
     client.workers = None
     with pytest.raises(InputError) as lost:
-        cluster._Workers(client, "tcp://head:8786").find()
+        cluster._Workers(client, "tcp://head:8786").count_threads()
     assert str(lost.value) == (
-        "tcp://head:8786: lost the scheduler (results so far are kept: the same again with"
+        "tcp://head:8786: lost the scheduler (completed chunks are stored: repeat with"
         " --resume, in Python resume=True)"
     )
 
@@ -313,7 +313,7 @@ def test_lost_scheduler_is_reported() -> None:
         (
             {"instruction set": "VAX"},
             f"the worker has instruction set {xla.instructions()}, not VAX: rows could differ"
-            " (start all with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one)",
+            " (start all workers with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one)",
         ),
     ],
 )

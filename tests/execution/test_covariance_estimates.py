@@ -258,7 +258,7 @@ def test_sweep_resumes_after_kill(moment: str, whole: Path, tmp_path: Path) -> N
 def test_draws_study_replaces_estimates_only_with_overwrite(whole: Path, tmp_path: Path) -> None:
     study_run.run_into(short(), tmp_path, chunk_runs=128)
     drawn = study_of(study={"estimate": "draws", "draws": 2})
-    with pytest.raises(InputError, match="holds results of another study"):
+    with pytest.raises(InputError, match="contains results of another study"):
         study_run.run_into(drawn, tmp_path, resume=True)
     study_run.run_into(drawn, tmp_path, overwrite=True)
     assert not list(tmp_path.glob("estimates/*"))
@@ -273,12 +273,12 @@ def test_operations_that_need_runs_are_refused_for_estimates(whole: Path) -> Non
     with pytest.raises(InputError) as caught:
         read_summary(whole)
     assert str(caught.value) == (
-        f"{whole}: holds estimates of variants, and no runs (`read_estimates` reads them)"
+        f"{whole}: contains estimates of variants, and no runs (`read_estimates` reads them)"
     )
     with pytest.raises(InputError) as caught:
         rerun.rerun_stored_run(whole, 0, Console())
     assert str(caught.value) == f"{whole}: a covariance estimate has no run to repeat"
-    with pytest.raises(InputError, match="a covariance estimate has no runs with curves to keep"):
+    with pytest.raises(InputError, match="curves: a covariance estimate has no runs"):
         study_run.run_into(short(), whole.parent / "curves", curves=True)
     assert not (whole.parent / "curves").exists()
     with pytest.raises(InputError, match="estimates: column settle_7_s is missing"):

@@ -28,8 +28,8 @@ pytestmark = pytest.mark.optimised(False)
 
 HOLD = """
 import sys, pathlib
-from sinsjax.execution.directory import lock
-held = lock(pathlib.Path(sys.argv[1]))
+from sinsjax.execution.directory import lock_directory
+held = lock_directory(pathlib.Path(sys.argv[1]))
 print("held", flush=True)
 sys.stdin.read()
 """
@@ -161,7 +161,7 @@ def test_links_and_pipes_in_results_are_refused_and_left_alone(
 ) -> None:
     out = Path(shutil.copytree(results, tmp_path / "out"))
     PLACED[name](out / name)
-    named = rf"{Path(name).name}: is (a symbolic link|no regular file)"
+    named = rf"{Path(name).name}: is (a symbolic link|not a regular file)"
     study, before = small_study(study={"curves": True}), everything(tmp_path)
     for attempt in (
         lambda: sinsjax.run_into(study, out),

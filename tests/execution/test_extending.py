@@ -118,7 +118,7 @@ def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path
             of(80),
             of(79),
             "[study] draws: 80 there, 79 here"
-            " (there can be more, not fewer: continue with --draws 80)",
+            " (draws can be added, not removed: continue with --draws 80)",
         ),
         (
             of(80),
@@ -128,7 +128,7 @@ def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path
         (
             of(3, alignment={"phi_u0_deg": None}, drawn={"phi_u0_deg": {"values": [1, 2, 3]}}),
             of(4, alignment={"phi_u0_deg": None}, drawn={"phi_u0_deg": {"values": [1, 2, 3]}}),
-            "[drawn] phi_u0_deg.values: ends with the 3 draws that are there",
+            "[drawn] phi_u0_deg.values: ends with the 3 existing draws",
         ),
     ],
 )

@@ -210,7 +210,7 @@ def test_forecast_describes_remaining_runs_and_time():
 
 def test_forecast_reports_nothing_left_to_run():
     expected = forecast.forecast_sweep(small_study(study={"draws": 192}))
-    line = "192 runs of up to 6 s: nothing is left to run"
+    line = "192 runs of up to 6 s: all are done"
     assert expected.describe(2, 192) == expected.describe(2, 200, threads=True) == line
     assert "1 left: roughly" in expected.describe(2, 191)
 

@@ -58,7 +58,7 @@ def test_surge_raises_information_bound_and_method_does_not_change_it():
         ({"passes": {"stored_s": 20.0}}, r"^\[passes\]: repeated passes add no information"),
         (
             {"earth": {"latitude_deg": None}, "drawn": {"latitude_deg": {"uniform": [0.0, 60.0]}}},
-            r"^\[earth\] latitude_deg: the information bound takes its value as given",
+            r"^\[earth\] latitude_deg: the information bound needs a fixed value",
         ),
     ],
 )

@@ -23,14 +23,14 @@ from sinsjax.study.study import Study
 pytestmark = pytest.mark.optimised(False)
 
 ONCE = (
-    "prepare.prepare",
-    "checks.check_methods",
+    "prepare.prepare_job",
+    "checks.check_plugin_methods",
     "checks.study_warnings",
-    "forecast.of",
-    "forecast.require_room",
-    "resume.check_free",
+    "forecast.forecast_sweep",
+    "forecast.check_resources",
+    "resume.check_available",
     "directory.check_unlocked",
-    "directory.lock",
+    "directory.lock_directory",
     "load.load_with_notes",
     "load.load_study",  # of the results, by the report
 )

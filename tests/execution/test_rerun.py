@@ -216,7 +216,7 @@ def test_rerun_reports_changed_package_version_or_code(
         assert "Last bits depend" in rerun_into(out, 0, out=tmp_path / "bits")
     with turned(out, 0.1):
         told = rerun_into(out, 0, out=tmp_path / "code")
-        why = "These are not last bits: the code of bringing 1.1 may have changed."
+        why = "This exceeds last bits: the code of bringing 1.1 may have changed."
         assert f" here. {why}\n" in told
         rewrite_manifest(out, versions=read_manifest(out)["versions"] | {"bringing": "1.0"})
         told = rerun_into(out, 0, out=tmp_path / "version")
@@ -242,7 +242,7 @@ def test_invalid_rerun_raises_one_line_error(
 
 def test_rerun_of_run_without_row_is_refused(out: Path, tmp_path: Path) -> None:
     study_run.run_into(stopping_study(), tmp_path / "out")
-    with pytest.raises(InputError, match="has no row of run 384 yet"):
+    with pytest.raises(InputError, match="run 384 has no row yet"):
         rerun_into(tmp_path / "out", 384)
 
 

@@ -292,7 +292,7 @@ def changed(**changes: Any) -> Study:
 def test_resume_with_other_study_reports_differing_keys(out: Path, name: str) -> None:
     changes, named = DIFFERING[name]
     before = everything(out)
-    with pytest.raises(InputError, match=r"out: holds results of another study: \[") as told:
+    with pytest.raises(InputError, match=r"out: contains results of another study: \[") as told:
         sweep(out, changed(**changes), resume=True)
     for text in named:
         assert text in str(told.value), (text, told.value)
@@ -325,7 +325,7 @@ def test_other_study_is_refused_from_parts_alone(out: Path) -> None:
     (out / "study.toml").write_text("[study")
     (out / "summary" / f"{chunk(0)}.parquet").write_bytes(b"no part")
     before = everything(out)
-    with pytest.raises(InputError, match="holds results of another study"):
+    with pytest.raises(InputError, match="contains results of another study"):
         sweep(out, changed(study={"seed": 2}), resume=True)
     assert everything(out) == before
     assert sweep(out, resume=True) == [chunk(0)]
@@ -353,7 +353,7 @@ def test_garbled_manifest_requires_no_recomputation(whole: Path, out: Path, name
     path = out / "manifest.json"
     path.write_bytes(GARBLED[name] or path.read_bytes()[: path.stat().st_size // 2])
     before = times(out)
-    with pytest.raises(InputError, match="already holds results"):
+    with pytest.raises(InputError, match="already contains results"):
         sweep(out)
     assert sweep(out, resume=True) == []
     assert times(out) == before
@@ -405,7 +405,7 @@ def test_foreign_files_are_refused_and_left_unchanged(
     mine.write_text("mine")
     before = everything(tmp_path)
     with pytest.raises(
-        InputError, match=f"holds a {name} that is not a result .give another directory"
+        InputError, match=f"contains {name}, which is not a result .give another directory"
     ):
         sweep(tmp_path, **options)
     assert everything(tmp_path) == before
@@ -446,7 +446,7 @@ def test_another_record_or_reference_is_refused(
         StoredRecord(record, None),
         StoredRecord(record, reference._replace(attitude_deg=reference.attitude_deg + 1e-9)),
     ):
-        with pytest.raises(InputError, match="holds results of another record or reference"):
+        with pytest.raises(InputError, match="contains results of another record or reference"):
             sweep(out, study, record=other, resume=True)
     assert everything(out) == before
     assert sweep(out, study, record=stored, resume=True) == []
@@ -464,7 +464,7 @@ def test_second_writer_of_directory_is_refused(out: Path) -> None:
         with pytest.raises(InputError, match="out: another process is writing there"):
             sweep(out, **options)
     assert everything(out) == before
-    held.release()
+    held.unlock()
     assert sweep(out, resume=True) == []
 
 
@@ -480,7 +480,7 @@ def test_writer_releases_lock_after_failed_start(
 
 def test_directory_in_place_of_lock_raises_input_error(tmp_path: Path) -> None:
     (tmp_path / "out" / ".lock").mkdir(parents=True)
-    with pytest.raises(InputError, match=r"out/\.lock: is no regular file"):
+    with pytest.raises(InputError, match=r"out/\.lock: is not a regular file"):
         sweep(tmp_path / "out")
 
 
@@ -589,7 +589,7 @@ def test_killed_overwrite_leaves_resumable_results(
             sweep(out, other, overwrite=True)
     there = parts(out)
     assert there.items() < parts(whole).items()
-    with pytest.raises(InputError, match="holds results of another study"):
+    with pytest.raises(InputError, match="contains results of another study"):
         sweep(out, other, resume=True)
     assert parts(out) == there
     sweep(out, resume=True)
@@ -743,7 +743,7 @@ def test_manifest_writing_uses_small_share_of_time(
     (tasks,) = runner.plan_tasks()
     encoded = runner.compute_files(tasks[0])
     held = store.DirectoryStore(runner)
-    held.missing(tasks)
+    held.missing_tasks(tasks)
 
     def slow(path: Path, content: bytes) -> None:
         if path.name == "manifest.json":
@@ -756,8 +756,8 @@ def test_manifest_writing_uses_small_share_of_time(
     monkeypatch.setattr(store.time, "monotonic", lambda: clock[0])
     held._next_manifest = 0.0
     for _ in range(1000):
-        held.add(encoded)
-    held.release()
+        held.add_result(encoded)
+    held.unlock()
     assert len(written) / clock[0] < 0.06
     assert len(written) >= 5
 

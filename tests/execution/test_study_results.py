@@ -47,7 +47,7 @@ def test_results_of_a_directory_are_read_from_it(tmp_path: Path, results: Result
     again = Results.read(tmp_path / "out")
     assert again.summary.equals(stored.summary) and again.study == results.study
     assert again.wall_s > 0 and stored.wall_s > 0
-    with pytest.raises(sinsjax.InputError, match="holds no results"):
+    with pytest.raises(sinsjax.InputError, match="contains no results"):
         Results.read(tmp_path)
 
 

@@ -341,7 +341,7 @@ def test_directory_without_parts_is_refused_in_one_line(tmp_path: Path, left: st
         lambda: read_summary(out, run_ids=[1]),
         lambda: count_runs(out),
     ):
-        with pytest.raises(InputError, match="out: holds no results"):
+        with pytest.raises(InputError, match="out: contains no results"):
             read()
     for run_ids in (None, [1]):
         assert read_curves(out, run_ids).num_rows == 0
@@ -351,7 +351,9 @@ def test_directory_without_parts_is_refused_in_one_line(tmp_path: Path, left: st
 def test_unreadable_manifest_is_refused_in_one_line(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:
         (tmp_path / "manifest.json").write_bytes(content)
-    words = "holds no results" if content is None else "manifest.json: has changed since .*--resume"
+    words = (
+        "contains no results" if content is None else "manifest.json: has changed since .*--resume"
+    )
     with pytest.raises(InputError, match=words):
         read_manifest(tmp_path)
 

@@ -153,13 +153,13 @@ def test_job_identity_depends_on_study_record_and_reference() -> None:
 def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever comes first compiles a part; the others wait for it."""
     made: list[int] = []
-    compile_part = TaskRunner._compile
+    compile_part = TaskRunner._compile_calls
 
     def counted(self: TaskRunner, part: int, draws: range) -> Any:
         made.append(part)
         return compile_part(self, part, draws)
 
-    monkeypatch.setattr(TaskRunner, "_compile", counted)
+    monkeypatch.setattr(TaskRunner, "_compile_calls", counted)
     runner = TaskRunner(Job(study_of("worlds"), None, None, 128))
     (tasks,) = runner.plan_tasks()
     threads = [threading.Thread(target=runner.compute_tables, args=(task,)) for task in tasks]
@@ -173,7 +173,7 @@ def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None
 def test_failures_count_diverged_and_nonfinite_runs() -> None:
     status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
     summary = pa.table({"status": status})
-    assert make_output(Scenario(small_study())).failures({"summary": summary}) == 3
+    assert make_output(Scenario(small_study())).count_failures({"summary": summary}) == 3
 
 
 def test_record_for_simulated_study_is_refused() -> None:

@@ -383,7 +383,7 @@ def test_file_keys_are_refused_for_arrays() -> None:
 
 
 def test_loading_arrays_format_from_file_is_refused() -> None:
-    with pytest.raises(InputError, match="'arrays' are given to sinsjax.run, not read from x.csv"):
+    with pytest.raises(InputError, match="'arrays' are passed to sinsjax.run, not read from x.csv"):
         sinsjax.load_increments(recorded(), "x.csv")
 
 

@@ -245,7 +245,7 @@ def test_counted_label_of_record_states_start_times(tmp_path):
 def test_incomplete_results_are_refused(tmp_path):
     study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
     summary = summary_of(study).slice(0, 11)
-    with pytest.raises(InputError, match="11 runs where the study has 12"):
+    with pytest.raises(InputError, match="11 runs, but the study has 12"):
         told(store(tmp_path, study, summary))
 
 
@@ -265,7 +265,7 @@ def test_record_without_reference_reports_attitude_and_sigma(tmp_path):
 
 
 def test_missing_results_are_refused(tmp_path):
-    with pytest.raises(InputError, match="holds no results"):
+    with pytest.raises(InputError, match="contains no results"):
         told(tmp_path / "nothing")
 
 
@@ -364,7 +364,9 @@ def test_results_of_other_schema_are_refused_with_their_version(tmp_path, is_sea
         content = manifest(out)
         del content["sinsjax.sha256"]
         (out / "manifest.json").write_text(json.dumps(content))
-    text = r"out: holds results of sinsjax 0\.5\.0, whose columns \(schema 2\) .* with --overwrite"
+    text = (
+        r"out: contains results of sinsjax 0\.5\.0, whose columns \(schema 2\) .* with --overwrite"
+    )
     with pytest.raises(InputError, match=text):
         Source.read(out)
 
@@ -592,7 +594,7 @@ def test_missing_part_of_stopped_study_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"part-0001-.*: listed in the manifest but missing"):
         Source.read(tmp_path / "out")
     rewrite_manifest(tmp_path / "out", chunks=[])
-    with pytest.raises(InputError, match="64 runs where the study has 128"):
+    with pytest.raises(InputError, match="64 runs, but the study has 128"):
         report.auto.report(Source.read(tmp_path / "out"))
 
 

@@ -65,7 +65,7 @@ def test_axes_without_full_grid_are_refused():
 def test_incomplete_results_are_refused():
     whole = source_of()
     part = Source(whole.directory, whole.study, whole.config, whole.summary.slice(1))
-    with pytest.raises(InputError, match="are the results complete"):
+    with pytest.raises(InputError, match="continue with `--resume`"):
         grid_of(part)
 
 

@@ -87,7 +87,7 @@ def test_heading_is_clockwise_from_north() -> None:
         yaw, heading = (np.array(table[f"{name}_deg"]) for name in ("yaw", "heading"))
         assert ((heading >= 0) & (heading < 360)).all()
         np.testing.assert_allclose(np.cos(np.deg2rad(heading + yaw)), 1, atol=1e-12)
-    assert set(np.round(np.array(made.summary_table["heading_deg"]), -1)) == {350.0, 100.0}
+    assert set(np.round(np.array(made.summary["heading_deg"]), -1)) == {350.0, 100.0}
 
 
 def test_heading_just_west_of_north_is_zero_not_360() -> None:
