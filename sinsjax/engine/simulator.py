@@ -69,7 +69,7 @@ def motion_of(common: Lookup) -> base_motion.Motion:
 
 def with_lever_arm(motion: base_motion.Motion, variants: Variants) -> base_motion.Motion:
     """A motion of the base with the lever arm of the sensors, where that has any effect."""
-    if not (variants.takes(*AMPLITUDES) and variants.takes("lever_arm_m")):
+    if not (variants.is_active(*AMPLITUDES) and variants.is_active("lever_arm_m")):
         return motion
     x, y, z = np.moveaxis(_vector(variants.common, "lever_arm_m"), -1, 0)
     return motion._replace(lever=Vec3(x, y, z))
@@ -107,7 +107,7 @@ def errors_of(common: Lookup, ug: float, rate_hz: float) -> sensors.SensorErrors
 
 def with_quanta(errors: sensors.SensorErrors, variants: Variants) -> sensors.SensorErrors:
     """Errors of sensors with their quanta, where any has one."""
-    if not variants.takes("gyro_quantisation_arcsec", "accel_quantisation_um_per_s"):
+    if not variants.is_active("gyro_quantisation_arcsec", "accel_quantisation_um_per_s"):
         return errors
     common = variants.common
     return errors._replace(
@@ -122,7 +122,7 @@ def disturbances_of(variants: Variants, ug: float, rate_hz: float) -> Disturbanc
     dt = 1 / rate_hz
 
     def where(key: str, make: Callable[..., Process], factor: float, *others: Any) -> Any:
-        return make(vector(key, factor), *others, dt) if variants.takes(key) else None
+        return make(vector(key, factor), *others, dt) if variants.is_active(key) else None
 
     surge_s, vibration = number("surge_time_s"), number("vibration_hz")
     if variants.common("surge_model") == "gauss_markov":

@@ -114,7 +114,7 @@ def simulated(
         increments, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     else:
         # Of one length for all parts, so that they share a program.
-        samples = max(s.read for s in study.distinct_spans) * study.record_every
+        samples = max(s.records_read for s in study.distinct_spans) * study.record_every
         kept = samples if samples <= MOST_STORED_SAMPLES else 0
         surges = disturbances.surge is not None
         if blank:
@@ -163,7 +163,7 @@ def _own(
     nominal: tuple[sensors.SensorErrors, base_motion.Motion, Disturbances],
 ) -> dict[str, Any]:
     """What the draws of a simulated study have for themselves, as fields of `Draw`."""
-    values = sampling.values(study, len(draws), first=draws.start)
+    values = sampling.drawn_values(study, len(draws), first=draws.start)
     variants = Variants(study, ids, values)
     drawn = _base_and_sensors(variants, ug)
     errors, motion, disturbances = jax.tree.map(
@@ -258,9 +258,9 @@ def recorded(
     method, *rest = (variants.common(key) for key in COARSE_KEYS)
     coarse_n, starts = study.samples_before(rate, method, *rest), starts_of(study, rate)
     for start in starts / rate:
-        require_span(record, start, (coarse_n + span.read * study.record_every) / rate)
+        require_span(record, start, (coarse_n + span.records_read * study.record_every) / rate)
     # No more of the record than is read.
-    first, end = starts.min(), starts.max() + coarse_n + span.read * study.record_every
+    first, end = starts.min(), starts.max() + coarse_n + span.records_read * study.record_every
     increments = aligned_record(int(end - first))
     np.concatenate([a[first:end] for a in (record.dtheta, record.dv)], axis=1, out=increments)
     q = np.tile([1.0, 0.0, 0.0, 0.0], (len(starts), 1))
@@ -282,7 +282,7 @@ def recorded(
         pass_records=np.asarray(span.pass_records),
     )
     n = len(starts)
-    begins = _begins(sampling.values(study, n))
+    begins = _begins(sampling.drawn_values(study, n))
     draws = Draw(np.arange(n), fine - first, np.arange(n), begins=begins)
     return environment, draws, np.asarray(q)
 

@@ -20,7 +20,7 @@ from sinsjax.records.plausible import StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
-from sinsjax.study.process_noise import assumed_noise
+from sinsjax.study.process_noise import noise_ratios_by_sensor
 from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
@@ -113,7 +113,7 @@ def describe_process_noise(study: Study) -> str | None:
     Args:
         study: checked study with simulated sensors.
     """
-    ratios_by_sensor = assumed_noise(study)
+    ratios_by_sensor = noise_ratios_by_sensor(study)
     phrases = {name: _format_ratios(ratios) for name, ratios in ratios_by_sensor.items() if ratios}
     if not phrases:
         return None
@@ -222,7 +222,7 @@ def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
     samples_before = [
         study.samples_before(record.rate_hz, **point) for point in study.combinations(*COARSE_KEYS)
     ]
-    fine_samples = max(span.read for span in study.distinct_spans) * study.record_every
+    fine_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
     needed, coarse = max(samples_before) + fine_samples, ""
     if max(samples_before):
         lengths = [
@@ -269,7 +269,9 @@ def _sway_warnings(study: Study) -> Iterator[str]:
         points = list(study.combinations(amplitude, period))
         periods = [p[period] for p in points if p[amplitude] or amplitude in study.drawn_keys]
         if periods and period in study.drawn_keys:
-            periods = sampling.values(study, min(study.n_draws, _CHECKED_DRAWS))[period].tolist()
+            periods = sampling.drawn_values(study, min(study.n_draws, _CHECKED_DRAWS))[
+                period
+            ].tolist()
         if periods and 1 / min(periods) > half:
             yield (
                 f"[motion] {period}: a sway of {1 / min(periods):.4g} Hz is above half of rate_hz ="

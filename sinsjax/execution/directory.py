@@ -27,7 +27,7 @@ from sinsjax.execution import sealed
 from sinsjax.execution.sealed import DamagedError
 from sinsjax.messages import one_line, shortened
 from sinsjax.platform.files import make_folder, read_regular, replacing, unwritable
-from sinsjax.study.files import require_shallow
+from sinsjax.study.files import check_nesting
 
 MANIFEST, STUDY = "manifest.json", "study.toml"
 ROW_DATASETS = ("summary", "estimates")
@@ -238,7 +238,7 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
         _check_version(directory, _read_unsealed_manifest(path))
         raise DamagedError(f"{error} (`--resume` writes it again)") from None
     _check_version(directory, manifest)
-    require_shallow(manifest, path)
+    check_nesting(manifest, path)
     return manifest
 
 

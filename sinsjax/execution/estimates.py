@@ -27,9 +27,9 @@ from sinsjax.execution import schemas
 from sinsjax.execution.tables import make_table, nullable_array
 from sinsjax.platform import runtime
 from sinsjax.study.load import load_study
-from sinsjax.study.rules import require_modelled
+from sinsjax.study.rules import require_covariance_model
 from sinsjax.study.study import Study
-from sinsjax.study.success import bands
+from sinsjax.study.success import settling_bands
 from sinsjax.units import ARCMIN
 
 DATASET = "estimates"
@@ -60,7 +60,7 @@ class EstimateOutput:
         assert study.study.estimate_samples is not None
         self.schemas: Mapping[str, tuple[Column, ...]] = {DATASET: schemas.estimate_columns(study)}
         self._samples = study.study.estimate_samples
-        self._bands = bands(study)
+        self._bands = settling_bands(study)
         self._times: list[float | None] = [*study.report_times_s, None]
         self._records = report_record_indices(study)
         self._end_s = study.spans_s[:, 0]
@@ -213,7 +213,7 @@ def estimated_curves(study: Study | str | Path) -> pa.Table:
     """
     runtime.ensure_configured()
     study = load_study(study)
-    require_modelled(study)
+    require_covariance_model(study)
     scenario = Scenario(study)
     tables = []
     for number, ids in enumerate(scenario.variant_ids):

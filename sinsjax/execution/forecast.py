@@ -154,7 +154,7 @@ def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
     else:
         draws, evaluation_draws = tune.tune_draws or 1, tune.evaluation_draws or 1
     space, variants = SearchSpace.from_study(study), study.n_variants
-    free_keys = [len(space.used(combination)) for combination in space.combinations]
+    free_keys = [len(space.used_variables(combination)) for combination in space.combinations]
     points = {
         "grid": sum(tune.grid_points**count for count in free_keys),
         "sobol": tune.sobol_points * len(free_keys),
@@ -239,7 +239,7 @@ def _forecast_batches(study: Study, batches: Sequence[Batch], curves: bool) -> F
     memory = _BASE_BYTES + _SAMPLE_BYTES * stored_samples
     alternates = study.passes is not None and any(not s.rewinds for s in study.distinct_spans)
     if alternates and study.requires_sequential:
-        read_samples = max(span.read for span in study.distinct_spans) * study.record_every
+        read_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
         draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
         memory += _MEASUREMENT_BYTES * read_samples * draws
     counts = study.combinations("reset_count") if study.has("resets") else ()

@@ -20,7 +20,7 @@ from sinsjax.engine.lanes import Group
 from sinsjax.engine.verdicts import FLOOR, TRUTH
 from sinsjax.execution.estimates import report_record_indices, settling_statistics
 from sinsjax.execution.tables import nullable_array, replace_column
-from sinsjax.study.success import bands
+from sinsjax.study.success import settling_bands
 from sinsjax.units import ARCMIN
 
 CHECKED_DRAWS = 8
@@ -137,7 +137,7 @@ class LinearityCheck:
                 f"true_sigma_u{end}_arcmin": phi.std(1, ddof=1) / ARCMIN,
                 f"sigma_u{end}_arcmin": np.sqrt(np.mean(sigma**2, axis=1)) / ARCMIN,
             }
-            for band in bands(self._study):
+            for band in settling_bands(self._study):
                 for side, error in (("", phi - floor), ("_truth", phi)):
                     inside = np.where(np.isnan(error), np.nan, np.abs(error) <= band * ARCMIN)
                     values[f"within_{band:g}{side}{end}_share"] = inside.mean(1)
@@ -146,7 +146,7 @@ class LinearityCheck:
             self._end_s[table["variant_id"].to_numpy()[rows]],
         )
         for truth, centre in ((False, FLOOR), (True, TRUTH)):
-            for number, band in enumerate(bands(self._study)):
+            for number, band in enumerate(settling_bands(self._study)):
                 names = (c.name for c in columns.settle_estimates(band, truth=truth))
                 settled = settling_statistics(
                     outside_until[:, :, centre, number], end_s, antithetic=False

@@ -16,10 +16,10 @@ from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.dropping import keys_without_effect
 from sinsjax.study.files import find_study, source_name
-from sinsjax.study.load import load_study, load_with_notes, tables_of, with_rate
+from sinsjax.study.load import load_study, load_with_notes, study_to_tables, with_rate
 from sinsjax.study.study import Study
+from sinsjax.study.unused_keys import list_idle_keys
 
 
 class RunOptions(NamedTuple):
@@ -151,7 +151,7 @@ def issue_warnings(job: Job) -> Job:
     Warns:
         StudyWarning: one per doubt, and one for keys without effect.
     """
-    for line in (*job.warnings, *keys_without_effect(job.study, tables_of(job.study))):
+    for line in (*job.warnings, *list_idle_keys(job.study, study_to_tables(job.study))):
         warnings.warn(line, StudyWarning, stacklevel=3)
     return job
 

@@ -24,7 +24,7 @@ from sinsjax.execution.directory import (
 from sinsjax.messages import first_line, one_line
 from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular
-from sinsjax.study.identity import differences, fingerprint
+from sinsjax.study.identity import describe_differences, fingerprint
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
@@ -152,7 +152,7 @@ def load_stored_study(directory: Path) -> Study:
         ) from error
     manifest = find_manifest(directory)
     if manifest is not None and manifest.fingerprint != fingerprint(study):
-        differing = differences(manifest.study, study, ("in the results", "in the file"))
+        differing = describe_differences(manifest.study, study, ("in the results", "in the file"))
         text = one_line("; ".join(differing))
         raise InputError(
             f"{directory / STUDY}: is not the study of the results: {text}"

@@ -24,7 +24,7 @@ from sinsjax.messages import one_line, shortened
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular
-from sinsjax.study.identity import differences, fingerprint, with_draws
+from sinsjax.study.identity import describe_differences, fingerprint, with_draws
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
@@ -159,7 +159,7 @@ def _check_same_study(directory: Path, study: Study) -> Study | None:
     if _has_more_draws(stored, study):
         _check_extension(directory, stored, study)
     elif fingerprint(stored) != fingerprint(study):
-        text = "; ".join(differences(stored, study))
+        text = "; ".join(describe_differences(stored, study))
         if _has_more_draws(study, stored):
             text += f" (draws can be added, not removed: continue with --draws {stored.n_draws})"
         elif hint := _added_values_hint(stored, study):

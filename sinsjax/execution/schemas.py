@@ -8,11 +8,11 @@ from sinsjax import columns
 from sinsjax.columns import Column
 from sinsjax.methods.description import OwnColumn
 from sinsjax.methods.registry import METHODS
-from sinsjax.study.keys import meaning
-from sinsjax.study.resolved import Coded, constant_column
+from sinsjax.study.keys import key_meaning
+from sinsjax.study.resolved import CodedColumn, constant_column
 from sinsjax.study.schema import BIAS_KEYS, NUMBERS_DRAWN
 from sinsjax.study.study import Study
-from sinsjax.study.success import bands
+from sinsjax.study.success import settling_bands
 
 
 def summary_columns(study: Study) -> tuple[Column, ...]:
@@ -43,12 +43,14 @@ def estimate_columns(study: Study) -> tuple[Column, ...]:
         *(
             c
             for time_s in times
-            for c in columns.estimated(bands(study), time_s, own_floors=has_drawn_biases(study))
+            for c in columns.estimated(
+                settling_bands(study), time_s, own_floors=has_drawn_biases(study)
+            )
         ),
         *(
             c
             for truth in (False, True)
-            for band in bands(study)
+            for band in settling_bands(study)
             for c in columns.settle_estimates(band, truth=truth)
         ),
         *columns.FLOOR,
@@ -78,7 +80,7 @@ def variant_columns(study: Study, schema: Iterable[Column]) -> dict[str, pa.Arra
     }
 
 
-def _to_array(column: Coded, dtype: pa.DataType) -> pa.Array:
+def _to_array(column: CodedColumn, dtype: pa.DataType) -> pa.Array:
     """Return the values of a key, one per variant; a number among lists applies to all axes."""
     codes, choices = column
     if pa.types.is_list(dtype):
@@ -91,9 +93,9 @@ def _key_columns(study: Study) -> list[Column]:
     known = {c.name for c in columns.IDENTITY}
     swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
     return [
-        *(columns.axis_column(k, v, meaning(k)) for k, v in swept.items() if k not in known),
+        *(columns.axis_column(k, v, key_meaning(k)) for k, v in swept.items() if k not in known),
         *(
-            columns.drawn_column(k, 1 if NUMBERS_DRAWN[k] == 1 else 2, meaning(k))
+            columns.drawn_column(k, 1 if NUMBERS_DRAWN[k] == 1 else 2, key_meaning(k))
             for k in study.drawn_keys
             if k not in known
         ),
@@ -123,4 +125,6 @@ def has_data_columns(study: Study) -> bool:
 def _settling_columns(study: Study) -> list[Column]:
     """Return the settling times of all bands about bias floor and truth, then the data used."""
     kinds = [columns.settle_column, *([columns.settle_data_column] * has_data_columns(study))]
-    return [kind(b, truth=t) for kind in kinds for t in (False, True) for b in bands(study)]
+    return [
+        kind(b, truth=t) for kind in kinds for t in (False, True) for b in settling_bands(study)
+    ]

@@ -15,7 +15,7 @@ from sinsjax.execution import directory as places
 from sinsjax.execution import results
 from sinsjax.messages import counted, one_line
 from sinsjax.study.study import Study
-from sinsjax.study.success import Yardstick, yardsticks
+from sinsjax.study.success import SuccessMeasure, success_measures
 
 _MAX_CACHED_RUNS = 2**20  # larger studies read columns anew each time, to limit the memory
 
@@ -213,15 +213,17 @@ class Source:
         return table
 
     @cached_property
-    def yardsticks(self) -> tuple[Yardstick, ...]:
+    def success_measures(self) -> tuple[SuccessMeasure, ...]:
         """Success criteria of the study, its own first.
 
         Truth and bias floor are left out if no run has one.
         """
-        criteria = yardsticks(self.study)
-        flags = self.rows([criterion.ok for criterion in criteria])
+        criteria = success_measures(self.study)
+        flags = self.rows([criterion.ok_column for criterion in criteria])
         return tuple(
-            criterion for criterion in criteria if flags[criterion.ok].null_count < flags.num_rows
+            criterion
+            for criterion in criteria
+            if flags[criterion.ok_column].null_count < flags.num_rows
         )
 
     @property

@@ -57,10 +57,10 @@ def _statistic_column(study: Study) -> str:
     name = study.stop_when.statistic
     if name == "success_rate":
         return "status"
-    truth = success.success_of(study).from_truth
+    truth = success.success_criteria(study).from_truth
     return next(
         result_columns.settle_column(band, truth=truth).name
-        for band in success.bands(study)
+        for band in success.settling_bands(study)
         if name == f"{result_columns.settle_column(band).name}_mean"
     )
 

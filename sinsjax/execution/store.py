@@ -22,7 +22,7 @@ from sinsjax.execution.results import read_part_metadata
 from sinsjax.execution.sealed import to_sealed_json
 from sinsjax.execution.tasks import EncodedResult, Task, TaskResult, TaskRunner
 from sinsjax.platform.files import read_regular, replacing, unwritable
-from sinsjax.study.identity import fingerprint, sections_of
+from sinsjax.study.identity import fingerprint, sections_to_json
 from sinsjax.study.load import study_to_toml
 
 _MANIFEST_SHARE = 0.05  # largest share of the time for writing manifests
@@ -263,7 +263,7 @@ class DirectoryStore:
                 "wall_s": round(sum(session["wall_s"] for session in sessions), 3),
                 **{key: current_session[key] for key in _SESSION_ENTRIES if key in current_session},
                 "sessions": sessions,
-                "study": sections_of(study),
+                "study": sections_to_json(study),
                 "chunks": chunks,
             }
         )

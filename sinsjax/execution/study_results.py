@@ -168,11 +168,11 @@ class Results:
 
     def __repr__(self) -> str:
         """Return five short lines: runs, axes, method, time and place."""
-        return display.as_text(f"Results of {self.study.name}", self._facts())
+        return display.format_text(f"Results of {self.study.name}", self._facts())
 
     def _repr_html_(self) -> str:
         """Return the lines of `__repr__` as a table, for notebooks."""
-        return display.as_html(f"Results of {self.study.name}", self._facts())
+        return display.format_html(f"Results of {self.study.name}", self._facts())
 
     def __dir__(self) -> list[str]:
         """Return the names that a user needs, for the completion of interactive sessions."""

@@ -20,7 +20,7 @@ from sinsjax.methods.registry import METHODS
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.study import Study
-from sinsjax.study.success import bands
+from sinsjax.study.success import settling_bands
 from sinsjax.units import ARCMIN, DEG
 
 
@@ -36,7 +36,7 @@ class TableBuilder:
         """
         self._study = study
         self._has_truth = has_truth
-        self._bands = bands(study)
+        self._bands = settling_bands(study)
         self._judge = Judge(study, has_truth=has_truth)
         self._end_s, self._pass_s = study.spans_s.T
         self._last_reset_s = scheduled_last_s(study)
@@ -74,7 +74,7 @@ class TableBuilder:
         }
         values |= {name: column.take(variant) for name, column in self._by_variant.items()}
         first = int(chunk.draw.min())
-        drawn = sampling.values(self._study, int(chunk.draw.max()) + 1 - first, first=first)
+        drawn = sampling.drawn_values(self._study, int(chunk.draw.max()) + 1 - first, first=first)
         for name, column in drawn.items():
             drawn_values = column[chunk.draw - first]
             values[name] = drawn_values if drawn_values.ndim == 1 else list(drawn_values)

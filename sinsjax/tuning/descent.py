@@ -65,7 +65,7 @@ class _Descents:
     def looks(self, tell: ProgressCallback | None) -> list[Evaluation]:
         """Run the descents; gives all evaluations in order."""
         tune, steps = self._tune, self._tune.descent_steps
-        if not self._space.used(self._space.combinations[self._number]):
+        if not self._space.used_variables(self._space.combinations[self._number]):
             return self._scored(np.empty((1, 0)), [])
         slope = Slope(
             self._study,
@@ -125,7 +125,7 @@ class _Descents:
         """Values of all variables at positions of the used ones; NaN for the others."""
         whole = np.full((len(box), len(self._space.variables)), np.nan)
         whole[:, used] = box
-        return [self._space.values(row) for row in whole]
+        return [self._space.to_values(row) for row in whole]
 
     def _hard(self, values: Sequence[Sequence[float]], draws: int | None) -> NDArray:
         """The objective at some points with hard resets, on the first tuning draws or all."""
@@ -154,7 +154,7 @@ class _Descents:
 
     def _points(self, values: Sequence[Sequence[float]]) -> list[TomlTable]:
         combination = self._space.combinations[self._number]
-        return [self._space.point(list(np.nan_to_num(own)), combination) for own in values]
+        return [self._space.make_point(list(np.nan_to_num(own)), combination) for own in values]
 
 
 def _softness(tune: TuneSection, step: int) -> Softness:

@@ -9,7 +9,7 @@ from sinsjax.engine.verdicts import FLOOR, TRUTH
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.study import Study
-from sinsjax.study.success import bands, success_of
+from sinsjax.study.success import settling_bands, success_criteria
 from sinsjax.tuning import search
 from sinsjax.units import ARCMIN
 
@@ -20,8 +20,8 @@ SAMPLES = 64
 def values(study: Study, tune: TuneSection) -> NDArray:
     """`objective.values` of sampled errors, (variants, samples), from one run of each variant."""
     scenario = Scenario(study, curves=True)
-    kind = TRUTH if success_of(study).from_truth else FLOOR
-    at = int(np.argmin(np.abs(np.asarray(bands(study)) - tune.objective_band_arcmin)))
+    kind = TRUTH if success_criteria(study).from_truth else FLOOR
+    at = int(np.argmin(np.abs(np.asarray(settling_bands(study)) - tune.objective_band_arcmin)))
     out = np.empty((study.n_variants, SAMPLES))
     end = study.spans_s[:, 0]
     for number, ids in enumerate(scenario.variant_ids):

@@ -62,7 +62,7 @@ class _Evolution:
         for block in np.array_split(np.arange(len(design.candidate)), len(space.combinations)):
             self._look(design.box[block], int(design.candidate[block[0]]))
         first = min(self._looks, key=lambda look: look.objective)
-        if used := space.used(space.combinations[first.candidate]):
+        if used := space.used_variables(space.combinations[first.candidate]):
             for box in self._generations(first, used):
                 self._look(box, first.candidate)
         self._judge()
@@ -74,7 +74,7 @@ class _Evolution:
 
         tune = self._tune
         values = [1.0 if np.isnan(value) else value for value in first.values]
-        box = np.asarray(self._space.box(values))
+        box = np.asarray(self._space.to_box(values))
         seed = int(search.seed_of(self._study, "evolution").generate_state(1)[0]) or 1
         settings = {
             **{"bounds": [0.0, 1.0], "popsize": POINTS, "seed": seed},
@@ -92,9 +92,9 @@ class _Evolution:
 
     def _look(self, box: NDArray, candidate: int) -> None:
         """Estimate the objective at some box points of a combination."""
-        values = [self._space.values(np.nan_to_num(row)) for row in box]
+        values = [self._space.to_values(np.nan_to_num(row)) for row in box]
         combination = self._space.combinations[candidate]
-        points = [self._space.point(row, combination) for row in values]
+        points = [self._space.make_point(row, combination) for row in values]
         scores, steps = self._estimated(points)
         for row, at, score in zip(box, values, scores, strict=True):
             self._cost += steps
@@ -115,7 +115,7 @@ class _Evolution:
         best: dict[tuple[Any, ...], tuple[Evaluation, TomlTable]] = {}
         for look in sorted(self._looks, key=lambda look: look.objective):
             combination = self._space.combinations[look.candidate]
-            point = self._space.point(list(np.nan_to_num(look.values)), combination)
+            point = self._space.make_point(list(np.nan_to_num(look.values)), combination)
             best.setdefault(tuple(point.values()), (look, point))
         looks, points = zip(*list(best.values())[:FINALISTS], strict=True)
         derived, cases = self._derived(points)

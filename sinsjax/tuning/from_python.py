@@ -74,11 +74,11 @@ class TuningResults:
 
     def __repr__(self) -> str:
         """Return five short lines: objective, best point, its score, the baseline's, place."""
-        return display.as_text(f"Tuning of {self._tuning.study.name}", self._facts())
+        return display.format_text(f"Tuning of {self._tuning.study.name}", self._facts())
 
     def _repr_html_(self) -> str:
         """Return the lines of `__repr__` as a table, for notebooks."""
-        return display.as_html(f"Tuning of {self._tuning.study.name}", self._facts())
+        return display.format_html(f"Tuning of {self._tuning.study.name}", self._facts())
 
     def __dir__(self) -> list[str]:
         """Return the names that a user needs, for the completion of interactive sessions."""

@@ -14,7 +14,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import sealed
 from sinsjax.messages import escape_controls
 from sinsjax.platform.files import replacing
-from sinsjax.study.keys import TomlTable, meaning
+from sinsjax.study.keys import TomlTable, key_meaning
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
@@ -98,7 +98,7 @@ class Found(NamedTuple):
         """The keys and values of the best point."""
         # The value of an unused variable does not matter.
         values = np.nan_to_num(self.best.values)
-        return space.point(list(values), space.combinations[self.best.candidate])
+        return space.make_point(list(values), space.combinations[self.best.candidate])
 
 
 def columns_of(space: SearchSpace) -> tuple[Column, ...]:
@@ -110,7 +110,7 @@ def columns_of(space: SearchSpace) -> tuple[Column, ...]:
         Column("candidate", _I, "", "number of the combination of candidates"),
         Column("objective", _F, "", "over the tuning draws; relaxed where a sharpness is given"),
         *(
-            Column(v.name, _F, split_unit(v.key)[1], f"{meaning(v.key)}; null if not used")
+            Column(v.name, _F, split_unit(v.key)[1], f"{key_meaning(v.key)}; null if not used")
             for v in space.variables
         ),
         Column("cost", _I, "", "steps so far, in steps of a plain run, tangents included"),

@@ -17,7 +17,7 @@ from sinsjax.engine.metrics import Criteria, Outcome, outside
 from sinsjax.engine.verdicts import FLOOR, TRUTH
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.study import Study
-from sinsjax.study.success import success_of
+from sinsjax.study.success import success_criteria
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
 
@@ -33,7 +33,7 @@ _OVER_DRAWS: dict[str, Callable[[TuneSection, NDArray], NDArray]] = {
 
 def columns_of(tune: TuneSection, study: Study) -> list[str]:
     """Columns of the summary from which the values of runs are computed."""
-    truth = success_of(study).from_truth
+    truth = success_criteria(study).from_truth
     if tune.objective == "final_error":
         return ["run_id", "phi_u_arcmin", *([] if truth else ["floor_arcmin"])]
     return ["run_id", columns.settle_column(tune.objective_band_arcmin, truth=truth).name]

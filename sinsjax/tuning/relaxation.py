@@ -20,7 +20,7 @@ from sinsjax.methods.registry import METHODS, PACKAGES, from_package
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import SECTION_OF, TomlTable
 from sinsjax.study.load import with_point
-from sinsjax.study.rules import is_modelled
+from sinsjax.study.rules import has_covariance_model
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import COUNT, TIMES
@@ -53,8 +53,8 @@ class Relaxation:
             InputError: ``[tune.variables] key: what is wrong (hint)``.
         """
         self._study = study
-        self._variables = {i: space.variables[i] for i in space.used(combination)}
-        self.point = space.point(space.values([0.5] * len(space.variables)), combination)
+        self._variables = {i: space.variables[i] for i in space.used_variables(combination)}
+        self.point = space.make_point(space.to_values([0.5] * len(space.variables)), combination)
         based = with_point(study, self.point)
         methods = {point["method"] for point in based.combinations("method")}
         self._methods = sorted(methods)
@@ -66,7 +66,7 @@ class Relaxation:
         self.moves_resets = any(
             one.soften and not keys.isdisjoint({one.times, *one.moves}) for one in relaxed
         )
-        self.by_covariance = not self.moves_resets and is_modelled(based)
+        self.by_covariance = not self.moves_resets and has_covariance_model(based)
         for one in relaxed:
             if what := one.refused(based, self.moves_resets):
                 _refuse(study, what)

@@ -16,7 +16,7 @@ from sinsjax.execution.source import Source
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
-from sinsjax.study.success import yardsticks
+from sinsjax.study.success import success_measures
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import Evaluation, Found
 from sinsjax.tuning.run_tuning import (
@@ -118,9 +118,9 @@ class Tuning:
         found = {}
         for name, search_ in self.found.items():
             best = search_.best
-            used = space.used(space.combinations[best.candidate])
+            used = space.used_variables(space.combinations[best.candidate])
             here = [(space.variables[i], float(best.values[i])) for i in used]
-            found[name] = [(v, x) for v, x in here if not _AT_BOUND < v.place(x) < 1 - _AT_BOUND]
+            found[name] = [(v, x) for v, x in here if not _AT_BOUND < v.position(x) < 1 - _AT_BOUND]
         return found
 
     @property
@@ -173,17 +173,17 @@ class Tuning:
 def words(study: Study) -> tuple[str, str]:
     """The objective of a study with [tune] in words, and its unit."""
     tune = require_tune(study)
-    judged = yardsticks(study, tune.objective_band_arcmin)[0]
+    judged = success_measures(study, tune.objective_band_arcmin)[0]
     about = "" if judged.truth else ", from its bias floor"
     return {
-        "settle_mean": (f"mean time until the heading stays {judged.words}", "s"),
+        "settle_mean": (f"mean time until the heading stays {judged.description}", "s"),
         "settle_quantile": (
             f"{100 * tune.objective_quantile:g} % quantile of the time until the heading stays"
-            f" {judged.words}",
+            f" {judged.description}",
             "s",
         ),
         "final_error": (f"root mean square heading error at the end{about}", "arcmin"),
-        "failure_rate": (f"share that never stays {judged.words}", ""),
+        "failure_rate": (f"share that never stays {judged.description}", ""),
     }[tune.objective]
 
 

@@ -21,7 +21,7 @@ from sinsjax.execution.sealed import DamagedError
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.identity import differences, fingerprint
+from sinsjax.study.identity import describe_differences, fingerprint
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_to_toml, with_point
 from sinsjax.study.schema import TuneSection
@@ -188,7 +188,7 @@ def _check_same(job: Job) -> Job:
     old, new = (require_tune(study).model_dump() for study in (stored, job.study))
     differ = [f"[tune] {key}" for key in old if old[key] != new[key]]
     if fingerprint(stored) != fingerprint(job.study):
-        differ += differences(stored, job.study)
+        differ += describe_differences(stored, job.study)
     if differ:
         text = "; ".join(differ)
         raise InputError(f"{job.directory}: holds a tuning run of another study: {text}")
@@ -231,7 +231,7 @@ def _watched(name: str, study: Study, session: SearchSession) -> Found:
 
 def _counts(study: Study, space: SearchSpace, cost: int) -> list[int]:
     """Number of points per combination for a search of a given cost."""
-    point = space.point(space.values([0.5] * len(space.variables)), space.combinations[0])
+    point = space.make_point(space.to_values([0.5] * len(space.variables)), space.combinations[0])
     each = search.cost(search.derive(study, {"one": point}, name=study.name))
     count = len(space.combinations)
     points = max(count, round(cost / each))

@@ -21,11 +21,11 @@ from sinsjax.execution.run import ProgressCallback, run_job
 from sinsjax.execution.tasks import Job
 from sinsjax.study import sampling, search_space
 from sinsjax.study.keys import TomlTable
-from sinsjax.study.load import study_from_dict, tables_of
+from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.study.resolved import Dimension
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.study.sweep import dimensions_of
+from sinsjax.study.sweep import sweep_dimensions
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, Found
 
@@ -120,7 +120,7 @@ def _design(space: SearchSpace, own: Callable[[int, int], NDArray]) -> Design:
     """A design from a function that gives a combination's points by its number and dimension."""
     candidates, boxes = [], []
     for number, combination in enumerate(space.combinations):
-        used = space.used(combination)
+        used = space.used_variables(combination)
         points = own(number, len(used)) if used else np.empty((1, 0))
         box = np.full((len(points), len(space.variables)), np.nan)
         box[:, used] = points
@@ -149,9 +149,9 @@ def evaluate(study: Study, name: str, design: Design, session: SearchSession) ->
     """
     assert study.tune is not None
     space = SearchSpace.from_study(study)
-    values = np.array(space.values(design.box.T)).T if space.variables else design.box
+    values = np.array(space.to_values(design.box.T)).T if space.variables else design.box
     points = [
-        space.point(list(np.nan_to_num(row)), space.combinations[candidate])
+        space.make_point(list(np.nan_to_num(row)), space.combinations[candidate])
         for row, candidate in zip(values, design.candidate, strict=True)
     ]
     names = objective.columns_of(study.tune, study)
@@ -235,7 +235,7 @@ def derive(
     tune = study.tune
     assert tune is not None
     keys = next(iter(points.values()))
-    tables = search_space.without_keys(tables_of(study), list(keys))
+    tables = search_space.remove_keys(study_to_tables(study), list(keys))
     tables["study"] = tables["study"] | {"name": name, "curves": False}
     if study.record:
         starts = study.record.start_s[1 if judging else 0 :: 2]
@@ -246,7 +246,7 @@ def derive(
         tables["study"] |= {"seed": seed, "draws": draws}
     if study.drawn:
         count = len(tables["record"]["start_s"]) if study.record else tables["study"]["draws"]
-        tables["drawn"] = sampling.drawn_table(study.drawn, count)
+        tables["drawn"] = sampling.truncate_drawn_table(study.drawn, count)
     own = {key: values for key, values in _own_cases(study).items() if key != "case"}
     if own:  # the labels are now those of the points
         tables["axes"] = tables.get("axes", {}) | {_free_name(study): own}
@@ -255,7 +255,7 @@ def derive(
 
 
 def _own_cases(study: Study) -> Dimension:
-    return dimensions_of(study.cases, [], {})[0] if study.cases else {}
+    return sweep_dimensions(study.cases, [], {})[0] if study.cases else {}
 
 
 def _free_name(study: Study) -> str:

@@ -23,7 +23,7 @@ from sinsjax.engine.tile import over_stacked_tiles, run_tile
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.study.success import success_of
+from sinsjax.study.success import success_criteria
 from sinsjax.tuning import estimates, objective, search
 from sinsjax.tuning.relaxation import Relaxation
 from sinsjax.types import Array, Count
@@ -115,11 +115,11 @@ class Slope:
         assert study.tune is not None
         space = SearchSpace.from_study(study)
         combination = space.combinations[number]
-        self.used = space.used(combination)
+        self.used = space.used_variables(combination)
         self._relaxation = Relaxation(study, space, combination)
         derived = search.derive(study, {"base": self._relaxation.point}, name=study.name)
         self._tune, self._starts, self.samples = study.tune, starts, samples
-        self._truth = success_of(study).from_truth
+        self._truth = success_criteria(study).from_truth
         scenario = Scenario(derived, stored, curves=False)
         groups = [self._group(scenario, number) for number in range(len(scenario.programs))]
         self.n_draws = len(groups[0].draws.draw_id)

@@ -5,7 +5,7 @@ from pathlib import Path
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
 from sinsjax.execution.directory import MANIFEST, STUDY
-from sinsjax.study.identity import differences
+from sinsjax.study.identity import describe_differences
 from sinsjax.study.load import load_study, study_to_toml
 from sinsjax.study.study import Study
 from sinsjax.tuning import history
@@ -36,7 +36,7 @@ def load_tuned_study(directory: Path) -> Study:
     except InputError as error:
         raise InputError(f"{error} {remedy}" if tuned else str(error)) from None
     if tuned is not None and study_to_toml(tuned) != study_to_toml(study):
-        differing = "; ".join(differences(tuned, study, ("in the history", "in the file")))
+        differing = "; ".join(describe_differences(tuned, study, ("in the history", "in the file")))
         path = directory / STUDY
         raise InputError(f"{path}: is not the study of the history: {differing} {remedy}")
     return study

@@ -159,7 +159,7 @@ def test_report_flags_values_at_range_bounds(made: Path) -> None:
         for name, there in tuning.on_bounds.items()
     }
     for name, found in tuning.found.items():
-        used = space.used(space.combinations[found.best.candidate])
+        used = space.used_variables(space.combinations[found.best.candidate])
         there = {
             space.variables[i].name
             for i in used

@@ -60,7 +60,9 @@ def test_success_requires_dwell_in_band(dwell_s: float, ok: bool) -> None:
 
 @pytest.mark.parametrize(("end_s", "dwell_s"), [(6.0, 0.6), (300.0, 30.0), (900.0, 30.0)])
 def test_default_dwell_is_tenth_of_duration_up_to_30_s(end_s: float, dwell_s: float) -> None:
-    assert success.success_of(small_study()).dwell(np.array([end_s])) == pytest.approx(dwell_s)
+    assert success.success_criteria(small_study()).dwell(np.array([end_s])) == pytest.approx(
+        dwell_s
+    )
 
 
 @pytest.mark.parametrize(
@@ -99,13 +101,13 @@ def test_run_beyond_diverged_deg_is_diverged(diverged_deg: float | None, status:
 
 def test_success_band_is_added_to_settling_bands() -> None:
     study = small_study(study={"success_band_arcmin": 30.0}, motion=STILL, axes=AXES)
-    assert success.bands(study) == (60.0, 10.0, 3.0, 30.0)
+    assert success.settling_bands(study) == (60.0, 10.0, 3.0, 30.0)
     table = tables.TableBuilder(study).summary_table(
         chunk([-20.0, -20.0], [[0.0, 6.0, 6.0, 1.0], [0.0, 1.0, 1.0, 6.0]]), np.arange(2)
     )
     assert table["ok_floor"].to_pylist() == [True, False]
     assert table["settle_30_s"].to_pylist() == [1.0, None]
-    assert [yard.words for yard in success.yardsticks(study)] == [
+    assert [yard.description for yard in success.success_measures(study)] == [
         "within 30' of true north",
         "within 30' of its bias floor",
     ]
@@ -180,4 +182,4 @@ def test_unset_success_keys_leave_toml_and_fingerprint_unchanged(tmp_path: Any) 
     assert fingerprint(load_study(path)) == fingerprint(study)
     other = small_study(study={"judged_from": "truth"})
     assert fingerprint(other) != fingerprint(study)
-    assert math.isclose(success.success_of(other).band_arcmin, 10.0)
+    assert math.isclose(success.success_criteria(other).band_arcmin, 10.0)

@@ -17,7 +17,7 @@ from sinsjax.execution.results import load_stored_study
 from sinsjax.execution.source import Source
 from sinsjax.methods import registry as methods
 from sinsjax.platform import runtime, xla
-from sinsjax.study.identity import differences
+from sinsjax.study.identity import describe_differences
 from sinsjax.study.load import study_to_toml
 
 pytestmark = pytest.mark.optimised(False)
@@ -54,7 +54,7 @@ ZIP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 1.0, 2.0]}
 def test_differences_between_studies_name_changed_keys(
     there: dict[str, Any], here: dict[str, Any], told: list[str]
 ) -> None:
-    assert differences(small_study(**there), small_study(**here)) == told
+    assert describe_differences(small_study(**there), small_study(**here)) == told
 
 
 @pytest.mark.parametrize("name", ["jaxlib", "scipy"])

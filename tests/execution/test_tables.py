@@ -22,7 +22,7 @@ from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import count_runs, read_curves, read_summary
 from sinsjax.execution.tasks import Job
 from sinsjax.study import sampling
-from sinsjax.study.keys import SECTIONS, SWEEPABLE, meaning
+from sinsjax.study.keys import SECTIONS, SWEEPABLE, key_meaning
 from sinsjax.study.load import study_from_dict
 from sinsjax.units import ARCMIN, DEG, split_unit
 
@@ -157,7 +157,7 @@ def test_key_columns_carry_unit_and_meaning() -> None:
 def test_meaning_of_key_names_its_unit(key: str) -> None:
     """Every key that may be a column has a meaning, and a unit in its name stands in it."""
     _, unit = split_unit(key)
-    assert unit in meaning(key) != ""
+    assert unit in key_meaning(key) != ""
 
 
 def test_summary_gives_settling_times_and_status_per_run() -> None:
@@ -254,7 +254,7 @@ def test_drawn_keys_become_summary_columns() -> None:
     assert table["run_id"].to_pylist() == [2, 3, 4, 5]
     assert table["yaw_period_s"].to_pylist() == [10.0, 10.0, 9.0, 9.0]
     assert table["gyro_scale_ppm"].to_pylist() == [[4.0] * 3] * 2 + [[1.0, 2.0, 3.0]] * 2
-    phi = sampling.values(study, 3)["phi_u0_deg"]
+    phi = sampling.drawn_values(study, 3)["phi_u0_deg"]
     assert table["phi_u0_deg"].to_pylist() == [phi[1], phi[1], phi[2], phi[2]]
     names = table.column_names
     assert len(set(names)) == len(names)

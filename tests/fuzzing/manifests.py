@@ -16,7 +16,7 @@ from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA
 from sinsjax.execution.sealed import SEAL_KEY, to_sealed_json, to_sealed_parquet
 from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
-from sinsjax.study.identity import fingerprint, sections_of
+from sinsjax.study.identity import fingerprint, sections_to_json
 from sinsjax.study.load import study_to_toml
 
 STUDY = small_study(study={"curves": True})
@@ -82,7 +82,7 @@ def _manifest() -> dict[str, Any]:
         "config": "small.toml",
         "warnings": ["one"],
         "sessions": [session],
-        "study": sections_of(STUDY),
+        "study": sections_to_json(STUDY),
         "chunks": [chunk],
     }
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fuzzing.edits import Quiet, edited, mangled
 from fuzzing.values import TEXTS, misfits, of_field, table
 from sinsjax.methods.registry import METHODS
-from sinsjax.study.keys import SECTIONS, SWEEPABLE, TUNABLE, rivals
+from sinsjax.study.keys import SECTIONS, SWEEPABLE, TUNABLE, alternative_keys
 from sinsjax.study.schema import NUMBERS_DRAWN
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -123,7 +123,7 @@ def _given(data: dict[str, Any], section: str) -> dict[str, Any]:
 
 def _without(data: dict[str, Any], place: tuple[str, str]) -> None:
     """Takes a key and all that says the same out of its section, so that it can stand elsewhere."""
-    for key in {place[1], *rivals(place[1])}:
+    for key in {place[1], *alternative_keys(place[1])}:
         if isinstance(data.get(place[0]), dict):
             data[place[0]].pop(key, None)
 

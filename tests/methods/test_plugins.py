@@ -337,7 +337,7 @@ def test_built_in_method_is_kept_over_plugin_of_same_name(monkeypatch: pytest.Mo
     assert found.broken == {"made": "; ".join(told)}
     monkeypatch.setattr(loading, "BROKEN", found.broken)
     monkeypatch.setattr(loading, "METHODS", found.methods)
-    loading._check_usable({"alignment": {"method": "made"}})
+    loading._check_methods_usable({"alignment": {"method": "made"}})
 
 
 def test_two_plugins_with_same_method_name_are_both_reported(

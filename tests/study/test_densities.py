@@ -8,7 +8,7 @@ from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import study_from_dict, tables_of
+from sinsjax.study.load import study_from_dict, study_to_tables
 
 OLD = {"q_reading": "psd", "q_gyro_deg_per_h": 0.18, "q_accel_ug": 60.0}
 GYRO = {"q_gyro_deg_per_h_per_sqrt_hz": 0.18, "q_gyro_arw_deg_per_sqrt_h": 0.003}
@@ -48,7 +48,7 @@ def test_density_key_can_be_swept() -> None:
 def test_study_with_densities_round_trips_with_same_fingerprint() -> None:
     study = small_study(filter={"q_reading": "psd", "q_gyro_arw_deg_per_sqrt_h": 0.003})
     assert study.filter is not None and study.filter.q_gyro_deg_per_h is None
-    assert fingerprint(study_from_dict(tables_of(study))) == fingerprint(study)
+    assert fingerprint(study_from_dict(study_to_tables(study))) == fingerprint(study)
 
 
 @pytest.mark.parametrize(

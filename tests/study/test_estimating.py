@@ -9,7 +9,7 @@ from sinsjax.errors import InputError
 from sinsjax.methods.base import Options
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import study_from_dict, tables_of
+from sinsjax.study.load import study_from_dict, study_to_tables
 
 ESTIMATED = {"estimate": "covariance", "draws": None}
 COLOURED = "does not model vibration or quantisation"
@@ -143,7 +143,7 @@ def test_estimate_defaults_survive_round_trip() -> None:
     study = small_study(study=ESTIMATED)
     assert (study.study.estimate_samples, study.study.draws, study.n_draws) == (256, 64, 1)
     assert study.checks_linearity
-    assert study_from_dict(tables_of(study), study.name) == study
+    assert study_from_dict(study_to_tables(study), study.name) == study
     assert small_study().study.estimate_samples is None
 
 

@@ -20,7 +20,7 @@ from sinsjax.errors import InputError
 from sinsjax.records.layout import NAMED_AXES, Record, from_body
 from sinsjax.records.names import triads
 from sinsjax.records.psins import write_psins
-from sinsjax.study.from_record import study_text
+from sinsjax.study.from_record import make_study_text
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
@@ -78,7 +78,7 @@ def write(
 
 def described(path: Path) -> tuple[dict[str, Any], list[str]]:
     """The study of a file, and its doubts."""
-    text = study_text(path, Path("its.toml"))
+    text = make_study_text(path, Path("its.toml"))
     doubts = re.findall(r"^# DOUBT: (.*(?:\n#   .*)*)", text, re.MULTILINE)
     return tomllib.loads(text), [" ".join(doubt.replace("\n#  ", "").split()) for doubt in doubts]
 
@@ -195,7 +195,7 @@ def test_reasons_and_doubts_are_written_next_to_their_keys(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.01), NAMES)
-    lines = study_text(path, Path("its.toml")).splitlines()
+    lines = make_study_text(path, Path("its.toml")).splitlines()
     at = {line.partition(" =")[0]: number for number, line in enumerate(lines) if " = " in line}
     assert "sinsjax align log.csv its.toml" in "".join(lines[:6])
     unit = lines[at["gyro_unit"]]
@@ -211,13 +211,13 @@ def test_nominal_rate_is_marked_in_study(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.0100003), NAMES)
-    text = study_text(path, Path("its.toml"))
+    text = make_study_text(path, Path("its.toml"))
     assert re.search(
         r"\nrate_hz = 100.0 +# Hz, the nominal rate; that of the stamps is 99.997\n", text
     )
     assert "# steps of 0.01 s: 100 Hz\n" in text
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.01), NAMES)
-    assert "nominal" not in study_text(path, Path("its.toml"))
+    assert "nominal" not in make_study_text(path, Path("its.toml"))
 
 
 def test_short_gaps_are_interpolated_and_long_gap_moves_start(
@@ -230,7 +230,7 @@ def test_short_gaps_are_interpolated_and_long_gap_moves_start(
     study, doubts = described(path)
     assert study["record"]["max_gap_s"] == 0.04
     assert study["record"]["start_s"] == [21.0]
-    text = study_text(path, Path("its.toml")).replace("\n#   ", " ")
+    text = make_study_text(path, Path("its.toml")).replace("\n#   ", " ")
     assert "of 100 s in the file, of which 21 to 100 s is the longest part without a gap\n" in text
     assert any("a gap at 100 Hz, from 20.0 to 21.01 s" in doubt for doubt in doubts)
     assert any(doubt.startswith("if the base moves in these gaps") for doubt in doubts)
@@ -532,7 +532,7 @@ def test_text_column_in_parquet_is_refused_by_name(
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(table | {"gyro_y": table["gyro_y"].astype(str)}), path)
     with pytest.raises(InputError, match="column 'gyro_y' holds string, not numbers"):
-        study_text(path, Path("x.toml"))
+        make_study_text(path, Path("x.toml"))
 
 
 def test_column_names_in_comment_are_refused_with_hint(
@@ -542,7 +542,7 @@ def test_column_names_in_comment_are_refused_with_hint(
     path = tmp_path / "log.csv"
     np.savetxt(path, table, delimiter=",", header=",".join(NAMES))
     with pytest.raises(InputError, match="its names stand in a comment: take the sign away"):
-        study_text(path, Path("x.toml"))
+        make_study_text(path, Path("x.toml"))
 
 
 def test_first_row_may_have_empty_cells_but_no_text(
@@ -559,7 +559,7 @@ def test_first_row_may_have_empty_cells_but_no_text(
     ):
         path.write_text("\n".join([header, row, first, *rest]))
         with pytest.raises(InputError) as caught:
-            study_text(path, Path("x.toml"))
+            make_study_text(path, Path("x.toml"))
         assert str(caught.value).startswith(f"{path}: row 2: column 'gyro_x': {hint}")
 
 

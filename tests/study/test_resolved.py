@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.studies import small_study
 
-from sinsjax.study.resolved import Coded, Dimension, Resolved
+from sinsjax.study.resolved import CodedColumn, Dimension, ResolvedColumns
 from sinsjax.study.variants import Variants
 
 VALUES = st.sampled_from([None, 0.0, 1.5, "full", (1.0, 2.0), ()])
@@ -39,7 +39,7 @@ def written_out(sweep: list[Dimension]) -> list[dict[str, Any]]:
 
 @given(sweeps())
 def test_columns_match_product_of_dimensions(sweep):
-    resolved, variants = Resolved(sweep, {"z": 7}.__getitem__), written_out(sweep)
+    resolved, variants = ResolvedColumns(sweep, {"z": 7}.__getitem__), written_out(sweep)
     assert resolved.n_variants == len(variants)
     for key in variants[0]:
         column = resolved.column(key)
@@ -51,7 +51,7 @@ def test_columns_match_product_of_dimensions(sweep):
 
 @given(sweeps(), st.randoms(use_true_random=False))
 def test_joint_columns_have_only_occurring_combinations(sweep, random):
-    resolved, variants = Resolved(sweep, {"z": 7}.__getitem__), written_out(sweep)
+    resolved, variants = ResolvedColumns(sweep, {"z": 7}.__getitem__), written_out(sweep)
     keys = random.sample(sorted(variants[0]), random.randint(1, len(variants[0])))
     keys = keys if len(keys) > 1 else [*keys, "z"]
     column, whole = resolved.column(*keys), [tuple(v[key] for key in keys) for v in variants]
@@ -62,16 +62,16 @@ def test_joint_columns_have_only_occurring_combinations(sweep, random):
 def test_joint_column_handles_millions_of_possible_combinations():
     numbers = tuple(map(float, range(40)))
     zipped = {key: numbers for key in "abcd"}  # 40 of 2,560,000 combinations
-    column = Resolved([zipped], lambda key: None).column(*"abcd")
+    column = ResolvedColumns([zipped], lambda key: None).column(*"abcd")
     assert column.to_list() == [(n,) * 4 for n in numbers]
 
 
 def test_column_function_is_called_once_per_value():
     called = []
-    column = Coded(np.array([1, 0, 1, 1]), ("a", "b"))
+    column = CodedColumn(np.array([1, 0, 1, 1]), ("a", "b"))
     made = column.each(lambda value: called.append(value) or len(called))
     assert (made.tolist(), called) == ([2.0, 1.0, 2.0, 2.0], ["a", "b"])
-    lists = Coded(np.zeros(3, int), ((1.0, 2.0),)).each(list)
+    lists = CodedColumn(np.zeros(3, int), ((1.0, 2.0),)).each(list)
     assert lists.tolist() == 3 * [[1.0, 2.0]]
 
 

@@ -44,7 +44,7 @@ def study_of(laws: dict[str, Any] | None, *, seed: int = 1, **changes: Any) -> S
 
 
 def drawn(laws: dict[str, Any], count: int = MANY, **more: Any) -> dict[str, np.ndarray]:
-    return sampling.values(study_of(laws, **more), count)
+    return sampling.drawn_values(study_of(laws, **more), count)
 
 
 def sobol(laws: dict[str, Any]) -> dict[str, Any]:
@@ -55,7 +55,7 @@ BOTH = pytest.mark.parametrize("laws", [LAWS, sobol(LAWS)], ids=["random", "sobo
 
 
 def test_study_without_drawn_keys_has_no_values():
-    assert sampling.values(study_of(None), 5) == {}
+    assert sampling.drawn_values(study_of(None), 5) == {}
 
 
 @BOTH
@@ -71,7 +71,7 @@ def test_drawn_values_have_expected_order_and_shapes(laws: dict[str, Any], count
 def test_drawn_keys_need_as_many_numbers_as_their_section():
     for key, numbers in NUMBERS_DRAWN.items():
         one = study_of({key: {"values": [[0.5] * numbers if numbers > 1 else 0.5]}}, **periods(key))
-        assert sampling.values(one, 2)[key].shape == ((2, numbers) if numbers > 1 else (2,))
+        assert sampling.drawn_values(one, 2)[key].shape == ((2, numbers) if numbers > 1 else (2,))
         with pytest.raises(InputError, match="must be a number|required"):
             study_of({key: {"values": [[0.5, 0.6]]}}, **periods(key))
     assert NUMBERS_DRAWN.keys() == {
@@ -161,8 +161,8 @@ def test_draws_do_not_depend_on_block(laws: dict[str, Any], first: int, count: i
         laws | {"pitch_center_deg": {"grid": [0, 1]}, "roll_center_deg": {"grid": [0, 10, 20]}},
         study={"draws": 6},
     )
-    whole = sampling.values(study, 140)
-    for key, rows in sampling.values(study, count, first=first).items():
+    whole = sampling.drawn_values(study, 140)
+    for key, rows in sampling.drawn_values(study, count, first=first).items():
         np.testing.assert_array_equal(rows, whole[key][first : first + count])
 
 
@@ -237,9 +237,9 @@ def test_fewer_draws_have_the_same_values(lengths: list[int], count: int):
     laws |= LAWS | {k: laws[k] for k in keys[: len(lengths)]}
     whole = study_of(laws, study={"draws": 64})
     assert whole.drawn
-    fewer = study_of(sampling.drawn_table(whole.drawn, count), study={"draws": count})
-    for key, rows in sampling.values(fewer, count).items():
-        np.testing.assert_array_equal(rows, sampling.values(whole, count)[key])
+    fewer = study_of(sampling.truncate_drawn_table(whole.drawn, count), study={"draws": count})
+    for key, rows in sampling.drawn_values(fewer, count).items():
+        np.testing.assert_array_equal(rows, sampling.drawn_values(whole, count)[key])
 
 
 # What a study refuses to draw
@@ -396,7 +396,7 @@ def test_worst_draw_out_of_bounds_is_named_in_any_block(monkeypatch: pytest.Monk
     out = int(np.argmax(np.abs(values) > 360))
     assert out > 1000
     study_of(law, study={"draws": out})
-    monkeypatch.setattr("sinsjax.study.rules._BLOCK", 1000)
+    monkeypatch.setattr("sinsjax.study.rules._DRAWS_PER_BLOCK", 1000)
     line = f"[drawn] yaw_phase_deg: draw {out} gives {float(values[out])!r}: must be "
     assert refusal(law, study={"draws": out + 1}).startswith(line)
 
@@ -411,7 +411,7 @@ def test_worst_draw_of_vector_key_is_named():
 
 def test_study_with_million_draws_is_sampled():
     study = study_of(sobol(LAWS), study={"draws": 1_000_000})
-    assert len(sampling.values(study, study.n_draws)["phi_u0_deg"]) == 1_000_000
+    assert len(sampling.drawn_values(study, study.n_draws)["phi_u0_deg"]) == 1_000_000
 
 
 # What a drawn key is to the rest of the study

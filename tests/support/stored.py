@@ -16,7 +16,7 @@ from sinsjax.execution.directory import MANIFEST, STUDY
 from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA
 from sinsjax.execution.sealed import to_sealed_json, to_sealed_parquet
 from sinsjax.execution.tasks import Job
-from sinsjax.study.identity import fingerprint, sections_of
+from sinsjax.study.identity import fingerprint, sections_to_json
 from sinsjax.study.load import study_to_toml
 from sinsjax.study.study import Study
 
@@ -43,7 +43,7 @@ def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
         "identity": Job(study).identity,
         "curves": None,
         "chunk_runs": None,
-        "study": sections_of(study),
+        "study": sections_to_json(study),
         "chunks": [
             {"name": name, "state": "done", "runs": 0, "files": files}
             for name, files in chunks.items()

@@ -9,7 +9,7 @@ from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS
 from sinsjax.records import Record, Reference
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.keys import rivals
+from sinsjax.study.keys import alternative_keys
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
@@ -69,7 +69,7 @@ def with_paper_values(tables: dict[str, Any]) -> dict[str, Any]:
     if not any("filter" in METHODS[name].sections for name in methods if name in METHODS):
         return tables
     given = {*alignment, *filter_, *varied}
-    given |= {other for key in given for other in rivals(key)}
+    given |= {other for key in given for other in alternative_keys(key)}
     paper = {key: value for key, value in PAPER.items() if key not in given}
     out = tables | {"filter": paper | filter_}
     duration_s = tables.get("study", {}).get("duration_s")

@@ -270,9 +270,9 @@ def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -
     chosen = space.combinations[combination]
     box = np.array([places.get(v.name, 0.5) for v in space.variables])
     relaxation, (method,) = Relaxation(study, space, chosen), study.methods
-    expected = numbers(study, space.point(space.values(box), chosen))
+    expected = numbers(study, space.make_point(space.to_values(box), chosen))
     for base, there in zip(numbers(study, relaxation.point), expected, strict=True):
-        got = relaxation(method, base, box[space.used(chosen)], np.float64(50.0))
+        got = relaxation(method, base, box[space.used_variables(chosen)], np.float64(50.0))
         if relaxation.moves_resets:
             assert got.resets.width == 50.0
             samples = np.where(got.resets.samples < 1e14, got.resets.samples, np.inf)
@@ -343,7 +343,7 @@ def test_relaxed_objective_converges_to_hard_objective() -> None:
     )
     space = SearchSpace.from_study(study)
     box = np.array([[0.1, 0.5], [0.6, 0.2], [0.35, 0.9]])
-    points = {str(i): space.point(space.values(own), {}) for i, own in enumerate(box)}
+    points = {str(i): space.make_point(space.to_values(own), {}) for i, own in enumerate(box)}
     derived = search.derive(study, points, name="hard")
     table = run.run(derived, curves=False).summary
     assert study.tune is not None
@@ -430,10 +430,10 @@ def test_covariance_descents_improve_simulated_runs(
     assert [look.cost for look in steps[::9]] == costs
     assert found.cost == costs[-1] + 9 * 2 * one
     space = SearchSpace.from_study(SMOOTH)
-    points = {str(i): space.point(look.values, {}) for i, look in enumerate(steps[:9])}
+    points = {str(i): space.make_point(look.values, {}) for i, look in enumerate(steps[:9])}
     derived = search.derive(SMOOTH, points, name="begin")
     hard = estimates.values(derived, tune).reshape(9, -1)
-    box = np.array([space.box(look.values) for look in steps[:9]])
+    box = np.array([space.to_box(look.values) for look in steps[:9]])
     slope = smooth_slope(starts=9, draws=1, samples=32)
     np.testing.assert_allclose(
         slope(box, np.arange(1), Softness(1.0, 2.0**14))[0], hard.mean(axis=1), atol=0.02
@@ -527,7 +527,7 @@ def test_descents_decrease_objective_and_stay_in_bounds(down: tuple[Study, histo
     for start in range(2):
         way = [look.objective for look in found.looks if look.start == start]
         assert len(way) == 9 and way[-2] < way[0]
-    points = {str(i): space.point(space.values([i / 40]), {}) for i in range(41)}
+    points = {str(i): space.make_point(space.to_values([i / 40]), {}) for i in range(41)}
     derived = search.derive(study, points, name="scan")
     table = run.run(derived, curves=False).summary
     assert study.tune is not None
@@ -638,7 +638,9 @@ def test_descent_runs_each_candidate_in_turn() -> None:
     assert [look.step for look in hard] == [2, 2]
     assert study.tune is not None
     for look in hard:
-        point = space.point(list(np.nan_to_num(look.values)), space.combinations[look.candidate])
+        point = space.make_point(
+            list(np.nan_to_num(look.values)), space.combinations[look.candidate]
+        )
         derived = search.derive(study, {"end": point}, name="end")
         table = run.run(derived, curves=False).summary
         (runs,) = search.run_values(study, derived, table)

@@ -103,7 +103,7 @@ def test_finalists_are_evaluated_with_tuning_draws(found: history.Found) -> None
     best = sorted(look.objective for look in found.looks if look.estimated)
     assert best[0] <= best[1]
     phases = {
-        f"{number} {k}": evolution.shifted(study, space.point(list(look.values), {}), k / 2)
+        f"{number} {k}": evolution.shifted(study, space.make_point(list(look.values), {}), k / 2)
         for number, look in enumerate(judged)
         for k in range(2)
     }
@@ -145,7 +145,9 @@ def test_covariance_search_works_with_any_number_of_variables(
     space = SearchSpace.from_study(study)
     assert not found.best.estimated
     for look in found.looks:
-        point = space.point(list(np.nan_to_num(look.values)), space.combinations[look.candidate])
+        point = space.make_point(
+            list(np.nan_to_num(look.values)), space.combinations[look.candidate]
+        )
         assert search.derive(study, {"one": point}, name="one").n_variants == 1
 
 

@@ -200,7 +200,7 @@ def _error_maps(source: Source, grid: Grid, rms: NDArray) -> Picture:
     sigma, length_s = np.meshgrid(*(spread(axis, _FINE) for axis in (rows, columns)), indexing="ij")
     radii = [cycle_radius(study, turn, sigma, length_s) for turn in grid.axes["turn"]]
     low = float(bound_arcmin(study, max(columns)))
-    high = abs(study.only("phi_u0_deg")) * DEG / ARCMIN
+    high = abs(study.single_value("phi_u0_deg")) * DEG / ARCMIN
     contours = Contours("share that a cycle leaves (linear loops)", _LEVELS, radii)
     figure = plots.heat_maps(
         [(TURNS[turn], rms[i].T) for i, turn in enumerate(grid.axes["turn"])],

@@ -20,12 +20,12 @@ from sinsjax.execution.run import run
 from sinsjax.methods.description import COMMON_KEYS
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
-from sinsjax.study.dropping import drop_unread, keys_without_effect
-from sinsjax.study.keys import SECTION_OF, conditions, readers
-from sinsjax.study.load import load_with_notes, tables_of
+from sinsjax.study.keys import SECTION_OF, effect_conditions, reading_methods
+from sinsjax.study.load import load_with_notes, study_to_tables
 from sinsjax.study.study import Study
+from sinsjax.study.unused_keys import drop_unread_keys, list_idle_keys
 
-SHIPPED = {**files.studies(), **files.templates()}
+SHIPPED = {**files.shipped_studies(), **files.template_files()}
 FULL = {
     **BASE,
     "alignment": {"method": "kalman5", "phi_e0_deg": 5.0, "specific_force": "measured"},
@@ -203,7 +203,7 @@ def test_empty_zip_and_draws_are_dropped() -> None:
         axes={"policy": {"q_scale": [1.0, 2.0]}}, drawn={"p0_yaw_deg": {"uniform": [1.0, 2.0]}}
     )
     after = before | {"alignment": before["alignment"] | {"method": "compass"}}
-    out, notes = drop_unread(before, after, {"alignment.method": "compass"}, "study")
+    out, notes = drop_unread_keys(before, after, {"alignment.method": "compass"}, "study")
     assert out == small_tables(alignment={"method": "compass"})
     assert notes == [
         "Dropped, as method compass does not read them: [alignment] feedback_interval_s, [filter],"
@@ -213,7 +213,7 @@ def test_empty_zip_and_draws_are_dropped() -> None:
 
 
 def test_tuned_keys_are_dropped_while_one_is_left(tmp_path: Path) -> None:
-    template = tomllib.loads(files.text_of("tune"))
+    template = tomllib.loads(files.shipped_text("tune"))
     variables, ranges = template["tune"]["variables"], {"low": 0.1, "high": 9.0}
     to_compass = {"alignment.method": "compass"}
     line = refusal_of_change(to_compass, template, tmp_path)
@@ -319,7 +319,7 @@ def test_silent_keys_change_no_bit_of_a_run(method: str) -> None:
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
 def test_keys_said_to_act_change_a_run(method: str) -> None:
-    keys = [key for key in own_keys(method) if method in readers(key)]
+    keys = [key for key in own_keys(method) if method in reading_methods(key)]
     first, *others = outcomes(method, keys)
     assert [key for key, other in zip(keys, others, strict=True) if are_equal(first, other)] == []
 
@@ -359,16 +359,16 @@ def test_line_names_keys_whose_condition_does_not_hold(tmp_path: Path) -> None:
 
 
 def test_key_acts_if_its_condition_is_tuned(tmp_path: Path) -> None:
-    template = tomllib.loads(files.text_of("tune"))
+    template = tomllib.loads(files.shipped_text("tune"))
     template["resets"] = {"reset_kind": "yaw"}
     assert change_study({}, template, tmp_path)[1] == []
 
 
 def test_keys_of_resolved_study_are_named_only_with_other_values() -> None:
     study = small_study()
-    assert keys_without_effect(study, tables_of(study)) == []
+    assert list_idle_keys(study, study_to_tables(study)) == []
     study = small_study(resets={"reset_yaw_deg": 5.0}, alignment={"method": "kalman_sincos"})
-    assert keys_without_effect(study, tables_of(study)) == [
+    assert list_idle_keys(study, study_to_tables(study)) == [
         "[resets] reset_yaw_deg has no effect with method kalman_sincos."
     ]
 
@@ -377,4 +377,4 @@ def test_functions_of_python_warn_of_keys_without_effect() -> None:
     study = small_study(alignment={"method": "inertial"})
     with pytest.warns(StudyWarning, match="phi_u0_deg have no effect with method inertial"):
         run(study)
-    assert conditions("phi_u0_deg") == ()
+    assert effect_conditions("phi_u0_deg") == ()
