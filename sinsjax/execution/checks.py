@@ -15,8 +15,8 @@ from sinsjax.messages import one_line, seconds
 from sinsjax.methods.filters.parameters import level_settling_s
 from sinsjax.methods.registry import METHODS, PACKAGES, from_package
 from sinsjax.records import Layout, Record, require_span
-from sinsjax.records.oddities import told
-from sinsjax.records.plausible import StationaryValues, findings
+from sinsjax.records.anomalies import report_anomalies
+from sinsjax.records.plausibility import StationaryValues, find_implausible
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
@@ -196,20 +196,20 @@ def _record_warnings(study: Study, stored: StoredRecord) -> Iterator[str]:
         accel_bias=bias["accel_bias_ug"] * micro_g(),
     )
     used = _used_spans(study, record)
-    for anomaly in told(record.oddities, used):
-        if anomaly.hard and not section.trust:
+    for anomaly in report_anomalies(record.anomalies, used):
+        if anomaly.is_certain and not section.trust:
             raise InputError(f"{record.source}: {anomaly.text} ({_TRUST_HINT})")
         yield f"{record.source}: {anomaly.text}"
     constant_channels = [
         anomaly.text
-        for anomaly in record.oddities
+        for anomaly in record.anomalies
         if (anomaly.begin, anomaly.end) == (0, len(record.dv))
     ]
     for begin, end in used:
         begin_s, end_s = (seconds(sample / record.rate_hz) for sample in (begin, end))
         where = f"{record.source}: {begin_s} to {end_s} s"
-        for finding in findings(record, (begin, end), layout, expected):
-            if finding.hard and not section.trust:
+        for finding in find_implausible(record, (begin, end), layout, expected):
+            if finding.is_certain and not section.trust:
                 # A constant channel may be the cause, and only this error is shown.
                 text = "; ".join([finding.text, *constant_channels])
                 raise InputError(f"{where}: {text} ({_TRUST_HINT})")

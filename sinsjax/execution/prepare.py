@@ -215,7 +215,7 @@ def _read_stored_record(
         raise InputError(f"{study.name}: {text} (see sinsjax.record_from_arrays)")
     layout = checks.record_layout(study)
     read_data = read_record(record, layout)
-    return StoredRecord.of(
+    return StoredRecord.from_record(
         read_data, None if reference is None else read_reference(reference, layout)
     )
 

@@ -55,10 +55,12 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
         [10.0, 12.0]
     """
     table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_csv(path)
-    return reference_of(path, table, layout)
+    return reference_from_table(path, table, layout)
 
 
-def reference_of(path: str | Path, table: ColumnTable, layout: Layout | None = None) -> Reference:
+def reference_from_table(
+    path: str | Path, table: ColumnTable, layout: Layout | None = None
+) -> Reference:
     """The reference that an opened table holds, see `read_reference`."""
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]
     if len(yaws) > 1:
@@ -82,7 +84,7 @@ def reference_of(path: str | Path, table: ColumnTable, layout: Layout | None = N
     )
     for bad, text in faults:
         if bad.any():
-            raise InputError(f"{path}: row {table.row(int(bad.argmax()))}: {text}")
+            raise InputError(f"{path}: row {table.row_number(int(bad.argmax()))}: {text}")
     if len(time_s) < 2:
         raise InputError(f"{path}: a reference needs at least two rows")
     return Reference(time_s, attitude, sigma if sigmas else None, str(path))
@@ -100,7 +102,7 @@ class StoredRecord(NamedTuple):
     reference: Reference | None
 
     @classmethod
-    def of(cls, record: Record, reference: Reference | None) -> "StoredRecord":
+    def from_record(cls, record: Record, reference: Reference | None) -> "StoredRecord":
         """A record, and a reference on the record's clock."""
         if reference is not None:
             reference = reference._replace(time_s=reference.time_s - record.t0_s)

@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL, escape_controls
 from sinsjax.records import read_psins, read_record
-from sinsjax.records.files import line_batches, number_or_nan
-from sinsjax.records.head import head_of
-from sinsjax.records.layout import PSINS_LAYOUT, Layout, Note, Oddity, Record
-from sinsjax.records.means import EARTH_RATE, Means, means_of, rate_up
-from sinsjax.records.oddities import dead_among, told
-from sinsjax.records.plausible import Finding, StationaryValues, findings
-from sinsjax.records.recognise import recognise, sees_earth_rate
+from sinsjax.records.anomalies import find_dead_channels, report_anomalies
+from sinsjax.records.files import parse_number_or_nan, read_line_batches
+from sinsjax.records.head import read_head
+from sinsjax.records.layout import PSINS_LAYOUT, Anomaly, Layout, Note, Record
+from sinsjax.records.means import EARTH_RATE, Means, compute_means, vertical_rate
+from sinsjax.records.plausibility import Finding, StationaryValues, find_implausible
+from sinsjax.records.recognise import recognise_layout, shows_earth_rate
 from sinsjax.study.files import DOUBT, schema_line
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 
@@ -90,7 +90,7 @@ def make_study_text(record_path: Path, study_path: Path) -> str:
     )
     part, part_note = _longest_part(record_path, recognised.record)
     span = _sample_range(recognised.record, part)
-    means = means_of(recognised.record, span, STANDARD_GRAVITY)
+    means = compute_means(recognised.record, span, STANDARD_GRAVITY)
     sections = [
         _title_section(record_path, study_path),
         _study_section(record_path, recognised, part, part_note),
@@ -105,13 +105,13 @@ def make_study_text(record_path: Path, study_path: Path) -> str:
 def _is_psins(path: Path) -> bool:
     """Whether the first line that is not a comment has six numbers between blanks."""
     try:
-        lines = next(line_batches(path, 2**16)).lines
+        lines = next(read_line_batches(path, 2**16)).lines
     except InputError:
         return False  # reading it in another format reports the error
     data = (line for line in lines if line.strip() and not line.lstrip().startswith(b"%"))
     words = next(data, b"").decode(errors="replace").split()
     try:
-        return len([number_or_nan(word) for word in words]) == 6
+        return len([parse_number_or_nan(word) for word in words]) == 6
     except ValueError:
         return False
 
@@ -122,8 +122,8 @@ def _recognise_psins(path: Path) -> _RecognisedFile:
 
 
 def _recognise_table(path: Path) -> _RecognisedFile:
-    head = head_of(path)
-    found = recognise(path, head)
+    head = read_head(path)
+    found = recognise_layout(path, head)
     layout, notes = found.layout, dict(found.notes)
     for name in (layout.time_column, *layout.gyro_columns, *layout.accel_columns):
         if CONTROL.search(name):
@@ -136,7 +136,7 @@ def _recognise_table(path: Path) -> _RecognisedFile:
         record = read_record(path, layout)
         doubt = "if the base moves in these gaps, leave this out: the study then refuses them"
         notes["max_gap_s"] = Note(f"{record.filled} samples in {len(short)} gaps", doubt)
-    return _RecognisedFile(layout, notes, record, head.told, found.tells_rate)
+    return _RecognisedFile(layout, notes, record, head.description, found.has_rate)
 
 
 def _longest_part(path: Path, record: Record) -> tuple[_AlignedPart, Note]:
@@ -176,7 +176,7 @@ def _sample_range(record: Record, part: _AlignedPart) -> tuple[int, int]:
 
 def _shows_latitude(record: Record, means: Means) -> bool:
     """Whether its mean rate is the Earth rate, without a dead channel."""
-    return sees_earth_rate(means) and not any(dead_among(record.dtheta.T))
+    return shows_earth_rate(means) and not any(find_dead_channels(record.dtheta.T))
 
 
 def _estimate_latitude_deg(record: Record, means: Means) -> float:
@@ -185,7 +185,7 @@ def _estimate_latitude_deg(record: Record, means: Means) -> float:
         return record.latitude_deg
     if not _shows_latitude(record, means):
         return _LATITUDE
-    sine = max(-0.99, min(0.99, rate_up(means) / EARTH_RATE))
+    sine = max(-0.99, min(0.99, vertical_rate(means) / EARTH_RATE))
     return round(math.asin(sine) / DEG, 1)
 
 
@@ -269,11 +269,11 @@ def _record_section(
         gyro_bias=10 * DEG_PER_H,
         accel_bias=5000 * micro_g(),
     )
-    doubtful: list[Oddity | Finding] = [*told(recognised.record.oddities, [span])]
-    if not any(anomaly.hard for anomaly in doubtful):  # otherwise they spoil the means
-        doubtful += findings(recognised.record, span, layout, expected)
+    doubtful: list[Anomaly | Finding] = [*report_anomalies(recognised.record.anomalies, [span])]
+    if not any(anomaly.is_certain for anomaly in doubtful):  # otherwise they spoil the means
+        doubtful += find_implausible(recognised.record, span, layout, expected)
     for doubt in doubtful:
-        refused = " (the study is refused)" if doubt.hard else ""
+        refused = " (the study is refused)" if doubt.is_certain else ""
         lines.append(_wrap_comment(f"{doubt.text}{refused}", DOUBT))
     return "\n".join([*lines, ""])
 

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
 from sinsjax.messages import shortened
-from sinsjax.records.layout import Layout, axes, fault
+from sinsjax.records.layout import Layout, find_fault, parse_axes_order
 from sinsjax.value_types import (
     AccelNoise,
     ActsWhere,
@@ -437,7 +437,7 @@ class SensorsSection(Section):
 def _check_axes_order(order: str) -> str:
     """Refuse an order of axes that is not a rotation."""
     try:
-        axes(order)
+        parse_axes_order(order)
     except ValueError as error:
         raise invalid(shortened(str(error))) from None
     return order
@@ -544,7 +544,7 @@ class RecordSection(Section):
             if getattr(self, key) is None:
                 raise invalid(f"required with format '{self.format}'", key=key)
         # `rules` checks whether a rate is needed.
-        if found := fault(self.layout(rate_hz=1.0)):
+        if found := find_fault(self.layout(rate_hz=1.0)):
             raise invalid(found.text, key=found.key)
         return self
 

@@ -160,7 +160,9 @@ def test_rerun_refuses_summary_with_two_rows_of_one_run(tmp_path: Path, sinsjax:
     curves = pa.table({"run_id": [0, 0, 1, 1], "time_s": [1.0, 2.0, 1.0, 2.0]})
     out = store(tmp_path / "out", small_study(), curves)
     code, error = sinsjax("rerun", out, "--run-id", 1)
-    assert code == 2 and error.startswith(f"error: {out}/summary: has 2 rows of run 1: a part")
+    assert code == 2 and error.startswith(
+        f"error: {out}/summary: has 2 rows of run 1: a foreign part"
+    )
     assert error.count("\n") == 1
 
 
@@ -170,7 +172,7 @@ def test_results_directory_whose_name_is_not_utf8_is_refused_before_any_run(
 ) -> None:
     out = tmp_path / os.fsdecode(b"o\xff")
     refused = (
-        rf"{tmp_path}/o\udcff: results cannot be kept under a name that is not UTF-8 (rename it)"
+        rf"{tmp_path}/o\udcff: results cannot be stored under a name that is not UTF-8 (rename it)"
     )
     for words in (("sweep", "reset_sweep"), ("tune", "tune_condition5")):
         assert sinsjax(*words, "-o", out) == (2, f"error: {refused}\n")
@@ -205,7 +207,7 @@ def test_sweep_and_report_finish_after_broken_pipe(
 
     def finished(*_: Any, **options: Any) -> None:
         for runs in range(1, 4):
-            options["tell"](run.RunProgress(runs, 3, 0, 0))
+            options["on_progress"](run.RunProgress(runs, 3, 0, 0))
         done.append("runs")
 
     config = tmp_path / "swing.toml"

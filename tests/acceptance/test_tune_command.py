@@ -221,7 +221,7 @@ def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, f
 
         def counted(job: Job, **options: Any) -> None:
             seen: list[int] = []
-            before(job, **options | {"tell": lambda p: seen.append(p.done - p.done_before)})
+            before(job, **options | {"on_progress": lambda p: seen.append(p.done - p.done_before)})
             assert job.directory is not None
             runs[job.directory.name] = seen[-1]
 

@@ -22,9 +22,9 @@ from sinsjax.execution.checks import describe_process_noise, study_warnings
 from sinsjax.execution.directory import read_manifest
 from sinsjax.platform.assets import asset
 from sinsjax.records import Layout, Record, Reference, means, write_csv
-from sinsjax.records.plausible import Finding, StationaryValues, findings
+from sinsjax.records.plausibility import Finding, StationaryValues, find_implausible
+from sinsjax.records.quaternions import integrate_attitudes
 from sinsjax.records.reference import StoredRecord
-from sinsjax.records.turning import attitudes
 from sinsjax.study.load import load_study, study_from_dict
 from sinsjax.study.study import Study
 from sinsjax.units import DEG, DEG_PER_H, micro_g
@@ -51,12 +51,12 @@ def found(
 ) -> list[Finding]:
     rate = 15.041067 * DEG_PER_H
     expected = StationaryValues(rate, 32 * DEG, 9.8, gyro * DEG_PER_H, accel * micro_g())
-    return findings(some, SPAN, LAYOUT._replace(**layout), expected)
+    return find_implausible(some, SPAN, LAYOUT._replace(**layout), expected)
 
 
 def refused(some: Record, **layout: Any) -> str:
     (first, *_) = found(some, **layout)
-    assert first.hard
+    assert first.is_certain
     return first.text
 
 
@@ -102,7 +102,7 @@ def test_vertical_rate_of_wrong_latitude_gives_warning() -> None:
     ):
         less = np.array([0, 0, part * 15.041067 * math.sin(32 * DEG)]) * DEG_PER_H / 100
         (one,) = found(some._replace(dtheta=some.dtheta - less), gyro=3.0)
-        assert one.text.endswith(asks) and not one.hard
+        assert one.text.endswith(asks) and not one.is_certain
         assert "deg/h, but Earth rate there is 7.97: do gyros" in one.text
 
 
@@ -114,7 +114,7 @@ def test_bias_that_hides_earth_rate_is_not_unit_error(base: str, bias: float, ha
     biased = some._replace(dtheta=some.dtheta + np.array([bias, 0, 0]) * DEG_PER_H / 100)
     (one,) = found(biased)
     assert "hides Earth rate" in one.text and "are these" not in one.text
-    assert one.hard == hard
+    assert one.is_certain == hard
 
 
 def test_small_biases_are_allowed_up_to_configured_values() -> None:
@@ -122,10 +122,10 @@ def test_small_biases_are_allowed_up_to_configured_values() -> None:
     biased = some._replace(dtheta=some.dtheta + np.array([0, 4, 4]) * DEG_PER_H / 100)
     assert not found(biased)
     (one,) = found(biased, gyro=1.0)
-    assert not one.hard and "a gyro bias of 5.66 deg/h or more" in one.text
+    assert not one.is_certain and "a gyro bias of 5.66 deg/h or more" in one.text
     light = some._replace(dv=some.dv * 0.99)
     (one,) = found(light)
-    assert not one.hard and "0.991 times gravity" in one.text
+    assert not one.is_certain and "0.991 times gravity" in one.text
     assert not found(light, accel=2e4)
 
 
@@ -135,7 +135,7 @@ def test_vehicle_turn_is_reported_with_its_angle(angle: float, seconds: int) -> 
     dtheta = some.dtheta.copy()
     dtheta[9000 : 9000 + 100 * seconds, 2] += angle * DEG / 100 / seconds
     (one,) = found(some._replace(dtheta=dtheta))
-    assert not one.hard and "the base turns by about" in one.text
+    assert not one.is_certain and "the base turns by about" in one.text
     told_deg = float(one.text.split("about ")[1].split()[0])
     assert told_deg == pytest.approx(angle, rel=0.4)
 
@@ -145,7 +145,7 @@ def test_turn_missing_from_gyros_is_reported() -> None:
     turn = Rotation.from_euler("z", 90, degrees=True).as_matrix()
     dtheta = np.concatenate([some.dtheta[:10_000], some.dtheta[10_000:] @ turn])
     (one,) = found(some._replace(dtheta=dtheta))
-    assert not one.hard and "the mean rate changes by" in one.text
+    assert not one.is_certain and "the mean rate changes by" in one.text
 
 
 @pytest.mark.parametrize("base", ["still", "swinging"])
@@ -159,9 +159,11 @@ def test_merged_samples_give_same_findings_as_single_samples(
     biased = some.dtheta + np.array([700.0, 0, 0]) * DEG_PER_H / 100
     cases = [some, *(some._replace(dtheta=dtheta) for dtheta in (turned, biased))]
     whole = [found(case) for case in cases]
-    monkeypatch.setattr(means, "_MOST", 8000)
+    monkeypatch.setattr(means, "_MAX_STEPS", 8000)
     together = [found(case) for case in cases]
-    assert [[f.hard for f in one] for one in whole] == [[f.hard for f in one] for one in together]
+    assert [[f.is_certain for f in one] for one in whole] == [
+        [f.is_certain for f in one] for one in together
+    ]
     assert [[f.text[:24] for f in one] for one in whole] == [
         [f.text[:24] for f in one] for one in together
     ]
@@ -174,7 +176,7 @@ def test_attitudes_match_scipy_rotation_product() -> None:
     whole = Rotation.identity()
     for step in Rotation.from_rotvec(dtheta):
         whole = whole * step
-    ours = Rotation.from_quat(attitudes(dtheta)[-1], scalar_first=True)
+    ours = Rotation.from_quat(integrate_attitudes(dtheta)[-1], scalar_first=True)
     assert (whole.inv() * ours).magnitude() < 1e-5
 
 

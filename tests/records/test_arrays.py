@@ -14,7 +14,7 @@ import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.execution.prepare import _resolve_record as stored_record
 from sinsjax.execution.prepare import prepare_job
-from sinsjax.records.layout import from_body
+from sinsjax.records.layout import from_body_axes
 from sinsjax.records.reference import Reference, StoredRecord
 from sinsjax.study.load import study_from_dict
 
@@ -68,7 +68,7 @@ def refused(*given: Any, **more: Any) -> str:
 def test_array_units_and_axes_are_converted(
     gyro_unit: str, accel_unit: str, axes: str, order: str
 ) -> None:
-    gyro, accel = (from_body(values, order) for values in (GYRO, ACCEL))
+    gyro, accel = (from_body_axes(values, order) for values in (GYRO, ACCEL))
     factors = GYROS[gyro_unit], ACCELS[accel_unit]
     units = {"gyro_unit": gyro_unit, "accel_unit": accel_unit, "axes": axes}
     before = gyro.copy()
@@ -294,7 +294,7 @@ def recorded(**changes: Any) -> Any:
 def test_study_runs_on_arrays(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     time = 100 + np.arange(1, len(record.dv) + 1) / record.rate_hz
-    gyro, accel = (from_body(v * record.rate_hz, "yx-z") for v in (record.dtheta, record.dv))
+    gyro, accel = (from_body_axes(v * record.rate_hz, "yx-z") for v in (record.dtheta, record.dv))
     gyro = np.degrees(gyro)
     level = np.zeros(61)
     reference = {

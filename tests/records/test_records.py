@@ -125,7 +125,7 @@ def test_psins_cumulative_error_stays_within_half_count(folder, dtheta, dv, scal
     for sums, quantum in ((dtheta - back.dtheta, ARCSEC), (dv - back.dv, 9.8e-6)):
         quantum = quantum * scale[0 if quantum == ARCSEC else 1]
         assert np.abs(np.cumsum(sums, axis=0)).max() <= 0.5 * quantum * (1 + 1e-9) + 1e-12
-    others = {"dtheta": None, "dv": None, "source": "", "oddities": ()}
+    others = {"dtheta": None, "dv": None, "source": "", "anomalies": ()}
     assert back._replace(**others) == record._replace(**others)
 
 
@@ -199,7 +199,7 @@ def table_csv(folder: Path, time_s) -> Path:
 def batches(request, monkeypatch) -> None:
     """Bytes of text that are looked at together."""
     if request.param:
-        monkeypatch.setattr(files, "BATCH", request.param)
+        monkeypatch.setattr(files, "BATCH_BYTES", request.param)
 
 
 @pytest.mark.usefixtures("batches")
@@ -621,12 +621,12 @@ lines_of_text = st.lists(st.sampled_from([b"1,2", b"\n", b"\r", b"\r\n", b"", b"
 def test_line_batches_match_splitlines_of_whole_text(folder, pieces, size):
     text, path = b"".join(pieces), folder / "lines.txt"
     path.write_bytes(b"\xef\xbb\xbf" * (size > 3) + text)
-    batches = list(files.line_batches(path, size + 2))
+    batches = list(files.read_line_batches(path, size + 2))
     assert [line for batch in batches for line in batch.lines] == text.splitlines()
     assert [b.first for b in batches] == list(
         np.cumsum([1, *(len(b.lines) for b in batches)])[: len(batches)]
     )
-    assert [batch.ends for batch in batches] == [False] * (len(batches) - 1) + [True]
+    assert [batch.is_last for batch in batches] == [False] * (len(batches) - 1) + [True]
 
 
 @pytest.mark.parametrize("kind", ["csv", "iso", "psins", "parquet"])
@@ -655,7 +655,7 @@ def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch, kind):
         rows.insert(300, "")
         path.write_text("\r\n".join([head, *rows]))
     whole = records.read_record(path, layout)
-    monkeypatch.setattr(files, "BATCH", 1000)
+    monkeypatch.setattr(files, "BATCH_BYTES", 1000)
     monkeypatch.setattr(tables, "_BATCH_ROWS", 10)
     again = records.read_record(path, layout)
     assert same_bits(whole.dtheta, again.dtheta) and same_bits(whole.dv, again.dv)

@@ -17,8 +17,8 @@ from support.studies import small_study
 
 import sinsjax as package
 from sinsjax.errors import InputError
-from sinsjax.records.layout import NAMED_AXES, Record, from_body
-from sinsjax.records.names import triads
+from sinsjax.records.column_names import find_triads
+from sinsjax.records.layout import NAMED_AXES, Record, from_body_axes
 from sinsjax.records.psins import write_psins
 from sinsjax.study.from_record import make_study_text
 
@@ -58,7 +58,7 @@ def columns(
 ) -> np.ndarray:
     """(T, 7) time, gyros, accelerometers in some axes and units; a sample's step in its unit."""
     order = NAMED_AXES.get(axes, axes)
-    own = [from_body(rates[0], order) / gyro, from_body(rates[1], order) / accel]
+    own = [from_body_axes(rates[0], order) / gyro, from_body_axes(rates[1], order) / accel]
     return np.column_stack([step * np.arange(1, len(own[0]) + 1), *own])
 
 
@@ -508,9 +508,9 @@ def test_study_without_known_rate_is_refused(
 def test_gyro_column_names_give_unit_and_axes(
     names: tuple[str, str, str], unit: str, ways: str
 ) -> None:
-    (found,) = triads(["roll", "pitch", "yaw", *names], "gyro")
+    (found,) = find_triads(["roll", "pitch", "yaw", *names], "gyro")
     assert (found.names, found.unit, found.ways) == (names, unit, ways)
-    assert not triads(names, "accel")
+    assert not find_triads(names, "accel")
 
 
 def test_warning_is_printed_once_on_standard_error(

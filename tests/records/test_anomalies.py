@@ -26,7 +26,7 @@ def made(gyro: Any = GYRO, accel: Any = ACCEL, **more: Any) -> StoredRecord:
 
 
 def texts(gyro: Any = GYRO, accel: Any = ACCEL, **more: Any) -> list[str]:
-    return [odd.text for odd in made(gyro, accel, **more).record.oddities]
+    return [odd.text for odd in made(gyro, accel, **more).record.anomalies]
 
 
 def changed(values: np.ndarray, rows: Any, axis: Any, to: Any) -> np.ndarray:
@@ -117,11 +117,11 @@ def test_reported_row_numbers_match_file_rows(tmp_path: Path) -> None:
     accel = changed(ACCEL, 20, 2, 1e4)
     record = Record(GYRO / RATE, accel / RATE, RATE, latitude_deg=45.0, gravity_m_per_s2=9.8)
     write_csv(record, tmp_path / "a.csv", LAYOUT)
-    (odd,) = read_csv(tmp_path / "a.csv", LAYOUT).oddities
-    assert (odd.begin, odd.end, odd.hard) == (20, 21, True)
+    (odd,) = read_csv(tmp_path / "a.csv", LAYOUT).anomalies
+    assert (odd.begin, odd.end, odd.is_certain) == (20, 21, True)
     assert odd.text.startswith("row 22: column 'accel_z': 1019.72 is 1020 g")
     write_psins(record, tmp_path / "a.imu", gyro_scale_arcsec=1e-4, accel_scale_ug_s=1e-2)
-    (odd,) = read_psins(tmp_path / "a.imu").oddities
+    (odd,) = read_psins(tmp_path / "a.imu").anomalies
     rows = (tmp_path / "a.imu").read_text().splitlines()
     number = int(odd.text.split()[1].rstrip(":"))
     assert int(rows[number - 1].split()[5]) == max(int(row.split()[5]) for row in rows[-T:])
