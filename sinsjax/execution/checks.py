@@ -16,7 +16,7 @@ from sinsjax.methods.filters.parameters import level_settling_s
 from sinsjax.methods.registry import METHODS, PACKAGES, from_package
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.anomalies import report_anomalies
-from sinsjax.records.plausibility import StationaryValues, find_implausible
+from sinsjax.records.plausibility import StationaryValues, check_stationary
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
@@ -208,7 +208,7 @@ def _record_warnings(study: Study, stored: StoredRecord) -> Iterator[str]:
     for begin, end in used:
         begin_s, end_s = (seconds(sample / record.rate_hz) for sample in (begin, end))
         where = f"{record.source}: {begin_s} to {end_s} s"
-        for finding in find_implausible(record, (begin, end), layout, expected):
+        for finding in check_stationary(record, (begin, end), layout, expected):
             if finding.is_certain and not section.trust:
                 # A constant channel may be the cause, and only this error is shown.
                 text = "; ".join([finding.text, *constant_channels])

@@ -1,6 +1,6 @@
-"""What no sensor puts out on a base at rest: samples beyond any range, or stuck; no Earth rate.
+"""Anomalies of a record: samples out of range, stuck channels, removed Earth rate.
 
-They are found where a file is read, for only there the rows are known.
+They are found while a file is read, since only then its rows are known.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,11 +16,11 @@ from sinsjax.units import DEG, STANDARD_GRAVITY
 
 _MAX_G, _MAX_DEG_PER_S = 20.0, 1000.0  # swaying bases and cars stay far below
 _TYPICAL_SHARE = 0.1
-"""Of the limit: where most samples are larger, it is the unit that is wrong, as the mean tells."""
+"""Of the limit: if most samples are larger, the unit is wrong, which the mean reveals."""
 
-_MAX_REPORTED = 6  # of what may be right, in messages
+_MAX_REPORTED = 6  # anomalies that may be harmless, in messages
 _REMOVED_SHARE = 0.01  # of Earth rate, in every gyro: biases do not cancel it so well in all three
-_STUCK_S = 1.0  # of all six channels: one of few counts may repeat itself for long
+_STUCK_S = 1.0  # of all six channels: a single coarse one may repeat for long
 
 
 def find_anomalies(
@@ -30,14 +30,14 @@ def find_anomalies(
     rate_hz: float,
     row_number: Callable[[int], int],
 ) -> tuple[Anomaly, ...]:
-    """What is odd about single samples of a record.
+    """Return the anomalies of a record.
 
     Args:
-        names: of the columns, three of gyros before three of accelerometers.
+        names: names of the columns, three of gyros, then three of accelerometers.
         columns: (T,) each, in any unit, nan where missing.
-        factors: from each column's unit to rad/s or m/s^2.
+        factors: conversion of each column's unit to rad/s or m/s^2.
         rate_hz: sample rate, Hz.
-        row_number: the row to name in a message about sample k.
+        row_number: function of sample k that returns its row, for messages.
     """
     out_of_range = _find_out_of_range(names, columns, factors, row_number)
     return (
@@ -50,13 +50,13 @@ def find_anomalies(
 def report_anomalies(
     anomalies: Sequence[Anomaly], spans: Sequence[tuple[int, int]]
 ) -> Iterator[Anomaly]:
-    """Those that concern some spans of samples, as messages tell them.
+    """Yield the anomalies within some spans of samples, for messages.
 
-    Of what is certainly wrong the first place, and how many more there are.
+    Certain errors are reduced to the first one and the number of others.
 
     Args:
-        anomalies: in a record.
-        spans: first sample of each, and the one after its last.
+        anomalies: anomalies of a record.
+        spans: first sample of each span, and the one after its last.
     """
     relevant = [
         anomaly
@@ -100,9 +100,9 @@ def _find_out_of_range(
 def _find_removed_earth_rate(
     gyros: Sequence[NDArray[Any]], factors: Sequence[float]
 ) -> Iterator[Anomaly]:
-    """Earth rate that was removed by subtracting the mean of the whole log from each gyro.
+    """Yield an anomaly if Earth rate was removed by subtracting each gyro's mean.
 
-    The mean over a part of it, which a study aligns, is that of its sways then.
+    Only the mean over the whole log shows it; that of a part depends on its sways.
     """
     if any(map(_is_constant, gyros)):
         return
@@ -134,7 +134,7 @@ def _find_stuck_channels(
         return
     for name in dead:
         value = float(columns[names.index(name)][0])
-        text = f"column {name!r} holds {value:.6g} in every row: is that sensor dead?"
+        text = f"column {name!r} is {value:.6g} in every row: is that sensor dead?"
         yield Anomaly(0, count, False, text)
     unchanged = np.ones(count - 1, bool)
     for values in columns:
@@ -151,7 +151,7 @@ def _find_stuck_channels(
 
 
 def find_dead_channels(channels: NDArray[Any]) -> list[bool]:
-    """Whether each of some channels (n, T) never changes while another one does."""
+    """Return for each channel (n, T) whether it never changes although another one does."""
     constant = list(map(_is_constant, channels))
     return [False] * len(constant) if all(constant) else constant
 

@@ -43,27 +43,27 @@ def record_from_arrays(
     reference: Any = None,
     source: str = "arrays",
 ) -> StoredRecord:
-    """A record from arrays of any library that NumPy understands, as `sinsjax.run` takes it.
+    """Return a record from arrays of any library that NumPy reads, for `sinsjax.run`.
 
-    The study that runs on it has ``[record] format = "arrays"``.
+    Its study needs ``[record] format = "arrays"``.
 
     Args:
         time: (T,) time at the end of each sample, in ``time_unit`` or as dates with time of any
-            library, in UTC unless they have a zone; None where ``rate_hz`` gives the times.
-        gyro: (T, 3) angular rates averaged over each sample, or increments over it, as the unit
-            tells; nan, None or NA where a sample is missing.
-        accel: (T, 3) specific forces likewise: of a base at rest it points up.
-        gyro_unit: "rad_per_s", "deg_per_s", "deg_per_h"; of increments "rad", "deg", "arcsec".
-        accel_unit: "m_per_s2", "g", "mg", "ug"; of increments "m_per_s", "g_s", "ug_s".
+            library, in UTC unless they have a zone; None if ``rate_hz`` determines the times.
+        gyro: (T, 3) angular rates averaged over each sample, or increments over it, depending on
+            the unit; nan, None or NA if a sample is missing.
+        accel: (T, 3) specific forces likewise; upward on a base at rest.
+        gyro_unit: "rad_per_s", "deg_per_s", "deg_per_h"; for increments "rad", "deg", "arcsec".
+        accel_unit: "m_per_s2", "g", "mg", "ug"; for increments "m_per_s", "g_s", "ug_s".
         time_unit: "s", "ms", "us" or "ns".
-        axes: where x, y and z of both arrays point: "rfu" (right, front, up), "frd" or "flu"; or
+        axes: directions of x, y and z of both arrays: "rfu" (right, front, up), "frd" or "flu"; or
             the axes that point right, front and up as a signed permutation, such as "y-xz".
         rate_hz: sample rate, Hz; None takes it from the times.
         max_gap_s: longest time between two good samples across which missing ones are interpolated.
-        latitude_deg: geodetic latitude, which a study's [earth] may leave out then.
+        latitude_deg: geodetic latitude, which a study's [earth] may then omit.
         height_m: height above the ellipsoid, likewise.
-        reference: attitude to compare with: a mapping or table of columns as `read_reference` reads
-            them from a file (time_s, on the clock of ``time``, pitch_deg, roll_deg, and yaw_deg or
+        reference: attitude to compare with: a mapping or table with the columns of
+            `read_reference` (time_s, on the clock of ``time``, pitch_deg, roll_deg, and yaw_deg or
             heading_deg; dates with time are seconds since 1970), or a `Reference`.
         source: name of the record, for messages and manifests.
 
@@ -81,7 +81,7 @@ def record_from_arrays(
         0.098
     """
     layout = Layout(
-        format="csv",  # its fields are those of any table
+        format="csv",  # with the fields of any table
         quantity=_common_quantity(source, gyro_unit, accel_unit),
         time_column="" if time is None else "time",
         gyro_columns=tuple(f"gyro{suffix}" for suffix in _AXIS_SUFFIXES),
@@ -94,9 +94,11 @@ def record_from_arrays(
         max_gap_s=max_gap_s,
     )
     if time_unit == "iso":
-        raise InputError(f"{source}: time_unit: 'iso' is of files (pass dates as a datetime array)")
+        raise InputError(
+            f"{source}: time_unit: 'iso' is for files (pass dates as a datetime array)"
+        )
     if time is None and rate_hz is None:
-        raise InputError(f"{source}: rate_hz: required where time is None")
+        raise InputError(f"{source}: rate_hz: required if time is None")
     if layout_fault := find_fault(layout):
         raise InputError(
             f"{source}: {message_key(_ARRAY_LAYOUT, layout_fault.key)}: {layout_fault.text}"
@@ -123,7 +125,7 @@ def record_from_arrays(
 
 
 def _common_quantity(source: str, gyro_unit: str, accel_unit: str) -> str:
-    """What both arrays hold, by their units: rates or increments."""
+    """Return the quantity of both arrays according to their units: rates or increments."""
     quantity_by_argument = {}
     for name, unit, known in (
         ("gyro_unit", gyro_unit, GYRO_UNITS),
@@ -138,13 +140,13 @@ def _common_quantity(source: str, gyro_unit: str, accel_unit: str) -> str:
         raise InputError(
             f"{source}: accel_unit: {accel_unit!r} is of {quantity_by_argument['accel_unit']},"
             f" gyro_unit {gyro_unit!r} of {quantity_by_argument['gyro_unit']}: both arrays"
-            " must hold the same"
+            " must have the same quantity"
         )
     return quantity_by_argument["gyro_unit"]
 
 
 def _to_floats(source: str, name: str, values: Any) -> FloatArray:
-    """Numbers of an array or table as float64, nan where missing: the caller's own or a copy."""
+    """Return an array or table as float64, nan if missing; may be the caller's own array."""
     if hasattr(values, "filled"):  # of a masked array
         values = values.astype(float).filled(np.nan)
     try:
@@ -152,7 +154,7 @@ def _to_floats(source: str, name: str, values: Any) -> FloatArray:
     except (TypeError, ValueError) as error:
         cells = _to_cells(values)
         if cells is None:
-            raise InputError(f"{source}: {name}: no numbers: {first_line(error)}") from None
+            raise InputError(f"{source}: {name}: not numeric: {first_line(error)}") from None
     numbers = np.empty(cells.shape)
     for index, cell in np.ndenumerate(cells):
         try:
@@ -162,13 +164,13 @@ def _to_floats(source: str, name: str, values: Any) -> FloatArray:
             column = f"{name}[:, {axis[0]}]" if axis else name
             cell_text = shortened(repr(cell), 32)
             raise InputError(
-                f"{source}: row {row}: column {column!r}: {cell_text} is no number"
+                f"{source}: row {row}: column {column!r}: {cell_text} is not a number"
             ) from None
     return numbers
 
 
 def _to_cells(values: Any) -> NDArray[Any] | None:
-    """The single cells of an array or table; None where its rows differ in length."""
+    """Return the cells of an array or table; None if its rows differ in length."""
     try:
         cells = np.asarray(values, dtype=object)
     except ValueError:
@@ -177,7 +179,7 @@ def _to_cells(values: Any) -> NDArray[Any] | None:
 
 
 def _is_missing(cell: Any) -> bool:
-    """Whether a cell is None, NA or NaT: those of pandas neither compare nor become numbers."""
+    """Whether a cell is None, NA or NaT, which pandas neither compares nor converts."""
     return cell is None or type(cell).__name__ in ("NAType", "NaTType")
 
 
@@ -189,9 +191,9 @@ def _to_vectors(source: str, name: str, values: Any) -> FloatArray:
 
 
 def _to_column(source: str, name: str, values: Any) -> tuple[FloatArray, bool]:
-    """A column as numbers, and whether they are seconds since 1970 from dates."""
+    """Return a column as numbers, and whether they are seconds since 1970 from dates."""
     array = np.asarray(values)
-    if array.dtype.kind == "O" and array.ndim == 1:  # pandas gives dates with a zone as objects
+    if array.dtype.kind == "O" and array.ndim == 1:  # pandas stores dates with a zone as objects
         first = next((cell for cell in array if not _is_missing(cell)), None)
         if isinstance(first, datetime):
             array = _to_utc_dates(source, name, values)
@@ -202,11 +204,11 @@ def _to_column(source: str, name: str, values: Any) -> tuple[FloatArray, bool]:
 
 
 def _to_utc_dates(source: str, name: str, values: Any) -> NDArray[Any]:
-    """Dates with time in UTC, of objects of which some may have a zone."""
+    """Return dates with time in UTC, from objects of which some may have a zone."""
     try:
         dates = pa.array(values, pa.timestamp("ns", "UTC"), from_pandas=True)
     except (pa.ArrowException, TypeError, ValueError) as error:
-        raise InputError(f"{source}: {name}: no dates with time: {first_line(error)}") from None
+        raise InputError(f"{source}: {name}: not dates with time: {first_line(error)}") from None
     moments: NDArray[Any] = dates.to_numpy(zero_copy_only=False)
     return moments
 
@@ -221,7 +223,7 @@ def _check_equal_lengths(source: str, arrays: dict[str, FloatArray]) -> None:
 
 
 def _make_table(source: str, columns: dict[str, FloatArray]) -> ColumnTable:
-    """Columns in memory as a file's are opened; its rows count from 0."""
+    """Return columns in memory as an opened table, whose rows count from 0."""
 
     def read(
         wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
@@ -243,16 +245,16 @@ def _make_table(source: str, columns: dict[str, FloatArray]) -> ColumnTable:
 
 
 def _make_reference(source: str, reference: Any) -> Reference | None:
-    """A reference attitude from a mapping or table of columns."""
+    """Return a reference attitude from a mapping or table of columns."""
     if reference is None or isinstance(reference, Reference):
         return reference
-    names = getattr(reference, "column_names", None)  # of Arrow, whose `columns` are arrays
+    names = getattr(reference, "column_names", None)  # for Arrow, whose `columns` are arrays
     if names is None:
         names = getattr(reference, "columns", reference)
     columns = {str(name): _to_column(source, str(name), reference[name])[0] for name in names}
     rows = {len(values) for values in columns.values()}
     if len(rows) > 1 or not all(values.ndim == 1 for values in columns.values()):
-        raise InputError(f"{source}: its columns must have one number for each of its rows")
+        raise InputError(f"{source}: its columns must have one number per row")
     if rows == {0}:
         raise InputError(f"{source}: has no rows")
     return reference_from_table(source, _make_table(source, columns))

@@ -1,4 +1,4 @@
-"""Which column of a file that nobody described tells the time, in what unit, and at what rate."""
+"""Detection of the time column of a file without a description, with its unit and rate."""
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -10,22 +10,25 @@ from sinsjax.errors import InputError
 from sinsjax.records.column_names import Clock, find_clocks, is_counter
 from sinsjax.records.layout import TIME_UNITS, FloatArray, Note
 
-_FASTEST_S, _SLOWEST_S = 0.5e-3, 0.5  # steps of inertial units: a factor of 1000, as between units
+_FASTEST_S, _SLOWEST_S = (
+    0.5e-3,
+    0.5,
+)  # range of sample intervals of IMUs, less than a factor of 1000
 _PLACEHOLDER_HZ = 100.0
-_MAX_COARSENESS = 0.01  # of the span: their mean tells the rate to as much
+_MAX_COARSENESS = 0.01  # of the span, which limits the error of their mean rate
 
 EXAMINED_S = 300.0
-"""Of a record, to find its units, axes and rate."""
+"""Length of a record that is examined to find its units, axes and rate, s."""
 
 
 class Timing(NamedTuple):
-    """What a file tells of its times.
+    """Timing of a file.
 
     Attributes:
-        clock: the column of time with its unit, or None.
-        rate_hz: sample rate, Hz; one that stands for it where nothing tells it.
-        is_known: whether the file tells the rate.
-        notes: by key of the layout.
+        clock: the time column with its unit, or None.
+        rate_hz: sample rate, Hz; a placeholder if unknown.
+        is_known: whether the file determines the rate.
+        notes: reasons and doubts by key of the layout.
     """
 
     clock: Clock | None
@@ -37,15 +40,15 @@ class Timing(NamedTuple):
 def find_timing(
     path: Path, times: Mapping[Clock, FloatArray], row_number: Callable[[int], int]
 ) -> Timing:
-    """What a file tells of its times.
+    """Timing of a file.
 
     Args:
         path: the file, for messages.
-        times: (T,) of each column that may hold them, in its unit, nan where missing.
-        row_number: the row to name in a message about sample k.
+        times: (T,) values of each possible time column, in its unit, nan if missing.
+        row_number: function of sample k that returns its row, for messages.
 
     Raises:
-        InputError: none increases, and one that is named as time decreases; names the row.
+        InputError: none increases, and a column named as time decreases; names the row.
     """
     candidates = {clock: values for clock, values in times.items() if not is_counter(clock.name)}
     columns = [_Column(clock, values, row_number) for clock, values in candidates.items()]
@@ -59,18 +62,18 @@ def find_timing(
         if column.decreases.size and find_clocks([column.clock.name]):
             column.raise_backward_error(path)
     reason = next((column.describe_repeat() for column in columns if column.repeats.size), "")
-    doubt = f"{reason or 'no column holds times'}, so nothing tells the rate: put it here, and take"
-    doubt += f" the mark away; seconds in this file are those of {_PLACEHOLDER_HZ:g} Hz"
+    doubt = f"{reason or 'no column has times'}, so the rate is unknown: write it here, and remove"
+    doubt += f" the comment mark; times in this file assume {_PLACEHOLDER_HZ:g} Hz"
     return Timing(None, _PLACEHOLDER_HZ, False, {"rate_hz": Note("", doubt)})
 
 
 class _Column:
-    """A column that may hold times.
+    """A possible time column.
 
     Attributes:
-        clock: its name, and the unit that its name tells.
-        decreases: places among its finite values before which it decreases.
-        repeats: likewise, repeats itself.
+        clock: its name, and the unit in its name.
+        decreases: indices of finite values that are less than the preceding one.
+        repeats: indices of finite values that equal the preceding one.
     """
 
     def __init__(self, clock: Clock, values: FloatArray, row_number: Callable[[int], int]) -> None:
@@ -82,7 +85,7 @@ class _Column:
         self.repeats = np.flatnonzero(self._steps == 0) + 1
 
     def read_timing(self) -> Timing | None:
-        """Of a column that can be read as the time: its median step tells unit and rate."""
+        """Return the timing of increasing stamps from their median step; None otherwise."""
         steps = self._steps
         if not len(steps) or np.mean(steps > 0) < 0.99:
             return None
@@ -102,7 +105,7 @@ class _Column:
         return Timing(Clock(self.clock.name, unit), rate, True, notes)
 
     def average_timing(self) -> Timing | None:
-        """Of stamps that are too coarse, so that they repeat but never decrease: their mean."""
+        """Return the timing of coarse stamps, which repeat but never decrease, from their mean."""
         values = self._finite_values
         if self.decreases.size or len(values) < 2 or values[-1] == values[0]:
             return None
@@ -117,16 +120,14 @@ class _Column:
             return None
         rate = last / span_s
         if abs(round(rate) - rate) <= rate * coarse_s / span_s:
-            rate = float(round(rate))  # the stamps cannot tell it from that
-        doubt = (
-            f"{self.describe_repeat()}: its stamps are too coarse to be read and it is left out, so"
-        )
-        doubt += " that times count from the beginning of the record; their mean over"
-        doubt += f" {span_s:.4g} s tells this rate: put the true one here"
+            rate = float(round(rate))  # within the resolution of the stamps
+        doubt = f"{self.describe_repeat()}: its stamps are too coarse, so it is ignored and"
+        doubt += " times count from the beginning of the record; the mean step over"
+        doubt += f" {span_s:.4g} s gives this rate: write the true one here"
         return Timing(None, rate, True, {"rate_hz": Note("Hz", doubt)})
 
     def describe_repeat(self) -> str:
-        """Where it repeats itself first, in words."""
+        """Return the first repetition as text."""
         return (
             f"{self.clock.name!r} repeats itself at row {self._row_in_file(int(self.repeats[0]))}"
         )
@@ -143,7 +144,7 @@ class _Column:
         return self._row_number(int(self._samples[place]))
 
     def _find_unit(self, step: float) -> tuple[str, str]:
-        """The unit in which a step is one of an inertial unit, "" for none, and its doubt."""
+        """Return the unit in which a step is plausible for an IMU, "" for none, and its doubt."""
         named_unit = self.clock.unit
         plausible = list(_plausible_units(step))
         unit = named_unit if named_unit in (*plausible, "iso") or not plausible else plausible[0]
@@ -154,11 +155,10 @@ class _Column:
             named_rate = 1 / (step * TIME_UNITS[named_unit])
             return (
                 unit,
-                f"the name tells {named_unit}, in which there would be {named_rate:.3g}"
-                " samples a second",
+                f"the name states {named_unit}, which would be {named_rate:.3g} samples per second",
             )
         if not plausible and unit != "iso":
-            return unit, f"{rate:.3g} samples a second are unusual"
+            return unit, f"{rate:.3g} samples per second are unusual"
         return unit, ""
 
 

@@ -1,6 +1,6 @@
-"""What the names of a file's columns tell: which hold gyros, accelerometers and time, in what unit.
+"""Interpretation of column names: gyros, accelerometers and time, with axes and units.
 
-Names are compared in lower case, their words apart: ``GyroX [deg/s]`` is gyro, x and deg/s.
+Names are compared in lower case, word by word: ``GyroX [deg/s]`` is gyro, x and deg/s.
 """
 
 import re
@@ -26,10 +26,10 @@ _DIRECTIONS = {
     "r": "r", "l": "l", "f": "f", "u": "u", "d": "d",
 }  # fmt: skip
 _TURN_AXES = {"roll": "x", "pitch": "y", "yaw": "z", "p": "x", "q": "y", "r": "z"}
-"""Turns of an aircraft, roll_rate or p alone, by the record's axes."""
+"""Axes of an aircraft's rotations, such as roll_rate, or p alone."""
 _TURN_STEM = "turn_rate"
 _DIRECTION_GROUPS = ("rl", "f", "ud")
-"""Ways of three axes; of a pair either."""
+"""Directions of three axes; of a pair, either one."""
 _DIRECTION_NAMES = {"r": "right", "l": "left", "f": "front", "u": "up", "d": "down"}
 _ORDERS = ("rfu", "frd", "flu")
 _ORDERS_IN_WORDS = {
@@ -73,10 +73,10 @@ class Triad(NamedTuple):
     """Three columns of one sensor.
 
     Attributes:
-        names: in the record's x, y, z.
-        unit: that the names tell, a key of `layout.GYRO_UNITS` or `ACCEL_UNITS`; "" if none.
-        directions: where x, y and z point by the names, as "frd"; "" if they do not tell.
-        are_increments: whether the names speak of increments.
+        names: columns in the order of the record's x, y, z.
+        unit: unit in the names, a key of `layout.GYRO_UNITS` or `ACCEL_UNITS`; "" if none.
+        directions: directions of x, y and z in the names, such as "frd"; "" if none.
+        are_increments: whether the names indicate increments.
     """
 
     names: tuple[str, str, str]
@@ -86,21 +86,21 @@ class Triad(NamedTuple):
 
 
 class Clock(NamedTuple):
-    """A column that may hold the time, and the unit that its name tells; "" if none."""
+    """A possible time column, and the unit in its name; "" if none."""
 
     name: str
     unit: str
 
 
 def find_triads(names: Sequence[str], sensor: str) -> list[Triad]:
-    """The triads of ``"gyro"`` or ``"accel"`` among a file's columns, in the file's order."""
+    """Return the triads of ``"gyro"`` or ``"accel"`` among a file's columns, in its order."""
     columns_by_axis = _columns_by_axis(names, sensor).items()
     candidates = [_make_triad(stem, unit, columns) for (stem, unit), columns in columns_by_axis]
     return [triad for triad in candidates if triad is not None]
 
 
 def find_incomplete_triad(names: Sequence[str], sensor: str) -> tuple[list[str], str] | None:
-    """Two columns of ``"gyro"`` or ``"accel"``, and how the name of their third would end."""
+    """Return two columns of a triad, and the missing ending of the third one's name, if any."""
     for (stem, _), columns in _columns_by_axis(names, sensor).items():
         by_direction = {
             _DIRECTIONS[axis]: name for axis, name in columns.items() if axis in _DIRECTIONS
@@ -124,7 +124,7 @@ def find_incomplete_triad(names: Sequence[str], sensor: str) -> tuple[list[str],
 
 
 def _columns_by_axis(names: Sequence[str], sensor: str) -> dict[tuple[str, str], dict[str, str]]:
-    """Columns by axis, of each stem and unit of ``"gyro"`` or ``"accel"``."""
+    """Return the columns of ``"gyro"`` or ``"accel"`` by stem and unit, and by axis."""
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
         parts = _split_axis(name, sensor)
@@ -137,7 +137,7 @@ def _columns_by_axis(names: Sequence[str], sensor: str) -> dict[tuple[str, str],
 
 
 def find_clocks(names: Sequence[str]) -> list[Clock]:
-    """The columns whose names speak of time, in the file's order."""
+    """Return the columns whose names indicate time, in the file's order."""
     clocks_found = []
     for name in names:
         stem, unit = _split_unit(name, "time")
@@ -149,7 +149,7 @@ def find_clocks(names: Sequence[str]) -> list[Clock]:
 
 
 def find_axes_order(texts: Iterable[str]) -> str:
-    """The axes that comments or names speak of, one of `layout.NAMED_AXES`; "" if none or many."""
+    """Return the axes that texts name, one of `layout.NAMED_AXES`; "" if none or several."""
     orders = set()
     for text in texts:
         lower = re.sub(r"[\s/,_-]+", "-", text.lower())
@@ -165,7 +165,7 @@ def is_counter(name: str) -> bool:
 
 
 def _is_sensor_name(sensor: str, stem: str) -> bool:
-    """Whether the words of a name before its axis are those of gyros or accelerometers."""
+    """Whether the words of a name before its axis denote the sensor."""
     other_sensor = "accel" if sensor == "gyro" else "gyro"
     if _SENSOR_WORDS[sensor].search(stem):
         return not (sensor == "accel" and _SENSOR_WORDS[other_sensor].search(stem))
@@ -175,13 +175,13 @@ def _is_sensor_name(sensor: str, stem: str) -> bool:
 
 
 def _normalise_name(name: str) -> str:
-    """A name in lower case, its words joined by underscores."""
+    """Return a name in lower case, with its words joined by underscores."""
     separated = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name.strip())
     return re.sub(r"[^a-z0-9/°^²*µμ\"]+", "_", separated.lower()).strip("_")
 
 
 def _split_unit(name: str, kind: str) -> tuple[str, str]:
-    """The words of a name without its unit, and the unit; "" if it tells none."""
+    """Return the words of a name without its unit, and the unit; "" without one."""
     bracket = re.search(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$", name)
     if bracket and (unit := _parse_unit(bracket[1], kind)):
         return _normalise_name(name[: bracket.start()]), unit
@@ -198,7 +198,7 @@ def _parse_unit(text: str, kind: str) -> str:
 
 
 def _split_axis(name: str, kind: str) -> tuple[str, str, str] | None:
-    """What comes before the axis in a name, the axis, and the unit; None without an axis."""
+    """Return the stem, the axis and the unit of a name; None without an axis."""
     for stem_and_axis, unit in (_split_unit(name, kind), (_normalise_name(name), "")):
         turn = re.sub(r"_?(rate|vel(ocity)?)$", "", stem_and_axis)
         if kind == "gyro" and turn in _TURN_AXES and (len(turn) == 1) == (turn == stem_and_axis):
@@ -214,7 +214,7 @@ def _split_axis(name: str, kind: str) -> tuple[str, str, str] | None:
 
 
 def _make_triad(stem: str, unit: str, columns: dict[str, str]) -> Triad | None:
-    """The triad of columns by axis; None where one is missing."""
+    """Return the triad of columns by axis; None if one is missing."""
     increments = bool(re.search(r"delta|^d_?(v|theta|ang)|_d(v|theta)", stem))
     by_direction = {
         _DIRECTIONS[axis]: name for axis, name in columns.items() if axis in _DIRECTIONS

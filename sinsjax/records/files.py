@@ -32,7 +32,7 @@ class Lines(NamedTuple):
 
     Attributes:
         first: row of the first line, from 1.
-        lines: without line endings.
+        lines: the lines without line endings.
         is_last: whether these are the last lines of the file.
     """
 
@@ -42,7 +42,7 @@ class Lines(NamedTuple):
 
 
 def read_line_batches(path: str | Path, size: int | None = None) -> Iterator[Lines]:
-    """Lines of a text file in batches: a long text file is larger than the arrays read from it.
+    """Yield the lines of a text file in batches, since long files exceed their arrays in size.
 
     Args:
         path: the file.
@@ -72,7 +72,7 @@ def read_line_batches(path: str | Path, size: int | None = None) -> Iterator[Lin
 
 
 def _read_blocks(path: str | Path, size: int) -> Iterator[tuple[bytes, bool]]:
-    """Blocks of a file without its byte order mark, each with whether it is the last."""
+    """Yield the blocks of a file without byte order mark, each with whether it is the last."""
     try:
         with open(path, "rb") as file:
             block = file.read(size)
@@ -88,7 +88,7 @@ def _read_blocks(path: str | Path, size: int) -> Iterator[tuple[bytes, bool]]:
 
 
 def parse_number_or_nan(text: str) -> float:
-    """As `parse_number`, but an empty or non-finite value is missing and becomes nan."""
+    """Parse one number like `parse_number`, with nan for an empty or non-finite value."""
     try:
         return parse_number(text)
     except ValueError:
@@ -98,7 +98,7 @@ def parse_number_or_nan(text: str) -> float:
 
 
 def parse_number(text: str) -> float:
-    """Parse one finite number; the ValueError of an invalid text says what is wrong with it."""
+    """Parse one finite number; the ValueError of an invalid text states what is wrong."""
     text = text.strip()
     if not text:
         raise ValueError("is empty")

@@ -1,4 +1,4 @@
-"""The beginning of a file of named columns: its kind, names, comments, what its columns hold."""
+"""The beginning of a file with named columns: format, names, comments and types of columns."""
 
 import csv
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from sinsjax.records.tables import (
     open_parquet,
 )
 
-_BYTES, _ROWS = 2**16, 20  # that are looked at
+_BYTES, _ROWS = 2**16, 20  # examined part of a file
 
 
 class Head(NamedTuple):
@@ -29,13 +29,13 @@ class Head(NamedTuple):
 
     Attributes:
         format: "csv" or "parquet".
-        names: of its columns.
-        numbers: names of those that hold numbers.
-        non_numbers: what else the first rows hold in place of numbers, by name: row and cell.
-        dates: names of those that hold dates with time.
-        comments: lines of comment before the names.
-        description: what kind of file it is, in words.
-        column_types: of its columns by name, of a Parquet file alone.
+        names: names of its columns.
+        numbers: names of the numeric columns.
+        non_numbers: first cell that is not a number, by name: row and cell.
+        dates: names of the columns of dates with time.
+        comments: comment lines before the names.
+        description: description of the file in words.
+        column_types: types of the columns by name, for Parquet only.
     """
 
     format: str
@@ -48,12 +48,12 @@ class Head(NamedTuple):
     column_types: Mapping[str, pa.DataType] = MappingProxyType({})
 
     def open_table(self, path: Path) -> ColumnTable:
-        """The file with its columns."""
+        """Open the file with its columns."""
         return open_parquet(path) if self.format == "parquet" else open_csv(path)
 
 
 def read_head(path: Path) -> Head:
-    """The beginning of a CSV or Parquet file.
+    """Read the beginning of a CSV or Parquet file.
 
     Raises:
         InputError: it cannot be read, or its columns have no names.
@@ -91,7 +91,7 @@ def _read_csv_head(path: Path) -> Head:
     data = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)]
     comments = [line.decode(errors="replace") for line in lines[: data[0] if data else None]]
     if not data:
-        raise InputError(f"{path}: has no line that names its columns")
+        raise InputError(f"{path}: has no header line with column names (write one)")
     row, delimiter = data[0] + 1, find_delimiter(lines[data[0]])
     names, *rest = [_split_cells(lines[k], delimiter) for k in data[: _ROWS + 1]]
     place = f"{path}: row {row}"
@@ -103,11 +103,11 @@ def _read_csv_head(path: Path) -> Head:
             len(_split_cells(line.encode(), delimiter)) == len(names) for line in comments
         )
         hint = (
-            "its names stand in a comment: take the sign away that begins it"
+            "its names are in a comment: remove the comment mark"
             if is_commented
             else "begin the file with a line such as time_s,gyro_x,gyro_y,gyro_z,accel_x,..."
         )
-        raise InputError(f"{place}: numbers where the names of the columns belong ({hint})")
+        raise InputError(f"{place}: numbers instead of column names ({hint})")
     non_numbers: dict[str, tuple[int, str]] = {}
     for k, row_cells in zip(data[1:], rest, strict=False):
         for name, cell in zip(names, row_cells, strict=False):
@@ -152,5 +152,5 @@ def _is_date(cell: str) -> bool:
 
 
 def format_names(names: list[str]) -> str:
-    """Names of columns for a message, as many as a line holds."""
+    """Return column names for a message, shortened to one line."""
     return shortened(", ".join(names), 120)

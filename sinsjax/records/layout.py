@@ -32,9 +32,9 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
 _FORMATS = ("psins", "csv", "parquet")
 
 NAMED_AXES = {"rfu": "xyz", "frd": "yx-z", "flu": "-yxz"}
-"""Orders of axes by the letters of where x, y and z point: right, front, left, up or down."""
+"""Orders of axes by the directions of x, y and z: right, front, left, up or down."""
 
-# Clocks deviate this far from their nominal rate; a larger difference is a mistake in the rate.
+# Clocks deviate this far from their nominal rate; a larger difference is a wrong rate.
 _RATE_TOLERANCE = 1e-4
 
 
@@ -47,9 +47,9 @@ class Flaw(NamedTuple):
 
 
 class Anomaly(NamedTuple):
-    """Samples, ``begin`` up to but not including ``end``, that no sensor of a base at rest gives.
+    """Samples, ``begin`` up to but not including ``end``, that are impossible for a base at rest.
 
-    ``hard`` if they are certainly wrong; the message is without the file's name.
+    ``is_certain`` if they are certainly wrong; the message does not name the file.
     """
 
     begin: int
@@ -70,13 +70,13 @@ class Record(NamedTuple):
         height_m: height from the file's header, or None.
         attitude_deg: pitch, roll and yaw (counter-clockwise from north) exactly as in the file's
             header, or None.
-        gravity_m_per_s2: the g that the file's specific force is scaled by, or None.
+        gravity_m_per_s2: the g that scales the file's specific force, or None.
         source: the file's name, for messages.
         flaws: missing samples, which are nan in dtheta and dv.
         filled: number of missing samples that were interpolated.
-        layout: how arrays held it, for messages about their units and axes; None of a file, whose
-            layout the study has.
-        oddities: samples that no sensor of a base at rest gives.
+        layout: layout of arrays, for messages about their units and axes; None for a file, whose
+            layout is in the study.
+        anomalies: samples that are impossible for a base at rest.
     """
 
     dtheta: FloatArray
@@ -99,7 +99,7 @@ class Layout(NamedTuple):
 
     Attributes:
         format: "psins", "csv" or "parquet". PSINS text otherwise uses only axes_order and rate_hz.
-            "arrays" of what was given in memory, which no file has.
+            "arrays" for arrays in memory.
         quantity: "increments" over each sample, or "rates" averaged over each sample.
         time_column: time at the end of each sample; "" if the file has no time.
         gyro_columns: three names, in the record's own x, y, z.
@@ -131,18 +131,18 @@ _ARGUMENTS = {"time_column": "time", "axes_order": "axes"}
 
 
 def message_key(layout: Layout, key: str) -> str:
-    """What messages call a key of a layout: that of a file, or the argument that gives arrays."""
+    """Return the name of a layout's key in messages: the key, or the argument for arrays."""
     return _ARGUMENTS.get(key, key) if layout.format == "arrays" else key
 
 
 def find_spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Where flags (T,) are set: of every run the first place, and the one after its last."""
+    """Return the spans in which flags (T,) are set: first index, and the one after the last."""
     edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
     return [(begin, end) for begin, end in edges.tolist()]
 
 
 class Note(NamedTuple):
-    """Why a key of a layout has its value, and what cannot be known about it; "" for nothing."""
+    """Reason for the value of a layout's key, and the doubt about it; "" for none."""
 
     reason: str
     doubt: str = ""
@@ -157,29 +157,29 @@ def check_layout(layout: Layout, source: str) -> None:
 
     Args:
         layout: the layout.
-        source: name of the file that holds the keys, with which the message begins.
+        source: name of the file with the keys, at the start of the message.
 
     Raises:
-        InputError: names the key and what is wrong with it.
+        InputError: names the key and the fault.
     """
     if layout_fault := find_fault(layout):
         raise InputError(f"{source}: {layout_fault.key}: {layout_fault.text}")
 
 
 class Fault(NamedTuple):
-    """What is wrong with a layout: the key and the message."""
+    """Fault of a layout: the key and the message."""
 
     key: str
     text: str
 
 
 def find_fault(layout: Layout) -> Fault | None:
-    """The first fault of a layout; None if it is valid."""
+    """Return the first fault of a layout; None if it is valid."""
     return next((Fault(*entry) for entry in _iter_layout_faults(layout)), None)
 
 
 def _iter_layout_faults(layout: Layout) -> Iterator[tuple[str, str]]:
-    # Only the first fault is ever read, so later checks may rely on earlier ones.
+    # Only the first fault is read, so later checks may rely on earlier ones.
     if layout.format not in _FORMATS:
         yield "format", _not_one_of_text(layout.format, _FORMATS)
     if layout.quantity not in GYRO_UNITS:
@@ -192,7 +192,7 @@ def _iter_layout_faults(layout: Layout) -> Iterator[tuple[str, str]]:
         yield "axes_order", str(error)
     if layout.format == "psins":
         if layout.quantity != "increments":
-            yield "quantity", "PSINS text holds increments, not rates"
+            yield "quantity", "PSINS text has increments, not rates"
         return
     yield from _iter_column_faults(layout)
 
@@ -231,7 +231,7 @@ def _not_one_of_text(value: str, known: Iterable[str]) -> str:
 
 
 def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
-    """Parse an axes order: for body right, front and up the record's axis and its sign.
+    """Parse an order of axes: the record's axis and sign for body right, front and up.
 
     Args:
         order: a signed permutation of xyz, such as "y-xz", or a name of `NAMED_AXES`.
@@ -301,10 +301,10 @@ def require_span(record: Record, start_s: float, needed_s: float, breakdown: str
         record: the record.
         start_s: start of the span, from the beginning of the record, s.
         needed_s: length of the span, s.
-        breakdown: what that length consists of, in words after a blank.
+        breakdown: composition of that length as text, after a blank.
 
     Raises:
-        InputError: gives the length of the record and what is needed, or the missing samples.
+        InputError: states the available and the needed length, or the missing samples.
     """
     available_s = len(record.dtheta) / record.rate_hz
     if start_s < 0:

@@ -10,12 +10,12 @@ from sinsjax.records.quaternions import integrate_attitudes, multiply, rotate_ve
 from sinsjax.units import DEG, DEG_PER_H
 
 EARTH_RATE = 15.041 * DEG_PER_H
-"""rad/s."""
+"""Earth rate, rad/s."""
 
 MAX_PARKED_TURN = 1.0 * DEG
-"""A parked vehicle stays within it."""
+"""Largest rotation of a parked vehicle, rad."""
 
-_MAX_STEPS = 2**19  # steps in which a span is analysed; of a longer one, samples are summed
+_MAX_STEPS = 2**19  # analysed steps of a span; in a longer one, samples are summed
 
 
 class Means(NamedTuple):
@@ -24,7 +24,7 @@ class Means(NamedTuple):
     Attributes:
         rate: (3,) mean rate, with sways averaged out.
         rate_uncertainty: uncertainty of the mean rate from sways and noise.
-        is_steady: whether the rate is about constant.
+        is_steady: whether the rate is nearly constant.
         turn_angle: angle by which the base rotated in addition to the mean rate, rad.
         rate_change: least change of the mean rate from the first to the last third, rad/s.
         force: (3,) mean specific force.
@@ -48,12 +48,12 @@ class Means(NamedTuple):
 
 
 def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Means:
-    """Mean measurements of a span of a record: its first sample, and the one after its last.
+    """Return the mean measurements of a span of a record.
 
     Args:
         record: the record, without missing samples in the span.
-        span: at least some samples.
-        gravity: m/s^2, that the mean specific force is expected to be near.
+        span: first sample, and the one after the last.
+        gravity: expected magnitude of the mean specific force, m/s^2.
     """
     samples_per_step = -(-(span[1] - span[0]) // _MAX_STEPS)
     dtheta, dv = (
@@ -66,7 +66,7 @@ def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Mean
     force = rotate_vectors(q[:-1], dv) / dt
     rate = _weighted_mean(rotations) / dt
     rate_uncertainty = 3 * _mean_uncertainty(rotations) / dt
-    # Windows of a quarter of the span: one with a turn stands out from the median of all.
+    # Windows of a quarter of the span: one with a turn differs from the median of all.
     windows = np.array([_weighted_mean(rotations, k / 16, (k + 4) / 16) for k in range(13)]) / dt
     deviation = np.linalg.norm(windows - np.median(windows, axis=0), axis=1)
     typical = float(np.median(deviation))
@@ -80,7 +80,7 @@ def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Mean
     rate_change = _norm(_weighted_mean(thirds[1]) - _weighted_mean(thirds[0])) - sum(
         map(_mean_uncertainty, thirds)
     )
-    # Sways make every pair of neighbouring windows differ; a single change does not.
+    # With sways every pair of neighbouring windows differs; with a single change only one does.
     rate_change -= dt / 2 * float(np.median(np.linalg.norm(np.diff(windows, axis=0), axis=1)))
     cosine = float(early @ late) / (_norm(early) * _norm(late))
     samples_per_second = max(1, round(1 / dt))
@@ -98,7 +98,7 @@ def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Mean
         turn_angle=turn_angle,
         rate_change=rate_change / dt,
         force=dv.mean(axis=0) / dt,
-        # Fast sways shorten the block means, wrong gyros the resolved mean: the better one counts.
+        # Fast sways shorten the block means, wrong gyros the resolved mean: use the better one.
         force_magnitude=min(force_magnitudes, key=lambda size: abs(size - gravity)),
         resolved_force_ratio=force_magnitudes[0] / force_magnitudes[1],
         vertical_shift=math.acos(max(-1.0, min(1.0, cosine))),
@@ -107,7 +107,7 @@ def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Mean
 
 
 def _sum_increments(rows: FloatArray, count: int) -> FloatArray:
-    """Increments (n, 3) over ``count`` samples each; an incomplete last sum is dropped."""
+    """Return increments (n, 3) over ``count`` samples each; an incomplete last sum is dropped."""
     if count == 1:
         return rows
     return rows[: len(rows) // count * count].reshape(-1, count, 3).sum(axis=1)
@@ -118,13 +118,13 @@ def _norm(vector: FloatArray) -> float:
 
 
 def _mean_uncertainty(rows: FloatArray) -> float:
-    """The largest difference between the mean of most of the rows and that of all."""
+    """Return the largest difference between the mean of most rows and that of all."""
     parts = [(0.0, 0.9), (0.1, 1.0), (0.05, 0.95)]
     return max(_norm(_weighted_mean(rows, *part) - _weighted_mean(rows)) for part in parts)
 
 
 def _weighted_mean(rows: FloatArray, begin: float = 0.0, end: float = 1.0) -> FloatArray:
-    """Mean of a part of the rows (n, 3), weighted so that a few periods of sway cancel."""
+    """Return the mean of a part of the rows (n, 3), with weights that cancel sways."""
     first, last = int(begin * len(rows)), max(int(begin * len(rows)) + 1, round(end * len(rows)))
     n = last - first
     weight = np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 4
@@ -132,10 +132,10 @@ def _weighted_mean(rows: FloatArray, begin: float = 0.0, end: float = 1.0) -> Fl
 
 
 def _rotation_steps(q: FloatArray, dtheta: FloatArray) -> FloatArray:
-    """Rotation over each sample in the fixed axes that q (n + 1, 4) transforms to, (n, 3), rad.
+    """Return the rotation over each sample in the target axes of q (n + 1, 4); (n, 3), rad.
 
-    Steps of the rotation vector, over which a sway sums to zero whatever the order of its axes; the
-    transformed gyro increments where the base turns too far for a rotation vector.
+    Steps of the rotation vector, over which a sway sums to zero for any order of its axes; the
+    transformed gyro increments if the base turns too far for a rotation vector.
     """
     q = q * np.sign(q[:, :1] + (q[:, :1] == 0))
     sine = np.linalg.norm(q[:, 1:], axis=1)
@@ -147,5 +147,5 @@ def _rotation_steps(q: FloatArray, dtheta: FloatArray) -> FloatArray:
 
 
 def vertical_rate(means: Means) -> float:
-    """The mean rate about the vertical, rad/s."""
+    """Return the mean rate about the vertical, rad/s."""
     return float(means.rate @ means.force) / float(np.linalg.norm(means.force))

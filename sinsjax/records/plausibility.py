@@ -1,8 +1,8 @@
-"""Plausibility checks of a record before anything is aligned with it.
+"""Plausibility checks of a record before its alignment.
 
-The mean specific force of a stationary base is gravity and its mean rate is Earth rate, however it
-sways, apart from sensor biases. Wrong units, axes or signs, or a turning vehicle, show in one of
-the two.
+Apart from sensor biases, the mean specific force of a stationary base is gravity and its mean rate
+is Earth rate, even if it sways. Wrong units, axes or signs, or a turning vehicle, affect one of the
+two.
 """
 
 import math
@@ -16,7 +16,7 @@ from sinsjax.records.means import MAX_PARKED_TURN, Means, compute_means, vertica
 from sinsjax.units import DEG, DEG_PER_H, micro_g
 
 _CERTAIN_FACTOR = 9.5
-"""A mean wrong by this factor is rejected: below 10, so that g taken for m/s^2 (9.8) is caught."""
+"""Factor by which a rejected mean is wrong: below 10, to detect g taken for m/s^2 (9.8)."""
 
 _MAX_SETTLING_ANGLE = 0.3 * DEG  # of an occupied vehicle on its suspension, in a third of a span
 _SHORT_S = 20.0  # contains few sways
@@ -41,7 +41,7 @@ UNIT_NAMES = {
 
 
 class StationaryValues(NamedTuple):
-    """What a stationary record should measure, SI units.
+    """Expected measurements of a stationary record, SI units.
 
     Attributes:
         earth_rate: rad/s.
@@ -59,16 +59,16 @@ class StationaryValues(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """Something implausible, without the file's name; hard if it is certainly wrong."""
+    """Something implausible; ``is_certain`` if it is certainly wrong. The text names no file."""
 
     is_certain: bool
     text: str
 
 
-def find_implausible(
+def check_stationary(
     record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues
 ) -> list[Finding]:
-    """What is implausible for a stationary base in a span of a record.
+    """Return what is implausible for a stationary base in a span of a record.
 
     Args:
         record: the record, without missing samples in the span.
@@ -82,7 +82,7 @@ def find_implausible(
         *_check_vertical(means, layout),
     ]
     rate_findings = list(_check_rate(record, span, layout, expected, means))
-    if rate_findings:  # gyros that are wrong cannot show a rotation of the base
+    if rate_findings:  # wrong gyros cannot show a rotation of the base
         return results + rate_findings
     return results + rate_findings + list(_check_rotation(means, expected))
 
@@ -216,7 +216,7 @@ def _check_rotation(means: Means, expected: StationaryValues) -> Iterator[Findin
 def _other_unit_factors(
     units: dict[str, dict[str, float]], key: str, layout: Layout, rate_hz: float
 ) -> dict[str, float]:
-    """The factor that converts a mean to each other unit its columns might have.
+    """Return the factors that convert a mean to other possible units of its columns.
 
     PSINS text has fixed units.
     """
@@ -237,7 +237,7 @@ def _other_unit_factors(
 def _suggest_gyro_unit(
     record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues
 ) -> str:
-    """The gyro unit that would make the rate plausible: near Earth rate, and along it."""
+    """Return a question about a unit that would make the rate plausible; "" without one."""
     part = record._replace(dtheta=record.dtheta[slice(*span)], dv=record.dv[slice(*span)])
     earth = expected.earth_rate
     factors = _other_unit_factors(GYRO_UNITS, "gyro_unit", layout, record.rate_hz)

@@ -38,7 +38,7 @@ _LARGEST_SUM = 2.0**53
 
 
 class _Header(NamedTuple):
-    """The three header lines, six values each; nan means "not known"."""
+    """The three header lines, six values each; nan for unknown values."""
 
     pose: Sequence[float]  # pitch, roll, yaw deg; VE, VN, VU m/s
     place: Sequence[float]  # latitude, longitude deg; height m; t0 s; interval ms; g m/s^2
@@ -48,8 +48,8 @@ class _Header(NamedTuple):
 def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
     """Read a PSINS SIMU log.
 
-    The header's g scales the accelerometer counts to m/s. A header value of nan for the attitude,
-    latitude or height means that it is not known.
+    The header's g scales the accelerometer counts to m/s. An attitude, latitude or height of nan in
+    the header is unknown.
 
     Args:
         path: the file.
@@ -112,7 +112,7 @@ def _find_anomalies(
 
 
 class _DataLines(NamedTuple):
-    """Lines that are not comments, their rows, and whether they are the last of the file."""
+    """Lines that are not comments, their rows, and whether the file ends with them."""
 
     lines: list[bytes]
     rows: list[int]
@@ -152,7 +152,7 @@ def _parse_header_line(path: str | Path, line: bytes, row: int) -> list[float]:
         text = f"a header line must have 6 values, not {len(words)}"
         if b"," in line or b";" in line:
             text += (
-                " (no PSINS text? `sinsjax init record --from LOG` writes a [record] for others)"
+                " (not PSINS text? `sinsjax init record --from LOG` writes a [record] for others)"
             )
         raise InputError(f"{path}: row {row}: {text}")
     try:
@@ -162,13 +162,13 @@ def _parse_header_line(path: str | Path, line: bytes, row: int) -> list[float]:
 
 
 def _find_header_fault(header: _Header) -> tuple[int, str] | None:
-    """The first invalid value of a header: its line (0 to 2) and the message, or None."""
+    """Return the first invalid value of a header: its line (0 to 2) and the message, or None."""
     latitude, _, _, t0, interval_ms, gravity = header.place
     if not interval_ms > 0:
         return 1, f"the sampling interval must be positive, not {interval_ms:g} ms"
     if abs(latitude) >= 90:
         return 1, f"the latitude {latitude:g} deg is not between -90 and 90"
-    # Lines in the wrong order, or a missing one, show here first.
+    # Lines in the wrong order, or a missing one, are detected here first.
     if not 9 < gravity < 11:
         return 1, f"g = {gravity:g} m/s^2 is not a plausible gravity"
     if math.isnan(t0):
@@ -195,7 +195,7 @@ def _read_counts(path: str | Path, data: _DataLines) -> NDArray[np.int64]:
 
 
 def _read_counts_line_by_line(path: str | Path, data: _DataLines) -> NDArray[np.int64]:
-    """The slower path, which names the first invalid row."""
+    """Read counts slowly, to name the first invalid row."""
     counts = []
     for line, row in zip(data.lines, data.rows, strict=True):
         words = line.decode("latin-1").split()
@@ -232,9 +232,9 @@ def write_psins(
 ) -> None:
     """Write a PSINS SIMU log.
 
-    The running sums are rounded to counts rather than the increments, so that the error of a sum of
-    any length stays within half a count. Values unknown to the record become nan in the header;
-    velocity and longitude, which a record does not have, become 0.
+    The running sums are rounded to counts, not the increments, so the error of a sum of any length
+    is at most half a count. Values unknown to the record become nan in the header;
+    velocity and longitude, which a record lacks, become 0.
 
     Args:
         record: the record; its g, or else standard gravity, scales the specific force.

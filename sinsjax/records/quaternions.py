@@ -8,7 +8,7 @@ from sinsjax.records.layout import FloatArray
 
 
 def integrate_attitudes(dtheta: FloatArray) -> FloatArray:
-    """Quaternions (n + 1, 4) from the body axes at each time to those at the start.
+    """Return quaternions (n + 1, 4) from the body axes at each time to those at the start.
 
     Args:
         dtheta: (n, 3) rotation increments, rad; two-sample coning is compensated.
@@ -19,7 +19,7 @@ def integrate_attitudes(dtheta: FloatArray) -> FloatArray:
     angle = np.linalg.norm(vector, axis=1, keepdims=True)
     # sin(a/2)/a by NumPy's sin(pi x)/(pi x), which is defined at zero.
     steps = np.hstack([np.cos(angle / 2), vector * np.sinc(angle / 2 / np.pi) / 2])
-    # Products within all blocks at once, then of the blocks: two short loops instead of a long one.
+    # Products within all blocks at once, then of blocks: two short loops instead of a long one.
     size = math.isqrt(n) + 1
     padded = np.tile([1.0, 0.0, 0.0, 0.0], (size * size, 1))
     padded[:n] = steps
@@ -34,7 +34,7 @@ def integrate_attitudes(dtheta: FloatArray) -> FloatArray:
 
 
 def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Hamilton products of quaternions (..., 4)."""
+    """Return the Hamilton products of quaternions (..., 4)."""
     (aw, ax, ay, az), (bw, bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
     return np.stack(
         [
@@ -48,6 +48,6 @@ def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def rotate_vectors(q: FloatArray, v: FloatArray) -> FloatArray:
-    """Vectors (n, 3) rotated by quaternions (n, 4)."""
+    """Return vectors (n, 3) rotated by quaternions (n, 4)."""
     across = 2 * np.cross(q[:, 1:], v)
     return v + q[:, :1] * across + np.cross(q[:, 1:], across)

@@ -1,6 +1,6 @@
-"""How a file that nobody described holds a record: from its names, gravity and Earth rate.
+"""Layout of a file without a description, from its names, gravity and Earth rate.
 
-What the file tells is a reason; what it cannot tell is a doubt. Neither is settled in silence.
+Evidence in the file becomes a reason, missing evidence a doubt. Nothing is assumed silently.
 """
 
 import math
@@ -41,8 +41,8 @@ from sinsjax.units import DEG, STANDARD_GRAVITY
 
 _NEAR_GRAVITY = 0.1  # relative: accelerometers are better
 _NEAR_EARTH_RATE = 0.5, 2.0  # ratios: gyros that can find north are better
-_MIN_LIVE_RATIO = 0.14  # ratio of the gyros beside a dead one: far from that in the nearest unit
-_REFUSED_FACTOR = 9.5  # times gravity, or a part of it: no study runs on such a record
+_MIN_LIVE_RATIO = 0.14  # ratio of two live gyros with a dead third, far from that in another unit
+_REFUSED_FACTOR = 9.5  # times gravity, or its inverse, beyond which no study accepts a record
 _GYRO_UNIT_FOR = {
     "m_per_s2": "rad_per_s",
     "g": "deg_per_s",
@@ -50,17 +50,17 @@ _GYRO_UNIT_FOR = {
     "m_per_s": "rad",
     "g_s": "deg",
 }
-"""Units of gyros that go with those of accelerometers where nothing else tells them."""
+"""Usual gyro units for accelerometer units, without other evidence."""
 
 
 class Recognised(NamedTuple):
-    """What is found in a file.
+    """The recognised layout of a file.
 
     Attributes:
-        layout: how it holds a record; its rate stands for one that nothing tells, or is None.
-        notes: by key of the layout.
+        layout: layout of its record; the rate is a placeholder if unknown, or None.
+        notes: reasons and doubts by key of the layout.
         means: mean measurements of its first minutes, in its own axes.
-        has_rate: whether the file tells its rate.
+        has_rate: whether the file determines its rate.
     """
 
     layout: Layout
@@ -70,12 +70,12 @@ class Recognised(NamedTuple):
 
 
 class _Samples(NamedTuple):
-    """Numbers of a file, in its units and axes.
+    """Samples of a file, in its units and axes.
 
     Attributes:
-        gyro: (T, 3).
-        accel: (T, 3).
-        rate_hz: how many a second.
+        gyro: (T, 3) gyro samples.
+        accel: (T, 3) accelerometer samples.
+        rate_hz: sample rate, Hz.
     """
 
     gyro: FloatArray
@@ -84,21 +84,21 @@ class _Samples(NamedTuple):
 
 
 def shows_earth_rate(means: Means) -> bool:
-    """Whether the mean rate is about Earth rate, as that of gyros that can find north."""
+    """Whether the mean rate is close to Earth rate, as with gyros that can find north."""
     low, high = _NEAR_EARTH_RATE
     return low < float(np.linalg.norm(means.rate)) / EARTH_RATE < high
 
 
 def recognise_layout(path: Path, head: Head) -> Recognised:
-    """How a file holds a record.
+    """Recognise the layout of a record in a file.
 
     Args:
-        path: CSV or Parquet.
+        path: CSV or Parquet file.
         head: its beginning.
 
     Raises:
-        InputError: it has no columns of gyros or accelerometers, or none that measure gravity; or
-            its time runs backward.
+        InputError: it has no columns of gyros or accelerometers, no gravity, or time that runs
+            backward.
     """
     notes: dict[str, Note] = {}
     gyro, notes["gyro_columns"] = _find_sensor_columns(path, head, "gyro")
@@ -113,7 +113,7 @@ def recognise_layout(path: Path, head: Head) -> Recognised:
         raise InputError(f"{path}: has less than a second without missing samples")
     samples = _Samples(complete[:, :3], complete[:, 3:], rate_hz)
     quantity, accel_unit, notes["accel_unit"] = _find_accel_unit(path, samples, gyro, accel)
-    notes["quantity"] = Note("as the unit of the accelerometers tells")
+    notes["quantity"] = Note("according to the unit of the accelerometers")
     gyro_unit, means, notes["gyro_unit"] = _find_gyro_unit(samples, gyro, quantity, accel_unit)
     order, notes["axes_order"] = _find_axes_order(means, head, gyro, accel)
     layout = Layout(
@@ -132,26 +132,26 @@ def recognise_layout(path: Path, head: Head) -> Recognised:
 
 
 def _find_sensor_columns(path: Path, head: Head, sensor: str) -> tuple[Triad, Note]:
-    """The columns of the gyros or accelerometers, by their names."""
+    """Return the columns of the gyros or accelerometers, according to their names."""
     candidates = find_triads([name for name in head.names if name in head.numbers], sensor)
     if not candidates and (by_name := find_triads(head.names, sensor)):
         name = next(name for name in by_name[0].names if name not in head.numbers)
         if name in head.column_types:
             raise InputError(
-                f"{path}: column {name!r} holds {head.column_types[name]}, not numbers"
+                f"{path}: column {name!r} contains {head.column_types[name]}, not numbers"
             )
         row, cell = head.non_numbers[name]
         hint = "decimal commas are not read: write points"
         if not re.fullmatch(r"[+-]?\d*,\d+", cell):
-            hint = "if it is a row of units, begin it with #"
-        text = f"row {row}: column {name!r}: {shortened(cell, 24)!r} is no number"
+            hint = "begin a row of units with #"
+        text = f"row {row}: column {name!r}: {shortened(cell, 24)!r} is not a number"
         raise InputError(f"{path}: {text} ({hint})")
     if not candidates:
         sensor_name = "gyros" if sensor == "gyro" else "accelerometers"
         problem = f"no columns of {sensor_name}"
         if pair := find_incomplete_triad(head.names, sensor):
             present = " and ".join(map(repr, pair[0]))
-            problem = f"{present} are there, but no column of the {sensor_name} named {pair[1]}"
+            problem = f"there are {present}, but no column of the {sensor_name} named {pair[1]}"
         raise InputError(
             f"{path}: {problem} among {format_names(head.names)}: name them {sensor}_x,"
             f" {sensor}_y, {sensor}_z, or give [record] {sensor}_columns in a study"
@@ -164,7 +164,7 @@ def _find_sensor_columns(path: Path, head: Head, sensor: str) -> tuple[Triad, No
 def _read_samples(
     path: Path, head: Head, gyro: Triad, accel: Triad
 ) -> tuple[FloatArray, dict[Clock, FloatArray], Callable[[int], int]]:
-    """Samples (T, 6), those columns that may hold their times, and the row of each sample."""
+    """Return samples (T, 6), the possible time columns, and the row of each sample."""
     sensor_names = [*gyro.names, *accel.names]
     usable = head.numbers | head.dates
     clock_candidates = [
@@ -185,7 +185,7 @@ def _read_samples(
 def _find_accel_unit(
     path: Path, samples: _Samples, gyro: Triad, accel: Triad
 ) -> tuple[str, str, Note]:
-    """Quantity and unit of the accelerometers, by their names and gravity."""
+    """Return quantity and unit of the accelerometers, from their names and gravity."""
     samples_per_second = max(1, round(samples.rate_hz))
     rows = samples.accel[: len(samples.accel) // samples_per_second * samples_per_second]
     means = rows.reshape(-1, samples_per_second, 3).mean(axis=1)
@@ -219,12 +219,12 @@ def _find_accel_unit(
     reason += f" in {UNIT_NAMES[unit]}"
     doubt = ""
     if named_unit is not None and chosen != named_unit:
-        doubt = f"the names tell {UNIT_NAMES[named_unit[1]]}, {times_gravity[named_unit]:.3g}"
+        doubt = f"the names state {UNIT_NAMES[named_unit[1]]}, {times_gravity[named_unit]:.3g}"
         doubt += " times gravity"
     elif not plausible:
-        doubt = "that is far from gravity, but the names tell this unit"
+        doubt = "that is far from gravity, but the names state this unit"
     elif quantity != expected_quantity and named_unit is None:
-        doubt = "gravity alone tells that these are increments; counts may look alike"
+        doubt = "only gravity indicates increments; counts may look alike"
     elif len(plausible) > 1 and named_unit is None:
         others = ", ".join(f"{q} in {UNIT_NAMES[u]}" for q, u in plausible[1:])
         doubt = f"at {samples.rate_hz:.4g} Hz {others} would be gravity too"
@@ -234,16 +234,16 @@ def _find_accel_unit(
 def _find_gyro_unit(
     samples: _Samples, gyro: Triad, quantity: str, accel_unit: str
 ) -> tuple[str, Means, Note]:
-    """Unit of the gyros by their names and Earth rate, and the means in it."""
-    samples_per_unit = samples.rate_hz if quantity == "rates" else 1.0
-    dv = samples.accel * (ACCEL_UNITS[quantity][accel_unit] / samples_per_unit)
-    # Without a dead channel the others tell the order of Earth rate; with its constant, nothing.
+    """Return the unit of the gyros, from their names and Earth rate, and the means in it."""
+    rate_divisor = samples.rate_hz if quantity == "rates" else 1.0
+    dv = samples.accel * (ACCEL_UNITS[quantity][accel_unit] / rate_divisor)
+    # Without a dead channel the others still show the order of Earth rate; with it, nothing.
     dead = find_dead_channels(samples.gyro.T)
     has_dead = any(dead)
     live = np.where(dead, 0.0, samples.gyro)
     means, ratio = {}, {}
     for unit, factor in GYRO_UNITS[quantity].items():
-        record = Record(live * (factor / samples_per_unit), dv, samples.rate_hz)
+        record = Record(live * (factor / rate_divisor), dv, samples.rate_hz)
         means[unit] = compute_means(record, (0, len(dv)), STANDARD_GRAVITY)
         ratio[unit] = float(np.linalg.norm(means[unit].rate)) / EARTH_RATE
     # Gyros in a wrong unit do not follow the vertical of a base that sways.
@@ -255,24 +255,24 @@ def _find_gyro_unit(
     reason = f"the mean rate is {ratio[unit]:.3g} times Earth rate in {UNIT_NAMES[unit]}"
     names = ", ".join(repr(name) for name, is_dead in zip(gyro.names, dead, strict=True) if is_dead)
     if low < ratio[unit] < high:
-        doubt = f"told without {names}, which never changes" if has_dead else ""
+        doubt = f"found without {names}, which never changes" if has_dead else ""
         return unit, means[unit], Note(reason, doubt)
     by_name = unit == gyro.unit
     if low < ratio[best] < high:
-        doubt = f"the names tell this unit; in {UNIT_NAMES[best]} it would be {ratio[best]:.3g}"
+        doubt = f"the names state this unit; in {UNIT_NAMES[best]} it would be {ratio[best]:.3g}"
     elif by_name:
-        doubt = "biases or motion hide Earth rate, so that only the names tell the unit"
+        doubt = "biases or motion hide Earth rate, so only the names indicate the unit"
     else:
         others = [
             f"{value:.3g} in {UNIT_NAMES[name]}" for name, value in ratio.items() if name != unit
         ]
-        doubt = f"no unit gives Earth rate ({', '.join(others)}): this one goes with that of the"
+        doubt = f"no unit gives Earth rate ({', '.join(others)}): this one matches that of the"
         doubt += " accelerometers; see the data sheet"
     return unit, means[unit], Note(reason, doubt)
 
 
 def _find_axes_order(means: Means, head: Head, gyro: Triad, accel: Triad) -> tuple[str, Note]:
-    """The order of axes by names, comments and gravity."""
+    """Return the order of axes, from names, comments and gravity."""
     up = means.force / float(np.linalg.norm(means.force))
     axis = int(np.argmax(np.abs(up)))
     pointing = f"{'xyz'[axis]} reads {up[axis]:+.2f} g"
@@ -288,9 +288,9 @@ def _find_axes_order(means: Means, head: Head, gyro: Triad, accel: Triad) -> tup
     if named_order:
         if float(to_body_axes(up[None], named_order)[0, 2]) < math.cos(60 * DEG):
             doubts.append(
-                f"the names tell {named_order!r}, but {pointing}: a sign or an axis is wrong"
+                f"the names state {named_order!r}, but {pointing}: a sign or an axis is wrong"
             )
-        return named_order, Note(f"by names or comments; {pointing}", "; ".join(doubts))
+        return named_order, Note(f"from names or comments; {pointing}", "; ".join(doubts))
     order = _axes_order_with_up(axis, bool(up[axis] > 0))
     consequence = "the yaw turns by 90 or 180 deg with it"
     if order == "flu":
@@ -299,12 +299,12 @@ def _find_axes_order(means: Means, head: Head, gyro: Triad, accel: Triad) -> tup
         text = "z points down, or the accelerometers have the opposite sign; x may not point front"
         doubts.append(f"{text}: {consequence}")
     else:
-        doubts.append(f"nothing tells which axis points front: {consequence}")
+        doubts.append(f"it is unknown which axis points front: {consequence}")
     return order, Note(pointing, "; ".join(doubts))
 
 
 def _axes_order_with_up(axis: int, positive: bool) -> str:
-    """An order of axes whose up is an axis of the record or its opposite."""
+    """Return an order of axes with an axis of the record, or its opposite, up."""
     if axis == 2:
         return "flu" if positive else "frd"
     up = "xyz"[axis] if positive else f"-{'xyz'[axis]}"

@@ -1,4 +1,4 @@
-"""Reference attitudes with which recorded studies are compared."""
+"""Reference attitudes, with which recorded studies are compared."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -34,11 +34,11 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
 
     Columns: time_s, pitch_deg, roll_deg, one of yaw_deg, yaw_ccw_deg (both counter-clockwise from
     north) and heading_deg (clockwise), and optionally all of sigma_e_deg, sigma_n_deg, sigma_u_deg.
-    The record's time column, in the record's unit, may take the place of time_s.
+    The record's time column, in the record's unit, may replace time_s.
 
     Args:
         path: the file.
-        layout: layout of the record, where the file may use the record's time column.
+        layout: layout of the record, if the file may use the record's time column.
 
     Returns:
         The reference.
@@ -61,7 +61,7 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
 def reference_from_table(
     path: str | Path, table: ColumnTable, layout: Layout | None = None
 ) -> Reference:
-    """The reference that an opened table holds, see `read_reference`."""
+    """Return the reference in an opened table, see `read_reference`."""
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]
     if len(yaws) > 1:
         raise InputError(f"{path}: has both {yaws[0]} and {yaws[1]} (keep one)")
@@ -103,7 +103,7 @@ class StoredRecord(NamedTuple):
 
     @classmethod
     def from_record(cls, record: Record, reference: Reference | None) -> "StoredRecord":
-        """A record, and a reference on the record's clock."""
+        """Return a record with a reference whose times are on the record's clock."""
         if reference is not None:
             reference = reference._replace(time_s=reference.time_s - record.t0_s)
         return cls(record, reference)

@@ -1,8 +1,8 @@
 """Sample rate and sample numbers from time stamps.
 
-A stamp may be a few milliseconds late as long as the following ones are back in step with the
-sample count. Where the stamps stay behind, samples are missing. Stamps that all scatter, early and
-late alike, are numbered by the means of many, see `fit_line`.
+A stamp may be a few milliseconds late if the following ones are again in step with the sample
+count. If the stamps remain late, samples are missing. Stamps that all scatter, early and late, are
+numbered by the means of many, see `fit_stamp_line`.
 """
 
 import math
@@ -16,16 +16,14 @@ from numpy.typing import NDArray
 from sinsjax.errors import InputError
 from sinsjax.records.layout import FloatArray, Layout, find_spans, message_key, resolve_rate
 
-_MAX_LATE_S = 0.02  # the latest that a busy logger stamps a sample
-_MAX_CATCH_UP_S = 0.1  # the longest it takes to catch up
-_AVERAGED_STAMPS = (
-    32  # stamps before and after a place, whose means tell a missing sample from scatter
-)
+_MAX_LATE_S = 0.02  # largest delay of a busy logger
+_MAX_CATCH_UP_S = 0.1  # longest time to catch up
+_AVERAGED_STAMPS = 32  # stamps averaged on each side, to distinguish a missing sample from scatter
 _MAX_SCATTER = 0.3  # samples, of the median: above that of uniform scatter by half a sample, 0.25
 _MAX_OUTLIER = 9.0  # times the median: 6 sigma of normal scatter
-_MAX_CLOCK_JUMP = 1e12  # samples that a clock may be set by, so that means are exact
-_MAX_ROUNDS = 8  # of gaps that lie near each other one is found at a time
-_MAX_MISSING_FACTOR = 10  # times the samples present; a larger gap means that the clock was set
+_MAX_CLOCK_JUMP = 1e12  # samples by which a clock may be set, for exact means
+_MAX_ROUNDS = 8  # only one of several close gaps is found at a time
+_MAX_MISSING_FACTOR = 10  # times the samples present; a larger gap is a set clock
 
 
 class Sampling(NamedTuple):
@@ -43,7 +41,7 @@ class Sampling(NamedTuple):
 
 
 def parse_iso(text: str) -> float:
-    """Seconds since 1970 of an ISO date and time, in UTC unless it has a zone, or ValueError."""
+    """Return the seconds since 1970 of an ISO date and time, in UTC unless it has a zone."""
     try:
         moment = datetime.fromisoformat(text.strip())
     except ValueError:
@@ -54,13 +52,13 @@ def parse_iso(text: str) -> float:
 def find_sampling(
     source: str, layout: Layout, time_s: FloatArray, row_number: Callable[[int], int]
 ) -> Sampling:
-    """Sample rate and sample numbers from the stamps at the ends of the samples.
+    """Return the sample rate and sample numbers from the stamps at the ends of the samples.
 
     Args:
         source: the file, for messages.
         layout: its time_column is named in messages; its rate_hz takes precedence if given.
         time_s: (T,) finite stamps, T > 0.
-        row_number: the row to name in a message about sample k.
+        row_number: function of sample k that returns its row, for messages.
 
     Raises:
         InputError: the stamps do not increase, or imply another rate; the message names the row.
@@ -73,11 +71,9 @@ def find_sampling(
     try:
         return _sampling_from_steps(place, layout, time_s, row_number)
     except InputError:
-        line = fit_line(time_s)
+        line = fit_stamp_line(time_s)
         if line is None:
-            if (
-                set_back := _find_clock_setback(time_s)
-            ) is not None:  # it spoils the rate, and rows before
+            if (set_back := _find_clock_setback(time_s)) is not None:  # which also spoils the rate
                 _raise_step_error(place, layout, time_s, set_back, row_number)
             raise
     stamp_hz = _round_rate(line.rate_hz, time_s, line.rate_uncertainty)
@@ -85,13 +81,13 @@ def find_sampling(
     steps = np.diff(line.number)
     for k in np.flatnonzero((steps < 1) | (steps > _MAX_MISSING_FACTOR * len(time_s))).tolist():
         _raise_step_error(place, layout, time_s, k, row_number, rate)
-    # One stamp, the first, is as much off as any: the mean of all is not.
+    # The first stamp scatters like any other: the mean of all does not.
     t0_s = float(time_s.mean()) - (float(line.number.mean()) + 1) / rate
     return Sampling(rate, t0_s, line.number)
 
 
 def _find_clock_setback(time_s: FloatArray) -> int | None:
-    """The first stamp after which time runs backward by more than stamps scatter, None without."""
+    """Return the first stamp after which time runs backward by more than scatter, or None."""
     step_s = np.diff(time_s)
     median_s = float(np.median(step_s))
     typical_s = float(np.median(np.abs(step_s - median_s)))
@@ -102,7 +98,7 @@ def _find_clock_setback(time_s: FloatArray) -> int | None:
 def _sampling_from_steps(
     place: str, layout: Layout, time_s: FloatArray, row_number: Callable[[int], int]
 ) -> Sampling:
-    """As `find_sampling`, of two or more stamps that are in time but for a few late ones."""
+    """Return the sampling of two or more stamps that are on time, except for a few late ones."""
     step_s = np.diff(time_s)
     # The mean averages out the rounding of the stamps; steps near the median exclude gaps.
     median = np.quantile(step_s, 0.5, method="lower")
@@ -135,7 +131,7 @@ def _raise_step_error(
 ) -> NoReturn:
     """Raise the error of the step after stamp k; without a rate it does not increase."""
     step_s = float(time_s[k + 1] - time_s[k])
-    hint = f" (of bad stamps leave {message_key(layout, 'time_column')} out and give rate_hz)"
+    hint = f" (drop {message_key(layout, 'time_column')} and give rate_hz if the stamps are bad)"
     if step_s < 0:
         problem, hint = "time runs backward", ""
     elif step_s == 0:
@@ -149,7 +145,7 @@ def _raise_step_error(
 
 
 def _round_rate(rate_hz: float, time_s: FloatArray, uncertainty: float = 0.0) -> float:
-    """A whole rate where the stamps cannot tell it from that: those since 1970 are to 0.2 us."""
+    """Return a whole rate if it is within the resolution of the stamps, 0.2 us since 1970."""
     rounding_s = float(np.spacing(np.abs(time_s).max()))
     tolerance = 2 * rounding_s / float(np.ptp(time_s)) + uncertainty
     return (
@@ -158,12 +154,12 @@ def _round_rate(rate_hz: float, time_s: FloatArray, uncertainty: float = 0.0) ->
 
 
 def format_step(time_s: FloatArray, k: int) -> str:
-    """The times of a stamp and the next, for messages."""
+    """Return the times of a stamp and the next one, for messages."""
     return f"from {float(time_s[k])!r} to {float(time_s[k + 1])!r} s"
 
 
 def _first_on_time(time_s: FloatArray, k: int, rate: float) -> int:
-    """The first stamp back in step after the late ones following stamp k; 0 for a real gap."""
+    """Return the first stamp on time after the late ones following stamp k; 0 for a gap."""
     max_stamps = max(2, round(_MAX_CATCH_UP_S * rate))
     following = time_s[k + 1 : k + 1 + max_stamps]
     late = (following - time_s[k]) * rate - np.arange(1, len(following) + 1)
@@ -177,12 +173,12 @@ def _first_on_time(time_s: FloatArray, k: int, rate: float) -> int:
 
 
 class StampLine(NamedTuple):
-    """Stamps that scatter about a straight line, but for samples that are missing.
+    """Straight line about which stamps scatter, apart from missing samples.
 
     Attributes:
-        rate_hz: by least squares, Hz.
+        rate_hz: sample rate by least squares, Hz.
         rate_uncertainty: relative uncertainty of the rate, 3 sigma.
-        number: (T,) of each stamp, from 0; it does not increase where a clock was set back.
+        number: (T,) number of each sample, from 0; it does not increase if a clock was set back.
     """
 
     rate_hz: float
@@ -190,11 +186,11 @@ class StampLine(NamedTuple):
     number: NDArray[np.int64]
 
 
-def fit_line(time_s: FloatArray) -> StampLine | None:
-    """The line about which stamps scatter, None where they do not.
+def fit_stamp_line(time_s: FloatArray) -> StampLine | None:
+    """Return the line about which stamps scatter; None if they do not.
 
-    Half of the stamps are within 0.3 samples of it, and none is further off than such scatter is.
-    A missing sample, a repeated one or a clock that was set moves the mean of all that follow.
+    Half of the stamps are within 0.3 samples of it, and none deviates more than such scatter does.
+    A missing or repeated sample, or a set clock, moves the mean of all following stamps.
 
     Args:
         time_s: (T,) stamps.
@@ -212,7 +208,7 @@ def fit_line(time_s: FloatArray) -> StampLine | None:
     if not 0 < typical <= _MAX_SCATTER or np.abs(ahead).max() > _MAX_CLOCK_JUMP:
         return None
     for _ in range(_MAX_ROUNDS):
-        jumps = _find_jumps(ahead, typical)
+        jumps = _find_sample_jumps(ahead, typical)
         if not jumps.any():
             break
         ahead = ahead - np.cumsum(jumps)
@@ -230,7 +226,7 @@ def fit_line(time_s: FloatArray) -> StampLine | None:
 
 
 def _moving_mean(values: FloatArray) -> FloatArray:
-    """(T,) means over the neighbours of each on both sides."""
+    """Return the means over the neighbours of each value on both sides, (T,)."""
     sums, k = np.concatenate([[0.0], np.cumsum(values)]), np.arange(len(values))
     first, last = (
         np.maximum(k - _AVERAGED_STAMPS, 0),
@@ -239,14 +235,14 @@ def _moving_mean(values: FloatArray) -> FloatArray:
     return np.asarray((sums[last] - sums[first]) / (last - first))
 
 
-def _find_jumps(ahead: FloatArray, typical: float) -> NDArray[np.int64]:
-    """(T,) whole samples by which the mean after each stamp's predecessor differs from before."""
+def _find_sample_jumps(ahead: FloatArray, scatter: float) -> NDArray[np.int64]:
+    """Return the whole samples by which the mean changes before each stamp, (T,)."""
     count = len(ahead)
     sums, k = np.concatenate([[0.0], np.cumsum(ahead)]), np.arange(1, count)
     first, last = np.maximum(k - _AVERAGED_STAMPS, 0), np.minimum(k + _AVERAGED_STAMPS, count)
     differences = (sums[last] - sums[k]) / (last - k) - (sums[k] - sums[first]) / (k - first)
-    # Near the ends the means are of few.
-    noise = 1.5 * typical * np.sqrt(1 / (last - k) + 1 / (k - first))
+    # Near the ends the means are over few stamps.
+    noise = 1.5 * scatter * np.sqrt(1 / (last - k) + 1 / (k - first))
     flagged = np.abs(differences) > np.maximum(0.5, 5 * noise)
     jumps = np.zeros(count, np.int64)
     for begin, end in find_spans(flagged):

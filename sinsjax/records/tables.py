@@ -1,7 +1,7 @@
 """Numeric columns of CSV and Parquet files, with the row of every number.
 
-Rows are counted as a user sees them: in CSV the line of the file, from 1 and including the header;
-in Parquet the row of the table, from 1.
+Rows are counted from 1: in CSV as lines of the file, including the header; in Parquet as rows of
+the table.
 """
 
 import csv
@@ -37,15 +37,15 @@ MISSING_TEXT = "empty or not finite"
 
 
 class ColumnTable(NamedTuple):
-    """An opened file with named columns, not yet read.
+    """An opened file with named columns that is not yet read.
 
     Attributes:
         names: all columns of the file, in order.
-        read: (names, blanks=False, dates=()) gives the named columns, each (T,) float64, T > 0.
+        read: (names, blanks=False, dates=()) returns the named columns, each (T,) float64, T > 0.
             Missing values are nan with ``blanks`` and otherwise rejected; ``dates`` names columns
-            of dates with time, which become seconds. A table can be read once.
-        row_number: the row to name in a message about sample k.
-        schema: kinds of the columns, of a Parquet file alone.
+            of dates with time, which become seconds. A table can be read only once.
+        row_number: function of sample k that returns its row, for messages.
+        schema: types of the columns, for Parquet only.
     """
 
     names: list[str]
@@ -55,7 +55,7 @@ class ColumnTable(NamedTuple):
 
 
 def find_columns(path: str | Path, names: list[str], wanted: Sequence[str]) -> list[int]:
-    """Positions of the wanted columns; raises InputError for a missing or repeated name."""
+    """Return the positions of the wanted columns; raises InputError if missing or repeated."""
     for name in wanted:
         if name not in names:
             near = get_close_matches(name, names, n=3)
@@ -72,10 +72,10 @@ def _format_names(names: list[str]) -> str:
 
 
 COMMENTS = (b"#", b"%")
-"""What a line of comment begins with."""
+"""Beginnings of comment lines."""
 
 DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
-"""What may separate the columns of a text, and what it is called."""
+"""Possible delimiters of columns, with their names."""
 
 _BLANK_CELLS = ["", "nan", "NaN", "NAN"]
 _BATCH_ROWS = 2**17
@@ -86,7 +86,7 @@ class _TextRows(NamedTuple):
 
     Attributes:
         path: the file.
-        delimiter: of the columns.
+        delimiter: delimiter of the columns.
         lines: one per sample.
         rows: row of each line in the file, from 1.
         is_last: whether these are the last lines of the file.
@@ -154,7 +154,7 @@ def open_csv(path: str | Path) -> ColumnTable:
 
 
 def find_delimiter(header: bytes) -> str:
-    """What separates the columns of a text whose first line of data this is."""
+    """Return the delimiter of a text's columns, from its first line of data."""
     return max(DELIMITERS, key=lambda delimiter: header.count(delimiter.encode()))
 
 
@@ -174,7 +174,7 @@ def _select_samples(path: str | Path, delimiter: str, batch: Lines) -> _TextRows
 
 
 def _join_batches(batches: Iterable[Sequence[NDArray[Any]]], width: int) -> list[FloatArray]:
-    """The columns of all batches, joined so that a long record is never in memory twice."""
+    """Join the columns of all batches without a second copy of a long record in memory."""
     whole = [np.empty(0) for _ in range(width)]
     for batch in batches:
         for column, part in zip(whole, batch, strict=True):
@@ -191,7 +191,7 @@ class _WantedColumns(NamedTuple):
         names: all columns of the file.
         places: positions of the wanted columns among them.
         blanks: whether cells may be empty.
-        dates: for each wanted column, whether it holds dates with time.
+        dates: for each wanted column, whether it contains dates with time.
     """
 
     names: list[str]
@@ -237,7 +237,7 @@ def _iso_to_seconds(dates: pa.ChunkedArray) -> FloatArray:
 
 
 def _read_row_by_row(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]]:
-    """The slower path, which names the first invalid row."""
+    """Read rows slowly, to name the first invalid one."""
     parse_plain = parse_number_or_nan if columns.blanks else parse_number
     parsers = [parse_iso if is_date else parse_plain for is_date in columns.dates]
     values, names = [], columns.names
@@ -282,9 +282,9 @@ def open_parquet(path: str | Path) -> ColumnTable:
             kind = schema.field(column).type
             is_date = pa.types.is_timestamp(kind) or pa.types.is_string(kind)
             if name in dates and not is_date:
-                raise InputError(f"{path}: column {name!r} holds {kind}, not dates with time")
+                raise InputError(f"{path}: column {name!r} contains {kind}, not dates with time")
             if name not in dates and not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
-                raise InputError(f"{path}: column {name!r} holds {kind}, not numbers")
+                raise InputError(f"{path}: column {name!r} contains {kind}, not numbers")
         if file.metadata.num_rows == 0:
             raise InputError(f"{path}: the file has no rows")
 
@@ -312,7 +312,7 @@ def _to_floats(
     blanks: bool,
     rows_before: int,
 ) -> list[NDArray[Any]]:
-    """The wanted columns of a batch of rows, preceded by ``rows_before`` others."""
+    """Return the wanted columns of a batch of rows, preceded by ``rows_before`` others."""
     columns = (
         _dates_to_seconds(path, name, table[name], rows_before) if name in dates else table[name]
         for name in wanted
@@ -333,7 +333,7 @@ def _to_floats(
 def _dates_to_seconds(
     path: str | Path, name: str, column: pa.ChunkedArray, rows_before: int
 ) -> pa.ChunkedArray:
-    """Seconds since 1970 of a column of dates with time, null where missing."""
+    """Return a column of dates with time as seconds since 1970, null if missing."""
     if pa.types.is_timestamp(column.type):
         whole = column.cast(pa.timestamp("ns"), safe=False).cast(pa.int64())
         return pa.compute.multiply(whole.cast(pa.float64(), safe=False), 1e-9)

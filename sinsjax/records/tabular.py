@@ -39,15 +39,15 @@ def read_csv(path: str | Path, layout: Layout) -> Record:
     """Read a record from comma-, semicolon- or tab-separated text whose first line names columns.
 
     Rates are multiplied by the sampling interval. Time stamps are the ends of the samples and may
-    be a few milliseconds late. A missing sample, through a gap or an empty cell, is interpolated as
-    far as max_gap_s allows; otherwise it is nan and a flaw of the record, see `require_span`.
+    be a few milliseconds late. A missing sample, from a gap or an empty cell, is interpolated if
+    max_gap_s allows it; otherwise it is nan and a flaw of the record, see `require_span`.
 
     Args:
         path: the file.
         layout: columns, units, axes, and rate_hz unless there is a time column.
 
     Returns:
-        The record; fields that only a PSINS header has are None.
+        The record; fields of PSINS headers are None.
 
     Raises:
         InputError: the layout or the file is invalid; the message names the key, the column or the
@@ -58,13 +58,13 @@ def read_csv(path: str | Path, layout: Layout) -> Record:
 
 
 def read_parquet(path: str | Path, layout: Layout) -> Record:
-    """Read a record from a Parquet file; as `read_csv`, with rows of the table from 1."""
+    """Read a record from a Parquet file, like `read_csv`, with rows of the table from 1."""
     check_layout(layout, str(path))
     return record_from_table(path, layout, open_parquet(path))
 
 
 def record_from_table(path: str | Path, layout: Layout, table: ColumnTable) -> Record:
-    """The record that an opened table holds, see `read_csv`; the layout is valid."""
+    """Return the record in an opened table, see `read_csv`; the layout is valid."""
     names = [*layout.gyro_columns, *layout.accel_columns]
     dates: list[str] = []
     if layout.time_column:
@@ -88,21 +88,21 @@ def record_from_table(path: str | Path, layout: Layout, table: ColumnTable) -> R
         sampling_ = Sampling(layout.rate_hz, 0.0, np.arange(len(columns[0])))
     flaws, filled = _fill_gaps(columns, _ReadTable(path, layout, table, time_s, sampling_))
     gyro_factor, accel_factor = _unit_factors(layout)
-    samples_per_unit = sampling_.rate_hz if layout.quantity == "rates" else 1.0
+    rate_divisor = sampling_.rate_hz if layout.quantity == "rates" else 1.0
     anomalies = find_anomalies(
         names[:6],
         columns,
         [
-            factor * sampling_.rate_hz / samples_per_unit
+            factor * sampling_.rate_hz / rate_divisor
             for factor in (gyro_factor, accel_factor)
             for _ in "xyz"
         ],
         sampling_.rate_hz,
         lambda sample: table.row_number(int(np.searchsorted(sampling_.number, sample))),
     )
-    dv = _to_increments(columns, accel_factor, samples_per_unit, layout.axes_order)
+    dv = _to_increments(columns, accel_factor, rate_divisor, layout.axes_order)
     return Record(
-        dtheta=_to_increments(columns, gyro_factor, samples_per_unit, layout.axes_order),
+        dtheta=_to_increments(columns, gyro_factor, rate_divisor, layout.axes_order),
         dv=dv,
         rate_hz=sampling_.rate_hz,
         t0_s=sampling_.t0_s,
@@ -114,11 +114,11 @@ def record_from_table(path: str | Path, layout: Layout, table: ColumnTable) -> R
 
 
 def _to_increments(
-    columns: list[FloatArray], factor: float, samples_per_unit: float, order: str
+    columns: list[FloatArray], factor: float, rate_divisor: float, order: str
 ) -> FloatArray:
-    """(T, 3) increments in body axes of the last three columns, which are consumed.
+    """Convert the last three columns, which are consumed, to increments (T, 3) in body axes.
 
-    In place, because there is no memory for a second copy of a column of a long record.
+    In place, to save the memory of a second copy of a long record.
     """
     index, signs = parse_axes_order(order)
     axis_columns = [columns.pop() for _ in range(3)][::-1]
@@ -126,7 +126,7 @@ def _to_increments(
     for axis, (source_axis, sign) in enumerate(zip(index, signs, strict=True)):
         values = axis_columns[source_axis]
         values *= factor
-        values /= samples_per_unit
+        values /= rate_divisor
         values *= sign
         increments[:, axis] = values
     return increments
@@ -143,7 +143,7 @@ class _ReadTable(NamedTuple):
 
 
 def _fill_gaps(columns: list[FloatArray], read: _ReadTable) -> tuple[list[Flaw], int]:
-    """Extend columns, in place, to every sample from the first to the last.
+    """Extend columns, in place, to all samples from the first to the last.
 
     Short gaps are interpolated; others become nan and a flaw.
     """
@@ -173,12 +173,12 @@ def _fill_gaps(columns: list[FloatArray], read: _ReadTable) -> tuple[list[Flaw],
 
 
 def _describe_gap(columns: list[FloatArray], read: _ReadTable, sample: int, gap_s: float) -> str:
-    """The message about a run of missing samples in a gap, with the row of the first."""
+    """Return the message about missing samples in a gap, with the row of the first one."""
     number, layout = read.sampling.number, read.layout
     k = int(np.searchsorted(number, sample))
     remedy = ""
     if gap_s <= _MAX_OFFERED_GAP_S:
-        remedy = f" (max_gap_s = {_round_up(gap_s):g} would interpolate it)"
+        remedy = f" (max_gap_s = {_round_up_to_3_digits(gap_s):g} would interpolate it)"
     if number[k] != sample:
         assert read.time_s is not None
         place = f"{read.path}: column {layout.time_column!r}: row {read.table.row_number(k)}"
@@ -189,8 +189,8 @@ def _describe_gap(columns: list[FloatArray], read: _ReadTable, sample: int, gap_
     return f"{read.path}: row {read.table.row_number(k)}: column {name!r}: {MISSING_TEXT}{remedy}"
 
 
-def _round_up(gap_s: float) -> float:
-    """The next longer time of three digits, as a user would write it."""
+def _round_up_to_3_digits(gap_s: float) -> float:
+    """Return the next longer time of three digits, as a user would write it."""
     unit = float(10.0 ** (math.floor(math.log10(gap_s)) - 2))
     return float(math.ceil(gap_s / unit - 1e-9) * unit)
 
@@ -203,8 +203,8 @@ def _unit_factors(layout: Layout) -> tuple[float, float]:
 def write_csv(record: Record, path: str | Path, layout: Layout) -> None:
     """Write a record as comma-separated text in the layout's columns, units and axes.
 
-    Increments in rad and m/s are read back bit for bit. The time column, if any, holds the end of
-    each sample. The record's position, attitude and g are not written.
+    Increments in rad and m/s are read back bit for bit. The time column, if any, is the end of each
+    sample. The record's position, attitude and g are not written.
 
     Args:
         record: the record.
@@ -223,7 +223,7 @@ def write_csv(record: Record, path: str | Path, layout: Layout) -> None:
 
 
 def write_parquet(record: Record, path: str | Path, layout: Layout) -> None:
-    """Write a record as a Parquet file of float64 columns; as `write_csv`."""
+    """Write a record as a Parquet file of float64 columns, like `write_csv`."""
     columns = _record_to_columns(record, path, layout)
     with replacing(path) as file:
         pq.write_table(pa.table(columns), file)
@@ -237,9 +237,9 @@ def _record_to_columns(record: Record, path: str | Path, layout: Layout) -> dict
     if not (np.isfinite(record.dtheta).all() and np.isfinite(record.dv).all()):
         raise InputError(f"{path}: cannot be written: an increment is not finite")
     gyro_factor, accel_factor = _unit_factors(layout)
-    samples_per_unit = record.rate_hz if layout.quantity == "rates" else 1.0
-    gyro = from_body_axes(record.dtheta, layout.axes_order) * samples_per_unit / gyro_factor
-    accel = from_body_axes(record.dv, layout.axes_order) * samples_per_unit / accel_factor
+    rate_factor = record.rate_hz if layout.quantity == "rates" else 1.0
+    gyro = from_body_axes(record.dtheta, layout.axes_order) * rate_factor / gyro_factor
+    accel = from_body_axes(record.dv, layout.axes_order) * rate_factor / accel_factor
     columns: dict[str, FloatArray] = {}
     if layout.time_column:
         ends = np.arange(1, len(gyro) + 1)

@@ -18,7 +18,7 @@ from sinsjax.records.files import parse_number_or_nan, read_line_batches
 from sinsjax.records.head import read_head
 from sinsjax.records.layout import PSINS_LAYOUT, Anomaly, Layout, Note, Record
 from sinsjax.records.means import EARTH_RATE, Means, compute_means, vertical_rate
-from sinsjax.records.plausibility import Finding, StationaryValues, find_implausible
+from sinsjax.records.plausibility import Finding, StationaryValues, check_stationary
 from sinsjax.records.recognise import recognise_layout, shows_earth_rate
 from sinsjax.study.files import DOUBT, schema_line
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
@@ -271,7 +271,7 @@ def _record_section(
     )
     doubtful: list[Anomaly | Finding] = [*report_anomalies(recognised.record.anomalies, [span])]
     if not any(anomaly.is_certain for anomaly in doubtful):  # otherwise they spoil the means
-        doubtful += find_implausible(recognised.record, span, layout, expected)
+        doubtful += check_stationary(recognised.record, span, layout, expected)
     for doubt in doubtful:
         refused = " (the study is refused)" if doubt.is_certain else ""
         lines.append(_wrap_comment(f"{doubt.text}{refused}", DOUBT))

@@ -22,7 +22,7 @@ from sinsjax.execution.checks import describe_process_noise, study_warnings
 from sinsjax.execution.directory import read_manifest
 from sinsjax.platform.assets import asset
 from sinsjax.records import Layout, Record, Reference, means, write_csv
-from sinsjax.records.plausibility import Finding, StationaryValues, find_implausible
+from sinsjax.records.plausibility import Finding, StationaryValues, check_stationary
 from sinsjax.records.quaternions import integrate_attitudes
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import load_study, study_from_dict
@@ -51,7 +51,7 @@ def found(
 ) -> list[Finding]:
     rate = 15.041067 * DEG_PER_H
     expected = StationaryValues(rate, 32 * DEG, 9.8, gyro * DEG_PER_H, accel * micro_g())
-    return find_implausible(some, SPAN, LAYOUT._replace(**layout), expected)
+    return check_stationary(some, SPAN, LAYOUT._replace(**layout), expected)
 
 
 def refused(some: Record, **layout: Any) -> str:

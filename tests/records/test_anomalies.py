@@ -70,7 +70,7 @@ def test_wrong_unit_is_not_reported_as_outlier() -> None:
 
 def test_dead_and_stuck_channels_are_reported() -> None:
     assert texts(gyro=changed(GYRO, slice(None), 0, 0.0)) == [
-        "column 'gyro[:, 0]' holds 0 in every row: is that sensor dead?"
+        "column 'gyro[:, 0]' is 0 in every row: is that sensor dead?"
     ]
     gyro, accel = (changed(v, slice(1000, 1100), slice(3), v[1000]) for v in (GYRO, ACCEL))
     assert texts(gyro, accel) == [
@@ -91,7 +91,7 @@ def test_refusal_names_dead_channel_as_possible_cause() -> None:
     with pytest.raises(InputError) as caught:
         prepare_job(study(), record=stored)
     assert str(caught.value).endswith(
-        "hides Earth rate: no heading can be found; column 'gyro[:, 0]' holds 0.1 in every row: is"
+        "hides Earth rate: no heading can be found; column 'gyro[:, 0]' is 0.1 in every row: is"
         " that sensor dead? ([record] trust = true aligns it anyway)"
     )
 

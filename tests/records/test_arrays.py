@@ -143,7 +143,7 @@ def test_missing_date_is_missing_sample() -> None:
     dates[20] = None
     assert [flaw[:2] for flaw in made(dates).record.flaws] == [(20, 21)]
     dates[21] = "noon"
-    assert "arrays: time: no dates with time: " in refused(dates)
+    assert "arrays: time: not dates with time: " in refused(dates)
 
 
 def test_reference_accepts_dates() -> None:
@@ -229,15 +229,15 @@ def test_reference_times_become_relative_to_record_start() -> None:
         ({"time": GYRO}, "arrays: time: must have the shape (T,), not (50, 3)"),
         (
             {"gyro": [[1, 2, 3], [1, "x", 3]]},
-            "arrays: row 1: column 'gyro[:, 1]': 'x' is no number",
+            "arrays: row 1: column 'gyro[:, 1]': 'x' is not a number",
         ),
-        ({"gyro": [[1, 2, 3], [1, 3]]}, "arrays: gyro: no numbers: "),
-        ({"time": ["x", *TIME[1:]]}, "arrays: row 0: column 'time': 'x' is no number"),
-        ({"time": None}, "arrays: rate_hz: required where time is None"),
+        ({"gyro": [[1, 2, 3], [1, 3]]}, "arrays: gyro: not numeric: "),
+        ({"time": ["x", *TIME[1:]]}, "arrays: row 0: column 'time': 'x' is not a number"),
+        ({"time": None}, "arrays: rate_hz: required if time is None"),
         ({"time": None, "rate_hz": 1.0, "gyro": np.empty((0, 3))}, "arrays: gyro: has no rows"),
         ({"gyro": GYRO * 1e35}, "arrays: row 0: column 'gyro[:, 0]': out of range (beyond 1e+30)"),
         ({"time": TIME[::-1]}, "column 'time': row 1: time runs backward, from 0.5 to 0.49 s"),
-        ({"time": np.ones(T)}, "time repeats, from 1.0 to 1.0 s (of bad stamps leave time out and"),
+        ({"time": np.ones(T)}, "time repeats, from 1.0 to 1.0 s (drop time and give rate_hz if"),
         ({"rate_hz": 50.0}, "arrays: column 'time' gives 100 Hz, but rate_hz is 50"),
         ({"gyro_unit": "dps"}, "gyro_unit: 'dps' is not one of rad, deg, arcsec, rad_per_s"),
         (
@@ -246,14 +246,14 @@ def test_reference_times_become_relative_to_record_start() -> None:
         ),
         ({"axes": "ned"}, "arrays: axes: 'ned' is not a signed permutation of xyz"),
         ({"axes": "yxz"}, "arrays: axes: 'yxz' is left-handed"),
-        ({"time_unit": "iso"}, "time_unit: 'iso' is of files"),
+        ({"time_unit": "iso"}, "time_unit: 'iso' is for files"),
         ({"time_unit": "h"}, "arrays: time_unit: 'h' is not one of"),
         ({"reference": {"time_s": [0, 1]}}, "arrays: reference: no column 'pitch_deg'"),
         (
             {"reference": REFERENCE | {"pitch_deg": [1, 99]}},
             "arrays: reference: row 1: pitch_deg is beyond 90",
         ),
-        ({"reference": REFERENCE | {"roll_deg": [1]}}, "its columns must have one number for each"),
+        ({"reference": REFERENCE | {"roll_deg": [1]}}, "its columns must have one number per row"),
     ],
 )
 def test_invalid_array_input_raises_one_line_error(change: dict[str, Any], says: str) -> None:

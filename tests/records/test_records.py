@@ -227,7 +227,7 @@ def batches(request, monkeypatch) -> None:
         (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: .*scale factor of gyro y .* not -0.2"),
         (
             "a,b\n1,2\n",
-            r"row 1: a header line must have 6 values, not 1 \(no PSINS text\? `sinsjax",
+            r"row 1: a header line must have 6 values, not 1 \(not PSINS text\? `sinsjax",
         ),
         ("PK\x03\x04\n\0\0", "row 2: not a text file"),
     ],
@@ -355,7 +355,7 @@ def test_invalid_parquet_file_is_refused(tmp_path):
         ({"gz": pa.array([1.0, None, 3.0])}, "row 2: column 'gz': empty or not finite"),
         ({"ay": pa.array([1.0, 2.0, np.inf])}, "row 3: column 'ay': empty or not finite"),
         ({"ay": pa.array([1.0, 2.0, -1e31])}, "row 3: column 'ay': out of range (beyond 1e+30)"),
-        ({"ay": pa.array(["a", "b", "c"])}, "column 'ay' holds string, not numbers"),
+        ({"ay": pa.array(["a", "b", "c"])}, "column 'ay' contains string, not numbers"),
     ):
         pq.write_table(pa.table(columns | change), path)
         assert says in refused(read_whole, path, layout)
@@ -385,7 +385,7 @@ def test_invalid_parquet_file_is_refused(tmp_path):
         ({"axes_order": "xy"}, "axes_order: 'xy' is not a signed permutation"),
         ({"axes_order": "x y z"}, "axes_order: 'x y z' is not a signed permutation"),
         ({"axes_order": "yxz"}, "axes_order: 'yxz' is left-handed"),
-        ({"format": "psins", "quantity": "rates"}, "quantity: PSINS text holds increments"),
+        ({"format": "psins", "quantity": "rates"}, "quantity: PSINS text has increments"),
     ],
 )
 def test_invalid_layout_is_refused(change, says):
@@ -498,7 +498,7 @@ def test_clock_faults_among_scattered_stamps_are_refused(tmp_path, change, says)
     line = refused(records.read_csv, path, CSV._replace(rate_hz=None))
     assert says in line
     if "short" in says or "repeats" in says:
-        assert line.endswith(" s (of bad stamps leave time_column out and give rate_hz)")
+        assert line.endswith(" s (drop time_column and give rate_hz if the stamps are bad)")
 
 
 def lacking(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarray]:
@@ -601,7 +601,7 @@ def test_parquet_dates_give_rate_and_start(tmp_path):
         record = read_whole(tmp_path / "a.parquet", layout)
         assert (record.rate_hz, record.t0_s) == (pytest.approx(100), pytest.approx(1000))
     line = refused(records.read_record, tmp_path / "a.parquet", layout._replace(time_unit="s"))
-    assert "column 'time_s' holds string, not numbers" in line
+    assert "column 'time_s' contains string, not numbers" in line
 
 
 def test_invalid_iso_date_is_refused(tmp_path):

@@ -181,7 +181,7 @@ def test_log_becomes_study_that_runs(
     told = " ".join(doubts)
     assert "put the true latitude here" in told
     assert study["alignment"] == {"method": "inertial"} and "filter" not in study
-    assert ("nothing tells the rate" in told) == untimed
+    assert ("the rate is unknown" in told) == untimed
     row = runs(sinsjax, path, *(["--set", "study.rate_hz=100"] if untimed else []))
     assert abs(row["roll_deg"]) < 1 and abs(row["pitch_deg"]) < 1
     # Of a box whose front is not told the yaw is off by right angles, as the doubt says.
@@ -304,24 +304,24 @@ def test_log_with_odd_rate_or_text_dates_is_read(
         (lambda t: (t * [1, 400, 400, 400, 1, 1, 1], NAMES), "no unit gives Earth rate"),
         (
             lambda t: (t, tuple(f"{n} [deg/s]" if "gyro" in n else n for n in NAMES)),
-            "the names tell this unit; in rad/s it would be 1",
+            "the names state this unit; in rad/s it would be 1",
         ),
         (
             lambda t: (t, tuple(f"{n}_g" if "acc" in n else n for n in NAMES)),
-            "the names tell g, 9.8 times gravity",
+            "the names state g, 9.8 times gravity",
         ),
         (
             lambda t: (t, ("time_ms", *NAMES[1:])),
-            "the name tells ms, in which there would be 1e+05",
+            "the name states ms, which would be 1e+05",
         ),
         (
             lambda t: (t * [1, 1, 1, 1, 1e3, 1e3, 1e3], NAMES),
-            "gravity alone tells that these are increments",
+            "only gravity indicates increments",
         ),
         (lambda t: (t * [1, 1, 1, 1, -1, -1, -1], NAMES), "southern hemisphere, or gyros and"),
         (
             lambda t: (t, ("t", *(f"frd_{n}" for n in NAMES[1:]))),
-            "the names tell 'frd', but z reads +1.00 g",
+            "the names state 'frd', but z reads +1.00 g",
         ),
         (
             lambda t: (np.hstack([t, t[:, 1:4]]), (*NAMES, *(f"raw_{n}" for n in NAMES[1:4]))),
@@ -347,7 +347,7 @@ def test_dead_gyro_is_ignored_in_choice_of_unit(
         table[:, 1 + axis] = value
         study, doubts = described(write(tmp_path / "log.csv", table))
         assert study["record"]["gyro_unit"] == unit
-        assert f"told without '{NAMES[1 + axis]}', which never changes" in doubts
+        assert f"found without '{NAMES[1 + axis]}', which never changes" in doubts
         assert "the gyros do not show the latitude: put the true one here" in doubts
 
 
@@ -376,17 +376,17 @@ def test_missing_sample_marks_give_one_doubt_with_remedy(
         ),
         (
             lambda t: (t, ("t", "roll_rate", "pitch_rate", "spare", *NAMES[4:])),
-            "'roll_rate' and 'pitch_rate' are there, but no column of the gyros named yaw among t,",
+            "there are 'roll_rate' and 'pitch_rate', but no column of the gyros named yaw among t,",
         ),
         (
             lambda t: (t, (*NAMES[:4], "acc_y", "acc_z", "spare")),
-            "'acc_y' and 'acc_z' are there, but no column of the accelerometers named x among",
+            "there are 'acc_y' and 'acc_z', but no column of the accelerometers named x among",
         ),
         (
             lambda t: (t, ("t", "gyro_F", "gyro_R", "spare", *NAMES[4:])),
             "but no column of the gyros named up or down among t, gyro_F",
         ),
-        (lambda t: (t, ("1", "2", "3", "4", "5", "6", "7")), "row 1: numbers where the names"),
+        (lambda t: (t, ("1", "2", "3", "4", "5", "6", "7")), "row 1: numbers instead of column"),
         (
             lambda t: (t, ("t", "gyro_x\u202e", *NAMES[2:])),
             r"column 'gyro_x\u202e': control characters in its name (rename it)",
@@ -475,7 +475,7 @@ def test_coarse_time_stamps_give_mean_rate(
         )
         assert "time_column" not in study["record"]
         (doubt,) = [doubt for doubt in doubts if "coarse" in doubt]
-        assert re.match(r"'t' repeats itself at row [34]: its stamps are too coarse to be", doubt)
+        assert re.match(r"'t' repeats itself at row [34]: its stamps are too coarse, so", doubt)
     runs(sinsjax, path)
 
 
@@ -486,7 +486,7 @@ def test_study_without_known_rate_is_refused(
     table[:, 0] = (1.763e15 + table[:, 0]).astype(np.float32)
     path = write(tmp_path / "log.csv", table, ("Tstamp[us]", *NAMES[1:]))
     study, doubts = described(path)
-    told = "'Tstamp[us]' repeats itself at row 3, so nothing tells the rate: put it here"
+    told = "'Tstamp[us]' repeats itself at row 3, so the rate is unknown: write it here"
     assert "rate_hz" not in study["study"] and any(told in doubt for doubt in doubts)
     assert sinsjax("init", "record", "--from", "log.csv")[0] == 0
     for command in (("validate", "log.toml"), ("align", "log.csv", "log.toml", "-o", "out")):
@@ -509,7 +509,7 @@ def test_gyro_column_names_give_unit_and_axes(
     names: tuple[str, str, str], unit: str, ways: str
 ) -> None:
     (found,) = find_triads(["roll", "pitch", "yaw", *names], "gyro")
-    assert (found.names, found.unit, found.ways) == (names, unit, ways)
+    assert (found.names, found.unit, found.directions) == (names, unit, ways)
     assert not find_triads(names, "accel")
 
 
@@ -531,7 +531,7 @@ def test_text_column_in_parquet_is_refused_by_name(
     table = dict(zip(NAMES, columns(rates, "rfu", 1.0, 1.0, 0.01).T, strict=True))
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(table | {"gyro_y": table["gyro_y"].astype(str)}), path)
-    with pytest.raises(InputError, match="column 'gyro_y' holds string, not numbers"):
+    with pytest.raises(InputError, match="column 'gyro_y' contains string, not numbers"):
         make_study_text(path, Path("x.toml"))
 
 
@@ -541,7 +541,7 @@ def test_column_names_in_comment_are_refused_with_hint(
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
     path = tmp_path / "log.csv"
     np.savetxt(path, table, delimiter=",", header=",".join(NAMES))
-    with pytest.raises(InputError, match="its names stand in a comment: take the sign away"):
+    with pytest.raises(InputError, match="its names are in a comment: remove the"):
         make_study_text(path, Path("x.toml"))
 
 
@@ -554,8 +554,8 @@ def test_first_row_may_have_empty_cells_but_no_text(
     path.write_text("\n".join([header, ",".join([cells[0], "", "", "", *cells[4:]]), *rest]))
     assert described(path)[0]["record"]["gyro_unit"] == "rad_per_s"
     for row, hint in (
-        ("s,rad/s,rad/s,rad/s,g,g,g", "'rad/s' is no number (if it is a row of units"),
-        ('0,"0,1","0,1","0,1","1,2",3,4', "'0,1' is no number (decimal commas"),
+        ("s,rad/s,rad/s,rad/s,g,g,g", "'rad/s' is not a number (begin a row of units"),
+        ('0,"0,1","0,1","0,1","1,2",3,4', "'0,1' is not a number (decimal commas"),
     ):
         path.write_text("\n".join([header, row, first, *rest]))
         with pytest.raises(InputError) as caught:
