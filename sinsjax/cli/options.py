@@ -9,7 +9,7 @@ import typer
 def _found(given: Path) -> Path:
     from sinsjax.study import files
 
-    return files.find_study(given)
+    return files.find_study_file(given)
 
 
 def study_names(incomplete: str) -> list[str]:

@@ -128,7 +128,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     steps = expected.length_s * study.rate_hz
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
     lines.append(f"Up to {steps:,.0f} steps a run, {steps * expected.runs:,.0f} in all.")
-    compared = (checks.describe_process_noise(study), checks.describe_feedback(study))
+    compared = (checks.describe_process_noise(study), checks.describe_feedback_interval(study))
     lines += [f"{line}." for line in compared if line]
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 

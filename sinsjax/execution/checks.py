@@ -136,7 +136,7 @@ def _format_range(numbers: set[float]) -> str:
     return " to ".join(f"{number:,g}" for number in sorted({min(numbers), max(numbers)}))
 
 
-def describe_feedback(study: Study) -> str | None:
+def describe_feedback_interval(study: Study) -> str | None:
     """Compare the time between feedbacks with the settling time of the filter's level.
 
     None without a filter whose measured velocity observes the level angles alone.

@@ -227,7 +227,7 @@ class _Workers:
         versions = runtime.versions()
         required = {name: versions[name] for name in runtime.DECISIVE}
         required |= packages_of(runner.job.study.methods) | {_INSTRUCTIONS: self.instructions}
-        run = partial(run_task, self._share_job(runner), required)
+        run = partial(run_task_on_worker, self._share_job(runner), required)
         remaining, pending = iter(tasks), dict[Any, Task]()
         self._last_worker_s = time.monotonic()
         try:
@@ -338,7 +338,7 @@ _runners: dict[str, TaskRunner] = {}  # of this process, by job name; at most on
 _prepare_lock = threading.Lock()
 
 
-def run_task(job_name: str, required: Mapping[str, str], task: Task) -> EncodedResult:
+def run_task_on_worker(job_name: str, required: Mapping[str, str], task: Task) -> EncodedResult:
     """Run a task on a Dask worker.
 
     Args:

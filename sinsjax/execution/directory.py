@@ -228,7 +228,7 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
     directory = Path(directory)
     path = directory / MANIFEST
     try:
-        manifest = sealed.read_json(path)
+        manifest = sealed.read_sealed_json(path)
     except FileNotFoundError:
         text = f"contains no results ({MANIFEST} is missing)"
         if any(list_parts(directory, name) for name in DATASETS):

@@ -99,7 +99,7 @@ class EstimateOutput:
         values: dict[str, Any] = {"variant_id": variant}
         values |= {name: column.take(variant) for name, column in self._by_variant.items()}
         for place, time_s in enumerate(self._times):
-            phi, sigma, belief = (np.asarray(a)[:, :, place] for a in spread[:3])
+            phi, sigma, believed_sigma = (np.asarray(a)[:, :, place] for a in spread[:3])
             sigma_about_floor = (
                 None if spread.from_floor is None else np.asarray(spread.from_floor)[:, place]
             )
@@ -110,7 +110,9 @@ class EstimateOutput:
                 )
             )
             values |= zip(
-                names, self._time_columns(phi, sigma, belief, floor, sigma_about_floor), strict=True
+                names,
+                self._time_columns(phi, sigma, believed_sigma, floor, sigma_about_floor),
+                strict=True,
             )
         outside_until = np.ascontiguousarray(spread.outside_until)  # sums of one order, however cut
         for truth, centre in ((False, FLOOR), (True, TRUTH)):
@@ -136,7 +138,7 @@ class EstimateOutput:
         self,
         phi: NDArray,
         sigma: NDArray,
-        belief: NDArray,
+        believed_sigma: NDArray,
         floor: NDArray,
         sigma_about_floor: NDArray | None,
     ) -> list[pa.Array]:
@@ -144,7 +146,7 @@ class EstimateOutput:
 
         All in rad, in the order of `columns.estimated`; ``sigma_about_floor`` as in `Spread`.
         """
-        angles = [*(np.concatenate([phi, sigma, belief], axis=1).T / ARCMIN)]
+        angles = [*(np.concatenate([phi, sigma, believed_sigma], axis=1).T / ARCMIN)]
         sigma_used = sigma[:, 2]
         if sigma_about_floor is not None:
             sigma_used = np.where(np.isnan(floor), np.nan, sigma_about_floor)

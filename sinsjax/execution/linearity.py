@@ -45,7 +45,7 @@ class LinearityCheck:
         self._lock = threading.Lock()
         self._cached_group = lru_cache(_PARTS_READY)(self._part_group)
 
-    def add_index(self, part: int, table: pa.Table) -> pa.Table:
+    def add_nonlinearity_index(self, part: int, table: pa.Table) -> pa.Table:
         """Add the index to estimates of a part; estimate variants beyond `MAX_INDEX` from draws.
 
         Args:
@@ -53,20 +53,21 @@ class LinearityCheck:
             table: estimates.
         """
         ids = self._scenario.variant_ids[part]
-        places = np.searchsorted(ids, table["variant_id"].to_numpy())
-        cuts = range(0, len(places), _VARIANTS_PER_CHECK)
+        positions = np.searchsorted(ids, table["variant_id"].to_numpy())
+        cuts = range(0, len(positions), _VARIANTS_PER_CHECK)
         blocks = [slice(first, first + _VARIANTS_PER_CHECK) for first in cuts]
-        width = len(places[blocks[0]])
+        width = len(positions[blocks[0]])
         with self._lock:  # otherwise every thread would build the part and compile
             group = self._cached_group(part)
             runs, wide = (
-                _select_variants(group, places[blocks[0]], n) for n in (width, _VARIANTS_PER_CHECK)
+                _select_variants(group, positions[blocks[0]], n)
+                for n in (width, _VARIANTS_PER_CHECK)
             )
             Calls(runs).compile()
             companions.program(wide, self._records).compiled()
         index = np.concatenate(
             [
-                self._nonlinearity_index(table[block], group, places[block], width)
+                self._nonlinearity_index(table[block], group, positions[block], width)
                 for block in blocks
             ],
             axis=1,
@@ -77,7 +78,7 @@ class LinearityCheck:
         table = replace_column(table, "filled_by_draws", pa.array(beyond))
         for first in range(0, int(beyond.sum()), _VARIANTS_PER_FILL):
             rows = np.flatnonzero(beyond)[first : first + _VARIANTS_PER_FILL]
-            table = self._fill_from_draws(table, group, rows, places[rows])
+            table = self._fill_from_draws(table, group, rows, positions[rows])
         return table
 
     def _part_group(self, part: int) -> Group:
@@ -85,25 +86,25 @@ class LinearityCheck:
         return self._scenario.part(part, range(max(draws, CHECKED_DRAWS))).group
 
     def _nonlinearity_index(
-        self, table: pa.Table, group: Group, places: NDArray, width: int
+        self, table: pa.Table, group: Group, positions: NDArray, width: int
     ) -> NDArray:
         """Return the index of a few variants, (times, variants).
 
         Args:
             table: their rows.
             group: all variants of the part.
-            places: their positions in it.
+            positions: their positions in it.
             width: variants per call of the runs, so that all calls share a program.
         """
-        outcome = Calls(_select_variants(group, places, width)).whole().outcome
+        outcome = Calls(_select_variants(group, positions, width)).whole().outcome
         companion_phi = companions.of_group(
-            _select_variants(group, places, _VARIANTS_PER_CHECK), self._records
+            _select_variants(group, positions, _VARIANTS_PER_CHECK), self._records
         )
         at_times = () if outcome.at_times is None else np.asarray(outcome.at_times)[..., 0].T
         phi = np.stack([*at_times, outcome.last.phi.z]).reshape(
             len(self._ends), CHECKED_DRAWS, width
         )
-        count = len(places)
+        count = len(positions)
         difference = (phi[..., :count] - companion_phi[2, :, :count].swapaxes(1, 2)) / ARCMIN
         names = (f"true_sigma_u{end}_arcmin" for end in self._ends)
         sigma = np.stack([table[name].to_numpy(zero_copy_only=False) for name in names])
@@ -111,11 +112,11 @@ class LinearityCheck:
             return np.sqrt(np.mean(difference**2, axis=1)) / sigma
 
     def _fill_from_draws(
-        self, table: pa.Table, group: Group, rows: NDArray, places: NDArray
+        self, table: pa.Table, group: Group, rows: NDArray, positions: NDArray
     ) -> pa.Table:
         """Replace the heading columns of some rows by statistics of their draws."""
         width = _VARIANTS_PER_FILL
-        chunk = Calls(_select_variants(group, places, width, draws=group.sizes[0])).whole()
+        chunk = Calls(_select_variants(group, positions, width, draws=group.sizes[0])).whole()
 
         def by_variant(leaf: Any) -> NDArray:
             """Reshape a leaf to (variants, draws, ...)."""
@@ -161,8 +162,8 @@ class LinearityCheck:
 
 
 def _select_variants(
-    group: Group, places: NDArray, width: int, draws: int = CHECKED_DRAWS
+    group: Group, positions: NDArray, width: int, draws: int = CHECKED_DRAWS
 ) -> Group:
     """Return the first draws of a few variants, padded to ``width`` with the last variant."""
-    padded = np.pad(places, (0, width - len(places)), mode="edge")
+    padded = np.pad(positions, (0, width - len(positions)), mode="edge")
     return group.some(np.arange(draws), padded)

@@ -16,7 +16,7 @@ from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.files import find_study, source_name
+from sinsjax.study.files import find_study_file, source_name
 from sinsjax.study.load import load_study, load_with_notes, study_to_tables, with_rate
 from sinsjax.study.study import Study
 from sinsjax.study.unused_keys import list_idle_keys
@@ -233,7 +233,7 @@ def _source_label(source: Path | str | Study, options: RunOptions) -> str | None
     """Return the label of the study in the manifest; None for a study without a file."""
     label = options.source
     if label is None and not isinstance(source, Study):
-        label = find_study(source)
+        label = find_study_file(source)
     if isinstance(label, Path):  # an absolute path means nothing on another machine
         return label.name if label.is_absolute() else label.as_posix()
     return label

@@ -12,7 +12,7 @@ from sinsjax import console as screen
 from sinsjax import plots
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
-from sinsjax.execution import directory as places
+from sinsjax.execution import directory as results_directory
 from sinsjax.execution import results
 from sinsjax.execution.directory import RERUN_FILES
 from sinsjax.execution.outputs import make_output
@@ -94,14 +94,14 @@ def rerun_stored_run(
         InputError: there are no results or no such run, the record is a different one, or the
             files cannot be written.
     """
-    places.check_directory(directory)
+    results_directory.check_directory(directory)
     study = results.load_stored_study(directory)
     if files[0] is None and files[1] is not None:
         raise InputError("--reference: requires --record")
     if study.is_recorded and files[0] is None:
         raise InputError(f"{directory}: its study needs a record (give it with --record)")
     stored_record = None if files[0] is None else load_increments(study, files[0], files[1])
-    manifest = places.find_manifest(directory)
+    manifest = results_directory.find_manifest(directory)
     extended_at = () if manifest is None else manifest.extended_at
     job = Job(study, stored_record, extended_at=extended_at)
     if manifest is not None and manifest.identity != job.identity:
@@ -187,7 +187,7 @@ def _explain_difference(directory: Path, stored: pa.Table, repeated: pa.Table) -
         repeated: the same run's row, repeated here.
     """
     packages = packages_of(repeated["method"].to_pylist())
-    versions = places.read_manifest(directory).get("versions")
+    versions = results_directory.read_manifest(directory).get("versions")
     stored_versions = versions if isinstance(versions, dict) else {}
     for name, current_version in packages.items():
         stored_version = one_line(str(stored_versions.get(name, current_version)))

@@ -54,7 +54,7 @@ def to_sealed_parquet(table: pa.Table, extra_metadata: Mapping[str, str] | None 
     return _fill_seal(sink.getvalue().to_pybytes())
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_sealed_json(path: Path) -> dict[str, Any]:
     """Read a sealed JSON object.
 
     Raises:
@@ -72,7 +72,7 @@ def read_json(path: Path) -> dict[str, Any]:
     return entries
 
 
-def read_parquet(path: Path) -> pa.Table:
+def read_sealed_parquet(path: Path) -> pa.Table:
     """Read a sealed Parquet file, whose seal is among the metadata of its schema.
 
     Raises:

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 
 from sinsjax import analysis
 from sinsjax.errors import InputError
-from sinsjax.execution import directory as places
+from sinsjax.execution import directory as results_directory
 from sinsjax.execution import results
 from sinsjax.messages import counted, one_line
 from sinsjax.study.study import Study
@@ -60,8 +60,8 @@ class Source:
             InputError: it contains no results or complete draws, or its study cannot be read.
         """
         table = None
-        places.check_directory(directory)
-        manifest = places.read_manifest(directory)
+        results_directory.check_directory(directory)
+        manifest = results_directory.read_manifest(directory)
         has_estimates = results.has_dataset(directory, "estimates")
         if has_estimates and not results.has_dataset(directory, "summary"):
             table = results.read_estimates(directory)

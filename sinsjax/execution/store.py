@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 
 from sinsjax import columns
 from sinsjax.errors import InputError
-from sinsjax.execution import directory as places
+from sinsjax.execution import directory as results_directory
 from sinsjax.execution import resume as resuming
 from sinsjax.execution.directory import DATASETS, MANIFEST, STUDY, find_manifest
 from sinsjax.execution.results import read_part_metadata
@@ -117,7 +117,7 @@ class DirectoryStore:
         self._sessions: list[dict[str, Any]] = []
         self._planned: list[Task] = []
         self._next_manifest = 0.0
-        self._lock = places.lock_directory(self.directory)
+        self._lock = results_directory.lock_directory(self.directory)
         try:
             self._prepare_directory()
         except BaseException:
@@ -130,9 +130,9 @@ class DirectoryStore:
             raise InputError(
                 f"{self.directory}: another process has just written there (run again)"
             )
-        _remove_files(places.stale_temp_files(self.directory))
+        _remove_files(results_directory.stale_temp_files(self.directory))
         if not job.resume:
-            _remove_files(places.owned_files(self.directory))
+            _remove_files(results_directory.owned_files(self.directory))
         if job.resume and (manifest := find_manifest(self.directory)):
             self._sessions = [session.model_dump() for session in manifest.sessions]
             self._chunks = {c.name: c.model_dump() for c in manifest.chunks if c.state == "done"}
@@ -168,7 +168,9 @@ class DirectoryStore:
                 missing.append(task)
         known = {task.name for task in self._planned}
         self._chunks = {name: c for name, c in self._chunks.items() if name in known}
-        parts = (path for name in DATASETS for path in places.list_parts(self.directory, name))
+        parts = (
+            path for name in DATASETS for path in results_directory.list_parts(self.directory, name)
+        )
         _remove_files(path for path in parts if path.stem not in self._chunks)
         self._write_manifest("running")
         self._write_study()  # last: an extension missing in the manifest can be requested again

@@ -239,7 +239,9 @@ class TaskRunner:
             chunk = duplicates.spread(chunk)
         tables = self._output.make_tables(chunk, self.scenario.variant_ids[task.part])
         if self._linearity:
-            tables = {"estimates": self._linearity.add_index(task.part, tables["estimates"])}
+            tables = {
+                "estimates": self._linearity.add_nonlinearity_index(task.part, tables["estimates"])
+            }
         seconds = time.perf_counter() - start_s
         return TaskResult(task, tables, self._output.count_failures(tables), seconds)
 

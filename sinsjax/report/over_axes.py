@@ -104,11 +104,14 @@ def _heat_maps(source: Source, yard: SuccessMeasure) -> Iterator[Block]:
     """The maps from one yardstick, and only those that show something."""
     maps = Maps(source, (yard.settle_column, yard.ok_column, *FLOOR_COLUMNS, "draw_id", "start_s"))
     shown = maps.panels[: 2 * MOST_PANELS]
-    every = [one.cells(yard.ok_column, yard.settle_column, yard.off_floor(one.of)) for one in shown]
+    every = [
+        one.cells(yard.ok_column, yard.settle_column, yard.outside_floor_band(one.of))
+        for one in shown
+    ]
     cells, end = every[:MOST_PANELS], yard.figure_suffix(source.success_measures[0])
     if not any((np.isfinite(one.median_s) & ~one.not_converged).any() for one in cells):
         return  # no cell is within the band, or those that are only pass through it
-    off = np.where(maps.of(yard.ok_column) > 0, yard.off_floor(maps.of), np.nan)
+    off = np.where(maps.of(yard.ok_column) > 0, yard.outside_floor_band(maps.of), np.nan)
     hatched = np.any([one.not_converged for one in cells])
     mark = f" Cross-hatched: {said('not_converged', yard=yard)}" if hatched else ""
     yield maps.draw(

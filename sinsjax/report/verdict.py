@@ -86,7 +86,7 @@ class Outcome:
         settle_s = np.where(column(yard.ok_column) > 0, column(yard.settle_column), np.inf)
         time_s = np.where(np.isnan(settle_s), np.inf, settle_s)
         error, floor = (column(name) for name in FLOOR_COLUMNS)
-        return cls(source, choices, yard, time_s, error, floor, yard.off_floor(column))
+        return cls(source, choices, yard, time_s, error, floor, yard.outside_floor_band(column))
 
     @property
     def draws(self) -> int:

@@ -76,7 +76,7 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
         table[path[-1]] = value
         key = path[0] if section != "axes" else path[-1]
         if section in _SWEEP_TABLES or (section in SECTIONS and len(path) == 1):
-            _remove_key(result, key, table if section == "axes" else result[section])
+            _remove_key_from_others(result, key, table if section == "axes" else result[section])
     return result
 
 
@@ -123,7 +123,7 @@ def copy_tables(value: Any) -> Any:
     return [copy_tables(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
-def _remove_key(tables: TomlTable, key: str, kept_table: TomlTable) -> None:
+def _remove_key_from_others(tables: TomlTable, key: str, kept_table: TomlTable) -> None:
     """Remove a key and its alternatives from all tables that give or vary them.
 
     The table ``kept_table`` retains the key itself, in its position. An empty zip is removed, and

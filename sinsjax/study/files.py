@@ -57,7 +57,7 @@ def template_files() -> dict[str, Path]:
     return {name: asset(f"{_FOLDER}/templates/{name}.toml") for name in TEMPLATES}
 
 
-def find_study(name_or_path: str | Path) -> Path:
+def find_study_file(name_or_path: str | Path) -> Path:
     """Return the file of a study; an unknown name is returned unchanged.
 
     Args:
@@ -79,9 +79,9 @@ def source_name(name_or_path: str | Path) -> str:
     """Return the name of a study in messages: a shipped study's own, otherwise its path as given.
 
     Args:
-        name_or_path: file, or name of a shipped study, see `find_study`.
+        name_or_path: file, or name of a shipped study, see `find_study_file`.
     """
-    path = find_study(name_or_path)
+    path = find_study_file(name_or_path)
     return path.stem if path.parent == asset(_FOLDER) else str(path)
 
 
@@ -144,7 +144,7 @@ def read_tables(path: str | Path) -> dict[str, Any]:
     """
     name = source_name(path)
     try:
-        tables = tomllib.loads(find_study(path).read_text("utf-8-sig"))
+        tables = tomllib.loads(find_study_file(path).read_text("utf-8-sig"))
     except FileNotFoundError as error:
         raise InputError(
             f"{name}: cannot be read: {error.strerror}{_similar_study_hint(path)}"

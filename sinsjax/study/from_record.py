@@ -211,18 +211,20 @@ def _title_section(record_path: Path, study_path: Path) -> str:
 def _study_section(
     record_path: Path, recognised: _RecognisedFile, part: _AlignedPart, note: Note
 ) -> str:
-    rate = [*_key_lines("rate_hz", part.rate_hz, _rate_note(recognised, part))]
+    rate = [*_format_key_lines("rate_hz", part.rate_hz, _rate_note(recognised, part))]
     if not recognised.gives_rate:  # the study is refused until it is given
         rate[-1] = "# rate_hz ="
     lines = [
         "[study]",
-        *_key_lines("name", escape_controls(record_path.stem)),
-        *_key_lines(
+        *_format_key_lines("name", escape_controls(record_path.stem)),
+        *_format_key_lines(
             "duration_s", part.fine_s, Note(f"s, the alignment; {note.reason}", note.doubt)
         ),
         *rate,
-        *_key_lines("record_interval_s", part.interval_s, Note("s, between recorded values")),
-        *_key_lines("settle_bands_arcmin", [60, 10], Note("arcmin, heading error bands")),
+        *_format_key_lines(
+            "record_interval_s", part.interval_s, Note("s, between recorded values")
+        ),
+        *_format_key_lines("settle_bands_arcmin", [60, 10], Note("arcmin, heading error bands")),
     ]
     return "\n".join([*lines, ""])
 
@@ -237,29 +239,37 @@ def _rate_note(recognised: _RecognisedFile, part: _AlignedPart) -> Note:
 def _earth_section(record: Record, means: Means) -> str:
     if record.latitude_deg is not None:
         return "\n".join(
-            ["[earth]", *_key_lines("earth", "wgs84", Note("the header gives the place")), ""]
+            [
+                "[earth]",
+                *_format_key_lines("earth", "wgs84", Note("the header gives the place")),
+                "",
+            ]
         )
     if _shows_latitude(record, means):
         note = Note("deg, from the vertical part of the mean rate", _LATITUDE_DOUBT)
     else:
         note = Note("deg", "the gyros do not show the latitude: put the true one here")
-    latitude = _key_lines("latitude_deg", _estimate_latitude_deg(record, means), note)
-    return "\n".join(["[earth]", *_key_lines("earth", "wgs84"), *latitude, ""])
+    latitude = _format_key_lines("latitude_deg", _estimate_latitude_deg(record, means), note)
+    return "\n".join(["[earth]", *_format_key_lines("earth", "wgs84"), *latitude, ""])
 
 
 def _record_section(
     recognised: _RecognisedFile, part: _AlignedPart, span: tuple[int, int], latitude_deg: float
 ) -> str:
     layout, notes = recognised.layout, recognised.notes
-    lines = ["[record]", _wrap_comment(f"{recognised.kind}."), *_key_lines("format", layout.format)]
+    lines = [
+        "[record]",
+        _wrap_comment(f"{recognised.kind}."),
+        *_format_key_lines("format", layout.format),
+    ]
     for key in Layout._fields:
         value = getattr(layout, key)
         if key in ("format", "rate_hz") or value in ("", 0.0, ()):
             continue
         elif layout.format != "psins" or key == "axes_order":
             if key != "time_unit" or layout.time_column:
-                lines += _key_lines(key, value, notes.get(key, Note("")))
-    lines += _key_lines(
+                lines += _format_key_lines(key, value, notes.get(key, Note("")))
+    lines += _format_key_lines(
         "start_s", [part.start_s], Note("s, start of coarse alignment; may be a list")
     )
     expected = StationaryValues(
@@ -281,17 +291,17 @@ def _record_section(
 def _coarse_section(part: _AlignedPart) -> str:
     lines = [
         "[coarse]",
-        *_key_lines(
+        *_format_key_lines(
             "coarse_method", "inertial", Note("survives sway; 'analytic' needs a base at rest")
         ),
-        *_key_lines(
+        *_format_key_lines(
             "coarse_duration_s", part.coarse_s, Note("s; its end is t = 0 of the alignment")
         ),
     ]
     return "\n".join([*lines, ""])
 
 
-def _key_lines(key: str, value: Any, note: Note = _NO_NOTE) -> Iterator[str]:
+def _format_key_lines(key: str, value: Any, note: Note = _NO_NOTE) -> Iterator[str]:
     """Yield the lines of a key with its reason, above it if long, and its doubt above it."""
     if note.doubt:
         yield _wrap_comment(note.doubt, DOUBT)

@@ -39,19 +39,19 @@ def sections_to_json(study: Study) -> dict[str, Any]:
 def describe_differences(
     old: Study | Mapping[str, Any],
     new: Study | Mapping[str, Any],
-    places: tuple[str, str] = ("there", "here"),
+    labels: tuple[str, str] = ("there", "here"),
 ) -> list[str]:
     """Return the keys that affect results and differ between two studies, with both values.
 
     Args:
         old: first study, or its sections from a manifest.
         new: second study, or its sections.
-        places: words for the places of both.
+        labels: words for the places of both.
     """
     old_values, new_values = _values_by_key(old), _values_by_key(new)
     changed = [
-        f"{key}: {_format_value(old_values.get(key))} {places[0]},"
-        f" {_format_value(new_values.get(key))} {places[1]}"
+        f"{key}: {_format_value(old_values.get(key))} {labels[0]},"
+        f" {_format_value(new_values.get(key))} {labels[1]}"
         for key in dict.fromkeys((*old_values, *new_values))
         if old_values.get(key) != new_values.get(key)
     ]

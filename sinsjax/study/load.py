@@ -33,7 +33,7 @@ from sinsjax.study.keys import (
 )
 from sinsjax.study.mistakes import build_or_report
 from sinsjax.study.study import Study
-from sinsjax.study.sweep import Sweep, correctable_errors, read_sweep, read_tuning
+from sinsjax.study.sweep import Sweep, correctable_errors, read_sweep, read_tune_section
 
 __all__ = [
     "Study",
@@ -251,7 +251,7 @@ def _build_checked_study(data: TomlTable, name: str) -> Study:
     def build(tables: TomlTable) -> Study:
         study = _build_study(tables, name)
         if study.tune and study.study.rate_hz:
-            _check_points(study)
+            _check_tuning_points(study)
         return study
 
     return build_or_report(build, data)
@@ -273,7 +273,9 @@ def _build_study(data: TomlTable, name: str) -> Study:
         given = sections["tune"]
         sections["tune"] = given | {"variables": {}, "baseline": {}}  # in case these are wrong
         with tuning_errors.collect():
-            sections["tune"] = read_tuning(given, sweep.key_tables, recorded="record" in tables)
+            sections["tune"] = read_tune_section(
+                given, sweep.key_tables, recorded="record" in tables
+            )
     with errors.collect():
         study = _validate_sections(sections)
     if errors.lines:
@@ -283,7 +285,7 @@ def _build_study(data: TomlTable, name: str) -> Study:
     return study
 
 
-def _check_points(study: Study) -> None:
+def _check_tuning_points(study: Study) -> None:
     """Refuse a [tune] whose points are not valid studies."""
     assert study.tune is not None
     tables, baseline = study_to_tables(study), study.tune.baseline

@@ -17,7 +17,7 @@ from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
 from sinsjax.study.study import Study
 
 _PLACE = re.compile(r"\[(?P<table>[^\]]+)\](?: (?P<key>[^\s:.\[]+))?|(?P<top>[^\s:]+):")
-_STAND_INS = (1e5, 100.0, 45.0, 1.0, 1, "psd")
+_PLACEHOLDERS = (1e5, 100.0, 45.0, 1.0, 1, "psd")
 """Values for a wrong required key, such as a duration, a rate, a latitude or the unit of Q."""
 _MAX_ROUNDS = 20
 
@@ -67,7 +67,7 @@ def build_or_report(build: StudyBuilder, data: TomlTable) -> Study:
             data = _remove_place(data, place)
         repeated = [place for place in places if counts[place] == 2 and place.table in SECTIONS]
         for place in repeated:
-            data = _insert_stand_in(build, data, place)
+            data = _insert_placeholder(build, data, place)
         if not repeated and all(counts[place] > 1 for place in places):
             break
     raise InputError(*reported)
@@ -117,13 +117,13 @@ def _remove_place(data: TomlTable, place: Place) -> TomlTable:
     return tables
 
 
-def _insert_stand_in(build: StudyBuilder, data: TomlTable, place: Place) -> TomlTable:
+def _insert_placeholder(build: StudyBuilder, data: TomlTable, place: Place) -> TomlTable:
     """Return tables with the first stand-in for a missing key that is not an error itself.
 
     Without one, a section that a study need not have is left out.
     """
     table = data.get(place.table, {})
-    for value in _STAND_INS if isinstance(table, dict) and place.key else ():
+    for value in _PLACEHOLDERS if isinstance(table, dict) and place.key else ():
         unit = {"q_reading": "psd"} if place.key in WHITE_NOISE else {}
         changed = data | {place.table: unit | table | {place.key: value}}
         try:

@@ -27,7 +27,7 @@ def check_process_noise(study: Study, key_tables: Mapping[str, str]) -> None:
     """
     if not study.has("filter"):
         return
-    errors = [*_check_q_unit(study, key_tables), *_check_q_given(study, key_tables)]
+    errors = [*_iter_q_unit_errors(study, key_tables), *_iter_missing_q_errors(study, key_tables)]
     if errors:
         raise InputError(
             *(f"{key_tables.get(key, '[filter]')} {key}: {text}" for key, text in errors)
@@ -65,7 +65,7 @@ def _noise_ratios(study: Study, q_key: str) -> set[float]:
     return ratios
 
 
-def _check_q_unit(study: Study, key_tables: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+def _iter_q_unit_errors(study: Study, key_tables: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     densities = [key for forms in Q_DENSITIES.values() for key in forms if key in key_tables]
     given = [key for key in Q_DENSITIES if key in key_tables]
     readings = {point["q_reading"] for point in study.combinations("q_reading")}
@@ -81,7 +81,9 @@ def _check_q_unit(study: Study, key_tables: Mapping[str, str]) -> Iterator[tuple
         yield "q_reading", f"'{min(other_units)}' needs q_ keys, and none is given ({reason})"
 
 
-def _check_q_given(study: Study, key_tables: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+def _iter_missing_q_errors(
+    study: Study, key_tables: Mapping[str, str]
+) -> Iterator[tuple[str, str]]:
     for key, (*noises, _) in WHITE_NOISE.items():
         if key_tables.keys().isdisjoint((key, *Q_DENSITIES[key])):
             if reason := _missing_noise_reason(study, key, noises):

@@ -94,14 +94,16 @@ class ResolvedColumns:
 
 
 def unique_with_inverse(
-    numbers: np.ndarray, end: int | None = None
+    numbers: np.ndarray, upper_bound: int | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distinct values of integers from 0 to ``end`` - 1, and the index of each."""
-    if end is None or end > 8 * len(numbers):
+    """Return the distinct values of integers below ``upper_bound``, and the index of each."""
+    if upper_bound is None or upper_bound > 8 * len(numbers):
         return np.unique(numbers, return_inverse=True)
-    if end == 1:
+    if upper_bound == 1:
         return np.zeros(1, int), numbers
-    present = np.flatnonzero(np.bincount(numbers, minlength=end))  # much faster than sorting
-    index_of = np.zeros(end, np.int32)
+    present = np.flatnonzero(
+        np.bincount(numbers, minlength=upper_bound)
+    )  # much faster than sorting
+    index_of = np.zeros(upper_bound, np.int32)
     index_of[present] = np.arange(len(present))
     return present, index_of[numbers]

@@ -66,7 +66,7 @@ def broken_rules(study: Study, key_tables: KeyTables) -> tuple[str, ...]:
         key_tables: table of each key that the file gives.
     """
     timed = TIME_RULES if study.study.rate_hz else ()  # else the record will give the rate
-    for stage in ((_check_required,), PRESENCE_RULES, *timed, VALUE_RULES):
+    for stage in ((_check_required_keys,), PRESENCE_RULES, *timed, VALUE_RULES):
         errors = ErrorCollector()
         for rule in stage:
             with errors.collect():
@@ -98,7 +98,7 @@ def _refuse_place(place: str, text: str) -> NoReturn:
     raise InputError(f"{place}: {text}")
 
 
-def _check_required(study: Study, key_tables: KeyTables) -> None:
+def _check_required_keys(study: Study, key_tables: KeyTables) -> None:
     """Refuse a missing key, and a key without effect, because of the value of another key."""
     simulated = not study.is_recorded
     untimed = (
@@ -123,7 +123,7 @@ def _check_required(study: Study, key_tables: KeyTables) -> None:
                 _refuse_key(key, key_tables, "requires earth = 'constants' (drop it with 'wgs84')")
 
 
-def _check_size(study: Study, key_tables: KeyTables) -> None:
+def _check_study_size(study: Study, key_tables: KeyTables) -> None:
     """Refuse a study that no machine could run, from the lengths of its axes alone."""
     settings = study.study
     if settings.duration_s * settings.rate_hz > _MAX_SAMPLES * (1 + ROUNDING):
@@ -165,7 +165,7 @@ def _check_intervals(study: Study, key_tables: KeyTables) -> None:
         )
 
 
-def _check_methods(study: Study, key_tables: KeyTables) -> None:
+def _check_keys_of_methods(study: Study, key_tables: KeyTables) -> None:
     """Refuse keys that no method of the study reads, a whole section in one line."""
     methods = sorted(study.methods)
     text = f"does not apply to method {' or '.join(methods)}"
@@ -287,7 +287,7 @@ def _check_whole_samples(
         _refuse_key(key, key_tables, f"{text} ({hint})")
 
 
-def _check_window(study: Study, key_tables: KeyTables) -> None:
+def _check_statistics_window(study: Study, key_tables: KeyTables) -> None:
     """Refuse a window in which no run has the two record times of a standard deviation.
 
     Some of the runs may end before the window.
@@ -326,7 +326,7 @@ def _check_report_times(study: Study, key_tables: KeyTables) -> None:
                 _refuse_key(key, key_tables, f"{time:.12g} s is between two record times of {runs}")
 
 
-def _check_success(study: Study, key_tables: KeyTables) -> None:
+def _check_success_criteria(study: Study, key_tables: KeyTables) -> None:
     """Refuse a success that no run can reach, and bands whose columns would share a name."""
     names = [columns.settle_column(band).name for band in success.settling_bands(study)]
     if len(set(names)) < len(names):
@@ -355,7 +355,7 @@ def _describe_end(study: Study) -> str:
     return text
 
 
-def _check_stop(study: Study, key_tables: KeyTables) -> None:
+def _check_stop_when(study: Study, key_tables: KeyTables) -> None:
     """Refuse a statistic that the study does not have, and a share that is always met."""
     if study.stop_when is None:
         return
@@ -381,7 +381,7 @@ def _check_rules_of_methods(study: Study, key_tables: KeyTables) -> None:
     errors.raise_all()
 
 
-def _check_unreached(study: Study, key_tables: KeyTables) -> None:
+def _check_unreached_values(study: Study, key_tables: KeyTables) -> None:
     """Refuse values that no run reaches: times after its end, and keys that have no effect.
 
     A time may be after the end of some runs of a sweep if other runs with it are longer.
@@ -390,7 +390,7 @@ def _check_unreached(study: Study, key_tables: KeyTables) -> None:
     for (name, key), entry in KEYS.items():
         if entry.info.time and name in SECTIONS and study.has(name):
             with errors.collect():
-                _check_time(study, key_tables, key)
+                _check_time_within_runs(study, key_tables, key)
     for name, section in SECTIONS.items():
         for condition in section.conditions if study.has(name) else ():
             if condition.refused:
@@ -399,7 +399,7 @@ def _check_unreached(study: Study, key_tables: KeyTables) -> None:
     errors.raise_all()
 
 
-def _check_time(study: Study, key_tables: KeyTables, key: str) -> None:
+def _check_time_within_runs(study: Study, key_tables: KeyTables, key: str) -> None:
     """Refuse a time that is after the end of all runs that use it."""
     entry = KEYS[SECTION_OF[key], key]
     latest: dict[float, float] = {}  # the end of the longest run with each value
@@ -434,8 +434,8 @@ def _check_has_effect(
                 raise InputError(f"{key_tables.get(key, f'[{section}]')} {key}: {text}")
 
 
-def _check_plausible(study: Study, key_tables: KeyTables) -> None:
-    """Refuse unusual values of sections, axes, zips and cases; `_check_draws` checks drawn keys."""
+def _check_plausible_values(study: Study, key_tables: KeyTables) -> None:
+    """Refuse unusual values, except those of drawn keys, which `_check_drawn_values` checks."""
     if study.study.unchecked:
         return
     errors = ErrorCollector()
@@ -486,7 +486,7 @@ def _iter_numbers(value: Any, index: str = "") -> Iterator[tuple[str, float]]:
         yield index, float(value)
 
 
-def _check_feedback(study: Study, key_tables: KeyTables) -> None:
+def _check_feedback_interval(study: Study, key_tables: KeyTables) -> None:
     """Refuse a feedback interval that is longer than any run."""
     if study.study.unchecked or not study.study.rate_hz:
         return
@@ -500,7 +500,7 @@ def _check_feedback(study: Study, key_tables: KeyTables) -> None:
             _refuse_place(f"{place} feedback_interval_s", f"{text} ({ACCEPT_HINT})")
 
 
-def _check_centre(study: Study, key_tables: KeyTables) -> None:
+def _check_earth_centre(study: Study, key_tables: KeyTables) -> None:
     """Refuse a place at the centre of the Earth, without north, east and up."""
     for point in study.combinations("height_m", "radius_m"):
         radius = point["radius_m"] or EARTH_CONSTANTS["radius_m"]
@@ -527,7 +527,7 @@ def has_covariance_model(study: Study) -> bool:
     return next(_unmodelled_parts(study, {}), None) is None
 
 
-def _check_estimated(study: Study, key_tables: KeyTables) -> None:
+def _check_covariance_analysis(study: Study, key_tables: KeyTables) -> None:
     """Refuse keys that conflict with covariance analysis, of a study or of its tuning."""
     if study.tune and "covariance" in study.tune.searches:
         if line := next(_unmodelled_parts(study, key_tables), None):
@@ -578,7 +578,7 @@ def _unmodelled_parts(study: Study, key_tables: KeyTables) -> Iterator[str]:
             yield f"{place} method: covariance analysis has no linear model of {name}"
 
 
-def _check_draws(study: Study, key_tables: KeyTables) -> None:
+def _check_drawn_values(study: Study, key_tables: KeyTables) -> None:
     """Refuse drawn values that their key does not accept, and list entries that no draw reaches.
 
     Draws are checked one by one if their law does not exclude such values, unless there are too
@@ -648,7 +648,7 @@ def _drawn_value_error(key: str, value: float, unchecked: bool) -> str | None:
     return value_error(value, key) or (None if unchecked else describe_implausible(key, value))
 
 
-def _check_tune(study: Study, key_tables: KeyTables) -> None:
+def _check_tune_section(study: Study, key_tables: KeyTables) -> None:
     """Refuse a [tune] that conflicts with the rest of its study."""
     tune = study.tune
     if tune is None:
@@ -681,33 +681,33 @@ def _check_tune(study: Study, key_tables: KeyTables) -> None:
 StudyRule = Callable[[Study, KeyTables], None]
 
 PRESENCE_RULES: tuple[StudyRule, ...] = (
-    _check_methods,
+    _check_keys_of_methods,
     check_process_noise,
-    _check_estimated,
+    _check_covariance_analysis,
 )
 """Rules for the presence of keys."""
 
 TIME_RULES: tuple[tuple[StudyRule, ...], ...] = (
-    (_check_size, _check_intervals),
+    (_check_study_size, _check_intervals),
     (_check_passes,),
     (
         _check_coarse_method,
         _check_coarse_times,
-        _check_window,
+        _check_statistics_window,
         _check_report_times,
-        _check_success,
-        _check_stop,
+        _check_success_criteria,
+        _check_stop_when,
         _check_rules_of_methods,
     ),
-    (_check_unreached,),
-    (_check_tune,),
+    (_check_unreached_values,),
+    (_check_tune_section,),
 )
 """Rules for times and counts, which need the sample rate; each stage relies on the earlier ones."""
 
 VALUE_RULES: tuple[StudyRule, ...] = (
-    _check_centre,
-    _check_plausible,
-    _check_feedback,
-    _check_draws,
+    _check_earth_centre,
+    _check_plausible_values,
+    _check_feedback_interval,
+    _check_drawn_values,
 )
 """Rules for values alone, such as their usual ranges."""

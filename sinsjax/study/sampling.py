@@ -38,7 +38,7 @@ def drawn_values(study: Study, count: int, *, first: int = 0) -> dict[str, np.nd
         continuous, seed, first, count
     )
     draws = np.arange(first, first + count)
-    entries = _cycled_entries(laws, draws)
+    entries = _listed_values(laws, draws)
     drawn = {
         key: entries[key] if key in entries else _apply_distribution(law, points[key])
         for key, law in laws.items()
@@ -109,7 +109,7 @@ def _apply_distribution(law: Distribution, points: np.ndarray) -> np.ndarray:
     return mean + deviation * ndtri(points)
 
 
-def _cycled_entries(laws: dict[str, Distribution], draws: np.ndarray) -> dict[str, np.ndarray]:
+def _listed_values(laws: dict[str, Distribution], draws: np.ndarray) -> dict[str, np.ndarray]:
     """Return the entries of lists and grids in some draws, (draws, numbers) by key."""
     grids = {key: len(law.grid) for key, law in laws.items() if law.grid}
     fastest = math.prod(grids.values())

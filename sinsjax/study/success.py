@@ -100,15 +100,15 @@ class SuccessMeasure(NamedTuple):
         """Return the suffix of a figure's name; empty for the reference of the study, the first."""
         return "" if self == first else "_truth" if self.truth else "_floor"
 
-    def off_floor(self, column: Callable[[str], NDArray]) -> NDArray:
+    def outside_floor_band(self, get_column: Callable[[str], NDArray]) -> NDArray:
         """Return whether each run is ok but ends outside the band about its bias floor.
 
         Args:
-            column: function that returns ``ok`` and `FLOOR_COLUMNS` as numbers of any shape, with
-                NaN for null.
+            get_column: function that returns ``ok`` and `FLOOR_COLUMNS` as numbers of any shape,
+                with NaN for null.
         """
-        distance = np.abs(column("phi_u_arcmin") - column("floor_arcmin"))
-        off: NDArray = (column(self.ok_column) > 0) & (distance > self.band_arcmin)
+        distance = np.abs(get_column("phi_u_arcmin") - get_column("floor_arcmin"))
+        off: NDArray = (get_column(self.ok_column) > 0) & (distance > self.band_arcmin)
         return off
 
 

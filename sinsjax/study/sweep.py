@@ -360,7 +360,7 @@ def _validator(key: str) -> Callable[[Any], Any]:
     return TypeAdapter(annotation, config=strict).validate_python
 
 
-def read_tuning(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -> TomlTable:
+def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -> TomlTable:
     """Return the section [tune] with checked ranges and values, and default numbers of draws.
 
     Args:

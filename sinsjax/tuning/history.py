@@ -193,7 +193,7 @@ def read_history(directory: str | Path) -> pa.Table:
 def _read(directory: Path) -> pa.Table:
     path = directory / FILE
     try:
-        return sealed.read_parquet(path)
+        return sealed.read_sealed_parquet(path)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     except sealed.DamagedError as error:

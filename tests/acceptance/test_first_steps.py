@@ -72,7 +72,7 @@ def sinsjax(
 def test_shipped_studies_are_found_by_name(sinsjax: Command) -> None:
     path = ROOT / "configs" / "reset_sweep.toml"
     for name in ("reset_sweep", "reset_sweep.toml", "configs/reset_sweep.toml", path):
-        assert files.find_study(name).samefile(path)
+        assert files.find_study_file(name).samefile(path)
     assert package.load_study("reset_sweep").name == "reset_sweep"
     with pytest.raises(package.InputError, match=r"^reset_sweeps: cannot .*mean reset_sweep\?"):
         package.load_study("reset_sweeps")
@@ -80,9 +80,9 @@ def test_shipped_studies_are_found_by_name(sinsjax: Command) -> None:
 
 def test_local_study_file_precedes_shipped_study(sinsjax: Command, tmp_path: Path) -> None:
     (tmp_path / "reset_sweep").mkdir()  # results are no study
-    assert files.find_study("reset_sweep").samefile(ROOT / "configs" / "reset_sweep.toml")
+    assert files.find_study_file("reset_sweep").samefile(ROOT / "configs" / "reset_sweep.toml")
     (tmp_path / "reset_sweep.toml").write_text("x = 1\n")
-    assert files.find_study("reset_sweep").samefile(tmp_path / "reset_sweep.toml")
+    assert files.find_study_file("reset_sweep").samefile(tmp_path / "reset_sweep.toml")
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "/", "x" * 300, "a/b"])
@@ -564,7 +564,7 @@ def test_wheel_alone_finds_templates_and_configs(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / wheel) as archive:
         archive.extractall(tmp_path / "site")
     (tmp_path / "empty").mkdir()
-    found = "from sinsjax.study import files; print(files.find_study('reset_sweep'))"
+    found = "from sinsjax.study import files; print(files.find_study_file('reset_sweep'))"
     told = []
     for words in (
         ["-m", "sinsjax", "init", "sweep"],

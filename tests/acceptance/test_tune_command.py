@@ -190,7 +190,9 @@ def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path)
     with pytest.raises(InputError, match="part-0000-000000.parquet: has changed since it was wri"):
         told(out)
     write_part(part, shorter, read_manifest(out / "evaluation")["identity"])
-    with pytest.raises(InputError, match=r"evaluation: 31 runs, but the study has 32 .continue"):
+    with pytest.raises(
+        InputError, match=r"evaluation: has 31 runs, but the study has 32 .continue"
+    ):
         told(out)
 
 

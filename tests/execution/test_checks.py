@@ -427,7 +427,7 @@ def test_level_of_filter_settles_in_forecast_time(filter_: dict[str, Any]) -> No
     """From its P0 to a tenth of it, by sigma of the level in a run."""
     settings = {"duration_s": 3.0, "rate_hz": 100.0, "draws": 1, "record_interval_s": 0.01}
     study = of_sensors(study=settings, alignment={"phi_u0_deg": 1.0}, filter=filter_)
-    line = checks.describe_feedback(study)
+    line = checks.describe_feedback_interval(study)
     assert line is not None
     (time_s,) = re.findall(
         r"every 0.01 s; its level settles in ([0-9.]+) s \(to a tenth of its initial st", line
@@ -440,13 +440,13 @@ def test_level_of_filter_settles_in_forecast_time(filter_: dict[str, Any]) -> No
 
 def test_feedback_is_compared_with_settling_level_over_whole_sweep() -> None:
     axes = {"feedback_interval_s": [0.1, 1.0], "r_reading": ["per_update", "psd"]}
-    line = checks.describe_feedback(of_sensors(alignment={}, axes=axes))
+    line = checks.describe_feedback_interval(of_sensors(alignment={}, axes=axes))
     assert line == (
         "The filter feeds back every 0.1 to 1 s; its level settles in 0.26 to 0.89 s (to a tenth"
         " of its initial standard deviation)"
     )
-    assert checks.describe_feedback(of_sensors(alignment={"method": "compass"})) is None
-    both = checks.describe_feedback(
+    assert checks.describe_feedback_interval(of_sensors(alignment={"method": "compass"})) is None
+    both = checks.describe_feedback_interval(
         of_sensors(alignment={}, axes={"method": ["inertial", "kalman5"]})
     )
     assert both is not None and "every 0.01 s; its level settles in 0.26 s" in both

@@ -324,7 +324,7 @@ def test_late_worker_that_differs_is_refused_before_reading_job(
     monkeypatch.setattr(cluster, "_runners", {})
     task = Task("part-0000-000000", 0, (0, 1), 0, 1, ())
     with pytest.raises(InputError) as refused:
-        cluster.run_task("job", required, task)
+        cluster.run_task_on_worker("job", required, task)
     assert str(refused.value) == f"tcp://far:1: {line}"
 
 

@@ -265,7 +265,7 @@ def test_draws_study_replaces_estimates_only_with_overwrite(whole: Path, tmp_pat
     with pytest.raises(InputError) as caught:
         read_estimates(tmp_path)
     assert str(caught.value) == (
-        f"{tmp_path}: holds runs, and no estimates of variants (`read_summary` reads them)"
+        f"{tmp_path}: contains runs, and no estimates of variants (`read_summary` reads them)"
     )
 
 

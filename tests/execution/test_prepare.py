@@ -95,7 +95,7 @@ def test_align_analyses_its_record_once(
     calls = count_calls(lambda: run_command("align", log, config, "-o", tmp_path / "out"))
     assert {name: calls[name] for name in ONCE} == dict.fromkeys(ONCE, 1)
     assert calls["psins.read_psins"] == 1
-    assert calls["plausible.findings"] == 1
+    assert calls["plausibility.check_stationary"] == 1
 
 
 def test_python_align_gives_rows_of_command(

@@ -38,7 +38,7 @@ def test_parquet_keeps_rows_marks_and_bytes(tmp_path) -> None:
     path = tmp_path / "part.parquet"
     path.write_bytes(CONTENTS["parquet"])
     assert CONTENTS["parquet"] == sealed.to_sealed_parquet(ROWS, {"sinsjax.study": "0123"})
-    assert sealed.read_parquet(path).equals(ROWS)
+    assert sealed.read_sealed_parquet(path).equals(ROWS)
     assert pq.read_table(path).equals(ROWS)  # by anyone else
     assert pq.read_metadata(path).metadata[b"sinsjax.study"] == b"0123"
 
@@ -53,7 +53,7 @@ def test_json_of_nothing_sealed_is_damaged(tmp_path) -> None:
     for content in (b"", b"{}", b"\xff", f'{{"{sealed.SEAL_KEY}": "{"0" * 64}"}}'.encode()):
         path.write_bytes(content)
         with pytest.raises(sealed.DamagedError, match="manifest.json: has changed"):
-            sealed.read_json(path)
+            sealed.read_sealed_json(path)
 
 
 def test_nothing_is_read_through_links_or_pipes(tmp_path) -> None:
