@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.forked import Server
+from support.command_server import CommandServer
 
 import sinsjax as package
 from sinsjax.methods import base
@@ -56,9 +56,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def forked() -> Iterator[Server]:
+def forked() -> Iterator[CommandServer]:
     """Runs command lines one after the other in a process that finds methods of its own."""
-    server = Server()
+    server = CommandServer()
     yield server
     server.close()
 
@@ -114,7 +114,7 @@ def tuning(path: Path, tune: str = "") -> None:
 
 @pytest.mark.slow
 def test_plugin_method_key_can_be_tuned_by_gradient(
-    forked: Server, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    forked: CommandServer, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Numbers follow the key as they are made from it, and the searches of [tune] take it."""
     monkeypatch.syspath_prepend(site)
@@ -152,7 +152,7 @@ def test_plugin_method_key_can_be_tuned_by_gradient(
     ],
 )
 def test_broken_or_clashing_plugin_gives_one_line_error(
-    forked: Server, site: Path, tmp_path: Path, change: tuple[str, str], line: str
+    forked: CommandServer, site: Path, tmp_path: Path, change: tuple[str, str], line: str
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
     for path in (
@@ -179,7 +179,7 @@ def test_broken_or_clashing_plugin_gives_one_line_error(
     ],
 )
 def test_broken_plugin_affects_only_studies_that_use_it(
-    forked: Server, site: Path, tmp_path: Path, change: tuple[str, str], why: str
+    forked: CommandServer, site: Path, tmp_path: Path, change: tuple[str, str], why: str
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
     described = changed / "averaged_alignment" / "description.py"
@@ -201,7 +201,7 @@ def test_broken_plugin_affects_only_studies_that_use_it(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["kalman5", "my averaged"])
 def test_misnamed_entry_point_is_reported_by_validate_and_info(
-    forked: Server, site: Path, tmp_path: Path, name: str
+    forked: CommandServer, site: Path, tmp_path: Path, name: str
 ) -> None:
     """A study with the method's own name is told where to look."""
     changed = shutil.copytree(site, tmp_path / "site")
@@ -233,7 +233,12 @@ def test_misnamed_entry_point_is_reported_by_validate_and_info(
     ],
 )
 def test_validate_reports_failing_plugin_step(
-    forked: Server, site: Path, tmp_path: Path, change: tuple[str, str], what: str, function: str
+    forked: CommandServer,
+    site: Path,
+    tmp_path: Path,
+    change: tuple[str, str],
+    what: str,
+    function: str,
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
     method = changed / "averaged_alignment" / "method.py"
@@ -260,7 +265,7 @@ def test_validate_reports_failing_plugin_step(
     ],
 )
 def test_validate_and_tune_report_wrong_relaxed_changes_of_plugin(
-    forked: Server, site: Path, tmp_path: Path, change: str, what: str
+    forked: CommandServer, site: Path, tmp_path: Path, change: str, what: str
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
     relaxed = changed / "averaged_alignment" / "relaxed.py"
@@ -277,7 +282,7 @@ def test_validate_and_tune_report_wrong_relaxed_changes_of_plugin(
 
 
 def test_unsupported_covariance_search_names_file_and_remedy(
-    forked: Server, site: Path, tmp_path: Path
+    forked: CommandServer, site: Path, tmp_path: Path
 ) -> None:
     tuning(tmp_path / "tuned.toml", '[tune]\nsearches = ["covariance"]\n')
     (told,) = forked(("validate", "tuned.toml"), site=site, cwd=tmp_path)
@@ -305,7 +310,7 @@ def test_unsupported_covariance_search_names_file_and_remedy(
     ],
 )
 def test_validate_warns_if_covariance_contradicts_description(
-    forked: Server, site: Path, tmp_path: Path, given: str, described: bool, what: str | None
+    forked: CommandServer, site: Path, tmp_path: Path, given: str, described: bool, what: str | None
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site") / "averaged_alignment"
     for name, change in {

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 import tomli_w
 from support.commands import command_line
-from support.stored import store, write_manifest
+from support.stored_results import store_results, write_manifest
 from support.studies import BASE, small_study, small_tables
 
 from sinsjax import cli, console
@@ -109,7 +109,7 @@ NESTED = {
 def test_study_nested_too_deeply_is_refused_in_one_line(
     how: str, tmp_path: Path, sinsjax: Command
 ) -> None:
-    out = store(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
+    out = store_results(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
     path = out / "study.toml"
     path.write_text(NESTED[how])
     with pytest.raises(InputError, match=r"study.toml: is nested too deeply$"):
@@ -141,7 +141,7 @@ def test_value_nested_too_deeply_is_refused_in_one_line() -> None:
 def test_manifest_nested_too_deeply_is_refused_in_one_line(
     tmp_path: Path, sinsjax: Command
 ) -> None:
-    out = store(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
+    out = store_results(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
     few = '{"config":' + "[" * 60 + "]" * 60 + "}"
     for text in ("[" * DEEP, '{"a":' * DEEP, '{"chunks":' + "[" * DEEP, few):
         (out / "manifest.json").write_text(text)
@@ -158,7 +158,7 @@ def test_manifest_nested_too_deeply_is_refused_in_one_line(
 
 def test_rerun_refuses_summary_with_two_rows_of_one_run(tmp_path: Path, sinsjax: Command) -> None:
     curves = pa.table({"run_id": [0, 0, 1, 1], "time_s": [1.0, 2.0, 1.0, 2.0]})
-    out = store(tmp_path / "out", small_study(), curves)
+    out = store_results(tmp_path / "out", small_study(), curves)
     code, error = sinsjax("rerun", out, "--run-id", 1)
     assert code == 2 and error.startswith(
         f"error: {out}/summary: has 2 rows of run 1: a foreign part"
@@ -179,7 +179,7 @@ def test_results_directory_whose_name_is_not_utf8_is_refused_before_any_run(
     with pytest.raises(InputError, match=re.escape(refused)):
         run.run_into(small_study(), out)
     assert not out.exists()
-    store(tmp_path / "out", small_study(), pa.table({"run_id": [0]})).rename(out)
+    store_results(tmp_path / "out", small_study(), pa.table({"run_id": [0]})).rename(out)
     for words in (("report", out), ("rerun", out, "--run-id", 0)):
         assert sinsjax(*words) == (2, f"error: {refused}\n")
 

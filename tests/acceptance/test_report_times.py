@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from rich.console import Console
-from support.studies import refusal, small_study, with_paper_values, with_truth
+from support.studies import add_true_reference, refusal_line, small_study, with_paper_values
 
 from sinsjax.engine import batch, build
 from sinsjax.engine.lanes import tiles_of
@@ -186,7 +186,7 @@ def test_rerun_with_report_times_is_identical(tmp_path: Path) -> None:
 def record() -> StoredRecord:
     """Six seconds of the swinging base, with its true attitude."""
     simulated = small_study(sensors={"gyro_noise_deg_per_h": 0.0})
-    return with_truth(build.simulated_record(simulated))
+    return add_true_reference(build.simulated_record(simulated))
 
 
 def recorded(times: list[float], coarse: dict[str, Any], **tables: Any) -> dict[str, Any]:
@@ -246,7 +246,7 @@ HERE = "[study] report_times_s: "
 def test_report_times_between_records_or_after_run_are_refused(
     tables: dict[str, Any], line: str
 ) -> None:
-    assert refusal(**tables) == HERE + line
+    assert refusal_line(**tables) == HERE + line
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,8 @@ import dask
 import distributed
 import pytest
 import tomli_w
-from support.stored import write_manifest
-from support.studies import small_study, small_tables, with_truth
+from support.stored_results import write_manifest
+from support.studies import add_true_reference, small_study, small_tables
 
 from sinsjax.cli import study as studies
 from sinsjax.engine.build import simulated_record
@@ -77,7 +77,9 @@ def recorded_runner() -> TaskRunner:
             "axes": {"phi_u0_deg": [i / 100 for i in range(300)]},
         }
     )
-    return TaskRunner(Job(study, with_truth(simulated_record(small_study())), chunk_runs=128))
+    return TaskRunner(
+        Job(study, add_true_reference(simulated_record(small_study())), chunk_runs=128)
+    )
 
 
 @pytest.mark.optimised(False)

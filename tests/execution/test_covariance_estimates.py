@@ -12,10 +12,15 @@ import pyarrow.compute as pc
 import pytest
 from rich.console import Console
 from scipy import stats
-from support.dying import Dying
-from support.kept import assert_complete, manifest, parts, times
-from support.stored import store, told
+from support.killed_commands import KilledCommand
+from support.stored_results import report_text, store_results
 from support.studies import STILL, small_study
+from support.sweep_directories import (
+    assert_complete,
+    modification_times,
+    read_manifest_entries,
+    read_parts,
+)
 
 from sinsjax import columns
 from sinsjax.errors import InputError
@@ -189,7 +194,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What an uninterrupted run leaves, in parts of 128 variants and the rest."""
     directory = tmp_path_factory.mktemp("whole") / "out"
     study_run.run_into(short(), directory, chunk_runs=128)
-    assert sorted(parts(directory)) == [
+    assert sorted(read_parts(directory)) == [
         f"estimates/part-{part:04d}-{call:06d}.parquet" for part in (0, 1) for call in (0, 1)
     ]
     return directory
@@ -206,7 +211,7 @@ def test_estimates_are_equal_for_any_chunk_size_and_as_stored(
     assert stored.cast(one.schema).equals(one)
     few = read_estimates(whole, ["phi_u_arcmin", "method"])
     assert few.column_names == ["phi_u_arcmin", "method"] and few.num_rows == 260
-    told_ = manifest(whole)
+    told_ = read_manifest_entries(whole)
     assert told_["runs"] == told_["runs_done"] == 260 and told_["state"] == "complete"
 
 
@@ -225,14 +230,16 @@ def test_stored_estimates_are_bytewise_equal_for_any_task_order(
 
 def test_resume_recomputes_only_missing_or_broken_parts(whole: Path, tmp_path: Path) -> None:
     study_run.run_into(short(), tmp_path, chunk_runs=128)
-    before = times(tmp_path)
+    before = modification_times(tmp_path)
     first, second, *kept = sorted(before)
     (tmp_path / first).unlink()
     (tmp_path / second).write_bytes((tmp_path / second).read_bytes()[:-9])
     (tmp_path / "manifest.json").unlink()
     study_run.run_into(short(), tmp_path, resume=True)
     assert_complete(tmp_path, whole)
-    assert {name: times(tmp_path)[name] for name in kept} == {name: before[name] for name in kept}
+    assert {name: modification_times(tmp_path)[name] for name in kept} == {
+        name: before[name] for name in kept
+    }
     with pytest.raises(InputError, match=r"another study: \[study\] estimate_samples: 16 there"):
         study_run.run_into(short(study={"estimate_samples": 18}), tmp_path, resume=True)
     job = prepare_job(short(), options=RunOptions(tmp_path, resume=True))
@@ -247,10 +254,10 @@ def test_sweep_resumes_after_kill(moment: str, whole: Path, tmp_path: Path) -> N
     words = ["sweep", str(config), "-o", str(out), "--resume", "--chunk-runs", "128"]
     killed = [(moment, "estimates/*", 2), ("never", "", 0)]
     for number, point in enumerate(killed):
-        process = Dying(words, {}, tmp_path / f"said{number}", point=point)
-        process.go().process.join(120)
+        process = KilledCommand(words, {}, tmp_path / f"said{number}", point=point)
+        process.proceed().process.join(120)
         code = process.process.exitcode
-        assert code == (0 if number else -signal.SIGKILL), process.said()
+        assert code == (0 if number else -signal.SIGKILL), process.read_output()
         process.close()
     assert_complete(out, whole)
 
@@ -302,7 +309,7 @@ def test_report_lists_fastest_settings_and_plots_axes(
     study = study_of(axes=axes, resets={})
     study_run.run_into(study, tmp_path / "out")
     page = tmp_path / "page.md"
-    said = told(tmp_path / "out", page=page)
+    said = report_text(tmp_path / "out", page=page)
     assert "8 variants by covariance analysis, without draws" in said
     table = said.partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
     made = read_estimates(tmp_path / "out")
@@ -324,8 +331,10 @@ def test_report_prints_least_share_over_starts_of_each_setting(tmp_path: Path) -
     ):
         place = made.column_names.index(name)
         made = made.set_column(place, made.schema.field(place), pa.array(values))
-    out = store(tmp_path, study, estimates=made)
-    table = told(out).partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
+    out = store_results(tmp_path, study, estimates=made)
+    table = report_text(out).partition(
+        "The soonest within 10' of true north, mean over phi_u0_deg"
+    )[2]
     assert [line.split()[-2] for line in table.splitlines()[5:7]] == ["30", "60"]
 
 
@@ -339,7 +348,7 @@ def test_report_of_estimates_handles_any_axes(
 ) -> None:
     resets, study = {"reset_times_s": [10.0]}, {"check_linearity": checked}
     study_run.run_into(study_of(axes=axes, resets=resets, study=study), tmp_path)
-    said = told(tmp_path)
+    said = report_text(tmp_path)
     assert "Every variant" in said and "by covariance analysis" in said
     assert columns.settle_estimates(10.0)[0].name in read_estimates(tmp_path).column_names
 

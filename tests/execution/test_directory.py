@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from support.kept import everything
 from support.studies import small_study
+from support.sweep_directories import read_files_and_times
 
 import sinsjax
 from sinsjax import cli
@@ -162,7 +162,7 @@ def test_links_and_pipes_in_results_are_refused_and_left_alone(
     out = Path(shutil.copytree(results, tmp_path / "out"))
     PLACED[name](out / name)
     named = rf"{Path(name).name}: is (a symbolic link|not a regular file)"
-    study, before = small_study(study={"curves": True}), everything(tmp_path)
+    study, before = small_study(study={"curves": True}), read_files_and_times(tmp_path)
     for attempt in (
         lambda: sinsjax.run_into(study, out),
         lambda: sinsjax.run_into(study, out, resume=True),
@@ -171,7 +171,7 @@ def test_links_and_pipes_in_results_are_refused_and_left_alone(
     ):
         with pytest.raises(InputError, match=named):
             attempt()
-    assert everything(tmp_path) == before
+    assert read_files_and_times(tmp_path) == before
 
 
 def test_part_through_link_is_computed_again_and_its_target_kept(

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from support.kept import study_of, times
 from support.studies import small_study
+from support.sweep_directories import make_study, modification_times
 
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun, run
@@ -32,9 +32,9 @@ def assert_extended(
     """A directory of the second study, made of the first one's; no part of that is made again."""
     out = folder / "out"
     run.run_into(first, out, chunk_runs=chunk_runs)
-    before = times(out)
+    before = modification_times(out)
     run.run_into(second, out, resume=True)
-    after = times(out)
+    after = modification_times(out)
     parts = {name for name in before if name.endswith(".parquet")}
     assert parts and {name: after[name] for name in parts} == {n: before[n] for n in parts}
     at_once = run.run(second, chunk_runs=chunk_runs)
@@ -47,9 +47,9 @@ def test_extended_rows_equal_sweep_with_all_draws(tmp_path: Path, chunk_runs: in
     out = assert_extended(of(150), of(170), tmp_path, chunk_runs)
     told = read_manifest(out)
     assert (told["state"], told["draws"], told["extended_at"]) == ("complete", 170, [150])
-    before = times(out)
+    before = modification_times(out)
     run.run_into(of(170), out, resume=True)  # and gone on with as any other
-    assert {n: t for n, t in times(out).items() if "part" in n} == {
+    assert {n: t for n, t in modification_times(out).items() if "part" in n} == {
         n: t for n, t in before.items() if "part" in n
     }
     run.run_into(of(200), out, resume=True)
@@ -67,7 +67,7 @@ def test_rerun_works_on_extended_results(tmp_path: Path) -> None:
 
 def test_extension_continues_sobol_list_and_grid_draws(tmp_path: Path) -> None:
     """Sobol's, and a list and a grid that had begun again before."""
-    assert_extended(study_of("drawn", 100), study_of("drawn", 140), tmp_path)
+    assert_extended(make_study("drawn", 100), make_study("drawn", 140), tmp_path)
 
 
 @pytest.mark.parametrize("half_width", [0.001, 0.9])
@@ -94,12 +94,12 @@ def test_extended_results_are_recovered_without_manifest(tmp_path: Path) -> None
     out = assert_extended(of(80), of(100), tmp_path)
     told = read_manifest(out)
     (out / "manifest.json").unlink()
-    before = {n: t for n, t in times(out).items() if "part" in n}
+    before = {n: t for n, t in modification_times(out).items() if "part" in n}
     run.run_into(of(100), out, resume=True)
     again = read_manifest(out)
     assert (again["identity"], again["extended_at"]) == (told["identity"], [80])
     assert read_summary(out).num_rows == 300
-    assert before.keys() == {n for n in times(out) if "part" in n}
+    assert before.keys() == {n for n in modification_times(out) if "part" in n}
 
 
 def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path) -> None:
@@ -137,8 +137,8 @@ def test_invalid_extension_is_refused_without_changes(
 ) -> None:
     out = tmp_path / "out"
     run.run_into(there, out)
-    before = times(out)
+    before = modification_times(out)
     with pytest.raises(InputError) as caught:
         run.run_into(here, out, resume=True)
     assert told in str(caught.value) and "\n" not in str(caught.value)
-    assert times(out) == before
+    assert modification_times(out) == before

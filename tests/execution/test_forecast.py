@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.memory import at_most_mb
-from support.stored import write_manifest
+from support.memory import limit_memory_mb
+from support.stored_results import write_manifest
 from support.studies import small_study, with_paper_values
 
 from sinsjax.engine.build import Scenario
@@ -53,7 +53,7 @@ def refused(study: Study, out: Path, **options: Any) -> str:
 
 def test_896_million_runs_are_refused_without_listing_them(disk: Any, tmp_path: Path):
     disk(free=2e9)
-    with at_most_mb(200):  # a list of the runs is 7,000
+    with limit_memory_mb(200):  # a list of the runs is 7,000
         line = refused(huge(), tmp_path / "out")
     assert line == (
         f"{tmp_path / 'out'}: the results of 896,000,000 runs need about 212 GB, but the disk has"

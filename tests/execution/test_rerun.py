@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 from support.commands import command_line
-from support.kept import STUDIES, everything, rewrite_manifest, study_of
-from support.studies import small_study, with_paper_values, with_truth
+from support.studies import add_true_reference, small_study, with_paper_values
+from support.sweep_directories import STUDIES, make_study, read_files_and_times, rewrite_manifest
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError
@@ -55,7 +55,7 @@ def assert_alone_as_among_others(
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("name", STUDIES)
 def test_rerun_matches_run_of_whole_study(name: str) -> None:
-    study = study_of(name)
+    study = make_study(name)
     runs = study.n_draws * study.n_variants
     chosen = [0, 65, runs // 2 + 1, runs - 1]
     assert {run % study.n_variants for run in chosen} != {0}
@@ -64,7 +64,7 @@ def test_rerun_matches_run_of_whole_study(name: str) -> None:
 
 @pytest.mark.slow
 def test_rerun_row_matches_study_run_without_curves() -> None:
-    study = study_of("worlds")
+    study = make_study("worlds")
     assert_alone_as_among_others(study, curves=False, runs=[7, 299])
 
 
@@ -112,7 +112,7 @@ def recorded_study(**changes: Any) -> Study:
 
 @pytest.fixture(scope="module")
 def stored() -> StoredRecord:
-    return with_truth(build.simulated_record(small_study()))
+    return add_true_reference(build.simulated_record(small_study()))
 
 
 @pytest.mark.optimised(False)
@@ -134,7 +134,7 @@ def test_rerun_matches_for_record_with_drawn_errors(stored: StoredRecord) -> Non
 
 # --- directories --------------------------------------------------------------------------------
 
-STUDY = study_of("worlds")
+STUDY = make_study("worlds")
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def rerun_into(directory: Path, run_id: int, **options: Any) -> str:
 
 
 def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -> None:
-    before = everything(out)
+    before = read_files_and_times(out)
     told = rerun_into(out, 77, out=tmp_path / "one")
     stored = read_summary(out, run_ids=[77])
     assert f"The row is identical to the stored one in all {stored.num_columns} columns." in told
@@ -161,7 +161,7 @@ def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -
     assert curve["time_s"].to_pylist() == [1.0, 2.0]
     assert set(curve["run_id"].to_pylist()) == {77}
     assert (tmp_path / "one" / "curve.png").exists()
-    assert everything(out) == before
+    assert read_files_and_times(out) == before
     rerun_into(out, 78)
     assert {p.name for p in (out / "reruns" / "78").iterdir()} == {
         "summary.parquet",

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.kept import rewrite_manifest
 from support.studies import small_study
+from support.sweep_directories import rewrite_manifest
 
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tasks

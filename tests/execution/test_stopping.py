@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from support.kept import Recorder, manifest, parts
 from support.studies import STILL, small_study
+from support.sweep_directories import TaskRecorder, read_manifest_entries, read_parts
 
 from sinsjax.engine.batch import in_threads
 from sinsjax.errors import StudyInterrupted
@@ -154,12 +154,12 @@ def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     )
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
     interrupted(study, tmp_path / "out")
-    assert parts(tmp_path / "out") == parts(tmp_path / "back")
+    assert read_parts(tmp_path / "out") == read_parts(tmp_path / "back")
     assert read_summary(tmp_path / "out").equals(whole.summary)
-    told = manifest(tmp_path / "out")
+    told = read_manifest_entries(tmp_path / "out")
     assert (told["state"], told["draws"], told["runs"]) == ("complete", draws, 2 * draws)
     assert {chunk["state"] for chunk in told["chunks"]} == {"done"}
-    again = Recorder()
+    again = TaskRecorder()
     study_run.run_into(study, tmp_path / "out", resume=True, executor=again.executor)
     assert again.done == []
 
@@ -178,7 +178,7 @@ def interrupted(study: Study, out: Path) -> None:
             )
             return
         except StudyInterrupted:
-            assert manifest(out)["state"] == "interrupted"
+            assert read_manifest_entries(out)["state"] == "interrupted"
     raise AssertionError("never complete")
 
 

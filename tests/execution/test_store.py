@@ -14,20 +14,20 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from support.kept import (
+from support.studies import PAPER, small_study
+from support.sweep_directories import (
     CHUNK_RUNS,
     CHUNKS,
-    Recorder,
+    TaskRecorder,
     assert_complete,
     assert_intact,
-    everything,
-    manifest,
-    parts,
+    modification_times,
+    read_files_and_times,
+    read_manifest_entries,
+    read_parts,
     rewrite_manifest,
     sweep_study,
-    times,
 )
-from support.studies import PAPER, small_study
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError, StudyInterrupted
@@ -51,7 +51,7 @@ STUDY = sweep_study()
 
 def sweep(directory: Path, study: Study = STUDY, **options: Any) -> list[str]:
     """Run a study into a directory; gives the names of the chunks that were made."""
-    recorder = Recorder()
+    recorder = TaskRecorder()
     options = {"chunk_runs": CHUNK_RUNS} | options
     study_run.run_into(study, directory, executor=recorder.executor, **options)
     return recorder.done
@@ -89,7 +89,7 @@ def test_parts_are_bytewise_equal_in_repeated_sweeps(whole: Path, tmp_path: Path
 
 
 def test_part_metadata_identify_study_and_chunk_only(whole: Path) -> None:
-    for name in parts(whole):
+    for name in read_parts(whole):
         about = pq.ParquetFile(whole / name)
         said = about.schema_arrow.metadata
         assert said.keys() == {b"sinsjax.schema", b"sinsjax.study", b"sinsjax.chunk"}
@@ -175,7 +175,7 @@ BEFALL: dict[str, Callable[[Path], None]] = {
 
 def deny(directory: Path) -> None:
     """Have the manifest list nothing as done, intact otherwise."""
-    chunks = manifest(directory)["chunks"]
+    chunks = read_manifest_entries(directory)["chunks"]
     missing = [{"name": c["name"], "state": "missing", "runs": 1} for c in chunks]
     rewrite_manifest(directory, chunks=missing)
 
@@ -193,22 +193,22 @@ MANIFESTS: dict[str, Callable[[Path], Any]] = {
 def test_damaged_part_is_detected_and_recomputed(
     whole: Path, out: Path, name: str, told: str
 ) -> None:
-    before = times(out)
+    before = modification_times(out)
     BEFALL[name](out / "summary" / f"{chunk(2)}.parquet")
     BEFALL[name](out / "curves" / f"{chunk(7)}.parquet")
     MANIFESTS[told](out)
     assert sweep(out, resume=True) == [chunk(2), chunk(7)]
     assert_complete(out, whole)
-    kept = {key for key, time in times(out).items() if before[key] == time}
+    kept = {key for key, time in modification_times(out).items() if before[key] == time}
     assert {key for key in before if chunk(2) in key or chunk(7) in key} == before.keys() - kept
 
 
 @pytest.mark.parametrize("told", MANIFESTS)
 def test_intact_parts_are_kept_for_any_manifest_state(whole: Path, out: Path, told: str) -> None:
-    before = times(out)
+    before = modification_times(out)
     MANIFESTS[told](out)
     assert sweep(out, resume=True) == []
-    assert times(out) == before
+    assert modification_times(out) == before
     assert_complete(out, whole)
 
 
@@ -291,30 +291,30 @@ def changed(**changes: Any) -> Study:
 @pytest.mark.parametrize("name", DIFFERING)
 def test_resume_with_other_study_reports_differing_keys(out: Path, name: str) -> None:
     changes, named = DIFFERING[name]
-    before = everything(out)
+    before = read_files_and_times(out)
     with pytest.raises(InputError, match=r"out: contains results of another study: \[") as told:
         sweep(out, changed(**changes), resume=True)
     for text in named:
         assert text in str(told.value), (text, told.value)
     assert "name" not in str(told.value) and "\n" not in str(told.value)
-    assert everything(out) == before
+    assert read_files_and_times(out) == before
 
 
 def test_resume_with_reordered_axes_is_refused(out: Path) -> None:
-    before = everything(out)
+    before = read_files_and_times(out)
     data = STUDY.model_dump(exclude_none=True)
     axes = dict(reversed(STUDY.axes.items()))
     study = study_from_dict({k: v for k, v in data.items() if v and k != "zips"} | {"axes": axes})
     with pytest.raises(InputError, match="another study: .*order"):
         sweep(out, study, resume=True)
-    assert everything(out) == before
+    assert read_files_and_times(out) == before
 
 
 def test_resume_allows_changed_name(whole: Path, out: Path) -> None:
-    before = times(out)
+    before = modification_times(out)
     assert sweep(out, changed(study={"name": "renamed"}), resume=True) == []
-    assert times(out) == before
-    assert manifest(out)["study"]["study"]["name"] == "renamed"
+    assert modification_times(out) == before
+    assert read_manifest_entries(out)["study"]["study"]["name"] == "renamed"
     assert 'name = "renamed"' in (out / "study.toml").read_text()
     assert_complete(out, whole)
 
@@ -324,10 +324,10 @@ def test_other_study_is_refused_from_parts_alone(out: Path) -> None:
     (out / "manifest.json").write_bytes(b"\x00\xff")
     (out / "study.toml").write_text("[study")
     (out / "summary" / f"{chunk(0)}.parquet").write_bytes(b"no part")
-    before = everything(out)
+    before = read_files_and_times(out)
     with pytest.raises(InputError, match="contains results of another study"):
         sweep(out, changed(study={"seed": 2}), resume=True)
-    assert everything(out) == before
+    assert read_files_and_times(out) == before
     assert sweep(out, resume=True) == [chunk(0)]
 
 
@@ -352,11 +352,11 @@ GARBLED = {
 def test_garbled_manifest_requires_no_recomputation(whole: Path, out: Path, name: str) -> None:
     path = out / "manifest.json"
     path.write_bytes(GARBLED[name] or path.read_bytes()[: path.stat().st_size // 2])
-    before = times(out)
+    before = modification_times(out)
     with pytest.raises(InputError, match="already contains results"):
         sweep(out)
     assert sweep(out, resume=True) == []
-    assert times(out) == before
+    assert modification_times(out) == before
     assert_complete(out, whole)
 
 
@@ -386,10 +386,10 @@ def test_results_of_older_version_are_refused_by_its_name(tmp_path: Path) -> Non
     fingerprint = store.fingerprint(STUDY)
     told = {"schema": "1", "fingerprint": fingerprint, "versions": {"sinsjax": "0.5.0"}, "runs": 1}
     (out / "manifest.json").write_text(json.dumps(told))
-    before = everything(out)
+    before = read_files_and_times(out)
     with pytest.raises(InputError, match=r"results of sinsjax 0\.5\.0, .*schema 1.*--overwrite"):
         sweep(out, resume=True)
-    assert everything(out) == before
+    assert read_files_and_times(out) == before
     assert len(sweep(out, overwrite=True)) == CHUNKS
 
 
@@ -403,12 +403,12 @@ def test_foreign_files_are_refused_and_left_unchanged(
         mine.mkdir()
         mine = mine / "part-of-my-thesis.parquet"
     mine.write_text("mine")
-    before = everything(tmp_path)
+    before = read_files_and_times(tmp_path)
     with pytest.raises(
         InputError, match=f"contains {name}, which is not a result .give another directory"
     ):
         sweep(tmp_path, **options)
-    assert everything(tmp_path) == before
+    assert read_files_and_times(tmp_path) == before
 
 
 # --- records ------------------------------------------------------------------------------------
@@ -436,7 +436,7 @@ def test_another_record_or_reference_is_refused(
     study, stored = recorded
     out = tmp_path / "out"
     sweep(out, study, record=stored)
-    before = everything(out)
+    before = read_files_and_times(out)
     record, reference = stored
     assert reference is not None
     late = record.dv.copy()
@@ -448,7 +448,7 @@ def test_another_record_or_reference_is_refused(
     ):
         with pytest.raises(InputError, match="contains results of another record or reference"):
             sweep(out, study, record=other, resume=True)
-    assert everything(out) == before
+    assert read_files_and_times(out) == before
     assert sweep(out, study, record=stored, resume=True) == []
     moved = StoredRecord(record._replace(source="copy.imu"), reference._replace(source="copy.csv"))
     assert sweep(out, study, record=moved, resume=True) == []
@@ -459,11 +459,11 @@ def test_another_record_or_reference_is_refused(
 
 def test_second_writer_of_directory_is_refused(out: Path) -> None:
     held = store.DirectoryStore(TaskRunner(prepared(out, resume=True)))
-    before = everything(out)
+    before = read_files_and_times(out)
     for options in ({"resume": True}, {"overwrite": True}):
         with pytest.raises(InputError, match="out: another process is writing there"):
             sweep(out, **options)
-    assert everything(out) == before
+    assert read_files_and_times(out) == before
     held.unlock()
     assert sweep(out, resume=True) == []
 
@@ -491,7 +491,7 @@ def test_results_written_before_lock_are_not_lost(out: Path, whole: Path, tmp_pa
         late = TaskRunner(prepare_job(study, options=options)._replace(directory=out))
         with pytest.raises(InputError, match="another process has just written there"):
             store.DirectoryStore(late)
-    assert parts(out) == parts(whole)
+    assert read_parts(out) == read_parts(whole)
 
 
 def test_stale_temporary_files_are_removed_and_others_kept(whole: Path, out: Path) -> None:
@@ -524,7 +524,7 @@ def assert_complete_but(out: Path, whole: Path, mine: list[str]) -> None:
         ".manifest.json",
     }
     assert all((out / name).read_bytes() == b"PAR1" for name in mine)
-    assert parts(out) == parts(whole)
+    assert read_parts(out) == read_parts(whole)
 
 
 def test_overwrite_keeps_user_files(whole: Path, out: Path) -> None:
@@ -554,7 +554,7 @@ def test_overwrite_keeps_user_files(whole: Path, out: Path) -> None:
     left = {path.relative_to(out).as_posix() for path in (out / "figures").iterdir()}
     assert left == {name for name in mine if name.startswith("figures/")}
     assert read_summary(out).num_rows == CHUNKS * CHUNK_RUNS
-    assert {n: b for n, b in parts(out).items() if n not in mine} == parts(whole)
+    assert {n: b for n, b in read_parts(out).items() if n not in mine} == read_parts(whole)
 
 
 def test_overwrite_removes_all_previous_results(out: Path) -> None:
@@ -587,20 +587,20 @@ def test_killed_overwrite_leaves_resumable_results(
         patch.setattr(Path, "unlink", killed)
         with pytest.raises(KeyboardInterrupt):
             sweep(out, other, overwrite=True)
-    there = parts(out)
-    assert there.items() < parts(whole).items()
+    there = read_parts(out)
+    assert there.items() < read_parts(whole).items()
     with pytest.raises(InputError, match="contains results of another study"):
         sweep(out, other, resume=True)
-    assert parts(out) == there
+    assert read_parts(out) == there
     sweep(out, resume=True)
     assert_complete(out, whole)
 
 
 def test_resuming_a_complete_directory_does_nothing(whole: Path, out: Path) -> None:
-    before = times(out)
+    before = modification_times(out)
     assert sweep(out, resume=True) == []
-    assert times(out) == before
-    assert len(manifest(out)["sessions"]) == 2
+    assert modification_times(out) == before
+    assert len(read_manifest_entries(out)["sessions"]) == 2
     assert_complete(out, whole)
 
 
@@ -629,22 +629,22 @@ def test_stopped_sweep_keeps_finished_chunks_and_resumes(
 
     out = tmp_path / "out"
     with pytest.raises(StudyInterrupted, match=f"of 1,536 runs are in {out}"):
-        made = Recorder()
+        made = TaskRecorder()
         study_run.run_into(
             STUDY, out, chunk_runs=CHUNK_RUNS, tell=tell, stop=stop, executor=made.executor
         )
-    told = manifest(out)
+    told = read_manifest_entries(out)
     assert told["state"] == "interrupted"
     assert len(told["chunks"]) == CHUNKS
     assert told["runs_done"] == len(made.done) * CHUNK_RUNS == seen[-1].done
     # Those that were under way are finished, two devices have three.
     assert chunks <= len(made.done) <= chunks + 3
-    assert {name: content for name, content in parts(whole).items() if name in parts(out)} == parts(
-        out
-    )
-    before = times(out)
+    assert {
+        name: content for name, content in read_parts(whole).items() if name in read_parts(out)
+    } == read_parts(out)
+    before = modification_times(out)
     assert sorted([*made.done, *sweep(out, resume=True)]) == [chunk(i) for i in range(CHUNKS)]
-    assert before.items() <= times(out).items()
+    assert before.items() <= modification_times(out).items()
     assert_complete(out, whole)
 
 
@@ -664,7 +664,7 @@ def test_stop_during_resume_of_complete_results_is_ignored(out: Path) -> None:
     stop = threading.Event()
     stop.set()
     assert sweep(out, resume=True, stop=stop) == []
-    assert manifest(out)["state"] == "complete"
+    assert read_manifest_entries(out)["state"] == "complete"
 
 
 # --- failing writes -----------------------------------------------------------------------------
@@ -688,14 +688,16 @@ def test_failed_write_raises_input_error_and_keeps_finished_parts(
         patch.setattr(files.os, "fsync", full)
         with pytest.raises(InputError, match="cannot be written: No space left on device"):
             sweep(out)
-    there = parts(out)
-    assert there == {name: content for name, content in parts(whole).items() if name in there}
+    there = read_parts(out)
+    assert there == {name: content for name, content in read_parts(whole).items() if name in there}
     assert not list(out.rglob("*.tmp"))
     if any("summary" in name for name in there):
         assert count_runs(out) == CHUNK_RUNS * sum("summary" in name for name in there)
-    before = {k: t for k, t in times(out).items() if k.replace("curves", "summary") in there}
+    before = {
+        k: t for k, t in modification_times(out).items() if k.replace("curves", "summary") in there
+    }
     sweep(out, resume=True)
-    assert before.items() <= times(out).items()
+    assert before.items() <= modification_times(out).items()
     assert_complete(out, whole)
 
 
@@ -716,7 +718,7 @@ def test_failed_chunk_releases_directory_for_resume(whole: Path, tmp_path: Path)
 
 
 def test_manifest_records_study_identity_and_timing(whole: Path, out: Path) -> None:
-    told = manifest(whole)
+    told = read_manifest_entries(whole)
     assert told["fingerprint"] == store.fingerprint(STUDY)
     assert told["identity"] == Job(STUDY).identity
     assert (told["seed"], told["schema"], told["draws"]) == (1, "4", 48)
@@ -726,7 +728,7 @@ def test_manifest_records_study_identity_and_timing(whole: Path, out: Path) -> N
     )
     assert all(chunk["seconds"] > 0 for chunk in told["chunks"])
     sweep(out, resume=True)
-    again = manifest(out)
+    again = read_manifest_entries(out)
     assert [chunk["seconds"] for chunk in again["chunks"]] == [
         chunk["seconds"] for chunk in told["chunks"]
     ]
@@ -765,5 +767,5 @@ def test_manifest_writing_uses_small_share_of_time(
 def test_forecast_disk_space_is_near_actual_size(whole: Path) -> None:
     """At 128 runs a part, of which some 20 kB say how it is laid out, more is taken."""
     expected = forecast.forecast_sweep(STUDY)
-    taken = sum(len(content) for content in parts(whole).values()) - 2 * CHUNKS * 20_000
+    taken = sum(len(content) for content in read_parts(whole).values()) - 2 * CHUNKS * 20_000
     assert 0.5 < expected.runs * expected.run_bytes / taken < 2

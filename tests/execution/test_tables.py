@@ -10,9 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.chunks import chunk
-from support.kept import everything
-from support.stored import write_manifest, write_part
+from support.stored_results import write_manifest, write_part
 from support.studies import BASE, STILL, small_study, with_paper_values
+from support.sweep_directories import read_files_and_times
 
 from sinsjax import columns
 from sinsjax.engine import build
@@ -264,7 +264,7 @@ def test_drawn_keys_become_summary_columns() -> None:
 def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) -> None:
     study = small_study()
     run.run_into(study, tmp_path / "out")
-    before = everything(tmp_path / "out")
+    before = read_files_and_times(tmp_path / "out")
     with jax.enable_x64(False):
         for call in (
             lambda: run.run_into(study, tmp_path / "out", overwrite=True),
@@ -274,7 +274,7 @@ def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) ->
         ):
             with pytest.raises(InputError, match="double precision"):
                 call()
-    assert everything(tmp_path / "out") == before
+    assert read_files_and_times(tmp_path / "out") == before
 
 
 # --- reading ------------------------------------------------------------------------------------

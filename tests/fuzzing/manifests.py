@@ -9,7 +9,7 @@ import pyarrow as pa
 from hypothesis import strategies as st
 from support.studies import small_study
 
-from fuzzing.edits import Quiet, edited, mangled
+from fuzzing.edits import HiddenValue, edit_tables, mangle_bytes
 from sinsjax import columns
 from sinsjax.execution import schemas
 from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA
@@ -30,12 +30,12 @@ class Case(NamedTuple):
     files: dict[str, bytes | None]
 
 
-def stored(directory: Path) -> dict[str, bytes]:
+def write_results(directory: Path) -> dict[str, bytes]:
     """Writes what a run of `STUDY` would leave, numbers apart; gives its files."""
     runs = list(range(STUDY.n_draws * STUDY.n_variants))
     tables = {
-        PARTS[0]: _table(schemas.summary_columns(STUDY), runs),
-        PARTS[1]: _table(
+        PARTS[0]: _empty_table(schemas.summary_columns(STUDY), runs),
+        PARTS[1]: _empty_table(
             schemas.curve_columns(STUDY), [run for run in runs for _ in range(STUDY.records)]
         ),
     }
@@ -45,21 +45,21 @@ def stored(directory: Path) -> dict[str, bytes]:
         chunk["rows"] = table.num_rows
         marks = {STUDY_METADATA: Job(STUDY).identity, CHUNK_METADATA: json.dumps(chunk)}
         files[name] = to_sealed_parquet(table, marks)
-    files[MANIFEST] = to_sealed_json(_manifest())
+    files[MANIFEST] = to_sealed_json(_manifest_entries())
     for name, content in files.items():
         (directory / name).parent.mkdir(parents=True, exist_ok=True)
         (directory / name).write_bytes(content)
     return files
 
 
-def _table(layout: tuple[columns.Column, ...], runs: list[int]) -> pa.Table:
+def _empty_table(layout: tuple[columns.Column, ...], runs: list[int]) -> pa.Table:
     arrays = [
         pa.array(runs) if c.name == "run_id" else pa.nulls(len(runs), c.dtype) for c in layout
     ]
     return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
 
 
-def _manifest() -> dict[str, Any]:
+def _manifest_entries() -> dict[str, Any]:
     entries = [{"file": name, "rows": 3} for name in reversed(PARTS)]
     chunk = {
         "name": "part-0000-000000",
@@ -87,7 +87,7 @@ def _manifest() -> dict[str, Any]:
     }
 
 
-def _sealed(data: dict[str, Any]) -> bytes:
+def _seal_any_json(data: dict[str, Any]) -> bytes:
     """As `sealed_json`, of any values: NaN too, which sinsjax does not write."""
     blank = "0" * 64
     others = {key: value for key, value in data.items() if key != SEAL_KEY}
@@ -97,7 +97,7 @@ def _sealed(data: dict[str, Any]) -> bytes:
 
 
 @st.composite
-def cases(draw: st.DrawFn, files: Quiet) -> Case:
+def manifest_cases(draw: st.DrawFn, files: HiddenValue) -> Case:
     """A directory in which one or two files were changed, cut or taken away."""
     changed: dict[str, bytes | None] = {}
     for _ in range(draw(st.integers(1, 2))):
@@ -106,9 +106,11 @@ def cases(draw: st.DrawFn, files: Quiet) -> Case:
         if kind == "remove":
             changed[name] = None
         elif kind == "edit" and name == MANIFEST:
-            data = draw(edited(Quiet(json.loads(files.value[MANIFEST]))))
+            data = draw(edit_tables(HiddenValue(json.loads(files.value[MANIFEST]))))
             is_sealed = isinstance(data, dict) and draw(st.booleans())  # reaches its entries
-            changed[name] = _sealed(data) if is_sealed else json.dumps(data, default=str).encode()
+            changed[name] = (
+                _seal_any_json(data) if is_sealed else json.dumps(data, default=str).encode()
+            )
         else:
-            changed[name] = draw(mangled(Quiet(files.value[name])))
+            changed[name] = draw(mangle_bytes(HiddenValue(files.value[name])))
     return Case(changed)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from support.stored import store
+from support.stored_results import store_results
 
 from docs.studies.loops.runs import limits_of
 from docs.studies.paper2 import page as paper2
@@ -64,7 +64,7 @@ def write(directory, study, errors=None, curves=True, **shape):
     count = study.n_variants * DRAWS
     noise = np.random.default_rng(3).normal(size=(count, 3))
     summary = summary_of(study, noise if errors is None else errors)
-    return store(directory, study, summary, curves_of(study, **shape) if curves else None)
+    return store_results(directory, study, summary, curves_of(study, **shape) if curves else None)
 
 
 def variant_of(study, label, drift=0.02):

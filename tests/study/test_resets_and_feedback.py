@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.studies import refusal, small_study
+from support.studies import refusal_line, small_study
 
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.study_limits import scheduled_last_s
@@ -180,7 +180,7 @@ def test_reset_at_feedback_makes_reset_restarts_feedback_irrelevant() -> None:
     ],
 )
 def test_invalid_reset_feedback_keys_are_refused(tables: dict[str, Any], line: str) -> None:
-    assert refusal(**tables) == line
+    assert refusal_line(**tables) == line
 
 
 def test_coarse_alignment_of_whole_intervals_or_replayed_is_accepted() -> None:

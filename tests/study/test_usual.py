@@ -5,8 +5,8 @@ import tomllib
 from typing import Any
 
 import pytest
-from support.memory import at_most_mb
-from support.studies import BASE, refusal, small_study
+from support.memory import limit_memory_mb
+from support.studies import BASE, refusal_line, small_study
 
 from sinsjax import columns
 from sinsjax.errors import InputError
@@ -30,9 +30,9 @@ def insisted(**tables: Any) -> Study:
 def test_refusal_names_value_position_in_file():
     """Also where others before it are given twice."""
     heights = {"z": {"height_m": [0, 0, 1e12], "ve0_m_per_s": [1, 2, 3]}}
-    assert refusal(axes=heights).startswith("[axes.z] height_m[2]: 1e+12 is outside")
+    assert refusal_line(axes=heights).startswith("[axes.z] height_m[2]: 1e+12 is outside")
     gains = {"alignment": {"method": "compass"}, "compass": {"level_gains": [1.0, 9e11, 0.0]}}
-    assert "level_gains[1]: 900000000000 is outside" in refusal(**gains)
+    assert "level_gains[1]: 900000000000 is outside" in refusal_line(**gains)
 
 
 @pytest.mark.parametrize("draws", [4_100_000, 4_300_000, 40_000_000])
@@ -81,7 +81,7 @@ def test_unusual_value_is_refused_unless_unchecked(section: str, key: str, value
     low, high = KEYS[section, key].info.usual
     line = f"[{section}] {key}: {value:.12g} is outside the usual range of {low:g} to {high:g}"
     line += " ([study] unchecked = true accepts it)"
-    assert refusal(**{section: {key: value}}) == line
+    assert refusal_line(**{section: {key: value}}) == line
     if section != "study":
         assert getattr(getattr(insisted(**{section: {key: value}}), section), key) == value
 
@@ -98,7 +98,7 @@ def test_unusual_value_is_refused_unless_unchecked(section: str, key: str, value
     ],
 )  # fmt: skip
 def test_unusual_value_is_refused_in_lists_axes_and_cases(tables: dict[str, Any], place: str):
-    assert refusal(**tables).startswith(place)
+    assert refusal_line(**tables).startswith(place)
 
 
 @pytest.mark.parametrize(
@@ -130,11 +130,11 @@ def test_law_of_huge_draw_count_is_checked_without_listing_draws(
     law: dict[str, Any], text: str | None
 ):
     tables = {"study": {"draws": 896_000_000}, "drawn": {"vn0_m_per_s": law}}
-    with at_most_mb(100):  # a list of the draws is 7,000
+    with limit_memory_mb(100):  # a list of the draws is 7,000
         if text is None:
             small_study(**tables)
         else:
-            assert text in refusal(**tables)
+            assert text in refusal_line(**tables)
 
 
 @pytest.mark.parametrize(
@@ -147,13 +147,13 @@ def test_law_of_huge_draw_count_is_checked_without_listing_draws(
 )
 def test_unusual_tuning_value_is_refused_unless_unchecked(kind: dict[str, Any], place: str):
     tune = {"variables": {"p0_yaw_deg": kind}, "searches": ["grid"]}
-    line = refusal(tune=tune)
+    line = refusal_line(tune=tune)
     assert line.startswith(f"[tune.variables] {place}") and "p0_yaw_deg: 1000000 is" in line
     insisted(tune=tune)
 
 
 def test_feedback_interval_longer_than_run_is_refused_unless_unchecked():
-    line = refusal(alignment={"feedback_interval_s": 7.0})
+    line = refusal_line(alignment={"feedback_interval_s": 7.0})
     assert line == (
         "[alignment] feedback_interval_s: 7 s is longer than a run of 6 s: there is no feedback"
         " ([study] unchecked = true accepts it)"
@@ -164,7 +164,7 @@ def test_feedback_interval_longer_than_run_is_refused_unless_unchecked():
 
 @pytest.mark.parametrize("earth", ["constants", "wgs84"])
 def test_height_below_earth_centre_is_always_refused(earth: str):
-    line = refusal(earth={"height_m": -6378137.0, "earth": earth}, study={"unchecked": True})
+    line = refusal_line(earth={"height_m": -6378137.0, "earth": earth}, study={"unchecked": True})
     assert line == (
         "[earth] height_m: -6378137 m reaches the centre of the Earth (give the height in m)"
     )

@@ -109,13 +109,13 @@ def swing_deg(time_s: np.ndarray) -> np.ndarray:
     return np.column_stack(sways) + [0.0, 0.0, motion["yaw_center_deg"]]
 
 
-def with_truth(record: Record) -> StoredRecord:
+def add_true_reference(record: Record) -> StoredRecord:
     """A record of six seconds of `BASE`, with its true attitude."""
     time_s = np.arange(0, 6.01, 0.01)
     return StoredRecord(record, Reference(time_s, swing_deg(time_s), "true.csv"))
 
 
-def refusal(**tables: Any) -> str:
+def refusal_line(**tables: Any) -> str:
     """The one line with which a small study with these changes is refused."""
     with pytest.raises(InputError) as caught:
         small_study(**tables)

@@ -20,7 +20,7 @@ _LIBRARIES = (
 )
 
 
-class Told(NamedTuple):
+class CompletedCommand(NamedTuple):
     """What became of a command line, by the names that `subprocess` gives them."""
 
     returncode: int
@@ -28,7 +28,7 @@ class Told(NamedTuple):
     stderr: str
 
 
-class Server:
+class CommandServer:
     """Forks a process for some command lines, one after the other; ends with `close`."""
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class Server:
             [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
 
-    def __call__(self, *commands: tuple[str, ...], site: Path, cwd: Path) -> list[Told]:
+    def __call__(self, *commands: tuple[str, ...], site: Path, cwd: Path) -> list[CompletedCommand]:
         """Run command lines in a process of their own.
 
         Args:
@@ -44,15 +44,23 @@ class Server:
             site: where packages are found besides those that are installed.
             cwd: where it runs.
         """
-        asking, answering = self._process.stdin, self._process.stdout
-        assert asking is not None and answering is not None
+        requests, answers = self._process.stdin, self._process.stdout
+        assert requests is not None and answers is not None
         with tempfile.TemporaryDirectory() as folder:
-            said = [[f"{folder}/{n}.{name}" for name in Told._fields] for n in range(len(commands))]
-            asked = {"commands": commands, "said": said, "site": str(site), "cwd": str(cwd)}
-            print(json.dumps(asked), file=asking, flush=True)
-            assert answering.readline() == "done\n"
-            texts = [[Path(path).read_text() for path in paths] for paths in said]
-        return [Told(int(code), output, error) for code, output, error in texts]
+            output_paths = [
+                [f"{folder}/{n}.{name}" for name in CompletedCommand._fields]
+                for n in range(len(commands))
+            ]
+            request = {
+                "commands": commands,
+                "output_paths": output_paths,
+                "site": str(site),
+                "cwd": str(cwd),
+            }
+            print(json.dumps(request), file=requests, flush=True)
+            assert answers.readline() == "done\n"
+            texts = [[Path(path).read_text() for path in paths] for paths in output_paths]
+        return [CompletedCommand(int(code), output, error) for code, output, error in texts]
 
     def close(self) -> None:
         """End it."""
@@ -65,25 +73,27 @@ def _serve() -> None:
     for line in sys.stdin:
         process = os.fork()
         if not process:
-            _obey(**json.loads(line))
+            _run_commands(**json.loads(line))
         os.waitpid(process, 0)
         print("done", flush=True)
 
 
-def _obey(commands: list[list[str]], said: list[list[str]], site: str, cwd: str) -> None:
+def _run_commands(
+    commands: list[list[str]], output_paths: list[list[str]], site: str, cwd: str
+) -> None:
     os.chdir(cwd)
     sys.path.insert(0, site)
-    for words, (code, *outputs) in zip(commands, said, strict=True):
+    for words, (code, *outputs) in zip(commands, output_paths, strict=True):
         for number, path in enumerate(outputs, start=1):
             os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), number)
-        Path(code).write_text(str(_run(words)))
+        Path(code).write_text(str(_run_command(words)))
     os._exit(0)
 
 
-def _run(words: list[str]) -> Any:
+def _run_command(arguments: list[str]) -> Any:
     from sinsjax import cli
 
-    sys.argv = ["sinsjax", *words]
+    sys.argv = ["sinsjax", *arguments]
     try:
         cli.main()
     except SystemExit as stop:

@@ -36,7 +36,7 @@ def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
     for path in sorted(directory.glob("*/part-*.parquet")):
         file = {"file": f"{path.parent.name}/{path.name}", "rows": 0}
         chunks.setdefault(path.stem, []).append(file)
-    known = {
+    defaults = {
         "schema": SCHEMA_VERSION,
         "config": f"{study.name}.toml",
         "fingerprint": fingerprint(study),
@@ -49,10 +49,10 @@ def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
             for name, files in chunks.items()
         ],
     }
-    (directory / MANIFEST).write_bytes(to_sealed_json(known | entries))
+    (directory / MANIFEST).write_bytes(to_sealed_json(defaults | entries))
 
 
-def store(
+def store_results(
     directory: Path,
     study: Study,
     summary: pa.Table | None = None,
@@ -61,8 +61,8 @@ def store(
     **entries: Any,
 ) -> Path:
     """Write tables as the results of a study; gives the directory."""
-    given = {"summary": summary, "curves": curves, "estimates": estimates}
-    for name, table in given.items():
+    tables = {"summary": summary, "curves": curves, "estimates": estimates}
+    for name, table in tables.items():
         if table is not None:
             write_part(directory / name / "part-0000-000000.parquet", table, Job(study).identity)
     (directory / STUDY).write_text(study_to_toml(study))
@@ -70,7 +70,7 @@ def store(
     return directory
 
 
-def told(
+def report_text(
     *directories: Path,
     page: Path | None = None,
     html: Path | None = None,

@@ -68,7 +68,7 @@ STUDIES: dict[str, dict[str, Any]] = {
 }
 
 
-def study_of(name: str, draws: int | None = None) -> Study:
+def make_study(name: str, draws: int | None = None) -> Study:
     """One of `STUDIES`, perhaps with another number of draws; a drawn key stands nowhere else."""
     data: dict[str, Any] = {section: dict(table) for section, table in BASE.items()}
     for section, table in STUDIES[name].items():
@@ -80,18 +80,18 @@ def study_of(name: str, draws: int | None = None) -> Study:
     return study_from_dict(data)
 
 
-def parts(directory: Path) -> dict[str, bytes]:
+def read_parts(directory: Path) -> dict[str, bytes]:
     """The bytes of every part, by its place in the directory."""
-    found = (p for name in DATASETS for p in directory.glob(f"{name}/*.parquet"))
-    return {path.relative_to(directory).as_posix(): path.read_bytes() for path in found}
+    paths = (p for name in DATASETS for p in directory.glob(f"{name}/*.parquet"))
+    return {path.relative_to(directory).as_posix(): path.read_bytes() for path in paths}
 
 
-def times(directory: Path) -> dict[str, int]:
+def modification_times(directory: Path) -> dict[str, int]:
     """When every part was written, by its place in the directory."""
-    return {name: (directory / name).stat().st_mtime_ns for name in parts(directory)}
+    return {name: (directory / name).stat().st_mtime_ns for name in read_parts(directory)}
 
 
-def everything(directory: Path) -> dict[str, tuple[bytes, int]]:
+def read_files_and_times(directory: Path) -> dict[str, tuple[bytes, int]]:
     """Bytes and time of every file but the lock."""
     return {
         str(path.relative_to(directory)): (path.read_bytes(), path.stat().st_mtime_ns)
@@ -100,37 +100,43 @@ def everything(directory: Path) -> dict[str, tuple[bytes, int]]:
     }
 
 
-def manifest(directory: Path) -> dict[str, Any]:
+def read_manifest_entries(directory: Path) -> dict[str, Any]:
     return json.loads((directory / "manifest.json").read_text())
 
 
 def assert_intact(directory: Path) -> None:
     """Every part is intact and in the manifest, and so is the manifest; nothing else is listed."""
     assert is_intact((directory / "manifest.json").read_bytes())
-    told = {file["file"] for chunk in manifest(directory)["chunks"] for file in chunk["files"]}
-    found = parts(directory)
-    assert told == found.keys() and all(map(is_intact, found.values()))
+    listed = {
+        file["file"]
+        for chunk in read_manifest_entries(directory)["chunks"]
+        for file in chunk["files"]
+    }
+    stored = read_parts(directory)
+    assert listed == stored.keys() and all(map(is_intact, stored.values()))
 
 
 def rewrite_manifest(directory: Path, **changes: Any) -> None:
     """Replace entries of a manifest by others, and seal it again."""
-    content = manifest(directory) | changes
+    content = read_manifest_entries(directory) | changes
     del content[SEAL_KEY]
     (directory / "manifest.json").write_bytes(to_sealed_json(content))
 
 
-def assert_complete(directory: Path, whole: Path) -> None:
+def assert_complete(directory: Path, reference: Path) -> None:
     """A directory holds what an uninterrupted run left, to the last bit, and nothing else."""
-    assert parts(directory) == parts(whole)
+    assert read_parts(directory) == read_parts(reference)
     assert_intact(directory)
-    told = manifest(directory)
-    assert told["state"] == "complete"
-    assert {chunk["state"] for chunk in told["chunks"]} == {"done"}
-    assert told["runs_done"] == told["runs"] == sum(chunk["runs"] for chunk in told["chunks"])
+    entries = read_manifest_entries(directory)
+    assert entries["state"] == "complete"
+    assert {chunk["state"] for chunk in entries["chunks"]} == {"done"}
+    assert (
+        entries["runs_done"] == entries["runs"] == sum(chunk["runs"] for chunk in entries["chunks"])
+    )
     assert not list(directory.rglob("*.tmp"))
 
 
-class Recorder:
+class TaskRecorder:
     """Does tasks on this machine, and remembers which."""
 
     def __init__(self) -> None:
@@ -138,9 +144,9 @@ class Recorder:
 
     @property
     def executor(self) -> Executor:
-        return Executor(self._do, {})
+        return Executor(self._run_tasks, {})
 
-    def _do(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
+    def _run_tasks(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
         for encoded in in_threads(runner.compute_files, tasks, 2):
             self.done.append(encoded.task.name)
             yield encoded
