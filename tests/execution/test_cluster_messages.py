@@ -31,7 +31,7 @@ from sinsjax.platform import affinity, runtime, xla
 from sinsjax.study.load import study_from_dict
 
 
-def refusal(**given: Any) -> str:
+def refusal_line(**given: Any) -> str:
     """Return the line with which an executor with these arguments is refused."""
     with pytest.raises(InputError) as refused, cluster.executor(**given):
         pass
@@ -43,7 +43,7 @@ def refusal(**given: Any) -> str:
 
 
 @pytest.fixture
-def local(monkeypatch: pytest.MonkeyPatch) -> Iterator[distributed.LocalCluster]:
+def local_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[distributed.LocalCluster]:
     """A scheduler with two workers of one thread, all in this process."""
     monkeypatch.setenv(affinity.VARIABLE, "0")
     monkeypatch.setattr(runtime, "configure", lambda devices: None)  # has been done
@@ -55,14 +55,14 @@ def local(monkeypatch: pytest.MonkeyPatch) -> Iterator[distributed.LocalCluster]
         protocol="tcp",
         dashboard_address=None,
         scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-    ) as local:
-        yield local
+    ) as local_cluster:
+        yield local_cluster
 
 
 @pytest.fixture
-def scheduler(local: distributed.LocalCluster) -> str:
+def scheduler(local_cluster: distributed.LocalCluster) -> str:
     """Address of that scheduler."""
-    return str(local.scheduler_address)
+    return str(local_cluster.scheduler_address)
 
 
 def recorded_runner() -> TaskRunner:
@@ -123,7 +123,7 @@ def test_workers_give_same_files_and_read_job_once(
 
 @pytest.mark.optimised(False)
 def test_finished_tasks_are_released_from_scheduler(
-    local: distributed.LocalCluster, monkeypatch: pytest.MonkeyPatch
+    local_cluster: distributed.LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Otherwise Dask would compute them again when their worker is lost."""
     wait, kept = distributed.wait, []
@@ -135,12 +135,12 @@ def test_finished_tasks_are_released_from_scheduler(
     monkeypatch.setattr(distributed, "wait", keeping)
     runner = recorded_runner()
     (tasks,) = runner.plan_tasks()
-    with cluster.executor(scheduler=local.scheduler_address) as executor:
+    with cluster.executor(scheduler=local_cluster.scheduler_address) as executor:
         assert len(list(executor.run_tasks(runner, tasks))) == len(tasks) and kept
         until = time.monotonic() + 20.0
-        while local.scheduler.tasks and time.monotonic() < until:
+        while local_cluster.scheduler.tasks and time.monotonic() < until:
             time.sleep(0.01)
-        assert not local.scheduler.tasks
+        assert not local_cluster.scheduler.tasks
 
 
 @pytest.mark.optimised(False)
@@ -179,7 +179,7 @@ def test_task_that_fails_repeatedly_is_named(
 )
 def test_unreachable_scheduler_address_is_reported(address: str, reason: str) -> None:
     line = rf"{address}: no Dask scheduler answers there \({reason}\)"
-    assert re.fullmatch(line, refusal(scheduler=address))
+    assert re.fullmatch(line, refusal_line(scheduler=address))
 
 
 class SilentHandler(http.server.BaseHTTPRequestHandler):
@@ -206,7 +206,7 @@ def test_other_service_at_scheduler_address_is_reported(
             port = stack.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1]
         address = f"tcp://127.0.0.1:{port}"
         line = f"{address}: no Dask scheduler answers there (no answer in 1 s)"
-        assert refusal(scheduler=address) == line
+        assert refusal_line(scheduler=address) == line
 
 
 def test_worker_address_is_refused_as_scheduler(
@@ -218,16 +218,16 @@ def test_worker_address_is_refused_as_scheduler(
         worker, *_ = client.nthreads()
     reason = r"\((another service does|no answer in 2 s)\)"
     line = f"{worker}: no Dask scheduler answers there {reason}"
-    assert re.fullmatch(line, refusal(scheduler=worker))
+    assert re.fullmatch(line, refusal_line(scheduler=worker))
 
 
 def test_more_workers_than_cores_are_refused() -> None:
-    assert refusal(workers=4096).startswith("workers: 4096 exceeds the")
+    assert refusal_line(workers=4096).startswith("workers: 4096 exceeds the")
 
 
 def test_missing_cluster_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    assert 'pip install "sinsjax[cluster]"' in refusal(workers=1)
+    assert 'pip install "sinsjax[cluster]"' in refusal_line(workers=1)
 
 
 # --- Workers that come and go --------------------------------------------------------------------

@@ -124,34 +124,34 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def through_link(path: Path) -> None:
+def replace_by_link(path: Path) -> None:
     """Put a link to a copy elsewhere in the place of a file or folder."""
     path.rename(path.with_name(f"{path.name}.moved"))
     path.symlink_to(path.with_name(f"{path.name}.moved"))
 
 
-def as_pipe(path: Path) -> None:
+def replace_by_pipe(path: Path) -> None:
     path.unlink(missing_ok=True)
     os.mkfifo(path)
 
 
-def to_zeros(path: Path) -> None:
+def zero_bytes(path: Path) -> None:
     path.unlink(missing_ok=True)
     path.symlink_to("/dev/zero")
 
 
 PLACED: dict[str, Callable[[Path], None]] = {
-    "manifest.json": as_pipe,
-    "./manifest.json": to_zeros,
-    "study.toml": through_link,
-    ".writer": through_link,
-    ".lock": as_pipe,
-    ".figures.json": to_zeros,
-    "summary": through_link,
-    "curves": through_link,
-    "figures": through_link,
-    "estimates": to_zeros,
-    "reruns": to_zeros,
+    "manifest.json": replace_by_pipe,
+    "./manifest.json": zero_bytes,
+    "study.toml": replace_by_link,
+    ".writer": replace_by_link,
+    ".lock": replace_by_pipe,
+    ".figures.json": zero_bytes,
+    "summary": replace_by_link,
+    "curves": replace_by_link,
+    "figures": replace_by_link,
+    "estimates": zero_bytes,
+    "reruns": zero_bytes,
 }
 
 
@@ -179,7 +179,7 @@ def test_part_through_link_is_computed_again_and_its_target_kept(
 ) -> None:
     out = Path(shutil.copytree(results, tmp_path / "out"))
     (part,) = out.glob("summary/*.parquet")
-    through_link(part)
+    replace_by_link(part)
     content = part.read_bytes()
     with pytest.raises(InputError, match=rf"{part.name}: is a symbolic link"):
         Source.read(out)

@@ -22,7 +22,7 @@ TUNE = {"searches": ["grid"], "grid_points": 5, "variables": {"p0_yaw_deg": {"lo
 TUNE |= {"tune_draws": 4, "evaluation_draws": 8}
 
 
-def huge(**changes: Any) -> Study:
+def huge_study(**changes: Any) -> Study:
     """896 million runs, of which no list can be made."""
     return small_study(
         study={"draws": 1000} | changes,
@@ -44,7 +44,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Any:
     return has
 
 
-def refused(study: Study, out: Path, **options: Any) -> str:
+def refusal_line(study: Study, out: Path, **options: Any) -> str:
     with pytest.raises(InputError) as caught:
         run.run_into(study, out, **options)
     assert not out.exists() or not (out / "study.toml").exists()
@@ -54,7 +54,7 @@ def refused(study: Study, out: Path, **options: Any) -> str:
 def test_896_million_runs_are_refused_without_listing_them(disk: Any, tmp_path: Path):
     disk(free=2e9)
     with limit_memory_mb(200):  # a list of the runs is 7,000
-        line = refused(huge(), tmp_path / "out")
+        line = refusal_line(huge_study(), tmp_path / "out")
     assert line == (
         f"{tmp_path / 'out'}: the results of 896,000,000 runs need about 212 GB, but the disk has"
         " only 2 GB free"
@@ -63,7 +63,7 @@ def test_896_million_runs_are_refused_without_listing_them(disk: Any, tmp_path: 
 
 def test_study_that_exceeds_memory_is_refused(disk: Any, tmp_path: Path):
     disk(memory=5e8)
-    line = refused(huge(draws=1), tmp_path / "out")
+    line = refusal_line(huge_study(draws=1), tmp_path / "out")
     assert line.startswith("study: 896,000 runs need about ")
     assert line.endswith("MB of memory, but this machine has only 500 MB")
 

@@ -30,7 +30,7 @@ from sinsjax.study.study import Study
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
 
 
-def of_run(table: pa.Table, run_id: int) -> pa.Table:
+def rows_of_run(table: pa.Table, run_id: int) -> pa.Table:
     return table.filter(pa.compute.equal(table["run_id"], run_id))
 
 
@@ -41,9 +41,9 @@ def assert_alone_as_among_others(
     for run_id in runs:
         again = rerun.repeat_run(study, run_id, stored)
         assert again.row.num_rows == 1
-        assert again.row.equals(of_run(whole.summary, run_id)), run_id
+        assert again.row.equals(rows_of_run(whole.summary, run_id)), run_id
         if curves:
-            assert again.curve.equals(of_run(whole.curves, run_id)), run_id
+            assert again.curve.equals(rows_of_run(whole.curves, run_id)), run_id
         else:
             assert whole.curves.num_rows == 0
         last = again.curve.slice(again.curve.num_rows - 1)
@@ -174,7 +174,7 @@ def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -
 
 
 @contextmanager
-def turned(out: Path, by: float) -> Iterator[int]:
+def change_headings(out: Path, by: float) -> Iterator[int]:
     """The stored headings of the first rows are others; gives the number of columns."""
     (part, *_) = sorted(out.glob("summary/*.parquet"))
     content, manifest = part.read_bytes(), (out / "manifest.json").read_bytes()
@@ -191,7 +191,7 @@ def turned(out: Path, by: float) -> Iterator[int]:
 
 
 def test_rerun_names_columns_that_differ_from_stored_row(out: Path, tmp_path: Path) -> None:
-    with turned(out, 1e-13) as columns:
+    with change_headings(out, 1e-13) as columns:
         told = rerun_into(out, 0, out=tmp_path / "one")
     assert f"1 of {columns} columns differ from the stored row: yaw_deg " in told
     assert "identical" not in told and " here. Last bits depend on jaxlib, " in told
@@ -201,7 +201,7 @@ def test_rerun_command_exits_1_when_the_row_differs(
     out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sinsjax = command_line(monkeypatch, capsys)
-    with turned(out, 1e-13):
+    with change_headings(out, 1e-13):
         code, said, _ = sinsjax("rerun", out, "--run-id", 0, "-o", tmp_path / "one")
     assert code == 1 and "differ from the stored row" in said
     assert sinsjax("rerun", out, "--run-id", 0, "-o", tmp_path / "two")[0] == 0
@@ -212,9 +212,9 @@ def test_rerun_reports_changed_package_version_or_code(
 ) -> None:
     """Its version, or its code where the difference is too large for last bits."""
     monkeypatch.setitem(methods.PACKAGES, "kalman5", ("bringing", "1.1"))
-    with turned(out, 1e-13):
+    with change_headings(out, 1e-13):
         assert "Last bits depend" in rerun_into(out, 0, out=tmp_path / "bits")
-    with turned(out, 0.1):
+    with change_headings(out, 0.1):
         told = rerun_into(out, 0, out=tmp_path / "code")
         why = "This exceeds last bits: the code of bringing 1.1 may have changed."
         assert f" here. {why}\n" in told

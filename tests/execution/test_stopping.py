@@ -25,7 +25,7 @@ from sinsjax.study.study import Study
 COLUMNS = ["run_id", "draw_id", "variant_id"]
 
 
-def study_of(
+def make_study(
     statistic: str = "success_rate", half_width: float = 0.1, draws: int = 1000, **changes: Any
 ) -> Study:
     study = {"draws": draws, "duration_s": 2.0, "record_interval_s": 0.1, "window_s": [0, 2]}
@@ -39,7 +39,7 @@ def study_of(
 
 @given(st.integers(1, 10**6))
 def test_interim_analyses_double_draws_up_to_cap(cap: int) -> None:
-    looks = stopping.interim_draws(study_of(draws=cap))
+    looks = stopping.interim_draws(make_study(draws=cap))
     doubled = [64 * 2**i for i in range(20)]
     assert looks == [n for n in doubled if n < cap] + [cap]
 
@@ -103,7 +103,7 @@ def test_interim_analysis_matches_naive_count(
         ("success_rate", shares, wanted),
         ("settle_10_s_mean", means, 400 * wanted),
     ):
-        study = study_of(statistic, half_width, axes=axes, study={"judged_from": judged})
+        study = make_study(statistic, half_width, axes=axes, study={"judged_from": judged})
         assert set(stopping.required_columns(study)) - set(COLUMNS) <= set(table.column_names)
         found = stopping.analyse_interim(
             study, table.select(stopping.required_columns(study)), draws
@@ -127,7 +127,7 @@ CASES = {
 
 def sweep_of(name: str) -> Study:
     statistic, half_width, cap, _ = CASES[name]
-    return study_of(
+    return make_study(
         statistic,
         half_width,
         cap,
@@ -173,7 +173,7 @@ def interrupted(study: Study, out: Path) -> None:
                 out,
                 chunk_runs=128,
                 resume=True,
-                stop=Once(),
+                stop=StopOnce(),
                 executor=Executor(lambda shop, tasks: map(shop.compute_files, tasks), {}),
             )
             return
@@ -182,7 +182,7 @@ def interrupted(study: Study, out: Path) -> None:
     raise AssertionError("never complete")
 
 
-class Once(threading.Event):
+class StopOnce(threading.Event):
     """Lets one task pass."""
 
     def __init__(self) -> None:

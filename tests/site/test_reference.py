@@ -17,10 +17,12 @@ def test_commands_page_is_up_to_date() -> None:
 
 def test_documented_messages_exist_in_package_source() -> None:
     """What stands between the gaps of a message stands in this order in one text of the source."""
-    told = re.findall(r"^\| `(.+?)`", (DOCS / "messages.md").read_text(encoding="utf-8"), re.M)
-    assert len(told) > 40
+    documented = re.findall(
+        r"^\| `(.+?)`", (DOCS / "messages.md").read_text(encoding="utf-8"), re.M
+    )
+    assert len(documented) > 40
     texts = [text for path in PACKAGE.rglob("*.py") for text in _texts(path)]
-    for message in told:
+    for message in documented:
         pieces = [piece.strip() for piece in message.split("...")]
         wanted = re.compile(".*".join(re.escape(piece) for piece in pieces if piece), re.DOTALL)
         assert any(wanted.search(text) for text in texts), message

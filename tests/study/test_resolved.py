@@ -26,7 +26,7 @@ def sweeps(draw: st.DrawFn) -> list[Dimension]:
     return sweep
 
 
-def written_out(sweep: list[Dimension]) -> list[dict[str, Any]]:
+def expand_variants(sweep: list[Dimension]) -> list[dict[str, Any]]:
     """The variants, the last dimension fastest; "z" is in none and always 7."""
     points = [
         [dict(zip(dimension, row, strict=True)) for row in zip(*dimension.values(), strict=True)]
@@ -39,7 +39,7 @@ def written_out(sweep: list[Dimension]) -> list[dict[str, Any]]:
 
 @given(sweeps())
 def test_columns_match_product_of_dimensions(sweep):
-    resolved, variants = ResolvedColumns(sweep, {"z": 7}.__getitem__), written_out(sweep)
+    resolved, variants = ResolvedColumns(sweep, {"z": 7}.__getitem__), expand_variants(sweep)
     assert resolved.n_variants == len(variants)
     for key in variants[0]:
         column = resolved.column(key)
@@ -51,7 +51,7 @@ def test_columns_match_product_of_dimensions(sweep):
 
 @given(sweeps(), st.randoms(use_true_random=False))
 def test_joint_columns_have_only_occurring_combinations(sweep, random):
-    resolved, variants = ResolvedColumns(sweep, {"z": 7}.__getitem__), written_out(sweep)
+    resolved, variants = ResolvedColumns(sweep, {"z": 7}.__getitem__), expand_variants(sweep)
     keys = random.sample(sorted(variants[0]), random.randint(1, len(variants[0])))
     keys = keys if len(keys) > 1 else [*keys, "z"]
     column, whole = resolved.column(*keys), [tuple(v[key] for key in keys) for v in variants]

@@ -19,7 +19,7 @@ def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
         monkeypatch.setattr(sys.modules["__main__"], "__package__", None)
         with pytest.raises(SystemExit) as stop:
             cli.main()
-        told = capsys.readouterr()
-        return int(stop.value.code or 0), told.out, told.err
+        output = capsys.readouterr()
+        return int(stop.value.code or 0), output.out, output.err
 
     return call

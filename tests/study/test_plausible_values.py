@@ -23,7 +23,7 @@ BOUNDED |= {"latitude_deg", "phi_e0_deg", "phi_n0_deg", "phi_u0_deg"}
 """Angles whose bounds say it all."""
 
 
-def insisted(**tables: Any) -> Study:
+def unchecked_study(**tables: Any) -> Study:
     return small_study(**tables | {"study": tables.get("study", {}) | {"unchecked": True}})
 
 
@@ -83,7 +83,7 @@ def test_unusual_value_is_refused_unless_unchecked(section: str, key: str, value
     line += " ([study] unchecked = true accepts it)"
     assert refusal_line(**{section: {key: value}}) == line
     if section != "study":
-        assert getattr(getattr(insisted(**{section: {key: value}}), section), key) == value
+        assert getattr(getattr(unchecked_study(**{section: {key: value}}), section), key) == value
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_unusual_tuning_value_is_refused_unless_unchecked(kind: dict[str, Any], 
     tune = {"variables": {"p0_yaw_deg": kind}, "searches": ["grid"]}
     line = refusal_line(tune=tune)
     assert line.startswith(f"[tune.variables] {place}") and "p0_yaw_deg: 1000000 is" in line
-    insisted(tune=tune)
+    unchecked_study(tune=tune)
 
 
 def test_feedback_interval_longer_than_run_is_refused_unless_unchecked():
@@ -158,7 +158,7 @@ def test_feedback_interval_longer_than_run_is_refused_unless_unchecked():
         "[alignment] feedback_interval_s: 7 s is longer than a run of 6 s: there is no feedback"
         " ([study] unchecked = true accepts it)"
     )
-    insisted(alignment={"feedback_interval_s": 7.0})
+    unchecked_study(alignment={"feedback_interval_s": 7.0})
     small_study(alignment={"feedback_interval_s": 6.0})
 
 
@@ -176,5 +176,7 @@ def test_default_feedback_interval_is_accepted_in_short_study():
 
 
 def test_unchecked_does_not_change_fingerprint():
-    assert insisted() != small_study() and fingerprint(insisted()) == fingerprint(small_study())
+    assert unchecked_study() != small_study() and fingerprint(unchecked_study()) == fingerprint(
+        small_study()
+    )
     assert "unchecked" not in study_to_toml(small_study())
