@@ -1,4 +1,4 @@
-"""What is doubtful about a record is told before it is aligned, or refused."""
+"""Doubts about a record are reported before its alignment, or the record is refused."""
 
 import gc
 import json
@@ -41,7 +41,7 @@ BASES = {"still": STILL, "swinging": {}, "swinging by 20 deg": LARGE}
 
 @cache
 def record(base: str = "swinging") -> Record:
-    """200 s at 32 N with 0.1 deg/h and 500 ug."""
+    """Return a record of 200 s at 32 N with 0.1 deg/h and 500 ug."""
     settings = {"duration_s": 200.0, "window_s": [0, 200]}
     return build.simulated_record(small_study(study=settings, motion=BASES[base]))
 
@@ -152,7 +152,7 @@ def test_turn_missing_from_gyros_is_reported() -> None:
 def test_merged_samples_give_same_findings_as_single_samples(
     base: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where samples are put together, a record of 200 s stands for one of a day."""
+    """With merged samples, a record of 200 s represents one of a day."""
     some = record(base)
     turned = some.dtheta.copy()
     turned[9000:9500, 2] += 60 * DEG / 500
@@ -382,7 +382,7 @@ def test_process_noise_is_compared_with_white_noise_of_sensors(
 
 
 def of_sensors(**sections: Any) -> Study:
-    """A study whose filter has the sensors' own noise as Q."""
+    """Return a study whose filter has the noise of its sensors as Q."""
     return study_from_dict({name: table for name, table in (BASE | sections).items() if table})
 
 

@@ -1,4 +1,4 @@
-"""Real Dask workers give the bytes of a local run, whatever happens to them."""
+"""Real Dask workers produce the bytes of a local run, also if they are lost or late."""
 
 import json
 import os
@@ -64,7 +64,7 @@ def study() -> Study:
 
 @pytest.fixture(scope="module")
 def local_parts(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Parts:
-    """The parts that this process makes."""
+    """Return the parts that this process computes."""
     out = tmp_path_factory.mktemp("here")
     run.run_into(study, out, chunk_runs=CHUNK)
     return parts(out)
@@ -82,7 +82,7 @@ def rows(directory: Path) -> pa.Table:
 
 
 def worker_processes(parent: int | None = None) -> list[psutil.Process]:
-    """Processes that a local cluster of this or another process has now."""
+    """Return the worker processes of a local cluster."""
     return [
         process
         for process in psutil.Process(parent).children()
@@ -132,7 +132,7 @@ class TestTwoWorkers:
             cores.append(*of_threads.pop())
         assert len(cores) == len(set(cores)) == 2
 
-    def test_number_of_tasks_taken_ahead_is_bounded(
+    def test_number_of_submitted_tasks_is_bounded(
         self, two: study_tasks.Executor, study: Study
     ) -> None:
         runner = study_tasks.TaskRunner(study_tasks.Job(study, chunk_runs=CHUNK))
@@ -219,7 +219,7 @@ Begin = Callable[..., subprocess.Popen]
 
 
 def refusal_line(**given: Any) -> str:
-    """The line with which an executor with these arguments is refused."""
+    """Return the error line of an executor with these arguments."""
     with pytest.raises(InputError) as output, cluster.executor(**given):
         pass
     return str(output.value)
@@ -227,7 +227,7 @@ def refusal_line(**given: Any) -> str:
 
 @contextmanager
 def dask_commands() -> Iterator[Begin]:
-    """Starts Dask commands; they end with the block."""
+    """Start Dask commands that end with the block."""
     started: list[subprocess.Popen] = []
 
     def dask_command(*words: str, **environment: str) -> subprocess.Popen:
@@ -247,19 +247,19 @@ def dask_commands() -> Iterator[Begin]:
 
 @pytest.fixture
 def start_command() -> Iterator[Begin]:
-    """Starts a Dask command; it ends with the test."""
+    """Start a Dask command that ends with the test."""
     with dask_commands() as start_command:
         yield start_command
 
 
 @pytest.fixture
 def scheduler(start_command: Begin, tmp_path: Path) -> str:
-    """Address of a scheduler without workers."""
+    """Return the address of a scheduler without workers."""
     return address_of_scheduler(start_command, tmp_path / "scheduler.json")
 
 
 def address_of_scheduler(start_command: Begin, about: Path) -> str:
-    """Start one, which tells of itself in a file."""
+    """Start a scheduler that writes its address to a file, and return the address."""
     start_command("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(about))
     for _ in range(600):
         with suppress(FileNotFoundError, json.JSONDecodeError):
@@ -289,7 +289,7 @@ class TestOneScheduler:
     def test_external_scheduler_with_late_worker_gives_same_bytes(
         self, start_command: Begin, scheduler: str, study: Study, local_parts: Parts, tmp_path: Path
     ) -> None:
-        """Workers that come late are waited for, and take part."""
+        """The executor waits for late workers and uses them."""
         joined = []
 
         def tell(progress: run.RunProgress) -> None:
@@ -403,7 +403,7 @@ Sweep = Callable[..., subprocess.Popen]
 
 @pytest.fixture
 def sweep(tmp_path: Path) -> Iterator[Sweep]:
-    """Starts `sinsjax sweep` in a process group of its own, as a shell does."""
+    """Start `sinsjax sweep` in a separate process group, as a shell does."""
     config = tmp_path / "study.toml"
     config.write_text(tomli_w.dumps(STUDY))
     started: list[subprocess.Popen] = []
@@ -428,7 +428,7 @@ def sweep(tmp_path: Path) -> Iterator[Sweep]:
 
 
 def wait_for_first_chunk(process: subprocess.Popen) -> str:
-    """Wait for the first chunk of a sweep: what is said of it."""
+    """Wait for the first chunk of a sweep and return the output."""
     assert process.stdout is not None
     lines = iter(process.stdout.readline, "")
     return next((line for line in lines if line.startswith("study: ")), "")

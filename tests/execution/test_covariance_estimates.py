@@ -1,4 +1,4 @@
-"""Estimates by covariance: against draws of the same study, and as a dataset among others."""
+"""Covariance estimates, compared with draws of the same study, and as a dataset."""
 
 import itertools
 import random
@@ -62,7 +62,7 @@ def make_study(**changes: Any) -> Study:
 
 
 def short_study(**changes: Any) -> Study:
-    """Two parts of 130 variants, 2 s each: three tiles a part."""
+    """Return a study of two parts of 130 variants, 2 s each: three tiles per part."""
     few = {"estimate_samples": 16, "check_linearity": False}
     settings = SHORT | few | changes.pop("study", {})
     axes = {"yaw_amplitude_deg": [2.8, 0.0], "p0_yaw_deg": [0.5 * i for i in range(1, 131)]}
@@ -71,7 +71,7 @@ def short_study(**changes: Any) -> Study:
 
 @pytest.fixture(scope="module")
 def estimates_and_draws() -> tuple[pa.Table, pa.Table]:
-    """Estimates, and the summary of draws of the same study."""
+    """Return estimates, and the summary of draws of the same study."""
     drawn = make_study(study={"estimate": "draws", "draws": DRAWS})
     return study_run.estimate(make_study()), study_run.run(drawn).summary
 
@@ -151,7 +151,7 @@ def test_columns_have_unit_and_meaning_metadata(made_of_short: pa.Table) -> None
 def test_variant_without_bias_floor_has_truth_estimates_only(
     made_of_short: pa.Table,
 ) -> None:
-    """A sway of 10 s has no limit in runs of two."""
+    """A sway of 10 s has no bias floor in runs of two."""
     for row in made_of_short.to_pylist():
         assert not row["has_floor"] and row["floor_arcmin"] is None
         assert row["within_10_share"] is row["settle_10_mean_s"] is None
@@ -181,7 +181,7 @@ def test_noise_free_estimate_equals_single_run() -> None:
 def test_estimated_curves_match_estimates_at_report_times(
     estimates_and_draws: tuple[pa.Table, pa.Table],
 ) -> None:
-    """Of a study without draws, or with any."""
+    """They match for a study with or without draws."""
     made = estimated_curves(make_study(study={"estimate": "draws", "draws": 2}))
     assert made["variant_id"].to_pylist() == np.repeat(range(8), int(RUN_S)).tolist()
     assert made["time_s"].to_pylist()[:3] == [1.0, 2.0, 3.0]
@@ -199,7 +199,7 @@ def test_estimated_curves_match_estimates_at_report_times(
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What an uninterrupted run leaves, in parts of 128 variants and the rest."""
+    """Return the results of an uninterrupted run, in parts of 128 variants and a remainder."""
     directory = tmp_path_factory.mktemp("whole") / "out"
     study_run.run_into(short_study(), directory, chunk_runs=128)
     assert sorted(read_parts(directory)) == [

@@ -1,4 +1,4 @@
-"""A results directory: one writer, no links or pipes, and which of its files may go."""
+"""A results directory: one writer, no links or pipes, and the files that may be removed."""
 
 import os
 import shutil
@@ -62,7 +62,7 @@ def test_lock_names_other_writer_until_it_dies(tmp_path: Path) -> None:
 
 
 def test_figure_list_ignores_outside_paths_and_malformed_content(tmp_path: Path) -> None:
-    """Nor does one that is none."""
+    """A malformed list removes nothing either."""
     out = tmp_path / "out"
     (out / "figures").mkdir(parents=True)
     (tmp_path / "mine.png").write_bytes(b"mine")
@@ -117,7 +117,7 @@ def test_empty_results_directory_name_is_refused(
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A results directory with everything that a sweep and its report leave."""
+    """Return a results directory with all files of a sweep and its report."""
     out = tmp_path_factory.mktemp("results") / "out"
     sinsjax.run_into(small_study(study={"curves": True}), out)
     (out / "figures").mkdir()
@@ -125,7 +125,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def replace_by_link(path: Path) -> None:
-    """Put a link to a copy elsewhere in the place of a file or folder."""
+    """Replace a file or folder by a link to a copy elsewhere."""
     path.rename(path.with_name(f"{path.name}.moved"))
     path.symlink_to(path.with_name(f"{path.name}.moved"))
 
@@ -156,7 +156,7 @@ PLACED: dict[str, Callable[[Path], None]] = {
 
 
 @pytest.mark.parametrize("name", PLACED)
-def test_links_and_pipes_in_results_are_refused_and_left_alone(
+def test_links_and_pipes_in_results_are_refused_unchanged(
     results: Path, tmp_path: Path, name: str
 ) -> None:
     out = Path(shutil.copytree(results, tmp_path / "out"))

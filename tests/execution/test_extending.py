@@ -1,4 +1,4 @@
-"""More draws for results that are there: the rows are those of a sweep that had them at once."""
+"""Extending results by draws gives the rows of a sweep with all draws."""
 
 import json
 from pathlib import Path
@@ -29,7 +29,7 @@ def study_with_draws(draws: int, **tables: Any) -> Study:
 def assert_extended(
     first: Study, second: Study, folder: Path, chunk_runs: int | None = None
 ) -> Path:
-    """A directory of the second study, made of the first one's; no part of that is made again."""
+    """Extend results of the first study to the second without recomputing any part."""
     out = folder / "out"
     run.run_into(first, out, chunk_runs=chunk_runs)
     before = modification_times(out)
@@ -61,14 +61,14 @@ def test_extended_rows_equal_sweep_with_all_draws(tmp_path: Path, chunk_runs: in
 
 @pytest.mark.slow
 def test_rerun_works_on_extended_results(tmp_path: Path) -> None:
-    """One of before and one of after; the manifest names the study that it began as."""
+    """Runs from before and after the extension can be repeated."""
     out = assert_extended(study_with_draws(40), study_with_draws(50), tmp_path)
     for run_id in (0, 149):
         assert rerun.rerun_stored_run(out, run_id, Console(quiet=True))
 
 
 def test_extension_continues_sobol_list_and_grid_draws(tmp_path: Path) -> None:
-    """Sobol's, and a list and a grid that had begun again before."""
+    """Sobol points continue, and so do a list and a grid that have been cycled."""
     assert_extended(make_study("drawn", 100), make_study("drawn", 140), tmp_path)
 
 
@@ -87,7 +87,7 @@ def test_extended_study_stops_at_same_draw_as_full_study(tmp_path: Path, half_wi
 
 @pytest.mark.slow
 def test_extension_keeps_duplicate_variants(tmp_path: Path) -> None:
-    """Which are computed is settled once: with more draws it might be otherwise."""
+    """The choice of computed variants is fixed when a directory is begun."""
     axes = {"method": ["compass", "kalman5"], "q_accel_ug": [1.0 * i for i in range(1, 40)]}
     assert_extended(
         study_with_draws(20, axes=axes), study_with_draws(300, axes=axes), tmp_path, chunk_runs=128

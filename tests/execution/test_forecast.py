@@ -1,4 +1,4 @@
-"""What a study will take is told and asked about before anything is made."""
+"""Time, memory and disk space of a study are forecast before anything is created."""
 
 import math
 from pathlib import Path
@@ -23,7 +23,7 @@ TUNE |= {"tune_draws": 4, "evaluation_draws": 8}
 
 
 def huge_study(**changes: Any) -> Study:
-    """896 million runs, of which no list can be made."""
+    """Return a study of 896 million runs, too many for a list."""
     return small_study(
         study={"draws": 1000} | changes,
         axes={
@@ -35,7 +35,7 @@ def huge_study(**changes: Any) -> Study:
 
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Sets what the disk has free, and the memory that there is."""
+    """Return a function that sets the free disk space and the memory."""
 
     def has(free: float = math.inf, memory: float = math.inf) -> None:
         monkeypatch.setattr(machine, "free_bytes", lambda folder: float(free))
@@ -197,7 +197,7 @@ def test_forecast_program_count_matches_engine(tables: Any, programs: int):
 
 
 def test_forecast_describes_remaining_runs_and_time():
-    """Time and room of what is missing, on whatever computes it."""
+    """Time and disk space are those of the missing runs, on cores or worker threads."""
     expected = forecast.forecast_sweep(small_study(study={"draws": 10**8}))
     line = expected.describe(1, 10**8 - 10**6)
     assert line.startswith(

@@ -1,4 +1,4 @@
-"""The information bound of a study: variant by variant, and what it is refused for."""
+"""The information bound of a study, per variant, and the studies for which it is refused."""
 
 import numpy as np
 import pytest

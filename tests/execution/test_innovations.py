@@ -1,4 +1,4 @@
-"""Normalised innovations of a recorded study: in its summary, and what its report makes of them."""
+"""Normalised innovations of a recorded study, in its summary and its report."""
 
 from typing import Any
 

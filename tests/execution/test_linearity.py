@@ -1,4 +1,4 @@
-"""How far covariance analysis holds, told by a few draws, and draws where it does not."""
+"""The index of nonlinearity from a few draws, and many draws if it is large."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Every question about a study is asked once, and alike from the command line and from Python."""
+"""Every check of a study runs once, with the same result for command line and Python."""
 
 import sys
 from collections import Counter
@@ -55,7 +55,7 @@ def count_calls(action: Callable[[], Any]) -> Counter[str]:
 
 @pytest.fixture
 def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command line in this process; gives exit code, output and error output."""
+    """Run a command line in this process; return exit code, output and error output."""
     return command_line(monkeypatch, capsys)
 
 
@@ -78,7 +78,7 @@ def recorded(tmp_path: Path) -> tuple[Path, Path, Study]:
     return tmp_path / "log.imu", tmp_path / "swing.toml", study
 
 
-def test_sweep_asks_every_question_once(run_command: Command, tmp_path: Path) -> None:
+def test_sweep_runs_every_check_once(run_command: Command, tmp_path: Path) -> None:
     config, out = tmp_path / "small.toml", tmp_path / "out"
     config.write_text(study_to_toml(small_study()))
     calls = count_calls(lambda: run_command("sweep", config, "-o", out))

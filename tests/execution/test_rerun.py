@@ -1,4 +1,4 @@
-"""One run done again alone has the bits that it had among the others."""
+"""A run repeated alone has the same bits as in its sweep."""
 
 import io
 from collections.abc import Iterator
@@ -175,7 +175,7 @@ def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -
 
 @contextmanager
 def change_headings(out: Path, by: float) -> Iterator[int]:
-    """The stored headings of the first rows are others; gives the number of columns."""
+    """Change the stored headings of the first rows; return the number of columns."""
     (part, *_) = sorted(out.glob("summary/*.parquet"))
     content, manifest = part.read_bytes(), (out / "manifest.json").read_bytes()
     table, marks = pq.read_table(part), read_part_metadata(content)

@@ -1,4 +1,4 @@
-"""What keeps a directory of results from being gone on with: other keys, versions, instructions."""
+"""Reasons to refuse resuming: other keys, versions or instruction sets."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Every change of a sealed file is noticed, and nothing but regular files is read."""
+"""Every change of a sealed file is detected, and only regular files are read."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""Where [stop_when] looks, what it sees there, and that it stops at the same place every time."""
+"""Interim analyses of [stop_when]: their draws, their statistics, and a reproducible stop."""
 
 import math
 import threading
@@ -165,7 +165,7 @@ def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
 
 
 def interrupted(study: Study, out: Path) -> None:
-    """A sweep that is stopped after every chunk and begun again."""
+    """Run a sweep that is interrupted after every chunk and resumed."""
     for _ in range(50):
         try:
             study_run.run_into(

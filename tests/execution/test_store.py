@@ -1,4 +1,4 @@
-"""A directory of results through everything that can befall it, in this process.
+"""A results directory after damage, interruption and changes, in this process.
 
 What takes real processes and real signals is in `test_kills`.
 """
@@ -50,7 +50,7 @@ STUDY = sweep_study()
 
 
 def sweep(directory: Path, study: Study = STUDY, **options: Any) -> list[str]:
-    """Run a study into a directory; gives the names of the chunks that were made."""
+    """Run a study into a directory; return the names of the computed chunks."""
     recorder = TaskRecorder()
     options = {"chunk_runs": CHUNK_RUNS} | options
     study_run.run_into(study, directory, executor=recorder.executor, **options)
@@ -59,7 +59,7 @@ def sweep(directory: Path, study: Study = STUDY, **options: Any) -> list[str]:
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What an uninterrupted run leaves."""
+    """Return the results of an uninterrupted run."""
     directory = tmp_path_factory.mktemp("whole") / "out"
     assert len(sweep(directory)) == CHUNKS
     return directory
@@ -67,7 +67,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def out(uninterrupted: Path, tmp_path: Path) -> Path:
-    """A copy of it."""
+    """Return a copy of the results of an uninterrupted run."""
     return Path(shutil.copytree(uninterrupted, tmp_path / "out"))
 
 
@@ -134,7 +134,7 @@ def flip_bit(place: Callable[[bytes], int]) -> Callable[[Path], None]:
 
 
 def rewrite(table: pa.Table, path: Path) -> None:
-    """As the engine writes parts."""
+    """Write a part as the engine does."""
     path.write_bytes(to_sealed_parquet(table))
 
 
@@ -174,7 +174,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
 
 
 def mark_all_missing(directory: Path) -> None:
-    """Have the manifest list nothing as done, intact otherwise."""
+    """Mark all chunks as missing in an otherwise intact manifest."""
     chunks = read_manifest_entries(directory)["chunks"]
     missing = [{"name": c["name"], "state": "missing", "runs": 1} for c in chunks]
     rewrite_manifest(directory, chunks=missing)
@@ -284,7 +284,7 @@ DIFFERING: dict[str, tuple[dict[str, Any], list[str]]] = {
 
 
 def changed_study(**changes: Any) -> Study:
-    """The study with keys changed; those set to None are left out."""
+    """Return the study with changed keys; those set to None are omitted."""
     data = STUDY.model_dump(exclude_none=True)
     data["axes"] |= data.pop("zips")
     data = {name: dict(table) for name, table in data.items() if table}
@@ -325,8 +325,8 @@ def test_resume_allows_changed_name(uninterrupted: Path, out: Path) -> None:
     assert_complete(out, uninterrupted)
 
 
-def test_other_study_is_refused_from_parts_alone(out: Path) -> None:
-    """Nothing but the parts is left to tell whose they are."""
+def test_other_study_is_refused_from_its_parts(out: Path) -> None:
+    """Only the parts identify their study."""
     (out / "manifest.json").write_bytes(b"\x00\xff")
     (out / "study.toml").write_text("[study")
     (out / "summary" / f"{chunk_name(0)}.parquet").write_bytes(b"no part")

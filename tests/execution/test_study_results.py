@@ -1,4 +1,4 @@
-"""Results as Python returns them: in memory and of a directory, as pandas and xarray have them."""
+"""Results in Python: in memory and from a directory, as pandas and xarray objects."""
 
 import sys
 from pathlib import Path
@@ -26,7 +26,7 @@ def results() -> Results:
     return sinsjax.run(small_study(study={"curves": True}, axes=AXES))
 
 
-def test_results_show_themselves_in_five_short_lines(results: Results) -> None:
+def test_results_are_displayed_in_five_short_lines(results: Results) -> None:
     lines = repr(results).splitlines()
     assert len(lines) == 5 and max(map(len, lines)) <= 80
     assert f"6 variants x 3 draws = 18 runs, {failed(results)} diverged or not" in lines[1]

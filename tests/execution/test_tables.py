@@ -1,4 +1,4 @@
-"""Result tables: the columns that others read by name, and what is null when."""
+"""Result tables: their columns, and the conditions for nulls."""
 
 import os
 from collections.abc import Callable
@@ -282,7 +282,7 @@ def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) ->
 
 @pytest.fixture
 def stored(tmp_path: Path) -> Path:
-    """Two parts of two runs, the later ones first."""
+    """Return a directory with two parts of two runs, the later ones first."""
     study = small_study()
     for part, runs in enumerate(([2, 3], [0, 1])):
         rows = {"run_id": runs, "status": ["ok", None], "nees": [float(runs[0]), None]}
@@ -320,7 +320,7 @@ def test_read_summary_selects_columns_and_runs(stored: Path) -> None:
 
 
 def test_reading_ignores_files_that_are_not_parts(stored: Path) -> None:
-    """Not what a killed process left half written, nor what a person put there."""
+    """Half-written files of a killed process and foreign files are ignored."""
     (stored / "summary" / ".part-0000-000002.parquet.77.tmp").write_bytes(b"PAR1")
     (stored / "summary" / "notes.txt").write_text("mine")
     assert count_runs(stored) == 4

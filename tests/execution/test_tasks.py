@@ -1,4 +1,4 @@
-"""A study cut into tasks: the same rows however it is cut, the same bytes wherever it is done."""
+"""A study divided into tasks: equal rows for any division, equal bytes on any machine."""
 
 import random
 import threading
@@ -57,7 +57,7 @@ def test_rows_do_not_depend_on_chunk_size(name: str, reference: study_run.Result
 def test_result_bytes_do_not_depend_on_task_order_or_runner(
     name: str, reference: study_run.Results, tmp_path: Path
 ) -> None:
-    """Every task is done by a workshop of its own, which knows of no other."""
+    """Every task has a separate runner."""
     study, chunk_runs = make_study(name), 128
     study_run.run_into(study, tmp_path / "there", chunk_runs=chunk_runs)
 
@@ -151,7 +151,7 @@ def test_job_identity_depends_on_study_record_and_reference() -> None:
 
 
 def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever comes first compiles a part; the others wait for it."""
+    """The first thread compiles a part; the others wait."""
     made: list[int] = []
     compile_part = TaskRunner._compile_calls
 

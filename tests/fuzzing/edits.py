@@ -11,17 +11,17 @@ Path_ = tuple[Any, ...]
 
 
 class HiddenValue(NamedTuple):
-    """Something large that is not to be printed with all that it goes into."""
+    """Wrapper of a large value that hides it in printed output."""
 
     value: Any
 
     def __repr__(self) -> str:
-        """Says nothing of it."""
+        """Return dots instead of the value."""
         return "..."
 
 
 def entry_paths(value: Any, path: Path_ = (), max_paths: int = 400) -> list[Path_]:
-    """Where the entries of nested tables and lists are."""
+    """Return the paths of the entries of nested tables and lists."""
     paths: list[Path_] = []
     entries = value.items() if isinstance(value, dict) else enumerate(value)
     for key, entry in entries:
@@ -33,7 +33,7 @@ def entry_paths(value: Any, path: Path_ = (), max_paths: int = 400) -> list[Path
 
 @st.composite
 def edit_tables(draw: st.DrawFn, original: HiddenValue, max_edits: int = 3) -> Any:
-    """Nested tables with some entries replaced, removed, doubled, renamed or moved."""
+    """Draw nested tables with some entries replaced, removed, doubled, renamed or wrapped."""
     data = copy.deepcopy(original.value)
     for _ in range(draw(st.integers(1, max_edits))):
         paths = entry_paths(data)
@@ -82,7 +82,7 @@ PIECES = [
 
 @st.composite
 def mangle_bytes(draw: st.DrawFn, original: HiddenValue, max_edits: int = 3) -> bytes:
-    """Bytes with some cut out, put in, turned or doubled."""
+    """Draw bytes with some removed, inserted, flipped or doubled."""
     content: bytes = original.value
     for _ in range(draw(st.integers(1, max_edits))):
         position = draw(st.integers(0, len(content)))

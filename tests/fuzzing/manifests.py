@@ -1,4 +1,4 @@
-"""Directories of results with something wrong in the manifest, the study or a part."""
+"""Results directories with an error in the manifest, the study or a part."""
 
 import hashlib
 import json
@@ -25,13 +25,13 @@ PARTS = ("summary/part-0000-000000.parquet", "curves/part-0000-000000.parquet")
 
 
 class Case(NamedTuple):
-    """A directory, by the content of its files; those that are not named stay as they are."""
+    """Changed files of a directory by name; the others remain."""
 
     files: dict[str, bytes | None]
 
 
 def write_results(directory: Path) -> dict[str, bytes]:
-    """Writes what a run of `STUDY` would leave, numbers apart; gives its files."""
+    """Write the results of a run of `STUDY`, without numbers; return the files."""
     runs = list(range(STUDY.n_draws * STUDY.n_variants))
     tables = {
         PARTS[0]: _empty_table(schemas.summary_columns(STUDY), runs),
@@ -88,7 +88,7 @@ def _manifest_entries() -> dict[str, Any]:
 
 
 def _seal_any_json(data: dict[str, Any]) -> bytes:
-    """As `sealed_json`, of any values: NaN too, which sinsjax does not write."""
+    """Seal JSON of any values, including NaN, which sinsjax does not write."""
     blank = "0" * 64
     others = {key: value for key, value in data.items() if key != SEAL_KEY}
     text = json.dumps({**others, SEAL_KEY: blank}, default=str).encode()
@@ -98,7 +98,7 @@ def _seal_any_json(data: dict[str, Any]) -> bytes:
 
 @st.composite
 def manifest_cases(draw: st.DrawFn, files: HiddenValue) -> Case:
-    """A directory in which one or two files were changed, cut or taken away."""
+    """Draw a directory in which one or two files are changed, cut or removed."""
     changed: dict[str, bytes | None] = {}
     for _ in range(draw(st.integers(1, 2))):
         name = draw(st.sampled_from([MANIFEST] * 6 + [TEXT, *PARTS]))

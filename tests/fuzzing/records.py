@@ -63,7 +63,7 @@ class Case(NamedTuple):
 
 @st.composite
 def record_cases(draw: st.DrawFn) -> Case:
-    """A record of four seconds at rest, laid out anyhow, with some of it changed."""
+    """Draw a record of four seconds at rest in any layout, with some changes."""
     quantity = draw(st.sampled_from(list(GYRO_UNITS)))
     time_unit = draw(st.sampled_from(list(TIME_UNITS)))
     section: dict[str, Any] = {
@@ -125,7 +125,7 @@ def _draw_reference(draw: st.DrawFn) -> bytes:
 
 
 def _change_rows(draw: st.DrawFn, rows: list[list[str]]) -> bytes:
-    """Rows as text, some of them or of their cells changed, and then perhaps some bytes."""
+    """Return rows as text, with some rows, cells and bytes changed."""
     rows = [list(row) for row in rows]
     for _ in range(draw(st.integers(0, 3))):
         if not rows:

@@ -1,4 +1,4 @@
-"""Study files: good ones of every kind with some keys changed, by all that the schema knows."""
+"""Study files: valid ones of every kind with some keys changed, according to the schema."""
 
 import copy
 import functools
@@ -77,7 +77,7 @@ _TUNED = [(name, key) for name, key in KEYS if name in TUNABLE]
 
 
 def _build_value_strategy(place: tuple[str, str]) -> st.SearchStrategy[Any]:
-    """A value for a key: three of four fit its type."""
+    """Return a strategy for values of a key, three of four of its type."""
     fitting = values_of_field(SECTIONS[place[0]].model_fields[place[1]])
     return st.one_of(fitting, fitting, fitting, misfit_values())
 
@@ -118,14 +118,14 @@ def _draw_range(draw: st.DrawFn, place: tuple[str, str]) -> Any:
 
 
 def _get_table(data: dict[str, Any], section: str) -> dict[str, Any]:
-    """A table to be put something into, whatever stood there."""
+    """Return a table to be changed, which replaces any other value."""
     if not isinstance(data.get(section), dict):
         data[section] = {}
     return data[section]
 
 
 def _remove_key(data: dict[str, Any], place: tuple[str, str]) -> None:
-    """Takes a key and all that says the same out of its section, so that it can stand elsewhere."""
+    """Remove a key and its alternatives from its section, to vary it elsewhere."""
     for key in {place[1], *alternative_keys(place[1])}:
         if isinstance(data.get(place[0]), dict):
             data[place[0]].pop(key, None)
@@ -169,7 +169,7 @@ def _edit_study(draw: st.DrawFn, data: dict[str, Any]) -> None:
 
 @st.composite
 def study_tables(draw: st.DrawFn) -> dict[str, Any]:
-    """A study's tables: a good one of some kind, with some of its keys changed."""
+    """Draw the tables of a valid study with some of its keys changed."""
     kind = draw(st.sampled_from([*BASES, *BASES, "shipped", "made"]))
     if kind == "made":  # of nothing but the schema
         names = draw(st.lists(st.sampled_from(list(SECTIONS)), unique=True, max_size=4))
@@ -183,7 +183,7 @@ def study_tables(draw: st.DrawFn) -> dict[str, Any]:
 
 
 def studies_with_value(value: Any) -> Iterator[dict[str, Any]]:
-    """Studies with a value in the place of every key, and of each that is swept, drawn or tuned."""
+    """Yield studies with a value for every key, also swept, drawn or tuned."""
     for section, key in KEYS:
         base = BASES["recorded" if section in ("record", "coarse") else "plain"]
         yield base | {section: base.get(section, {}) | {key: value}}
@@ -202,7 +202,7 @@ def studies_with_value(value: Any) -> Iterator[dict[str, Any]]:
 
 
 def to_toml_bytes(data: Any) -> bytes:
-    """Tables as TOML; what TOML has no word for is left out."""
+    """Return tables as TOML, without None."""
 
     def remove_none(value: Any) -> Any:
         if isinstance(value, dict):
@@ -216,7 +216,7 @@ def to_toml_bytes(data: Any) -> bytes:
 
 @st.composite
 def study_files(draw: st.DrawFn) -> bytes:
-    """The content of a study's file."""
+    """Draw the content of a study file."""
     kind = draw(st.sampled_from(["tables"] * 8 + ["edited", "mangled"]))
     data = draw(study_tables())
     if kind == "edited" and data:

@@ -1,4 +1,4 @@
-"""What is done with a case, and what must hold: it is taken, or refused in one line."""
+"""Readers of the cases: each case must be accepted, or refused in one line."""
 
 import contextlib
 import re
@@ -30,10 +30,10 @@ from sinsjax.study.study import Study
 from sinsjax.tuning import run_tuning
 
 MAX_S = 2.0
-"""The longest that a case may take."""
+"""Longest time of a case, s."""
 
 MAX_BYTES = 500e6
-"""The most memory that a case may take."""
+"""Largest memory of a case, bytes."""
 
 _PACKAGE = Path(sinsjax.__file__).parent
 _LONGEST_LINE = 2000
@@ -44,16 +44,16 @@ _MAX_VARIANTS, _MAX_MEMORY = (
 
 
 class BrokenCase(AssertionError):
-    """A case that is neither taken nor refused as it should be."""
+    """A case that is neither accepted nor properly refused."""
 
 
 class Target(NamedTuple):
-    """Something that reads what users write.
+    """A reader of user input.
 
     Attributes:
-        name: of it.
-        cases: what it is given.
-        check: reads a case; raises what is wrong.
+        name: name of the reader.
+        cases: its input.
+        check: function that reads a case and raises an error if it misbehaves.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Target(NamedTuple):
 
 
 def make_targets(folder: Path) -> list[Target]:
-    """All of them; they write into a folder."""
+    """Return all targets, which write into a folder."""
     stored = folder / "stored"
     files = manifests.write_results(stored)
     return [
@@ -78,7 +78,7 @@ def make_targets(folder: Path) -> list[Target]:
 
 @contextlib.contextmanager
 def limit_time(seconds: float) -> Iterator[None]:
-    """Ends what takes too long, where it can be ended; in the main thread only."""
+    """Fail a block that takes too long; in the main thread only."""
 
     def raise_late(*_: Any) -> None:
         raise BrokenCase(f"takes more than {seconds:g} s")
@@ -93,7 +93,7 @@ def limit_time(seconds: float) -> Iterator[None]:
 
 
 def error_signature(error: BaseException) -> str:
-    """What tells one find from another: its kind and where it was raised."""
+    """Return the signature of an error: its kind and where it was raised."""
     cause = error.__cause__ or error
     frames = traceback.extract_tb(cause.__traceback__)
     frames = [frame for frame in frames if Path(frame.filename).is_relative_to(_PACKAGE)]
@@ -103,11 +103,11 @@ def error_signature(error: BaseException) -> str:
 
 
 def check_error_lines(error: InputError, *names: object) -> str:
-    """Return the first line of a refusal, once each is one and names what it is about.
+    """Return the first line of a refusal after checking the form of all lines.
 
     Args:
         error: the refusal.
-        names: one of which it begins with.
+        names: possible beginnings of the lines.
     """
     for line in error.lines:
         if len(line) > _LONGEST_LINE:
@@ -120,11 +120,11 @@ def check_error_lines(error: InputError, *names: object) -> str:
 
 
 _WHOLE_FILE_ERRORS = ("is not TOML", "is not UTF-8", "is nested too deeply", "cannot be read")
-"""What is said of a whole file."""
+"""Errors about a whole file."""
 
 
 def check_study(path: Path, content: bytes) -> None:
-    """Loads a study, and resolves it as `run` does before anything is compiled."""
+    """Load a study and resolve it as `run` does before compilation."""
     path.write_bytes(content)
     try:
         study = load_study(path)
@@ -146,7 +146,7 @@ def check_study(path: Path, content: bytes) -> None:
 
 
 def check_resolution(study: Study) -> None:
-    """What is worked out from a study before a program is compiled; refusals are one line."""
+    """Check the resolution of a study before compilation; refusals are one line."""
     try:
         if study.study.rate_hz:
             expected = (
@@ -166,7 +166,7 @@ def check_resolution(study: Study) -> None:
 
 
 def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Case) -> None:
-    """Asks a directory of results all that reports, reruns and whoever goes on with it ask."""
+    """Read a results directory as reports, reruns and resumed sweeps do."""
     for name, content in case.files.items():
         (directory / name).unlink() if content is None else (directory / name).write_bytes(content)
     run_ids = [0, 1]
@@ -201,7 +201,7 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
 
 
 def check_record(folder: Path, case: records.Case) -> None:
-    """Reads a record and its reference as `align` does before anything is compiled."""
+    """Read a record and its reference as `align` does before compilation."""
     suffix = ".parquet" if case.study["record"].get("format") == "parquet" else ".csv"
     record, reference = folder / f"r{suffix}", folder / "reference.csv"
     record.write_bytes(case.record)
@@ -223,7 +223,7 @@ def check_record(folder: Path, case: records.Case) -> None:
 
 
 def measure_case(check: Callable[[Any], None], case: Any) -> None:
-    """Checks a case, and what it takes.
+    """Check a case, with its time and memory.
 
     Raises:
         Broken: it took too long, or too much memory.

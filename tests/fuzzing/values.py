@@ -1,4 +1,4 @@
-"""Values for the keys of a schema: those that fit, walked from its types, and those that do not."""
+"""Values for the keys of a schema: valid ones, derived from its types, and invalid ones."""
 
 import copy
 import datetime
@@ -52,7 +52,7 @@ def _nest(depth: int, kind: str) -> Any:
 
 @functools.cache
 def misfit_values() -> Strategy:
-    """Values that hardly any key takes."""
+    """Return a strategy for values that hardly any key accepts."""
     some = st.one_of(
         st.sampled_from(NUMBERS),
         st.sampled_from(TEXTS),
@@ -80,14 +80,14 @@ _fields: dict[int, Strategy] = {}
 
 
 def values_of_field(field: FieldInfo) -> Strategy:
-    """Values that a key of a section takes, as far as its type tells."""
+    """Return a strategy for values that a key accepts, according to its type."""
     if id(field) not in _fields:  # which live as long as the schema
         _fields[id(field)] = values_of_type(field.annotation, tuple(field.metadata))
     return _fields[id(field)]
 
 
 def values_of_type(annotation: Any, metadata: tuple[Any, ...] = ()) -> Strategy:
-    """Values of a type with its bounds; what is not known of it is left to others to refuse."""
+    """Return a strategy for values of a type with its bounds."""
     while get_origin(annotation) is typing.Annotated:
         annotation, *more = get_args(annotation)
         inner = (
@@ -122,7 +122,7 @@ def values_of_type(annotation: Any, metadata: tuple[Any, ...] = ()) -> Strategy:
 
 
 def draw_table(fields: Mapping[str, FieldInfo], most: int = 4) -> Strategy:
-    """Some keys of a section, with values that fit, and all that it cannot do without."""
+    """Return a strategy for tables of a section with all required keys and valid values."""
     needed = {key: values_of_field(field) for key, field in fields.items() if field.is_required()}
 
     @st.composite

@@ -1,4 +1,4 @@
-"""Readings beyond any range and stuck channels are told with their rows."""
+"""Out-of-range samples and stuck channels are reported with their rows."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Records from arrays: units, axes, dates, gaps, references, and a line for every mistake."""
+"""Records from arrays: units, axes, dates, gaps, references, and one line per error."""
 
 import contextlib
 import inspect
@@ -262,7 +262,7 @@ def test_invalid_array_input_raises_one_line_error(change: dict[str, Any], says:
 
 @pytest.fixture(scope="module")
 def drive_data() -> tuple[Any, Any]:
-    """What the sensors of a base at rest put out for a minute, and its truth."""
+    """Return the sensor output of a base at rest for a minute, and its truth."""
     study = small_study(
         study={"duration_s": 60.0, "window_s": [30, 60]},
         motion=STILL,

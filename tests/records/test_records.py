@@ -1,4 +1,4 @@
-"""Records: the three formats there and back, and every mistake told with its file and row."""
+"""Records: round trips of the three formats, and errors with file and row."""
 
 import os
 import re
@@ -54,7 +54,7 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def refusal_line(call, *args) -> str:
-    """The one line of the InputError."""
+    """Return the single line of the InputError."""
     with pytest.raises(InputError) as caught:
         call(*args)
     line = str(caught.value)
@@ -63,7 +63,7 @@ def refusal_line(call, *args) -> str:
 
 
 def read_whole(path: Path, layout: Layout) -> Record:
-    """A record all of which is used: what is missing in it is refused."""
+    """Read a record and require its whole span, so missing samples are refused."""
     record = records.read_record(path, layout)
     records.require_span(record, 0.0, len(record.dtheta) / record.rate_hz)
     return record
@@ -197,7 +197,7 @@ def table_csv(folder: Path, time_s) -> Path:
 
 @pytest.fixture(params=[None, 50], ids=["in one batch", "in many batches"])
 def small_batches(request, monkeypatch) -> None:
-    """Bytes of text that are looked at together."""
+    """Set the batch size of text files, bytes."""
     if request.param:
         monkeypatch.setattr(files, "BATCH_BYTES", request.param)
 

@@ -23,7 +23,7 @@ BUILT = "SINSJAX_SITE"
 
 
 class Shown(NamedTuple):
-    """What a page has: anchors, and where its links and its files are."""
+    """Anchors of a page, and the targets of its links and files."""
 
     anchors: set[str]
     links: set[str]

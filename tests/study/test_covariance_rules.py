@@ -1,4 +1,4 @@
-"""What a study may not have whose variants are estimated by covariance."""
+"""Settings that conflict with covariance estimates."""
 
 from typing import Any
 

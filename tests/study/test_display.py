@@ -1,4 +1,4 @@
-"""How a study shows itself: text, HTML, completion, and the tables that make it again."""
+"""Displays of a study as text and HTML, completion, and the round trip through tables."""
 
 import tomllib
 from html.parser import HTMLParser
@@ -14,7 +14,7 @@ from sinsjax.study import display, files
 
 
 @pytest.mark.parametrize("name", files.shipped_studies())
-def test_shipped_study_shows_itself_in_five_short_lines_and_returns_as_tables(name: str) -> None:
+def test_shipped_study_is_displayed_in_five_short_lines_and_round_trips(name: str) -> None:
     study = sinsjax.load_study(name)
     title, *facts = lines = repr(study).splitlines()
     assert title == f"Study {name}" and len(lines) == 5 and max(map(len, lines)) <= 80
@@ -25,7 +25,7 @@ def test_shipped_study_shows_itself_in_five_short_lines_and_returns_as_tables(na
     assert sinsjax.study_from_dict(tomllib.loads(tomli_w.dumps(tables))) == study
 
 
-def test_tables_of_a_study_may_be_changed_and_leave_it_alone() -> None:
+def test_changed_tables_of_a_study_do_not_change_it() -> None:
     study = small_study(axes={"phi_u0_deg": [1.0, 2.0]})
     tables = study.to_dict()
     tables["axes"]["phi_u0_deg"].append(3.0)
@@ -34,7 +34,7 @@ def test_tables_of_a_study_may_be_changed_and_leave_it_alone() -> None:
     assert "max_gap_s" not in tables["study"]
 
 
-def test_axis_is_shown_by_range_by_its_values_or_by_their_number() -> None:
+def test_axis_is_displayed_as_range_values_or_count() -> None:
     assert display.describe_axis(["phi_u0_deg"], [0.0, 10, 30.5, 120]) == "phi_u0_deg 0..120 (4)"
     assert display.describe_axis(["phi_u0_deg"], [0.0, 12.5]) == "phi_u0_deg 0, 12.5"
     assert display.describe_axis(["turn"], ["flip", "fold"]) == "turn flip, fold"
@@ -74,7 +74,7 @@ def test_html_escapes_text_from_a_file() -> None:
     assert "<b>" not in display.format_html("t", {"<b>name": "<b>fact"})
 
 
-def test_completion_shows_what_users_need_without_pydantic() -> None:
+def test_completion_lists_user_names_without_pydantic() -> None:
     study = small_study(axes={"phi_u0_deg": [1.0, 2.0]})
     pydantics = {name for name in dir(pydantic.BaseModel) if not name.startswith("__")}
     for thing in (study, study.alignment, study.study):

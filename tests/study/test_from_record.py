@@ -77,7 +77,7 @@ def write(
 
 
 def load_with_doubts(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """The study of a file, and its doubts."""
+    """Return the study of a file, and its doubts."""
     text = make_study_text(path, Path("its.toml"))
     doubts = re.findall(r"^# DOUBT: (.*(?:\n#   .*)*)", text, re.MULTILINE)
     return tomllib.loads(text), [" ".join(doubt.replace("\n#  ", "").split()) for doubt in doubts]

@@ -1,4 +1,4 @@
-"""Which keys act: what a section says of its keys, against the engine's own numbers."""
+"""Effects of keys as their sections declare them, compared with results of the engine."""
 
 from typing import Any
 
@@ -95,7 +95,7 @@ ACTING: dict[str, tuple[dict[str, Any], str, list[Any]]] = {
 
 
 def outcomes(tables: dict[str, Any], key: str, values: list[Any]) -> list[Any]:
-    """What becomes of each value's first draw, every number of the outcome."""
+    """Return every number of the outcome of the first draw, for each value."""
     study = small_study(**tables, axes={key: values})
     found: dict[int, Any] = {}
     scenario = Scenario(study, curves=False)

@@ -1,4 +1,4 @@
-"""The table of keys and the schema for editors: both are what the sections say."""
+"""The table of keys and the schema for editors agree with the sections."""
 
 import json
 import tomllib

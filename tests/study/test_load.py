@@ -120,7 +120,7 @@ def merge_tables(base: dict[str, Any], **tables: Any) -> dict[str, Any]:
 
 
 def refusal_lines(base: dict[str, Any] = SIMULATED, **tables: Any) -> list[str]:
-    """The lines of the error, less the file's name that each must begin with."""
+    """Return the lines of the error without the file's name, which must begin each."""
     with pytest.raises(InputError) as caught:
         build_study(base, **tables)
     lines = str(caught.value).splitlines()
@@ -129,7 +129,7 @@ def refusal_lines(base: dict[str, Any] = SIMULATED, **tables: Any) -> list[str]:
 
 
 def refusal_line(base: dict[str, Any] = SIMULATED, **tables: Any) -> str:
-    """The one line of the error, less the file's name that it must begin with."""
+    """Return the single line of the error without the file's name, which must begin it."""
     (line,) = refusal_lines(base, **tables)
     return line
 
@@ -1144,7 +1144,7 @@ def test_invalid_record_times_are_refused(
 
 
 def test_record_intervals_round_to_nearest_samples():
-    """A simulation has the rate that it is given: there it is a mistake."""
+    """In a simulation, whose rate is given, such an interval is an error."""
     study = build_study(RECORDED, study={"rate_hz": 199.8}, record={"start_s": [0, 0.004]})
     assert study.record_every == 200
     line = "[study] record_interval_s: 1 s is not a whole number of samples of 0.005005005005"

@@ -1,4 +1,4 @@
-"""Q by its true units, and the heading as a compass shows it."""
+"""Q in units of densities, and the heading in compass convention."""
 
 import numpy as np
 import pytest

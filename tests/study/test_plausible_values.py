@@ -1,4 +1,4 @@
-"""Nonsense is asked about, wherever a value is given: what is usual stands beside every key."""
+"""Implausible values are refused wherever they are given, by the usual range of each key."""
 
 import copy
 import tomllib

@@ -1,4 +1,4 @@
-"""Q is the sensors' own white noise unless its keys are given, which come with their unit."""
+"""Q is the white noise of the sensors unless its keys are given with their unit."""
 
 import tomllib
 from pathlib import Path
@@ -372,7 +372,7 @@ def test_swept_feedback_has_no_default() -> None:
     assert made.values("feedback_interval_s") == [0.1, 1.0]
 
 
-def test_reset_at_default_feedback_is_not_put_off() -> None:
+def test_reset_at_default_feedback_is_not_delayed() -> None:
     made = make_study(resets={"reset_at_feedback": True, "reset_times_s": [1.23, 6.0]})
     (part,) = build.parts(made)
     np.testing.assert_array_equal(part.group.variants.method.resets.samples, [[123.0, 600.0]])

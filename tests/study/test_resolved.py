@@ -1,4 +1,4 @@
-"""Columns of a study against the product of its dimensions, written out."""
+"""Columns of a study, compared with the written-out product of its dimensions."""
 
 from itertools import product
 from typing import Any

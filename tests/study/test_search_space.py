@@ -1,4 +1,4 @@
-"""What may be tuned: every mistake told with its place, points there and back."""
+"""Search spaces of a tuning: errors with their place, and round trips of points."""
 
 import math
 import tomllib
@@ -30,7 +30,7 @@ RECORDED: dict[str, Any] = {
 def tuned_study(
     given: dict[str, Any], *, changes: dict[str, Any] | None = None, **tune: Any
 ) -> Study:
-    """A small study with some variables, for searches that take any number of them."""
+    """Return a small study with some variables, for searches of any dimension."""
     tune = {"searches": ["sobol"], "variables": given} | tune
     return small_study(tune=tune, **(changes or {}))
 

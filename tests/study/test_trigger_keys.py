@@ -1,4 +1,4 @@
-"""The keys of triggers, of what P is reset to, and of scales: read, refused, filled in, told."""
+"""Keys of triggers, reset values and scales: defaults, errors and fingerprints."""
 
 import copy
 import tomllib
@@ -67,7 +67,7 @@ def build_study(**tables: Any) -> Study:
 
 
 def refusal_line(**tables: Any) -> str:
-    """The line of the error, less the file's name that it must begin with."""
+    """Return the line of the error without the file's name, which must begin it."""
     with pytest.raises(InputError) as caught:
         build_study(**tables)
     line = str(caught.value)

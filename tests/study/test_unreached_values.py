@@ -1,4 +1,4 @@
-"""Times after the end of all runs, keys that nobody reads, draws that never come: all refused."""
+"""Times after the end of all runs, unread keys and unreached draws are refused."""
 
 import tomllib
 from typing import Any

@@ -1,4 +1,4 @@
-"""Another method for a study: what it does not read is dropped, what it ignores is named."""
+"""Another method for a study: unread keys are dropped, idle keys are listed."""
 
 import re
 import tomllib
@@ -46,14 +46,14 @@ def change_study(
 
 
 def refusal_of_change(changes: dict[str, Any], tables: dict[str, Any], tmp_path: Path) -> str:
-    """The line with which changes of a study file are refused."""
+    """Return the error line of changes of a study file."""
     with pytest.raises(InputError) as caught:
         change_study(changes, tables, tmp_path)
     return str(caught.value).removeprefix(f"{tmp_path / 'study.toml'}: ")
 
 
 def expected_refusal(study: Study, method: str) -> str | None:
-    """Why a shipped study cannot be had with another method, which the user has to decide."""
+    """Return the reason why a shipped study cannot use another method; None if it can."""
     new = METHODS[method]
     if study.tune and new.keys.isdisjoint(study.tune.variables):
         return "reads none of"  # nothing is left to tune
@@ -114,7 +114,7 @@ def test_line_lists_dropped_sections_keys_and_axes(tmp_path: Path) -> None:
     ]
 
 
-def test_replace_and_load_study_warn_of_what_is_dropped(tmp_path: Path) -> None:
+def test_replace_and_load_study_warn_of_dropped_keys(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_text(tomli_w.dumps(FULL), encoding="utf-8")
     with pytest.warns(StudyWarning, match=r"^Dropped, .*: \[filter\], \[resets\], \[axes\] ") as by:
@@ -150,7 +150,7 @@ def test_misspelt_method_drops_nothing(tmp_path: Path) -> None:
     assert line.endswith("not 'inertail' (did you mean inertial?)")
 
 
-def test_axis_of_methods_drops_what_none_of_them_reads(tmp_path: Path) -> None:
+def test_axis_of_methods_drops_keys_that_none_reads(tmp_path: Path) -> None:
     study, notes = change_study({"axes.method": ["inertial", "compass"]}, FULL, tmp_path)
     assert study.filter is None and list(study.axes) == ["phi_u0_deg", "method"]
     assert notes == [
@@ -244,7 +244,7 @@ def test_keys_that_method_refuses_are_dropped(tmp_path: Path) -> None:
         assert recorded.replace({"alignment.method": "inertial"}).coarse
 
 
-def test_judging_from_limit_is_dropped_for_method_without(tmp_path: Path) -> None:
+def test_judging_from_floor_is_dropped_for_method_without_floor(tmp_path: Path) -> None:
     limited = FULL | {"study": FULL["study"] | {"judged_from": "floor"}}
     to_ten = {"alignment.method": "kalman10"}
     study, notes = change_study(to_ten, limited, tmp_path)
@@ -285,7 +285,7 @@ def own_keys(method: str) -> list[str]:
 
 
 def outcomes(method: str, keys: list[str]) -> list[list[np.ndarray]]:
-    """All numbers of one run: as it is, then with another value for one key after the other."""
+    """Return all numbers of one run, unchanged and with each key changed separately."""
     first = {key: FIRST[key] for key in own_keys(method)}
     tables: dict[str, Any] = {"alignment": {"method": method} | dict.fromkeys(BASE["alignment"])}
     if "resets" in METHODS[method].sections:
@@ -318,7 +318,7 @@ def test_silent_keys_change_no_bit_of_a_run(method: str) -> None:
 @pytest.mark.representative("kalman10")
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
-def test_keys_said_to_act_change_a_run(method: str) -> None:
+def test_active_keys_change_a_run(method: str) -> None:
     keys = [key for key in own_keys(method) if method in reading_methods(key)]
     first, *others = outcomes(method, keys)
     assert [key for key, other in zip(keys, others, strict=True) if are_equal(first, other)] == []

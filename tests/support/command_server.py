@@ -1,4 +1,4 @@
-"""Command lines in processes that find packages of their own.
+"""Command lines in processes with additional packages.
 
 They are forked from a server that has imported the libraries which ``sinsjax`` takes most of a
 second to import, and nothing of ``sinsjax``, which looks for methods of other packages as it is
@@ -21,7 +21,7 @@ _LIBRARIES = (
 
 
 class CompletedCommand(NamedTuple):
-    """What became of a command line, by the names that `subprocess` gives them."""
+    """Result of a command line, with the field names of `subprocess`."""
 
     returncode: int
     stdout: str
@@ -29,7 +29,7 @@ class CompletedCommand(NamedTuple):
 
 
 class CommandServer:
-    """Forks a process for some command lines, one after the other; ends with `close`."""
+    """Server that forks a process for some command lines, one after the other."""
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
@@ -37,12 +37,12 @@ class CommandServer:
         )
 
     def __call__(self, *commands: tuple[str, ...], site: Path, cwd: Path) -> list[CompletedCommand]:
-        """Run command lines in a process of their own.
+        """Run command lines in a separate process.
 
         Args:
-            commands: words of each.
-            site: where packages are found besides those that are installed.
-            cwd: where it runs.
+            commands: arguments of each command line.
+            site: folder of additional packages.
+            cwd: working directory.
         """
         requests, answers = self._process.stdin, self._process.stdout
         assert requests is not None and answers is not None
@@ -63,7 +63,7 @@ class CommandServer:
         return [CompletedCommand(int(code), output, error) for code, output, error in texts]
 
     def close(self) -> None:
-        """End it."""
+        """End the server."""
         self._process.communicate()
 
 

@@ -1,4 +1,4 @@
-"""How much XLA optimises what tests compile.
+"""Optimisation level of XLA for programs of tests.
 
 As shipped, but for tests marked ``optimised(False)``: those of what is read, written, told and
 chosen, and of numbers to a tolerance. They take programs that are compiled in a quarter of the
@@ -43,15 +43,15 @@ need for the optimisations that are off."""
 
 
 def has_least_optimisation(item: pytest.Item) -> bool:
-    """Whether a test asks for the least level."""
+    """Whether a test requests the lowest level."""
     mark = item.get_closest_marker("optimised")
     return mark is not None and not mark.args[0]
 
 
 def set_optimisation_level(item: pytest.Item) -> None:
-    """Set the level that a test asks for, here and in processes that it starts.
+    """Set the level that a test requests, here and in processes that it starts.
 
-    JAX does not tell programs in memory apart by their level; those of the other one are dropped.
+    JAX does not distinguish programs in memory by level; those of the other level are dropped.
     """
     level = has_least_optimisation(item)
     if jax.config.values[_LEAST_OPTION] == level:
@@ -68,7 +68,7 @@ def drop_programs() -> None:
 
 
 def drop_programs_if_large() -> None:
-    """Forget them if this process has grown beyond `LARGE_BYTES`."""
+    """Forget all programs if this process exceeds `LARGE_BYTES`."""
     if process_bytes("VmRSS") > LARGE_BYTES:
         drop_programs()
         gc.collect()
@@ -97,7 +97,7 @@ def share_cache(repository: Path) -> None:
 
 
 def install_spared_options() -> None:
-    """Have the least level spare what JAX's own setting leaves on, if this JAX can."""
+    """Extend the lowest level by the `SPARED_OPTIONS`, if this JAX supports it."""
     given = getattr(compiler, "get_compile_options", None)
     if given is None:
         return

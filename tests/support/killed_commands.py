@@ -2,8 +2,8 @@
 
 A process gets a SIGKILL at the N-th file whose directory and name match a pattern, at one of
 three moments of its writing: ``half`` of it is in the temporary file, ``before`` that is renamed,
-``after`` it is. It begins when it is told to, so that a next one can be made ready ahead. All are
-forked from a server that has imported everything and started nothing: no thread and no JAX.
+``after`` it is. It begins on request, so the next one can be prepared in advance. All are forked
+ from a server that has imported everything and started nothing: no thread and no JAX.
 """
 
 import fnmatch
@@ -25,13 +25,13 @@ _SERVER.set_forkserver_preload(["sinsjax.cli", "sinsjax.report"])
 
 
 class FileKiller:
-    """Counts what happens to files, and kills."""
+    """Counter of file operations that determines when to kill the process."""
 
     def __init__(self, moment: str, pattern: str, number: int) -> None:
         self.moment, self.pattern, self.left = moment, pattern, number
 
     def is_due(self, moment: str, target: Path) -> bool:
-        """Whether this is what the process is to be killed at."""
+        """Whether the process is to be killed at this operation."""
         if moment == self.moment and fnmatch.fnmatch("/".join(target.parts[-2:]), self.pattern):
             self.left -= 1
             return self.left == 0
@@ -43,7 +43,7 @@ def kill_process() -> None:
 
 
 def arm_killer(killer: FileKiller, pause_s: float) -> None:
-    """Has every file that `files.replacing` writes pass by the killer, and pauses after a part."""
+    """Let the killer check every file that `files.replacing` writes; pause after each part."""
     original_replace = Path.replace
 
     class Half(io.BufferedWriter):
@@ -73,10 +73,10 @@ def arm_killer(killer: FileKiller, pause_s: float) -> None:
 
 
 class KilledCommand:
-    """A process that waits for `go`, then does what a command line says.
+    """A process that waits for `proceed`, then runs a command line.
 
     Attributes:
-        process: to wait for, and to be sent signals.
+        process: process to wait for, and to send signals to.
     """
 
     def __init__(
@@ -88,11 +88,11 @@ class KilledCommand:
         point: tuple[str, str, int],
         pause_s: float = 0.0,
     ) -> None:
-        """Fork it.
+        """Fork the process.
 
         Args:
-            arguments: of the command line.
-            environment: variables that it has besides those of the server.
+            arguments: arguments of the command line.
+            environment: variables in addition to those of the server.
             output_path: file of its output; that of standard error has the suffix ``.error``.
             point: moment, pattern and number.
             pause_s: for which a thread waits when it has written a part, s: what is to be killed
@@ -108,21 +108,21 @@ class KilledCommand:
         begin.close()
 
     def proceed(self) -> "KilledCommand":
-        """Let it begin."""
+        """Let the process begin."""
         self._start_pipe.send(None)
         return self
 
     def send_signal(self, number: int) -> None:
-        """Send it a signal."""
+        """Send a signal to the process."""
         os.kill(self.process.pid, number)
 
     def read_output(self) -> tuple[str, str]:
-        """Its output and error output so far."""
+        """Return output and error output so far."""
         output, error = (path.read_text() if path.exists() else "" for path in self._output_paths)
         return output, error
 
     def close(self) -> None:
-        """End it, if it has not ended."""
+        """End the process if it has not ended."""
         self.process.kill()
         self.process.join()
         self.process.close()

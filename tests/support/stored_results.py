@@ -1,4 +1,4 @@
-"""Directories of results that no engine made, for the tests of what reads them."""
+"""Directories of synthetic results, for tests of their readers."""
 
 import io
 import json
@@ -31,7 +31,7 @@ def write_part(path: Path, table: pa.Table, identity: str) -> None:
 
 
 def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
-    """Write a manifest of the parts that are there, sealed; ``entries`` replace some of its own."""
+    """Write a sealed manifest of the existing parts; ``entries`` replace some entries."""
     chunks: dict[str, list[dict[str, Any]]] = {}
     for path in sorted(directory.glob("*/part-*.parquet")):
         file = {"file": f"{path.parent.name}/{path.name}", "rows": 0}
@@ -60,7 +60,7 @@ def store_results(
     estimates: pa.Table | None = None,
     **entries: Any,
 ) -> Path:
-    """Write tables as the results of a study; gives the directory."""
+    """Write tables as the results of a study; return the directory."""
     tables = {"summary": summary, "curves": curves, "estimates": estimates}
     for name, table in tables.items():
         if table is not None:
@@ -77,7 +77,7 @@ def report_text(
     full: bool = True,
     width: int | None = 1000,
 ) -> str:
-    """What a report of some results prints, on so many columns; None for those of a pipe."""
+    """Return the printed report of some results, of this width; None for that of a pipe."""
     file = io.StringIO()
     with mock.patch.dict(os.environ, {} if width is None else {"COLUMNS": str(width)}):
         report.summarise(directories, Console(file=file), page, html, full=full)

@@ -1,4 +1,4 @@
-"""Studies of many runs, and directories of their results: parts, checksums, what must not be."""
+"""Studies of many runs, and directories of their results: parts, checksums, manifests."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -18,7 +18,7 @@ CHUNKS = 12
 
 
 def sweep_study(**changes: Any) -> Study:
-    """Two environments of 16 variants: 12 chunks of `CHUNK_RUNS` runs, 2 s each, with curves."""
+    """Return a study of 2 environments with 16 variants: 12 chunks of `CHUNK_RUNS` runs."""
     sections: dict[str, Any] = {
         "study": {"draws": 48, "duration_s": 2.0, "window_s": [0, 2], "curves": True},
         "axes": {
@@ -69,7 +69,7 @@ STUDIES: dict[str, dict[str, Any]] = {
 
 
 def make_study(name: str, draws: int | None = None) -> Study:
-    """One of `STUDIES`, perhaps with another number of draws; a drawn key stands nowhere else."""
+    """Return one of `STUDIES`, optionally with another number of draws."""
     data: dict[str, Any] = {section: dict(table) for section, table in BASE.items()}
     for section, table in STUDIES[name].items():
         data[section] = data.get(section, {}) | table
@@ -81,18 +81,18 @@ def make_study(name: str, draws: int | None = None) -> Study:
 
 
 def read_parts(directory: Path) -> dict[str, bytes]:
-    """The bytes of every part, by its place in the directory."""
+    """Return the bytes of every part, by its path in the directory."""
     paths = (p for name in DATASETS for p in directory.glob(f"{name}/*.parquet"))
     return {path.relative_to(directory).as_posix(): path.read_bytes() for path in paths}
 
 
 def modification_times(directory: Path) -> dict[str, int]:
-    """When every part was written, by its place in the directory."""
+    """Return the modification time of every part, by its path in the directory."""
     return {name: (directory / name).stat().st_mtime_ns for name in read_parts(directory)}
 
 
 def read_files_and_times(directory: Path) -> dict[str, tuple[bytes, int]]:
-    """Bytes and time of every file but the lock."""
+    """Return bytes and time of every file but the lock."""
     return {
         str(path.relative_to(directory)): (path.read_bytes(), path.stat().st_mtime_ns)
         for path in sorted(directory.rglob("*"))
@@ -105,7 +105,7 @@ def read_manifest_entries(directory: Path) -> dict[str, Any]:
 
 
 def assert_intact(directory: Path) -> None:
-    """Every part is intact and in the manifest, and so is the manifest; nothing else is listed."""
+    """Assert that the manifest and all parts are intact, and that it lists exactly these parts."""
     assert is_intact((directory / "manifest.json").read_bytes())
     listed = {
         file["file"]
@@ -117,14 +117,14 @@ def assert_intact(directory: Path) -> None:
 
 
 def rewrite_manifest(directory: Path, **changes: Any) -> None:
-    """Replace entries of a manifest by others, and seal it again."""
+    """Replace entries of a manifest and seal it again."""
     content = read_manifest_entries(directory) | changes
     del content[SEAL_KEY]
     (directory / "manifest.json").write_bytes(to_sealed_json(content))
 
 
 def assert_complete(directory: Path, reference: Path) -> None:
-    """A directory holds what an uninterrupted run left, to the last bit, and nothing else."""
+    """Assert that a directory equals that of an uninterrupted run, to the last bit."""
     assert read_parts(directory) == read_parts(reference)
     assert_intact(directory)
     entries = read_manifest_entries(directory)
@@ -137,7 +137,7 @@ def assert_complete(directory: Path, reference: Path) -> None:
 
 
 class TaskRecorder:
-    """Does tasks on this machine, and remembers which."""
+    """Executor on this machine that records the completed tasks."""
 
     def __init__(self) -> None:
         self.done: list[str] = []

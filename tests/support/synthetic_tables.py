@@ -1,4 +1,4 @@
-"""Results that no engine made, column by column."""
+"""Synthetic result tables, column by column."""
 
 import numpy as np
 import pyarrow as pa
@@ -11,7 +11,7 @@ TIMES = np.arange(1.0, 7.0)
 
 
 def synthetic_summary(study, *, truth=True, all_columns=False, **given_columns):
-    """A summary that no engine made: ``given_columns`` columns, the rest plain numbers.
+    """Return a synthetic summary: the ``given_columns``, and plain numbers in the others.
 
     With ``all_columns`` it has all columns of such a study, else those that most reports read.
     """
@@ -78,7 +78,7 @@ def synthetic_summary(study, *, truth=True, all_columns=False, **given_columns):
 
 
 def synthetic_curves(study, *, truth=True, times=TIMES):
-    """Curves that no engine made, of all runs at some times, s."""
+    """Return synthetic curves of all runs at some times, s."""
     runs = study.n_variants * study.n_draws
     run, time = np.repeat(np.arange(runs), times.size), np.tile(times, runs)
     noise = np.random.default_rng(6).normal(size=run.size)
