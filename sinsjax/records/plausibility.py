@@ -78,16 +78,16 @@ def check_stationary(
     """
     means = compute_means(record, span, expected.gravity)
     results = [
-        *_check_force(means, layout, record.rate_hz, expected),
-        *_check_vertical(means, layout),
+        *_check_mean_force(means, layout, record.rate_hz, expected),
+        *_check_up_axis(means, layout),
     ]
-    rate_findings = list(_check_rate(record, span, layout, expected, means))
+    rate_findings = list(_check_mean_rate(record, span, layout, expected, means))
     if rate_findings:  # wrong gyros cannot show a rotation of the base
         return results + rate_findings
     return results + rate_findings + list(_check_rotation(means, expected))
 
 
-def _check_force(
+def _check_mean_force(
     means: Means, layout: Layout, rate_hz: float, expected: StationaryValues
 ) -> Iterator[Finding]:
     magnitude, gravity = means.force_magnitude, expected.gravity
@@ -111,7 +111,7 @@ def _check_force(
     yield Finding(False, f"{text}: an accelerometer bias of {bias:.2g} ug or more would explain it")
 
 
-def _check_vertical(means: Means, layout: Layout) -> Iterator[Finding]:
+def _check_up_axis(means: Means, layout: Layout) -> Iterator[Finding]:
     magnitude = float(np.linalg.norm(means.force)) or 1.0  # zero in a record that is trusted anyway
     tilt = math.acos(max(-1.0, min(1.0, means.force[2] / magnitude)))
     key = message_key(layout, "axes_order")
@@ -128,7 +128,7 @@ def _check_vertical(means: Means, layout: Layout) -> Iterator[Finding]:
         yield Finding(False, text)
 
 
-def _check_rate(
+def _check_mean_rate(
     record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues, means: Means
 ) -> Iterator[Finding]:
     magnitude, earth = float(np.linalg.norm(means.rate)), expected.earth_rate

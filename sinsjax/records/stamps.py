@@ -111,7 +111,7 @@ def _sampling_from_steps(
     for k in np.flatnonzero((step_s < 0.5 / rate) | (step_s > 1.5 / rate)).tolist():
         if k < in_time:
             continue
-        in_time = _first_on_time(time_s, k, rate)
+        in_time = _find_first_stamp_on_time(time_s, k, rate)
         if in_time:
             continue
         if step_s[k] < 0.5 / rate or step_s[k] * rate > _MAX_MISSING_FACTOR * len(time_s):
@@ -158,7 +158,7 @@ def format_step(time_s: FloatArray, k: int) -> str:
     return f"from {float(time_s[k])!r} to {float(time_s[k + 1])!r} s"
 
 
-def _first_on_time(time_s: FloatArray, k: int, rate: float) -> int:
+def _find_first_stamp_on_time(time_s: FloatArray, k: int, rate: float) -> int:
     """Return the first stamp on time after the late ones following stamp k; 0 for a gap."""
     max_stamps = max(2, round(_MAX_CATCH_UP_S * rate))
     following = time_s[k + 1 : k + 1 + max_stamps]
@@ -235,10 +235,10 @@ def _moving_mean(values: FloatArray) -> FloatArray:
     return np.asarray((sums[last] - sums[first]) / (last - first))
 
 
-def _find_sample_jumps(ahead: FloatArray, scatter: float) -> NDArray[np.int64]:
+def _find_sample_jumps(offset_samples: FloatArray, scatter: float) -> NDArray[np.int64]:
     """Return the whole samples by which the mean changes before each stamp, (T,)."""
-    count = len(ahead)
-    sums, k = np.concatenate([[0.0], np.cumsum(ahead)]), np.arange(1, count)
+    count = len(offset_samples)
+    sums, k = np.concatenate([[0.0], np.cumsum(offset_samples)]), np.arange(1, count)
     first, last = np.maximum(k - _AVERAGED_STAMPS, 0), np.minimum(k + _AVERAGED_STAMPS, count)
     differences = (sums[last] - sums[k]) / (last - k) - (sums[k] - sums[first]) / (k - first)
     # Near the ends the means are over few stamps.

@@ -265,8 +265,12 @@ def _first_occurrences(before: Sequence[Any], after: Sequence[Any]) -> list[int]
     return [i for i, row in enumerate(after) if first.setdefault(row, i) == i]
 
 
-def _format_removed_count(kept: Sequence[int], rows: Sequence[Any], label: str) -> list[str]:
-    return [f"{len(rows) - len(kept)} of {len(rows)} {label}"] if len(kept) < len(rows) else []
+def _format_removed_count(kept_rows: Sequence[int], rows: Sequence[Any], label: str) -> list[str]:
+    return (
+        [f"{len(rows) - len(kept_rows)} of {len(rows)} {label}"]
+        if len(kept_rows) < len(rows)
+        else []
+    )
 
 
 def _to_hashable(value: Any) -> Any:
