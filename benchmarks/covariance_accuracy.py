@@ -27,7 +27,7 @@ from sinsjax.engine import build
 sys.path.insert(0, str(common.ROOT / "tests"))
 
 from oracles import tangents  # noqa: E402
-from support.bootstrap import intervals  # noqa: E402
+from support.bootstrap import bootstrap_intervals  # noqa: E402
 
 BAND = 10.0  # arcmin
 STARTS = ((0.0, 0.0, 0.0), (0.0, 0.0, 30.0), (5.0, 5.0, 30.0), (20.0, 20.0, 120.0))
@@ -104,7 +104,7 @@ def _reference(size: Size, seed: int) -> Row:
     told = np.radians(_heading_errors(study, times) / 60).reshape(size.reference_draws, -1)
     expected = sigma[:, at].T.ravel()
     ratio = told.std(axis=0, ddof=1) / expected
-    low, high = intervals(told, 0.05 / ratio.size, seed) / expected
+    low, high = bootstrap_intervals(told, 0.05 / ratio.size, seed) / expected
     misses = (high < SIGMA_BAR[0]) | (low > SIGMA_BAR[1])
     return {
         **{"name": "sigma of draws / reference", "compared": ratio.size},

@@ -24,7 +24,7 @@ import sinsjax
 
 sys.path.insert(0, str(common.ROOT / "tests"))
 
-from fuzzing.targets import Target, measured, signature, targets  # noqa: E402
+from fuzzing.targets import Target, error_signature, make_targets, measure_case  # noqa: E402
 
 ROUND = 250
 """Cases of a target, before the next one has its turn."""
@@ -85,9 +85,9 @@ def one_round(
             return
         counts[target.name] += 1
         try:
-            measured(target.check, case)
+            measure_case(target.check, case)
         except Exception as error:
-            if signature(error) in known:
+            if error_signature(error) in known:
                 return
             last[:] = error, case
             raise
@@ -101,7 +101,7 @@ def one_round(
             raise error
     if last[0] is None:
         return None
-    return Find(target.name, signature(last[0]), str(last[0]), last[1])
+    return Find(target.name, error_signature(last[0]), str(last[0]), last[1])
 
 
 def show(found: Find) -> None:
@@ -124,7 +124,7 @@ def main() -> None:
     warnings.simplefilter("error")  # as in the tests: an overflow is a find
     seed = flags.seed or time.time_ns() // 10**9
     with tempfile.TemporaryDirectory(prefix="sinsjax-fuzz-") as folder:
-        all_ = [t for t in targets(Path(folder)) if flags.target in (None, t.name)]
+        all_ = [t for t in make_targets(Path(folder)) if flags.target in (None, t.name)]
         if not all_:
             parser.error(f"--target: there is no {flags.target}")
         since = time.monotonic()

@@ -9,7 +9,7 @@ from sinsjax.bench.timing import Row
 from sinsjax.engine.batch import plan
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import tiles_of
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.platform.assets import asset
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
@@ -29,7 +29,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         study = many_variants(first)
         since = time.perf_counter()
         scenario = Scenario(study)
-        Tables(study)
+        TableBuilder(study)
         scenarios.append(time.perf_counter() - since)
         since = time.perf_counter()
         group = scenario.part(0, range(1), blank=True).group

@@ -57,7 +57,7 @@ def on_devices(count: int) -> Executor:
     """Some of this process's devices."""
 
     def do(runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
-        return calls_on(runner.pack, tasks, count)
+        return calls_on(runner.compute_files, tasks, count)
 
     return Executor(do, {"devices": count})
 

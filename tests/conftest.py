@@ -24,7 +24,7 @@ from sinsjax.platform import runtime  # noqa: E402
 
 compilation.share_cache(Path(__file__).parents[1])
 runtime.configure(devices=2)
-compilation.install()
+compilation.install_spared_options()
 jax.config.update("jax_legacy_prng_key", "error")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -51,14 +51,14 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(tryfirst=True)  # before tests are deselected by their markers
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Sort tests by level of optimisation, a change of which drops all programs; set the tiers."""
-    items.sort(key=compilation.least)
+    items.sort(key=compilation.has_least_optimisation)
     tiers.mark_slow_cases(items, whole_files=not any("::" in name for name in config.args))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Before any fixture, which may compile."""
-    compilation.suit(item)
+    compilation.set_optimisation_level(item)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -199,13 +199,13 @@ def tune(
     Example: sinsjax tune tune_condition5 -o out
     """
     from sinsjax.cli.progress import interruptible, progress
-    from sinsjax.execution.prepare import Options
+    from sinsjax.execution.prepare import RunOptions
     from sinsjax.study.changes import parse_changes
     from sinsjax.tuning import run_tuning
 
     check_options(overwrite=overwrite, resume=resume, devices=devices)
     configure(devices)
-    options = Options(
+    options = RunOptions(
         given, overwrite=overwrite, resume=resume, source=source_label(config, changes)
     )
     job = run_tuning.prepare_tuning(
@@ -253,7 +253,7 @@ def rerun(
     runtime.require_backend()
     out = None if given is None else results_path(given)
     terminal, files = plain_console(), (record, reference)
-    if not rerunning.rerun_into(directory, run_id, terminal, out=out, files=files):
+    if not rerunning.rerun_stored_run(directory, run_id, terminal, out=out, files=files):
         raise typer.Exit(1)
 
 

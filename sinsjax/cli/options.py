@@ -9,7 +9,7 @@ import typer
 def _found(given: Path) -> Path:
     from sinsjax.study import files
 
-    return files.find_study(given)
+    return files.find_study_file(given)
 
 
 def study_names(incomplete: str) -> list[str]:
@@ -17,7 +17,7 @@ def study_names(incomplete: str) -> list[str]:
     from sinsjax.study import files
 
     here = (path.name for path in Path().glob("*.toml"))
-    return [name for name in (*here, *files.studies()) if name.startswith(incomplete)]
+    return [name for name in (*here, *files.shipped_studies()) if name.startswith(incomplete)]
 
 
 def sections_and_keys(incomplete: str) -> list[str]:

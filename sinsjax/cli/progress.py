@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from sinsjax import console as screen
-from sinsjax.execution.run import RunProgress, Tell
+from sinsjax.execution.run import ProgressCallback, RunProgress
 
 _PLAIN_EVERY_S = 10.0
 _MEASURED_S = 1.0
@@ -24,7 +24,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # batch systems send the second
 
 
 @contextmanager
-def progress(console: Console, name: str) -> Iterator[Tell]:
+def progress(console: Console, name: str) -> Iterator[ProgressCallback]:
     """A progress bar on a terminal; otherwise a plain line every 10 % of a stage, or every 10 s.
 
     Both show what is completed, how many per second, the time left and the failures so far.
@@ -50,27 +50,27 @@ def progress(console: Console, name: str) -> Iterator[Tell]:
                 description=name if text else f"{name} (compiling)",
                 completed=now.done,
                 total=now.total,
-                counted=now.counted,
+                counted=now.unit,
                 pace=text,
             )
 
         yield tell
 
 
-def _plainly(console: Console, name: str, pace: "_Pace") -> Tell:
+def _plainly(console: Console, name: str, pace: "_Pace") -> ProgressCallback:
     shown, last = -1, time.monotonic()
 
     def tell(now: RunProgress) -> None:
         nonlocal shown, last
         text = pace.text(now)
         tenth, clock = now.done * 10 // now.total, time.monotonic()
-        began = now.done == now.before
-        due = now.before > 0 if began else tenth != shown or clock >= last + _PLAIN_EVERY_S
+        began = now.done == now.done_before
+        due = now.done_before > 0 if began else tenth != shown or clock >= last + _PLAIN_EVERY_S
         if not due:
             return
         shown, last = tenth, clock
         pace_text = " already there" if began else text
-        screen.say(console, f"{name}: {now.done:,} of {now.total:,} {now.counted}{pace_text}")
+        screen.say(console, f"{name}: {now.done:,} of {now.total:,} {now.unit}{pace_text}")
 
     return tell
 
@@ -83,7 +83,7 @@ class _Pace:
 
     def text(self, now: RunProgress) -> str:
         """The pace as text; empty before the first chunk."""
-        if now.done == now.before:
+        if now.done == now.done_before:
             return ""
         clock = time.monotonic()
         since, done = self._first = self._first or (clock, now.done)
@@ -91,7 +91,7 @@ class _Pace:
             return f", {now.failures:,} failed"
         rate = (now.done - done) / (clock - since)
         left = _clock((now.total - now.done) / rate)
-        return f", {rate:,.0f} {now.counted}/s, {left} left, {now.failures:,} failed"
+        return f", {rate:,.0f} {now.unit}/s, {left} left, {now.failures:,} failed"
 
 
 def _clock(seconds: float) -> str:

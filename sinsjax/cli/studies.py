@@ -18,7 +18,7 @@ from sinsjax.platform.files import replacing
 def _names(incomplete: str) -> list[str]:
     from sinsjax.study import files
 
-    known = {**files.templates(), **files.studies(), **files.GROUPS}
+    known = {**files.template_files(), **files.shipped_studies(), **files.GROUPS}
     return [name for name in known if name.startswith(incomplete)]
 
 
@@ -66,11 +66,11 @@ def init(
         raise InputError(f"--from: goes with `init record`, not with `init {name}`")
     path = out or Path(f"{(from_ or Path(name)).stem}.toml")
     if from_ is None:
-        text = files.text_of(name)
+        text = files.shipped_text(name)
     else:
-        from sinsjax.study.from_record import study_text
+        from sinsjax.study.from_record import make_study_text
 
-        text = study_text(from_, path)
+        text = make_study_text(from_, path)
     if os.path.lexists(path):
         raise InputError(f"{path}: exists, and is left as it is (give another with --out)")
     with replacing(path) as file:
@@ -86,16 +86,16 @@ def _listed(name: str | None, width: int) -> list[str]:
     """Return the names of templates, first studies and groups, or the purposes of some studies."""
     from sinsjax.study import files
 
-    groups, templates = files.groups(), files.templates()
+    groups, templates = files.studies_by_group(), files.template_files()
     if name is not None:
-        each = {one: {one: path} for one, path in (files.studies() | templates).items()}
+        each = {one: {one: path} for one, path in (files.shipped_studies() | templates).items()}
         known = groups | each
         if name not in known:
             raise InputError(f"{name}: no study or group of this name{near(name, known)}")
-        return _table({one: files.purpose(path) for one, path in known[name].items()}, width)
+        return _table({one: files.read_purpose(path) for one, path in known[name].items()}, width)
     first = groups.pop("first")
     begin = {
-        title: {each: files.purpose(path) for each, path in some.items()}
+        title: {each: files.read_purpose(path) for each, path in some.items()}
         for title, some in (("Templates", templates), (files.GROUPS["first"].capitalize(), first))
     }
     column = max(len(each) for some in begin.values() for each in some)
@@ -153,11 +153,11 @@ def keys(
     from sinsjax.study import key_table
 
     console = plain_console()
-    for line in key_table.about_method(wanted):
+    for line in key_table.describe_method(wanted):
         say(console, line, wrap=True)
     for key in key_table.find_keys(wanted):
         default = key.default if key.default in ("", "required") else f"default {key.default}"
-        about = filter(None, (key.unit, default, f"methods: {key.read_by}"))
+        about = filter(None, (key.unit, default, f"methods: {key.readers_text}"))
         say(console, f"[{key.section}] {key.name}: {'; '.join(about)}")
         if key.meaning:
             say(console, f"    {key.meaning}", wrap=True)

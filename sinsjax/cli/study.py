@@ -48,24 +48,24 @@ def run_study(
     """
     from sinsjax.cli.progress import interruptible, progress
     from sinsjax.execution import forecast
-    from sinsjax.execution.prepare import Options, prepare
-    from sinsjax.execution.run import MOST_CURVES, run_job
+    from sinsjax.execution.prepare import RunOptions, prepare_job
+    from sinsjax.execution.run import MAX_CURVE_RUNS, run_job
     from sinsjax.study.changes import parse_changes
 
     check_options(overwrite=overwrite, resume=resume, devices=devices, workers=cluster[0])
     configure(devices)
-    options = Options(
+    options = RunOptions(
         directory,
-        most_curves=MOST_CURVES if every_curve else None,
+        max_curve_runs=MAX_CURVE_RUNS if every_curve else None,
         chunk_runs=chunk_runs,
         overwrite=overwrite,
         resume=resume,
         source=source_label(config, changes),
     )
-    job = prepare(config, parse_changes(changes or ()), *files, options)
+    job = prepare_job(config, parse_changes(changes or ()), *files, options)
     assert job.directory is not None and job.forecast is not None
     terminal = plain_console()
-    done = forecast.runs_done(job.directory) if resume else 0
+    done = forecast.count_stored_runs(job.directory) if resume else 0
     with ExitStack() as stack:
         if cluster[1] is None:
             cores = devices or cluster[0] or runtime.usable_cores()
@@ -76,7 +76,7 @@ def run_study(
             print_job(terminal, job, job.forecast.describe(threads, done, threads=True))
         stop = stack.enter_context(interruptible(terminal))
         tell = stack.enter_context(progress(terminal, job.study.name))
-        run_job(job, executor=executor, tell=tell, stop=stop)
+        run_job(job, executor=executor, on_progress=tell, stop=stop)
     import_module("sinsjax.report").summarise([job.directory], terminal, full=full, warned=True)
 
 
@@ -102,7 +102,7 @@ def source_label(config: Path, changes: list[str] | None) -> Path | str:
 def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     """Return what a study would run, without running it: runs, steps, time, memory and disk."""
     from sinsjax.execution import checks
-    from sinsjax.execution.prepare import Options, prepare
+    from sinsjax.execution.prepare import RunOptions, prepare_job
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.files import source_name
     from sinsjax.study.load import load_with_notes
@@ -120,15 +120,15 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     if study.is_recorded:
         return [*lines, "The record determines the rate, and so how long this takes."]
     if study.tune:
-        job = prepare_tuning(config, overrides, None, None, Options())
+        job = prepare_tuning(config, overrides, None, None, RunOptions())
     else:
-        job = prepare(config, overrides, options=Options())
+        job = prepare_job(config, overrides, options=RunOptions())
     expected = job.forecast
     assert expected is not None
     steps = expected.length_s * study.rate_hz
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
     lines.append(f"Up to {steps:,.0f} steps a run, {steps * expected.runs:,.0f} in all.")
-    compared = (checks.process_noise(study), checks.feedback(study))
+    compared = (checks.describe_process_noise(study), checks.describe_feedback_interval(study))
     lines += [f"{line}." for line in compared if line]
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 

@@ -17,7 +17,7 @@ from sinsjax.study import sampling
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.schema import MotionSection
 from sinsjax.study.study import Study
-from sinsjax.study.success import success_of
+from sinsjax.study.success import success_criteria
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 
 LEAST_PERIODS = 10
@@ -118,7 +118,7 @@ def require_floor(study: Study) -> None:
     Raises:
         InputError: names the method.
     """
-    if success_of(study).from_truth:
+    if success_criteria(study).from_truth:
         return
     draws = np.arange(min(study.n_draws, 1 + _LOOKED_AT // study.n_variants))
     variants = np.tile(np.arange(study.n_variants), len(draws))
@@ -178,7 +178,7 @@ class _RunKeys:
         self.variant_ids = variant_ids
         self._study = study
         first, last = (int(f(draw_ids, initial=0)) for f in (np.min, np.max))
-        self._drawn = sampling.values(study, last + 1 - first, first=first)
+        self._drawn = sampling.drawn_values(study, last + 1 - first, first=first)
         self._draws = draw_ids - first
 
     def raw(self, key: str) -> np.ndarray:
@@ -212,7 +212,7 @@ def hidden_north(study: Study) -> HiddenNorth | None:
     if study.is_recorded:
         return None
     keys = ("gyro_bias_deg_per_h", *MotionSection.model_fields, *_EARTH)
-    drawn = sampling.values(study, min(study.n_draws, _LOOKED_AT))
+    drawn = sampling.drawn_values(study, min(study.n_draws, _LOOKED_AT))
     drawn = {key: values for key, values in drawn.items() if key in keys}
     draws = min(study.n_draws, _LOOKED_AT)
     swept = [key for key in study.axis_keys if key in keys]

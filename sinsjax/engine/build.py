@@ -45,10 +45,10 @@ from sinsjax.records import Record
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.load import load_study
-from sinsjax.study.resolved import Coded
+from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import SEQUENTIAL_KEYS, Span, Study
-from sinsjax.study.success import bands
+from sinsjax.study.success import settling_bands
 from sinsjax.study.variants import Variants
 from sinsjax.types import Array, Increments, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG
@@ -250,7 +250,7 @@ def _criteria(study: Study, variants: Variants) -> Criteria:
         coarse = (variants.common(key) for key in COARSE_KEYS)
         before = study.samples_before(study.rate_hz, *coarse)
     return Criteria(
-        bands=np.asarray(bands(study)) * ARCMIN,
+        bands=np.asarray(settling_bands(study)) * ARCMIN,
         window_start=np.float64(settings.window_s[0]),
         window_end=np.float64(settings.window_s[1]),
         consistency_after=np.float64(settings.consistency_after_s),
@@ -264,9 +264,9 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
     simulated = not study.is_recorded
     span, kept = _span(study, variants), 0
     reverses = study.passes is not None and not span.rewinds
-    if simulated and reverses and variants.takes(*SEQUENTIAL_KEYS):
+    if simulated and reverses and variants.is_active(*SEQUENTIAL_KEYS):
         # Of one length for all parts, so that they share a program.
-        kept = max(span.read for span in study.distinct_spans) * study.record_every
+        kept = max(span.records_read for span in study.distinct_spans) * study.record_every
     return Static(
         variants.common("method"),
         Options(
@@ -280,9 +280,9 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
         span.records,
         curves,
         sensors=SensorProgram(
-            noisy=simulated and variants.takes(*NOISE_KEYS),
-            distorted=simulated and variants.takes(*DISTORTION_KEYS),
-            sways=simulated and variants.takes(*AMPLITUDE_KEYS),
+            noisy=simulated and variants.is_active(*NOISE_KEYS),
+            distorted=simulated and variants.is_active(*DISTORTION_KEYS),
+            sways=simulated and variants.is_active(*AMPLITUDE_KEYS),
             kept=kept,
         ),
         passes="rewind" if span.rewinds else "alternate" if study.passes is not None else "once",
@@ -320,7 +320,7 @@ def _run_params(study: Study, variants: Variants, site: Site, ug: float) -> RunP
     )
 
 
-def _rotation_vectors(starts: Coded) -> Vec3:
+def _rotation_vectors(starts: CodedColumn) -> Vec3:
     """Return rotation vectors of initial misalignments given in degrees, leaves (variants,)."""
     angles = np.asarray([values[1:] for values in starts.choices], dtype=float).T * DEG
     euler = np.asarray([values[0] == "euler" for values in starts.choices])

@@ -69,7 +69,7 @@ def read_motion(common: Lookup) -> base_motion.Motion:
 
 def add_lever_arm(motion: base_motion.Motion, variants: Variants) -> base_motion.Motion:
     """Return the motion of the base with the lever arm of the sensors, if that has an effect."""
-    if not (variants.takes(*AMPLITUDE_KEYS) and variants.takes("lever_arm_m")):
+    if not (variants.is_active(*AMPLITUDE_KEYS) and variants.is_active("lever_arm_m")):
         return motion
     x, y, z = np.moveaxis(_read_vector(variants.common, "lever_arm_m"), -1, 0)
     return motion._replace(lever=Vec3(x, y, z))
@@ -107,7 +107,7 @@ def read_errors(common: Lookup, ug: float, rate_hz: float) -> sensors.SensorErro
 
 def add_quantisation(errors: sensors.SensorErrors, variants: Variants) -> sensors.SensorErrors:
     """Return the sensor errors with quantisation, if any sensor has it."""
-    if not variants.takes("gyro_quantisation_arcsec", "accel_quantisation_um_per_s"):
+    if not variants.is_active("gyro_quantisation_arcsec", "accel_quantisation_um_per_s"):
         return errors
     common = variants.common
     return errors._replace(
@@ -124,7 +124,7 @@ def read_disturbances(variants: Variants, ug: float, rate_hz: float) -> Disturba
     def optional_process(
         key: str, make: Callable[..., Process], factor: float, *others: Any
     ) -> Any:
-        return make(vector(key, factor), *others, dt) if variants.takes(key) else None
+        return make(vector(key, factor), *others, dt) if variants.is_active(key) else None
 
     surge_s, vibration = number("surge_time_s"), number("vibration_hz")
     if variants.common("surge_model") == "gauss_markov":

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sinsjax.engine.metrics import Outcome
 from sinsjax.study.study import Study
-from sinsjax.study.success import bands, success_of
+from sinsjax.study.success import settling_bands, success_criteria
 from sinsjax.units import ARCMIN, DEG
 
 FLOOR, TRUTH = 0, 1
@@ -37,8 +37,8 @@ class SuccessEvaluator:
 
     def __init__(self, study: Study, *, has_truth: bool) -> None:
         """Read the criteria of a study; without a truth only non-finite runs are known."""
-        self._success = success_of(study)
-        self._band = bands(study).index(self._success.band_arcmin)
+        self._success = success_criteria(study)
+        self._band = settling_bands(study).index(self._success.band_arcmin)
         self._has_truth = has_truth
 
     def __call__(self, outcome: Outcome, has_floor: NDArray, end_s: NDArray) -> RunSuccess:

@@ -117,7 +117,7 @@ def simulate_environment(
         increments, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     else:
         # Of one length for all parts, so that they share a program.
-        samples = max(s.read for s in study.distinct_spans) * study.record_every
+        samples = max(s.records_read for s in study.distinct_spans) * study.record_every
         kept = samples if samples <= MOST_STORED_SAMPLES else 0
         surges = disturbances.surge is not None
         if blank:
@@ -166,7 +166,7 @@ def _drawn_fields(
     nominal: tuple[sensors.SensorErrors, base_motion.Motion, Disturbances],
 ) -> dict[str, Any]:
     """Return the drawn numbers of a simulated study as fields of `Draw`."""
-    values = sampling.values(study, len(draws), first=draws.start)
+    values = sampling.drawn_values(study, len(draws), first=draws.start)
     variants = Variants(study, ids, values)
     drawn = _base_and_sensors(variants, ug)
     errors, motion, disturbances = jax.tree.map(
@@ -267,9 +267,9 @@ def record_environment(
     method, *rest = (variants.common(key) for key in COARSE_KEYS)
     coarse_n, starts = study.samples_before(rate, method, *rest), start_samples(study, rate)
     for start in starts / rate:
-        require_span(record, start, (coarse_n + span.read * study.record_every) / rate)
+        require_span(record, start, (coarse_n + span.records_read * study.record_every) / rate)
     # Only the part of the record that is read.
-    first, end = starts.min(), starts.max() + coarse_n + span.read * study.record_every
+    first, end = starts.min(), starts.max() + coarse_n + span.records_read * study.record_every
     increments = aligned_record(int(end - first))
     np.concatenate([a[first:end] for a in (record.dtheta, record.dv)], axis=1, out=increments)
     q = np.tile([1.0, 0.0, 0.0, 0.0], (len(starts), 1))
@@ -291,7 +291,7 @@ def record_environment(
         pass_records=np.asarray(span.pass_records),
     )
     n = len(starts)
-    initial = _initial_errors(sampling.values(study, n))
+    initial = _initial_errors(sampling.drawn_values(study, n))
     draws = Draw(np.arange(n), fine - first, np.arange(n), initial=initial)
     return environment, draws, np.asarray(q)
 

@@ -1,4 +1,4 @@
-"""Warnings about a study before it runs: its record, or its sample rate."""
+"""Warnings about a study before it runs, from its record or its sample rate."""
 
 from collections.abc import Iterator
 
@@ -15,23 +15,23 @@ from sinsjax.methods.filters.parameters import level_settling_s
 from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
 from sinsjax.records import Layout, Record, require_span
-from sinsjax.records.oddities import told
-from sinsjax.records.plausible import StationaryValues, findings
+from sinsjax.records.anomalies import report_anomalies
+from sinsjax.records.plausibility import StationaryValues, check_stationary
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
-from sinsjax.study.process_noise import assumed_noise
+from sinsjax.study.process_noise import noise_ratios_by_sensor
 from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
 
-_BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
-_TRUST = "[record] trust = true aligns it anyway"
-_DRAWS = 1024  # draws in which a drawn period is checked
+_EXPECTED_BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
+_TRUST_HINT = "[record] trust = true aligns it anyway"
+_CHECKED_DRAWS = 1024  # draws in which a drawn period is checked
 
 
 def study_warnings(study: Study, stored: StoredRecord | None = None) -> list[str]:
-    """Warnings for the user before a study runs, one line each.
+    """Return warnings for the user before a study runs, one line each.
 
     Args:
         study: checked study, at the rate of its record.
@@ -42,10 +42,10 @@ def study_warnings(study: Study, stored: StoredRecord | None = None) -> list[str
             cover the span that the study reads.
     """
     if stored is None:
-        hidden = hidden_north(study)
-        told = [*_fast_sways(study), *_rough_surges(study)]
-        return [*told, *([str(hidden)] if hidden else [])]
-    return list(_of_record(study, stored))
+        hidden_north_warning = hidden_north(study)
+        lines = [*_sway_warnings(study), *_surge_warnings(study)]
+        return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
+    return list(_record_warnings(study, stored))
 
 
 def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
@@ -66,88 +66,89 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
         if static.method not in plugins:
             continue
         group = scenario.part(number, range(1), blank=stored is None).group
-        params = jax.tree.map(lambda leaf: np.asarray(leaf)[0], group.variants.method)
         check_plugin(
             REGISTRY.label(static.method),
             METHODS[static.method],
             build_method(static),
-            params,
+            jax.tree.map(lambda leaf: np.asarray(leaf)[0], group.variants.method),
             group.environment.site,
             repeats=static.passes != "once",
             rewinds=static.passes == "rewind",
         )
 
 
-def process_noise(study: Study) -> str | None:
+def describe_process_noise(study: Study) -> str | None:
     """Compare Q with the white noise of the sensors, as standard deviations, in one sentence.
 
-    The largest axis counts. None without a filter, and without white noise that all draws have.
+    The largest axis counts. None without a filter, or if not all draws have white noise.
 
     Args:
         study: checked study with simulated sensors.
     """
-    times = assumed_noise(study)
-    words = {name: _number_of_times(ratios) for name, ratios in times.items() if ratios}
-    if not words:
+    ratios_by_sensor = noise_ratios_by_sensor(study)
+    phrases = {name: _format_ratios(ratios) for name, ratios in ratios_by_sensor.items() if ratios}
+    if not phrases:
         return None
-    if len(words) == len(times) and len({*words.values()}) == 1:
-        often = words.popitem()[1]
-        return f"The filter assumes {often}the sensors'{'' if often else ' own'} noise" + (
-            ", in standard deviation" if often else ""
+    if len(phrases) == len(ratios_by_sensor) and len({*phrases.values()}) == 1:
+        phrase = phrases.popitem()[1]
+        return f"The filter assumes {phrase}the sensors'{'' if phrase else ' own'} noise" + (
+            ", in standard deviation" if phrase else ""
         )
-    parts = (f"{often}the noise of the {name}" for name, often in words.items())
+    parts = (f"{phrase}the noise of the {name}" for name, phrase in phrases.items())
     return f"The filter assumes {' and '.join(parts)}, in standard deviation"
 
 
-def _number_of_times(ratios: set[float]) -> str:
-    """``100 times``, ``5 to 20 times``, or nothing for once, before a noun."""
-    text = _span({float(f"{ratio:.2g}") for ratio in ratios})
+def _format_ratios(ratios: set[float]) -> str:
+    """Return ``100 times``, ``5 to 20 times``, or nothing for once, to precede a noun."""
+    text = _format_range({float(f"{ratio:.2g}") for ratio in ratios})
     return "" if text == "1" else f"{text} times "
 
 
-def _span(numbers: set[float]) -> str:
+def _format_range(numbers: set[float]) -> str:
     return " to ".join(f"{number:,g}" for number in sorted({min(numbers), max(numbers)}))
 
 
-def feedback(study: Study) -> str | None:
+def describe_feedback_interval(study: Study) -> str | None:
     """Compare the time between feedbacks with the settling time of the filter's level.
 
-    None without a filter whose measured velocity tells level alone.
+    None without a filter whose measured velocity observes the level angles alone.
 
     Args:
         study: checked study whose rate is known.
     """
     if not study.has("filter"):
         return None
-    every: set[float] = set()
-    settling: set[float] = set()
-    of_level = ("p0_velocity_m_per_s", "p0_level_deg", "r_velocity_m_per_s")
-    of_r = ("r_reading", "r_scale")
-    for point in study.combinations("method", "feedback_interval_s", *of_level, *of_r):
+    intervals_s: set[float] = set()
+    settling_s: set[float] = set()
+    level_keys = ("p0_velocity_m_per_s", "p0_level_deg", "r_velocity_m_per_s")
+    noise_keys = ("r_reading", "r_scale")
+    for point in study.combinations("method", "feedback_interval_s", *level_keys, *noise_keys):
         method = METHODS[point["method"]]
         if "filter" not in method.sections or "surge" in method.sections:
             continue
-        every.add(point["feedback_interval_s"])
-        time_s = level_settling_s(study.rate_hz, *(point[key] for key in (*of_level, *of_r)))
-        settling.add(float(f"{time_s:.2g}"))
-    if not every:
+        intervals_s.add(point["feedback_interval_s"])
+        time_s = level_settling_s(
+            study.rate_hz, *(point[key] for key in (*level_keys, *noise_keys))
+        )
+        settling_s.add(float(f"{time_s:.2g}"))
+    if not intervals_s:
         return None
     return (
-        f"The filter feeds back every {_span(every)} s; its level settles in {_span(settling)} s"
-        " (to a tenth of its initial standard deviation)"
+        f"The filter feeds back every {_format_range(intervals_s)} s; its level settles in"
+        f" {_format_range(settling_s)} s (to a tenth of its initial standard deviation)"
     )
 
 
-def layout_of(study: Study) -> Layout:
-    """Layout of a study's record."""
+def record_layout(study: Study) -> Layout:
+    """Return the layout of a study's record."""
     assert study.record is not None
     return study.record.layout(study.study.rate_hz)
 
 
-def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
+def _record_warnings(study: Study, stored: StoredRecord) -> Iterator[str]:
     section, record = study.record, stored.record
     assert section is not None
-    layout = record.layout or layout_of(study)
+    layout = record.layout or record_layout(study)
     if record.filled:
         key = "max_gap_s" if record.layout else "[record] max_gap_s"
         yield (
@@ -157,7 +158,7 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
     site, _ = read_site(study, Variants(study, np.zeros(1, int)), stored)
     bias = {
         key: default if getattr(section, key) is None else getattr(section, key)
-        for key, default in _BIASES.items()
+        for key, default in _EXPECTED_BIASES.items()
     }
     expected = StationaryValues(
         earth_rate=float(site.earth.rate),
@@ -166,33 +167,39 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
         gyro_bias=bias["gyro_bias_deg_per_h"] * DEG_PER_H,
         accel_bias=bias["accel_bias_ug"] * micro_g(),
     )
-    used = _used(study, record)
-    for odd in told(record.oddities, used):
-        if odd.hard and not section.trust:
-            raise InputError(f"{record.source}: {odd.text} ({_TRUST})")
-        yield f"{record.source}: {odd.text}"
-    dead = [odd.text for odd in record.oddities if (odd.begin, odd.end) == (0, len(record.dv))]
+    used = _used_spans(study, record)
+    for anomaly in report_anomalies(record.anomalies, used):
+        if anomaly.is_certain and not section.trust:
+            raise InputError(f"{record.source}: {anomaly.text} ({_TRUST_HINT})")
+        yield f"{record.source}: {anomaly.text}"
+    constant_channels = [
+        anomaly.text
+        for anomaly in record.anomalies
+        if (anomaly.begin, anomaly.end) == (0, len(record.dv))
+    ]
     for begin, end in used:
         begin_s, end_s = (seconds(sample / record.rate_hz) for sample in (begin, end))
         where = f"{record.source}: {begin_s} to {end_s} s"
-        for finding in findings(record, (begin, end), layout, expected):
-            if finding.hard and not section.trust:
-                # A channel that never changes may be the cause, and only the refusal is seen.
-                text = "; ".join([finding.text, *dead])
-                raise InputError(f"{where}: {text} ({_TRUST})")
+        for finding in check_stationary(record, (begin, end), layout, expected):
+            if finding.is_certain and not section.trust:
+                # A constant channel may be the cause, and only this error is shown.
+                text = "; ".join([finding.text, *constant_channels])
+                raise InputError(f"{where}: {text} ({_TRUST_HINT})")
             yield f"{where}: {finding.text}"
 
 
-def _used(study: Study, record: Record) -> list[tuple[int, int]]:
-    """Spans of samples that a study reads, merged where they overlap; none are missing."""
+def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
+    """Return the spans of samples that a study reads, overlapping ones merged."""
     starts = start_samples(study, record.rate_hz)
-    before = [
+    samples_before = [
         study.samples_before(record.rate_hz, **point) for point in study.combinations(*COARSE_KEYS)
     ]
-    fine = max(span.read for span in study.distinct_spans) * study.record_every
-    needed, coarse = max(before) + fine, ""
-    if max(before):
-        lengths = [f"{seconds(count / record.rate_hz)} s" for count in (max(before), fine)]
+    fine_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
+    needed, coarse = max(samples_before) + fine_samples, ""
+    if max(samples_before):
+        lengths = [
+            f"{seconds(count / record.rate_hz)} s" for count in (max(samples_before), fine_samples)
+        ]
         coarse = f" ({lengths[0]} of coarse alignment + {lengths[1]})"
     merged: list[tuple[int, int]] = []
     for start in sorted(starts.tolist()):
@@ -211,8 +218,8 @@ def _used(study: Study, record: Record) -> list[tuple[int, int]]:
     return merged
 
 
-def _rough_surges(study: Study) -> Iterator[str]:
-    """The acceleration of first-order surges, which the sample rate decides."""
+def _surge_warnings(study: Study) -> Iterator[str]:
+    """Warn that the acceleration of first-order surges depends on the sample rate."""
     keys = ("surge_model", "surge_m_per_s", "surge_time_s")
     worst = 0.0
     for model, surge, time in (tuple(p[key] for key in keys) for p in study.combinations(*keys)):
@@ -226,15 +233,17 @@ def _rough_surges(study: Study) -> Iterator[str]:
         )
 
 
-def _fast_sways(study: Study) -> Iterator[str]:
-    """Warnings about sways above the Nyquist frequency."""
+def _sway_warnings(study: Study) -> Iterator[str]:
+    """Warn about sways above the Nyquist frequency."""
     half = study.rate_hz / 2
     for angle in ("pitch", "roll", "yaw"):
         amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"
         points = list(study.combinations(amplitude, period))
         periods = [p[period] for p in points if p[amplitude] or amplitude in study.drawn_keys]
         if periods and period in study.drawn_keys:
-            periods = sampling.values(study, min(study.n_draws, _DRAWS))[period].tolist()
+            periods = sampling.drawn_values(study, min(study.n_draws, _CHECKED_DRAWS))[
+                period
+            ].tolist()
         if periods and 1 / min(periods) > half:
             yield (
                 f"[motion] {period}: a sway of {1 / min(periods):.4g} Hz is above half of rate_hz ="

@@ -30,16 +30,16 @@ from sinsjax.messages import first_line
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import affinity, runtime, xla
 
-CONNECT_S = 10.0
+CONNECT_TIMEOUT_S = 10.0
 """Time allowed for a scheduler to answer, and for workers to appear before a warning, s."""
 
-PATIENCE_S = 600.0
+WORKER_TIMEOUT_S = 600.0
 """Time to wait for a worker if there is none, s."""
 
-AHEAD = 2
+TASKS_PER_THREAD = 2
 """Tasks submitted per worker thread, so that no thread waits for its next one."""
 
-_LOOK_S = 2.0
+_POLL_S = 2.0
 _RETRIES = 2
 _INSTRUCTIONS = "instruction set"
 
@@ -68,14 +68,14 @@ def executor(*, workers: int | None = None, scheduler: str | None = None) -> Ite
         text = '--workers and --scheduler need Dask: pip install "sinsjax[cluster]"'
         raise InputError(text) from None
     with ExitStack() as stack:
-        stack.enter_context(_log_silenced())
+        stack.enter_context(_silence_log())
         if scheduler is None:
             client = stack.enter_context(_start_workers(workers or runtime.usable_cores()))
         else:
             client = stack.enter_context(_connect(scheduler))
         pool = _Workers(client, scheduler or "--workers")
-        stack.callback(pool.forget_job)
-        threads = pool.wait()
+        stack.callback(pool.delete_job)
+        threads = pool.wait_for_workers()
         facts = {
             "workers": len(threads),
             "threads": sum(threads.values()),
@@ -86,7 +86,7 @@ def executor(*, workers: int | None = None, scheduler: str | None = None) -> Ite
 
 
 @contextmanager
-def _log_silenced() -> Iterator[None]:
+def _silence_log() -> Iterator[None]:
     """Silence Dask's log unless the user configures it; one line reports each expected event."""
     import dask
     from distributed.utils import silence_logging_cmgr
@@ -111,13 +111,15 @@ def _connect(address: str) -> Any:
         try:
             scheme, location = addressing.parse_address(address)
             if scheme in ("tcp", "tls"):  # fails at once, and names the cause as Dask does not
-                socket.create_connection(addressing.parse_host_port(location), CONNECT_S).close()
-            answers.put(Client(address, timeout=CONNECT_S, set_as_default=False))
+                socket.create_connection(
+                    addressing.parse_host_port(location), CONNECT_TIMEOUT_S
+                ).close()
+            answers.put(Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False))
         except OSError as error:
             answers.put(error.strerror or first_line(error))
         except ValueError as error:
             answers.put(first_line(error))
-        except Exception:  # depends on the service
+        except Exception:  # which one depends on the service
             answers.put("another service does")
 
     with warnings.catch_warnings():
@@ -125,32 +127,32 @@ def _connect(address: str) -> Any:
         # In a thread, since a client waits forever for a service that is silent or speaks HTTP.
         threading.Thread(target=connect, daemon=True).start()
         try:
-            answer = answers.get(timeout=CONNECT_S)
+            answer = answers.get(timeout=CONNECT_TIMEOUT_S)
         except queue.Empty:
-            answer = f"no answer in {CONNECT_S:g} s"
+            answer = f"no answer in {CONNECT_TIMEOUT_S:g} s"
     if isinstance(answer, str):
         raise InputError(f"{address}: no Dask scheduler answers there ({answer})")
     return answer
 
 
 @contextmanager
-def _start_workers(number: int) -> Iterator[Any]:
+def _start_workers(count: int) -> Iterator[Any]:
     """Yield a client of a scheduler in this process, with child processes as workers."""
     import dask
     from distributed import Client, LocalCluster
 
     cores = runtime.usable_cores()
-    if number > cores:
-        raise InputError(f"workers: {number} exceeds the {cores} available cores")
+    if count > cores:
+        raise InputError(f"workers: {count} exceeds the {cores} available cores")
     with ExitStack() as stack:
         changes = {
             "distributed.worker.multiprocessing-method": "spawn",  # JAX does not survive a fork
-            "distributed.comm.timeouts.connect": f"{CONNECT_S:g}s",  # to a dead worker, for results
+            "distributed.comm.timeouts.connect": f"{CONNECT_TIMEOUT_S:g}s",  # to a dead worker
         }
         stack.enter_context(dask.config.set(changes))
-        with _signals_blocked():
+        with _block_signals():
             local = LocalCluster(
-                n_workers=number,
+                n_workers=count,
                 threads_per_worker=1,
                 memory_limit=0,
                 dashboard_address=None,
@@ -164,7 +166,7 @@ def _start_workers(number: int) -> Iterator[Any]:
 
 
 @contextmanager
-def _signals_blocked() -> Iterator[None]:
+def _block_signals() -> Iterator[None]:
     """Block Ctrl-C and SIGTERM in threads started here, and in the processes they start.
 
     A terminal sends Ctrl-C, and a batch system SIGTERM, to all processes; only the main process
@@ -183,7 +185,7 @@ def _signals_blocked() -> Iterator[None]:
 
 
 class _Workers:
-    """The workers of a scheduler, as seen from the main process.
+    """Client of a scheduler's workers, in the main process.
 
     Attributes:
         instructions: the instruction set of all workers; empty before `wait`.
@@ -192,28 +194,30 @@ class _Workers:
     def __init__(self, client: Any, name: str) -> None:
         self.instructions = ""
         self._client, self._name = client, name
-        self._threads: dict[str, int] = {}  # of each worker at the last search
-        self._seen_s = time.monotonic()  # when there was a worker
+        self._threads: dict[str, int] = {}  # per worker, when last counted
+        self._last_worker_s = time.monotonic()  # last time with a worker
         self._warned = False
-        self._job: Any = None  # variable with the job of this runner
+        self._job: Any = None  # Dask variable with the job of this runner
         self._runner: TaskRunner | None = None
 
-    def wait(self) -> dict[str, int]:
-        """Wait for workers, check them, and return the number of threads of each."""
+    def wait_for_workers(self) -> dict[str, int]:
+        """Wait for workers, check them, and return the number of threads per worker."""
         while not self.instructions:
-            if not self.find():
-                time.sleep(_LOOK_S / 10)
+            if not self.count_threads():
+                time.sleep(_POLL_S / 10)
                 continue
-            # Dask's own question first: workers may have another sinsjax, or none.
-            found = self._ask(self._client.get_versions, packages=list(runtime.DECISIVE))
-            ours = {name: found["client"]["packages"][name] for name in runtime.DECISIVE}
-            for worker, theirs in found["workers"].items():
-                _require_same(worker, theirs["packages"], ours)
-            sets = self._ask(self._client.run, xla.instructions, on_error="ignore")
-            for worker, instructions in sorted(sets.items()):
+            # Through Dask first: workers may have another sinsjax, or none.
+            versions = self._call_dask(self._client.get_versions, packages=list(runtime.DECISIVE))
+            required = {name: versions["client"]["packages"][name] for name in runtime.DECISIVE}
+            for worker, installed in versions["workers"].items():
+                _check_same_versions(worker, installed["packages"], required)
+            instruction_sets = self._call_dask(
+                self._client.run, xla.instructions, on_error="ignore"
+            )
+            for worker, instructions in sorted(instruction_sets.items()):
                 self.instructions = self.instructions or instructions
-                theirs = {_INSTRUCTIONS: instructions}
-                _require_same(worker, theirs, {_INSTRUCTIONS: self.instructions})
+                installed = {_INSTRUCTIONS: instructions}
+                _check_same_versions(worker, installed, {_INSTRUCTIONS: self.instructions})
         return self._threads
 
     def run_tasks(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
@@ -223,51 +227,53 @@ class _Workers:
         versions = runtime.versions()
         required = {name: versions[name] for name in runtime.DECISIVE}
         required |= packages_of(runner.job.study.methods) | {_INSTRUCTIONS: self.instructions}
-        run = partial(run_task, self._share_job(runner), required)
-        left, pending = iter(tasks), dict[Any, Task]()
-        self._seen_s = time.monotonic()
+        run = partial(run_task_on_worker, self._share_job(runner), required)
+        remaining, pending = iter(tasks), dict[Any, Task]()
+        self._last_worker_s = time.monotonic()
         try:
             while True:
-                room = AHEAD * max(1, sum(self.find().values())) - len(pending)
-                if batch := list(islice(left, max(0, room))):
-                    futures = self._ask(self._client.map, run, batch, pure=False, retries=_RETRIES)
+                room = TASKS_PER_THREAD * max(1, sum(self.count_threads().values())) - len(pending)
+                if batch := list(islice(remaining, max(0, room))):
+                    futures = self._call_dask(
+                        self._client.map, run, batch, pure=False, retries=_RETRIES
+                    )
                     pending |= zip(futures, batch, strict=True)
                 if not pending:
                     return
                 try:
                     with self._client.as_current():
-                        finished = wait(list(pending), _LOOK_S, "FIRST_COMPLETED").done
+                        finished = wait(list(pending), _POLL_S, "FIRST_COMPLETED").done
                 except TimeoutError:
                     continue
                 except CancelledError as error:  # as the client does if the connection is lost
-                    raise self._lost() from error
+                    raise self._lost_scheduler_error() from error
                 for future in finished:
-                    encoded = self._result(pending.pop(future), future)
+                    encoded = self._task_result(pending.pop(future), future)
                     future.release()  # or Dask computes it again if its worker is lost
                     yield encoded
         finally:
             if pending and self._client.status == "running":
                 self._client.cancel(list(pending))
 
-    def find(self) -> dict[str, int]:
-        """Return the number of threads of each worker; warn about lost and missing workers."""
-        before, self._threads = self._threads, dict(self._ask(self._client.nthreads))
+    def count_threads(self) -> dict[str, int]:
+        """Return the number of threads per worker; warn about lost and missing workers."""
+        before, self._threads = self._threads, dict(self._call_dask(self._client.nthreads))
         if lost := sorted(before.keys() - self._threads):
-            which = f"{lost[0]} and {len(lost) - 1} more" if len(lost) > 1 else lost[0]
-            warn(f"{which}: worker lost, its tasks run again ({len(self._threads)} left)")
+            names = f"{lost[0]} and {len(lost) - 1} more" if len(lost) > 1 else lost[0]
+            warn(f"{names}: worker lost, its tasks run again ({len(self._threads)} left)")
         if self._threads:
-            self._seen_s, self._warned = time.monotonic(), False
+            self._last_worker_s, self._warned = time.monotonic(), False
             return self._threads
-        waited_s = time.monotonic() - self._seen_s
-        if waited_s > PATIENCE_S:
-            raise InputError(f"{self._name}: no worker for {PATIENCE_S / 60:g} min")
-        if waited_s > CONNECT_S and not self._warned:
+        waited_s = time.monotonic() - self._last_worker_s
+        if waited_s > WORKER_TIMEOUT_S:
+            raise InputError(f"{self._name}: no worker for {WORKER_TIMEOUT_S / 60:g} min")
+        if waited_s > CONNECT_TIMEOUT_S and not self._warned:
             self._warned = True
-            how = f"; start one: dask worker {self._name}" if "://" in self._name else ""
-            warn(f"{self._name}: no workers (waiting up to {PATIENCE_S / 60:g} min{how})")
+            hint = f"; start one: dask worker {self._name}" if "://" in self._name else ""
+            warn(f"{self._name}: no workers (waiting up to {WORKER_TIMEOUT_S / 60:g} min{hint})")
         return self._threads
 
-    def forget_job(self) -> None:
+    def delete_job(self) -> None:
         """Remove the job from the scheduler."""
         if self._job is not None:
             self._job.delete()
@@ -278,18 +284,18 @@ class _Workers:
         from distributed import Variable
 
         if self._runner is not runner:
-            self.forget_job()
+            self.delete_job()
             self._job = Variable(f"sinsjax-{uuid.uuid4().hex}", client=self._client)
-            self._ask(self._job.set, pickle.dumps(runner.job))
+            self._call_dask(self._job.set, pickle.dumps(runner.job))
             self._runner = runner
         return str(self._job.name)
 
-    def _result(self, task: Task, future: Any) -> EncodedResult:
+    def _task_result(self, task: Task, future: Any) -> EncodedResult:
         from distributed import KilledWorker
 
         if future.status != "error":
-            return self._ask(future.result)
-        error = self._ask(future.exception)
+            return self._call_dask(future.result)
+        error = self._call_dask(future.exception)
         if isinstance(error, InputError):
             text = str(error)
         elif isinstance(error, KilledWorker):
@@ -298,37 +304,41 @@ class _Workers:
             text = f"failed on a worker: {type(error).__name__}: {first_line(error)}"
         raise InputError(f"{task.name}: {text}") from error
 
-    def _ask(self, question: Callable[..., Any], *args: Any, **named: Any) -> Any:
+    def _call_dask(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         try:
-            return question(*args, **named)
+            return function(*args, **kwargs)
         except Exception as error:  # Dask raises many different ones
-            raise self._lost() from error
+            raise self._lost_scheduler_error() from error
 
-    def _lost(self) -> InputError:
-        kept = "results so far are kept: the same again with --resume, in Python resume=True"
+    def _lost_scheduler_error(self) -> InputError:
+        kept = "completed chunks are stored: repeat with --resume, in Python resume=True"
         return InputError(f"{self._name}: lost the scheduler ({kept})")
 
 
-def _require_same(worker: str, theirs: Mapping[str, Any], required: Mapping[str, Any]) -> None:
-    """Refuse a worker whose rows could differ from those of others."""
+def _check_same_versions(
+    worker: str, installed: Mapping[str, Any], required: Mapping[str, Any]
+) -> None:
+    """Refuse a worker whose rows could differ from those of the others."""
     for name, value in required.items():
-        if theirs.get(name) != value:
+        if installed.get(name) != value:
             remedy = "install the same version on every worker"
             if name == _INSTRUCTIONS:
-                remedy = "start all with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one"
+                remedy = (
+                    "start all workers with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one"
+                )
             raise InputError(
-                f"{worker}: the worker has {name} {theirs.get(name) or '(none)'}, not {value}:"
+                f"{worker}: the worker has {name} {installed.get(name) or '(none)'}, not {value}:"
                 f" rows could differ ({remedy})"
             )
 
 
 # --- On the workers ------------------------------------------------------------------------------
 
-_runners: dict[str, TaskRunner] = {}  # of this process, by the name of the job; at most one
-_preparing = threading.Lock()
+_runners: dict[str, TaskRunner] = {}  # of this process, by job name; at most one
+_prepare_lock = threading.Lock()
 
 
-def run_task(job_name: str, required: Mapping[str, str], task: Task) -> EncodedResult:
+def run_task_on_worker(job_name: str, required: Mapping[str, str], task: Task) -> EncodedResult:
     """Run a task on a Dask worker.
 
     Args:
@@ -339,22 +349,24 @@ def run_task(job_name: str, required: Mapping[str, str], task: Task) -> EncodedR
     Raises:
         InputError: this process lacks something required, or the job cannot be run.
     """
-    with _preparing:
+    with _prepare_lock:
         if job_name not in _runners:
             _runners.clear()
-            _runners[job_name] = _prepare(job_name, required)
+            _runners[job_name] = _make_runner(job_name, required)
         runner = _runners[job_name]
-    return runner.pack(task)
+    return runner.compute_files(task)
 
 
-def _prepare(job_name: str, required: Mapping[str, str]) -> TaskRunner:
-    """Configure a worker process and make the runner of a job."""
+def _make_runner(job_name: str, required: Mapping[str, str]) -> TaskRunner:
+    """Configure a worker process and create the runner of a job."""
     import jax
     from distributed import Variable, get_worker
 
     worker = get_worker()
-    theirs = runtime.versions() | {_INSTRUCTIONS: xla.instructions()}
-    _require_same(worker.address, theirs, required)  # before unpickling, which needs the packages
+    installed = runtime.versions() | {_INSTRUCTIONS: xla.instructions()}
+    _check_same_versions(
+        worker.address, installed, required
+    )  # before unpickling, which needs the packages
     one_core = os.environ.get(affinity.VARIABLE, "1" if worker.state.nthreads == 1 else "0")
     if one_core.strip() == "1":
         affinity.keep_to_one_core()

@@ -1,9 +1,9 @@
-"""A results directory: its files, who may write to it, and which of its files sinsjax wrote.
+"""A results directory: its files, its lock, and the files that sinsjax owns.
 
-It holds ``summary/`` or ``estimates/`` and optionally ``curves/`` (Parquet datasets with a part per
+It contains ``summary/`` or ``estimates/`` and optionally ``curves/`` (Parquet datasets, a part per
 chunk), ``study.toml`` (the resolved study), ``manifest.json`` (versions, chunks, timing),
-``figures/`` and ``reruns/``. Somebody else may have made it: nothing in it is opened through a
-link, and nothing but regular files is opened. The directory itself may be a link.
+``figures/`` and ``reruns/``. Its author may be unknown, so only regular files are opened, and none
+through a link. The directory itself may be a link.
 """
 
 import hashlib
@@ -24,34 +24,34 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
-from sinsjax.execution.sealed import Damaged
+from sinsjax.execution.sealed import DamagedError
 from sinsjax.messages import one_line, shortened
 from sinsjax.platform.files import make_folder, read_regular, replacing, unwritable
-from sinsjax.study.files import require_shallow
+from sinsjax.study.files import check_nesting
 
 MANIFEST, STUDY = "manifest.json", "study.toml"
-ONE_ROW_EACH = ("summary", "estimates")
-"""Datasets with one row per run or per variant, written last: a part in them implies its
+ROW_DATASETS = ("summary", "estimates")
+"""Datasets with one row per run or per variant, written last: a part of them implies its
 counterpart in the other datasets."""
 
-DATASETS = (*ONE_ROW_EACH, "curves")
-RERUN = ("summary.parquet", "curve.parquet", "curve.png")
+DATASETS = (*ROW_DATASETS, "curves")
+RERUN_FILES = ("summary.parquet", "curve.parquet", "curve.png")
 """Files of a repeated run."""
 
 LOCK, WRITER, FIGURES = ".lock", ".writer", ".figures.json"
-"""The lock, the name of the last process that took it, and the list of the figures drawn."""
+"""The lock, the name of its last owner, and the list of drawn figures."""
 
 _FILES = (MANIFEST, STUDY, LOCK, WRITER, FIGURES, "tuned.toml", "history.parquet")
 _FOLDERS = (*DATASETS, "figures", "reruns", "grid", "sobol", "random", "equal_cost", "evaluation")
-_TICK_NS = 50_000_000
-"""More than the interval at which a file system's clock ticks: a later change has another time."""
+_CLOCK_TICK_NS = 50_000_000
+"""Above the clock tick of a file system, ns: any later change has another modification time."""
 
-_SPARSE = 2**16
-"""Bytes of a file that names the writer or lists the figures."""
+_MAX_LIST_BYTES = 2**16
+"""Largest size of the files WRITER and FIGURES, bytes."""
 
 
 class FileState(NamedTuple):
-    """A file at a moment; a changed file compares unequal."""
+    """State of a file; a changed file compares unequal."""
 
     path: Path
     inode: int
@@ -59,22 +59,22 @@ class FileState(NamedTuple):
     mtime_ns: int
 
     @classmethod
-    def of(cls, path: Path) -> "FileState":
+    def from_path(cls, path: Path) -> "FileState":
         """Return the state of a file."""
-        there = path.stat()
-        return cls(path.absolute(), there.st_ino, there.st_size, there.st_mtime_ns)
+        status = path.stat()
+        return cls(path.absolute(), status.st_ino, status.st_size, status.st_mtime_ns)
 
     @property
     def is_settled(self) -> bool:
-        """Whether any later change will show in the time."""
-        return time.time_ns() - self.mtime_ns > _TICK_NS
+        """Whether any later change will alter the modification time."""
+        return time.time_ns() - self.mtime_ns > _CLOCK_TICK_NS
 
 
-class _Entry(BaseModel):
+class _ManifestEntry(BaseModel):
     model_config = ConfigDict(extra="allow", allow_inf_nan=False)
 
 
-class Session(_Entry):
+class Session(_ManifestEntry):
     """Manifest entry of a process that wrote results.
 
     Attributes:
@@ -90,14 +90,14 @@ class Session(_Entry):
     instructions: str | None = None
 
 
-class StoredPart(_Entry):
+class StoredPart(_ManifestEntry):
     """Manifest entry of a part: its path in the directory, and its number of rows."""
 
     file: str
     rows: int
 
 
-class StoredChunk(_Entry):
+class StoredChunk(_ManifestEntry):
     """Manifest entry of a chunk; without files it is missing.
 
     Attributes:
@@ -115,7 +115,7 @@ class StoredChunk(_Entry):
     files: list[StoredPart] = []
 
 
-class Manifest(_Entry):
+class Manifest(_ManifestEntry):
     """The entries of a manifest that sinsjax itself reads.
 
     Attributes:
@@ -152,8 +152,8 @@ def results_path(directory: str | Path) -> Path:
     return Path(directory)
 
 
-def check_entries(directory: Path) -> None:
-    """Reject a directory in which a link or a pipe takes the place of a file or folder of results.
+def check_directory(directory: Path) -> None:
+    """Reject a directory in which a link or a pipe replaces a file or folder of results.
 
     Raises:
         InputError: names the entry, or the directory is a file, cannot be read, or has a name that
@@ -162,7 +162,7 @@ def check_entries(directory: Path) -> None:
     try:
         os.fspath(directory).encode()
     except UnicodeEncodeError:
-        text = "results cannot be kept under a name that is not UTF-8 (rename it)"
+        text = "results cannot be stored under a name that is not UTF-8 (rename it)"
         raise InputError(f"{directory}: {text}") from None
     try:
         if directory.exists() and not directory.is_dir():
@@ -182,26 +182,26 @@ def _check_kind(path: Path, is_kind: Any, kind: str) -> None:
             text = "is a symbolic link, and results are not read or written through links"
             raise InputError(f"{path}: {text} (remove it, or give another directory)")
         if not is_kind(mode):
-            raise InputError(f"{path}: is no {kind} (remove it, or give another directory)")
+            raise InputError(f"{path}: is not a {kind} (remove it, or give another directory)")
 
 
-def present_names(directory: Path, names: Iterable[str]) -> list[str]:
-    """Return those of some names that exist in a directory, which may be missing itself.
+def existing_names(directory: Path, names: Iterable[str]) -> list[str]:
+    """Return the names that exist in a directory, which may be missing itself.
 
     Raises:
-        InputError: the directory cannot be used, see `check_entries`.
+        InputError: the directory cannot be used, see `check_directory`.
     """
-    check_entries(directory)
+    check_directory(directory)
     return [name for name in names if (directory / name).exists()]
 
 
 def list_parts(directory: Path, dataset: str) -> list[Path]:
     """Return the parts of a dataset by name; a file has its final name only once it is complete."""
-    return sorted(path for path in directory.glob(f"{dataset}/*.parquet") if is_part(path))
+    return sorted(path for path in directory.glob(f"{dataset}/*.parquet") if is_part_name(path))
 
 
-def is_part(path: Path) -> bool:
-    """Whether a file is named like a part, which no user's file is by chance."""
+def is_part_name(path: Path) -> bool:
+    """Whether a file name is that of a part."""
     return re.fullmatch(r"part-\d{4,}-\d{6,}\.parquet", path.name) is not None
 
 
@@ -212,11 +212,11 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
         directory: results directory.
 
     Returns:
-        Its entries, as JSON has them.
+        Its entries, as JSON values.
 
     Raises:
         InputError: there is no manifest, it has changed since it was written (`Damaged`), or
-            another version wrote it (`OtherVersion`).
+            another version wrote it (`OtherVersionError`).
 
     Examples:
         >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
@@ -228,18 +228,18 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
     directory = Path(directory)
     path = directory / MANIFEST
     try:
-        found = sealed.read_json(path)
+        manifest = sealed.read_sealed_json(path)
     except FileNotFoundError:
-        text = f"holds no results (there is no {MANIFEST})"
+        text = f"contains no results ({MANIFEST} is missing)"
         if any(list_parts(directory, name) for name in DATASETS):
             text = f"{MANIFEST} is missing (`--resume` writes it again)"
         raise InputError(f"{directory}: {text}") from None
-    except Damaged as error:
-        _check_version(directory, _unsealed(path))
-        raise Damaged(f"{error} (`--resume` writes it again)") from None
-    _check_version(directory, found)
-    require_shallow(found, path)
-    return found
+    except DamagedError as error:
+        _check_version(directory, _read_unsealed_manifest(path))
+        raise DamagedError(f"{error} (`--resume` writes it again)") from None
+    _check_version(directory, manifest)
+    check_nesting(manifest, path)
+    return manifest
 
 
 def find_manifest(directory: Path) -> Manifest | None:
@@ -250,26 +250,26 @@ def find_manifest(directory: Path) -> Manifest | None:
         InputError: it cannot be read.
     """
     try:
-        file = FileState.of(directory / MANIFEST)
+        file = FileState.from_path(directory / MANIFEST)
     except OSError:
         return None
     if file not in _manifests:
         try:
-            found = Manifest.model_validate(read_manifest(directory))
-        except (Damaged, ValidationError):
+            manifest = Manifest.model_validate(read_manifest(directory))
+        except (DamagedError, ValidationError):
             return None
         if not file.is_settled:
-            return found
-        _manifests[file] = found
+            return manifest
+        _manifests[file] = manifest
     return _manifests[file]
 
 
 _manifests: dict[FileState, Manifest] = {}
-"""The manifests that this process has read: a report asks for one at every dataset it reads."""
+"""Manifests read by this process: a report needs one for every dataset."""
 
 
-class OtherVersion(InputError):
-    """Results that another version of sinsjax wrote."""
+class OtherVersionError(InputError):
+    """Results written by another version of sinsjax."""
 
 
 def _check_version(directory: Path, manifest: Mapping[str, Any]) -> None:
@@ -278,85 +278,85 @@ def _check_version(directory: Path, manifest: Mapping[str, Any]) -> None:
         return
     versions = manifest.get("versions")
     version = str(versions.get("sinsjax", "")) if isinstance(versions, dict) else ""
-    raise OtherVersion(
-        f"{directory}: holds results of {shortened(one_line(f'sinsjax {version}'.strip()), 40)},"
+    raise OtherVersionError(
+        f"{directory}: contains results of {shortened(one_line(f'sinsjax {version}'.strip()), 40)},"
         f" whose columns (schema {shortened(one_line(schema), 20)}) this version does not read (run"
         " the study again, into another directory or with --overwrite, or use that version)"
     )
 
 
-def _unsealed(path: Path) -> dict[str, Any]:
-    """A manifest without a seal, as older versions wrote them; empty if there is none."""
+def _read_unsealed_manifest(path: Path) -> dict[str, Any]:
+    """Return a manifest without a seal, as older versions wrote it; empty if there is none."""
     try:
-        found = json.loads(read_regular(path))
+        manifest = json.loads(read_regular(path))
     except (OSError, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) and "fingerprint" in found else {}
+    return manifest if isinstance(manifest, dict) and "fingerprint" in manifest else {}
 
 
 # --- one writer at a time -----------------------------------------------------------------------
 
 
-def lock(directory: Path) -> filelock.FileLock:
+def lock_directory(directory: Path) -> filelock.FileLock:
     """Lock a directory, created if missing, against other writers.
 
-    The operating system holds the lock, and releases it when the process ends in whatever way.
+    The operating system releases the lock when the process ends, in whatever way.
 
     Raises:
         InputError: another process is writing there, or the directory is not writable.
     """
     make_folder(directory)
-    check_entries(directory)
-    held = _acquire(directory)
-    with suppress(InputError):  # a writer without a name holds the lock all the same
+    check_directory(directory)
+    file_lock = _acquire_lock(directory)
+    with suppress(InputError):  # the lock holds without the writer's name
         with replacing(directory / WRITER) as file:
             file.write(f"pid {os.getpid()} on {socket.gethostname()}\n".encode())
-    return held
+    return file_lock
 
 
 def check_unlocked(directory: Path) -> None:
     """Reject a directory that another process is writing to.
 
-    Asked first: its content changes, and any other message about it would mislead.
+    This check precedes all others, since the content is changing.
 
     Raises:
-        InputError: names that process, or the lock cannot be taken.
+        InputError: names that process, or the lock cannot be acquired.
     """
-    check_entries(directory)
+    check_directory(directory)
     if (directory / LOCK).exists():
-        _acquire(directory).release()
+        _acquire_lock(directory).release()
 
 
-def _acquire(directory: Path) -> filelock.FileLock:
-    held = filelock.FileLock(directory / LOCK)
+def _acquire_lock(directory: Path) -> filelock.FileLock:
+    file_lock = filelock.FileLock(directory / LOCK)
     try:
-        held.acquire(blocking=False)
+        file_lock.acquire(blocking=False)
     except filelock.Timeout:
-        text = f"{directory}: another process is writing there{_writer(directory)}"
+        text = f"{directory}: another process is writing there{_format_writer(directory)}"
         raise InputError(f"{text} (wait until it ends)") from None
     except OSError as error:
         raise InputError(unwritable(directory, error)) from error
-    return held
+    return file_lock
 
 
-def _writer(directory: Path) -> str:
+def _format_writer(directory: Path) -> str:
     try:
-        name = read_regular(directory / WRITER)[:_SPARSE].decode().strip()
+        name = read_regular(directory / WRITER)[:_MAX_LIST_BYTES].decode().strip()
     except (OSError, ValueError):
         return ""
     return f": {shortened(one_line(name))}" if name else ""
 
 
-# --- the files that sinsjax wrote; it never removes any others ------------------------------------
+# --- the files that sinsjax wrote; it removes no others -------------------------------------------
 
 
-def stale_temporary_files(directory: Path) -> list[Path]:
+def stale_temp_files(directory: Path) -> list[Path]:
     """Return temporary files left by processes killed while writing results or a tuning run."""
     names = [f".{name}" for name in (MANIFEST, STUDY, WRITER, FIGURES, "tuned.toml")]
     patterns = (f"{name}.*.tmp" for name in [*names, ".history.parquet", "figures/.*.png"])
     parts = (f"{name}/.part-*.tmp" for name in DATASETS)
-    found = (path for pattern in (*patterns, *parts) for path in directory.glob(pattern))
-    return [path for path in found if re.search(r"\.\d+\.tmp$", path.name)]
+    candidates = (path for pattern in (*patterns, *parts) for path in directory.glob(pattern))
+    return [path for path in candidates if re.search(r"\.\d+\.tmp$", path.name)]
 
 
 def owned_files(directory: Path) -> list[Path]:
@@ -366,19 +366,21 @@ def owned_files(directory: Path) -> list[Path]:
     """
     parts = (path for name in DATASETS for path in list_parts(directory, name))
     numbers = (path for path in directory.glob("reruns/*") if re.fullmatch(r"\d+", path.name))
-    reruns = (number / name for number in numbers if _is_own_folder(number) for name in RERUN)
+    reruns = (
+        number / name for number in numbers if _is_real_folder(number) for name in RERUN_FILES
+    )
     files = [path for path in (*reruns, directory / STUDY) if path.is_file()]
-    return [*parts, *files, *_figures(directory)]
+    return [*parts, *files, *_unchanged_figures(directory)]
 
 
-def _is_own_folder(path: Path) -> bool:
+def _is_real_folder(path: Path) -> bool:
     return path.is_dir() and not path.is_symlink()
 
 
-def list_figures(images: Mapping[str, bytes], directory: Path) -> None:
-    """List the figures drawn in a directory, and remove earlier ones that are drawn no longer.
+def register_figures(images: Mapping[str, bytes], directory: Path) -> None:
+    """List the figures drawn in a directory, and remove those of earlier reports.
 
-    A figure that has changed since it was drawn is a person's, and stays.
+    A figure changed since it was drawn belongs to the user, and remains.
 
     Args:
         images: contents of PNG files by file name.
@@ -388,17 +390,17 @@ def list_figures(images: Mapping[str, bytes], directory: Path) -> None:
         InputError: the list cannot be written.
     """
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in images.items()}
-    for path in _figures(directory):
+    for path in _unchanged_figures(directory):
         if path != directory / FIGURES and path.name not in images:
-            with suppress(OSError):  # of a directory that may be read only
+            with suppress(OSError):  # the directory may be read only
                 path.unlink()
     with replacing(directory / FIGURES) as file:
         file.write((json.dumps(digests, indent=1) + "\n").encode())
 
 
-def _figures(directory: Path) -> Iterator[Path]:
-    """Listed figures that have not changed since they were drawn, and the list itself."""
-    for name, digest in _listed(directory).items():
+def _unchanged_figures(directory: Path) -> Iterator[Path]:
+    """Yield the listed figures that are unchanged since they were drawn, and the list itself."""
+    for name, digest in _figure_digests(directory).items():
         path = directory / "figures" / Path(name).name
         with suppress(OSError, InputError):
             if hashlib.sha256(read_regular(path)).hexdigest() == digest:
@@ -407,7 +409,7 @@ def _figures(directory: Path) -> Iterator[Path]:
         yield directory / FIGURES
 
 
-def _listed(directory: Path) -> dict[str, str]:
+def _figure_digests(directory: Path) -> dict[str, str]:
     try:
         listed = json.loads(read_regular(directory / FIGURES))
     except (OSError, ValueError, RecursionError):  # InputError is a ValueError

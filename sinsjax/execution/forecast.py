@@ -1,7 +1,7 @@
 """Forecast of a study's runs, time, memory and disk space, before anything is created.
 
-The estimates are rough and use only the lengths of the axes, so that a study of a billion runs is
-forecast, and rejected, as fast as one of three.
+The estimates are rough and use only the lengths of the axes, so a study of a billion runs is
+forecast, and rejected, as fast as one of three runs.
 """
 
 import math
@@ -24,7 +24,7 @@ from sinsjax.engine.sensor_inputs import (
 )
 from sinsjax.engine.truth import MOST_STORED_SAMPLES
 from sinsjax.errors import InputError
-from sinsjax.execution import layouts, stopping
+from sinsjax.execution import schemas, stopping
 from sinsjax.execution.directory import find_manifest
 from sinsjax.messages import counted
 from sinsjax.methods.registry import METHODS
@@ -33,24 +33,31 @@ from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 
-_PACKED = 0.8
+_COMPRESSION_RATIO = 0.8
 """Compression ratio of 8-byte numbers in Parquet: 0.6 to 0.95 on sweeps with and without nulls."""
 
-_BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD, _A_RESET = 400e6, 160, 600, 2, 500, 60
-"""Measured memory, bytes: of a process with JAX, and of each of these."""
+_BASE_BYTES, _SAMPLE_BYTES, _VARIANT_BYTES, _RUN_BYTES, _RECORD_BYTES, _RESET_BYTES = (
+    400e6,
+    160,
+    600,
+    2,
+    500,
+    60,
+)
+"""Measured memory, bytes: of a process with JAX, and per sample, variant, run, record, reset."""
 
 _START_S, _COMPILE_S = 3.0, 6.0
-"""Measured time on a core of two: to import, read and report, and to compile a program (5 to 8)."""
+"""Measured times, s: to import, read and report, and to compile one program (5 to 8)."""
 
-_SWITCHES = {*NOISE_KEYS, *DISTORTION_KEYS, *AMPLITUDE_KEYS, *DISTURBANCE_KEYS}
-"""Keys without which a program does less, where they are zero."""
+_SWITCH_KEYS = {*NOISE_KEYS, *DISTORTION_KEYS, *AMPLITUDE_KEYS, *DISTURBANCE_KEYS}
+"""Keys that simplify the program if they are zero."""
 
-_CHECK = 12.0
-"""Cost of the draws that tell how far covariance analysis holds for a variant, in plain runs."""
+_LINEARITY_CHECK_RUNS = 12.0
+"""Cost of checking a variant's linearity by draws, in plain runs."""
 
-_A_MEASUREMENT = 48  # bytes, of the draws of a call whose records are kept
+_MEASUREMENT_BYTES = 48  # bytes, of the stored samples of a call's draws
 
-_A_POINT = 2000  # bytes for each point of a search
+_POINT_BYTES = 2000  # bytes for each point of a search
 
 
 class Batch(NamedTuple):
@@ -59,14 +66,14 @@ class Batch(NamedTuple):
     Attributes:
         name: subdirectory of the results directory; empty for that directory itself.
         runs: number of runs, at most.
-        sure: number of runs, at least, if the study may stop early.
+        least_runs: number of runs, at least, if the study may stop early.
         variants: number of variants.
         points: number of points of a search.
     """
 
     name: str
     runs: int
-    sure: int
+    least_runs: int
     variants: int
     points: int = 0
 
@@ -79,9 +86,9 @@ class Forecast(NamedTuple):
         run_bytes: disk space per run, bytes.
         run_s: time per run on one core, s.
         memory: peak memory, bytes.
-        at_most: whether the study may stop early.
+        may_stop_early: whether the study may stop early.
         length_s: length of the longest run, s.
-        noise_free: whether runs are without noise, one a variant.
+        noise_free: whether runs are without noise, one per variant.
         programs: number of programs to compile, unless they are in the compile cache.
     """
 
@@ -89,7 +96,7 @@ class Forecast(NamedTuple):
     run_bytes: float
     run_s: float
     memory: float
-    at_most: bool
+    may_stop_early: bool
     length_s: float
     noise_free: bool = False
     programs: int = 1
@@ -100,83 +107,88 @@ class Forecast(NamedTuple):
         return sum(batch.runs for batch in self.batches)
 
     def describe(self, cores: int, done: int = 0, *, threads: bool = False) -> str:
-        """One line for a user, with the time that is left, or that nothing is left.
+        """Return one line for a user: the runs, the remaining time, memory and disk space.
 
         Args:
             cores: number of cores that share the runs.
-            done: number of runs whose results are there.
-            threads: whether the cores are threads of workers, of whatever kind.
+            done: number of runs with stored results.
+            threads: whether the cores are threads of Dask workers.
         """
         kind = "noise-free run" if self.noise_free else "run"
         runs = f"{counted(self.runs, kind)} of up to {self.length_s:g} s"
-        left = max(0, self.runs - done)
-        if not left:
-            return f"{runs}: nothing is left to run"
+        remaining = max(0, self.runs - done)
+        if not remaining:
+            return f"{runs}: all are done"
         if done:
-            runs += f", {left:,} left"
-        takes = _time(left * self.run_s / cores)
-        most = "At most " if self.at_most else ""
-        on = counted(cores, "worker thread" if threads else "core")
+            runs += f", {remaining:,} left"
+        duration = _format_duration(remaining * self.run_s / cores)
+        prefix = "At most " if self.may_stop_early else ""
+        processors = counted(cores, "worker thread" if threads else "core")
         programs = counted(self.programs, "program")
-        first = f"{_time(_START_S + self.programs * _COMPILE_S)} the first time"
+        first_time = f"{_format_duration(_START_S + self.programs * _COMPILE_S)} the first time"
         return (
-            f"{most}{runs}: roughly {takes} on {on}, and {_time(_START_S)} to start ({first},"
-            f" which compiles {programs}), {_size(self.memory)} of memory,"
-            f" {_size(left * self.run_bytes)}{' more' if done else ''} on disk"
+            f"{prefix}{runs}: roughly {duration} on {processors}, and"
+            f" {_format_duration(_START_S)} to start ({first_time},"
+            f" which compiles {programs}), {_format_bytes(self.memory)} of memory,"
+            f" {_format_bytes(remaining * self.run_bytes)}{' more' if done else ''} on disk"
         )
 
 
-def of(study: Study, curves: bool | None = None) -> Forecast:
-    """Forecast of a sweep.
+def forecast_sweep(study: Study, curves: bool | None = None) -> Forecast:
+    """Return the forecast of a sweep.
 
     Args:
         study: checked study, whose rate is known.
         curves: whether to keep curves; None follows the study.
     """
-    sure = min(study.n_draws, stopping.FIRST_INTERIM) if study.stop_when else study.n_draws
+    least_draws = min(study.n_draws, stopping.FIRST_INTERIM) if study.stop_when else study.n_draws
     variants = study.n_variants
-    batch = Batch("", study.n_draws * variants, sure * variants, variants)
-    return _forecast(study, [batch], study.study.curves if curves is None else curves)
+    batch = Batch("", study.n_draws * variants, least_draws * variants, variants)
+    return _forecast_batches(study, [batch], study.study.curves if curves is None else curves)
 
 
-def of_tuning(study: Study, curves: bool | None = None) -> Forecast:
+def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
     """Return the forecast of a tuning run, which keeps no curves.
 
-    The cost of a descent's steps is only a guess.
+    The cost of a descent's steps is a rough guess.
     """
     tune = study.tune
     assert tune is not None
     if study.record:
-        draws, judging = (study.n_draws + 1) // 2, study.n_draws // 2
+        draws, evaluation_draws = (study.n_draws + 1) // 2, study.n_draws // 2
     else:
-        draws, judging = tune.tune_draws or 1, tune.evaluation_draws or 1
+        draws, evaluation_draws = tune.tune_draws or 1, tune.evaluation_draws or 1
     space, variants = SearchSpace.from_study(study), study.n_variants
-    free = [len(space.used(combination)) for combination in space.combinations]
+    free_keys = [len(space.used_variables(combination)) for combination in space.combinations]
     points = {
-        "grid": sum(tune.grid_points**count for count in free),
-        "sobol": tune.sobol_points * len(free),
-        "random": tune.sobol_points * len(free),
-        "gradient": tune.descent_starts * tune.descent_steps * (2 + max(free)),
+        "grid": sum(tune.grid_points**count for count in free_keys),
+        "sobol": tune.sobol_points * len(free_keys),
+        "random": tune.sobol_points * len(free_keys),
+        "gradient": tune.descent_starts * tune.descent_steps * (2 + max(free_keys)),
     }
-    # A search by covariance analysis keeps its history alone.
-    kept = [search for search in tune.searches if search != "covariance"]
-    wanted = {("equal_cost" if s == "gradient" else s): points[s] for s in kept}
-    wanted = {name: max(1, count) for name, count in wanted.items()}
+    # A search by covariance analysis stores only its history.
+    stored = [search for search in tune.searches if search != "covariance"]
+    points_by_name = {("equal_cost" if s == "gradient" else s): points[s] for s in stored}
+    points_by_name = {name: max(1, count) for name, count in points_by_name.items()}
     batches = [
         Batch(name, n * variants * draws, n * variants * draws, n * variants, n)
-        for name, n in wanted.items()
+        for name, n in points_by_name.items()
     ]
-    found = (len(wanted) + 1 + (len(kept) < len(tune.searches))) * variants
-    batches.append(Batch("evaluation", found * judging, found * judging, found))
-    forecast = _forecast(study, batches, False)
-    # A descent has programs of its own.
+    candidates = (len(points_by_name) + 1 + (len(stored) < len(tune.searches))) * variants
+    batches.append(
+        Batch(
+            "evaluation", candidates * evaluation_draws, candidates * evaluation_draws, candidates
+        )
+    )
+    forecast = _forecast_batches(study, batches, False)
+    # A descent compiles separate programs.
     return forecast._replace(programs=forecast.programs * (1 + ("gradient" in tune.searches)))
 
 
-def require_room(
+def check_resources(
     study: Study, forecast: Forecast, directory: Path | None, *, overwrite: bool, resume: bool
 ) -> None:
-    """Reject a study that exceeds the disk or the memory; a resumed one needs only missing runs.
+    """Reject a study that exceeds disk or memory; a resumed one needs only its missing runs.
 
     Args:
         study: checked study.
@@ -189,110 +201,118 @@ def require_room(
         InputError: states what is needed and what is available.
     """
     if directory is not None:
-        _require_disk(forecast, directory, overwrite=overwrite, resume=resume)
-    there = machine.memory_bytes()
-    if forecast.memory > there:
+        _check_disk_space(forecast, directory, overwrite=overwrite, resume=resume)
+    available = machine.memory_bytes()
+    if forecast.memory > available:
         raise InputError(
-            f"{study.name}: {forecast.runs:,} runs need about {_size(forecast.memory)} of memory,"
-            f" but this machine has only {_size(there)}"
+            f"{study.name}: {forecast.runs:,} runs need about {_format_bytes(forecast.memory)} of"
+            f" memory, but this machine has only {_format_bytes(available)}"
         )
 
 
-def _require_disk(forecast: Forecast, directory: Path, *, overwrite: bool, resume: bool) -> None:
-    need = 0.0
+def _check_disk_space(
+    forecast: Forecast, directory: Path, *, overwrite: bool, resume: bool
+) -> None:
+    needed = 0.0
     for batch in forecast.batches:
-        done = runs_done(directory / batch.name) if resume else 0
-        need += max(0, batch.sure - done) * forecast.run_bytes
-    free = machine.free_bytes(directory)
+        done = count_stored_runs(directory / batch.name) if resume else 0
+        needed += max(0, batch.least_runs - done) * forecast.run_bytes
+    available = machine.free_bytes(directory)
     if overwrite:
-        free += _size_of_parts(directory / batch.name for batch in forecast.batches)
-    if need > free:
+        available += _total_part_bytes(directory / batch.name for batch in forecast.batches)
+    if needed > available:
         raise InputError(
-            f"{directory}: the results of {forecast.runs:,} runs need about {_size(need)}, but the"
-            f" disk has only {_size(free)} free"
+            f"{directory}: the results of {forecast.runs:,} runs need about"
+            f" {_format_bytes(needed)}, but the disk has only {_format_bytes(available)} free"
         )
 
 
-def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
+def _forecast_batches(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     records = max(span.records for span in study.distinct_spans)
     samples = records * study.record_every
     methods = [METHODS[name] for name in study.methods]
     step_s = max(method.step_s for method in methods)
     if study.is_estimated:
-        checks = _CHECK * study.checks_linearity
+        checks = _LINEARITY_CHECK_RUNS * study.checks_linearity
         step_s = max(method.step_s * (method.estimate_runs + checks) for method in methods)
-    layout = layouts.estimates(study) if study.is_estimated else layouts.summary(study)
-    run_bytes = _row_bytes(study, layout)
-    # Longer simulations do not keep their increments.
-    kept = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
-    memory = _BASE + _A_SAMPLE * kept
+    row_columns = (
+        schemas.estimate_columns(study) if study.is_estimated else schemas.summary_columns(study)
+    )
+    run_bytes = _row_bytes(study, row_columns)
+    # Longer simulations do not store their increments.
+    stored_samples = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
+    memory = _BASE_BYTES + _SAMPLE_BYTES * stored_samples
     alternates = study.passes is not None and any(not s.rewinds for s in study.distinct_spans)
     if alternates and study.requires_sequential:
-        read = max(span.read for span in study.distinct_spans) * study.record_every
+        read_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
         draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
-        memory += _A_MEASUREMENT * read * draws
+        memory += _MEASUREMENT_BYTES * read_samples * draws
     counts = study.combinations("reset_count") if study.has("resets") else ()
     resets = [point["reset_count"] or 0 for point in counts]
-    of_variant = _A_VARIANT + _A_RESET * max(resets, default=0)
-    memory += max(of_variant * b.variants + _A_RUN * b.runs + _A_POINT * b.points for b in batches)
+    variant_bytes = _VARIANT_BYTES + _RESET_BYTES * max(resets, default=0)
+    memory += max(
+        variant_bytes * b.variants + _RUN_BYTES * b.runs + _POINT_BYTES * b.points for b in batches
+    )
     if curves:
-        run_bytes += records * _row_bytes(study, layouts.curves(study))
-        most = max(batch.runs for batch in batches) * records
-        memory += _A_RECORD * min(most, max(CHUNK_RECORDS, 2 * records))
+        run_bytes += records * _row_bytes(study, schemas.curve_columns(study))
+        curve_records = max(batch.runs for batch in batches) * records
+        memory += _RECORD_BYTES * min(curve_records, max(CHUNK_RECORDS, 2 * records))
     length_s = samples / study.rate_hz
-    again = (p["coarse_duration_s"] for p in study.coarse_stages if p["coarse_then"] == "replay")
-    steps = samples + max(again, default=0.0) * study.rate_hz
-    at_most = study.stop_when is not None
+    replays_s = (
+        p["coarse_duration_s"] for p in study.coarse_stages if p["coarse_then"] == "replay"
+    )
+    steps = samples + max(replays_s, default=0.0) * study.rate_hz
+    may_stop_early = study.stop_when is not None
     return Forecast(
         tuple(batches),
         run_bytes,
         steps * step_s,
         memory,
-        at_most,
+        may_stop_early,
         length_s,
         study.is_estimated,
-        _programs(study),
+        _count_programs(study),
     )
 
 
-def _programs(study: Study) -> int:
-    """Number of programs, by what is swept of the keys that decide them, or do so by being zero."""
+def _count_programs(study: Study) -> int:
+    """Return the number of programs, from the swept keys that decide them, by value or by zero."""
     kinds = {(span.records, span.rewinds) for span in study.distinct_spans}
     count = len(kinds)
     for dimension in study.dimensions:
         columns = [
             values if key in PROGRAM_KEYS else map(np.any, values)
             for key, values in dimension.items()
-            if key in PROGRAM_KEYS or key in _SWITCHES
+            if key in PROGRAM_KEYS or key in _SWITCH_KEYS
         ]
         count *= len(set(zip(*columns, strict=True))) or 1
     return count
 
 
 def _row_bytes(study: Study, columns: Iterable[Column]) -> float:
-    """Disk space per row, from its continuous numbers; swept values and counts compress well."""
+    """Return the disk space per row, bytes; only continuous numbers count, others compress well."""
     numbers = 0
     for column in columns:
         if column.name in study.drawn_keys:
             numbers += NUMBERS_DRAWN[column.name]
         elif pa.types.is_floating(column.dtype) and column.name not in study.axis_keys:
             numbers += 1
-    return 8 * _PACKED * numbers
+    return 8 * _COMPRESSION_RATIO * numbers
 
 
-def runs_done(directory: Path) -> int:
+def count_stored_runs(directory: Path) -> int:
     """Return the number of runs with stored results."""
-    known = find_manifest(directory)
-    return known.runs_done if known else 0
+    manifest = find_manifest(directory)
+    return manifest.runs_done if manifest else 0
 
 
-def _size_of_parts(directories: Iterable[Path]) -> int:
+def _total_part_bytes(directories: Iterable[Path]) -> int:
     parts = (p for d in directories for p in d.glob("*/part-*.parquet"))
     return sum(path.stat().st_size for path in parts)
 
 
-def _size(count: float) -> str:
-    """A number of bytes as text."""
+def _format_bytes(count: float) -> str:
+    """Return a number of bytes as text."""
     for unit in ("B", "kB", "MB", "GB"):
         if count < 999.5:
             return f"{count:.3g} {unit}"
@@ -300,8 +320,8 @@ def _size(count: float) -> str:
     return f"{count:.3g} TB" if count < 1e5 else f"{count:.1e} TB"
 
 
-def _time(seconds: float) -> str:
-    for most, unit, name in ((100, 1, "s"), (6000, 60, "min"), (360_000, 3600, "h")):
-        if seconds < most:
+def _format_duration(seconds: float) -> str:
+    for limit, unit, name in ((100, 1, "s"), (6000, 60, "min"), (360_000, 3600, "h")):
+        if seconds < limit:
             return f"{max(1, math.ceil(seconds / unit))} {name}"
     return f"{math.ceil(seconds / 86400):,} days"

@@ -11,7 +11,7 @@ from sinsjax.messages import counted
 from sinsjax.study.study import Study
 
 
-def frame_of(table: pa.Table) -> Any:
+def to_dataframe(table: pa.Table) -> Any:
     """Return a table as a pandas frame; ``attrs`` has ``units`` and ``meanings`` by column.
 
     Raises:
@@ -20,16 +20,16 @@ def frame_of(table: pa.Table) -> Any:
     try:
         import pandas  # noqa: F401  (pyarrow needs it)
     except ImportError:
-        raise _missing("pandas") from None
+        raise _missing_library_error("pandas") from None
     frame = table.to_pandas()
     frame.attrs |= {
-        "units": {field.name: _about(field, "unit") for field in table.schema},
-        "meanings": {field.name: _about(field, "meaning") for field in table.schema},
+        "units": {field.name: _field_metadata(field, "unit") for field in table.schema},
+        "meanings": {field.name: _field_metadata(field, "meaning") for field in table.schema},
     }
     return frame
 
 
-def dataset_of(study: Study, table: pa.Table) -> Any:
+def to_dataset(study: Study, table: pa.Table) -> Any:
     """Return the summary of a study, or its estimates, as an xarray dataset.
 
     The dimensions are ``draw``, unless these are estimates, and the axes of the study in their
@@ -50,15 +50,15 @@ def dataset_of(study: Study, table: pa.Table) -> Any:
     try:
         import xarray
     except ImportError:
-        raise _missing("xarray") from None
+        raise _missing_library_error("xarray") from None
     per_draw = "draw_id" in table.column_names
     draws = np.unique(table["draw_id"].to_numpy()) if per_draw else np.zeros(1, int)
     if table.num_rows != len(draws) * study.n_variants:
-        there = f"{counted(table.num_rows, 'run')} of {counted(len(draws), 'draw')}"
-        text = f"some variants are missing ({there}; to_pandas has the rows that are there)"
+        present = f"{counted(table.num_rows, 'run')} of {counted(len(draws), 'draw')}"
+        text = f"some variants are missing ({present}; to_pandas returns the rows that exist)"
         raise InputError(f"{study.name}: {text}")
     table = table.sort_by("run_id" if per_draw else "variant_id")
-    axes, coordinates = _axes(study)
+    axes, coordinates = _dimensions_and_coordinates(study)
     shape = {"draw": len(draws), **axes} if per_draw else axes
     if per_draw:
         coordinates["draw"] = ("draw", draws)
@@ -66,65 +66,72 @@ def dataset_of(study: Study, table: pa.Table) -> Any:
             starts = table["start_s"].to_numpy().reshape(len(draws), -1)[:, 0]
             coordinates["start_s"] = ("draw", starts)
     fields = {field.name: field for field in table.schema}
-    known = {*coordinates, "draw_id", "variant_id"}
+    coordinate_names = {*coordinates, "draw_id", "variant_id"}
     variables = {
-        name: (tuple(shape), _array(table[name]).reshape(*shape.values()))
+        name: (tuple(shape), _column_values(table[name]).reshape(*shape.values()))
         for name in fields
-        if name not in known
+        if name not in coordinate_names
     }
     dataset = xarray.Dataset(variables, coordinates, {"title": study.name})
     for name in fields.keys() & dataset.variables.keys():
-        told = {"units": _about(fields[name], "unit"), "long_name": _about(fields[name], "meaning")}
-        dataset[name].attrs |= {key: text for key, text in told.items() if text}
+        attributes = {
+            "units": _field_metadata(fields[name], "unit"),
+            "long_name": _field_metadata(fields[name], "meaning"),
+        }
+        dataset[name].attrs |= {key: text for key, text in attributes.items() if text}
     return dataset
 
 
-def _axes(study: Study) -> tuple[dict[str, int], dict[str, tuple[str, np.ndarray]]]:
+def _dimensions_and_coordinates(
+    study: Study,
+) -> tuple[dict[str, int], dict[str, tuple[str, np.ndarray]]]:
     """Return the length of each dimension, and the coordinates with their dimensions."""
-    shown = study.axes_shown
-    if any(len(keys) > 1 for keys in shown):
+    axes = study.axes_shown
+    if any(len(keys) > 1 for keys in axes):
         values = {"variant": range(study.n_variants), **study.variant_values()}
         sizes = {"variant": study.n_variants}
-        return sizes, {key: ("variant", _coordinate(one)) for key, one in values.items()}
-    names = {keys[0]: dimension for keys, dimension in zip(shown, study.dimensions, strict=True)}
+        return sizes, {
+            key: ("variant", _coordinate_values(column)) for key, column in values.items()
+        }
+    names = {keys[0]: dimension for keys, dimension in zip(axes, study.dimensions, strict=True)}
     coordinates = {
-        key: (name, _coordinate(values))
+        key: (name, _coordinate_values(values))
         for name, dimension in names.items()
         for key, values in dimension.items()
     }
     return {name: len(dimension[name]) for name, dimension in names.items()}, coordinates
 
 
-def _coordinate(values: Any) -> np.ndarray:
+def _coordinate_values(values: Any) -> np.ndarray:
     """Return values of a key as an array: numbers, or text."""
     kinds = {type(value) for value in values}
     if kinds == {bool} or kinds <= {int, float}:
         return np.array(values)
     if kinds <= {int, float, type(None)}:
         return np.array([np.nan if value is None else value for value in values])
-    return np.array([_text(value) for value in values])
+    return np.array([_format_value(value) for value in values])
 
 
-def _array(column: pa.ChunkedArray) -> np.ndarray:
+def _column_values(column: pa.ChunkedArray) -> np.ndarray:
     """Return a column as an array: numbers, NaN if null, or text."""
     if pa.types.is_string(column.type) or pa.types.is_list(column.type):
-        return np.array([_text(value) for value in column.to_pylist()])
+        return np.array([_format_value(value) for value in column.to_pylist()])
     if column.null_count and not pa.types.is_floating(column.type):
         column = column.cast(pa.int8() if pa.types.is_boolean(column.type) else column.type)
         column = column.cast(pa.float64())
     return column.to_numpy()
 
 
-def _text(value: Any) -> str:
+def _format_value(value: Any) -> str:
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_text, value))}]"
+        return f"[{', '.join(map(_format_value, value))}]"
     return f"{value:g}" if isinstance(value, int | float) else value or ""
 
 
-def _about(field: pa.Field, key: str) -> str:
+def _field_metadata(field: pa.Field, key: str) -> str:
     metadata: Mapping[bytes, bytes] = field.metadata or {}
     return metadata.get(key.encode(), b"").decode()
 
 
-def _missing(library: str) -> InputError:
+def _missing_library_error(library: str) -> InputError:
     return InputError(f"{library} is not installed (pip install {library})")

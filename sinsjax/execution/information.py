@@ -1,4 +1,4 @@
-"""The least heading error that the data of a study allow any method, in memory."""
+"""Lower bound of the heading error of any method on the data of a study, in memory."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from sinsjax.covariance.information import heading_bound
 from sinsjax.engine.build import ENVIRONMENT_KEYS, Scenario
 from sinsjax.engine.sensor_inputs import read_motion
 from sinsjax.errors import InputError
-from sinsjax.execution.tables import table_of
+from sinsjax.execution.tables import make_table
 from sinsjax.methods.floors import mean_attitude
 from sinsjax.platform import runtime
 from sinsjax.strapdown.base_motion import Motion
@@ -23,11 +23,11 @@ from sinsjax.units import ARCMIN
 
 
 def information_bound(study: Study | str | Path) -> pa.Table:
-    """Information bound of a simulated study's heading, see `methods.information`.
+    """Return the information bound of a simulated study's heading, see `methods.information`.
 
-    No unbiased method has a smaller standard deviation of phi_u from its bias floor than this,
-    whatever it starts from; its methods' own settings do not enter. Variants that share Earth,
-    motion and sensors share their bound; each takes about a second for 300 s at 100 Hz.
+    No unbiased method has a smaller standard deviation of phi_u about its bias floor, whatever its
+    initial state; the settings of the study's methods have no influence. Variants with the same
+    Earth, motion and sensors share a bound; each takes about a second for 300 s at 100 Hz.
 
     Args:
         study: study, its file, or the name of a shipped study.
@@ -37,7 +37,7 @@ def information_bound(study: Study | str | Path) -> pa.Table:
         phi_u. The schema has units and meanings.
 
     Raises:
-        InputError: a study of a record, with passes, or with draws of what decides the bound; or
+        InputError: the study has a record or passes, draws a value that affects the bound, or has
             accelerometers without white noise.
 
     Examples:
@@ -48,52 +48,58 @@ def information_bound(study: Study | str | Path) -> pa.Table:
     """
     runtime.ensure_configured()
     study = load_study(study)
-    _require_bounded(study)
+    _check_bound_applies(study)
     scenario, ends = Scenario(study), study.spans_s[:, 0]
     swept = [key for key in study.axis_keys if key in ENVIRONMENT_KEYS]
     codes = study.resolved.column(*swept).codes if swept else np.zeros(study.n_variants, int)
-    found: dict[tuple[int, float], dict[float, float]] = {}
+    bounds: dict[tuple[int, float], dict[float, float]] = {}
     rows: list[tuple[int, float, float]] = []
-    for number, ids in enumerate(scenario.variant_ids):
+    for part, ids in enumerate(scenario.variant_ids):
         for variant in ids:
             key = int(codes[variant]), float(ends[variant])
-            if key not in found:
+            if key not in bounds:
                 times = sorted({*(t for t in study.report_times_s if t < key[1]), key[1]})
-                found[key] = dict(zip(times, _bound(scenario, number, times), strict=True))
-            rows += [(int(variant), time, sigma) for time, sigma in found[key].items()]
+                bounds[key] = dict(
+                    zip(times, _heading_sigma_bound(scenario, part, times), strict=True)
+                )
+            rows += [(int(variant), time, sigma) for time, sigma in bounds[key].items()]
     names = (c.name for c in columns.INFORMATION_BOUND)
-    values = zip(names, (np.array(one) for one in zip(*sorted(rows), strict=True)), strict=True)
-    return table_of(columns.INFORMATION_BOUND, dict(values))
+    values = zip(
+        names, (np.array(column) for column in zip(*sorted(rows), strict=True)), strict=True
+    )
+    return make_table(columns.INFORMATION_BOUND, dict(values))
 
 
-def _bound(scenario: Scenario, number: int, times_s: Sequence[float]) -> np.ndarray:
-    """Of the variants of a part, arcmin."""
+def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]) -> np.ndarray:
+    """Return the bound of 1 sigma of the heading at some times, arcmin."""
     study = scenario.study
-    environment = scenario.part(number, range(1), blank=True).group.environment
+    environment = scenario.part(part, range(1), blank=True).group.environment
     if not np.all(environment.errors.accel_noise):
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
-    motion = read_motion(Variants(study, scenario.variant_ids[number]).common)
+    motion = read_motion(Variants(study, scenario.variant_ids[part]).common)
     pitch, roll, yaw = (s._replace(amplitude=0.0 * s.amplitude) for s in motion.angles)
-    still = Motion(pitch, roll, yaw)
+    still_motion = Motion(pitch, roll, yaw)
     sigma = heading_bound(
         times_s,
         place=environment.site.place,
         errors=environment.errors,
         disturbances=environment.disturbances,
         dt=1 / study.rate_hz,
-        to_n=np.asarray(mean_attitude(still)),
+        to_n=np.asarray(mean_attitude(still_motion)),
     )
     return sigma / ARCMIN
 
 
-def _require_bounded(study: Study) -> None:
-    """Refuses what the bound is not known of."""
+def _check_bound_applies(study: Study) -> None:
+    """Refuse a study for which the bound is unknown."""
     if study.is_recorded:
         raise InputError("[record]: the information bound needs the noise of a simulation")
     if study.passes:
-        text = "repeated passes add no information (take [passes] out, give the record's length)"
+        text = (
+            "repeated passes add no information (drop [passes]; duration_s is the record's length)"
+        )
         raise InputError(f"[passes]: {text}")
     for key in study.drawn_keys:
         if key in ENVIRONMENT_KEYS:
-            text = "the information bound takes its value as given (sweep it instead)"
+            text = "the information bound needs a fixed value (sweep it instead of drawing it)"
             raise InputError(f"[{SECTION_OF[key]}] {key}: {text}")

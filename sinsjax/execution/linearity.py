@@ -1,7 +1,7 @@
-"""How far covariance analysis holds for a variant, by a few draws; where it does not, many of them.
+"""Check of covariance analysis by a few draws per variant; many draws replace it if it fails.
 
-The index of nonlinearity is the rms over a few draws of what a run has beyond its companion, in
-standard deviations of the true error.
+The index of nonlinearity is the rms difference, over a few draws, between the heading error of a
+run and that of its linear companion, in standard deviations of the true error.
 """
 
 import threading
@@ -18,132 +18,152 @@ from sinsjax.engine.batch import Calls
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.success import FLOOR, TRUTH
-from sinsjax.execution.estimates import settled_of, told_records
-from sinsjax.execution.tables import nullable, with_column
-from sinsjax.study.success import bands
+from sinsjax.execution.estimates import report_record_indices, settling_statistics
+from sinsjax.execution.tables import nullable_array, replace_column
+from sinsjax.study.success import settling_bands
 from sinsjax.units import ARCMIN
 
-CHECKED = 8
-"""Draws that the index is made of."""
+CHECKED_DRAWS = 8
+"""Number of draws for the index."""
 
-MOST = 0.5
-"""Of the index; beyond it covariance analysis does not hold."""
+MAX_INDEX = 0.5
+"""Largest index for which covariance analysis holds."""
 
 _PARTS_READY = 2
-_VARIANTS_CHECKED = 64  # per call: the errors of a lane's draws stay in the first-level cache
-_VARIANTS_FILLED = 8  # per call of many draws
+_VARIANTS_PER_CHECK = 64  # per call: the errors of a lane's draws stay in the first-level cache
+_VARIANTS_PER_FILL = 8  # per call of many draws
 
 
-class Linearity:
-    """The index of a study's variants, and the draws of those for which it is large."""
+class LinearityCheck:
+    """Index of nonlinearity of a study's variants, and draws of those for which it is large."""
 
     def __init__(self, scenario: Scenario) -> None:
         study = scenario.study
         self._scenario, self._study = scenario, study
-        self._records, self._end_s = told_records(study), study.spans_s[:, 0]
+        self._records, self._end_s = report_record_indices(study), study.spans_s[:, 0]
         self._ends = [f"_at_{time_s:g}" for time_s in study.report_times_s] + [""]
         self._lock = threading.Lock()
-        self._runs = lru_cache(_PARTS_READY)(self._group)
+        self._cached_group = lru_cache(_PARTS_READY)(self._part_group)
 
-    def checked(self, number: int, table: pa.Table) -> pa.Table:
-        """Estimates of some variants of a part with their index, those beyond `MOST` from draws.
+    def add_nonlinearity_index(self, part: int, table: pa.Table) -> pa.Table:
+        """Add the index to estimates of a part; estimate variants beyond `MAX_INDEX` from draws.
 
         Args:
-            number: of the part.
+            part: number of the part.
             table: estimates.
         """
-        ids = self._scenario.variant_ids[number]
-        places = np.searchsorted(ids, table["variant_id"].to_numpy())
-        cuts = range(0, len(places), _VARIANTS_CHECKED)
-        blocks = [slice(first, first + _VARIANTS_CHECKED) for first in cuts]
-        width = len(places[blocks[0]])
-        with self._lock:  # otherwise every thread would make the part and compile
-            group = self._runs(number)
-            runs, wide = (_few(group, places[blocks[0]], n) for n in (width, _VARIANTS_CHECKED))
+        ids = self._scenario.variant_ids[part]
+        positions = np.searchsorted(ids, table["variant_id"].to_numpy())
+        cuts = range(0, len(positions), _VARIANTS_PER_CHECK)
+        blocks = [slice(first, first + _VARIANTS_PER_CHECK) for first in cuts]
+        width = len(positions[blocks[0]])
+        with self._lock:  # otherwise every thread would build the part and compile
+            group = self._cached_group(part)
+            runs, wide = (
+                _select_variants(group, positions[blocks[0]], n)
+                for n in (width, _VARIANTS_PER_CHECK)
+            )
             Calls(runs).compile()
             linear_draws.linear_program(wide, self._records).compiled()
         index = np.concatenate(
-            [self._index(table[some], group, places[some], width) for some in blocks], axis=1
+            [
+                self._nonlinearity_index(table[block], group, positions[block], width)
+                for block in blocks
+            ],
+            axis=1,
         )
         for end, values in zip(self._ends, index, strict=True):
-            table = with_column(table, f"nonlinearity{end}", nullable(values))
-        beyond = ~(index.max(axis=0) <= MOST) & ~np.isnan(index).all(axis=0)
-        table = with_column(table, "filled_by_draws", pa.array(beyond))
-        for first in range(0, int(beyond.sum()), _VARIANTS_FILLED):
-            rows = np.flatnonzero(beyond)[first : first + _VARIANTS_FILLED]
-            table = self._filled(table, group, rows, places[rows])
+            table = replace_column(table, f"nonlinearity{end}", nullable_array(values))
+        beyond = ~(index.max(axis=0) <= MAX_INDEX) & ~np.isnan(index).all(axis=0)
+        table = replace_column(table, "filled_by_draws", pa.array(beyond))
+        for first in range(0, int(beyond.sum()), _VARIANTS_PER_FILL):
+            rows = np.flatnonzero(beyond)[first : first + _VARIANTS_PER_FILL]
+            table = self._fill_from_draws(table, group, rows, positions[rows])
         return table
 
-    def _group(self, number: int) -> Group:
-        draws = self._study.study.draws or CHECKED
-        return self._scenario.part(number, range(max(draws, CHECKED))).group
+    def _part_group(self, part: int) -> Group:
+        draws = self._study.study.draws or CHECKED_DRAWS
+        return self._scenario.part(part, range(max(draws, CHECKED_DRAWS))).group
 
-    def _index(self, table: pa.Table, group: Group, places: NDArray, width: int) -> NDArray:
+    def _nonlinearity_index(
+        self, table: pa.Table, group: Group, positions: NDArray, width: int
+    ) -> NDArray:
         """Return the index of a few variants, (times, variants).
 
         Args:
             table: their rows.
             group: all variants of the part.
-            places: their places in it.
+            positions: their positions in it.
             width: variants per call of the runs, so that all calls share a program.
         """
-        out = Calls(_few(group, places, width)).all_chunks().outcome
-        beside = linear_draws.linear_misalignments(
-            _few(group, places, _VARIANTS_CHECKED), self._records
+        outcome = Calls(_select_variants(group, positions, width)).all_chunks().outcome
+        companion_phi = linear_draws.linear_misalignments(
+            _select_variants(group, positions, _VARIANTS_PER_CHECK), self._records
         )
-        at_times = () if out.at_times is None else np.asarray(out.at_times)[..., 0].T
-        phi = np.stack([*at_times, out.last.phi.z]).reshape(len(self._ends), CHECKED, width)
-        count = len(places)
-        beyond = (phi[..., :count] - beside[2, :, :count].swapaxes(1, 2)) / ARCMIN
+        at_times = () if outcome.at_times is None else np.asarray(outcome.at_times)[..., 0].T
+        phi = np.stack([*at_times, outcome.last.phi.z]).reshape(
+            len(self._ends), CHECKED_DRAWS, width
+        )
+        count = len(positions)
+        difference = (phi[..., :count] - companion_phi[2, :, :count].swapaxes(1, 2)) / ARCMIN
         names = (f"true_sigma_u{end}_arcmin" for end in self._ends)
         sigma = np.stack([table[name].to_numpy(zero_copy_only=False) for name in names])
-        with np.errstate(divide="ignore", invalid="ignore"):  # without noise there is none
-            return np.sqrt(np.mean(beyond**2, axis=1)) / sigma
+        with np.errstate(divide="ignore", invalid="ignore"):  # zero without noise
+            return np.sqrt(np.mean(difference**2, axis=1)) / sigma
 
-    def _filled(self, table: pa.Table, group: Group, rows: NDArray, places: NDArray) -> pa.Table:
-        """The table with what the draws of some rows give of the heading."""
-        width = _VARIANTS_FILLED
-        made = Calls(_few(group, places, width, draws=group.sizes[0])).all_chunks()
+    def _fill_from_draws(
+        self, table: pa.Table, group: Group, rows: NDArray, positions: NDArray
+    ) -> pa.Table:
+        """Replace the heading columns of some rows by statistics of their draws."""
+        width = _VARIANTS_PER_FILL
+        chunk = Calls(_select_variants(group, positions, width, draws=group.sizes[0])).all_chunks()
 
-        def of(leaf: Any) -> NDArray:
-            """(variants, draws, ...)."""
+        def by_variant(leaf: Any) -> NDArray:
+            """Reshape a leaf to (variants, draws, ...)."""
             leaf = np.asarray(leaf)
             return leaf.reshape(-1, width, *leaf.shape[1:]).swapaxes(0, 1)[: len(rows)]
 
-        out = made.outcome
-        told = {"": (of(out.last.phi.z), of(out.last.sigma.z))}
-        if out.at_times is not None:
-            phi, sigma, _ = np.moveaxis(of(out.at_times), 3, 0)
+        outcome = chunk.outcome
+        heading_by_time = {"": (by_variant(outcome.last.phi.z), by_variant(outcome.last.sigma.z))}
+        if outcome.at_times is not None:
+            phi, sigma, _ = np.moveaxis(by_variant(outcome.at_times), 3, 0)
             times = zip(np.moveaxis(phi, 2, 0), np.moveaxis(sigma, 2, 0), strict=True)
-            told |= zip(self._ends, times, strict=False)
-        limited = table["has_floor"].to_numpy(zero_copy_only=False)[rows]
-        floor = np.where(limited[:, None], of(out.floor.phi.z), np.nan)
+            heading_by_time |= zip(self._ends, times, strict=False)
+        has_floor = table["has_floor"].to_numpy(zero_copy_only=False)[rows]
+        floor = np.where(has_floor[:, None], by_variant(outcome.floor.phi.z), np.nan)
         values: dict[str, NDArray] = {}
-        for end, (phi, sigma) in told.items():
+        for end, (phi, sigma) in heading_by_time.items():
             values |= {
                 f"phi_u{end}_arcmin": phi.mean(1) / ARCMIN,
                 f"true_sigma_u{end}_arcmin": phi.std(1, ddof=1) / ARCMIN,
                 f"sigma_u{end}_arcmin": np.sqrt(np.mean(sigma**2, axis=1)) / ARCMIN,
             }
-            for band in bands(self._study):
+            for band in settling_bands(self._study):
                 for side, error in (("", phi - floor), ("_truth", phi)):
                     inside = np.where(np.isnan(error), np.nan, np.abs(error) <= band * ARCMIN)
                     values[f"within_{band:g}{side}{end}_share"] = inside.mean(1)
-        until, end_s = of(out.outside_until), self._end_s[table["variant_id"].to_numpy()[rows]]
-        for truth, about in ((False, FLOOR), (True, TRUTH)):
-            for number, band in enumerate(bands(self._study)):
+        outside_until, end_s = (
+            by_variant(outcome.outside_until),
+            self._end_s[table["variant_id"].to_numpy()[rows]],
+        )
+        for truth, centre in ((False, FLOOR), (True, TRUTH)):
+            for number, band in enumerate(settling_bands(self._study)):
                 names = (c.name for c in columns.settle_estimates(band, truth=truth))
-                settled = settled_of(until[:, :, about, number], end_s, opposite=False)
-                known = np.ones_like(limited) if truth else limited
+                settled = settling_statistics(
+                    outside_until[:, :, centre, number], end_s, antithetic=False
+                )
+                known = np.ones_like(has_floor) if truth else has_floor
                 values |= zip(names, (np.where(known, s, np.nan) for s in settled), strict=True)
-        for name, own in values.items():
-            whole = table[name].to_numpy(zero_copy_only=False).copy()
-            whole[rows] = own
-            table = with_column(table, name, nullable(whole))
+        for name, column_values in values.items():
+            column = table[name].to_numpy(zero_copy_only=False).copy()
+            column[rows] = column_values
+            table = replace_column(table, name, nullable_array(column))
         return table
 
 
-def _few(group: Group, places: NDArray, width: int, draws: int = CHECKED) -> Group:
-    """The first draws of a few variants, the last one repeated up to so many."""
-    filled = np.pad(places, (0, width - len(places)), mode="edge")
-    return group.select(np.arange(draws), filled)
+def _select_variants(
+    group: Group, positions: NDArray, width: int, draws: int = CHECKED_DRAWS
+) -> Group:
+    """Return the first draws of a few variants, padded to ``width`` with the last variant."""
+    padded = np.pad(positions, (0, width - len(positions)), mode="edge")
+    return group.select(np.arange(draws), padded)

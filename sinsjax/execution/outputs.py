@@ -11,94 +11,94 @@ from sinsjax.engine.batch import Calls, Chunk, Plan
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.environment import Static
 from sinsjax.engine.lanes import Group
-from sinsjax.execution.estimates import Estimates
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.estimates import EstimateOutput
+from sinsjax.execution.tables import TableBuilder
 
 
 @runtime_checkable
 class Output(Protocol):
-    """What becomes of the parts of a study.
+    """Conversion of the parts of a study to result tables.
 
     Attributes:
-        layouts: columns of the datasets that every task writes, in the order in which they are
-            written: the last one is there only if the others are.
+        schemas: columns of the datasets that every task writes, in the order in which they are
+            written: the last one exists only if the others do.
     """
 
-    layouts: Mapping[str, tuple[Column, ...]]
+    schemas: Mapping[str, tuple[Column, ...]]
 
-    def program(self, static: Static) -> Static:
-        """The program of a part, from that of its runs."""
+    def adapt_program(self, static: Static) -> Static:
+        """Return the program of a part, from that of its runs."""
         ...
 
-    def group(self, group: Group) -> Group:
-        """What the engine runs of a part, from all its runs."""
+    def adapt_group(self, group: Group) -> Group:
+        """Return the runs of a part for the engine, from all its runs."""
         ...
 
-    def plan(self, static: Static, draws: int, count: int, tiles: int | None) -> Plan:
-        """How some draws of so many variants are cut, into calls of so many tiles."""
+    def plan_calls(self, static: Static, draws: int, variants: int, tiles: int | None) -> Plan:
+        """Return the division of a number of draws and variants into calls."""
         ...
 
-    def calls(self, group: Group, tiles: int | None) -> Calls:
+    def make_calls(self, group: Group, tiles: int | None) -> Calls:
         """Return the calls of such a plan."""
         ...
 
-    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
-        """Tables by dataset, of a chunk of the variants of a part."""
+    def make_tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
+        """Return the tables of a chunk by dataset."""
         ...
 
-    def failures(self, tables: Mapping[str, pa.Table]) -> int:
-        """Number of runs in these tables that diverged or became non-finite."""
+    def count_failures(self, tables: Mapping[str, pa.Table]) -> int:
+        """Return the number of runs in these tables that diverged or became non-finite."""
         ...
 
 
-class Runs:
+class RunOutput:
     """Summary and curves of all runs, see `Output`.
 
     Attributes:
-        layouts: columns by dataset.
+        schemas: columns by dataset.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self._made = Tables(scenario.study, has_truth=scenario.has_truth)
-        curves = {"curves": self._made.curve_columns} if scenario.curves else {}
-        self.layouts: Mapping[str, tuple[Column, ...]] = {
+        self._builder = TableBuilder(scenario.study, has_truth=scenario.has_truth)
+        curves = {"curves": self._builder.curve_columns} if scenario.curves else {}
+        self.schemas: Mapping[str, tuple[Column, ...]] = {
             **curves,
-            "summary": self._made.summary_columns,
+            "summary": self._builder.summary_columns,
         }
 
-    def program(self, static: Static) -> Static:
+    def adapt_program(self, static: Static) -> Static:
         """Return the program of the runs."""
         return static
 
-    def group(self, group: Group) -> Group:
+    def adapt_group(self, group: Group) -> Group:
         """Return the runs."""
         return group
 
-    def plan(self, static: Static, draws: int, count: int, tiles: int | None) -> Plan:
-        """Return how some draws of so many variants are cut, into calls of so many tiles."""
-        return Plan(static, draws, count, tiles_per_chunk=tiles)
+    def plan_calls(self, static: Static, draws: int, variants: int, tiles: int | None) -> Plan:
+        """Return the division of a number of draws and variants into calls."""
+        return Plan(static, draws, variants, tiles_per_chunk=tiles)
 
-    def calls(self, group: Group, tiles: int | None) -> Calls:
+    def make_calls(self, group: Group, tiles: int | None) -> Calls:
         """Return the calls of such a plan."""
         return Calls(group, tiles_per_chunk=tiles)
 
-    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
-        """Return one row per run, and one per run and record time if curves are kept."""
-        made = {"summary": self._made.summary(chunk, variant_ids)}
-        if "curves" in self.layouts:
-            made["curves"] = self._made.curves(chunk, variant_ids)
-        return made
+    def make_tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
+        """Return one row per run, and one per run and record time if curves are stored."""
+        tables = {"summary": self._builder.summary_table(chunk, variant_ids)}
+        if "curves" in self.schemas:
+            tables["curves"] = self._builder.curve_table(chunk, variant_ids)
+        return tables
 
-    def failures(self, tables: Mapping[str, pa.Table]) -> int:
+    def count_failures(self, tables: Mapping[str, pa.Table]) -> int:
         """Return the number of runs that diverged or became non-finite, by their status."""
         status = tables["summary"]["status"].to_pylist()
         return sum(map(status.count, FAILED))
 
 
-def output_of(scenario: Scenario) -> Output:
-    """Return the output that a study asks for.
+def make_output(scenario: Scenario) -> Output:
+    """Return the output that a study requests.
 
     Raises:
-        InputError: curves are asked for where there are no runs.
+        InputError: curves are requested, but there are no runs.
     """
-    return Estimates(scenario) if scenario.study.is_estimated else Runs(scenario)
+    return EstimateOutput(scenario) if scenario.study.is_estimated else RunOutput(scenario)

@@ -1,7 +1,7 @@
 """Preparation of a study before it runs: every check, forecast and warning, once.
 
-The command line and the functions of Python prepare a `Job` here and hand it to `run.run_job`;
-nothing is asked again. Nothing is created or changed.
+The command line and the Python functions prepare a `Job` here and pass it to `run.run_job`, which
+checks nothing again. Nothing is created or changed.
 """
 
 import warnings
@@ -16,100 +16,101 @@ from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.dropping import keys_without_effect
-from sinsjax.study.files import find_study, source_name
-from sinsjax.study.load import load_study, load_with_notes, tables_of, with_rate
+from sinsjax.study.files import find_study_file, source_name
+from sinsjax.study.load import load_study, load_with_notes, study_to_tables, with_rate
 from sinsjax.study.study import Study
+from sinsjax.study.unused_keys import list_idle_keys
 
 
-class Options(NamedTuple):
-    """How a study is to run.
+class RunOptions(NamedTuple):
+    """Options of a run.
 
     Attributes:
         directory: results directory; None for tables in memory.
         curves: whether to keep curves; None follows the study.
-        most_curves: number of runs up to which curves of all runs are kept; None for no limit.
+        max_curve_runs: number of runs up to which curves of all runs are kept; None for no limit.
         chunk_runs: runs per chunk; None for the default.
         overwrite: whether to replace existing results.
         resume: whether to continue existing results.
-        source: words for the study in the manifest; None for its file, if it has one.
+        source: label of the study in the manifest; None for its file, if it has one.
     """
 
     directory: str | Path | None = None
     curves: bool | None = None
-    most_curves: int | None = None
+    max_curve_runs: int | None = None
     chunk_runs: int | None = None
     overwrite: bool = False
     resume: bool = False
     source: Path | str | None = None
 
 
-_DEFAULTS = Options()
+_DEFAULTS = RunOptions()
 
 
-class Kind(NamedTuple):
-    """The questions whose answers differ between a sweep and a tuning run.
+class JobKind(NamedTuple):
+    """Steps of the preparation that differ between a sweep and a tuning run.
 
     Attributes:
-        check_free: rejects a directory in use, as `resume.check_free`.
-        forecast: of a study, and whether it keeps curves.
-        continued: the job as a continuation of what its directory holds.
-        check_study: rejects a study, before the directory is looked at.
+        check_available: rejects a directory in use, as `resume.check_available`.
+        make_forecast: returns the forecast of a study, with or without curves.
+        continue_job: returns the job as a continuation of the results in its directory.
+        check_study: rejects a study, before the directory is checked.
     """
 
-    check_free: Callable[..., None]
-    forecast: Callable[[Study, bool | None], Forecast]
-    continued: Callable[[Job], Job]
+    check_available: Callable[..., None]
+    make_forecast: Callable[[Study, bool | None], Forecast]
+    continue_job: Callable[[Job], Job]
     check_study: Callable[[Study], Any]
 
 
-def _check_nothing(study: Study) -> None:
+def _accept_any(study: Study) -> None:
     """Accept any study."""
 
 
-SWEEP = Kind(resume.check_free, forecast.of, resume.continued, _check_nothing)
+SWEEP = JobKind(resume.check_available, forecast.forecast_sweep, resume.continue_job, _accept_any)
 
 
-def prepare(
+def prepare_job(
     source: Path | str | Study,
     overrides: Mapping[str, Any] | None = None,
     record: StoredRecord | Path | str | None = None,
     reference: Path | str | None = None,
-    options: Options = _DEFAULTS,
+    options: RunOptions = _DEFAULTS,
     *,
-    kind: Kind = SWEEP,
+    kind: JobKind = SWEEP,
 ) -> Job:
-    """Check a study with its record and options, and forecast what it takes.
+    """Check a study with its record and options, and forecast its cost.
 
     Args:
         source: study file, name of a shipped study, or study.
         overrides: values by ``section.key``, see `Study.replace`.
         record: inertial record of a recorded study, or its file.
         reference: file of the reference attitude of a record that is a file.
-        options: how the study is to run.
+        options: options of the run.
         kind: sweep or tuning run.
 
     Returns:
         The job, at the rate of its record, with warnings, notes and forecast.
 
     Raises:
-        InputError: the study is invalid or does not go with its record; the record is certainly
-            wrong; the directory cannot be used or holds results of another study; disk or memory
-            are too small; or double precision cannot be turned on.
+        InputError: the study is invalid or does not fit its record; the record is certainly
+            wrong; the directory cannot be used or contains results of another study; disk or memory
+            are too small; or double precision cannot be enabled.
     """
     runtime.ensure_configured()
-    place = None if options.directory is None else directory.results_path(options.directory)
-    study, unused = _load(source, overrides)
+    results_directory = (
+        None if options.directory is None else directory.results_path(options.directory)
+    )
+    study, unused_notes = _load_source(source, overrides)
     name = study.name if isinstance(source, Study) else source_name(source)
     kind.check_study(study)
-    _check_needs_record(study, name, record, reference)
-    overwrite, resumes = options.overwrite, options.resume
-    if place is not None:
-        directory.check_unlocked(place)
-        kind.check_free(place, overwrite=overwrite, resume=resumes)
-    curves, notes = _curves(study, name, options)
-    notes = [*unused, *notes]
-    stored = _stored(study, record, reference)
+    _check_record_needed(study, name, record, reference)
+    if results_directory is not None:
+        directory.check_unlocked(results_directory)
+        kind.check_available(results_directory, overwrite=options.overwrite, resume=options.resume)
+    curves, notes = _resolve_curves(study, name, options)
+    notes = [*unused_notes, *notes]
+    stored = _resolve_record(study, record, reference)
     if stored is not None:
         study = with_rate(study, stored.record.rate_hz)
     job = Job(
@@ -118,40 +119,42 @@ def prepare(
         curves,
         options.chunk_runs,
         (),
-        place,
-        overwrite,
-        resumes,
-        source=_config(source, options),
+        results_directory,
+        options.overwrite,
+        options.resume,
+        source=_source_label(source, options),
     )
-    if place is not None:
-        job = job._replace(seen=resume.state_of(place))
-        if resumes and not place.exists():
-            notes.append(f"{place}: there is nothing to resume, all runs are new.")
-        if resumes:
-            job = kind.continued(job)
-    expected = kind.forecast(study, curves)
-    forecast.require_room(study, expected, place, overwrite=overwrite, resume=resumes)
+    if results_directory is not None:
+        job = job._replace(manifest_state=resume.manifest_state(results_directory))
+        if options.resume and not results_directory.exists():
+            notes.append(f"{results_directory}: no results to resume, all runs are new.")
+        if options.resume:
+            job = kind.continue_job(job)
+    expected_cost = kind.make_forecast(study, curves)
+    forecast.check_resources(
+        study, expected_cost, results_directory, overwrite=options.overwrite, resume=options.resume
+    )
     checks.check_plugins(study, stored)
-    doubts = tuple(checks.study_warnings(study, stored))
-    if left := study.dropped_s:
-        notes.append(f"The last {left:g} s do not fill a record interval and are not run.")
+    study_doubts = tuple(checks.study_warnings(study, stored))
+    if dropped_s := study.dropped_s:
+        notes.append(f"The last {dropped_s:g} s do not fill a record interval and are not run.")
     if study.run_s <= study.study.window_s[0]:
         notes.append(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
-    return job._replace(warnings=doubts, notes=tuple(notes), forecast=expected)
+    return job._replace(warnings=study_doubts, notes=tuple(notes), forecast=expected_cost)
 
 
-def warn_of_doubts(job: Job) -> Job:
-    """Return a prepared job after warning of its doubts, as functions of Python do.
+def issue_warnings(job: Job) -> Job:
+    """Issue the warnings of a prepared job as Python warnings, and return the job.
 
     Warns:
-        StudyWarning: one for each doubt, and one for keys without effect.
+        StudyWarning: one per doubt, and one for keys without effect.
     """
-    for line in (*job.warnings, *keys_without_effect(job.study, tables_of(job.study))):
+    for line in (*job.warnings, *list_idle_keys(job.study, study_to_tables(job.study))):
         warnings.warn(line, StudyWarning, stacklevel=3)
     return job
 
 
-def subordinate(job: Job, study: Study, name: str) -> Job:
+def make_subjob(job: Job, study: Study, name: str) -> Job:
     """Return a job for a study derived from that of a prepared job, in a folder of its directory.
 
     Only the folder is checked: the study has been.
@@ -162,14 +165,19 @@ def subordinate(job: Job, study: Study, name: str) -> Job:
         name: name of the folder.
 
     Raises:
-        InputError: the folder cannot be used, or holds results of another study.
+        InputError: the folder cannot be used, or contains results of another study.
     """
     assert job.directory is not None
-    place = job.directory / name
-    directory.check_unlocked(place)
-    resume.check_free(place, overwrite=job.overwrite, resume=job.resume)
-    job = job._replace(study=study, curves=False, directory=place, seen=resume.state_of(place))
-    return resume.continued(job) if job.resume else job
+    subdirectory = job.directory / name
+    directory.check_unlocked(subdirectory)
+    resume.check_available(subdirectory, overwrite=job.overwrite, resume=job.resume)
+    job = job._replace(
+        study=study,
+        curves=False,
+        directory=subdirectory,
+        manifest_state=resume.manifest_state(subdirectory),
+    )
+    return resume.continue_job(job) if job.resume else job
 
 
 def load_increments(
@@ -192,40 +200,44 @@ def load_increments(
         >>> stored.record.rate_hz, stored.reference is None
         (100.0, True)
     """
-    return _increments(load_study(study), record, reference)
+    return _read_stored_record(load_study(study), record, reference)
 
 
-def _increments(study: Study, record: str | Path, reference: str | Path | None) -> StoredRecord:
+def _read_stored_record(
+    study: Study, record: str | Path, reference: str | Path | None
+) -> StoredRecord:
     if study.record is None:
         raise InputError(f"{study.name}: has no [record] section")
     if study.record.format == "arrays":
-        text = f"[record] format: 'arrays' are given to sinsjax.run, not read from {record}"
+        text = f"[record] format: 'arrays' are passed to sinsjax.run, not read from {record}"
         raise InputError(f"{study.name}: {text} (see sinsjax.record_from_arrays)")
-    layout = checks.layout_of(study)
-    read = read_record(record, layout)
-    return StoredRecord.of(read, None if reference is None else read_reference(reference, layout))
+    layout = checks.record_layout(study)
+    read_data = read_record(record, layout)
+    return StoredRecord.from_record(
+        read_data, None if reference is None else read_reference(reference, layout)
+    )
 
 
-def _load(
+def _load_source(
     source: Path | str | Study, overrides: Mapping[str, Any] | None
 ) -> tuple[Study, list[str]]:
-    """Return the study, and lines about keys of its file that its methods do not use."""
+    """Return the study, and a line per key of its file that its methods do not use."""
     if isinstance(source, Study):
         return source.replace(overrides) if overrides else source, []
     return load_with_notes(source, overrides or {})
 
 
-def _config(source: Path | str | Study, options: Options) -> str | None:
-    """Return the words for the study in the manifest; None for a study without a file."""
-    words = options.source
-    if words is None and not isinstance(source, Study):
-        words = find_study(source)
-    if isinstance(words, Path):  # an absolute path means nothing on another machine
-        return words.name if words.is_absolute() else words.as_posix()
-    return words
+def _source_label(source: Path | str | Study, options: RunOptions) -> str | None:
+    """Return the label of the study in the manifest; None for a study without a file."""
+    label = options.source
+    if label is None and not isinstance(source, Study):
+        label = find_study_file(source)
+    if isinstance(label, Path):  # an absolute path means nothing on another machine
+        return label.name if label.is_absolute() else label.as_posix()
+    return label
 
 
-def _check_needs_record(
+def _check_record_needed(
     study: Study,
     name: str,
     record: StoredRecord | Path | str | None,
@@ -233,14 +245,14 @@ def _check_needs_record(
 ) -> None:
     given = record if record is not None else reference
     if study.is_recorded and record is None:
-        ways = "`sinsjax align RECORD`, `sinsjax tune --record`, in Python `sinsjax.align`"
-        raise InputError(f"{name}: [record]: the study needs a record ({ways})")
+        hint = "`sinsjax align RECORD`, `sinsjax tune --record`, in Python `sinsjax.align`"
+        raise InputError(f"{name}: [record]: the study needs a record ({hint})")
     if given is not None and not study.is_recorded:
-        what = given if isinstance(given, Path | str) else "a record"
-        raise InputError(f"{name}: has no [record] section to read {what} with")
+        source = given if isinstance(given, Path | str) else "a record"
+        raise InputError(f"{name}: has no [record] section to read {source} with")
 
 
-def _stored(
+def _resolve_record(
     study: Study,
     record: StoredRecord | Path | str | None,
     reference: Path | str | None,
@@ -248,25 +260,25 @@ def _stored(
     if record is None or isinstance(record, StoredRecord):
         return record
     if isinstance(record, Path | str):
-        return _increments(study, record, reference)
+        return _read_stored_record(study, record, reference)
     raise InputError(
         f"{study.name}: record: must be what sinsjax.load_increments or"
-        f" sinsjax.record_from_arrays gives, not a {type(record).__name__}"
+        f" sinsjax.record_from_arrays returns, not a {type(record).__name__}"
     )
 
 
-def _curves(study: Study, name: str, options: Options) -> tuple[bool | None, list[str]]:
-    """Whether to keep curves, and notes about that."""
-    runs, most = study.n_draws * study.n_variants, options.most_curves
-    if most is None:
+def _resolve_curves(study: Study, name: str, options: RunOptions) -> tuple[bool | None, list[str]]:
+    """Return whether to store curves, and notes about that."""
+    runs, max_runs = study.n_draws * study.n_variants, options.max_curve_runs
+    if max_runs is None:
         return options.curves, []
     if study.is_estimated:
-        return None, []  # there are no runs to have any
-    if runs <= most:
+        return None, []  # no runs, so no curves
+    if runs <= max_runs:
         return True, []
     if study.is_recorded:
         return None, [f"{runs} runs: curves are kept only if [study] curves = true."]
     raise InputError(
-        f"{name}: {runs} runs are too many to keep every curve (at most {most}; use"
+        f"{name}: {runs} runs are too many to keep every curve (at most {max_runs}; use"
         " `sinsjax sweep`)"
     )

@@ -16,7 +16,7 @@ from sinsjax.execution import sealed
 from sinsjax.execution.directory import (
     STUDY,
     FileState,
-    check_entries,
+    check_directory,
     find_manifest,
     list_parts,
     read_manifest,
@@ -24,25 +24,25 @@ from sinsjax.execution.directory import (
 from sinsjax.messages import first_line, one_line
 from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular
-from sinsjax.study.identity import differences, fingerprint
+from sinsjax.study.identity import describe_differences, fingerprint
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
-STUDY_MARK, CHUNK_MARK = "sinsjax.study", "sinsjax.chunk"
+STUDY_METADATA, CHUNK_METADATA = "sinsjax.study", "sinsjax.chunk"
 """Metadata of a part: identity of its job, and its chunk as JSON."""
 
-_REMEDY = "`--resume` computes damaged parts again"
-_OTHERWISE = {
+_RESUME_HINT = "`--resume` computes damaged parts again"
+_ALTERNATIVES = {
     "summary": ("estimates", "estimates of variants, and no runs (`read_estimates` reads them)"),
     "estimates": ("summary", "runs, and no estimates of variants (`read_summary` reads them)"),
 }
-"""For a dataset that is absent: the one that may be there, and what such a directory holds."""
+"""Per absent dataset: the one that may exist instead, and the contents of such a directory."""
 
 _READERS = 4  # threads; hashing releases Python's lock
 
 
 _verified: dict[FileState, str] = {}
-"""Identity of the job of each part that this process has verified."""
+"""Identity of the job of each part verified by this process."""
 
 
 def read_summary(
@@ -61,7 +61,7 @@ def read_summary(
         verify: whether to verify the checksum of every part, once per process.
 
     Raises:
-        InputError: the directory holds no results, a part has changed, or a column is missing.
+        InputError: the directory contains no results, a part has changed, or a column is missing.
 
     Examples:
         >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
@@ -70,7 +70,7 @@ def read_summary(
         [{'run_id': 4, 'status': 'ok'}]
     """
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
-    return _read(directory, "summary", names, ["run_id"], verify=verify, rows=rows)
+    return _read_sorted(directory, "summary", names, ["run_id"], verify=verify, rows=rows)
 
 
 def read_estimates(
@@ -84,7 +84,7 @@ def read_estimates(
         verify: whether to verify the checksum of every part, once per process.
 
     Raises:
-        InputError: the directory holds no estimates, a part has changed, or a column is missing.
+        InputError: the directory contains no estimates, a part has changed, or a column is missing.
 
     Examples:
         >>> changes = {"study.rate_hz": 10.0, "study.check_linearity": False}
@@ -94,7 +94,7 @@ def read_estimates(
         >>> sinsjax.read_estimates("out", ["variant_id", "true_sigma_u_arcmin"]).num_rows
         16
     """
-    return _read(directory, "estimates", names, ["variant_id"], verify=verify)
+    return _read_sorted(directory, "estimates", names, ["variant_id"], verify=verify)
 
 
 def read_curves(
@@ -119,29 +119,31 @@ def read_curves(
     if not has_dataset(directory, "curves", verify=verify):
         return columns.schema(columns.CURVES).empty_table()
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
-    return _read(directory, "curves", None, ["run_id", "time_s"], verify=verify, rows=rows)
+    return _read_sorted(directory, "curves", None, ["run_id", "time_s"], verify=verify, rows=rows)
 
 
 def count_runs(directory: str | Path) -> int:
     """Return the number of rows of the summary, after verifying every part.
 
     Raises:
-        InputError: the directory holds no results, or a part has changed.
+        InputError: the directory contains no results, or a part has changed.
     """
-    return query(directory, "summary", lambda dataset: dataset.count_rows())
+    return query_dataset(directory, "summary", lambda dataset: dataset.count_rows())
 
 
 def load_stored_study(directory: Path) -> Study:
     """Load the study of a results directory.
 
     Raises:
-        InputError: it cannot be read, which names packages that provided methods when it was
-            computed and are not installed here; or it is not the study of the results.
+        InputError: it cannot be read (names packages that provided methods when it was computed and
+            are not installed here); or it is not the study of the results.
     """
     try:
         study = load_study(directory / STUDY)
     except InputError as error:
-        missing = " and ".join(f"{name} {version}" for name, version in _missing(directory))
+        missing = " and ".join(
+            f"{name} {version}" for name, version in _missing_packages(directory)
+        )
         if not missing:
             raise
         raise InputError(
@@ -150,7 +152,7 @@ def load_stored_study(directory: Path) -> Study:
         ) from error
     manifest = find_manifest(directory)
     if manifest is not None and manifest.fingerprint != fingerprint(study):
-        differing = differences(manifest.study, study, ("in the results", "in the file"))
+        differing = describe_differences(manifest.study, study, ("in the results", "in the file"))
         text = one_line("; ".join(differing))
         raise InputError(
             f"{directory / STUDY}: is not the study of the results: {text}"
@@ -159,8 +161,8 @@ def load_stored_study(directory: Path) -> Study:
     return study
 
 
-def _missing(directory: Path) -> list[tuple[str, str]]:
-    """Packages in the manifest that are not installed, and their versions."""
+def _missing_packages(directory: Path) -> list[tuple[str, str]]:
+    """Return the packages in the manifest that are not installed, and their versions."""
     stored = read_manifest(directory).get("versions")
     versions = stored if isinstance(stored, dict) else {}
     others = (name for name in versions if name not in ("python", *runtime.DECISIVE))
@@ -181,60 +183,66 @@ def has_dataset(directory: str | Path, name: str, *, verify: bool = True) -> boo
     if list_parts(Path(directory), name):
         return True
     if verify:
-        _verify(Path(directory), name, ())
+        _verify_parts(Path(directory), name, ())
     return False
 
 
-def query(
-    directory: str | Path, name: str, question: Callable[[ds.Dataset], Any], *, verify: bool = True
+def query_dataset(
+    directory: str | Path, name: str, function: Callable[[ds.Dataset], Any], *, verify: bool = True
 ) -> Any:
-    """Query a dataset.
+    """Apply a function to a dataset.
 
     Args:
         directory: results directory.
         name: name of the dataset.
-        question: function of the dataset that gives the answer.
+        function: function of the dataset that returns the result.
         verify: whether to verify the parts first.
 
     Raises:
         InputError: there are no parts, or a part has changed or cannot be read.
     """
     directory = Path(directory)
-    check_entries(directory)
+    check_directory(directory)
     if not has_dataset(directory, name, verify=verify):
-        other, why = _OTHERWISE.get(name, ("", ""))
-        is_other = other and list_parts(directory, other)
-        raise InputError(
-            f"{directory}: holds {why if is_other else f'no results (no part in {name}/)'}"
-        )
+        alternative, contents = _ALTERNATIVES.get(name, ("", ""))
+        has_alternative = alternative and list_parts(directory, alternative)
+        if not has_alternative:
+            contents = f"no results (no part in {name}/)"
+        raise InputError(f"{directory}: contains {contents}")
     parts = list_parts(directory, name)
     try:
         if verify:
-            _verify(directory, name, parts)
-        return question(ds.dataset(parts, format="parquet"))
+            _verify_parts(directory, name, parts)
+        return function(ds.dataset(parts, format="parquet"))
     except (OSError, pa.ArrowException) as error:
-        what = first_line(error)
-        raise InputError(f"{directory / name}: cannot be read: {what} ({_REMEDY})") from error
+        reason = first_line(error)
+        raise InputError(
+            f"{directory / name}: cannot be read: {reason} ({_RESUME_HINT})"
+        ) from error
 
 
-def part_marks(content: bytes) -> dict[str, str] | None:
+def read_part_metadata(content: bytes) -> dict[str, str] | None:
     """Return the marks of a part, see `tasks.TaskRunner.marks`; None if it is not intact.
 
     Args:
-        content: of the file.
+        content: content of the file.
     """
     if not sealed.is_intact(content):
         return None
     try:
-        about = pq.read_metadata(pa.BufferReader(content))
-        found = about.metadata or {}
-        marks = {key: found[key.encode()].decode() for key in (STUDY_MARK, CHUNK_MARK)}
-        return marks if json.loads(marks[CHUNK_MARK])["rows"] == about.num_rows else None
+        file_metadata = pq.read_metadata(pa.BufferReader(content))
+        entries = file_metadata.metadata or {}
+        metadata = {key: entries[key.encode()].decode() for key in (STUDY_METADATA, CHUNK_METADATA)}
+        return (
+            metadata
+            if json.loads(metadata[CHUNK_METADATA])["rows"] == file_metadata.num_rows
+            else None
+        )
     except (KeyError, ValueError, TypeError, pa.ArrowException):
         return None
 
 
-def _read(
+def _read_sorted(
     directory: str | Path,
     dataset: str,
     names: Sequence[str] | None,
@@ -243,49 +251,49 @@ def _read(
     verify: bool,
     rows: ds.Expression | None = None,
 ) -> pa.Table:
-    def ask(there: ds.Dataset) -> pa.Table:
-        known = there.schema.names
-        wanted = known if names is None else list(names)
-        if missing := [name for name in wanted if name not in known]:
+    def select_rows(dataset_: ds.Dataset) -> pa.Table:
+        known_columns = dataset_.schema.names
+        selected = known_columns if names is None else list(names)
+        if missing := [name for name in selected if name not in known_columns]:
             raise InputError(f"{directory}: {dataset}: column {missing[0]} is missing")
-        table = there.to_table(columns=sorted({*order, *wanted}), filter=rows)
-        return table.sort_by([(name, "ascending") for name in order]).select(wanted)
+        table = dataset_.to_table(columns=sorted({*order, *selected}), filter=rows)
+        return table.sort_by([(name, "ascending") for name in order]).select(selected)
 
-    table = query(directory, dataset, ask, verify=verify)
+    table = query_dataset(directory, dataset, select_rows, verify=verify)
     # The metadata of the first part does not apply to the others.
     return table.replace_schema_metadata({"sinsjax.schema": columns.SCHEMA_VERSION})
 
 
-def _verify(directory: Path, dataset: str, parts: Sequence[Path]) -> None:
-    """Verify parts, and that none is missing which the manifest lists."""
+def _verify_parts(directory: Path, dataset: str, parts: Sequence[Path]) -> None:
+    """Verify parts, and that no part listed in the manifest is missing."""
     manifest = find_manifest(directory)
     if manifest is not None:
         listed = {part.file for chunk in manifest.chunks for part in chunk.files}
-        there = {f"{dataset}/{path.name}" for path in parts}
-        for file in sorted(name for name in listed - there if name.startswith(f"{dataset}/")):
-            # It may have been written after `parts` were listed and before the manifest was read.
+        present = {f"{dataset}/{path.name}" for path in parts}
+        for file in sorted(name for name in listed - present if name.startswith(f"{dataset}/")):
+            # It may be newer than the list `parts`, but older than the manifest.
             if not (directory / file).exists():
                 raise InputError(
-                    f"{directory / file}: listed in the manifest but missing ({_REMEDY})"
+                    f"{directory / file}: listed in the manifest but missing ({_RESUME_HINT})"
                 )
     with ThreadPoolExecutor(_READERS) as pool:
-        for path, identity in zip(parts, pool.map(_identity, parts), strict=True):
+        for path, identity in zip(parts, pool.map(_verified_identity, parts), strict=True):
             if manifest is not None and identity != manifest.identity:
-                raise InputError(f"{path}: is a part of another study's results ({_REMEDY})")
+                raise InputError(f"{path}: is a part of another study's results ({_RESUME_HINT})")
 
 
-def _identity(path: Path) -> str:
-    """Verify a part; gives the identity of its job."""
-    file = FileState.of(path)
-    if (known := _verified.get(file)) is not None:
-        return known
-    marks = part_marks(read_regular(path))
-    if marks is None:
-        raise InputError(f"{path}: has changed since it was written ({_REMEDY})")
-    chunk = json.loads(marks[CHUNK_MARK])
+def _verified_identity(path: Path) -> str:
+    """Verify a part and return the identity of its job."""
+    file = FileState.from_path(path)
+    if (identity := _verified.get(file)) is not None:
+        return identity
+    metadata = read_part_metadata(read_regular(path))
+    if metadata is None:
+        raise InputError(f"{path}: has changed since it was written ({_RESUME_HINT})")
+    chunk = json.loads(metadata[CHUNK_METADATA])
     if (chunk["dataset"], chunk["name"]) != (path.parent.name, path.stem):
         text = f"is part {chunk['dataset']}/{chunk['name']} under another name"
-        raise InputError(f"{path}: {text} ({_REMEDY})")
+        raise InputError(f"{path}: {text} ({_RESUME_HINT})")
     if file.is_settled:
-        _verified[file] = marks[STUDY_MARK]
-    return marks[STUDY_MARK]
+        _verified[file] = metadata[STUDY_METADATA]
+    return metadata[STUDY_METADATA]

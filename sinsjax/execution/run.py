@@ -11,10 +11,10 @@ import pyarrow as pa
 
 from sinsjax import columns
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import layouts, resume, stopping
+from sinsjax.execution import resume, schemas, stopping
 from sinsjax.execution import tasks as study_tasks
-from sinsjax.execution.prepare import Options, prepare, warn_of_doubts
-from sinsjax.execution.store import MemoryStore, Sink, Store
+from sinsjax.execution.prepare import RunOptions, issue_warnings, prepare_job
+from sinsjax.execution.store import DirectoryStore, MemoryStore, ResultSink
 from sinsjax.execution.study_results import Results
 from sinsjax.execution.tasks import Executor, Job, Task, TaskRunner
 from sinsjax.platform import runtime
@@ -30,21 +30,21 @@ class RunProgress(NamedTuple):
         done: completed runs.
         total: number of runs; with [stop_when], at most.
         failures: runs of this session that diverged or became non-finite.
-        before: runs completed before this session.
-        counted: what is counted, if not runs.
+        done_before: runs completed before this session.
+        unit: unit of the counts: runs or estimates.
     """
 
     done: int
     total: int
     failures: int
-    before: int
-    counted: str = "runs"
+    done_before: int
+    unit: str = "runs"
 
 
-MOST_CURVES = 1024
-"""Most runs of which every curve is kept unless the study says otherwise."""
+MAX_CURVE_RUNS = 1024
+"""Largest number of runs whose curves are all stored by default."""
 
-Tell = Callable[[RunProgress], None]
+ProgressCallback = Callable[[RunProgress], None]
 """Progress callback, called before the first chunk and after every one."""
 
 
@@ -54,7 +54,7 @@ def run(
     *,
     curves: bool | None = None,
     chunk_runs: int | None = None,
-    tell: Tell | None = None,
+    tell: ProgressCallback | None = None,
 ) -> Results:
     """Run a study in memory.
 
@@ -69,8 +69,8 @@ def run(
         Tables of all runs.
 
     Raises:
-        InputError: the study is not valid, the record does not fit it, or it has no runs but
-            estimates.
+        InputError: the study is not valid, the record does not fit it, or it has estimates instead
+            of runs.
 
     Examples:
         >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
@@ -82,8 +82,8 @@ def run(
     if study.is_estimated:
         text = "covariance estimates have no runs (use sinsjax.estimate)"
         raise InputError(f"{study.name}: [study] estimate: {text}")
-    options = Options(curves=curves, chunk_runs=chunk_runs)
-    return _results(warn_of_doubts(prepare(study, None, record, None, options)), tell)
+    options = RunOptions(curves=curves, chunk_runs=chunk_runs)
+    return _run_to_results(issue_warnings(prepare_job(study, None, record, None, options)), tell)
 
 
 def align(
@@ -93,12 +93,12 @@ def align(
     *,
     overrides: Mapping[str, Any] | None = None,
     curves: bool | None = None,
-    tell: Tell | None = None,
+    tell: ProgressCallback | None = None,
 ) -> Results:
     """Align recorded data in memory, from every start time of the study.
 
     Args:
-        record: inertial record: a file, or what `record_from_arrays` or `load_increments` return.
+        record: inertial record: a file, or the result of `record_from_arrays` or `load_increments`.
         study: study with [record], its file, or the name of a shipped study.
         reference: file of a reference attitude to compare with, if the record is a file.
         overrides: values of the study by ``section.key`` to change, see `Study.replace`.
@@ -131,14 +131,19 @@ def align(
         >>> [round(heading) for heading in results.summary["heading_deg"].to_pylist()]
         [359]
     """
-    most = MOST_CURVES if curves is None else None
-    options = Options(curves=curves, most_curves=most)
-    study = load_study(study, overrides)  # here, so that what a change drops is warned of
-    return _results(warn_of_doubts(prepare(study, None, record, reference, options)), tell)
+    max_curve_runs = MAX_CURVE_RUNS if curves is None else None
+    options = RunOptions(curves=curves, max_curve_runs=max_curve_runs)
+    study = load_study(study, overrides)  # here, to warn about keys that a change drops
+    return _run_to_results(
+        issue_warnings(prepare_job(study, None, record, reference, options)), tell
+    )
 
 
 def estimate(
-    study: Study | str | Path, *, chunk_runs: int | None = None, tell: Tell | None = None
+    study: Study | str | Path,
+    *,
+    chunk_runs: int | None = None,
+    tell: ProgressCallback | None = None,
 ) -> pa.Table:
     """Estimate the errors of a study's variants in memory, by covariance analysis.
 
@@ -151,7 +156,7 @@ def estimate(
         One row per variant, ordered by variant_id; the schema has units and meanings.
 
     Raises:
-        InputError: the study asks for draws, or covariance analysis does not hold for it.
+        InputError: the study has no ``estimate``, or covariance analysis does not hold for it.
 
     Examples:
         >>> changes = {"study.rate_hz": 10.0, "study.check_linearity": False}
@@ -164,7 +169,7 @@ def estimate(
     study = load_study(study)
     if not study.is_estimated:
         raise InputError(f"{study.name}: [study] estimate: is 'draws' (use sinsjax.run)")
-    job = warn_of_doubts(prepare(study, options=Options(chunk_runs=chunk_runs)))
+    job = issue_warnings(prepare_job(study, options=RunOptions(chunk_runs=chunk_runs)))
     return run_in_memory(job, tell)["estimates"].sort_by("variant_id")
 
 
@@ -178,7 +183,7 @@ def run_into(
     overwrite: bool = False,
     resume: bool = False,
     executor: Executor | None = None,
-    tell: Tell | None = None,
+    tell: ProgressCallback | None = None,
     stop: threading.Event | None = None,
     source: Path | str | None = None,
 ) -> Results:
@@ -195,7 +200,7 @@ def run_into(
         executor: runs the tasks; None for all devices of this process.
         tell: called with the progress before the first chunk and after every one.
         stop: event that ends the study after the running chunks.
-        source: words for the study in the manifest; None for its file.
+        source: label of the study in the manifest; None for its file.
 
     Returns:
         The results, read from the directory when needed.
@@ -213,12 +218,12 @@ def run_into(
         >>> sinsjax.read_summary("out").num_rows
         6
     """
-    options = Options(
+    options = RunOptions(
         directory, curves, None, chunk_runs, overwrite=overwrite, resume=resume, source=source
     )
     began = time.monotonic()
-    job = warn_of_doubts(prepare(study, None, record, None, options))
-    run_job(job, executor=executor, tell=tell, stop=stop)
+    job = issue_warnings(prepare_job(study, None, record, None, options))
+    run_job(job, executor=executor, on_progress=tell, stop=stop)
     return Results(job.study, time.monotonic() - began, directory=job.directory)
 
 
@@ -226,7 +231,7 @@ def run_job(
     job: Job,
     *,
     executor: Executor | None = None,
-    tell: Tell | None = None,
+    on_progress: ProgressCallback | None = None,
     stop: threading.Event | None = None,
 ) -> None:
     """Run a prepared job into its directory.
@@ -234,7 +239,7 @@ def run_job(
     Args:
         job: prepared job with a directory.
         executor: runs the tasks; None for all devices of this process.
-        tell: called with the progress before the first chunk and after every one.
+        on_progress: called with the progress before the first chunk and after every one.
         stop: event that ends the job after the running chunks.
 
     Raises:
@@ -243,87 +248,93 @@ def run_job(
         StudyInterrupted: ``stop`` was set; the running chunks have been stored.
     """
     assert job.directory is not None
-    executor = executor or study_tasks.on_this_machine()
+    executor = executor or study_tasks.local_executor()
     session = runtime.session() | executor.facts
     if job.resume:
-        resume.check_instructions(job.directory, session["instructions"])
+        resume.check_instruction_set(job.directory, session["instructions"])
     runner = TaskRunner(job)
-    store = Store(runner, session)
+    store = DirectoryStore(runner, session)
     try:
-        _run(runner, store, executor, tell, stop or threading.Event())
+        _run_tasks(runner, store, executor, on_progress, stop or threading.Event())
     finally:
-        store.release()
+        store.unlock()
 
 
-def run_in_memory(job: Job, tell: Tell | None = None) -> dict[str, pa.Table]:
+def run_in_memory(job: Job, on_progress: ProgressCallback | None = None) -> dict[str, pa.Table]:
     """Run a job in memory.
 
     Args:
         job: prepared job.
-        tell: called with the progress before the first chunk and after every one.
+        on_progress: called with the progress before the first chunk and after every one.
 
     Returns:
         The rows of all tasks by dataset, in any order.
     """
     store = MemoryStore()
-    _run(TaskRunner(job), store, study_tasks.in_memory(), tell, threading.Event())
+    _run_tasks(
+        TaskRunner(job), store, study_tasks.memory_executor(), on_progress, threading.Event()
+    )
     return store.tables()
 
 
-def _results(job: Job, tell: Tell | None) -> Results:
+def _run_to_results(job: Job, on_progress: ProgressCallback | None) -> Results:
     began = time.monotonic()
-    tables = run_in_memory(job, tell)
+    tables = run_in_memory(job, on_progress)
     order = [("run_id", "ascending"), ("time_s", "ascending")]
-    curves = tables.get("curves", columns.schema(layouts.curves(job.study)).empty_table())
+    curves = tables.get("curves", columns.schema(schemas.curve_columns(job.study)).empty_table())
     tables |= {"summary": tables["summary"].sort_by("run_id"), "curves": curves.sort_by(order)}
     return Results(job.study, time.monotonic() - began, tables=tables)
 
 
-def _run(
-    runner: TaskRunner, sink: Sink, executor: Executor, tell: Tell | None, stop: threading.Event
+def _run_tasks(
+    runner: TaskRunner,
+    sink: ResultSink,
+    executor: Executor,
+    on_progress: ProgressCallback | None,
+    stop: threading.Event,
 ) -> None:
-    """Run the tasks that a sink misses, stage by stage."""
-    study, staged = runner.job.study, runner.tasks()
-    missing = set(sink.missing(task for tasks in staged for task in tasks))
-    count = _ProgressCounter(study, tell)
-    count.begin(task for tasks in staged for task in tasks if task not in missing)
-    for draws, tasks in zip(runner.stages, staged, strict=True):
-        todo = [task for task in tasks if task in missing]
-        for result in executor.do(runner, takewhile(lambda _: not stop.is_set(), todo)):
-            sink.add(result)
+    """Run the tasks that a sink lacks, stage by stage."""
+    study, tasks_by_stage = runner.job.study, runner.plan_tasks()
+    missing = set(sink.missing_tasks(task for tasks in tasks_by_stage for task in tasks))
+    counter = _ProgressCounter(study, on_progress)
+    counter.start(task for tasks in tasks_by_stage for task in tasks if task not in missing)
+    for draws, tasks in zip(runner.stages, tasks_by_stage, strict=True):
+        pending = [task for task in tasks if task in missing]
+        for result in executor.run_tasks(runner, takewhile(lambda _: not stop.is_set(), pending)):
+            sink.add_result(result)
             missing.remove(result.task)
-            count.add(result.task, result.failures)
-        if not missing.isdisjoint(todo):
+            counter.add_task(result.task, result.failures)
+        if not missing.isdisjoint(pending):
             sink.finish("interrupted")
-            now = count.progress
-            text = f"{now.done:,} of {now.total:,} {now.counted} are in {sink.place}"
+            now = counter.progress
+            text = f"{now.done:,} of {now.total:,} {now.unit} are in {sink.place}"
             raise StudyInterrupted(text)
-        if _is_enough(study, sink, draws):
+        if _may_stop(study, sink, draws):
             break
     sink.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
 
 
-def _is_enough(study: Study, sink: Sink, draws: range) -> bool:
+def _may_stop(study: Study, sink: ResultSink, draws: range) -> bool:
     if study.stop_when is None or draws.stop not in stopping.interim_draws(study):
         return False
-    rows = sink.summary(stopping.columns(study))
-    return stopping.analyse_interim(study, rows, draws.stop).enough
+    rows = sink.read_summary(stopping.required_columns(study))
+    return stopping.analyse_interim(study, rows, draws.stop).is_sufficient
 
 
 class _ProgressCounter:
     """Track progress."""
 
-    def __init__(self, study: Study, tell: Tell | None) -> None:
-        counted = "estimates" if study.is_estimated else "runs"
-        self.progress = RunProgress(0, study.n_draws * study.n_variants, 0, 0, counted)
-        self._tell = tell or (lambda progress: None)
+    def __init__(self, study: Study, on_progress: ProgressCallback | None) -> None:
+        unit = "estimates" if study.is_estimated else "runs"
+        self.progress = RunProgress(0, study.n_draws * study.n_variants, 0, 0, unit)
+        self._on_progress = on_progress or (lambda progress: None)
 
-    def begin(self, stored: Iterable[Task]) -> None:
+    def start(self, stored: Iterable[Task]) -> None:
         before = sum(task.runs for task in stored)
-        self.progress = self.progress._replace(done=before, before=before)
-        self._tell(self.progress)
+        self.progress = self.progress._replace(done=before, done_before=before)
+        self._on_progress(self.progress)
 
-    def add(self, task: Task, failures: int) -> None:
-        done, failed = self.progress.done + task.runs, self.progress.failures + failures
-        self.progress = self.progress._replace(done=done, failures=failed)
-        self._tell(self.progress)
+    def add_task(self, task: Task, failures: int) -> None:
+        done, failures_so_far = self.progress.done + task.runs, self.progress.failures + failures
+        self.progress = self.progress._replace(done=done, failures=failures_so_far)
+        self._on_progress(self.progress)

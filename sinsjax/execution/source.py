@@ -1,4 +1,4 @@
-"""A directory of results as reports and pages read it."""
+"""A results directory as the source of reports and pages."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -11,29 +11,29 @@ import pyarrow.compute as pc
 
 from sinsjax import analysis
 from sinsjax.errors import InputError
-from sinsjax.execution import directory as places
+from sinsjax.execution import directory as results_directory
 from sinsjax.execution import results
 from sinsjax.messages import counted, one_line
 from sinsjax.study.study import Study
-from sinsjax.study.success import Yardstick, yardsticks
+from sinsjax.study.success import SuccessMeasure, success_measures
 
-_KEPT = 2**20  # runs; of more, columns are read anew each time, to bound the memory
+_MAX_CACHED_RUNS = 2**20  # larger studies read columns anew each time, to limit the memory
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A directory of results; what is asked for is read, and no more.
+    """A results directory, of which only the requested columns are read.
 
     Attributes:
-        directory: where they are.
+        directory: results directory.
         study: the resolved study.
-        config: what a page names as the study's file.
-        table: the summary by run_id, where it need not be read; the estimates by variant_id.
-        warnings: what was doubtful before the study ran, a line each.
-        version: of the package that computed them.
-        wall_s: how long the study took, s; None if unknown.
-        record_latitude_deg: that of the header of the record, deg; None if there is none.
-        whole_draws: of an unfinished study, the draws that all variants have; no others are read.
+        config: name of the study's file on pages.
+        table: the estimates by variant_id; None if there is a summary to be read.
+        warnings: warnings from before the study ran, one line each.
+        version: version of sinsjax that computed the results.
+        wall_s: duration of the study, s; None if unknown.
+        record_latitude_deg: latitude in the record's header, deg; None if there is none.
+        whole_draws: in an unfinished study, the draws that every variant has; others are ignored.
     """
 
     directory: Path
@@ -45,23 +45,23 @@ class Source:
     wall_s: float | None = None
     record_latitude_deg: float | None = None
     whole_draws: np.ndarray | None = None
-    _kept: dict[str, pa.Table] = field(default_factory=dict, init=False, repr=False)
+    _cached_columns: dict[str, pa.Table] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def read(cls, directory: Path, *, unfinished: bool = False) -> "Source":
-        """Opens a directory of results.
+        """Open a results directory.
 
         Args:
-            directory: where they are.
-            unfinished: whether the draws that are whole stand for a study that is not finished; a
-                warning then says how many there are.
+            directory: results directory.
+            unfinished: whether to accept an unfinished study, restricted to the draws that every
+                variant has; a warning then states how many there are.
 
         Raises:
-            InputError: it holds none, or its study cannot be read, or no draw is whole yet.
+            InputError: it contains no results or complete draws, or its study cannot be read.
         """
         table = None
-        places.check_entries(directory)
-        manifest = places.read_manifest(directory)
+        results_directory.check_directory(directory)
+        manifest = results_directory.read_manifest(directory)
         has_estimates = results.has_dataset(directory, "estimates")
         if has_estimates and not results.has_dataset(directory, "summary"):
             table = results.read_estimates(directory)
@@ -69,60 +69,68 @@ class Source:
             results.count_runs(directory)
         study = results.load_stored_study(directory)
         name = manifest.get("config") or f"study.toml of {study.name}"
-        told = manifest.get("warnings")
-        warnings = tuple(one_line(str(line)) for line in (told if isinstance(told, list) else ()))
+        manifest_warnings = manifest.get("warnings")
+        warnings = tuple(
+            one_line(str(line))
+            for line in (manifest_warnings if isinstance(manifest_warnings, list) else ())
+        )
         versions = manifest.get("versions")
         version = (versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown")
         version, config = one_line(str(version)), one_line(str(name))
         numbers = (manifest.get(name) for name in ("wall_s", "record_latitude_deg"))
         wall_s, latitude_deg = (float(x) if isinstance(x, int | float) else None for x in numbers)
         source = cls(directory, study, config, table, warnings, version, wall_s, latitude_deg)
-        is_going_on = unfinished and manifest.get("state") in ("running", "interrupted")
-        return source._of_what_is_there() if is_going_on else source
+        restrict = unfinished and manifest.get("state") in ("running", "interrupted")
+        return source._restrict_to_whole_draws() if restrict else source
 
-    def _of_what_is_there(self) -> "Source":
-        """The same of the draws that are whole: variants are compared on the same draws."""
+    def _restrict_to_whole_draws(self) -> "Source":
+        """Return the source restricted to draws that every variant has, for a fair comparison."""
         study, runs = self.study, self.runs
-        whole, shown = None, ""
+        whole_draws, suffix = None, ""
         if self.table is None:
             draws = analysis.numbers(results.read_summary(self.directory, ["draw_id"]), "draw_id")
-            number, count = np.unique(draws.astype(int), return_counts=True)
-            whole = number[count == study.n_variants]
-            shown = f"; shown are the {len(whole):,} draws that every variant has"
-        most = study.n_draws * study.n_variants
-        if runs >= most:
+            draw_ids, variant_counts = np.unique(draws.astype(int), return_counts=True)
+            whole_draws = draw_ids[variant_counts == study.n_variants]
+            suffix = f"; shown are the {len(whole_draws):,} draws that every variant has"
+        planned_runs = study.n_draws * study.n_variants
+        if runs >= planned_runs:
             return self
         kind = "runs" if self.table is None else "variants"
-        there = f"unfinished: {runs:,} of {most:,} {kind} are there ({100 * runs / most:.2g} %)"
-        if whole is not None and not len(whole):
+        share = 100 * runs / planned_runs
+        progress = f"unfinished: {runs:,} of {planned_runs:,} {kind} are done ({share:.2g} %)"
+        if whole_draws is not None and not len(whole_draws):
             raise InputError(
-                f"{self.directory}: {there}, and no draw that every variant has (continue with"
+                f"{self.directory}: {progress}, and no draw that every variant has (continue with"
                 " `--resume`)"
             )
-        told = f"{there}{shown}; `sinsjax sweep --resume` adds the others."
-        return replace(self, whole_draws=whole, warnings=(told, *self.warnings))
+        warning = f"{progress}{suffix}; `sinsjax sweep --resume` adds the others."
+        return replace(self, whole_draws=whole_draws, warnings=(warning, *self.warnings))
 
     @cached_property
     def runs(self) -> int:
-        """Number of rows: of runs, or of variants where these are estimated."""
+        """Number of rows: runs, or variants if these are estimated."""
         if self.whole_draws is not None:
             return len(self.whole_draws) * self.study.n_variants
         return results.count_runs(self.directory) if self.table is None else self.table.num_rows
 
     @property
-    def counted(self) -> str:
-        """What a figure rests on, for its footer: the study's name and how many runs it has."""
+    def sample_size_text(self) -> str:
+        """Sample size for the footer of a figure: the study's name and its number of runs."""
         study = self.study
         unit = "start time" if study.is_recorded else "Monte Carlo run"
         if study.n_variants == 1:
             return f"{study.name}: {counted(self.runs, unit)}"
-        each = self.runs / study.n_variants
-        rows = counted(int(each), unit) if each.is_integer() else f"{each:,g} {unit}s"
+        runs_per_variant = self.runs / study.n_variants
+        rows = (
+            counted(int(runs_per_variant), unit)
+            if runs_per_variant.is_integer()
+            else f"{runs_per_variant:,g} {unit}s"
+        )
         return f"{study.name}: {study.n_variants:,} variants × {rows} = {self.runs:,} runs"
 
     @property
     def draws(self) -> int:
-        """Draws of every variant: fewer than the study's where it stopped or is unfinished.
+        """Number of draws per variant; fewer than the study's if it stopped early or is unfinished.
 
         Raises:
             InputError: runs are missing.
@@ -135,84 +143,88 @@ class Source:
             draws = int(analysis.numbers(self.rows(["draw_id"]), "draw_id").max()) + 1
         if self.runs != draws * study.n_variants:
             raise InputError(
-                f"{self.directory}: {self.runs} runs where the study has"
-                f" {draws * study.n_variants}: are the results complete?"
+                f"{self.directory}: has {self.runs} runs, but the study has"
+                f" {draws * study.n_variants} (continue with `--resume`)"
             )
         return draws
 
     @cached_property
     def summary(self) -> pa.Table:
-        """All columns, one row a run, by run_id; kept. A large study has no room for it."""
-        return self._whole(None) if self.table is None else self.table
+        """All columns, one row per run, by run_id, cached; too large in large studies."""
+        return self._read_columns(None) if self.table is None else self.table
 
-    def _whole(self, names: list[str] | None) -> pa.Table:
-        """Columns of the runs that are read; None for all columns."""
+    def _read_columns(self, names: list[str] | None) -> pa.Table:
+        """Read columns of the summary, restricted to `whole_draws`; None for all columns."""
         if self.whole_draws is None:
             return results.read_summary(self.directory, names)
-        more = None if names is None else [*names, *({"draw_id"} - {*names})]
-        rows = results.read_summary(self.directory, more)
+        needed = None if names is None else [*names, *({"draw_id"} - {*names})]
+        rows = results.read_summary(self.directory, needed)
         rows = rows.filter(pc.is_in(rows["draw_id"], pa.array(self.whole_draws)))
         return rows if names is None else rows.select(names)
 
     def rows(self, names: Iterable[str]) -> pa.Table:
-        """Some columns, one row a run, by run_id; each is read once, unless there are many runs.
+        """Return some columns, one row per run, by run_id; each is read once, unless runs are many.
 
         Args:
-            names: of the columns; repeated ones are there once.
+            names: names of the columns; repeated ones appear once.
 
         Raises:
             InputError: a column is missing.
         """
-        wanted = list(dict.fromkeys(names))
+        selected = list(dict.fromkeys(names))
         if self.table is None:
-            if self.runs > _KEPT or not wanted:
-                return self._whole(wanted)
-            if missing := [name for name in wanted if name not in self._kept]:
-                read = self._whole(missing)
-                self._kept.update((name, read.select([name])) for name in missing)
-            columns = [self._kept[name] for name in wanted]
-            fields = [one.schema.field(0) for one in columns]
+            if self.runs > _MAX_CACHED_RUNS or not selected:
+                return self._read_columns(selected)
+            if missing := [name for name in selected if name not in self._cached_columns]:
+                table = self._read_columns(missing)
+                self._cached_columns.update((name, table.select([name])) for name in missing)
+            columns = [self._cached_columns[name] for name in selected]
+            fields = [column.schema.field(0) for column in columns]
             schema = pa.schema(fields, columns[0].schema.metadata)
-            return pa.Table.from_arrays([one.column(0) for one in columns], schema=schema)
-        if missing := [name for name in wanted if name not in self.table.column_names]:
+            return pa.Table.from_arrays([column.column(0) for column in columns], schema=schema)
+        if missing := [name for name in selected if name not in self.table.column_names]:
             raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
-        return self.table.select(wanted)
+        return self.table.select(selected)
 
-    def largest(self, key: str) -> float:
-        """The largest magnitude of a number or vector of the study, given or drawn, to 3 digits."""
+    def largest_magnitude(self, key: str) -> float:
+        """Return the largest magnitude of a key's numbers, fixed or drawn, to 3 digits."""
         drawn = key in self.study.drawn_keys
         values = self.rows([key])[key].to_pylist() if drawn else self.study.values(key)
         return float(f"{max(float(np.max(np.abs(value or 0.0))) for value in values):.3g}")
 
-    def distinct(self, names: Iterable[str]) -> pa.Table:
-        """As `rows`, of variants that differ: one of each kind that has the same runs.
+    def distinct_rows(self, names: Iterable[str]) -> pa.Table:
+        """Return `rows` without duplicates: one variant of each set with the same runs.
 
-        Keys are null where they do not act: without resets there is no cycle.
+        Keys without effect are null: without resets there is no cycle.
         """
-        first = self.study.duplicate_of
-        if (first == np.arange(len(first))).all():
+        first_duplicate = self.study.duplicate_of
+        if (first_duplicate == np.arange(len(first_duplicate))).all():
             return self.rows(names)
         table = self.rows(names)
-        variant = np.tile(np.arange(len(first)), self.draws)
-        keep = first[variant] == variant
+        variant = np.tile(np.arange(len(first_duplicate)), self.draws)
+        keep = first_duplicate[variant] == variant
         table, variant = table.filter(pa.array(keep)), variant[keep]
         for key in self.study.axis_keys:
             if key != "case" and key in table.column_names:
-                place = table.column_names.index(key)
-                nothing = pa.array(self.study.without_effect(key)[variant])
-                values = pc.if_else(nothing, None, table[key])
-                table = table.set_column(place, key, values)
+                index = table.column_names.index(key)
+                no_effect = pa.array(self.study.without_effect(key)[variant])
+                values = pc.if_else(no_effect, None, table[key])
+                table = table.set_column(index, key, values)
         return table
 
     @cached_property
-    def yardsticks(self) -> tuple[Yardstick, ...]:
-        """What success can be counted from, what the study is judged from first.
+    def success_measures(self) -> tuple[SuccessMeasure, ...]:
+        """Success criteria of the study, its own first.
 
-        Neither the truth nor the bias floor where no run has one.
+        Truth and bias floor are left out if no run has one.
         """
-        found = yardsticks(self.study)
-        flags = self.rows([yard.ok for yard in found])
-        return tuple(yard for yard in found if flags[yard.ok].null_count < flags.num_rows)
+        criteria = success_measures(self.study)
+        flags = self.rows([criterion.ok_column for criterion in criteria])
+        return tuple(
+            criterion
+            for criterion in criteria
+            if flags[criterion.ok_column].null_count < flags.num_rows
+        )
 
     @property
     def has_curves(self) -> bool:
@@ -220,7 +232,7 @@ class Source:
         return (self.directory / "curves").is_dir()
 
     def curves(self, run_ids: Iterable[int] | None = None) -> pa.Table:
-        """Curves of some runs, or of all that are read; empty where none were stored."""
+        """Return the curves of some runs, or of all; empty if none were stored."""
         if run_ids is None and self.whole_draws is not None:
             run_ids = self.rows(["run_id"])["run_id"].to_pylist()
         return results.read_curves(self.directory, None if run_ids is None else sorted(run_ids))

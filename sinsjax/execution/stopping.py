@@ -1,7 +1,7 @@
 """Early stopping of a study by ``[stop_when]``.
 
-Interim analyses take place at fixed numbers of draws and use all rows of those draws, so the result
-does not depend on chunks, workers or their order.
+Interim analyses occur at fixed numbers of draws and use all rows of those draws, so the result does
+not depend on chunks, workers or their order.
 """
 
 import math
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import pyarrow as pa
 
-from sinsjax import columns as layout
+from sinsjax import columns as result_columns
 from sinsjax.study import success
 from sinsjax.study.study import Study
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sinsjax.analysis import Estimate
 
 FIRST_INTERIM = 64
-"""Draws at the first interim analysis; each further one has twice as many."""
+"""Draws at the first interim analysis; each further one doubles them."""
 
 
 class InterimAnalysis(NamedTuple):
@@ -27,16 +27,16 @@ class InterimAnalysis(NamedTuple):
         draws: number of draws analysed.
         half_width: largest half width over the variants of the statistic's 95 % interval; infinite
             if a variant has too few settled runs for an interval.
-        enough: whether that is narrow enough.
+        is_sufficient: whether that is narrow enough to stop.
     """
 
     draws: int
     half_width: float
-    enough: bool
+    is_sufficient: bool
 
 
 def interim_draws(study: Study) -> list[int]:
-    """Numbers of draws at the interim analyses; the last is the maximum."""
+    """Return the numbers of draws at the interim analyses; the last is the maximum."""
     if study.stop_when is None:
         return [study.n_draws]
     ends = [FIRST_INTERIM]
@@ -45,23 +45,23 @@ def interim_draws(study: Study) -> list[int]:
     return [*ends[:-1], study.n_draws]
 
 
-def columns(study: Study) -> list[str]:
-    """Columns of the summary that an interim analysis needs."""
+def required_columns(study: Study) -> list[str]:
+    """Return the columns of the summary that an interim analysis needs."""
     assert study.stop_when is not None
-    return ["run_id", "draw_id", "variant_id", _needed(study)]
+    return ["run_id", "draw_id", "variant_id", _statistic_column(study)]
 
 
-def _needed(study: Study) -> str:
-    """Column of the statistic, about truth or bias floor by the study's success criterion."""
+def _statistic_column(study: Study) -> str:
+    """Return the column of the statistic, about truth or floor as the success criterion demands."""
     assert study.stop_when is not None
     name = study.stop_when.statistic
     if name == "success_rate":
         return "status"
-    truth = success.success_of(study).from_truth
+    truth = success.success_criteria(study).from_truth
     return next(
-        layout.settle_column(band, truth=truth).name
-        for band in success.bands(study)
-        if name == f"{layout.settle_column(band).name}_mean"
+        result_columns.settle_column(band, truth=truth).name
+        for band in success.settling_bands(study)
+        if name == f"{result_columns.settle_column(band).name}_mean"
     )
 
 
@@ -70,7 +70,7 @@ def analyse_interim(study: Study, table: pa.Table, draws: int) -> InterimAnalysi
 
     Args:
         study: study with [stop_when].
-        table: `columns` of the summary in any order, with at least all runs of these draws.
+        table: `required_columns` of the summary in any order, with all runs of these draws.
         draws: number of draws.
     """
     # Late: scipy takes a quarter of a second, and few studies need it.
@@ -80,12 +80,14 @@ def analyse_interim(study: Study, table: pa.Table, draws: int) -> InterimAnalysi
     rows = table.filter(pa.compute.less(table["draw_id"], draws)).sort_by("run_id")
     name = study.stop_when.statistic
     widths = []
-    for _, own in analysis.groups(rows, ["variant_id"]):
+    for _, variant_rows in analysis.groups(rows, ["variant_id"]):
         if name == "success_rate":
-            found = analysis.proportion(own["status"].to_pylist().count("ok"), own.num_rows)
+            estimate = analysis.proportion(
+                variant_rows["status"].to_pylist().count("ok"), variant_rows.num_rows
+            )
         else:
-            found = analysis.mean(analysis.numbers(own, _needed(study)))
-        widths.append(_half_width(found))
+            estimate = analysis.mean(analysis.numbers(variant_rows, _statistic_column(study)))
+        widths.append(_half_width(estimate))
     widest = max(widths)
     return InterimAnalysis(draws, widest, widest <= study.stop_when.half_width)
 

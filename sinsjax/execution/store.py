@@ -1,8 +1,8 @@
-"""The results of a job as its chunks are computed: a directory of Parquet parts, or tables.
+"""Storage of a job's results while its chunks are computed: a directory, or tables in memory.
 
 Every file of a directory is written under a temporary name, synced and renamed, so a sweep killed
-at any point leaves only complete parts. A part carries its own checksum, study and chunk: it counts
-whether or not the manifest lists it yet.
+at any point leaves only complete parts. A part contains its own checksum, study and chunk, so it is
+valid whether or not the manifest lists it yet.
 """
 
 import time
@@ -15,37 +15,37 @@ import pyarrow.parquet as pq
 
 from sinsjax import columns
 from sinsjax.errors import InputError
-from sinsjax.execution import directory as places
+from sinsjax.execution import directory as results_directory
 from sinsjax.execution import resume as resuming
 from sinsjax.execution.directory import DATASETS, MANIFEST, STUDY, find_manifest
-from sinsjax.execution.results import part_marks
-from sinsjax.execution.sealed import sealed_json
+from sinsjax.execution.results import read_part_metadata
+from sinsjax.execution.sealed import to_sealed_json
 from sinsjax.execution.tasks import EncodedResult, Task, TaskResult, TaskRunner
 from sinsjax.platform.files import read_regular, replacing, unwritable
-from sinsjax.study.identity import fingerprint, sections_of
+from sinsjax.study.identity import fingerprint, sections_to_json
 from sinsjax.study.load import study_to_toml
 
-_MANIFEST_SHARE = 0.05  # largest share of the time spent on writing manifests
+_MANIFEST_SHARE = 0.05  # largest share of the time for writing manifests
 _MANIFEST_EVERY_S = 1.0  # least interval: writing manifests blocks the threads
-_OF_ALL = ("versions", "instructions", "devices", "devices_are")
+_SESSION_ENTRIES = ("versions", "instructions", "devices", "devices_are")
 """Entries of the last session that are repeated for the whole directory."""
 
 
 @runtime_checkable
-class Sink(Protocol):
-    """Where the results of a job are put."""
+class ResultSink(Protocol):
+    """Destination of the results of a job."""
 
     place: str
 
-    def missing(self, tasks: Iterable[Task]) -> list[Task]:
+    def missing_tasks(self, tasks: Iterable[Task]) -> list[Task]:
         """Return the tasks whose results are not stored yet."""
         ...
 
-    def add(self, result: Any) -> None:
+    def add_result(self, result: Any) -> None:
         """Add the result of one task."""
         ...
 
-    def summary(self, names: list[str]) -> pa.Table:
+    def read_summary(self, names: list[str]) -> pa.Table:
         """Return some columns of all stored rows of the summary."""
         ...
 
@@ -58,7 +58,7 @@ class MemoryStore:
     """The tables of a job in memory.
 
     Attributes:
-        place: words for where results are.
+        place: location of the results, as text.
     """
 
     place = "memory"
@@ -66,33 +66,33 @@ class MemoryStore:
     def __init__(self) -> None:
         self._tables: dict[str, list[pa.Table]] = {}
 
-    def missing(self, tasks: Iterable[Task]) -> list[Task]:
+    def missing_tasks(self, tasks: Iterable[Task]) -> list[Task]:
         """Return all tasks."""
         return list(tasks)
 
-    def add(self, result: TaskResult) -> None:
+    def add_result(self, result: TaskResult) -> None:
         """Add the tables of one task."""
         for name, table in result.tables.items():
             self._tables.setdefault(name, []).append(table)
 
-    def summary(self, names: list[str]) -> pa.Table:
+    def read_summary(self, names: list[str]) -> pa.Table:
         """Return some columns of all rows of the summary."""
         return self.tables()["summary"].select(names)
 
     def finish(self, state: str, **facts: Any) -> None:
-        """Nothing remains to be done."""
+        """Do nothing."""
 
     def tables(self) -> dict[str, pa.Table]:
         """Return the rows of all tasks by dataset, in any order."""
         return {name: pa.concat_tables(tables) for name, tables in self._tables.items()}
 
 
-class Store:
+class DirectoryStore:
     """The only writer of a results directory.
 
     Attributes:
         directory: results directory.
-        place: words for where results are.
+        place: location of the results, as text.
     """
 
     def __init__(self, runner: TaskRunner, facts: dict[str, Any] | None = None) -> None:
@@ -111,42 +111,44 @@ class Store:
         self.directory, self.place = job.directory, str(job.directory)
         self._runner = runner
         self._session = {**(facts or {}), "started_unix_s": round(time.time(), 3)}
-        self._since = time.monotonic()
+        self._start_s = time.monotonic()
         self._facts: dict[str, Any] = {}
         self._chunks: dict[str, dict[str, Any]] = {}
         self._sessions: list[dict[str, Any]] = []
         self._planned: list[Task] = []
         self._next_manifest = 0.0
-        self._lock = places.lock(self.directory)
+        self._lock = results_directory.lock_directory(self.directory)
         try:
-            self._begin()
+            self._prepare_directory()
         except BaseException:
-            self.release()
+            self.unlock()
             raise
 
-    def _begin(self) -> None:
+    def _prepare_directory(self) -> None:
         job = self._runner.job
-        if resuming.state_of(self.directory) != job.seen:
-            raise InputError(f"{self.directory}: another process has just written there")
-        _remove(places.stale_temporary_files(self.directory))
+        if resuming.manifest_state(self.directory) != job.manifest_state:
+            raise InputError(
+                f"{self.directory}: another process has just written there (run again)"
+            )
+        _remove_files(results_directory.stale_temp_files(self.directory))
         if not job.resume:
-            _remove(places.owned_files(self.directory))
-        if job.resume and (known := find_manifest(self.directory)):
-            self._sessions = [session.model_dump() for session in known.sessions]
-            self._chunks = {c.name: c.model_dump() for c in known.chunks if c.state == "done"}
+            _remove_files(results_directory.owned_files(self.directory))
+        if job.resume and (manifest := find_manifest(self.directory)):
+            self._sessions = [session.model_dump() for session in manifest.sessions]
+            self._chunks = {c.name: c.model_dump() for c in manifest.chunks if c.state == "done"}
         else:
-            # First, so that the files of a killed run are recognised as results.
+            # First, to mark the files of a killed run as results.
             self._write_manifest("running")
             self._write_study()
 
     def _write_study(self) -> None:
-        _write(self.directory / STUDY, study_to_toml(self._runner.job.study).encode())
+        _write_file(self.directory / STUDY, study_to_toml(self._runner.job.study).encode())
 
-    def release(self) -> None:
+    def unlock(self) -> None:
         """Unlock the directory."""
         self._lock.release()
 
-    def missing(self, tasks: Iterable[Task]) -> list[Task]:
+    def missing_tasks(self, tasks: Iterable[Task]) -> list[Task]:
         """Return the tasks without complete parts; remove parts of unknown or incomplete tasks.
 
         Args:
@@ -160,39 +162,41 @@ class Store:
         for task in self._planned:
             if self._is_stored(task):
                 seconds = self._chunks.get(task.name, {}).get("seconds")
-                self._chunks[task.name] = self._entry(task, seconds)
+                self._chunks[task.name] = self._chunk_entry(task, seconds)
             else:
                 self._chunks.pop(task.name, None)
                 missing.append(task)
         known = {task.name for task in self._planned}
         self._chunks = {name: c for name, c in self._chunks.items() if name in known}
-        parts = (path for name in DATASETS for path in places.list_parts(self.directory, name))
-        _remove(path for path in parts if path.stem not in self._chunks)
+        parts = (
+            path for name in DATASETS for path in results_directory.list_parts(self.directory, name)
+        )
+        _remove_files(path for path in parts if path.stem not in self._chunks)
         self._write_manifest("running")
-        self._write_study()  # last: an extension not yet in the manifest can be requested again
+        self._write_study()  # last: an extension missing in the manifest can be requested again
         return missing
 
-    def add(self, result: EncodedResult) -> None:
+    def add_result(self, result: EncodedResult) -> None:
         """Write the parts of one task.
 
         Raises:
             InputError: the directory cannot be written.
         """
         for dataset, _ in result.task.rows:
-            path = self._path(dataset, result.task)
+            path = self._part_path(dataset, result.task)
             try:
                 path.parent.mkdir(exist_ok=True)
             except OSError as error:
                 raise InputError(unwritable(path, error)) from error
-            _write(path, result.files[dataset])
-        self._chunks[result.task.name] = self._entry(result.task, round(result.seconds, 4))
+            _write_file(path, result.files[dataset])
+        self._chunks[result.task.name] = self._chunk_entry(result.task, round(result.seconds, 4))
         if time.monotonic() >= self._next_manifest:
             self._write_manifest("running")
 
-    def summary(self, names: list[str]) -> pa.Table:
+    def read_summary(self, names: list[str]) -> pa.Table:
         """Return some columns of all stored rows of the summary."""
         done = (task for task in self._planned if task.name in self._chunks)
-        paths = [self._path("summary", task) for task in done]
+        paths = [self._part_path("summary", task) for task in done]
         return pa.concat_tables([pq.ParquetFile(path).read(columns=names) for path in paths])
 
     def finish(self, state: str, **facts: Any) -> None:
@@ -207,25 +211,25 @@ class Store:
             self._planned = [task for task in self._planned if task.name in self._chunks]
         self._write_manifest(state)
 
-    def _path(self, dataset: str, task: Task) -> Path:
+    def _part_path(self, dataset: str, task: Task) -> Path:
         return self.directory / dataset / f"{task.name}.parquet"
 
-    def _entry(self, task: Task, seconds: float | None) -> dict[str, Any]:
-        """Manifest entry of a task with complete parts."""
+    def _chunk_entry(self, task: Task, seconds: float | None) -> dict[str, Any]:
+        """Return the manifest entry of a task with complete parts."""
         files = [
             {"file": f"{dataset}/{task.name}.parquet", "rows": rows} for dataset, rows in task.rows
         ]
-        done = {"name": task.name, "state": "done", "runs": task.runs, "seconds": seconds}
-        return done | {"files": files}
+        entry = {"name": task.name, "state": "done", "runs": task.runs, "seconds": seconds}
+        return entry | {"files": files}
 
     def _is_stored(self, task: Task) -> bool:
         """Whether all parts of a task are complete and intact."""
         for dataset, _ in task.rows:
             try:
-                content = read_regular(self._path(dataset, task))
+                content = read_regular(self._part_path(dataset, task))
             except (OSError, InputError):
                 return False
-            if part_marks(content) != self._runner.marks(dataset, task):
+            if read_part_metadata(content) != self._runner.part_metadata(dataset, task):
                 return False
         return True
 
@@ -233,14 +237,14 @@ class Store:
         began = time.monotonic()
         job = self._runner.job
         study = job.study
-        this = self._session | {"wall_s": round(began - self._since, 3)}
-        sessions = [*self._sessions, this]
+        current_session = self._session | {"wall_s": round(began - self._start_s, 3)}
+        sessions = [*self._sessions, current_session]
         chunks = [
             self._chunks.get(t.name, {"name": t.name, "state": "missing", "runs": t.runs})
             for t in self._planned
         ]
         record = None if job.stored is None else job.stored.record
-        content = sealed_json(
+        content = to_sealed_json(
             {
                 "schema": columns.SCHEMA_VERSION,
                 "state": state,
@@ -259,24 +263,24 @@ class Store:
                 **self._facts,
                 "started_unix_s": sessions[0]["started_unix_s"],
                 "wall_s": round(sum(session["wall_s"] for session in sessions), 3),
-                **{key: this[key] for key in _OF_ALL if key in this},
+                **{key: current_session[key] for key in _SESSION_ENTRIES if key in current_session},
                 "sessions": sessions,
-                "study": sections_of(study),
+                "study": sections_to_json(study),
                 "chunks": chunks,
             }
         )
-        _write(self.directory / MANIFEST, content)
+        _write_file(self.directory / MANIFEST, content)
         ended = time.monotonic()
         wait_s = max(_MANIFEST_EVERY_S, (ended - began) / _MANIFEST_SHARE)
         self._next_manifest = ended + wait_s
 
 
-def _write(path: Path, content: bytes) -> None:
+def _write_file(path: Path, content: bytes) -> None:
     with replacing(path) as file:
         file.write(content)
 
 
-def _remove(paths: Iterable[Path]) -> None:
+def _remove_files(paths: Iterable[Path]) -> None:
     for path in paths:
         try:
             path.unlink()

@@ -1,4 +1,4 @@
-"""The results of a study as Python returns them: tables in memory, or of a directory."""
+"""Results of a study for Python: tables in memory, or those of a directory."""
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -53,19 +53,19 @@ class Results:
         tables: Mapping[str, pa.Table] | None = None,
         directory: Path | None = None,
     ) -> None:
-        """Take tables by dataset, or a directory."""
+        """Create results from tables by dataset, or from a directory."""
         self.study, self.wall_s, self.directory = study, wall_s, directory
         self._tables = tables
 
     @classmethod
     def read(cls, directory: str | Path) -> "Results":
-        """Open a results directory, of which tables are read when needed.
+        """Open a results directory; tables are read when needed.
 
         Args:
             directory: results directory.
 
         Raises:
-            InputError: the directory holds no results, or its manifest or study cannot be read.
+            InputError: the directory contains no results, or its manifest or study cannot be read.
 
         Examples:
             >>> changes = {"study.draws": 2, "study.rate_hz": 10.0}
@@ -82,7 +82,7 @@ class Results:
         """One row per run, ordered by run_id; the schema has units and meanings.
 
         Raises:
-            InputError: the directory cannot be read, or holds estimates, which have no runs.
+            InputError: the directory cannot be read, or contains estimates, which have no runs.
 
         Examples:
             >>> changes = {"study.draws": 2, "study.rate_hz": 10.0}
@@ -132,7 +132,7 @@ class Results:
             >>> len(frame), frame.attrs["units"]["phi_u_arcmin"]
             (6, 'arcmin')
         """
-        return frames.frame_of(self.curves if curves else self._rows)
+        return frames.to_dataframe(self.curves if curves else self._rows)
 
     def to_xarray(self) -> Any:
         """Return the summary as an xarray dataset, or the estimates of a covariance study.
@@ -152,11 +152,11 @@ class Results:
             >>> dict(dataset.sizes), dataset["settle_60_s"].attrs["units"]
             ({'draw': 2, 'case': 3}, 's')
         """
-        return frames.dataset_of(self.study, self._rows)
+        return frames.to_dataset(self.study, self._rows)
 
     @property
     def _rows(self) -> pa.Table:
-        """The table with a row per run, or per variant if these are estimated."""
+        """Table with one row per run, or per variant if these are estimated."""
         if not self.study.is_estimated:
             return self.summary
         assert self.directory is not None  # in memory `estimate` returns the table itself
@@ -168,11 +168,11 @@ class Results:
 
     def __repr__(self) -> str:
         """Return five short lines: runs, axes, method, time and place."""
-        return display.as_text(f"Results of {self.study.name}", self._facts())
+        return display.format_text(f"Results of {self.study.name}", self._facts())
 
     def _repr_html_(self) -> str:
         """Return the lines of `__repr__` as a table, for notebooks."""
-        return display.as_html(f"Results of {self.study.name}", self._facts())
+        return display.format_html(f"Results of {self.study.name}", self._facts())
 
     def __dir__(self) -> list[str]:
         """Return the names that a user needs, for the completion of interactive sessions."""
@@ -187,5 +187,5 @@ class Results:
             if (runs := self.summary.num_rows) < planned:
                 facts["runs"] = f"{runs:,} of {counted(planned, 'run')}"
             facts["runs"] += f", {failed:,} diverged or not finite"
-        place = f"in {self.directory}" if self.directory else "in memory"
-        return facts | {"computed": f"in {self.wall_s:.3g} s, {place}"}
+        location = f"in {self.directory}" if self.directory else "in memory"
+        return facts | {"computed": f"in {self.wall_s:.3g} s, {location}"}

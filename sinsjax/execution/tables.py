@@ -14,17 +14,17 @@ from sinsjax.engine.bias_floors import has_floor, last_scheduled_reset_s, varian
 from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.success import FLOOR, TRUTH, RunSuccess, SuccessEvaluator
 from sinsjax.engine.truth import start_samples
-from sinsjax.execution import layouts
+from sinsjax.execution import schemas
 from sinsjax.methods.description import Description
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.study import Study
-from sinsjax.study.success import bands
+from sinsjax.study.success import settling_bands
 from sinsjax.units import ARCMIN, DEG
 
 
-class Tables:
+class TableBuilder:
     """Conversion of a study's chunks to tables."""
 
     def __init__(self, study: Study, *, has_truth: bool = True) -> None:
@@ -36,33 +36,36 @@ class Tables:
         """
         self._study = study
         self._has_truth = has_truth
-        self._bands = bands(study)
+        self._bands = settling_bands(study)
         self._judge = SuccessEvaluator(study, has_truth=has_truth)
         self._end_s, self._pass_s = study.spans_s.T
         self._last_reset_s = last_scheduled_reset_s(study)
-        self.summary_columns = layouts.summary(study)
-        self.curve_columns = layouts.curves(study)
-        self._tells_data = layouts.tells_data(study)
-        self._before_s = _before_s(study)
-        self._by_variant = layouts.of_variants(study, self.summary_columns)
+        self.summary_columns = schemas.summary_columns(study)
+        self.curve_columns = schemas.curve_columns(study)
+        self._has_data_columns = schemas.has_data_columns(study)
+        self._data_before_start_s = _data_before_start_s(study)
+        self._by_variant = schemas.variant_columns(study, self.summary_columns)
         self._methods = study.resolved.column("method")
-        self._own_columns = layouts.of_methods(study)
+        self._method_columns = schemas.method_columns(study)
         self._start_s = np.zeros(study.n_draws)
         if study.is_recorded:
             assert study.record is not None
-            taken, given = start_samples(study, study.rate_hz) / study.rate_hz, study.record.start_s
-            # A rate of 99.9999999 Hz, from stamps that are rounded, moves no start.
-            self._start_s = np.where(np.abs(taken - given) < 1e-6, given, taken)
+            actual_s, given_s = (
+                start_samples(study, study.rate_hz) / study.rate_hz,
+                study.record.start_s,
+            )
+            # A rate of 99.9999999 Hz, from rounded stamps, must not move a start.
+            self._start_s = np.where(np.abs(actual_s - given_s) < 1e-6, given_s, actual_s)
 
-    def summary(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
-        """Summary of a chunk, one row per run.
+    def summary_table(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
+        """Return the summary of a chunk, one row per run.
 
         Args:
             chunk: engine results.
             variant_ids: (variants of the part,) their numbers in the study.
         """
         variant = variant_ids[chunk.variant]
-        out = chunk.outcome
+        outcome = chunk.outcome
         values: dict[str, Any] = {
             "run_id": chunk.draw * self._study.n_variants + variant,
             "draw_id": chunk.draw,
@@ -71,39 +74,41 @@ class Tables:
         }
         values |= {name: column.take(variant) for name, column in self._by_variant.items()}
         first = int(chunk.draw.min())
-        drawn = sampling.values(self._study, int(chunk.draw.max()) + 1 - first, first=first)
+        drawn = sampling.drawn_values(self._study, int(chunk.draw.max()) + 1 - first, first=first)
         for name, column in drawn.items():
-            own = column[chunk.draw - first]
-            values[name] = own if own.ndim == 1 else list(own)
-        values |= self._observed(out.last)
-        verdict = self._judge(out, self._has_floor(chunk, variant), self._end_s[variant])
-        values |= self._settled(verdict, self._pass_s[variant], self._before_s[variant])
-        values |= self._at_times(out)
-        for suffix, statistics in (("_mean", out.mean), ("_std", out.std)):
+            drawn_values = column[chunk.draw - first]
+            values[name] = drawn_values if drawn_values.ndim == 1 else list(drawn_values)
+        values |= self._angle_columns(outcome.last)
+        verdict = self._judge(outcome, self._floor_flags(chunk, variant), self._end_s[variant])
+        values |= self._settling_columns(
+            verdict, self._pass_s[variant], self._data_before_start_s[variant]
+        )
+        values |= self._report_time_columns(outcome)
+        for suffix, statistics in (("_mean", outcome.mean), ("_std", outcome.std)):
             for axis, value in zip("enu", statistics[:3], strict=True):
-                values[f"phi_{axis}{suffix}_arcmin"] = self._known(value / ARCMIN)
+                values[f"phi_{axis}{suffix}_arcmin"] = self._truth_column(value / ARCMIN)
             for angle, value in zip(("pitch", "roll", "yaw"), statistics[3:], strict=True):
-                values[f"{angle}{suffix}_deg"] = nullable(value / DEG)
+                values[f"{angle}{suffix}_deg"] = nullable_array(value / DEG)
         shares = ("error", "floor_error", "error_steady")
-        for name, value in zip(shares, out.above_share, strict=True):
-            values[f"p_above_{name}_share"] = self._known(value)
+        for name, value in zip(shares, outcome.above_share, strict=True):
+            values[f"p_above_{name}_share"] = self._truth_column(value)
         from_floor = {
             "p_above_floor_error_share": values["p_above_floor_error_share"],
-            "floor_arcmin": self._known(out.floor.phi.z / ARCMIN),
-            "nis_u": self._known(out.nis_u),
-            "ok_floor": self._if_known(verdict.ok[FLOOR]),
+            "floor_arcmin": self._truth_column(outcome.floor.phi.z / ARCMIN),
+            "nis_u": self._truth_column(outcome.nis_u),
+            "ok_floor": self._truth_flag_column(verdict.ok[FLOOR]),
         }
-        nothing = pa.array(~verdict.has_floor)
-        values |= {k: pc.if_else(nothing, None, column) for k, column in from_floor.items()}
-        values["has_floor"] = self._if_known(verdict.has_floor)
-        values["ok_truth"] = self._if_known(verdict.ok[TRUTH])
-        values["nees"] = self._known(out.nees)
+        no_floor = pa.array(~verdict.has_floor)
+        values |= {k: pc.if_else(no_floor, None, column) for k, column in from_floor.items()}
+        values["has_floor"] = self._truth_flag_column(verdict.has_floor)
+        values["ok_truth"] = self._truth_flag_column(verdict.ok[TRUTH])
+        values["nees"] = self._truth_column(outcome.nees)
         values["status"] = verdict.status
-        values |= self._of_method(chunk, variant)
-        return table_of(self.summary_columns, values)
+        values |= self._method_values(chunk, variant)
+        return make_table(self.summary_columns, values)
 
-    def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
-        """Curves of a chunk that has them, one row per run and record time."""
+    def curve_table(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
+        """Return the curves of a chunk that has them, one row per run and record time."""
         assert isinstance(chunk.curves, Observation)
         run_id = chunk.draw * self._study.n_variants + variant_ids[chunk.variant]
         codes, spans = self._study.lengths
@@ -114,110 +119,122 @@ class Tables:
             values["update_time_s"] = values["time_s"]
             values["stored_time_s"] = np.tile(self._study.stored_times(span), len(run_id))
             values["pass"] = np.tile(span.pass_numbers(), len(run_id))
-        return table_of(self.curve_columns, values | self._observed(chunk.curves))
+        return make_table(self.curve_columns, values | self._angle_columns(chunk.curves))
 
-    def _observed(self, seen: Observation) -> dict[str, pa.Array]:
-        values = {f"phi_{a}_arcmin": self._known(v / ARCMIN) for a, v in _axes(seen.phi)}
-        values |= {f"sigma_{a}_arcmin": nullable(v / ARCMIN) for a, v in _axes(seen.sigma)}
-        angles = {"pitch": seen.pitch, "roll": seen.roll, "yaw": seen.yaw}
-        values |= {f"{name}_deg": nullable(v / DEG) for name, v in angles.items()}
+    def _angle_columns(self, observation: Observation) -> dict[str, pa.Array]:
+        values = {
+            f"phi_{a}_arcmin": self._truth_column(v / ARCMIN) for a, v in _zip_axes(observation.phi)
+        }
+        values |= {
+            f"sigma_{a}_arcmin": nullable_array(v / ARCMIN) for a, v in _zip_axes(observation.sigma)
+        }
+        angles = {"pitch": observation.pitch, "roll": observation.roll, "yaw": observation.yaw}
+        values |= {f"{name}_deg": nullable_array(v / DEG) for name, v in angles.items()}
         # Twice, because a tiny negative angle is rounded to 360.
-        heading = np.mod(np.mod(-np.asarray(seen.yaw) / DEG, 360.0), 360.0)
-        return values | {"heading_deg": nullable(heading)}
+        heading = np.mod(np.mod(-np.asarray(observation.yaw) / DEG, 360.0), 360.0)
+        return values | {"heading_deg": nullable_array(heading)}
 
-    def _method(self, variant: np.ndarray) -> Description:
-        """The method of a chunk's variants, common to all of them."""
+    def _chunk_method(self, variant: np.ndarray) -> Description:
+        """Return the method that all variants of a chunk share."""
         codes, names = self._methods
         return METHODS[names[codes[variant[0]]]]
 
-    def _of_method(self, chunk: Chunk, variant: np.ndarray) -> dict[str, pa.Array]:
-        """Columns specific to methods; all runs of a chunk have the same method."""
-        method = self._method(variant)
-        own = {column.column.name for column in method.columns_of(self._study)}
+    def _method_values(self, chunk: Chunk, variant: np.ndarray) -> dict[str, pa.Array]:
+        """Return the columns specific to methods; all runs of a chunk have the same method."""
+        method = self._chunk_method(variant)
+        method_names = {column.column.name for column in method.columns_of(self._study)}
         values = {}
-        for name, (column, value, missing, _) in self._own_columns.items():
-            found = value(chunk.outcome.results, self._study.rate_hz) if name in own else missing
-            array = nullable(np.broadcast_to(found, len(variant)))
+        for name, (column, value, missing, _) in self._method_columns.items():
+            column_values = (
+                value(chunk.outcome.results, self._study.rate_hz)
+                if name in method_names
+                else missing
+            )
+            array = nullable_array(np.broadcast_to(column_values, len(variant)))
             values[name] = array.cast(column.dtype)
         return values
 
-    def _known(self, values: Any) -> pa.Array:
-        """Values that need a truth: null without one, and where they are not finite."""
-        return nullable(values if self._has_truth else np.full(np.shape(values), np.nan))
+    def _truth_column(self, values: Any) -> pa.Array:
+        """Return a column of values that need a truth: null without one, or if not finite."""
+        return nullable_array(values if self._has_truth else np.full(np.shape(values), np.nan))
 
-    def _if_known(self, flags: np.ndarray) -> pa.Array:
-        """Flags that need a truth: null without one."""
+    def _truth_flag_column(self, flags: np.ndarray) -> pa.Array:
+        """Return a column of flags that need a truth: null without one."""
         return pa.array(flags if self._has_truth else [None] * len(flags), pa.bool_())
 
-    def _settled(
+    def _settling_columns(
         self, verdict: RunSuccess, pass_s: np.ndarray, before_s: np.ndarray
     ) -> dict[str, pa.Array]:
-        """Settling times of all bands, about the bias floor and the truth, by column."""
+        """Return the settling times of all bands, about bias floor and truth, by column."""
         values = {}
-        for truth, of_bands in (
+        for truth, settled_by_band in (
             (False, verdict.settled_s[FLOOR]),
             (True, verdict.settled_s[TRUTH]),
         ):
-            for band, settled in zip(self._bands, of_bands, strict=True):
+            for band, settled in zip(self._bands, settled_by_band, strict=True):
                 name = columns.settle_column(band, truth=truth).name
-                values[name] = self._known(settled)
-                if self._tells_data:
-                    data = columns.settle_data_column(band, truth=truth).name
-                    values[data] = self._known(before_s + np.minimum(settled, pass_s))
+                values[name] = self._truth_column(settled)
+                if self._has_data_columns:
+                    data_column = columns.settle_data_column(band, truth=truth).name
+                    values[data_column] = self._truth_column(before_s + np.minimum(settled, pass_s))
         return values
 
-    def _at_times(self, out: Outcome) -> dict[str, pa.Array]:
-        """Heading error, its sigma and NEES at the report times, by column."""
+    def _report_time_columns(self, outcome: Outcome) -> dict[str, pa.Array]:
+        """Return the heading error, its sigma and NEES at the report times, by column."""
         values: dict[str, pa.Array] = {}
         for number, time in enumerate(self._study.report_times_s):
-            phi, sigma, nees = np.asarray(out.at_times)[:, number].T
-            arrays = self._known(phi / ARCMIN), nullable(sigma / ARCMIN), self._known(nees)
+            phi, sigma, nees = np.asarray(outcome.at_times)[:, number].T
+            arrays = (
+                self._truth_column(phi / ARCMIN),
+                nullable_array(sigma / ARCMIN),
+                self._truth_column(nees),
+            )
             names = (column.name for column in columns.report_columns(time))
             values |= dict(zip(names, arrays, strict=True))
         return values
 
-    def _has_floor(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
-        """Which runs have a bias floor, given the last reset of their schedule or trigger."""
-        method = self._method(variant)
-        called = method.last_called(chunk.outcome.results)
-        if called is None and not self._study.drawn_keys:
-            return self._limit_by_variant[variant]
+    def _floor_flags(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
+        """Return whether each run has a bias floor, given its last scheduled or triggered reset."""
+        method = self._chunk_method(variant)
+        last_event = method.last_called(chunk.outcome.results)
+        if last_event is None and not self._study.drawn_keys:
+            return self._has_floor_by_variant[variant]
         last_s = self._last_reset_s[variant]
-        if called is not None:
-            last_s = np.maximum(last_s, called / self._study.rate_hz)
+        if last_event is not None:
+            last_s = np.maximum(last_s, last_event / self._study.rate_hz)
         return has_floor(self._study, chunk.draw, variant, last_s)
 
     @cached_property
-    def _limit_by_variant(self) -> np.ndarray:
-        """Which variants have a bias floor, if that depends neither on draws nor on triggers."""
+    def _has_floor_by_variant(self) -> np.ndarray:
+        """Whether each variant has a bias floor, if neither draws nor triggers decide that."""
         return variants_with_floor(self._study)
 
 
-def _before_s(study: Study) -> np.ndarray:
-    """(variants,) data of a record before t = 0, where other variants begin with its first, s."""
+def _data_before_start_s(study: Study) -> np.ndarray:
+    """Return the length of record before t = 0, s, (variants,); zero if no variant counts it."""
     if not study.counts_before:
         return np.zeros(study.n_variants)
     column = study.resolved.column(*COARSE_KEYS)
     return column.each(lambda keys: study.samples_before(study.rate_hz, *keys)) / study.rate_hz
 
 
-def _axes(vector: Any) -> Any:
+def _zip_axes(vector: Any) -> Any:
     return zip("enu", vector, strict=True)
 
 
-def nullable(values: Any) -> pa.Array:
-    """Numbers of any shape as a column, null where they are not finite."""
+def nullable_array(values: Any) -> pa.Array:
+    """Return numbers of any shape as a column, null if they are not finite."""
     flat = np.asarray(values, dtype=float).ravel()
     return pa.array(flat, mask=~np.isfinite(flat))
 
 
-def with_column(table: pa.Table, name: str, values: pa.Array) -> pa.Table:
-    """A table with other values in a column, of its type."""
-    place, field = table.column_names.index(name), table.schema.field(name)
-    return table.set_column(place, field, values.cast(field.type))
+def replace_column(table: pa.Table, name: str, values: pa.Array) -> pa.Table:
+    """Return a table with new values in a column, cast to its type."""
+    index, field = table.column_names.index(name), table.schema.field(name)
+    return table.set_column(index, field, values.cast(field.type))
 
 
-def table_of(layout: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
-    """A table of some columns, from their values by name."""
-    arrays = [pa.array(values[c.name]).cast(c.dtype) for c in layout]
-    return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
+def make_table(table_columns: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
+    """Return a table of some columns, from their values by name."""
+    arrays = [pa.array(values[c.name]).cast(c.dtype) for c in table_columns]
+    return pa.Table.from_arrays(arrays, schema=columns.schema(table_columns))

@@ -1,7 +1,7 @@
-"""Division of a study into tasks, each with the same result on any machine and in any order.
+"""Division of a study into tasks, whose results do not depend on machine or order.
 
 A task is one chunk of runs, computed by one call of the compiled program. The division depends only
-on the study, so that a task can be repeated anywhere.
+on the study, so a task can be repeated anywhere.
 """
 
 import hashlib
@@ -27,32 +27,32 @@ from sinsjax.engine.lanes import LANES, Group
 from sinsjax.execution import results, sealed, stopping
 from sinsjax.execution.directory import FileState
 from sinsjax.execution.forecast import Forecast
-from sinsjax.execution.linearity import Linearity
-from sinsjax.execution.outputs import output_of
+from sinsjax.execution.linearity import LinearityCheck
+from sinsjax.execution.outputs import make_output
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import fingerprint, with_draws
 from sinsjax.study.study import Study
 
-_DRAWS_READY = 2**16  # about 30 MB if everything is drawn
-_PARTS_READY = 3  # a part has its own increments; threads at the border of two parts need both
+_DRAWS_PER_BLOCK = 2**16  # about 30 MB if everything is drawn
+_CACHED_PARTS = 3  # a part has its own increments; threads may work on two parts
 
 
 class Job(NamedTuple):
-    """A study that is ready to run, see `prepare.prepare`.
+    """A study that is ready to run, see `prepare.prepare_job`.
 
     Attributes:
         study: checked study, at the rate of its record.
         stored: the record of a recorded study.
         curves: whether to keep curves; None follows the study.
         chunk_runs: runs per chunk, rounded to two or more whole tiles; None for the default.
-        extended_at: numbers of draws that its results had before each extension, ascending.
+        extended_at: numbers of draws of its results before each extension, ascending.
         directory: results directory; None for tables in memory.
         overwrite: whether existing results are removed.
         resume: whether existing results are continued.
-        seen: state of the directory's manifest when it was checked.
-        source: the study's file, or words for it.
+        manifest_state: state of the directory's manifest when it was checked.
+        source: the study's file, or another label.
         warnings: doubts about the study or its record, one line each.
-        notes: what a user should know beside that, one line each.
+        notes: further information for the user, one line each.
         forecast: expected runs, time, memory and disk space.
     """
 
@@ -64,32 +64,32 @@ class Job(NamedTuple):
     directory: Path | None = None
     overwrite: bool = False
     resume: bool = False
-    seen: FileState | None = None
+    manifest_state: FileState | None = None
     source: str | None = None
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     forecast: Forecast | None = None
 
     @property
-    def first_draws(self) -> int:
-        """Number of draws that its results began with."""
+    def initial_draws(self) -> int:
+        """Number of draws before the first extension."""
         return min((*self.extended_at, self.study.n_draws))
 
     @property
     def identity(self) -> str:
         """Hash of everything that determines the rows: the study and its record, as hex digits.
 
-        It stays the same when the study is extended.
+        An extension of the study does not change it.
         """
-        study = with_draws(self.study, self.first_draws) if self.extended_at else self.study
-        whole = hashlib.sha256(fingerprint(study).encode())
+        study = with_draws(self.study, self.initial_draws) if self.extended_at else self.study
+        digest = hashlib.sha256(fingerprint(study).encode())
         if self.stored is not None:
             record, reference = self.stored
             arrays = [record.dtheta, record.dv, np.asarray([record.rate_hz])]
             arrays += [] if reference is None else [reference.time_s, reference.attitude_deg]
             for array in arrays:
-                whole.update(np.ascontiguousarray(array).data)
-        return whole.hexdigest()[:16]
+                digest.update(np.ascontiguousarray(array).data)
+        return digest.hexdigest()[:16]
 
 
 class Task(NamedTuple):
@@ -153,7 +153,7 @@ class TaskRunner:
         job: the job.
         identity: hash that identifies the job.
         scenario: the study, ready to run.
-        layouts: columns of all datasets.
+        schemas: columns of all datasets.
     """
 
     def __init__(self, job: Job) -> None:
@@ -164,148 +164,157 @@ class TaskRunner:
         """
         self.job = job
         self.scenario = Scenario(job.study, job.stored, curves=job.curves)
-        self._output = output_of(self.scenario)
-        self.layouts = self._output.layouts
-        self._programs = [self._output.program(static) for static in self.scenario.programs]
-        self._linearity = Linearity(self.scenario) if job.study.checks_linearity else None
-        self._tiles = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
+        self._output = make_output(self.scenario)
+        self.schemas = self._output.schemas
+        self._programs = [self._output.adapt_program(static) for static in self.scenario.programs]
+        self._linearity = LinearityCheck(self.scenario) if job.study.checks_linearity else None
+        self._tiles_per_call = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity
         self._lock = threading.Lock()
-        kinds = job.study.duplicate_of
-        self._alike = [
-            find_duplicates(static, job.first_draws, kinds[ids])
+        first_duplicate = job.study.duplicate_of
+        self._duplicates = [
+            find_duplicates(static, job.initial_draws, first_duplicate[ids])
             for static, ids in zip(self._programs, self.scenario.variant_ids, strict=True)
         ]
-        self._part = lru_cache(_PARTS_READY)(self._made)
-        self._blank = lru_cache(1)(partial(self._made, blank=True))
-        self._calls = lru_cache(_PARTS_READY)(self._compile)
-        first = self._blocks(self.stages[0])[0]
+        self._cached_group = lru_cache(_CACHED_PARTS)(self._make_group)
+        self._cached_blank_group = lru_cache(1)(partial(self._make_group, blank=True))
+        self._cached_calls = lru_cache(_CACHED_PARTS)(self._compile_calls)
+        first_block = self._split_draws(self.stages[0])[0]
         if self.scenario.stored is None:
-            self._blank(0, first)
+            self._cached_blank_group(0, first_block)
         else:
-            self._part(0, first)
+            self._cached_group(0, first_block)
 
     @property
     def stages(self) -> list[range]:
-        """Ranges of draws, to each interim analysis and extension; one changes no other's tasks."""
+        """Ranges of draws up to each interim analysis and extension, with independent tasks."""
         ends = sorted({*stopping.interim_draws(self.job.study), *self.job.extended_at})
         return [range(a, b) for a, b in zip([0, *ends], ends, strict=False)]
 
-    def tasks(self) -> list[list[Task]]:
-        """The tasks of every stage."""
-        study, before = self.job.study, [0] * len(self._programs)
-        staged = []
+    def plan_tasks(self) -> list[list[Task]]:
+        """Return the tasks of every stage."""
+        study, calls_before = self.job.study, [0] * len(self._programs)
+        tasks_by_stage = []
         for stage in self.stages:
             tasks: list[Task] = []
-            for part, draws in product(range(len(self._programs)), self._blocks(stage)):
-                new = self._cut(part, draws, before[part])
-                before[part] += len(new)
-                tasks += new
-            staged.append(tasks)
-        assert sum(t.runs for tasks in staged for t in tasks) == study.n_draws * study.n_variants
-        return staged
+            for part, draws in product(range(len(self._programs)), self._split_draws(stage)):
+                part_tasks = self._plan_part(part, draws, calls_before[part])
+                calls_before[part] += len(part_tasks)
+                tasks += part_tasks
+            tasks_by_stage.append(tasks)
+        assert (
+            sum(t.runs for tasks in tasks_by_stage for t in tasks)
+            == study.n_draws * study.n_variants
+        )
+        return tasks_by_stage
 
-    def _cut(self, part: int, draws: range, before: int) -> list[Task]:
-        """Tasks of some draws of a part, after so many."""
-        alike, ids = self._alike[part], self.scenario.variant_ids[part]
-        count = len(ids) if alike is None else len(alike.computed)
+    def _plan_part(self, part: int, draws: range, calls_before: int) -> list[Task]:
+        """Return the tasks of some draws of a part, numbered from ``calls_before``."""
+        duplicates, ids = self._duplicates[part], self.scenario.variant_ids[part]
+        variants = len(ids) if duplicates is None else len(duplicates.computed)
         static, tasks = self._programs[part], []
-        plan = self._output.plan(static, len(draws), count, self._tiles)
+        plan = self._output.plan_calls(static, len(draws), variants, self._tiles_per_call)
         for call in range(len(plan)):
-            runs = plan.count_runs(call) if alike is None else alike.count_runs(plan, call)
-            records = {name: static.records if name == "curves" else 1 for name in self.layouts}
-            rows = tuple((name, runs * each) for name, each in records.items())
-            name = f"part-{part:04d}-{before + call:06d}"
+            runs = (
+                plan.count_runs(call) if duplicates is None else duplicates.count_runs(plan, call)
+            )
+            records = {name: static.records if name == "curves" else 1 for name in self.schemas}
+            rows = tuple((name, runs * rows_per_run) for name, rows_per_run in records.items())
+            name = f"part-{part:04d}-{calls_before + call:06d}"
             tasks.append(Task(name, part, (draws.start, draws.stop), call, runs, rows))
         return tasks
 
-    def _blocks(self, stage: range) -> list[range]:
-        """The draws of a stage in groups that fit in memory with their drawn values."""
+    def _split_draws(self, stage: range) -> list[range]:
+        """Return the draws of a stage in blocks whose drawn values fit in memory."""
         if not self.job.study.drawn_keys:
             return [stage]
-        firsts = range(stage.start, stage.stop, _DRAWS_READY)
-        return [range(first, min(first + _DRAWS_READY, stage.stop)) for first in firsts]
+        firsts = range(stage.start, stage.stop, _DRAWS_PER_BLOCK)
+        return [range(first, min(first + _DRAWS_PER_BLOCK, stage.stop)) for first in firsts]
 
-    def do(self, task: Task) -> TaskResult:
+    def compute_tables(self, task: Task) -> TaskResult:
         """Compute the tables of one task."""
         with self._lock:  # otherwise every thread would compile
-            calls = self._calls(task.part, range(*task.draws))
-        since = time.perf_counter()
+            calls = self._cached_calls(task.part, range(*task.draws))
+        start_s = time.perf_counter()
         chunk = calls.chunk(task.call)
-        if alike := self._alike[task.part]:
-            chunk = alike.expand(chunk)
-        tables = self._output.tables(chunk, self.scenario.variant_ids[task.part])
+        if duplicates := self._duplicates[task.part]:
+            chunk = duplicates.expand(chunk)
+        tables = self._output.make_tables(chunk, self.scenario.variant_ids[task.part])
         if self._linearity:
-            tables = {"estimates": self._linearity.checked(task.part, tables["estimates"])}
-        seconds = time.perf_counter() - since
-        return TaskResult(task, tables, self._output.failures(tables), seconds)
+            tables = {
+                "estimates": self._linearity.add_nonlinearity_index(task.part, tables["estimates"])
+            }
+        seconds = time.perf_counter() - start_s
+        return TaskResult(task, tables, self._output.count_failures(tables), seconds)
 
-    def pack(self, task: Task) -> EncodedResult:
-        """Compute the Parquet files of one task: the same bytes on any machine."""
-        _, tables, failures, seconds = self.do(task)
-        files = {name: self.parquet(name, table, task) for name, table in tables.items()}
+    def compute_files(self, task: Task) -> EncodedResult:
+        """Compute the Parquet files of one task, with the same bytes on any machine."""
+        _, tables, failures, seconds = self.compute_tables(task)
+        files = {name: self.to_parquet(name, table, task) for name, table in tables.items()}
         return EncodedResult(task, files, failures, seconds)
 
-    def parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
-        """Return a table of a task as a sealed Parquet file: the same rows give the same bytes.
+    def to_parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
+        """Return a table of a task as a sealed Parquet file: equal rows give equal bytes.
 
         Raises:
             ValueError: the table lacks columns of the dataset.
         """
-        schema = columns.schema(self.layouts[dataset])
-        return sealed.sealed_parquet(table.cast(schema), self.marks(dataset, task))
+        schema = columns.schema(self.schemas[dataset])
+        return sealed.to_sealed_parquet(table.cast(schema), self.part_metadata(dataset, task))
 
-    def marks(self, dataset: str, task: Task) -> dict[str, str]:
+    def part_metadata(self, dataset: str, task: Task) -> dict[str, str]:
         """Return the metadata of a part, without time or host, which would change its bytes."""
         chunk: dict[str, Any] = {"dataset": dataset, **task._asdict()}
         chunk |= {"rows": dict(task.rows)[dataset], "chunk_runs": self.job.chunk_runs}
         if before := [end for end in self.job.extended_at if end <= task.draws[0]]:
             chunk["extended_at"] = before
-        return {results.STUDY_MARK: self.identity, results.CHUNK_MARK: json.dumps(chunk)}
+        return {results.STUDY_METADATA: self.identity, results.CHUNK_METADATA: json.dumps(chunk)}
 
-    def _made(self, number: int, draws: range, *, blank: bool = False) -> Group:
-        alike = self._alike[number]
-        variants = None if alike is None else alike.computed
-        part = self.scenario.part(number, draws, variants=variants, blank=blank)
-        return self._output.group(part.group)
+    def _make_group(self, part_number: int, draws: range, *, blank: bool = False) -> Group:
+        duplicates = self._duplicates[part_number]
+        variants = None if duplicates is None else duplicates.computed
+        part = self.scenario.part(part_number, draws, variants=variants, blank=blank)
+        return self._output.adapt_group(part.group)
 
-    def _compile(self, part: int, draws: range) -> Calls:
+    def _compile_calls(self, part: int, draws: range) -> Calls:
         output = self._output
         if self.scenario.stored is not None:
-            return output.calls(self._part(part, draws), self._tiles)
-        engine = output.calls(self._blank(part, draws), self._tiles)
-        with ThreadPoolExecutor(1) as beside:
-            compiling = beside.submit(engine.compile)
-            made = self._part(part, draws)  # meanwhile, on another core
+            return output.make_calls(self._cached_group(part, draws), self._tiles_per_call)
+        blank_calls = output.make_calls(self._cached_blank_group(part, draws), self._tiles_per_call)
+        with ThreadPoolExecutor(1) as pool:
+            compiling = pool.submit(blank_calls.compile)
+            group = self._cached_group(part, draws)  # meanwhile, on another core
             compiling.result()
-        return output.calls(made, self._tiles)
+        return output.make_calls(group, self._tiles_per_call)
 
 
 class Executor(NamedTuple):
-    """A means of running tasks.
+    """Function that runs tasks, and facts about its machines.
 
     Attributes:
-        do: yields results in any order, as Parquet files for a directory. It takes the next task
-            from the iterable only when it has room for it, so that the caller can stop early.
+        run_tasks: yields results in any order, as Parquet files for a directory. It takes the next
+            task from the iterable only when it has room for it, so the caller can stop early.
         facts: manifest entries about the machines of this session.
     """
 
-    do: Callable[[TaskRunner, Iterable[Task]], Iterator[Any]]
+    run_tasks: Callable[[TaskRunner, Iterable[Task]], Iterator[Any]]
     facts: dict[str, Any]
 
 
-def on_this_machine() -> Executor:
-    """Executor on all devices of this process: threads of one program on a CPU."""
+def local_executor() -> Executor:
+    """Return an executor on all devices of this process: threads of one program on a CPU."""
     devices = len(jax.devices())
-    are = (
+    description = (
         "threads over one program" if len(target_devices()) == 1 else "devices with a program each"
     )
     return Executor(
-        lambda runner, tasks: map_in_threads(runner.pack, tasks, devices),
-        {"devices": devices, "devices_are": are},
+        lambda runner, tasks: map_in_threads(runner.compute_files, tasks, devices),
+        {"devices": devices, "devices_are": description},
     )
 
 
-def in_memory() -> Executor:
+def memory_executor() -> Executor:
     """Return an executor on all devices of this process whose results are tables."""
-    return Executor(lambda runner, tasks: map_in_threads(runner.do, tasks, len(jax.devices())), {})
+    return Executor(
+        lambda runner, tasks: map_in_threads(runner.compute_tables, tasks, len(jax.devices())), {}
+    )

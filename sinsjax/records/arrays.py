@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.messages import first_line, shortened
-from sinsjax.records.files import LARGEST
+from sinsjax.records.files import MAX_MAGNITUDE
 from sinsjax.records.layout import (
     ACCEL_UNITS,
     GYRO_UNITS,
     FloatArray,
     Layout,
-    fault,
-    given_as,
+    find_fault,
+    message_key,
 )
-from sinsjax.records.reference import Reference, StoredRecord, reference_of
-from sinsjax.records.tables import MISSING, ColumnTable, column_index
-from sinsjax.records.tabular import record_of
+from sinsjax.records.reference import Reference, StoredRecord, reference_from_table
+from sinsjax.records.tables import MISSING_TEXT, ColumnTable, find_columns
+from sinsjax.records.tabular import record_from_table
 
-_OF_ARRAYS = Layout("arrays")
-_PLACES = tuple(f"[:, {axis}]" for axis in range(3))
+_ARRAY_LAYOUT = Layout("arrays")
+_AXIS_SUFFIXES = tuple(f"[:, {axis}]" for axis in range(3))
 
 
 def record_from_arrays(
@@ -43,27 +43,27 @@ def record_from_arrays(
     reference: Any = None,
     source: str = "arrays",
 ) -> StoredRecord:
-    """A record from arrays of any library that NumPy understands, as `sinsjax.run` takes it.
+    """Return a record from arrays of any library that NumPy reads, for `sinsjax.run`.
 
-    The study that runs on it has ``[record] format = "arrays"``.
+    Its study needs ``[record] format = "arrays"``.
 
     Args:
         time: (T,) time at the end of each sample, in ``time_unit`` or as dates with time of any
-            library, in UTC unless they have a zone; None where ``rate_hz`` gives the times.
-        gyro: (T, 3) angular rates averaged over each sample, or increments over it, as the unit
-            tells; nan, None or NA where a sample is missing.
-        accel: (T, 3) specific forces likewise: of a base at rest it points up.
-        gyro_unit: "rad_per_s", "deg_per_s", "deg_per_h"; of increments "rad", "deg", "arcsec".
-        accel_unit: "m_per_s2", "g", "mg", "ug"; of increments "m_per_s", "g_s", "ug_s".
+            library, in UTC unless they have a zone; None if ``rate_hz`` determines the times.
+        gyro: (T, 3) angular rates averaged over each sample, or increments over it, depending on
+            the unit; nan, None or NA if a sample is missing.
+        accel: (T, 3) specific forces likewise; upward on a base at rest.
+        gyro_unit: "rad_per_s", "deg_per_s", "deg_per_h"; for increments "rad", "deg", "arcsec".
+        accel_unit: "m_per_s2", "g", "mg", "ug"; for increments "m_per_s", "g_s", "ug_s".
         time_unit: "s", "ms", "us" or "ns".
-        axes: where x, y and z of both arrays point: "rfu" (right, front, up), "frd" or "flu"; or
+        axes: directions of x, y and z of both arrays: "rfu" (right, front, up), "frd" or "flu"; or
             the axes that point right, front and up as a signed permutation, such as "y-xz".
         rate_hz: sample rate, Hz; None takes it from the times.
         max_gap_s: longest time between two good samples across which missing ones are interpolated.
-        latitude_deg: geodetic latitude, which a study's [earth] may leave out then.
+        latitude_deg: geodetic latitude, which a study's [earth] may then omit.
         height_m: height above the ellipsoid, likewise.
-        reference: attitude to compare with: a mapping or table of columns as `read_reference` reads
-            them from a file (time_s, on the clock of ``time``, pitch_deg, roll_deg, and yaw_deg or
+        reference: attitude to compare with: a mapping or table with the columns of
+            `read_reference` (time_s, on the clock of ``time``, pitch_deg, roll_deg, and yaw_deg or
             heading_deg; dates with time are seconds since 1970), or a `Reference`.
         source: name of the record, for messages and manifests.
 
@@ -81,11 +81,11 @@ def record_from_arrays(
         0.098
     """
     layout = Layout(
-        format="csv",  # its fields are those of any table
-        quantity=_quantity(source, gyro_unit, accel_unit),
+        format="csv",  # with the fields of any table
+        quantity=_common_quantity(source, gyro_unit, accel_unit),
         time_column="" if time is None else "time",
-        gyro_columns=tuple(f"gyro{place}" for place in _PLACES),
-        accel_columns=tuple(f"accel{place}" for place in _PLACES),
+        gyro_columns=tuple(f"gyro{suffix}" for suffix in _AXIS_SUFFIXES),
+        accel_columns=tuple(f"accel{suffix}" for suffix in _AXIS_SUFFIXES),
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
         axes_order=axes,
@@ -94,78 +94,83 @@ def record_from_arrays(
         max_gap_s=max_gap_s,
     )
     if time_unit == "iso":
-        raise InputError(f"{source}: time_unit: 'iso' is of files (pass dates as a datetime array)")
+        raise InputError(
+            f"{source}: time_unit: 'iso' is for files (pass dates as a datetime array)"
+        )
     if time is None and rate_hz is None:
-        raise InputError(f"{source}: rate_hz: required where time is None")
-    if found := fault(layout):
-        raise InputError(f"{source}: {given_as(_OF_ARRAYS, found.key)}: {found.text}")
+        raise InputError(f"{source}: rate_hz: required if time is None")
+    if layout_fault := find_fault(layout):
+        raise InputError(
+            f"{source}: {message_key(_ARRAY_LAYOUT, layout_fault.key)}: {layout_fault.text}"
+        )
     vectors = {
-        name: _vectors(source, name, own) for name, own in (("gyro", gyro), ("accel", accel))
+        name: _to_vectors(source, name, array) for name, array in (("gyro", gyro), ("accel", accel))
     }
     columns = {
-        f"{name}{place}": values[:, axis]
+        f"{name}{suffix}": values[:, axis]
         for name, values in vectors.items()
-        for axis, place in enumerate(_PLACES)
+        for axis, suffix in enumerate(_AXIS_SUFFIXES)
     }
-    layout = layout._replace(format=_OF_ARRAYS.format)
+    layout = layout._replace(format=_ARRAY_LAYOUT.format)
     if time is not None:
-        columns["time"], is_date = _column(source, "time", time)
+        columns["time"], is_date = _to_column(source, "time", time)
         if columns["time"].ndim != 1:
             shape = columns["time"].shape
             raise InputError(f"{source}: time: must have the shape (T,), not {shape}")
         layout = layout._replace(time_unit="iso" if is_date else time_unit)
-    _require_one_length(source, {**vectors, **({} if time is None else {"time": columns["time"]})})
-    record = record_of(source, layout, _table(source, columns))
+    _check_equal_lengths(source, {**vectors, **({} if time is None else {"time": columns["time"]})})
+    record = record_from_table(source, layout, _make_table(source, columns))
     record = record._replace(latitude_deg=latitude_deg, height_m=height_m, layout=layout)
-    return StoredRecord.of(record, _reference(f"{source}: reference", reference))
+    return StoredRecord.from_record(record, _make_reference(f"{source}: reference", reference))
 
 
-def _quantity(source: str, gyro_unit: str, accel_unit: str) -> str:
-    """What both arrays hold, by their units: rates or increments."""
-    held = {}
+def _common_quantity(source: str, gyro_unit: str, accel_unit: str) -> str:
+    """Return the quantity of both arrays according to their units: rates or increments."""
+    quantity_by_argument = {}
     for name, unit, known in (
         ("gyro_unit", gyro_unit, GYRO_UNITS),
         ("accel_unit", accel_unit, ACCEL_UNITS),
     ):
         quantity = next((quantity for quantity, units in known.items() if unit in units), None)
         if quantity is None:
-            every = ", ".join(unit for units in known.values() for unit in units)
-            raise InputError(f"{source}: {name}: {unit!r} is not one of {every}")
-        held[name] = quantity
-    if len(set(held.values())) > 1:
+            all_units = ", ".join(unit for units in known.values() for unit in units)
+            raise InputError(f"{source}: {name}: {unit!r} is not one of {all_units}")
+        quantity_by_argument[name] = quantity
+    if len(set(quantity_by_argument.values())) > 1:
         raise InputError(
-            f"{source}: accel_unit: {accel_unit!r} is of {held['accel_unit']}, gyro_unit"
-            f" {gyro_unit!r} of {held['gyro_unit']}: both arrays must hold the same"
+            f"{source}: accel_unit: {accel_unit!r} is of {quantity_by_argument['accel_unit']},"
+            f" gyro_unit {gyro_unit!r} of {quantity_by_argument['gyro_unit']}: both arrays"
+            " must have the same quantity"
         )
-    return held["gyro_unit"]
+    return quantity_by_argument["gyro_unit"]
 
 
-def _numbers(source: str, name: str, values: Any) -> FloatArray:
-    """Numbers of an array or table as float64, nan where missing: the caller's own or a copy."""
+def _to_floats(source: str, name: str, values: Any) -> FloatArray:
+    """Return an array or table as float64, nan if missing; may be the caller's own array."""
     if hasattr(values, "filled"):  # of a masked array
         values = values.astype(float).filled(np.nan)
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        cells = _cells(values)
+        cells = _to_cells(values)
         if cells is None:
-            raise InputError(f"{source}: {name}: no numbers: {first_line(error)}") from None
+            raise InputError(f"{source}: {name}: not numeric: {first_line(error)}") from None
     numbers = np.empty(cells.shape)
-    for place, cell in np.ndenumerate(cells):
+    for index, cell in np.ndenumerate(cells):
         try:
-            numbers[place] = np.nan if _is_missing(cell) else float(cell)
+            numbers[index] = np.nan if _is_missing(cell) else float(cell)
         except (TypeError, ValueError):
-            row, *axis = place
+            row, *axis = index
             column = f"{name}[:, {axis[0]}]" if axis else name
-            shown = shortened(repr(cell), 32)
+            cell_text = shortened(repr(cell), 32)
             raise InputError(
-                f"{source}: row {row}: column {column!r}: {shown} is no number"
+                f"{source}: row {row}: column {column!r}: {cell_text} is not a number"
             ) from None
     return numbers
 
 
-def _cells(values: Any) -> NDArray[Any] | None:
-    """The single cells of an array or table; None where its rows differ in length."""
+def _to_cells(values: Any) -> NDArray[Any] | None:
+    """Return the cells of an array or table; None if its rows differ in length."""
     try:
         cells = np.asarray(values, dtype=object)
     except ValueError:
@@ -174,41 +179,41 @@ def _cells(values: Any) -> NDArray[Any] | None:
 
 
 def _is_missing(cell: Any) -> bool:
-    """Whether a cell is None, NA or NaT: those of pandas neither compare nor become numbers."""
+    """Whether a cell is None, NA or NaT, which pandas neither compares nor converts."""
     return cell is None or type(cell).__name__ in ("NAType", "NaTType")
 
 
-def _vectors(source: str, name: str, values: Any) -> FloatArray:
-    numbers = _numbers(source, name, values)
+def _to_vectors(source: str, name: str, values: Any) -> FloatArray:
+    numbers = _to_floats(source, name, values)
     if numbers.ndim != 2 or numbers.shape[1] != 3:
         raise InputError(f"{source}: {name}: must have the shape (T, 3), not {numbers.shape}")
     return numbers
 
 
-def _column(source: str, name: str, values: Any) -> tuple[FloatArray, bool]:
-    """A column as numbers, and whether they are seconds since 1970 from dates."""
-    plain = np.asarray(values)
-    if plain.dtype.kind == "O" and plain.ndim == 1:  # pandas gives dates with a zone as objects
-        first = next((cell for cell in plain if not _is_missing(cell)), None)
+def _to_column(source: str, name: str, values: Any) -> tuple[FloatArray, bool]:
+    """Return a column as numbers, and whether they are seconds since 1970 from dates."""
+    array = np.asarray(values)
+    if array.dtype.kind == "O" and array.ndim == 1:  # pandas stores dates with a zone as objects
+        first = next((cell for cell in array if not _is_missing(cell)), None)
         if isinstance(first, datetime):
-            plain = _moments(source, name, values)
-    if plain.dtype.kind != "M":
-        return _numbers(source, name, values), False
-    nanoseconds = plain.astype("datetime64[ns]").astype(np.int64) * 1e-9
-    return np.where(np.isnat(plain), np.nan, nanoseconds), True
+            array = _to_utc_dates(source, name, values)
+    if array.dtype.kind != "M":
+        return _to_floats(source, name, values), False
+    nanoseconds = array.astype("datetime64[ns]").astype(np.int64) * 1e-9
+    return np.where(np.isnat(array), np.nan, nanoseconds), True
 
 
-def _moments(source: str, name: str, values: Any) -> NDArray[Any]:
-    """Dates with time in UTC, of objects of which some may have a zone."""
+def _to_utc_dates(source: str, name: str, values: Any) -> NDArray[Any]:
+    """Return dates with time in UTC, from objects of which some may have a zone."""
     try:
         dates = pa.array(values, pa.timestamp("ns", "UTC"), from_pandas=True)
     except (pa.ArrowException, TypeError, ValueError) as error:
-        raise InputError(f"{source}: {name}: no dates with time: {first_line(error)}") from None
+        raise InputError(f"{source}: {name}: not dates with time: {first_line(error)}") from None
     moments: NDArray[Any] = dates.to_numpy(zero_copy_only=False)
     return moments
 
 
-def _require_one_length(source: str, arrays: dict[str, FloatArray]) -> None:
+def _check_equal_lengths(source: str, arrays: dict[str, FloatArray]) -> None:
     rows = {name: len(values) for name, values in arrays.items()}
     if not rows["gyro"]:
         raise InputError(f"{source}: gyro: has no rows")
@@ -217,39 +222,39 @@ def _require_one_length(source: str, arrays: dict[str, FloatArray]) -> None:
             raise InputError(f"{source}: {name}: has {count} rows, gyro {rows['gyro']}")
 
 
-def _table(source: str, columns: dict[str, FloatArray]) -> ColumnTable:
-    """Columns in memory as a file's are opened; its rows count from 0."""
+def _make_table(source: str, columns: dict[str, FloatArray]) -> ColumnTable:
+    """Return columns in memory as an opened table, whose rows count from 0."""
 
     def read(
         wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
     ) -> list[FloatArray]:
-        column_index(source, list(columns), wanted)
-        found = []
+        find_columns(source, list(columns), wanted)
+        result = []
         for name in wanted:
             values = np.array(columns[name], dtype=np.float64)  # a copy, which the reader changes
-            large = np.isfinite(values) & (np.abs(values) > LARGEST)
+            large = np.isfinite(values) & (np.abs(values) > MAX_MAGNITUDE)
             bad = large if blanks else large | ~np.isfinite(values)
             if bad.any():
                 row = int(bad.argmax())
-                what = f"out of range (beyond {LARGEST:g})" if large[row] else MISSING
-                raise InputError(f"{source}: row {row}: column {name!r}: {what}")
-            found.append(values)
-        return found
+                problem = f"out of range (beyond {MAX_MAGNITUDE:g})" if large[row] else MISSING_TEXT
+                raise InputError(f"{source}: row {row}: column {name!r}: {problem}")
+            result.append(values)
+        return result
 
     return ColumnTable(list(columns), read, lambda k: k)
 
 
-def _reference(source: str, given: Any) -> Reference | None:
-    """A reference attitude from a mapping or table of columns."""
-    if given is None or isinstance(given, Reference):
-        return given
-    names = getattr(given, "column_names", None)  # of Arrow, whose `columns` are arrays
+def _make_reference(source: str, reference: Any) -> Reference | None:
+    """Return a reference attitude from a mapping or table of columns."""
+    if reference is None or isinstance(reference, Reference):
+        return reference
+    names = getattr(reference, "column_names", None)  # for Arrow, whose `columns` are arrays
     if names is None:
-        names = getattr(given, "columns", given)
-    columns = {str(name): _column(source, str(name), given[name])[0] for name in names}
+        names = getattr(reference, "columns", reference)
+    columns = {str(name): _to_column(source, str(name), reference[name])[0] for name in names}
     rows = {len(values) for values in columns.values()}
     if len(rows) > 1 or not all(values.ndim == 1 for values in columns.values()):
-        raise InputError(f"{source}: its columns must have one number for each of its rows")
+        raise InputError(f"{source}: its columns must have one number per row")
     if rows == {0}:
         raise InputError(f"{source}: has no rows")
-    return reference_of(source, _table(source, columns))
+    return reference_from_table(source, _make_table(source, columns))

@@ -1,4 +1,4 @@
-"""The beginning of a file of named columns: its kind, names, comments, what its columns hold."""
+"""The beginning of a file with named columns: format, names, comments and types of columns."""
 
 import csv
 from collections.abc import Mapping
@@ -10,18 +10,18 @@ import pyarrow as pa
 
 from sinsjax.errors import InputError
 from sinsjax.messages import shortened
-from sinsjax.records.files import line_batches, number
-from sinsjax.records.stamps import from_iso
+from sinsjax.records.files import parse_number, read_line_batches
+from sinsjax.records.stamps import parse_iso
 from sinsjax.records.tables import (
     COMMENTS,
     DELIMITERS,
     ColumnTable,
-    delimiter_of,
+    find_delimiter,
     open_csv,
     open_parquet,
 )
 
-_BYTES, _ROWS = 2**16, 20  # that are looked at
+_BYTES, _ROWS = 2**16, 20  # examined part of a file
 
 
 class Head(NamedTuple):
@@ -29,97 +29,100 @@ class Head(NamedTuple):
 
     Attributes:
         format: "csv" or "parquet".
-        names: of its columns.
-        numbers: names of those that hold numbers.
-        odd: what else the first rows hold in place of numbers, by name: row and cell.
-        dates: names of those that hold dates with time.
-        comments: lines of comment before the names.
-        told: what kind of file it is, in words.
-        kinds: of its columns by name, of a Parquet file alone.
+        names: names of its columns.
+        numbers: names of the numeric columns.
+        non_numbers: first cell that is not a number, by name: row and cell.
+        dates: names of the columns of dates with time.
+        comments: comment lines before the names.
+        description: description of the file in words.
+        column_types: types of the columns by name, for Parquet only.
     """
 
     format: str
     names: list[str]
     numbers: set[str]
-    odd: dict[str, tuple[int, str]]
+    non_numbers: dict[str, tuple[int, str]]
     dates: set[str]
     comments: list[str]
-    told: str
-    kinds: Mapping[str, pa.DataType] = MappingProxyType({})
+    description: str
+    column_types: Mapping[str, pa.DataType] = MappingProxyType({})
 
-    def open(self, path: Path) -> ColumnTable:
-        """The file with its columns."""
+    def open_table(self, path: Path) -> ColumnTable:
+        """Open the file with its columns."""
         return open_parquet(path) if self.format == "parquet" else open_csv(path)
 
 
-def head_of(path: Path) -> Head:
-    """The beginning of a CSV or Parquet file.
+def read_head(path: Path) -> Head:
+    """Read the beginning of a CSV or Parquet file.
 
     Raises:
         InputError: it cannot be read, or its columns have no names.
     """
     try:
         with path.open("rb") as file:
-            mark = file.read(4)
+            first_bytes = file.read(4)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    return _of_parquet(path) if mark == b"PAR1" else _of_csv(path)
+    return _read_parquet_head(path) if first_bytes == b"PAR1" else _read_csv_head(path)
 
 
-def _of_parquet(path: Path) -> Head:
+def _read_parquet_head(path: Path) -> Head:
     schema = open_parquet(path).schema
     assert schema is not None
-    kinds = {field.name: field.type for field in schema}
+    types = {field.name: field.type for field in schema}
     return Head(
         format="parquet",
-        names=list(kinds),
+        names=list(types),
         numbers={
             name
-            for name, kind in kinds.items()
-            if pa.types.is_floating(kind) or pa.types.is_integer(kind)
+            for name, type_ in types.items()
+            if pa.types.is_floating(type_) or pa.types.is_integer(type_)
         },
-        odd={},
-        dates={name for name, kind in kinds.items() if pa.types.is_timestamp(kind)},
+        non_numbers={},
+        dates={name for name, type_ in types.items() if pa.types.is_timestamp(type_)},
         comments=[],
-        told=f"Parquet, {len(kinds)} columns",
-        kinds=kinds,
+        description=f"Parquet, {len(types)} columns",
+        column_types=types,
     )
 
 
-def _of_csv(path: Path) -> Head:
-    lines = next(line_batches(path, _BYTES)).lines
+def _read_csv_head(path: Path) -> Head:
+    lines = next(read_line_batches(path, _BYTES)).lines
     data = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)]
     comments = [line.decode(errors="replace") for line in lines[: data[0] if data else None]]
     if not data:
-        raise InputError(f"{path}: has no line that names its columns")
-    row, delimiter = data[0] + 1, delimiter_of(lines[data[0]])
-    names, *rest = [_cells(lines[k], delimiter) for k in data[: _ROWS + 1]]
-    where = f"{path}: row {row}"
+        raise InputError(f"{path}: has no header line with column names (write one)")
+    row, delimiter = data[0] + 1, find_delimiter(lines[data[0]])
+    names, *rest = [_split_cells(lines[k], delimiter) for k in data[: _ROWS + 1]]
+    place = f"{path}: row {row}"
     if len(names) < 6:
         text = f"{len(names)} columns between commas, semicolons or tabs: an IMU has six"
-        raise InputError(f"{where}: {text} (blanks do not separate columns)")
+        raise InputError(f"{place}: {text} (blanks do not separate columns)")
     if all(map(_is_number, names)):
-        named = any(len(_cells(line.encode(), delimiter)) == len(names) for line in comments)
+        is_commented = any(
+            len(_split_cells(line.encode(), delimiter)) == len(names) for line in comments
+        )
         hint = (
-            "its names stand in a comment: take the sign away that begins it"
-            if named
+            "its names are in a comment: remove the comment mark"
+            if is_commented
             else "begin the file with a line such as time_s,gyro_x,gyro_y,gyro_z,accel_x,..."
         )
-        raise InputError(f"{where}: numbers where the names of the columns belong ({hint})")
-    odd: dict[str, tuple[int, str]] = {}
+        raise InputError(f"{place}: numbers instead of column names ({hint})")
+    non_numbers: dict[str, tuple[int, str]] = {}
     for k, row_cells in zip(data[1:], rest, strict=False):
         for name, cell in zip(names, row_cells, strict=False):
             if cell and not _is_number(cell):
-                odd.setdefault(name, (k + 1, cell))
-    after = f", after {row - 1} lines of comment" if row > 1 else ""
+                non_numbers.setdefault(name, (k + 1, cell))
+    comment_text = f", after {row - 1} lines of comment" if row > 1 else ""
     return Head(
         format="csv",
         names=names,
-        numbers=set(names) - odd.keys(),
-        odd=odd,
-        dates={name for name, (_, cell) in odd.items() if _is_date(cell)},
+        numbers=set(names) - non_numbers.keys(),
+        non_numbers=non_numbers,
+        dates={name for name, (_, cell) in non_numbers.items() if _is_date(cell)},
         comments=comments,
-        told=f"{DELIMITERS[delimiter]}-separated text, its {len(names)} names in row {row}{after}",
+        description=f"{DELIMITERS[delimiter]}-separated text, its {len(names)} names in row"
+        f" {row}{comment_text}",
     )
 
 
@@ -127,14 +130,14 @@ def _is_comment(line: bytes) -> bool:
     return line.lstrip().startswith(COMMENTS)
 
 
-def _cells(line: bytes, delimiter: str) -> list[str]:
+def _split_cells(line: bytes, delimiter: str) -> list[str]:
     text = line.decode(errors="replace")
     return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
 
 
 def _is_number(cell: str) -> bool:
     try:
-        number(cell)
+        parse_number(cell)
     except ValueError:
         return cell.lower() in ("nan", "inf", "-inf")
     return True
@@ -142,12 +145,12 @@ def _is_number(cell: str) -> bool:
 
 def _is_date(cell: str) -> bool:
     try:
-        from_iso(cell)
+        parse_iso(cell)
     except ValueError:
         return False
     return not _is_number(cell)
 
 
-def listed(names: list[str]) -> str:
-    """Names of columns for a message, as many as a line holds."""
+def format_names(names: list[str]) -> str:
+    """Return column names for a message, shortened to one line."""
     return shortened(", ".join(names), 120)

@@ -32,9 +32,9 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
 _FORMATS = ("psins", "csv", "parquet")
 
 NAMED_AXES = {"rfu": "xyz", "frd": "yx-z", "flu": "-yxz"}
-"""Orders of axes by the letters of where x, y and z point: right, front, left, up or down."""
+"""Orders of axes by the directions of x, y and z: right, front, left, up or down."""
 
-# Clocks deviate this far from their nominal rate; a larger difference is a mistake in the rate.
+# Clocks deviate this far from their nominal rate; a larger difference is a wrong rate.
 _RATE_TOLERANCE = 1e-4
 
 
@@ -46,15 +46,15 @@ class Flaw(NamedTuple):
     text: str
 
 
-class Oddity(NamedTuple):
-    """Samples, ``begin`` up to but not including ``end``, that no sensor of a base at rest gives.
+class Anomaly(NamedTuple):
+    """Samples, ``begin`` up to but not including ``end``, that are impossible for a base at rest.
 
-    ``hard`` if they are certainly wrong; the message is without the file's name.
+    ``is_certain`` if they are certainly wrong; the message does not name the file.
     """
 
     begin: int
     end: int
-    hard: bool
+    is_certain: bool
     text: str
 
 
@@ -70,13 +70,13 @@ class Record(NamedTuple):
         height_m: height from the file's header, or None.
         attitude_deg: pitch, roll and yaw (counter-clockwise from north) exactly as in the file's
             header, or None.
-        gravity_m_per_s2: the g that the file's specific force is scaled by, or None.
+        gravity_m_per_s2: the g that scales the file's specific force, or None.
         source: the file's name, for messages.
         flaws: missing samples, which are nan in dtheta and dv.
         filled: number of missing samples that were interpolated.
-        layout: how arrays held it, for messages about their units and axes; None of a file, whose
-            layout the study has.
-        oddities: samples that no sensor of a base at rest gives.
+        layout: layout of arrays, for messages about their units and axes; None for a file, whose
+            layout is in the study.
+        anomalies: samples that are impossible for a base at rest.
     """
 
     dtheta: FloatArray
@@ -91,7 +91,7 @@ class Record(NamedTuple):
     flaws: tuple[Flaw, ...] = ()
     filled: int = 0
     layout: "Layout | None" = None
-    oddities: tuple[Oddity, ...] = ()
+    anomalies: tuple[Anomaly, ...] = ()
 
 
 class Layout(NamedTuple):
@@ -99,7 +99,7 @@ class Layout(NamedTuple):
 
     Attributes:
         format: "psins", "csv" or "parquet". PSINS text otherwise uses only axes_order and rate_hz.
-            "arrays" of what was given in memory, which no file has.
+            "arrays" for arrays in memory.
         quantity: "increments" over each sample, or "rates" averaged over each sample.
         time_column: time at the end of each sample; "" if the file has no time.
         gyro_columns: three names, in the record's own x, y, z.
@@ -130,19 +130,19 @@ class Layout(NamedTuple):
 _ARGUMENTS = {"time_column": "time", "axes_order": "axes"}
 
 
-def given_as(layout: Layout, key: str) -> str:
-    """What messages call a key of a layout: that of a file, or the argument that gives arrays."""
+def message_key(layout: Layout, key: str) -> str:
+    """Return the name of a layout's key in messages: the key, or the argument for arrays."""
     return _ARGUMENTS.get(key, key) if layout.format == "arrays" else key
 
 
-def spans_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Where flags (T,) are set: of every run the first place, and the one after its last."""
+def find_spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the spans in which flags (T,) are set: first index, and the one after the last."""
     edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
     return [(begin, end) for begin, end in edges.tolist()]
 
 
 class Note(NamedTuple):
-    """Why a key of a layout has its value, and what cannot be known about it; "" for nothing."""
+    """Reason for the value of a layout's key, and the doubt about it; "" for none."""
 
     reason: str
     doubt: str = ""
@@ -157,55 +157,55 @@ def check_layout(layout: Layout, source: str) -> None:
 
     Args:
         layout: the layout.
-        source: name of the file that holds the keys, with which the message begins.
+        source: name of the file with the keys, at the start of the message.
 
     Raises:
-        InputError: names the key and what is wrong with it.
+        InputError: names the key and the fault.
     """
-    if found := fault(layout):
-        raise InputError(f"{source}: {found.key}: {found.text}")
+    if layout_fault := find_fault(layout):
+        raise InputError(f"{source}: {layout_fault.key}: {layout_fault.text}")
 
 
 class Fault(NamedTuple):
-    """What is wrong with a layout: the key and the message."""
+    """Fault of a layout: the key and the message."""
 
     key: str
     text: str
 
 
-def fault(layout: Layout) -> Fault | None:
-    """The first fault of a layout; None if it is valid."""
-    return next((Fault(*found) for found in _layout_faults(layout)), None)
+def find_fault(layout: Layout) -> Fault | None:
+    """Return the first fault of a layout; None if it is valid."""
+    return next((Fault(*entry) for entry in _iter_layout_faults(layout)), None)
 
 
-def _layout_faults(layout: Layout) -> Iterator[tuple[str, str]]:
-    # Only the first fault is ever read, so later checks may rely on earlier ones.
+def _iter_layout_faults(layout: Layout) -> Iterator[tuple[str, str]]:
+    # Only the first fault is read, so later checks may rely on earlier ones.
     if layout.format not in _FORMATS:
-        yield "format", _not_one_of(layout.format, _FORMATS)
+        yield "format", _not_one_of_text(layout.format, _FORMATS)
     if layout.quantity not in GYRO_UNITS:
-        yield "quantity", _not_one_of(layout.quantity, GYRO_UNITS)
+        yield "quantity", _not_one_of_text(layout.quantity, GYRO_UNITS)
     if layout.rate_hz is not None and not 0 < layout.rate_hz < math.inf:
         yield "rate_hz", f"must be positive, not {layout.rate_hz!r}"
     try:
-        axes(layout.axes_order)
+        parse_axes_order(layout.axes_order)
     except ValueError as error:
         yield "axes_order", str(error)
     if layout.format == "psins":
         if layout.quantity != "increments":
-            yield "quantity", "PSINS text holds increments, not rates"
+            yield "quantity", "PSINS text has increments, not rates"
         return
-    yield from _column_faults(layout)
+    yield from _iter_column_faults(layout)
 
 
-def _column_faults(layout: Layout) -> Iterator[tuple[str, str]]:
+def _iter_column_faults(layout: Layout) -> Iterator[tuple[str, str]]:
     units = (
         ("gyro_unit", layout.gyro_unit, GYRO_UNITS),
         ("accel_unit", layout.accel_unit, ACCEL_UNITS),
     )
     for key, unit, known in units:
         if unit not in known[layout.quantity]:
-            yield key, f"{_not_one_of(unit, known[layout.quantity])} for {layout.quantity}"
-    seen = {layout.time_column: "time_column"}
+            yield key, f"{_not_one_of_text(unit, known[layout.quantity])} for {layout.quantity}"
+    key_by_column = {layout.time_column: "time_column"}
     for key, names in (
         ("gyro_columns", layout.gyro_columns),
         ("accel_columns", layout.accel_columns),
@@ -215,23 +215,23 @@ def _column_faults(layout: Layout) -> Iterator[tuple[str, str]]:
         for name in names:
             if not name:
                 yield key, "a column name is empty"
-            if name in seen:
-                yield key, f"column {name!r} is already used in {seen[name]}"
-            seen[name] = key
+            if name in key_by_column:
+                yield key, f"column {name!r} is already used in {key_by_column[name]}"
+            key_by_column[name] = key
     if layout.time_unit not in TIME_UNITS:
-        yield "time_unit", _not_one_of(layout.time_unit, TIME_UNITS)
+        yield "time_unit", _not_one_of_text(layout.time_unit, TIME_UNITS)
     if not 0 <= layout.max_gap_s < math.inf:
         yield "max_gap_s", f"must not be negative, not {layout.max_gap_s!r}"
     if not layout.time_column and layout.rate_hz is None:
         yield "rate_hz", "required without a time_column"
 
 
-def _not_one_of(value: str, known: Iterable[str]) -> str:
+def _not_one_of_text(value: str, known: Iterable[str]) -> str:
     return f"{value!r} is not one of {', '.join(known)}"
 
 
-def axes(order: str) -> tuple[list[int], FloatArray]:
-    """Parse an axes order: for body right, front and up the record's axis and its sign.
+def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
+    """Parse an order of axes: the record's axis and sign for body right, front and up.
 
     Args:
         order: a signed permutation of xyz, such as "y-xz", or a name of `NAMED_AXES`.
@@ -258,25 +258,25 @@ def axes(order: str) -> tuple[list[int], FloatArray]:
     return index, signs
 
 
-def to_body(values: FloatArray, order: str) -> FloatArray:
+def to_body_axes(values: FloatArray, order: str) -> FloatArray:
     """Transform (T, 3) vectors from the record's axes to right-front-up; exact."""
-    index, signs = axes(order)
+    index, signs = parse_axes_order(order)
     return values[:, index] * signs
 
 
-def from_body(values: FloatArray, order: str) -> FloatArray:
+def from_body_axes(values: FloatArray, order: str) -> FloatArray:
     """Transform (T, 3) vectors from right-front-up to the record's axes; exact."""
-    index, signs = axes(order)
+    index, signs = parse_axes_order(order)
     return (values * signs)[:, np.argsort(index)]
 
 
-def agreed_rate(found_hz: float, layout: Layout, slack: float, source: str) -> float:
+def resolve_rate(file_hz: float, layout: Layout, uncertainty: float, source: str) -> float:
     """Determine the sample rate from those of the file and of the layout.
 
     Args:
-        found_hz: the rate according to the file.
+        file_hz: the rate according to the file.
         layout: its ``rate_hz`` takes precedence if given.
-        slack: relative uncertainty of found_hz, in addition to a clock's 1e-4.
+        uncertainty: relative uncertainty of found_hz, in addition to a clock's 1e-4.
         source: start of the error message.
 
     Returns:
@@ -286,34 +286,34 @@ def agreed_rate(found_hz: float, layout: Layout, slack: float, source: str) -> f
     Raises:
         InputError: the two rates differ.
     """
-    found_hz = float(f"{found_hz:.12g}")
+    file_hz = float(f"{file_hz:.12g}")
     if layout.rate_hz is None:
-        return found_hz
-    if abs(found_hz / layout.rate_hz - 1) > _RATE_TOLERANCE + slack:
-        raise InputError(f"{source} gives {found_hz:.6g} Hz, but rate_hz is {layout.rate_hz:g}")
+        return file_hz
+    if abs(file_hz / layout.rate_hz - 1) > _RATE_TOLERANCE + uncertainty:
+        raise InputError(f"{source} gives {file_hz:.6g} Hz, but rate_hz is {layout.rate_hz:g}")
     return layout.rate_hz
 
 
-def require_span(record: Record, start_s: float, needed_s: float, made_of: str = "") -> None:
+def require_span(record: Record, start_s: float, needed_s: float, breakdown: str = "") -> None:
     """Reject a record that does not cover a time span, or lacks samples within it.
 
     Args:
         record: the record.
         start_s: start of the span, from the beginning of the record, s.
         needed_s: length of the span, s.
-        made_of: what that length consists of, in words after a blank.
+        breakdown: composition of that length as text, after a blank.
 
     Raises:
-        InputError: gives the length of the record and what is needed, or the missing samples.
+        InputError: states the available and the needed length, or the missing samples.
     """
-    has_s = len(record.dtheta) / record.rate_hz
+    available_s = len(record.dtheta) / record.rate_hz
     if start_s < 0:
         raise InputError(f"{record.source}: start_s = {seconds(start_s)} is before the record")
     # A thousandth of a sample absorbs the rounding of the sum without hiding a missing sample.
-    if start_s + needed_s > has_s + 1e-3 / record.rate_hz:
+    if start_s + needed_s > available_s + 1e-3 / record.rate_hz:
         raise InputError(
-            f"{record.source}: has {seconds(has_s)} s, but {seconds(needed_s)} s{made_of} from"
-            f" start_s = {seconds(start_s)} need {seconds(start_s + needed_s)} s"
+            f"{record.source}: has {seconds(available_s)} s, but {seconds(needed_s)} s{breakdown}"
+            f" from start_s = {seconds(start_s)} need {seconds(start_s + needed_s)} s"
         )
     begin, end = start_s * record.rate_hz, (start_s + needed_s) * record.rate_hz
     for flaw in record.flaws:

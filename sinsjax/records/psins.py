@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.platform.files import replacing
-from sinsjax.records.files import CUT_OFF, Lines, line_batches, number
+from sinsjax.records.anomalies import find_anomalies
+from sinsjax.records.files import CUT_OFF_HINT, Lines, parse_number, read_line_batches
 from sinsjax.records.layout import (
     PSINS_LAYOUT,
+    Anomaly,
     FloatArray,
     Layout,
-    Oddity,
     Record,
-    agreed_rate,
     check_layout,
-    to_body,
+    resolve_rate,
+    to_body_axes,
 )
-from sinsjax.records.oddities import oddities
 from sinsjax.units import ARCSEC, STANDARD_GRAVITY, micro_g
 
 _COUNT_COLUMNS = tuple(f"{sensor} {axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
@@ -38,7 +38,7 @@ _LARGEST_SUM = 2.0**53
 
 
 class _Header(NamedTuple):
-    """The three header lines, six values each; nan means "not known"."""
+    """The three header lines, six values each; nan for unknown values."""
 
     pose: Sequence[float]  # pitch, roll, yaw deg; VE, VN, VU m/s
     place: Sequence[float]  # latitude, longitude deg; height m; t0 s; interval ms; g m/s^2
@@ -48,8 +48,8 @@ class _Header(NamedTuple):
 def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
     """Read a PSINS SIMU log.
 
-    The header's g scales the accelerometer counts to m/s. A header value of nan for the attitude,
-    latitude or height means that it is not known.
+    The header's g scales the accelerometer counts to m/s. An attitude, latitude or height of nan in
+    the header is unknown.
 
     Args:
         path: the file.
@@ -64,26 +64,28 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
             names the row.
     """
     check_layout(layout, str(path))
-    batches = map(_data, line_batches(path))
+    batches = map(_data_lines, read_line_batches(path))
     head = next(batches)
-    while len(head.lines) <= 3 and (more := next(batches, None)):
-        head = _Data(head.lines + more.lines, head.rows + more.rows, more.ends)
+    while len(head.lines) <= 3 and (next_lines := next(batches, None)):
+        head = _DataLines(
+            head.lines + next_lines.lines, head.rows + next_lines.rows, next_lines.is_last
+        )
     header = _read_header(path, head)
     if len(head.rows) == 3:
         raise InputError(f"{path}: no samples after the header")
-    first = _Data(head.lines[3:], head.rows[3:], head.ends)
-    read = [
+    first = _DataLines(head.lines[3:], head.rows[3:], head.is_last)
+    counts_and_rows = [
         (_read_counts(path, batch), np.asarray(batch.rows, np.int64))
         for batch in chain([first], batches)
     ]
-    counts, rows = (np.concatenate(parts) for parts in zip(*read, strict=True))
+    counts, rows = (np.concatenate(parts) for parts in zip(*counts_and_rows, strict=True))
     scale = np.array(header.scale)
     latitude, _, height, t0, interval_ms, gravity = header.place
     attitude = (header.pose[0], header.pose[1], header.pose[2])
-    rate = agreed_rate(1e3 / interval_ms, layout, 0.0, f"{path}: row {head.rows[1]}: the header")
+    rate = resolve_rate(1e3 / interval_ms, layout, 0.0, f"{path}: row {head.rows[1]}: the header")
     return Record(
-        dtheta=to_body(counts[:, :3] * (scale[:3] * ARCSEC), layout.axes_order),
-        dv=to_body(counts[:, 3:] * (scale[3:] * micro_g(gravity)), layout.axes_order),
+        dtheta=to_body_axes(counts[:, :3] * (scale[:3] * ARCSEC), layout.axes_order),
+        dv=to_body_axes(counts[:, 3:] * (scale[3:] * micro_g(gravity)), layout.axes_order),
         rate_hz=rate,
         t0_s=t0,
         latitude_deg=None if math.isnan(latitude) else latitude,
@@ -91,50 +93,50 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
         attitude_deg=None if any(map(math.isnan, attitude)) else attitude,
         gravity_m_per_s2=gravity,
         source=str(path),
-        oddities=_oddities(counts, scale, rate, gravity, rows),
+        anomalies=_find_anomalies(counts, scale, rate, gravity, rows),
     )
 
 
-def _oddities(
+def _find_anomalies(
     counts: NDArray[np.int64],
     scale: FloatArray,
     rate_hz: float,
     gravity: float,
     rows: NDArray[np.int64],
-) -> tuple[Oddity, ...]:
+) -> tuple[Anomaly, ...]:
     units = np.repeat([ARCSEC, micro_g(gravity)], 3)
     factors = (scale * units * rate_hz).tolist()
-    return oddities(
+    return find_anomalies(
         _COUNT_COLUMNS, list(counts.T), factors, rate_hz, lambda sample: int(rows[sample])
     )
 
 
-class _Data(NamedTuple):
-    """Lines that are not comments, their rows, and whether they are the last of the file."""
+class _DataLines(NamedTuple):
+    """Lines that are not comments, their rows, and whether the file ends with them."""
 
     lines: list[bytes]
     rows: list[int]
-    ends: bool
+    is_last: bool
 
 
-def _data(batch: Lines) -> _Data:
+def _data_lines(batch: Lines) -> _DataLines:
     numbered = enumerate(batch.lines, start=batch.first)
-    kept = [(line, row) for row, line in numbered if _has_data(line)]
-    return _Data([line for line, _ in kept], [row for _, row in kept], batch.ends)
+    data = [(line, row) for row, line in numbered if _is_data(line)]
+    return _DataLines([line for line, _ in data], [row for _, row in data], batch.is_last)
 
 
-def _has_data(line: bytes) -> bool:
+def _is_data(line: bytes) -> bool:
     text = line.lstrip()
     return bool(text) and not text.startswith(b"%")
 
 
-def _read_header(path: str | Path, head: _Data) -> _Header:
+def _read_header(path: str | Path, head: _DataLines) -> _Header:
     pairs = zip(head.lines[:3], head.rows[:3], strict=True)
-    parsed = [_header_line(path, line, row) for line, row in pairs]
+    parsed = [_parse_header_line(path, line, row) for line, row in pairs]
     if len(parsed) < 3:
         raise InputError(f"{path}: the header must have 3 lines, not {len(parsed)}")
     header = _Header(*parsed)
-    fault = _header_fault(header)
+    fault = _find_header_fault(header)
     if fault is not None:
         line, text = fault
         raise InputError(
@@ -144,29 +146,29 @@ def _read_header(path: str | Path, head: _Data) -> _Header:
     return header
 
 
-def _header_line(path: str | Path, line: bytes, row: int) -> list[float]:
+def _parse_header_line(path: str | Path, line: bytes, row: int) -> list[float]:
     words = line.decode("latin-1").split()
     if len(words) != 6:
         text = f"a header line must have 6 values, not {len(words)}"
         if b"," in line or b";" in line:
             text += (
-                " (no PSINS text? `sinsjax init record --from LOG` writes a [record] for others)"
+                " (not PSINS text? `sinsjax init record --from LOG` writes a [record] for others)"
             )
         raise InputError(f"{path}: row {row}: {text}")
     try:
-        return [math.nan if word.lower() == "nan" else number(word) for word in words]
+        return [math.nan if word.lower() == "nan" else parse_number(word) for word in words]
     except ValueError as error:
         raise InputError(f"{path}: row {row}: header: {error}") from None
 
 
-def _header_fault(header: _Header) -> tuple[int, str] | None:
-    """The first invalid value of a header: its line (0 to 2) and the message, or None."""
+def _find_header_fault(header: _Header) -> tuple[int, str] | None:
+    """Return the first invalid value of a header: its line (0 to 2) and the message, or None."""
     latitude, _, _, t0, interval_ms, gravity = header.place
     if not interval_ms > 0:
         return 1, f"the sampling interval must be positive, not {interval_ms:g} ms"
     if abs(latitude) >= 90:
         return 1, f"the latitude {latitude:g} deg is not between -90 and 90"
-    # Lines in the wrong order, or a missing one, show here first.
+    # Lines in the wrong order, or a missing one, are detected here first.
     if not 9 < gravity < 11:
         return 1, f"g = {gravity:g} m/s^2 is not a plausible gravity"
     if math.isnan(t0):
@@ -177,7 +179,7 @@ def _header_fault(header: _Header) -> tuple[int, str] | None:
     return None
 
 
-def _read_counts(path: str | Path, data: _Data) -> NDArray[np.int64]:
+def _read_counts(path: str | Path, data: _DataLines) -> NDArray[np.int64]:
     if not data.lines:
         return np.empty((0, 6), np.int64)
     # loadtxt would accept "1.5" as an integer: any unusual character takes the slower path.
@@ -189,30 +191,30 @@ def _read_counts(path: str | Path, data: _Data) -> NDArray[np.int64]:
         else:
             if counts.shape[1] == 6:
                 return counts
-    return _read_counts_with_care(path, data)
+    return _read_counts_line_by_line(path, data)
 
 
-def _read_counts_with_care(path: str | Path, data: _Data) -> NDArray[np.int64]:
-    """The slower path, which names the first invalid row."""
+def _read_counts_line_by_line(path: str | Path, data: _DataLines) -> NDArray[np.int64]:
+    """Read counts slowly, to name the first invalid row."""
     counts = []
     for line, row in zip(data.lines, data.rows, strict=True):
         words = line.decode("latin-1").split()
         if len(words) != 6:
-            end = CUT_OFF if data.ends and row == data.rows[-1] and len(words) < 6 else ""
+            end = CUT_OFF_HINT if data.is_last and row == data.rows[-1] and len(words) < 6 else ""
             raise InputError(
                 f"{path}: row {row}: a sample must have 6 counts, not {len(words)}{end}"
             )
         for name, word in zip(_COUNT_COLUMNS, words, strict=True):
-            fault = _count_fault(word)
+            fault = _describe_count_fault(word)
             if fault:
                 raise InputError(f"{path}: row {row}: {name}: {fault}")
         counts.append([int(word) for word in words])
     return np.array(counts, dtype=np.int64)
 
 
-def _count_fault(word: str) -> str:
+def _describe_count_fault(word: str) -> str:
     try:
-        number(word)
+        parse_number(word)
     except ValueError as error:
         return str(error)
     if not re.fullmatch(r"[+-]?[0-9]+", word):
@@ -230,9 +232,9 @@ def write_psins(
 ) -> None:
     """Write a PSINS SIMU log.
 
-    The running sums are rounded to counts rather than the increments, so that the error of a sum of
-    any length stays within half a count. Values unknown to the record become nan in the header;
-    velocity and longitude, which a record does not have, become 0.
+    The running sums are rounded to counts, not the increments, so the error of a sum of any length
+    is at most half a count. Values unknown to the record become nan in the header;
+    velocity and longitude, which a record lacks, become 0.
 
     Args:
         record: the record; its g, or else standard gravity, scales the specific force.
@@ -244,20 +246,20 @@ def write_psins(
         InputError: a scale factor or the record cannot be written, or the target is not writable.
     """
     gravity = STANDARD_GRAVITY if record.gravity_m_per_s2 is None else record.gravity_m_per_s2
-    known = (math.nan if v is None else v for v in (record.latitude_deg, record.height_m))
-    latitude, height = known
+    place = (math.nan if v is None else v for v in (record.latitude_deg, record.height_m))
+    latitude, height = place
     header = _Header(
         pose=[*(record.attitude_deg or [math.nan] * 3), 0.0, 0.0, 0.0],
         place=[latitude, 0.0, height, record.t0_s, 1e3 / record.rate_hz, gravity],
         scale=[gyro_scale_arcsec] * 3 + [accel_scale_ug_s] * 3,
     )
-    fault = _header_fault(header)
+    fault = _find_header_fault(header)
     if fault is not None:
         raise InputError(f"{path}: cannot be written: {fault[1]}")
     counts = np.column_stack(
         [
-            _counts(path, record.dtheta, gyro_scale_arcsec * ARCSEC),
-            _counts(path, record.dv, accel_scale_ug_s * micro_g(gravity)),
+            _to_counts(path, record.dtheta, gyro_scale_arcsec * ARCSEC),
+            _to_counts(path, record.dv, accel_scale_ug_s * micro_g(gravity)),
         ]
     )
     with replacing(path) as file:
@@ -267,7 +269,7 @@ def write_psins(
         np.savetxt(file, counts, fmt="%d")
 
 
-def _counts(path: str | Path, increments: FloatArray, quantum: float) -> NDArray[np.int64]:
+def _to_counts(path: str | Path, increments: FloatArray, quantum: float) -> NDArray[np.int64]:
     sums = np.cumsum(increments, axis=0) / quantum
     if not np.all(np.abs(sums) < _LARGEST_SUM):
         raise InputError(f"{path}: cannot be written: an increment is not finite, or too large")

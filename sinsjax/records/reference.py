@@ -1,4 +1,4 @@
-"""Reference attitudes with which recorded studies are compared."""
+"""Reference attitudes, with which recorded studies are compared."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -34,11 +34,11 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
 
     Columns: time_s, pitch_deg, roll_deg, one of yaw_deg, yaw_ccw_deg (both counter-clockwise from
     north) and heading_deg (clockwise), and optionally all of sigma_e_deg, sigma_n_deg, sigma_u_deg.
-    The record's time column, in the record's unit, may take the place of time_s.
+    The record's time column, in the record's unit, may replace time_s.
 
     Args:
         path: the file.
-        layout: layout of the record, where the file may use the record's time column.
+        layout: layout of the record, if the file may use the record's time column.
 
     Returns:
         The reference.
@@ -55,11 +55,13 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
         [10.0, 12.0]
     """
     table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_csv(path)
-    return reference_of(path, table, layout)
+    return reference_from_table(path, table, layout)
 
 
-def reference_of(path: str | Path, table: ColumnTable, layout: Layout | None = None) -> Reference:
-    """The reference that an opened table holds, see `read_reference`."""
+def reference_from_table(
+    path: str | Path, table: ColumnTable, layout: Layout | None = None
+) -> Reference:
+    """Return the reference in an opened table, see `read_reference`."""
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]
     if len(yaws) > 1:
         raise InputError(f"{path}: has both {yaws[0]} and {yaws[1]} (keep one)")
@@ -82,7 +84,7 @@ def reference_of(path: str | Path, table: ColumnTable, layout: Layout | None = N
     )
     for bad, text in faults:
         if bad.any():
-            raise InputError(f"{path}: row {table.row(int(bad.argmax()))}: {text}")
+            raise InputError(f"{path}: row {table.row_number(int(bad.argmax()))}: {text}")
     if len(time_s) < 2:
         raise InputError(f"{path}: a reference needs at least two rows")
     return Reference(time_s, attitude, sigma if sigmas else None, str(path))
@@ -100,8 +102,8 @@ class StoredRecord(NamedTuple):
     reference: Reference | None
 
     @classmethod
-    def of(cls, record: Record, reference: Reference | None) -> "StoredRecord":
-        """A record, and a reference on the record's clock."""
+    def from_record(cls, record: Record, reference: Reference | None) -> "StoredRecord":
+        """Return a record with a reference whose times are on the record's clock."""
         if reference is not None:
             reference = reference._replace(time_s=reference.time_s - record.t0_s)
         return cls(record, reference)

@@ -1,7 +1,7 @@
 """Numeric columns of CSV and Parquet files, with the row of every number.
 
-Rows are counted as a user sees them: in CSV the line of the file, from 1 and including the header;
-in Parquet the row of the table, from 1.
+Rows are counted from 1: in CSV as lines of the file, including the header; in Parquet as rows of
+the table.
 """
 
 import csv
@@ -21,76 +21,84 @@ from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.messages import shortened
-from sinsjax.records.files import CUT_OFF, LARGEST, Lines, line_batches, load, number, number_or_nan
+from sinsjax.records.files import (
+    CUT_OFF_HINT,
+    MAX_MAGNITUDE,
+    Lines,
+    parse_number,
+    parse_number_or_nan,
+    read_bytes,
+    read_line_batches,
+)
 from sinsjax.records.layout import FloatArray
-from sinsjax.records.stamps import from_iso
+from sinsjax.records.stamps import parse_iso
 
-MISSING = "empty or not finite"
+MISSING_TEXT = "empty or not finite"
 
 
 class ColumnTable(NamedTuple):
-    """An opened file with named columns, not yet read.
+    """An opened file with named columns that is not yet read.
 
     Attributes:
         names: all columns of the file, in order.
-        read: (names, blanks=False, dates=()) gives the named columns, each (T,) float64, T > 0.
+        read: (names, blanks=False, dates=()) returns the named columns, each (T,) float64, T > 0.
             Missing values are nan with ``blanks`` and otherwise rejected; ``dates`` names columns
-            of dates with time, which become seconds. A table can be read once.
-        row: the row to name in a message about sample k.
-        schema: kinds of the columns, of a Parquet file alone.
+            of dates with time, which become seconds. A table can be read only once.
+        row_number: function of sample k that returns its row, for messages.
+        schema: types of the columns, for Parquet only.
     """
 
     names: list[str]
     read: Callable[..., list[FloatArray]]
-    row: Callable[[int], int]
+    row_number: Callable[[int], int]
     schema: pa.Schema | None = None
 
 
-def column_index(path: str | Path, names: list[str], wanted: Sequence[str]) -> list[int]:
-    """Positions of the wanted columns; raises InputError for a missing or repeated name."""
+def find_columns(path: str | Path, names: list[str], wanted: Sequence[str]) -> list[int]:
+    """Return the positions of the wanted columns; raises InputError if missing or repeated."""
     for name in wanted:
         if name not in names:
             near = get_close_matches(name, names, n=3)
-            hint = f"did you mean {' or '.join(map(repr, near))}?" if near else _listed(names)
+            hint = f"did you mean {' or '.join(map(repr, near))}?" if near else _format_names(names)
             raise InputError(f"{path}: no column {name!r}; {hint}")
         if names.count(name) > 1:
             raise InputError(f"{path}: column {name!r} appears more than once")
     return [names.index(name) for name in wanted]
 
 
-def _listed(names: list[str]) -> str:
-    shown = shortened(", ".join(map(repr, names[:12])))
-    return f"the file has {shown}{', ...' if len(names) > 12 else ''}"
+def _format_names(names: list[str]) -> str:
+    text = shortened(", ".join(map(repr, names[:12])))
+    return f"the file has {text}{', ...' if len(names) > 12 else ''}"
 
 
 COMMENTS = (b"#", b"%")
-"""What a line of comment begins with."""
+"""Beginnings of comment lines."""
 
 DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
-"""What may separate the columns of a text, and what it is called."""
+"""Possible delimiters of columns, with their names."""
 
-_BLANKS = ["", "nan", "NaN", "NAN"]
+_BLANK_CELLS = ["", "nan", "NaN", "NAN"]
 _BATCH_ROWS = 2**17
 
 
-class _Text(NamedTuple):
+class _TextRows(NamedTuple):
     """Consecutive samples of a delimited text file.
 
     Attributes:
         path: the file.
-        delimiter: of the columns.
+        delimiter: delimiter of the columns.
         lines: one per sample.
         rows: row of each line in the file, from 1.
-        ends: whether these are the last lines of the file.
+        is_last: whether these are the last lines of the file.
     """
 
     path: str | Path
     delimiter: str
     lines: list[bytes]
     rows: list[int]
-    ends: bool
+    is_last: bool
 
-    def cells(self, k: int) -> list[str]:
+    def split_cells(self, k: int) -> list[str]:
         line = self.lines[k].decode(errors="replace")
         try:
             return next(csv.reader([line], delimiter=self.delimiter, strict=True))
@@ -107,34 +115,36 @@ def open_csv(path: str | Path) -> ColumnTable:
     The first line that is not blank names the columns and determines the delimiter. Lines that
     begin with # or % are comments.
     """
-    batches = line_batches(path)
+    batches = read_line_batches(path)
     for batch in batches:
-        head = next((k for k, line in enumerate(batch.lines) if _names_columns(line)), None)
+        head = next((k for k, line in enumerate(batch.lines) if _is_header(line)), None)
         if head is not None:
             break
     else:
         raise InputError(f"{path}: the file has only blank lines")
-    title, row = batch.lines[head], batch.first + head
-    delimiter = delimiter_of(title)
-    names = [n.strip() for n in _Text(path, delimiter, [title], [row], batch.ends).cells(0)]
-    todo = chain([Lines(row + 1, batch.lines[head + 1 :], batch.ends)], batches)
+    header, row = batch.lines[head], batch.first + head
+    delimiter = find_delimiter(header)
+    names = [
+        n.strip() for n in _TextRows(path, delimiter, [header], [row], batch.is_last).split_cells(0)
+    ]
+    remaining = chain([Lines(row + 1, batch.lines[head + 1 :], batch.is_last)], batches)
     rows: list[NDArray[np.int64]] = []
 
     def read(
         wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
     ) -> list[FloatArray]:
-        columns = _Columns(
-            names, column_index(path, names, wanted), blanks, [name in dates for name in wanted]
+        columns = _WantedColumns(
+            names, find_columns(path, names, wanted), blanks, [name in dates for name in wanted]
         )
 
         def values() -> Iterator[list[NDArray[Any]]]:
-            for batch in todo:
-                text = _samples(path, delimiter, batch)
+            for batch in remaining:
+                text = _select_samples(path, delimiter, batch)
                 if text.rows:
                     rows.append(np.asarray(text.rows))
-                    yield _read(text, columns)
+                    yield _read_batch(text, columns)
 
-        whole = _joined(values(), len(wanted))
+        whole = _join_batches(values(), len(wanted))
         if not rows:
             raise InputError(f"{path}: no samples after the header")
         rows[:] = [np.concatenate(rows)]
@@ -143,45 +153,45 @@ def open_csv(path: str | Path) -> ColumnTable:
     return ColumnTable(names, read, lambda k: int(rows[0][k]))
 
 
-def delimiter_of(title: bytes) -> str:
-    """What separates the columns of a text whose first line of data this is."""
-    return max(DELIMITERS, key=lambda mark: title.count(mark.encode()))
+def find_delimiter(header: bytes) -> str:
+    """Return the delimiter of a text's columns, from its first line of data."""
+    return max(DELIMITERS, key=lambda delimiter: header.count(delimiter.encode()))
 
 
-def _names_columns(line: bytes) -> bool:
-    return bool(line.strip()) and _has_data(line)
+def _is_header(line: bytes) -> bool:
+    return bool(line.strip()) and _is_data(line)
 
 
-def _has_data(line: bytes) -> bool:
+def _is_data(line: bytes) -> bool:
     return not line.lstrip().startswith(COMMENTS)
 
 
-def _samples(path: str | Path, delimiter: str, batch: Lines) -> _Text:
+def _select_samples(path: str | Path, delimiter: str, batch: Lines) -> _TextRows:
     numbered = enumerate(batch.lines, start=batch.first)
-    rows = [row for row, line in numbered if line and _has_data(line)]
+    rows = [row for row, line in numbered if line and _is_data(line)]
     lines = [batch.lines[row - batch.first] for row in rows]
-    return _Text(path, delimiter, lines, rows, batch.ends)
+    return _TextRows(path, delimiter, lines, rows, batch.is_last)
 
 
-def _joined(batches: Iterable[Sequence[NDArray[Any]]], width: int) -> list[FloatArray]:
-    """The columns of all batches, joined so that a long record is never in memory twice."""
+def _join_batches(batches: Iterable[Sequence[NDArray[Any]]], width: int) -> list[FloatArray]:
+    """Join the columns of all batches without a second copy of a long record in memory."""
     whole = [np.empty(0) for _ in range(width)]
     for batch in batches:
-        for column, more in zip(whole, batch, strict=True):
+        for column, part in zip(whole, batch, strict=True):
             # Resizing remaps memory pages instead of copying.
-            column.resize(column.size + more.size, refcheck=False)
-            column[column.size - more.size :] = more
+            column.resize(column.size + part.size, refcheck=False)
+            column[column.size - part.size :] = part
     return whole
 
 
-class _Columns(NamedTuple):
+class _WantedColumns(NamedTuple):
     """The columns to read from a text file.
 
     Attributes:
         names: all columns of the file.
         places: positions of the wanted columns among them.
         blanks: whether cells may be empty.
-        dates: for each wanted column, whether it holds dates with time.
+        dates: for each wanted column, whether it contains dates with time.
     """
 
     names: list[str]
@@ -190,16 +200,16 @@ class _Columns(NamedTuple):
     dates: list[bool]
 
 
-def _read(text: _Text, columns: _Columns) -> list[NDArray[Any]]:
-    values = _read_quickly(text, columns)
+def _read_batch(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]]:
+    values = _read_fast(text, columns)
     if values is None or not (columns.blanks or all(np.isfinite(v).all() for v in values)):
-        return _read_with_care(text, columns)
-    if any((np.abs(v) > LARGEST).any() for v in values):  # the slower path names the row
-        return _read_with_care(text, columns)
+        return _read_row_by_row(text, columns)
+    if any((np.abs(v) > MAX_MAGNITUDE).any() for v in values):  # the slower path names the row
+        return _read_row_by_row(text, columns)
     return values
 
 
-def _read_quickly(text: _Text, columns: _Columns) -> list[NDArray[Any]] | None:
+def _read_fast(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]] | None:
     keys = [str(column) for column in range(len(columns.names))]
     wanted = [keys[column] for column in columns.places]
     kinds = [pa.string() if is_date else pa.float64() for is_date in columns.dates]
@@ -211,32 +221,34 @@ def _read_quickly(text: _Text, columns: _Columns) -> list[NDArray[Any]] | None:
             convert_options=pa.csv.ConvertOptions(
                 column_types=dict(zip(wanted, kinds, strict=True)),
                 include_columns=wanted,
-                null_values=_BLANKS if columns.blanks else [],
+                null_values=_BLANK_CELLS if columns.blanks else [],
             ),
         )
         pairs = zip(table.columns, columns.dates, strict=True)
-        return [_seconds(column) if is_date else column.to_numpy() for column, is_date in pairs]
+        return [
+            _iso_to_seconds(column) if is_date else column.to_numpy() for column, is_date in pairs
+        ]
     except ValueError:  # including pyarrow's
         return None
 
 
-def _seconds(dates: pa.ChunkedArray) -> FloatArray:
-    return np.array([from_iso(date) for date in dates.to_pylist()])
+def _iso_to_seconds(dates: pa.ChunkedArray) -> FloatArray:
+    return np.array([parse_iso(date) for date in dates.to_pylist()])
 
 
-def _read_with_care(text: _Text, columns: _Columns) -> list[NDArray[Any]]:
-    """The slower path, which names the first invalid row."""
-    plain = number_or_nan if columns.blanks else number
-    parsers = [from_iso if is_date else plain for is_date in columns.dates]
+def _read_row_by_row(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]]:
+    """Read rows slowly, to name the first invalid one."""
+    parse_plain = parse_number_or_nan if columns.blanks else parse_number
+    parsers = [parse_iso if is_date else parse_plain for is_date in columns.dates]
     values, names = [], columns.names
     for k, row in enumerate(text.rows):
-        cells = text.cells(k)
+        cells = text.split_cells(k)
         if len(cells) != len(names):
-            at_end = text.ends and row == text.rows[-1]
-            end = CUT_OFF if at_end and len(cells) < len(names) else ""
+            at_end = text.is_last and row == text.rows[-1]
+            hint = CUT_OFF_HINT if at_end and len(cells) < len(names) else ""
             raise InputError(
                 f"{text.path}: row {row}: the header has {len(names)} columns, this row has "
-                f"{len(cells)}{end}"
+                f"{len(cells)}{hint}"
             )
         for column, parse in zip(columns.places, parsers, strict=True):
             try:
@@ -250,7 +262,7 @@ def _read_with_care(text: _Text, columns: _Columns) -> list[NDArray[Any]]:
 def open_parquet(path: str | Path) -> ColumnTable:
     """Open a Parquet file."""
     # A pipe or the like does not support random access, so it is loaded whole.
-    data = None if Path(path).is_file() else load(path)
+    data = None if Path(path).is_file() else read_bytes(path)
     try:
         source = pa.OSFile(os.fsencode(path)) if data is None else pa.BufferReader(data)
         if source.size() == 0:
@@ -265,65 +277,70 @@ def open_parquet(path: str | Path) -> ColumnTable:
     def read(
         wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
     ) -> list[FloatArray]:
-        index = column_index(path, schema.names, wanted)
+        index = find_columns(path, schema.names, wanted)
         for name, column in zip(wanted, index, strict=True):
             kind = schema.field(column).type
             is_date = pa.types.is_timestamp(kind) or pa.types.is_string(kind)
             if name in dates and not is_date:
-                raise InputError(f"{path}: column {name!r} holds {kind}, not dates with time")
+                raise InputError(f"{path}: column {name!r} contains {kind}, not dates with time")
             if name not in dates and not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
-                raise InputError(f"{path}: column {name!r} holds {kind}, not numbers")
+                raise InputError(f"{path}: column {name!r} contains {kind}, not numbers")
         if file.metadata.num_rows == 0:
             raise InputError(f"{path}: the file has no rows")
 
         def values() -> Iterator[list[NDArray[Any]]]:
-            before = 0
+            rows_before = 0
             for batch in file.iter_batches(_BATCH_ROWS, columns=list(wanted)):
-                some = pa.Table.from_batches([batch])
-                yield _numbers(path, some, wanted, dates, blanks=blanks, before=before)
-                before += some.num_rows
+                part = pa.Table.from_batches([batch])
+                yield _to_floats(path, part, wanted, dates, blanks=blanks, rows_before=rows_before)
+                rows_before += part.num_rows
 
         try:
-            return _joined(values(), len(wanted))
+            return _join_batches(values(), len(wanted))
         except (pa.ArrowException, OSError):
             raise InputError(f"{path}: damaged: its columns cannot be read") from None
 
     return ColumnTable(schema.names, read, lambda k: k + 1, schema)
 
 
-def _numbers(
+def _to_floats(
     path: str | Path,
     table: pa.Table,
     wanted: Sequence[str],
     dates: Collection[str],
     *,
     blanks: bool,
-    before: int,
+    rows_before: int,
 ) -> list[NDArray[Any]]:
-    """The wanted columns of a batch of rows, preceded by ``before`` others."""
+    """Return the wanted columns of a batch of rows, preceded by ``rows_before`` others."""
     columns = (
-        _dates(path, name, table[name], before) if name in dates else table[name] for name in wanted
+        _dates_to_seconds(path, name, table[name], rows_before) if name in dates else table[name]
+        for name in wanted
     )
     values = [column.to_numpy().astype(np.float64) for column in columns]
     whole = np.column_stack(values)
-    large = np.argwhere(np.isfinite(whole) & (np.abs(whole) > LARGEST))
+    large = np.argwhere(np.isfinite(whole) & (np.abs(whole) > MAX_MAGNITUDE))
     bad = large if len(large) else np.argwhere(~np.isfinite(whole))
     if len(large) or (len(bad) and not blanks):
         row, column = bad[0]
-        what = f"out of range (beyond {LARGEST:g})" if len(large) else MISSING
-        raise InputError(f"{path}: row {before + row + 1}: column {wanted[column]!r}: {what}")
+        problem = f"out of range (beyond {MAX_MAGNITUDE:g})" if len(large) else MISSING_TEXT
+        raise InputError(
+            f"{path}: row {rows_before + row + 1}: column {wanted[column]!r}: {problem}"
+        )
     return values
 
 
-def _dates(path: str | Path, name: str, column: pa.ChunkedArray, before: int) -> pa.ChunkedArray:
-    """Seconds since 1970 of a column of dates with time, null where missing."""
+def _dates_to_seconds(
+    path: str | Path, name: str, column: pa.ChunkedArray, rows_before: int
+) -> pa.ChunkedArray:
+    """Return a column of dates with time as seconds since 1970, null if missing."""
     if pa.types.is_timestamp(column.type):
         whole = column.cast(pa.timestamp("ns"), safe=False).cast(pa.int64())
         return pa.compute.multiply(whole.cast(pa.float64(), safe=False), 1e-9)
     seconds = []
-    for row, text in enumerate(column.to_pylist(), start=before + 1):
+    for row, text in enumerate(column.to_pylist(), start=rows_before + 1):
         try:
-            seconds.append(None if text is None else from_iso(text))
+            seconds.append(None if text is None else parse_iso(text))
         except ValueError as error:
             raise InputError(f"{path}: row {row}: column {name!r}: {error}") from None
     return pa.chunked_array([pa.array(seconds, pa.float64())])

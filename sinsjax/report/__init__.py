@@ -11,7 +11,7 @@ from rich.console import Console
 
 from sinsjax import console as screen
 from sinsjax.errors import InputError
-from sinsjax.execution.directory import list_figures
+from sinsjax.execution.directory import register_figures
 from sinsjax.execution.source import Source
 from sinsjax.messages import shortened
 from sinsjax.platform.files import require_writable
@@ -121,5 +121,7 @@ def _draw(report: Report, source: Source) -> Made:
     """Draw a report's figures into the directory of its source."""
     made = Made.of(source, report)
     save_figures(made.images, source.directory / FIGURES)
-    list_figures({f"{name}.png": image for name, image in made.images.items()}, source.directory)
+    register_figures(
+        {f"{name}.png": image for name, image in made.images.items()}, source.directory
+    )
     return made

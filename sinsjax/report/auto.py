@@ -32,8 +32,8 @@ from sinsjax.report.markup import said
 from sinsjax.report.over_axes import over_axes, repeats
 from sinsjax.report.spreads import spreads
 from sinsjax.report.verdict import verdict
-from sinsjax.study.keys import is_given
-from sinsjax.study.success import judged_columns, yardsticks
+from sinsjax.study.keys import is_condition_key
+from sinsjax.study.success import success_columns, success_measures
 
 _END = "phi_u_arcmin"
 
@@ -65,7 +65,7 @@ def report(source: Source, *, full: bool = True, warned: bool = False) -> Report
 def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
     """The statistics of each group of runs, told apart by some keys, as a table."""
     shown = _shown(source)
-    table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
+    table = source.distinct_rows([*keys, *NEEDED, *success_columns(source.study)])
     rows = analysis.summarise(table, keys, [one.name for one in shown]).to_pylist()
     cells = [("runs", lambda row: str(row["n"])), *((one.header, one.cell) for one in shown)]
     return table_of(title, keys, rows, cells, note)
@@ -89,14 +89,22 @@ class _Shown(NamedTuple):
 def _shown(source: Source) -> list[_Shown]:
     """How many runs succeed and how soon, from the truth and the bias floor; and the heading."""
     seconds, arcmin = (partial(format_estimate, digits=digits) for digits in (0, 1))
-    yards = source.yardsticks
-    missing = [yard for yard in yardsticks(source.study) if yard not in yards]
+    yards = source.success_measures
+    missing = [yard for yard in success_measures(source.study) if yard not in yards]
     aim = "the reference" if source.study.is_recorded else "its bias floor"
     return [
-        *(_Shown(f"ok: {y.words} (%)", y.rate, percent, not y.truth) for y in yards),
-        *(_Shown(f"ok: {y.words} (%)", y.rate, lambda _: "no bias floor") for y in missing),
+        *(_Shown(f"ok: {y.description} (%)", y.rate_column, percent, not y.truth) for y in yards),
         *(
-            _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median", seconds, not y.truth)
+            _Shown(f"ok: {y.description} (%)", y.rate_column, lambda _: "no bias floor")
+            for y in missing
+        ),
+        *(
+            _Shown(
+                f"time to {y.description}, median (s)",
+                f"{y.settle_column}_median",
+                seconds,
+                not y.truth,
+            )
             for y in yards
         ),
         _Shown("heading error at the end, rms (arcmin)", f"{_END}_rms", heading),
@@ -108,7 +116,7 @@ def heading_errors(source: Source, keys: Sequence[str], title: str) -> Table:
     """How far from the truth the headings are, at each report time and at the end."""
     times_s = source.study.study.report_times_s or ()
     times = {report_columns(time)[0].name: f"{time:g} s" for time in times_s} | {_END: "the end"}
-    table = source.distinct([*keys, *NEEDED, *times])
+    table = source.distinct_rows([*keys, *NEEDED, *times])
     cells = [
         ("runs", lambda row: str(row["n"])),
         ("at", lambda row: row["at"]),
@@ -124,18 +132,27 @@ def heading_errors(source: Source, keys: Sequence[str], title: str) -> Table:
 
 def against_first(source: Source) -> Table:
     """How each variant differs from the first one under the same conditions, draw by draw."""
-    keys, yards = source.study.keys_shown, source.yardsticks
-    table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
-    given = [key for key in keys if is_given(key)]
+    keys, yards = source.study.keys_shown, source.success_measures
+    table = source.distinct_rows([*keys, *NEEDED, *success_columns(source.study)])
+    given = [key for key in keys if is_condition_key(key)]
     first, rows = compare_with_first(table, keys, given)
     compared = [each for each in source.study.dimensions if first.keys() & each.keys()]
-    swept = [(key, values) for each in compared for key, values in each.items() if is_given(key)]
+    swept = [
+        (key, values) for each in compared for key, values in each.items() if is_condition_key(key)
+    ]
     mixed = [key for key, values in swept if any(one != values[0] for one in values)]
     times = partial(format_difference, digits=0, sides=("it", "the first"))
     shown = [
-        *(_Shown(f"ok: {y.words} (% points)", f"{y.rate}_difference", percent) for y in yards),
         *(
-            _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median_difference", times)
+            _Shown(f"ok: {y.description} (% points)", f"{y.rate_column}_difference", percent)
+            for y in yards
+        ),
+        *(
+            _Shown(
+                f"time to {y.description}, median (s)",
+                f"{y.settle_column}_median_difference",
+                times,
+            )
             for y in yards
         ),
         _Shown(
@@ -188,7 +205,7 @@ def _curves(source: Source) -> Iterator[Block]:
         return
     keys = source.study.keys_shown
     floor = () if source.study.is_recorded else ("floor_arcmin",)  # whose biases are unknown
-    table = source.distinct([*keys, "run_id", "reset_times_s", *floor])
+    table = source.distinct_rows([*keys, "run_id", "reset_times_s", *floor])
     runs = runs_of_lines(table, keys)
     curves = source.curves(run for ids in runs.values() for run in ids)
     if curves.num_rows == 0:

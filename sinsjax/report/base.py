@@ -11,7 +11,7 @@ from sinsjax.execution.source import Source
 from sinsjax.plots.words import value_text
 from sinsjax.report.markup import said
 from sinsjax.study.study import Study
-from sinsjax.study.success import success_of
+from sinsjax.study.success import success_criteria
 
 MOST_ROWS = 20
 """Rows of a table; what is left out is said."""
@@ -153,7 +153,7 @@ class Report(NamedTuple):
 
 def yardstick(study: Study) -> str:
     """What *settled* and *ok* mean in a study, in one sentence for pages and captions."""
-    rule = success_of(study)
+    rule = success_criteria(study)
     ends_s = np.array([s.records for s in study.distinct_spans]) * study.study.record_interval_s
     dwell_s = rule.dwell(ends_s)
     last = " to ".join(f"{s:g}" for s in sorted({dwell_s.min(), dwell_s.max()}))

@@ -18,7 +18,7 @@ from sinsjax.messages import counted
 from sinsjax.methods.filters.section import OF_SCHEDULES
 from sinsjax.plots.words import name_of, schedule_words, value_text, words_and_unit
 from sinsjax.report.base import Table
-from sinsjax.study.keys import is_given
+from sinsjax.study.keys import is_condition_key
 from sinsjax.study.study import Study
 
 LEAST_DRAWS = 8
@@ -164,7 +164,7 @@ class Choices:
 
 
 def _is_condition(dimension: Mapping[str, Sequence[Any]]) -> bool:
-    return any(is_given(key) or key == "start_s" for key in dimension)
+    return any(is_condition_key(key) or key == "start_s" for key in dimension)
 
 
 def name_and_unit(key: str) -> tuple[str, str]:

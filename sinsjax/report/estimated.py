@@ -16,8 +16,8 @@ from sinsjax.report.groupings import lines_left, lines_of
 from sinsjax.report.markup import said
 from sinsjax.report.over_axes import Maps, repeats
 from sinsjax.report.verdict import q_doubt, warnings_of
-from sinsjax.study.keys import is_chosen
-from sinsjax.study.success import Yardstick, success_of, yardsticks
+from sinsjax.study.keys import is_method_setting
+from sinsjax.study.success import SuccessMeasure, success_criteria, success_measures
 
 _MOST_BEST = 10
 _NORMAL = 1.96  # 95 % interval, standard errors
@@ -36,7 +36,7 @@ Cell = tuple[str, Callable[[Row], str]]
 class _Names(NamedTuple):
     """A yardstick, and its columns of the estimates."""
 
-    yard: Yardstick
+    yard: SuccessMeasure
     mean: str
     error: str
     q10: str
@@ -56,7 +56,7 @@ class _Names(NamedTuple):
     @property
     def cells(self) -> list[Cell]:
         """What a table tells of a variant."""
-        words = self.yard.words
+        words = self.yard.description
         return [
             (f"mean time to {words} (s)", lambda row: format_estimate(self.settling(row))),
             ("10, 50, 90 % of runs by (s)", self.quantiles),
@@ -134,7 +134,7 @@ class _Expected(NamedTuple):
         return format_estimate(_interval(float(mean.mean()), float(error.mean())), digits=0)
 
 
-def _answer(expected: _Expected, yard: Yardstick) -> Iterator[Fact]:
+def _answer(expected: _Expected, yard: SuccessMeasure) -> Iterator[Fact]:
     """The best option, what it is compared with, and its accuracy."""
     words, best = expected.choices.options, expected.best()
     least = 100 * float(expected.within[best].min())
@@ -148,7 +148,7 @@ def _answer(expected: _Expected, yard: Yardstick) -> Iterator[Fact]:
         yield Fact("Others", "; ".join(f"{words[i]}: {expected.settling(i)} s" for i in rivals))
     heading = float(np.sqrt(np.mean(expected.heading[best] ** 2)))
     yield Fact("Accuracy", f"{heading:.1f}' rms expected from true north at the end")
-    yield Fact("Settled", f"{yard.words}; never counts as the length of the run")
+    yield Fact("Settled", f"{yard.description}; never counts as the length of the run")
 
 
 def _per_condition(expected: _Expected) -> Table | None:
@@ -175,7 +175,7 @@ def _per_condition(expected: _Expected) -> Table | None:
 def _linearity(source: Source) -> Iterator[Fact]:
     """How far covariance analysis holds."""
     if source.study.checks_linearity:
-        index, filled = (analysis.numbers(source.distinct([name]), name) for name in _CHECKED)
+        index, filled = (analysis.numbers(source.distinct_rows([name]), name) for name in _CHECKED)
         largest = f"{np.nanmax(index):.2f}" if np.isfinite(index).any() else "unknown"
         beyond = int(np.nansum(filled))
         text = said("linearity", largest=largest, beyond=beyond, variants=len(filled))
@@ -190,8 +190,8 @@ def _index(row: Row) -> str:
 
 def _yards(source: Source) -> list[_Names]:
     """What a settling time can be told from, what the study is judged from first."""
-    band, found = success_of(source.study).band_arcmin, []
-    for yard in yardsticks(source.study):
+    band, found = success_criteria(source.study).band_arcmin, []
+    for yard in success_measures(source.study):
         settled = [c.name for c in columns.settle_estimates(band, truth=yard.truth)]
         within = f"within_{band:g}{'_truth' if yard.truth else ''}_share"
         found.append(_Names._make([yard, *settled, within]))
@@ -209,12 +209,12 @@ def _interval(value: float | None, error: float | None) -> Estimate:
 def _best(source: Source, names: _Names) -> Iterator[Table]:
     """The settings with the shortest expected settling times, over all that is not chosen."""
     keys = source.study.keys_shown
-    chosen = [key for key in keys if is_chosen(key)]
+    chosen = [key for key in keys if is_method_setting(key)]
     if not chosen:
         return
     given = [key for key in keys if key not in chosen]
     needed = (names.mean, names.error, names.within, _SIGMA)
-    table = source.distinct([*keys, *needed])
+    table = source.distinct_rows([*keys, *needed])
     points = []
     for point, rows in analysis.groups(table, chosen):
         time, error, share, sigma = (
@@ -228,7 +228,7 @@ def _best(source: Source, names: _Names) -> Iterator[Table]:
         }
         points.append(point | told)
     points.sort(key=lambda one: (np.isnan(one["mean"].value), one["mean"].value))
-    words, over = names.yard.words, f", mean over {' and '.join(given)}" if given else ""
+    words, over = names.yard.description, f", mean over {' and '.join(given)}" if given else ""
     worst: list[Cell] = [
         ("longest (s)", lambda row: f"{row['longest']:.0f}"),
         ("least share within it at the end (%)", lambda row: f"{row['least']:.0f}"),
@@ -260,7 +260,7 @@ def _every_variant(source: Source, found: Sequence[_Names]) -> Table:
     if source.study.checks_linearity:
         cells.append(("index of nonlinearity", _index))
         needed += _CHECKED
-    rows = source.distinct([*keys, *needed, _YAW, _SIGMA, _OWN]).to_pylist()
+    rows = source.distinct_rows([*keys, *needed, _YAW, _SIGMA, _OWN]).to_pylist()
     left = "variants are in `estimates/`"
     return table_of("Every variant", keys, rows, cells, f"{_TIMES} {_SIGMAS}", left=left)
 
@@ -269,14 +269,14 @@ def _figures(source: Source, names: _Names, first: _Names) -> Iterator[Picture]:
     """Over the first two axes of numbers heat maps, along a single one curves."""
     axes, others = source.study.figure_axes
     if len(axes) == 2:
-        yield from _heat_maps(source, names, names.yard.end(first.yard))
+        yield from _heat_maps(source, names, names.yard.figure_suffix(first.yard))
     elif axes and names is first:
         yield _along_axis(source, names, *axes.popitem(), others)
 
 
 def _heat_maps(source: Source, names: _Names, end: str) -> Iterator[Picture]:
     """The maps from one yardstick, and only those that show something."""
-    words, of_floor = names.yard.words, names.within.replace("_truth", "")
+    words, of_floor = names.yard.description, names.within.replace("_truth", "")
     maps = Maps(source, (names.mean, names.within, of_floor, "phi_u_arcmin"))
     within = np.round(100 * maps.of(names.within))
     if not np.round(100 * np.fmin(maps.of(names.within), maps.of(of_floor))).any():
@@ -310,7 +310,7 @@ def _along_axis(
         return panel(lambda row: _interval(row[name], 0.0))
 
     panels = {
-        f"expected time (s) to {names.yard.words}": panel(names.settling),
+        f"expected time (s) to {names.yard.description}": panel(names.settling),
         "1 sigma of the true heading error at the end (arcmin)": exact(_SIGMA),
         "the filter's own 1 sigma at the end (arcmin)": exact(_OWN),
     }
@@ -319,5 +319,5 @@ def _along_axis(
         "When the heading has entered the band for good [95 % interval over the sampled errors],"
         " and how far the true heading error spreads at the end beside what the filter believes."
         f"{lines_left(table, others)}",
-        plots.along_axis(axis, values, panels, condition=not is_chosen(axis)),
+        plots.along_axis(axis, values, panels, condition=not is_method_setting(axis)),
     )

@@ -165,7 +165,7 @@ def write(folder: Path, sources: Sequence[Source]) -> tuple[Path, int]:
     page = compute(folder, sources)
     body = render(folder, page)
     path = folder.parents[1] / f"{folder.name}.md"
-    footer = "; ".join(source.counted for source in sources)
+    footer = "; ".join(source.sample_size_text for source in sources)
     images = {
         f"{folder.name}_{one.name}": plots.png(one.figure, one.rests_on or footer)
         for one in page.figures.values()

@@ -13,7 +13,7 @@ from sinsjax.execution.source import Source
 from sinsjax.plots.spreads import MOST_LINES
 from sinsjax.plots.words import name_of
 from sinsjax.study.schema import NUMBERS_DRAWN
-from sinsjax.study.success import judged_columns
+from sinsjax.study.success import success_columns
 
 BINS = "the median of each bin, of about as many draws."
 _MOST_BINS = 8
@@ -60,7 +60,7 @@ def binned(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]]:
     found = {}
     for key in drawn if count > 1 else ():
         table = source.rows(
-            [key, "run_id", "variant_id", *study.keys_shown, *NEEDED, *judged_columns(study)]
+            [key, "run_id", "variant_id", *study.keys_shown, *NEEDED, *success_columns(study)]
         )
         medians = bin_medians(analysis.numbers(table, key), count)
         place = table.column_names.index(key)

@@ -43,7 +43,7 @@ class Made(NamedTuple):
         """Draws the figures of a report."""
         blocks = (block for section in report.sections for block in section.blocks)
         pictures = (block for block in blocks if isinstance(block, Picture))
-        footer = report.rests_on or source.counted
+        footer = report.rests_on or source.sample_size_text
         images = {one.name: plots.png(one.figure, one.rests_on or footer) for one in pictures}
         return cls(source, report, images, Names.of(source.study, source.config, *source.warnings))
 

@@ -16,8 +16,8 @@ from sinsjax.plots.spreads import acts, compare_panels
 from sinsjax.report.base import Block, Picture, Text, intervals
 from sinsjax.report.groupings import BINS, binned, lines_left
 from sinsjax.report.markup import said
-from sinsjax.study.keys import is_chosen, is_given
-from sinsjax.study.success import FLOOR_COLUMNS, Yardstick, judged_columns
+from sinsjax.study.keys import is_condition_key, is_method_setting
+from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure, success_columns
 
 _NOT_CONVERGED = "not converged"
 _FLAG = "flagged"
@@ -33,7 +33,7 @@ def over_axes(source: Source) -> list[Block]:
     shown, others = source.study.figure_axes
     found: list[Block]
     if len(shown) == 2:
-        found = [block for yard in source.yardsticks for block in _heat_maps(source, yard)]
+        found = [block for yard in source.success_measures for block in _heat_maps(source, yard)]
     else:
         found = [one for axis in shown if (one := _along_axis(source, axis, others))]
     idle = []
@@ -89,7 +89,7 @@ class Maps:
             self._keys[1],
             value,
             by=self._by,
-            pooled=[key for key in self._by if is_given(key)],
+            pooled=[key for key in self._by if is_condition_key(key)],
             hatched=_FLAG if flag is not None else "",
             hatch_name=meaning,
         )
@@ -100,22 +100,25 @@ class Maps:
         return analysis.numbers(self._table, column)
 
 
-def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
+def _heat_maps(source: Source, yard: SuccessMeasure) -> Iterator[Block]:
     """The maps from one yardstick, and only those that show something."""
-    maps = Maps(source, (yard.settle, yard.ok, *FLOOR_COLUMNS, "draw_id", "start_s"))
+    maps = Maps(source, (yard.settle_column, yard.ok_column, *FLOOR_COLUMNS, "draw_id", "start_s"))
     shown = maps.panels[: 2 * MOST_PANELS]
-    every = [one.cells(yard.ok, yard.settle, yard.off_floor(one.of)) for one in shown]
-    cells, end = every[:MOST_PANELS], yard.end(source.yardsticks[0])
+    every = [
+        one.cells(yard.ok_column, yard.settle_column, yard.outside_floor_band(one.of))
+        for one in shown
+    ]
+    cells, end = every[:MOST_PANELS], yard.figure_suffix(source.success_measures[0])
     if not any((np.isfinite(one.median_s) & ~one.not_converged).any() for one in cells):
         return  # no cell is within the band, or those that are only pass through it
-    off = np.where(maps.of(yard.ok) > 0, yard.off_floor(maps.of), np.nan)
+    off = np.where(maps.of(yard.ok_column) > 0, yard.outside_floor_band(maps.of), np.nan)
     hatched = np.any([one.not_converged for one in cells])
     mark = f" Cross-hatched: {said('not_converged', yard=yard)}" if hatched else ""
     yield maps.draw(
         f"settling_time{end}",
-        f"Median time over {counted(source.draws, 'draw')} until the heading stays {yard.words};"
-        f" grey where at least half of the runs never do.{mark}",
-        yard.settle,
+        f"Median time over {counted(source.draws, 'draw')} until the heading stays"
+        f" {yard.description}; grey where at least half of the runs never do.{mark}",
+        yard.settle_column,
         off,
         _NOT_CONVERGED,
     )
@@ -123,8 +126,8 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
     if not np.isin(shares, (0.0, 1.0)).all():  # else the settling times say it all
         yield maps.draw(
             f"success_rate{end}",
-            f"Share of {counted(source.draws, 'draw')} ok, {yard.of_several}.{mark}",
-            yard.ok,
+            f"Share of {counted(source.draws, 'draw')} ok, {yard.plural_description}.{mark}",
+            yard.ok_column,
             off,
             _NOT_CONVERGED,
         )
@@ -133,10 +136,16 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
 def _along_axis(
     source: Source, axis: str, others: Sequence[str], *, only_if_it_acts: bool = False
 ) -> Picture | None:
-    shown = {f"{y.settle}_median": f"median time (s) to {y.words}" for y in source.yardsticks}
-    shown |= {y.rate: f"share of runs that are ok, {y.of_several} (%)" for y in source.yardsticks}
+    shown = {
+        f"{y.settle_column}_median": f"median time (s) to {y.description}"
+        for y in source.success_measures
+    }
+    shown |= {
+        y.rate_column: f"share of runs that are ok, {y.plural_description} (%)"
+        for y in source.success_measures
+    }
     shown["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
-    table = source.rows([*others, axis, *judged_columns(source.study), *NEEDED])
+    table = source.rows([*others, axis, *success_columns(source.study), *NEEDED])
     values, panels = compare_panels(table, axis, others, shown)
     if only_if_it_acts and not acts(panels):
         return None
@@ -146,5 +155,5 @@ def _along_axis(
         "How soon their heading enters the band for good, how many runs are ok, and how large the"
         f" heading error is. {intervals(source, what='Estimate')}{lines_left(table, others)}"
         + (f" Left out, since it shows nothing more: {left}." if left else ""),
-        plots.along_axis(axis, values, panels, condition=not is_chosen(axis)),
+        plots.along_axis(axis, values, panels, condition=not is_method_setting(axis)),
     )

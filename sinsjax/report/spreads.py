@@ -27,7 +27,7 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
     A line a variant; of many variants, a line a value of the first key that has few.
     """
     keys, note = keys_of_lines(source)
-    table = source.distinct((*keys, "nees", *SHARES.values(), "draw_id", "start_s"))
+    table = source.distinct_rows((*keys, "nees", *SHARES.values(), "draw_id", "start_s"))
     if not np.isfinite(analysis.numbers(table, "nees")).any():
         return
     told, swamped = _biases_unknown(source)
@@ -47,11 +47,11 @@ def _biases_unknown(source: Source) -> tuple[list[Text], bool]:
     filters = [METHODS[name] for name in study.methods if METHODS[name].has_covariance]
     if study.is_recorded or any(map(estimates_biases, filters)):
         return [], False
-    gyro, accel = (source.largest(key) for key in BIAS_KEYS)
+    gyro, accel = (source.largest_magnitude(key) for key in BIAS_KEYS)
     if not gyro and not accel:
         return [], False
     names = [*(f"sigma_{axis}_arcmin" for axis in "enu"), "floor_arcmin", _YAW, "nees"]
-    rows = source.distinct(names)
+    rows = source.distinct_rows(names)
     *sigmas, limit, yaw, nees = (analysis.numbers(rows, name) for name in names)
     east, north, up = np.nanmedian(sigmas, axis=1)
     tilt = accel * MICRO / ARCMIN

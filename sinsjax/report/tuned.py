@@ -13,7 +13,7 @@ from sinsjax.report import tuned_figures
 from sinsjax.report.base import Block, Fact, Report, Table, Verdict
 from sinsjax.report.markup import said
 from sinsjax.study.search_space import Variable
-from sinsjax.study.success import yardsticks
+from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import objective
 from sinsjax.tuning.results import SEARCH_LABELS, Tuning, describe_objective
@@ -117,7 +117,7 @@ def _doubts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
         if evaluation.sharpness is None
     ]
     if min(scores) >= objective.failure_score(tuning.tune, tuning.study):
-        judged = yardsticks(tuning.study, tuning.tune.objective_band_arcmin)[0]
+        judged = success_measures(tuning.study, tuning.tune.objective_band_arcmin)[0]
         text = said("all_fail", words=judged.words, from_truth=judged.truth)
         yield Fact("Caution", text, True)
     elif not gain.high < 0 and not tuning.study.is_recorded:

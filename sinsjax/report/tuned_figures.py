@@ -17,7 +17,7 @@ def landscape(tuning: Tuning) -> list[Picture]:
     space = SearchSpace.from_study(tuning.study)
     number = tuning.searches[tuning.best].best.candidate
     combination = space.combinations[number]
-    used = space.used(combination)
+    used = space.used_variables(combination)
     if not used:
         return []
     name = next(name for name in ("grid", *tuning.searches) if name in tuning.searches)

@@ -27,8 +27,8 @@ from sinsjax.report.choices import (
     name_and_unit,
 )
 from sinsjax.report.markup import said
-from sinsjax.study.process_noise import assumed_noise
-from sinsjax.study.success import FLOOR_COLUMNS, Yardstick
+from sinsjax.study.process_noise import noise_ratios_by_sensor
+from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure
 
 _MOST_Q = 10.0  # times the sensors' noise that Q may be before the verdict cautions
 _LIMITING = 0.7  # share of the rms error from which the bias floor is its cause
@@ -63,7 +63,7 @@ class Outcome:
 
     source: Source
     choices: Choices
-    yard: Yardstick
+    yard: SuccessMeasure
     time_s: NDArray
     error: NDArray
     floor: NDArray
@@ -72,19 +72,21 @@ class Outcome:
     @classmethod
     def from_source(cls, source: Source) -> "Outcome":
         """Read the columns of the summary that a verdict needs."""
-        yards = source.yardsticks
-        table = source.rows([*FLOOR_COLUMNS, *(n for y in yards for n in (y.ok, y.settle))])
+        yards = source.success_measures
+        table = source.rows(
+            [*FLOOR_COLUMNS, *(n for y in yards for n in (y.ok_column, y.settle_column))]
+        )
         # A criterion that some method does not have cannot compare the methods.
-        yard = next((one for one in yards if table[one.ok].null_count == 0), yards[0])
+        yard = next((one for one in yards if table[one.ok_column].null_count == 0), yards[0])
         choices = Choices.from_study(source.study)
 
         def column(name: str) -> NDArray:
             return choices.runs(analysis.numbers(table, name))
 
-        settle_s = np.where(column(yard.ok) > 0, column(yard.settle), np.inf)
+        settle_s = np.where(column(yard.ok_column) > 0, column(yard.settle_column), np.inf)
         time_s = np.where(np.isnan(settle_s), np.inf, settle_s)
         error, floor = (column(name) for name in FLOOR_COLUMNS)
-        return cls(source, choices, yard, time_s, error, floor, yard.off_floor(column))
+        return cls(source, choices, yard, time_s, error, floor, yard.outside_floor_band(column))
 
     @property
     def draws(self) -> int:
@@ -188,7 +190,7 @@ def q_doubt(source: Source) -> Iterator[Fact]:
     """A caution if the filter's Q is far larger than the noise of the sensors."""
     if source.study.is_recorded:
         return
-    ratios = [ratio for found in assumed_noise(source.study).values() for ratio in found]
+    ratios = [ratio for found in noise_ratios_by_sensor(source.study).values() for ratio in found]
     most = max(ratios, default=0.0)
     if most > _MOST_Q:
         which = "Q" if min(ratios) > _MOST_Q else "Q of some variants"
@@ -276,7 +278,7 @@ def _basis(outcome: Outcome) -> Iterator[Fact]:
     """The success, and which draws chose and which judged."""
     study, draws, best = outcome.source.study, outcome.draws, outcome.overall
     yard, error = outcome.yard, outcome.judged(outcome.overall, outcome.error)
-    text = f"{percent(outcome.success(best))} % {yard.words}"
+    text = f"{percent(outcome.success(best))} % {yard.description}"
     if not yard.truth:
         right = analysis.share(np.abs(error) <= yard.band_arcmin, outcome.cluster)
         text += f", {percent(right)} % of north"
@@ -288,7 +290,7 @@ def _basis(outcome: Outcome) -> Iterator[Fact]:
         text += ", not the same" if len({*best.places[:2]}) > 1 else ""
     yield Fact("Starts" if study.is_recorded else "Draws", text)
     if study.stop_when and outcome.source.whole_draws is None:
-        rows = outcome.source.rows(stopping.columns(study))
+        rows = outcome.source.rows(stopping.required_columns(study))
         found = stopping.analyse_interim(study, rows, draws)
         yield Fact("Stopped", said("stopped", rule=study.stop_when, found=found))
 

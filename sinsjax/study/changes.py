@@ -12,9 +12,9 @@ from typing import Any
 from sinsjax.errors import InputError
 from sinsjax.methods.registry import SECTIONS_OF_METHODS
 from sinsjax.study.files import TOO_DEEP
-from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, info, rivals
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys, leaf_info
 
-_SWEEPS = ("axes", "drawn")
+_SWEEP_TABLES = ("axes", "drawn")
 _EXAMPLE = "such as alignment.phi_u0_deg"
 
 
@@ -56,11 +56,11 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
     Raises:
         InputError: a place does not name a section and a key, or there is nothing to drop.
     """
-    out = {name: copy_tables(table) for name, table in tables.items()}
+    result = {name: copy_tables(table) for name, table in tables.items()}
     for place, value in changes.items():
         section, *path = place.split(".")
         if value == {}:
-            _drop(out, place)
+            _delete_place(result, place)
             continue
         if not path or not all(path):
             owner = SECTION_OF.get(place)
@@ -68,19 +68,19 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
             raise InputError(f"{place}: must name a section and a key ({hint})")
         if section == "cases":
             raise InputError(f"{place}: the entries of cases cannot be changed (edit the file)")
-        table = out.setdefault(section, {})
+        table = result.setdefault(section, {})
         for name in path[:-1]:
             table = table.setdefault(name, {}) if isinstance(table, dict) else None
         if not isinstance(table, dict):
             raise InputError(f"{place}: is below a value, not in a table (name the value itself)")
         table[path[-1]] = value
         key = path[0] if section != "axes" else path[-1]
-        if section in _SWEEPS or (section in SECTIONS and len(path) == 1):
-            _clear(out, key, table if section == "axes" else out[section])
-    return out
+        if section in _SWEEP_TABLES or (section in SECTIONS and len(path) == 1):
+            _remove_key_from_others(result, key, table if section == "axes" else result[section])
+    return result
 
 
-def _drop(tables: TomlTable, place: str) -> None:
+def _delete_place(tables: TomlTable, place: str) -> None:
     """Drop the section, key, axis or table at a place."""
     *path, name = place.split(".")
     table: Any = tables
@@ -91,27 +91,29 @@ def _drop(tables: TomlTable, place: str) -> None:
     del table[name]
 
 
-def without_defaults(tables: Mapping[str, TomlTable], filled: Mapping[str, Any]) -> TomlTable:
+def remove_defaults(
+    tables: Mapping[str, TomlTable], other_defaults: Mapping[str, Any]
+) -> TomlTable:
     """Return the tables of a resolved study without the defaults that depend on other keys.
 
     Args:
         tables: sections by name.
-        filled: defaults by key that neither the field nor its `KeyInfo` has.
+        other_defaults: defaults by key that neither the field nor its `KeyInfo` has.
     """
-    out = dict(tables)
+    result = dict(tables)
     for name in SECTIONS.keys() & tables.keys():
-        fields, own = SECTIONS[name].model_fields, tables[name]
-        defaults = dict(filled)
-        for key in fields.keys() & own.keys():
-            default = info(key).default if SECTION_OF[key] == name else None
+        fields, values = SECTIONS[name].model_fields, tables[name]
+        defaults = dict(other_defaults)
+        for key in fields.keys() & values.keys():
+            default = leaf_info(key).default if SECTION_OF[key] == name else None
             if default is not None:
                 defaults[key] = default
             elif fields[key].default_factory or name in SECTIONS_OF_METHODS:
                 defaults[key] = fields[key].get_default(
-                    call_default_factory=True, validated_data=own
+                    call_default_factory=True, validated_data=values
                 )
-        out[name] = {k: v for k, v in own.items() if k not in defaults or v != defaults[k]}
-    return out
+        result[name] = {k: v for k, v in values.items() if k not in defaults or v != defaults[k]}
+    return result
 
 
 def copy_tables(value: Any) -> Any:
@@ -121,21 +123,21 @@ def copy_tables(value: Any) -> Any:
     return [copy_tables(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
-def _clear(tables: TomlTable, key: str, kept: TomlTable) -> None:
+def _remove_key_from_others(tables: TomlTable, key: str, kept_table: TomlTable) -> None:
     """Remove a key and its alternatives from all tables that give or vary them.
 
-    In the table ``kept`` the key itself stays, in its position. An empty zip is removed, and so is
-    [drawn] if it does not draw a key any more.
+    The table ``kept_table`` retains the key itself, in its position. An empty zip is removed, and
+    so is [drawn] if it does not draw a key any more.
     """
     axes, cases = (tables.get(name) for name in ("axes", "cases"))
     axes = axes if isinstance(axes, dict) else {}
-    given = [tables.get(name) for name in (*SECTIONS, *_SWEEPS) if name != "tune"]
-    for table in (*given, *axes.values(), *(cases if isinstance(cases, list) else ())):
-        for other in {key, *rivals(key)} if isinstance(table, dict) else ():
-            if table is not kept or other != key:
-                table.pop(other, None)
+    given_tables = [tables.get(name) for name in (*SECTIONS, *_SWEEP_TABLES) if name != "tune"]
+    for table in (*given_tables, *axes.values(), *(cases if isinstance(cases, list) else ())):
+        for removed in {key, *alternative_keys(key)} if isinstance(table, dict) else ():
+            if table is not kept_table or removed != key:
+                table.pop(removed, None)
     for name in [name for name, table in axes.items() if table == {}]:
         del axes[name]
     drawn = tables.get("drawn")
-    if isinstance(drawn, dict) and drawn is not kept and drawn.keys() <= {"sampling"}:
+    if isinstance(drawn, dict) and drawn is not kept_table and drawn.keys() <= {"sampling"}:
         del tables["drawn"]

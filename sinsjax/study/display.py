@@ -9,11 +9,11 @@ from sinsjax.messages import escape_controls, shortened
 WIDTH = 80
 """Longest line of a text, in characters."""
 
-_FEW = 3
+_MAX_LISTED_VALUES = 3
 """Number of values up to which an axis shows all of them."""
 
 
-def as_text(title: str, facts: Mapping[str, str]) -> str:
+def format_text(title: str, facts: Mapping[str, str]) -> str:
     """Return a title and facts, one line each.
 
     Args:
@@ -25,7 +25,7 @@ def as_text(title: str, facts: Mapping[str, str]) -> str:
     return "\n".join(shortened(escape_controls(line), WIDTH) for line in lines)
 
 
-def as_html(title: str, facts: Mapping[str, str]) -> str:
+def format_html(title: str, facts: Mapping[str, str]) -> str:
     """Return a title and facts as an HTML table, in which all text is escaped.
 
     Args:
@@ -33,12 +33,13 @@ def as_html(title: str, facts: Mapping[str, str]) -> str:
         facts: short texts by name.
     """
     rows = (
-        f"<tr><th>{_safe(name)}</th><td>{_safe(fact)}</td></tr>" for name, fact in facts.items()
+        f"<tr><th>{_escape_html(name)}</th><td>{_escape_html(fact)}</td></tr>"
+        for name, fact in facts.items()
     )
-    return f"<table><caption>{_safe(title)}</caption>{''.join(rows)}</table>"
+    return f"<table><caption>{_escape_html(title)}</caption>{''.join(rows)}</table>"
 
 
-def axis_text(keys: Sequence[str], values: Sequence[Any]) -> str:
+def describe_axis(keys: Sequence[str], values: Sequence[Any]) -> str:
     """Return an axis in words: its keys, the range of its values and their number.
 
     Args:
@@ -52,7 +53,7 @@ def axis_text(keys: Sequence[str], values: Sequence[Any]) -> str:
     if others:
         return f"{first} and {len(others)} more ({len(values)})"
     texts = [f"{value:g}" if _is_number(value) else str(value) for value in values]
-    if len(texts) <= _FEW and all(
+    if len(texts) <= _MAX_LISTED_VALUES and all(
         _is_number(v) or text.isidentifier() for v, text in zip(values, texts, strict=True)
     ):
         return f"{first} {', '.join(texts)}"
@@ -65,5 +66,5 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _safe(text: str) -> str:
+def _escape_html(text: str) -> str:
     return escape(escape_controls(text))

@@ -19,7 +19,7 @@ DOUBT = "# DOUBT: "
 _STUDY, _PAGE = re.compile(r"\bconfigs/(\w+)\.toml"), re.compile(r"\bdocs/(\w+)\.md")
 
 TOO_DEEP = "is nested too deeply"
-_MOST_NESTED = 50
+_MAX_NESTING = 50
 """Largest depth of nested tables and lists; a study has at most five."""
 
 GROUPS = {
@@ -38,60 +38,60 @@ TEMPLATES = ("sweep", "record", "tune", "compare")
 """Kinds of study with a template."""
 
 
-def studies() -> dict[str, Path]:
+def shipped_studies() -> dict[str, Path]:
     """Return the files of the shipped studies by name, in alphabetical order."""
     return {path.stem: path for path in sorted(asset(_FOLDER).glob("*.toml"))}
 
 
-def groups() -> dict[str, dict[str, Path]]:
+def studies_by_group() -> dict[str, dict[str, Path]]:
     """Return the shipped studies by group, in the order of their numbers and names."""
-    placed = sorted(((_group(path), name), path) for name, path in studies().items())
+    placed = sorted(((_read_group(path), name), path) for name, path in shipped_studies().items())
     return {
         group: {name: path for (place, name), path in placed if place.split()[:1] == [group]}
         for group in GROUPS
     }
 
 
-def templates() -> dict[str, Path]:
+def template_files() -> dict[str, Path]:
     """Return the files of the templates by name."""
     return {name: asset(f"{_FOLDER}/templates/{name}.toml") for name in TEMPLATES}
 
 
-def find_study(given: str | Path) -> Path:
+def find_study_file(name_or_path: str | Path) -> Path:
     """Return the file of a study; an unknown name is returned unchanged.
 
     Args:
-        given: a file, with or without ``.toml``, or else a shipped study, such as ``reset_sweep``,
-            ``reset_sweep.toml`` or ``configs/reset_sweep.toml``.
+        name_or_path: a file, with or without ``.toml``, or else a shipped study, such as
+            ``reset_sweep``, ``reset_sweep.toml`` or ``configs/reset_sweep.toml``.
     """
-    path = Path(given)
+    path = Path(name_or_path)
     if not path.name or os.path.isfile(path):
         return path
     with_suffix = path if path.suffix == ".toml" else path.with_name(f"{path.name}.toml")
     if os.path.isfile(with_suffix):
         return with_suffix
     if path.parent.as_posix() in (".", _FOLDER):
-        return studies().get(with_suffix.stem, path)
+        return shipped_studies().get(with_suffix.stem, path)
     return path
 
 
-def source_name(given: str | Path) -> str:
+def source_name(name_or_path: str | Path) -> str:
     """Return the name of a study in messages: a shipped study's own, otherwise its path as given.
 
     Args:
-        given: file, or name of a shipped study, see `find_study`.
+        name_or_path: file, or name of a shipped study, see `find_study_file`.
     """
-    path = find_study(given)
+    path = find_study_file(name_or_path)
     return path.stem if path.parent == asset(_FOLDER) else str(path)
 
 
-def purpose(path: Path) -> str:
+def read_purpose(path: Path) -> str:
     """Return the purpose of a study: the first sentence of the comment at its start.
 
     Studies and pages are named without their folders, which a wheel does not have.
     """
     lines = []
-    for line in _body(path).splitlines():
+    for line in _read_body(path).splitlines():
         if not line.startswith("# "):
             break
         lines.append(line[2:].strip())
@@ -101,19 +101,19 @@ def purpose(path: Path) -> str:
     return _PAGE.sub(r"the page \1", _STUDY.sub(r"\1", sentence))
 
 
-def text_of(name: str) -> str:
+def shipped_text(name: str) -> str:
     """Return the text of a template or shipped study, with its comments and a path to the schema.
 
     Raises:
         InputError: the name is unknown.
     """
-    known = studies() | templates()
+    known = shipped_studies() | template_files()
     stem = Path(name).stem
     if stem not in known:
         raise InputError(
             f"{name}: no study of this name (`init --list` shows them){near(stem, known)}"
         )
-    return f"{schema_line()}\n{_body(known[stem])}"
+    return f"{schema_line()}\n{_read_body(known[stem])}"
 
 
 def schema_line() -> str:
@@ -121,13 +121,13 @@ def schema_line() -> str:
     return f"{_SCHEMA} {asset(f'{_FOLDER}/schema.json').as_uri()}"
 
 
-def _group(path: Path) -> str:
+def _read_group(path: Path) -> str:
     """Return the group of a shipped study, and its number there if it has one; empty if none."""
     lines = path.read_text("utf-8").splitlines()[:2]
     return next((line.removeprefix(_GROUP) for line in lines if line.startswith(_GROUP)), "")
 
 
-def _body(path: Path) -> str:
+def _read_body(path: Path) -> str:
     """Return a shipped file without its first lines, the path of the schema and the group."""
     lines = path.read_text("utf-8").splitlines(keepends=True)
     return "".join(line for line in lines if not line.startswith((_SCHEMA, _GROUP)))
@@ -144,9 +144,11 @@ def read_tables(path: str | Path) -> dict[str, Any]:
     """
     name = source_name(path)
     try:
-        tables = tomllib.loads(find_study(path).read_text("utf-8-sig"))
+        tables = tomllib.loads(find_study_file(path).read_text("utf-8-sig"))
     except FileNotFoundError as error:
-        raise InputError(f"{name}: cannot be read: {error.strerror}{_hint(path)}") from None
+        raise InputError(
+            f"{name}: cannot be read: {error.strerror}{_similar_study_hint(path)}"
+        ) from None
     except OSError as error:
         raise InputError(f"{name}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -155,11 +157,11 @@ def read_tables(path: str | Path) -> dict[str, Any]:
         raise InputError(f"{name}: is not TOML: {error}") from None
     except RecursionError:
         raise InputError(f"{name}: {TOO_DEEP}") from None
-    require_shallow(tables, name)
+    check_nesting(tables, name)
     return tables
 
 
-def require_shallow(content: Any, source: str | Path) -> None:
+def check_nesting(content: Any, source: str | Path) -> None:
     """Refuse tables and lists that are nested too deeply for recursive functions.
 
     The TOML parser accepts them, for example ``[a.a.a.a]``.
@@ -172,14 +174,14 @@ def require_shallow(content: Any, source: str | Path) -> None:
         InputError: the content is nested too deeply.
     """
     level = [content]
-    for _ in range(_MOST_NESTED):
-        tables = [one.values() for one in level if isinstance(one, dict)]
-        lists = [one for one in level if isinstance(one, list | tuple)]
+    for _ in range(_MAX_NESTING):
+        tables = [value.values() for value in level if isinstance(value, dict)]
+        lists = [value for value in level if isinstance(value, list | tuple)]
         level = [*chain.from_iterable(tables), *chain.from_iterable(lists)]
     if level:
         raise InputError(f"{source}: {TOO_DEEP}")
 
 
-def _hint(given: str | Path) -> str:
+def _similar_study_hint(name_or_path: str | Path) -> str:
     """Return a hint at the shipped study with the most similar name; empty without one."""
-    return near(Path(given).stem, studies())
+    return near(Path(name_or_path).stem, shipped_studies())

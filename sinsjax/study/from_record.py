@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL, escape_controls
 from sinsjax.records import read_psins, read_record
-from sinsjax.records.files import line_batches, number_or_nan
-from sinsjax.records.head import head_of
-from sinsjax.records.layout import PSINS_LAYOUT, Layout, Note, Oddity, Record
-from sinsjax.records.means import EARTH_RATE, Means, means_of, rate_up
-from sinsjax.records.oddities import dead_among, told
-from sinsjax.records.plausible import Finding, StationaryValues, findings
-from sinsjax.records.recognise import recognise, sees_earth_rate
+from sinsjax.records.anomalies import find_dead_channels, report_anomalies
+from sinsjax.records.files import parse_number_or_nan, read_line_batches
+from sinsjax.records.head import read_head
+from sinsjax.records.layout import PSINS_LAYOUT, Anomaly, Layout, Note, Record
+from sinsjax.records.means import EARTH_RATE, Means, compute_means, vertical_rate
+from sinsjax.records.plausibility import Finding, StationaryValues, check_stationary
+from sinsjax.records.recognise import recognise_layout, shows_earth_rate
 from sinsjax.study.files import DOUBT, schema_line
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 
@@ -27,11 +27,11 @@ _SHORT_GAP_S = 0.1
 """Longest gap that is interpolated by default: a base at rest hardly moves in this time."""
 
 _LONGEST_S, _COARSE_S, _SHORTEST_S = 900.0, 10.0, 10.0
-_NOMINAL = 1e-4  # relative deviation of clocks from the nominal rate
+_RATE_TOLERANCE = 1e-4  # relative deviation of clocks from the nominal rate
 _WIDTH = 100
 _LATITUDE = 45.0
-_NOTHING = Note("")
-_ABOUT = "estimated from the Earth rate that the gyros measure: put the true latitude here"
+_NO_NOTE = Note("")
+_LATITUDE_DOUBT = "estimated from the Earth rate that the gyros measure: put the true latitude here"
 _ALIGNMENT = """\
 # for a covariance: "kalman_sincos" with the noise of the sensors in [filter] (sinsjax keys filter)
 [alignment]
@@ -39,7 +39,7 @@ method = "inertial"               # needs no numbers of the sensors
 """
 
 
-class _Recognised(NamedTuple):
+class _RecognisedFile(NamedTuple):
     """A file with its recognised layout.
 
     Attributes:
@@ -57,7 +57,7 @@ class _Recognised(NamedTuple):
     gives_rate: bool = True
 
 
-class _Times(NamedTuple):
+class _AlignedPart(NamedTuple):
     """The part of a record that is aligned.
 
     Attributes:
@@ -75,26 +75,28 @@ class _Times(NamedTuple):
     fine_s: float
 
 
-def study_text(path: Path, study: Path) -> str:
+def make_study_text(record_path: Path, study_path: Path) -> str:
     """Return the text of a study that aligns a record, with reasons and doubts.
 
     Args:
-        path: CSV with a header, Parquet, or PSINS text.
-        study: file of the study.
+        record_path: CSV with a header, Parquet, or PSINS text.
+        study_path: file of the study.
 
     Raises:
         InputError: the file does not contain a record.
     """
-    recognised = _recognise_psins(path) if _is_psins(path) else _recognise(path)
-    times, of_times = _times(path, recognised.record)
-    span = _samples(recognised.record, times)
-    means = means_of(recognised.record, span, STANDARD_GRAVITY)
+    recognised = (
+        _recognise_psins(record_path) if _is_psins(record_path) else _recognise_table(record_path)
+    )
+    part, part_note = _longest_part(record_path, recognised.record)
+    span = _sample_range(recognised.record, part)
+    means = compute_means(recognised.record, span, STANDARD_GRAVITY)
     sections = [
-        _title(path, study),
-        _study_section(path, recognised, times, of_times),
+        _title_section(record_path, study_path),
+        _study_section(record_path, recognised, part, part_note),
         _earth_section(recognised.record, means),
-        _record_section(recognised, times, span, _latitude(recognised.record, means)),
-        _coarse_section(times),
+        _record_section(recognised, part, span, _estimate_latitude_deg(recognised.record, means)),
+        _coarse_section(part),
         _ALIGNMENT,
     ]
     return "\n".join(sections)
@@ -103,25 +105,25 @@ def study_text(path: Path, study: Path) -> str:
 def _is_psins(path: Path) -> bool:
     """Whether the first line that is not a comment has six numbers between blanks."""
     try:
-        lines = next(line_batches(path, 2**16)).lines
+        lines = next(read_line_batches(path, 2**16)).lines
     except InputError:
         return False  # reading it in another format reports the error
     data = (line for line in lines if line.strip() and not line.lstrip().startswith(b"%"))
     words = next(data, b"").decode(errors="replace").split()
     try:
-        return len([number_or_nan(word) for word in words]) == 6
+        return len([parse_number_or_nan(word) for word in words]) == 6
     except ValueError:
         return False
 
 
-def _recognise_psins(path: Path) -> _Recognised:
+def _recognise_psins(path: Path) -> _RecognisedFile:
     note = Note("right, front and up, as in PSINS", "the file does not state its axes")
-    return _Recognised(PSINS_LAYOUT, {"axes_order": note}, read_psins(path), "PSINS text")
+    return _RecognisedFile(PSINS_LAYOUT, {"axes_order": note}, read_psins(path), "PSINS text")
 
 
-def _recognise(path: Path) -> _Recognised:
-    head = head_of(path)
-    found = recognise(path, head)
+def _recognise_table(path: Path) -> _RecognisedFile:
+    head = read_head(path)
+    found = recognise_layout(path, head)
     layout, notes = found.layout, dict(found.notes)
     for name in (layout.time_column, *layout.gyro_columns, *layout.accel_columns):
         if CONTROL.search(name):
@@ -134,14 +136,14 @@ def _recognise(path: Path) -> _Recognised:
         record = read_record(path, layout)
         doubt = "if the base moves in these gaps, leave this out: the study then refuses them"
         notes["max_gap_s"] = Note(f"{record.filled} samples in {len(short)} gaps", doubt)
-    return _Recognised(layout, notes, record, head.told, found.tells_rate)
+    return _RecognisedFile(layout, notes, record, head.description, found.has_rate)
 
 
-def _times(path: Path, record: Record) -> tuple[_Times, Note]:
+def _longest_part(path: Path, record: Record) -> tuple[_AlignedPart, Note]:
     """Return the part of a record that can be aligned, the longest one without a gap."""
     rate = record.rate_hz
-    meant = float(round(rate)) if round(rate) else rate
-    rate = meant if abs(rate / meant - 1) <= _NOMINAL else rate
+    nominal = float(round(rate)) if round(rate) else rate
+    rate = nominal if abs(rate / nominal - 1) <= _RATE_TOLERANCE else rate
     interval_s = max(1, round(rate)) / rate
     ends = [0, *(n for flaw in record.flaws for n in (flaw.begin, flaw.end)), len(record.dv)]
     parts = list(zip(ends[::2], ends[1::2], strict=True))
@@ -160,40 +162,42 @@ def _times(path: Path, record: Record) -> tuple[_Times, Note]:
     if record.flaws:
         longest = f"{begin / rate:.4g} to {end / rate:.4g} s is the longest part without a gap"
         note = Note(f"{note.reason}, of which {longest}", record.flaws[0].text)
-    return _Times(rate, interval_s, float(start_s), coarse * interval_s, fine * interval_s), note
+    return _AlignedPart(
+        rate, interval_s, float(start_s), coarse * interval_s, fine * interval_s
+    ), note
 
 
-def _samples(record: Record, times: _Times) -> tuple[int, int]:
+def _sample_range(record: Record, part: _AlignedPart) -> tuple[int, int]:
     """Return the first sample that the study reads, and the one after the last."""
-    begin = round(times.start_s * record.rate_hz)
-    end = begin + round((times.coarse_s + times.fine_s) * times.rate_hz)
+    begin = round(part.start_s * record.rate_hz)
+    end = begin + round((part.coarse_s + part.fine_s) * part.rate_hz)
     return begin, min(end, len(record.dv))
 
 
 def _shows_latitude(record: Record, means: Means) -> bool:
     """Whether its mean rate is the Earth rate, without a dead channel."""
-    return sees_earth_rate(means) and not any(dead_among(record.dtheta.T))
+    return shows_earth_rate(means) and not any(find_dead_channels(record.dtheta.T))
 
 
-def _latitude(record: Record, means: Means) -> float:
+def _estimate_latitude_deg(record: Record, means: Means) -> float:
     """Return the geodetic latitude of the header, or an estimate from the Earth rate, deg."""
     if record.latitude_deg is not None:
         return record.latitude_deg
     if not _shows_latitude(record, means):
         return _LATITUDE
-    sine = max(-0.99, min(0.99, rate_up(means) / EARTH_RATE))
+    sine = max(-0.99, min(0.99, vertical_rate(means) / EARTH_RATE))
     return round(math.asin(sine) / DEG, 1)
 
 
-def _title(path: Path, study: Path) -> str:
-    log, name = escape_controls(path.name), escape_controls(study.name)
-    about = f"Alignment of {log}, written by `sinsjax init record`."
-    look = f"Lines with {DOUBT.strip('# :')} list what the file does not show: check them first."
+def _title_section(record_path: Path, study_path: Path) -> str:
+    log, name = escape_controls(record_path.name), escape_controls(study_path.name)
+    purpose = f"Alignment of {log}, written by `sinsjax init record`."
+    advice = f"Lines with {DOUBT.strip('# :')} list what the file does not show: check them first."
     return "\n".join(
         [
             schema_line(),
-            f"# {about}",
-            f"# {look}",
+            f"# {purpose}",
+            f"# {advice}",
             "#",
             f"#   sinsjax validate {name}",
             f"#   sinsjax align {log} {name} -o out",
@@ -204,24 +208,30 @@ def _title(path: Path, study: Path) -> str:
     )
 
 
-def _study_section(path: Path, recognised: _Recognised, times: _Times, note: Note) -> str:
-    rate = [*_entry("rate_hz", times.rate_hz, _rate_note(recognised, times))]
+def _study_section(
+    record_path: Path, recognised: _RecognisedFile, part: _AlignedPart, note: Note
+) -> str:
+    rate = [*_format_key_lines("rate_hz", part.rate_hz, _rate_note(recognised, part))]
     if not recognised.gives_rate:  # the study is refused until it is given
         rate[-1] = "# rate_hz ="
     lines = [
         "[study]",
-        *_entry("name", escape_controls(path.stem)),
-        *_entry("duration_s", times.fine_s, Note(f"s, the alignment; {note.reason}", note.doubt)),
+        *_format_key_lines("name", escape_controls(record_path.stem)),
+        *_format_key_lines(
+            "duration_s", part.fine_s, Note(f"s, the alignment; {note.reason}", note.doubt)
+        ),
         *rate,
-        *_entry("record_interval_s", times.interval_s, Note("s, between recorded values")),
-        *_entry("settle_bands_arcmin", [60, 10], Note("arcmin, heading error bands")),
+        *_format_key_lines(
+            "record_interval_s", part.interval_s, Note("s, between recorded values")
+        ),
+        *_format_key_lines("settle_bands_arcmin", [60, 10], Note("arcmin, heading error bands")),
     ]
     return "\n".join([*lines, ""])
 
 
-def _rate_note(recognised: _Recognised, times: _Times) -> Note:
+def _rate_note(recognised: _RecognisedFile, part: _AlignedPart) -> Note:
     measured = f"{recognised.record.rate_hz:.6g}"
-    if measured == f"{times.rate_hz:.6g}":
+    if measured == f"{part.rate_hz:.6g}":
         return recognised.notes.get("rate_hz", Note("Hz, of the record"))
     return Note(f"Hz, the nominal rate; that of the stamps is {measured}")
 
@@ -229,29 +239,39 @@ def _rate_note(recognised: _Recognised, times: _Times) -> Note:
 def _earth_section(record: Record, means: Means) -> str:
     if record.latitude_deg is not None:
         return "\n".join(
-            ["[earth]", *_entry("earth", "wgs84", Note("the header gives the place")), ""]
+            [
+                "[earth]",
+                *_format_key_lines("earth", "wgs84", Note("the header gives the place")),
+                "",
+            ]
         )
     if _shows_latitude(record, means):
-        note = Note("deg, from the vertical part of the mean rate", _ABOUT)
+        note = Note("deg, from the vertical part of the mean rate", _LATITUDE_DOUBT)
     else:
         note = Note("deg", "the gyros do not show the latitude: put the true one here")
-    latitude = _entry("latitude_deg", _latitude(record, means), note)
-    return "\n".join(["[earth]", *_entry("earth", "wgs84"), *latitude, ""])
+    latitude = _format_key_lines("latitude_deg", _estimate_latitude_deg(record, means), note)
+    return "\n".join(["[earth]", *_format_key_lines("earth", "wgs84"), *latitude, ""])
 
 
 def _record_section(
-    recognised: _Recognised, times: _Times, span: tuple[int, int], latitude_deg: float
+    recognised: _RecognisedFile, part: _AlignedPart, span: tuple[int, int], latitude_deg: float
 ) -> str:
     layout, notes = recognised.layout, recognised.notes
-    lines = ["[record]", _comment(f"{recognised.kind}."), *_entry("format", layout.format)]
+    lines = [
+        "[record]",
+        _wrap_comment(f"{recognised.kind}."),
+        *_format_key_lines("format", layout.format),
+    ]
     for key in Layout._fields:
         value = getattr(layout, key)
         if key in ("format", "rate_hz") or value in ("", 0.0, ()):
             continue
         elif layout.format != "psins" or key == "axes_order":
             if key != "time_unit" or layout.time_column:
-                lines += _entry(key, value, notes.get(key, Note("")))
-    lines += _entry("start_s", [times.start_s], Note("s, start of coarse alignment; may be a list"))
+                lines += _format_key_lines(key, value, notes.get(key, Note("")))
+    lines += _format_key_lines(
+        "start_s", [part.start_s], Note("s, start of coarse alignment; may be a list")
+    )
     expected = StationaryValues(
         earth_rate=EARTH_RATE,
         latitude=latitude_deg * DEG,
@@ -259,45 +279,47 @@ def _record_section(
         gyro_bias=10 * DEG_PER_H,
         accel_bias=5000 * micro_g(),
     )
-    doubtful: list[Oddity | Finding] = [*told(recognised.record.oddities, [span])]
-    if not any(odd.hard for odd in doubtful):  # otherwise they spoil the means
-        doubtful += findings(recognised.record, span, layout, expected)
-    for found in doubtful:
-        refused = " (the study is refused)" if found.hard else ""
-        lines.append(_comment(f"{found.text}{refused}", DOUBT))
+    doubtful: list[Anomaly | Finding] = [*report_anomalies(recognised.record.anomalies, [span])]
+    if not any(anomaly.is_certain for anomaly in doubtful):  # otherwise they spoil the means
+        doubtful += check_stationary(recognised.record, span, layout, expected)
+    for doubt in doubtful:
+        refused = " (the study is refused)" if doubt.is_certain else ""
+        lines.append(_wrap_comment(f"{doubt.text}{refused}", DOUBT))
     return "\n".join([*lines, ""])
 
 
-def _coarse_section(times: _Times) -> str:
+def _coarse_section(part: _AlignedPart) -> str:
     lines = [
         "[coarse]",
-        *_entry(
+        *_format_key_lines(
             "coarse_method", "inertial", Note("survives sway; 'analytic' needs a base at rest")
         ),
-        *_entry("coarse_duration_s", times.coarse_s, Note("s; its end is t = 0 of the alignment")),
+        *_format_key_lines(
+            "coarse_duration_s", part.coarse_s, Note("s; its end is t = 0 of the alignment")
+        ),
     ]
     return "\n".join([*lines, ""])
 
 
-def _entry(key: str, value: Any, note: Note = _NOTHING) -> Iterator[str]:
+def _format_key_lines(key: str, value: Any, note: Note = _NO_NOTE) -> Iterator[str]:
     """Yield the lines of a key with its reason, above it if long, and its doubt above it."""
     if note.doubt:
-        yield _comment(note.doubt, DOUBT)
-    shown = list(value) if isinstance(value, tuple) else value
-    line = f"{key} = {json.dumps(shown, ensure_ascii=False)}"
-    beside = f"{line:<33} # {note.reason}"
+        yield _wrap_comment(note.doubt, DOUBT)
+    value_to_show = list(value) if isinstance(value, tuple) else value
+    line = f"{key} = {json.dumps(value_to_show, ensure_ascii=False)}"
+    one_line = f"{line:<33} # {note.reason}"
     if not note.reason:
         yield line
-    elif len(beside) <= _WIDTH:
-        yield beside
+    elif len(one_line) <= _WIDTH:
+        yield one_line
     else:
-        yield _comment(note.reason)
+        yield _wrap_comment(note.reason)
         yield line
 
 
-def _comment(text: str, mark: str = "# ") -> str:
+def _wrap_comment(text: str, prefix: str = "# ") -> str:
     """Return a comment, wrapped to lines."""
     text = escape_controls(text)
     return textwrap.fill(
-        text, _WIDTH, initial_indent=mark, subsequent_indent="#   ", break_long_words=False
+        text, _WIDTH, initial_indent=prefix, subsequent_indent="#   ", break_long_words=False
     )

@@ -31,55 +31,56 @@ def with_draws(study: Study, draws: int) -> Study:
     return study.model_copy(update={"study": study.study.model_copy(update={"draws": draws})})
 
 
-def sections_of(study: Study) -> dict[str, Any]:
+def sections_to_json(study: Study) -> dict[str, Any]:
     """Return the sections of a resolved study as JSON values, as a manifest stores them."""
     return study.model_dump(mode="json", exclude_none=True)
 
 
-def differences(
+def describe_differences(
     old: Study | Mapping[str, Any],
     new: Study | Mapping[str, Any],
-    places: tuple[str, str] = ("there", "here"),
+    labels: tuple[str, str] = ("there", "here"),
 ) -> list[str]:
     """Return the keys that affect results and differ between two studies, with both values.
 
     Args:
         old: first study, or its sections from a manifest.
         new: second study, or its sections.
-        places: words for the places of both.
+        labels: words for the places of both.
     """
-    before, after = _values(old), _values(new)
-    found = [
-        f"{key}: {_format(before.get(key))} {places[0]}, {_format(after.get(key))} {places[1]}"
-        for key in dict.fromkeys((*before, *after))
-        if before.get(key) != after.get(key)
+    old_values, new_values = _values_by_key(old), _values_by_key(new)
+    changed = [
+        f"{key}: {_format_value(old_values.get(key))} {labels[0]},"
+        f" {_format_value(new_values.get(key))} {labels[1]}"
+        for key in dict.fromkeys((*old_values, *new_values))
+        if old_values.get(key) != new_values.get(key)
     ]
-    return found or ["its keys are in another order"]
+    return changed or ["its keys are in another order"]
 
 
-def _values(study: Study | Mapping[str, Any]) -> dict[str, Any]:
+def _values_by_key(study: Study | Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of a study by section and key of its file."""
-    content = sections_of(study) if isinstance(study, Study) else dict(study)
+    content = sections_to_json(study) if isinstance(study, Study) else dict(study)
     content.pop("tune", None)
-    own = _table(content.get("study"))
-    content["study"] = {k: v for k, v in own.items() if k not in ("name", "unchecked")}
-    tables = {f"axes.{name}": keys for name, keys in _table(content.pop("zips", None)).items()}
-    drawn = dict(_table(content.pop("drawn", None)))
-    tables["drawn"] = {**_table(drawn.pop("laws", None)), **drawn}
+    settings = _as_table(content.get("study"))
+    content["study"] = {k: v for k, v in settings.items() if k not in ("name", "unchecked")}
+    tables = {f"axes.{name}": keys for name, keys in _as_table(content.pop("zips", None)).items()}
+    drawn = dict(_as_table(content.pop("drawn", None)))
+    tables["drawn"] = {**_as_table(drawn.pop("laws", None)), **drawn}
     cases = content.pop("cases", None)
     for i, case in enumerate(cases if isinstance(cases, list) else ()):
         tables[f"cases {i}"] = case
     return {
         f"[{table}] {key}": value
         for table, keys in (content | tables).items()
-        for key, value in _table(keys).items()
+        for key, value in _as_table(keys).items()
     }
 
 
-def _table(value: Any) -> Mapping[str, Any]:
+def _as_table(value: Any) -> Mapping[str, Any]:
     """Return a table of a manifest; empty if the entry is not a table."""
     return value if isinstance(value, Mapping) else {}
 
 
-def _format(value: Any) -> str:
+def _format_value(value: Any) -> str:
     return "none" if value is None else shortened(str(value), 60)

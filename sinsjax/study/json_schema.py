@@ -8,69 +8,76 @@ no rules between keys: `sinsjax validate` checks them.
 import json
 from typing import Any
 
-from sinsjax.study.key_table import purpose
+from sinsjax.study.key_table import section_purpose
 from sinsjax.study.keys import KEYS, SECTION_OF, SECTIONS, SWEEPABLE, TABLES, TUNABLE
 from sinsjax.study.schema import NUMBERS_DRAWN
 
 Schema = dict[str, Any]
 
 
-def schema() -> Schema:
+def study_schema() -> Schema:
     """Return the JSON schema of a study file, draft 7."""
     definitions: Schema = {}
-    tables = {name: _table(name, definitions) for name in SECTIONS}
-    swept = {key: _reference(name, key) for key, name in SECTION_OF.items() if name in SWEEPABLE}
-    lists = {key: _list(value) for key, value in swept.items()}
+    tables = {name: _table_schema(name, definitions) for name in SECTIONS}
+    swept = {
+        key: _reference_schema(name, key) for key, name in SECTION_OF.items() if name in SWEEPABLE
+    }
+    lists = {key: _list_schema(value) for key, value in swept.items()}
     tuned = {key: value for key, value in swept.items() if SECTION_OF[key] in TUNABLE}
     for name in ("drawn.KEY", "tune.variables.KEY"):
-        definitions[name] = _table(name, definitions)
-    law, one = ({"$ref": f"#/definitions/{name}"} for name in ("drawn.KEY", "tune.variables.KEY"))
-    ranges = {key: {"anyOf": [one, _list(one)]} for key in tuned}
-    definitions["tune.variables"] = _object("ranges of the tuned keys", ranges)
-    definitions["tune.baseline"] = _object("values to compare the tuned ones with", tuned)
-    definitions["axes.NAME"] = _object("keys that are swept together", lists)
+        definitions[name] = _table_schema(name, definitions)
+    distribution, tuned_range = (
+        {"$ref": f"#/definitions/{name}"} for name in ("drawn.KEY", "tune.variables.KEY")
+    )
+    ranges = {key: {"anyOf": [tuned_range, _list_schema(tuned_range)]} for key in tuned}
+    definitions["tune.variables"] = _object_schema("ranges of the tuned keys", ranges)
+    definitions["tune.baseline"] = _object_schema("values to compare the tuned ones with", tuned)
+    definitions["axes.NAME"] = _object_schema("keys that are swept together", lists)
     zips = {"$ref": "#/definitions/axes.NAME"}
     axes = {key: {"anyOf": [value, zips]} for key, value in lists.items()}
     tables["axes"] = {
-        **_object("values over which keys are swept", axes),
+        **_object_schema("values over which keys are swept", axes),
         "additionalProperties": zips,
     }
-    tables["cases"] = _list(_object("one case", {"case": {"type": "string"}, **swept}))
-    tables["drawn"] = _table("drawn", definitions)
-    tables["drawn"]["properties"] |= dict.fromkeys(NUMBERS_DRAWN, law)
+    tables["cases"] = _list_schema(
+        _object_schema("one case", {"case": {"type": "string"}, **swept})
+    )
+    tables["drawn"] = _table_schema("drawn", definitions)
+    tables["drawn"]["properties"] |= dict.fromkeys(NUMBERS_DRAWN, distribution)
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": "sinsjax study",
-        **_object("", tables),
+        **_object_schema("", tables),
         "definitions": definitions,
     }
 
 
-def text() -> str:
+def schema_text() -> str:
     """Return the schema as the text of a file."""
-    return json.dumps(schema(), indent=1, ensure_ascii=False) + "\n"
+    return json.dumps(study_schema(), indent=1, ensure_ascii=False) + "\n"
 
 
-def _table(name: str, definitions: Schema) -> Schema:
+def _table_schema(name: str, definitions: Schema) -> Schema:
     """Return the schema of a table, with the schemas of its keys added to the definitions."""
     properties = TABLES[name].model_json_schema()["properties"]
     for key in (key for key in KEYS.values() if key.section == name):
         default = f"default: {key.default}; " if key.default else ""
-        description = f"{key.meaning}; {default}methods: {key.read_by}"
-        schema_of_key = _simplify(properties[key.name]) | {"description": description}
+        description = f"{key.meaning}; {default}methods: {key.readers_text}"
+        schema_of_key = _simplify_schema(properties[key.name]) | {"description": description}
         definitions[f"{name}.{key.name}"] = schema_of_key
-    return _object(
-        purpose(TABLES[name]), {key: _reference(name, key) for key in TABLES[name].model_fields}
+    return _object_schema(
+        section_purpose(TABLES[name]),
+        {key: _reference_schema(name, key) for key in TABLES[name].model_fields},
     )
 
 
-def _simplify(value: Any) -> Any:
+def _simplify_schema(value: Any) -> Any:
     """Return a schema without titles, defaults and null, which TOML does not have."""
     if isinstance(value, list):
-        return [_simplify(entry) for entry in value if entry != {"type": "null"}]
+        return [_simplify_schema(entry) for entry in value if entry != {"type": "null"}]
     if not isinstance(value, dict):
         return value
-    out = {key: _simplify(v) for key, v in value.items() if key not in ("title", "default")}
+    out = {key: _simplify_schema(v) for key, v in value.items() if key not in ("title", "default")}
     for kind in ("anyOf", "oneOf"):
         if len(out.get(kind, ())) == 1:
             out |= out.pop(kind)[0]
@@ -78,18 +85,18 @@ def _simplify(value: Any) -> Any:
     return out
 
 
-def _reference(section: str, key: str) -> Schema:
+def _reference_schema(section: str, key: str) -> Schema:
     return {"$ref": f"#/definitions/{section}.{key}"}
 
 
-def _list(entry: Schema) -> Schema:
+def _list_schema(entry: Schema) -> Schema:
     return {"type": "array", "items": entry}
 
 
-def _object(description: str, properties: Schema) -> Schema:
+def _object_schema(description: str, properties: Schema) -> Schema:
     described = {"description": description} if description else {}
     return {"type": "object", **described, "properties": properties, "additionalProperties": False}
 
 
 if __name__ == "__main__":
-    print(text(), end="")
+    print(schema_text(), end="")

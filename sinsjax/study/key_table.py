@@ -14,45 +14,49 @@ _VARYING = (
 )
 
 
-def find_keys(wanted: str | None = None) -> list[Key]:
+def find_keys(name: str | None = None) -> list[Key]:
     """Return all keys of a study, or those of a section, a method or a name.
 
     Args:
-        wanted: section, key, ``section.key``, or a method for the keys of its sections; None for
+        name: section, key, ``section.key``, or a method for the keys of its sections; None for
             all keys. Any other text finds the keys whose name contains it.
 
     Raises:
         InputError: nothing has this name.
     """
-    every = [*KEYS.values()]
-    if wanted in METHODS:
-        own = METHODS[wanted].sections
-        return [key for key in every if key.section in own and wanted in key.methods]
-    if wanted in BROKEN:
-        raise InputError(BROKEN[wanted])
-    names = {text for key in every for text in (key.section, key.name, f"{key.section}.{key.name}")}
-    if wanted in _KEYLESS:
-        raise InputError(f"[{wanted}]: has the keys of other sections ({_VARYING})")
-    if wanted is not None and wanted not in names:
-        if found := [key for key in every if wanted and wanted in key.name]:
-            return found
-        hint = near(wanted, sorted({*names, *METHODS}))
-        raise InputError(f"{wanted}: unknown section, key or method{hint or _ALL_KEYS}")
+    all_keys = [*KEYS.values()]
+    if name in METHODS:
+        sections = METHODS[name].sections
+        return [key for key in all_keys if key.section in sections and name in key.methods]
+    if name in BROKEN:
+        raise InputError(BROKEN[name])
+    names = {
+        text for key in all_keys for text in (key.section, key.name, f"{key.section}.{key.name}")
+    }
+    if name in _KEYLESS:
+        raise InputError(f"[{name}]: has the keys of other sections ({_VARYING})")
+    if name is not None and name not in names:
+        if matches := [key for key in all_keys if name and name in key.name]:
+            return matches
+        hint = near(name, sorted({*names, *METHODS}))
+        raise InputError(f"{name}: unknown section, key or method{hint or _ALL_KEYS}")
     return [
-        key for key in every if wanted in (None, key.section, key.name, f"{key.section}.{key.name}")
+        key
+        for key in all_keys
+        if name in (None, key.section, key.name, f"{key.section}.{key.name}")
     ]
 
 
-def about_method(wanted: str | None) -> list[str]:
+def describe_method(method_name: str | None) -> list[str]:
     """Return the description of a method in lines; empty for another name."""
-    if wanted not in METHODS:
+    if method_name not in METHODS:
         return []
-    method = METHODS[wanted]
-    package, version = PACKAGES.get(wanted, ("", ""))
+    method = METHODS[method_name]
+    package, version = PACKAGES.get(method_name, ("", ""))
     sections = ", ".join(f"[{name}]" for name in method.sections) or "none"
     reads = ", ".join(key for key in method.reads if key not in method.silent) or "nothing"
     return [
-        f"{wanted}: {method.summary}",
+        f"{method_name}: {method.summary}",
         f"    source: {method.source}",
         *([f"    package: {package} {version}"] if package else []),
         f"    sections: {sections}; keys of [alignment] and [passes]: {reads}",
@@ -60,7 +64,7 @@ def about_method(wanted: str | None) -> list[str]:
     ]
 
 
-def page() -> str:
+def keys_page() -> str:
     """Return the page of all keys, with unit, default, meaning and methods, as Markdown."""
     sweepable = ", ".join(f"[{name}]" for name in SWEEPABLE)
     lines = [
@@ -74,15 +78,15 @@ def page() -> str:
         " or in a table that varies it.",
     ]
     for name, model in TABLES.items():
-        lines += ["", f"## [{name}]", "", purpose(model), ""]
+        lines += ["", f"## [{name}]", "", section_purpose(model), ""]
         lines += ["| key | unit | default | meaning | methods |", "| --- | --- | --- | --- | --- |"]
         for key in (key for key in KEYS.values() if key.section == name):
-            cells = (f"`{key.name}`", key.unit, key.default, key.meaning, key.read_by)
+            cells = (f"`{key.name}`", key.unit, key.default, key.meaning, key.readers_text)
             lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
 
 
-def purpose(model: type[Section]) -> str:
+def section_purpose(model: type[Section]) -> str:
     """Return the purpose of a section: the first paragraph of its docstring, without its name."""
     text = " ".join((model.__doc__ or "").strip().partition("\n\n")[0].split())
     text = text.partition("]: ")[2] or text
@@ -90,4 +94,4 @@ def purpose(model: type[Section]) -> str:
 
 
 if __name__ == "__main__":
-    print(page(), end="")
+    print(keys_page(), end="")

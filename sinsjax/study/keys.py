@@ -31,14 +31,14 @@ from sinsjax.study.schema import (
 from sinsjax.units import split_unit
 from sinsjax.value_types import ActsWhere, KeyInfo, Section, key_info
 
-_BEFORE: dict[str, type[Section]] = {
+_SECTIONS_BEFORE: dict[str, type[Section]] = {
     "study": StudySection,
     "earth": EarthSection,
     "motion": MotionSection,
     "sensors": SensorsSection,
     "alignment": AlignmentSection,
 }
-_AFTER: dict[str, type[Section]] = {
+_SECTIONS_AFTER: dict[str, type[Section]] = {
     "passes": PassesSection,
     "record": RecordSection,
     "coarse": CoarseSection,
@@ -47,9 +47,9 @@ _AFTER: dict[str, type[Section]] = {
 }
 
 _TABLES_OF_SWEEPS = dict.fromkeys(("axes", "cases", "drawn"), Section)
-exclude_clashing(REGISTRY, _BEFORE | _AFTER | _TABLES_OF_SWEEPS)
+exclude_clashing(REGISTRY, _SECTIONS_BEFORE | _SECTIONS_AFTER | _TABLES_OF_SWEEPS)
 
-SECTIONS = _BEFORE | SECTIONS_OF_METHODS | _AFTER
+SECTIONS = _SECTIONS_BEFORE | SECTIONS_OF_METHODS | _SECTIONS_AFTER
 """Sections of leaf keys by their name in the file."""
 
 TUNABLE = ("alignment", *SECTIONS_OF_METHODS, "passes")
@@ -101,7 +101,7 @@ TABLES: dict[str, type[Section]] = {
 }
 """Tables of a study file that have keys."""
 
-_STATED = re.compile(r"[;,] default:? (?P<default>[^;()]+)$")
+_DEFAULT_TEXT = re.compile(r"[;,] default:? (?P<default>[^;()]+)$")
 
 
 class Key(NamedTuple):
@@ -128,7 +128,7 @@ class Key(NamedTuple):
     depends_on: tuple[str, ...]
 
     @property
-    def read_by(self) -> str:
+    def readers_text(self) -> str:
         """The methods that read it, as text."""
         others = [name for name in METHODS if name not in self.methods]
         if len(others) < len(self.methods):
@@ -136,124 +136,124 @@ class Key(NamedTuple):
         return ", ".join(self.methods)
 
 
-def unknown_key(key: str, known: Iterable[str]) -> str:
+def unknown_key_error(key: str, known: Iterable[str]) -> str:
     """Return the error text of an unknown key: its replacement, or the closest known key."""
     return REPLACED.get(key) or f"unknown key{near(key, known)}"
 
 
-def info(key: str) -> KeyInfo:
+def leaf_info(key: str) -> KeyInfo:
     """Return the usual range and default of a leaf key."""
     return KEYS[SECTION_OF[key], key].info
 
 
-def meaning(key: str) -> str:
+def key_meaning(key: str) -> str:
     """Return the description of a leaf key in its section."""
     if key not in SECTION_OF:
         return "label of the case"
     return SECTIONS[SECTION_OF[key]].model_fields[key].description or ""
 
 
-def summary(section: str, key: str) -> str:
+def key_summary(section: str, key: str) -> str:
     """Return the first sentence of a key's description, as a hint in messages."""
     description = SECTIONS[section].model_fields[key].description or ""
-    return _split(description)[0].partition(". ")[0]
+    return _split_default(description)[0].partition(". ")[0]
 
 
-def rivals(key: str) -> set[str]:
+def alternative_keys(key: str) -> set[str]:
     """Return the keys that are alternatives to a key."""
     pairs = SECTIONS[SECTION_OF[key]].exclusive if key in SECTION_OF else ()
     return {other for pair in pairs if key in pair for other in pair} - {key}
 
 
-def is_given(key: str) -> bool:
+def is_condition_key(key: str) -> bool:
     """Whether a key describes the conditions of a run: site, motion, sensors, initial errors."""
     return key in INITIAL_KEYS or SECTION_OF.get(key) in ("earth", "motion", "sensors")
 
 
-def is_chosen(key: str) -> bool:
+def is_method_setting(key: str) -> bool:
     """Whether a key is a setting of a method, which a user may choose."""
     return SECTION_OF.get(key) in SECTIONS_OF_METHODS
 
 
 @cache
-def conditions(key: str) -> tuple[ActsWhere, ...]:
+def effect_conditions(key: str) -> tuple[ActsWhere, ...]:
     """Return the conditions under which a key has an effect."""
     section = SECTIONS[SECTION_OF[key]]
     return tuple(condition for condition in section.conditions if key in condition.keys)
 
 
 @cache
-def deciding(key: str) -> tuple[str, ...]:
+def deciding_keys(key: str) -> tuple[str, ...]:
     """Return the keys whose values decide whether a key has an effect."""
-    own = (given for condition in conditions(key) for given in condition.given)
-    everywhere = len(readers(key)) == len(METHODS)
-    return tuple(dict.fromkeys([*([] if everywhere else ["method"]), *own]))
+    conditional = (given for condition in effect_conditions(key) for given in condition.given)
+    everywhere = len(reading_methods(key)) == len(METHODS)
+    return tuple(dict.fromkeys([*([] if everywhere else ["method"]), *conditional]))
 
 
-def readers(key: str) -> tuple[str, ...]:
+def reading_methods(key: str) -> tuple[str, ...]:
     """Return the methods on which a key has an effect: those that read it, or all if none does."""
     methods = METHODS.values()
-    claimed = any(key in method.keys for method in methods)
-    return tuple(m.name for m in methods if (key in m.keys or not claimed) and key not in m.silent)
+    is_read = any(key in method.keys for method in methods)
+    return tuple(m.name for m in methods if (key in m.keys or not is_read) and key not in m.silent)
 
 
-def acts(key: str, values: Mapping[str, Any]) -> bool:
+def has_effect(key: str, values: Mapping[str, Any]) -> bool:
     """Whether a key has an effect on a run.
 
     Args:
         key: leaf key.
-        values: values of the keys that `deciding` lists; None for a drawn key.
+        values: values of the keys that `deciding_keys` lists; None for a drawn key.
     """
-    if "method" in deciding(key) and values["method"] not in readers(key):
+    if "method" in deciding_keys(key) and values["method"] not in reading_methods(key):
         return False
-    return all(c.acts(*(values[given] for given in c.given)) for c in conditions(key))
+    return all(c.acts(*(values[given] for given in c.given)) for c in effect_conditions(key))
 
 
-def words(annotation: Any) -> tuple[str, ...]:
+def accepted_words(annotation: Any) -> tuple[str, ...]:
     """Return the words that a key accepts; empty for a key of numbers or of free text."""
     if get_origin(annotation) is Literal:
         return get_args(annotation)
-    return next(filter(None, map(words, get_args(annotation))), ())
+    return next(filter(None, map(accepted_words, get_args(annotation))), ())
 
 
-def _describe(section: str, name: str, field: FieldInfo) -> Key:
-    text, stated = _split(field.description or "")
-    choices = " | ".join(to_toml(word) for word in words(field.annotation))
+def _build_key(section: str, name: str, field: FieldInfo) -> Key:
+    text, default_text = _split_default(field.description or "")
+    choices = " | ".join(format_toml(word) for word in accepted_words(field.annotation))
     is_leaf = SECTION_OF.get(name) == section
     return Key(
         section,
         name,
         split_unit(name)[1],
-        _default(name, field) or stated,
+        _format_default(name, field) or default_text,
         f"{text} ({choices})" if choices else text,
         key_info(field),
-        readers(name) if is_leaf else tuple(METHODS),
-        deciding(name) if is_leaf else (),
+        reading_methods(name) if is_leaf else tuple(METHODS),
+        deciding_keys(name) if is_leaf else (),
     )
 
 
-def _split(description: str) -> tuple[str, str]:
+def _split_default(description: str) -> tuple[str, str]:
     """Split a description into its text and the default at its end."""
-    found = _STATED.search(description)
-    return (description[: found.start()], found["default"]) if found else (description, "")
+    match = _DEFAULT_TEXT.search(description)
+    return (description[: match.start()], match["default"]) if match else (description, "")
 
 
-def _default(name: str, field: FieldInfo) -> str:
+def _format_default(name: str, field: FieldInfo) -> str:
     """Return the default of a key as a file writes it; empty if it is not a fixed value."""
     if (default := key_info(field).default) is not None:
-        return to_toml(default)
+        return format_toml(default)
     if name in EARTH_CONSTANTS:
-        return to_toml(EARTH_CONSTANTS[name])
+        return format_toml(EARTH_CONSTANTS[name])
     if field.default_factory is not None or field.default in (None, PydanticUndefined):
-        required = field.is_required() and not _split(field.description or "")[1]
+        required = field.is_required() and not _split_default(field.description or "")[1]
         return "required" if required else ""
-    return to_toml(field.default)
+    return format_toml(field.default)
 
 
-def to_toml(value: Any) -> str:
+def format_toml(value: Any) -> str:
     """Return a value as a study file writes it."""
     if isinstance(value, tuple):
-        return f"[{', '.join(map(to_toml, value))}]"
+        return f"[{', '.join(map(format_toml, value))}]"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, dict):
@@ -262,7 +262,7 @@ def to_toml(value: Any) -> str:
 
 
 KEYS: dict[tuple[str, str], Key] = {
-    (section, name): _describe(section, name, field)
+    (section, name): _build_key(section, name, field)
     for section, model in TABLES.items()
     for name, field in model.model_fields.items()
 }

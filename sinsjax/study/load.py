@@ -25,43 +25,43 @@ from sinsjax.methods.registry import (
     unread_keys,
 )
 from sinsjax.study import changes as changing
-from sinsjax.study import dropping, files, rules, search_space
+from sinsjax.study import files, rules, search_space, unused_keys
 from sinsjax.study.keys import (
     EARTH_CONSTANTS,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
     TomlTable,
-    info,
-    rivals,
-    summary,
-    unknown_key,
+    alternative_keys,
+    key_summary,
+    leaf_info,
+    unknown_key_error,
 )
 from sinsjax.study.mistakes import build_or_report
 from sinsjax.study.study import Study
-from sinsjax.study.sweep import Sweep, errors_of, read_sweep, read_tuning
+from sinsjax.study.sweep import Sweep, correctable_errors, read_sweep, read_tune_section
 
 __all__ = [
     "Study",
     "load_study",
     "study_from_dict",
     "study_to_toml",
-    "tables_of",
+    "study_to_tables",
     "with_point",
 ]
 
 _DEFAULT_DRAWS = 64
 _DEFAULT_SAMPLES = 256
-_FILLED = EARTH_CONSTANTS | {
+_DEPENDENT_DEFAULTS = EARTH_CONSTANTS | {
     "draws": _DEFAULT_DRAWS,
     "estimate_samples": _DEFAULT_SAMPLES,
     "height_m": 0.0,
     **{white: 0.0 for white, _ in SECTIONS["sensors"].exclusive},
 }
 """Defaults that depend on other keys, or on whether the study is recorded."""
-_FEEDBACK = "feedback_interval_s"
-_SWEEPS = ("axes", "cases", "drawn")
-_DROPPED = {
+_FEEDBACK_KEY = "feedback_interval_s"
+_SWEEP_TABLES = ("axes", "cases", "drawn")
+_REMOVED_SECTIONS = {
     "report": "every study has the same report",
     "statements": "pages of studies judge their own statements",
     "unscented": "sigma_point_alpha is 0.5",
@@ -94,7 +94,7 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
     """
     if isinstance(source, Study):
         return source.replace(changes) if changes else source
-    study, _, dropped = _load(source, changes)
+    study, _, dropped = _load_with_tables(source, changes)
     for line in dropped:
         warnings.warn(line, StudyWarning, stacklevel=2)
     return study
@@ -109,11 +109,11 @@ def load_with_notes(path: str | Path, changes: Mapping[str, Any]) -> tuple[Study
     Raises:
         InputError: see `load_study`.
     """
-    study, data, dropped = _load(path, changes)
-    return study, [*dropped, *dropping.keys_without_effect(study, data)]
+    study, data, dropped = _load_with_tables(path, changes)
+    return study, [*dropped, *unused_keys.list_idle_keys(study, data)]
 
 
-def _load(
+def _load_with_tables(
     path: str | Path, changes: Mapping[str, Any] | None
 ) -> tuple[Study, TomlTable, list[str]]:
     """Return the study of a file, its tables, and lines about the keys that changes drop."""
@@ -136,11 +136,11 @@ def change_tables(
         InputError: a change does not name a key, or is nested too deeply.
     """
     try:
-        out = changing.apply_changes(data, changes)
+        changed = changing.apply_changes(data, changes)
     except InputError as error:
         raise error.named(source) from None
-    files.require_shallow(out, source)
-    return dropping.drop_unread(data, out, changes, source)
+    files.check_nesting(changed, source)
+    return unused_keys.drop_unread_keys(data, changed, changes, source)
 
 
 def study_from_dict(data: TomlTable, source: str = "study") -> Study:
@@ -169,33 +169,33 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
           length  60 s at 100 Hz
     """
     try:
-        return _checked_study(data, escape_controls(Path(source).stem))
+        return _build_checked_study(data, escape_controls(Path(source).stem))
     except InputError as error:
         raise error.named(source) from None
     except RecursionError:
         raise InputError(f"{source}: {files.TOO_DEEP}") from None
 
 
-def tables_of(study: Study) -> TomlTable:
+def study_to_tables(study: Study) -> TomlTable:
     """Return the resolved study as nested dictionaries, the inverse of `study_from_dict`."""
     content = study.model_dump(exclude_none=True)
     for key in study.drawn_keys:
         content[SECTION_OF[key]].pop(key, None)
     content["axes"] |= content.pop("zips")
-    names = (*SECTIONS, *_SWEEPS)
+    names = (*SECTIONS, *_SWEEP_TABLES)
     return {name: content[name] for name in names if content.get(name)}
 
 
-def given_tables(study: Study) -> TomlTable:
+def non_default_tables(study: Study) -> TomlTable:
     """Return a study as tables and lists, without the keys that have their defaults."""
-    filled = _FILLED | _feedback_each_sample(study.study.rate_hz)
-    tables = changing.copy_tables(changing.without_defaults(tables_of(study), filled))
+    filled = _DEPENDENT_DEFAULTS | _default_feedback(study.study.rate_hz)
+    tables = changing.copy_tables(changing.remove_defaults(study_to_tables(study), filled))
     return {name: table for name, table in tables.items() if table}
 
 
 def study_to_toml(study: Study) -> str:
     """Return the resolved study as TOML with all defaults; loading it gives an equal study."""
-    text = tomli_w.dumps(tables_of(study))
+    text = tomli_w.dumps(study_to_tables(study))
     return "# The resolved study: every value, defaults filled in.\n" + text
 
 
@@ -210,19 +210,19 @@ def with_point(study: Study, point: TomlTable) -> Study:
     Raises:
         InputError: the result is not a valid study.
     """
-    return study_from_dict(search_space.put_point(tables_of(study), point), study.name)
+    return study_from_dict(search_space.insert_point(study_to_tables(study), point), study.name)
 
 
 def replace_values(study: Study, changes: Mapping[str, Any]) -> Study:
     """Return a study with some values changed: the body of `Study.replace`."""
-    tables, dropped = change_tables(given_tables(study), changes, study.name)
-    made = study_from_dict(tables, study.name)
+    tables, dropped = change_tables(non_default_tables(study), changes, study.name)
+    changed = study_from_dict(tables, study.name)
     for line in dropped:
         warnings.warn(line, StudyWarning, stacklevel=3)
-    return made
+    return changed
 
 
-def one_variant(study: Study, variant: int) -> Study:
+def select_variant(study: Study, variant: int) -> Study:
     """Return the study of one variant alone.
 
     Args:
@@ -241,23 +241,23 @@ def with_rate(study: Study, rate_hz: float) -> Study:
     """
     if study.study.rate_hz:
         return study
-    tables = tables_of(study)
+    tables = study_to_tables(study)
     settings = tables["study"] | {"rate_hz": rate_hz}
     return study_from_dict(tables | {"study": settings}, study.name)
 
 
 Study.rebuild = staticmethod(replace_values)
-Study.tables = staticmethod(given_tables)
+Study.tables = staticmethod(non_default_tables)
 
 
-def _checked_study(data: TomlTable, name: str) -> Study:
+def _build_checked_study(data: TomlTable, name: str) -> Study:
     """Return the study of some tables, points of [tune] checked, or report every mistake."""
-    _check_usable(data)
+    _check_methods_usable(data)
 
     def build(tables: TomlTable) -> Study:
         study = _build_study(tables, name)
         if study.tune and study.study.rate_hz:
-            _check_points(study)
+            _check_tuning_points(study)
         return study
 
     return build_or_report(build, data)
@@ -265,70 +265,74 @@ def _checked_study(data: TomlTable, name: str) -> Study:
 
 def _build_study(data: TomlTable, name: str) -> Study:
     """Return the study of some tables with all rules checked, but not the points of [tune]."""
-    tables = _with_tuples(data)
+    tables = _lists_to_tuples(data)
     _check_tables(tables)
     errors, sweep = ErrorCollector(), Sweep({}, {}, (), None)
     with errors.collect():
         sweep = read_sweep(tables)
-    where = {key: f"[{name}]" for name in SECTIONS for key in tables.get(name, ())}
-    where |= sweep.where
+    key_tables = {key: f"[{name}]" for name in SECTIONS for key in tables.get(name, ())}
+    key_tables |= sweep.key_tables
     with errors.collect():
-        _check_rivals(where)
-    sections, tuning_errors = _fill_defaults(tables, sweep, where, name), ErrorCollector()
+        _check_alternatives(key_tables)
+    sections, tuning_errors = _fill_defaults(tables, sweep, key_tables, name), ErrorCollector()
     if "tune" in sections:
         given = sections["tune"]
         sections["tune"] = given | {"variables": {}, "baseline": {}}  # in case these are wrong
         with tuning_errors.collect():
-            sections["tune"] = read_tuning(given, sweep.where, recorded="record" in tables)
+            sections["tune"] = read_tune_section(
+                given, sweep.key_tables, recorded="record" in tables
+            )
     with errors.collect():
-        study = _validate(sections)
+        study = _validate_sections(sections)
     if errors.lines:
         raise InputError(*errors.lines, *tuning_errors.lines)
-    if lines := (*tuning_errors.lines, *rules.failures(study, where)):
+    if lines := (*tuning_errors.lines, *rules.broken_rules(study, key_tables)):
         raise InputError(*lines)
     return study
 
 
-def _check_points(study: Study) -> None:
+def _check_tuning_points(study: Study) -> None:
     """Refuse a [tune] whose points are not valid studies."""
     assert study.tune is not None
-    tables, baseline = tables_of(study), study.tune.baseline
+    tables, baseline = study_to_tables(study), study.tune.baseline
 
-    def at(place: str, point: TomlTable) -> Study:
+    def build_point(place: str, point: TomlTable) -> Study:
         try:
-            return _build_study(search_space.put_point(tables, point), study.name)
+            return _build_study(search_space.insert_point(tables, point), study.name)
         except InputError as error:
             raise InputError(f"{place}: {error.lines[0]}") from None
 
-    corners = {f"[tune.variables] {text}": point for text, point in search_space.corners(study)}
+    corners = {
+        f"[tune.variables] {text}": point for text, point in search_space.corner_points(study)
+    }
     for place, point in corners.items():
-        at(place, point)
-    search_space.comparable_points(study, at("[tune.baseline]", baseline), corners)
+        build_point(place, point)
+    search_space.comparable_points(study, build_point("[tune.baseline]", baseline), corners)
 
 
-def _check_usable(data: Any) -> None:
+def _check_methods_usable(data: Any) -> None:
     """Refuse a study with a method that cannot be used, whose sections and keys are unknown."""
-    for name in sorted({*_methods(data)} & (BROKEN.keys() - METHODS.keys())):
+    for name in sorted({*_iter_method_names(data)} & (BROKEN.keys() - METHODS.keys())):
         raise InputError(f"[alignment] method: {name!r} cannot be used: {BROKEN[name]}")
 
 
-def _methods(data: Any, key: str = "") -> Iterator[str]:
+def _iter_method_names(data: Any, key: str = "") -> Iterator[str]:
     """Yield all words under keys called ``method``, of sections, axes and cases."""
     if isinstance(data, Mapping):
         for name, value in data.items():
-            yield from _methods(value, name)
+            yield from _iter_method_names(value, name)
     elif isinstance(data, list | tuple):
         for value in data:
-            yield from _methods(value, key)
+            yield from _iter_method_names(value, key)
     elif key == "method" and isinstance(data, str):
         yield data
 
 
-def _with_tuples(value: Any) -> Any:
+def _lists_to_tuples(value: Any) -> Any:
     """Replace lists by tuples, since a study is immutable."""
     if isinstance(value, Mapping):
-        return {key: _with_tuples(entry) for key, entry in value.items()}
-    return tuple(map(_with_tuples, value)) if isinstance(value, list | tuple) else value
+        return {key: _lists_to_tuples(entry) for key, entry in value.items()}
+    return tuple(map(_lists_to_tuples, value)) if isinstance(value, list | tuple) else value
 
 
 def _check_tables(data: TomlTable) -> None:
@@ -342,18 +346,18 @@ def _check_tables(data: TomlTable) -> None:
             errors.add(f"[{name}]: does not apply to a recorded study (drop it or [record])")
     study = data.get("study")
     if "record" in data and isinstance(study, Mapping) and "draws" in study:
-        why = "does not apply to a recorded study (drop it: there is one draw per start time)"
-        errors.add(f"[study] draws: {why}")
+        reason = "does not apply to a recorded study (drop it: there is one draw per start time)"
+        errors.add(f"[study] draws: {reason}")
     errors.raise_all()
 
 
 def _check_table(name: str, table: Any) -> None:
     """Refuse an unknown table, and unknown keys in a table."""
-    names = (*SECTIONS, *_SWEEPS)
+    names = (*SECTIONS, *_SWEEP_TABLES)
     if name in SECTION_OF and name not in SECTIONS:
         raise InputError(f"{name}: a key of [{SECTION_OF[name]}] (move it there)")
-    if name in _DROPPED:
-        raise InputError(f"[{name}]: was dropped, {_DROPPED[name]} (remove the section)")
+    if name in _REMOVED_SECTIONS:
+        raise InputError(f"[{name}]: was dropped, {_REMOVED_SECTIONS[name]} (remove the section)")
     if name not in names:
         hint = near(name, names, "[{}]") + hint_broken_plugins()
         hint = hint or " (is it of a method whose package is not installed?)"
@@ -365,42 +369,44 @@ def _check_table(name: str, table: Any) -> None:
     errors = ErrorCollector()
     for key, value in table.items():
         if name in SECTIONS and key not in SECTIONS[name].model_fields:
-            errors.add(f"[{name}] {key}: {_unknown_key(key, name)}")
+            errors.add(f"[{name}] {key}: {_unknown_key_text(key, name)}")
         elif value is None:
             errors.add(f"[{name}] {key}: None is not a value (leave the key out)")
     errors.raise_all()
 
 
-def _unknown_key(key: str, section: str) -> str:
+def _unknown_key_text(key: str, section: str) -> str:
     """Return the error text of a key in the wrong section, or unknown."""
     if key in SECTION_OF:
         return f"unknown key (it belongs in [{SECTION_OF[key]}])"
-    here = unknown_key(key, SECTIONS[section].model_fields)
-    found = difflib.get_close_matches(str(key), list(SECTION_OF), n=1)
-    if here == "unknown key" and found:
-        return f"{here} (did you mean {found[0]} in [{SECTION_OF[found[0]]}]?)"
-    return here
+    text = unknown_key_error(key, SECTIONS[section].model_fields)
+    similar = difflib.get_close_matches(str(key), list(SECTION_OF), n=1)
+    if text == "unknown key" and similar:
+        return f"{text} (did you mean {similar[0]} in [{SECTION_OF[similar[0]]}]?)"
+    return text
 
 
-def _check_rivals(where: rules.Where) -> None:
+def _check_alternatives(key_tables: rules.KeyTables) -> None:
     """Refuse two keys that are alternatives."""
     lines: list[str] = []
     reported: set[str] = set()
-    for one, other in (pair for section in SECTIONS.values() for pair in section.exclusive):
-        if one in where and other in where and reported.isdisjoint((one, other)):
-            text = f"conflicts with {other} in {where[other]} (give one of them)"
-            lines.append(f"{where[one]} {one}: {text}")
-            reported |= {one, other}
+    for first, second in (pair for section in SECTIONS.values() for pair in section.exclusive):
+        if first in key_tables and second in key_tables and reported.isdisjoint((first, second)):
+            text = f"conflicts with {second} in {key_tables[second]} (give one of them)"
+            lines.append(f"{key_tables[first]} {first}: {text}")
+            reported |= {first, second}
     if lines:
         raise InputError(*lines)
 
 
-def _fill_defaults(tables: TomlTable, sweep: Sweep, where: rules.Where, name: str) -> TomlTable:
+def _fill_defaults(
+    tables: TomlTable, sweep: Sweep, key_tables: rules.KeyTables, name: str
+) -> TomlTable:
     """Return the sections that apply, with the defaults that depend on other keys."""
     recorded = "record" in tables
     unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record",)
-    unread = unread_keys(_values_of("method", tables, sweep) & METHODS.keys())
-    given = {SECTION_OF.get(key) for key in where}
+    unread = unread_keys(_values_over_variants("method", tables, sweep) & METHODS.keys())
+    given = {SECTION_OF.get(key) for key in key_tables}
     optional = {"passes", "stop_when", "tune"} | (set() if recorded else {"coarse"})
     unused += tuple(optional - given - tables.keys())
     unused += tuple(
@@ -417,31 +423,32 @@ def _fill_defaults(tables: TomlTable, sweep: Sweep, where: rules.Where, name: st
         sections["study"].setdefault("draws", _DEFAULT_DRAWS)
         sections["earth"].setdefault("height_m", 0.0)
         for white, density in SECTIONS["sensors"].exclusive:
-            if white not in where and density not in where:
+            if white not in key_tables and density not in key_tables:
                 sections["sensors"][white] = 0.0
     for section, values in sections.items():
         for key in SECTIONS[section].model_fields.keys() - unread:
-            about = info(key)
-            if about.default is None or not where.keys().isdisjoint(rivals(key)):
+            key_info = leaf_info(key)
+            if key_info.default is None or not key_tables.keys().isdisjoint(alternative_keys(key)):
                 continue
-            if about.beside is None or (
-                key not in where and _values_of(about.beside, tables, sweep) - {None, "none"}
+            if key_info.beside is None or (
+                key not in key_tables
+                and _values_over_variants(key_info.beside, tables, sweep) - {None, "none"}
             ):
-                values.setdefault(key, about.default)
-    if _FEEDBACK not in where and _FEEDBACK not in unread:
-        sections["alignment"] |= _feedback_each_sample(sections["study"].get("rate_hz"))
-    if "constants" in _values_of("earth", tables, sweep):
+                values.setdefault(key, key_info.default)
+    if _FEEDBACK_KEY not in key_tables and _FEEDBACK_KEY not in unread:
+        sections["alignment"] |= _default_feedback(sections["study"].get("rate_hz"))
+    if "constants" in _values_over_variants("earth", tables, sweep):
         sections["earth"] = EARTH_CONSTANTS | sections["earth"]
     return sections | sweep._asdict()
 
 
-def _feedback_each_sample(rate_hz: Any) -> TomlTable:
+def _default_feedback(rate_hz: Any) -> TomlTable:
     """Return the default of ``feedback_interval_s``; empty until a valid rate is known."""
     known = isinstance(rate_hz, int | float) and 1e-12 <= rate_hz <= 1e12
-    return {_FEEDBACK: 1 / rate_hz} if known else {}
+    return {_FEEDBACK_KEY: 1 / rate_hz} if known else {}
 
 
-def _values_of(key: str, tables: TomlTable, sweep: Sweep) -> set[Any]:
+def _values_over_variants(key: str, tables: TomlTable, sweep: Sweep) -> set[Any]:
     """Return the values of a key over the variants, or the default of its section."""
     section = SECTION_OF[key]
     default = SECTIONS[section].model_fields[key].default
@@ -450,18 +457,18 @@ def _values_of(key: str, tables: TomlTable, sweep: Sweep) -> set[Any]:
     return sweep.values(key) or {given if isinstance(given, str) else default}
 
 
-def _validate(sections: TomlTable) -> Study:
+def _validate_sections(sections: TomlTable) -> Study:
     try:
         return Study.model_validate(sections)
     except ValidationError as error:
-        raise InputError(*map(_value_error, errors_of(error))) from None
+        raise InputError(*map(_format_error, correctable_errors(error))) from None
 
 
-def _value_error(error: ErrorDetails) -> str:
+def _format_error(error: ErrorDetails) -> str:
     """Return the error line of an invalid value or of a missing key."""
     section = str(error["loc"][0])
     key = error["loc"][1] if len(error["loc"]) > 1 else error["ctx"]["key"]
     hint = ""
     if error["type"] == "missing" and len(error["loc"]) == 2:
-        hint = f" ({summary(section, str(key))})"
+        hint = f" ({key_summary(section, str(key))})"
     return f"[{section}] {key}{index(error)}: {explained(error)}{hint}"

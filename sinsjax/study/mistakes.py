@@ -13,15 +13,15 @@ from typing import Any, NamedTuple
 from sinsjax.errors import InputError
 from sinsjax.methods.filters.section import Q_DENSITIES, WHITE_NOISE
 from sinsjax.study.changes import copy_tables
-from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, deciding, rivals
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys, deciding_keys
 from sinsjax.study.study import Study
 
 _PLACE = re.compile(r"\[(?P<table>[^\]]+)\](?: (?P<key>[^\s:.\[]+))?|(?P<top>[^\s:]+):")
-_STAND_INS = (1e5, 100.0, 45.0, 1.0, 1, "psd")
+_PLACEHOLDERS = (1e5, 100.0, 45.0, 1.0, 1, "psd")
 """Values for a wrong required key, such as a duration, a rate, a latitude or the unit of Q."""
-_MOST_ROUNDS = 20
+_MAX_ROUNDS = 20
 
-Build = Callable[[TomlTable], Study]
+StudyBuilder = Callable[[TomlTable], Study]
 
 
 class Place(NamedTuple):
@@ -31,7 +31,7 @@ class Place(NamedTuple):
     key: str = ""
 
 
-def build_or_report(build: Build, data: TomlTable) -> Study:
+def build_or_report(build: StudyBuilder, data: TomlTable) -> Study:
     """Return the study that a function builds from tables, or report every mistake.
 
     Args:
@@ -41,49 +41,53 @@ def build_or_report(build: Build, data: TomlTable) -> Study:
     Raises:
         InputError: a line per mistake, without possible consequences of other mistakes.
     """
-    found: dict[str, None] = {}
+    reported: dict[str, None] = {}
     counts: Counter[Place] = Counter()
     left_out: set[str] = set()
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         try:
             study = build(data)
         except InputError as error:
-            lines = {line: _place(line) for line in error.lines}
+            lines = {line: _parse_place(line) for line in error.lines}
         else:
-            if not found:
+            if not reported:
                 return study
             break
-        found |= {line: None for line, at in lines.items() if not _follows(at, left_out)}
+        reported |= {
+            line: None
+            for line, location in lines.items()
+            if not _is_consequence(location, left_out)
+        }
         places = {*lines.values()}
         counts.update(places)
         left_out |= {place.key or place.table for place in places} | _keys_of_cases(data, places)
         if "record" in left_out:  # without its record it would be a simulation
             break
         for place in (place for place in places if counts[place] == 1):
-            data = _without(data, place)
-        again = [place for place in places if counts[place] == 2 and place.table in SECTIONS]
-        for place in again:
-            data = _with_stand_in(build, data, place)
-        if not again and all(counts[place] > 1 for place in places):
+            data = _remove_place(data, place)
+        repeated = [place for place in places if counts[place] == 2 and place.table in SECTIONS]
+        for place in repeated:
+            data = _insert_placeholder(build, data, place)
+        if not repeated and all(counts[place] > 1 for place in places):
             break
-    raise InputError(*found)
+    raise InputError(*reported)
 
 
-def _place(line: str) -> Place:
+def _parse_place(line: str) -> Place:
     match = _PLACE.match(line)
     return Place(match["table"] or match["top"], match["key"] or "") if match else Place("")
 
 
-def _follows(place: Place, left_out: set[str]) -> bool:
+def _is_consequence(place: Place, left_out: set[str]) -> bool:
     """Whether an error may be a consequence of earlier ones, whose keys are left out."""
-    related = {place.key, place.table, *rivals(place.key)}
-    related |= {key for key in SECTION_OF if place.key in deciding(key)}
+    related = {place.key, place.table, *alternative_keys(place.key)}
+    related |= {key for key in SECTION_OF if place.key in deciding_keys(key)}
     if place.key in WHITE_NOISE:  # the default of Q
         related |= {"sensors", *WHITE_NOISE[place.key][:2]}
     if place.key == "q_reading":  # its numbers may be left out
         related |= {form for key, forms in Q_DENSITIES.items() for form in (key, *forms)}
     if place.key in SECTION_OF:
-        related |= {*deciding(place.key)}
+        related |= {*deciding_keys(place.key)}
     return not left_out.isdisjoint(related)
 
 
@@ -95,39 +99,39 @@ def _keys_of_cases(data: TomlTable, places: set[Place]) -> set[str]:
     return {key for row in rows if isinstance(row, Mapping) for key in row}
 
 
-def _without(data: TomlTable, place: Place) -> TomlTable:
+def _remove_place(data: TomlTable, place: Place) -> TomlTable:
     """Return tables without a place; for one in cases or below [tune], without all of it."""
-    out = copy_tables(data)
+    tables = copy_tables(data)
     path = [*place.table.split("."), *([place.key] if place.key else [])]
     if path[0] == "cases" or place.table.startswith("tune."):
         path = path[:1]
     *tops, last = path
-    table: Any = out
+    table: Any = tables
     for part in tops:
         table = table.get(part) if isinstance(table, dict) else None
     if isinstance(table, dict):
         table.pop(last, None)
         # Remove axes and draws that vary nothing any more.
         if tops and tops[0] in ("axes", "drawn") and not table.keys() - {"sampling"}:
-            return _without(out, Place(".".join(tops)))
-    return out
+            return _remove_place(tables, Place(".".join(tops)))
+    return tables
 
 
-def _with_stand_in(build: Build, data: TomlTable, place: Place) -> TomlTable:
+def _insert_placeholder(build: StudyBuilder, data: TomlTable, place: Place) -> TomlTable:
     """Return tables with the first stand-in for a missing key that is not an error itself.
 
     Without one, a section that a study need not have is left out.
     """
     table = data.get(place.table, {})
-    for value in _STAND_INS if isinstance(table, dict) and place.key else ():
+    for value in _PLACEHOLDERS if isinstance(table, dict) and place.key else ():
         unit = {"q_reading": "psd"} if place.key in WHITE_NOISE else {}
-        out = data | {place.table: unit | table | {place.key: value}}
+        changed = data | {place.table: unit | table | {place.key: value}}
         try:
-            build(out)
+            build(changed)
         except InputError as error:
-            if place in map(_place, error.lines):
+            if place in map(_parse_place, error.lines):
                 continue
-        return out
+        return changed
     if place.table in ("stop_when", "tune"):
         return {name: table for name, table in data.items() if name != place.table}
     return data

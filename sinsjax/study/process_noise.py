@@ -9,30 +9,32 @@ from sinsjax.methods.filters.section import (
     q_unit_factors,
     sensor_noise_density,
 )
-from sinsjax.study.keys import readers
+from sinsjax.study.keys import reading_methods
 from sinsjax.study.study import Study
 
 _SENSORS = {"q_accel_ug": "accelerometers", "q_gyro_deg_per_h": "gyros"}
 
 
-def check_process_noise(study: Study, where: Mapping[str, str]) -> None:
+def check_process_noise(study: Study, key_tables: Mapping[str, str]) -> None:
     """Refuse a Q without its unit, a unit without Q, and a study that does not determine Q.
 
     Args:
         study: checked study.
-        where: the table, in brackets, of each key that the file gives.
+        key_tables: the table, in brackets, of each key that the file gives.
 
     Raises:
         InputError: ``[section] key: what is wrong (hint)``.
     """
     if not study.has("filter"):
         return
-    found = [*_check_reading(study, where), *_check_given(study, where)]
-    if found:
-        raise InputError(*(f"{where.get(key, '[filter]')} {key}: {text}" for key, text in found))
+    errors = [*_iter_q_unit_errors(study, key_tables), *_iter_missing_q_errors(study, key_tables)]
+    if errors:
+        raise InputError(
+            *(f"{key_tables.get(key, '[filter]')} {key}: {text}" for key, text in errors)
+        )
 
 
-def assumed_noise(study: Study) -> dict[str, set[float]]:
+def noise_ratios_by_sensor(study: Study) -> dict[str, set[float]]:
     """Return the ratios of the noise in Q to that of the sensors, as standard deviations.
 
     Args:
@@ -47,7 +49,7 @@ def assumed_noise(study: Study) -> dict[str, set[float]]:
 
 def _noise_ratios(study: Study, q_key: str) -> set[float]:
     *noises, _ = WHITE_NOISE[q_key]
-    forms, using = {q_key: 1.0, **Q_DENSITIES[q_key]}, readers(q_key)
+    forms, reading = {q_key: 1.0, **Q_DENSITIES[q_key]}, reading_methods(q_key)
     readings = q_unit_factors(1 / study.rate_hz)
     ratios: set[float] = set()
     if not study.has("filter"):
@@ -55,7 +57,7 @@ def _noise_ratios(study: Study, q_key: str) -> set[float]:
     for point in study.combinations("method", "q_reading", "q_scale", *forms, *noises):
         white = sensor_noise_density(q_key, study.rate_hz, *(point[noise] for noise in noises))
         given = [point[form] * factor for form, factor in forms.items() if point[form] is not None]
-        if point["method"] in using and white:
+        if point["method"] in reading and white:
             scale = 1.0 if point["q_scale"] is None else point["q_scale"]
             if given:
                 scale *= readings[point["q_reading"]] * study.rate_hz
@@ -63,40 +65,42 @@ def _noise_ratios(study: Study, q_key: str) -> set[float]:
     return ratios
 
 
-def _check_reading(study: Study, where: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    densities = [key for forms in Q_DENSITIES.values() for key in forms if key in where]
-    given = [key for key in Q_DENSITIES if key in where]
+def _iter_q_unit_errors(study: Study, key_tables: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    densities = [key for forms in Q_DENSITIES.values() for key in forms if key in key_tables]
+    given = [key for key in Q_DENSITIES if key in key_tables]
     readings = {point["q_reading"] for point in study.combinations("q_reading")}
-    if (given or densities) and "q_reading" not in where:
-        why = "give 'psd', the only one for a density"
+    if (given or densities) and "q_reading" not in key_tables:
+        reason = "give 'psd', the only one for a density"
         if not densities:
-            why = "give 'psd', 'per_sample' or 'per_step', which was the default before"
-        yield "q_reading", f"required with {' and '.join([*given, *densities])} ({why})"
-    elif densities and (others := readings - {"psd"}):
-        yield densities[0], f"requires q_reading = 'psd', not '{min(others)}'"
-    elif not given and (others := readings - {"psd", None}):
-        why = "drop it: without q_ keys Q is the white noise of the study's sensors"
-        yield "q_reading", f"'{min(others)}' needs q_ keys, and none is given ({why})"
+            reason = "give 'psd', 'per_sample' or 'per_step', which was the default before"
+        yield "q_reading", f"required with {' and '.join([*given, *densities])} ({reason})"
+    elif densities and (other_units := readings - {"psd"}):
+        yield densities[0], f"requires q_reading = 'psd', not '{min(other_units)}'"
+    elif not given and (other_units := readings - {"psd", None}):
+        reason = "drop it: without q_ keys Q is the white noise of the study's sensors"
+        yield "q_reading", f"'{min(other_units)}' needs q_ keys, and none is given ({reason})"
 
 
-def _check_given(study: Study, where: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+def _iter_missing_q_errors(
+    study: Study, key_tables: Mapping[str, str]
+) -> Iterator[tuple[str, str]]:
     for key, (*noises, _) in WHITE_NOISE.items():
-        if where.keys().isdisjoint((key, *Q_DENSITIES[key])):
-            if why := _without_noise(study, key, noises):
+        if key_tables.keys().isdisjoint((key, *Q_DENSITIES[key])):
+            if reason := _missing_noise_reason(study, key, noises):
                 density = [*Q_DENSITIES[key]][-1]
                 hint = f"give {density} from the data sheet, with q_reading = 'psd'"
-                yield key, f"required ({why}; {hint})"
+                yield key, f"required ({reason}; {hint})"
 
 
-def _without_noise(study: Study, q_key: str, noises: list[str]) -> str | None:
+def _missing_noise_reason(study: Study, q_key: str, noises: list[str]) -> str | None:
     """Return the reason why the sensors do not determine Q, as text; None if they do."""
-    using = readers(q_key)
+    reading = reading_methods(q_key)
     if study.is_recorded:
-        if not any(method in using for method in study.methods):
+        if not any(method in reading for method in study.methods):
             return None
         return f"a record does not give the noise of its {_SENSORS[q_key]}"
     for point in study.combinations("method", *noises):
-        if point["method"] not in using:
+        if point["method"] not in reading:
             continue
         for noise in noises:
             if noise in study.drawn_keys:

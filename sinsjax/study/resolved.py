@@ -13,7 +13,7 @@ import numpy as np
 Dimension = dict[str, tuple[Any, ...]]
 
 
-class Coded(NamedTuple):
+class CodedColumn(NamedTuple):
     """A dictionary-coded column.
 
     Attributes:
@@ -26,26 +26,26 @@ class Coded(NamedTuple):
 
     def each(self, function: Callable[[Any], Any], dtype: Any = float) -> np.ndarray:
         """Return a function of the values, called once per distinct value; (variants, ...)."""
-        made = np.asarray([function(value) for value in self.choices], dtype)
-        if len(made) == 1:  # most columns
-            return np.broadcast_to(made[0], (len(self.codes), *made.shape[1:]))
-        return made[self.codes]
+        results = np.asarray([function(value) for value in self.choices], dtype)
+        if len(results) == 1:  # most columns
+            return np.broadcast_to(results[0], (len(self.codes), *results.shape[1:]))
+        return results[self.codes]
 
-    def map(self, function: Callable[[Any], Any]) -> "Coded":
+    def map(self, function: Callable[[Any], Any]) -> "CodedColumn":
         """Return the column of a function of the values."""
-        return Coded(self.codes, tuple(map(function, self.choices)))
+        return CodedColumn(self.codes, tuple(map(function, self.choices)))
 
     def to_list(self) -> list[Any]:
         """Return the values, one per variant."""
         return list(map(self.choices.__getitem__, self.codes.tolist()))
 
 
-def constant_column(count: int, value: Any) -> Coded:
+def constant_column(count: int, value: Any) -> CodedColumn:
     """Return the column of one value for some variants."""
-    return Coded(np.zeros(count, np.int32), (value,))
+    return CodedColumn(np.zeros(count, np.int32), (value,))
 
 
-class Resolved:
+class ResolvedColumns:
     """The columns of a study, each computed at its first use."""
 
     def __init__(self, dimensions: Sequence[Dimension], constant: Callable[[str], Any]) -> None:
@@ -59,45 +59,51 @@ class Resolved:
         self._dimensions, self._constant = dimensions, constant
         self._repeats = [math.prod(lengths[i + 1 :]) for i in range(len(lengths))]
         self.n_variants = math.prod(lengths)
-        self._made: dict[tuple[str, ...], Coded] = {}
+        self._cache: dict[tuple[str, ...], CodedColumn] = {}
 
-    def column(self, *keys: str) -> Coded:
+    def column(self, *keys: str) -> CodedColumn:
         """Return the column of a key, or of the combinations of several keys, as tuples.
 
         Raises:
             KeyError: no sweepable section of the study has the key.
         """
-        if keys not in self._made:
-            self._made[keys] = self._single(*keys) if len(keys) == 1 else self._joint(keys)
-        return self._made[keys]
+        if keys not in self._cache:
+            self._cache[keys] = (
+                self._single_column(*keys) if len(keys) == 1 else self._joint_column(keys)
+            )
+        return self._cache[keys]
 
-    def _single(self, key: str) -> Coded:
+    def _single_column(self, key: str) -> CodedColumn:
         for dimension, repeats in zip(self._dimensions, self._repeats, strict=True):
             if key in dimension:
-                place = {value: code for code, value in enumerate(dict.fromkeys(dimension[key]))}
-                once = np.array([place[value] for value in dimension[key]], np.int32)
-                turns = self.n_variants // (repeats * len(once))
-                return Coded(np.tile(np.repeat(once, repeats), turns), tuple(place))
+                code_of = {value: code for code, value in enumerate(dict.fromkeys(dimension[key]))}
+                codes = np.array([code_of[value] for value in dimension[key]], np.int32)
+                repetitions = self.n_variants // (repeats * len(codes))
+                return CodedColumn(np.tile(np.repeat(codes, repeats), repetitions), tuple(code_of))
         return constant_column(self.n_variants, self._constant(key))
 
-    def _joint(self, keys: Sequence[str]) -> Coded:
+    def _joint_column(self, keys: Sequence[str]) -> CodedColumn:
         columns = [self.column(key) for key in keys]
         mixed, sizes = np.zeros(self.n_variants, np.int64), [len(c.choices) for c in columns]
         for column, size in zip(columns, sizes, strict=True):
             mixed = mixed * size + column.codes if size > 1 else mixed
-        present, codes = distinct(mixed, math.prod(sizes))
+        present, codes = unique_with_inverse(mixed, math.prod(sizes))
         places = zip(*(p.tolist() for p in np.unravel_index(present, sizes)), strict=True)
         choices = [tuple(c.choices[i] for c, i in zip(columns, p, strict=True)) for p in places]
-        return Coded(codes, tuple(choices))
+        return CodedColumn(codes, tuple(choices))
 
 
-def distinct(numbers: np.ndarray, end: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distinct values of integers from 0 to ``end`` - 1, and the index of each."""
-    if end is None or end > 8 * len(numbers):
+def unique_with_inverse(
+    numbers: np.ndarray, upper_bound: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distinct values of integers below ``upper_bound``, and the index of each."""
+    if upper_bound is None or upper_bound > 8 * len(numbers):
         return np.unique(numbers, return_inverse=True)
-    if end == 1:
+    if upper_bound == 1:
         return np.zeros(1, int), numbers
-    present = np.flatnonzero(np.bincount(numbers, minlength=end))  # much faster than sorting
-    place = np.zeros(end, np.int32)
-    place[present] = np.arange(len(present))
-    return present, place[numbers]
+    present = np.flatnonzero(
+        np.bincount(numbers, minlength=upper_bound)
+    )  # much faster than sorting
+    index_of = np.zeros(upper_bound, np.int32)
+    index_of[present] = np.arange(len(present))
+    return present, index_of[numbers]

@@ -29,8 +29,8 @@ from sinsjax.study.keys import (
     PASS_KEYS,
     SECTION_OF,
     SECTIONS,
-    acts,
-    summary,
+    has_effect,
+    key_summary,
 )
 from sinsjax.study.process_noise import check_process_noise
 from sinsjax.study.schema import (
@@ -41,135 +41,147 @@ from sinsjax.study.schema import (
     is_normal,
 )
 from sinsjax.study.study import Study
-from sinsjax.study.sweep import wrong_value
+from sinsjax.study.sweep import value_error
 from sinsjax.value_types import ROUNDING, ActsWhere
 
-Where = Mapping[str, str]
+KeyTables = Mapping[str, str]
 """The table, in brackets, that gives, sweeps or draws a key, for each key of a file."""
 
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
-_BLOCK = 2**19  # draws that are checked together, which bounds the memory
-_MOST_CHECKED = 2**22  # about one second; of more draws, only the limits of the law are checked
-_SIGMAS = 8.3  # the furthest of 2^52 points of a normal law
-_DEEPEST = 0.99  # of the radius, since the polar radius of an ellipsoid is smaller
+_DRAWS_PER_BLOCK = 2**19  # draws that are checked together, which bounds the memory
+_MAX_CHECKED_DRAWS = (
+    2**22
+)  # about one second; of more draws, only the limits of the law are checked
+_MAX_SIGMAS = 8.3  # the furthest of 2^52 points of a normal law
+_MAX_DEPTH = 0.99  # of the radius, since the polar radius of an ellipsoid is smaller
 
-ACCEPT = "[study] unchecked = true accepts it"
+ACCEPT_HINT = "[study] unchecked = true accepts it"
 
 
-def failures(study: Study, where: Where) -> tuple[str, ...]:
+def broken_rules(study: Study, key_tables: KeyTables) -> tuple[str, ...]:
     """Return a line for each rule that a study breaks, those of the first stage with any.
 
     Args:
         study: sections, axes and cases, each value checked.
-        where: table of each key that the file gives.
+        key_tables: table of each key that the file gives.
     """
-    timed = TIMED if study.study.rate_hz else ()  # else the record will give the rate
-    for stage in ((_check_required,), KEYS_GIVEN, *timed, VALUES):
+    timed = TIME_RULES if study.study.rate_hz else ()  # else the record will give the rate
+    for stage in ((_check_required_keys,), PRESENCE_RULES, *timed, VALUE_RULES):
         errors = ErrorCollector()
         for rule in stage:
             with errors.collect():
-                rule(study, where)
+                rule(study, key_tables)
         if errors.lines:
             return tuple(errors.lines)
     return ()
 
 
-class _Checked:
+class _RuleView:
     """A study as the rules of its methods see it: an `methods.description.CheckedStudy`."""
 
-    def __init__(self, study: Study, where: Where) -> None:
-        self._study, self._where = study, where
+    def __init__(self, study: Study, key_tables: KeyTables) -> None:
+        self._study, self._key_tables = study, key_tables
         self.rate_hz, self.run_s = study.rate_hz, study.run_s
-        self.is_recorded, self.end = study.is_recorded, _end(study)
-        self.has, self.combinations, self.place = study.has, study.combinations, where.get
+        self.is_recorded, self.end = study.is_recorded, _describe_end(study)
+        self.has, self.combinations, self.place = study.has, study.combinations, key_tables.get
 
     def refuse(self, key: str, text: str) -> NoReturn:
         """Raise the error of a key."""
-        _refuse(key, self._where, text)
+        _refuse_key(key, self._key_tables, text)
 
 
-def _refuse(key: str, where: Where, text: str) -> NoReturn:
-    _refuse_at(f"{where.get(key, f'[{SECTION_OF[key]}]')} {key}", text)
+def _refuse_key(key: str, key_tables: KeyTables, text: str) -> NoReturn:
+    _refuse_place(f"{key_tables.get(key, f'[{SECTION_OF[key]}]')} {key}", text)
 
 
-def _refuse_at(place: str, text: str) -> NoReturn:
+def _refuse_place(place: str, text: str) -> NoReturn:
     raise InputError(f"{place}: {text}")
 
 
-def _check_required(study: Study, where: Where) -> None:
+def _check_required_keys(study: Study, key_tables: KeyTables) -> None:
     """Refuse a missing key, and a key without effect, because of the value of another key."""
     simulated = not study.is_recorded
     untimed = (
         study.record and study.record.format in ("csv", "parquet") and not study.record.time_column
     )
-    if "rate_hz" not in where and (simulated or untimed):
-        why = "without a time_column in [record]" if untimed else summary("study", "rate_hz")
-        _refuse("rate_hz", where, f"required ({why})")
+    if "rate_hz" not in key_tables and (simulated or untimed):
+        reason = "without a time_column in [record]" if untimed else key_summary("study", "rate_hz")
+        _refuse_key("rate_hz", key_tables, f"required ({reason})")
     for key in ("latitude_deg", "yaw_center_deg") if simulated else ():
-        if key not in where:
-            _refuse(key, where, f"required ({summary(SECTION_OF[key], key)})")
+        if key not in key_tables:
+            _refuse_key(key, key_tables, f"required ({key_summary(SECTION_OF[key], key)})")
     for angle in ("pitch", "roll", "yaw") if simulated else ():
         amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"
         sways = amplitude in study.drawn_keys or any(
             p[amplitude] for p in study.combinations(amplitude)
         )
-        if period not in where and sways:
-            _refuse(period, where, f"required with {amplitude} > 0")
+        if period not in key_tables and sways:
+            _refuse_key(period, key_tables, f"required with {amplitude} > 0")
     if all(point["earth"] != "constants" for point in study.combinations("earth")):
         for key in EARTH_CONSTANTS:
-            if key in where:
-                _refuse(key, where, "requires earth = 'constants' (drop it with 'wgs84')")
+            if key in key_tables:
+                _refuse_key(key, key_tables, "requires earth = 'constants' (drop it with 'wgs84')")
 
 
-def _check_size(study: Study, where: Where) -> None:
+def _check_study_size(study: Study, key_tables: KeyTables) -> None:
     """Refuse a study that no machine could run, from the lengths of its axes alone."""
     settings = study.study
     if settings.duration_s * settings.rate_hz > _MAX_SAMPLES * (1 + ROUNDING):
         text = f"{settings.duration_s:.12g} s at rate_hz = {settings.rate_hz:.12g}"
         hint = "is time_unit right?" if study.is_recorded else "shorten the run"
-        _refuse("duration_s", where, f"{text} is more than {_MAX_SAMPLES} samples per run ({hint})")
+        _refuse_key(
+            "duration_s", key_tables, f"{text} is more than {_MAX_SAMPLES} samples per run ({hint})"
+        )
     if study.n_draws * study.n_variants > _MAX_RUNS:
         key = "start_s" if study.is_recorded else "draws"
         text = f"{study.n_draws} draws x {study.n_variants} variants of [axes] and [[cases]]"
-        _refuse(key, where, f"{text} are more than {_MAX_RUNS} runs (reduce one of them)")
+        _refuse_key(key, key_tables, f"{text} are more than {_MAX_RUNS} runs (reduce one of them)")
 
 
-def _check_intervals(study: Study, where: Where) -> None:
+def _check_intervals(study: Study, key_tables: KeyTables) -> None:
     """Refuse times that are not whole numbers of samples, and runs without a record time."""
     rate, record = study.rate_hz, study.study.record_interval_s
-    _check_whole(study, where, "record_interval_s", record)
+    _check_whole_samples(study, key_tables, "record_interval_s", record)
     for point in study.combinations("feedback_interval_s"):
         if point["feedback_interval_s"] is not None:
-            _check_whole(study, where, "feedback_interval_s", point["feedback_interval_s"])
+            _check_whole_samples(
+                study, key_tables, "feedback_interval_s", point["feedback_interval_s"]
+            )
     for point in study.combinations("coarse_duration_s") if study.coarse else ():
-        _check_whole(study, where, "coarse_duration_s", point["coarse_duration_s"], least=2)
-    taken: dict[int, float] = {}
+        _check_whole_samples(
+            study, key_tables, "coarse_duration_s", point["coarse_duration_s"], least=2
+        )
+    start_by_sample: dict[int, float] = {}
     for start in study.record.start_s if study.record else ():
-        _check_whole(study, where, "start_s", start, least=0)
-        if taken.setdefault(round(start * rate), start) != start:
-            _refuse("start_s", where, f"{start!r} s is the sample of another start time (drop one)")
+        _check_whole_samples(study, key_tables, "start_s", start, least=0)
+        if start_by_sample.setdefault(round(start * rate), start) != start:
+            _refuse_key(
+                "start_s", key_tables, f"{start!r} s is the sample of another start time (drop one)"
+            )
     if study.study.duration_s < record * (1 - ROUNDING):
         duration = f"duration_s = {study.duration_s:.12g}"
-        _refuse("record_interval_s", where, f"{record:.12g} s is longer than a run, {duration}")
+        _refuse_key(
+            "record_interval_s", key_tables, f"{record:.12g} s is longer than a run, {duration}"
+        )
 
 
-def _check_methods(study: Study, where: Where) -> None:
+def _check_keys_of_methods(study: Study, key_tables: KeyTables) -> None:
     """Refuse keys that no method of the study reads, a whole section in one line."""
     methods = sorted(study.methods)
     text = f"does not apply to method {' or '.join(methods)}"
     unread = unread_keys(methods)
-    for key in sorted(unread & where.keys()):
+    for key in sorted(unread & key_tables.keys()):
         section = f"[{SECTION_OF[key]}]"
-        here = [other for other, place in where.items() if place == section]
-        if where[key] == section and len(here) > 1 and unread.issuperset(here):
-            how = f"drop the section: --set {SECTION_OF[key]}={{}}"
-            raise InputError(f"{section}: {text}: {', '.join(here)} ({how})")
-        place = where[key].strip("[]")
-        how = f": --set {place}.{key}={{}}" if place.startswith("axes") else ""
-        _refuse(key, where, f"{text} (drop it{how})")
+        section_keys = [key_ for key_, place in key_tables.items() if place == section]
+        if key_tables[key] == section and len(section_keys) > 1 and unread.issuperset(section_keys):
+            hint = f"drop the section: --set {SECTION_OF[key]}={{}}"
+            raise InputError(f"{section}: {text}: {', '.join(section_keys)} ({hint})")
+        place = key_tables[key].strip("[]")
+        hint = f": --set {place}.{key}={{}}" if place.startswith("axes") else ""
+        _refuse_key(key, key_tables, f"{text} (drop it{hint})")
 
 
-def _check_passes(study: Study, where: Where) -> None:
+def _check_passes(study: Study, key_tables: KeyTables) -> None:
     """Refuse a stored record of a wrong length, and passes that do not fit into the run."""
     duration = study.duration_s * (1 + ROUNDING)
     for point in study.combinations(*PASS_KEYS) if study.passes else ():
@@ -177,65 +189,75 @@ def _check_passes(study: Study, where: Where) -> None:
         rewinds = point["direction"] == "rewind"
         if record_s is None:
             if (passes or 1) > 1:
-                _refuse("passes", where, f"{passes} passes need a stored record (give stored_s)")
+                _refuse_key(
+                    "passes", key_tables, f"{passes} passes need a stored record (give stored_s)"
+                )
             continue
-        _check_multiple(study, where, "stored_s", record_s)
+        _check_record_multiple(study, key_tables, "stored_s", record_s)
         if record_s > duration:
-            _refuse("stored_s", where, f"{record_s:.12g} s is longer than a run ({_end(study)})")
+            _refuse_key(
+                "stored_s",
+                key_tables,
+                f"{record_s:.12g} s is longer than a run ({_describe_end(study)})",
+            )
         if passes and passes * record_s > duration:
             text = f"{passes} passes of {record_s:.12g} s take {passes * record_s:.12g} s"
-            _refuse("passes", where, f"{text}, longer than a run ({_end(study)})")
+            _refuse_key("passes", key_tables, f"{text}, longer than a run ({_describe_end(study)})")
         if passes and passes % 2 == 0 and point["ending"] == "forward" and not rewinds:
             text = f"{passes} passes end backward, which ending = 'forward' excludes"
-            _refuse("passes", where, f"{text} (give an odd number)")
+            _refuse_key("passes", key_tables, f"{text} (give an odd number)")
 
 
-def _check_coarse_method(study: Study, where: Where) -> None:
+def _check_coarse_method(study: Study, key_tables: KeyTables) -> None:
     """Refuse a method of coarse alignment with which no run can start."""
     for point in study.combinations(*COARSE_KEYS) if study.coarse else ():
         method, _, then = (point[key] for key in COARSE_KEYS)
         if study.is_recorded and method == "none":
             text = "'none' needs an initial attitude, which a record does not give"
-            _refuse("coarse_method", where, f"{text} (use 'inertial')")
+            _refuse_key("coarse_method", key_tables, f"{text} (use 'inertial')")
         if method == "analytic" and study.has_coarse_stage(method, then):
             text = "'analytic' can only hand over a record (use 'inertial')"
-            _refuse("coarse_method", where, text)
+            _refuse_key("coarse_method", key_tables, text)
 
 
-def _check_coarse_times(study: Study, where: Where) -> None:
+def _check_coarse_times(study: Study, key_tables: KeyTables) -> None:
     """Refuse coarse alignment that leaves no time for the method, and resets before its end."""
-    every_s = study.record_every / study.rate_hz
+    record_interval_s = study.record_every / study.rate_hz
     stored = ("stored_s",) if study.passes else ()
     resets = OF_RESETS if study.has("resets") else ()
     for point in study.combinations(*COARSE_KEYS, *stored, *resets) if study.coarse else ():
         method, length_s, then = (point[key] for key in COARSE_KEYS)
         if not study.has_coarse_stage(method, then):
             continue
-        _check_multiple(study, where, "coarse_duration_s", length_s)
-        end_s = min(study.run_s - every_s, point.get("stored_s") or math.inf)
+        _check_record_multiple(study, key_tables, "coarse_duration_s", length_s)
+        end_s = min(study.run_s - record_interval_s, point.get("stored_s") or math.inf)
         if length_s > end_s * (1 + ROUNDING):
             text = f"{length_s:.12g} s leaves no time for the method (at most {end_s:.12g})"
-            _refuse("coarse_duration_s", where, text)
+            _refuse_key("coarse_duration_s", key_tables, text)
         times = scheduled_reset_times(*(point[key] for key in OF_SCHEDULES)) if resets else ()
         if then == "replay" or not times:
             continue
         if (first_s := min(times)) <= length_s:
             key = "reset_times_s" if point["reset_times_s"] is not None else "reset_count"
             text = f"the reset at {first_s:.12g} s is not after the end of coarse alignment"
-            _refuse(key, where, f"{text}, at {length_s:.12g} s (reset later)")
+            _refuse_key(key, key_tables, f"{text}, at {length_s:.12g} s (reset later)")
         interval_s = point["feedback_interval_s"]
-        if point["reset_at_feedback"] and _samples(study, length_s) % _samples(study, interval_s):
+        if point["reset_at_feedback"] and _count_samples(study, length_s) % _count_samples(
+            study, interval_s
+        ):
             text = (
                 f"coarse alignment of {length_s:.12g} s is not a whole number of feedback intervals"
             )
-            _refuse("reset_at_feedback", where, f"{text} (feedback_interval_s = {interval_s:.12g})")
+            _refuse_key(
+                "reset_at_feedback", key_tables, f"{text} (feedback_interval_s = {interval_s:.12g})"
+            )
 
 
-def _samples(study: Study, time_s: float) -> int:
+def _count_samples(study: Study, time_s: float) -> int:
     return round(time_s * study.rate_hz)
 
 
-def _check_multiple(study: Study, where: Where, key: str, time: float) -> None:
+def _check_record_multiple(study: Study, key_tables: KeyTables, key: str, time: float) -> None:
     """Refuse a time that is not a whole number of record intervals."""
     record = study.study.record_interval_s
     count = time / record
@@ -243,74 +265,86 @@ def _check_multiple(study: Study, where: Where, key: str, time: float) -> None:
         near = sorted({max(1, math.floor(count)), max(1, math.ceil(count))})
         shown = " or ".join(f"{n * record:.12g}" for n in near)
         text = f"{time:.12g} s is not a whole number of record intervals of {record:.12g} s"
-        _refuse(key, where, f"{text} (nearest: {shown})")
+        _refuse_key(key, key_tables, f"{text} (nearest: {shown})")
 
 
-def _check_whole(study: Study, where: Where, key: str, time: float, *, least: int = 1) -> None:
+def _check_whole_samples(
+    study: Study, key_tables: KeyTables, key: str, time: float, *, least: int = 1
+) -> None:
     """Refuse a time that is not a whole number of samples, or less than ``least`` of them.
 
     For a record, whose rate is given, the time is rounded to a whole number of samples.
     """
     rate, samples = study.rate_hz, time * study.rate_hz
-    off = 0.0 if study.is_recorded else abs(samples - round(samples))
-    if off > ROUNDING * samples or round(samples) < least:
-        whole = {max(least, math.floor(samples)), max(least, math.ceil(samples))}
-        near = " or ".join(f"{n / rate:.12g}" for n in sorted(whole))
-        more = f", {least} or more" if least > 1 else ""
-        text = f"{time:.12g} s is not a whole number of samples of {1 / rate:.12g} s{more}"
-        slow = study.is_recorded and rate < 1
-        hint = f"{rate:.6g} Hz: is time_unit right?" if slow else f"nearest: {near}"
-        _refuse(key, where, f"{text} ({hint})")
+    deviation = 0.0 if study.is_recorded else abs(samples - round(samples))
+    if deviation > ROUNDING * samples or round(samples) < least:
+        counts = {max(least, math.floor(samples)), max(least, math.ceil(samples))}
+        near = " or ".join(f"{n / rate:.12g}" for n in sorted(counts))
+        at_least = f", {least} or more" if least > 1 else ""
+        text = f"{time:.12g} s is not a whole number of samples of {1 / rate:.12g} s{at_least}"
+        is_slow = study.is_recorded and rate < 1
+        hint = f"{rate:.6g} Hz: is time_unit right?" if is_slow else f"nearest: {near}"
+        _refuse_key(key, key_tables, f"{text} ({hint})")
 
 
-def _check_window(study: Study, where: Where) -> None:
+def _check_statistics_window(study: Study, key_tables: KeyTables) -> None:
     """Refuse a window in which no run has the two record times of a standard deviation.
 
     Some of the runs may end before the window.
     """
-    (start, end), every, rate = study.study.window_s, study.record_every, study.rate_hz
+    (start, end), record_every, rate = study.study.window_s, study.record_every, study.rate_hz
     longest = max(span.records for span in study.distinct_spans)
-    last = min(longest, int(end * rate / every) + 1)
+    last = min(longest, int(end * rate / record_every) + 1)
     # Compared as the engine does, rounding and all.
-    while last * every / rate > end:
+    while last * record_every / rate > end:
         last -= 1
-    if (last - 1) * every / rate <= start:
+    if (last - 1) * record_every / rate <= start:
         text = f"fewer than 2 record times are after {start:.12g} s and up to {end:.12g} s"
-        _refuse("window_s", where, f"{text} (widen it; {_end(study)})")
+        _refuse_key("window_s", key_tables, f"{text} (widen it; {_describe_end(study)})")
 
 
-def _check_report_times(study: Study, where: Where) -> None:
+def _check_report_times(study: Study, key_tables: KeyTables) -> None:
     """Refuse report times that are not record times of every run."""
-    key, rate, every = "report_times_s", study.rate_hz, study.record_every
-    befores = {0}
+    key, rate, record_every = "report_times_s", study.rate_hz, study.record_every
+    counts_before = {0}
     if study.counts_before:
         coarse = study.combinations(*COARSE_KEYS)
-        befores = {study.samples_before(rate, **point) for point in coarse}
+        counts_before = {study.samples_before(rate, **point) for point in coarse}
     for time in study.report_times_s:
-        _check_multiple(study, where, key, time)
-        if time > (min(befores) / rate + study.run_s) * (1 + ROUNDING):
-            _refuse(key, where, f"{time:.12g} s is not within the run ({_end(study)})")
-        for before in sorted(befores, reverse=True):
-            after = f"runs after coarse alignment of {before / rate:.12g} s"
-            if round(time * rate) <= before:
-                _refuse(key, where, f"{time:.12g} s is before the first record time of {after}")
-            if before % every:
-                _refuse(key, where, f"{time:.12g} s is between two record times of {after}")
+        _check_record_multiple(study, key_tables, key, time)
+        if time > (min(counts_before) / rate + study.run_s) * (1 + ROUNDING):
+            _refuse_key(
+                key, key_tables, f"{time:.12g} s is not within the run ({_describe_end(study)})"
+            )
+        for samples_before in sorted(counts_before, reverse=True):
+            runs = f"runs after coarse alignment of {samples_before / rate:.12g} s"
+            if round(time * rate) <= samples_before:
+                _refuse_key(
+                    key, key_tables, f"{time:.12g} s is before the first record time of {runs}"
+                )
+            if samples_before % record_every:
+                _refuse_key(key, key_tables, f"{time:.12g} s is between two record times of {runs}")
 
 
-def _check_success(study: Study, where: Where) -> None:
+def _check_success_criteria(study: Study, key_tables: KeyTables) -> None:
     """Refuse a success that no run can reach, and bands whose columns would share a name."""
-    names = [columns.settle_column(band).name for band in success.bands(study)]
+    names = [columns.settle_column(band).name for band in success.settling_bands(study)]
     if len(set(names)) < len(names):
-        key = "success_band_arcmin" if "success_band_arcmin" in where else "settle_bands_arcmin"
+        key = (
+            "success_band_arcmin" if "success_band_arcmin" in key_tables else "settle_bands_arcmin"
+        )
         text = "two bands agree to the 6 digits of their column names (drop one)"
-        _refuse(key, where, text)
+        _refuse_key(key, key_tables, text)
     dwell = study.study.dwell_s
     if dwell is not None and dwell >= study.run_s:
-        _refuse("dwell_s", where, f"{dwell:.12g} s is not shorter than the run ({_end(study)})")
+        _refuse_key(
+            "dwell_s",
+            key_tables,
+            f"{dwell:.12g} s is not shorter than the run ({_describe_end(study)})",
+        )
 
 
-def _end(study: Study) -> str:
+def _describe_end(study: Study) -> str:
     """Return the end of a study and of its shortest run, as text."""
     text = f"duration_s = {study.duration_s:.12g}"
     whole_s = study.duration_s - study.dropped_s
@@ -321,33 +355,33 @@ def _end(study: Study) -> str:
     return text
 
 
-def _check_stop(study: Study, where: Where) -> None:
+def _check_stop_when(study: Study, key_tables: KeyTables) -> None:
     """Refuse a statistic that the study does not have, and a share that is always met."""
     if study.stop_when is None:
         return
-    bands = success.bands(study)
+    bands = success.settling_bands(study)
     known = ["success_rate", *(f"{columns.settle_column(band).name}_mean" for band in bands)]
     if study.stop_when.statistic not in known:
         text = f"'{shortened(study.stop_when.statistic, 60)}' is not one of {', '.join(known)}"
-        _refuse("statistic", where, text)
+        _refuse_key("statistic", key_tables, text)
     if study.stop_when.statistic == "success_rate" and study.stop_when.half_width >= 1:
-        _refuse(
+        _refuse_key(
             "half_width",
-            where,
+            key_tables,
             f"must be less than 1, a share, not {study.stop_when.half_width:.12g}",
         )
 
 
-def _check_rules_of_methods(study: Study, where: Where) -> None:
+def _check_rules_of_methods(study: Study, key_tables: KeyTables) -> None:
     """Apply the rules of the study's methods."""
-    checked, errors = _Checked(study, where), ErrorCollector()
+    checked, errors = _RuleView(study, key_tables), ErrorCollector()
     for rule in dict.fromkeys(rule for name in study.methods for rule in METHODS[name].rules):
         with errors.collect():
             rule(checked)
     errors.raise_all()
 
 
-def _check_unreached(study: Study, where: Where) -> None:
+def _check_unreached_values(study: Study, key_tables: KeyTables) -> None:
     """Refuse values that no run reaches: times after its end, and keys that have no effect.
 
     A time may be after the end of some runs of a sweep if other runs with it are longer.
@@ -356,101 +390,103 @@ def _check_unreached(study: Study, where: Where) -> None:
     for (name, key), entry in KEYS.items():
         if entry.info.time and name in SECTIONS and study.has(name):
             with errors.collect():
-                _check_time(study, where, key)
+                _check_time_within_runs(study, key_tables, key)
     for name, section in SECTIONS.items():
         for condition in section.conditions if study.has(name) else ():
             if condition.refused:
                 with errors.collect():
-                    _check_unread(study, where, name, condition)
+                    _check_has_effect(study, key_tables, name, condition)
     errors.raise_all()
 
 
-def _check_time(study: Study, where: Where, key: str) -> None:
+def _check_time_within_runs(study: Study, key_tables: KeyTables, key: str) -> None:
     """Refuse a time that is after the end of all runs that use it."""
     entry = KEYS[SECTION_OF[key], key]
     latest: dict[float, float] = {}  # the end of the longest run with each value
-    every_s = study.study.record_interval_s
+    interval_s = study.study.record_interval_s
     passes = PASS_KEYS if study.passes else ()
     for point in study.combinations(key, *entry.depends_on, *passes):
         value = point[key]
         span = study.span(**{k: point[k] for k in passes})
         last = value[-1] if isinstance(value, tuple) and value else value
         filled_in = entry.info.default is not None and last == entry.info.default
-        if last in (None, ()) or filled_in or not acts(key, point):
+        if last in (None, ()) or filled_in or not has_effect(key, point):
             continue
-        until = last * span.pass_records * every_s if entry.info.time == "pass" else last
-        latest[until] = max(latest.get(until, 0.0), span.records * every_s)
-    for until, end in latest.items():
-        if until > end * (1 + ROUNDING):
-            text = f"{until:.12g} s is after the end of all runs that use it, at {end:.12g} s"
-            _refuse(key, where, f"{text} (give an earlier time, or longer runs)")
+        time_s = last * span.pass_records * interval_s if entry.info.time == "pass" else last
+        latest[time_s] = max(latest.get(time_s, 0.0), span.records * interval_s)
+    for time_s, end in latest.items():
+        if time_s > end * (1 + ROUNDING):
+            text = f"{time_s:.12g} s is after the end of all runs that use it, at {end:.12g} s"
+            _refuse_key(key, key_tables, f"{text} (give an earlier time, or longer runs)")
 
 
-def _check_unread(study: Study, where: Where, section: str, condition: ActsWhere) -> None:
+def _check_has_effect(
+    study: Study, key_tables: KeyTables, section: str, condition: ActsWhere
+) -> None:
     """Refuse values of keys, other than their defaults, that have no effect."""
     for key in condition.keys:
         default: Any = SECTIONS[section].model_fields[key].default
         for point in study.combinations(key, *condition.given):
             values = [point[given] for given in condition.given]
             if point[key] != default and not condition.acts(*values):
-                given = next(k for k in condition.given if k in where)
-                text = f"has no effect with {given} in {where[given]} (give one of them)"
-                raise InputError(f"{where.get(key, f'[{section}]')} {key}: {text}")
+                given = next(k for k in condition.given if k in key_tables)
+                text = f"has no effect with {given} in {key_tables[given]} (give one of them)"
+                raise InputError(f"{key_tables.get(key, f'[{section}]')} {key}: {text}")
 
 
-def _check_usual(study: Study, where: Where) -> None:
-    """Refuse unusual values of sections, axes, zips and cases; `_check_draws` checks drawn keys."""
+def _check_plausible_values(study: Study, key_tables: KeyTables) -> None:
+    """Refuse unusual values, except those of drawn keys, which `_check_drawn_values` checks."""
     if study.study.unchecked:
         return
     errors = ErrorCollector()
     for section in SECTIONS:
-        given = getattr(study, section)
-        for key in SECTIONS[section].model_fields if given else ():
+        section_values = getattr(study, section)
+        for key in SECTIONS[section].model_fields if section_values else ():
             with errors.collect():
-                _check_value(f"[{section}] {key}", section, key, getattr(given, key))
+                _check_value(f"[{section}] {key}", section, key, getattr(section_values, key))
     for dimension in study.dimensions:
         for key, values in dimension.items():
             for value in dict.fromkeys(values) if key != "case" else ():
-                if doubt(key, value):
+                if describe_implausible(key, value):
                     with errors.collect():
-                        place = f"{where[key]} {key}[{values.index(value)}]"
+                        place = f"{key_tables[key]} {key}[{values.index(value)}]"
                         _check_value(place, SECTION_OF[key], key, value)
     errors.raise_all()
 
 
-def doubt(key: str, value: Any) -> str | None:
+def describe_implausible(key: str, value: Any) -> str | None:
     """Return the question about an unusual value of a leaf key; None for a usual value."""
-    for at, number in _numbers(value):
-        if found := _beyond(SECTION_OF[key], key, number):
-            return f"{at}{found}"
+    for index, number in _iter_numbers(value):
+        if text := _describe_out_of_range(SECTION_OF[key], key, number):
+            return f"{index}{text}"
     return None
 
 
 def _check_value(place: str, section: str, key: str, value: Any) -> None:
     if value is None or KEYS[section, key].info.usual is None:
         return
-    for at, number in _numbers(value):
-        if found := _beyond(section, key, number):
-            raise InputError(f"{place}{at}: {found}")
+    for index, number in _iter_numbers(value):
+        if text := _describe_out_of_range(section, key, number):
+            raise InputError(f"{place}{index}: {text}")
 
 
-def _beyond(section: str, key: str, number: float) -> str | None:
+def _describe_out_of_range(section: str, key: str, number: float) -> str | None:
     low, high = KEYS[section, key].info.usual or (-math.inf, math.inf)
     if low <= number <= high:
         return None
-    return f"{number:.12g} is outside the usual range of {low:g} to {high:g} ({ACCEPT})"
+    return f"{number:.12g} is outside the usual range of {low:g} to {high:g} ({ACCEPT_HINT})"
 
 
-def _numbers(value: Any, at: str = "") -> Iterator[tuple[str, float]]:
+def _iter_numbers(value: Any, index: str = "") -> Iterator[tuple[str, float]]:
     """Yield the numbers of a value, each after its index in lists."""
     if isinstance(value, tuple):
         for i, entry in enumerate(value):
-            yield from _numbers(entry, f"{at}[{i}]")
+            yield from _iter_numbers(entry, f"{index}[{i}]")
     elif isinstance(value, int | float):
-        yield at, float(value)
+        yield index, float(value)
 
 
-def _check_feedback(study: Study, where: Where) -> None:
+def _check_feedback_interval(study: Study, key_tables: KeyTables) -> None:
     """Refuse a feedback interval that is longer than any run."""
     if study.study.unchecked or not study.study.rate_hz:
         return
@@ -460,41 +496,41 @@ def _check_feedback(study: Study, where: Where) -> None:
         interval = point["feedback_interval_s"]
         if interval is not None and interval > run_s * (1 + ROUNDING):
             text = f"{interval:.12g} s is longer than a run of {run_s:.12g} s: there is no feedback"
-            place = where.get("feedback_interval_s", "[alignment]")
-            _refuse_at(f"{place} feedback_interval_s", f"{text} ({ACCEPT})")
+            place = key_tables.get("feedback_interval_s", "[alignment]")
+            _refuse_place(f"{place} feedback_interval_s", f"{text} ({ACCEPT_HINT})")
 
 
-def _check_centre(study: Study, where: Where) -> None:
+def _check_earth_centre(study: Study, key_tables: KeyTables) -> None:
     """Refuse a place at the centre of the Earth, without north, east and up."""
     for point in study.combinations("height_m", "radius_m"):
         radius = point["radius_m"] or EARTH_CONSTANTS["radius_m"]
-        if point["height_m"] is not None and point["height_m"] <= -_DEEPEST * radius:
+        if point["height_m"] is not None and point["height_m"] <= -_MAX_DEPTH * radius:
             text = (
                 f"{point['height_m']:.12g} m reaches the centre of the Earth (give the height in m)"
             )
-            raise InputError(f"{where.get('height_m', '[earth]')} height_m: {text}")
+            raise InputError(f"{key_tables.get('height_m', '[earth]')} height_m: {text}")
 
 
-def require_modelled(study: Study) -> None:
+def require_covariance_model(study: Study) -> None:
     """Refuse a study that covariance analysis does not model.
 
     Raises:
         InputError: names the key and the reason.
     """
-    line = next(_unmodelled(study, {}), None)
+    line = next(_unmodelled_parts(study, {}), None)
     if line is not None:
         raise InputError(f"{study.name}: {line} (run draws instead)")
 
 
-def is_modelled(study: Study) -> bool:
+def has_covariance_model(study: Study) -> bool:
     """Whether covariance analysis models a study."""
-    return next(_unmodelled(study, {}), None) is None
+    return next(_unmodelled_parts(study, {}), None) is None
 
 
-def _check_estimated(study: Study, where: Where) -> None:
+def _check_covariance_analysis(study: Study, key_tables: KeyTables) -> None:
     """Refuse keys that conflict with covariance analysis, of a study or of its tuning."""
     if study.tune and "covariance" in study.tune.searches:
-        if line := next(_unmodelled(study, where), None):
+        if line := next(_unmodelled_parts(study, key_tables), None):
             text = f"'covariance' does not apply to this study (use 'sobol'): {line}"
             raise InputError(f"[tune] searches: {text}")
     if not study.is_estimated:
@@ -502,20 +538,20 @@ def _check_estimated(study: Study, where: Where) -> None:
             if getattr(study.study, key) is not None:
                 raise InputError(f"[study] {key}: requires estimate = 'covariance'")
         return
-    line = next(_unmodelled(study, where), None)
+    line = next(_unmodelled_parts(study, key_tables), None)
     if line is not None:
         raise InputError(f"{line} (use estimate = 'draws')")
-    unread = {
+    conflicts = {
         "[tune]": (study.has("tune"), "use estimate = 'draws', and 'covariance' in searches"),
         "[study] curves": (study.study.curves, "drop it: there are no runs"),
         "[stop_when]": (study.has("stop_when"), "drop it: there are no draws"),
     }
-    for place, (given, hint) in unread.items():
-        if given:
+    for place, (is_given, hint) in conflicts.items():
+        if is_given:
             raise InputError(f"{place}: does not apply to estimate = 'covariance' ({hint})")
 
 
-def _unmodelled(study: Study, where: Where) -> Iterator[str]:
+def _unmodelled_parts(study: Study, key_tables: KeyTables) -> Iterator[str]:
     """Yield a line for each part of a study that covariance analysis does not model."""
     if study.is_recorded:
         yield "[record]: covariance analysis needs simulated sensors"
@@ -530,50 +566,54 @@ def _unmodelled(study: Study, where: Where) -> Iterator[str]:
         elif not is_normal(key, law):
             yield f"[drawn] {key}: covariance analysis needs a normal distribution"
     if any_trigger(study):
-        place = where.get("reset_trigger", "[resets]")
+        place = key_tables.get("reset_trigger", "[resets]")
         yield f"{place} reset_trigger: covariance analysis needs resets at given times"
     for key in study.sequential_keys:
         if key.startswith("vibration") or "quantisation" in key:
-            place = where.get(key, f"[{SECTION_OF[key]}]")
+            place = key_tables.get(key, f"[{SECTION_OF[key]}]")
             yield f"{place} {key}: covariance analysis does not model vibration or quantisation"
     for name in study.methods:
         if not METHODS[name].has_error_model:
-            place = where.get("method", "[alignment]")
+            place = key_tables.get("method", "[alignment]")
             yield f"{place} method: covariance analysis has no linear model of {name}"
 
 
-def _check_draws(study: Study, where: Where) -> None:
+def _check_drawn_values(study: Study, key_tables: KeyTables) -> None:
     """Refuse drawn values that their key does not accept, and list entries that no draw reaches.
 
     Draws are checked one by one if their law does not exclude such values, unless there are too
     many of them.
     """
     laws = study.drawn.laws if study.drawn else {}
-    _check_lists(study, laws)
+    _check_list_lengths(study, laws)
     unchecked = bool(study.study.unchecked)
-    open_ = [k for k, law in laws.items() if any(_wrong(k, v, unchecked) for v in _ends(law))]
+    unbounded_keys = [
+        k
+        for k, law in laws.items()
+        if any(_drawn_value_error(k, v, unchecked) for v in _law_limits(law))
+    ]
     errors = ErrorCollector()
-    if study.n_draws > _MOST_CHECKED:
-        for key in open_:
-            for value in _ends(laws[key], _reached(study.n_draws)):
-                if text := _wrong(key, value, unchecked):
+    if study.n_draws > _MAX_CHECKED_DRAWS:
+        for key in unbounded_keys:
+            for value in _law_limits(laws[key], _extreme_sigmas(study.n_draws)):
+                if text := _drawn_value_error(key, value, unchecked):
                     text = f"one of {study.n_draws} draws may give {value:.6g}: {text}"
                     raise InputError(f"[drawn] {key}: {text}")
         return
-    for first in range(0, study.n_draws if open_ else 0, _BLOCK):
-        count = min(_BLOCK, study.n_draws - first)
-        drawn = sampling.values(study, count, first=first)
-        for key, rows in ((key, drawn[key]) for key in open_):
+    for first in range(0, study.n_draws if unbounded_keys else 0, _DRAWS_PER_BLOCK):
+        count = min(_DRAWS_PER_BLOCK, study.n_draws - first)
+        drawn = sampling.drawn_values(study, count, first=first)
+        for key, rows in ((key, drawn[key]) for key in unbounded_keys):
             with errors.collect():
-                for at in map(int, (rows.argmin(), rows.argmax())):
-                    value = float(rows.flat[at])
-                    if text := _wrong(key, value, unchecked):
-                        draw = first + at // NUMBERS_DRAWN[key]
+                for position in map(int, (rows.argmin(), rows.argmax())):
+                    value = float(rows.flat[position])
+                    if text := _drawn_value_error(key, value, unchecked):
+                        draw = first + position // NUMBERS_DRAWN[key]
                         raise InputError(f"[drawn] {key}: draw {draw} gives {value!r}: {text}")
         errors.raise_all()
 
 
-def _check_lists(study: Study, laws: Mapping[str, Distribution]) -> None:
+def _check_list_lengths(study: Study, laws: Mapping[str, Distribution]) -> None:
     """Refuse lists of values and grids that are longer than the number of draws."""
     draws = f"{study.n_draws} {'start times' if study.is_recorded else 'draws'}"
     for key, law in laws.items():
@@ -587,12 +627,12 @@ def _check_lists(study: Study, laws: Mapping[str, Distribution]) -> None:
         raise InputError(f"[drawn] {next(iter(grids))}.grid: {text}")
 
 
-def _reached(draws: int) -> float:
+def _extreme_sigmas(draws: int) -> float:
     """Return the sigmas that one of many normal draws exceeds with probability 0.001."""
-    return min(_SIGMAS, statistics.NormalDist().inv_cdf(1 - 1e-3 / draws))
+    return min(_MAX_SIGMAS, statistics.NormalDist().inv_cdf(1 - 1e-3 / draws))
 
 
-def _ends(law: Distribution, sigmas: float = _SIGMAS) -> tuple[float, ...]:
+def _law_limits(law: Distribution, sigmas: float = _MAX_SIGMAS) -> tuple[float, ...]:
     """Return the limits of the values of a law, of a normal one within some sigmas."""
     if law.uniform:
         return law.uniform
@@ -603,60 +643,71 @@ def _ends(law: Distribution, sigmas: float = _SIGMAS) -> tuple[float, ...]:
     return min(numbers), max(numbers)
 
 
-def _wrong(key: str, value: float, unchecked: bool) -> str | None:
+def _drawn_value_error(key: str, value: float, unchecked: bool) -> str | None:
     """Return the error text of a drawn number; None if it is valid."""
-    return wrong_value(value, key) or (None if unchecked else doubt(key, value))
+    return value_error(value, key) or (None if unchecked else describe_implausible(key, value))
 
 
-def _check_tune(study: Study, where: Where) -> None:
+def _check_tune_section(study: Study, key_tables: KeyTables) -> None:
     """Refuse a [tune] that conflicts with the rest of its study."""
     tune = study.tune
     if tune is None:
         return
     if study.stop_when:
-        _refuse_at("[stop_when]", "conflicts with [tune], which fixes its draws (drop one)")
+        _refuse_place("[stop_when]", "conflicts with [tune], which fixes its draws (drop one)")
     if study.record and len(study.record.start_s) < 2:
         text = "tuning needs two start times or more, to search and to evaluate"
-        _refuse_at("[record] start_s", text)
-    bands = success.bands(study)
+        _refuse_place("[record] start_s", text)
+    bands = success.settling_bands(study)
     if tune.objective_band_arcmin not in bands:
         text = f"{tune.objective_band_arcmin:g} is not one of {', '.join(f'{b:g}' for b in bands)}"
         hint = "settle_bands_arcmin and success_band_arcmin"
-        _refuse_at("[tune] objective_band_arcmin", f"{text} ({hint})")
+        _refuse_place("[tune] objective_band_arcmin", f"{text} ({hint})")
     space = search_space.SearchSpace.from_study(study)
-    most = max((len(space.used(point)) for point in space.combinations), default=0)
-    if "grid" in tune.searches and most > search_space.GRID_MOST:
-        text = f"'grid' is for up to {search_space.GRID_MOST} variables, not {most}"
-        _refuse_at("[tune] searches", f"{text} (use 'sobol')")
-    if "gradient" in tune.searches and not most and tune.variables:
-        _refuse_at("[tune] searches", "'gradient' needs a variable with low and high (use 'grid')")
+    max_variables = max(
+        (len(space.used_variables(point)) for point in space.combinations), default=0
+    )
+    if "grid" in tune.searches and max_variables > search_space.MAX_GRID_VARIABLES:
+        text = (
+            f"'grid' is for up to {search_space.MAX_GRID_VARIABLES} variables, not {max_variables}"
+        )
+        _refuse_place("[tune] searches", f"{text} (use 'sobol')")
+    if "gradient" in tune.searches and not max_variables and tune.variables:
+        _refuse_place(
+            "[tune] searches", "'gradient' needs a variable with low and high (use 'grid')"
+        )
 
 
-Rule = Callable[[Study, Where], None]
+StudyRule = Callable[[Study, KeyTables], None]
 
-KEYS_GIVEN: tuple[Rule, ...] = (
-    _check_methods,
+PRESENCE_RULES: tuple[StudyRule, ...] = (
+    _check_keys_of_methods,
     check_process_noise,
-    _check_estimated,
+    _check_covariance_analysis,
 )
 """Rules for the presence of keys."""
 
-TIMED: tuple[tuple[Rule, ...], ...] = (
-    (_check_size, _check_intervals),
+TIME_RULES: tuple[tuple[StudyRule, ...], ...] = (
+    (_check_study_size, _check_intervals),
     (_check_passes,),
     (
         _check_coarse_method,
         _check_coarse_times,
-        _check_window,
+        _check_statistics_window,
         _check_report_times,
-        _check_success,
-        _check_stop,
+        _check_success_criteria,
+        _check_stop_when,
         _check_rules_of_methods,
     ),
-    (_check_unreached,),
-    (_check_tune,),
+    (_check_unreached_values,),
+    (_check_tune_section,),
 )
 """Rules for times and counts, which need the sample rate; each stage relies on the earlier ones."""
 
-VALUES: tuple[Rule, ...] = (_check_centre, _check_usual, _check_feedback, _check_draws)
+VALUE_RULES: tuple[StudyRule, ...] = (
+    _check_earth_centre,
+    _check_plausible_values,
+    _check_feedback_interval,
+    _check_drawn_values,
+)
 """Rules for values alone, such as their usual ranges."""

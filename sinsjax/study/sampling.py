@@ -18,7 +18,7 @@ _SOBOL_BITS = 30  # 2^30 points, more than the draws of a study
 _RANDOM_BITS = 52  # the middle of an interval of 2^-52 is still a double
 
 
-def values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]:
+def drawn_values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]:
     """Return the values of all drawn keys in the draws ``first`` to ``first + count - 1``.
 
     Args:
@@ -33,18 +33,20 @@ def values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]
     if study.drawn is None:
         return {}
     laws, seed = study.drawn.laws, study.seed
-    spread = [key for key, law in laws.items() if law.uniform or law.normal]
-    points = (_sobol if study.drawn.sampling == "sobol" else _random)(spread, seed, first, count)
+    continuous = [key for key, law in laws.items() if law.uniform or law.normal]
+    points = (_sobol_points if study.drawn.sampling == "sobol" else _random_points)(
+        continuous, seed, first, count
+    )
     draws = np.arange(first, first + count)
-    entries = _cycled(laws, draws)
+    entries = _listed_values(laws, draws)
     drawn = {
-        key: entries[key] if key in entries else _spread(law, points[key])
+        key: entries[key] if key in entries else _apply_distribution(law, points[key])
         for key, law in laws.items()
     }
     return {key: rows if NUMBERS_DRAWN[key] > 1 else rows[:, 0] for key, rows in drawn.items()}
 
 
-def drawn_table(drawn: DrawnSection, count: int) -> dict[str, Any]:
+def truncate_drawn_table(drawn: DrawnSection, count: int) -> dict[str, Any]:
     """Return the table [drawn] of a study with fewer draws, with the same values in each of them.
 
     Args:
@@ -56,7 +58,8 @@ def drawn_table(drawn: DrawnSection, count: int) -> dict[str, Any]:
     if math.prod(map(len, grids.values())) > count:
         points = list(islice(product(*grids.values()), count))
         table |= {
-            key: {"values": own} for key, own in zip(grids, zip(*points, strict=True), strict=True)
+            key: {"values": column}
+            for key, column in zip(grids, zip(*points, strict=True), strict=True)
         }
     for key, law in drawn.laws.items():
         if law.values:
@@ -64,7 +67,7 @@ def drawn_table(drawn: DrawnSection, count: int) -> dict[str, Any]:
     return table
 
 
-def _random(keys: Iterable[str], seed: int, first: int, count: int) -> dict[str, np.ndarray]:
+def _random_points(keys: Iterable[str], seed: int, first: int, count: int) -> dict[str, np.ndarray]:
     """Return independent points in (0, 1), (count, numbers) by key, from one stream per key."""
     points = {}
     for key in keys:
@@ -76,7 +79,7 @@ def _random(keys: Iterable[str], seed: int, first: int, count: int) -> dict[str,
     return points
 
 
-def _sobol(keys: list[str], seed: int, first: int, count: int) -> dict[str, np.ndarray]:
+def _sobol_points(keys: list[str], seed: int, first: int, count: int) -> dict[str, np.ndarray]:
     """Return scrambled Sobol points in (0, 1), (count, numbers) by key, a dimension per number."""
     if not keys:
         return {}
@@ -94,7 +97,7 @@ def _sobol(keys: list[str], seed: int, first: int, count: int) -> dict[str, np.n
     return dict(zip(keys, np.split(points, np.cumsum(numbers)[:-1], axis=1), strict=True))
 
 
-def _spread(law: Distribution, points: np.ndarray) -> np.ndarray:
+def _apply_distribution(law: Distribution, points: np.ndarray) -> np.ndarray:
     """Transform points in (0, 1) to a distribution."""
     if law.uniform:
         low, high = law.uniform
@@ -106,18 +109,20 @@ def _spread(law: Distribution, points: np.ndarray) -> np.ndarray:
     return mean + deviation * ndtri(points)
 
 
-def _cycled(laws: dict[str, Distribution], draws: np.ndarray) -> dict[str, np.ndarray]:
+def _listed_values(laws: dict[str, Distribution], draws: np.ndarray) -> dict[str, np.ndarray]:
     """Return the entries of lists and grids in some draws, (draws, numbers) by key."""
     grids = {key: len(law.grid) for key, law in laws.items() if law.grid}
     fastest = math.prod(grids.values())
-    taken = {}
+    rows_by_key = {}
     for key, law in laws.items():
-        if not (listed := law.values or law.grid):
+        if not (entries := law.values or law.grid):
             continue
-        rows = np.stack([np.broadcast_to(np.asarray(v, float), NUMBERS_DRAWN[key]) for v in listed])
+        rows = np.stack(
+            [np.broadcast_to(np.asarray(v, float), NUMBERS_DRAWN[key]) for v in entries]
+        )
         steps = 1
         if law.grid:
             fastest //= len(rows)
             steps = fastest
-        taken[key] = rows[draws // steps % len(rows)]
-    return taken
+        rows_by_key[key] = rows[draws // steps % len(rows)]
+    return rows_by_key

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
 from sinsjax.messages import shortened
-from sinsjax.records.layout import Layout, axes, fault
+from sinsjax.records.layout import Layout, find_fault, parse_axes_order
 from sinsjax.value_types import (
     AccelNoise,
     ActsWhere,
@@ -179,7 +179,7 @@ class StudySection(Section):
         return value
 
     @model_validator(mode="after")
-    def _window_inside(self) -> "StudySection":
+    def _check_window(self) -> "StudySection":
         start, end = self.window_s
         if not start < end <= self.duration_s:
             raise invalid(
@@ -230,7 +230,7 @@ class EarthSection(Section):
     )
 
 
-def _some(*values: Any) -> bool:
+def _any_nonzero(*values: Any) -> bool:
     """Whether any of some numbers, or lists of numbers, is not zero; a drawn one is None."""
     return any(value is None or np.any(value) for value in values)
 
@@ -245,25 +245,27 @@ class MotionSection(Section):
     conditions = (
         *(
             ActsWhere(
-                (f"{angle}_period_s", f"{angle}_phase_deg"), (f"{angle}_amplitude_deg",), _some
+                (f"{angle}_period_s", f"{angle}_phase_deg"),
+                (f"{angle}_amplitude_deg",),
+                _any_nonzero,
             )
             for angle in ("pitch", "roll", "yaw")
         ),
         ActsWhere(
             ("lever_arm_m",),
             tuple(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw")),
-            _some,
+            _any_nonzero,
         ),
-        ActsWhere(("surge_time_s", "surge_model"), ("surge_m_per_s",), _some),
+        ActsWhere(("surge_time_s", "surge_model"), ("surge_m_per_s",), _any_nonzero),
         ActsWhere(
             ("surge_bandwidth_hz",),
             ("surge_m_per_s", "surge_model"),
-            lambda surge, model: _some(surge) and model == "third_order",
+            lambda surge, model: _any_nonzero(surge) and model == "third_order",
         ),
         ActsWhere(
             ("vibration_hz", "vibration_damping"),
             ("vibration_ug_rms", "vibration_deg_per_h_rms"),
-            _some,
+            _any_nonzero,
         ),
     )
 
@@ -346,8 +348,8 @@ class SensorsSection(Section):
         ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
     )
     conditions = (
-        ActsWhere(("gyro_instability_time_s",), ("gyro_instability_deg_per_h",), _some),
-        ActsWhere(("accel_instability_time_s",), ("accel_instability_ug",), _some),
+        ActsWhere(("gyro_instability_time_s",), ("gyro_instability_deg_per_h",), _any_nonzero),
+        ActsWhere(("accel_instability_time_s",), ("accel_instability_ug",), _any_nonzero),
     )
 
     gyro_bias_deg_per_h: Annotated[Vector, KeyInfo(usual=(-1e5, 1e5))] = Field(
@@ -432,10 +434,10 @@ class SensorsSection(Section):
     )
 
 
-def _axes_order(order: str) -> str:
+def _check_axes_order(order: str) -> str:
     """Refuse an order of axes that is not a rotation."""
     try:
-        axes(order)
+        parse_axes_order(order)
     except ValueError as error:
         raise invalid(shortened(str(error))) from None
     return order
@@ -486,7 +488,7 @@ class RecordSection(Section):
         description="unit of the accelerometer columns (csv, parquet): 'm_per_s', 'g_s' and"
         " 'ug_s' for increments, the others for rates",
     )
-    axes_order: Annotated[str, AfterValidator(_axes_order)] = Field(
+    axes_order: Annotated[str, AfterValidator(_check_axes_order)] = Field(
         "xyz",
         description="axes of the record that point right, front and up. 'y-xz': right is +y of"
         " the record, front is -x, up is +z. Or the directions of its x, y and z axes by name:"
@@ -522,7 +524,7 @@ class RecordSection(Section):
     )
 
     @model_validator(mode="after")
-    def _columns_fit_format(self) -> "RecordSection":
+    def _check_columns(self) -> "RecordSection":
         self._check_times()
         needed = ("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
         if self.format in ("psins", "arrays"):
@@ -542,7 +544,7 @@ class RecordSection(Section):
             if getattr(self, key) is None:
                 raise invalid(f"required with format '{self.format}'", key=key)
         # `rules` checks whether a rate is needed.
-        if found := fault(self.layout(rate_hz=1.0)):
+        if found := find_fault(self.layout(rate_hz=1.0)):
             raise invalid(found.text, key=found.key)
         return self
 
@@ -569,13 +571,13 @@ BIAS_KEYS = ("gyro_bias_deg_per_h", "accel_bias_ug")
 """Keys of the constant sensor biases."""
 
 
-def _longest_list(annotation: Any) -> int:
+def _max_list_length(annotation: Any) -> int:
     """Return the longest list length of a type, 1 for a number, 0 for text."""
     if annotation is str or get_origin(annotation) is Literal:
         return 0
     if get_origin(annotation) is tuple:
         return len(get_args(annotation))
-    return max(map(_longest_list, get_args(annotation)), default=1)
+    return max(map(_max_list_length, get_args(annotation)), default=1)
 
 
 NUMBERS_DRAWN = {
@@ -584,7 +586,7 @@ NUMBERS_DRAWN = {
         key: numbers
         for section in (MotionSection, SensorsSection)
         for key, field in section.model_fields.items()
-        if (numbers := _longest_list(field.annotation))
+        if (numbers := _max_list_length(field.annotation))
     },
     **dict.fromkeys(INITIAL_NUMBERS, 1),
 }
@@ -676,7 +678,7 @@ class Range(Section):
     )
 
     @model_validator(mode="after")
-    def _one_of_three(self) -> "Range":
+    def _check_kind(self) -> "Range":
         names = ("low", "high", "fixed", "candidates")
         given = [name for name in names if getattr(self, name) is not None]
         if given not in (["low", "high"], ["fixed"], ["candidates"]):

@@ -12,13 +12,13 @@ from itertools import product
 from typing import Any, NamedTuple, NoReturn
 
 from sinsjax.errors import InputError
-from sinsjax.study.keys import SECTION_OF, SECTIONS, TUNABLE, TomlTable, info, rivals
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TUNABLE, TomlTable, alternative_keys, leaf_info
 from sinsjax.study.schema import Range
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import COUNT, TIMES, Ranges
 from sinsjax.value_types import KeyInfo
 
-GRID_MOST = 2
+MAX_GRID_VARIABLES = 2
 """Largest number of free variables of a full grid."""
 
 
@@ -44,13 +44,13 @@ class Variable(NamedTuple):
         """``p0_yaw_deg``, or ``reset_times_s[0]`` for an entry of a list."""
         return self.key if self.entry is None else f"{self.key}[{self.entry}]"
 
-    def value(self, place: Any) -> Any:
+    def value(self, position: Any) -> Any:
         """Return the value at a position from 0 to 1, which may be an array or a traced number."""
         if self.log:
-            return self.low * (self.high / self.low) ** place
-        return self.low + (self.high - self.low) * place
+            return self.low * (self.high / self.low) ** position
+        return self.low + (self.high - self.low) * position
 
-    def place(self, value: float) -> float:
+    def position(self, value: float) -> float:
         """Return the position of a value, the inverse of `value`."""
         if self.log:
             return math.log(value / self.low) / math.log(self.high / self.low)
@@ -81,20 +81,25 @@ class SearchSpace:
         """Return the search space of a study with [tune]."""
         assert study.tune is not None
         ranges = study.tune.variables
-        chosen = {
-            key: kind.candidates or (kind.fixed,)
-            for key, kind in ranges.items()
-            if isinstance(kind, Range) and not kind.is_free
+        fixed_or_candidates = {
+            key: key_range.candidates or (key_range.fixed,)
+            for key, key_range in ranges.items()
+            if isinstance(key_range, Range) and not key_range.is_free
         }
         combinations = tuple(
-            dict(zip(chosen, values, strict=True)) for values in product(*chosen.values())
+            dict(zip(fixed_or_candidates, values, strict=True))
+            for values in product(*fixed_or_candidates.values())
         )
         settings = study.study
         return cls(
-            ranges, _free(ranges), combinations, settings.rate_hz, settings.record_interval_s
+            ranges,
+            _free_variables(ranges),
+            combinations,
+            settings.rate_hz,
+            settings.record_interval_s,
         )
 
-    def used(self, combination: TomlTable) -> list[int]:
+    def used_variables(self, combination: TomlTable) -> list[int]:
         """Return the indices of the variables that have an effect in a combination."""
         count = combination.get(COUNT, math.inf)
         return [
@@ -103,15 +108,15 @@ class SearchSpace:
             if variable.key != TIMES or variable.entry is None or variable.entry < count
         ]
 
-    def values(self, box: Iterable[Any]) -> list[Any]:
+    def to_values(self, box: Iterable[Any]) -> list[Any]:
         """Return the values at a box point, one per variable, including unused variables."""
-        return [v.value(place) for v, place in zip(self.variables, box, strict=True)]
+        return [v.value(position) for v, position in zip(self.variables, box, strict=True)]
 
-    def box(self, values: Sequence[float]) -> list[float]:
+    def to_box(self, values: Sequence[float]) -> list[float]:
         """Return the box point of some values, the inverse of `values`."""
-        return [v.place(value) for v, value in zip(self.variables, values, strict=True)]
+        return [v.position(value) for v, value in zip(self.variables, values, strict=True)]
 
-    def point(self, values: Sequence[float], combination: TomlTable) -> TomlTable:
+    def make_point(self, values: Sequence[float], combination: TomlTable) -> TomlTable:
         """Return the keys of some values and a combination.
 
         Times are rounded to whole samples and increase. Resets at the same sample are merged.
@@ -120,17 +125,17 @@ class SearchSpace:
             min(max(float(value), v.low), v.high)
             for v, value in zip(self.variables, values, strict=True)
         )
-        out: TomlTable = {}
-        for key, kind in self.ranges.items():
-            if isinstance(kind, Range):
-                out[key] = next(numbers) if kind.is_free else combination[key]
+        result: TomlTable = {}
+        for key, key_range in self.ranges.items():
+            if isinstance(key_range, Range):
+                result[key] = next(numbers) if key_range.is_free else combination[key]
             else:
-                out[key] = tuple(next(numbers) if k.is_free else k.fixed for k in kind)
-        if COUNT in out and TIMES in out:
-            out[TIMES] = out[TIMES][: out.pop(COUNT)]
+                result[key] = tuple(next(numbers) if k.is_free else k.fixed for k in key_range)
+        if COUNT in result and TIMES in result:
+            result[TIMES] = result[TIMES][: result.pop(COUNT)]
         return {
-            key: self._whole(value, about) if (about := info(key)).whole else value
-            for key, value in out.items()
+            key: self._round_times(value, key_info) if (key_info := leaf_info(key)).whole else value
+            for key, value in result.items()
         }
 
     def locate(self, case: TomlTable, combination: TomlTable) -> list[float] | None:
@@ -140,7 +145,7 @@ class SearchSpace:
         """
         if any(case[key] != value for key, value in combination.items() if key in case):
             return None
-        used = [self.variables[i] for i in self.used(combination)]
+        used = [self.variables[i] for i in self.used_variables(combination)]
         values = []
         for variable in used:
             value = case[variable.key]
@@ -154,44 +159,50 @@ class SearchSpace:
             values.append(value)
         return values
 
-    def _whole(self, value: Any, about: KeyInfo) -> Any:
+    def _round_times(self, value: Any, key_info: KeyInfo) -> Any:
         """Round times to whole samples or record intervals; those of a list increase."""
-        if about.whole == "record":
+        if key_info.whole == "record":
             return max(1, round(value / self.record_interval_s)) * self.record_interval_s
         if not isinstance(value, tuple):
             return max(1, round(value * self.rate_hz)) / self.rate_hz
         samples = sorted(max(1, round(time * self.rate_hz)) for time in value)
-        if about.merged:
+        if key_info.merged:
             samples = list(dict.fromkeys(samples))
         for number in range(1, len(samples)):  # at least one sample between two times
             samples[number] = max(samples[number], samples[number - 1] + 1)
         return tuple(sample / self.rate_hz for sample in samples)
 
 
-def _free(ranges: Ranges) -> tuple[Variable, ...]:
-    found = []
-    for key, kind in ranges.items():
-        entries = [(None, kind)] if isinstance(kind, Range) else list(enumerate(kind))
-        for entry, own in entries:
-            if own.low is not None and own.high is not None:
-                found.append(Variable(key, entry, own.low, own.high, own.scale == "log"))
-    return tuple(found)
+def _free_variables(ranges: Ranges) -> tuple[Variable, ...]:
+    variables = []
+    for key, key_range in ranges.items():
+        entries = (
+            [(None, key_range)] if isinstance(key_range, Range) else list(enumerate(key_range))
+        )
+        for entry, entry_range in entries:
+            if entry_range.low is not None and entry_range.high is not None:
+                variables.append(
+                    Variable(
+                        key, entry, entry_range.low, entry_range.high, entry_range.scale == "log"
+                    )
+                )
+    return tuple(variables)
 
 
-def _refuse(place: str, text: str) -> NoReturn:
+def _refuse_place(place: str, text: str) -> NoReturn:
     raise InputError(f"{place}: {text}")
 
 
-def corners(study: Study) -> Iterator[tuple[str, TomlTable]]:
+def corner_points(study: Study) -> Iterator[tuple[str, TomlTable]]:
     """Yield the points with all ranges at their low or high end, each after its description."""
     space = SearchSpace.from_study(study)
     ends = {"low": 0.0, "high": 1.0} if space.variables else {}
     for combination in space.combinations:
         for name, place in ends.items():
-            values = space.values([place] * len(space.variables))
-            yield f"with every range at its {name} end", space.point(values, combination)
+            values = space.to_values([place] * len(space.variables))
+            yield f"with every range at its {name} end", space.make_point(values, combination)
         if not ends:
-            yield "with these values", space.point([], combination)
+            yield "with these values", space.make_point([], combination)
 
 
 def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
@@ -200,28 +211,28 @@ def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
     An omitted key has the value of the key that it defaults to, and ``reset_times_s`` the times of
     counted resets.
     """
-    out = {}
+    values = {}
     for key in keys:
         section = getattr(study, SECTION_OF[key])
-        out[key] = None if section is None else getattr(section, key)
+        values[key] = None if section is None else getattr(section, key)
         if section is not None and key == TIMES:
-            out[key] = study.reset_times()[0]
-        elif section is not None and out[key] is None and info(key).same_as is not None:
-            other = info(key).same_as
-            if isinstance(other, str):
-                other = getattr(getattr(study, SECTION_OF[other]), other)
-            out[key] = other
-    return out
+            values[key] = study.reset_times()[0]
+        elif section is not None and values[key] is None and leaf_info(key).same_as is not None:
+            source = leaf_info(key).same_as
+            if isinstance(source, str):
+                source = getattr(getattr(study, SECTION_OF[source]), source)
+            values[key] = source
+    return values
 
 
 def comparable_points(
-    study: Study, based: Study, points: Mapping[str, TomlTable]
+    study: Study, baseline_study: Study, points: Mapping[str, TomlTable]
 ) -> dict[str, TomlTable]:
     """Return points and the baseline with the same keys, as cases of one study.
 
     Args:
         study: study with [tune].
-        based: study with the values of the baseline.
+        baseline_study: study with the values of the baseline.
         points: points of the tuning by name.
 
     Raises:
@@ -229,28 +240,30 @@ def comparable_points(
     """
     assert study.tune is not None
     keys = list(next(iter(points.values())))
-    taken = {*keys, *(other for key in keys for other in rivals(key))}
-    own = effective_values(study, [key for key in study.tune.baseline if key not in taken])
-    out = {"baseline": effective_values(based, [*keys, *own])}
-    for key, value in own.items():
+    set_keys = {*keys, *(other for key in keys for other in alternative_keys(key))}
+    study_values = effective_values(
+        study, [key for key in study.tune.baseline if key not in set_keys]
+    )
+    result = {"baseline": effective_values(baseline_study, [*keys, *study_values])}
+    for key, value in study_values.items():
         if value is None:
-            _refuse(
+            _refuse_place(
                 f"[tune.baseline] {key}", "needs a value in the study too, for the other points"
             )
-    for key, value in out["baseline"].items():
+    for key, value in result["baseline"].items():
         if value is None:
-            _refuse(f"[tune.baseline] {key}", "required, as the study has no value of it")
-    return out | {name: own | point for name, point in points.items()}
+            _refuse_place(f"[tune.baseline] {key}", "required, as the study has no value of it")
+    return result | {name: study_values | point for name, point in points.items()}
 
 
-def without_keys(tables: TomlTable, keys: Sequence[str]) -> TomlTable:
+def remove_keys(tables: TomlTable, keys: Sequence[str]) -> TomlTable:
     """Return a study's tables without some keys and their alternatives, and without [tune]."""
-    gone = {*keys, *(other for key in keys for other in rivals(key))}
+    removed = {*keys, *(other for key in keys for other in alternative_keys(key))}
     for condition in (c for section in SECTIONS.values() for c in section.conditions):
         if condition.refused and not {*condition.given}.isdisjoint(keys):
-            gone |= {*condition.keys} - {*keys}
+            removed |= {*condition.keys} - {*keys}
     return {
-        name: {key: value for key, value in table.items() if key not in gone}
+        name: {key: value for key, value in table.items() if key not in removed}
         if name in TUNABLE
         else table
         for name, table in tables.items()
@@ -258,9 +271,9 @@ def without_keys(tables: TomlTable, keys: Sequence[str]) -> TomlTable:
     }
 
 
-def put_point(tables: TomlTable, point: TomlTable) -> TomlTable:
+def insert_point(tables: TomlTable, point: TomlTable) -> TomlTable:
     """Return a study's tables with the keys of a point in their sections, and without [tune]."""
-    out = without_keys(tables, list(point))
+    result = remove_keys(tables, list(point))
     for key, value in point.items():
-        out[SECTION_OF[key]] = out.get(SECTION_OF[key], {}) | {key: value}
-    return out
+        result[SECTION_OF[key]] = result.get(SECTION_OF[key], {}) | {key: value}
+    return result

@@ -27,10 +27,16 @@ from sinsjax.study.keys import (
     SECTIONS,
     SWEEPABLE,
     TomlTable,
-    acts,
-    deciding,
+    deciding_keys,
+    has_effect,
 )
-from sinsjax.study.resolved import Coded, Dimension, Resolved, constant_column, distinct
+from sinsjax.study.resolved import (
+    CodedColumn,
+    Dimension,
+    ResolvedColumns,
+    constant_column,
+    unique_with_inverse,
+)
 from sinsjax.study.schema import (
     DrawnSection,
     EarthSection,
@@ -41,10 +47,10 @@ from sinsjax.study.schema import (
     StudySection,
     TuneSection,
 )
-from sinsjax.study.sweep import dimensions_of
+from sinsjax.study.sweep import sweep_dimensions
 from sinsjax.value_types import ROUNDING
 
-_FOR_USERS = (
+_USER_NAMES = (
     *("axes", "axis_keys", "cases", "drawn_keys", "duration_s", "is_estimated", "is_recorded"),
     *("methods", "n_draws", "n_variants", "name", "rate_hz", "replace", "seed", "to_dict"),
     *("values", "variant_values", "zips"),
@@ -78,7 +84,7 @@ class Span(NamedTuple):
     rewinds: bool = False
 
     @property
-    def read(self) -> int:
+    def records_read(self) -> int:
         """Record intervals of data that the run reads."""
         return min(self.records, self.pass_records)
 
@@ -181,17 +187,17 @@ class Study(_SectionsOfMethods):
 
     def __repr__(self) -> str:
         """Return five short lines: runs, axes, method and length."""
-        return display.as_text(f"Study {self.name}", self.facts)
+        return display.format_text(f"Study {self.name}", self.facts)
 
     __str__ = __repr__
 
     def _repr_html_(self) -> str:
         """Return the lines of `__repr__` as a table, for notebooks."""
-        return display.as_html(f"Study {self.name}", self.facts)
+        return display.format_html(f"Study {self.name}", self.facts)
 
     def __dir__(self) -> list[str]:
         """Return the names that a user needs, for the completion of interactive sessions."""
-        return sorted((*_FOR_USERS, *(name for name in SECTIONS if self.has(name))))
+        return sorted((*_USER_NAMES, *(name for name in SECTIONS if self.has(name))))
 
     @property
     def facts(self) -> dict[str, str]:
@@ -199,7 +205,7 @@ class Study(_SectionsOfMethods):
         variants = counted(self.n_variants, "variant")
         draws = counted(self.n_draws, "start time" if self.is_recorded else "draw")
         runs = f"{variants} x {draws} = {counted(self.n_draws * self.n_variants, 'run')}"
-        axes = (display.axis_text(keys, values) for keys, values in self.axes_shown.items())
+        axes = (display.describe_axis(keys, values) for keys, values in self.axes_shown.items())
         rate = f"{self.rate_hz:g} Hz" if self.rate_hz else "the rate of its record"
         several = len(self.methods) > 1
         return {
@@ -257,12 +263,12 @@ class Study(_SectionsOfMethods):
     @property
     def n_variants(self) -> int:
         """Number of points of the sweep; 1 without a sweep."""
-        return math.prod(map(_length, self.dimensions))
+        return math.prod(map(_dimension_length, self.dimensions))
 
     @property
     def dimensions(self) -> list[Dimension]:
-        """Dimensions of the sweep, see `dimensions_of`."""
-        return dimensions_of(self.cases, self.zips.values(), self.axes)
+        """Dimensions of the sweep, see `sweep_dimensions`."""
+        return sweep_dimensions(self.cases, self.zips.values(), self.axes)
 
     @property
     def record_every(self) -> int:
@@ -276,12 +282,12 @@ class Study(_SectionsOfMethods):
         return math.floor(samples * (1 + ROUNDING)) // self.record_every
 
     @property
-    def resolved(self) -> Resolved:
+    def resolved(self) -> ResolvedColumns:
         """The columns of the study, computed once."""
-        return _resolved(_Itself(self))
+        return _resolve_columns(_IdentityKey(self))
 
     @property
-    def lengths(self) -> Coded:
+    def lengths(self) -> CodedColumn:
         """The length of each variant's runs, as a column of `Span`."""
         if self.passes is None:
             return constant_column(self.n_variants, self.span())
@@ -311,9 +317,9 @@ class Study(_SectionsOfMethods):
             return Span(self.records, self.records)
         pass_records = max(1, round(stored_s * self.rate_hz / self.record_every))
         if passes is None:
-            whole = self.records // pass_records
-            backward_last = 0 if rewinds else (whole + 1) % 2
-            passes = whole - backward_last if ending == "forward" else None
+            whole_passes = self.records // pass_records
+            backward_last = 0 if rewinds else (whole_passes + 1) % 2
+            passes = whole_passes - backward_last if ending == "forward" else None
         records = self.records if passes is None else passes * pass_records
         return Span(records, pass_records, rewinds)
 
@@ -329,10 +335,10 @@ class Study(_SectionsOfMethods):
 
     def stored_times(self, span: Span) -> np.ndarray:
         """Return the position in the stored record of each record time, s from its beginning."""
-        place = np.arange(span.records) % span.pass_records + 1
+        position = np.arange(span.records) % span.pass_records + 1
         forward = span.rewinds | (span.pass_numbers() % 2 == 1)
-        place = np.where(forward, place, span.pass_records - place)
-        return place * self.record_every / self.rate_hz
+        position = np.where(forward, position, span.pass_records - position)
+        return position * self.record_every / self.rate_hz
 
     def samples_before(
         self, rate_hz: float, coarse_method: str, coarse_duration_s: float, coarse_then: str | None
@@ -394,8 +400,8 @@ class Study(_SectionsOfMethods):
     @property
     def dropped_s(self) -> float:
         """Length of the last partial record interval, which is not run, s."""
-        left = self.duration_s - self.records * self.record_every / self.rate_hz
-        return left if left > ROUNDING * self.duration_s else 0.0
+        remainder_s = self.duration_s - self.records * self.record_every / self.rate_hz
+        return remainder_s if remainder_s > ROUNDING * self.duration_s else 0.0
 
     def has(self, section: str) -> bool:
         """Whether it has a section; otherwise the keys of the section must not be read."""
@@ -407,7 +413,7 @@ class Study(_SectionsOfMethods):
         return tuple(point["method"] for point in self.combinations("method"))
 
     @property
-    def schedules(self) -> Coded:
+    def schedules(self) -> CodedColumn:
         """Times of the scheduled resets of each variant, s."""
         if not self.has("resets"):
             return constant_column(self.n_variants, ())
@@ -438,11 +444,11 @@ class Study(_SectionsOfMethods):
         if self.is_recorded:
             return []
 
-        def is_taken(key: str) -> bool:
+        def is_nonzero(key: str) -> bool:
             values = (point[key] for point in self.combinations(key))
             return any(value is None or np.any(value) for value in values)
 
-        return [key for key in SEQUENTIAL_KEYS if is_taken(key)]
+        return [key for key in SEQUENTIAL_KEYS if is_nonzero(key)]
 
     @property
     def requires_sequential(self) -> bool:
@@ -483,10 +489,10 @@ class Study(_SectionsOfMethods):
                 numeric[key] = tuple(map(float, values))
             elif not more and all(isinstance(v, tuple) for v in values):
                 listed[key] = values
-        shown = dict([*numeric.items()][:2] or [*listed.items()][:1])
-        return shown, [key for key in self.keys_shown if key not in shown]
+        axes = dict([*numeric.items()][:2] or [*listed.items()][:1])
+        return axes, [key for key in self.keys_shown if key not in axes]
 
-    def only(self, key: str) -> Any:
+    def single_value(self, key: str) -> Any:
         """Return the one value of a key.
 
         Raises:
@@ -501,7 +507,7 @@ class Study(_SectionsOfMethods):
 
     def without_effect(self, key: str) -> np.ndarray:
         """Return whether a swept key has no effect on each variant; (variants,)."""
-        return self._effective(key).each(lambda value: not value, bool)
+        return self._effective_column(key).each(lambda value: not value, bool)
 
     @property
     def duplicate_of(self) -> np.ndarray:
@@ -510,13 +516,13 @@ class Study(_SectionsOfMethods):
         Such variants have the same runs: with ``reset_count = 0`` the cycle has no effect. The
         label of a case is ignored.
         """
-        alike = np.zeros(self.n_variants, np.int64)
+        codes = np.zeros(self.n_variants, np.int64)
         for key in self.axis_keys:
             if key != "case":
-                column = self._effective(key)
-                alike = distinct(alike * len(column.choices) + column.codes)[1]
-        _, first = np.unique(alike, return_index=True)
-        return first[alike]
+                column = self._effective_column(key)
+                codes = unique_with_inverse(codes * len(column.choices) + column.codes)[1]
+        _, first = np.unique(codes, return_index=True)
+        return first[codes]
 
     def idle_keys(self) -> list[str]:
         """Return the swept keys whose values differ between variants with the same runs."""
@@ -524,20 +530,24 @@ class Study(_SectionsOfMethods):
         swept = {key: self.values(key) for key in self.axis_keys if key != "case"}
         return [k for k, v in swept.items() if any(v[i] != v[at] for i, at in enumerate(first))]
 
-    def _effective(self, key: str) -> Coded:
+    def _effective_column(self, key: str) -> CodedColumn:
         """Return the values of a key over the variants; all values without effect are equal."""
         coarse = COARSE_START if key in INITIAL_KEYS and self.coarse else ()
-        keys = tuple(dict.fromkeys((key, *deciding(key), *coarse)))
+        keys = tuple(dict.fromkeys((key, *deciding_keys(key), *coarse)))
 
         def value(values: tuple[Any, ...]) -> tuple[Any, ...]:
-            given = dict(zip(keys, values, strict=True))
+            values_by_key = dict(zip(keys, values, strict=True))
             # Coarse alignment replaces the initial attitude that is given.
-            found = coarse and self.has_coarse_stage(*(given[key] for key in coarse))
-            return (given[key],) if acts(key, given) and not found else ()
+            is_replaced = coarse and self.has_coarse_stage(*(values_by_key[key] for key in coarse))
+            return (
+                (values_by_key[key],) if has_effect(key, values_by_key) and not is_replaced else ()
+            )
 
         codes, choices = self.resolved.column(*keys).map(value if len(keys) > 1 else lambda v: (v,))
-        place = {choice: code for code, choice in enumerate(dict.fromkeys(choices))}
-        return Coded(np.asarray([place[choice] for choice in choices])[codes], tuple(place))
+        code_of = {choice: code for code, choice in enumerate(dict.fromkeys(choices))}
+        return CodedColumn(
+            np.asarray([code_of[choice] for choice in choices])[codes], tuple(code_of)
+        )
 
     def variant_values(self) -> dict[str, list[Any]]:
         """Return the values of each axis key, one per variant.
@@ -571,9 +581,9 @@ class Study(_SectionsOfMethods):
         """
         points = []
         for dimension in self.dimensions:
-            if here := [key for key in keys if key in dimension]:
-                rows = dict.fromkeys(zip(*(dimension[key] for key in here), strict=True))
-                points.append([dict(zip(here, row, strict=True)) for row in rows])
+            if present := [key for key in keys if key in dimension]:
+                rows = dict.fromkeys(zip(*(dimension[key] for key in present), strict=True))
+                points.append([dict(zip(present, row, strict=True)) for row in rows])
         swept = {key for rows in points for key in rows[0]}
         fixed = {key: self._constant(key) for key in keys if key not in swept}
         for parts in product(*points):
@@ -587,7 +597,7 @@ class Study(_SectionsOfMethods):
 
 
 @dataclass(frozen=True, eq=False)
-class _Itself:
+class _IdentityKey:
     """A study as a key, compared by identity, since studies never change."""
 
     study: Study
@@ -596,13 +606,13 @@ class _Itself:
         return id(self.study)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Itself) and self.study is other.study
+        return isinstance(other, _IdentityKey) and self.study is other.study
 
 
 @lru_cache(maxsize=4)
-def _resolved(key: _Itself) -> Resolved:
-    return Resolved(key.study.dimensions, key.study._constant)
+def _resolve_columns(key: _IdentityKey) -> ResolvedColumns:
+    return ResolvedColumns(key.study.dimensions, key.study._constant)
 
 
-def _length(dimension: Dimension) -> int:
+def _dimension_length(dimension: Dimension) -> int:
     return len(next(iter(dimension.values())))

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from sinsjax import columns
 from sinsjax.study.study import Study
 
-MOST_DWELL_S = 30.0
+MAX_DWELL_S = 30.0
 """Longest dwell time that a run needs if the study does not give one."""
 
 
-class Success(NamedTuple):
+class SuccessCriteria(NamedTuple):
     """The criteria of a run with status ``ok``.
 
     Attributes:
@@ -45,22 +45,22 @@ class Success(NamedTuple):
         """Return the time in the band that runs of some lengths (s) need, s."""
         if self.dwell_s is not None:
             return np.full(np.shape(run_s), self.dwell_s)
-        return np.minimum(MOST_DWELL_S, np.asarray(run_s) / 10)
+        return np.minimum(MAX_DWELL_S, np.asarray(run_s) / 10)
 
 
-def success_of(study: Study) -> Success:
+def success_criteria(study: Study) -> SuccessCriteria:
     """Return the success criteria of a study, with defaults."""
-    given = study.study
-    return Success(
-        judged_from=given.judged_from or "truth",
-        band_arcmin=_or(given.success_band_arcmin, columns.SUCCESS_BAND_ARCMIN),
-        level_band_arcmin=_or(given.level_band_arcmin, columns.SUCCESS_BAND_ARCMIN),
-        diverged_deg=_or(given.diverged_deg, columns.DIVERGED_DEG),
-        dwell_s=given.dwell_s,
+    settings = study.study
+    return SuccessCriteria(
+        judged_from=settings.judged_from or "truth",
+        band_arcmin=_or_default(settings.success_band_arcmin, columns.SUCCESS_BAND_ARCMIN),
+        level_band_arcmin=_or_default(settings.level_band_arcmin, columns.SUCCESS_BAND_ARCMIN),
+        diverged_deg=_or_default(settings.diverged_deg, columns.DIVERGED_DEG),
+        dwell_s=settings.dwell_s,
     )
 
 
-def bands(study: Study) -> tuple[float, ...]:
+def settling_bands(study: Study) -> tuple[float, ...]:
     """Return the bands of a study's settling times, including the success band, arcmin."""
     return columns.bands(study.study.settle_bands_arcmin, study.study.success_band_arcmin)
 
@@ -69,77 +69,81 @@ FLOOR_COLUMNS = ("phi_u_arcmin", "floor_arcmin")
 """Columns of the final heading error of a run and its bias floor."""
 
 
-class Yardstick(NamedTuple):
+class SuccessMeasure(NamedTuple):
     """A reference of success, with its columns of the summary.
 
     Attributes:
         truth: whether it is the truth, or else the bias floor.
-        words: description of a success: ``within 10' of true north``.
-        settle: column of the time at which a run entered the band for good.
-        ok: column of the successes.
+        description: description of a success: ``within 10' of true north``.
+        settle_column: column of the time at which a run entered the band for good.
+        ok_column: column of the successes.
         band_arcmin: half-width of the band.
     """
 
     truth: bool
-    words: str
-    settle: str
-    ok: str
+    description: str
+    settle_column: str
+    ok_column: str
     band_arcmin: float
 
     @property
-    def of_several(self) -> str:
+    def plural_description(self) -> str:
         """The description for several runs: ``within 10' of their bias floors``."""
-        return self.words.replace("its bias floor", "their bias floors")
+        return self.description.replace("its bias floor", "their bias floors")
 
     @property
-    def rate(self) -> str:
+    def rate_column(self) -> str:
         """The name of the share of successes in the summary."""
         return f"success_{'truth' if self.truth else 'floor'}_rate"
 
-    def end(self, first: "Yardstick") -> str:
+    def figure_suffix(self, first: "SuccessMeasure") -> str:
         """Return the suffix of a figure's name; empty for the reference of the study, the first."""
         return "" if self == first else "_truth" if self.truth else "_floor"
 
-    def off_floor(self, column: Callable[[str], NDArray]) -> NDArray:
+    def outside_floor_band(self, get_column: Callable[[str], NDArray]) -> NDArray:
         """Return whether each run is ok but ends outside the band about its bias floor.
 
         Args:
-            column: function that returns ``ok`` and `FLOOR_COLUMNS` as numbers of any shape, with
-                NaN for null.
+            get_column: function that returns ``ok`` and `FLOOR_COLUMNS` as numbers of any shape,
+                with NaN for null.
         """
-        apart = np.abs(column("phi_u_arcmin") - column("floor_arcmin"))
-        found: NDArray = (column(self.ok) > 0) & (apart > self.band_arcmin)
-        return found
+        distance = np.abs(get_column("phi_u_arcmin") - get_column("floor_arcmin"))
+        off: NDArray = (get_column(self.ok_column) > 0) & (distance > self.band_arcmin)
+        return off
 
 
-def yardsticks(study: Study, band_arcmin: float | None = None) -> tuple[Yardstick, ...]:
+def success_measures(study: Study, band_arcmin: float | None = None) -> tuple[SuccessMeasure, ...]:
     """Return the reference of a study's success, then the other one; for a record its reference.
 
     Args:
         study: study of the runs.
         band_arcmin: half-width of the band; None for the success band.
     """
-    judged = success_of(study)
-    band = judged.band_arcmin if band_arcmin is None else band_arcmin
-    kinds = (True,) if study.is_recorded else (judged.from_truth, not judged.from_truth)
-    return tuple(_yardstick(study, band, truth) for truth in kinds)
+    criteria = success_criteria(study)
+    band = criteria.band_arcmin if band_arcmin is None else band_arcmin
+    kinds = (True,) if study.is_recorded else (criteria.from_truth, not criteria.from_truth)
+    return tuple(_make_measure(study, band, truth) for truth in kinds)
 
 
-def judged_columns(study: Study) -> list[str]:
+def success_columns(study: Study) -> list[str]:
     """Return the columns of successes and of their settling times."""
-    return [name for yard in yardsticks(study) for name in (yard.ok, yard.settle)]
+    return [
+        name
+        for measure in success_measures(study)
+        for name in (measure.ok_column, measure.settle_column)
+    ]
 
 
-def _yardstick(study: Study, band: float, truth: bool) -> Yardstick:
-    what = "true north" if truth else "its bias floor"
-    return Yardstick(
+def _make_measure(study: Study, band: float, truth: bool) -> SuccessMeasure:
+    reference = "true north" if truth else "its bias floor"
+    return SuccessMeasure(
         truth,
-        f"within {band:g}' of {'the reference' if study.is_recorded else what}",
+        f"within {band:g}' of {'the reference' if study.is_recorded else reference}",
         columns.settle_column(band, truth=truth).name,
         "ok_truth" if truth else "ok_floor",
         band,
     )
 
 
-def _or(value: float | None, default: float) -> float:
+def _or_default(value: float | None, default: float) -> float:
     return default if value is None else value

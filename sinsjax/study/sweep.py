@@ -22,8 +22,8 @@ from sinsjax.study.keys import (
     SWEEPABLE,
     TUNABLE,
     TomlTable,
-    rivals,
-    unknown_key,
+    alternative_keys,
+    unknown_key_error,
 )
 from sinsjax.study.resolved import Dimension
 from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, Distribution, DrawnSection, Range
@@ -34,14 +34,14 @@ TIMES, COUNT = "reset_times_s", "reset_count"
 
 Ranges = dict[str, Range | tuple[Range, ...]]
 
-_LAWS = tuple(Distribution.model_fields)
-_KINDS = tuple(Range.model_fields)
+_LAW_NAMES = tuple(Distribution.model_fields)
+_RANGE_KEYS = tuple(Range.model_fields)
 _VARIABLES, _BASELINE = "[tune.variables]", "[tune.baseline]"
 _TUNING_DRAWS = {"tune_draws": 16, "evaluation_draws": 64}
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
-def dimensions_of(
+def sweep_dimensions(
     cases: Sequence[TomlTable], zips: Iterable[Dimension], axes: Dimension
 ) -> list[Dimension]:
     """Return the dimensions of a sweep: tables of values by key, whose product is the sweep.
@@ -69,7 +69,7 @@ class Sweep(NamedTuple):
     drawn: DrawnSection | None
 
     @property
-    def where(self) -> dict[str, str]:
+    def key_tables(self) -> dict[str, str]:
         """The table, in brackets, of every key that is swept or drawn."""
         return {
             **dict.fromkeys(self.axes, "[axes]"),
@@ -80,7 +80,7 @@ class Sweep(NamedTuple):
 
     def values(self, key: str) -> set[Any]:
         """Return the values over which a key is swept; empty if it is not swept."""
-        dimensions = dimensions_of(self.cases, self.zips.values(), self.axes)
+        dimensions = sweep_dimensions(self.cases, self.zips.values(), self.axes)
         return {value for dimension in dimensions for value in dimension.get(key, ())}
 
 
@@ -95,13 +95,13 @@ def read_sweep(tables: TomlTable) -> Sweep:
     """
     errors, swept = ErrorCollector(), Sweep({}, {}, (), None)
     with errors.collect():
-        axes, zips = _axes(tables)
+        axes, zips = _read_axes(tables)
         swept = swept._replace(axes=axes, zips=zips)
     with errors.collect():
-        swept = swept._replace(cases=_cases(tables, _named_axes(tables)))
-    taken = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
+        swept = swept._replace(cases=_read_cases(tables, _axis_keys(tables)))
+    key_tables = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
     with errors.collect():
-        swept = swept._replace(drawn=_drawn(tables, taken | swept.where))
+        swept = swept._replace(drawn=_read_drawn(tables, key_tables | swept.key_tables))
     errors.raise_all()
     return swept
 
@@ -123,26 +123,29 @@ def check_value(value: Any, key: str, place: str) -> Any:
         return _validator(key)(value)
     except ValidationError as error:
         raise InputError(
-            *(f"{place}{index(one)}: {explained(one)}" for one in errors_of(error))
+            *(
+                f"{place}{index(detail)}: {explained(detail)}"
+                for detail in correctable_errors(error)
+            )
         ) from None
 
 
-def errors_of(error: ValidationError) -> list[ErrorDetails]:
+def correctable_errors(error: ValidationError) -> list[ErrorDetails]:
     """Return the errors of values that a user can correct.
 
     Consequences of these errors are left out: a list too short without its wrong entries, and a
     default that depends on a wrong value.
     """
-    errors = [one for one in error.errors() if one["type"] != "default_factory_not_called"]
-    with_entries = {_without_entries(one) for one in errors if index(one)}
-    return [one for one in errors if index(one) or one["loc"] not in with_entries]
+    errors = [detail for detail in error.errors() if detail["type"] != "default_factory_not_called"]
+    with_entries = {_location_without_indices(detail) for detail in errors if index(detail)}
+    return [detail for detail in errors if index(detail) or detail["loc"] not in with_entries]
 
 
-def _without_entries(error: ErrorDetails) -> tuple[int | str, ...]:
+def _location_without_indices(error: ErrorDetails) -> tuple[int | str, ...]:
     return tuple(part for part in error["loc"] if not isinstance(part, int))
 
 
-def wrong_value(value: Any, key: str) -> str | None:
+def value_error(value: Any, key: str) -> str | None:
     """Return the rule that a value of a leaf key breaks; None for a valid value."""
     try:
         _validator(key)(value)
@@ -157,43 +160,43 @@ def check_values(values: Iterable[Any], key: str, place: str) -> tuple[Any, ...]
     Raises:
         InputError: some are not valid; a line per value.
     """
-    errors, out = ErrorCollector(), []
+    errors, checked = ErrorCollector(), []
     for i, value in enumerate(values):
         with errors.collect():
-            out.append(check_value(value, key, f"{place}[{i}]"))
+            checked.append(check_value(value, key, f"{place}[{i}]"))
     errors.raise_all()
-    return tuple(out)
+    return tuple(checked)
 
 
-def _axes(tables: TomlTable) -> tuple[Dimension, dict[str, Dimension]]:
+def _read_axes(tables: TomlTable) -> tuple[Dimension, dict[str, Dimension]]:
     """Return the single axes and the zips."""
     axes, zips, errors = {}, {}, ErrorCollector()
     for key, values in tables.get("axes", {}).items():
         with errors.collect():
             if isinstance(values, Mapping):
-                zips[key] = _zip(tables, key, values)
+                zips[key] = _read_zip(tables, key, values)
             else:
-                axes[key] = _axis("axes", key, values, "record" in tables)
-                _refuse_repeated(axes[key], f"[axes] {key}")
-    taken = set(axes)
+                axes[key] = _read_axis("axes", key, values, "record" in tables)
+                _check_distinct(axes[key], f"[axes] {key}")
+    used_keys = set(axes)
     for name, keys in zips.items():
         with errors.collect():
             for key in keys:
-                if key in taken:
+                if key in used_keys:
                     raise InputError(f"[axes.{name}] {key}: is an axis already (drop one of them)")
-        taken |= keys.keys()
+        used_keys |= keys.keys()
     errors.raise_all()
     return axes, zips
 
 
-def _named_axes(tables: TomlTable) -> set[str]:
+def _axis_keys(tables: TomlTable) -> set[str]:
     """Return the keys of all axes, with right or wrong values."""
     axes = tables.get("axes", {})
     zipped = {key for values in axes.values() if isinstance(values, Mapping) for key in values}
     return zipped | {key for key, values in axes.items() if not isinstance(values, Mapping)}
 
 
-def _zip(tables: TomlTable, name: str, keys: Mapping[str, Any]) -> Dimension:
+def _read_zip(tables: TomlTable, name: str, keys: Mapping[str, Any]) -> Dimension:
     """Return the axes of a table, which vary together."""
     table = f"axes.{name}"
     if not keys:
@@ -201,18 +204,18 @@ def _zip(tables: TomlTable, name: str, keys: Mapping[str, Any]) -> Dimension:
     joint, errors = {}, ErrorCollector()
     for key, values in keys.items():
         with errors.collect():
-            joint[key] = _axis(table, key, values, "record" in tables)
+            joint[key] = _read_axis(table, key, values, "record" in tables)
     errors.raise_all()
     first = next(iter(joint))
     for key, values in joint.items():
         if len(values) != len(joint[first]):
             text = f"has {len(values)} values, but {first} has {len(joint[first])}"
             raise InputError(f"[{table}] {key}: {text} (give as many, since they vary together)")
-    _refuse_repeated(list(zip(*joint.values(), strict=True)), f"[{table}] {', '.join(joint)}")
+    _check_distinct(list(zip(*joint.values(), strict=True)), f"[{table}] {', '.join(joint)}")
     return joint
 
 
-def _axis(table: str, key: str, values: Any, recorded: bool) -> tuple[Any, ...]:
+def _read_axis(table: str, key: str, values: Any, recorded: bool) -> tuple[Any, ...]:
     _check_sweepable(table, key, recorded)
     if not isinstance(values, tuple):
         raise InputError(f"[{table}] {key}: must be a list of values, not {values!r}")
@@ -221,7 +224,7 @@ def _axis(table: str, key: str, values: Any, recorded: bool) -> tuple[Any, ...]:
     return check_values(values, key, f"[{table}] {key}")
 
 
-def _cases(tables: TomlTable, axes: set[str]) -> tuple[TomlTable, ...]:
+def _read_cases(tables: TomlTable, axes: set[str]) -> tuple[TomlTable, ...]:
     """Return the cases, with no key that is an axis too."""
     rows = tables.get("cases", ())
     if not isinstance(rows, tuple) or not all(isinstance(row, Mapping) for row in rows):
@@ -251,13 +254,13 @@ def _cases(tables: TomlTable, axes: set[str]) -> tuple[TomlTable, ...]:
     cases = tuple({key: columns[key][i] for key in keys} for i in range(len(rows)))
     values = [key for key in keys if key != "case"]
     place = f"[cases] {', '.join(values) or 'case'}"
-    _refuse_repeated([tuple(case[key] for key in values) for case in cases], place)
+    _check_distinct([tuple(case[key] for key in values) for case in cases], place)
     if "case" in keys:
-        _refuse_repeated([case["case"] for case in cases], "[cases] case")
+        _check_distinct([case["case"] for case in cases], "[cases] case")
     return cases
 
 
-def _drawn(tables: TomlTable, taken: Mapping[str, str]) -> DrawnSection | None:
+def _read_drawn(tables: TomlTable, key_tables: Mapping[str, str]) -> DrawnSection | None:
     """Return the distributions of the drawn keys, none of which is given elsewhere."""
     if "drawn" not in tables:
         return None
@@ -269,9 +272,11 @@ def _drawn(tables: TomlTable, taken: Mapping[str, str]) -> DrawnSection | None:
     for key, law in table.items():
         with errors.collect():
             _check_drawable(key, "record" in tables)
-            if key in taken:
-                raise InputError(f"[drawn] {key}: is in {taken[key]} already (drop one of them)")
-            laws[key] = _law(key, law)
+            if key in key_tables:
+                raise InputError(
+                    f"[drawn] {key}: is in {key_tables[key]} already (drop one of them)"
+                )
+            laws[key] = _read_law(key, law)
     errors.raise_all()
     try:
         return DrawnSection.model_validate(sampling | laws)
@@ -279,17 +284,17 @@ def _drawn(tables: TomlTable, taken: Mapping[str, str]) -> DrawnSection | None:
         raise InputError(f"[drawn] sampling: {explained(error.errors()[0])}") from None
 
 
-def _law(key: str, table: Any) -> Distribution:
+def _read_law(key: str, table: Any) -> Distribution:
     """Return the distribution of a key, with all list entries checked as its values."""
     if not isinstance(table, Mapping):
         example = f"{key} = {{ uniform = [0, 1] }}"
         raise InputError(f"[drawn] {key}: must be a table such as {example}, not {table!r}")
     for name in table:
-        if name not in _LAWS:
-            raise InputError(f"[drawn] {key}.{name}: unknown key{near(name, _LAWS)}")
+        if name not in _LAW_NAMES:
+            raise InputError(f"[drawn] {key}.{name}: unknown key{near(name, _LAW_NAMES)}")
     if len(table) != 1:
         given = " and ".join(table) or "none"
-        raise InputError(f"[drawn] {key}: needs one of {', '.join(_LAWS)}, not {given}")
+        raise InputError(f"[drawn] {key}: needs one of {', '.join(_LAW_NAMES)}, not {given}")
     ((name, value),) = table.items()
     place = f"[drawn] {key}.{name}"
     if value is None:
@@ -310,7 +315,7 @@ def _check_sweepable(table: str, key: str, recorded: bool) -> None:
         reason = "cannot be swept (list the start times in [record], one draw each)"
     elif section is None:
         sweepable = [name for name, home in SECTION_OF.items() if home in SWEEPABLE]
-        reason = unknown_key(key, sweepable)
+        reason = unknown_key_error(key, sweepable)
     elif section == "study":
         reason = "cannot be swept (all runs share [study]: use one study per value)"
     elif section not in SWEEPABLE:
@@ -338,7 +343,7 @@ def _check_drawable(key: str, recorded: bool) -> None:
     raise InputError(f"[drawn] {key}: {reason}")
 
 
-def _refuse_repeated(values: Sequence[Any], place: str) -> None:
+def _check_distinct(values: Sequence[Any], place: str) -> None:
     seen: dict[Any, int] = {}
     for i, value in enumerate(values):
         if seen.setdefault(value, i) < i:
@@ -355,7 +360,7 @@ def _validator(key: str) -> Callable[[Any], Any]:
     return TypeAdapter(annotation, config=strict).validate_python
 
 
-def read_tuning(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -> TomlTable:
+def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -> TomlTable:
     """Return the section [tune] with checked ranges and values, and default numbers of draws.
 
     Args:
@@ -373,7 +378,7 @@ def read_tuning(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -
         elif key in table:
             text = "does not apply to a recorded study (drop it: tuning uses the start times)"
             errors.add(f"[tune] {key}: {text}")
-    for key, read in (("variables", _ranges), ("baseline", _baseline)):
+    for key, read in (("variables", _read_ranges), ("baseline", _read_baseline)):
         with errors.collect():
             if key in table and not isinstance(table[key], Mapping):
                 raise InputError(f"[tune] {key}: must be a table of keys")
@@ -383,20 +388,20 @@ def read_tuning(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -
     return table
 
 
-def _baseline(table: TomlTable, swept: Mapping[str, str]) -> TomlTable:
+def _read_baseline(table: TomlTable, swept: Mapping[str, str]) -> TomlTable:
     values, errors = {}, ErrorCollector()
-    left = dict.fromkeys(table, _BASELINE)
+    remaining = dict.fromkeys(table, _BASELINE)
     for key, value in table.items():
-        del left[key]
+        del remaining[key]
         with errors.collect():
             _check_tunable(key, swept, _BASELINE)
-            _check_rivals(key, left, _BASELINE)
+            _check_alternatives(key, remaining, _BASELINE)
             values[key] = check_value(value, key, f"{_BASELINE} {key}")
     errors.raise_all()
     return values
 
 
-def _ranges(table: TomlTable, swept: Mapping[str, str]) -> Ranges:
+def _read_ranges(table: TomlTable, swept: Mapping[str, str]) -> Ranges:
     if not table:
         raise InputError(f"{_VARIABLES}: has no key to tune (give one with its range)")
     ranges: Ranges = {}
@@ -404,18 +409,18 @@ def _ranges(table: TomlTable, swept: Mapping[str, str]) -> Ranges:
     for key, value in table.items():
         with errors.collect():
             _check_tunable(key, swept, _VARIABLES)
-            ranges[key] = _kind(key, value)
+            ranges[key] = _read_key_range(key, value)
     errors.raise_all()
     times, count = ranges.get(TIMES), ranges.get(COUNT)
-    taken = dict.fromkeys(ranges, _VARIABLES)
+    key_tables = dict.fromkeys(ranges, _VARIABLES)
     if isinstance(times, tuple) and isinstance(count, Range):
         for number in count.candidates or (count.fixed,):
             if number > len(times):
                 text = f"{number} are more than the {len(times)} ranges of {TIMES} (add ranges)"
                 raise InputError(f"{_VARIABLES} {COUNT}: {text}")
-        del taken[COUNT]
-    for key in taken:
-        _check_rivals(key, taken, _VARIABLES)
+        del key_tables[COUNT]
+    for key in key_tables:
+        _check_alternatives(key, key_tables, _VARIABLES)
     return ranges
 
 
@@ -424,102 +429,106 @@ def _check_tunable(key: str, swept: Mapping[str, str], place: str) -> None:
     section = SECTION_OF.get(key)
     if section is None:
         known = [name for name, home in SECTION_OF.items() if home in TUNABLE]
-        raise InputError(f"{place} {key}: {unknown_key(key, known)}")
+        raise InputError(f"{place} {key}: {unknown_key_error(key, known)}")
     if section not in TUNABLE:
         raise InputError(f"{place} {key}: cannot be tuned (it is a key of [{section}])")
     if key in swept:
         raise InputError(f"{place} {key}: is in {swept[key]} already (drop one of them)")
-    _check_rivals(key, swept, place)
+    _check_alternatives(key, swept, place)
 
 
-def _check_rivals(key: str, taken: Mapping[str, str], place: str) -> None:
-    for other in sorted(rivals(key) & taken.keys()):
-        text = f"conflicts with {other} in {taken[other]} (give one of them)"
+def _check_alternatives(key: str, key_tables: Mapping[str, str], place: str) -> None:
+    for alternative in sorted(alternative_keys(key) & key_tables.keys()):
+        text = f"conflicts with {alternative} in {key_tables[alternative]} (give one of them)"
         raise InputError(f"{place} {key}: {text}")
 
 
-def _kind(key: str, value: Any) -> Range | tuple[Range, ...]:
+def _read_key_range(key: str, value: Any) -> Range | tuple[Range, ...]:
     """Return the range of a key: of its number, of each entry of its list, or its candidates."""
     place, entries = (
         f"{_VARIABLES} {key}",
         _entry_types(SECTIONS[SECTION_OF[key]].model_fields[key].annotation),
     )
     if not isinstance(value, tuple):
-        kind = _range(place, key, value)
-        if kind.is_free and entries:
+        key_range = _read_range(place, key, value)
+        if key_range.is_free and entries:
             raise InputError(f"{place}: needs a list with one range per entry, not one range")
-        if kind.is_free:
+        if key_range.is_free:
             for name in ("low", "high"):
-                _check_end(check_value(value[name], key, f"{place}.{name}"), place)
-        return kind
+                _refuse_whole_number(check_value(value[name], key, f"{place}.{name}"), place)
+        return key_range
     if not entries:
         raise InputError(f"{place}: needs one range, not a list (the key is one number)")
     if not value:
         raise InputError(f"{place}: must not be empty")
     if Ellipsis not in entries and len(value) != len(entries):
         raise InputError(f"{place}: must have {len(entries)} ranges, not {len(value)}")
-    errors, out = ErrorCollector(), []
-    for i, own in enumerate(value):
+    errors, ranges = ErrorCollector(), []
+    for i, entry_range in enumerate(value):
         with errors.collect():
-            out.append(_entry(f"{place}[{i}]", own, entries[0]))
+            ranges.append(_read_entry_range(f"{place}[{i}]", entry_range, entries[0]))
     errors.raise_all()
-    return tuple(out)
+    return tuple(ranges)
 
 
-def _entry(place: str, value: Any, kind_of: Any) -> Range:
+def _read_entry_range(place: str, value: Any, entry_type: Any) -> Range:
     """Return the range of one entry of a list, whose entries have a given type."""
-    kind = _range(place, None, value)
-    if kind.candidates is not None:
+    entry_range = _read_range(place, None, value)
+    if entry_range.candidates is not None:
         raise InputError(f"{place}.candidates: must be of the whole key, not of one entry")
-    for name in ("low", "high") if kind.is_free else ("fixed",):
+    for name in ("low", "high") if entry_range.is_free else ("fixed",):
         try:
-            end = TypeAdapter(kind_of, config=_STRICT).validate_python(value[name])
+            end = TypeAdapter(entry_type, config=_STRICT).validate_python(value[name])
         except ValidationError as error:
             raise InputError(f"{place}.{name}: {explained(error.errors()[0])}") from None
-        if kind.is_free:
-            _check_end(end, place)
-    return kind
+        if entry_range.is_free:
+            _refuse_whole_number(end, place)
+    return entry_range
 
 
-def _range(place: str, key: str | None, value: Any) -> Range:
+def _read_range(place: str, key: str | None, value: Any) -> Range:
     """Return a range of the file, with its values checked as those of a key, if any."""
     if not isinstance(value, Mapping):
         raise InputError(f"{place}: must be a table such as {{ low = 0, high = 1 }}, not {value!r}")
     for name in value:
-        if name not in _KINDS:
-            raise InputError(f"{place}.{name}: unknown key{near(name, _KINDS)}")
+        if name not in _RANGE_KEYS:
+            raise InputError(f"{place}.{name}: unknown key{near(name, _RANGE_KEYS)}")
     try:
-        kind = Range.model_validate(({"scale": "linear"} if "low" in value else {}) | dict(value))
+        value_range = Range.model_validate(
+            ({"scale": "linear"} if "low" in value else {}) | dict(value)
+        )
     except ValidationError as error:
         first = error.errors()[0]
         name = first["loc"][0] if first["loc"] else first.get("ctx", {}).get("key")
-        at = f".{name}{index(first)}" if name else ""
-        raise InputError(f"{place}{at}: {explained(first)}") from None
+        suffix = f".{name}{index(first)}" if name else ""
+        raise InputError(f"{place}{suffix}: {explained(first)}") from None
     if key is None:
-        return kind
-    if kind.fixed is not None:
-        return kind.model_copy(update={"fixed": check_value(kind.fixed, key, f"{place}.fixed")})
-    if kind.candidates is not None:
-        at = f"{place}.candidates"
-        values = check_values(kind.candidates, key, at)
+        return value_range
+    if value_range.fixed is not None:
+        return value_range.model_copy(
+            update={"fixed": check_value(value_range.fixed, key, f"{place}.fixed")}
+        )
+    if value_range.candidates is not None:
+        suffix = f"{place}.candidates"
+        values = check_values(value_range.candidates, key, suffix)
         if len(set(values)) < len(values):
-            raise InputError(f"{at}: repeats a value (drop one)")
-        return kind.model_copy(update={"candidates": values})
-    return kind
+            raise InputError(f"{suffix}: repeats a value (drop one)")
+        return value_range.model_copy(update={"candidates": values})
+    return value_range
 
 
-def _check_end(end: Any, place: str) -> None:
+def _refuse_whole_number(end: Any, place: str) -> None:
     if isinstance(end, int):
         raise InputError(f"{place}: must be whole numbers (list them as candidates)")
 
 
 def _entry_types(annotation: Any) -> tuple[Any, ...]:
     """Return the types of the entries of a list key; empty for other keys."""
-    origin, inside = get_origin(annotation), get_args(annotation)
+    origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is tuple:
-        return inside
+        return arguments
     if origin is Annotated:
-        return _entry_types(inside[0])
+        return _entry_types(arguments[0])
     if origin in (Union, UnionType):
-        return next((found for part in inside if (found := _entry_types(part))), ())
+        return next((types for part in arguments if (types := _entry_types(part))), ())
     return ()

@@ -9,7 +9,7 @@ import numpy as np
 
 from sinsjax.errors import InputError
 from sinsjax.study.keys import SECTION_OF
-from sinsjax.study.resolved import Coded
+from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.study import Study
 
 Lookup = Callable[[str], Any]
@@ -49,12 +49,12 @@ class Variants:
     def _are_all(self) -> bool:
         return len(self.ids) == self._study.n_variants and bool(np.all(np.diff(self.ids) == 1))
 
-    def coded(self, *keys: str) -> Coded:
+    def coded(self, *keys: str) -> CodedColumn:
         """Return a column for these variants, see `Resolved.column`."""
         whole = self._study.resolved.column(*keys)
         return whole if self._are_all else whole._replace(codes=whole.codes[self.ids])
 
-    def raw(self, key: str) -> list[Any]:
+    def raw_values(self, key: str) -> list[Any]:
         """Return the values of one key, in the units of the file."""
         return self.coded(key).to_list()
 
@@ -79,10 +79,14 @@ class Variants:
     def lists(self, function: Callable[..., Any], *keys: str, rest: float) -> np.ndarray:
         """Return a function that gives lists, (variants, longest), padded with ``rest``."""
         column = self.coded(*keys)
-        made = column.map(function if len(keys) == 1 else lambda values: function(*values))
-        taken = np.flatnonzero(np.bincount(made.codes, minlength=len(made.choices)))
-        longest = max(len(made.choices[code]) for code in taken)
-        return made.each(lambda own: [*own, *([rest] * (longest - len(own)))][:longest])
+        lists_column = column.map(function if len(keys) == 1 else lambda values: function(*values))
+        present = np.flatnonzero(
+            np.bincount(lists_column.codes, minlength=len(lists_column.choices))
+        )
+        longest = max(len(lists_column.choices[code]) for code in present)
+        return lists_column.each(
+            lambda entries: [*entries, *([rest] * (longest - len(entries)))][:longest]
+        )
 
     def common(self, key: str) -> Any:
         """Return the value of a key that all these variants share.
@@ -91,16 +95,16 @@ class Variants:
         """
         return self._drawn[key] if key in self._drawn else self.value(key, 0)
 
-    def takes(self, *keys: str) -> bool:
+    def is_active(self, *keys: str) -> bool:
         """Whether one of some keys, which all variants share, is drawn or not zero."""
         drawn = self._study.drawn_keys
         return any(key in drawn or np.any(self.value(key, 0) or 0) for key in keys)
 
-    def refused(self, key: str, why: str) -> InputError:
+    def refused(self, key: str, reason: str) -> InputError:
         """Return the error of a value that cannot be run, with study and table of the key."""
         study = self._study
         zipped = (f"[axes.{name}]" for name, keys in study.zips.items() if key in keys)
-        where = next(zipped, "[axes]" if key in study.axes else f"[{SECTION_OF[key]}]")
+        table = next(zipped, "[axes]" if key in study.axes else f"[{SECTION_OF[key]}]")
         if study.cases and key in study.cases[0]:
-            where = "[cases]"
-        return InputError(f"{study.name}: {where} {key}: {why}")
+            table = "[cases]"
+        return InputError(f"{study.name}: {table} {key}: {reason}")

@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 from sinsjax.analysis import Estimate
-from sinsjax.execution.prepare import Options, warn_of_doubts
+from sinsjax.execution.prepare import RunOptions, issue_warnings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import display
 from sinsjax.study.changes import copy_tables
@@ -75,11 +75,11 @@ class TuningResults:
 
     def __repr__(self) -> str:
         """Return five short lines: objective, best point, its score, the baseline's, place."""
-        return display.as_text(f"Tuning of {self._tuning.study.name}", self._facts())
+        return display.format_text(f"Tuning of {self._tuning.study.name}", self._facts())
 
     def _repr_html_(self) -> str:
         """Return the lines of `__repr__` as a table, for notebooks."""
-        return display.as_html(f"Tuning of {self._tuning.study.name}", self._facts())
+        return display.format_html(f"Tuning of {self._tuning.study.name}", self._facts())
 
     def __dir__(self) -> list[str]:
         """Return the names that a user needs, for the completion of interactive sessions."""
@@ -136,8 +136,8 @@ def tune(
         >>> tuned.score.value < tuned.baseline.value
         True
     """
-    options = Options(directory, overwrite=overwrite, resume=resume, source=source)
-    job = warn_of_doubts(prepare_tuning(study, None, record, None, options))
+    options = RunOptions(directory, overwrite=overwrite, resume=resume, source=source)
+    job = issue_warnings(prepare_tuning(study, None, record, None, options))
     run_tuning(job, watch=watch, stop=stop)
     assert job.directory is not None
     return TuningResults(job.directory)

@@ -26,17 +26,17 @@ from sinsjax.engine.lanes import LANES, Group, Tiles, tiles_of
 from sinsjax.engine.run import map_stacked_tiles, run_tile
 from sinsjax.errors import InputError
 from sinsjax.execution import run
-from sinsjax.execution.run import RunProgress, Tell
+from sinsjax.execution.run import ProgressCallback, RunProgress
 from sinsjax.methods.base import Relaxation
 from sinsjax.methods.registry import METHODS
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import SECTION_OF, TomlTable
 from sinsjax.study.load import with_point
-from sinsjax.study.rules import is_modelled
+from sinsjax.study.rules import has_covariance_model
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
-from sinsjax.study.success import success_of
+from sinsjax.study.success import success_criteria
 from sinsjax.study.sweep import COUNT, TIMES
 from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult
@@ -59,7 +59,7 @@ def check_gradients(study: Study) -> None:
 
 
 def descend(
-    study: Study, stored: StoredRecord | None = None, *, on_progress: Tell | None = None
+    study: Study, stored: StoredRecord | None = None, *, on_progress: ProgressCallback | None = None
 ) -> SearchResult:
     """Tune a study by gradient, for every combination of its candidates.
 
@@ -91,10 +91,10 @@ class _Descents:
         self._tune, self._space = study.tune, SearchSpace.from_study(study)
         self._combination = self._space.combinations[number]
         self._parameters = ParameterMap(study, self._combination)
-        self._used = self._space.used(self._combination)
+        self._used = self._space.used_variables(self._combination)
         self._samples = objective.SAMPLES if self._parameters.by_covariance else 0
 
-    def run(self, on_progress: Tell | None) -> list[Evaluation]:
+    def run(self, on_progress: ProgressCallback | None) -> list[Evaluation]:
         """Run the descents; return all evaluations in order."""
         if not self._used:
             return self._evaluate_ends(np.empty((1, 0)))
@@ -156,7 +156,7 @@ class _Descents:
         """Return the values of all variables at positions of the used ones; NaN for the others."""
         whole = np.full((len(box), len(self._space.variables)), np.nan)
         whole[:, self._used] = box
-        return [self._space.values(row) for row in whole]
+        return [self._space.to_values(row) for row in whole]
 
     def _score(self, values: Sequence[Sequence[float]], draws: int | None) -> list[float]:
         """Return the objective at some points with hard resets, on all or the first draws."""
@@ -188,7 +188,9 @@ class _Descents:
         return scored.scores
 
     def _points(self, values: Sequence[Sequence[float]]) -> list[TomlTable]:
-        return [self._space.point(list(np.nan_to_num(row)), self._combination) for row in values]
+        return [
+            self._space.make_point(list(np.nan_to_num(row)), self._combination) for row in values
+        ]
 
 
 # The objective of some descents and its gradient
@@ -274,7 +276,7 @@ class Slope:
         assert study.tune is not None
         self._tune, self._parameters = study.tune, parameters
         self._starts, self.samples = starts, samples
-        self._from_truth, self._rate_hz = success_of(study).from_truth, study.rate_hz
+        self._from_truth, self._rate_hz = success_criteria(study).from_truth, study.rate_hz
         derived = search.derive_study(study, {"base": parameters.point}, name=study.name)
         scenario = Scenario(derived, stored, curves=False)
         groups = [self._group(scenario, number) for number in range(len(scenario.programs))]
@@ -459,8 +461,8 @@ class ParameterMap:
             InputError: ``[tune.variables] key: has no gradient (hint)``.
         """
         self.study, space = study, SearchSpace.from_study(study)
-        self.variables = [space.variables[i] for i in space.used(combination)]
-        self.point = space.point(space.values([0.5] * len(space.variables)), combination)
+        self.variables = [space.variables[i] for i in space.used_variables(combination)]
+        self.point = space.make_point(space.to_values([0.5] * len(space.variables)), combination)
         based = with_point(study, self.point)
         relaxed = [
             _relaxed(name) for name in sorted({v["method"] for v in based.combinations("method")})
@@ -472,7 +474,7 @@ class ParameterMap:
         self.moves_resets = any(
             r.smooth_resets and not keys.isdisjoint({r.times, *r.moves}) for r in relaxed
         )
-        self.by_covariance = not self.moves_resets and is_modelled(based)
+        self.by_covariance = not self.moves_resets and has_covariance_model(based)
         for r in relaxed:
             if reason := r.find_unsupported(based, self.moves_resets):
                 _refuse(study, reason)

@@ -19,8 +19,8 @@ from sinsjax.execution import sealed
 from sinsjax.execution.directory import MANIFEST, STUDY
 from sinsjax.messages import escape_controls
 from sinsjax.platform.files import replacing
-from sinsjax.study.identity import differences
-from sinsjax.study.keys import TomlTable, meaning
+from sinsjax.study.identity import describe_differences
+from sinsjax.study.keys import TomlTable, key_meaning
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
@@ -106,7 +106,7 @@ class SearchResult(NamedTuple):
         """Return the keys and values of the best point."""
         # The value of an unused variable does not matter.
         values = np.nan_to_num(self.best.values)
-        return space.point(list(values), space.combinations[self.best.candidate])
+        return space.make_point(list(values), space.combinations[self.best.candidate])
 
 
 def history_columns(space: SearchSpace) -> tuple[Column, ...]:
@@ -118,7 +118,7 @@ def history_columns(space: SearchSpace) -> tuple[Column, ...]:
         Column("candidate", _I, "", "number of the combination of candidates"),
         Column("objective", _F, "", "over the tuning draws; relaxed where a sharpness is given"),
         *(
-            Column(v.name, _F, split_unit(v.key)[1], f"{meaning(v.key)}; null if not used")
+            Column(v.name, _F, split_unit(v.key)[1], f"{key_meaning(v.key)}; null if not used")
             for v in space.variables
         ),
         Column("cost", _I, "", "steps so far, in steps of a plain run, tangents included"),
@@ -141,7 +141,7 @@ def write_history(directory: Path, study: Study, searches: Iterable[SearchResult
     """
     table = _history_table(SearchSpace.from_study(study), searches)
     with replacing(directory / FILE) as file:
-        file.write(sealed.sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)}))
+        file.write(sealed.to_sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)}))
 
 
 def _history_table(space: SearchSpace, searches: Iterable[SearchResult]) -> pa.Table:
@@ -189,11 +189,11 @@ def read_history(directory: str | Path) -> pa.Table:
 def _read_table(directory: Path) -> pa.Table:
     path = directory / FILE
     try:
-        return sealed.read_parquet(path)
+        return sealed.read_sealed_parquet(path)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
-    except sealed.Damaged as error:
-        raise sealed.Damaged(f"{error} (`sinsjax tune --resume` makes it again)") from None
+    except sealed.DamagedError as error:
+        raise sealed.DamagedError(f"{error} (`sinsjax tune --resume` makes it again)") from None
 
 
 def read_searches(directory: Path, space: SearchSpace) -> list[SearchResult]:
@@ -237,7 +237,7 @@ def is_tuning(directory: Path) -> bool:
     Raises:
         InputError: one of its files or folders is a link or a pipe.
     """
-    places.check_entries(directory)
+    places.check_directory(directory)
     if (directory / MANIFEST).exists():  # plain results of a study with [tune]
         return False
     return load_stored_study(directory) is not None
@@ -256,7 +256,7 @@ def load_tuned_study(directory: Path) -> Study:
     except InputError as error:
         raise InputError(f"{error} {remedy}" if tuned else str(error)) from None
     if tuned is not None and study_to_toml(tuned) != study_to_toml(study):
-        differing = "; ".join(differences(tuned, study, ("in the history", "in the file")))
+        differing = "; ".join(describe_differences(tuned, study, ("in the history", "in the file")))
         path = directory / STUDY
         raise InputError(f"{path}: is not the study of the history: {differing} {remedy}")
     return study

@@ -19,7 +19,7 @@ from sinsjax.engine.metrics import Criteria, Outcome, outside
 from sinsjax.engine.success import FLOOR, TRUTH
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.study import Study
-from sinsjax.study.success import bands, success_of
+from sinsjax.study.success import settling_bands, success_criteria
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
 
@@ -38,7 +38,7 @@ _OVER_DRAWS: dict[str, Callable[[TuneSection, NDArray], NDArray]] = {
 
 def summary_columns(tune: TuneSection, study: Study) -> list[str]:
     """Return the columns of the summary from which the values of runs are computed."""
-    truth = success_of(study).from_truth
+    truth = success_criteria(study).from_truth
     if tune.objective == "final_error":
         return ["run_id", "phi_u_arcmin", *([] if truth else ["floor_arcmin"])]
     return ["run_id", columns.settle_column(tune.objective_band_arcmin, truth=truth).name]
@@ -81,8 +81,8 @@ def estimate_values(tune: TuneSection, study: Study) -> NDArray:
         (variants, samples): as `run_values`; final heading errors are one rms for all samples.
     """
     scenario = Scenario(study, curves=True)
-    reference = TRUTH if success_of(study).from_truth else FLOOR
-    band = int(np.argmin(np.abs(np.asarray(bands(study)) - tune.objective_band_arcmin)))
+    reference = TRUTH if success_criteria(study).from_truth else FLOOR
+    band = int(np.argmin(np.abs(np.asarray(settling_bands(study)) - tune.objective_band_arcmin)))
     out = np.empty((study.n_variants, SAMPLES))
     end = study.spans_s[:, 0]
     for number, ids in enumerate(scenario.variant_ids):

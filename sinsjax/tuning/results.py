@@ -16,7 +16,7 @@ from sinsjax.execution.source import Source
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
-from sinsjax.study.success import yardsticks
+from sinsjax.study.success import success_measures
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult, load_tuned_study
 from sinsjax.tuning.run_tuning import (
@@ -118,10 +118,10 @@ class Tuning:
         on_bounds = {}
         for name, result in self.searches.items():
             best = result.best
-            used = space.used(space.combinations[best.candidate])
+            used = space.used_variables(space.combinations[best.candidate])
             point = [(space.variables[i], float(best.values[i])) for i in used]
             on_bounds[name] = [
-                (v, x) for v, x in point if not _AT_BOUND < v.place(x) < 1 - _AT_BOUND
+                (v, x) for v, x in point if not _AT_BOUND < v.position(x) < 1 - _AT_BOUND
             ]
         return on_bounds
 
@@ -177,17 +177,17 @@ class Tuning:
 def describe_objective(study: Study) -> tuple[str, str]:
     """Return the objective of a study with [tune] in words, and its unit."""
     tune = require_tune(study)
-    success = yardsticks(study, tune.objective_band_arcmin)[0]
+    success = success_measures(study, tune.objective_band_arcmin)[0]
     about = "" if success.truth else ", from its bias floor"
     return {
-        "settle_mean": (f"mean time until the heading stays {success.words}", "s"),
+        "settle_mean": (f"mean time until the heading stays {success.description}", "s"),
         "settle_quantile": (
             f"{100 * tune.objective_quantile:g} % quantile of the time until the heading stays"
-            f" {success.words}",
+            f" {success.description}",
             "s",
         ),
         "final_error": (f"root mean square heading error at the end{about}", "arcmin"),
-        "failure_rate": (f"share that never stays {success.words}", ""),
+        "failure_rate": (f"share that never stays {success.description}", ""),
     }[tune.objective]
 
 

@@ -15,13 +15,13 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
 from sinsjax.execution.directory import STUDY
-from sinsjax.execution.prepare import Kind, Options, prepare
+from sinsjax.execution.prepare import JobKind, RunOptions, prepare_job
 from sinsjax.execution.run import RunProgress
-from sinsjax.execution.sealed import Damaged
+from sinsjax.execution.sealed import DamagedError
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.identity import differences, fingerprint
+from sinsjax.study.identity import describe_differences, fingerprint
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_to_toml, with_point
 from sinsjax.study.schema import TuneSection
@@ -42,15 +42,15 @@ def prepare_tuning(
     overrides: Mapping[str, Any] | None,
     record: StoredRecord | Path | str | None,
     reference: Path | str | None,
-    options: Options,
+    options: RunOptions,
 ) -> Job:
-    """Check a tuning run and forecast what it takes, see `prepare.prepare`.
+    """Check a tuning run and forecast what it takes, see `prepare.prepare_job`.
 
     Raises:
         InputError: as `from_python.tune`.
     """
-    kind = Kind(check_directory, forecast.of_tuning, _check_same_study, require_tune)
-    job = prepare(source, overrides, record, reference, options, kind=kind)
+    kind = JobKind(check_directory, forecast.forecast_tuning, _check_same_study, require_tune)
+    job = prepare_job(source, overrides, record, reference, options, kind=kind)
     if job.stored is not None and job.stored.reference is None:
         text = "tuning on a record needs a reference (give it with --reference)"
         raise InputError(f"{job.study.name}: [tune]: {text}")
@@ -74,7 +74,7 @@ def run_tuning(
         StudyInterrupted: ``stop`` was set.
     """
     session = SearchSession(job, watch or (lambda name: nullcontext()), stop or threading.Event())
-    lock = places.lock(session.directory)
+    lock = places.lock_directory(session.directory)
     try:
         # Again, since the directory may have changed before it was locked.
         check_directory(session.directory, overwrite=job.overwrite, resume=job.resume)
@@ -124,7 +124,7 @@ def check_directory(directory: Path, *, overwrite: bool, resume: bool) -> None:
     Raises:
         InputError: the directory cannot be used.
     """
-    taken = places.present_names(directory, _NAMES)
+    taken = places.existing_names(directory, _NAMES)
     if taken and not is_tuning(directory):
         raise InputError(
             f"{directory}: holds a {taken[0]} that is not of a tuning run (give another directory)"
@@ -142,10 +142,10 @@ def _prepare_directory(
     """Prepare the directory; return the searches of its history when resuming."""
     directory, known = session.directory, []
     try:
-        for path in places.stale_temporary_files(directory):
+        for path in places.stale_temp_files(directory):
             path.unlink()
         if session.job.resume and (directory / history.FILE).exists():
-            with suppress(Damaged):  # its searches are repeated, from the stored parts
+            with suppress(DamagedError):  # its searches are repeated, from the stored parts
                 known = history.read_searches(directory, space)
         elif not session.job.resume:
             for name in (TUNED, history.FILE):
@@ -167,7 +167,7 @@ def _check_same_study(job: Job) -> Job:
     old, new = (require_tune(study).model_dump() for study in (stored, job.study))
     differ = [f"[tune] {key}" for key in old if old[key] != new[key]]
     if fingerprint(stored) != fingerprint(job.study):
-        differ += differences(stored, job.study)
+        differ += describe_differences(stored, job.study)
     if differ:
         text = "; ".join(differ)
         raise InputError(f"{job.directory}: holds a tuning run of another study: {text}")
@@ -213,7 +213,7 @@ def _run_in_memory(name: str, study: Study, session: SearchSession) -> SearchRes
 
 def _equal_cost_counts(study: Study, space: SearchSpace, cost: int) -> list[int]:
     """Return the number of points of each combination for a search of a given cost."""
-    point = space.point(space.values([0.5] * len(space.variables)), space.combinations[0])
+    point = space.make_point(space.to_values([0.5] * len(space.variables)), space.combinations[0])
     point_cost = search.total_steps(search.derive_study(study, {"point": point}, name=study.name))
     count = len(space.combinations)
     points = max(count, round(cost / point_cost))

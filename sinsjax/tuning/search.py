@@ -19,21 +19,21 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax.execution import results
-from sinsjax.execution.prepare import subordinate
-from sinsjax.execution.run import RunProgress, Tell, run_in_memory, run_job
+from sinsjax.execution.prepare import make_subjob
+from sinsjax.execution.run import ProgressCallback, RunProgress, run_in_memory, run_job
 from sinsjax.execution.tasks import Job
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import sampling, search_space
 from sinsjax.study.keys import TomlTable
-from sinsjax.study.load import study_from_dict, tables_of
+from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.study.resolved import Dimension
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.study.sweep import TIMES, dimensions_of
+from sinsjax.study.sweep import TIMES, sweep_dimensions
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, SearchResult
 
-Watch = Callable[[str], AbstractContextManager[Tell | None]]
+Watch = Callable[[str], AbstractContextManager[ProgressCallback | None]]
 """(name of a search) -> context with its progress callback, if any."""
 
 _SEEDS = 2**63
@@ -61,7 +61,7 @@ class SearchSession(NamedTuple):
     def run(self, study: Study, name: str) -> Path:
         """Run a study without curves into a subdirectory; return its path."""
         with self.watch(name) as on_progress:
-            run_job(subordinate(self.job, study, name), tell=on_progress, stop=self.stop)
+            run_job(make_subjob(self.job, study, name), on_progress=on_progress, stop=self.stop)
         return self.directory / name
 
 
@@ -136,7 +136,7 @@ def _design(space: SearchSpace, draw_points: Callable[[int, int], NDArray]) -> D
     """
     candidates, boxes = [], []
     for number, combination in enumerate(space.combinations):
-        used = space.used(combination)
+        used = space.used_variables(combination)
         points = draw_points(number, len(used)) if used else np.empty((1, 0))
         box = np.full((len(points), len(space.variables)), np.nan)
         box[:, used] = points
@@ -170,9 +170,9 @@ def evaluate_design(
     """
     tune, space = study.tune, SearchSpace.from_study(study)
     assert tune is not None
-    values = np.array(space.values(design.box.T)).T if space.variables else design.box
+    values = np.array(space.to_values(design.box.T)).T if space.variables else design.box
     points = [
-        space.point(list(np.nan_to_num(row)), space.combinations[candidate])
+        space.make_point(list(np.nan_to_num(row)), space.combinations[candidate])
         for row, candidate in zip(values, design.candidate, strict=True)
     ]
     names = objective.summary_columns(tune, study)
@@ -299,7 +299,7 @@ def derive_study(
     tune = study.tune
     assert tune is not None
     keys = next(iter(points.values()))
-    tables = search_space.without_keys(tables_of(study), list(keys))
+    tables = search_space.remove_keys(study_to_tables(study), list(keys))
     tables["study"] = tables["study"] | {"name": name, "curves": False}
     if study.record:
         starts = study.record.start_s[1 if evaluation else 0 :: 2]
@@ -310,7 +310,7 @@ def derive_study(
         tables["study"] |= {"seed": seed, "draws": draws}
     if study.drawn:
         count = len(tables["record"]["start_s"]) if study.record else tables["study"]["draws"]
-        tables["drawn"] = sampling.drawn_table(study.drawn, count)
+        tables["drawn"] = sampling.truncate_drawn_table(study.drawn, count)
     axis = {key: values for key, values in _study_cases(study).items() if key != "case"}
     if axis:  # the labels are now those of the points
         tables["axes"] = tables.get("axes", {}) | {_unused_axis_name(study): axis}
@@ -319,7 +319,7 @@ def derive_study(
 
 
 def _study_cases(study: Study) -> Dimension:
-    return dimensions_of(study.cases, [], {})[0] if study.cases else {}
+    return sweep_dimensions(study.cases, [], {})[0] if study.cases else {}
 
 
 def _unused_axis_name(study: Study) -> str:
@@ -341,7 +341,9 @@ GENERATION, FIRST_SIGMA, FINALISTS = 8, 0.2, 3
 points that are run on the tuning draws."""
 
 
-def search_by_covariance(study: Study, *, on_progress: Tell | None = None) -> SearchResult:
+def search_by_covariance(
+    study: Study, *, on_progress: ProgressCallback | None = None
+) -> SearchResult:
     """Search with the objective of covariance analysis.
 
     Args:
@@ -357,7 +359,7 @@ def search_by_covariance(study: Study, *, on_progress: Tell | None = None) -> Se
 class _CovarianceSearch:
     """A search by covariance analysis. Resets stay hard."""
 
-    def __init__(self, study: Study, on_progress: Tell | None) -> None:
+    def __init__(self, study: Study, on_progress: ProgressCallback | None) -> None:
         assert study.tune is not None
         self._study, self._tune, self._space = study, study.tune, SearchSpace.from_study(study)
         self._on_progress = on_progress or (lambda progress: None)
@@ -376,7 +378,7 @@ class _CovarianceSearch:
         for candidate in range(len(space.combinations)):
             self._estimate(design.box[design.candidate == candidate], candidate)
         first = min(self._evaluations, key=lambda evaluation: evaluation.objective)
-        if used := space.used(space.combinations[first.candidate]):
+        if used := space.used_variables(space.combinations[first.candidate]):
             self._evolve(first, used)
         self._run_finalists()
         return SearchResult(COVARIANCE, self._evaluations)
@@ -386,7 +388,7 @@ class _CovarianceSearch:
         import cma  # late: it takes a second, and only this search needs it
 
         values = [1.0 if np.isnan(value) else value for value in first.values]
-        box = np.asarray(self._space.box(values))
+        box = np.asarray(self._space.to_box(values))
         seed = int(search_seed(self._study, "evolution").generate_state(1)[0]) or 1
         settings = {
             **{"bounds": [0.0, 1.0], "popsize": GENERATION, "seed": seed},
@@ -404,9 +406,9 @@ class _CovarianceSearch:
     def _estimate(self, box: NDArray, candidate: int) -> list[float]:
         """Estimate the objective at some box points of a combination."""
         combination = self._space.combinations[candidate]
-        values = [self._space.values(np.nan_to_num(row)) for row in box]
+        values = [self._space.to_values(np.nan_to_num(row)) for row in box]
         scored = self._score(
-            [self._space.point(row, combination) for row in values],
+            [self._space.make_point(row, combination) for row in values],
             lambda derived: objective.estimate_values(self._tune, derived),
         )
         for row, point, score in zip(box, values, scored.scores, strict=True):
@@ -424,7 +426,7 @@ class _CovarianceSearch:
         best: dict[tuple[Any, ...], tuple[Evaluation, TomlTable]] = {}
         for evaluation in sorted(self._evaluations, key=lambda e: e.objective):
             combination = self._space.combinations[evaluation.candidate]
-            point = self._space.point(list(np.nan_to_num(evaluation.values)), combination)
+            point = self._space.make_point(list(np.nan_to_num(evaluation.values)), combination)
             best.setdefault(tuple(point.values()), (evaluation, point))
         finalists, points = zip(*list(best.values())[:FINALISTS], strict=True)
 

@@ -15,8 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 import tomli_w
 from support.commands import Command, command_line
-from support.kept import everything
 from support.studies import BASE, small_study, swing_deg, with_paper_values
+from support.sweep_directories import read_files_and_times
 
 from sinsjax import cli
 from sinsjax.engine import build
@@ -116,7 +116,7 @@ def test_help_prints_docstring_and_option_help_in_full(sinsjax: Command, command
 def test_brackets_in_output_are_not_parsed_as_markup(
     sinsjax: Command, tmp_path: Path, record: build.Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sinsjax.execution.run.MOST_CURVES", 1)
+    monkeypatch.setattr("sinsjax.execution.run.MAX_CURVE_RUNS", 1)
     write_psins(record, tmp_path / "swing.imu")
     study = RECORDED["study"] | {"name": "swing [tune]"}
     config = write_study(tmp_path, **RECORDED | {"study": study})
@@ -169,16 +169,16 @@ def test_resume_computes_only_missing_runs(sinsjax: Command, tmp_path: Path) -> 
     config, out = write_study(tmp_path, **TWO, study={"draws": 100}), tmp_path / "out"
     words = ("sweep", config, "-o", out, "--resume")
     code, told, _ = sinsjax(*words, "--chunk-runs", 64)
-    assert code == 0 and f"{out}: there is nothing to resume, all runs are new." in told
-    before = everything(out)
+    assert code == 0 and f"{out}: no results to resume, all runs are new." in told
+    before = read_files_and_times(out)
     lost, *kept = sorted(out.glob("summary/*.parquet"))
     assert len(kept) == 1
     lost.unlink()
     code, told, _ = sinsjax(*words)
-    assert code == 0 and "nothing to resume" not in told
+    assert code == 0 and "no results to resume" not in told
     assert "study: 72 of 200 runs already there" in told
     assert "study: 200 of 200 runs" in told
-    assert {k: v[0] for k, v in everything(out).items() if "summary" in k} == {
+    assert {k: v[0] for k, v in read_files_and_times(out).items() if "summary" in k} == {
         k: v[0] for k, v in before.items() if "summary" in k
     }
     assert kept[0].stat().st_mtime_ns == before[str(kept[0].relative_to(out))][1]
@@ -190,14 +190,14 @@ def test_resume_computes_only_missing_runs(sinsjax: Command, tmp_path: Path) -> 
 def test_resume_of_different_study_is_refused_in_one_line(sinsjax: Command, tmp_path: Path) -> None:
     config, out = write_study(tmp_path, **TWO), tmp_path / "out"
     assert sinsjax("sweep", config, "-o", out)[0] == 0
-    before = everything(out)
+    before = read_files_and_times(out)
     both = ("sweep", config, "-o", out, "--resume", "--overwrite")
     assert_refused(sinsjax(*both), tmp_path / "none", "--resume", "--overwrite")
     write_study(tmp_path, **TWO, study={"seed": 2}, alignment={"phi_n0_deg": 6.0})
     named = ("[study] seed: 1 there, 2 here", "[alignment] phi_n0_deg: 5.0 there, 6.0 here")
     told = sinsjax("sweep", config, "-o", out, "--resume")
     assert_refused(told, tmp_path / "none", str(out), "another study", *named)
-    assert everything(out) == before
+    assert read_files_and_times(out) == before
 
 
 def test_invalid_executor_options_are_refused_in_one_line(sinsjax: Command, tmp_path: Path) -> None:
@@ -232,14 +232,14 @@ def test_resume_and_rerun_of_recorded_study_require_same_record(
     write_psins(record._replace(dv=record.dv * 1.01), other)
     config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
     assert sinsjax("align", path, config, "-o", out)[0] == 0
-    before = everything(out)
+    before = read_files_and_times(out)
     told = sinsjax("align", other, config, "-o", out, "--resume")
     assert_refused(told, tmp_path / "none", str(out), "another record or reference")
     told = sinsjax("rerun", out, "--run-id", 1)
     assert_refused(told, tmp_path / "none", str(out), "--record")
     told = sinsjax("rerun", out, "--run-id", 1, "--record", other)
     assert_refused(told, tmp_path / "none", str(out), "another record")
-    assert everything(out) == before
+    assert read_files_and_times(out) == before
     code, told, _ = sinsjax("align", path, config, "-o", out, "--resume")
     assert code == 0 and "2 of 2 runs already there" in told
     code, told, _ = sinsjax("rerun", out, "--run-id", 1, "--record", path)

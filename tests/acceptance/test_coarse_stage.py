@@ -11,11 +11,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 from rich.console import Console
-from support.studies import refusal, small_study, with_paper_values, with_truth
+from support.studies import add_true_reference, refusal_line, small_study, with_paper_values
 
 from sinsjax.engine import build
 from sinsjax.execution import rerun, run
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.study import Study
 
@@ -87,7 +87,7 @@ def test_coarse_summary_has_data_length_per_settling_time() -> None:
         for kind in ("", "_truth"):
             data = summary[f"settle_{band}{kind}_data_s"]
             assert data.equals(summary[f"settle_{band}{kind}_s"])
-    plain = Tables(small_study()).summary_columns
+    plain = TableBuilder(small_study()).summary_columns
     assert not any(column.name.endswith("data_s") for column in plain)
 
 
@@ -139,7 +139,7 @@ def test_resolved_toml_loads_as_equal_study() -> None:
     ],
 )
 def test_invalid_coarse_settings_are_refused(tables: dict[str, Any], line: str) -> None:
-    assert refusal(**tables) == line
+    assert refusal_line(**tables) == line
 
 
 def test_replay_allows_resets_during_coarse_alignment() -> None:
@@ -160,7 +160,7 @@ def test_rerun_with_coarse_stage_is_identical(tmp_path: Path) -> None:
     run.run_into(one, tmp_path / "out", curves=False)
     for run_id in (2, 5):
         told = StringIO()
-        rerun.rerun_into(tmp_path / "out", run_id, Console(file=told, width=200))
+        rerun.rerun_stored_run(tmp_path / "out", run_id, Console(file=told, width=200))
         assert "identical" in told.getvalue()
 
 
@@ -168,7 +168,7 @@ def test_rerun_with_coarse_stage_is_identical(tmp_path: Path) -> None:
 def test_replayed_record_matches_its_simulation() -> None:
     """From its start time, with the attitude unknown; its own hand-over has t = 0 at its end."""
     silent = {"gyro_noise_deg_per_h": 0.0}
-    stored = with_truth(build.simulated_record(study(sensors=silent)))
+    stored = add_true_reference(build.simulated_record(study(sensors=silent)))
     settings: dict[str, Any] = {"duration_s": 4.0, "window_s": [2, 4], "curves": True}
     settings["settle_bands_arcmin"] = [9000]  # in a few seconds a run gets no nearer
 

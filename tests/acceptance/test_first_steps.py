@@ -72,7 +72,7 @@ def sinsjax(
 def test_shipped_studies_are_found_by_name(sinsjax: Command) -> None:
     path = ROOT / "configs" / "reset_sweep.toml"
     for name in ("reset_sweep", "reset_sweep.toml", "configs/reset_sweep.toml", path):
-        assert files.find_study(name).samefile(path)
+        assert files.find_study_file(name).samefile(path)
     assert package.load_study("reset_sweep").name == "reset_sweep"
     with pytest.raises(package.InputError, match=r"^reset_sweeps: cannot .*mean reset_sweep\?"):
         package.load_study("reset_sweeps")
@@ -80,9 +80,9 @@ def test_shipped_studies_are_found_by_name(sinsjax: Command) -> None:
 
 def test_local_study_file_precedes_shipped_study(sinsjax: Command, tmp_path: Path) -> None:
     (tmp_path / "reset_sweep").mkdir()  # results are no study
-    assert files.find_study("reset_sweep").samefile(ROOT / "configs" / "reset_sweep.toml")
+    assert files.find_study_file("reset_sweep").samefile(ROOT / "configs" / "reset_sweep.toml")
     (tmp_path / "reset_sweep.toml").write_text("x = 1\n")
-    assert files.find_study("reset_sweep").samefile(tmp_path / "reset_sweep.toml")
+    assert files.find_study_file("reset_sweep").samefile(tmp_path / "reset_sweep.toml")
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "/", "x" * 300, "a/b"])
@@ -105,20 +105,20 @@ def test_init_copies_study_file_with_comments(sinsjax: Command, tmp_path: Path) 
     assert code == 2 and "did you mean reset_sweep?" in error
     code, told, _ = sinsjax("init", "--list")
     assert "docs/" not in told and "configs/" not in told  # a wheel has no such folders
-    assert code == 0 and {*files.templates(), *files.studies(), *files.GROUPS} - {"first"} <= set(
-        told.split()
-    )
+    assert code == 0 and {*files.template_files(), *files.shipped_studies(), *files.GROUPS} - {
+        "first"
+    } <= set(told.split())
 
 
 def test_every_shipped_study_is_in_one_group_and_five_are_for_newcomers() -> None:
-    groups = files.groups()
+    groups = files.studies_by_group()
     placed = [name for group in groups.values() for name in group]
-    assert sorted(placed) == sorted(files.studies())  # each in one group of a known name
+    assert sorted(placed) == sorted(files.shipped_studies())  # each in one group of a known name
     assert [*groups["first"]][:2] == ["reset_sweep", "paper1_resets"] and all(groups.values())
     for path in groups["first"].values():
-        assert files.purpose(path).endswith("?") and len(files.purpose(path)) < 65
+        assert files.read_purpose(path).endswith("?") and len(files.read_purpose(path)) < 65
     assert len(groups["first"]) == 5
-    assert groups.keys().isdisjoint({*files.studies(), *files.templates()})
+    assert groups.keys().isdisjoint({*files.shipped_studies(), *files.template_files()})
 
 
 def test_init_lists_newcomers_studies_then_groups_within_80_columns(
@@ -458,7 +458,7 @@ def test_setting_drawn_key_to_value_stops_drawing_it() -> None:
 
 
 def test_empty_table_drops_existing_section_or_key(sinsjax: Command) -> None:
-    template = package.load_study(files.templates()["sweep"])
+    template = package.load_study(files.template_files()["sweep"])
     assert template.replace({"axes.reset_times_s": {}}).axis_keys == ("phi_u0_deg",)
     assert template.replace({"axes": {}}).n_variants == 1
     drawn = package.load_study("reset_sweep", {"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
@@ -477,7 +477,7 @@ IDLE = "[alignment] phi_e0_deg, phi_n0_deg, [axes] phi_u0_deg have no effect wit
 
 def test_another_method_needs_no_further_changes(sinsjax: Command, tmp_path: Path) -> None:
     """It reads neither [filter] nor the axis of resets of the template."""
-    template = files.templates()["sweep"]
+    template = files.template_files()["sweep"]
     changes = ("--set", "alignment.method=inertial", "--set", "study.draws=2")
     code, shown, error = sinsjax("validate", template, *changes)
     assert (code, error) == (0, "")
@@ -500,10 +500,10 @@ def test_keys_without_effect_are_named_before_a_run(sinsjax: Command, tmp_path: 
 
 
 def test_dependent_defaults_are_recomputed_on_replace() -> None:
-    template = package.load_study(files.templates()["sweep"])
+    template = package.load_study(files.template_files()["sweep"])
     assert template.study.window_s == (200.0, 300.0)
     assert template.replace({"study.duration_s": 600.0}).study.window_s == (400.0, 600.0)
-    compare = package.load_study(files.templates()["compare"])
+    compare = package.load_study(files.template_files()["compare"])
     assert compare.replace({}) == compare
 
 
@@ -564,7 +564,7 @@ def test_wheel_alone_finds_templates_and_configs(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / wheel) as archive:
         archive.extractall(tmp_path / "site")
     (tmp_path / "empty").mkdir()
-    found = "from sinsjax.study import files; print(files.find_study('reset_sweep'))"
+    found = "from sinsjax.study import files; print(files.find_study_file('reset_sweep'))"
     told = []
     for words in (
         ["-m", "sinsjax", "init", "sweep"],

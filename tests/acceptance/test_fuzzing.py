@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 from fuzzing import manifests, studies, values
-from fuzzing.targets import Target, check_study, in_time, line_of, targets
+from fuzzing.targets import Target, check_error_lines, check_study, limit_time, make_targets
 from hypothesis import HealthCheck, Phase, given, settings
-from support.kept import rewrite_manifest
+from support.sweep_directories import rewrite_manifest
 
 from sinsjax.errors import InputError
 from sinsjax.execution import resume
@@ -28,7 +28,7 @@ LATE_S = 60
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Target]]:
-    yield {target.name: target for target in targets(tmp_path_factory.mktemp("fuzz"))}
+    yield {target.name: target for target in make_targets(tmp_path_factory.mktemp("fuzz"))}
 
 
 @pytest.mark.slow
@@ -46,7 +46,7 @@ def test_fuzzed_input_is_accepted_or_refused_in_one_line(name: str, found: dict[
     )
     @given(target.cases)
     def check(case: object) -> None:
-        with in_time(LATE_S):
+        with limit_time(LATE_S):
             target.check(case)
 
     check()
@@ -59,8 +59,8 @@ MISFITS = [{"a": 1}, [[[1]]], 1e300, -1]
 @pytest.mark.parametrize("value", MISFITS, ids=repr)
 def test_misfit_value_is_accepted_or_refused_in_one_line(value: object, tmp_path: Path):
     """Chance hardly ever puts a table where one word belongs."""
-    for data in studies.everywhere(value):
-        check_study(tmp_path / "s.toml", studies.written(data))
+    for data in studies.studies_with_value(value):
+        check_study(tmp_path / "s.toml", studies.to_toml_bytes(data))
 
 
 def test_every_schema_key_is_fuzzed():
@@ -68,7 +68,7 @@ def test_every_schema_key_is_fuzzed():
         (name, key) for name, m in SECTIONS.items() for key in m.model_fields
     }
     for name, key in studies.KEYS:
-        assert not values.of_field(SECTIONS[name].model_fields[key]).is_empty
+        assert not values.values_of_field(SECTIONS[name].model_fields[key]).is_empty
 
 
 # What hunts have found
@@ -76,7 +76,7 @@ def test_every_schema_key_is_fuzzed():
 
 def directory_with(manifest: dict[str, Any], folder: Path) -> Path:
     """Results with some entries of the manifest replaced."""
-    manifests.stored(folder)
+    manifests.write_results(folder)
     rewrite_manifest(folder, **manifest)
     return folder
 
@@ -101,7 +101,7 @@ def test_misfit_study_in_manifest_is_refused_in_one_line(sections: Any, tmp_path
     out = directory_with({"study": sections, "fingerprint": "0"}, tmp_path)
     with pytest.raises(InputError, match="study.toml: is not the study of the results") as caught:
         Source.read(out)
-    line_of(caught.value, out)
+    check_error_lines(caught.value, out)
 
 
 @pytest.mark.parametrize("text", ["[" * 5000, "\x1b[31m", "1\n2"])
@@ -111,9 +111,9 @@ def test_version_mismatch_is_reported_in_one_printable_line(key: str, text: str,
     session |= {key: {"numpy": text} if key == "versions" else text}
     out = directory_with({"sessions": [session]}, tmp_path)
     with pytest.raises(InputError, match="was computed with (numpy|instruction set)") as caught:
-        resume.continued(Job(manifests.STUDY, directory=out))
-        resume.check_instructions(out, "AVX2")
-    assert len(line_of(caught.value, out)) < 1000
+        resume.continue_job(Job(manifests.STUDY, directory=out))
+        resume.check_instruction_set(out, "AVX2")
+    assert len(check_error_lines(caught.value, out)) < 1000
 
 
 def test_overlong_column_names_are_shortened_in_error(tmp_path: Path):

@@ -11,9 +11,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from support.dying import Dying
-from support.kept import CHUNK_RUNS, assert_complete, manifest, parts, times
+from support.killed_commands import KilledCommand
 from support.studies import small_study
+from support.sweep_directories import (
+    CHUNK_RUNS,
+    assert_complete,
+    modification_times,
+    read_manifest_entries,
+    read_parts,
+)
 
 from sinsjax.execution.results import count_runs, read_curves, read_summary
 from sinsjax.execution.sealed import is_intact
@@ -58,7 +64,7 @@ class Sweeps:
         self._environment = {compile_cache.VARIABLE: str(folder / "cache")}
         self.study = folder / "study.toml"
         self.study.write_text(study_to_toml(STUDY))
-        self._all: list[Dying] = []
+        self._all: list[KilledCommand] = []
 
     def ready(
         self,
@@ -66,23 +72,23 @@ class Sweeps:
         *options: str,
         how: str = "--resume",
         pause_s: float = 0.0,
-    ) -> Dying:
+    ) -> KilledCommand:
         """A process that waits for `go`."""
         words = ["sweep", self.study, "-o", self.out, how, "--chunk-runs", CHUNK_RUNS, *options]
         said = Path(tempfile.mkdtemp(dir=self._folder)) / "output"
-        process = Dying(
+        process = KilledCommand(
             [str(word) for word in words], self._environment, said, point=point, pause_s=pause_s
         )
         self._all.append(process)
         return process
 
-    def ended(self, process: Dying) -> tuple[int, str, str]:
+    def ended(self, process: KilledCommand) -> tuple[int, str, str]:
         """Exit code, output and error output of a process that ends by itself."""
-        return exit_code(process), *process.said()
+        return exit_code(process), *process.read_output()
 
     def sweep(self, *options: str, how: str = "--resume") -> tuple[int, str, str]:
         """Sweep to the end."""
-        return self.ended(self.ready(NEVER, *options, how=how).go())
+        return self.ended(self.ready(NEVER, *options, how=how).proceed())
 
     def close(self) -> None:
         """End what is left."""
@@ -90,19 +96,19 @@ class Sweeps:
             process.close()
 
 
-def exit_code(process: Dying) -> int:
+def exit_code(process: KilledCommand) -> int:
     """Of a process that ends by itself."""
     process.process.join(DEADLINE_S)
     code = process.process.exitcode
-    assert code is not None, process.said()
+    assert code is not None, process.read_output()
     return code
 
 
-def wait(process: Dying, until: Callable[[], bool]) -> None:
+def wait(process: KilledCommand, until: Callable[[], bool]) -> None:
     """Wait for something that a process does."""
     since = time.monotonic()
     while not until():
-        assert process.process.exitcode is None, process.said()
+        assert process.process.exitcode is None, process.read_output()
         assert time.monotonic() < since + DEADLINE_S
         time.sleep(0.002)
 
@@ -146,11 +152,11 @@ def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
         whole: an uninterrupted run's.
         made: when every part was written that had been made before; those found now are added.
     """
-    there, expected = parts(out), parts(whole)
+    there, expected = read_parts(out), read_parts(whole)
     assert {name: expected[name] for name in there} == there
     summaries = {name for name in there if name.startswith("summary")}
     assert {name.replace("summary", "curves") for name in summaries} <= there.keys()
-    now = times(out)
+    now = modification_times(out)
     assert {name: now.get(name) for name in made} == made, "a part was lost, or made twice"
     done = summaries | {name.replace("summary", "curves") for name in summaries}
     made |= {name: now[name] for name in done}
@@ -163,7 +169,7 @@ def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
         assert curves.num_rows == RECORDS * rows.num_rows
     if (out / "manifest.json").exists():
         assert is_intact((out / "manifest.json").read_bytes())
-        for chunk in manifest(out)["chunks"]:
+        for chunk in read_manifest_entries(out)["chunks"]:
             for file in chunk.get("files", []):
                 assert is_intact(there[file["file"]])
 
@@ -171,7 +177,7 @@ def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
 def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Path) -> None:
     """Ten at named points, ten at moments spread over the sweep, all on one directory."""
     out, chance = sweeps.out, random.Random(5)
-    chunk_s = sum(chunk["seconds"] for chunk in manifest(whole)["chunks"]) / CHUNKS
+    chunk_s = sum(chunk["seconds"] for chunk in read_manifest_entries(whole)["chunks"]) / CHUNKS
     named, kills = iter(NAMED), {"named": 0, "spread": 0}
     order = "nnnn ss n s n s n s n s n s n sss".replace(" ", "")
     points = [NEVER if kind == "s" else next(named) for kind in order]
@@ -179,7 +185,7 @@ def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Pa
     following = sweeps.ready(points[0])
     for i, point in enumerate(points):
         process, before, there = following, written(out / "manifest.json"), count(out)
-        process.go()
+        process.proceed()
         following = sweeps.ready(points[i + 1] if i + 1 < len(points) else NEVER, pause_s=0.2)
         if point is NEVER:
             if kills["spread"] == 0:  # while JAX starts
@@ -189,13 +195,13 @@ def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Pa
             else:
                 wait(process, lambda there=there: count(out) > there)
             time.sleep(chance.uniform(0, chunk_s))
-            process.send(signal.SIGKILL)
-        assert exit_code(process) == -signal.SIGKILL, (point, process.said())
+            process.send_signal(signal.SIGKILL)
+        assert exit_code(process) == -signal.SIGKILL, (point, process.read_output())
         kills["spread" if point is NEVER else "named"] += 1
         assert_sound(out, whole, made)
     assert kills == {"named": 10, "spread": 10}
     assert count(out) < CHUNKS
-    code, told, error = sweeps.ended(following.go())
+    code, told, error = sweeps.ended(following.proceed())
     assert (code, error) == (0, "")
     assert "runs already there" in told
     assert_sound(out, whole, made)
@@ -206,20 +212,20 @@ def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Pa
 
 def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole: Path) -> None:
     """Whatever way it dies: the lock is the operating system's."""
-    first = sweeps.ready().go()
+    first = sweeps.ready().proceed()
     wait(first, lambda: count(sweeps.out) > 0)
-    first.send(signal.SIGSTOP)  # holds on, and writes no more
-    before = times(sweeps.out)
+    first.send_signal(signal.SIGSTOP)  # holds on, and writes no more
+    before = modification_times(sweeps.out)
     seconds = [sweeps.ready(), sweeps.ready(how="--overwrite")]
     for second in seconds:
-        code, _, error = sweeps.ended(second.go())
+        code, _, error = sweeps.ended(second.proceed())
         assert code == 2
         told = (
             rf"error: {sweeps.out}: another process is writing there: pid \d+ on \S+ \(wait .*\)\n"
         )
         assert re.fullmatch(told, error)
-    assert times(sweeps.out) == before
-    first.send(signal.SIGKILL)
+    assert modification_times(sweeps.out) == before
+    first.send_signal(signal.SIGKILL)
     assert exit_code(first) == -signal.SIGKILL
     code, _, error = sweeps.sweep()
     assert (code, error) == (0, "")
@@ -232,37 +238,37 @@ def test_sweep_stopped_by_signals_resumes_without_loss(sweeps: Sweeps, whole: Pa
     following = sweeps.ready()
     for number in (signal.SIGINT, signal.SIGTERM):
         process, there = following, count(out)
-        process.go()
+        process.proceed()
         following = sweeps.ready()
         wait(process, lambda there=there: count(out) > there)
-        process.send(number)
+        process.send_signal(number)
         code, told, error = sweeps.ended(process)
         assert code == 130
         assert "Stopping after the running chunks" in " ".join(told.split())
         done = f"{count(out) * CHUNK_RUNS:,} of {CHUNKS * CHUNK_RUNS:,} runs are in {out}"
         again = f"sinsjax sweep {sweeps.study} -o {out} --chunk-runs {CHUNK_RUNS} --resume"
         assert error == f"interrupted: {done} (continue: {again})\n"
-        state = manifest(out)
+        state = read_manifest_entries(out)
         assert state["state"] == "interrupted"
         assert state["runs_done"] == count(out) * CHUNK_RUNS
         assert not list(out.rglob("*.tmp")) and not (out / "figures").exists()
         assert_sound(out, whole, made)
     process, there = following, count(out)
-    process.go()
+    process.proceed()
     following = sweeps.ready()
     wait(process, lambda: count(out) > there)
-    process.send(signal.SIGSTOP)
+    process.send_signal(signal.SIGSTOP)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGCONT):  # the first two come together
-        process.send(number)
+        process.send_signal(number)
     code, _, error = sweeps.ended(process)
     assert code in (128 + signal.SIGINT, 128 + signal.SIGTERM) and error == ""
-    assert manifest(out)["state"] == "running"
+    assert read_manifest_entries(out)["state"] == "running"
     assert_sound(out, whole, made)
-    code, _, error = sweeps.ended(following.go())
+    code, _, error = sweeps.ended(following.proceed())
     assert (code, error) == (0, "")
     assert_sound(out, whole, made)
     assert_complete(out, whole)
-    assert len(manifest(out)["sessions"]) == 4
+    assert len(read_manifest_entries(out)["sessions"]) == 4
 
 
 @pytest.fixture
@@ -327,17 +333,17 @@ def test_killed_extension_keeps_existing_results(
     sweeps: Sweeps, whole: Path, point: tuple[str, str, int], began: bool
 ) -> None:
     """No part of the results is replaced, so there are never fewer than before."""
-    out, before = sweeps.out, parts(whole)
+    out, before = sweeps.out, read_parts(whole)
     shutil.copytree(whole, out)
-    there = times(out)
-    process = sweeps.ready(point, "--draws", str(MORE)).go()
-    assert exit_code(process) == -signal.SIGKILL, process.said()
-    assert {name: times(out)[name] for name in there} == there
+    there = modification_times(out)
+    process = sweeps.ready(point, "--draws", str(MORE)).proceed()
+    assert exit_code(process) == -signal.SIGKILL, process.read_output()
+    assert {name: modification_times(out)[name] for name in there} == there
     rows = read_summary(out)
     assert rows["draw_id"].to_numpy().max() >= STUDY.n_draws - 1
     assert (rows.num_rows > CHUNKS * CHUNK_RUNS) <= began
     code, _, error = sweeps.sweep("--draws", str(MORE))
     assert (code, error) == (0, "")
-    assert {name: content for name, content in parts(out).items() if name in before} == before
+    assert {name: content for name, content in read_parts(out).items() if name in before} == before
     rows = read_summary(out)
     assert rows["run_id"].to_pylist() == list(range(MORE * STUDY.n_variants))

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 import tomli_w
 from support.commands import command_line
-from support.stored import store, write_manifest
+from support.stored_results import store_results, write_manifest
 from support.studies import BASE, small_study, small_tables
 
 from sinsjax import cli, console
@@ -109,7 +109,7 @@ NESTED = {
 def test_study_nested_too_deeply_is_refused_in_one_line(
     how: str, tmp_path: Path, sinsjax: Command
 ) -> None:
-    out = store(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
+    out = store_results(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
     path = out / "study.toml"
     path.write_text(NESTED[how])
     with pytest.raises(InputError, match=r"study.toml: is nested too deeply$"):
@@ -118,7 +118,7 @@ def test_study_nested_too_deeply_is_refused_in_one_line(
     for words in (*commands, ("validate", path)):
         assert sinsjax(*words) == (2, f"error: {path}: is nested too deeply\n")
     job = Job(small_study(), directory=out)
-    assert resume.continued(job).identity == job.identity  # resume asks the parts whose they are
+    assert resume.continue_job(job).identity == job.identity  # resume asks the parts whose they are
 
 
 @pytest.mark.parametrize("place", ["study.window_s", "study" + ".x" * 50_000])
@@ -141,7 +141,7 @@ def test_value_nested_too_deeply_is_refused_in_one_line() -> None:
 def test_manifest_nested_too_deeply_is_refused_in_one_line(
     tmp_path: Path, sinsjax: Command
 ) -> None:
-    out = store(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
+    out = store_results(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
     few = '{"config":' + "[" * 60 + "]" * 60 + "}"
     for text in ("[" * DEEP, '{"a":' * DEEP, '{"chunks":' + "[" * DEEP, few):
         (out / "manifest.json").write_text(text)
@@ -158,9 +158,11 @@ def test_manifest_nested_too_deeply_is_refused_in_one_line(
 
 def test_rerun_refuses_summary_with_two_rows_of_one_run(tmp_path: Path, sinsjax: Command) -> None:
     curves = pa.table({"run_id": [0, 0, 1, 1], "time_s": [1.0, 2.0, 1.0, 2.0]})
-    out = store(tmp_path / "out", small_study(), curves)
+    out = store_results(tmp_path / "out", small_study(), curves)
     code, error = sinsjax("rerun", out, "--run-id", 1)
-    assert code == 2 and error.startswith(f"error: {out}/summary: has 2 rows of run 1: a part")
+    assert code == 2 and error.startswith(
+        f"error: {out}/summary: has 2 rows of run 1: a foreign part"
+    )
     assert error.count("\n") == 1
 
 
@@ -170,14 +172,14 @@ def test_results_directory_whose_name_is_not_utf8_is_refused_before_any_run(
 ) -> None:
     out = tmp_path / os.fsdecode(b"o\xff")
     refused = (
-        rf"{tmp_path}/o\udcff: results cannot be kept under a name that is not UTF-8 (rename it)"
+        rf"{tmp_path}/o\udcff: results cannot be stored under a name that is not UTF-8 (rename it)"
     )
     for words in (("sweep", "reset_sweep"), ("tune", "tune_condition5")):
         assert sinsjax(*words, "-o", out) == (2, f"error: {refused}\n")
     with pytest.raises(InputError, match=re.escape(refused)):
         run.run_into(small_study(), out)
     assert not out.exists()
-    store(tmp_path / "out", small_study(), pa.table({"run_id": [0]})).rename(out)
+    store_results(tmp_path / "out", small_study(), pa.table({"run_id": [0]})).rename(out)
     for words in (("report", out), ("rerun", out, "--run-id", 0)):
         assert sinsjax(*words) == (2, f"error: {refused}\n")
 
@@ -205,7 +207,7 @@ def test_sweep_and_report_finish_after_broken_pipe(
 
     def finished(*_: Any, **options: Any) -> None:
         for runs in range(1, 4):
-            options["tell"](run.RunProgress(runs, 3, 0, 0))
+            options["on_progress"](run.RunProgress(runs, 3, 0, 0))
         done.append("runs")
 
     config = tmp_path / "swing.toml"
@@ -300,7 +302,7 @@ def test_sweep_that_cannot_resume_prints_no_forecast(
     write_manifest(out, small_study(study={"draws": 48}))
     code, told, error = command("sweep", config, "-o", out, "--resume")
     assert (code, told) == (2, "")
-    assert error.endswith("(there can be more, not fewer: continue with --draws 48)\n")
+    assert error.endswith("(draws can be added, not removed: continue with --draws 48)\n")
 
 
 ENDING = """

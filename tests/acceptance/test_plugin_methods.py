@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.forked import Server
+from support.command_server import Server
 
 import sinsjax
 from sinsjax.methods import base

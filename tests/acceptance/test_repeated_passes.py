@@ -20,7 +20,7 @@ from sinsjax.engine import batch, build
 from sinsjax.engine.environment import Draw
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.records import Reference, write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
@@ -135,7 +135,7 @@ def test_passes_add_time_and_data_columns_to_tables() -> None:
     bands = [name for name in names if name.startswith("settle_")]
     kinds = ("s", "truth_s", "data_s", "truth_data_s")
     assert bands == [f"settle_{b}_{kind}" for kind in kinds for b in (60, 10, 3)]
-    plain = Tables(study_from_dict(merged(QUICK)))
+    plain = TableBuilder(study_from_dict(merged(QUICK)))
     assert not set(PLACES[1:]) & {c.name for c in plain.curve_columns}
     assert not any(c.name.endswith("data_s") for c in plain.summary_columns)
 

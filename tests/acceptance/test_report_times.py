@@ -12,13 +12,13 @@ import pyarrow as pa
 import pytest
 from rich.console import Console
 from support.alone import run_alone
-from support.studies import refusal, small_study, with_paper_values, with_truth
+from support.studies import add_true_reference, refusal_line, small_study, with_paper_values
 
 from sinsjax.engine import batch, build
 from sinsjax.engine.lanes import tiles_of
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, rerun, run
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_toml
@@ -156,13 +156,13 @@ def test_report_times_enter_study_toml_and_fingerprint_only_if_given() -> None:
     assert "report_times_s" not in study_to_toml(plain)
     assert len({fingerprint(plain), fingerprint(reported)}) == 2
     assert study_from_dict(tomllib.loads(study_to_toml(reported))) == reported
-    assert forecast.of(reported).run_bytes > forecast.of(plain).run_bytes
+    assert forecast.forecast_sweep(reported).run_bytes > forecast.forecast_sweep(plain).run_bytes
     (part,) = build.parts(plain)
     assert part.group.environment.criteria.report_samples is None
 
 
 def test_report_time_columns_have_unit_and_meaning() -> None:
-    made = Tables(small_study(study={"record_interval_s": 0.5, "report_times_s": [2.5]}))
+    made = TableBuilder(small_study(study={"record_interval_s": 0.5, "report_times_s": [2.5]}))
     told = {c.name: (c.unit, c.meaning) for c in made.summary_columns if "_at_" in c.name}
     assert told == {
         "phi_u_at_2.5_arcmin": ("arcmin", "phi_u_arcmin at 2.5 s of data"),
@@ -179,14 +179,14 @@ def test_rerun_with_report_times_is_identical(tmp_path: Path) -> None:
     study = small_study(**replay, study={"report_times_s": [1.0, 5.0]})
     run.run_into(study, tmp_path / "out", curves=False)
     told = StringIO()
-    rerun.rerun_into(tmp_path / "out", 1, Console(file=told, width=200))
+    rerun.rerun_stored_run(tmp_path / "out", 1, Console(file=told, width=200))
     assert "identical" in told.getvalue()
 
 
 def record() -> StoredRecord:
     """Six seconds of the swinging base, with its true attitude."""
     simulated = small_study(sensors={"gyro_noise_deg_per_h": 0.0})
-    return with_truth(build.simulated_record(simulated))
+    return add_true_reference(build.simulated_record(simulated))
 
 
 def recorded(times: list[float], coarse: dict[str, Any], **tables: Any) -> dict[str, Any]:
@@ -246,7 +246,7 @@ HERE = "[study] report_times_s: "
 def test_report_times_between_records_or_after_run_are_refused(
     tables: dict[str, Any], line: str
 ) -> None:
-    assert refusal(**tables) == HERE + line
+    assert refusal_line(**tables) == HERE + line
 
 
 @pytest.mark.parametrize(

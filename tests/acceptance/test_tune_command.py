@@ -12,13 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 import tomli_w
 from support.commands import Command, command_line
-from support.kept import everything
-from support.stored import told, write_part
+from support.stored_results import report_text, write_part
 from support.studies import BASE, PAPER, small_study
+from support.sweep_directories import read_files_and_times
 
 from sinsjax.engine.build import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution.directory import lock, read_manifest
+from sinsjax.execution.directory import lock_directory, read_manifest
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.tasks import Job
@@ -144,7 +144,7 @@ def test_tuned_study_has_best_point_of_tuning_draws(made: Path) -> None:
 
 
 def test_tuning_report_is_built_from_stored_files(made: Path, tmp_path: Path) -> None:
-    said = told(made, page=tmp_path / "page.md", html=tmp_path / "page.html")
+    said = report_text(made, page=tmp_path / "page.md", html=tmp_path / "page.html")
     page = (tmp_path / "page.md").read_text()
     for text in (said, page):
         assert "root mean square heading error at the end, worst over 2 variants" in text
@@ -164,8 +164,8 @@ def test_report_flags_values_at_range_bounds(made: Path) -> None:
         name: {v.name for v, x in there if x in (v.low, v.high)}
         for name, there in tuning.values_on_bounds.items()
     }
-    for name, found in tuning.searches.items():
-        used = space.used(space.combinations[found.best.candidate])
+    for name, found in tuning.found.items():
+        used = space.used_variables(space.combinations[found.best.candidate])
         there = {
             space.variables[i].name
             for i in used
@@ -194,10 +194,12 @@ def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path)
     shorter = pq.read_table(part).slice(1)
     pq.write_table(shorter, part)
     with pytest.raises(InputError, match="part-0000-000000.parquet: has changed since it was wri"):
-        told(out)
+        report_text(out)
     write_part(part, shorter, read_manifest(out / "evaluation")["identity"])
-    with pytest.raises(InputError, match=r"evaluation: 31 runs where the study has 32: are the re"):
-        told(out)
+    with pytest.raises(
+        InputError, match=r"evaluation: has 31 runs, but the study has 32 .continue"
+    ):
+        report_text(out)
 
 
 def test_scores_and_differences_use_common_draws(made: Path) -> None:
@@ -218,7 +220,7 @@ def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, f
     shutil.rmtree(out / "equal_cost")
     (out / "tuned.toml").unlink()
     study = load_study(out / "study.toml")
-    whole = {name: everything(made / name / "summary") for name in ("grid", "evaluation")}
+    whole = {name: read_files_and_times(made / name / "summary") for name in ("grid", "evaluation")}
     runs = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.delattr(gradient, "descend")
@@ -226,14 +228,14 @@ def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, f
 
         def counted(job: Job, **options: Any) -> None:
             seen: list[int] = []
-            before(job, **options | {"tell": lambda p: seen.append(p.done - p.before)})
+            before(job, **options | {"on_progress": lambda p: seen.append(p.done - p.done_before)})
             assert job.directory is not None
             runs[job.directory.name] = seen[-1]
 
         patch.setattr(search, "run_job", counted)
         from_python.tune(study, out, resume=True)
     assert runs == {"grid": 0, "equal_cost": 5 * 6, "evaluation": 0}
-    assert {name: everything(out / name / "summary") for name in whole} == whole
+    assert {name: read_files_and_times(out / name / "summary") for name in whole} == whole
     assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
 
 
@@ -241,7 +243,7 @@ def test_existing_tuning_directory_is_not_silently_overwritten(
     made: Path, sinsjax_: Command, tmp_path: Path
 ) -> None:
     config = made.parent / "swing.toml"
-    before = everything(made / "evaluation")
+    before = read_files_and_times(made / "evaluation")
     code, _, error = sinsjax_("tune", config, "-o", made)
     assert code == 2
     assert error == (
@@ -250,7 +252,7 @@ def test_existing_tuning_directory_is_not_silently_overwritten(
     )
     code, _, error = sinsjax_("sweep", config, "-o", made, "--overwrite")
     assert code == 2 and "is not a result" in error
-    assert everything(made / "evaluation") == before
+    assert read_files_and_times(made / "evaluation") == before
     other = write(tmp_path / "swing.toml", tune=TUNE | {"grid_points": 4})
     code, _, error = sinsjax_("tune", other, "-o", made, "--resume")
     assert (code, error) == (
@@ -277,7 +279,7 @@ def test_overwrite_removes_previous_tuning_results(
         from_python.tune(load_study(out / "study.toml"), out, overwrite=True)
     assert not (out / "tuned.toml").exists() and history.read_history(out).num_rows == 0
     with pytest.raises(InputError, match="out: holds a tuning run that is not complete"):
-        told(out)
+        report_text(out)
     assert run_tuning.is_tuning(out)
 
 
@@ -306,8 +308,8 @@ def test_concurrent_tunings_in_one_directory_are_refused(
 ) -> None:
     """Not even between two searches, where no results are written."""
     out = shutil.copytree(made, tmp_path / "out")
-    held = lock(out)
-    before = everything(out)
+    held = lock_directory(out)
+    before = read_files_and_times(out)
     try:
         with pytest.raises(
             InputError, match=r"out: another process is writing there: pid \d+ on .+"
@@ -315,7 +317,7 @@ def test_concurrent_tunings_in_one_directory_are_refused(
             from_python.tune(load_study(out / "study.toml"), out, **{how: True})
     finally:
         held.release()
-    assert everything(out) == before
+    assert read_files_and_times(out) == before
 
 
 def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any) -> None:
@@ -324,7 +326,7 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
     with pytest.raises(StudyInterrupted, match=r"0 of 72 runs are in .*grid"):
         from_python.tune(study, tmp_path / "out", stop=stop)
     with pytest.raises(InputError, match=r"out: holds a tuning run that is not complete \(`sinsj"):
-        told(tmp_path / "out")
+        report_text(tmp_path / "out")
     alone = load_study(write(tmp_path / "swing.toml", tune=TUNE | {"searches": ["gradient"]}))
     with pytest.MonkeyPatch.context() as patch:
         progress = RunProgress(0, 1, 0, 0)
@@ -347,7 +349,7 @@ def test_damaged_history_is_refused_by_report_and_made_again_by_resume(
         (out / "history.parquet").write_bytes(content if damage == "flipped" else b"")
     words = "there is no such file" if damage == "gone" else "has changed since .*tune --resume"
     with pytest.raises(InputError, match=rf"history\.parquet: {words}"):
-        told(out)
+        report_text(out)
     from_python.tune(load_study(out / "study.toml"), out, resume=True)
     assert history.read_history(out).equals(whole)
     assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
@@ -371,10 +373,10 @@ def test_damaged_study_of_tuning_is_named_and_restored_by_resume(
         "gone": r".* \(delete it: `sinsjax tune --resume` writes it again\)",
     }
     with pytest.raises(InputError, match=rf"out/study\.toml: {named[damage]}"):
-        told(out)
+        report_text(out)
     from_python.tune(study, out, resume=True)
     assert (out / "study.toml").read_text() == text
-    assert "swing" in told(out)
+    assert "swing" in report_text(out)
 
 
 def test_search_folder_that_is_a_link_is_refused(made: Path, tmp_path: Path) -> None:
@@ -382,14 +384,14 @@ def test_search_folder_that_is_a_link_is_refused(made: Path, tmp_path: Path) -> 
     out, other = (shutil.copytree(made, tmp_path / name) for name in ("out", "other"))
     shutil.rmtree(out / "grid")
     (out / "grid").symlink_to(other / "grid")
-    before = everything(tmp_path)
+    before = read_files_and_times(tmp_path)
     for attempt in (
         lambda: from_python.tune(load_study(out / "study.toml"), out, overwrite=True),
-        lambda: told(out),
+        lambda: report_text(out),
     ):
         with pytest.raises(InputError, match=r"out/grid: is a symbolic link"):
             attempt()
-    assert everything(tmp_path) == before
+    assert read_files_and_times(tmp_path) == before
 
 
 def test_report_draws_no_figures_through_a_link(made: Path, tmp_path: Path) -> None:
@@ -398,7 +400,7 @@ def test_report_draws_no_figures_through_a_link(made: Path, tmp_path: Path) -> N
     other.mkdir()
     (out / "figures").symlink_to(other)
     with pytest.raises(InputError, match=r"out/figures: is a symbolic link"):
-        told(out)
+        report_text(out)
     assert not list(other.iterdir())
 
 

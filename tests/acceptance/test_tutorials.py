@@ -11,7 +11,7 @@ from support.commands import Command, command_line
 
 import sinsjax
 from sinsjax.plots import png
-from sinsjax.records.layout import to_body
+from sinsjax.records.layout import to_body_axes
 
 pytestmark = [
     pytest.mark.slow,
@@ -202,4 +202,4 @@ def test_body_axes_figure_agrees_with_to_body() -> None:
     for name, own in ways.items():
         for axis, way in enumerate(own):
             sensed = np.eye(3)[axis]
-            assert to_body(sensed[None], name)[0].tolist() == list(body[way])
+            assert to_body_axes(sensed[None], name)[0].tolist() == list(body[way])

@@ -2,8 +2,8 @@
 
 import pyarrow as pa
 import pytest
-from support.made_up import summary_of
 from support.studies import small_study
+from support.synthetic_tables import synthetic_summary
 
 from sinsjax.analysis.references import compare_with_first
 
@@ -15,7 +15,7 @@ def summary() -> pa.Table:
     """All runs with one reset fail, whatever they begin with; without any, those from 30 deg."""
     study = small_study(study={"draws": 6}, axes=AXES, resets={"reset_cycle_s": 1.0})
     status = ["ok", "diverged", "diverged", "diverged", "ok", "ok"] * 6
-    return summary_of(study, status=status)
+    return synthetic_summary(study, status=status)
 
 
 def differences(rows: list) -> dict:

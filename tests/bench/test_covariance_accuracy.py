@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from scipy import stats
-from support.bootstrap import intervals
+from support.bootstrap import bootstrap_intervals
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -16,7 +16,7 @@ import covariance_accuracy as accuracy
 
 def test_bootstrap_interval_of_sigma_matches_normal_theory() -> None:
     draws = np.random.default_rng(3).normal(5.0, 2.0, (1024, 3))
-    low, high = intervals(draws, 0.05, seed=1) / draws.std(axis=0, ddof=1)
+    low, high = bootstrap_intervals(draws, 0.05, seed=1) / draws.std(axis=0, ddof=1)
     expected = np.sqrt(1023 / stats.chi2.ppf([0.975, 0.025], 1023))
     np.testing.assert_allclose(low, expected[0], atol=0.012)
     np.testing.assert_allclose(high, expected[1], atol=0.012)

@@ -4,7 +4,7 @@ from typing import Any
 
 import pyarrow as pa
 import pytest
-from support.bootstrap import intervals
+from support.bootstrap import bootstrap_intervals
 from support.studies import STILL, small_study
 
 from sinsjax.execution import run as study_run
@@ -44,7 +44,7 @@ def assert_spread_is_that_of(drawn: pa.Table, made: pa.Table) -> None:
     """The bootstrap interval of each ratio of sigma, corrected for all, meets the bar."""
     sigma = made["true_sigma_u_arcmin"].to_numpy()
     errors = drawn["phi_u_arcmin"].to_numpy().reshape(DRAWS, -1)
-    low, high = intervals(errors, 0.05 / len(sigma)) / sigma
+    low, high = bootstrap_intervals(errors, 0.05 / len(sigma)) / sigma
     assert (low < BAR[1]).all() and (high > BAR[0]).all()
 
 

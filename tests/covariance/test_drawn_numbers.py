@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from support.bootstrap import intervals
+from support.bootstrap import bootstrap_intervals
 from support.studies import STILL, small_study
 
 from sinsjax.execution import run as study_run
@@ -106,7 +106,7 @@ def assert_sigma_and_settling_are_those_of(drawn: pa.Table, made: pa.Table) -> N
     for end, name in itertools.product(ENDS, ("true_sigma_u", "true_sigma_u_from_floor")):
         phi = drawn[f"phi_u{end}_arcmin"].to_numpy().reshape(DRAWS, -1)
         errors = phi - floor if "limit" in name else phi
-        low, high = intervals(errors, tail) / made[f"{name}{end}_arcmin"].to_numpy()
+        low, high = bootstrap_intervals(errors, tail) / made[f"{name}{end}_arcmin"].to_numpy()
         assert (low < BAR[1]).all() and (high > BAR[0]).all(), (end, name, low, high)
     for side in ("", "_truth"):
         mean, error = (

@@ -93,7 +93,7 @@ def test_run_with_drawn_values_equals_run_with_fixed_values(
 ) -> None:
     data = drawn_study(keys, sampling, **changes)
     study = study_from_dict(data)
-    values = draw_sampling.values(study, DRAWS)
+    values = draw_sampling.drawn_values(study, DRAWS)
     rows = run.run(study).summary
     for draw in (0, DRAWS - 1):
         alone = run.run(study_from_dict(fixed(data, values, draw))).summary
@@ -167,7 +167,7 @@ def test_single_run_with_drawn_motion_matches_run_in_tile() -> None:
 
 def test_simulated_record_of_draw_matches_study_of_its_values() -> None:
     study = study_from_dict(drawn_study(["yaw_center_deg", "latitude_deg", "gyro_bias_deg_per_h"]))
-    values = draw_sampling.values(study, DRAWS)
+    values = draw_sampling.drawn_values(study, DRAWS)
     record = build.simulated_record(study, draw_id=3)
     assert record.latitude_deg == pytest.approx(values["latitude_deg"][3], abs=1e-12)
     data = fixed(drawn_study(list(values)), values, 3)

@@ -24,7 +24,7 @@ AXES = {"phi_u0_deg": [0.0, 1.0]}
 def judged(*, draws_from: dict[str, Any], **settings: Any) -> dict[str, list[Any]]:
     """The verdict columns of two runs of 6 s, which end at the floor or at the truth as told."""
     study = small_study(study=settings, motion=STILL, axes=AXES)
-    table = tables.Tables(study).summary(chunk(**draws_from), np.arange(2))
+    table = tables.TableBuilder(study).summary_table(chunk(**draws_from), np.arange(2))
     return table.select(["ok_floor", "ok_truth", "status", "has_floor"]).to_pydict()
 
 
@@ -60,7 +60,9 @@ def test_success_requires_dwell_in_band(dwell_s: float, ok: bool) -> None:
 
 @pytest.mark.parametrize(("end_s", "dwell_s"), [(6.0, 0.6), (300.0, 30.0), (900.0, 30.0)])
 def test_default_dwell_is_tenth_of_duration_up_to_30_s(end_s: float, dwell_s: float) -> None:
-    assert success.success_of(small_study()).dwell(np.array([end_s])) == pytest.approx(dwell_s)
+    assert success.success_criteria(small_study()).dwell(np.array([end_s])) == pytest.approx(
+        dwell_s
+    )
 
 
 @pytest.mark.parametrize(
@@ -99,13 +101,13 @@ def test_run_beyond_diverged_deg_is_diverged(diverged_deg: float | None, status:
 
 def test_success_band_is_added_to_settling_bands() -> None:
     study = small_study(study={"success_band_arcmin": 30.0}, motion=STILL, axes=AXES)
-    assert success.bands(study) == (60.0, 10.0, 3.0, 30.0)
-    table = tables.Tables(study).summary(
+    assert success.settling_bands(study) == (60.0, 10.0, 3.0, 30.0)
+    table = tables.TableBuilder(study).summary_table(
         chunk([-20.0, -20.0], [[0.0, 6.0, 6.0, 1.0], [0.0, 1.0, 1.0, 6.0]]), np.arange(2)
     )
     assert table["ok_floor"].to_pylist() == [True, False]
     assert table["settle_30_s"].to_pylist() == [1.0, None]
-    assert [yard.words for yard in success.yardsticks(study)] == [
+    assert [yard.description for yard in success.success_measures(study)] == [
         "within 30' of true north",
         "within 30' of its bias floor",
     ]
@@ -117,7 +119,7 @@ SWAYING = {"judged_from": "truth"}
 def test_floor_columns_are_null_without_bias_floor() -> None:
     """A biased base that sways more slowly than the run is long; null is not never."""
     study = small_study(study=SWAYING, axes=AXES)
-    table = tables.Tables(study).summary(chunk(**AT_THE_FLOOR), np.arange(2))
+    table = tables.TableBuilder(study).summary_table(chunk(**AT_THE_FLOOR), np.arange(2))
     assert table["has_floor"].to_pylist() == [False, False]
     for name in ("floor_arcmin", "settle_10_s", "nis_u", "p_above_floor_error_share", "ok_floor"):
         assert table[name].null_count == 2, name
@@ -180,4 +182,4 @@ def test_unset_success_keys_leave_toml_and_fingerprint_unchanged(tmp_path: Any) 
     assert fingerprint(load_study(path)) == fingerprint(study)
     other = small_study(study={"judged_from": "truth"})
     assert fingerprint(other) != fingerprint(study)
-    assert math.isclose(success.success_of(other).band_arcmin, 10.0)
+    assert math.isclose(success.success_criteria(other).band_arcmin, 10.0)

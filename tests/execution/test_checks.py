@@ -1,4 +1,4 @@
-"""What is doubtful about a record is told before it is aligned, or refused."""
+"""Doubts about a record are reported before its alignment, or the record is refused."""
 
 import gc
 import json
@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.stored import told
+from support.stored_results import report_text
 from support.studies import BASE, PAPER, small_study, with_paper_values
 
 from sinsjax.cli.study import describe_plan
 from sinsjax.engine import build
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import checks, prepare, run
-from sinsjax.execution.checks import process_noise, study_warnings
+from sinsjax.execution.checks import describe_process_noise, study_warnings
 from sinsjax.execution.directory import read_manifest
 from sinsjax.platform.assets import asset
 from sinsjax.records import Layout, Record, Reference, means, write_csv
-from sinsjax.records.plausible import Finding, StationaryValues, findings
+from sinsjax.records.plausibility import Finding, StationaryValues, check_stationary
+from sinsjax.records.quaternions import integrate_attitudes
 from sinsjax.records.reference import StoredRecord
-from sinsjax.records.turning import attitudes
 from sinsjax.study.load import load_study, study_from_dict
 from sinsjax.study.study import Study
 from sinsjax.units import DEG, DEG_PER_H, micro_g
@@ -41,7 +41,7 @@ BASES = {"still": STILL, "swinging": {}, "swinging by 20 deg": LARGE}
 
 @cache
 def record(base: str = "swinging") -> Record:
-    """200 s at 32 N with 0.1 deg/h and 500 ug."""
+    """Return a record of 200 s at 32 N with 0.1 deg/h and 500 ug."""
     settings = {"duration_s": 200.0, "window_s": [0, 200]}
     return build.simulated_record(small_study(study=settings, motion=BASES[base]))
 
@@ -51,12 +51,12 @@ def found(
 ) -> list[Finding]:
     rate = 15.041067 * DEG_PER_H
     expected = StationaryValues(rate, 32 * DEG, 9.8, gyro * DEG_PER_H, accel * micro_g())
-    return findings(some, SPAN, LAYOUT._replace(**layout), expected)
+    return check_stationary(some, SPAN, LAYOUT._replace(**layout), expected)
 
 
 def refused(some: Record, **layout: Any) -> str:
     (first, *_) = found(some, **layout)
-    assert first.hard
+    assert first.is_certain
     return first.text
 
 
@@ -102,7 +102,7 @@ def test_vertical_rate_of_wrong_latitude_gives_warning() -> None:
     ):
         less = np.array([0, 0, part * 15.041067 * math.sin(32 * DEG)]) * DEG_PER_H / 100
         (one,) = found(some._replace(dtheta=some.dtheta - less), gyro=3.0)
-        assert one.text.endswith(asks) and not one.hard
+        assert one.text.endswith(asks) and not one.is_certain
         assert "deg/h, but Earth rate there is 7.97: do gyros" in one.text
 
 
@@ -114,7 +114,7 @@ def test_bias_that_hides_earth_rate_is_not_unit_error(base: str, bias: float, ha
     biased = some._replace(dtheta=some.dtheta + np.array([bias, 0, 0]) * DEG_PER_H / 100)
     (one,) = found(biased)
     assert "hides Earth rate" in one.text and "are these" not in one.text
-    assert one.hard == hard
+    assert one.is_certain == hard
 
 
 def test_small_biases_are_allowed_up_to_configured_values() -> None:
@@ -122,10 +122,10 @@ def test_small_biases_are_allowed_up_to_configured_values() -> None:
     biased = some._replace(dtheta=some.dtheta + np.array([0, 4, 4]) * DEG_PER_H / 100)
     assert not found(biased)
     (one,) = found(biased, gyro=1.0)
-    assert not one.hard and "a gyro bias of 5.66 deg/h or more" in one.text
+    assert not one.is_certain and "a gyro bias of 5.66 deg/h or more" in one.text
     light = some._replace(dv=some.dv * 0.99)
     (one,) = found(light)
-    assert not one.hard and "0.991 times gravity" in one.text
+    assert not one.is_certain and "0.991 times gravity" in one.text
     assert not found(light, accel=2e4)
 
 
@@ -135,7 +135,7 @@ def test_vehicle_turn_is_reported_with_its_angle(angle: float, seconds: int) -> 
     dtheta = some.dtheta.copy()
     dtheta[9000 : 9000 + 100 * seconds, 2] += angle * DEG / 100 / seconds
     (one,) = found(some._replace(dtheta=dtheta))
-    assert not one.hard and "the base turns by about" in one.text
+    assert not one.is_certain and "the base turns by about" in one.text
     told_deg = float(one.text.split("about ")[1].split()[0])
     assert told_deg == pytest.approx(angle, rel=0.4)
 
@@ -145,23 +145,25 @@ def test_turn_missing_from_gyros_is_reported() -> None:
     turn = Rotation.from_euler("z", 90, degrees=True).as_matrix()
     dtheta = np.concatenate([some.dtheta[:10_000], some.dtheta[10_000:] @ turn])
     (one,) = found(some._replace(dtheta=dtheta))
-    assert not one.hard and "the mean rate changes by" in one.text
+    assert not one.is_certain and "the mean rate changes by" in one.text
 
 
 @pytest.mark.parametrize("base", ["still", "swinging"])
 def test_merged_samples_give_same_findings_as_single_samples(
     base: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where samples are put together, a record of 200 s stands for one of a day."""
+    """With merged samples, a record of 200 s represents one of a day."""
     some = record(base)
     turned = some.dtheta.copy()
     turned[9000:9500, 2] += 60 * DEG / 500
     biased = some.dtheta + np.array([700.0, 0, 0]) * DEG_PER_H / 100
     cases = [some, *(some._replace(dtheta=dtheta) for dtheta in (turned, biased))]
     whole = [found(case) for case in cases]
-    monkeypatch.setattr(means, "_MOST", 8000)
+    monkeypatch.setattr(means, "_MAX_STEPS", 8000)
     together = [found(case) for case in cases]
-    assert [[f.hard for f in one] for one in whole] == [[f.hard for f in one] for one in together]
+    assert [[f.is_certain for f in one] for one in whole] == [
+        [f.is_certain for f in one] for one in together
+    ]
     assert [[f.text[:24] for f in one] for one in whole] == [
         [f.text[:24] for f in one] for one in together
     ]
@@ -174,7 +176,7 @@ def test_attitudes_match_scipy_rotation_product() -> None:
     whole = Rotation.identity()
     for step in Rotation.from_rotvec(dtheta):
         whole = whole * step
-    ours = Rotation.from_quat(attitudes(dtheta)[-1], scalar_first=True)
+    ours = Rotation.from_quat(integrate_attitudes(dtheta)[-1], scalar_first=True)
     assert (whole.inv() * ours).magnitude() < 1e-5
 
 
@@ -204,7 +206,7 @@ def test_hard_findings_are_refused_unless_record_is_trusted(tmp_path: Path) -> N
     with pytest.raises(InputError, match="points down"):
         run.run(recorded(), stored)
     trusting = recorded(record={"trust": True})
-    assert "points down" in prepare.prepare(trusting, record=stored).warnings[0]
+    assert "points down" in prepare.prepare_job(trusting, record=stored).warnings[0]
 
 
 def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None:
@@ -220,7 +222,7 @@ def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None
     filled, light = json.loads((tmp_path / "out" / "manifest.json").read_text())["warnings"]
     assert filled.startswith("drive.imu: 3 missing samples are interpolated")
     assert light.startswith("drive.imu: 0 to 90 s: the mean specific force is 9.7")
-    report = told(tmp_path / "out")
+    report = report_text(tmp_path / "out")
     warnings = [line.strip() for line in report.splitlines() if line.startswith("  Warning")]
     assert [line.removeprefix("Warning").strip() for line in warnings] == [filled, light]
     assert "Innovations: the mean of r' S^-1 r is" in report
@@ -228,7 +230,9 @@ def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None
 
 def test_too_short_record_error_includes_coarse_alignment_time() -> None:
     with pytest.raises(InputError) as caught:
-        prepare.prepare(recorded(record={"start_s": [120.0]}), record=StoredRecord(record(), None))
+        prepare.prepare_job(
+            recorded(record={"start_s": [120.0]}), record=StoredRecord(record(), None)
+        )
     assert str(caught.value) == (
         "study: has 200 s, but 90 s (60 s of coarse alignment + 30 s) from start_s = 120 need 210 s"
     )
@@ -237,10 +241,10 @@ def test_too_short_record_error_includes_coarse_alignment_time() -> None:
 def test_data_after_to_s_are_not_used() -> None:
     stored = StoredRecord(record(), None)
     study = recorded(record={"from_s": 100.0, "to_s": 190.0})
-    assert not prepare.prepare(study, record=stored).warnings
+    assert not prepare.prepare_job(study, record=stored).warnings
     study = recorded(record={"from_s": 101.0, "to_s": 190.0})
     with pytest.raises(InputError, match=r"needs data up to 191 s, but \[record\] to_s is 190"):
-        prepare.prepare(study, record=stored)
+        prepare.prepare_job(study, record=stored)
 
 
 def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None:
@@ -305,7 +309,7 @@ def test_shipped_studies_of_real_record_give_no_warnings(name: str, data_dir: Pa
     study = load_study(Path(__file__).parents[2] / "configs" / f"{name}.toml")
     assert study.is_recorded
     stored = prepare.load_increments(study, data_dir / "lasergyro_0_900.imu")
-    assert prepare.prepare(study, record=stored).warnings == ()
+    assert prepare.prepare_job(study, record=stored).warnings == ()
 
 
 # Simulations
@@ -374,39 +378,39 @@ def test_process_noise_is_compared_with_white_noise_of_sensors(
     """At 100 Hz, 0.1 deg/h a sample and 1000 ug/sqrt(Hz), which is 10,000 ug a sample."""
     sensors = {"gyro_noise_deg_per_h": 0.1, "accel_vrw_ug_per_sqrt_hz": 1000.0}
     study = with_noise(sensors, filter=filter_)
-    assert process_noise(study) == f"The filter assumes {told}, in standard deviation"
+    assert describe_process_noise(study) == f"The filter assumes {told}, in standard deviation"
 
 
 def of_sensors(**sections: Any) -> Study:
-    """A study whose filter has the sensors' own noise as Q."""
+    """Return a study whose filter has the noise of its sensors as Q."""
     return study_from_dict({name: table for name, table in (BASE | sections).items() if table})
 
 
 def test_process_noise_of_sensors_is_reported_as_their_own() -> None:
-    assert process_noise(of_sensors()) == "The filter assumes the sensors' own noise"
+    assert describe_process_noise(of_sensors()) == "The filter assumes the sensors' own noise"
     axes = {"gyro_noise_deg_per_h": [0.1, [0.3, 0.1, 0.2]]}
     sensors = {"accel_noise_ug": 500.0}
     assert (
-        process_noise(of_sensors(sensors=sensors, axes=axes))
+        describe_process_noise(of_sensors(sensors=sensors, axes=axes))
         == "The filter assumes the sensors' own noise"
     )
     scaled = of_sensors(axes={"q_scale": [0.25, 4.0]})
-    assert process_noise(scaled) == (
+    assert describe_process_noise(scaled) == (
         "The filter assumes 0.5 to 2 times the sensors' noise, in standard deviation"
     )
     one = of_sensors(filter={"q_accel_ug": 5000.0, "q_reading": "per_sample"})
-    assert process_noise(one) == (
+    assert describe_process_noise(one) == (
         "The filter assumes 10 times the noise of the accelerometers and the noise of the gyros,"
         " in standard deviation"
     )
 
 
 def test_process_noise_is_not_reported_without_filter_or_white_noise() -> None:
-    assert process_noise(with_noise({"gyro_bias_deg_per_h": 0.1})) is None
+    assert describe_process_noise(with_noise({"gyro_bias_deg_per_h": 0.1})) is None
     sensors = {"gyro_noise_deg_per_h": 0.1}
-    assert process_noise(with_noise(sensors, alignment={"method": "inertial"})) is None
+    assert describe_process_noise(with_noise(sensors, alignment={"method": "inertial"})) is None
     swept = with_noise(sensors, axes={"q_gyro_deg_per_h": [0.1, 0.2]})
-    assert process_noise(swept) == (
+    assert describe_process_noise(swept) == (
         "The filter assumes 100 to 200 times the noise of the gyros, in standard deviation"
     )
 
@@ -423,7 +427,7 @@ def test_level_of_filter_settles_in_forecast_time(filter_: dict[str, Any]) -> No
     """From its P0 to a tenth of it, by sigma of the level in a run."""
     settings = {"duration_s": 3.0, "rate_hz": 100.0, "draws": 1, "record_interval_s": 0.01}
     study = of_sensors(study=settings, alignment={"phi_u0_deg": 1.0}, filter=filter_)
-    line = checks.feedback(study)
+    line = checks.describe_feedback_interval(study)
     assert line is not None
     (time_s,) = re.findall(
         r"every 0.01 s; its level settles in ([0-9.]+) s \(to a tenth of its initial st", line
@@ -436,13 +440,15 @@ def test_level_of_filter_settles_in_forecast_time(filter_: dict[str, Any]) -> No
 
 def test_feedback_is_compared_with_settling_level_over_whole_sweep() -> None:
     axes = {"feedback_interval_s": [0.1, 1.0], "r_reading": ["per_update", "psd"]}
-    line = checks.feedback(of_sensors(alignment={}, axes=axes))
+    line = checks.describe_feedback_interval(of_sensors(alignment={}, axes=axes))
     assert line == (
         "The filter feeds back every 0.1 to 1 s; its level settles in 0.26 to 0.89 s (to a tenth"
         " of its initial standard deviation)"
     )
-    assert checks.feedback(of_sensors(alignment={"method": "compass"})) is None
-    both = checks.feedback(of_sensors(alignment={}, axes={"method": ["inertial", "kalman5"]}))
+    assert checks.describe_feedback_interval(of_sensors(alignment={"method": "compass"})) is None
+    both = checks.describe_feedback_interval(
+        of_sensors(alignment={}, axes={"method": ["inertial", "kalman5"]})
+    )
     assert both is not None and "every 0.01 s; its level settles in 0.26 s" in both
 
 

@@ -1,4 +1,4 @@
-"""Real Dask workers give the bytes of a local run, whatever happens to them."""
+"""Real Dask workers produce the bytes of a local run, also if they are lost or late."""
 
 import json
 import os
@@ -63,8 +63,8 @@ def study() -> Study:
 
 
 @pytest.fixture(scope="module")
-def here(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Parts:
-    """The parts that this process makes."""
+def local_parts(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    """Return the parts that this process computes."""
     out = tmp_path_factory.mktemp("here")
     run.run_into(study, out, chunk_runs=CHUNK)
     return parts(out)
@@ -82,7 +82,7 @@ def rows(directory: Path) -> pa.Table:
 
 
 def worker_processes(parent: int | None = None) -> list[psutil.Process]:
-    """Processes that a local cluster of this or another process has now."""
+    """Return the worker processes of a local cluster."""
     return [
         process
         for process in psutil.Process(parent).children()
@@ -104,12 +104,12 @@ class TestTwoWorkers:
                 yield executor
 
     def test_workers_give_same_bytes_as_local_run(
-        self, two: study_tasks.Executor, study: Study, here: Parts, tmp_path: Path
+        self, two: study_tasks.Executor, study: Study, local_parts: Parts, tmp_path: Path
     ) -> None:
         run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two)
-        assert len(here) == 19
+        assert len(local_parts) == 19
         assert "ok" in rows(tmp_path)["status"].to_pylist()
-        assert parts(tmp_path) == here
+        assert parts(tmp_path) == local_parts
         (session,) = read_manifest(tmp_path)["sessions"]
         assert (session["workers"], session["scheduler"]) == (2, "local")
 
@@ -132,11 +132,11 @@ class TestTwoWorkers:
             cores.append(*of_threads.pop())
         assert len(cores) == len(set(cores)) == 2
 
-    def test_number_of_tasks_taken_ahead_is_bounded(
+    def test_number_of_submitted_tasks_is_bounded(
         self, two: study_tasks.Executor, study: Study
     ) -> None:
         runner = study_tasks.TaskRunner(study_tasks.Job(study, chunk_runs=CHUNK))
-        (tasks,) = runner.tasks()
+        (tasks,) = runner.plan_tasks()
         taken: list[study_tasks.Task] = []
 
         def offered() -> Iterator[study_tasks.Task]:
@@ -145,13 +145,13 @@ class TestTwoWorkers:
                 yield task
 
         done = []
-        for encoded in two.do(runner, offered()):
+        for encoded in two.run_tasks(runner, offered()):
             done.append(encoded.task)
-            assert len(taken) - len(done) < 2 * cluster.AHEAD
+            assert len(taken) - len(done) < 2 * cluster.TASKS_PER_THREAD
         assert sorted(done) == taken == tasks[:9]
 
     def test_killed_worker_loses_no_row(
-        self, two: study_tasks.Executor, study: Study, here: Parts, tmp_path: Path
+        self, two: study_tasks.Executor, study: Study, local_parts: Parts, tmp_path: Path
     ) -> None:
         killed: list[psutil.Process] = []
 
@@ -164,11 +164,13 @@ class TestTwoWorkers:
 
         run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two, tell=tell)
         assert killed and not killed[0].is_running()
-        assert parts(tmp_path) == here
+        assert parts(tmp_path) == local_parts
         assert rows(tmp_path)["run_id"].to_pylist() == list(range(2400))
 
 
-def test_job_survives_loss_of_every_worker(study: Study, here: Parts, tmp_path: Path) -> None:
+def test_job_survives_loss_of_every_worker(
+    study: Study, local_parts: Parts, tmp_path: Path
+) -> None:
     """The replacement of the only worker reads the job again."""
     killed: list[psutil.Process] = []
 
@@ -179,11 +181,11 @@ def test_job_survives_loss_of_every_worker(study: Study, here: Parts, tmp_path: 
 
     with cluster.executor(workers=1) as executor:
         run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
-    assert killed and parts(tmp_path) == here
+    assert killed and parts(tmp_path) == local_parts
 
 
 def test_task_that_kills_workers_is_named_in_error(
-    study: Study, here: Parts, tmp_path: Path
+    study: Study, local_parts: Parts, tmp_path: Path
 ) -> None:
     def tell(progress: run.RunProgress) -> None:
         if progress.done == 2 * CHUNK:
@@ -196,7 +198,7 @@ def test_task_that_kills_workers_is_named_in_error(
     ):
         run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
     there = parts(tmp_path)
-    assert len(there) >= 2 and there.items() <= here.items()
+    assert len(there) >= 2 and there.items() <= local_parts.items()
 
 
 def test_failing_task_is_named_in_error(
@@ -216,16 +218,16 @@ def test_failing_task_is_named_in_error(
 Begin = Callable[..., subprocess.Popen]
 
 
-def refusal(**given: Any) -> str:
-    """The line with which an executor with these arguments is refused."""
-    with pytest.raises(InputError) as told, cluster.executor(**given):
+def refusal_line(**given: Any) -> str:
+    """Return the error line of an executor with these arguments."""
+    with pytest.raises(InputError) as output, cluster.executor(**given):
         pass
-    return str(told.value)
+    return str(output.value)
 
 
 @contextmanager
 def dask_commands() -> Iterator[Begin]:
-    """Starts Dask commands; they end with the block."""
+    """Start Dask commands that end with the block."""
     started: list[subprocess.Popen] = []
 
     def dask_command(*words: str, **environment: str) -> subprocess.Popen:
@@ -244,21 +246,21 @@ def dask_commands() -> Iterator[Begin]:
 
 
 @pytest.fixture
-def begin() -> Iterator[Begin]:
-    """Starts a Dask command; it ends with the test."""
-    with dask_commands() as begin:
-        yield begin
+def start_command() -> Iterator[Begin]:
+    """Start a Dask command that ends with the test."""
+    with dask_commands() as start_command:
+        yield start_command
 
 
 @pytest.fixture
-def scheduler(begin: Begin, tmp_path: Path) -> str:
-    """Address of a scheduler without workers."""
-    return address_of_scheduler(begin, tmp_path / "scheduler.json")
+def scheduler(start_command: Begin, tmp_path: Path) -> str:
+    """Return the address of a scheduler without workers."""
+    return address_of_scheduler(start_command, tmp_path / "scheduler.json")
 
 
-def address_of_scheduler(begin: Begin, about: Path) -> str:
-    """Start one, which tells of itself in a file."""
-    begin("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(about))
+def address_of_scheduler(start_command: Begin, about: Path) -> str:
+    """Start a scheduler that writes its address to a file, and return the address."""
+    start_command("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(about))
     for _ in range(600):
         with suppress(FileNotFoundError, json.JSONDecodeError):
             return str(json.loads(about.read_text())["address"])
@@ -271,35 +273,37 @@ class TestOneScheduler:
 
     @pytest.fixture(scope="class")
     @classmethod
-    def begin(cls) -> Iterator[Begin]:
-        with dask_commands() as begin:
-            yield begin
+    def start_command(cls) -> Iterator[Begin]:
+        with dask_commands() as start_command:
+            yield start_command
 
     @pytest.fixture(scope="class")
     @classmethod
-    def scheduler(cls, begin: Begin, tmp_path_factory: pytest.TempPathFactory) -> str:
-        address = address_of_scheduler(begin, tmp_path_factory.mktemp("scheduler") / "about.json")
-        begin("worker", address, "--nthreads", "1")
+    def scheduler(cls, start_command: Begin, tmp_path_factory: pytest.TempPathFactory) -> str:
+        address = address_of_scheduler(
+            start_command, tmp_path_factory.mktemp("scheduler") / "about.json"
+        )
+        start_command("worker", address, "--nthreads", "1")
         return address
 
     def test_external_scheduler_with_late_worker_gives_same_bytes(
-        self, begin: Begin, scheduler: str, study: Study, here: Parts, tmp_path: Path
+        self, start_command: Begin, scheduler: str, study: Study, local_parts: Parts, tmp_path: Path
     ) -> None:
-        """Workers that come late are waited for, and take part."""
+        """The executor waits for late workers and uses them."""
         joined = []
 
         def tell(progress: run.RunProgress) -> None:
             if progress.done and not joined:
-                joined.append(begin("worker", scheduler, "--nthreads", "1"))
+                joined.append(start_command("worker", scheduler, "--nthreads", "1"))
 
         with cluster.executor(scheduler=scheduler) as executor:
             run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
-        assert parts(tmp_path) == here
+        assert parts(tmp_path) == local_parts
         (session,) = read_manifest(tmp_path)["sessions"]
         assert (session["workers"], session["scheduler"]) == (1, scheduler)
 
     def test_lost_scheduler_is_reported_and_results_are_kept(
-        self, scheduler: str, study: Study, here: Parts, tmp_path: Path
+        self, scheduler: str, study: Study, local_parts: Parts, tmp_path: Path
     ) -> None:
         (process,) = (
             p
@@ -319,19 +323,21 @@ class TestOneScheduler:
         ):
             run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
         there = parts(tmp_path)
-        assert len(there) >= 3 and there.items() <= here.items()
+        assert len(there) >= 3 and there.items() <= local_parts.items()
 
 
 @needs_two_cores
 def test_killed_worker_of_external_scheduler_loses_no_row(
-    begin: Begin,
+    start_command: Begin,
     scheduler: str,
     study: Study,
-    here: Parts,
+    local_parts: Parts,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    victim, _ = (begin("worker", scheduler, "--nthreads", "1", "--no-nanny") for _ in range(2))
+    victim, _ = (
+        start_command("worker", scheduler, "--nthreads", "1", "--no-nanny") for _ in range(2)
+    )
     with distributed.Client(scheduler, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
         addresses = {pid: address for address, pid in client.run(os.getpid).items()}
@@ -348,43 +354,45 @@ def test_killed_worker_of_external_scheduler_loses_no_row(
         assert executor.facts["workers"] == 2
         run.run_into(study, tmp_path / "out", chunk_runs=CHUNK, executor=executor, tell=tell)
     assert victim.wait(60) == -signal.SIGKILL
-    assert parts(tmp_path / "out") == here
+    assert parts(tmp_path / "out") == local_parts
     lost = f"Warning: {killed[0]}: worker lost, its tasks run again (1 left)\n"
     assert capsys.readouterr().err == lost
 
 
 def test_workers_with_other_package_version_are_refused(
-    begin: Begin, scheduler: str, tmp_path: Path
+    start_command: Begin, scheduler: str, tmp_path: Path
 ) -> None:
     about = tmp_path / "numpy-1.0.dist-info"  # of which Dask would warn by a table
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 1.0\n")
-    begin("worker", scheduler, "--nthreads", "1", PYTHONPATH=str(tmp_path))
+    start_command("worker", scheduler, "--nthreads", "1", PYTHONPATH=str(tmp_path))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
         with distributed.Client(scheduler, set_as_default=False) as client:
             client.wait_for_workers(1, timeout=60)
-    told = refusal(scheduler=scheduler)
-    assert re.match(r"tcp://127\.0\.0\.1:\d+: the worker has numpy 1\.0, not", told)
+    output = refusal_line(scheduler=scheduler)
+    assert re.match(r"tcp://127\.0\.0\.1:\d+: the worker has numpy 1\.0, not", output)
 
 
-def test_workers_with_differing_instruction_sets_are_refused(begin: Begin, scheduler: str) -> None:
-    begin("worker", scheduler, "--nthreads", "1")
+def test_workers_with_differing_instruction_sets_are_refused(
+    start_command: Begin, scheduler: str
+) -> None:
+    start_command("worker", scheduler, "--nthreads", "1")
     with cluster.executor(scheduler=scheduler) as executor:
         assert executor.facts["instructions"] == xla.instructions()
-    begin("worker", scheduler, "--nthreads", "1", XLA_FLAGS="--xla_cpu_max_isa=SSE4_2")
+    start_command("worker", scheduler, "--nthreads", "1", XLA_FLAGS="--xla_cpu_max_isa=SSE4_2")
     with distributed.Client(scheduler, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
-    told = refusal(scheduler=scheduler)
-    assert re.match(r"tcp://127\.0\.0\.1:\d+: the worker has instruction set ", told)
+    output = refusal_line(scheduler=scheduler)
+    assert re.match(r"tcp://127\.0\.0\.1:\d+: the worker has instruction set ", output)
 
 
 def test_scheduler_without_workers_is_refused_after_timeout(
     scheduler: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
-    monkeypatch.setattr(cluster, "PATIENCE_S", 1.2)
-    assert refusal(scheduler=scheduler) == f"{scheduler}: no worker for 0.02 min"
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 1.2)
+    assert refusal_line(scheduler=scheduler) == f"{scheduler}: no worker for 0.02 min"
     assert capsys.readouterr().err.count("waiting") == 1
 
 
@@ -395,7 +403,7 @@ Sweep = Callable[..., subprocess.Popen]
 
 @pytest.fixture
 def sweep(tmp_path: Path) -> Iterator[Sweep]:
-    """Starts `sinsjax sweep` in a process group of its own, as a shell does."""
+    """Start `sinsjax sweep` in a separate process group, as a shell does."""
     config = tmp_path / "study.toml"
     config.write_text(tomli_w.dumps(STUDY))
     started: list[subprocess.Popen] = []
@@ -419,8 +427,8 @@ def sweep(tmp_path: Path) -> Iterator[Sweep]:
         process.communicate()
 
 
-def begun(process: subprocess.Popen) -> str:
-    """Wait for the first chunk of a sweep: what is said of it."""
+def wait_for_first_chunk(process: subprocess.Popen) -> str:
+    """Wait for the first chunk of a sweep and return the output."""
     assert process.stdout is not None
     lines = iter(process.stdout.readline, "")
     return next((line for line in lines if line.startswith("study: ")), "")
@@ -429,41 +437,41 @@ def begun(process: subprocess.Popen) -> str:
 @needs_two_cores
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_finishes_running_chunks_and_resume_completes_sweep(
-    number: signal.Signals, sweep: Sweep, here: Parts, tmp_path: Path
+    number: signal.Signals, sweep: Sweep, local_parts: Parts, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     process = sweep(out, "--workers", "2")
-    first = begun(process)
+    first = wait_for_first_chunk(process)
     children = worker_processes(process.pid)
     os.killpg(process.pid, number)  # to all, as terminals and batch systems do
-    told, errors = process.communicate(timeout=300)
-    assert process.returncode == 130, (first, told, errors)
-    assert "Stopping after the running chunks" in told
+    output, errors = process.communicate(timeout=300)
+    assert process.returncode == 130, (first, output, errors)
+    assert "Stopping after the running chunks" in output
     assert errors.startswith("interrupted: ") and errors.count("\n") == 1
     assert len(children) == 2 and not psutil.wait_procs(children, timeout=60)[1]
     there = parts(out)
-    assert there.items() < here.items()
+    assert there.items() < local_parts.items()
     chunks = read_manifest(out)["chunks"]
     assert sum(chunk["state"] == "done" for chunk in chunks) == len(there)
 
     process = sweep(out, "--workers", "1", "--resume")
-    told, errors = process.communicate(timeout=300)
+    output, errors = process.communicate(timeout=300)
     assert (process.returncode, errors) == (0, "")
     # What is left may be done before a rate is known.
-    lines = [line for line in told.splitlines() if line.startswith("study: ")]
+    lines = [line for line in output.splitlines() if line.startswith("study: ")]
     assert lines and len(set(lines)) == len(lines)
-    assert parts(out) == here
+    assert parts(out) == local_parts
 
 
 def test_workers_exit_when_sweep_process_is_killed(
-    sweep: Sweep, here: Parts, study: Study, tmp_path: Path
+    sweep: Sweep, local_parts: Parts, study: Study, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     process = sweep(out, "--workers", "1")
-    begun(process)
+    wait_for_first_chunk(process)
     children = worker_processes(process.pid)
     process.kill()
     assert len(children) == 1 and not psutil.wait_procs(children, timeout=60)[1]
-    assert parts(out).items() < here.items()
+    assert parts(out).items() < local_parts.items()
     run.run_into(study, out, resume=True)
-    assert parts(out) == here
+    assert parts(out) == local_parts

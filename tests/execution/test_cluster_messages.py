@@ -19,8 +19,8 @@ import dask
 import distributed
 import pytest
 import tomli_w
-from support.stored import write_manifest
-from support.studies import small_study, small_tables, with_truth
+from support.stored_results import write_manifest
+from support.studies import add_true_reference, small_study, small_tables
 
 from sinsjax.cli import study as studies
 from sinsjax.engine.build import simulated_record
@@ -31,7 +31,7 @@ from sinsjax.platform import affinity, runtime, xla
 from sinsjax.study.load import study_from_dict
 
 
-def refusal(**given: Any) -> str:
+def refusal_line(**given: Any) -> str:
     """Return the line with which an executor with these arguments is refused."""
     with pytest.raises(InputError) as refused, cluster.executor(**given):
         pass
@@ -43,7 +43,7 @@ def refusal(**given: Any) -> str:
 
 
 @pytest.fixture
-def local(monkeypatch: pytest.MonkeyPatch) -> Iterator[distributed.LocalCluster]:
+def local_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[distributed.LocalCluster]:
     """A scheduler with two workers of one thread, all in this process."""
     monkeypatch.setenv(affinity.VARIABLE, "0")
     monkeypatch.setattr(runtime, "configure", lambda devices: None)  # has been done
@@ -55,14 +55,14 @@ def local(monkeypatch: pytest.MonkeyPatch) -> Iterator[distributed.LocalCluster]
         protocol="tcp",
         dashboard_address=None,
         scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-    ) as local:
-        yield local
+    ) as local_cluster:
+        yield local_cluster
 
 
 @pytest.fixture
-def scheduler(local: distributed.LocalCluster) -> str:
+def scheduler(local_cluster: distributed.LocalCluster) -> str:
     """Address of that scheduler."""
-    return str(local.scheduler_address)
+    return str(local_cluster.scheduler_address)
 
 
 def recorded_runner() -> TaskRunner:
@@ -77,7 +77,9 @@ def recorded_runner() -> TaskRunner:
             "axes": {"phi_u0_deg": [i / 100 for i in range(300)]},
         }
     )
-    return TaskRunner(Job(study, with_truth(simulated_record(small_study())), chunk_runs=128))
+    return TaskRunner(
+        Job(study, add_true_reference(simulated_record(small_study())), chunk_runs=128)
+    )
 
 
 @pytest.mark.optimised(False)
@@ -93,7 +95,7 @@ def test_workers_give_same_files_and_read_job_once(
 
     monkeypatch.setattr(distributed.Variable, "get", counting)
     runner = recorded_runner()
-    (tasks,) = runner.tasks()
+    (tasks,) = runner.plan_tasks()
     taken: list[Task] = []
 
     def offered() -> Iterator[Task]:
@@ -109,19 +111,19 @@ def test_workers_give_same_files_and_read_job_once(
             "scheduler": scheduler,
             "instructions": xla.instructions(),
         }
-        for encoded in executor.do(runner, offered()):
+        for encoded in executor.run_tasks(runner, offered()):
             found[encoded.task.name] = encoded
-            assert len(taken) < len(found) + 2 * cluster.AHEAD
-        again = list(executor.do(runner, tasks[:1]))
+            assert len(taken) < len(found) + 2 * cluster.TASKS_PER_THREAD
+        again = list(executor.run_tasks(runner, tasks[:1]))
     assert len(tasks) > 5 and found.keys() == {task.name for task in tasks}
-    assert all(found[task.name].files == runner.pack(task).files for task in tasks)
+    assert all(found[task.name].files == runner.compute_files(task).files for task in tasks)
     assert again[0].files == found[tasks[0].name].files
     assert len(read) == 1
 
 
 @pytest.mark.optimised(False)
 def test_finished_tasks_are_released_from_scheduler(
-    local: distributed.LocalCluster, monkeypatch: pytest.MonkeyPatch
+    local_cluster: distributed.LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Otherwise Dask would compute them again when their worker is lost."""
     wait, kept = distributed.wait, []
@@ -132,13 +134,13 @@ def test_finished_tasks_are_released_from_scheduler(
 
     monkeypatch.setattr(distributed, "wait", keeping)
     runner = recorded_runner()
-    (tasks,) = runner.tasks()
-    with cluster.executor(scheduler=local.scheduler_address) as executor:
-        assert len(list(executor.do(runner, tasks))) == len(tasks) and kept
+    (tasks,) = runner.plan_tasks()
+    with cluster.executor(scheduler=local_cluster.scheduler_address) as executor:
+        assert len(list(executor.run_tasks(runner, tasks))) == len(tasks) and kept
         until = time.monotonic() + 20.0
-        while local.scheduler.tasks and time.monotonic() < until:
+        while local_cluster.scheduler.tasks and time.monotonic() < until:
             time.sleep(0.01)
-        assert not local.scheduler.tasks
+        assert not local_cluster.scheduler.tasks
 
 
 @pytest.mark.optimised(False)
@@ -152,13 +154,13 @@ def test_task_that_fails_repeatedly_is_named(
         raise ValueError("no such thing\nat all")
 
     runner = recorded_runner()
-    (tasks,) = runner.tasks()
-    monkeypatch.setattr(TaskRunner, "pack", fail)
+    (tasks,) = runner.plan_tasks()
+    monkeypatch.setattr(TaskRunner, "compute_files", fail)
     with (
         cluster.executor(scheduler=scheduler) as executor,
         pytest.raises(InputError) as refused,
     ):
-        list(executor.do(runner, tasks[:1]))
+        list(executor.run_tasks(runner, tasks[:1]))
     assert str(refused.value) == ("part-0000-000000: failed on a worker: ValueError: no such thing")
     assert len(tried) == 3
 
@@ -177,7 +179,7 @@ def test_task_that_fails_repeatedly_is_named(
 )
 def test_unreachable_scheduler_address_is_reported(address: str, reason: str) -> None:
     line = rf"{address}: no Dask scheduler answers there \({reason}\)"
-    assert re.fullmatch(line, refusal(scheduler=address))
+    assert re.fullmatch(line, refusal_line(scheduler=address))
 
 
 class SilentHandler(http.server.BaseHTTPRequestHandler):
@@ -191,7 +193,7 @@ class SilentHandler(http.server.BaseHTTPRequestHandler):
 def test_other_service_at_scheduler_address_is_reported(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 1.0)
     with ExitStack() as stack:
         if kind == "http":
             server = stack.enter_context(
@@ -204,28 +206,28 @@ def test_other_service_at_scheduler_address_is_reported(
             port = stack.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1]
         address = f"tcp://127.0.0.1:{port}"
         line = f"{address}: no Dask scheduler answers there (no answer in 1 s)"
-        assert refusal(scheduler=address) == line
+        assert refusal_line(scheduler=address) == line
 
 
 def test_worker_address_is_refused_as_scheduler(
     scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A worker of a recent Dask gives an error, and one of an old Dask never answers."""
-    monkeypatch.setattr(cluster, "CONNECT_S", 2.0)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 2.0)
     with distributed.Client(scheduler, set_as_default=False) as client:
         worker, *_ = client.nthreads()
     reason = r"\((another service does|no answer in 2 s)\)"
     line = f"{worker}: no Dask scheduler answers there {reason}"
-    assert re.fullmatch(line, refusal(scheduler=worker))
+    assert re.fullmatch(line, refusal_line(scheduler=worker))
 
 
 def test_more_workers_than_cores_are_refused() -> None:
-    assert refusal(workers=4096).startswith("workers: 4096 exceeds the")
+    assert refusal_line(workers=4096).startswith("workers: 4096 exceeds the")
 
 
 def test_missing_cluster_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    assert 'pip install "sinsjax[cluster]"' in refusal(workers=1)
+    assert 'pip install "sinsjax[cluster]"' in refusal_line(workers=1)
 
 
 # --- Workers that come and go --------------------------------------------------------------------
@@ -246,13 +248,13 @@ class FakeClient:
 def test_lost_and_missing_workers_are_reported_once(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", 0.0)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.0)
     client = FakeClient()
     pool = cluster._Workers(client, "tcp://head:8786")
 
     def warnings(*workers: str) -> str:
         client.workers = workers
-        assert pool.find() == dict.fromkeys(workers, 2)
+        assert pool.count_threads() == dict.fromkeys(workers, 2)
         return capsys.readouterr().err
 
     waiting = (
@@ -277,19 +279,19 @@ def test_missing_workers_are_refused_after_ten_minutes(monkeypatch: pytest.Monke
     monkeypatch.setattr(cluster, "time", SimpleNamespace(monotonic=lambda: now))
     pool = cluster._Workers(FakeClient(), "tcp://head:8786")
     now = 1599.0
-    assert pool.find() == {}
+    assert pool.count_threads() == {}
     now = 1601.0
     with pytest.raises(InputError, match=r"^tcp://head:8786: no worker for 10 min$"):
-        pool.find()
+        pool.count_threads()
 
 
 def test_lost_scheduler_is_reported() -> None:
     client = FakeClient()
     client.workers = None
     with pytest.raises(InputError) as lost:
-        cluster._Workers(client, "tcp://head:8786").find()
+        cluster._Workers(client, "tcp://head:8786").count_threads()
     assert str(lost.value) == (
-        "tcp://head:8786: lost the scheduler (results so far are kept: the same again with"
+        "tcp://head:8786: lost the scheduler (completed chunks are stored: repeat with"
         " --resume, in Python resume=True)"
     )
 
@@ -313,7 +315,7 @@ def test_lost_scheduler_is_reported() -> None:
         (
             {"instruction set": "VAX"},
             f"the worker has instruction set {xla.instructions()}, not VAX: rows could differ"
-            " (start all with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one)",
+            " (start all workers with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one)",
         ),
     ],
 )
@@ -324,7 +326,7 @@ def test_late_worker_that_differs_is_refused_before_reading_job(
     monkeypatch.setattr(cluster, "_runners", {})
     task = Task("part-0000-000000", 0, (0, 1), 0, 1, ())
     with pytest.raises(InputError) as refused:
-        cluster.run_task("job", required, task)
+        cluster.run_task_on_worker("job", required, task)
     assert str(refused.value) == f"tcp://far:1: {line}"
 
 
@@ -350,7 +352,7 @@ def test_worker_is_pinned_and_configured_before_it_builds_job(
         steps.append(built.identity)
 
     monkeypatch.setattr(TaskRunner, "__init__", build)
-    cluster._prepare("job", {"instruction set": xla.instructions()})
+    cluster._make_runner("job", {"instruction set": xla.instructions()})
     assert steps == [*(["pin"] if pinned else []), "1 device", job.identity]
 
 
@@ -364,7 +366,7 @@ def test_dask_log_is_silent_unless_user_configures_it(configured: bool) -> None:
     logger.addHandler(handler)
     try:
         chosen: dict[str, Any] = {"logging": {"distributed": "info"}} if configured else {}
-        with dask.config.set(chosen), pytest.raises(InputError), cluster._log_silenced():
+        with dask.config.set(chosen), pytest.raises(InputError), cluster._silence_log():
             logger.error("within")
             raise InputError("ended")
         logger.error("after")

@@ -1,4 +1,4 @@
-"""Estimates by covariance: against draws of the same study, and as a dataset among others."""
+"""Covariance estimates, compared with draws of the same study, and as a dataset."""
 
 import itertools
 import random
@@ -12,17 +12,22 @@ import pyarrow.compute as pc
 import pytest
 from rich.console import Console
 from scipy import stats
-from support.dying import Dying
-from support.kept import assert_complete, manifest, parts, times
-from support.stored import store, told
+from support.killed_commands import KilledCommand
+from support.stored_results import report_text, store_results
 from support.studies import STILL, small_study
+from support.sweep_directories import (
+    assert_complete,
+    modification_times,
+    read_manifest_entries,
+    read_parts,
+)
 
 from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, rerun
 from sinsjax.execution import run as study_run
 from sinsjax.execution.estimates import estimated_curves
-from sinsjax.execution.prepare import Options, prepare
+from sinsjax.execution.prepare import RunOptions, prepare_job
 from sinsjax.execution.results import read_estimates, read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.study.load import study_to_toml
@@ -37,7 +42,7 @@ TIMES = ["", "_at_20", "_at_45"]
 SHORT = {"duration_s": 2.0, "window_s": [0, 2], "report_times_s": [1.0]}
 
 
-def study_of(**changes: Any) -> Study:
+def make_study(**changes: Any) -> Study:
     """A minute at rest, four starts by two schedules, from errors of a few degrees.
 
     One program does all studies of 7 or 8 variants of them, with a reset or two schedules.
@@ -56,19 +61,19 @@ def study_of(**changes: Any) -> Study:
     return small_study(**(tables_ | changes), study=settings)
 
 
-def short(**changes: Any) -> Study:
-    """Two parts of 130 variants, 2 s each: three tiles a part."""
+def short_study(**changes: Any) -> Study:
+    """Return a study of two parts of 130 variants, 2 s each: three tiles per part."""
     few = {"estimate_samples": 16, "check_linearity": False}
     settings = SHORT | few | changes.pop("study", {})
     axes = {"yaw_amplitude_deg": [2.8, 0.0], "p0_yaw_deg": [0.5 * i for i in range(1, 131)]}
-    return study_of(study=settings, motion={}, axes=axes, **changes)
+    return make_study(study=settings, motion={}, axes=axes, **changes)
 
 
 @pytest.fixture(scope="module")
-def pair() -> tuple[pa.Table, pa.Table]:
-    """Estimates, and the summary of draws of the same study."""
-    drawn = study_of(study={"estimate": "draws", "draws": DRAWS})
-    return study_run.estimate(study_of()), study_run.run(drawn).summary
+def estimates_and_draws() -> tuple[pa.Table, pa.Table]:
+    """Return estimates, and the summary of draws of the same study."""
+    drawn = make_study(study={"estimate": "draws", "draws": DRAWS})
+    return study_run.estimate(make_study()), study_run.run(drawn).summary
 
 
 def by_variant(summary: pa.Table, column: str) -> np.ndarray:
@@ -76,9 +81,11 @@ def by_variant(summary: pa.Table, column: str) -> np.ndarray:
     return summary[column].to_numpy().reshape(DRAWS, -1)
 
 
-def test_mean_and_sigma_match_monte_carlo_draws(pair: tuple[pa.Table, pa.Table]) -> None:
+def test_mean_and_sigma_match_monte_carlo_draws(
+    estimates_and_draws: tuple[pa.Table, pa.Table],
+) -> None:
     """At each time: means within four standard errors, variances in their chi-square interval."""
-    made, summary = pair
+    made, summary = estimates_and_draws
     assert made.num_rows == 8
     tail = 0.0005 / (len(TIMES) * made.num_rows)
     low, high = stats.chi2.ppf([tail, 1 - tail], DRAWS - 1) / (DRAWS - 1)
@@ -97,9 +104,11 @@ def test_mean_and_sigma_match_monte_carlo_draws(pair: tuple[pa.Table, pa.Table])
         assert (ratio > 0.7).all() and (ratio < 1.4).all(), (axis, ratio)
 
 
-def test_shares_and_settling_times_match_monte_carlo_draws(pair: tuple[pa.Table, pa.Table]) -> None:
+def test_shares_and_settling_times_match_monte_carlo_draws(
+    estimates_and_draws: tuple[pa.Table, pa.Table],
+) -> None:
     """Within four standard errors, never counting as the end of the run."""
-    made, summary = pair
+    made, summary = estimates_and_draws
     floor = by_variant(summary, "floor_arcmin")
     for band, (side, settled) in itertools.product(
         (60, 20, 10), (("", "settle_{}"), ("_truth", "settle_{}_truth"))
@@ -123,7 +132,7 @@ def test_shares_and_settling_times_match_monte_carlo_draws(pair: tuple[pa.Table,
 
 @pytest.fixture(scope="module")
 def made_of_short() -> pa.Table:
-    return study_run.estimate(short(), chunk_runs=2)
+    return study_run.estimate(short_study(), chunk_runs=2)
 
 
 def test_columns_have_unit_and_meaning_metadata(made_of_short: pa.Table) -> None:
@@ -142,7 +151,7 @@ def test_columns_have_unit_and_meaning_metadata(made_of_short: pa.Table) -> None
 def test_variant_without_bias_floor_has_truth_estimates_only(
     made_of_short: pa.Table,
 ) -> None:
-    """A sway of 10 s has no limit in runs of two."""
+    """A sway of 10 s has no bias floor in runs of two."""
     for row in made_of_short.to_pylist():
         assert not row["has_floor"] and row["floor_arcmin"] is None
         assert row["within_10_share"] is row["settle_10_mean_s"] is None
@@ -152,8 +161,10 @@ def test_variant_without_bias_floor_has_truth_estimates_only(
 
 def test_noise_free_estimate_equals_single_run() -> None:
     quiet = {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0}
-    made = study_run.estimate(study_of(sensors=quiet))
-    drawn = study_run.run(study_of(sensors=quiet, study={"estimate": "draws", "draws": 1})).summary
+    made = study_run.estimate(make_study(sensors=quiet))
+    drawn = study_run.run(
+        make_study(sensors=quiet, study={"estimate": "draws", "draws": 1})
+    ).summary
     for at in TIMES:
         assert set(made[f"true_sigma_u{at}_arcmin"].to_pylist()) == {0.0}
         expected = drawn[f"phi_u{at}_arcmin"].to_numpy()
@@ -167,15 +178,17 @@ def test_noise_free_estimate_equals_single_run() -> None:
 
 
 @pytest.mark.slow
-def test_estimated_curves_match_estimates_at_report_times(pair: tuple[pa.Table, pa.Table]) -> None:
-    """Of a study without draws, or with any."""
-    made = estimated_curves(study_of(study={"estimate": "draws", "draws": 2}))
+def test_estimated_curves_match_estimates_at_report_times(
+    estimates_and_draws: tuple[pa.Table, pa.Table],
+) -> None:
+    """They match for a study with or without draws."""
+    made = estimated_curves(make_study(study={"estimate": "draws", "draws": 2}))
     assert made["variant_id"].to_pylist() == np.repeat(range(8), int(RUN_S)).tolist()
     assert made["time_s"].to_pylist()[:3] == [1.0, 2.0, 3.0]
     for at, time_s in zip(TIMES, (RUN_S, 20.0, 45.0), strict=True):
         rows = made.filter(pc.equal(made["time_s"], time_s))
         for kind, axis in itertools.product(("phi", "true_sigma", "sigma"), "enu"):
-            own = pair[0][f"{kind}_{axis}{at}_arcmin"]
+            own = estimates_and_draws[0][f"{kind}_{axis}{at}_arcmin"]
             np.testing.assert_allclose(rows[f"{kind}_{axis}_arcmin"], own, rtol=1e-9, atol=1e-12)
     with pytest.raises(InputError, match="inertial"):
         estimated_curves(small_study(alignment={"method": "inertial"}))
@@ -185,11 +198,11 @@ def test_estimated_curves_match_estimates_at_report_times(pair: tuple[pa.Table, 
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What an uninterrupted run leaves, in parts of 128 variants and the rest."""
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the results of an uninterrupted run, in parts of 128 variants and a remainder."""
     directory = tmp_path_factory.mktemp("whole") / "out"
-    study_run.run_into(short(), directory, chunk_runs=128)
-    assert sorted(parts(directory)) == [
+    study_run.run_into(short_study(), directory, chunk_runs=128)
+    assert sorted(read_parts(directory)) == [
         f"estimates/part-{part:04d}-{call:06d}.parquet" for part in (0, 1) for call in (0, 1)
     ]
     return directory
@@ -197,96 +210,107 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_estimates_are_equal_for_any_chunk_size_and_as_stored(
-    whole: Path, made_of_short: pa.Table
+    uninterrupted: Path, made_of_short: pa.Table
 ) -> None:
-    one, other = made_of_short, study_run.estimate(short(), chunk_runs=10**6)
+    one, other = made_of_short, study_run.estimate(short_study(), chunk_runs=10**6)
     assert one.equals(other) and one.num_rows == 260
-    stored = read_estimates(whole)
+    stored = read_estimates(uninterrupted)
     assert stored["variant_id"].to_pylist() == list(range(260))
     assert stored.cast(one.schema).equals(one)
-    few = read_estimates(whole, ["phi_u_arcmin", "method"])
+    few = read_estimates(uninterrupted, ["phi_u_arcmin", "method"])
     assert few.column_names == ["phi_u_arcmin", "method"] and few.num_rows == 260
-    told_ = manifest(whole)
+    told_ = read_manifest_entries(uninterrupted)
     assert told_["runs"] == told_["runs_done"] == 260 and told_["state"] == "complete"
 
 
 def test_stored_estimates_are_bytewise_equal_for_any_task_order(
-    whole: Path, tmp_path: Path
+    uninterrupted: Path, tmp_path: Path
 ) -> None:
     def elsewhere(_: TaskRunner, tasks: Any) -> Any:
         todo = list(tasks)
         random.Random(3).shuffle(todo)
         for task in todo:
-            yield TaskRunner(Job(short(), None, None, 128)).pack(task)
+            yield TaskRunner(Job(short_study(), None, None, 128)).compute_files(task)
 
-    study_run.run_into(short(), tmp_path, chunk_runs=128, executor=Executor(elsewhere, {}))
-    assert_complete(tmp_path, whole)
+    study_run.run_into(short_study(), tmp_path, chunk_runs=128, executor=Executor(elsewhere, {}))
+    assert_complete(tmp_path, uninterrupted)
 
 
-def test_resume_recomputes_only_missing_or_broken_parts(whole: Path, tmp_path: Path) -> None:
-    study_run.run_into(short(), tmp_path, chunk_runs=128)
-    before = times(tmp_path)
+def test_resume_recomputes_only_missing_or_broken_parts(
+    uninterrupted: Path, tmp_path: Path
+) -> None:
+    study_run.run_into(short_study(), tmp_path, chunk_runs=128)
+    before = modification_times(tmp_path)
     first, second, *kept = sorted(before)
     (tmp_path / first).unlink()
     (tmp_path / second).write_bytes((tmp_path / second).read_bytes()[:-9])
     (tmp_path / "manifest.json").unlink()
-    study_run.run_into(short(), tmp_path, resume=True)
-    assert_complete(tmp_path, whole)
-    assert {name: times(tmp_path)[name] for name in kept} == {name: before[name] for name in kept}
+    study_run.run_into(short_study(), tmp_path, resume=True)
+    assert_complete(tmp_path, uninterrupted)
+    assert {name: modification_times(tmp_path)[name] for name in kept} == {
+        name: before[name] for name in kept
+    }
     with pytest.raises(InputError, match=r"another study: \[study\] estimate_samples: 16 there"):
-        study_run.run_into(short(study={"estimate_samples": 18}), tmp_path, resume=True)
-    job = prepare(short(), options=Options(tmp_path, resume=True))
+        study_run.run_into(short_study(study={"estimate_samples": 18}), tmp_path, resume=True)
+    job = prepare_job(short_study(), options=RunOptions(tmp_path, resume=True))
     assert job.chunk_runs == 128
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", ["half", "before", "after"])
-def test_sweep_resumes_after_kill(moment: str, whole: Path, tmp_path: Path) -> None:
+def test_sweep_resumes_after_kill(moment: str, uninterrupted: Path, tmp_path: Path) -> None:
     config, out = tmp_path / "study.toml", tmp_path / "out"
-    config.write_text(study_to_toml(short()))
+    config.write_text(study_to_toml(short_study()))
     words = ["sweep", str(config), "-o", str(out), "--resume", "--chunk-runs", "128"]
     killed = [(moment, "estimates/*", 2), ("never", "", 0)]
     for number, point in enumerate(killed):
-        process = Dying(words, {}, tmp_path / f"said{number}", point=point)
-        process.go().process.join(120)
+        process = KilledCommand(words, {}, tmp_path / f"said{number}", point=point)
+        process.proceed().process.join(120)
         code = process.process.exitcode
-        assert code == (0 if number else -signal.SIGKILL), process.said()
+        assert code == (0 if number else -signal.SIGKILL), process.read_output()
         process.close()
-    assert_complete(out, whole)
+    assert_complete(out, uninterrupted)
 
 
-def test_draws_study_replaces_estimates_only_with_overwrite(whole: Path, tmp_path: Path) -> None:
-    study_run.run_into(short(), tmp_path, chunk_runs=128)
-    drawn = study_of(study={"estimate": "draws", "draws": 2})
-    with pytest.raises(InputError, match="holds results of another study"):
+def test_draws_study_replaces_estimates_only_with_overwrite(
+    uninterrupted: Path, tmp_path: Path
+) -> None:
+    study_run.run_into(short_study(), tmp_path, chunk_runs=128)
+    drawn = make_study(study={"estimate": "draws", "draws": 2})
+    with pytest.raises(InputError, match="contains results of another study"):
         study_run.run_into(drawn, tmp_path, resume=True)
     study_run.run_into(drawn, tmp_path, overwrite=True)
     assert not list(tmp_path.glob("estimates/*"))
     with pytest.raises(InputError) as caught:
         read_estimates(tmp_path)
     assert str(caught.value) == (
-        f"{tmp_path}: holds runs, and no estimates of variants (`read_summary` reads them)"
+        f"{tmp_path}: contains runs, and no estimates of variants (`read_summary` reads them)"
     )
 
 
-def test_operations_that_need_runs_are_refused_for_estimates(whole: Path) -> None:
+def test_operations_that_need_runs_are_refused_for_estimates(uninterrupted: Path) -> None:
     with pytest.raises(InputError) as caught:
-        read_summary(whole)
+        read_summary(uninterrupted)
     assert str(caught.value) == (
-        f"{whole}: holds estimates of variants, and no runs (`read_estimates` reads them)"
+        f"{uninterrupted}: contains estimates of variants, and no runs"
+        " (`read_estimates` reads them)"
     )
     with pytest.raises(InputError) as caught:
-        rerun.rerun_into(whole, 0, Console())
-    assert str(caught.value) == f"{whole}: a covariance estimate has no run to repeat"
-    with pytest.raises(InputError, match="a covariance estimate has no runs with curves to keep"):
-        study_run.run_into(short(), whole.parent / "curves", curves=True)
-    assert not (whole.parent / "curves").exists()
+        rerun.rerun_stored_run(uninterrupted, 0, Console())
+    assert str(caught.value) == f"{uninterrupted}: a covariance estimate has no run to repeat"
+    with pytest.raises(InputError, match="curves: a covariance estimate has no runs"):
+        study_run.run_into(short_study(), uninterrupted.parent / "curves", curves=True)
+    assert not (uninterrupted.parent / "curves").exists()
     with pytest.raises(InputError, match="estimates: column settle_7_s is missing"):
-        read_estimates(whole, ["settle_7_s"])
+        read_estimates(uninterrupted, ["settle_7_s"])
 
 
 def test_forecast_counts_noise_free_runs() -> None:
-    assert forecast.of(short()).describe(1).startswith("260 noise-free runs of up to 2 s")
+    assert (
+        forecast.forecast_sweep(short_study())
+        .describe(1)
+        .startswith("260 noise-free runs of up to 2 s")
+    )
 
 
 # --- reported -----------------------------------------------------------------------------------
@@ -297,10 +321,10 @@ def test_report_lists_fastest_settings_and_plots_axes(
     tmp_path: Path,
 ) -> None:
     axes = {"reset_count": [0, 1], "reset_cycle_s": [5.0, 10.0], "phi_u0_deg": [0.0, 5.0]}
-    study = study_of(axes=axes, resets={})
+    study = make_study(axes=axes, resets={})
     study_run.run_into(study, tmp_path / "out")
     page = tmp_path / "page.md"
-    said = told(tmp_path / "out", page=page)
+    said = report_text(tmp_path / "out", page=page)
     assert "8 variants by covariance analysis, without draws" in said
     table = said.partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
     made = read_estimates(tmp_path / "out")
@@ -314,7 +338,7 @@ def test_report_lists_fastest_settings_and_plots_axes(
 @pytest.mark.usefixtures("drawn_on_request")
 def test_report_prints_least_share_over_starts_of_each_setting(tmp_path: Path) -> None:
     """Estimates are made up: shares of 30 and 90 % without a reset, 60 and 80 % with one."""
-    study = study_of(axes={"phi_u0_deg": [0.0, 5.0], "reset_times_s": [[], [10.0]]})
+    study = make_study(axes={"phi_u0_deg": [0.0, 5.0], "reset_times_s": [[], [10.0]]})
     made = study_run.estimate(study)
     for name, values in (
         ("within_10_truth_share", [0.3, 0.6, 0.9, 0.8]),
@@ -322,8 +346,10 @@ def test_report_prints_least_share_over_starts_of_each_setting(tmp_path: Path) -
     ):
         place = made.column_names.index(name)
         made = made.set_column(place, made.schema.field(place), pa.array(values))
-    out = store(tmp_path, study, estimates=made)
-    table = told(out).partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
+    out = store_results(tmp_path, study, estimates=made)
+    table = report_text(out).partition(
+        "The soonest within 10' of true north, mean over phi_u0_deg"
+    )[2]
     assert [line.split()[-2] for line in table.splitlines()[5:7]] == ["30", "60"]
 
 
@@ -336,14 +362,14 @@ def test_report_of_estimates_handles_any_axes(
     axes: dict[str, Any], checked: bool, tmp_path: Path
 ) -> None:
     resets, study = {"reset_times_s": [10.0]}, {"check_linearity": checked}
-    study_run.run_into(study_of(axes=axes, resets=resets, study=study), tmp_path)
-    said = told(tmp_path)
+    study_run.run_into(make_study(axes=axes, resets=resets, study=study), tmp_path)
+    said = report_text(tmp_path)
     assert "Every variant" in said and "by covariance analysis" in said
     assert columns.settle_estimates(10.0)[0].name in read_estimates(tmp_path).column_names
 
 
 def test_run_and_estimate_refuse_study_of_other_kind() -> None:
     with pytest.raises(InputError, match="have no runs \\(use sinsjax.estimate\\)"):
-        study_run.run(short())
+        study_run.run(short_study())
     with pytest.raises(InputError, match="is 'draws' \\(use sinsjax.run\\)"):
-        study_run.estimate(study_of(study={"estimate": "draws", "draws": 1}))
+        study_run.estimate(make_study(study={"estimate": "draws", "draws": 1}))

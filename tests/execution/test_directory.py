@@ -1,4 +1,4 @@
-"""A results directory: one writer, no links or pipes, and which of its files may go."""
+"""A results directory: one writer, no links or pipes, and the files that may be removed."""
 
 import os
 import shutil
@@ -8,13 +8,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from support.kept import everything
 from support.studies import small_study
+from support.sweep_directories import read_files_and_times
 
 import sinsjax
 from sinsjax import cli
 from sinsjax.errors import InputError
-from sinsjax.execution.directory import WRITER, check_unlocked, list_figures, lock, owned_files
+from sinsjax.execution.directory import (
+    WRITER,
+    check_unlocked,
+    lock_directory,
+    owned_files,
+    register_figures,
+)
 from sinsjax.execution.source import Source
 from sinsjax.study.load import study_to_toml
 
@@ -22,8 +28,8 @@ pytestmark = pytest.mark.optimised(False)
 
 HOLD = """
 import sys, pathlib
-from sinsjax.execution.directory import lock
-held = lock(pathlib.Path(sys.argv[1]))
+from sinsjax.execution.directory import lock_directory
+held = lock_directory(pathlib.Path(sys.argv[1]))
 print("held", flush=True)
 sys.stdin.read()
 """
@@ -39,7 +45,7 @@ def test_lock_names_other_writer_until_it_dies(tmp_path: Path) -> None:
     )
     try:
         assert holder.stdout is not None and holder.stdout.readline() == "held\n"
-        for ask in (lock, check_unlocked):
+        for ask in (lock_directory, check_unlocked):
             told = rf"out: another process is writing there: pid {holder.pid} on \S+ \(wait until"
             with pytest.raises(InputError, match=told):
                 ask(out)
@@ -51,16 +57,16 @@ def test_lock_names_other_writer_until_it_dies(tmp_path: Path) -> None:
         holder.communicate()
     (out / WRITER).write_text(f"pid {holder.pid} on here\n")
     check_unlocked(out)
-    lock(out).release()
+    lock_directory(out).release()
     assert str(holder.pid) not in (out / WRITER).read_text()
 
 
 def test_figure_list_ignores_outside_paths_and_malformed_content(tmp_path: Path) -> None:
-    """Nor does one that is none."""
+    """A malformed list removes nothing either."""
     out = tmp_path / "out"
     (out / "figures").mkdir(parents=True)
     (tmp_path / "mine.png").write_bytes(b"mine")
-    list_figures({"../../mine.png": b"mine", "a.png": b"a"}, out)
+    register_figures({"../../mine.png": b"mine", "a.png": b"a"}, out)
     (out / "figures" / "a.png").write_bytes(b"a")
     listed = out / ".figures.json"
     assert owned_files(out) == [out / "figures" / "a.png", listed]
@@ -75,10 +81,10 @@ def test_figure_drawn_no_longer_is_removed_unless_it_was_changed(tmp_path: Path)
     drawn = {"a.png": b"a", "b.png": b"b", "c.png": b"c"}
     for name, content in drawn.items():
         (figures / name).write_bytes(content)
-    list_figures(drawn, tmp_path)
+    register_figures(drawn, tmp_path)
     (figures / "b.png").write_bytes(b"by a person")
     (figures / "mine.png").write_bytes(b"a")
-    list_figures({"c.png": b"c"}, tmp_path)
+    register_figures({"c.png": b"c"}, tmp_path)
     assert sorted(path.name for path in figures.iterdir()) == ["b.png", "c.png", "mine.png"]
     assert owned_files(tmp_path) == [figures / "c.png", tmp_path / ".figures.json"]
 
@@ -111,52 +117,52 @@ def test_empty_results_directory_name_is_refused(
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A results directory with everything that a sweep and its report leave."""
+    """Return a results directory with all files of a sweep and its report."""
     out = tmp_path_factory.mktemp("results") / "out"
     sinsjax.run_into(small_study(study={"curves": True}), out)
     (out / "figures").mkdir()
     return out
 
 
-def through_link(path: Path) -> None:
-    """Put a link to a copy elsewhere in the place of a file or folder."""
+def replace_by_link(path: Path) -> None:
+    """Replace a file or folder by a link to a copy elsewhere."""
     path.rename(path.with_name(f"{path.name}.moved"))
     path.symlink_to(path.with_name(f"{path.name}.moved"))
 
 
-def as_pipe(path: Path) -> None:
+def replace_by_pipe(path: Path) -> None:
     path.unlink(missing_ok=True)
     os.mkfifo(path)
 
 
-def to_zeros(path: Path) -> None:
+def zero_bytes(path: Path) -> None:
     path.unlink(missing_ok=True)
     path.symlink_to("/dev/zero")
 
 
 PLACED: dict[str, Callable[[Path], None]] = {
-    "manifest.json": as_pipe,
-    "./manifest.json": to_zeros,
-    "study.toml": through_link,
-    ".writer": through_link,
-    ".lock": as_pipe,
-    ".figures.json": to_zeros,
-    "summary": through_link,
-    "curves": through_link,
-    "figures": through_link,
-    "estimates": to_zeros,
-    "reruns": to_zeros,
+    "manifest.json": replace_by_pipe,
+    "./manifest.json": zero_bytes,
+    "study.toml": replace_by_link,
+    ".writer": replace_by_link,
+    ".lock": replace_by_pipe,
+    ".figures.json": zero_bytes,
+    "summary": replace_by_link,
+    "curves": replace_by_link,
+    "figures": replace_by_link,
+    "estimates": zero_bytes,
+    "reruns": zero_bytes,
 }
 
 
 @pytest.mark.parametrize("name", PLACED)
-def test_links_and_pipes_in_results_are_refused_and_left_alone(
+def test_links_and_pipes_in_results_are_refused_unchanged(
     results: Path, tmp_path: Path, name: str
 ) -> None:
     out = Path(shutil.copytree(results, tmp_path / "out"))
     PLACED[name](out / name)
-    named = rf"{Path(name).name}: is (a symbolic link|no regular file)"
-    study, before = small_study(study={"curves": True}), everything(tmp_path)
+    named = rf"{Path(name).name}: is (a symbolic link|not a regular file)"
+    study, before = small_study(study={"curves": True}), read_files_and_times(tmp_path)
     for attempt in (
         lambda: sinsjax.run_into(study, out),
         lambda: sinsjax.run_into(study, out, resume=True),
@@ -165,7 +171,7 @@ def test_links_and_pipes_in_results_are_refused_and_left_alone(
     ):
         with pytest.raises(InputError, match=named):
             attempt()
-    assert everything(tmp_path) == before
+    assert read_files_and_times(tmp_path) == before
 
 
 def test_part_through_link_is_computed_again_and_its_target_kept(
@@ -173,7 +179,7 @@ def test_part_through_link_is_computed_again_and_its_target_kept(
 ) -> None:
     out = Path(shutil.copytree(results, tmp_path / "out"))
     (part,) = out.glob("summary/*.parquet")
-    through_link(part)
+    replace_by_link(part)
     content = part.read_bytes()
     with pytest.raises(InputError, match=rf"{part.name}: is a symbolic link"):
         Source.read(out)

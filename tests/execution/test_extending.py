@@ -1,4 +1,4 @@
-"""More draws for results that are there: the rows are those of a sweep that had them at once."""
+"""Extending results by draws gives the rows of a sweep with all draws."""
 
 import json
 from pathlib import Path
@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from support.kept import study_of, times
 from support.studies import small_study
+from support.sweep_directories import make_study, modification_times
 
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun, run
@@ -21,7 +21,7 @@ SHORT = {"duration_s": 2.0, "window_s": [0, 2]}
 AXES = {"p0_yaw_deg": [10.0, 40.0, 60.0]}
 
 
-def of(draws: int, **tables: Any) -> Study:
+def study_with_draws(draws: int, **tables: Any) -> Study:
     tables = {"axes": AXES} | tables
     return small_study(**{**tables, "study": SHORT | tables.get("study", {}) | {"draws": draws}})
 
@@ -29,12 +29,12 @@ def of(draws: int, **tables: Any) -> Study:
 def assert_extended(
     first: Study, second: Study, folder: Path, chunk_runs: int | None = None
 ) -> Path:
-    """A directory of the second study, made of the first one's; no part of that is made again."""
+    """Extend results of the first study to the second without recomputing any part."""
     out = folder / "out"
     run.run_into(first, out, chunk_runs=chunk_runs)
-    before = times(out)
+    before = modification_times(out)
     run.run_into(second, out, resume=True)
-    after = times(out)
+    after = modification_times(out)
     parts = {name for name in before if name.endswith(".parquet")}
     assert parts and {name: after[name] for name in parts} == {n: before[n] for n in parts}
     at_once = run.run(second, chunk_runs=chunk_runs)
@@ -44,30 +44,32 @@ def assert_extended(
 
 @pytest.mark.parametrize("chunk_runs", [None, 128])
 def test_extended_rows_equal_sweep_with_all_draws(tmp_path: Path, chunk_runs: int | None) -> None:
-    out = assert_extended(of(150), of(170), tmp_path, chunk_runs)
+    out = assert_extended(study_with_draws(150), study_with_draws(170), tmp_path, chunk_runs)
     told = read_manifest(out)
     assert (told["state"], told["draws"], told["extended_at"]) == ("complete", 170, [150])
-    before = times(out)
-    run.run_into(of(170), out, resume=True)  # and gone on with as any other
-    assert {n: t for n, t in times(out).items() if "part" in n} == {
+    before = modification_times(out)
+    run.run_into(study_with_draws(170), out, resume=True)  # and gone on with as any other
+    assert {n: t for n, t in modification_times(out).items() if "part" in n} == {
         n: t for n, t in before.items() if "part" in n
     }
-    run.run_into(of(200), out, resume=True)
+    run.run_into(study_with_draws(200), out, resume=True)
     assert read_manifest(out)["extended_at"] == [150, 170]
-    assert read_summary(out).equals(run.run(of(200)).summary.cast(read_summary(out).schema))
+    assert read_summary(out).equals(
+        run.run(study_with_draws(200)).summary.cast(read_summary(out).schema)
+    )
 
 
 @pytest.mark.slow
 def test_rerun_works_on_extended_results(tmp_path: Path) -> None:
-    """One of before and one of after; the manifest names the study that it began as."""
-    out = assert_extended(of(40), of(50), tmp_path)
+    """Runs from before and after the extension can be repeated."""
+    out = assert_extended(study_with_draws(40), study_with_draws(50), tmp_path)
     for run_id in (0, 149):
-        assert rerun.rerun_into(out, run_id, Console(quiet=True))
+        assert rerun.rerun_stored_run(out, run_id, Console(quiet=True))
 
 
 def test_extension_continues_sobol_list_and_grid_draws(tmp_path: Path) -> None:
-    """Sobol's, and a list and a grid that had begun again before."""
-    assert_extended(study_of("drawn", 100), study_of("drawn", 140), tmp_path)
+    """Sobol points continue, and so do a list and a grid that have been cycled."""
+    assert_extended(make_study("drawn", 100), make_study("drawn", 140), tmp_path)
 
 
 @pytest.mark.parametrize("half_width", [0.001, 0.9])
@@ -76,38 +78,40 @@ def test_extended_study_stops_at_same_draw_as_full_study(tmp_path: Path, half_wi
     rule = {"statistic": "success_rate", "half_width": half_width}
     tables_ = {"stop_when": rule}
     out = tmp_path / "out"
-    run.run_into(of(80, **tables_), out)
-    run.run_into(of(140, **tables_), out, resume=True)
-    at_once = run.run(of(140, **tables_)).summary
+    run.run_into(study_with_draws(80, **tables_), out)
+    run.run_into(study_with_draws(140, **tables_), out, resume=True)
+    at_once = run.run(study_with_draws(140, **tables_)).summary
     assert at_once.num_rows == 3 * (140 if half_width < 0.5 else 64)
     assert read_summary(out).equals(at_once.cast(read_summary(out).schema))
 
 
 @pytest.mark.slow
 def test_extension_keeps_duplicate_variants(tmp_path: Path) -> None:
-    """Which are computed is settled once: with more draws it might be otherwise."""
+    """The choice of computed variants is fixed when a directory is begun."""
     axes = {"method": ["compass", "kalman5"], "q_accel_ug": [1.0 * i for i in range(1, 40)]}
-    assert_extended(of(20, axes=axes), of(300, axes=axes), tmp_path, chunk_runs=128)
+    assert_extended(
+        study_with_draws(20, axes=axes), study_with_draws(300, axes=axes), tmp_path, chunk_runs=128
+    )
 
 
 def test_extended_results_are_recovered_without_manifest(tmp_path: Path) -> None:
-    out = assert_extended(of(80), of(100), tmp_path)
+    out = assert_extended(study_with_draws(80), study_with_draws(100), tmp_path)
     told = read_manifest(out)
     (out / "manifest.json").unlink()
-    before = {n: t for n, t in times(out).items() if "part" in n}
-    run.run_into(of(100), out, resume=True)
+    before = {n: t for n, t in modification_times(out).items() if "part" in n}
+    run.run_into(study_with_draws(100), out, resume=True)
     again = read_manifest(out)
     assert (again["identity"], again["extended_at"]) == (told["identity"], [80])
     assert read_summary(out).num_rows == 300
-    assert before.keys() == {n for n in times(out) if "part" in n}
+    assert before.keys() == {n for n in modification_times(out) if "part" in n}
 
 
 def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    run.run_into(of(80), out)
+    run.run_into(study_with_draws(80), out)
     manifest = json.loads((out / "manifest.json").read_text())
     assert "extended_at" not in manifest
-    run.run_into(of(90), out, resume=True)
+    run.run_into(study_with_draws(90), out, resume=True)
     assert read_manifest(out)["identity"] == manifest["identity"]
 
 
@@ -115,20 +119,24 @@ def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path
     ("there", "here", "told"),
     [
         (
-            of(80),
-            of(79),
+            study_with_draws(80),
+            study_with_draws(79),
             "[study] draws: 80 there, 79 here"
-            " (there can be more, not fewer: continue with --draws 80)",
+            " (draws can be added, not removed: continue with --draws 80)",
         ),
         (
-            of(80),
-            of(90, filter={"p0_level_deg": 14.0}),
+            study_with_draws(80),
+            study_with_draws(90, filter={"p0_level_deg": 14.0}),
             "[filter] p0_level_deg: 15.0 there, 14.0 here; [study] draws: 80 there, 90 here",
         ),
         (
-            of(3, alignment={"phi_u0_deg": None}, drawn={"phi_u0_deg": {"values": [1, 2, 3]}}),
-            of(4, alignment={"phi_u0_deg": None}, drawn={"phi_u0_deg": {"values": [1, 2, 3]}}),
-            "[drawn] phi_u0_deg.values: ends with the 3 draws that are there",
+            study_with_draws(
+                3, alignment={"phi_u0_deg": None}, drawn={"phi_u0_deg": {"values": [1, 2, 3]}}
+            ),
+            study_with_draws(
+                4, alignment={"phi_u0_deg": None}, drawn={"phi_u0_deg": {"values": [1, 2, 3]}}
+            ),
+            "[drawn] phi_u0_deg.values: ends with the 3 existing draws",
         ),
     ],
 )
@@ -137,8 +145,8 @@ def test_invalid_extension_is_refused_without_changes(
 ) -> None:
     out = tmp_path / "out"
     run.run_into(there, out)
-    before = times(out)
+    before = modification_times(out)
     with pytest.raises(InputError) as caught:
         run.run_into(here, out, resume=True)
     assert told in str(caught.value) and "\n" not in str(caught.value)
-    assert times(out) == before
+    assert modification_times(out) == before

@@ -1,12 +1,12 @@
-"""What a study will take is told and asked about before anything is made."""
+"""Time, memory and disk space of a study are forecast before anything is created."""
 
 import math
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support.memory import at_most_mb
-from support.stored import write_manifest
+from support.memory import limit_memory_mb
+from support.stored_results import write_manifest
 from support.studies import small_study, with_paper_values
 
 from sinsjax.engine.build import Scenario
@@ -22,8 +22,8 @@ TUNE = {"searches": ["grid"], "grid_points": 5, "variables": {"p0_yaw_deg": {"lo
 TUNE |= {"tune_draws": 4, "evaluation_draws": 8}
 
 
-def huge(**changes: Any) -> Study:
-    """896 million runs, of which no list can be made."""
+def huge_study(**changes: Any) -> Study:
+    """Return a study of 896 million runs, too many for a list."""
     return small_study(
         study={"draws": 1000} | changes,
         axes={
@@ -35,7 +35,7 @@ def huge(**changes: Any) -> Study:
 
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Sets what the disk has free, and the memory that there is."""
+    """Return a function that sets the free disk space and the memory."""
 
     def has(free: float = math.inf, memory: float = math.inf) -> None:
         monkeypatch.setattr(machine, "free_bytes", lambda folder: float(free))
@@ -44,7 +44,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Any:
     return has
 
 
-def refused(study: Study, out: Path, **options: Any) -> str:
+def refusal_line(study: Study, out: Path, **options: Any) -> str:
     with pytest.raises(InputError) as caught:
         run.run_into(study, out, **options)
     assert not out.exists() or not (out / "study.toml").exists()
@@ -53,8 +53,8 @@ def refused(study: Study, out: Path, **options: Any) -> str:
 
 def test_896_million_runs_are_refused_without_listing_them(disk: Any, tmp_path: Path):
     disk(free=2e9)
-    with at_most_mb(200):  # a list of the runs is 7,000
-        line = refused(huge(), tmp_path / "out")
+    with limit_memory_mb(200):  # a list of the runs is 7,000
+        line = refusal_line(huge_study(), tmp_path / "out")
     assert line == (
         f"{tmp_path / 'out'}: the results of 896,000,000 runs need about 212 GB, but the disk has"
         " only 2 GB free"
@@ -63,43 +63,45 @@ def test_896_million_runs_are_refused_without_listing_them(disk: Any, tmp_path: 
 
 def test_study_that_exceeds_memory_is_refused(disk: Any, tmp_path: Path):
     disk(memory=5e8)
-    line = refused(huge(draws=1), tmp_path / "out")
+    line = refusal_line(huge_study(draws=1), tmp_path / "out")
     assert line.startswith("study: 896,000 runs need about ")
     assert line.endswith("MB of memory, but this machine has only 500 MB")
 
 
 def test_study_is_refused_only_if_disk_space_is_short(disk: Any, tmp_path: Path):
-    expected = forecast.of(small_study())
+    expected = forecast.forecast_sweep(small_study())
     disk(free=3 * expected.run_bytes, memory=expected.memory)
     study = small_study()
-    forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
+    forecast.check_resources(study, expected, tmp_path, overwrite=False, resume=False)
     disk(free=2.9 * expected.run_bytes)
     with pytest.raises(InputError, match="the results of 3 runs need about"):
-        forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
+        forecast.check_resources(study, expected, tmp_path, overwrite=False, resume=False)
 
 
 def test_resume_needs_disk_space_for_missing_runs_only(disk: Any, tmp_path: Path):
-    study, expected = small_study(), forecast.of(small_study())
+    study, expected = small_study(), forecast.forecast_sweep(small_study())
     write_manifest(tmp_path, study, runs_done=2)
     disk(free=1.1 * expected.run_bytes)
-    forecast.require_room(study, expected, tmp_path, overwrite=False, resume=True)
+    forecast.check_resources(study, expected, tmp_path, overwrite=False, resume=True)
     with pytest.raises(InputError, match="free"):
-        forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
+        forecast.check_resources(study, expected, tmp_path, overwrite=False, resume=False)
 
 
 def test_overwrite_counts_replaced_files_as_free_space(disk: Any, tmp_path: Path):
-    study, expected = small_study(), forecast.of(small_study())
+    study, expected = small_study(), forecast.forecast_sweep(small_study())
     (tmp_path / "summary").mkdir()
     (tmp_path / "summary" / "part-0000-000000.parquet").write_bytes(b"0" * 10_000)
     disk(free=0.0)
-    forecast.require_room(study, expected, tmp_path, overwrite=True, resume=False)
+    forecast.check_resources(study, expected, tmp_path, overwrite=True, resume=False)
     with pytest.raises(InputError, match="0 B free"):
-        forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
+        forecast.check_resources(study, expected, tmp_path, overwrite=False, resume=False)
 
 
 def test_forecast_counts_curves_in_disk_and_memory():
-    without, with_ = (forecast.of(small_study(), curves=curves) for curves in (False, True))
-    assert forecast.of(small_study(study={"curves": True})) == with_
+    without, with_ = (
+        forecast.forecast_sweep(small_study(), curves=curves) for curves in (False, True)
+    )
+    assert forecast.forecast_sweep(small_study(study={"curves": True})) == with_
     # Eleven numbers a second.
     assert with_.run_bytes - without.run_bytes == pytest.approx(6 * 11 * 8, rel=0.3)
     assert with_.memory > without.memory
@@ -108,7 +110,9 @@ def test_forecast_counts_curves_in_disk_and_memory():
 def test_day_long_run_memory_hardly_grows_with_duration():
     """It takes 0.7 GB with its curves, and no more memory for another day but for these."""
     day, two = (
-        forecast.of(small_study(study={"draws": 1, "duration_s": n * 86_400.0}), curves=True)
+        forecast.forecast_sweep(
+            small_study(study={"draws": 1, "duration_s": n * 86_400.0}), curves=True
+        )
         for n in (1, 2)
     )
     assert 0.7e9 < day.memory < 1.2e9
@@ -118,22 +122,24 @@ def test_day_long_run_memory_hardly_grows_with_duration():
 def test_forecast_counts_memory_of_reset_times():
     study = {"duration_s": 9e5, "window_s": [0, 9e5]}
     resets = {"reset_count": 89_000_000, "reset_cycle_s": 0.01}
-    once, often = (forecast.of(small_study(study=study, resets=r)) for r in ({}, resets))
+    once, often = (
+        forecast.forecast_sweep(small_study(study=study, resets=r)) for r in ({}, resets)
+    )
     assert often.memory - once.memory > 3 * 8 * 89e6
 
 
 def test_stop_when_study_needs_disk_space_for_first_check_only(disk: Any, tmp_path: Path):
     stop = {"statistic": "success_rate", "half_width": 0.01}
     study = small_study(study={"draws": 10**6}, stop_when=stop)
-    expected = forecast.of(study)
+    expected = forecast.forecast_sweep(study)
     assert expected.describe(2).startswith("At most 1,000,000 runs of up to 6 s: ")
     disk(free=65 * expected.run_bytes)
-    forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
+    forecast.check_resources(study, expected, tmp_path, overwrite=False, resume=False)
 
 
 def test_tuning_is_refused_if_all_runs_exceed_disk_or_memory(disk: Any, tmp_path: Path):
     study = small_study(tune=TUNE)
-    expected = forecast.of_tuning(study)
+    expected = forecast.forecast_tuning(study)
     assert [batch.runs for batch in expected.batches] == [5 * 4, 2 * 8]
     disk(free=35 * expected.run_bytes)
     with pytest.raises(InputError, match="the results of 36 runs need about"):
@@ -155,7 +161,11 @@ def test_tuning_is_refused_if_all_runs_exceed_disk_or_memory(disk: Any, tmp_path
     ],
 )
 def test_forecast_describes_run_count_time_and_cores(draws: int, cores: int, text: str):
-    assert forecast.of(small_study(study={"draws": draws})).describe(cores).startswith(text)
+    assert (
+        forecast.forecast_sweep(small_study(study={"draws": draws}))
+        .describe(cores)
+        .startswith(text)
+    )
 
 
 @pytest.mark.parametrize(
@@ -178,8 +188,8 @@ def test_forecast_describes_run_count_time_and_cores(draws: int, cores: int, tex
 )
 def test_forecast_program_count_matches_engine(tables: Any, programs: int):
     study = small_study(**tables)
-    assert forecast.of(study).programs == programs == len(set(Scenario(study).programs))
-    line = forecast.of(study).describe(2)
+    assert forecast.forecast_sweep(study).programs == programs == len(set(Scenario(study).programs))
+    line = forecast.forecast_sweep(study).describe(2)
     seconds = 3 + 6 * programs
     several = "s" if programs > 1 else ""
     told = f", and 3 s to start ({seconds} s the first time, which compiles {programs} program"
@@ -187,8 +197,8 @@ def test_forecast_program_count_matches_engine(tables: Any, programs: int):
 
 
 def test_forecast_describes_remaining_runs_and_time():
-    """Time and room of what is missing, on whatever computes it."""
-    expected = forecast.of(small_study(study={"draws": 10**8}))
+    """Time and disk space are those of the missing runs, on cores or worker threads."""
+    expected = forecast.forecast_sweep(small_study(study={"draws": 10**8}))
     line = expected.describe(1, 10**8 - 10**6)
     assert line.startswith(
         "100,000,000 runs of up to 6 s, 1,000,000 left: roughly 12 s on 1 core, "
@@ -199,15 +209,15 @@ def test_forecast_describes_remaining_runs_and_time():
 
 
 def test_forecast_reports_nothing_left_to_run():
-    expected = forecast.of(small_study(study={"draws": 192}))
-    line = "192 runs of up to 6 s: nothing is left to run"
+    expected = forecast.forecast_sweep(small_study(study={"draws": 192}))
+    line = "192 runs of up to 6 s: all are done"
     assert expected.describe(2, 192) == expected.describe(2, 200, threads=True) == line
     assert "1 left: roughly" in expected.describe(2, 191)
 
 
 def test_compass_runs_are_forecast_faster_than_filter_runs():
     filters, loops = small_study(), small_study(alignment={"method": "compass"})
-    assert forecast.of(loops).run_s < forecast.of(filters).run_s
+    assert forecast.forecast_sweep(loops).run_s < forecast.forecast_sweep(filters).run_s
 
 
 def test_machine_reports_memory_and_free_disk_space(tmp_path: Path):
@@ -222,7 +232,7 @@ def test_recorded_study_without_rate_is_forecast_at_record_rate():
     data = {"study": {"duration_s": 6.0}, "record": section, "earth": {"latitude_deg": 32.0}}
     study = study_from_dict(with_paper_values(data))
     assert not study.study.rate_hz
-    assert forecast.of(with_rate(study, 100.0)).runs == 2
+    assert forecast.forecast_sweep(with_rate(study, 100.0)).runs == 2
 
 
 @pytest.mark.parametrize("name", ["kalman5", "compass"])
@@ -230,5 +240,5 @@ def test_estimate_cost_is_estimate_runs_times_plain_run(name: str) -> None:
     plain = small_study(alignment={"method": name})
     settings = {"estimate": "covariance", "draws": None, "check_linearity": False}
     estimated = small_study(study=settings, alignment={"method": name})
-    expected = forecast.of(plain).run_s * METHODS[name].estimate_runs
-    assert forecast.of(estimated).run_s == pytest.approx(expected)
+    expected = forecast.forecast_sweep(plain).run_s * METHODS[name].estimate_runs
+    assert forecast.forecast_sweep(estimated).run_s == pytest.approx(expected)

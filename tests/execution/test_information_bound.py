@@ -1,4 +1,4 @@
-"""The information bound of a study: variant by variant, and what it is refused for."""
+"""The information bound of a study, per variant, and the studies for which it is refused."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ STUDY = {"duration_s": 60.0, "report_times_s": [20.0], "window_s": [30, 60]}
 SENSORS = {"gyro_noise_deg_per_h": 0.1, "accel_noise_ug": 500.0, "gyro_bias_deg_per_h": 1.0}
 
 
-def study_of(**changes):
+def make_study(**changes):
     given = {"study": STUDY, "sensors": SENSORS, "earth": {"latitude_deg": 50.0}}
     for name, change in changes.items():
         given[name] = given.get(name, {}) | change
@@ -22,7 +22,7 @@ def study_of(**changes):
 
 
 def test_variants_on_same_base_share_information_bound():
-    study = study_of(axes={"latitude_deg": [0.0, 50.0], "phi_u0_deg": [1.0, 30.0]})
+    study = make_study(axes={"latitude_deg": [0.0, 50.0], "phi_u0_deg": [1.0, 30.0]})
     table = information_bound(study)
     assert table["variant_id"].to_pylist() == np.repeat(range(4), 2).tolist()
     assert table["time_s"].to_pylist() == [20.0, 60.0] * 4
@@ -42,7 +42,7 @@ def test_variants_on_same_base_share_information_bound():
 
 
 def test_surge_raises_information_bound_and_method_does_not_change_it():
-    study = study_of(
+    study = make_study(
         motion={"surge_time_s": 2.0},
         axes={"method": ["kalman5", "optimisation"], "surge_m_per_s": [0.0, 0.1]},
     )
@@ -58,10 +58,10 @@ def test_surge_raises_information_bound_and_method_does_not_change_it():
         ({"passes": {"stored_s": 20.0}}, r"^\[passes\]: repeated passes add no information"),
         (
             {"earth": {"latitude_deg": None}, "drawn": {"latitude_deg": {"uniform": [0.0, 60.0]}}},
-            r"^\[earth\] latitude_deg: the information bound takes its value as given",
+            r"^\[earth\] latitude_deg: the information bound needs a fixed value",
         ),
     ],
 )
 def test_information_bound_refuses_zero_noise_passes_and_drawn_latitude(changes, message):
     with pytest.raises(InputError, match=message):
-        information_bound(study_of(**changes))
+        information_bound(make_study(**changes))

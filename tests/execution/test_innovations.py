@@ -1,4 +1,4 @@
-"""Normalised innovations of a recorded study: in its summary, and what its report makes of them."""
+"""Normalised innovations of a recorded study, in its summary and its report."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from support.studies import small_study, with_paper_values
 from sinsjax.engine import build
 from sinsjax.execution import run
 from sinsjax.execution.source import Source
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.records.reference import StoredRecord
 from sinsjax.report.attitudes import innovations
 from sinsjax.study.load import study_from_dict
@@ -62,7 +62,9 @@ def test_innovation_columns_exist_only_in_recorded_studies(summary: pa.Table) ->
     mean = summary["innovation_nis"].to_pylist()
     assert mean[3] is None and mean[7] is None
     assert all(0 < value < 10 for value in mean[::4])
-    assert "innovation_nis" not in [column.name for column in Tables(small_study()).summary_columns]
+    assert "innovation_nis" not in [
+        column.name for column in TableBuilder(small_study()).summary_columns
+    ]
 
 
 def test_nis_scales_inversely_with_r(summary: pa.Table) -> None:

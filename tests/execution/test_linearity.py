@@ -1,11 +1,11 @@
-"""How far covariance analysis holds, told by a few draws, and draws where it does not."""
+"""The index of nonlinearity from a few draws, and many draws if it is large."""
 
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
-from support.stored import told
+from support.stored_results import report_text
 from support.studies import STILL, small_study
 
 from sinsjax.covariance import linear_draws
@@ -21,7 +21,7 @@ STARTS, RUN_S = [0.5, 170.0], 40.0
 DRAWS = 20
 
 
-def study_of(**settings: Any) -> Study:
+def make_study(**settings: Any) -> Study:
     """40 s at rest, from a small error and from nearly the opposite heading."""
     common = {
         **{"duration_s": RUN_S, "record_interval_s": 4.0, "window_s": [20, RUN_S]},
@@ -39,18 +39,18 @@ def study_of(**settings: Any) -> Study:
 
 @pytest.fixture(scope="module")
 def made() -> pa.Table:
-    return study_run.estimate(study_of(estimate="covariance", draws=DRAWS))
+    return study_run.estimate(make_study(estimate="covariance", draws=DRAWS))
 
 
 @pytest.fixture(scope="module")
 def drawn() -> pa.Table:
-    return study_run.run(study_of(draws=DRAWS)).summary
+    return study_run.run(make_study(draws=DRAWS)).summary
 
 
 @pytest.mark.slow
 def test_nonlinearity_index_is_rms_difference_from_companions_over_sigma(made: pa.Table) -> None:
     """In standard deviations of the true error, over the first eight draws."""
-    study = study_of(draws=8)
+    study = make_study(draws=8)
     summary = study_run.run(study).summary
     (part,) = build.parts(study, curves=False)
     linear = linear_draws.linear_misalignments(part.group, np.array([4, 9]))[2] / ARCMIN
@@ -94,21 +94,21 @@ def test_filled_columns_equal_statistics_of_draws(made: pa.Table, drawn: pa.Tabl
 
 @pytest.mark.slow
 def test_check_does_not_depend_on_variants_per_call(made: pa.Table, monkeypatch: Any) -> None:
-    monkeypatch.setattr(linearity, "_VARIANTS_CHECKED", 3)  # 3 of the 4, then 1
-    monkeypatch.setattr(linearity, "_VARIANTS_FILLED", 1)
-    cut = study_run.estimate(study_of(estimate="covariance", draws=DRAWS))
+    monkeypatch.setattr(linearity, "_VARIANTS_PER_CHECK", 3)  # 3 of the 4, then 1
+    monkeypatch.setattr(linearity, "_VARIANTS_PER_FILL", 1)
+    cut = study_run.estimate(make_study(estimate="covariance", draws=DRAWS))
     assert cut["filled_by_draws"].equals(made["filled_by_draws"])
     for name in ("nonlinearity", "nonlinearity_at_20", "phi_u_arcmin", "true_sigma_u_arcmin"):
         np.testing.assert_allclose(cut[name].to_numpy(), made[name].to_numpy(), rtol=1e-6)
 
 
 def test_nonlinearity_columns_absent_without_check_linearity() -> None:
-    alone = study_run.estimate(study_of(estimate="covariance", check_linearity=False))
+    alone = study_run.estimate(make_study(estimate="covariance", check_linearity=False))
     assert not [name for name in alone.column_names if "linear" in name or "filled" in name]
 
 
 def test_report_counts_variants_with_high_nonlinearity_index(tmp_path: Any) -> None:
-    study_run.run_into(study_of(estimate="covariance", draws=DRAWS), tmp_path / "out")
-    said = told(tmp_path / "out")
+    study_run.run_into(make_study(estimate="covariance", draws=DRAWS), tmp_path / "out")
+    said = report_text(tmp_path / "out")
     assert "index at most" in said
     assert "2 of 4 variants exceed 0.5" in said

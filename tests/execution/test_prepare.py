@@ -1,4 +1,4 @@
-"""Every question about a study is asked once, and alike from the command line and from Python."""
+"""Every check of a study runs once, with the same result for command line and Python."""
 
 import sys
 from collections import Counter
@@ -14,7 +14,7 @@ from support.studies import PAPER, small_study
 import sinsjax
 from sinsjax.engine import build
 from sinsjax.errors import InputError
-from sinsjax.execution.prepare import Options, prepare
+from sinsjax.execution.prepare import RunOptions, prepare_job
 from sinsjax.records import write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict, study_to_toml
@@ -23,14 +23,14 @@ from sinsjax.study.study import Study
 pytestmark = pytest.mark.optimised(False)
 
 ONCE = (
-    "prepare.prepare",
-    "checks.check_plugins",
+    "prepare.prepare_job",
+    "checks.check_plugin_methods",
     "checks.study_warnings",
-    "forecast.of",
-    "forecast.require_room",
-    "resume.check_free",
+    "forecast.forecast_sweep",
+    "forecast.check_resources",
+    "resume.check_available",
     "directory.check_unlocked",
-    "directory.lock",
+    "directory.lock_directory",
     "load.load_with_notes",
     "load.load_study",  # of the results, by the report
 )
@@ -55,7 +55,7 @@ def count_calls(action: Callable[[], Any]) -> Counter[str]:
 
 @pytest.fixture
 def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command line in this process; gives exit code, output and error output."""
+    """Run a command line in this process; return exit code, output and error output."""
     return command_line(monkeypatch, capsys)
 
 
@@ -78,7 +78,7 @@ def recorded(tmp_path: Path) -> tuple[Path, Path, Study]:
     return tmp_path / "log.imu", tmp_path / "swing.toml", study
 
 
-def test_sweep_asks_every_question_once(run_command: Command, tmp_path: Path) -> None:
+def test_sweep_runs_every_check_once(run_command: Command, tmp_path: Path) -> None:
     config, out = tmp_path / "small.toml", tmp_path / "out"
     config.write_text(study_to_toml(small_study()))
     calls = count_calls(lambda: run_command("sweep", config, "-o", out))
@@ -95,7 +95,7 @@ def test_align_analyses_its_record_once(
     calls = count_calls(lambda: run_command("align", log, config, "-o", tmp_path / "out"))
     assert {name: calls[name] for name in ONCE} == dict.fromkeys(ONCE, 1)
     assert calls["psins.read_psins"] == 1
-    assert calls["plausible.findings"] == 1
+    assert calls["plausibility.check_stationary"] == 1
 
 
 def test_python_align_gives_rows_of_command(
@@ -137,8 +137,8 @@ def test_refused_study_leaves_directory_as_it_was(tmp_path: Path) -> None:
     wrong = small_study()
     stored = StoredRecord(build.simulated_record(wrong), None)
     with pytest.raises(InputError, match=r"has no \[record\] section"):
-        prepare(wrong, record=stored, options=Options(out))
-    job = prepare(wrong, options=Options(out))
+        prepare_job(wrong, record=stored, options=RunOptions(out))
+    job = prepare_job(wrong, options=RunOptions(out))
     assert job.directory == out and job.forecast is not None and job.forecast.runs == 3
     assert not out.exists()
 

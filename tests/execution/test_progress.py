@@ -1,4 +1,4 @@
-"""What a person sees of a running study, and how it is stopped."""
+"""The progress display of a running study, and its interruption."""
 
 import io
 import os

@@ -1,4 +1,4 @@
-"""One run done again alone has the bits that it had among the others."""
+"""A run repeated alone has the same bits as in its sweep."""
 
 import io
 from collections.abc import Iterator
@@ -11,16 +11,16 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 from support.commands import command_line
-from support.kept import STUDIES, everything, rewrite_manifest, study_of
-from support.studies import small_study, with_paper_values, with_truth
+from support.studies import add_true_reference, small_study, with_paper_values
+from support.sweep_directories import STUDIES, make_study, read_files_and_times, rewrite_manifest
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun
 from sinsjax.execution import run as study_run
 from sinsjax.execution.directory import read_manifest
-from sinsjax.execution.results import count_runs, part_marks, read_summary
-from sinsjax.execution.sealed import sealed_parquet
+from sinsjax.execution.results import count_runs, read_part_metadata, read_summary
+from sinsjax.execution.sealed import to_sealed_parquet
 from sinsjax.methods import registry as methods
 from sinsjax.records import PSINS_LAYOUT, read_psins, write_psins
 from sinsjax.records.reference import StoredRecord
@@ -30,7 +30,7 @@ from sinsjax.study.study import Study
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
 
 
-def of_run(table: pa.Table, run_id: int) -> pa.Table:
+def rows_of_run(table: pa.Table, run_id: int) -> pa.Table:
     return table.filter(pa.compute.equal(table["run_id"], run_id))
 
 
@@ -39,11 +39,11 @@ def assert_alone_as_among_others(
 ) -> None:
     whole = study_run.run(study, stored, curves=curves)
     for run_id in runs:
-        again = rerun.rerun(study, run_id, stored)
+        again = rerun.repeat_run(study, run_id, stored)
         assert again.row.num_rows == 1
-        assert again.row.equals(of_run(whole.summary, run_id)), run_id
+        assert again.row.equals(rows_of_run(whole.summary, run_id)), run_id
         if curves:
-            assert again.curve.equals(of_run(whole.curves, run_id)), run_id
+            assert again.curve.equals(rows_of_run(whole.curves, run_id)), run_id
         else:
             assert whole.curves.num_rows == 0
         last = again.curve.slice(again.curve.num_rows - 1)
@@ -55,7 +55,7 @@ def assert_alone_as_among_others(
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("name", STUDIES)
 def test_rerun_matches_run_of_whole_study(name: str) -> None:
-    study = study_of(name)
+    study = make_study(name)
     runs = study.n_draws * study.n_variants
     chosen = [0, 65, runs // 2 + 1, runs - 1]
     assert {run % study.n_variants for run in chosen} != {0}
@@ -64,7 +64,7 @@ def test_rerun_matches_run_of_whole_study(name: str) -> None:
 
 @pytest.mark.slow
 def test_rerun_row_matches_study_run_without_curves() -> None:
-    study = study_of("worlds")
+    study = make_study("worlds")
     assert_alone_as_among_others(study, curves=False, runs=[7, 299])
 
 
@@ -112,7 +112,7 @@ def recorded_study(**changes: Any) -> Study:
 
 @pytest.fixture(scope="module")
 def stored() -> StoredRecord:
-    return with_truth(build.simulated_record(small_study()))
+    return add_true_reference(build.simulated_record(small_study()))
 
 
 @pytest.mark.optimised(False)
@@ -134,7 +134,7 @@ def test_rerun_matches_for_record_with_drawn_errors(stored: StoredRecord) -> Non
 
 # --- directories --------------------------------------------------------------------------------
 
-STUDY = study_of("worlds")
+STUDY = make_study("worlds")
 
 
 @pytest.fixture(scope="module")
@@ -146,12 +146,12 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def rerun_into(directory: Path, run_id: int, **options: Any) -> str:
     file = io.StringIO()
-    rerun.rerun_into(directory, run_id, Console(file=file, width=40), **options)
+    rerun.rerun_stored_run(directory, run_id, Console(file=file, width=40), **options)
     return file.getvalue()
 
 
 def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -> None:
-    before = everything(out)
+    before = read_files_and_times(out)
     told = rerun_into(out, 77, out=tmp_path / "one")
     stored = read_summary(out, run_ids=[77])
     assert f"The row is identical to the stored one in all {stored.num_columns} columns." in told
@@ -161,7 +161,7 @@ def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -
     assert curve["time_s"].to_pylist() == [1.0, 2.0]
     assert set(curve["run_id"].to_pylist()) == {77}
     assert (tmp_path / "one" / "curve.png").exists()
-    assert everything(out) == before
+    assert read_files_and_times(out) == before
     rerun_into(out, 78)
     assert {p.name for p in (out / "reruns" / "78").iterdir()} == {
         "summary.parquet",
@@ -174,15 +174,15 @@ def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -
 
 
 @contextmanager
-def turned(out: Path, by: float) -> Iterator[int]:
-    """The stored headings of the first rows are others; gives the number of columns."""
+def change_headings(out: Path, by: float) -> Iterator[int]:
+    """Change the stored headings of the first rows; return the number of columns."""
     (part, *_) = sorted(out.glob("summary/*.parquet"))
     content, manifest = part.read_bytes(), (out / "manifest.json").read_bytes()
-    table, marks = pq.read_table(part), part_marks(content)
+    table, marks = pq.read_table(part), read_part_metadata(content)
     column = table.column_names.index("yaw_deg")
     yaw = pa.compute.add(table["yaw_deg"], by)
     changed = table.set_column(column, table.schema.field(column), yaw)
-    part.write_bytes(sealed_parquet(changed, marks))
+    part.write_bytes(to_sealed_parquet(changed, marks))
     try:
         yield table.num_columns
     finally:
@@ -191,7 +191,7 @@ def turned(out: Path, by: float) -> Iterator[int]:
 
 
 def test_rerun_names_columns_that_differ_from_stored_row(out: Path, tmp_path: Path) -> None:
-    with turned(out, 1e-13) as columns:
+    with change_headings(out, 1e-13) as columns:
         told = rerun_into(out, 0, out=tmp_path / "one")
     assert f"1 of {columns} columns differ from the stored row: yaw_deg " in told
     assert "identical" not in told and " here. Last bits depend on jaxlib, " in told
@@ -201,7 +201,7 @@ def test_rerun_command_exits_1_when_the_row_differs(
     out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sinsjax = command_line(monkeypatch, capsys)
-    with turned(out, 1e-13):
+    with change_headings(out, 1e-13):
         code, said, _ = sinsjax("rerun", out, "--run-id", 0, "-o", tmp_path / "one")
     assert code == 1 and "differ from the stored row" in said
     assert sinsjax("rerun", out, "--run-id", 0, "-o", tmp_path / "two")[0] == 0
@@ -212,11 +212,11 @@ def test_rerun_reports_changed_package_version_or_code(
 ) -> None:
     """Its version, or its code where the difference is too large for last bits."""
     monkeypatch.setitem(methods.PACKAGES, "kalman5", ("bringing", "1.1"))
-    with turned(out, 1e-13):
+    with change_headings(out, 1e-13):
         assert "Last bits depend" in rerun_into(out, 0, out=tmp_path / "bits")
-    with turned(out, 0.1):
+    with change_headings(out, 0.1):
         told = rerun_into(out, 0, out=tmp_path / "code")
-        why = "These are not last bits: the code of bringing 1.1 may have changed."
+        why = "This exceeds last bits: the code of bringing 1.1 may have changed."
         assert f" here. {why}\n" in told
         rewrite_manifest(out, versions=read_manifest(out)["versions"] | {"bringing": "1.0"})
         told = rerun_into(out, 0, out=tmp_path / "version")
@@ -242,7 +242,7 @@ def test_invalid_rerun_raises_one_line_error(
 
 def test_rerun_of_run_without_row_is_refused(out: Path, tmp_path: Path) -> None:
     study_run.run_into(stopping_study(), tmp_path / "out")
-    with pytest.raises(InputError, match="has no row of run 384 yet"):
+    with pytest.raises(InputError, match="run 384 has no row yet"):
         rerun_into(tmp_path / "out", 384)
 
 

@@ -1,4 +1,4 @@
-"""What keeps a directory of results from being gone on with: other keys, versions, instructions."""
+"""Reasons to refuse resuming: other keys, versions or instruction sets."""
 
 import os
 import subprocess
@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.kept import rewrite_manifest
 from support.studies import small_study
+from support.sweep_directories import rewrite_manifest
 
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tasks
@@ -17,7 +17,7 @@ from sinsjax.execution.results import load_stored_study
 from sinsjax.execution.source import Source
 from sinsjax.methods import registry as methods
 from sinsjax.platform import runtime, xla
-from sinsjax.study.identity import differences
+from sinsjax.study.identity import describe_differences
 from sinsjax.study.load import study_to_toml
 
 pytestmark = pytest.mark.optimised(False)
@@ -54,7 +54,7 @@ ZIP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 1.0, 2.0]}
 def test_differences_between_studies_name_changed_keys(
     there: dict[str, Any], here: dict[str, Any], told: list[str]
 ) -> None:
-    assert differences(small_study(**there), small_study(**here)) == told
+    assert describe_differences(small_study(**there), small_study(**here)) == told
 
 
 @pytest.mark.parametrize("name", ["jaxlib", "scipy"])
@@ -116,7 +116,7 @@ def test_resume_with_other_instruction_set_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=told):
         run.run_into(study, out, resume=True)
     # Workers are asked, not the process that hands their rows on.
-    theirs = tasks.on_this_machine()._replace(facts={"workers": 1, "instructions": "SSE4_2"})
+    theirs = tasks.local_executor()._replace(facts={"workers": 1, "instructions": "SSE4_2"})
     assert (out / "manifest.json").read_bytes() == before
     run.run_into(study, out, resume=True, executor=theirs)
     assert [s["instructions"] for s in read_manifest(out)["sessions"]] == ["SSE4_2"] * 2

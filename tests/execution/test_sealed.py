@@ -1,4 +1,4 @@
-"""Every change of a sealed file is noticed, and nothing but regular files is read."""
+"""Every change of a sealed file is detected, and only regular files are read."""
 
 import os
 
@@ -13,8 +13,8 @@ from sinsjax.platform import files
 
 ROWS = pa.table({"run_id": np.arange(40), "phi_u_arcmin": np.linspace(-3, 3, 40)})
 CONTENTS = {
-    "parquet": sealed.sealed_parquet(ROWS, {"sinsjax.study": "0123"}),
-    "json": sealed.sealed_json({"state": "complete", "chunks": [{"name": "part-0000"}]}),
+    "parquet": sealed.to_sealed_parquet(ROWS, {"sinsjax.study": "0123"}),
+    "json": sealed.to_sealed_json({"state": "complete", "chunks": [{"name": "part-0000"}]}),
 }
 
 
@@ -37,23 +37,23 @@ def test_truncated_file_is_noticed(kind: str) -> None:
 def test_parquet_keeps_rows_marks_and_bytes(tmp_path) -> None:
     path = tmp_path / "part.parquet"
     path.write_bytes(CONTENTS["parquet"])
-    assert CONTENTS["parquet"] == sealed.sealed_parquet(ROWS, {"sinsjax.study": "0123"})
-    assert sealed.read_parquet(path).equals(ROWS)
+    assert CONTENTS["parquet"] == sealed.to_sealed_parquet(ROWS, {"sinsjax.study": "0123"})
+    assert sealed.read_sealed_parquet(path).equals(ROWS)
     assert pq.read_table(path).equals(ROWS)  # by anyone else
     assert pq.read_metadata(path).metadata[b"sinsjax.study"] == b"0123"
 
 
 def test_text_that_looks_like_a_seal_is_content() -> None:
-    content = {"warnings": [f'{sealed.KEY}": "{"1" * 64}'], sealed.KEY: "2" * 64}
-    assert sealed.is_intact(sealed.sealed_json(content))
+    content = {"warnings": [f'{sealed.SEAL_KEY}": "{"1" * 64}'], sealed.SEAL_KEY: "2" * 64}
+    assert sealed.is_intact(sealed.to_sealed_json(content))
 
 
 def test_json_of_nothing_sealed_is_damaged(tmp_path) -> None:
     path = tmp_path / "manifest.json"
-    for content in (b"", b"{}", b"\xff", f'{{"{sealed.KEY}": "{"0" * 64}"}}'.encode()):
+    for content in (b"", b"{}", b"\xff", f'{{"{sealed.SEAL_KEY}": "{"0" * 64}"}}'.encode()):
         path.write_bytes(content)
-        with pytest.raises(sealed.Damaged, match="manifest.json: has changed"):
-            sealed.read_json(path)
+        with pytest.raises(sealed.DamagedError, match="manifest.json: has changed"):
+            sealed.read_sealed_json(path)
 
 
 def test_nothing_is_read_through_links_or_pipes(tmp_path) -> None:
@@ -62,7 +62,11 @@ def test_nothing_is_read_through_links_or_pipes(tmp_path) -> None:
     link.symlink_to(file)
     os.mkfifo(pipe)
     assert files.read_regular(file) == b"content"
-    for path, why in ((link, "is a symbolic link"), (pipe, "is no regular file"), (tmp_path, "")):
+    for path, why in (
+        (link, "is a symbolic link"),
+        (pipe, "is no(t a)? regular file"),
+        (tmp_path, ""),
+    ):
         with pytest.raises(InputError, match=f"{path.name}: {why}"):
             files.read_regular(path)
     with pytest.raises(FileNotFoundError):

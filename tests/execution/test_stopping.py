@@ -1,4 +1,4 @@
-"""Where [stop_when] looks, what it sees there, and that it stops at the same place every time."""
+"""Interim analyses of [stop_when]: their draws, their statistics, and a reproducible stop."""
 
 import math
 import threading
@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from support.kept import Recorder, manifest, parts
 from support.studies import STILL, small_study
+from support.sweep_directories import TaskRecorder, read_manifest_entries, read_parts
 
 from sinsjax.engine.batch import map_in_threads
 from sinsjax.errors import StudyInterrupted
@@ -25,7 +25,7 @@ from sinsjax.study.study import Study
 COLUMNS = ["run_id", "draw_id", "variant_id"]
 
 
-def study_of(
+def make_study(
     statistic: str = "success_rate", half_width: float = 0.1, draws: int = 1000, **changes: Any
 ) -> Study:
     study = {"draws": draws, "duration_s": 2.0, "record_interval_s": 0.1, "window_s": [0, 2]}
@@ -39,7 +39,7 @@ def study_of(
 
 @given(st.integers(1, 10**6))
 def test_interim_analyses_double_draws_up_to_cap(cap: int) -> None:
-    looks = stopping.interim_draws(study_of(draws=cap))
+    looks = stopping.interim_draws(make_study(draws=cap))
     doubled = [64 * 2**i for i in range(20)]
     assert looks == [n for n in doubled if n < cap] + [cap]
 
@@ -103,13 +103,15 @@ def test_interim_analysis_matches_naive_count(
         ("success_rate", shares, wanted),
         ("settle_10_s_mean", means, 400 * wanted),
     ):
-        study = study_of(statistic, half_width, axes=axes, study={"judged_from": judged})
-        assert set(stopping.columns(study)) - set(COLUMNS) <= set(table.column_names)
-        found = stopping.analyse_interim(study, table.select(stopping.columns(study)), draws)
+        study = make_study(statistic, half_width, axes=axes, study={"judged_from": judged})
+        assert set(stopping.required_columns(study)) - set(COLUMNS) <= set(table.column_names)
+        found = stopping.analyse_interim(
+            study, table.select(stopping.required_columns(study)), draws
+        )
         assert found.draws == draws
         assert found.half_width == pytest.approx(max(widths), rel=1e-9, abs=1e-9)
         if not math.isclose(max(widths), half_width, rel_tol=1e-6):
-            assert found.enough == (max(widths) <= half_width)
+            assert found.is_sufficient == (max(widths) <= half_width)
 
 
 # --- in a sweep ---------------------------------------------------------------------------------
@@ -125,7 +127,7 @@ CASES = {
 
 def sweep_of(name: str) -> Study:
     statistic, half_width, cap, _ = CASES[name]
-    return study_of(
+    return make_study(
         statistic,
         half_width,
         cap,
@@ -146,22 +148,24 @@ def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     assert whole.summary.num_rows == 2 * draws
     assert study_run.run(study).summary.equals(whole.summary)
     before = [n for n in stopping.interim_draws(study) if n < draws]
-    assert not any(stopping.analyse_interim(study, whole.summary, n).enough for n in before)
-    backwards = Executor(lambda shop, tasks: map_in_threads(shop.pack, list(tasks)[::-1], 2), {})
+    assert not any(stopping.analyse_interim(study, whole.summary, n).is_sufficient for n in before)
+    backwards = Executor(
+        lambda shop, tasks: map_in_threads(shop.compute_files, list(tasks)[::-1], 2), {}
+    )
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
     interrupted(study, tmp_path / "out")
-    assert parts(tmp_path / "out") == parts(tmp_path / "back")
+    assert read_parts(tmp_path / "out") == read_parts(tmp_path / "back")
     assert read_summary(tmp_path / "out").equals(whole.summary)
-    told = manifest(tmp_path / "out")
+    told = read_manifest_entries(tmp_path / "out")
     assert (told["state"], told["draws"], told["runs"]) == ("complete", draws, 2 * draws)
     assert {chunk["state"] for chunk in told["chunks"]} == {"done"}
-    again = Recorder()
+    again = TaskRecorder()
     study_run.run_into(study, tmp_path / "out", resume=True, executor=again.executor)
     assert again.done == []
 
 
 def interrupted(study: Study, out: Path) -> None:
-    """A sweep that is stopped after every chunk and begun again."""
+    """Run a sweep that is interrupted after every chunk and resumed."""
     for _ in range(50):
         try:
             study_run.run_into(
@@ -169,16 +173,16 @@ def interrupted(study: Study, out: Path) -> None:
                 out,
                 chunk_runs=128,
                 resume=True,
-                stop=Once(),
-                executor=Executor(lambda shop, tasks: map(shop.pack, tasks), {}),
+                stop=StopOnce(),
+                executor=Executor(lambda shop, tasks: map(shop.compute_files, tasks), {}),
             )
             return
         except StudyInterrupted:
-            assert manifest(out)["state"] == "interrupted"
+            assert read_manifest_entries(out)["state"] == "interrupted"
     raise AssertionError("never complete")
 
 
-class Once(threading.Event):
+class StopOnce(threading.Event):
     """Lets one task pass."""
 
     def __init__(self) -> None:
@@ -194,6 +198,6 @@ def test_stages_cover_every_draw_once() -> None:
     study = sweep_of("share, cap")
     runner = TaskRunner(Job(study))
     assert runner.stages == [range(0, 64), range(64, 128), range(128, 150)]
-    names = [task.name for tasks in runner.tasks() for task in tasks]
+    names = [task.name for tasks in runner.plan_tasks() for task in tasks]
     assert len(set(names)) == len(names)
-    assert [sum(t.runs for t in tasks) for tasks in runner.tasks()] == [128, 128, 44]
+    assert [sum(t.runs for t in tasks) for tasks in runner.plan_tasks()] == [128, 128, 44]

@@ -1,4 +1,4 @@
-"""Results as Python returns them: in memory and of a directory, as pandas and xarray have them."""
+"""Results in Python: in memory and from a directory, as pandas and xarray objects."""
 
 import sys
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 from support.studies import small_study
 
 import sinsjax
-from sinsjax.execution.frames import dataset_of
+from sinsjax.execution.frames import to_dataset
 from sinsjax.execution.study_results import Results
 
 pytestmark = pytest.mark.optimised(False)
@@ -26,7 +26,7 @@ def results() -> Results:
     return sinsjax.run(small_study(study={"curves": True}, axes=AXES))
 
 
-def test_results_show_themselves_in_five_short_lines(results: Results) -> None:
+def test_results_are_displayed_in_five_short_lines(results: Results) -> None:
     lines = repr(results).splitlines()
     assert len(lines) == 5 and max(map(len, lines)) <= 80
     assert f"6 variants x 3 draws = 18 runs, {failed(results)} diverged or not" in lines[1]
@@ -47,7 +47,7 @@ def test_results_of_a_directory_are_read_from_it(tmp_path: Path, results: Result
     again = Results.read(tmp_path / "out")
     assert again.summary.equals(stored.summary) and again.study == results.study
     assert again.wall_s > 0 and stored.wall_s > 0
-    with pytest.raises(sinsjax.InputError, match="holds no results"):
+    with pytest.raises(sinsjax.InputError, match="contains no results"):
         Results.read(tmp_path)
 
 
@@ -112,8 +112,8 @@ def test_xarray_has_keys_that_vary_together_on_one_dimension_or_variants() -> No
 def test_xarray_refuses_runs_without_some_variants(results: Results) -> None:
     pytest.importorskip("xarray")
     with pytest.raises(sinsjax.InputError, match="some variants are missing .17 runs of 3 draws"):
-        dataset_of(results.study, results.summary.slice(1))
-    assert dict(dataset_of(results.study, results.summary.slice(6)).sizes)["draw"] == 2
+        to_dataset(results.study, results.summary.slice(1))
+    assert dict(to_dataset(results.study, results.summary.slice(6)).sizes)["draw"] == 2
 
 
 def test_estimates_convert_by_variant(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Result tables: the columns that others read by name, and what is null when."""
+"""Result tables: their columns, and the conditions for nulls."""
 
 import os
 from collections.abc import Callable
@@ -10,9 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.chunks import chunk
-from support.kept import everything
-from support.stored import write_manifest, write_part
+from support.stored_results import write_manifest, write_part
 from support.studies import BASE, STILL, small_study, with_paper_values
+from support.sweep_directories import read_files_and_times
 
 from sinsjax import columns
 from sinsjax.engine import build
@@ -22,7 +22,7 @@ from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import count_runs, read_curves, read_summary
 from sinsjax.execution.tasks import Job
 from sinsjax.study import sampling
-from sinsjax.study.keys import SECTIONS, SWEEPABLE, meaning
+from sinsjax.study.keys import SECTIONS, SWEEPABLE, key_meaning
 from sinsjax.study.load import study_from_dict
 from sinsjax.units import ARCMIN, DEG, split_unit
 
@@ -45,11 +45,11 @@ def test_summary_has_contract_columns_and_axis_columns() -> None:
         axes={"q_reading": ["psd", "per_step"], "p0_yaw_deg": [40.0, 80.0], "reset_count": [0, 2]},
         resets={"reset_cycle_s": 2.0},
     )
-    made = tables.Tables(study)
+    made = tables.TableBuilder(study)
     names = [c.name for c in made.summary_columns]
     assert len(set(names)) == len(names)
     assert set(CONTRACT) | {"q_reading", "p0_yaw_deg"} <= set(names)
-    table = made.summary(chunk([0.0] * 8, [[0.0] * 3] * 8), np.arange(8))
+    table = made.summary_table(chunk([0.0] * 8, [[0.0] * 3] * 8), np.arange(8))
     assert table["q_reading"].to_pylist() == ["psd"] * 4 + ["per_step"] * 4
     assert table["reset_count"].to_pylist() == [0, 2] * 4
     assert table["reset_times_s"].to_pylist() == [[], [2.0, 4.0]] * 4
@@ -65,7 +65,9 @@ def test_axis_column_has_type_of_its_values(values: list) -> None:
 
 def test_vector_key_can_be_swept_by_numbers_and_lists() -> None:
     study = small_study(axes={"gyro_bias_deg_per_h": [0.1, [0.1, 0.0, 0.0]]})
-    table = tables.Tables(study).summary(chunk([0.0] * 2, [[0.0] * 3] * 2), np.arange(2))
+    table = tables.TableBuilder(study).summary_table(
+        chunk([0.0] * 2, [[0.0] * 3] * 2), np.arange(2)
+    )
     assert table["gyro_bias_deg_per_h"].to_pylist() == [[0.1], [0.1, 0.0, 0.0]]
 
 
@@ -146,7 +148,7 @@ def test_key_columns_carry_unit_and_meaning() -> None:
         },
     }
     study = study_from_dict(with_paper_values(BASE | {"sensors": {}, "earth": {}} | sweep))
-    told = columns.schema(tables.Tables(study).summary_columns)
+    told = columns.schema(tables.TableBuilder(study).summary_columns)
     for key, (unit, text) in SAID.items():
         assert told.field(key).metadata == {b"unit": unit.encode(), b"meaning": text.encode()}
 
@@ -155,7 +157,7 @@ def test_key_columns_carry_unit_and_meaning() -> None:
 def test_meaning_of_key_names_its_unit(key: str) -> None:
     """Every key that may be a column has a meaning, and a unit in its name stands in it."""
     _, unit = split_unit(key)
-    assert unit in meaning(key) != ""
+    assert unit in key_meaning(key) != ""
 
 
 def test_summary_gives_settling_times_and_status_per_run() -> None:
@@ -165,15 +167,15 @@ def test_summary_gives_settling_times_and_status_per_run() -> None:
     # Bands 60, 10, 3 arcmin; the run ends at 6 s.
     outside = [[0.0, 1.0, 6.0], [2.0, 6.0, 6.0], [6.0, 6.0, 6.0], [6.0, 6.0, 6.0]]
     rows = chunk([-21.0, -5.0, 700.0, np.nan], outside)
-    made = tables.Tables(study)
-    table = made.summary(rows, np.arange(4))
+    made = tables.TableBuilder(study)
+    table = made.summary_table(rows, np.arange(4))
     assert table["settle_60_s"].to_pylist() == [0.0, 2.0, None, None]
     assert table["settle_10_s"].to_pylist() == [1.0, None, None, None]
     assert table["status"].to_pylist() == ["ok", "not_settled", "diverged", "not_settled"]
     assert table["phi_u_arcmin"].null_count == 1
     assert table["phi_n_arcmin"].to_pylist() == pytest.approx([2.0] * 4)
     assert table["yaw_deg"].to_pylist() == pytest.approx([1 / DEG] * 4)
-    broken = made.summary(chunk([0.0], [[6.0, 6.0, 6.0]], yaw=np.nan), np.arange(1))
+    broken = made.summary_table(chunk([0.0], [[6.0, 6.0, 6.0]], yaw=np.nan), np.arange(1))
     assert broken["status"].to_pylist() == ["nonfinite"]
 
 
@@ -183,7 +185,7 @@ def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
     study = small_study(study=FROM_FLOOR, motion=STILL, passes={"stored_s": 2.0}, axes=axes)
     # The first two runs end after 2 s, the others after 6 s.
     outside = [[0.0, 1.0, 2.0], [2.0, 2.0, 2.0], [1.0, 2.0, 5.0], [3.0, 4.0, 6.0]]
-    table = tables.Tables(study).summary(chunk([-21.0] * 4, outside), np.arange(4))
+    table = tables.TableBuilder(study).summary_table(chunk([-21.0] * 4, outside), np.arange(4))
     for band, settled, data in (
         (60, [0.0, None, 1.0, 3.0], [0.0, None, 1.0, 2.0]),
         (10, [1.0, None, 2.0, 4.0], [1.0, None, 2.0, 2.0]),
@@ -192,8 +194,8 @@ def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
         assert table[f"settle_{band}_s"].to_pylist() == settled
         assert table[f"settle_{band}_data_s"].to_pylist() == data
     assert table["status"].to_pylist() == ["ok", "not_settled", "ok", "ok"]
-    made = tables.Tables(small_study(passes={"stored_s": 2.0}), has_truth=False)
-    table = made.summary(chunk([0.0], [[0.0] * 3]), np.arange(1))
+    made = tables.TableBuilder(small_study(passes={"stored_s": 2.0}), has_truth=False)
+    table = made.summary_table(chunk([0.0], [[0.0] * 3]), np.arange(1))
     assert table["settle_10_data_s"].null_count == 1
 
 
@@ -220,8 +222,8 @@ def test_compass_rows_have_null_sigma_and_consistency() -> None:
 
 
 def test_summary_without_truth_has_attitude_and_sigma_only() -> None:
-    made = tables.Tables(small_study(), has_truth=False)
-    table = made.summary(chunk([0.0], [[0.0, 0.0, 0.0]]), np.arange(1))
+    made = tables.TableBuilder(small_study(), has_truth=False)
+    table = made.summary_table(chunk([0.0], [[0.0, 0.0, 0.0]]), np.arange(1))
     left = {name for name in CONTRACT if table[name].null_count == 0}
     assert {"pitch_deg", "yaw_mean_deg", "yaw_std_deg", "sigma_u_arcmin"} <= left
     needing = ("phi_u_arcmin", "phi_u_mean_arcmin", "settle_10_s", "floor_arcmin", "nees", "status")
@@ -230,7 +232,7 @@ def test_summary_without_truth_has_attitude_and_sigma_only() -> None:
 
 def test_settling_bands_always_include_status_band() -> None:
     study = small_study(study={"settle_bands_arcmin": [30.0]})
-    names = [c.name for c in tables.Tables(study).summary_columns]
+    names = [c.name for c in tables.TableBuilder(study).summary_columns]
     assert {"settle_30_s", "settle_10_s"} <= set(names)
     (part,) = build.parts(study)
     np.testing.assert_allclose(part.group.environment.criteria.bands, np.array([30, 10]) * ARCMIN)
@@ -248,11 +250,11 @@ def test_drawn_keys_become_summary_columns() -> None:
     study = study_from_dict(data | {"drawn": drawn, "axes": {"p0_yaw_deg": [40.0, 80.0]}})
     rows = chunk([0.0] * 4, [[0.0] * 3] * 4)
     rows = rows._replace(draw=np.array([1, 1, 2, 2]), variant=np.array([0, 1, 0, 1]))
-    table = tables.Tables(study).summary(rows, np.arange(2))
+    table = tables.TableBuilder(study).summary_table(rows, np.arange(2))
     assert table["run_id"].to_pylist() == [2, 3, 4, 5]
     assert table["yaw_period_s"].to_pylist() == [10.0, 10.0, 9.0, 9.0]
     assert table["gyro_scale_ppm"].to_pylist() == [[4.0] * 3] * 2 + [[1.0, 2.0, 3.0]] * 2
-    phi = sampling.values(study, 3)["phi_u0_deg"]
+    phi = sampling.drawn_values(study, 3)["phi_u0_deg"]
     assert table["phi_u0_deg"].to_pylist() == [phi[1], phi[1], phi[2], phi[2]]
     names = table.column_names
     assert len(set(names)) == len(names)
@@ -262,7 +264,7 @@ def test_drawn_keys_become_summary_columns() -> None:
 def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) -> None:
     study = small_study()
     run.run_into(study, tmp_path / "out")
-    before = everything(tmp_path / "out")
+    before = read_files_and_times(tmp_path / "out")
     with jax.enable_x64(False):
         for call in (
             lambda: run.run_into(study, tmp_path / "out", overwrite=True),
@@ -272,7 +274,7 @@ def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) ->
         ):
             with pytest.raises(InputError, match="double precision"):
                 call()
-    assert everything(tmp_path / "out") == before
+    assert read_files_and_times(tmp_path / "out") == before
 
 
 # --- reading ------------------------------------------------------------------------------------
@@ -280,7 +282,7 @@ def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) ->
 
 @pytest.fixture
 def stored(tmp_path: Path) -> Path:
-    """Two parts of two runs, the later ones first."""
+    """Return a directory with two parts of two runs, the later ones first."""
     study = small_study()
     for part, runs in enumerate(([2, 3], [0, 1])):
         rows = {"run_id": runs, "status": ["ok", None], "nees": [float(runs[0]), None]}
@@ -318,7 +320,7 @@ def test_read_summary_selects_columns_and_runs(stored: Path) -> None:
 
 
 def test_reading_ignores_files_that_are_not_parts(stored: Path) -> None:
-    """Not what a killed process left half written, nor what a person put there."""
+    """Half-written files of a killed process and foreign files are ignored."""
     (stored / "summary" / ".part-0000-000002.parquet.77.tmp").write_bytes(b"PAR1")
     (stored / "summary" / "notes.txt").write_text("mine")
     assert count_runs(stored) == 4
@@ -339,7 +341,7 @@ def test_directory_without_parts_is_refused_in_one_line(tmp_path: Path, left: st
         lambda: read_summary(out, run_ids=[1]),
         lambda: count_runs(out),
     ):
-        with pytest.raises(InputError, match="out: holds no results"):
+        with pytest.raises(InputError, match="out: contains no results"):
             read()
     for run_ids in (None, [1]):
         assert read_curves(out, run_ids).num_rows == 0
@@ -349,7 +351,9 @@ def test_directory_without_parts_is_refused_in_one_line(tmp_path: Path, left: st
 def test_unreadable_manifest_is_refused_in_one_line(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:
         (tmp_path / "manifest.json").write_bytes(content)
-    words = "holds no results" if content is None else "manifest.json: has changed since .*--resume"
+    words = (
+        "contains no results" if content is None else "manifest.json: has changed since .*--resume"
+    )
     with pytest.raises(InputError, match=words):
         read_manifest(tmp_path)
 

@@ -1,4 +1,4 @@
-"""A study cut into tasks: the same rows however it is cut, the same bytes wherever it is done."""
+"""A study divided into tasks: equal rows for any division, equal bytes on any machine."""
 
 import random
 import threading
@@ -10,15 +10,15 @@ import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.kept import STUDIES, parts, study_of
 from support.studies import PAPER, small_study
+from support.sweep_directories import STUDIES, make_study, read_parts
 
 from sinsjax.engine import build
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import LANES
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
-from sinsjax.execution.outputs import output_of
+from sinsjax.execution.outputs import make_output
 from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.records import Reference
@@ -36,7 +36,7 @@ def name(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="module")
 def reference(name: str) -> study_run.Results:
-    return study_run.run(study_of(name))
+    return study_run.run(make_study(name))
 
 
 def assert_same(one: study_run.Results, other: study_run.Results) -> None:
@@ -49,27 +49,27 @@ def assert_same(one: study_run.Results, other: study_run.Results) -> None:
 @pytest.mark.representative("worlds", "passes", "drawn")
 def test_rows_do_not_depend_on_chunk_size(name: str, reference: study_run.Results) -> None:
     """The smallest, and one that holds all runs."""
-    assert_same(study_run.run(study_of(name), chunk_runs=2), reference)
+    assert_same(study_run.run(make_study(name), chunk_runs=2), reference)
     if name == "worlds":
-        assert_same(study_run.run(study_of(name), chunk_runs=10**6), reference)
+        assert_same(study_run.run(make_study(name), chunk_runs=10**6), reference)
 
 
 def test_result_bytes_do_not_depend_on_task_order_or_runner(
     name: str, reference: study_run.Results, tmp_path: Path
 ) -> None:
-    """Every task is done by a workshop of its own, which knows of no other."""
-    study, chunk_runs = study_of(name), 128
+    """Every task has a separate runner."""
+    study, chunk_runs = make_study(name), 128
     study_run.run_into(study, tmp_path / "there", chunk_runs=chunk_runs)
 
     def elsewhere(_: TaskRunner, tasks: Any) -> Any:
         todo = list(tasks)
         random.Random(3).shuffle(todo)
         for task in todo:
-            yield TaskRunner(Job(study, None, None, chunk_runs)).pack(task)
+            yield TaskRunner(Job(study, None, None, chunk_runs)).compute_files(task)
 
     executor = Executor(elsewhere, {})
     study_run.run_into(study, tmp_path / "here", chunk_runs=chunk_runs, executor=executor)
-    assert parts(tmp_path / "here") == parts(tmp_path / "there")
+    assert read_parts(tmp_path / "here") == read_parts(tmp_path / "there")
     read = (read_summary(tmp_path / "here"), read_curves(tmp_path / "here"))
     for a, b in zip(read, reference, strict=True):
         assert a.cast(b.schema).equals(b)
@@ -78,8 +78,8 @@ def test_result_bytes_do_not_depend_on_task_order_or_runner(
 def test_additional_draws_leave_earlier_rows_unchanged(
     name: str, reference: study_run.Results
 ) -> None:
-    study = study_of(name)
-    fewer = study_of(name, study.n_draws - 17)
+    study = make_study(name)
+    fewer = make_study(name, study.n_draws - 17)
     count = fewer.n_draws * fewer.n_variants
     got = study_run.run(fewer)
     assert got.summary.equals(reference.summary.slice(0, count))
@@ -89,7 +89,7 @@ def test_additional_draws_leave_earlier_rows_unchanged(
 
 
 def test_summary_and_curves_contain_every_run_once(name: str, reference: study_run.Results) -> None:
-    study = study_of(name)
+    study = make_study(name)
     runs = np.arange(study.n_draws * study.n_variants)
     np.testing.assert_array_equal(reference.summary["run_id"], runs)
     np.testing.assert_array_equal(reference.summary["draw_id"], runs // study.n_variants)
@@ -109,8 +109,8 @@ def test_tasks_are_deterministic_and_cover_every_run(
     study = small_study(
         study={"draws": draws}, axes={"p0_yaw_deg": [float(i + 1) for i in range(variants)]}
     )
-    (tasks,) = TaskRunner(Job(study, None, None, chunk_runs)).tasks()
-    assert (tasks,) == tuple(TaskRunner(Job(study, None, None, chunk_runs)).tasks())
+    (tasks,) = TaskRunner(Job(study, None, None, chunk_runs)).plan_tasks()
+    assert (tasks,) == tuple(TaskRunner(Job(study, None, None, chunk_runs)).plan_tasks())
     assert sum(task.runs for task in tasks) == draws * variants
     assert [task.call for task in tasks] == list(range(len(tasks)))
     assert sorted({task.name for task in tasks}) == [task.name for task in tasks]
@@ -151,18 +151,18 @@ def test_job_identity_depends_on_study_record_and_reference() -> None:
 
 
 def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever comes first compiles a part; the others wait for it."""
+    """The first thread compiles a part; the others wait."""
     made: list[int] = []
-    compile_part = TaskRunner._compile
+    compile_part = TaskRunner._compile_calls
 
     def counted(self: TaskRunner, part: int, draws: range) -> Any:
         made.append(part)
         return compile_part(self, part, draws)
 
-    monkeypatch.setattr(TaskRunner, "_compile", counted)
-    runner = TaskRunner(Job(study_of("worlds"), None, None, 128))
-    (tasks,) = runner.tasks()
-    threads = [threading.Thread(target=runner.do, args=(task,)) for task in tasks]
+    monkeypatch.setattr(TaskRunner, "_compile_calls", counted)
+    runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
+    (tasks,) = runner.plan_tasks()
+    threads = [threading.Thread(target=runner.compute_tables, args=(task,)) for task in tasks]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -173,7 +173,7 @@ def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None
 def test_failures_count_diverged_and_nonfinite_runs() -> None:
     status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
     summary = pa.table({"status": status})
-    assert output_of(Scenario(small_study())).failures({"summary": summary}) == 3
+    assert make_output(Scenario(small_study())).count_failures({"summary": summary}) == 3
 
 
 def test_record_for_simulated_study_is_refused() -> None:

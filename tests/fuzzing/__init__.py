@@ -1,6 +1,6 @@
-"""Studies, manifests and records that nobody would write, made from the schema to be read.
+"""Random studies, manifests and records from the schema, as input of readers.
 
-What reads them takes them, or raises `InputError` with one line that names the file, and the key or
-the row: never another error, never a long wait, never much memory. `hypothesis` makes the cases and
-makes those that fail small; `targets` has what is done with them.
+Readers accept them, or raise `InputError` with one line that names the file, and the key or the
+row: no other error, no long wait, little memory. `hypothesis` generates the cases and reduces those
+that fail; `targets` has the readers.
 """

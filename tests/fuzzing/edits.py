@@ -5,56 +5,58 @@ from typing import Any, NamedTuple
 
 from hypothesis import strategies as st
 
-from fuzzing.values import TEXTS, misfits
+from fuzzing.values import TEXTS, misfit_values
 
 Path_ = tuple[Any, ...]
 
 
-class Quiet(NamedTuple):
-    """Something large that is not to be printed with all that it goes into."""
+class HiddenValue(NamedTuple):
+    """Wrapper of a large value that hides it in printed output."""
 
     value: Any
 
     def __repr__(self) -> str:
-        """Says nothing of it."""
+        """Return dots instead of the value."""
         return "..."
 
 
-def places(value: Any, at: Path_ = (), most: int = 400) -> list[Path_]:
-    """Where the entries of nested tables and lists are."""
-    found: list[Path_] = []
+def entry_paths(value: Any, path: Path_ = (), max_paths: int = 400) -> list[Path_]:
+    """Return the paths of the entries of nested tables and lists."""
+    paths: list[Path_] = []
     entries = value.items() if isinstance(value, dict) else enumerate(value)
     for key, entry in entries:
-        found.append((*at, key))
-        if isinstance(entry, dict | list) and len(found) < most:
-            found += places(entry, (*at, key), most - len(found))
-    return found
+        paths.append((*path, key))
+        if isinstance(entry, dict | list) and len(paths) < max_paths:
+            paths += entry_paths(entry, (*path, key), max_paths - len(paths))
+    return paths
 
 
 @st.composite
-def edited(draw: st.DrawFn, given: Quiet, most: int = 3) -> Any:
-    """Nested tables with some entries replaced, removed, doubled, renamed or moved."""
-    data = copy.deepcopy(given.value)
-    for _ in range(draw(st.integers(1, most))):
-        there = places(data)
-        if not there:
+def edit_tables(draw: st.DrawFn, original: HiddenValue, max_edits: int = 3) -> Any:
+    """Draw nested tables with some entries replaced, removed, doubled, renamed or wrapped."""
+    data = copy.deepcopy(original.value)
+    for _ in range(draw(st.integers(1, max_edits))):
+        paths = entry_paths(data)
+        if not paths:
             return data
-        *path, key = draw(st.sampled_from(there))
-        home = data
+        *path, key = draw(st.sampled_from(paths))
+        container = data
         for step in path:
-            home = home[step]
+            container = container[step]
         kind = draw(st.sampled_from(["replace", "replace", "remove", "rename", "double", "wrap"]))
         if kind == "remove":
-            del home[key]
+            del container[key]
         elif kind == "replace":
-            home[key] = draw(misfits())
+            container[key] = draw(misfit_values())
         elif kind == "wrap":
-            home[key] = draw(st.sampled_from([[home[key]], {"a": home[key]}, str(home[key])[:99]]))
-        elif kind == "double" and isinstance(home, list):
-            home.insert(key, copy.deepcopy(home[key]))
-        elif isinstance(home, dict):
+            container[key] = draw(
+                st.sampled_from([[container[key]], {"a": container[key]}, str(container[key])[:99]])
+            )
+        elif kind == "double" and isinstance(container, list):
+            container.insert(key, copy.deepcopy(container[key]))
+        elif isinstance(container, dict):
             name = draw(st.sampled_from([*TEXTS, f"{key}s", str(key)[:-1], str(key).upper()]))
-            home[name] = home[key] if kind == "double" else home.pop(key)
+            container[name] = container[key] if kind == "double" else container.pop(key)
     return data
 
 
@@ -79,14 +81,18 @@ PIECES = [
 
 
 @st.composite
-def mangled(draw: st.DrawFn, given: Quiet, most: int = 3) -> bytes:
-    """Bytes with some cut out, put in, turned or doubled."""
-    content: bytes = given.value
-    for _ in range(draw(st.integers(1, most))):
-        at = draw(st.integers(0, len(content)))
+def mangle_bytes(draw: st.DrawFn, original: HiddenValue, max_edits: int = 3) -> bytes:
+    """Draw bytes with some removed, inserted, flipped or doubled."""
+    content: bytes = original.value
+    for _ in range(draw(st.integers(1, max_edits))):
+        position = draw(st.integers(0, len(content)))
         length = draw(st.sampled_from([0, 1, 1, 2, 8, 64, 1000]))
         kind = draw(st.sampled_from(["cut", "insert", "flip", "double", "truncate"]))
-        head, middle, tail = content[:at], content[at : at + length], content[at + length :]
+        head, middle, tail = (
+            content[:position],
+            content[position : position + length],
+            content[position + length :],
+        )
         if kind == "cut":
             content = head + tail
         elif kind == "insert":

@@ -4,8 +4,8 @@ from typing import Any, NamedTuple
 
 from hypothesis import strategies as st
 
-from fuzzing.edits import Quiet, mangled
-from fuzzing.studies import KEYS, _value
+from fuzzing.edits import HiddenValue, mangle_bytes
+from fuzzing.studies import KEYS, _value_strategy
 from sinsjax.records import ACCEL_UNITS, GYRO_UNITS, TIME_UNITS
 
 CELLS = [
@@ -62,8 +62,8 @@ class Case(NamedTuple):
 
 
 @st.composite
-def cases(draw: st.DrawFn) -> Case:
-    """A record of four seconds at rest, laid out anyhow, with some of it changed."""
+def record_cases(draw: st.DrawFn) -> Case:
+    """Draw a record of four seconds at rest in any layout, with some changes."""
     quantity = draw(st.sampled_from(list(GYRO_UNITS)))
     time_unit = draw(st.sampled_from(list(TIME_UNITS)))
     section: dict[str, Any] = {
@@ -80,22 +80,24 @@ def cases(draw: st.DrawFn) -> Case:
         section = {"format": "psins"}
     if draw(st.booleans()):
         key = draw(st.sampled_from([place for place in KEYS if place[0] == "record"]))
-        section[key[1]] = draw(_value(key))
+        section[key[1]] = draw(_value_strategy(key))
     study: dict[str, Any] = _STUDY | {"record": section}
     if draw(st.booleans()):
         study["study"] = study["study"] | {
             "rate_hz": draw(st.sampled_from([10.0, 10.0, 9.9, 100.0, 1e-3]))
         }
-    lines = _psins() if section["format"] == "psins" else _csv(draw, quantity, section)
-    return Case(study, _changed(draw, lines), _reference(draw) if draw(st.booleans()) else None)
+    lines = _psins_rows() if section["format"] == "psins" else _csv_rows(draw, quantity, section)
+    return Case(
+        study, _change_rows(draw, lines), _draw_reference(draw) if draw(st.booleans()) else None
+    )
 
 
-def _csv(draw: st.DrawFn, quantity: str, section: dict[str, Any]) -> list[list[str]]:
+def _csv_rows(draw: st.DrawFn, quantity: str, section: dict[str, Any]) -> list[list[str]]:
     unit = str(section.get("gyro_unit")), str(section.get("accel_unit"))
     gyro = GYRO_UNITS[quantity].get(unit[0], 1.0)
     accel = ACCEL_UNITS[quantity].get(unit[1], 1.0)
-    spread = 1.0 if quantity == "rates" else 1 / _RATE
-    force, rate = _G * spread / accel, 7.3e-5 * spread / gyro
+    interval_factor = 1.0 if quantity == "rates" else 1 / _RATE
+    force, rate = _G * interval_factor / accel, 7.3e-5 * interval_factor / gyro
     begin = draw(st.sampled_from([0.0, 1000.0, -5.0, 1.7e9]))
     scale = TIME_UNITS.get(str(section.get("time_unit")), 1.0)
     rows = [["t", "a", "b", "c", "d", "e", "f"]]
@@ -110,49 +112,49 @@ def _csv(draw: st.DrawFn, quantity: str, section: dict[str, Any]) -> list[list[s
     return rows
 
 
-def _psins() -> list[list[str]]:
+def _psins_rows() -> list[list[str]]:
     head = [["1e-9", "1e-6", "0.1"], ["32", "0", "0"], ["0", "0", "0"]]
     return head + [["0", "6", "4", "0", "0", "980000"] for _ in range(40)]
 
 
-def _reference(draw: st.DrawFn) -> bytes:
+def _draw_reference(draw: st.DrawFn) -> bytes:
     yaw = draw(st.sampled_from(["yaw_deg", "heading_deg", "yaw_ccw_deg", "x"]))
     rows = [["time_s", "pitch_deg", "roll_deg", yaw]]
     rows += [[f"{t / 2:g}", "0", "0", f"{t}"] for t in range(12)]
-    return _changed(draw, rows)
+    return _change_rows(draw, rows)
 
 
-def _changed(draw: st.DrawFn, rows: list[list[str]]) -> bytes:
-    """Rows as text, some of them or of their cells changed, and then perhaps some bytes."""
+def _change_rows(draw: st.DrawFn, rows: list[list[str]]) -> bytes:
+    """Return rows as text, with some rows, cells and bytes changed."""
     rows = [list(row) for row in rows]
     for _ in range(draw(st.integers(0, 3))):
         if not rows:
             break
-        at = draw(st.integers(0, len(rows) - 1))
+        index = draw(st.integers(0, len(rows) - 1))
         kind = draw(
             st.sampled_from(
                 ["cell", "cell", "cell", "drop", "double", "swap", "cut", "cells", "gap"]
             )
         )
-        row = rows[at]
+        row = rows[index]
         if kind == "cell" and row:
             row[draw(st.integers(0, len(row) - 1))] = draw(
                 st.sampled_from(CELLS) | st.floats().map(str)
             )
         elif kind == "drop":
-            del rows[at]
+            del rows[index]
         elif kind == "gap":
-            del rows[at : at + draw(st.integers(1, 30))]
+            del rows[index : index + draw(st.integers(1, 30))]
         elif kind == "double":
-            rows.insert(at, list(row))
+            rows.insert(index, list(row))
         elif kind == "swap":
-            rows[at], rows[-1] = rows[-1], rows[at]
+            rows[index], rows[-1] = rows[-1], rows[index]
         elif kind == "cut":
-            rows[at] = row[: draw(st.integers(0, max(0, len(row) - 1)))]
+            rows[index] = row[: draw(st.integers(0, max(0, len(row) - 1)))]
         elif kind == "cells":
-            rows[at] = [*row, draw(st.sampled_from(CELLS))]
+            rows[index] = [*row, draw(st.sampled_from(CELLS))]
     delimiter = draw(st.sampled_from([",", ",", ",", ";", "\t", " ", ", "]))
     end = draw(st.sampled_from(["\n", "\n", "\r\n", "\r"]))
     text = end.join(delimiter.join(row) for row in rows) + draw(st.sampled_from([end, ""]))
     content = text.encode("utf-8", "replace")
-    return draw(mangled(Quiet(content))) if draw(st.integers(0, 3)) == 0 else content
+    return draw(mangle_bytes(HiddenValue(content))) if draw(st.integers(0, 3)) == 0 else content

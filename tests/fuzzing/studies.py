@@ -1,4 +1,4 @@
-"""Study files: good ones of every kind with some keys changed, by all that the schema knows."""
+"""Study files: valid ones of every kind with some keys changed, according to the schema."""
 
 import copy
 import functools
@@ -10,10 +10,10 @@ from typing import Any
 import tomli_w
 from hypothesis import strategies as st
 
-from fuzzing.edits import Quiet, edited, mangled
-from fuzzing.values import TEXTS, misfits, of_field, table
+from fuzzing.edits import HiddenValue, edit_tables, mangle_bytes
+from fuzzing.values import TEXTS, draw_table, misfit_values, values_of_field
 from sinsjax.methods.registry import METHODS
-from sinsjax.study.keys import SECTIONS, SWEEPABLE, TUNABLE, rivals
+from sinsjax.study.keys import SECTIONS, SWEEPABLE, TUNABLE, alternative_keys
 from sinsjax.study.schema import NUMBERS_DRAWN
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -66,7 +66,7 @@ BASES: dict[str, dict[str, Any]] = {
 
 
 @functools.cache
-def _shipped() -> tuple[dict[str, Any], ...]:
+def _shipped_tables() -> tuple[dict[str, Any], ...]:
     paths = sorted(CONFIGS.glob("*.toml"))
     return tuple(tomllib.loads(path.read_text(encoding="utf-8")) for path in paths)
 
@@ -76,54 +76,57 @@ _SWEPT = [(name, key) for name, key in KEYS if name in SWEEPABLE]
 _TUNED = [(name, key) for name, key in KEYS if name in TUNABLE]
 
 
-def _one(place: tuple[str, str]) -> st.SearchStrategy[Any]:
-    """A value for a key: three of four fit its type."""
-    fitting = of_field(SECTIONS[place[0]].model_fields[place[1]])
-    return st.one_of(fitting, fitting, fitting, misfits())
+def _build_value_strategy(place: tuple[str, str]) -> st.SearchStrategy[Any]:
+    """Return a strategy for values of a key, three of four of its type."""
+    fitting = values_of_field(SECTIONS[place[0]].model_fields[place[1]])
+    return st.one_of(fitting, fitting, fitting, misfit_values())
 
 
 @functools.cache
-def _value(place: tuple[str, str]) -> st.SearchStrategy[Any]:
-    return _one(place)
+def _value_strategy(place: tuple[str, str]) -> st.SearchStrategy[Any]:
+    return _build_value_strategy(place)
 
 
-def _law(draw: st.DrawFn, place: tuple[str, str]) -> Any:
+def _draw_law(draw: st.DrawFn, place: tuple[str, str]) -> Any:
     number = st.floats(-10, 400) | st.sampled_from([0, 1, 1e12, -1e12, 1e300])
-    some = st.lists(_value(place), max_size=5)
+    values = st.lists(_value_strategy(place), max_size=5)
     kinds = {
         "uniform": st.lists(number, min_size=2, max_size=2).map(sorted),
         "normal": st.lists(number.map(abs), min_size=2, max_size=2),
-        "values": some,
-        "grid": some,
+        "values": values,
+        "grid": values,
     }
     kind = draw(st.sampled_from(sorted(kinds)))
     return {kind: draw(kinds[kind])}
 
 
-def _range(draw: st.DrawFn, place: tuple[str, str]) -> Any:
-    one, ends = _value(place), st.lists(st.floats(1e-3, 400), min_size=2, max_size=2).map(sorted)
+def _draw_range(draw: st.DrawFn, place: tuple[str, str]) -> Any:
+    value, ends = (
+        _value_strategy(place),
+        st.lists(st.floats(1e-3, 400), min_size=2, max_size=2).map(sorted),
+    )
     kind = draw(st.sampled_from(["ends", "log", "list", "fixed", "candidates"]))
     if kind == "fixed":
-        return {"fixed": draw(one)}
+        return {"fixed": draw(value)}
     if kind == "candidates":
-        return {"candidates": draw(st.lists(one, max_size=4))}
+        return {"candidates": draw(st.lists(value, max_size=4))}
     if kind == "list":
-        both = draw(st.lists(ends, max_size=3))
-        return [{"low": low, "high": high} for low, high in both]
+        pairs = draw(st.lists(ends, max_size=3))
+        return [{"low": low, "high": high} for low, high in pairs]
     low, high = draw(ends)
     return {"low": low, "high": high} | ({"scale": "log"} if kind == "log" else {})
 
 
-def _given(data: dict[str, Any], section: str) -> dict[str, Any]:
-    """A table to be put something into, whatever stood there."""
+def _get_table(data: dict[str, Any], section: str) -> dict[str, Any]:
+    """Return a table to be changed, which replaces any other value."""
     if not isinstance(data.get(section), dict):
         data[section] = {}
     return data[section]
 
 
-def _without(data: dict[str, Any], place: tuple[str, str]) -> None:
-    """Takes a key and all that says the same out of its section, so that it can stand elsewhere."""
-    for key in {place[1], *rivals(place[1])}:
+def _remove_key(data: dict[str, Any], place: tuple[str, str]) -> None:
+    """Remove a key and its alternatives from its section, to vary it elsewhere."""
+    for key in {place[1], *alternative_keys(place[1])}:
         if isinstance(data.get(place[0]), dict):
             data[place[0]].pop(key, None)
 
@@ -132,61 +135,61 @@ _EDITS = ["key"] * 6 + ["axis", "axis", "zip", "case", "drawn", "drawn", "tuned"
 _EDITS += ["section", "unknown"]
 
 
-def _edit(draw: st.DrawFn, data: dict[str, Any]) -> None:
+def _edit_study(draw: st.DrawFn, data: dict[str, Any]) -> None:
     kind = draw(st.sampled_from(_EDITS))
     if kind in ("key", "unknown"):
         place = draw(st.sampled_from(KEYS))
         name = place[1] if kind == "key" else draw(st.sampled_from([*TEXTS, place[1][:-1]]))
-        _given(data, place[0])[name] = draw(_value(place))
+        _get_table(data, place[0])[name] = draw(_value_strategy(place))
     elif kind == "section":
         section = draw(st.sampled_from(list(SECTIONS)))
-        data[section] = draw(table(SECTIONS[section].model_fields))
+        data[section] = draw(draw_table(SECTIONS[section].model_fields))
     elif kind == "drawn":
         place = draw(st.sampled_from([p for p in _SWEPT if p[1] in NUMBERS_DRAWN]))
-        _without(data, place)
-        _given(data, "drawn")[place[1]] = _law(draw, place)
+        _remove_key(data, place)
+        _get_table(data, "drawn")[place[1]] = _draw_law(draw, place)
     elif kind == "tuned":
         place = draw(st.sampled_from(_TUNED))
-        tune = _given(data, "tune")
+        tune = _get_table(data, "tune")
         tune.setdefault("searches", ["sobol"])
-        _given(tune, draw(st.sampled_from(["variables", "variables", "baseline"])))[place[1]] = (
-            _range(draw, place)
-        )
+        _get_table(tune, draw(st.sampled_from(["variables", "variables", "baseline"])))[
+            place[1]
+        ] = _draw_range(draw, place)
     else:
         place = draw(st.sampled_from(_SWEPT))
-        _without(data, place)
-        values = draw(st.lists(_value(place), min_size=1, max_size=4))
+        _remove_key(data, place)
+        values = draw(st.lists(_value_strategy(place), min_size=1, max_size=4))
         if kind == "case":
             data["cases"] = [{"case": str(i), place[1]: value} for i, value in enumerate(values)]
         elif kind == "zip":
-            _given(_given(data, "axes"), "joint")[place[1]] = values
+            _get_table(_get_table(data, "axes"), "joint")[place[1]] = values
         else:
-            _given(data, "axes")[place[1]] = values
+            _get_table(data, "axes")[place[1]] = values
 
 
 @st.composite
-def tables(draw: st.DrawFn) -> dict[str, Any]:
-    """A study's tables: a good one of some kind, with some of its keys changed."""
+def study_tables(draw: st.DrawFn) -> dict[str, Any]:
+    """Draw the tables of a valid study with some of its keys changed."""
     kind = draw(st.sampled_from([*BASES, *BASES, "shipped", "made"]))
     if kind == "made":  # of nothing but the schema
         names = draw(st.lists(st.sampled_from(list(SECTIONS)), unique=True, max_size=4))
-        data = {name: draw(table(SECTIONS[name].model_fields)) for name in names}
+        data = {name: draw(draw_table(SECTIONS[name].model_fields)) for name in names}
     else:
-        base = draw(st.sampled_from(_shipped())) if kind == "shipped" else BASES[kind]
+        base = draw(st.sampled_from(_shipped_tables())) if kind == "shipped" else BASES[kind]
         data = copy.deepcopy(base)
     for _ in range(draw(st.sampled_from([0, 1, 1, 1, 1, 2, 2, 3]))):
-        _edit(draw, data)
+        _edit_study(draw, data)
     return data
 
 
-def everywhere(value: Any) -> Iterator[dict[str, Any]]:
-    """Studies with a value in the place of every key, and of each that is swept, drawn or tuned."""
+def studies_with_value(value: Any) -> Iterator[dict[str, Any]]:
+    """Yield studies with a value for every key, also swept, drawn or tuned."""
     for section, key in KEYS:
         base = BASES["recorded" if section in ("record", "coarse") else "plain"]
         yield base | {section: base.get(section, {}) | {key: value}}
         if section in SWEEPABLE:
             plain = copy.deepcopy(BASE)
-            _without(plain, (section, key))
+            _remove_key(plain, (section, key))
             yield plain | {"axes": {key: value}}
             yield plain | {"axes": {key: [value, value]}}
             yield plain | {"cases": [{key: value}]}
@@ -198,25 +201,25 @@ def everywhere(value: Any) -> Iterator[dict[str, Any]]:
             yield BASE | {"tune": {"variables": {key: [{"low": value, "high": value}]}}}
 
 
-def written(data: Any) -> bytes:
-    """Tables as TOML; what TOML has no word for is left out."""
+def to_toml_bytes(data: Any) -> bytes:
+    """Return tables as TOML, without None."""
 
-    def told(value: Any) -> Any:
+    def remove_none(value: Any) -> Any:
         if isinstance(value, dict):
-            return {str(k): told(v) for k, v in value.items() if v is not None}
+            return {str(k): remove_none(v) for k, v in value.items() if v is not None}
         if isinstance(value, list | tuple):
-            return [told(v) for v in value if v is not None]
+            return [remove_none(v) for v in value if v is not None]
         return value
 
-    return tomli_w.dumps(told(data)).encode("utf-8", "replace")
+    return tomli_w.dumps(remove_none(data)).encode("utf-8", "replace")
 
 
 @st.composite
-def files(draw: st.DrawFn) -> bytes:
-    """The content of a study's file."""
+def study_files(draw: st.DrawFn) -> bytes:
+    """Draw the content of a study file."""
     kind = draw(st.sampled_from(["tables"] * 8 + ["edited", "mangled"]))
-    data = draw(tables())
+    data = draw(study_tables())
     if kind == "edited" and data:
-        data = draw(edited(Quiet(data)))
-    content = written(data)
-    return draw(mangled(Quiet(content))) if kind == "mangled" else content
+        data = draw(edit_tables(HiddenValue(data)))
+    content = to_toml_bytes(data)
+    return draw(mangle_bytes(HiddenValue(content))) if kind == "mangled" else content

@@ -1,4 +1,4 @@
-"""What is done with a case, and what must hold: it is taken, or refused in one line."""
+"""Readers of the cases: each case must be accepted, or refused in one line."""
 
 import contextlib
 import re
@@ -14,14 +14,14 @@ from support.memory import process_bytes
 
 import sinsjax
 from fuzzing import manifests, records, studies
-from fuzzing.edits import Quiet
+from fuzzing.edits import HiddenValue
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, prepare, resume
 from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import count_runs, read_curves, read_summary
 from sinsjax.execution.source import Source
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import CONTROL
 from sinsjax.study.identity import fingerprint
@@ -29,28 +29,31 @@ from sinsjax.study.load import load_study, study_from_dict, study_to_toml
 from sinsjax.study.study import Study
 from sinsjax.tuning import run_tuning
 
-MOST_S = 2.0
-"""The longest that a case may take."""
+MAX_S = 2.0
+"""Longest time of a case, s."""
 
-MOST_BYTES = 500e6
-"""The most memory that a case may take."""
+MAX_BYTES = 500e6
+"""Largest memory of a case, bytes."""
 
 _PACKAGE = Path(sinsjax.__file__).parent
 _LONGEST_LINE = 2000
-_MANY, _MUCH = 500, 1e9  # variants and bytes, beyond which a study is resolved no further
+_MAX_VARIANTS, _MAX_MEMORY = (
+    500,
+    1e9,
+)  # variants and bytes, beyond which a study is resolved no further
 
 
-class Broken(AssertionError):
-    """A case that is neither taken nor refused as it should be."""
+class BrokenCase(AssertionError):
+    """A case that is neither accepted nor properly refused."""
 
 
 class Target(NamedTuple):
-    """Something that reads what users write.
+    """A reader of user input.
 
     Attributes:
-        name: of it.
-        cases: what it is given.
-        check: reads a case; raises what is wrong.
+        name: name of the reader.
+        cases: its input.
+        check: function that reads a case and raises an error if it misbehaves.
     """
 
     name: str
@@ -58,108 +61,112 @@ class Target(NamedTuple):
     check: Callable[[Any], None]
 
 
-def targets(folder: Path) -> list[Target]:
-    """All of them; they write into a folder."""
+def make_targets(folder: Path) -> list[Target]:
+    """Return all targets, which write into a folder."""
     stored = folder / "stored"
-    files = manifests.stored(stored)
+    files = manifests.write_results(stored)
     return [
-        Target("studies", studies.files(), lambda case: check_study(folder / "s.toml", case)),
+        Target("studies", studies.study_files(), lambda case: check_study(folder / "s.toml", case)),
         Target(
-            "manifests", manifests.cases(Quiet(files)), lambda c: check_directory(stored, files, c)
+            "manifests",
+            manifests.manifest_cases(HiddenValue(files)),
+            lambda c: check_directory(stored, files, c),
         ),
-        Target("records", records.cases(), lambda case: check_record(folder, case)),
+        Target("records", records.record_cases(), lambda case: check_record(folder, case)),
     ]
 
 
 @contextlib.contextmanager
-def in_time(seconds: float) -> Iterator[None]:
-    """Ends what takes too long, where it can be ended; in the main thread only."""
+def limit_time(seconds: float) -> Iterator[None]:
+    """Fail a block that takes too long; in the main thread only."""
 
-    def late(*_: Any) -> None:
-        raise Broken(f"takes more than {seconds:g} s")
+    def raise_late(*_: Any) -> None:
+        raise BrokenCase(f"takes more than {seconds:g} s")
 
-    before = signal.signal(signal.SIGALRM, late)
+    previous_handler = signal.signal(signal.SIGALRM, raise_late)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, previous_handler)
 
 
-def signature(error: BaseException) -> str:
-    """What tells one find from another: its kind and where it was raised."""
+def error_signature(error: BaseException) -> str:
+    """Return the signature of an error: its kind and where it was raised."""
     cause = error.__cause__ or error
     frames = traceback.extract_tb(cause.__traceback__)
     frames = [frame for frame in frames if Path(frame.filename).is_relative_to(_PACKAGE)]
-    at = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "no line of ours"
-    said = re.sub(r"[\d.]+", "N", str(error))[:40] if isinstance(error, Broken) else ""
-    return f"{type(error).__name__} {said} at {at}"
+    place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "no line of ours"
+    message = re.sub(r"[\d.]+", "N", str(error))[:40] if isinstance(error, BrokenCase) else ""
+    return f"{type(error).__name__} {message} at {place}"
 
 
-def line_of(error: InputError, *names: object) -> str:
-    """Return the first line of a refusal, once each is one and names what it is about.
+def check_error_lines(error: InputError, *names: object) -> str:
+    """Return the first line of a refusal after checking the form of all lines.
 
     Args:
         error: the refusal.
-        names: one of which it begins with.
+        names: possible beginnings of the lines.
     """
     for line in error.lines:
         if len(line) > _LONGEST_LINE:
-            raise Broken(f"a line of {len(line)} characters: {line[:200]}...") from error
+            raise BrokenCase(f"a line of {len(line)} characters: {line[:200]}...") from error
         if CONTROL.search(line):
-            raise Broken(f"control characters: {line[:200]!r}") from error
+            raise BrokenCase(f"control characters: {line[:200]!r}") from error
         if names and not line.startswith(tuple(map(str, names))):
-            raise Broken(f"names none of {names}: {line[:200]}") from error
+            raise BrokenCase(f"names none of {names}: {line[:200]}") from error
     return error.lines[0]
 
 
-_WHOLE = ("is not TOML", "is not UTF-8", "is nested too deeply", "cannot be read")
-"""What is said of a whole file."""
+_WHOLE_FILE_ERRORS = ("is not TOML", "is not UTF-8", "is nested too deeply", "cannot be read")
+"""Errors about a whole file."""
 
 
 def check_study(path: Path, content: bytes) -> None:
-    """Loads a study, and resolves it as `run` does before anything is compiled."""
+    """Load a study and resolve it as `run` does before compilation."""
     path.write_bytes(content)
     try:
         study = load_study(path)
     except InputError as error:
-        line = line_of(error, path)
-        told = line.removeprefix(f"{path}: ")
-        if not told.startswith(_WHOLE) and not re.search(r"\[.*\]", told):
-            raise Broken(f"names no key: {told}") from error
+        line = check_error_lines(error, path)
+        message = line.removeprefix(f"{path}: ")
+        if not message.startswith(_WHOLE_FILE_ERRORS) and not re.search(r"\[.*\]", message):
+            raise BrokenCase(f"names no key: {message}") from error
         return
-    again = study_to_toml(study)
-    path.write_text(again, encoding="utf-8")
+    resolved_text = study_to_toml(study)
+    path.write_text(resolved_text, encoding="utf-8")
     try:
         if fingerprint(load_study(path)) != fingerprint(study):
-            raise Broken("its resolved study is another one")
+            raise BrokenCase("its resolved study is another one")
     except InputError as error:
-        raise Broken(f"its resolved study is refused: {error}") from error
+        raise BrokenCase(f"its resolved study is refused: {error}") from error
     with contextlib.suppress(InputError):
-        resolve(study)
+        check_resolution(study)
 
 
-def resolve(study: Study) -> None:
-    """What is worked out from a study before a program is compiled; refusals are one line."""
+def check_resolution(study: Study) -> None:
+    """Check the resolution of a study before compilation; refusals are one line."""
     try:
         if study.study.rate_hz:
-            expected = forecast.of_tuning(study) if study.tune else forecast.of(study)
+            expected = (
+                forecast.forecast_tuning(study) if study.tune else forecast.forecast_sweep(study)
+            )
             expected.describe(2)
-            if study.n_variants > _MANY or expected.memory > _MUCH:
+            if study.n_variants > _MAX_VARIANTS or expected.memory > _MAX_MEMORY:
                 return
         if not study.is_recorded:
-            job = prepare.prepare(study)
+            job = prepare.prepare_job(study)
             assert all("\n" not in line for line in (*job.warnings, *job.notes))
             Scenario(job.study)
-            Tables(job.study)
+            TableBuilder(job.study)
     except InputError as error:
-        line_of(error)
+        check_error_lines(error)
         raise
 
 
 def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Case) -> None:
-    """Asks a directory of results all that reports, reruns and whoever goes on with it ask."""
+    """Read a results directory as reports, reruns and resumed sweeps do."""
     for name, content in case.files.items():
         (directory / name).unlink() if content is None else (directory / name).write_bytes(content)
     run_ids = [0, 1]
@@ -169,14 +176,14 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
         lambda: read_summary(directory, ["run_id", "status"], run_ids=run_ids),
         lambda: read_curves(directory, run_ids),
         lambda: count_runs(directory),
-        lambda: resume.check_free(directory, overwrite=False, resume=True),
-        lambda: resume.check_free(directory, overwrite=True, resume=False),
-        lambda: resume.continued(Job(manifests.STUDY, directory=directory)),
+        lambda: resume.check_available(directory, overwrite=False, resume=True),
+        lambda: resume.check_available(directory, overwrite=True, resume=False),
+        lambda: resume.continue_job(Job(manifests.STUDY, directory=directory)),
         lambda: run_tuning.is_tuning(directory),
         lambda: Source.read(directory),
-        lambda: forecast.require_room(
+        lambda: forecast.check_resources(
             manifests.STUDY,
-            forecast.of(manifests.STUDY),
+            forecast.forecast_sweep(manifests.STUDY),
             directory,
             overwrite=False,
             resume=True,
@@ -187,14 +194,14 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
             try:
                 question()
             except InputError as error:
-                line_of(error, directory)
+                check_error_lines(error, directory)
     finally:
         for name in case.files:
             (directory / name).write_bytes(files[name])
 
 
 def check_record(folder: Path, case: records.Case) -> None:
-    """Reads a record and its reference as `align` does before anything is compiled."""
+    """Read a record and its reference as `align` does before compilation."""
     suffix = ".parquet" if case.study["record"].get("format") == "parquet" else ".csv"
     record, reference = folder / f"r{suffix}", folder / "reference.csv"
     record.write_bytes(case.record)
@@ -203,33 +210,35 @@ def check_record(folder: Path, case: records.Case) -> None:
     try:
         study = study_from_dict(case.study, "align")
     except InputError as error:
-        line_of(error, "align: ")
+        check_error_lines(error, "align: ")
         return
     try:
-        job = prepare.prepare(study, None, record, None if case.reference is None else reference)
+        job = prepare.prepare_job(
+            study, None, record, None if case.reference is None else reference
+        )
         for line in (*job.warnings, *job.notes):
-            line_of(InputError(line))
+            check_error_lines(InputError(line))
     except InputError as error:
-        line_of(error, record, reference, study.name)
+        check_error_lines(error, record, reference, study.name)
 
 
-def measured(check: Callable[[Any], None], case: Any) -> None:
-    """Checks a case, and what it takes.
+def measure_case(check: Callable[[Any], None], case: Any) -> None:
+    """Check a case, with its time and memory.
 
     Raises:
         Broken: it took too long, or too much memory.
     """
-    _forget_peak()
+    _reset_peak_memory()
     before, since = process_bytes("VmRSS"), time.process_time()
-    with in_time(10 * MOST_S):
+    with limit_time(10 * MAX_S):
         check(case)
     taken, grown = time.process_time() - since, process_bytes("VmHWM") - before
-    if taken > MOST_S:
-        raise Broken(f"takes {taken:.1f} s of a core")
-    if grown > MOST_BYTES:
-        raise Broken(f"takes {grown / 1e6:.0f} MB")
+    if taken > MAX_S:
+        raise BrokenCase(f"takes {taken:.1f} s of a core")
+    if grown > MAX_BYTES:
+        raise BrokenCase(f"takes {grown / 1e6:.0f} MB")
 
 
-def _forget_peak() -> None:
+def _reset_peak_memory() -> None:
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

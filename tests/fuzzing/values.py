@@ -1,4 +1,4 @@
-"""Values for the keys of a schema: those that fit, walked from its types, and those that do not."""
+"""Values for the keys of a schema: valid ones, derived from its types, and invalid ones."""
 
 import copy
 import datetime
@@ -43,7 +43,7 @@ TEXTS = [
 ]
 
 
-def _deep(depth: int, kind: str) -> Any:
+def _nest(depth: int, kind: str) -> Any:
     value: Any = 1
     for _ in range(depth):
         value = [value] if kind == "list" else {"a": value}
@@ -51,8 +51,8 @@ def _deep(depth: int, kind: str) -> Any:
 
 
 @functools.cache
-def misfits() -> Strategy:
-    """Values that hardly any key takes."""
+def misfit_values() -> Strategy:
+    """Return a strategy for values that hardly any key accepts."""
     some = st.one_of(
         st.sampled_from(NUMBERS),
         st.sampled_from(TEXTS),
@@ -66,7 +66,7 @@ def misfits() -> Strategy:
             st.sampled_from(["low", "high", "uniform", "a", ""]), st.floats(), max_size=3
         ),
         st.sampled_from(
-            [_deep(5, "list"), _deep(5, "table"), _deep(60, "list"), _deep(60, "table")]
+            [_nest(5, "list"), _nest(5, "table"), _nest(60, "list"), _nest(60, "table")]
         ),
         st.sampled_from(
             [datetime.date(2026, 1, 1), datetime.time(1, 2), datetime.datetime(1, 1, 1)]
@@ -79,15 +79,15 @@ def misfits() -> Strategy:
 _fields: dict[int, Strategy] = {}
 
 
-def of_field(field: FieldInfo) -> Strategy:
-    """Values that a key of a section takes, as far as its type tells."""
+def values_of_field(field: FieldInfo) -> Strategy:
+    """Return a strategy for values that a key accepts, according to its type."""
     if id(field) not in _fields:  # which live as long as the schema
-        _fields[id(field)] = of_type(field.annotation, tuple(field.metadata))
+        _fields[id(field)] = values_of_type(field.annotation, tuple(field.metadata))
     return _fields[id(field)]
 
 
-def of_type(annotation: Any, metadata: tuple[Any, ...] = ()) -> Strategy:
-    """Values of a type with its bounds; what is not known of it is left to others to refuse."""
+def values_of_type(annotation: Any, metadata: tuple[Any, ...] = ()) -> Strategy:
+    """Return a strategy for values of a type with its bounds."""
     while get_origin(annotation) is typing.Annotated:
         annotation, *more = get_args(annotation)
         inner = (
@@ -104,30 +104,32 @@ def of_type(annotation: Any, metadata: tuple[Any, ...] = ()) -> Strategy:
         return st.sampled_from(inside)
     if origin in (Union, types.UnionType):
         parts = [part for part in inside if part is not type(None)]
-        return st.one_of([of_type(part, metadata) for part in parts])
+        return st.one_of([values_of_type(part, metadata) for part in parts])
     if origin is tuple:
         usual = tuple(m for m in metadata if isinstance(m, KeyInfo))
         if Ellipsis in inside:
             most = next((m.max_length for m in metadata if isinstance(m, MaxLen)), 4)
             least = next((m.min_length for m in metadata if isinstance(m, MinLen)), 0)
-            return st.lists(of_type(inside[0], usual), min_size=least, max_size=max(4, least, most))
-        return st.tuples(*(of_type(part, usual) for part in inside)).map(list)
+            return st.lists(
+                values_of_type(inside[0], usual), min_size=least, max_size=max(4, least, most)
+            )
+        return st.tuples(*(values_of_type(part, usual) for part in inside)).map(list)
     if origin is dict:
-        return st.dictionaries(st.text(max_size=4), of_type(inside[1]), max_size=2)
+        return st.dictionaries(st.text(max_size=4), values_of_type(inside[1]), max_size=2)
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return table(annotation.model_fields)
-    return misfits()
+        return draw_table(annotation.model_fields)
+    return misfit_values()
 
 
-def table(fields: Mapping[str, FieldInfo], most: int = 4) -> Strategy:
-    """Some keys of a section, with values that fit, and all that it cannot do without."""
-    needed = {key: of_field(field) for key, field in fields.items() if field.is_required()}
+def draw_table(fields: Mapping[str, FieldInfo], most: int = 4) -> Strategy:
+    """Return a strategy for tables of a section with all required keys and valid values."""
+    needed = {key: values_of_field(field) for key, field in fields.items() if field.is_required()}
 
     @st.composite
     def some(draw: st.DrawFn) -> dict[str, Any]:
         keys = draw(st.lists(st.sampled_from(sorted(fields)), max_size=most, unique=True))
         made = {key: draw(strategy) for key, strategy in needed.items()}
-        return made | {key: draw(of_field(fields[key])) for key in keys}
+        return made | {key: draw(values_of_field(fields[key])) for key in keys}
 
     return some()
 

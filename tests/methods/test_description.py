@@ -9,7 +9,7 @@ from oracles.in_engine import navigation
 from support.studies import small_study
 
 from sinsjax.engine.build import Scenario
-from sinsjax.execution import layouts
+from sinsjax.execution import schemas
 from sinsjax.methods.base import Options
 from sinsjax.methods.description import COMMON_KEYS
 from sinsjax.methods.page import render_methods_page
@@ -40,7 +40,7 @@ def test_method_columns_are_in_summary_layout(method):
     study = small_study(alignment={"method": method.name})
     names = [own.column.name for own in method.columns_of(study)]
     assert len({*names}) == len(names)
-    assert {*names} <= {column.name for column in layouts.summary(study)}
+    assert {*names} <= {column.name for column in schemas.summary_columns(study)}
 
 
 @methods

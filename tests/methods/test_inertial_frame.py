@@ -20,7 +20,7 @@ from oracles.in_engine import (
 from oracles.naive import DEG, PAPER, WGS84, compensate, exp, log, of_quaternion
 from scipy.integrate import quad_vec
 from scipy.spatial.transform import Rotation
-from support.studies import refusal, small_study
+from support.studies import refusal_line, small_study
 
 from sinsjax import run as run_study
 from sinsjax.methods.coarse import COARSE
@@ -200,7 +200,7 @@ def test_initial_heading_does_not_change_inertial_frame_runs():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_inertial_frame_methods_refuse_passes_with_reason(name):
-    line = refusal(alignment={"method": name}, passes={"stored_s": 2.0})
+    line = refusal_line(alignment={"method": name}, passes={"stored_s": 2.0})
     assert line == (
         f"[passes] stored_s: does not apply to method {name}, which reads a record once (drop it)"
     )

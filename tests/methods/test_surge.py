@@ -17,7 +17,7 @@ from oracles.in_engine import (
 from oracles.naive import DEG, PAPER, WGS84, Filter, exp, of_quaternion
 from oracles.naive_filters import closed_loop, surging
 from scipy.linalg import expm
-from support.studies import refusal, small_study
+from support.studies import refusal_line, small_study
 
 from sinsjax.engine.build import Scenario
 from sinsjax.maths.algebra import entries_as_numbers, triangle_index
@@ -135,7 +135,7 @@ def test_kalman_surge_covariance_does_not_depend_on_initial_state():
 
 
 def test_kalman_surge_refuses_triggers_and_covariance_analysis():
-    line = refusal(
+    line = refusal_line(
         alignment={"method": "kalman_surge"},
         resets={"reset_trigger": "nis", "trigger_threshold": 3.0},
     )
@@ -143,5 +143,5 @@ def test_kalman_surge_refuses_triggers_and_covariance_analysis():
         "[resets] reset_trigger: does not apply to method kalman_surge (use"
         " reset_times_s or reset_count)"
     )
-    line = refusal(alignment={"method": "kalman_surge"}, study={"estimate": "covariance"})
+    line = refusal_line(alignment={"method": "kalman_surge"}, study={"estimate": "covariance"})
     assert "covariance analysis has no linear model of kalman_surge" in line

@@ -570,7 +570,8 @@ def test_trigger_columns_exist_only_with_reset_trigger(rows):
     assert told <= rows[0].keys()
     for tables in ({}, {"axes": {"reset_count": [0, 1]}, "resets": {"reset_cycle_s": 1.0}}):
         names = {
-            column.name for column in result_tables.Tables(small_study(**tables)).summary_columns
+            column.name
+            for column in result_tables.TableBuilder(small_study(**tables)).summary_columns
         }
         assert not told & names
 

@@ -1,4 +1,4 @@
-"""Records from arrays: units, axes, dates, gaps, references, and a line for every mistake."""
+"""Records from arrays: units, axes, dates, gaps, references, and one line per error."""
 
 import contextlib
 import inspect
@@ -12,9 +12,9 @@ from support.studies import STILL, small_study, small_tables
 
 import sinsjax
 from sinsjax.errors import InputError
-from sinsjax.execution.prepare import _stored as stored_record
-from sinsjax.execution.prepare import prepare
-from sinsjax.records.layout import from_body
+from sinsjax.execution.prepare import _resolve_record as stored_record
+from sinsjax.execution.prepare import prepare_job
+from sinsjax.records.layout import from_body_axes
 from sinsjax.records.reference import Reference, StoredRecord
 from sinsjax.study.load import study_from_dict
 
@@ -51,13 +51,13 @@ REFERENCE = {
 }
 
 
-def made(time: Any = TIME, gyro: Any = GYRO, accel: Any = ACCEL, **more: Any) -> Any:
+def make_record(time: Any = TIME, gyro: Any = GYRO, accel: Any = ACCEL, **more: Any) -> Any:
     return sinsjax.record_from_arrays(time, gyro, accel, **more)
 
 
-def refused(*given: Any, **more: Any) -> str:
+def refusal_line(*given: Any, **more: Any) -> str:
     with pytest.raises(InputError) as caught:
-        made(*given, **more)
+        make_record(*given, **more)
     line = str(caught.value)
     assert line.isprintable()
     return line
@@ -68,11 +68,11 @@ def refused(*given: Any, **more: Any) -> str:
 def test_array_units_and_axes_are_converted(
     gyro_unit: str, accel_unit: str, axes: str, order: str
 ) -> None:
-    gyro, accel = (from_body(values, order) for values in (GYRO, ACCEL))
+    gyro, accel = (from_body_axes(values, order) for values in (GYRO, ACCEL))
     factors = GYROS[gyro_unit], ACCELS[accel_unit]
     units = {"gyro_unit": gyro_unit, "accel_unit": accel_unit, "axes": axes}
     before = gyro.copy()
-    record = made(TIME, gyro * factors[0], accel * factors[1], **units).record
+    record = make_record(TIME, gyro * factors[0], accel * factors[1], **units).record
     assert record.rate_hz == RATE and record.t0_s == 0.0
     np.testing.assert_allclose(record.dtheta, GYRO / RATE, rtol=1e-12)
     np.testing.assert_allclose(record.dv, ACCEL / RATE, rtol=1e-12)
@@ -83,14 +83,14 @@ def test_frd_and_flu_axes_map_to_right_front_up() -> None:
     """Of a box with x front, y right, z down; and of one with x front, y left, z up."""
     front, right, up = 1.0, 2.0, 3.0
     for axes, sensed in (("frd", [front, right, -up]), ("flu", [front, -right, up])):
-        record = made(accel=np.tile(sensed, (T, 1)), axes=axes).record
+        record = make_record(accel=np.tile(sensed, (T, 1)), axes=axes).record
         np.testing.assert_allclose(record.dv[0] * RATE, [right, front, up])
 
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
 def test_time_units_are_converted_to_seconds(unit: str) -> None:
     factor = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
-    record = made((TIME + 5) * factor, time_unit=unit).record
+    record = make_record((TIME + 5) * factor, time_unit=unit).record
     assert record.rate_hz == RATE and record.t0_s == pytest.approx(5.0)
 
 
@@ -98,14 +98,14 @@ def test_datetime64_times_give_rate_and_start() -> None:
     dates = np.datetime64("2024-05-01T12:00:00", "ns") + np.arange(1, T + 1) * np.timedelta64(
         10_000_000, "ns"
     )
-    record = made(dates).record
+    record = make_record(dates).record
     assert record.rate_hz == pytest.approx(RATE) and record.t0_s == pytest.approx(1714564800.0)
 
 
 ZONES = ("UTC", "Europe/Paris", "Asia/Kathmandu")
 
 
-def zoned() -> dict[str, Any]:
+def zoned_dates() -> dict[str, Any]:
     """The same dates with a zone in every library that is there, and as plain objects."""
     stamps = 1_714_564_800_000_000_000 + 10_000_000 * np.arange(1, T + 1)
     found: dict[str, Any] = {
@@ -130,27 +130,27 @@ def zoned() -> dict[str, Any]:
 
 
 def test_zoned_dates_match_plain_dates_exactly() -> None:
-    plain = made(zoned()["Arrow"].to_numpy(zero_copy_only=False)).record
+    plain = make_record(zoned_dates()["Arrow"].to_numpy(zero_copy_only=False)).record
     assert plain.rate_hz == pytest.approx(RATE) and plain.t0_s == pytest.approx(1714564800.0)
-    for name, dates in zoned().items():
-        record = made(dates).record
+    for name, dates in zoned_dates().items():
+        record = make_record(dates).record
         assert (record.rate_hz, record.t0_s) == (plain.rate_hz, plain.t0_s), name
         assert (record.dtheta == plain.dtheta).all(), name
 
 
 def test_missing_date_is_missing_sample() -> None:
-    dates: list[Any] = zoned()["datetime"]
+    dates: list[Any] = zoned_dates()["datetime"]
     dates[20] = None
-    assert [flaw[:2] for flaw in made(dates).record.flaws] == [(20, 21)]
+    assert [flaw[:2] for flaw in make_record(dates).record.flaws] == [(20, 21)]
     dates[21] = "noon"
-    assert "arrays: time: no dates with time: " in refused(dates)
+    assert "arrays: time: not dates with time: " in refusal_line(dates)
 
 
 def test_reference_accepts_dates() -> None:
-    dates = zoned()["datetime"]
+    dates = zoned_dates()["datetime"]
     level = [0.0, 0.0]
     table = {"time_s": [dates[0], dates[-1]], "pitch_deg": level, "roll_deg": level}
-    reference = made(dates, reference=table | {"yaw_deg": level}).reference
+    reference = make_record(dates, reference=table | {"yaw_deg": level}).reference
     assert reference.time_s == pytest.approx([0.01, 0.5], abs=1e-6)
 
 
@@ -159,11 +159,11 @@ def test_pandas_na_is_missing_sample() -> None:
     frame = pandas.DataFrame(GYRO).astype(object)
     frame.iloc[10, 1] = pandas.NA
     for gyro in (frame, frame.to_numpy(), frame.astype("Float64")):
-        (flaw,) = made(gyro=gyro).record.flaws
+        (flaw,) = make_record(gyro=gyro).record.flaws
         assert flaw[:2] == (10, 11) and "row 10: column 'gyro[:, 1]'" in flaw.text
     times = pandas.Series(TIME).astype(object)
     times[10] = pandas.NA
-    assert [flaw[:2] for flaw in made(times).record.flaws] == [(10, 11)]
+    assert [flaw[:2] for flaw in make_record(times).record.flaws] == [(10, 11)]
 
 
 def test_epoch_timestamps_give_whole_rate() -> None:
@@ -173,28 +173,28 @@ def test_epoch_timestamps_give_whole_rate() -> None:
 
 
 def test_rate_hz_is_used_without_times() -> None:
-    assert made(None, rate_hz=200.0).record.rate_hz == 200.0
+    assert make_record(None, rate_hz=200.0).record.rate_hz == 200.0
 
 
 def test_gaps_are_interpolated_or_reported_as_flaws() -> None:
     gyro = GYRO.copy()
     gyro[10] = np.nan
-    record = made(gyro=gyro, max_gap_s=0.02).record
+    record = make_record(gyro=gyro, max_gap_s=0.02).record
     assert record.filled == 1 and np.isfinite(record.dtheta).all()
-    (flaw,) = made(gyro=gyro).record.flaws
+    (flaw,) = make_record(gyro=gyro).record.flaws
     assert flaw.text == (
         "arrays: row 10: column 'gyro[:, 0]': empty or not finite (max_gap_s = 0.02 would"
         " interpolate it)"
     )
     masked = np.ma.masked_invalid(gyro)
-    assert made(gyro=masked).record.flaws[0].begin == 10
+    assert make_record(gyro=masked).record.flaws[0].begin == 10
     late = np.delete(TIME, slice(20, 23))
     rest = (np.delete(values, slice(20, 23), axis=0) for values in (GYRO, ACCEL))
-    assert made(late, *rest, max_gap_s=0.05).record.filled == 3
+    assert make_record(late, *rest, max_gap_s=0.05).record.filled == 3
 
 
 def test_tables_of_every_library_give_same_record() -> None:
-    plain = made(reference=REFERENCE)
+    plain = make_record(reference=REFERENCE)
     tables = {"pa": pa.table(REFERENCE)}
     for name in ("pandas", "polars"):
         try:
@@ -205,19 +205,19 @@ def test_tables_of_every_library_give_same_record() -> None:
             {f"{c}{k}": v for c, own in (("g", GYRO), ("a", ACCEL)) for k, v in enumerate(own.T)}
             | {"t": TIME}
         )
-        found = made(frame["t"], frame[["g0", "g1", "g2"]], frame[["a0", "a1", "a2"]])
+        found = make_record(frame["t"], frame[["g0", "g1", "g2"]], frame[["a0", "a1", "a2"]])
         assert (found.record.dtheta == plain.record.dtheta).all()
         assert (found.record.dv == plain.record.dv).all()
         tables[name] = library.DataFrame(REFERENCE)
     for table in tables.values():
-        found = made(reference=table).reference
+        found = make_record(reference=table).reference
         assert (found.attitude_deg == plain.reference.attitude_deg).all()
     assert plain.reference.attitude_deg[0].tolist() == [1.0, 2.0, -30.0]
 
 
 def test_reference_times_become_relative_to_record_start() -> None:
     own = Reference(np.array([100.0, 110.0]), np.zeros((2, 3)), None)
-    assert made(TIME + 100, reference=own).reference.time_s.tolist() == [0.0, 10.0]
+    assert make_record(TIME + 100, reference=own).reference.time_s.tolist() == [0.0, 10.0]
 
 
 @pytest.mark.parametrize(
@@ -229,15 +229,15 @@ def test_reference_times_become_relative_to_record_start() -> None:
         ({"time": GYRO}, "arrays: time: must have the shape (T,), not (50, 3)"),
         (
             {"gyro": [[1, 2, 3], [1, "x", 3]]},
-            "arrays: row 1: column 'gyro[:, 1]': 'x' is no number",
+            "arrays: row 1: column 'gyro[:, 1]': 'x' is not a number",
         ),
-        ({"gyro": [[1, 2, 3], [1, 3]]}, "arrays: gyro: no numbers: "),
-        ({"time": ["x", *TIME[1:]]}, "arrays: row 0: column 'time': 'x' is no number"),
-        ({"time": None}, "arrays: rate_hz: required where time is None"),
+        ({"gyro": [[1, 2, 3], [1, 3]]}, "arrays: gyro: not numeric: "),
+        ({"time": ["x", *TIME[1:]]}, "arrays: row 0: column 'time': 'x' is not a number"),
+        ({"time": None}, "arrays: rate_hz: required if time is None"),
         ({"time": None, "rate_hz": 1.0, "gyro": np.empty((0, 3))}, "arrays: gyro: has no rows"),
         ({"gyro": GYRO * 1e35}, "arrays: row 0: column 'gyro[:, 0]': out of range (beyond 1e+30)"),
         ({"time": TIME[::-1]}, "column 'time': row 1: time runs backward, from 0.5 to 0.49 s"),
-        ({"time": np.ones(T)}, "time repeats, from 1.0 to 1.0 s (of bad stamps leave time out and"),
+        ({"time": np.ones(T)}, "time repeats, from 1.0 to 1.0 s (drop time and give rate_hz if"),
         ({"rate_hz": 50.0}, "arrays: column 'time' gives 100 Hz, but rate_hz is 50"),
         ({"gyro_unit": "dps"}, "gyro_unit: 'dps' is not one of rad, deg, arcsec, rad_per_s"),
         (
@@ -246,23 +246,23 @@ def test_reference_times_become_relative_to_record_start() -> None:
         ),
         ({"axes": "ned"}, "arrays: axes: 'ned' is not a signed permutation of xyz"),
         ({"axes": "yxz"}, "arrays: axes: 'yxz' is left-handed"),
-        ({"time_unit": "iso"}, "time_unit: 'iso' is of files"),
+        ({"time_unit": "iso"}, "time_unit: 'iso' is for files"),
         ({"time_unit": "h"}, "arrays: time_unit: 'h' is not one of"),
         ({"reference": {"time_s": [0, 1]}}, "arrays: reference: no column 'pitch_deg'"),
         (
             {"reference": REFERENCE | {"pitch_deg": [1, 99]}},
             "arrays: reference: row 1: pitch_deg is beyond 90",
         ),
-        ({"reference": REFERENCE | {"roll_deg": [1]}}, "its columns must have one number for each"),
+        ({"reference": REFERENCE | {"roll_deg": [1]}}, "its columns must have one number per row"),
     ],
 )
 def test_invalid_array_input_raises_one_line_error(change: dict[str, Any], says: str) -> None:
-    assert says in refused(**change)
+    assert says in refusal_line(**change)
 
 
 @pytest.fixture(scope="module")
-def drive() -> tuple[Any, Any]:
-    """What the sensors of a base at rest put out for a minute, and its truth."""
+def drive_data() -> tuple[Any, Any]:
+    """Return the sensor output of a base at rest for a minute, and its truth."""
     study = small_study(
         study={"duration_s": 60.0, "window_s": [30, 60]},
         motion=STILL,
@@ -291,10 +291,10 @@ def recorded(**changes: Any) -> Any:
 
 
 @pytest.mark.optimised(False)
-def test_study_runs_on_arrays(drive: tuple[Any, Any]) -> None:
-    record = drive[1]
+def test_study_runs_on_arrays(drive_data: tuple[Any, Any]) -> None:
+    record = drive_data[1]
     time = 100 + np.arange(1, len(record.dv) + 1) / record.rate_hz
-    gyro, accel = (from_body(v * record.rate_hz, "yx-z") for v in (record.dtheta, record.dv))
+    gyro, accel = (from_body_axes(v * record.rate_hz, "yx-z") for v in (record.dtheta, record.dv))
     gyro = np.degrees(gyro)
     level = np.zeros(61)
     reference = {
@@ -315,16 +315,16 @@ def test_study_runs_on_arrays(drive: tuple[Any, Any]) -> None:
         assert abs(row["pitch_deg"]) < 0.1
 
 
-def test_gravity_pointing_down_error_names_axes_argument(drive: tuple[Any, Any]) -> None:
-    record = drive[1]
+def test_gravity_pointing_down_error_names_axes_argument(drive_data: tuple[Any, Any]) -> None:
+    record = drive_data[1]
     rates = record.dtheta * record.rate_hz, -record.dv * record.rate_hz
     stored = sinsjax.record_from_arrays(None, *rates, rate_hz=record.rate_hz)
     with pytest.raises(InputError, match=r"points down, .* are axes \('yx-z' for"):
         sinsjax.run(recorded(), stored)
 
 
-def test_wrong_accelerometer_unit_is_refused(drive: tuple[Any, Any]) -> None:
-    record = drive[1]
+def test_wrong_accelerometer_unit_is_refused(drive_data: tuple[Any, Any]) -> None:
+    record = drive_data[1]
     time = np.arange(1, len(record.dv) + 1) / record.rate_hz
     rates = record.dtheta * record.rate_hz, record.dv * record.rate_hz
     stored = sinsjax.record_from_arrays(time, *rates, accel_unit="g")
@@ -344,9 +344,9 @@ def test_wrong_accelerometer_unit_is_refused(drive: tuple[Any, Any]) -> None:
     ],
 )
 def test_wrong_time_unit_is_refused(
-    drive: tuple[Any, Any], scale: float, unit: str, says: str
+    drive_data: tuple[Any, Any], scale: float, unit: str, says: str
 ) -> None:
-    record = drive[1]
+    record = drive_data[1]
     time = scale * np.arange(1, len(record.dv) + 1) / record.rate_hz
     rates = record.dtheta * record.rate_hz, record.dv * record.rate_hz
     with pytest.raises(InputError) as caught:
@@ -355,8 +355,8 @@ def test_wrong_time_unit_is_refused(
 
 
 @pytest.mark.optimised(False)
-def test_rounded_timestamps_keep_start_times(drive: tuple[Any, Any]) -> None:
-    record = drive[1]
+def test_rounded_timestamps_keep_start_times(drive_data: tuple[Any, Any]) -> None:
+    record = drive_data[1]
     time = np.round(1e-9 + np.arange(1, len(record.dv) + 1) / record.rate_hz * (1 + 1e-9), 9)
     stored = sinsjax.record_from_arrays(
         time, record.dtheta * record.rate_hz, record.dv * record.rate_hz
@@ -365,13 +365,13 @@ def test_rounded_timestamps_keep_start_times(drive: tuple[Any, Any]) -> None:
     assert sinsjax.run(recorded(), stored).summary["start_s"].to_pylist() == [0.0, 10.0]
 
 
-def test_interpolated_samples_are_reported(drive: tuple[Any, Any]) -> None:
-    record = drive[1]
+def test_interpolated_samples_are_reported(drive_data: tuple[Any, Any]) -> None:
+    record = drive_data[1]
     time = np.arange(1, len(record.dv) + 1) / record.rate_hz
     gyro = record.dtheta * record.rate_hz
     gyro[700, 1] = np.nan
     stored = sinsjax.record_from_arrays(time, gyro, record.dv * record.rate_hz, max_gap_s=0.05)
-    assert list(prepare(recorded(), record=stored).warnings) == [
+    assert list(prepare_job(recorded(), record=stored).warnings) == [
         "arrays: 1 missing samples are interpolated (gaps up to max_gap_s = 0.05 s)"
     ]
 
@@ -383,7 +383,7 @@ def test_file_keys_are_refused_for_arrays() -> None:
 
 
 def test_loading_arrays_format_from_file_is_refused() -> None:
-    with pytest.raises(InputError, match="'arrays' are given to sinsjax.run, not read from x.csv"):
+    with pytest.raises(InputError, match="'arrays' are passed to sinsjax.run, not read from x.csv"):
         sinsjax.load_increments(recorded(), "x.csv")
 
 

@@ -1,4 +1,4 @@
-"""Records: the three formats there and back, and every mistake told with its file and row."""
+"""Records: round trips of the three formats, and errors with file and row."""
 
 import os
 import re
@@ -53,8 +53,8 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
     return a.shape == b.shape and a.tobytes() == b.tobytes()
 
 
-def refused(call, *args) -> str:
-    """The one line of the InputError."""
+def refusal_line(call, *args) -> str:
+    """Return the single line of the InputError."""
     with pytest.raises(InputError) as caught:
         call(*args)
     line = str(caught.value)
@@ -63,7 +63,7 @@ def refused(call, *args) -> str:
 
 
 def read_whole(path: Path, layout: Layout) -> Record:
-    """A record all of which is used: what is missing in it is refused."""
+    """Read a record and require its whole span, so missing samples are refused."""
     record = records.read_record(path, layout)
     records.require_span(record, 0.0, len(record.dtheta) / record.rate_hz)
     return record
@@ -125,7 +125,7 @@ def test_psins_cumulative_error_stays_within_half_count(folder, dtheta, dv, scal
     for sums, quantum in ((dtheta - back.dtheta, ARCSEC), (dv - back.dv, 9.8e-6)):
         quantum = quantum * scale[0 if quantum == ARCSEC else 1]
         assert np.abs(np.cumsum(sums, axis=0)).max() <= 0.5 * quantum * (1 + 1e-9) + 1e-12
-    others = {"dtheta": None, "dv": None, "source": "", "oddities": ()}
+    others = {"dtheta": None, "dv": None, "source": "", "anomalies": ()}
     assert back._replace(**others) == record._replace(**others)
 
 
@@ -196,13 +196,13 @@ def table_csv(folder: Path, time_s) -> Path:
 
 
 @pytest.fixture(params=[None, 50], ids=["in one batch", "in many batches"])
-def batches(request, monkeypatch) -> None:
-    """Bytes of text that are looked at together."""
+def small_batches(request, monkeypatch) -> None:
+    """Set the batch size of text files, bytes."""
     if request.param:
-        monkeypatch.setattr(files, "BATCH", request.param)
+        monkeypatch.setattr(files, "BATCH_BYTES", request.param)
 
 
-@pytest.mark.usefixtures("batches")
+@pytest.mark.usefixtures("small_batches")
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -227,7 +227,7 @@ def batches(request, monkeypatch) -> None:
         (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: .*scale factor of gyro y .* not -0.2"),
         (
             "a,b\n1,2\n",
-            r"row 1: a header line must have 6 values, not 1 \(no PSINS text\? `sinsjax",
+            r"row 1: a header line must have 6 values, not 1 \(not PSINS text\? `sinsjax",
         ),
         ("PK\x03\x04\n\0\0", "row 2: not a text file"),
     ],
@@ -235,7 +235,7 @@ def batches(request, monkeypatch) -> None:
 def test_invalid_psins_file_is_refused(tmp_path, text, says):
     path = tmp_path / "bad.imu"
     path.write_bytes(text.encode())
-    line = refused(records.read_psins, path)
+    line = refusal_line(records.read_psins, path)
     assert line.startswith(f"{path}: ") and re.search(says, line), line
 
 
@@ -243,7 +243,7 @@ HEAD = "time_s,gx,gy,gz,ax,ay,az\n"
 ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
 
 
-@pytest.mark.usefixtures("batches")
+@pytest.mark.usefixtures("small_batches")
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -276,7 +276,7 @@ ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
 def test_invalid_csv_file_is_refused(tmp_path, text, says):
     path = tmp_path / "bad.csv"
     path.write_text(text, newline="")
-    line = refused(read_whole, path, CSV)
+    line = refusal_line(read_whole, path, CSV)
     assert line.startswith(f"{path}: ") and re.search(says, line), line
 
 
@@ -297,14 +297,14 @@ def test_time_steps_may_deviate_by_half_sample(folder, steps):
     elif np.abs(late).min() > 0.005:
         # A gap may be filled, or lie outside what is used; a short step after it is refused first.
         named = [k for k in bad if k == bad[0] or (step_s[bad[0]] > 0.01 and step_s[k] < 0.01)]
-        line = refused(read_whole, path, layout)
+        line = refusal_line(read_whole, path, layout)
         assert any(f"row {k + 3}: " in line for k in named), line
 
 
 def test_short_step_is_reported_before_preceding_gap(tmp_path):
     steps = [0.01] * 300 + [0.02, 0.0117, 0.0039]
     path = table_csv(tmp_path, np.cumsum([1.0, *steps]))
-    assert "row 305: a short step" in refused(read_whole, path, CSV._replace(rate_hz=None))
+    assert "row 305: a short step" in refusal_line(read_whole, path, CSV._replace(rate_hz=None))
 
 
 @quick
@@ -342,9 +342,9 @@ def test_damaged_file_is_read_or_refused(folder, kind, place, new, removed):
 
 def test_rate_mismatch_is_refused(tmp_path):
     path = table_csv(tmp_path, np.arange(1, 100) / 50)
-    assert "gives 50 Hz, but rate_hz is 100" in refused(records.read_csv, path, CSV)
+    assert "gives 50 Hz, but rate_hz is 100" in refusal_line(records.read_csv, path, CSV)
     (tmp_path / "a.imu").write_text(HEADER + SAMPLE)
-    line = refused(records.read_psins, tmp_path / "a.imu", Layout("psins", rate_hz=50.0))
+    line = refusal_line(records.read_psins, tmp_path / "a.imu", Layout("psins", rate_hz=50.0))
     assert "row 3: the header gives 100 Hz, but rate_hz is 50" in line
 
 
@@ -355,18 +355,18 @@ def test_invalid_parquet_file_is_refused(tmp_path):
         ({"gz": pa.array([1.0, None, 3.0])}, "row 2: column 'gz': empty or not finite"),
         ({"ay": pa.array([1.0, 2.0, np.inf])}, "row 3: column 'ay': empty or not finite"),
         ({"ay": pa.array([1.0, 2.0, -1e31])}, "row 3: column 'ay': out of range (beyond 1e+30)"),
-        ({"ay": pa.array(["a", "b", "c"])}, "column 'ay' holds string, not numbers"),
+        ({"ay": pa.array(["a", "b", "c"])}, "column 'ay' contains string, not numbers"),
     ):
         pq.write_table(pa.table(columns | change), path)
-        assert says in refused(read_whole, path, layout)
+        assert says in refusal_line(read_whole, path, layout)
     whole = path.read_bytes()
     for cut in (whole[:-20], whole[:3], b"time_s,gx\n"):
         path.write_bytes(cut)
-        assert "not a Parquet file, or cut off" in refused(records.read_record, path, layout)
+        assert "not a Parquet file, or cut off" in refusal_line(records.read_record, path, layout)
     pq.write_table(pa.table(columns).slice(0, 0), path)
-    assert "no rows" in refused(records.read_record, path, layout)
+    assert "no rows" in refusal_line(records.read_record, path, layout)
     pq.write_table(pa.table(columns).drop_columns("gx"), path)
-    assert "no column 'gx'; the file has 'gy'" in refused(records.read_record, path, layout)
+    assert "no column 'gx'; the file has 'gy'" in refusal_line(records.read_record, path, layout)
 
 
 @pytest.mark.parametrize(
@@ -385,11 +385,11 @@ def test_invalid_parquet_file_is_refused(tmp_path):
         ({"axes_order": "xy"}, "axes_order: 'xy' is not a signed permutation"),
         ({"axes_order": "x y z"}, "axes_order: 'x y z' is not a signed permutation"),
         ({"axes_order": "yxz"}, "axes_order: 'yxz' is left-handed"),
-        ({"format": "psins", "quantity": "rates"}, "quantity: PSINS text holds increments"),
+        ({"format": "psins", "quantity": "rates"}, "quantity: PSINS text has increments"),
     ],
 )
 def test_invalid_layout_is_refused(change, says):
-    line = refused(records.check_layout, CSV._replace(**change), "study.toml")
+    line = refusal_line(records.check_layout, CSV._replace(**change), "study.toml")
     assert line.startswith(f"study.toml: {says}")
 
 
@@ -397,7 +397,7 @@ def test_invalid_layout_is_refused(change, says):
 def test_unreadable_and_unwritable_paths_are_refused(tmp_path, layout):
     record = Record(np.zeros((3, 3)), np.zeros((3, 3)), 100.0)
     for path in (tmp_path, tmp_path / "absent"):
-        assert refused(records.read_record, path, layout).startswith(f"{path}: cannot be read")
+        assert refusal_line(records.read_record, path, layout).startswith(f"{path}: cannot be read")
 
     def write(path: Path, record: Record = record) -> None:
         if layout.format == "psins":
@@ -409,24 +409,24 @@ def test_unreadable_and_unwritable_paths_are_refused(tmp_path, layout):
 
     (tmp_path / "file").touch()
     for path in (tmp_path, tmp_path / "absent" / "a", tmp_path / "file" / "a", Path(".")):
-        assert refused(write, path).startswith(f"{path}: cannot be written: ")
+        assert refusal_line(write, path).startswith(f"{path}: cannot be written: ")
     broken = record._replace(dv=np.full((3, 3), np.nan))
-    assert "an increment is not finite" in refused(write, tmp_path / "file", broken)
+    assert "an increment is not finite" in refusal_line(write, tmp_path / "file", broken)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_psins_writer_refuses_zero_scale_factor(tmp_path):
     record = Record(np.zeros((3, 3)), np.zeros((3, 3)), 100.0)
-    line = refused(records.write_psins, record, tmp_path / "a.imu", 0.0)
+    line = refusal_line(records.write_psins, record, tmp_path / "a.imu", 0.0)
     assert "scale factor of gyro x must be positive" in line
 
 
 def test_require_span_refuses_span_outside_record():
     record = Record(np.zeros((900, 3)), np.zeros((900, 3)), 100.0, source="drive.csv")
     records.require_span(record, 0.1 + 0.2, 8.7)
-    line = refused(records.require_span, record, 0.3, 8.71)
+    line = refusal_line(records.require_span, record, 0.3, 8.71)
     assert line == "drive.csv: has 9 s, but 8.71 s from start_s = 0.3 need 9.01 s"
-    assert "before the record" in refused(records.require_span, record, -1.0, 1.0)
+    assert "before the record" in refusal_line(records.require_span, record, -1.0, 1.0)
 
 
 # --- stamps and gaps
@@ -495,13 +495,13 @@ def test_missing_samples_among_scattered_stamps_are_found(tmp_path, missing):
 )
 def test_clock_faults_among_scattered_stamps_are_refused(tmp_path, change, says):
     path = table_csv(tmp_path, change(scattered_stamps()))
-    line = refused(records.read_csv, path, CSV._replace(rate_hz=None))
+    line = refusal_line(records.read_csv, path, CSV._replace(rate_hz=None))
     assert says in line
     if "short" in says or "repeats" in says:
-        assert line.endswith(" s (of bad stamps leave time_column out and give rate_hz)")
+        assert line.endswith(" s (drop time_column and give rate_hz if the stamps are bad)")
 
 
-def lacking(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarray]:
+def table_with_gaps(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarray]:
     """A table whose values are times, without some samples: as a gap, or as empty cells."""
     time_s = np.arange(1, 401) / 100
     rows = [HEAD.strip()]
@@ -517,10 +517,10 @@ def lacking(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarr
     return path, time_s
 
 
-@pytest.mark.usefixtures("batches")
+@pytest.mark.usefixtures("small_batches")
 @pytest.mark.parametrize("kind", ["gap", "empty", "nan", "-inf"])
 def test_spans_over_missing_samples_are_refused(tmp_path, kind):
-    path, time_s = lacking(tmp_path, [200, 201, 202], kind)
+    path, time_s = table_with_gaps(tmp_path, [200, 201, 202], kind)
     record = records.read_csv(path, CSV)
     whole = np.delete(np.arange(400), [200, 201, 202])
     np.testing.assert_allclose(record.dtheta[whole, 2], time_s[whole])
@@ -528,14 +528,14 @@ def test_spans_over_missing_samples_are_refused(tmp_path, kind):
     records.require_span(record, 0.0, 2.0)
     records.require_span(record, 2.03, 1.97)
     for begin, needed in ((0.0, 2.01), (2.02, 1.0), (2.01, 0.01)):
-        line = refused(records.require_span, record, begin, needed)
+        line = refusal_line(records.require_span, record, begin, needed)
         assert "row 202: " in line and ("a gap" in line) == (kind == "gap")
 
 
-@pytest.mark.usefixtures("batches")
+@pytest.mark.usefixtures("small_batches")
 @pytest.mark.parametrize("kind", ["gap", "empty"])
 def test_short_gaps_are_interpolated_and_counted(tmp_path, kind):
-    path, time_s = lacking(tmp_path, [100, 200, 201, 202], kind)
+    path, time_s = table_with_gaps(tmp_path, [100, 200, 201, 202], kind)
     record = read_whole(path, CSV._replace(max_gap_s=0.04))
     assert record.filled == 4
     np.testing.assert_allclose(record.dtheta, time_s[:, None] * np.ones(3), rtol=1e-12)
@@ -546,7 +546,7 @@ def test_short_gaps_are_interpolated_and_counted(tmp_path, kind):
 @pytest.mark.parametrize("kind", ["gap", "empty"])
 @pytest.mark.parametrize(("count", "offered"), [(1, "0.02"), (31, "0.32"), (99, "1"), (100, None)])
 def test_suggested_max_gap_s_interpolates_gap(tmp_path, kind, count, offered):
-    path, _ = lacking(tmp_path, list(range(100, 100 + count)), kind)
+    path, _ = table_with_gaps(tmp_path, list(range(100, 100 + count)), kind)
     (flaw,) = records.read_csv(path, CSV).flaws
     found = re.search(r" \(max_gap_s = (.*) would interpolate it\)$", flaw.text)
     assert (found and found[1]) == offered
@@ -556,7 +556,7 @@ def test_suggested_max_gap_s_interpolates_gap(tmp_path, kind, count, offered):
 
 
 def test_missing_first_and_last_samples_are_not_interpolated(tmp_path):
-    path, _ = lacking(tmp_path, [0, 399], "empty")
+    path, _ = table_with_gaps(tmp_path, [0, 399], "empty")
     record = records.read_csv(path, CSV._replace(max_gap_s=1.0))
     assert [flaw[:2] for flaw in record.flaws] == [(0, 1), (399, 400)] and not record.filled
     assert not any("interpolate" in flaw.text for flaw in record.flaws)
@@ -564,7 +564,7 @@ def test_missing_first_and_last_samples_are_not_interpolated(tmp_path):
 
 def test_large_clock_jump_is_refused_as_gap(tmp_path):
     path = table_csv(tmp_path, np.r_[np.arange(1, 401) / 100, 1e9])
-    assert "row 402: a gap at 100 Hz, from 4.0 to 1000000000.0 s" in refused(
+    assert "row 402: a gap at 100 Hz, from 4.0 to 1000000000.0 s" in refusal_line(
         records.read_csv, path, CSV
     )
 
@@ -578,7 +578,7 @@ STAMPS = {
 }
 
 
-@pytest.mark.usefixtures("batches")
+@pytest.mark.usefixtures("small_batches")
 @pytest.mark.parametrize("unit", STAMPS)
 def test_csv_time_units_with_semicolons_and_comments_are_read(tmp_path, unit):
     rows = [f"{STAMPS[unit](k)};1;2;3;4;5;6" for k in range(1, 301)]
@@ -600,13 +600,13 @@ def test_parquet_dates_give_rate_and_start(tmp_path):
         pq.write_table(pa.table({"time_s": dates} | columns), tmp_path / "a.parquet")
         record = read_whole(tmp_path / "a.parquet", layout)
         assert (record.rate_hz, record.t0_s) == (pytest.approx(100), pytest.approx(1000))
-    line = refused(records.read_record, tmp_path / "a.parquet", layout._replace(time_unit="s"))
-    assert "column 'time_s' holds string, not numbers" in line
+    line = refusal_line(records.read_record, tmp_path / "a.parquet", layout._replace(time_unit="s"))
+    assert "column 'time_s' contains string, not numbers" in line
 
 
 def test_invalid_iso_date_is_refused(tmp_path):
     (tmp_path / "a.csv").write_text(HEAD + "2024-13-01T00:00:00,1,2,3,4,5,6\n")
-    line = refused(records.read_csv, tmp_path / "a.csv", CSV._replace(time_unit="iso"))
+    line = refusal_line(records.read_csv, tmp_path / "a.csv", CSV._replace(time_unit="iso"))
     assert "row 2: column 'time_s': '2024-13-01T00:00:00' is not an ISO 8601 date and time" in line
 
 
@@ -621,12 +621,12 @@ lines_of_text = st.lists(st.sampled_from([b"1,2", b"\n", b"\r", b"\r\n", b"", b"
 def test_line_batches_match_splitlines_of_whole_text(folder, pieces, size):
     text, path = b"".join(pieces), folder / "lines.txt"
     path.write_bytes(b"\xef\xbb\xbf" * (size > 3) + text)
-    batches = list(files.line_batches(path, size + 2))
-    assert [line for batch in batches for line in batch.lines] == text.splitlines()
-    assert [b.first for b in batches] == list(
-        np.cumsum([1, *(len(b.lines) for b in batches)])[: len(batches)]
+    small_batches = list(files.read_line_batches(path, size + 2))
+    assert [line for batch in small_batches for line in batch.lines] == text.splitlines()
+    assert [b.first for b in small_batches] == list(
+        np.cumsum([1, *(len(b.lines) for b in small_batches)])[: len(small_batches)]
     )
-    assert [batch.ends for batch in batches] == [False] * (len(batches) - 1) + [True]
+    assert [batch.is_last for batch in small_batches] == [False] * (len(small_batches) - 1) + [True]
 
 
 @pytest.mark.parametrize("kind", ["csv", "iso", "psins", "parquet"])
@@ -655,7 +655,7 @@ def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch, kind):
         rows.insert(300, "")
         path.write_text("\r\n".join([head, *rows]))
     whole = records.read_record(path, layout)
-    monkeypatch.setattr(files, "BATCH", 1000)
+    monkeypatch.setattr(files, "BATCH_BYTES", 1000)
     monkeypatch.setattr(tables, "_BATCH_ROWS", 10)
     again = records.read_record(path, layout)
     assert same_bits(whole.dtheta, again.dtheta) and same_bits(whole.dv, again.dv)
@@ -696,7 +696,7 @@ def test_reference_accepts_headings_and_record_time_column(tmp_path):
     reference = records.read_reference(tmp_path / "r.csv", layout)
     np.testing.assert_array_equal(reference.time_s, [0, 1, 2])
     np.testing.assert_array_equal(reference.attitude_deg[:, 2], [-350, -351, -352])
-    assert "no column 'time_s'" in refused(records.read_reference, tmp_path / "r.csv")
+    assert "no column 'time_s'" in refusal_line(records.read_reference, tmp_path / "r.csv")
 
 
 @pytest.mark.parametrize(
@@ -723,7 +723,7 @@ def test_reference_accepts_headings_and_record_time_column(tmp_path):
 )
 def test_invalid_reference_is_refused(tmp_path, text, says):
     (tmp_path / "r.csv").write_text(text)
-    assert says in refused(records.read_reference, tmp_path / "r.csv")
+    assert says in refusal_line(records.read_reference, tmp_path / "r.csv")
 
 
 def test_reference_is_read_from_parquet(tmp_path):

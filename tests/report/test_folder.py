@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 from markdown_it import MarkdownIt
-from support.kept import rewrite_manifest
-from support.made_up import summary_of
-from support.stored import store, told
+from support.stored_results import report_text, store_results
 from support.studies import small_study
+from support.sweep_directories import rewrite_manifest
+from support.synthetic_tables import synthetic_summary
 
 from sinsjax.errors import InputError
 from sinsjax.report import folder
@@ -61,11 +61,11 @@ def page_of(tmp_path):
 @pytest.fixture
 def results(tmp_path):
     study = small_study(study={"name": "swing"})
-    return store(tmp_path / "results", study, summary_of(study))
+    return store_results(tmp_path / "results", study, synthetic_summary(study))
 
 
 def test_page_renders_prose_with_script_values(page_of, results, tmp_path):
-    said = told(results, page=page_of())
+    said = report_text(results, page=page_of())
     text = (tmp_path / "docs" / "two_words.md").read_text()
     assert "two_words.md and 1 figures" in said and "ok:" not in said
     assert text.startswith("<!-- Written by: sinsjax report --page docs/studies/two_words;")
@@ -81,7 +81,7 @@ def test_page_renders_prose_with_script_values(page_of, results, tmp_path):
 def test_page_shows_doctored_config_and_version_literally(page_of, results, tmp_path, config):
     versions = {"sinsjax": "<script>*1*\x1b"}
     rewrite_manifest(results, config=f"{config}\x1b\n", versions=versions)
-    told(results, page=page_of())
+    report_text(results, page=page_of())
     footer = (tmp_path / "docs" / "two_words.md").read_text().splitlines()[-1]
     code = html.escape(config, quote=False)
     assert MarkdownIt("commonmark").renderInline(footer) == (
@@ -104,25 +104,27 @@ def test_page_shows_doctored_config_and_version_literally(page_of, results, tmp_
 )
 def test_unused_or_undefined_names_in_prose_are_refused(page_of, results, prose, message):
     with pytest.raises(InputError, match="page.md.j2: ") as caught:
-        told(results, page=page_of(prose))
+        report_text(results, page=page_of(prose))
     assert message in str(caught.value)
 
 
 def test_false_claim_in_page_is_reported(page_of, results):
     script = SCRIPT.replace("runs > 0", "runs > 3")
     with pytest.raises(InputError, match="not so in these results: there are runs"):
-        told(results, page=page_of(script=script))
+        report_text(results, page=page_of(script=script))
 
 
 def test_missing_results_of_page_are_reported(page_of, tmp_path):
     study = small_study(study={"name": "sway"})
     with pytest.raises(InputError, match="needs results of swing: add their directory"):
-        told(store(tmp_path / "sway", study, summary_of(study)), page=page_of())
+        report_text(
+            store_results(tmp_path / "sway", study, synthetic_summary(study)), page=page_of()
+        )
 
 
 def test_folder_without_page_script_is_refused(results, tmp_path):
     with pytest.raises(InputError, match=r"holds no page.py, .* a page \(--page takes"):
-        told(results, page=tmp_path)
+        report_text(results, page=tmp_path)
 
 
 def test_false_claims_are_ignored_when_not_enforced(page_of):
@@ -134,5 +136,5 @@ def test_false_claims_are_ignored_when_not_enforced(page_of):
 def test_study_name_does_not_select_report_layout(tmp_path):
     study = small_study(study={"name": "consistency"})
     page = tmp_path / "mine.md"
-    told(store(tmp_path / "results", study, summary_of(study)), page=page)
+    report_text(store_results(tmp_path / "results", study, synthetic_summary(study)), page=page)
     assert "\n# consistency\n" in page.read_text()

@@ -18,9 +18,9 @@ from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 from rich.console import Console
 from support.commands import command_line
-from support.kept import rewrite_manifest
-from support.stored import store, told, write_part
+from support.stored_results import report_text, store_results, write_part
 from support.studies import BASE, small_study
+from support.sweep_directories import rewrite_manifest
 
 from sinsjax import cli, columns, report
 from sinsjax import console as screen
@@ -68,7 +68,7 @@ def stored(directory: Path) -> Path:
     rows |= {name: [True] * count for name in ("has_floor", "ok_floor", "ok_truth")}
     rows |= {"run_id": np.arange(count), "draw_id": np.repeat([0, 1], len(NASTY))}
     rows |= {"status": ["ok"] * count, "case": [*NASTY] * 2, "reset_times_s": [[]] * count}
-    return store(directory, study, pa.table(rows))
+    return store_results(directory, study, pa.table(rows))
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_shipped_pages_are_unchanged_by_name_escaping() -> None:
 def test_report_shows_special_characters_in_names_literally(results: Path, tmp_path: Path) -> None:
     page, html = tmp_path / "docs" / "page.md", tmp_path / "page.html"
     page.parent.mkdir()
-    said = told(results, page=page, html=html)
+    said = report_text(results, page=page, html=html)
     assert NAME in said and all(f" {name} " in said for name in NASTY if name != "[/b]")
     written = page.read_text()
     assert "<script" not in written and "<script" not in html.read_text()
@@ -138,7 +138,7 @@ def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: P
     doctored = {"config": DOCTORED, "warnings": [DOCTORED], "versions": {"sinsjax": DOCTORED}}
     rewrite_manifest(directory, **doctored)
     page, html = tmp_path / "page\x1b\u202e.md", tmp_path / "page.html"
-    said = told(directory, page=page, html=html)
+    said = report_text(directory, page=page, html=html)
     written, shown = page.read_text(), html.read_text()
     for text in (said, written, shown):
         assert not CONTROL.search(text.replace("\n", "")) and "\nWarning: c" not in text

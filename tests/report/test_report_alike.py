@@ -25,7 +25,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
 
 
 def test_distinct_rows_exclude_duplicate_variants(source: Source) -> None:
-    table = source.distinct(["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"])
+    table = source.distinct_rows(["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"])
     assert table.column_names == ["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"]
     keys = [(row["reset_count"], row["reset_cycle_s"]) for row in table.to_pylist()]
     assert keys == [(0, None), (1, 1.0), (1, 2.0), (1, 3.0)] * source.draws

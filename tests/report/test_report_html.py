@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
-from support.stored import store, told
+from support.stored_results import report_text, store_results
 from support.studies import small_study
 
 from sinsjax import columns
@@ -126,9 +126,9 @@ def test_html_and_markdown_pages_have_same_content(tmp_path):
     )
     rows |= {"run_id": np.arange(6), "draw_id": np.repeat(np.arange(3), 2)}
     rows |= {"status": ["ok"] * 6, "phi_u0_deg": [0.0, 30.0] * 3, "reset_times_s": [[]] * 6}
-    directory = store(tmp_path / "results", study, pa.table(rows))
+    directory = store_results(tmp_path / "results", study, pa.table(rows))
     markdown, one = tmp_path / "page.md", tmp_path / "page.html"
-    told(directory, page=markdown, html=one)
+    report_text(directory, page=markdown, html=one)
     text = Reader(one.read_text()).text
     for line in markdown.read_text().splitlines():
         if line.startswith("| ") and "---" not in line:
@@ -136,5 +136,5 @@ def test_html_and_markdown_pages_have_same_content(tmp_path):
             assert all(cell.strip() in text for cell in cells), line
     assert one.read_text().count("data:image/png;base64,") == markdown.read_text().count("![")
     first = one.read_bytes()
-    told(directory, html=one)
+    report_text(directory, html=one)
     assert one.read_bytes() == first

@@ -50,12 +50,12 @@ def test_unfinished_report_warns_with_share_of_runs(tmp_path: Path) -> None:
     assert source.rows(["draw_id"])["draw_id"].to_numpy().tolist() == [
         draw for draw in range(whole) for _ in range(3)
     ]
-    share = f"unfinished: {there} of 900 runs are there ({100 * there / 900:.2g} %)"
+    share = f"unfinished: {there} of 900 runs are done ({100 * there / 900:.2g} %)"
     assert lines[0].startswith(f"study: unfinished, {3 * whole} of 900 runs in ")
     (warning,) = (line for line in lines if line.startswith("  Warning "))
     assert f"{share}; shown are the {whole} draws" in warning
     assert f"- **Warning:** {share}" in page.read_text()
-    with pytest.raises(InputError, match="are the results complete"):  # a page with its own words
+    with pytest.raises(InputError, match="continue with `--resume`"):  # a page with its own words
         _ = Source.read(out).draws
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
-from support.made_up import summary_of
-from support.stored import store, told
+from support.stored_results import report_text, store_results
 from support.studies import small_study
+from support.synthetic_tables import synthetic_summary
 
 from sinsjax import analysis
 from sinsjax.execution.source import Source
@@ -42,7 +42,7 @@ def judged(study: Study, settle_s: np.ndarray) -> Verdict:
     status = list(np.where(flags, "ok", "not_settled"))
     names = ("settle_10_s", "settle_10_truth_s")
     columns = dict.fromkeys(names, np.where(flags, settle_s.ravel(), np.nan))
-    summary = summary_of(study, status=status, **columns)
+    summary = synthetic_summary(study, status=status, **columns)
     return verdict(Source(Path("out"), study, "x.toml", summary))
 
 
@@ -161,7 +161,7 @@ def test_few_draws_are_judged_as_they_choose_and_verdict_says_so() -> None:
 def test_runs_that_never_settle_limit_the_accuracy() -> None:
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [5.0, 60.0]}, sensors={})
     never = np.tile([False, True], 8)
-    summary = summary_of(
+    summary = synthetic_summary(
         study,
         ok_truth=~never,
         phi_u_arcmin=np.where(never, 500.0, 5.0),
@@ -169,7 +169,7 @@ def test_runs_that_never_settle_limit_the_accuracy() -> None:
     )
     source = Source(Path("out"), study, "x.toml", summary)
     assert "mostly of runs that never settle" in facts(verdict(source))["Accuracy"]
-    near = summary_of(study, phi_u_arcmin=np.full(16, 5.0), floor_arcmin=np.full(16, 4.0))
+    near = synthetic_summary(study, phi_u_arcmin=np.full(16, 5.0), floor_arcmin=np.full(16, 4.0))
     found = facts(verdict(Source(Path("out"), study, "x.toml", near)))["Accuracy"]
     assert found.startswith("5.0 [") and found.endswith("mostly bias floor (4.0')")
 
@@ -186,7 +186,7 @@ def test_q_above_ten_times_the_noise_is_cautioned(scale: float | None, cautions:
 def test_method_that_has_no_bias_floor_is_compared_from_the_truth() -> None:
     study = small_study(study={"draws": 8, "judged_from": "floor"}, axes={"phi_u0_deg": [0.0, 9.0]})
     flags = [True] * 15 + [None]
-    summary = summary_of(study, ok_floor=flags)
+    summary = synthetic_summary(study, ok_floor=flags)
     found = verdict(Source(Path("out"), study, "x.toml", summary))
     assert "of true north" in facts(found)["Success"]
 
@@ -262,9 +262,9 @@ def test_wide_table_continues_below_with_its_first_column() -> None:
 
 def test_report_prints_verdict_alone_until_all_tables_are_asked_for(tmp_path: Path) -> None:
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
-    directory = store(tmp_path / "out", study, summary_of(study))
-    short = told(directory, full=False, width=80)
+    directory = store_results(tmp_path / "out", study, synthetic_summary(study))
+    short = report_text(directory, full=False, width=80)
     assert len(short.splitlines()) <= 1 + terminal.MOST_LINES and "Every variant" not in short
     assert "--full" in short
-    full = told(directory)
+    full = report_text(directory)
     assert "Every variant" in full and "Heading error from true north" in full

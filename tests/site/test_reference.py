@@ -1,4 +1,4 @@
-"""Pages of reference that are written for readers say what the package says."""
+"""The hand-written reference pages agree with the package."""
 
 import ast
 import re
@@ -16,18 +16,20 @@ def test_commands_page_is_up_to_date() -> None:
 
 
 def test_documented_messages_exist_in_package_source() -> None:
-    """What stands between the gaps of a message stands in this order in one text of the source."""
-    told = re.findall(r"^\| `(.+?)`", (DOCS / "messages.md").read_text(encoding="utf-8"), re.M)
-    assert len(told) > 40
+    """The pieces of a message between its gaps appear in this order in one string of the source."""
+    documented = re.findall(
+        r"^\| `(.+?)`", (DOCS / "messages.md").read_text(encoding="utf-8"), re.M
+    )
+    assert len(documented) > 40
     texts = [text for path in PACKAGE.rglob("*.py") for text in _texts(path)]
-    for message in told:
+    for message in documented:
         pieces = [piece.strip() for piece in message.split("...")]
         wanted = re.compile(".*".join(re.escape(piece) for piece in pieces if piece), re.DOTALL)
         assert any(wanted.search(text) for text in texts), message
 
 
 def _texts(path: Path) -> list[str]:
-    """The strings of a module; what an f-string puts in is a gap."""
+    """Return the strings of a module; values in f-strings are gaps."""
     nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
     return [text for node in nodes if (text := _text(node))]
 

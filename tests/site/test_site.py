@@ -23,7 +23,7 @@ BUILT = "SINSJAX_SITE"
 
 
 class Shown(NamedTuple):
-    """What a page has: anchors, and where its links and its files are."""
+    """Anchors of a page, and the targets of its links and files."""
 
     anchors: set[str]
     links: set[str]
@@ -54,8 +54,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip(f'no site: set {BUILT} to its folder, or pip install ".[docs]"')
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(folder)]
-    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert told.returncode == 0, told.stderr
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
     return folder
 
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from support.made_up import summary_of
 from support.studies import small_study
+from support.synthetic_tables import synthetic_summary
 
 from docs.studies.common import grids
 from docs.studies.common.grids import held_out, least_mean, pooled_mean, shared, soonest
@@ -24,7 +24,7 @@ AXES = {"reset_count": [0, 1, 2], "phi_u0_deg": [5.0, 30.0]}
 
 def source_of(axes=AXES, **given):
     study = small_study(study={"draws": 4}, axes=axes, resets={"reset_cycle_s": 1.0})
-    return Source(Path("results"), study, "x.toml", summary_of(study, **given))
+    return Source(Path("results"), study, "x.toml", synthetic_summary(study, **given))
 
 
 def grid_of(source, columns=("settle_10_s",)):
@@ -65,7 +65,7 @@ def test_axes_without_full_grid_are_refused():
 def test_incomplete_results_are_refused():
     whole = source_of()
     part = Source(whole.directory, whole.study, whole.config, whole.summary.slice(1))
-    with pytest.raises(InputError, match="are the results complete"):
+    with pytest.raises(InputError, match="continue with `--resume`"):
         grid_of(part)
 
 

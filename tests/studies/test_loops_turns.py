@@ -11,7 +11,6 @@ from docs.studies.loops.turns import cycle_radius
 from sinsjax.execution import run as study_run
 from sinsjax.methods.compass import design as loops
 from sinsjax.methods.compass.config import REVERSALS
-from sinsjax.study.load import one_variant
 
 G, R = 9.8, 6378137.0
 LATITUDE, RATE = math.radians(32.0), math.radians(15.041067) / 3600
@@ -115,7 +114,7 @@ def test_bias_floors_match_closed_forms():
 def test_one_variant_of_sweep_keeps_its_values():
     axes = {"phi_u0_deg": [1.0, 2.0], "azimuth_sigma_per_s": [0.01, 0.03]}
     cases = [{"case": "a", "stored_s": 60.0}, {"case": "b", "stored_s": 120.0}]
-    one = one_variant(compass_study(axes=axes, cases=cases), 6)  # case b, phi_u0 2, sigma 0.01
+    one = select_variant(compass_study(axes=axes, cases=cases), 6)  # case b, phi_u0 2, sigma 0.01
     assert one.n_variants == 1
     assert one.values("phi_u0_deg") == [2.0] and one.values("case") == ["b"]
     assert one.values("stored_s") == [120.0] and one.values("azimuth_sigma_per_s") == [0.01]
@@ -123,7 +122,7 @@ def test_one_variant_of_sweep_keeps_its_values():
 
 def test_one_variant_of_zipped_axes_keeps_its_values():
     together = {"stored_s": [60.0, 120.0], "level_time_s": [40.0, 80.0]}
-    one = one_variant(compass_study(axes={"phi_u0_deg": [1.0, 2.0], "passes": together}), 3)
+    one = select_variant(compass_study(axes={"phi_u0_deg": [1.0, 2.0], "passes": together}), 3)
     assert one.n_variants == 1
     assert [one.values(key)[0] for key in (*together, "phi_u0_deg")] == [120.0, 80.0, 2.0]
 

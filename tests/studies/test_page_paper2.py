@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from support.stored import store
+from support.stored_results import store_results
 
 from docs.studies.loops.runs import limits_of
 from docs.studies.paper2 import page as paper2
 from sinsjax import analysis
 from sinsjax.execution.source import Source
 from sinsjax.methods.compass import design as loops
-from sinsjax.study.load import load_study, one_variant, study_from_dict
+from sinsjax.study.load import load_study, select_variant, study_from_dict
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 DRAWS = 4
@@ -35,7 +35,7 @@ def summary_of(study, errors):
     """A summary that no engine made: ``errors`` (deg) of every run as pitch, roll, heading."""
     count = study.n_variants * DRAWS
     run = np.arange(count)
-    floors = [limits_of(one_variant(study, v)).u for v in range(study.n_variants)]
+    floors = [limits_of(select_variant(study, v)).u for v in range(study.n_variants)]
     columns = {
         "run_id": run,
         "draw_id": run // study.n_variants,
@@ -64,7 +64,7 @@ def write(directory, study, errors=None, curves=True, **shape):
     count = study.n_variants * DRAWS
     noise = np.random.default_rng(3).normal(size=(count, 3))
     summary = summary_of(study, noise if errors is None else errors)
-    return store(directory, study, summary, curves_of(study, **shape) if curves else None)
+    return store_results(directory, study, summary, curves_of(study, **shape) if curves else None)
 
 
 def variant_of(study, label, drift=0.02):

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from support.made_up import curves_of, summary_of
-from support.stored import write_part
+from support.stored_results import write_part
+from support.synthetic_tables import synthetic_curves, synthetic_summary
 
 from sinsjax.analysis import Estimate
 from sinsjax.execution.source import Source
@@ -78,11 +78,13 @@ def made_up(directory: Path, name: str) -> Source:
     data.get("earth", {}).setdefault("latitude_deg", 34.0)
     data["study"].setdefault("rate_hz", 100.0)
     study = study_from_dict(data)
-    source = Source(directory, study, f"configs/{name}.toml", summary_of(study, every=True))
+    source = Source(
+        directory, study, f"configs/{name}.toml", synthetic_summary(study, all_columns=True)
+    )
     if study.study.curves or study.is_recorded:
         times = np.linspace(1.0, study.duration_s, 41).round()
         part = directory / name / "curves" / "part-0000-000000.parquet"
-        write_part(part, curves_of(study, times=times), Job(study).identity)
+        write_part(part, synthetic_curves(study, times=times), Job(study).identity)
         return replace(source, directory=directory / name)
     return source
 

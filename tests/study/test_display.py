@@ -1,4 +1,4 @@
-"""How a study shows itself: text, HTML, completion, and the tables that make it again."""
+"""Displays of a study as text and HTML, completion, and the round trip through tables."""
 
 import tomllib
 from html.parser import HTMLParser
@@ -13,8 +13,8 @@ import sinsjax
 from sinsjax.study import display, files
 
 
-@pytest.mark.parametrize("name", files.studies())
-def test_shipped_study_shows_itself_in_five_short_lines_and_returns_as_tables(name: str) -> None:
+@pytest.mark.parametrize("name", files.shipped_studies())
+def test_shipped_study_is_displayed_in_five_short_lines_and_round_trips(name: str) -> None:
     study = sinsjax.load_study(name)
     title, *facts = lines = repr(study).splitlines()
     assert title == f"Study {name}" and len(lines) == 5 and max(map(len, lines)) <= 80
@@ -25,7 +25,7 @@ def test_shipped_study_shows_itself_in_five_short_lines_and_returns_as_tables(na
     assert sinsjax.study_from_dict(tomllib.loads(tomli_w.dumps(tables))) == study
 
 
-def test_tables_of_a_study_may_be_changed_and_leave_it_alone() -> None:
+def test_changed_tables_of_a_study_do_not_change_it() -> None:
     study = small_study(axes={"phi_u0_deg": [1.0, 2.0]})
     tables = study.to_dict()
     tables["axes"]["phi_u0_deg"].append(3.0)
@@ -34,15 +34,17 @@ def test_tables_of_a_study_may_be_changed_and_leave_it_alone() -> None:
     assert "max_gap_s" not in tables["study"]
 
 
-def test_axis_is_shown_by_range_by_its_values_or_by_their_number() -> None:
-    assert display.axis_text(["phi_u0_deg"], [0.0, 10, 30.5, 120]) == "phi_u0_deg 0..120 (4)"
-    assert display.axis_text(["phi_u0_deg"], [0.0, 12.5]) == "phi_u0_deg 0, 12.5"
-    assert display.axis_text(["turn"], ["flip", "fold"]) == "turn flip, fold"
-    assert display.axis_text(["case"], ["a, b", "c"]) == "case (2)"  # commas would be taken apart
-    assert display.axis_text(["reset_times_s"], [(), (1.0, 2.0)]) == "reset_times_s (2)"
-    assert display.axis_text(["surge_m_per_s"], [None, 1.0, 2.0, 3.0]) == "surge_m_per_s (4)"
-    assert display.axis_text(["a", "b", "c"], [(1, 2, 3)] * 4) == "a and 2 more (4)"
-    assert display.axis_text(["curves"], [True, False]) == "curves True, False"
+def test_axis_is_displayed_as_range_values_or_count() -> None:
+    assert display.describe_axis(["phi_u0_deg"], [0.0, 10, 30.5, 120]) == "phi_u0_deg 0..120 (4)"
+    assert display.describe_axis(["phi_u0_deg"], [0.0, 12.5]) == "phi_u0_deg 0, 12.5"
+    assert display.describe_axis(["turn"], ["flip", "fold"]) == "turn flip, fold"
+    assert (
+        display.describe_axis(["case"], ["a, b", "c"]) == "case (2)"
+    )  # commas would be taken apart
+    assert display.describe_axis(["reset_times_s"], [(), (1.0, 2.0)]) == "reset_times_s (2)"
+    assert display.describe_axis(["surge_m_per_s"], [None, 1.0, 2.0, 3.0]) == "surge_m_per_s (4)"
+    assert display.describe_axis(["a", "b", "c"], [(1, 2, 3)] * 4) == "a and 2 more (4)"
+    assert display.describe_axis(["curves"], [True, False]) == "curves True, False"
 
 
 class _Cells(HTMLParser):
@@ -64,12 +66,15 @@ def test_html_escapes_text_from_a_file() -> None:
     reader.feed(study._repr_html_())
     assert reader.tags == {"table", "caption", "tr", "th", "td"}
     assert "<script>alert(1)</script>&" in reader.text
-    for shown in (display.as_text("t", {"a": "\x1b[31m"}), display.as_html("\x1b", {"a": "b"})):
+    for shown in (
+        display.format_text("t", {"a": "\x1b[31m"}),
+        display.format_html("\x1b", {"a": "b"}),
+    ):
         assert "\x1b" not in shown and "\\x1b" in shown
-    assert "<b>" not in display.as_html("t", {"<b>name": "<b>fact"})
+    assert "<b>" not in display.format_html("t", {"<b>name": "<b>fact"})
 
 
-def test_completion_shows_what_users_need_without_pydantic() -> None:
+def test_completion_lists_user_names_without_pydantic() -> None:
     study = small_study(axes={"phi_u0_deg": [1.0, 2.0]})
     pydantics = {name for name in dir(pydantic.BaseModel) if not name.startswith("__")}
     for thing in (study, study.alignment, study.study):

@@ -17,10 +17,10 @@ from support.studies import small_study
 
 import sinsjax as package
 from sinsjax.errors import InputError
-from sinsjax.records.layout import NAMED_AXES, Record, from_body
-from sinsjax.records.names import triads
+from sinsjax.records.column_names import find_triads
+from sinsjax.records.layout import NAMED_AXES, Record, from_body_axes
 from sinsjax.records.psins import write_psins
-from sinsjax.study.from_record import study_text
+from sinsjax.study.from_record import make_study_text
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
@@ -58,7 +58,7 @@ def columns(
 ) -> np.ndarray:
     """(T, 7) time, gyros, accelerometers in some axes and units; a sample's step in its unit."""
     order = NAMED_AXES.get(axes, axes)
-    own = [from_body(rates[0], order) / gyro, from_body(rates[1], order) / accel]
+    own = [from_body_axes(rates[0], order) / gyro, from_body_axes(rates[1], order) / accel]
     return np.column_stack([step * np.arange(1, len(own[0]) + 1), *own])
 
 
@@ -76,14 +76,14 @@ def write(
     return path
 
 
-def described(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """The study of a file, and its doubts."""
-    text = study_text(path, Path("its.toml"))
+def load_with_doubts(path: Path) -> tuple[dict[str, Any], list[str]]:
+    """Return the study of a file, and its doubts."""
+    text = make_study_text(path, Path("its.toml"))
     doubts = re.findall(r"^# DOUBT: (.*(?:\n#   .*)*)", text, re.MULTILINE)
     return tomllib.loads(text), [" ".join(doubt.replace("\n#  ", "").split()) for doubt in doubts]
 
 
-def runs(sinsjax: Command, path: Path, *more: str) -> dict[str, Any]:
+def align_written_study(sinsjax: Command, path: Path, *more: str) -> dict[str, Any]:
     """The row of the study that is written for a file: it validates and runs with more options."""
     code, told, error = sinsjax("init", "record", "--from", path.name, "-o", "its.toml")
     assert (code, error) == (0, ""), error
@@ -172,7 +172,7 @@ def test_log_becomes_study_that_runs(
 ) -> None:
     make, expected = LOGS[name]
     path = make(tmp_path / "log.csv", rates)
-    study, doubts = described(path)
+    study, doubts = load_with_doubts(path)
     found = {key: study["record"].get(key) for key in expected}
     assert found == expected
     untimed = name == "no time"
@@ -181,8 +181,8 @@ def test_log_becomes_study_that_runs(
     told = " ".join(doubts)
     assert "put the true latitude here" in told
     assert study["alignment"] == {"method": "inertial"} and "filter" not in study
-    assert ("nothing tells the rate" in told) == untimed
-    row = runs(sinsjax, path, *(["--set", "study.rate_hz=100"] if untimed else []))
+    assert ("the rate is unknown" in told) == untimed
+    row = align_written_study(sinsjax, path, *(["--set", "study.rate_hz=100"] if untimed else []))
     assert abs(row["roll_deg"]) < 1 and abs(row["pitch_deg"]) < 1
     # Of a box whose front is not told the yaw is off by right angles, as the doubt says.
     off = (row["yaw_deg"] - 10 + 45) % 90 - 45
@@ -195,7 +195,7 @@ def test_reasons_and_doubts_are_written_next_to_their_keys(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.01), NAMES)
-    lines = study_text(path, Path("its.toml")).splitlines()
+    lines = make_study_text(path, Path("its.toml")).splitlines()
     at = {line.partition(" =")[0]: number for number, line in enumerate(lines) if " = " in line}
     assert "sinsjax align log.csv its.toml" in "".join(lines[:6])
     unit = lines[at["gyro_unit"]]
@@ -211,13 +211,13 @@ def test_nominal_rate_is_marked_in_study(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.0100003), NAMES)
-    text = study_text(path, Path("its.toml"))
+    text = make_study_text(path, Path("its.toml"))
     assert re.search(
         r"\nrate_hz = 100.0 +# Hz, the nominal rate; that of the stamps is 99.997\n", text
     )
     assert "# steps of 0.01 s: 100 Hz\n" in text
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.01), NAMES)
-    assert "nominal" not in study_text(path, Path("its.toml"))
+    assert "nominal" not in make_study_text(path, Path("its.toml"))
 
 
 def test_short_gaps_are_interpolated_and_long_gap_moves_start(
@@ -227,14 +227,14 @@ def test_short_gaps_are_interpolated_and_long_gap_moves_start(
     table[3000, 2] = np.nan
     gone = [*range(500, 503), *range(2000, 2100)]
     path = write(tmp_path / "log.csv", np.delete(table, gone, axis=0))
-    study, doubts = described(path)
+    study, doubts = load_with_doubts(path)
     assert study["record"]["max_gap_s"] == 0.04
     assert study["record"]["start_s"] == [21.0]
-    text = study_text(path, Path("its.toml")).replace("\n#   ", " ")
+    text = make_study_text(path, Path("its.toml")).replace("\n#   ", " ")
     assert "of 100 s in the file, of which 21 to 100 s is the longest part without a gap\n" in text
     assert any("a gap at 100 Hz, from 20.0 to 21.01 s" in doubt for doubt in doubts)
     assert any(doubt.startswith("if the base moves in these gaps") for doubt in doubts)
-    assert abs((runs(sinsjax, path)["yaw_deg"] - 10 + 45) % 90 - 45) < 4
+    assert abs((align_written_study(sinsjax, path)["yaw_deg"] - 10 + 45) % 90 - 45) < 4
 
 
 def test_parquet_log_with_dates_becomes_study_that_runs(
@@ -245,16 +245,16 @@ def test_parquet_log_with_dates_becomes_study_that_runs(
     names = ("stamp", *(f"imu_frd_{name}" for name in NAMES[1:]))
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(dict(zip(names, [dates, *table[:, 1:].T], strict=True))), path)
-    study, _ = described(path)
+    study, _ = load_with_doubts(path)
     assert study["record"]["time_unit"] == "iso" and study["record"]["axes_order"] == "frd"
-    assert abs(runs(sinsjax, path)["yaw_deg"] - 10) < 1.5
+    assert abs(align_written_study(sinsjax, path)["yaw_deg"] - 10) < 1.5
 
 
 def test_reference_ending_slightly_before_log_is_accepted(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
-    study, _ = described(path)
+    study, _ = load_with_doubts(path)
     assert study["study"]["duration_s"] + study["coarse"]["coarse_duration_s"] == 99.0
     times = np.arange(0.1, 99.95, 0.1)
     table = np.column_stack([times, np.zeros((len(times), 2)), np.full(len(times), 10.0)])
@@ -273,10 +273,10 @@ def test_psins_log_becomes_study_that_runs(
     record = record._replace(latitude_deg=45.0, height_m=10.0, gravity_m_per_s2=9.8)
     path = tmp_path / "log.imu"
     write_psins(record, path, gyro_scale_arcsec=1e-4, accel_scale_ug_s=1e-2)
-    study, _ = described(path)
+    study, _ = load_with_doubts(path)
     assert study["record"] == {"format": "psins", "axes_order": "xyz", "start_s": [0.0]}
     assert study["earth"] == {"earth": "wgs84"}
-    assert abs(runs(sinsjax, path)["yaw_deg"] - 10) < 1.5
+    assert abs(align_written_study(sinsjax, path)["yaw_deg"] - 10) < 1.5
 
 
 def test_log_with_odd_rate_or_text_dates_is_read(
@@ -285,17 +285,17 @@ def test_log_with_odd_rate_or_text_dates_is_read(
     table = columns(rates, "rfu", 1.0, 1.0, 1 / 102.4)
     table[:, 1:] *= [*[1.024] * 3, 1, 1, 1]
     path = write(tmp_path / "log.csv", table)
-    study, _ = described(path)
+    study, _ = load_with_doubts(path)
     assert study["study"]["rate_hz"] == 102.4
     assert study["study"]["record_interval_s"] == 102 / 102.4
-    runs(sinsjax, path)
+    align_written_study(sinsjax, path)
     dates = np.datetime64("2024-05-01", "us") + (table[:, 0] * 1e6).astype("timedelta64[us]")
     rows = (
         ",".join([str(d), *map(repr, row[1:].tolist())])
         for d, row in zip(dates, table, strict=True)
     )
     path.write_text("\n".join([",".join(NAMES), *rows]))
-    assert described(path)[0]["record"]["time_unit"] == "iso"
+    assert load_with_doubts(path)[0]["record"]["time_unit"] == "iso"
 
 
 @pytest.mark.parametrize(
@@ -304,24 +304,24 @@ def test_log_with_odd_rate_or_text_dates_is_read(
         (lambda t: (t * [1, 400, 400, 400, 1, 1, 1], NAMES), "no unit gives Earth rate"),
         (
             lambda t: (t, tuple(f"{n} [deg/s]" if "gyro" in n else n for n in NAMES)),
-            "the names tell this unit; in rad/s it would be 1",
+            "the names state this unit; in rad/s it would be 1",
         ),
         (
             lambda t: (t, tuple(f"{n}_g" if "acc" in n else n for n in NAMES)),
-            "the names tell g, 9.8 times gravity",
+            "the names state g, 9.8 times gravity",
         ),
         (
             lambda t: (t, ("time_ms", *NAMES[1:])),
-            "the name tells ms, in which there would be 1e+05",
+            "the name states ms, which would be 1e+05",
         ),
         (
             lambda t: (t * [1, 1, 1, 1, 1e3, 1e3, 1e3], NAMES),
-            "gravity alone tells that these are increments",
+            "only gravity indicates increments",
         ),
         (lambda t: (t * [1, 1, 1, 1, -1, -1, -1], NAMES), "southern hemisphere, or gyros and"),
         (
             lambda t: (t, ("t", *(f"frd_{n}" for n in NAMES[1:]))),
-            "the names tell 'frd', but z reads +1.00 g",
+            "the names state 'frd', but z reads +1.00 g",
         ),
         (
             lambda t: (np.hstack([t, t[:, 1:4]]), (*NAMES, *(f"raw_{n}" for n in NAMES[1:4]))),
@@ -333,7 +333,7 @@ def test_ambiguous_log_is_marked_with_doubt(
     make: Any, doubt: str, rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", *make(columns(rates, "rfu", 1.0, 1.0, 0.01)))
-    assert doubt in " ".join(described(path)[1])
+    assert doubt in " ".join(load_with_doubts(path)[1])
 
 
 @pytest.mark.representative("deg_per_s-0.017453292519943295-1", "deg_per_h-4.84813681109536e-06-2")
@@ -345,9 +345,9 @@ def test_dead_gyro_is_ignored_in_choice_of_unit(
     for value in (0.0, 0.0062, -3.0):
         table = columns(rates, "rfu", factor, 1.0, 0.01)
         table[:, 1 + axis] = value
-        study, doubts = described(write(tmp_path / "log.csv", table))
+        study, doubts = load_with_doubts(write(tmp_path / "log.csv", table))
         assert study["record"]["gyro_unit"] == unit
-        assert f"told without '{NAMES[1 + axis]}', which never changes" in doubts
+        assert f"found without '{NAMES[1 + axis]}', which never changes" in doubts
         assert "the gyros do not show the latitude: put the true one here" in doubts
 
 
@@ -356,7 +356,7 @@ def test_missing_sample_marks_give_one_doubt_with_remedy(
 ) -> None:
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
     table[2000:9000:500, 4:] = -9999.0
-    _, doubts = described(write(tmp_path / "log.csv", table))
+    _, doubts = load_with_doubts(write(tmp_path / "log.csv", table))
     (line,) = [doubt for doubt in doubts if "refused" in doubt]
     assert line.startswith("row 2002: column 'accel_x': -9999 is -1020 g")
     assert "leave such cells empty, as missing samples; 41 more such places" in line
@@ -376,17 +376,17 @@ def test_missing_sample_marks_give_one_doubt_with_remedy(
         ),
         (
             lambda t: (t, ("t", "roll_rate", "pitch_rate", "spare", *NAMES[4:])),
-            "'roll_rate' and 'pitch_rate' are there, but no column of the gyros named yaw among t,",
+            "there are 'roll_rate' and 'pitch_rate', but no column of the gyros named yaw among t,",
         ),
         (
             lambda t: (t, (*NAMES[:4], "acc_y", "acc_z", "spare")),
-            "'acc_y' and 'acc_z' are there, but no column of the accelerometers named x among",
+            "there are 'acc_y' and 'acc_z', but no column of the accelerometers named x among",
         ),
         (
             lambda t: (t, ("t", "gyro_F", "gyro_R", "spare", *NAMES[4:])),
             "but no column of the gyros named up or down among t, gyro_F",
         ),
-        (lambda t: (t, ("1", "2", "3", "4", "5", "6", "7")), "row 1: numbers where the names"),
+        (lambda t: (t, ("1", "2", "3", "4", "5", "6", "7")), "row 1: numbers instead of column"),
         (
             lambda t: (t, ("t", "gyro_x\u202e", *NAMES[2:])),
             r"column 'gyro_x\u202e': control characters in its name (rename it)",
@@ -451,9 +451,9 @@ def test_backward_time_stamps_are_refused_with_row(
     assert (code, told, error.count("\n")) == (2, "", 1)
     assert "column 'Tstamp': row 3: time runs backward, from 100.0 to 99.99 (sort" in error
     # A column that no name calls a time may decrease, and one that can be read comes first.
-    described(write(tmp_path / "log.csv", table[::-1], ("other", *NAMES[1:])))
+    load_with_doubts(write(tmp_path / "log.csv", table[::-1], ("other", *NAMES[1:])))
     both = np.column_stack([table[::-1, 0], table])
-    study, _ = described(write(tmp_path / "log.csv", both, ("date", *NAMES)))
+    study, _ = load_with_doubts(write(tmp_path / "log.csv", both, ("date", *NAMES)))
     assert study["record"]["time_column"] == "t"
 
 
@@ -469,14 +469,14 @@ def test_coarse_time_stamps_give_mean_rate(
     for rate in (100.0, 99.0):
         times = np.floor(table[:, 0] * 100 / rate / resolution_s) * resolution_s
         path = write(tmp_path / "log.csv", np.column_stack([times, table[:, 1:]]))
-        study, doubts = described(path)
+        study, doubts = load_with_doubts(path)
         assert study["study"]["rate_hz"] == (
             rate if resolution_s < 0.1 else pytest.approx(rate, 0.02)
         )
         assert "time_column" not in study["record"]
         (doubt,) = [doubt for doubt in doubts if "coarse" in doubt]
-        assert re.match(r"'t' repeats itself at row [34]: its stamps are too coarse to be", doubt)
-    runs(sinsjax, path)
+        assert re.match(r"'t' repeats itself at row [34]: its stamps are too coarse, so", doubt)
+    align_written_study(sinsjax, path)
 
 
 def test_study_without_known_rate_is_refused(
@@ -485,8 +485,8 @@ def test_study_without_known_rate_is_refused(
     table = columns(rates, "rfu", 1.0, 1.0, 1e4)
     table[:, 0] = (1.763e15 + table[:, 0]).astype(np.float32)
     path = write(tmp_path / "log.csv", table, ("Tstamp[us]", *NAMES[1:]))
-    study, doubts = described(path)
-    told = "'Tstamp[us]' repeats itself at row 3, so nothing tells the rate: put it here"
+    study, doubts = load_with_doubts(path)
+    told = "'Tstamp[us]' repeats itself at row 3, so the rate is unknown: write it here"
     assert "rate_hz" not in study["study"] and any(told in doubt for doubt in doubts)
     assert sinsjax("init", "record", "--from", "log.csv")[0] == 0
     for command in (("validate", "log.toml"), ("align", "log.csv", "log.toml", "-o", "out")):
@@ -508,9 +508,9 @@ def test_study_without_known_rate_is_refused(
 def test_gyro_column_names_give_unit_and_axes(
     names: tuple[str, str, str], unit: str, ways: str
 ) -> None:
-    (found,) = triads(["roll", "pitch", "yaw", *names], "gyro")
-    assert (found.names, found.unit, found.ways) == (names, unit, ways)
-    assert not triads(names, "accel")
+    (found,) = find_triads(["roll", "pitch", "yaw", *names], "gyro")
+    assert (found.names, found.unit, found.directions) == (names, unit, ways)
+    assert not find_triads(names, "accel")
 
 
 def test_warning_is_printed_once_on_standard_error(
@@ -531,8 +531,8 @@ def test_text_column_in_parquet_is_refused_by_name(
     table = dict(zip(NAMES, columns(rates, "rfu", 1.0, 1.0, 0.01).T, strict=True))
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(table | {"gyro_y": table["gyro_y"].astype(str)}), path)
-    with pytest.raises(InputError, match="column 'gyro_y' holds string, not numbers"):
-        study_text(path, Path("x.toml"))
+    with pytest.raises(InputError, match="column 'gyro_y' contains string, not numbers"):
+        make_study_text(path, Path("x.toml"))
 
 
 def test_column_names_in_comment_are_refused_with_hint(
@@ -541,8 +541,8 @@ def test_column_names_in_comment_are_refused_with_hint(
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
     path = tmp_path / "log.csv"
     np.savetxt(path, table, delimiter=",", header=",".join(NAMES))
-    with pytest.raises(InputError, match="its names stand in a comment: take the sign away"):
-        study_text(path, Path("x.toml"))
+    with pytest.raises(InputError, match="its names are in a comment: remove the"):
+        make_study_text(path, Path("x.toml"))
 
 
 def test_first_row_may_have_empty_cells_but_no_text(
@@ -552,14 +552,14 @@ def test_first_row_may_have_empty_cells_but_no_text(
     header, first, *rest = path.read_text().splitlines()
     cells = first.split(",")
     path.write_text("\n".join([header, ",".join([cells[0], "", "", "", *cells[4:]]), *rest]))
-    assert described(path)[0]["record"]["gyro_unit"] == "rad_per_s"
+    assert load_with_doubts(path)[0]["record"]["gyro_unit"] == "rad_per_s"
     for row, hint in (
-        ("s,rad/s,rad/s,rad/s,g,g,g", "'rad/s' is no number (if it is a row of units"),
-        ('0,"0,1","0,1","0,1","1,2",3,4', "'0,1' is no number (decimal commas"),
+        ("s,rad/s,rad/s,rad/s,g,g,g", "'rad/s' is not a number (begin a row of units"),
+        ('0,"0,1","0,1","0,1","1,2",3,4', "'0,1' is not a number (decimal commas"),
     ):
         path.write_text("\n".join([header, row, first, *rest]))
         with pytest.raises(InputError) as caught:
-            study_text(path, Path("x.toml"))
+            make_study_text(path, Path("x.toml"))
         assert str(caught.value).startswith(f"{path}: row 2: column 'gyro_x': {hint}")
 
 

@@ -1,4 +1,4 @@
-"""The table of keys and the schema for editors: both are what the sections say."""
+"""The table of keys and the schema for editors agree with the sections."""
 
 import json
 import tomllib
@@ -13,12 +13,12 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_keys_page_is_up_to_date():
-    assert (ROOT / "docs" / "keys.md").read_text(encoding="utf-8") == key_table.page()
+    assert (ROOT / "docs" / "keys.md").read_text(encoding="utf-8") == key_table.keys_page()
 
 
 def test_json_schema_is_up_to_date():
     stored = (ROOT / "configs" / "schema.json").read_text(encoding="utf-8")
-    assert json.loads(stored) == json_schema.schema()
+    assert json.loads(stored) == json_schema.study_schema()
 
 
 @pytest.mark.parametrize(
@@ -36,14 +36,14 @@ def test_key_table_shows_unit_default_and_methods(key, unit, default, read_by):
     (told,) = key_table.find_keys(key)
     assert told.unit == unit
     assert default is None or told.default == default
-    assert read_by is None or told.read_by == read_by
+    assert read_by is None or told.readers_text == read_by
 
 
 def test_about_method_separates_read_keys_from_ignored_keys():
-    _, _, reads, silent = key_table.about_method("inertial")
+    _, _, reads, silent = key_table.describe_method("inertial")
     assert reads.endswith("keys of [alignment] and [passes]: nothing")
     assert silent.startswith("    keys without effect: phi_e0_deg, phi_n0_deg, phi_u0_deg, ")
-    _, _, reads = key_table.about_method("compass")
+    _, _, reads = key_table.describe_method("compass")
     assert "[passes]: phi_e0_deg, " in reads
 
 
@@ -57,8 +57,8 @@ def test_every_key_has_a_meaning():
 
 
 def test_schema_accepts_shipped_studies_and_rejects_mistakes():
-    known = jsonschema.Draft7Validator(json_schema.schema())
-    for path in (*files.studies().values(), *files.templates().values()):
+    known = jsonschema.Draft7Validator(json_schema.study_schema())
+    for path in (*files.shipped_studies().values(), *files.template_files().values()):
         assert not list(known.iter_errors(tomllib.loads(path.read_text("utf-8")))), path.name
     for wrong in ({"alignment": {"phi": 1}}, {"filtr": {}}, {"axes": {"phi_u0_deg": ["x"]}}):
         assert not known.is_valid(wrong)

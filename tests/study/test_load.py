@@ -107,11 +107,11 @@ DRAWN: dict[str, Any] = {
 }
 
 
-def built(base: dict[str, Any] = SIMULATED, **tables: Any) -> Study:
-    return study_from_dict(with_paper_values(merged(base, **tables)), "s.toml")
+def build_study(base: dict[str, Any] = SIMULATED, **tables: Any) -> Study:
+    return study_from_dict(with_paper_values(merge_tables(base, **tables)), "s.toml")
 
 
-def merged(base: dict[str, Any], **tables: Any) -> dict[str, Any]:
+def merge_tables(base: dict[str, Any], **tables: Any) -> dict[str, Any]:
     data = copy.deepcopy(base)
     for name, table in tables.items():
         old = data.get(name)
@@ -119,18 +119,18 @@ def merged(base: dict[str, Any], **tables: Any) -> dict[str, Any]:
     return data
 
 
-def refusals(base: dict[str, Any] = SIMULATED, **tables: Any) -> list[str]:
-    """The lines of the error, less the file's name that each must begin with."""
+def refusal_lines(base: dict[str, Any] = SIMULATED, **tables: Any) -> list[str]:
+    """Return the lines of the error without the file's name, which must begin each."""
     with pytest.raises(InputError) as caught:
-        built(base, **tables)
+        build_study(base, **tables)
     lines = str(caught.value).splitlines()
     assert all(line.startswith("s.toml: ") for line in lines)
     return [line.removeprefix("s.toml: ") for line in lines]
 
 
-def refusal(base: dict[str, Any] = SIMULATED, **tables: Any) -> str:
-    """The one line of the error, less the file's name that it must begin with."""
-    (line,) = refusals(base, **tables)
+def refusal_line(base: dict[str, Any] = SIMULATED, **tables: Any) -> str:
+    """Return the single line of the error without the file's name, which must begin it."""
+    (line,) = refusal_lines(base, **tables)
     return line
 
 
@@ -149,26 +149,26 @@ def test_defaults_are_filled_in():
 
 
 def test_values_are_converted_to_key_types():
-    study = built(sensors={"gyro_bias_deg_per_h": [1, 2, 3]})
+    study = build_study(sensors={"gyro_bias_deg_per_h": [1, 2, 3]})
     assert type(study.duration_s) is float
     assert study.sensors is not None and study.sensors.gyro_bias_deg_per_h == (1.0, 2.0, 3.0)
 
 
 def test_recorded_study_has_one_draw_per_start_time():
-    study = built(RECORDED)
+    study = build_study(RECORDED)
     assert study.is_recorded and study.n_draws == 1
     assert study.record is not None and study.record.start_s == (0.0,)
     assert (study.motion, study.sensors, study.study.draws) == (None, None, None)
     assert study.coarse is not None and study.coarse.coarse_duration_s == 60.0
     assert (study.earth.latitude_deg, study.earth.height_m) == (None, None)
-    several = built(RECORDED, record={"start_s": [0, 30, 60]})
+    several = build_study(RECORDED, record={"start_s": [0, 30, 60]})
     assert several.n_draws == 3 and several.n_variants == 1
-    assert built(RECORDED, record={"start_s": 30}).n_draws == 1
+    assert build_study(RECORDED, record={"start_s": 30}).n_draws == 1
 
 
 @pytest.mark.parametrize("order", ["xyz", "y-xz", "-x-yz", "zxy", "+yx-z"])
 def test_right_handed_axes_orders_are_accepted(order: str):
-    study = built(RECORDED, record={"axes_order": order})
+    study = build_study(RECORDED, record={"axes_order": order})
     assert study.record is not None and study.record.axes_order == order
 
 
@@ -180,7 +180,7 @@ def test_input_tables_are_not_modified():
 
 
 def test_study_fields_cannot_be_assigned():
-    study = built()
+    study = build_study()
     with pytest.raises(ValueError, match="frozen"):
         study.seed = 2
     with pytest.raises(ValueError, match="frozen"):
@@ -222,11 +222,11 @@ def test_values_list_swept_and_constant_keys_per_variant():
         with pytest.raises(KeyError):
             study.values(key)
     with pytest.raises(KeyError):
-        built(RECORDED).values("gyro_bias_deg_per_h")
+        build_study(RECORDED).values("gyro_bias_deg_per_h")
 
 
 def test_unlabelled_cases_combine_with_vector_axes():
-    study = built(
+    study = build_study(
         cases=[{"phi_e0_deg": 1, "phi_n0_deg": 2}, {"phi_n0_deg": 2, "phi_e0_deg": 3}],
         axes={"gyro_bias_deg_per_h": [0, [1, 2, 3]], "reset_times_s": [[], [10, 20]]},
     )
@@ -237,7 +237,7 @@ def test_unlabelled_cases_combine_with_vector_axes():
 
 
 def test_combinations_are_distinct_values_of_variants():
-    study = built(
+    study = build_study(
         cases=[{"phi_e0_deg": e, "reset_cycle_s": c} for e, c in ((1, 50), (2, 50), (3, 60))],
         axes={"phi_u0_deg": [0, 10], "reset_count": [0, 1]},
     )
@@ -248,7 +248,7 @@ def test_combinations_are_distinct_values_of_variants():
 
 
 def test_zipped_axes_vary_together_between_cases_and_axes():
-    study = built(
+    study = build_study(
         axes={
             "reset_kind": ["full", "yaw"],
             "level": {"phi_e0_deg": [0, 5], "phi_n0_deg": [1, 5]},
@@ -302,7 +302,7 @@ def test_variants_are_numbered_like_itertools_product(sweep: tuple, data: st.Dat
         f"zip {i}": {k: [row[k] for row in rows] for k in rows[0]} for i, rows in enumerate(zips)
     }
     # A zip may stand before an axis in a dictionary.
-    study = built(axes=tables | axes, **({"cases": cases} if cases else {}))
+    study = build_study(axes=tables | axes, **({"cases": cases} if cases else {}))
     grids = [[{key: value} for value in values] for key, values in axes.items()]
     points = [
         {key: value for part in parts for key, value in part.items()}
@@ -321,7 +321,7 @@ def test_variants_are_numbered_like_itertools_product(sweep: tuple, data: st.Dat
 
 
 def test_required_keys_may_be_swept():
-    data = merged(SIMULATED, axes={"latitude_deg": [0, 80], "yaw_center_deg": [0, 90]})
+    data = merge_tables(SIMULATED, axes={"latitude_deg": [0, 80], "yaw_center_deg": [0, 90]})
     del data["earth"], data["motion"]
     study = study_from_dict(with_paper_values(data))
     assert study.values("latitude_deg") == [0.0, 0.0, 80.0, 80.0]
@@ -329,7 +329,7 @@ def test_required_keys_may_be_swept():
 
 
 def test_values_of_200_thousand_variants_are_listed():
-    study = built(
+    study = build_study(
         axes={
             "phi_u0_deg": [i / 10 for i in range(1000)],
             "phi_e0_deg": [i / 10 for i in range(100)],
@@ -400,28 +400,30 @@ def test_invalid_values_in_file_are_refused_with_file_name(tmp_path: Path):
         SIMULATED,
         RECORDED,
         tomllib.loads(FULL),
-        merged(SIMULATED, earth={"earth": "wgs84"}),
-        merged(SIMULATED, axes={"earth": ["wgs84", "constants"], "radius_m": [6.3e6, 6.4e6]}),
-        merged(SIMULATED, resets={"reset_times_s": [50, 100]}),
-        merged(SIMULATED, resets={"reset_times_s": []}),
-        merged(SIMULATED, study={"name": '[b] $x$ "quotes" \\ <i>', "settle_bands_arcmin": []}),
-        merged(RECORDED, record=TABULAR | {"time_column": "t", "start_s": [0, 2.5]}),
-        merged(SIMULATED, resets={"reset_count": 1, "reset_first_s": 25}),
-        merged(SIMULATED, stop_when={"statistic": "success_rate", "half_width": 0.02}),
-        merged(SIMULATED, axes=ZIPPED, cases=[{"case": "a"}]),
-        merged(SIMULATED, drawn=DRAWN),
-        merged(
+        merge_tables(SIMULATED, earth={"earth": "wgs84"}),
+        merge_tables(SIMULATED, axes={"earth": ["wgs84", "constants"], "radius_m": [6.3e6, 6.4e6]}),
+        merge_tables(SIMULATED, resets={"reset_times_s": [50, 100]}),
+        merge_tables(SIMULATED, resets={"reset_times_s": []}),
+        merge_tables(
+            SIMULATED, study={"name": '[b] $x$ "quotes" \\ <i>', "settle_bands_arcmin": []}
+        ),
+        merge_tables(RECORDED, record=TABULAR | {"time_column": "t", "start_s": [0, 2.5]}),
+        merge_tables(SIMULATED, resets={"reset_count": 1, "reset_first_s": 25}),
+        merge_tables(SIMULATED, stop_when={"statistic": "success_rate", "half_width": 0.02}),
+        merge_tables(SIMULATED, axes=ZIPPED, cases=[{"case": "a"}]),
+        merge_tables(SIMULATED, drawn=DRAWN),
+        merge_tables(
             SIMULATED,
             drawn=dict(reversed(DRAWN.items())),
             axes={"phi_n0_deg": [0, 5], "phi_e0_deg": [0, 5]},
         ),
-        merged(RECORDED, drawn={"phi_u0_deg": {"normal": [0, 10]}}),
+        merge_tables(RECORDED, drawn={"phi_u0_deg": {"normal": [0, 10]}}),
         COMPASS,
-        merged(COMPASS, filter={}, resets={}),
-        merged(SIMULATED, compass={}, passes={}),
-        merged(SIMULATED, passes={"stored_s": 80}),
-        merged(SIMULATED, passes={"stored_s": 80}, axes={"method": ["kalman5", "compass"]}),
-        merged(
+        merge_tables(COMPASS, filter={}, resets={}),
+        merge_tables(SIMULATED, compass={}, passes={}),
+        merge_tables(SIMULATED, passes={"stored_s": 80}),
+        merge_tables(SIMULATED, passes={"stored_s": 80}, axes={"method": ["kalman5", "compass"]}),
+        merge_tables(
             RECORDED,
             alignment={"method": "compass"},
             passes={"stored_s": 80, "ending": "forward", "turn": "velocity"},
@@ -462,7 +464,7 @@ letters = st.characters(codec="utf-8").filter(lambda letter: not CONTROL.search(
     methods=st.permutations(["kalman5", "kalman10", "compass"]),
 )
 def test_random_resolved_study_reloads_equal(duration, phi, bias, p0, name, methods):
-    study = built(
+    study = build_study(
         study={"duration_s": duration, "name": name, "unchecked": True},
         sensors={"gyro_bias_deg_per_h": bias},
         filter={"p0_yaw_deg": p0},
@@ -488,9 +490,9 @@ def test_fingerprint_ignores_name_key_order_and_explicit_defaults():
     assert re.fullmatch("[0-9a-f]{16}", print_)
     shuffled = reversed_keys(data) | {"axes": data["axes"]}
     assert fingerprint(study_from_dict(shuffled)) == print_
-    other = merged(data, study={"name": "other"})
+    other = merge_tables(data, study={"name": "other"})
     assert fingerprint(study_from_dict(other)) == print_
-    assert fingerprint(built(filter={"p0_yaw_deg": 80})) == fingerprint(built())
+    assert fingerprint(build_study(filter={"p0_yaw_deg": 80})) == fingerprint(build_study())
 
 
 @pytest.mark.parametrize(
@@ -512,7 +514,7 @@ def test_fingerprint_ignores_name_key_order_and_explicit_defaults():
 )
 def test_fingerprint_changes_with_any_value(change: dict[str, Any]):
     data = tomllib.loads(FULL)
-    assert fingerprint(study_from_dict(merged(data, **change))) != fingerprint(
+    assert fingerprint(study_from_dict(merge_tables(data, **change))) != fingerprint(
         study_from_dict(data)
     )
 
@@ -547,9 +549,9 @@ def test_fingerprint_changes_with_zips_drawn_keys_and_stop_rule():
         {"stop_when": {"statistic": "success_rate", "half_width": 0.03}},
         {"stop_when": {"statistic": "settle_60_s_mean", "half_width": 0.03}},
     ]
-    assert len({fingerprint(built(**tables)) for tables in other}) == len(other)
+    assert len({fingerprint(build_study(**tables)) for tables in other}) == len(other)
     named = {"other": {"phi_e0_deg": [0, 1], "phi_u0_deg": [0, 1]}}
-    assert fingerprint(built(axes=named)) == fingerprint(built(**other[len(drawn) + 1]))
+    assert fingerprint(build_study(axes=named)) == fingerprint(build_study(**other[len(drawn) + 1]))
 
 
 # Unknown names
@@ -623,7 +625,7 @@ def test_fingerprint_changes_with_zips_drawn_keys_and_stop_rule():
     ],
 )
 def test_unknown_and_misplaced_names_are_refused(tables: dict[str, Any], line: str):
-    assert refusal(**tables) == line
+    assert refusal_line(**tables) == line
 
 
 # Values of single keys
@@ -706,22 +708,22 @@ def test_unknown_and_misplaced_names_are_refused(tables: dict[str, Any], line: s
     ],
 )
 def test_invalid_values_of_single_keys_are_refused(section: str, key: str, value: Any, text: str):
-    line = refusal(**{section: {key: value}})
+    line = refusal_line(**{section: {key: value}})
     assert re.match(rf"\[{section}\] {key}(\[\d\])?: ", line)
     assert text in line
 
 
 def test_invalid_list_entries_are_named_by_index():
-    line = refusal(study={"settle_bands_arcmin": [60, 10, 0]})
+    line = refusal_line(study={"settle_bands_arcmin": [60, 10, 0]})
     assert line.startswith("[study] settle_bands_arcmin[2]: must be greater than 0, not 0")
-    assert refusal(sensors={"accel_bias_ug": [1, 2, "3"]}).startswith(
+    assert refusal_line(sensors={"accel_bias_ug": [1, 2, "3"]}).startswith(
         "[sensors] accel_bias_ug[2]: "
     )
-    assert refusal(sensors={"accel_bias_ug": [1, 2]}) == "[sensors] accel_bias_ug[2]: required"
+    assert refusal_line(sensors={"accel_bias_ug": [1, 2]}) == "[sensors] accel_bias_ug[2]: required"
 
 
 def test_long_values_are_shortened_in_messages():
-    assert len(refusal(study={"duration_s": "x" * 1000})) < 120
+    assert len(refusal_line(study={"duration_s": "x" * 1000})) < 120
 
 
 NUMBERS = [
@@ -741,34 +743,36 @@ def test_number_keys_refuse_nan_inf_bool_and_text(section: str, key: str, value:
         given = STOP
     elif section == "tune":
         given = {"variables": {"p0_yaw_deg": {"low": 1.0, "high": 80.0}}}
-    assert refusal(**{section: given | {key: value}}).startswith(f"[{section}] {key}: must be ")
+    assert refusal_line(**{section: given | {key: value}}).startswith(
+        f"[{section}] {key}: must be "
+    )
     if section in SWEEPABLE:
-        zipped = refusal(axes={"name": {key: [value]}})
+        zipped = refusal_line(axes={"name": {key: [value]}})
         assert zipped.startswith(f"[axes.name] {key}[0]: must be ")
-        assert refusal(axes={key: [value]}).startswith(f"[axes] {key}[0]: must be ")
+        assert refusal_line(axes={key: [value]}).startswith(f"[axes] {key}[0]: must be ")
 
 
 @pytest.mark.parametrize("key", ["duration_s", "rate_hz"])
 def test_missing_required_study_keys_are_refused(key: str):
     data = copy.deepcopy(SIMULATED)
     del data["study"][key]
-    assert refusal(data).startswith(f"[study] {key}: required (")
-    assert [line.partition(": required")[0] for line in refusals({})] == [
+    assert refusal_line(data).startswith(f"[study] {key}: required (")
+    assert [line.partition(": required")[0] for line in refusal_lines({})] == [
         *("[study] duration_s", "[study] rate_hz"),
         *("[earth] latitude_deg", "[motion] yaw_center_deg"),
     ]
 
 
 def test_missing_latitude_and_heading_are_refused():
-    assert refusals(SIMULATED, earth=3, motion=3) == [
+    assert refusal_lines(SIMULATED, earth=3, motion=3) == [
         "[earth]: must be a table of keys",
         "[motion]: must be a table of keys",
     ]
     data = copy.deepcopy(SIMULATED)
     del data["motion"]
-    assert refusal(data).startswith("[motion] yaw_center_deg: required (mean yaw, deg")
+    assert refusal_line(data).startswith("[motion] yaw_center_deg: required (mean yaw, deg")
     del data["earth"]
-    latitude, _ = refusals(data)
+    latitude, _ = refusal_lines(data)
     assert latitude.startswith("[earth] latitude_deg: required (latitude, positive north, deg")
 
 
@@ -821,7 +825,7 @@ def test_missing_latitude_and_heading_are_refused():
     ],
 )
 def test_invalid_axis_values_are_refused(axes: dict[str, Any], start: str):
-    assert refusal(axes=axes).startswith(start)
+    assert refusal_line(axes=axes).startswith(start)
 
 
 @pytest.mark.parametrize(
@@ -857,8 +861,8 @@ def test_invalid_axis_values_are_refused(axes: dict[str, Any], start: str):
     ],
 )
 def test_invalid_case_values_are_refused(cases: Any, start: str):
-    assert refusal(cases=cases, axes={"reset_kind": ["full"]}).startswith(start)
-    assert refusal(cases=cases, axes={"zip": {"reset_kind": ["full"]}}).startswith(start)
+    assert refusal_line(cases=cases, axes={"reset_kind": ["full"]}).startswith(start)
+    assert refusal_line(cases=cases, axes={"zip": {"reset_kind": ["full"]}}).startswith(start)
 
 
 # Rules between keys
@@ -873,9 +877,9 @@ def test_invalid_case_values_are_refused(cases: Any, start: str):
 )
 def test_noise_given_in_two_units_is_refused(one: str, other: str):
     expected = f"{one}: conflicts with {other} in [sensors] (give one of them)"
-    assert refusal(sensors={one: 1, other: 1}) == f"[sensors] {expected}"
-    assert refusal(sensors={other: 1}, axes={one: [1]}) == f"[axes] {expected}"
-    study = built(sensors={other: 1})
+    assert refusal_line(sensors={one: 1, other: 1}) == f"[sensors] {expected}"
+    assert refusal_line(sensors={other: 1}, axes={one: [1]}) == f"[axes] {expected}"
+    study = build_study(sensors={other: 1})
     assert study.sensors is not None and getattr(study.sensors, one) is None
 
 
@@ -991,30 +995,30 @@ def test_noise_given_in_two_units_is_refused(one: str, other: str):
     ],
 )
 def test_invalid_resets_are_refused(resets: dict[str, Any], axes: dict[str, Any], line: str):
-    assert refusal(resets=resets, axes=axes) == line
+    assert refusal_line(resets=resets, axes=axes) == line
 
 
 def test_valid_resets_are_accepted():
-    built(resets={"reset_count": 3, "reset_cycle_s": 300})  # the last one exactly at the end
-    built(resets={"reset_times_s": [0.01, 0.02, 900]})
-    built(resets={"reset_count": 0, "reset_cycle_s": 1e6})
-    built(resets={"reset_count": 0, "reset_first_s": 1e6})
-    built(resets={"reset_count": 1, "reset_first_s": 900, "reset_cycle_s": 1e6})
-    built(resets={"reset_count": 3, "reset_first_s": 100, "reset_cycle_s": 400})
+    build_study(resets={"reset_count": 3, "reset_cycle_s": 300})  # the last one exactly at the end
+    build_study(resets={"reset_times_s": [0.01, 0.02, 900]})
+    build_study(resets={"reset_count": 0, "reset_cycle_s": 1e6})
+    build_study(resets={"reset_count": 0, "reset_first_s": 1e6})
+    build_study(resets={"reset_count": 1, "reset_first_s": 900, "reset_cycle_s": 1e6})
+    build_study(resets={"reset_count": 3, "reset_first_s": 100, "reset_cycle_s": 400})
     # 3 x 0.1 is a rounding error more than 0.3.
-    built(
+    build_study(
         study={"duration_s": 0.3, "record_interval_s": 0.1},
         resets={"reset_count": 3, "reset_cycle_s": 0.1},
     )
     # Each case with its own cycle: only what happens together is checked.
     pairs = [{"reset_count": 2, "reset_cycle_s": 400}, {"reset_count": 8, "reset_cycle_s": 100}]
-    built(cases=pairs)
+    build_study(cases=pairs)
 
 
 def test_reset_times_follow_count_first_time_and_cycle():
     """A first one of its own; without it the cycle's multiples, as exactly as ever."""
     cycle = {"reset_cycle_s": 0.1}
-    study = built(resets=cycle, axes={"reset_count": [0, 1, 3], "reset_first_s": [25, 7.5]})
+    study = build_study(resets=cycle, axes={"reset_count": [0, 1, 3], "reset_first_s": [25, 7.5]})
     assert study.reset_times() == [
         (),
         (),
@@ -1023,9 +1027,9 @@ def test_reset_times_follow_count_first_time_and_cycle():
         (25.0, 25.0 + 0.1, 25.0 + 2 * 0.1),
         (7.5, 7.5 + 0.1, 7.5 + 2 * 0.1),
     ]
-    (times,) = built(resets=cycle | {"reset_count": 3}).reset_times()
+    (times,) = build_study(resets=cycle | {"reset_count": 3}).reset_times()
     assert times == (0.1, 0.2, 3 * 0.1)
-    alone = built(resets={"reset_first_s": 25}, axes={"reset_count": [0, 1]})
+    alone = build_study(resets={"reset_first_s": 25}, axes={"reset_count": [0, 1]})
     assert alone.reset_times() == [(), (25.0,)]
 
 
@@ -1034,11 +1038,11 @@ def test_reset_times_follow_count_first_time_and_cycle():
 
 @pytest.mark.parametrize("statistic", ["success_rate", "settle_60_s_mean", "settle_10_s_mean"])
 def test_supported_stop_statistics_are_accepted(statistic: str):
-    stop = built(
+    stop = build_study(
         study={"settle_bands_arcmin": [60]}, stop_when=STOP | {"statistic": statistic}
     ).stop_when
     assert stop is not None and (stop.statistic, stop.half_width) == (statistic, 0.02)
-    assert built().stop_when is None
+    assert build_study().stop_when is None
 
 
 @pytest.mark.parametrize(
@@ -1059,11 +1063,11 @@ def test_supported_stop_statistics_are_accepted(statistic: str):
     ],
 )
 def test_invalid_stop_rules_are_refused(stop: dict[str, Any], line: str):
-    assert refusals(study={"settle_bands_arcmin": [60]}, stop_when=stop)[0].startswith(line)
+    assert refusal_lines(study={"settle_bands_arcmin": [60]}, stop_when=stop)[0].startswith(line)
 
 
 def test_stop_half_width_of_mean_time_may_exceed_one_second():
-    built(stop_when={"statistic": "settle_10_s_mean", "half_width": 5})
+    build_study(stop_when={"statistic": "settle_10_s_mean", "half_width": 5})
 
 
 @pytest.mark.parametrize(
@@ -1096,7 +1100,7 @@ def test_stop_half_width_of_mean_time_may_exceed_one_second():
     ],
 )
 def test_invalid_intervals_are_refused(tables: dict[str, Any], line: str):
-    assert refusal(**tables) == line
+    assert refusal_line(**tables) == line
 
 
 @pytest.mark.parametrize(
@@ -1134,17 +1138,17 @@ def test_invalid_intervals_are_refused(tables: dict[str, Any], line: str):
 def test_invalid_record_times_are_refused(
     record: dict[str, Any], coarse: dict[str, Any], line: str
 ):
-    assert refusal(RECORDED, record=record, coarse=coarse) == line
-    built(RECORDED, record={"start_s": [0, 0.01]}, coarse={"coarse_duration_s": 0.02})
-    assert built(RECORDED, record={"from_s": 30}).record.start_s == (30.0,)
+    assert refusal_line(RECORDED, record=record, coarse=coarse) == line
+    build_study(RECORDED, record={"start_s": [0, 0.01]}, coarse={"coarse_duration_s": 0.02})
+    assert build_study(RECORDED, record={"from_s": 30}).record.start_s == (30.0,)
 
 
 def test_record_intervals_round_to_nearest_samples():
-    """A simulation has the rate that it is given: there it is a mistake."""
-    study = built(RECORDED, study={"rate_hz": 199.8}, record={"start_s": [0, 0.004]})
+    """In a simulation, whose rate is given, such an interval is an error."""
+    study = build_study(RECORDED, study={"rate_hz": 199.8}, record={"start_s": [0, 0.004]})
     assert study.record_every == 200
     line = "[study] record_interval_s: 1 s is not a whole number of samples of 0.005005005005"
-    assert refusals(study={"rate_hz": 199.8})[0].startswith(line)
+    assert refusal_lines(study={"rate_hz": 199.8})[0].startswith(line)
 
 
 def test_record_may_supply_sample_rate():
@@ -1153,7 +1157,7 @@ def test_record_may_supply_sample_rate():
     assert not study.study.rate_hz
     for rate in (100.0, 199.8):
         assert with_rate(study, rate).study.rate_hz == rate
-    whole = built(RECORDED)
+    whole = build_study(RECORDED)
     assert fingerprint(with_rate(study, whole.study.rate_hz)) == fingerprint(whole)
     with pytest.raises(InputError, match="is longer than a run"):
         with_rate(
@@ -1219,20 +1223,24 @@ def test_record_may_supply_sample_rate():
 def test_keys_read_by_no_method_are_refused(tables: dict[str, Any], key: str, method: str):
     place, _, name = key.partition(" ")
     drop = f": --set axes.{name}={{}}" if place == "[axes]" else ""
-    assert refusal(**tables) == f"{key}: does not apply to method {method} (drop it{drop})"
-    built(merged(SIMULATED, **tables), axes={"method": ["kalman5", "compass"]})
+    assert refusal_line(**tables) == f"{key}: does not apply to method {method} (drop it{drop})"
+    build_study(merge_tables(SIMULATED, **tables), axes={"method": ["kalman5", "compass"]})
 
 
 def test_section_read_by_no_method_is_refused_in_one_line():
     tables = {"alignment": {"method": "inertial"}, "filter": {"p0_yaw_deg": 9.0, "p0_level_deg": 9}}
-    assert refusal(**tables) == (
+    assert refusal_line(**tables) == (
         "[filter]: does not apply to method inertial: p0_yaw_deg, p0_level_deg"
         " (drop the section: --set filter={})"
     )
 
 
 def test_sections_and_defaults_depend_on_methods():
-    filters, loops, both = built(), built(COMPASS), built(axes={"method": ["kalman5", "compass"]})
+    filters, loops, both = (
+        build_study(),
+        build_study(COMPASS),
+        build_study(axes={"method": ["kalman5", "compass"]}),
+    )
     assert filters.compass is None and filters.filter and filters.resets
     assert loops.filter is None and loops.resets is None
     assert loops.alignment.feedback_interval_s is None
@@ -1244,10 +1252,10 @@ def test_sections_and_defaults_depend_on_methods():
     assert compass is not None
     assert (compass.level_sigma_per_s, compass.azimuth_sigma_per_s) == (0.02, 0.01)
     assert (compass.level_time_s, compass.sigma_factors) == (150.0, (1.0,))
-    over = built(COMPASS, passes={"stored_s": 80}).passes
+    over = build_study(COMPASS, passes={"stored_s": 80}).passes
     assert over is not None
     assert (over.turn, over.turn_smoothing_s, over.turn_covariance) == ("reflect", 5.0, None)
-    over = built(passes={"stored_s": 80}).passes
+    over = build_study(passes={"stored_s": 80}).passes
     assert over is not None
     assert (over.turn, over.turn_covariance, over.turn_inflation) == (None, "carried", 10.0)
 
@@ -1271,10 +1279,10 @@ def test_loop_settings_given_in_two_ways_are_refused(one: str, others: tuple[str
     extra = {"passes": {"stored_s": 80.0}}
     for other in others:
         pair = {key: given[key] for key in (one, other)}
-        line = refusal(COMPASS, compass=pair, **extra)
+        line = refusal_line(COMPASS, compass=pair, **extra)
         assert line == f"[compass] {one}: conflicts with {other} in [compass] (give one of them)"
     more = {"sigma_factors": [2.0, 1.0]} if one == "sigma_passes" else {}
-    alone = built(COMPASS, compass={one: given[one]} | more, **extra).compass
+    alone = build_study(COMPASS, compass={one: given[one]} | more, **extra).compass
     assert alone is not None and all(getattr(alone, other) is None for other in others)
 
 
@@ -1312,14 +1320,14 @@ def test_loop_settings_given_in_two_ways_are_refused(one: str, others: tuple[str
     ],
 )
 def test_invalid_passes_are_refused(passes: dict[str, Any], line: str):
-    assert refusal(COMPASS, passes=passes, study={"window_s": [0, 100]}) == f"[passes] {line}"
+    assert refusal_line(COMPASS, passes=passes, study={"window_s": [0, 100]}) == f"[passes] {line}"
 
 
 def test_passes_are_checked_per_variant():
     axes = {"stored_s": [80, 100], "passes": [3, 10]}
     line = "[axes] passes: 10 passes of 100 s take 1000 s, longer than a run"
-    assert refusal(axes=axes).startswith(line)
-    built(cases=[{"stored_s": 80, "passes": 10}, {"stored_s": 100, "passes": 3}])
+    assert refusal_line(axes=axes).startswith(line)
+    build_study(cases=[{"stored_s": 80, "passes": 10}, {"stored_s": 100, "passes": 3}])
 
 
 @pytest.mark.parametrize(
@@ -1344,7 +1352,7 @@ def test_passes_are_checked_per_variant():
 def test_run_and_pass_lengths_follow_passes_settings(
     passes: dict[str, Any], spans: tuple[int, int]
 ):
-    (span,) = built(study={"window_s": [0, 200]}, passes=passes).spans
+    (span,) = build_study(study={"window_s": [0, 200]}, passes=passes).spans
     assert (span.records, span.pass_records, span.rewinds) == (*spans, "direction" in passes)
 
 
@@ -1385,18 +1393,18 @@ def test_run_and_pass_lengths_follow_passes_settings(
     ],
 )
 def test_invalid_compass_loops_are_refused(compass: dict[str, Any], line: str):
-    assert refusal(COMPASS, compass=compass) == f"[compass] {line}"
+    assert refusal_line(COMPASS, compass=compass) == f"[compass] {line}"
 
 
 def test_sigma_times_must_match_sigma_factors_in_every_variant():
     factors, times = [[1.0], [2.0, 1.0]], [[], [100.0]]
     line = "[axes] sigma_times_s: needs 0 entries for 1 sigma_factors, not 1"
-    assert refusal(COMPASS, axes={"sigma_factors": factors, "sigma_times_s": times}) == line
+    assert refusal_line(COMPASS, axes={"sigma_factors": factors, "sigma_times_s": times}) == line
     pairs = zip(factors, times, strict=True)
-    built(COMPASS, cases=[{"sigma_factors": f, "sigma_times_s": t} for f, t in pairs])
+    build_study(COMPASS, cases=[{"sigma_factors": f, "sigma_times_s": t} for f, t in pairs])
     counted = [{"sigma_factors": [2.0, 1.0], "sigma_passes": [2]}]
-    assert refusal(COMPASS, cases=counted).startswith("[cases] sigma_passes: needs passes")
-    built(COMPASS, cases=counted, passes={"stored_s": 80})
+    assert refusal_line(COMPASS, cases=counted).startswith("[cases] sigma_passes: needs passes")
+    build_study(COMPASS, cases=counted, passes={"stored_s": 80})
 
 
 PARTIAL = {"duration_s": 900.5, "window_s": [600, 900]}
@@ -1424,16 +1432,16 @@ PARTIAL = {"duration_s": 900.5, "window_s": [600, 900]}
 )
 def test_events_in_last_partial_record_interval_are_refused(tables: dict[str, Any], start: str):
     end = "duration_s = 900.5; the last partial record interval, after 900 s, is not run)"
-    assert refusal(merged(SIMULATED, study=PARTIAL), **tables) == start + end
+    assert refusal_line(merge_tables(SIMULATED, study=PARTIAL), **tables) == start + end
 
 
 def test_run_ends_at_last_whole_record_interval():
-    study = built(study=PARTIAL, resets={"reset_times_s": [900]})
+    study = build_study(study=PARTIAL, resets={"reset_times_s": [900]})
     assert (study.run_s, study.dropped_s) == (900.0, 0.5)
-    built(study=PARTIAL | {"window_s": [898, 900.5]})
+    build_study(study=PARTIAL | {"window_s": [898, 900.5]})
     line = "[study] window_s: fewer than 2 record times are after 10 s and up to 11.9 s"
-    assert refusal(study={"window_s": [10, 11.9]}) == f"{line} (widen it; duration_s = 900)"
-    assert refusal(study={"window_s": [0, 0.5]}).startswith("[study] window_s: fewer than 2")
+    assert refusal_line(study={"window_s": [10, 11.9]}) == f"{line} (widen it; duration_s = 900)"
+    assert refusal_line(study={"window_s": [0, 0.5]}).startswith("[study] window_s: fewer than 2")
 
 
 @given(
@@ -1448,9 +1456,9 @@ def test_window_must_contain_two_record_times(every: int, rate: float, ends: tup
     tables = {"study": study | {"window_s": [start, end]}}
     tables["alignment"] = {"feedback_interval_s": 1 / rate}
     if sum(start < time <= end for time in times) < 2:
-        assert refusal(**tables).startswith("[study] window_s: fewer than 2")
+        assert refusal_line(**tables).startswith("[study] window_s: fewer than 2")
     else:
-        built(**tables)
+        build_study(**tables)
 
 
 def test_oversized_studies_are_refused():
@@ -1458,17 +1466,17 @@ def test_oversized_studies_are_refused():
         "[study] duration_s: 1000010 s at rate_hz = 100 is more than 100000000 samples per"
         " run (shorten the run)"
     )
-    assert refusal(study={"duration_s": 1000010}) == line
-    built(study={"duration_s": 1000000})
+    assert refusal_line(study={"duration_s": 1000010}) == line
+    build_study(study={"duration_s": 1000000})
     axes = {key: [i / 100 for i in range(1000)] for key in ("phi_e0_deg", "phi_n0_deg")}
     line = (
         "draws x 1000000 variants of [axes] and [[cases]] are more than 1000000000 runs"
         " (reduce one of them)"
     )
-    assert refusal(study={"draws": 1001}, axes=axes) == f"[study] draws: 1001 {line}"
-    built(study={"draws": 1000}, axes=axes)
+    assert refusal_line(study={"draws": 1001}, axes=axes) == f"[study] draws: 1001 {line}"
+    build_study(study={"draws": 1000}, axes=axes)
     starts = [float(i) for i in range(1001)]
-    assert refusal(RECORDED, record={"start_s": starts}, axes=axes) == (
+    assert refusal_line(RECORDED, record={"start_s": starts}, axes=axes) == (
         f"[record] start_s: 1001 {line}"
     )
 
@@ -1476,41 +1484,41 @@ def test_oversized_studies_are_refused():
 @pytest.mark.parametrize("name", ["report", "statements"])
 def test_dropped_section_is_refused_with_reason(name: str):
     line = rf"\[{name}\]: was dropped, .* \(remove the section\)"
-    assert re.fullmatch(line, refusal(**{name: {"layout": "auto"}}))
+    assert re.fullmatch(line, refusal_line(**{name: {"layout": "auto"}}))
 
 
 @given(samples=st.integers(1, 100_000), rate=st.floats(1, 1e4))
 def test_whole_numbers_of_samples_are_accepted(samples: int, rate: float):
     study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate, "unchecked": True}
-    built(study=study, alignment={"feedback_interval_s": samples / rate})
+    build_study(study=study, alignment={"feedback_interval_s": samples / rate})
 
 
 @given(samples=st.floats(0.01, 1e5).filter(lambda x: 0.01 < x % 1 < 0.99), rate=st.floats(1, 1e4))
 def test_suggested_nearest_intervals_are_accepted(samples: float, rate: float):
     study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate, "unchecked": True}
-    line = refusal(study=study, alignment={"feedback_interval_s": samples / rate})
+    line = refusal_line(study=study, alignment={"feedback_interval_s": samples / rate})
     for near in line.rsplit("nearest: ")[1].rstrip(")").split(" or "):
-        built(study=study, alignment={"feedback_interval_s": float(near)})
+        build_study(study=study, alignment={"feedback_interval_s": float(near)})
 
 
 @pytest.mark.parametrize("key", ["gravity_m_per_s2", "radius_m", "earth_rate_deg_per_h"])
 def test_earth_constants_are_refused_with_wgs84(key: str):
     text = f"{key}: requires earth = 'constants' (drop it with 'wgs84')"
-    assert refusal(earth={"earth": "wgs84", key: 1}) == f"[earth] {text}"
-    assert refusal(earth={"earth": "wgs84"}, axes={key: [1, 2]}) == f"[axes] {text}"
-    assert refusal(earth={key: 1}, cases=[{"earth": "wgs84"}]) == f"[earth] {text}"
-    assert getattr(built(earth={"earth": "wgs84"}).earth, key) is None
+    assert refusal_line(earth={"earth": "wgs84", key: 1}) == f"[earth] {text}"
+    assert refusal_line(earth={"earth": "wgs84"}, axes={key: [1, 2]}) == f"[axes] {text}"
+    assert refusal_line(earth={key: 1}, cases=[{"earth": "wgs84"}]) == f"[earth] {text}"
+    assert getattr(build_study(earth={"earth": "wgs84"}).earth, key) is None
     study = {"unchecked": True}
-    both = built(study=study, earth={key: 1}, axes={"earth": ["wgs84", "constants"]})
+    both = build_study(study=study, earth={key: 1}, axes={"earth": ["wgs84", "constants"]})
     assert both.values(key) == [1.0, 1.0]
 
 
 def test_sway_amplitude_requires_period():
     line = "[motion] roll_period_s: required with roll_amplitude_deg > 0"
-    assert refusal(motion={"roll_amplitude_deg": 1}) == line
-    assert refusal(axes={"roll_amplitude_deg": [0, 1]}) == line
-    built(motion={"roll_amplitude_deg": 0})
-    built(motion={"roll_amplitude_deg": 1}, axes={"roll_period_s": [5, 6]})
+    assert refusal_line(motion={"roll_amplitude_deg": 1}) == line
+    assert refusal_line(axes={"roll_amplitude_deg": [0, 1]}) == line
+    build_study(motion={"roll_amplitude_deg": 0})
+    build_study(motion={"roll_amplitude_deg": 1}, axes={"roll_period_s": [5, 6]})
 
 
 # Recorded studies
@@ -1573,7 +1581,7 @@ def test_sway_amplitude_requires_period():
     ],
 )
 def test_invalid_recorded_studies_are_refused(tables: dict[str, Any], line: str):
-    assert refusal(RECORDED, **tables).startswith(line)
+    assert refusal_line(RECORDED, **tables).startswith(line)
 
 
 def test_record_keys_depend_on_format():
@@ -1581,16 +1589,16 @@ def test_record_keys_depend_on_format():
         if key != "format":
             value = TABULAR.get(key, "t")
             expected = f"[record] {key}: does not apply to format 'psins', which fixes it (drop it)"
-            assert refusal(RECORDED, record={key: value}) == expected
+            assert refusal_line(RECORDED, record={key: value}) == expected
     for format_ in ("csv", "parquet"):
         for key in TABULAR:
             if key != "format":
                 table = {k: v for k, v in TABULAR.items() if k != key} | {"format": format_}
                 expected = f"[record] {key}: required with format '{format_}'"
-                assert refusal(RECORDED, record=table) == expected
-    data = merged(RECORDED, record={"start_s": 0})
+                assert refusal_line(RECORDED, record=table) == expected
+    data = merge_tables(RECORDED, record={"start_s": 0})
     del data["record"]["format"]
-    assert refusal(data) == "[record] format: required (format of the record)"
+    assert refusal_line(data) == "[record] format: required (format of the record)"
 
 
 @pytest.mark.parametrize(
@@ -1616,9 +1624,9 @@ def test_record_keys_depend_on_format():
     ],
 )
 def test_invalid_tabular_record_keys_are_refused(change: dict[str, Any], line: str):
-    assert refusal(RECORDED, record=TABULAR | change).startswith(f"[record] {line}")
+    assert refusal_line(RECORDED, record=TABULAR | change).startswith(f"[record] {line}")
 
 
 def test_stop_when_is_refused_for_recorded_study():
     line = "[stop_when]: does not apply to a recorded study (drop it or [record])"
-    assert refusal(RECORDED, stop_when=STOP) == line
+    assert refusal_line(RECORDED, stop_when=STOP) == line

@@ -1,4 +1,4 @@
-"""Q is the sensors' own white noise unless its keys are given, which come with their unit."""
+"""Q is the white noise of the sensors unless its keys are given with their unit."""
 
 import tomllib
 from pathlib import Path
@@ -23,7 +23,7 @@ RECORDED: dict[str, Any] = {
 GIVEN = {"q_accel_ug": 50.0, "q_gyro_deg_per_h": 0.01, "q_reading": "per_sample"}
 
 
-def tables(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> dict[str, Any]:
+def make_tables(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> dict[str, Any]:
     """Sections with some keys changed; a section or key that is None is left out."""
     out = {name: dict(section) for name, section in base.items()}
     for name, change in changes.items():
@@ -33,11 +33,11 @@ def tables(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> dic
     return out
 
 
-def study(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> Study:
-    return study_from_dict(tables(base, **changes))
+def make_study(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> Study:
+    return study_from_dict(make_tables(base, **changes))
 
 
-def q_of(study: Study) -> np.ndarray:
+def compute_q(study: Study) -> np.ndarray:
     """(variants, 2) Q of a step for velocity and attitude, (m/s)^2 and rad^2."""
     rows = {}
     for part in build.parts(study):
@@ -49,19 +49,19 @@ def q_of(study: Study) -> np.ndarray:
     return np.array([rows[variant] for variant in sorted(rows)])
 
 
-def white(velocity: Any, angle: Any) -> np.ndarray:
+def white_noise_q(velocity: Any, angle: Any) -> np.ndarray:
     """(variants, 2) from standard deviations of one increment, m/s and rad."""
     return np.stack(np.broadcast_arrays(np.square(velocity), np.square(angle)), axis=-1)
 
 
-def refusals(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> list[str]:
+def refusal_lines(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> list[str]:
     with pytest.raises(InputError) as caught:
-        study(base, **changes)
+        make_study(base, **changes)
     return [line.removeprefix("study: ") for line in caught.value.lines]
 
 
-def refusal(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> str:
-    (line,) = refusals(base, **changes)
+def refusal_line(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> str:
+    (line,) = refusal_lines(base, **changes)
     return line
 
 
@@ -71,8 +71,8 @@ def refusal(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> st
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0])
 def test_noise_per_sample_becomes_q_of_one_increment(rate_hz: float) -> None:
     """A constant error of 500 ug over one sample is a velocity of 500 ug dt."""
-    made = q_of(study(study={"rate_hz": rate_hz}))
-    expected = white(500 * UG / rate_hz, 0.1 * DEG_PER_H / rate_hz)
+    made = compute_q(make_study(study={"rate_hz": rate_hz}))
+    expected = white_noise_q(500 * UG / rate_hz, 0.1 * DEG_PER_H / rate_hz)
     np.testing.assert_allclose(made, expected[None], rtol=1e-12)
 
 
@@ -81,9 +81,11 @@ def test_noise_density_becomes_q_of_one_increment(rate_hz: float) -> None:
     """After an hour of a random walk of 0.003 deg/sqrt(h) the angle is off by 0.003 deg."""
     densities = {"gyro_arw_deg_per_sqrt_h": 0.003, "accel_vrw_ug_per_sqrt_hz": 30.0}
     per_sample = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
-    made = q_of(study(study={"rate_hz": rate_hz}, sensors=per_sample | densities))
+    made = compute_q(make_study(study={"rate_hz": rate_hz}, sensors=per_sample | densities))
     samples = 3600 * rate_hz
-    np.testing.assert_allclose(made[0] * samples, white(30 * UG * 60, np.deg2rad(0.003)), 1e-12)
+    np.testing.assert_allclose(
+        made[0] * samples, white_noise_q(30 * UG * 60, np.deg2rad(0.003)), 1e-12
+    )
 
 
 def test_noise_of_noisiest_axis_counts() -> None:
@@ -91,23 +93,27 @@ def test_noise_of_noisiest_axis_counts() -> None:
         **{"gyro_noise_deg_per_h": [0.1, 0.3, 0.2], "accel_noise_ug": None},
         "accel_vrw_ug_per_sqrt_hz": [30.0, 0.0, 10.0],
     }
-    expected = white(30 * UG * 0.1, 0.3 * DEG_PER_H * 0.01)
-    np.testing.assert_allclose(q_of(study(sensors=sensors)), expected[None], rtol=1e-12)
+    expected = white_noise_q(30 * UG * 0.1, 0.3 * DEG_PER_H * 0.01)
+    np.testing.assert_allclose(compute_q(make_study(sensors=sensors)), expected[None], rtol=1e-12)
 
 
 @pytest.mark.parametrize("given", ["psd", "per_sample"])
 def test_default_equals_sensors_noise_given_in_filter(given: str) -> None:
     factor = {"psd": 0.1, "per_sample": 1.0}[given]
     filter_ = {"q_accel_ug": 500 * factor, "q_gyro_deg_per_h": 0.1 * factor, "q_reading": given}
-    np.testing.assert_allclose(q_of(study()), q_of(study(filter=filter_)), rtol=1e-12)
+    np.testing.assert_allclose(
+        compute_q(make_study()), compute_q(make_study(filter=filter_)), rtol=1e-12
+    )
 
 
 def test_swept_noise_gives_each_variant_its_own_q() -> None:
     noise = {"gyro_noise_deg_per_h": [0.1, 0.4], "accel_noise_ug": [500.0, [50.0, 20.0, 10.0]]}
-    made = q_of(study(sensors={"gyro_noise_deg_per_h": None, "accel_noise_ug": None}, axes=noise))
+    made = compute_q(
+        make_study(sensors={"gyro_noise_deg_per_h": None, "accel_noise_ug": None}, axes=noise)
+    )
     velocity = np.array([500, 50, 500, 50]) * UG / 100
     angle = np.array([0.1, 0.1, 0.4, 0.4]) * DEG_PER_H / 100
-    np.testing.assert_allclose(made, white(velocity, angle), rtol=1e-12)
+    np.testing.assert_allclose(made, white_noise_q(velocity, angle), rtol=1e-12)
 
 
 def test_swept_noise_of_other_methods_needs_no_q() -> None:
@@ -116,31 +122,33 @@ def test_swept_noise_of_other_methods_needs_no_q() -> None:
         {"method": "compass", "gyro_noise_deg_per_h": 0.0},
     ]
     made = study_from_dict(
-        tables(sensors={"gyro_noise_deg_per_h": None}) | {"cases": cases},
+        make_tables(sensors={"gyro_noise_deg_per_h": None}) | {"cases": cases},
     )
-    expected = white(500 * UG / 100, 0.1 * DEG_PER_H / 100)
-    np.testing.assert_allclose(q_of(made), expected[None], rtol=1e-12)
+    expected = white_noise_q(500 * UG / 100, 0.1 * DEG_PER_H / 100)
+    np.testing.assert_allclose(compute_q(made), expected[None], rtol=1e-12)
 
 
 @pytest.mark.parametrize("reading", ["psd", "per_sample", "per_step"])
 def test_sensors_give_key_that_is_left_out_whatever_unit_of_other(reading: str) -> None:
     factor = {"psd": 0.01, "per_sample": 1e-4, "per_step": 1.0}[reading]
-    made = q_of(study(filter={"q_accel_ug": 50.0, "q_reading": reading}))
+    made = compute_q(make_study(filter={"q_accel_ug": 50.0, "q_reading": reading}))
     expected = [[(50 * UG) ** 2 * factor, (0.1 * DEG_PER_H / 100) ** 2]]
     np.testing.assert_allclose(made, expected, rtol=1e-12)
 
 
 def test_q_scale_multiplies_noise_of_sensors() -> None:
-    np.testing.assert_allclose(q_of(study(filter={"q_scale": 4.0})), 4 * q_of(study()), rtol=1e-15)
+    np.testing.assert_allclose(
+        compute_q(make_study(filter={"q_scale": 4.0})), 4 * compute_q(make_study()), rtol=1e-15
+    )
 
 
 @pytest.mark.parametrize(
     "method", ["kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "kalman_surge"]
 )
 def test_all_filters_read_noise_of_sensors(method: str) -> None:
-    own = study(alignment={"method": method, "phi_u0_deg": 5.0})
+    own = make_study(alignment={"method": method, "phi_u0_deg": 5.0})
     filter_ = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_sample"}
-    given = study(alignment={"method": method, "phi_u0_deg": 5.0}, filter=filter_)
+    given = make_study(alignment={"method": method, "phi_u0_deg": 5.0}, filter=filter_)
     (made,), (expected,) = build.parts(own), build.parts(given)
     np.testing.assert_allclose(
         np.array(made.group.variants.method.q),
@@ -150,7 +158,7 @@ def test_all_filters_read_noise_of_sensors(method: str) -> None:
 
 
 def test_resolved_study_without_q_reloads_equal_and_has_own_fingerprint() -> None:
-    made = study()
+    made = make_study()
     text = study_to_toml(made)
     assert "q_" not in text
     again = study_from_dict(tomllib.loads(text))
@@ -160,7 +168,7 @@ def test_resolved_study_without_q_reloads_equal_and_has_own_fingerprint() -> Non
         {"filter": GIVEN},
         {"filter": {"q_scale": 2.0}},
     ):
-        assert fingerprint(study(**change)) != fingerprint(made)
+        assert fingerprint(make_study(**change)) != fingerprint(made)
 
 
 # What is refused
@@ -202,20 +210,24 @@ READINGS = "give 'psd', 'per_sample' or 'per_step', which was the default before
     ],
 )
 def test_q_and_its_unit_are_refused_without_each_other(changes: Any, line: str) -> None:
-    assert refusal(**changes) == line
+    assert refusal_line(**changes) == line
 
 
 def test_cases_with_q_need_its_unit() -> None:
     cases = [{"q_accel_ug": 1.0}, {"q_accel_ug": 2.0}]
     with pytest.raises(InputError, match=r"\[filter\] q_reading: required with q_accel_ug \("):
-        study_from_dict(tables() | {"cases": cases})
+        study_from_dict(make_tables() | {"cases": cases})
     with_unit = [case | {"q_reading": "psd"} for case in cases]
-    made = study_from_dict(tables() | {"cases": with_unit})
-    np.testing.assert_allclose(q_of(made)[:, 0], (np.array([1, 2]) * UG) ** 2 * 0.01, rtol=1e-12)
+    made = study_from_dict(make_tables() | {"cases": with_unit})
+    np.testing.assert_allclose(
+        compute_q(made)[:, 0], (np.array([1, 2]) * UG) ** 2 * 0.01, rtol=1e-12
+    )
 
 
 def test_unit_of_densities_alone_is_accepted() -> None:
-    np.testing.assert_array_equal(q_of(study(filter={"q_reading": "psd"})), q_of(study()))
+    np.testing.assert_array_equal(
+        compute_q(make_study(filter={"q_reading": "psd"})), compute_q(make_study())
+    )
 
 
 def test_tuned_q_needs_its_unit() -> None:
@@ -225,23 +237,25 @@ def test_tuned_q_needs_its_unit() -> None:
         "baseline": {"q_accel_ug": 5.0},
     }
     with pytest.raises(InputError) as caught:
-        study_from_dict(tables() | {"tune": tune})
+        study_from_dict(make_tables() | {"tune": tune})
     assert str(caught.value) == (
         "study: [tune.variables] with every range at its low end: [filter] q_reading: required"
         f" with q_accel_ug ({READINGS})"
     )
     with_unit = {"filter": {"q_accel_ug": 5.0, "q_reading": "psd"}}
-    assert study_from_dict(tables(**with_unit) | {"tune": tune}).tune is not None
+    assert study_from_dict(make_tables(**with_unit) | {"tune": tune}).tune is not None
 
 
 def test_replaced_q_needs_its_unit() -> None:
     with pytest.raises(InputError, match=r"\[filter\] q_reading: required with q_accel_ug \("):
-        study().replace({"filter.q_accel_ug": 50.0})
-    made = study().replace({"filter.q_accel_ug": 50.0, "filter.q_reading": "per_sample"})
+        make_study().replace({"filter.q_accel_ug": 50.0})
+    made = make_study().replace({"filter.q_accel_ug": 50.0, "filter.q_reading": "per_sample"})
     again = made.replace({"alignment.phi_u0_deg": 1.0})
     assert again.filter is not None and again.filter.q_reading == "per_sample"
-    noisier = study().replace({"sensors.gyro_noise_deg_per_h": 0.2})
-    np.testing.assert_allclose(q_of(noisier)[:, 1], 4 * q_of(study())[:, 1], rtol=1e-12)
+    noisier = make_study().replace({"sensors.gyro_noise_deg_per_h": 0.2})
+    np.testing.assert_allclose(
+        compute_q(noisier)[:, 1], 4 * compute_q(make_study())[:, 1], rtol=1e-12
+    )
 
 
 NONE = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
@@ -281,28 +295,28 @@ OF_ACCELS = "give q_accel_ug_per_sqrt_hz from the data sheet, with q_reading = '
     ],
 )
 def test_filter_without_noise_of_sensors_requires_q(changes: Any, line: str) -> None:
-    assert refusals(**changes)[0] == line
-    assert study(**changes, filter=GIVEN).has("filter")
+    assert refusal_lines(**changes)[0] == line
+    assert make_study(**changes, filter=GIVEN).has("filter")
     axes = changes.get("axes", {})
-    assert study(**(changes | {"axes": axes | {"method": ["inertial", "compass"]}}))
+    assert make_study(**(changes | {"axes": axes | {"method": ["inertial", "compass"]}}))
 
 
 def test_filter_of_record_requires_q() -> None:
-    assert refusals(RECORDED) == [
+    assert refusal_lines(RECORDED) == [
         "[filter] q_accel_ug: required (a record does not give the noise of its accelerometers;"
         f" {OF_ACCELS})",
         "[filter] q_gyro_deg_per_h: required (a record does not give the noise of its gyros;"
         f" {OF_GYROS})",
     ]
-    assert refusal(RECORDED, filter={"q_accel_ug": 5.0, "q_reading": "psd"}) == (
+    assert refusal_line(RECORDED, filter={"q_accel_ug": 5.0, "q_reading": "psd"}) == (
         "[filter] q_gyro_deg_per_h: required (a record does not give the noise of its gyros;"
         f" {OF_GYROS})"
     )
-    assert study(RECORDED, filter=GIVEN).has("filter")
-    assert study(RECORDED, alignment={"method": "inertial"}).is_recorded
+    assert make_study(RECORDED, filter=GIVEN).has("filter")
+    assert make_study(RECORDED, alignment={"method": "inertial"}).is_recorded
 
 
-def mistakes(path: Path) -> tuple[str, ...]:
+def validate_errors(path: Path) -> tuple[str, ...]:
     with pytest.raises(InputError) as caught:
         load_study(path)
     return caught.value.lines
@@ -310,15 +324,15 @@ def mistakes(path: Path) -> tuple[str, ...]:
 
 def test_validation_lists_each_missing_key_once(tmp_path: Path) -> None:
     path = tmp_path / "s.toml"
-    path.write_text(tomli_w.dumps(tables(sensors=NONE, filter={"p0_level_deg": -1.0})))
-    found = [line.removeprefix(f"{path}: ").partition(":")[0] for line in mistakes(path)]
+    path.write_text(tomli_w.dumps(make_tables(sensors=NONE, filter={"p0_level_deg": -1.0})))
+    found = [line.removeprefix(f"{path}: ").partition(":")[0] for line in validate_errors(path)]
     assert found == [
         "[filter] p0_level_deg",
         "[filter] q_accel_ug",
         "[filter] q_gyro_deg_per_h",
     ]
-    path.write_text(tomli_w.dumps(tables(sensors={"gyro_noise_deg_per_h": -0.1})))
-    (line,) = mistakes(path)
+    path.write_text(tomli_w.dumps(make_tables(sensors={"gyro_noise_deg_per_h": -0.1})))
+    (line,) = validate_errors(path)
     assert line.startswith(f"{path}: [sensors] gyro_noise_deg_per_h: must be")
 
 
@@ -328,7 +342,7 @@ def test_validation_lists_each_missing_key_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rate_hz", [100.0, 200, 3.0, 0.7])
 def test_feedback_defaults_to_each_sample(rate_hz: float) -> None:
     settings = {"rate_hz": rate_hz, "duration_s": 600.0, "record_interval_s": 100.0}
-    made = study(study=settings | {"window_s": None}, axes={"p0_yaw_deg": [80.0, 60.0]})
+    made = make_study(study=settings | {"window_s": None}, axes={"p0_yaw_deg": [80.0, 60.0]})
     assert made.alignment.feedback_interval_s == 1 / rate_hz
     assert made.values("feedback_interval_s") == [1 / rate_hz] * 2
     (part,) = build.parts(made)
@@ -337,34 +351,34 @@ def test_feedback_defaults_to_each_sample(rate_hz: float) -> None:
 
 
 def test_feedback_of_recorded_study_waits_for_rate_of_record() -> None:
-    made = study(RECORDED, filter=GIVEN)
+    made = make_study(RECORDED, filter=GIVEN)
     assert made.alignment.feedback_interval_s is None
     for rate_hz in (100.0, 199.8):
         assert with_rate(made, rate_hz).alignment.feedback_interval_s == 1 / rate_hz
-    given = study(RECORDED, filter=GIVEN, alignment={"feedback_interval_s": 1.0})
+    given = make_study(RECORDED, filter=GIVEN, alignment={"feedback_interval_s": 1.0})
     assert with_rate(given, 100.0).alignment.feedback_interval_s == 1.0
 
 
 def test_default_feedback_follows_changed_rate() -> None:
-    changed = study().replace({"study.rate_hz": 200.0})
+    changed = make_study().replace({"study.rate_hz": 200.0})
     assert changed.alignment.feedback_interval_s == 0.005
-    kept = study(alignment={"feedback_interval_s": 1.0}).replace({"study.rate_hz": 200.0})
+    kept = make_study(alignment={"feedback_interval_s": 1.0}).replace({"study.rate_hz": 200.0})
     assert kept.alignment.feedback_interval_s == 1.0
 
 
 def test_swept_feedback_has_no_default() -> None:
-    made = study(axes={"feedback_interval_s": [0.1, 1.0]})
+    made = make_study(axes={"feedback_interval_s": [0.1, 1.0]})
     assert made.alignment.feedback_interval_s is None
     assert made.values("feedback_interval_s") == [0.1, 1.0]
 
 
-def test_reset_at_default_feedback_is_not_put_off() -> None:
-    made = study(resets={"reset_at_feedback": True, "reset_times_s": [1.23, 6.0]})
+def test_reset_at_default_feedback_is_not_delayed() -> None:
+    made = make_study(resets={"reset_at_feedback": True, "reset_times_s": [1.23, 6.0]})
     (part,) = build.parts(made)
     np.testing.assert_array_equal(part.group.variants.method.resets.samples, [[123.0, 600.0]])
 
 
 def test_faulty_rate_is_the_only_error() -> None:
     for rate_hz in (0.0, -1.0, "100"):
-        assert refusal(study={"rate_hz": rate_hz}).startswith("[study] rate_hz: must be ")
-    assert "feedback_interval_s" not in refusal(study={"rate_hz": 1e-320})
+        assert refusal_line(study={"rate_hz": rate_hz}).startswith("[study] rate_hz: must be ")
+    assert "feedback_interval_s" not in refusal_line(study={"rate_hz": 1e-320})

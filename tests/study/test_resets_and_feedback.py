@@ -1,4 +1,4 @@
-"""`reset_at_feedback` and `reset_restarts_feedback`: where a reset falls between two feedbacks."""
+"""`reset_at_feedback` and `reset_restarts_feedback`, for resets between two feedbacks."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.studies import refusal, small_study
+from support.studies import refusal_line, small_study
 
 from sinsjax.engine.bias_floors import last_scheduled_reset_s
 from sinsjax.engine.build import Scenario
@@ -24,7 +24,7 @@ PLAIN, WAITING, RESTARTING, BOTH = range(4)
 
 
 def rows(**tables: Any) -> list[list[dict[str, Any]]]:
-    """Rows of a short study by variant, without what names the run and what is swept."""
+    """Return the rows of a short study by variant, without identity and swept columns."""
     short = {"duration_s": 3.0, "window_s": [0, 3]}
     study = small_study(study=short, **tables)
     table = study_run.run(study).summary
@@ -113,7 +113,7 @@ def test_resets_are_delayed_to_next_feedback_only(samples, every, rate_hz) -> No
 
 
 def test_scheduled_last_reset_includes_delay_to_feedback() -> None:
-    """The columns tell the schedule as it is written, its axes among them."""
+    """The columns show the schedule as written, including its axes."""
     study = small_study(
         alignment={"feedback_interval_s": 2.0}, resets={AT: True}, axes={"reset_times_s": [[], [3]]}
     )
@@ -180,7 +180,7 @@ def test_reset_at_feedback_makes_reset_restarts_feedback_irrelevant() -> None:
     ],
 )
 def test_invalid_reset_feedback_keys_are_refused(tables: dict[str, Any], line: str) -> None:
-    assert refusal(**tables) == line
+    assert refusal_line(**tables) == line
 
 
 def test_coarse_alignment_of_whole_intervals_or_replayed_is_accepted() -> None:

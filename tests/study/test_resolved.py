@@ -1,4 +1,4 @@
-"""Columns of a study against the product of its dimensions, written out."""
+"""Columns of a study, compared with the written-out product of its dimensions."""
 
 from itertools import product
 from typing import Any
@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.studies import small_study
 
-from sinsjax.study.resolved import Coded, Dimension, Resolved
+from sinsjax.study.resolved import CodedColumn, Dimension, ResolvedColumns
 from sinsjax.study.variants import Variants
 
 VALUES = st.sampled_from([None, 0.0, 1.5, "full", (1.0, 2.0), ()])
@@ -26,7 +26,7 @@ def sweeps(draw: st.DrawFn) -> list[Dimension]:
     return sweep
 
 
-def written_out(sweep: list[Dimension]) -> list[dict[str, Any]]:
+def expand_variants(sweep: list[Dimension]) -> list[dict[str, Any]]:
     """The variants, the last dimension fastest; "z" is in none and always 7."""
     points = [
         [dict(zip(dimension, row, strict=True)) for row in zip(*dimension.values(), strict=True)]
@@ -39,7 +39,7 @@ def written_out(sweep: list[Dimension]) -> list[dict[str, Any]]:
 
 @given(sweeps())
 def test_columns_match_product_of_dimensions(sweep):
-    resolved, variants = Resolved(sweep, {"z": 7}.__getitem__), written_out(sweep)
+    resolved, variants = ResolvedColumns(sweep, {"z": 7}.__getitem__), expand_variants(sweep)
     assert resolved.n_variants == len(variants)
     for key in variants[0]:
         column = resolved.column(key)
@@ -51,7 +51,7 @@ def test_columns_match_product_of_dimensions(sweep):
 
 @given(sweeps(), st.randoms(use_true_random=False))
 def test_joint_columns_have_only_occurring_combinations(sweep, random):
-    resolved, variants = Resolved(sweep, {"z": 7}.__getitem__), written_out(sweep)
+    resolved, variants = ResolvedColumns(sweep, {"z": 7}.__getitem__), expand_variants(sweep)
     keys = random.sample(sorted(variants[0]), random.randint(1, len(variants[0])))
     keys = keys if len(keys) > 1 else [*keys, "z"]
     column, whole = resolved.column(*keys), [tuple(v[key] for key in keys) for v in variants]
@@ -62,23 +62,23 @@ def test_joint_columns_have_only_occurring_combinations(sweep, random):
 def test_joint_column_handles_millions_of_possible_combinations():
     numbers = tuple(map(float, range(40)))
     zipped = {key: numbers for key in "abcd"}  # 40 of 2,560,000 combinations
-    column = Resolved([zipped], lambda key: None).column(*"abcd")
+    column = ResolvedColumns([zipped], lambda key: None).column(*"abcd")
     assert column.to_list() == [(n,) * 4 for n in numbers]
 
 
 def test_column_function_is_called_once_per_value():
     called = []
-    column = Coded(np.array([1, 0, 1, 1]), ("a", "b"))
+    column = CodedColumn(np.array([1, 0, 1, 1]), ("a", "b"))
     made = column.each(lambda value: called.append(value) or len(called))
     assert (made.tolist(), called) == ([2.0, 1.0, 2.0, 2.0], ["a", "b"])
-    lists = Coded(np.zeros(3, int), ((1.0, 2.0),)).each(list)
+    lists = CodedColumn(np.zeros(3, int), ((1.0, 2.0),)).each(list)
     assert lists.tolist() == 3 * [[1.0, 2.0]]
 
 
 def test_variants_select_rows_of_study_columns():
     study = small_study(axes={"phi_u0_deg": [0, 10, 20], "feedback_interval_s": [1, 2]})
     some = Variants(study, np.array([1, 2, 5]))
-    assert some.raw("feedback_interval_s") == [2, 1, 2]
+    assert some.raw_values("feedback_interval_s") == [2, 1, 2]
     np.testing.assert_array_equal(some.column("phi_u0_deg", 2.0), [0.0, 20.0, 40.0])
     assert some.common("phi_e0_deg") == study.values("phi_e0_deg")[0]
 

@@ -29,7 +29,7 @@ LAWS: dict[str, Any] = {
 }
 
 
-def study_of(laws: dict[str, Any] | None, *, seed: int = 1, **changes: Any) -> Study:
+def make_study(laws: dict[str, Any] | None, *, seed: int = 1, **changes: Any) -> Study:
     """A small study that gives no key but the required ones and draws some."""
     data: dict[str, Any] = {name: dict(BASE[name]) for name in ("study", "earth")}
     data["motion"] = {"yaw_center_deg": 10.0}
@@ -44,7 +44,7 @@ def study_of(laws: dict[str, Any] | None, *, seed: int = 1, **changes: Any) -> S
 
 
 def drawn(laws: dict[str, Any], count: int = MANY, **more: Any) -> dict[str, np.ndarray]:
-    return sampling.values(study_of(laws, **more), count)
+    return sampling.drawn_values(make_study(laws, **more), count)
 
 
 def sobol(laws: dict[str, Any]) -> dict[str, Any]:
@@ -55,7 +55,7 @@ BOTH = pytest.mark.parametrize("laws", [LAWS, sobol(LAWS)], ids=["random", "sobo
 
 
 def test_study_without_drawn_keys_has_no_values():
-    assert sampling.values(study_of(None), 5) == {}
+    assert sampling.drawn_values(make_study(None), 5) == {}
 
 
 @BOTH
@@ -70,10 +70,12 @@ def test_drawn_values_have_expected_order_and_shapes(laws: dict[str, Any], count
 
 def test_drawn_keys_need_as_many_numbers_as_their_section():
     for key, numbers in NUMBERS_DRAWN.items():
-        one = study_of({key: {"values": [[0.5] * numbers if numbers > 1 else 0.5]}}, **periods(key))
-        assert sampling.values(one, 2)[key].shape == ((2, numbers) if numbers > 1 else (2,))
+        one = make_study(
+            {key: {"values": [[0.5] * numbers if numbers > 1 else 0.5]}}, **periods(key)
+        )
+        assert sampling.drawn_values(one, 2)[key].shape == ((2, numbers) if numbers > 1 else (2,))
         with pytest.raises(InputError, match="must be a number|required"):
-            study_of({key: {"values": [[0.5, 0.6]]}}, **periods(key))
+            make_study({key: {"values": [[0.5, 0.6]]}}, **periods(key))
     assert NUMBERS_DRAWN.keys() == {
         "latitude_deg",
         *MotionSection.model_fields.keys() - {"surge_model"},
@@ -157,12 +159,12 @@ def test_extreme_sobol_points_give_finite_values(end: float, monkeypatch: pytest
 @BOTH
 @given(first=st.integers(0, 70), count=st.integers(0, 70))
 def test_draws_do_not_depend_on_block(laws: dict[str, Any], first: int, count: int):
-    study = study_of(
+    study = make_study(
         laws | {"pitch_center_deg": {"grid": [0, 1]}, "roll_center_deg": {"grid": [0, 10, 20]}},
         study={"draws": 6},
     )
-    whole = sampling.values(study, 140)
-    for key, rows in sampling.values(study, count, first=first).items():
+    whole = sampling.drawn_values(study, 140)
+    for key, rows in sampling.drawn_values(study, count, first=first).items():
         np.testing.assert_array_equal(rows, whole[key][first : first + count])
 
 
@@ -235,19 +237,19 @@ def test_fewer_draws_have_the_same_values(lengths: list[int], count: int):
         key: {"grid": [float(i) for i in range(n)]} for key, n in zip(keys, lengths, strict=False)
     }
     laws |= LAWS | {k: laws[k] for k in keys[: len(lengths)]}
-    whole = study_of(laws, study={"draws": 64})
+    whole = make_study(laws, study={"draws": 64})
     assert whole.drawn
-    fewer = study_of(sampling.drawn_table(whole.drawn, count), study={"draws": count})
-    for key, rows in sampling.values(fewer, count).items():
-        np.testing.assert_array_equal(rows, sampling.values(whole, count)[key])
+    fewer = make_study(sampling.truncate_drawn_table(whole.drawn, count), study={"draws": count})
+    for key, rows in sampling.drawn_values(fewer, count).items():
+        np.testing.assert_array_equal(rows, sampling.drawn_values(whole, count)[key])
 
 
 # What a study refuses to draw
 
 
-def refusal(laws: Any, **changes: Any) -> str:
+def refusal_line(laws: Any, **changes: Any) -> str:
     with pytest.raises(InputError) as caught:
-        study_of(laws, **changes)
+        make_study(laws, **changes)
     line = str(caught.value)
     assert len(line.splitlines()) == 1 and line.startswith("s.toml: ")
     return line.removeprefix("s.toml: ")
@@ -257,12 +259,14 @@ def test_drawn_key_given_elsewhere_is_refused():
     law = {"phi_e0_deg": {"uniform": [0, 1]}}
     again = "already (drop one of them)"
     assert (
-        refusal(law, alignment={"phi_e0_deg": 1.0})
+        refusal_line(law, alignment={"phi_e0_deg": 1.0})
         == f"[drawn] phi_e0_deg: is in [alignment] {again}"
     )
-    assert refusal(law, axes={"phi_e0_deg": [1.0]}) == f"[drawn] phi_e0_deg: is in [axes] {again}"
+    assert (
+        refusal_line(law, axes={"phi_e0_deg": [1.0]}) == f"[drawn] phi_e0_deg: is in [axes] {again}"
+    )
     zipped = {"level": {"phi_e0_deg": [1.0], "phi_n0_deg": [1.0]}}
-    assert refusal(law, axes=zipped) == f"[drawn] phi_e0_deg: is in [axes.level] {again}"
+    assert refusal_line(law, axes=zipped) == f"[drawn] phi_e0_deg: is in [axes.level] {again}"
     data = {**BASE, "alignment": {}, "drawn": law, "cases": [{"phi_e0_deg": 1.0}]}
     with pytest.raises(InputError, match=r"\[drawn\] phi_e0_deg: is in \[cases\] already"):
         study_from_dict(data)
@@ -361,13 +365,13 @@ def test_drawn_key_given_elsewhere_is_refused():
     ],
 )
 def test_invalid_drawn_tables_are_refused(laws: Any, line: str):
-    assert refusal(laws).startswith(line)
+    assert refusal_line(laws).startswith(line)
 
 
 def test_drawn_key_with_conflicting_sensor_key_is_refused():
     line = "[drawn] accel_noise_ug: conflicts with accel_vrw_ug_per_sqrt_hz in [sensors]"
     sensors = {"accel_vrw_ug_per_sqrt_hz": 1.0}
-    assert refusal({"accel_noise_ug": {"values": [1]}}, sensors=sensors).startswith(line)
+    assert refusal_line({"accel_noise_ug": {"values": [1]}}, sensors=sensors).startswith(line)
 
 
 @BOTH
@@ -386,7 +390,7 @@ def test_draw_out_of_bounds_is_refused(
     laws: dict[str, Any], key: str, law: dict[str, Any], text: str
 ):
     table = {"sampling": laws.get("sampling", "random"), key: law}
-    line = refusal(table, study={"draws": 1000, "unchecked": True})
+    line = refusal_line(table, study={"draws": 1000, "unchecked": True})
     assert re.fullmatch(rf"\[drawn\] {key}: draw \d+ gives \S+: {text}", line)
 
 
@@ -395,23 +399,23 @@ def test_worst_draw_out_of_bounds_is_named_in_any_block(monkeypatch: pytest.Monk
     values = drawn({"yaw_phase_deg": {"normal": [0, 1]}}, 40_000)["yaw_phase_deg"] * 95
     out = int(np.argmax(np.abs(values) > 360))
     assert out > 1000
-    study_of(law, study={"draws": out})
-    monkeypatch.setattr("sinsjax.study.rules._BLOCK", 1000)
+    make_study(law, study={"draws": out})
+    monkeypatch.setattr("sinsjax.study.rules._DRAWS_PER_BLOCK", 1000)
     line = f"[drawn] yaw_phase_deg: draw {out} gives {float(values[out])!r}: must be "
-    assert refusal(law, study={"draws": out + 1}).startswith(line)
+    assert refusal_line(law, study={"draws": out + 1}).startswith(line)
 
 
 def test_worst_draw_of_vector_key_is_named():
     key = "gyro_noise_deg_per_h"
     worst = drawn({key: {"uniform": [0, 2]}}, 100, seed=2)[key].min(axis=1).argmin()
     assert worst > 0
-    line = refusal({key: {"uniform": [-1, 1]}}, study={"draws": 100, "seed": 2})
+    line = refusal_line({key: {"uniform": [-1, 1]}}, study={"draws": 100, "seed": 2})
     assert line.startswith(f"[drawn] {key}: draw {worst} gives -0.9")
 
 
 def test_study_with_million_draws_is_sampled():
-    study = study_of(sobol(LAWS), study={"draws": 1_000_000})
-    assert len(sampling.values(study, study.n_draws)["phi_u0_deg"]) == 1_000_000
+    study = make_study(sobol(LAWS), study={"draws": 1_000_000})
+    assert len(sampling.drawn_values(study, study.n_draws)["phi_u0_deg"]) == 1_000_000
 
 
 # What a drawn key is to the rest of the study

@@ -1,4 +1,4 @@
-"""What may be tuned: every mistake told with its place, points there and back."""
+"""Search spaces of a tuning: errors with their place, and round trips of points."""
 
 import math
 import tomllib
@@ -13,7 +13,7 @@ from support.studies import PAPER, small_study
 from sinsjax.errors import InputError
 from sinsjax.study import search_space
 from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import study_from_dict, study_to_toml, tables_of, with_point
+from sinsjax.study.load import study_from_dict, study_to_tables, study_to_toml, with_point
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 
@@ -27,8 +27,10 @@ RECORDED: dict[str, Any] = {
 }
 
 
-def tuned(given: dict[str, Any], *, changes: dict[str, Any] | None = None, **tune: Any) -> Study:
-    """A small study with some variables, for searches that take any number of them."""
+def tuned_study(
+    given: dict[str, Any], *, changes: dict[str, Any] | None = None, **tune: Any
+) -> Study:
+    """Return a small study with some variables, for searches of any dimension."""
     tune = {"searches": ["sobol"], "variables": given} | tune
     return small_study(tune=tune, **(changes or {}))
 
@@ -175,7 +177,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
 def test_invalid_tuning_variables_are_refused_with_place(name: str) -> None:
     given, text = MISTAKES[name]
     with pytest.raises(InputError) as error:
-        tuned(given)
+        tuned_study(given)
     assert str(error.value) == f"study: {text}"
 
 
@@ -302,7 +304,7 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
 @pytest.mark.parametrize("name", OTHERS)
 def test_invalid_tune_sections_are_refused_with_place(name: str) -> None:
     changes, tune, text = OTHERS[name]
-    tables = {key: dict(table) for key, table in tables_of(small_study()).items() if table}
+    tables = {key: dict(table) for key, table in study_to_tables(small_study()).items() if table}
     for key, change in changes.items():
         if isinstance(change, dict):
             merged = tables.get(key, {}) | change
@@ -319,7 +321,7 @@ def test_invalid_tune_sections_are_refused_with_place(name: str) -> None:
 def test_loop_gains_require_one_range_per_entry() -> None:
     gain = {"low": 0.1, "high": 1.0}
     with pytest.raises(InputError, match=r"level_gains: must have 3 ranges, not 2"):
-        tuned({"level_gains": [gain, gain]}, changes=COMPASS)
+        tuned_study({"level_gains": [gain, gain]}, changes=COMPASS)
 
 
 @pytest.mark.parametrize("key", ["tune_draws", "evaluation_draws"])
@@ -351,54 +353,54 @@ EVERYTHING: dict[str, Any] = {
 
 
 def test_tuning_survives_toml_round_trip() -> None:
-    study = tuned(EVERYTHING, baseline={"reset_times_s": [1.0]}, objective="settle_quantile")
+    study = tuned_study(EVERYTHING, baseline={"reset_times_s": [1.0]}, objective="settle_quantile")
     assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
     assert study.tune is not None
     assert (study.tune.tune_draws, study.tune.evaluation_draws) == (16, 64)
 
 
 def test_fingerprint_ignores_tuning_section() -> None:
-    assert fingerprint(tuned(EVERYTHING)) == fingerprint(small_study())
+    assert fingerprint(tuned_study(EVERYTHING)) == fingerprint(small_study())
 
 
 def test_variables_and_combinations_keep_written_order() -> None:
-    space = SearchSpace.from_study(tuned(EVERYTHING))
+    space = SearchSpace.from_study(tuned_study(EVERYTHING))
     names = ["reset_times_s[0]", "reset_times_s[1]", "feedback_time_constant_s"]
     assert [variable.name for variable in space.variables] == names
     told = [(c["reset_count"], c["reset_kind"], c["p0_yaw_deg"]) for c in space.combinations]
     assert told == [(n, kind, 70.0) for n in (0, 1, 3) for kind in ("full", "yaw")]
-    used = [space.used(combination) for combination in space.combinations[::2]]
+    used = [space.used_variables(combination) for combination in space.combinations[::2]]
     assert used == [[2], [0, 2], [0, 1, 2]]
 
 
 def test_study_without_candidates_has_one_combination() -> None:
-    assert SearchSpace.from_study(tuned({"p0_yaw_deg": YAW})).combinations == ({},)
+    assert SearchSpace.from_study(tuned_study({"p0_yaw_deg": YAW})).combinations == ({},)
 
 
 @given(box=st.lists(st.floats(0, 1), min_size=3, max_size=3))
 def test_box_and_values_round_trip(box: list[float]) -> None:
-    space = SearchSpace.from_study(tuned(EVERYTHING))
-    values = space.values(box)
-    assert space.box(values) == pytest.approx(box, abs=1e-12)
+    space = SearchSpace.from_study(tuned_study(EVERYTHING))
+    values = space.to_values(box)
+    assert space.to_box(values) == pytest.approx(box, abs=1e-12)
     for variable, value in zip(space.variables, values, strict=True):
         assert variable.low * (1 - 1e-12) <= value <= variable.high * (1 + 1e-12)
     assert values[2] == pytest.approx(10 ** (2 * box[2] - 1))
-    many = space.values(np.array([box, box]).T)
+    many = space.to_values(np.array([box, box]).T)
     np.testing.assert_allclose(np.array(many)[:, 0], values, rtol=1e-15)
 
 
 def test_point_has_ascending_reset_times_on_samples() -> None:
-    space = SearchSpace.from_study(tuned(EVERYTHING))
+    space = SearchSpace.from_study(tuned_study(EVERYTHING))
     last = space.combinations[-1]
-    assert space.point([2.9999, 2.123456, 11.0], last) == {
+    assert space.make_point([2.9999, 2.123456, 11.0], last) == {
         "reset_times_s": (2.12, 3.0, 4.0),
         "feedback_time_constant_s": 10.0,
         "reset_kind": "yaw",
         "p0_yaw_deg": 70.0,
     }
-    assert space.point([2.501, 2.499, 1.0], last)["reset_times_s"] == (2.5, 4.0)
-    assert space.point([2.5, 2.6, 1.0], space.combinations[2])["reset_times_s"] == (2.5,)
-    assert space.point([2.5, 2.6, 1.0], space.combinations[0])["reset_times_s"] == ()
+    assert space.make_point([2.501, 2.499, 1.0], last)["reset_times_s"] == (2.5, 4.0)
+    assert space.make_point([2.5, 2.6, 1.0], space.combinations[2])["reset_times_s"] == (2.5,)
+    assert space.make_point([2.5, 2.6, 1.0], space.combinations[0])["reset_times_s"] == ()
 
 
 def test_sigma_times_never_coincide() -> None:
@@ -407,26 +409,26 @@ def test_sigma_times_never_coincide() -> None:
         "sigma_factors": {"fixed": [4.0, 2.0, 1.0]},
     }
     space = SearchSpace.from_study(
-        tuned(
+        tuned_study(
             given, changes=COMPASS, baseline={"sigma_times_s": [1.0, 2.0], "sigma_factors": [1] * 3}
         )
     )
-    assert space.point([2.0, 2.0], space.combinations[0])["sigma_times_s"] == (2.0, 2.01)
+    assert space.make_point([2.0, 2.0], space.combinations[0])["sigma_times_s"] == (2.0, 2.01)
 
 
 def test_tuned_lengths_are_rounded_to_samples_and_records() -> None:
     changes = {"passes": {"stored_s": 3.0}}
-    study = tuned(
+    study = tuned_study(
         {"feedback_interval_s": {"low": 0.1, "high": 1}, "stored_s": {"low": 1, "high": 3}},
         changes=changes,
     )
     space = SearchSpace.from_study(study)
-    point = space.point([0.3333, 2.4], space.combinations[0])
+    point = space.make_point([0.3333, 2.4], space.combinations[0])
     assert point == {"feedback_interval_s": 0.33, "stored_s": 2.0}
 
 
 def test_with_point_applies_values_without_changing_study() -> None:
-    study = tuned({"reset_times_s": TIMES}, changes={"resets": {"reset_cycle_s": 2.0}})
+    study = tuned_study({"reset_times_s": TIMES}, changes={"resets": {"reset_cycle_s": 2.0}})
     before = study_to_toml(study)
     point = {"reset_times_s": (1.0, 2.5), "p0_yaw_deg": 33.0}
     told = small_study(resets={"reset_times_s": [1.0, 2.5]}, filter={"p0_yaw_deg": 33.0})
@@ -439,7 +441,7 @@ def test_with_point_applies_values_without_changing_study() -> None:
 
 def test_comparable_lists_same_keys_for_baseline_and_points() -> None:
     baseline = {"reset_count": 2, "reset_cycle_s": 2.0, "r_velocity_m_per_s": 0.3}
-    study = tuned(
+    study = tuned_study(
         {"reset_times_s": TIMES, "reset_yaw_deg": YAW, "q_scale": {"low": 0.1, "high": 2.0}},
         baseline=baseline,
     )
@@ -459,7 +461,7 @@ def test_comparable_lists_same_keys_for_baseline_and_points() -> None:
 def test_baseline_only_key_requires_value_in_study() -> None:
     resets = {"reset_trigger": "nis", "trigger_threshold": 9.0}
     with pytest.raises(InputError) as error:
-        tuned(
+        tuned_study(
             {"p0_yaw_deg": YAW},
             changes={"resets": resets},
             baseline={"trigger_until_s": 3.0},
@@ -470,5 +472,5 @@ def test_baseline_only_key_requires_value_in_study() -> None:
 
 def test_log_scale_variable_maps_logarithmically() -> None:
     variable = search_space.Variable("p0_yaw_deg", None, 1.0, 100.0, True)
-    assert (variable.value(0.5), variable.place(10.0)) == pytest.approx((10.0, 0.5))
+    assert (variable.value(0.5), variable.position(10.0)) == pytest.approx((10.0, 0.5))
     assert math.isclose(variable._replace(log=False).value(0.5), 50.5)

@@ -1,4 +1,4 @@
-"""The keys of triggers, of what P is reset to, and of scales: read, refused, filled in, told."""
+"""Keys of triggers, reset values and scales: defaults, errors and fingerprints."""
 
 import copy
 import tomllib
@@ -59,17 +59,17 @@ OF_FEEDBACK = {"reset_at_feedback", "reset_restarts_feedback"}
 """Keys of [resets] that came last, each with a default."""
 
 
-def built(**tables: Any) -> Study:
+def build_study(**tables: Any) -> Study:
     data = copy.deepcopy(BASE)
     for name, table in tables.items():
         data[name] = data.get(name, {}) | table if isinstance(table, dict) else table
     return study_from_dict(with_paper_values(data), "s.toml")
 
 
-def refusal(**tables: Any) -> str:
-    """The line of the error, less the file's name that it must begin with."""
+def refusal_line(**tables: Any) -> str:
+    """Return the line of the error without the file's name, which must begin it."""
     with pytest.raises(InputError) as caught:
-        built(**tables)
+        build_study(**tables)
     line = str(caught.value)
     assert len(line.splitlines()) == 1 and line.startswith("s.toml: ")
     return line.removeprefix("s.toml: ")
@@ -89,7 +89,7 @@ def refusal(**tables: Any) -> str:
 )
 def test_reset_trigger_without_threshold_is_refused(tables: dict[str, Any]) -> None:
     line = "[resets] trigger_threshold: required with reset_trigger = 'nis'"
-    assert refusal(**tables) == line
+    assert refusal_line(**tables) == line
 
 
 @pytest.mark.parametrize("key", OF_TRIGGERS)
@@ -97,9 +97,9 @@ def test_reset_trigger_without_threshold_is_refused(tables: dict[str, Any]) -> N
 def test_trigger_keys_without_reset_trigger_are_refused(key: str, trigger: dict[str, str]) -> None:
     value = OF_TRIGGERS[key]
     told = f"{key}: requires a reset_trigger (give one, or drop this)"
-    assert refusal(resets=trigger | {key: value}) == f"[resets] {told}"
-    assert refusal(resets=trigger, axes={key: [value, 2 * value]}) == f"[axes] {told}"
-    assert built(resets=trigger) and built(resets=NIS | {key: value})
+    assert refusal_line(resets=trigger | {key: value}) == f"[resets] {told}"
+    assert refusal_line(resets=trigger, axes={key: [value, 2 * value]}) == f"[axes] {told}"
+    assert build_study(resets=trigger) and build_study(resets=NIS | {key: value})
 
 
 @pytest.mark.parametrize(
@@ -116,42 +116,42 @@ def test_trigger_keys_without_reset_trigger_are_refused(key: str, trigger: dict[
     ],
 )
 def test_invalid_reset_values_are_refused(key: str, value: Any) -> None:
-    assert refusal(resets=NIS | {key: value}).startswith(f"[resets] {key}: must be ")
+    assert refusal_line(resets=NIS | {key: value}).startswith(f"[resets] {key}: must be ")
 
 
 @pytest.mark.parametrize("key", ["q_scale", "r_scale"])
 def test_zero_q_and_r_scales_are_refused(key: str) -> None:
-    assert refusal(filter={key: 0.0}).startswith(f"[filter] {key}: must be ")
+    assert refusal_line(filter={key: 0.0}).startswith(f"[filter] {key}: must be ")
 
 
 @pytest.mark.parametrize("section", NEW)
 def test_filter_and_reset_keys_are_refused_for_compass(section: str) -> None:
     for key, value in NEW[section].items():
-        line = refusal(alignment={"method": "compass"}, **{section: {key: value}})
+        line = refusal_line(alignment={"method": "compass"}, **{section: {key: value}})
         assert line == f"[{section}] {key}: does not apply to method compass (drop it)"
     # Beside a filter they are the filter's.
-    assert built(axes={"method": ["kalman5", "compass"]}, **NEW)
+    assert build_study(axes={"method": ["kalman5", "compass"]}, **NEW)
 
 
 # What is filled in
 
 
 def test_trigger_keys_have_defaults() -> None:
-    resets = built(resets=NIS).resets
+    resets = build_study(resets=NIS).resets
     assert resets is not None
     assert (resets.trigger_window_s, resets.trigger_refractory_s) == (10.0, 5.0)
     assert (resets.trigger_most, resets.trigger_until_s) == (10, None)
     for tables in ({}, {"resets": {"reset_trigger": "none"}}):
-        alone = built(**tables).resets
+        alone = build_study(**tables).resets
         assert alone is not None
         assert {getattr(alone, key) for key in OF_TRIGGERS} == {None}
 
 
 def test_given_reset_and_trigger_values_are_kept() -> None:
-    resets = built(resets=NEW["resets"]).resets
+    resets = build_study(resets=NEW["resets"]).resets
     assert resets is not None
     assert {key: getattr(resets, key) for key in NEW["resets"]} == NEW["resets"]
-    swept = built(resets=NIS, axes={"trigger_window_s": [1.0, 2.0]})
+    swept = build_study(resets=NIS, axes={"trigger_window_s": [1.0, 2.0]})
     assert swept.resets is not None
     assert (swept.resets.trigger_window_s, swept.resets.trigger_most) == (None, 10)
 
@@ -162,11 +162,11 @@ def test_reset_trigger_may_be_swept_together_with_none() -> None:
         {"axes": {"reset_trigger": ["none", "nis"], "trigger_threshold": [1.0, 9.0]}},
         {"axes": {"a": {"reset_trigger": ["none", "nis"], "trigger_threshold": [0.0, 9.0]}}},
     ):
-        study = built(**tables)
+        study = build_study(**tables)
         assert any_trigger(study) and set(study.values("reset_trigger")) == {"none", "nis"}
         assert study.values("trigger_most") == [10] * study.n_variants
-    assert not any_trigger(built(axes={"reset_trigger": ["none"]}))
-    assert not any_trigger(built()) and any_trigger(built(resets=NIS))
+    assert not any_trigger(build_study(axes={"reset_trigger": ["none"]}))
+    assert not any_trigger(build_study()) and any_trigger(build_study(resets=NIS))
 
 
 @pytest.mark.parametrize(
@@ -182,7 +182,7 @@ def test_reset_trigger_may_be_swept_together_with_none() -> None:
     ],
 )
 def test_resolved_study_loads_equal(tables: dict[str, Any]) -> None:
-    study = built(**tables)
+    study = build_study(**tables)
     text = study_to_toml(study)
     again = study_from_dict(tomllib.loads(text))
     assert again == study and study_to_toml(again) == text
@@ -193,10 +193,10 @@ def test_resolved_study_loads_equal(tables: dict[str, Any]) -> None:
 
 
 def test_each_trigger_reset_and_scale_key_changes_fingerprint() -> None:
-    studies = [built(), built(resets=NIS)]
+    studies = [build_study(), build_study(resets=NIS)]
     for section, keys in NEW.items():
         for key, value in keys.items():
             other = {"reset_trigger": "innovation"} if key == "reset_trigger" else {key: value}
             base = NIS if "trigger" in key else {}
-            studies.append(built(**{section: base | other}))
+            studies.append(build_study(**{section: base | other}))
     assert len({fingerprint(study) for study in studies}) == len(studies)

@@ -1,4 +1,4 @@
-"""Chunks of results that no engine made."""
+"""Synthetic chunks of results."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ def chunk(
 ) -> Chunk:
     """Runs of draw 0 with these final errors and ends of their time outside the bands.
 
-    Their limit is 1' and -1' in level and -20' in heading, and biases tilt by up to 1.5'.
+    Their bias floor is 1' and -1' in level and -20' in heading, and biases tilt by up to 1.5'.
     """
     n = len(phi_u_arcmin)
     one = np.ones(n)

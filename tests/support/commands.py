@@ -11,7 +11,7 @@ Command = Callable[..., tuple[int, str, str]]
 
 
 def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs ``sinsjax`` with some words; gives exit code, output and error output."""
+    """Return a function that runs ``sinsjax``: exit code, output and error output."""
 
     def call(*words: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
@@ -19,7 +19,7 @@ def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
         monkeypatch.setattr(sys.modules["__main__"], "__package__", None)
         with pytest.raises(SystemExit) as stop:
             cli.main()
-        told = capsys.readouterr()
-        return int(stop.value.code or 0), told.out, told.err
+        output = capsys.readouterr()
+        return int(stop.value.code or 0), output.out, output.err
 
     return call

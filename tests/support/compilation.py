@@ -1,4 +1,4 @@
-"""How much XLA optimises what tests compile.
+"""Optimisation level of XLA for programs of tests.
 
 As shipped, but for tests marked ``optimised(False)``: those of what is read, written, told and
 chosen, and of numbers to a tolerance. They take programs that are compiled in a quarter of the
@@ -28,12 +28,12 @@ from sinsjax.engine import batch
 from sinsjax.platform import compile_cache, machine
 from support.memory import process_bytes
 
-_LEAST = "jax_disable_most_optimizations"
+_LEAST_OPTION = "jax_disable_most_optimizations"
 
 LARGE_BYTES = 700 * 2**20
 """Memory of a process above which it drops its programs after a module of tests."""
 
-SPARED = {
+SPARED_OPTIONS = {
     "xla_disable_hlo_passes": "simplify-while-loops,while-loop-invariant-code-motion",
     "xla_llvm_enable_alias_scope_metadata": False,
     "xla_llvm_enable_noalias_metadata": False,
@@ -42,22 +42,22 @@ SPARED = {
 need for the optimisations that are off."""
 
 
-def least(item: pytest.Item) -> bool:
-    """Whether a test asks for the least level."""
+def has_least_optimisation(item: pytest.Item) -> bool:
+    """Whether a test requests the lowest level."""
     mark = item.get_closest_marker("optimised")
     return mark is not None and not mark.args[0]
 
 
-def suit(item: pytest.Item) -> None:
-    """Set the level that a test asks for, here and in processes that it starts.
+def set_optimisation_level(item: pytest.Item) -> None:
+    """Set the level that a test requests, here and in processes that it starts.
 
-    JAX does not tell programs in memory apart by their level; those of the other one are dropped.
+    JAX does not distinguish programs in memory by level; those of the other level are dropped.
     """
-    level = least(item)
-    if jax.config.values[_LEAST] == level:
+    level = has_least_optimisation(item)
+    if jax.config.values[_LEAST_OPTION] == level:
         return
-    jax.config.update(_LEAST, level)
-    os.environ[_LEAST.upper()] = str(int(level))
+    jax.config.update(_LEAST_OPTION, level)
+    os.environ[_LEAST_OPTION.upper()] = str(int(level))
     drop_programs()
 
 
@@ -68,7 +68,7 @@ def drop_programs() -> None:
 
 
 def drop_programs_if_large() -> None:
-    """Forget them if this process has grown beyond `LARGE_BYTES`."""
+    """Forget all programs if this process exceeds `LARGE_BYTES`."""
     if process_bytes("VmRSS") > LARGE_BYTES:
         drop_programs()
         gc.collect()
@@ -96,8 +96,8 @@ def share_cache(repository: Path) -> None:
     os.environ[compile_cache.VARIABLE] = str(folder)
 
 
-def install() -> None:
-    """Have the least level spare what JAX's own setting leaves on, if this JAX can."""
+def install_spared_options() -> None:
+    """Extend the lowest level by the `SPARED_OPTIONS`, if this JAX supports it."""
     given = getattr(compiler, "get_compile_options", None)
     if given is None:
         return
@@ -105,8 +105,8 @@ def install() -> None:
     @wraps(given)
     def options(*args: Any, **settings: Any) -> Any:
         made = given(*args, **settings)
-        if jax.config.values[_LEAST]:
-            made.env_option_overrides = [*made.env_option_overrides, *SPARED.items()]
+        if jax.config.values[_LEAST_OPTION]:
+            made.env_option_overrides = [*made.env_option_overrides, *SPARED_OPTIONS.items()]
         return made
 
     compiler.get_compile_options = options

@@ -16,7 +16,7 @@ def process_bytes(name: str) -> int:
 
 
 @contextmanager
-def at_most_mb(limit: float) -> Iterator[None]:
+def limit_memory_mb(limit: float) -> Iterator[None]:
     """Fail if Python and NumPy allocate more than this at any time, MB."""
     tracemalloc.start()
     try:

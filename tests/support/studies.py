@@ -9,7 +9,7 @@ from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS
 from sinsjax.records import Record, Reference
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.keys import rivals
+from sinsjax.study.keys import alternative_keys
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
@@ -35,7 +35,7 @@ BASE: dict[str, dict[str, Any]] = {
 }
 
 STILL = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
-"""A base whose runs have a limit, however short they are."""
+"""A base whose runs have a bias floor, however short they are."""
 
 
 PAPER = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step"}
@@ -49,7 +49,7 @@ PAPER_FEEDBACK = {FEEDBACK: 1.0}
 def with_paper_values(tables: dict[str, Any]) -> dict[str, Any]:
     """Give a study with filters paper 1's Q and feedback, except for what it gives itself.
 
-    Tables that are no study, and one shorter than a feedback interval, are left alone.
+    Tables that are not a study, and a study shorter than a feedback interval, are not changed.
     """
     alignment, filter_, axes = (tables.get(name, {}) for name in ("alignment", "filter", "axes"))
     cases = tables.get("cases", [])
@@ -69,7 +69,7 @@ def with_paper_values(tables: dict[str, Any]) -> dict[str, Any]:
     if not any("filter" in METHODS[name].sections for name in methods if name in METHODS):
         return tables
     given = {*alignment, *filter_, *varied}
-    given |= {other for key in given for other in rivals(key)}
+    given |= {other for key in given for other in alternative_keys(key)}
     paper = {key: value for key, value in PAPER.items() if key not in given}
     out = tables | {"filter": paper | filter_}
     duration_s = tables.get("study", {}).get("duration_s")
@@ -80,7 +80,7 @@ def with_paper_values(tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def small_tables(**changes: Any) -> dict[str, Any]:
-    """`BASE` with sections changed key by key; lists and new sections are taken as given.
+    """Return `BASE` with sections changed key by key; lists and new sections replace others.
 
     A key of `BASE` that is changed to None is left out. Filters have `with_paper_values`.
     """
@@ -95,12 +95,12 @@ def small_tables(**changes: Any) -> dict[str, Any]:
 
 
 def small_study(**changes: Any) -> Study:
-    """The study of `small_tables`."""
+    """Return the study of `small_tables`."""
     return study_from_dict(small_tables(**changes))
 
 
 def swing_deg(time_s: np.ndarray) -> np.ndarray:
-    """(n, 3) pitch, roll and yaw of `BASE` at some times."""
+    """Return pitch, roll and yaw of `BASE` at some times, (n, 3), deg."""
     motion = BASE["motion"]
     sways = [
         motion[f"{angle}_amplitude_deg"] * np.sin(2 * np.pi * time_s / motion[f"{angle}_period_s"])
@@ -109,14 +109,14 @@ def swing_deg(time_s: np.ndarray) -> np.ndarray:
     return np.column_stack(sways) + [0.0, 0.0, motion["yaw_center_deg"]]
 
 
-def with_truth(record: Record) -> StoredRecord:
-    """A record of six seconds of `BASE`, with its true attitude."""
+def add_true_reference(record: Record) -> StoredRecord:
+    """Return a record of six seconds of `BASE` with its true attitude as reference."""
     time_s = np.arange(0, 6.01, 0.01)
     return StoredRecord(record, Reference(time_s, swing_deg(time_s), "true.csv"))
 
 
-def refusal(**tables: Any) -> str:
-    """The one line with which a small study with these changes is refused."""
+def refusal_line(**tables: Any) -> str:
+    """Return the single error line of a small study with these changes."""
     with pytest.raises(InputError) as caught:
         small_study(**tables)
     line = str(caught.value)

@@ -15,7 +15,7 @@ import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.tasks import Job
-from sinsjax.study.load import study_from_dict, tables_of
+from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import history, objective, search
@@ -279,4 +279,4 @@ def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None
 
 
 def test_study_round_trips_through_tables() -> None:
-    assert study_from_dict(tables_of(COUNTED)) == COUNTED
+    assert study_from_dict(study_to_tables(COUNTED)) == COUNTED

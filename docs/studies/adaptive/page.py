@@ -37,7 +37,7 @@ def page(sources: Sources) -> Page:
     scores = Scores(source)
     return Page.joined(
         Page({"study": {"runs": f"{source.runs:,}", "draws": scores.grid.draws}}),
-        _simulated(scores, source.counted),
+        _simulated(scores, source.sample_size_text),
         _recorded(sources["car_adaptive"]),
     )
 

@@ -63,7 +63,7 @@ def settling_maps(
     never = any(not np.isfinite(cells).all() for cells in medians.values())
     hatched = ", hatched: at least half of them never settle" if never else ""
     caption = f"Medians over {_how_many(source, panels)}; light is good{hatched}. {note}"
-    return Picture(name, caption, figure, source.counted)
+    return Picture(name, caption, figure, source.sample_size_text)
 
 
 def _how_many(source: Source, panels: Mapping[str, NDArray]) -> str:

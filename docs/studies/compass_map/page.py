@@ -136,7 +136,7 @@ def compared(source: Source) -> Page:
         " Scheme 2 never settles. Dashed: what the noise of that record leaves outside, whatever"
         " the method."
     )
-    picture = Picture("settling", caption, figure, source.counted)
+    picture = Picture("settling", caption, figure, source.sample_size_text)
     table = _cases(source, wide_s, narrow_s, outside)
     return Page(values, {"cases": table}, {"settling": picture}, claims)
 
@@ -200,7 +200,7 @@ def _error_maps(source: Source, grid: Grid, rms: NDArray) -> Picture:
     sigma, length_s = np.meshgrid(*(spread(axis, _FINE) for axis in (rows, columns)), indexing="ij")
     radii = [cycle_radius(study, turn, sigma, length_s) for turn in grid.axes["turn"]]
     low = float(bound_arcmin(study, max(columns)))
-    high = abs(study.only("phi_u0_deg")) * DEG / ARCMIN
+    high = abs(study.single_value("phi_u0_deg")) * DEG / ARCMIN
     contours = Contours("share that a cycle leaves (linear loops)", _LEVELS, radii)
     figure = plots.heat_maps(
         [(TURNS[turn], rms[i].T) for i, turn in enumerate(grid.axes["turn"])],
@@ -218,4 +218,4 @@ def _error_maps(source: Source, grid: Grid, rms: NDArray) -> Picture:
         " the initial error and more. Left of the line of 1 a record cannot converge. *Too*: the"
         " azimuth rate, besides the velocity."
     )
-    return Picture("heading_error", caption, figure, source.counted)
+    return Picture("heading_error", caption, figure, source.sample_size_text)

@@ -49,10 +49,10 @@ def limits_of(study: Study, earth_rate_deg_per_h: float | None = None) -> Limits
     if study.is_recorded or any(p["earth"] != "constants" for p in study.combinations("earth")):
         raise InputError(f"{study.name}: the page needs earth = 'constants'")
     turn = _to_n(study)
-    east, north, _ = turn @ (np.ones(3) * study.only("accel_bias_ug")) * MICRO / ARCMIN
-    drift = turn[0] @ (np.ones(3) * study.only("gyro_bias_deg_per_h"))
-    latitude = study.only("latitude_deg") * DEG
-    rate = earth_rate_deg_per_h or study.only("earth_rate_deg_per_h")
+    east, north, _ = turn @ (np.ones(3) * study.single_value("accel_bias_ug")) * MICRO / ARCMIN
+    drift = turn[0] @ (np.ones(3) * study.single_value("gyro_bias_deg_per_h"))
+    latitude = study.single_value("latitude_deg") * DEG
+    rate = earth_rate_deg_per_h or study.single_value("earth_rate_deg_per_h")
     gyro = float(-drift / (rate * math.cos(latitude))) / ARCMIN
     accel = float(east) * math.tan(latitude)
     return Limits(-float(north), float(east), gyro + accel, gyro, accel)
@@ -85,5 +85,5 @@ def _to_n(study: Study) -> NDArray:
     """C_b^n at the centre of the swing."""
     from scipy.spatial.transform import Rotation  # late, as in `truth`
 
-    angles = [study.only(f"{angle}_center_deg") for angle in ("yaw", "pitch", "roll")]
+    angles = [study.single_value(f"{angle}_center_deg") for angle in ("yaw", "pitch", "roll")]
     return np.asarray(Rotation.from_euler("ZXY", angles, degrees=True).as_matrix())

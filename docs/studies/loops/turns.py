@@ -34,8 +34,8 @@ def cycle_radius(
     Returns:
         Spectral radius of a cycle of two passes, of the shape that the numbers broadcast to.
     """
-    delay_s = study.only("turn_smoothing_s") if smoothing_s is None else smoothing_s
-    damping = study.only("azimuth_damping")
+    delay_s = study.single_value("turn_smoothing_s") if smoothing_s is None else smoothing_s
+    damping = study.single_value("azimuth_damping")
     sigma, stored_s, damping, delay_s = np.broadcast_arrays(sigma, stored_s, damping, delay_s)
     earth = {"gravity": 1.0, "radius": 1.0}
     gains = loops.azimuth_gains(sigma, damping, **earth)

@@ -43,13 +43,13 @@ def page(sources: Sources) -> Page:
             "resets",
             f"After the paper's Fig. 5. {band} Dotted: resets.",
             _heading(reset, beside, "Condition 5 with and without resets"),
-            reset.counted,
+            reset.sample_size_text,
         ),
         "conditions": Picture(
             "conditions",
             f"After the paper's Fig. 2. {band}",
             _heading(free, shown, "Conditions 1 to 5 without resets"),
-            free.counted,
+            free.sample_size_text,
         ),
     }
     return Page.joined(
@@ -215,4 +215,4 @@ def _verdicts(judged: Sequence[Judged], best: int, source: Source) -> Picture:
         f"{source.draws} Monte Carlo runs a condition, heading from its limit; the interpretation"
         " under which most statements hold is in bold."
     )
-    return Picture("verdicts", caption, drawn, source.counted)
+    return Picture("verdicts", caption, drawn, source.sample_size_text)

@@ -21,7 +21,7 @@ from sinsjax.methods.compass import design
 from sinsjax.plots import Line
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.study.load import one_variant
+from sinsjax.study.load import select_variant
 from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG, MICRO
 
@@ -71,7 +71,7 @@ class Case:
 
     def __getitem__(self, key: str) -> Any:
         """The value of a key of the study."""
-        return self.study.only(key)
+        return self.study.single_value(key)
 
     @property
     def drift(self) -> float:
@@ -235,7 +235,7 @@ def _turns(cases: Mapping[str, Case]) -> Page:
     caption = (
         f"Static base; mean over {shown[0].source.draws} Monte Carlo runs, shading: 95 % of them."
     )
-    picture = Picture("turns", caption, figure, shown[0].source.counted)
+    picture = Picture("turns", caption, figure, shown[0].source.sample_size_text)
     return Page({"turns": values}, figures={"turns": picture}, claims=claims)
 
 
@@ -286,7 +286,7 @@ def agrees(text: str, value: float) -> bool:
 def cases_of(source: Source) -> list[Case]:
     """The variants of a study, in its order."""
     groups = analysis.groups(source.summary, ["variant_id"])
-    return [Case(source, one_variant(source.study, k["variant_id"]), rows) for k, rows in groups]
+    return [Case(source, select_variant(source.study, k["variant_id"]), rows) for k, rows in groups]
 
 
 def table(cases: Sequence[Case], title: str, *, folded: bool = True) -> Table:

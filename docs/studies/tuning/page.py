@@ -173,7 +173,7 @@ def _shifted(source: Source) -> Page:
         "the plain two hang on the shift": max(plain) > 1.3 * min(plain),
         "put off they do not": max(put_off) < 1.02 * min(put_off),
     }
-    pictures = {"shifted": Picture("shifted", caption, figure, source.counted)}
+    pictures = {"shifted": Picture("shifted", caption, figure, source.sample_size_text)}
     return Page({"shifted": values}, figures=pictures, claims=claims)
 
 
@@ -192,7 +192,7 @@ def _seen(tuning: Tuning, source: Source) -> Picture:
         " light is good. Lines: gradient descents. The times in the table are of other runs,"
         f" {tuning.run_values.shape[2]} a setting."
     )
-    return Picture("small_seen", caption, seen.figure, source.counted)
+    return Picture("small_seen", caption, seen.figure, source.sample_size_text)
 
 
 def _starts(study: Study) -> list[tuple[float, float]]:

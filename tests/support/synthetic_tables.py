@@ -1,19 +1,19 @@
-"""Results that no engine made, column by column."""
+"""Synthetic result tables, column by column."""
 
 import numpy as np
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.execution import layouts
+from sinsjax.execution import schemas
 
 FLOOR = -25.9
 TIMES = np.arange(1.0, 7.0)
 
 
-def summary_of(study, *, truth=True, every=False, **given):
-    """A summary that no engine made: ``given`` columns, the rest plain numbers.
+def synthetic_summary(study, *, truth=True, all_columns=False, **given_columns):
+    """Return a synthetic summary: the ``given_columns``, and plain numbers in the others.
 
-    With ``every`` it has all columns of such a study, else those that most reports read.
+    With ``all_columns`` it has all columns of such a study, else those that most reports read.
     """
     v, d = study.n_variants, study.n_draws
     draw, variant = np.repeat(np.arange(d), v), np.tile(np.arange(v), d)
@@ -30,7 +30,9 @@ def summary_of(study, *, truth=True, every=False, **given):
         *columns.JUDGED,
     ]
     names = {column.name for column in layout}
-    further = [c for c in layouts.summary(study) if c.name not in names] if every else []
+    extra_columns = (
+        [c for c in schemas.summary_columns(study) if c.name not in names] if all_columns else []
+    )
     resets = study.values("reset_times_s") if study.has("resets") else [()] * v
     starts = study.record.start_s if study.record else [0.0] * d
     values = {
@@ -47,30 +49,40 @@ def summary_of(study, *, truth=True, every=False, **given):
         "settle_10_s": 50.0 + noise,
         "status": ["ok"] * (v * d),
         **{k: [values[i] for i in variant] for k, values in swept.items()},
-        **given,
+        **given_columns,
     }
     values = {"settle_10_truth_s": values["settle_10_s"], "has_floor": [True] * (v * d)} | values
     ok = [status == "ok" for status in values["status"]]
     values = {"ok_floor": ok, "ok_truth": ok} | values
     if not truth:
-        lost = ("phi_", "settle", "ok_", "has_", "floor", "status", "nis", "nees", "p_above")
-        values = {k: x for k, x in values.items() if not k.startswith(lost) or k in swept}
+        truth_prefixes = (
+            "phi_",
+            "settle",
+            "ok_",
+            "has_",
+            "floor",
+            "status",
+            "nis",
+            "nees",
+            "p_above",
+        )
+        values = {k: x for k, x in values.items() if not k.startswith(truth_prefixes) or k in swept}
     arrays = []
-    for column in [*layout, *further]:
+    for column in [*layout, *extra_columns]:
         default = noise if column.dtype == pa.float64() and truth else None
-        default = abs(noise).astype(int) if column in further and default is None else default
+        default = abs(noise).astype(int) if column in extra_columns and default is None else default
         default = noise if column.name.startswith(("pitch", "roll", "yaw", "sigma")) else default
         cells = values.get(column.name, [None] * (v * d) if default is None else default)
         arrays.append(pa.array(cells, column.dtype, from_pandas=True))
-    return pa.Table.from_arrays(arrays, schema=columns.schema((*layout, *further)))
+    return pa.Table.from_arrays(arrays, schema=columns.schema((*layout, *extra_columns)))
 
 
-def curves_of(study, *, truth=True, times=TIMES):
-    """Curves that no engine made, of all runs at some times, s."""
+def synthetic_curves(study, *, truth=True, times=TIMES):
+    """Return synthetic curves of all runs at some times, s."""
     runs = study.n_variants * study.n_draws
     run, time = np.repeat(np.arange(runs), times.size), np.tile(times, runs)
     noise = np.random.default_rng(6).normal(size=run.size)
-    layout = layouts.curves(study)
+    layout = schemas.curve_columns(study)
     values = {c.name: noise for c in layout}
     if not truth:
         values |= {f"phi_{a}_arcmin": np.full(run.size, np.nan) for a in "enu"}

@@ -1,4 +1,4 @@
-"""Which keys act: what a section says of its keys, against the engine's own numbers."""
+"""Effects of keys as their sections declare them, compared with results of the engine."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from sinsjax.engine.batch import chunks
 from sinsjax.engine.build import Scenario
 from sinsjax.methods.description import COMMON_KEYS
 from sinsjax.methods.registry import METHODS
-from sinsjax.study.keys import SECTIONS, acts, conditions, deciding
+from sinsjax.study.keys import SECTIONS, deciding_keys, effect_conditions, has_effect
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -95,7 +95,7 @@ ACTING: dict[str, tuple[dict[str, Any], str, list[Any]]] = {
 
 
 def outcomes(tables: dict[str, Any], key: str, values: list[Any]) -> list[Any]:
-    """What becomes of each value's first draw, every number of the outcome."""
+    """Return every number of the outcome of the first draw, for each value."""
     study = small_study(**tables, axes={key: values})
     found: dict[int, Any] = {}
     scenario = Scenario(study, curves=False)
@@ -140,11 +140,11 @@ def test_conditions_name_only_keys_of_same_section() -> None:
 
 
 def test_level_damping_acts_only_for_compass_without_level_gains() -> None:
-    assert not acts("level_damping", {"method": "kalman5", "level_gains": None})
-    assert acts("level_damping", {"method": "compass", "level_gains": None})
-    assert not acts("level_damping", {"method": "compass", "level_gains": (1.0, 1.0, 1.0)})
-    assert deciding("level_damping") == ("method", "level_gains")
-    assert deciding("latitude_deg") == () and conditions("latitude_deg") == ()
+    assert not has_effect("level_damping", {"method": "kalman5", "level_gains": None})
+    assert has_effect("level_damping", {"method": "compass", "level_gains": None})
+    assert not has_effect("level_damping", {"method": "compass", "level_gains": (1.0, 1.0, 1.0)})
+    assert deciding_keys("level_damping") == ("method", "level_gains")
+    assert deciding_keys("latitude_deg") == () and effect_conditions("latitude_deg") == ()
 
 
 def test_silent_keys_belong_to_their_method() -> None:

@@ -1,4 +1,4 @@
-"""Readings beyond any range and stuck channels are told with their rows."""
+"""Out-of-range samples and stuck channels are reported with their rows."""
 
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ import pytest
 
 import sinsjax
 from sinsjax.errors import InputError
-from sinsjax.execution.prepare import prepare
+from sinsjax.execution.prepare import prepare_job
 from sinsjax.records import Layout, Record, read_csv, read_psins, write_csv, write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
@@ -21,15 +21,15 @@ NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 LAYOUT = Layout("csv", "rates", "", NAMES[:3], NAMES[3:], "rad_per_s", "g", "xyz", RATE)
 
 
-def made(gyro: Any = GYRO, accel: Any = ACCEL, **more: Any) -> StoredRecord:
+def make_record(gyro: Any = GYRO, accel: Any = ACCEL, **more: Any) -> StoredRecord:
     return sinsjax.record_from_arrays(None, gyro, accel, rate_hz=RATE, **more)
 
 
 def texts(gyro: Any = GYRO, accel: Any = ACCEL, **more: Any) -> list[str]:
-    return [odd.text for odd in made(gyro, accel, **more).record.oddities]
+    return [odd.text for odd in make_record(gyro, accel, **more).record.anomalies]
 
 
-def changed(values: np.ndarray, rows: Any, axis: Any, to: Any) -> np.ndarray:
+def change_rows(values: np.ndarray, rows: Any, axis: Any, to: Any) -> np.ndarray:
     values = values.copy()
     values[rows, axis] = to
     return values
@@ -48,19 +48,19 @@ def study(**record: Any) -> Any:
 
 
 def test_samples_beyond_sensor_range_are_named_and_refused() -> None:
-    accel = changed(ACCEL, slice(500, 510), 0, -9999 * 9.80665)
+    accel = change_rows(ACCEL, slice(500, 510), 0, -9999 * 9.80665)
     accel[700, 1] = 250.0
-    stored = made(accel=accel)
+    stored = make_record(accel=accel)
     with pytest.raises(InputError) as caught:
-        prepare(study(), record=stored)
+        prepare_job(study(), record=stored)
     assert str(caught.value) == (
         "arrays: rows 500 to 509: column 'accel[:, 0]': -98056.7 is -9999 g, and no base at rest"
         " has more than 20 g: leave such cells empty, as missing samples; 1 more such place"
         " ([record] trust = true aligns it anyway)"
     )
-    assert "rows 500 to 509" in prepare(study(trust=True), record=stored).warnings[0]
-    assert not prepare(study(start_s=[8.0]), record=stored).warnings  # they are not read
-    (text,) = texts(gyro=changed(GYRO, 7, 2, 50.0))
+    assert "rows 500 to 509" in prepare_job(study(trust=True), record=stored).warnings[0]
+    assert not prepare_job(study(start_s=[8.0]), record=stored).warnings  # they are not read
+    (text,) = texts(gyro=change_rows(GYRO, 7, 2, 50.0))
     assert text.startswith("row 7: column 'gyro[:, 2]': 50 is 2865 deg/s")
 
 
@@ -69,29 +69,29 @@ def test_wrong_unit_is_not_reported_as_outlier() -> None:
 
 
 def test_dead_and_stuck_channels_are_reported() -> None:
-    assert texts(gyro=changed(GYRO, slice(None), 0, 0.0)) == [
-        "column 'gyro[:, 0]' holds 0 in every row: is that sensor dead?"
+    assert texts(gyro=change_rows(GYRO, slice(None), 0, 0.0)) == [
+        "column 'gyro[:, 0]' is 0 in every row: is that sensor dead?"
     ]
-    gyro, accel = (changed(v, slice(1000, 1100), slice(3), v[1000]) for v in (GYRO, ACCEL))
+    gyro, accel = (change_rows(v, slice(1000, 1100), slice(3), v[1000]) for v in (GYRO, ACCEL))
     assert texts(gyro, accel) == [
         "rows 1000 to 1099: all six channels are stuck for 1 s: did the sensor or the logger stop?"
     ]
-    short = (changed(v, slice(1000, 1099), slice(3), v[1000]) for v in (GYRO, ACCEL))
+    short = (change_rows(v, slice(1000, 1099), slice(3), v[1000]) for v in (GYRO, ACCEL))
     assert not texts(*short)
     assert not texts(gyro)  # one sensor of few counts may repeat itself
     assert texts(np.zeros((T, 3)), np.zeros((T, 3)) + 9.8) == [
         "no channel changes in any row: is this a log of sensors?"
     ]
-    (warning,) = prepare(study(), record=made(gyro, accel)).warnings
+    (warning,) = prepare_job(study(), record=make_record(gyro, accel)).warnings
     assert warning.startswith("arrays: rows 1000 to 1099: all six")
 
 
 def test_refusal_names_dead_channel_as_possible_cause() -> None:
-    stored = made(changed(GYRO, slice(None), 0, 0.1))
+    stored = make_record(change_rows(GYRO, slice(None), 0, 0.1))
     with pytest.raises(InputError) as caught:
-        prepare(study(), record=stored)
+        prepare_job(study(), record=stored)
     assert str(caught.value).endswith(
-        "hides Earth rate: no heading can be found; column 'gyro[:, 0]' holds 0.1 in every row: is"
+        "hides Earth rate: no heading can be found; column 'gyro[:, 0]' is 0.1 in every row: is"
         " that sensor dead? ([record] trust = true aligns it anyway)"
     )
 
@@ -105,23 +105,23 @@ def test_subtracted_mean_of_whole_log_is_reported(unit: str) -> None:
     removed = np.round((sensed - sensed.mean(axis=0)) * factor, 9)
     removed[5, 1] = np.nan
     asks = "the mean of each gyro over the whole log is below 1% of Earth rate: has Earth rate been"
-    stored = made(removed, gyro_unit=unit, max_gap_s=0.1)
+    stored = make_record(removed, gyro_unit=unit, max_gap_s=0.1)
     with pytest.raises(InputError, match=asks):
-        prepare(study(), record=stored)
-    assert any(asks in line for line in prepare(study(trust=True), record=stored).warnings)
+        prepare_job(study(), record=stored)
+    assert any(asks in line for line in prepare_job(study(trust=True), record=stored).warnings)
     for gyro in (sensed * factor, removed + [0, 0, 1e-5 * factor]):
         assert not texts(gyro, gyro_unit=unit, max_gap_s=0.1)
 
 
 def test_reported_row_numbers_match_file_rows(tmp_path: Path) -> None:
-    accel = changed(ACCEL, 20, 2, 1e4)
+    accel = change_rows(ACCEL, 20, 2, 1e4)
     record = Record(GYRO / RATE, accel / RATE, RATE, latitude_deg=45.0, gravity_m_per_s2=9.8)
     write_csv(record, tmp_path / "a.csv", LAYOUT)
-    (odd,) = read_csv(tmp_path / "a.csv", LAYOUT).oddities
-    assert (odd.begin, odd.end, odd.hard) == (20, 21, True)
+    (odd,) = read_csv(tmp_path / "a.csv", LAYOUT).anomalies
+    assert (odd.begin, odd.end, odd.is_certain) == (20, 21, True)
     assert odd.text.startswith("row 22: column 'accel_z': 1019.72 is 1020 g")
     write_psins(record, tmp_path / "a.imu", gyro_scale_arcsec=1e-4, accel_scale_ug_s=1e-2)
-    (odd,) = read_psins(tmp_path / "a.imu").oddities
+    (odd,) = read_psins(tmp_path / "a.imu").anomalies
     rows = (tmp_path / "a.imu").read_text().splitlines()
     number = int(odd.text.split()[1].rstrip(":"))
     assert int(rows[number - 1].split()[5]) == max(int(row.split()[5]) for row in rows[-T:])

@@ -1,4 +1,4 @@
-"""Another method for a study: what it does not read is dropped, what it ignores is named."""
+"""Another method for a study: unread keys are dropped, idle keys are listed."""
 
 import re
 import tomllib
@@ -15,17 +15,17 @@ from support.studies import BASE, small_study, small_tables
 from sinsjax import InputError, StudyWarning, load_study
 from sinsjax.engine.batch import chunks
 from sinsjax.engine.build import Scenario
-from sinsjax.execution.prepare import prepare
+from sinsjax.execution.prepare import prepare_job
 from sinsjax.execution.run import run
 from sinsjax.methods.description import COMMON_KEYS
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
-from sinsjax.study.dropping import drop_unread, keys_without_effect
-from sinsjax.study.keys import SECTION_OF, conditions, readers
-from sinsjax.study.load import load_with_notes, tables_of
+from sinsjax.study.keys import SECTION_OF, effect_conditions, reading_methods
+from sinsjax.study.load import load_with_notes, study_to_tables
 from sinsjax.study.study import Study
+from sinsjax.study.unused_keys import drop_unread_keys, list_idle_keys
 
-SHIPPED = {**files.studies(), **files.templates()}
+SHIPPED = {**files.shipped_studies(), **files.template_files()}
 FULL = {
     **BASE,
     "alignment": {"method": "kalman5", "phi_e0_deg": 5.0, "specific_force": "measured"},
@@ -46,14 +46,14 @@ def change_study(
 
 
 def refusal_of_change(changes: dict[str, Any], tables: dict[str, Any], tmp_path: Path) -> str:
-    """The line with which changes of a study file are refused."""
+    """Return the error line of changes of a study file."""
     with pytest.raises(InputError) as caught:
         change_study(changes, tables, tmp_path)
     return str(caught.value).removeprefix(f"{tmp_path / 'study.toml'}: ")
 
 
 def expected_refusal(study: Study, method: str) -> str | None:
-    """Why a shipped study cannot be had with another method, which the user has to decide."""
+    """Return the reason why a shipped study cannot use another method; None if it can."""
     new = METHODS[method]
     if study.tune and new.keys.isdisjoint(study.tune.variables):
         return "reads none of"  # nothing is left to tune
@@ -93,7 +93,7 @@ def test_method_of_loaded_study_can_be_replaced(method: str) -> None:
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
 def test_reset_sweep_runs_with_any_method(method: str) -> None:
-    job = prepare("reset_sweep", {"alignment.method": method, "study.draws": 2})
+    job = prepare_job("reset_sweep", {"alignment.method": method, "study.draws": 2})
     few = {"phi_u0_deg": [0, 30]}
     if "reset_count" in job.study.axes:
         few |= {"reset_count": [0, 2], "reset_cycle_s": [10, 20]}
@@ -114,7 +114,7 @@ def test_line_lists_dropped_sections_keys_and_axes(tmp_path: Path) -> None:
     ]
 
 
-def test_replace_and_load_study_warn_of_what_is_dropped(tmp_path: Path) -> None:
+def test_replace_and_load_study_warn_of_dropped_keys(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_text(tomli_w.dumps(FULL), encoding="utf-8")
     with pytest.warns(StudyWarning, match=r"^Dropped, .*: \[filter\], \[resets\], \[axes\] ") as by:
@@ -150,7 +150,7 @@ def test_misspelt_method_drops_nothing(tmp_path: Path) -> None:
     assert line.endswith("not 'inertail' (did you mean inertial?)")
 
 
-def test_axis_of_methods_drops_what_none_of_them_reads(tmp_path: Path) -> None:
+def test_axis_of_methods_drops_keys_that_none_reads(tmp_path: Path) -> None:
     study, notes = change_study({"axes.method": ["inertial", "compass"]}, FULL, tmp_path)
     assert study.filter is None and list(study.axes) == ["phi_u0_deg", "method"]
     assert notes == [
@@ -203,7 +203,7 @@ def test_empty_zip_and_draws_are_dropped() -> None:
         axes={"policy": {"q_scale": [1.0, 2.0]}}, drawn={"p0_yaw_deg": {"uniform": [1.0, 2.0]}}
     )
     after = before | {"alignment": before["alignment"] | {"method": "compass"}}
-    out, notes = drop_unread(before, after, {"alignment.method": "compass"}, "study")
+    out, notes = drop_unread_keys(before, after, {"alignment.method": "compass"}, "study")
     assert out == small_tables(alignment={"method": "compass"})
     assert notes == [
         "Dropped, as method compass does not read them: [alignment] feedback_interval_s, [filter],"
@@ -213,7 +213,7 @@ def test_empty_zip_and_draws_are_dropped() -> None:
 
 
 def test_tuned_keys_are_dropped_while_one_is_left(tmp_path: Path) -> None:
-    template = tomllib.loads(files.text_of("tune"))
+    template = tomllib.loads(files.shipped_text("tune"))
     variables, ranges = template["tune"]["variables"], {"low": 0.1, "high": 9.0}
     to_compass = {"alignment.method": "compass"}
     line = refusal_of_change(to_compass, template, tmp_path)
@@ -244,7 +244,7 @@ def test_keys_that_method_refuses_are_dropped(tmp_path: Path) -> None:
         assert recorded.replace({"alignment.method": "inertial"}).coarse
 
 
-def test_judging_from_limit_is_dropped_for_method_without(tmp_path: Path) -> None:
+def test_judging_from_floor_is_dropped_for_method_without_floor(tmp_path: Path) -> None:
     limited = FULL | {"study": FULL["study"] | {"judged_from": "floor"}}
     to_ten = {"alignment.method": "kalman10"}
     study, notes = change_study(to_ten, limited, tmp_path)
@@ -285,7 +285,7 @@ def own_keys(method: str) -> list[str]:
 
 
 def outcomes(method: str, keys: list[str]) -> list[list[np.ndarray]]:
-    """All numbers of one run: as it is, then with another value for one key after the other."""
+    """Return all numbers of one run, unchanged and with each key changed separately."""
     first = {key: FIRST[key] for key in own_keys(method)}
     tables: dict[str, Any] = {"alignment": {"method": method} | dict.fromkeys(BASE["alignment"])}
     if "resets" in METHODS[method].sections:
@@ -318,8 +318,8 @@ def test_silent_keys_change_no_bit_of_a_run(method: str) -> None:
 @pytest.mark.representative("kalman10")
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
-def test_keys_said_to_act_change_a_run(method: str) -> None:
-    keys = [key for key in own_keys(method) if method in readers(key)]
+def test_active_keys_change_a_run(method: str) -> None:
+    keys = [key for key in own_keys(method) if method in reading_methods(key)]
     first, *others = outcomes(method, keys)
     assert [key for key, other in zip(keys, others, strict=True) if are_equal(first, other)] == []
 
@@ -359,16 +359,16 @@ def test_line_names_keys_whose_condition_does_not_hold(tmp_path: Path) -> None:
 
 
 def test_key_acts_if_its_condition_is_tuned(tmp_path: Path) -> None:
-    template = tomllib.loads(files.text_of("tune"))
+    template = tomllib.loads(files.shipped_text("tune"))
     template["resets"] = {"reset_kind": "yaw"}
     assert change_study({}, template, tmp_path)[1] == []
 
 
 def test_keys_of_resolved_study_are_named_only_with_other_values() -> None:
     study = small_study()
-    assert keys_without_effect(study, tables_of(study)) == []
+    assert list_idle_keys(study, study_to_tables(study)) == []
     study = small_study(resets={"reset_yaw_deg": 5.0}, alignment={"method": "kalman_sincos"})
-    assert keys_without_effect(study, tables_of(study)) == [
+    assert list_idle_keys(study, study_to_tables(study)) == [
         "[resets] reset_yaw_deg has no effect with method kalman_sincos."
     ]
 
@@ -377,4 +377,4 @@ def test_functions_of_python_warn_of_keys_without_effect() -> None:
     study = small_study(alignment={"method": "inertial"})
     with pytest.warns(StudyWarning, match="phi_u0_deg have no effect with method inertial"):
         run(study)
-    assert conditions("phi_u0_deg") == ()
+    assert effect_conditions("phi_u0_deg") == ()

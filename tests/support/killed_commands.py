@@ -2,8 +2,8 @@
 
 A process gets a SIGKILL at the N-th file whose directory and name match a pattern, at one of
 three moments of its writing: ``half`` of it is in the temporary file, ``before`` that is renamed,
-``after`` it is. It begins when it is told to, so that a next one can be made ready ahead. All are
-forked from a server that has imported everything and started nothing: no thread and no JAX.
+``after`` it is. It begins on request, so the next one can be prepared in advance. All are forked
+ from a server that has imported everything and started nothing: no thread and no JAX.
 """
 
 import fnmatch
@@ -24,44 +24,44 @@ _SERVER = multiprocessing.get_context("forkserver")
 _SERVER.set_forkserver_preload(["sinsjax.cli", "sinsjax.report"])
 
 
-class Killer:
-    """Counts what happens to files, and kills."""
+class FileKiller:
+    """Counter of file operations that determines when to kill the process."""
 
     def __init__(self, moment: str, pattern: str, number: int) -> None:
         self.moment, self.pattern, self.left = moment, pattern, number
 
-    def comes(self, moment: str, target: Path) -> bool:
-        """Whether this is what the process is to be killed at."""
+    def is_due(self, moment: str, target: Path) -> bool:
+        """Whether the process is to be killed at this operation."""
         if moment == self.moment and fnmatch.fnmatch("/".join(target.parts[-2:]), self.pattern):
             self.left -= 1
             return self.left == 0
         return False
 
 
-def kill() -> None:
+def kill_process() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def arm(killer: Killer, pause_s: float) -> None:
-    """Has every file that `files.replacing` writes pass by the killer, and pauses after a part."""
-    rename = Path.replace
+def arm_killer(killer: FileKiller, pause_s: float) -> None:
+    """Let the killer check every file that `files.replacing` writes; pause after each part."""
+    original_replace = Path.replace
 
     class Half(io.BufferedWriter):
         def write(self, content: Any) -> int:
             name = Path(self.name)
             target = name.parent / name.name.removeprefix(".").rsplit(".", 2)[0]
-            if killer.comes("half", target):
+            if killer.is_due("half", target):
                 super().write(content[: len(content) // 2])
                 self.flush()
-                kill()
+                kill_process()
             return super().write(content)
 
     def replace(self: Path, target: Path) -> Path:
-        if killer.comes("before", target):
-            kill()
-        path = rename(self, target)
-        if killer.comes("after", target):
-            kill()
+        if killer.is_due("before", target):
+            kill_process()
+        path = original_replace(self, target)
+        if killer.is_due("after", target):
+            kill_process()
         if target.suffix == ".parquet":
             time.sleep(pause_s)
         return path
@@ -72,75 +72,76 @@ def arm(killer: Killer, pause_s: float) -> None:
     Path.replace = replace
 
 
-class Dying:
-    """A process that waits for `go`, then does what a command line says.
+class KilledCommand:
+    """A process that waits for `proceed`, then runs a command line.
 
     Attributes:
-        process: to wait for, and to be sent signals.
+        process: process to wait for, and to send signals to.
     """
 
     def __init__(
         self,
-        words: list[str],
+        arguments: list[str],
         environment: dict[str, str],
-        said: Path,
+        output_path: Path,
         *,
         point: tuple[str, str, int],
         pause_s: float = 0.0,
     ) -> None:
-        """Fork it.
+        """Fork the process.
 
         Args:
-            words: of the command line.
-            environment: variables that it has besides those of the server.
-            said: where its output goes; that to standard error is beside it, with ``.error``.
+            arguments: arguments of the command line.
+            environment: variables in addition to those of the server.
+            output_path: file of its output; that of standard error has the suffix ``.error``.
             point: moment, pattern and number.
             pause_s: for which a thread waits when it has written a part, s: what is to be killed
                 at a moment must not be done before a busy machine comes to that.
         """
-        self._said = said, said.with_suffix(".error")
-        begin, self._go = _SERVER.Pipe(duplex=False)
+        self._output_paths = output_path, output_path.with_suffix(".error")
+        begin, self._start_pipe = _SERVER.Pipe(duplex=False)
         self.process = _SERVER.Process(
-            target=_obey, args=(words, environment, self._said, point, pause_s, begin)
+            target=_run_child,
+            args=(arguments, environment, self._output_paths, point, pause_s, begin),
         )
         self.process.start()
         begin.close()
 
-    def go(self) -> "Dying":
-        """Let it begin."""
-        self._go.send(None)
+    def proceed(self) -> "KilledCommand":
+        """Let the process begin."""
+        self._start_pipe.send(None)
         return self
 
-    def send(self, number: int) -> None:
-        """Send it a signal."""
+    def send_signal(self, number: int) -> None:
+        """Send a signal to the process."""
         os.kill(self.process.pid, number)
 
-    def said(self) -> tuple[str, str]:
-        """Its output and error output so far."""
-        output, error = (path.read_text() if path.exists() else "" for path in self._said)
+    def read_output(self) -> tuple[str, str]:
+        """Return output and error output so far."""
+        output, error = (path.read_text() if path.exists() else "" for path in self._output_paths)
         return output, error
 
     def close(self) -> None:
-        """End it, if it has not ended."""
+        """End the process if it has not ended."""
         self.process.kill()
         self.process.join()
         self.process.close()
-        self._go.close()
+        self._start_pipe.close()
 
 
-def _obey(
-    words: list[str],
+def _run_child(
+    arguments: list[str],
     environment: dict[str, str],
-    said: tuple[Path, Path],
+    output_paths: tuple[Path, Path],
     point: tuple[str, str, int],
     pause_s: float,
-    begin: Connection,
+    start_pipe: Connection,
 ) -> None:
-    for number, path in enumerate(said, start=1):
+    for number, path in enumerate(output_paths, start=1):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
     os.environ |= environment
     plots.png = lambda *_: b"not drawn"  # takes as long as all else
-    arm(Killer(*point), pause_s)
-    begin.recv()
-    sys.argv = ["sinsjax", *words]
+    arm_killer(FileKiller(*point), pause_s)
+    start_pipe.recv()
+    sys.argv = ["sinsjax", *arguments]
     cli.main()

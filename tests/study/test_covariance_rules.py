@@ -1,15 +1,15 @@
-"""What a study may not have whose variants are estimated by covariance."""
+"""Settings that conflict with covariance estimates."""
 
 from typing import Any
 
 import pytest
-from support.studies import refusal, small_study, small_tables
+from support.studies import refusal_line, small_study, small_tables
 
 from sinsjax.errors import InputError
 from sinsjax.methods.base import Options
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import study_from_dict, tables_of
+from sinsjax.study.load import study_from_dict, study_to_tables
 
 ESTIMATED = {"estimate": "covariance", "draws": None}
 COLOURED = "does not model vibration or quantisation"
@@ -68,7 +68,7 @@ def test_covariance_estimate_refuses_unsupported_settings_with_reason(place: str
     small_study(**changes)  # with draws it runs
     changes = changes | {"study": ESTIMATED | changes.get("study", {})}
     told = f"{place}: covariance analysis {why} (use estimate = 'draws')"
-    assert refusal(**changes) == told
+    assert refusal_line(**changes) == told
 
 
 def test_covariance_search_without_linear_part_is_refused_at_load() -> None:
@@ -76,7 +76,7 @@ def test_covariance_search_without_linear_part_is_refused_at_load() -> None:
         "searches": ["sobol", "covariance"],
         "variables": {"phi_u0_deg": {"low": 1.0, "high": 9.0}},
     }
-    assert refusal(alignment={"method": "inertial"}, tune=tune) == (
+    assert refusal_line(alignment={"method": "inertial"}, tune=tune) == (
         "[tune] searches: 'covariance' does not apply to this study (use 'sobol'): [alignment]"
         " method: covariance analysis has no linear model of inertial"
     )
@@ -107,7 +107,7 @@ def test_covariance_estimate_refuses_settings_that_need_draws(place: str) -> Non
     changes, why = UNREAD[place]
     changes = changes | {"study": ESTIMATED | changes.get("study", {})}
     told = f"{place}: does not apply to estimate = 'covariance' ({why})"
-    assert refusal(**changes) == told
+    assert refusal_line(**changes) == told
 
 
 def test_covariance_estimate_refuses_recorded_data() -> None:
@@ -123,15 +123,15 @@ def test_covariance_estimate_refuses_recorded_data() -> None:
 
 def test_estimate_samples_must_be_even_and_require_estimate() -> None:
     told = "[study] estimate_samples: requires estimate = 'covariance'"
-    assert refusal(study={"estimate_samples": 64}) == told
+    assert refusal_line(study={"estimate_samples": 64}) == told
     told = "[study] check_linearity: requires estimate = 'covariance'"
-    assert refusal(study={"check_linearity": True}) == told
-    assert "estimate_samples: must be" in refusal(study=ESTIMATED | {"estimate_samples": 65})
+    assert refusal_line(study={"check_linearity": True}) == told
+    assert "estimate_samples: must be" in refusal_line(study=ESTIMATED | {"estimate_samples": 65})
 
 
 def test_controlled_estimate_is_refused_with_its_replacements() -> None:
     told = "[study] estimate: 'controlled' was dropped (leave the key out for Monte Carlo, or use"
-    assert refusal(study={"estimate": "controlled"}) == f"{told} 'covariance')"
+    assert refusal_line(study={"estimate": "controlled"}) == f"{told} 'covariance')"
 
 
 def test_estimates_accept_normally_drawn_starts_and_biases() -> None:
@@ -143,7 +143,7 @@ def test_estimate_defaults_survive_round_trip() -> None:
     study = small_study(study=ESTIMATED)
     assert (study.study.estimate_samples, study.study.draws, study.n_draws) == (256, 64, 1)
     assert study.checks_linearity
-    assert study_from_dict(tables_of(study), study.name) == study
+    assert study_from_dict(study_to_tables(study), study.name) == study
     assert small_study().study.estimate_samples is None
 
 

@@ -1,4 +1,4 @@
-"""Studies of many runs, and directories of their results: parts, checksums, what must not be."""
+"""Studies of many runs, and directories of their results: parts, checksums, manifests."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -7,7 +7,7 @@ from typing import Any
 
 from sinsjax.engine.batch import map_in_threads
 from sinsjax.execution.directory import DATASETS
-from sinsjax.execution.sealed import KEY, is_intact, sealed_json
+from sinsjax.execution.sealed import SEAL_KEY, is_intact, to_sealed_json
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
@@ -18,7 +18,7 @@ CHUNKS = 12
 
 
 def sweep_study(**changes: Any) -> Study:
-    """Two environments of 16 variants: 12 chunks of `CHUNK_RUNS` runs, 2 s each, with curves."""
+    """Return a study of 2 environments with 16 variants: 12 chunks of `CHUNK_RUNS` runs."""
     sections: dict[str, Any] = {
         "study": {"draws": 48, "duration_s": 2.0, "window_s": [0, 2], "curves": True},
         "axes": {
@@ -68,8 +68,8 @@ STUDIES: dict[str, dict[str, Any]] = {
 }
 
 
-def study_of(name: str, draws: int | None = None) -> Study:
-    """One of `STUDIES`, perhaps with another number of draws; a drawn key stands nowhere else."""
+def make_study(name: str, draws: int | None = None) -> Study:
+    """Return one of `STUDIES`, optionally with another number of draws."""
     data: dict[str, Any] = {section: dict(table) for section, table in BASE.items()}
     for section, table in STUDIES[name].items():
         data[section] = data.get(section, {}) | table
@@ -80,19 +80,19 @@ def study_of(name: str, draws: int | None = None) -> Study:
     return study_from_dict(data)
 
 
-def parts(directory: Path) -> dict[str, bytes]:
-    """The bytes of every part, by its place in the directory."""
-    found = (p for name in DATASETS for p in directory.glob(f"{name}/*.parquet"))
-    return {path.relative_to(directory).as_posix(): path.read_bytes() for path in found}
+def read_parts(directory: Path) -> dict[str, bytes]:
+    """Return the bytes of every part, by its path in the directory."""
+    paths = (p for name in DATASETS for p in directory.glob(f"{name}/*.parquet"))
+    return {path.relative_to(directory).as_posix(): path.read_bytes() for path in paths}
 
 
-def times(directory: Path) -> dict[str, int]:
-    """When every part was written, by its place in the directory."""
-    return {name: (directory / name).stat().st_mtime_ns for name in parts(directory)}
+def modification_times(directory: Path) -> dict[str, int]:
+    """Return the modification time of every part, by its path in the directory."""
+    return {name: (directory / name).stat().st_mtime_ns for name in read_parts(directory)}
 
 
-def everything(directory: Path) -> dict[str, tuple[bytes, int]]:
-    """Bytes and time of every file but the lock."""
+def read_files_and_times(directory: Path) -> dict[str, tuple[bytes, int]]:
+    """Return bytes and time of every file but the lock."""
     return {
         str(path.relative_to(directory)): (path.read_bytes(), path.stat().st_mtime_ns)
         for path in sorted(directory.rglob("*"))
@@ -100,47 +100,53 @@ def everything(directory: Path) -> dict[str, tuple[bytes, int]]:
     }
 
 
-def manifest(directory: Path) -> dict[str, Any]:
+def read_manifest_entries(directory: Path) -> dict[str, Any]:
     return json.loads((directory / "manifest.json").read_text())
 
 
 def assert_intact(directory: Path) -> None:
-    """Every part is intact and in the manifest, and so is the manifest; nothing else is listed."""
+    """Assert that the manifest and all parts are intact, and that it lists exactly these parts."""
     assert is_intact((directory / "manifest.json").read_bytes())
-    told = {file["file"] for chunk in manifest(directory)["chunks"] for file in chunk["files"]}
-    found = parts(directory)
-    assert told == found.keys() and all(map(is_intact, found.values()))
+    listed = {
+        file["file"]
+        for chunk in read_manifest_entries(directory)["chunks"]
+        for file in chunk["files"]
+    }
+    stored = read_parts(directory)
+    assert listed == stored.keys() and all(map(is_intact, stored.values()))
 
 
 def rewrite_manifest(directory: Path, **changes: Any) -> None:
-    """Replace entries of a manifest by others, and seal it again."""
-    content = manifest(directory) | changes
-    del content[KEY]
-    (directory / "manifest.json").write_bytes(sealed_json(content))
+    """Replace entries of a manifest and seal it again."""
+    content = read_manifest_entries(directory) | changes
+    del content[SEAL_KEY]
+    (directory / "manifest.json").write_bytes(to_sealed_json(content))
 
 
-def assert_complete(directory: Path, whole: Path) -> None:
-    """A directory holds what an uninterrupted run left, to the last bit, and nothing else."""
-    assert parts(directory) == parts(whole)
+def assert_complete(directory: Path, reference: Path) -> None:
+    """Assert that a directory equals that of an uninterrupted run, to the last bit."""
+    assert read_parts(directory) == read_parts(reference)
     assert_intact(directory)
-    told = manifest(directory)
-    assert told["state"] == "complete"
-    assert {chunk["state"] for chunk in told["chunks"]} == {"done"}
-    assert told["runs_done"] == told["runs"] == sum(chunk["runs"] for chunk in told["chunks"])
+    entries = read_manifest_entries(directory)
+    assert entries["state"] == "complete"
+    assert {chunk["state"] for chunk in entries["chunks"]} == {"done"}
+    assert (
+        entries["runs_done"] == entries["runs"] == sum(chunk["runs"] for chunk in entries["chunks"])
+    )
     assert not list(directory.rglob("*.tmp"))
 
 
-class Recorder:
-    """Does tasks on this machine, and remembers which."""
+class TaskRecorder:
+    """Executor on this machine that records the completed tasks."""
 
     def __init__(self) -> None:
         self.done: list[str] = []
 
     @property
     def executor(self) -> Executor:
-        return Executor(self._do, {})
+        return Executor(self._run_tasks, {})
 
-    def _do(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
-        for encoded in map_in_threads(runner.pack, tasks, 2):
+    def _run_tasks(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
+        for encoded in map_in_threads(runner.compute_files, tasks, 2):
             self.done.append(encoded.task.name)
             yield encoded

@@ -1,4 +1,4 @@
-"""Directories of results that no engine made, for the tests of what reads them."""
+"""Directories of synthetic results, for tests of their readers."""
 
 import io
 import json
@@ -13,10 +13,10 @@ from rich.console import Console
 from sinsjax import report
 from sinsjax.columns import SCHEMA_VERSION
 from sinsjax.execution.directory import MANIFEST, STUDY
-from sinsjax.execution.results import CHUNK_MARK, STUDY_MARK
-from sinsjax.execution.sealed import sealed_json, sealed_parquet
+from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA
+from sinsjax.execution.sealed import to_sealed_json, to_sealed_parquet
 from sinsjax.execution.tasks import Job
-from sinsjax.study.identity import fingerprint, sections_of
+from sinsjax.study.identity import fingerprint, sections_to_json
 from sinsjax.study.load import study_to_toml
 from sinsjax.study.study import Study
 
@@ -25,34 +25,34 @@ def write_part(path: Path, table: pa.Table, identity: str) -> None:
     """Write a table as the part of a results directory that its path names, sealed."""
     chunk = {"dataset": path.parent.name, "name": path.stem, "chunk_runs": None}
     chunk["rows"] = table.num_rows
-    marks = {STUDY_MARK: identity, CHUNK_MARK: json.dumps(chunk)}
+    marks = {STUDY_METADATA: identity, CHUNK_METADATA: json.dumps(chunk)}
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(sealed_parquet(table, marks))
+    path.write_bytes(to_sealed_parquet(table, marks))
 
 
 def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
-    """Write a manifest of the parts that are there, sealed; ``entries`` replace some of its own."""
+    """Write a sealed manifest of the existing parts; ``entries`` replace some entries."""
     chunks: dict[str, list[dict[str, Any]]] = {}
     for path in sorted(directory.glob("*/part-*.parquet")):
         file = {"file": f"{path.parent.name}/{path.name}", "rows": 0}
         chunks.setdefault(path.stem, []).append(file)
-    known = {
+    defaults = {
         "schema": SCHEMA_VERSION,
         "config": f"{study.name}.toml",
         "fingerprint": fingerprint(study),
         "identity": Job(study).identity,
         "curves": None,
         "chunk_runs": None,
-        "study": sections_of(study),
+        "study": sections_to_json(study),
         "chunks": [
             {"name": name, "state": "done", "runs": 0, "files": files}
             for name, files in chunks.items()
         ],
     }
-    (directory / MANIFEST).write_bytes(sealed_json(known | entries))
+    (directory / MANIFEST).write_bytes(to_sealed_json(defaults | entries))
 
 
-def store(
+def store_results(
     directory: Path,
     study: Study,
     summary: pa.Table | None = None,
@@ -60,9 +60,9 @@ def store(
     estimates: pa.Table | None = None,
     **entries: Any,
 ) -> Path:
-    """Write tables as the results of a study; gives the directory."""
-    given = {"summary": summary, "curves": curves, "estimates": estimates}
-    for name, table in given.items():
+    """Write tables as the results of a study; return the directory."""
+    tables = {"summary": summary, "curves": curves, "estimates": estimates}
+    for name, table in tables.items():
         if table is not None:
             write_part(directory / name / "part-0000-000000.parquet", table, Job(study).identity)
     (directory / STUDY).write_text(study_to_toml(study))
@@ -70,14 +70,14 @@ def store(
     return directory
 
 
-def told(
+def report_text(
     *directories: Path,
     page: Path | None = None,
     html: Path | None = None,
     full: bool = True,
     width: int | None = 1000,
 ) -> str:
-    """What a report of some results prints, on so many columns; None for those of a pipe."""
+    """Return the printed report of some results, of this width; None for that of a pipe."""
     file = io.StringIO()
     with mock.patch.dict(os.environ, {} if width is None else {"COLUMNS": str(width)}):
         report.summarise(directories, Console(file=file), page, html, full=full)

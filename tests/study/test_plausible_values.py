@@ -1,12 +1,12 @@
-"""Nonsense is asked about, wherever a value is given: what is usual stands beside every key."""
+"""Implausible values are refused wherever they are given, by the usual range of each key."""
 
 import copy
 import tomllib
 from typing import Any
 
 import pytest
-from support.memory import at_most_mb
-from support.studies import BASE, refusal, small_study
+from support.memory import limit_memory_mb
+from support.studies import BASE, refusal_line, small_study
 
 from sinsjax import columns
 from sinsjax.errors import InputError
@@ -23,16 +23,16 @@ BOUNDED |= {"latitude_deg", "phi_e0_deg", "phi_n0_deg", "phi_u0_deg"}
 """Angles whose bounds say it all."""
 
 
-def insisted(**tables: Any) -> Study:
+def unchecked_study(**tables: Any) -> Study:
     return small_study(**tables | {"study": tables.get("study", {}) | {"unchecked": True}})
 
 
 def test_refusal_names_value_position_in_file():
     """Also where others before it are given twice."""
     heights = {"z": {"height_m": [0, 0, 1e12], "ve0_m_per_s": [1, 2, 3]}}
-    assert refusal(axes=heights).startswith("[axes.z] height_m[2]: 1e+12 is outside")
+    assert refusal_line(axes=heights).startswith("[axes.z] height_m[2]: 1e+12 is outside")
     gains = {"alignment": {"method": "compass"}, "compass": {"level_gains": [1.0, 9e11, 0.0]}}
-    assert "level_gains[1]: 900000000000 is outside" in refusal(**gains)
+    assert "level_gains[1]: 900000000000 is outside" in refusal_line(**gains)
 
 
 @pytest.mark.parametrize("draws", [4_100_000, 4_300_000, 40_000_000])
@@ -59,7 +59,7 @@ def test_defaults_lie_in_usual_range():
     for section, model in SECTIONS.items():
         for key, field in model.model_fields.items():
             if KEYS[section, key].info.usual:
-                assert rules.doubt(key, field.default) is None
+                assert rules.describe_implausible(key, field.default) is None
 
 
 @pytest.mark.parametrize(
@@ -81,9 +81,9 @@ def test_unusual_value_is_refused_unless_unchecked(section: str, key: str, value
     low, high = KEYS[section, key].info.usual
     line = f"[{section}] {key}: {value:.12g} is outside the usual range of {low:g} to {high:g}"
     line += " ([study] unchecked = true accepts it)"
-    assert refusal(**{section: {key: value}}) == line
+    assert refusal_line(**{section: {key: value}}) == line
     if section != "study":
-        assert getattr(getattr(insisted(**{section: {key: value}}), section), key) == value
+        assert getattr(getattr(unchecked_study(**{section: {key: value}}), section), key) == value
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_unusual_value_is_refused_unless_unchecked(section: str, key: str, value
     ],
 )  # fmt: skip
 def test_unusual_value_is_refused_in_lists_axes_and_cases(tables: dict[str, Any], place: str):
-    assert refusal(**tables).startswith(place)
+    assert refusal_line(**tables).startswith(place)
 
 
 @pytest.mark.parametrize(
@@ -130,11 +130,11 @@ def test_law_of_huge_draw_count_is_checked_without_listing_draws(
     law: dict[str, Any], text: str | None
 ):
     tables = {"study": {"draws": 896_000_000}, "drawn": {"vn0_m_per_s": law}}
-    with at_most_mb(100):  # a list of the draws is 7,000
+    with limit_memory_mb(100):  # a list of the draws is 7,000
         if text is None:
             small_study(**tables)
         else:
-            assert text in refusal(**tables)
+            assert text in refusal_line(**tables)
 
 
 @pytest.mark.parametrize(
@@ -147,24 +147,24 @@ def test_law_of_huge_draw_count_is_checked_without_listing_draws(
 )
 def test_unusual_tuning_value_is_refused_unless_unchecked(kind: dict[str, Any], place: str):
     tune = {"variables": {"p0_yaw_deg": kind}, "searches": ["grid"]}
-    line = refusal(tune=tune)
+    line = refusal_line(tune=tune)
     assert line.startswith(f"[tune.variables] {place}") and "p0_yaw_deg: 1000000 is" in line
-    insisted(tune=tune)
+    unchecked_study(tune=tune)
 
 
 def test_feedback_interval_longer_than_run_is_refused_unless_unchecked():
-    line = refusal(alignment={"feedback_interval_s": 7.0})
+    line = refusal_line(alignment={"feedback_interval_s": 7.0})
     assert line == (
         "[alignment] feedback_interval_s: 7 s is longer than a run of 6 s: there is no feedback"
         " ([study] unchecked = true accepts it)"
     )
-    insisted(alignment={"feedback_interval_s": 7.0})
+    unchecked_study(alignment={"feedback_interval_s": 7.0})
     small_study(alignment={"feedback_interval_s": 6.0})
 
 
 @pytest.mark.parametrize("earth", ["constants", "wgs84"])
 def test_height_below_earth_centre_is_always_refused(earth: str):
-    line = refusal(earth={"height_m": -6378137.0, "earth": earth}, study={"unchecked": True})
+    line = refusal_line(earth={"height_m": -6378137.0, "earth": earth}, study={"unchecked": True})
     assert line == (
         "[earth] height_m: -6378137 m reaches the centre of the Earth (give the height in m)"
     )
@@ -176,5 +176,7 @@ def test_default_feedback_interval_is_accepted_in_short_study():
 
 
 def test_unchecked_does_not_change_fingerprint():
-    assert insisted() != small_study() and fingerprint(insisted()) == fingerprint(small_study())
+    assert unchecked_study() != small_study() and fingerprint(unchecked_study()) == fingerprint(
+        small_study()
+    )
     assert "unchecked" not in study_to_toml(small_study())

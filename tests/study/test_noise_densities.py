@@ -1,4 +1,4 @@
-"""Q by its true units, and the heading as a compass shows it."""
+"""Q in units of densities, and the heading in compass convention."""
 
 import numpy as np
 import pytest
@@ -8,13 +8,13 @@ from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import study_from_dict, tables_of
+from sinsjax.study.load import study_from_dict, study_to_tables
 
 OLD = {"q_reading": "psd", "q_gyro_deg_per_h": 0.18, "q_accel_ug": 60.0}
 GYRO = {"q_gyro_deg_per_h_per_sqrt_hz": 0.18, "q_gyro_arw_deg_per_sqrt_h": 0.003}
 
 
-def q_of(**filter_: float | str) -> np.ndarray:
+def compute_q(**filter_: float | str) -> np.ndarray:
     (part,) = build.parts(small_study(filter=filter_))
     return np.array(part.group.variants.method.q)[:, 0]
 
@@ -22,8 +22,8 @@ def q_of(**filter_: float | str) -> np.ndarray:
 @pytest.mark.parametrize("key", GYRO)
 def test_density_keys_give_same_q_as_psd_units(key: str) -> None:
     """An angle random walk of N deg/sqrt(h) adds N^2 t/3600 deg^2 in t seconds."""
-    new = q_of(q_reading="psd", q_accel_ug_per_sqrt_hz=60.0, **{key: GYRO[key]})
-    np.testing.assert_allclose(new, q_of(**OLD), rtol=1e-12)
+    new = compute_q(q_reading="psd", q_accel_ug_per_sqrt_hz=60.0, **{key: GYRO[key]})
+    np.testing.assert_allclose(new, compute_q(**OLD), rtol=1e-12)
     np.testing.assert_allclose(new[2:], np.deg2rad(0.003) ** 2 / 3600 * 0.01, rtol=1e-12)
     np.testing.assert_allclose(new[:2], (60e-6 * 9.8) ** 2 * 0.01, rtol=1e-12)
 
@@ -31,9 +31,9 @@ def test_density_keys_give_same_q_as_psd_units(key: str) -> None:
 def test_psd_and_per_sample_noise_give_same_q() -> None:
     """At 100 Hz a sample has ten times the density; as it is, it has a hundred times the sigma."""
     sample = {"q_gyro_deg_per_h": 1.8, "q_accel_ug": 600.0}
-    of_a_sample = q_of(q_reading="per_sample", **sample)
-    np.testing.assert_allclose(of_a_sample, q_of(**OLD), rtol=1e-12)
-    np.testing.assert_allclose(q_of(q_reading="per_step", **sample), 100.0**2 * of_a_sample)
+    of_a_sample = compute_q(q_reading="per_sample", **sample)
+    np.testing.assert_allclose(of_a_sample, compute_q(**OLD), rtol=1e-12)
+    np.testing.assert_allclose(compute_q(q_reading="per_step", **sample), 100.0**2 * of_a_sample)
 
 
 def test_density_key_can_be_swept() -> None:
@@ -48,7 +48,7 @@ def test_density_key_can_be_swept() -> None:
 def test_study_with_densities_round_trips_with_same_fingerprint() -> None:
     study = small_study(filter={"q_reading": "psd", "q_gyro_arw_deg_per_sqrt_h": 0.003})
     assert study.filter is not None and study.filter.q_gyro_deg_per_h is None
-    assert fingerprint(study_from_dict(tables_of(study))) == fingerprint(study)
+    assert fingerprint(study_from_dict(study_to_tables(study))) == fingerprint(study)
 
 
 @pytest.mark.parametrize(
@@ -99,5 +99,5 @@ def test_heading_just_west_of_north_is_zero_not_360() -> None:
     seen = Observation(
         Vec3(zero, zero, zero), Vec3(zero, zero, zero), zero, zero, np.r_[1e-30, 0.0]
     )
-    told = tables.Tables(small_study())._observed(seen)["heading_deg"]
+    told = tables.TableBuilder(small_study())._angle_columns(seen)["heading_deg"]
     assert told.to_pylist() == [0.0, 0.0]

@@ -1,10 +1,10 @@
-"""Times after the end of all runs, keys that nobody reads, draws that never come: all refused."""
+"""Times after the end of all runs, unread keys and unreached draws are refused."""
 
 import tomllib
 from typing import Any
 
 import pytest
-from support.studies import BASE, refusal, small_study
+from support.studies import BASE, refusal_line, small_study
 
 from sinsjax.errors import InputError
 from sinsjax.study.load import study_from_dict, study_to_toml
@@ -77,7 +77,7 @@ TRIGGER = {"reset_trigger": "nis", "trigger_threshold": 9.0}
     ],
 )
 def test_time_after_end_of_all_runs_is_refused(tables: dict[str, Any], line: str):
-    assert refusal(**tables) == line
+    assert refusal_line(**tables) == line
 
 
 @pytest.mark.parametrize(
@@ -109,11 +109,13 @@ def test_damping_given_with_gains_is_refused(loop: str):
     gains = {"level": [1.0, 2.0, 3.0], "azimuth": [1.0, 2.0, 3.0, 4.0]}[loop]
     compass = {f"{loop}_gains": gains, f"{loop}_damping": 0.6}
     text = f"{loop}_damping: has no effect with {loop}_gains in"
-    assert refusal(**COMPASS, compass=compass) == f"[compass] {text} [compass] (give one of them)"
+    assert (
+        refusal_line(**COMPASS, compass=compass) == f"[compass] {text} [compass] (give one of them)"
+    )
     axes = {f"{loop}_gains": [gains]}
-    line = refusal(**COMPASS, compass={f"{loop}_damping": 0.6}, axes=axes)
+    line = refusal_line(**COMPASS, compass={f"{loop}_damping": 0.6}, axes=axes)
     assert line == f"[compass] {text} [axes] (give one of them)"
-    line = refusal(**COMPASS, axes=axes | {f"{loop}_damping": [0.6, 0.7]})
+    line = refusal_line(**COMPASS, axes=axes | {f"{loop}_damping": [0.6, 0.7]})
     assert line.startswith(f"[axes] {text}")
     del compass[f"{loop}_damping"]
     study = small_study(**COMPASS, compass=compass)

@@ -1,0 +1,254 @@
+"""Plausibility checks of a record before its alignment.
+
+Apart from sensor biases, the mean specific force of a stationary base is gravity and its mean rate
+is Earth rate, even if it sways. Wrong units, axes or signs, or a turning vehicle, affect one of the
+two.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from sinsjax.records.layout import ACCEL_UNITS, GYRO_UNITS, Layout, Record, message_key
+from sinsjax.records.means import MAX_PARKED_TURN, Means, compute_means, vertical_rate
+from sinsjax.units import DEG, DEG_PER_H, micro_g
+
+_CERTAIN_FACTOR = 9.5
+"""Factor by which a rejected mean is wrong: below 10, to detect g taken for m/s^2 (9.8)."""
+
+_MAX_SETTLING_ANGLE = 0.3 * DEG  # of an occupied vehicle on its suspension, in a third of a span
+_SHORT_S = 20.0  # contains few sways
+_LONG_S = 180.0  # a third of it contains several sways of most bases
+_MIN_RESOLVED_RATIO = 0.99  # of gravity, when the gyros follow the sways
+_MAX_TILT = 45 * DEG
+UNIT_NAMES = {
+    "rad_per_s": "rad/s",
+    "deg_per_s": "deg/s",
+    "deg_per_h": "deg/h",
+    "m_per_s2": "m/s^2",
+    "m_per_s": "m/s per sample",
+    "g_s": "g s per sample",
+    "ug_s": "ug s per sample",
+    "rad": "rad per sample",
+    "deg": "deg per sample",
+    "arcsec": "arcsec per sample",
+    "g": "g",
+    "mg": "mg",
+    "ug": "ug",
+}
+
+
+class StationaryValues(NamedTuple):
+    """Expected measurements of a stationary record, SI units.
+
+    Attributes:
+        earth_rate: rad/s.
+        latitude: rad.
+        gravity: m/s^2.
+        gyro_bias: largest plausible gyro bias, rad/s.
+        accel_bias: largest plausible accelerometer bias, m/s^2.
+    """
+
+    earth_rate: float
+    latitude: float
+    gravity: float
+    gyro_bias: float
+    accel_bias: float
+
+
+class Finding(NamedTuple):
+    """Something implausible; ``is_certain`` if it is certainly wrong. The text names no file."""
+
+    is_certain: bool
+    text: str
+
+
+def check_stationary(
+    record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues
+) -> list[Finding]:
+    """Return what is implausible for a stationary base in a span of a record.
+
+    Args:
+        record: the record, without missing samples in the span.
+        span: first sample, and the one after the last; at least a second.
+        layout: the layout that the record was read with, to suggest a cause.
+        expected: measurements and sensor biases to expect.
+    """
+    means = compute_means(record, span, expected.gravity)
+    results = [
+        *_check_mean_force(means, layout, record.rate_hz, expected),
+        *_check_up_axis(means, layout),
+    ]
+    rate_findings = list(_check_mean_rate(record, span, layout, expected, means))
+    if rate_findings:  # wrong gyros cannot show a rotation of the base
+        return results + rate_findings
+    return results + rate_findings + list(_check_rotation(means, expected))
+
+
+def _check_mean_force(
+    means: Means, layout: Layout, rate_hz: float, expected: StationaryValues
+) -> Iterator[Finding]:
+    magnitude, gravity = means.force_magnitude, expected.gravity
+    if abs(magnitude - gravity) <= expected.accel_bias:
+        return
+    is_certain = not 1 / _CERTAIN_FACTOR < magnitude / gravity < _CERTAIN_FACTOR
+    other_units = _other_unit_factors(ACCEL_UNITS, "accel_unit", layout, rate_hz)
+    likely = [
+        unit for unit, factor in other_units.items() if abs(magnitude * factor / gravity - 1) < 0.1
+    ]
+    text = (
+        f"the mean specific force is {magnitude:.5g} m/s^2, {magnitude / gravity:.3g} times gravity"
+    )
+    if likely:
+        yield Finding(is_certain, f"{text}: are these {UNIT_NAMES[likely[0]]}?")
+        return
+    if is_certain:
+        yield Finding(True, f"{text}: is the accelerometer scale right?")
+        return
+    bias = abs(magnitude - gravity) / micro_g()
+    yield Finding(False, f"{text}: an accelerometer bias of {bias:.2g} ug or more would explain it")
+
+
+def _check_up_axis(means: Means, layout: Layout) -> Iterator[Finding]:
+    magnitude = float(np.linalg.norm(means.force)) or 1.0  # zero in a record that is trusted anyway
+    tilt = math.acos(max(-1.0, min(1.0, means.force[2] / magnitude)))
+    key = message_key(layout, "axes_order")
+    if tilt > 90 * DEG:
+        is_default = layout.axes_order in ("xyz", "rfu")
+        hint = " ('yx-z' for front-right-down)" if is_default else ""
+        yield Finding(
+            True,
+            f"the specific force points down, {tilt / DEG:.3g} deg from the up axis: are"
+            f" {key}{hint} and the sign of the accelerometers right?",
+        )
+    elif tilt > _MAX_TILT:
+        text = f"the up axis is tilted by {tilt / DEG:.3g} deg: is {key} right?"
+        yield Finding(False, text)
+
+
+def _check_mean_rate(
+    record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues, means: Means
+) -> Iterator[Finding]:
+    magnitude, earth = float(np.linalg.norm(means.rate)), expected.earth_rate
+    allowed, bias = expected.gyro_bias + means.rate_uncertainty, abs(magnitude - earth)
+    text = (
+        f"the mean rate is {magnitude / DEG_PER_H:.3g} deg/h, {magnitude / earth:.3g} times Earth"
+        " rate"
+    )
+    is_high = (magnitude - means.rate_uncertainty) / earth >= _CERTAIN_FACTOR
+    is_low = (magnitude + means.rate_uncertainty) / earth <= 1 / _CERTAIN_FACTOR
+    measured, vertical = vertical_rate(means), earth * math.sin(expected.latitude)
+    if means.length_s < _SHORT_S and not means.is_steady:
+        return
+    is_unresolved = (
+        means.resolved_force_ratio
+        < _MIN_RESOLVED_RATIO - ((earth + expected.gyro_bias) * means.length_s) ** 2 / 8
+    )
+    is_suspect = is_unresolved or (bias > allowed and (is_low or (is_high and means.is_steady)))
+    likely = _suggest_gyro_unit(record, span, layout, expected) if is_suspect else ""
+    if bias > allowed and (is_low or (likely and is_high and means.is_steady)):
+        yield Finding(True, f"{text}: {likely or 'has Earth rate been removed?'}")
+    elif bias > allowed and is_high and means.is_steady:
+        # A wrong scale keeps the direction of Earth rate; a bias would do so only by chance.
+        keeps_direction = (
+            abs(measured / magnitude - math.sin(expected.latitude))
+            < 0.2 + means.rate_uncertainty / magnitude
+        )
+        question = "is the gyro scale right?" if keeps_direction else _hidden_earth_rate_text(bias)
+        yield Finding(True, f"{text}: {question}")
+    elif is_unresolved:
+        text += ", and the gyros do not follow the vertical"
+        yield Finding(bool(likely), f"{text}: {likely or 'are their unit, axes and signs right?'}")
+    elif bias > allowed and not means.is_steady:
+        yield Finding(False, f"{text}, and it varies: the base turns or sways slowly")
+    elif bias - means.rate_uncertainty >= earth * math.cos(expected.latitude):
+        yield Finding(False, f"{text}: {_hidden_earth_rate_text(bias)}")
+    elif bias > allowed:
+        bias_deg_per_h = bias / DEG_PER_H
+        text += f": a gyro bias of {bias_deg_per_h:.3g} deg/h or more would explain it"
+        yield Finding(False, f"{text}, and the heading cannot be trusted")
+    elif abs(measured - vertical) > allowed:
+        removed_hint = (
+            ", or has Earth rate been removed" if abs(measured) < 0.5 * abs(vertical) else ""
+        )
+        yield Finding(
+            False,
+            f"the rate about the vertical is {measured / DEG_PER_H:.3g} deg/h, but Earth rate there"
+            f" is {vertical / DEG_PER_H:.3g}: do gyros and accelerometers share their axes, and is"
+            f" the latitude right{removed_hint}?",
+        )
+
+
+def _hidden_earth_rate_text(bias: float) -> str:
+    bias_deg_per_h = bias / DEG_PER_H
+    return (
+        f"a gyro bias of {bias_deg_per_h:.3g} deg/h or more hides Earth rate:"
+        " no heading can be found"
+    )
+
+
+def _check_rotation(means: Means, expected: StationaryValues) -> Iterator[Finding]:
+    drift = (expected.earth_rate + expected.gyro_bias + means.rate_uncertainty) * means.length_s
+    if means.turn_angle > MAX_PARKED_TURN:
+        yield Finding(
+            False,
+            f"the base turns by about {means.turn_angle / DEG:.3g} deg within the span used: the"
+            " attitude at its end differs from that at its start",
+        )
+    elif means.vertical_shift > MAX_PARKED_TURN + drift:
+        yield Finding(
+            False,
+            f"the vertical moves by {means.vertical_shift / DEG:.2g} deg but the gyros sense no"
+            " rotation: were several records joined?",
+        )
+    elif means.length_s >= _LONG_S and means.rate_change > max(
+        expected.gyro_bias, 3 * _MAX_SETTLING_ANGLE / means.length_s
+    ):
+        yield Finding(
+            False,
+            f"the mean rate changes by {means.rate_change / DEG_PER_H:.3g} deg/h within the span"
+            " used: the base was turned, or a gyro bias drifts",
+        )
+
+
+def _other_unit_factors(
+    units: dict[str, dict[str, float]], key: str, layout: Layout, rate_hz: float
+) -> dict[str, float]:
+    """Return the factors that convert a mean to other possible units of its columns.
+
+    PSINS text has fixed units.
+    """
+    if layout.format == "psins":
+        return {}
+    current_factor = units[layout.quantity][getattr(layout, key)]
+    rate_factor = {"increments": rate_hz, "rates": 1 / rate_hz}
+    return {
+        unit: factor
+        / current_factor
+        * (1.0 if quantity == layout.quantity else rate_factor[quantity])
+        for quantity, names in units.items()
+        for unit, factor in names.items()
+        if unit != getattr(layout, key)
+    }
+
+
+def _suggest_gyro_unit(
+    record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues
+) -> str:
+    """Return a question about a unit that would make the rate plausible; "" without one."""
+    part = record._replace(dtheta=record.dtheta[slice(*span)], dv=record.dv[slice(*span)])
+    earth = expected.earth_rate
+    factors = _other_unit_factors(GYRO_UNITS, "gyro_unit", layout, record.rate_hz)
+    for unit, factor in sorted(factors.items(), key=lambda item: abs(math.log(item[1]))):
+        scaled = part._replace(dtheta=part.dtheta * factor)
+        means = compute_means(scaled, (0, len(part.dv)), expected.gravity)
+        magnitude = float(np.linalg.norm(means.rate))
+        if means.resolved_force_ratio < _MIN_RESOLVED_RATIO:
+            continue
+        if abs(magnitude - earth) <= min(expected.gyro_bias, earth / 2) + means.rate_uncertainty:
+            direction_error = abs(vertical_rate(means) / magnitude - math.sin(expected.latitude))
+            if direction_error < 0.2 + means.rate_uncertainty / magnitude:
+                return f"are these {UNIT_NAMES[unit]}?"
+    return ""
