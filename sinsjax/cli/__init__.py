@@ -219,7 +219,9 @@ def tune(
         run_tuning.run_tuning(
             job, watch=lambda name: progress(terminal, f"{job.study.name}: {name}"), stop=stop
         )
-    import_module("sinsjax.report").summarise([job.directory], terminal, full=full, warned=True)
+    import_module("sinsjax.report").print_reports(
+        [job.directory], terminal, full=full, warnings_shown=True
+    )
 
 
 @command(rich_help_panel=LOOK)
@@ -283,7 +285,7 @@ def report(
     """
     from sinsjax import report as reports
 
-    reports.summarise(directories, plain_console(), page, html, full=full)
+    reports.print_reports(directories, plain_console(), page, html, full=full)
 
 
 @command(rich_help_panel=LOOK)

@@ -77,7 +77,9 @@ def run_study(
         stop = stack.enter_context(interruptible(terminal))
         tell = stack.enter_context(progress(terminal, job.study.name))
         run_job(job, executor=executor, tell=tell, stop=stop)
-    import_module("sinsjax.report").summarise([job.directory], terminal, full=full, warned=True)
+    import_module("sinsjax.report").print_reports(
+        [job.directory], terminal, full=full, warnings_shown=True
+    )
 
 
 def print_job(terminal: Any, job: Any, plan: str) -> None:

@@ -211,7 +211,7 @@ def test_sweep_and_report_finish_after_broken_pipe(
     config = tmp_path / "swing.toml"
     config.write_text(tomli_w.dumps(small_tables()))
     monkeypatch.setattr(run, "run_job", finished)
-    monkeypatch.setattr("sinsjax.report.summarise", lambda *_, **__: done.append("report"))
+    monkeypatch.setattr("sinsjax.report.print_reports", lambda *_, **__: done.append("report"))
     monkeypatch.setattr(sys, "argv", ["sinsjax", "sweep", str(config), "-o", str(tmp_path / "o")])
     with open(writing, "w", buffering=1) as closed:
         monkeypatch.setattr(sys, "stdout", closed)

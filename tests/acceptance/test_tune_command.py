@@ -27,7 +27,7 @@ from sinsjax.execution.run import RunProgress
 from sinsjax.execution.tasks import Job
 from sinsjax.plots import descents
 from sinsjax.records import write_psins
-from sinsjax.report import tuned
+from sinsjax.report import tuning as tuning_report
 from sinsjax.study.load import load_study, study_from_dict, with_point
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
@@ -166,8 +166,8 @@ def test_report_flags_values_at_range_bounds(made: Path) -> None:
             if found.best.values[i] in (space.variables[i].low, space.variables[i].high)
         }
         assert bounds[name] == there
-    made_report = tuned.report(results.read(made))
-    cautions = [fact.text for fact in made_report.verdict.facts if fact.is_doubt]
+    made_report = tuning_report.build_report(results.read(made))
+    cautions = [fact.text for fact in made_report.verdict.facts if fact.is_caution]
     assert any("the end of the range" in text for text in cautions) == bool(bounds[tuning.best])
     (table,) = (b for one in made_report.sections for b in one.blocks if b[0] == CANDIDATES)
     cells = [cell for row in table.rows for cell in row]
@@ -176,10 +176,16 @@ def test_report_flags_values_at_range_bounds(made: Path) -> None:
 
 def test_reset_times_close_together_are_printed_as_pair() -> None:
     first = Variable("reset_times_s", 0, 2.0, 50.0, True)
-    assert tuned._value((8.94, 76.55, 76.74), (), "reset_times_s") == "8.94, 76.55 and 76.74"
-    found = tuned._value((2.0, 63.84), [(first, 2.0)], "reset_times_s")
+    assert (
+        tuning_report._format_candidate_value((8.94, 76.55, 76.74), (), "reset_times_s")
+        == "8.94, 76.55 and 76.74"
+    )
+    found = tuning_report._format_candidate_value((2.0, 63.84), [(first, 2.0)], "reset_times_s")
     assert found == "2 (bound), 63.84"
-    assert tuned._value(0.5, (), "q_scale") == "0.5" and tuned._value((), (), "q") == "none"
+    assert (
+        tuning_report._format_candidate_value(0.5, (), "q_scale") == "0.5"
+        and tuning_report._format_candidate_value((), (), "q") == "none"
+    )
 
 
 def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path) -> None:

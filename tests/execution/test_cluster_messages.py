@@ -384,7 +384,7 @@ def test_forecast_counts_worker_threads_and_remaining_runs(
     executor = Executor(lambda runner, tasks: iter(()), {"threads": 24})
     monkeypatch.setattr(studies, "_executor", lambda *_: nullcontext(executor))
     monkeypatch.setattr(run, "run_job", lambda *_, **__: None)
-    monkeypatch.setattr("sinsjax.report.summarise", lambda *_, **__: None)
+    monkeypatch.setattr("sinsjax.report.print_reports", lambda *_, **__: None)
     options: dict[str, Any] = {"overwrite": False, "devices": None, "resume": True}
     options["every_curve"] = False
     for where, on in (((None, "tcp://head:8786"), "24 worker threads"), ((1, None), "1 core")):

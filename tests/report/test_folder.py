@@ -11,15 +11,15 @@ from support.stored import store, told
 from support.studies import small_study
 
 from sinsjax.errors import InputError
-from sinsjax.report import folder
-from sinsjax.report.folder import Page
+from sinsjax.report import study_page
+from sinsjax.report.study_page import Page
 
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
 
 SCRIPT = """
 from matplotlib.figure import Figure
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page
+from sinsjax.report.study_page import Page
 from .neighbour import HALF
 
 def page(sources):
@@ -128,7 +128,7 @@ def test_folder_without_page_script_is_refused(results, tmp_path):
 def test_false_claims_are_ignored_when_not_enforced(page_of):
     page = Page({}, {}, {}, {"so": False})
     at = page_of("{{ claim('so') }}said")
-    assert folder.render(at, page, enforced=False) == "said"
+    assert study_page.render_prose(at, page, enforce_claims=False) == "said"
 
 
 def test_study_name_does_not_select_report_layout(tmp_path):

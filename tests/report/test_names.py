@@ -35,8 +35,8 @@ from sinsjax.platform.files import file_stem
 from sinsjax.plots import png
 from sinsjax.plots.style import styled
 from sinsjax.report.base import Chapter, Fact, Report, Table, Text, Verdict
-from sinsjax.report.names import NO_NAMES, Names, escaped
-from sinsjax.report.output import Made, print_report, write_html, write_page
+from sinsjax.report.names import NO_NAMES, StudyNames, escape_markdown
+from sinsjax.report.output import DrawnReport, print_report, write_html_page, write_markdown_page
 from sinsjax.study.load import load_study
 
 NASTY = (
@@ -79,31 +79,31 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", NASTY)
 def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
     read = MarkdownIt("commonmark").enable(["table", "strikethrough"])
-    shown = read.renderInline(escaped(name)).replace("&lt;", "<").replace("&gt;", ">")
+    shown = read.renderInline(escape_markdown(name)).replace("&lt;", "<").replace("&gt;", ">")
     assert shown.replace("&amp;", "&") == name
-    cell = escaped(name).replace("|", "\\|")
-    assert "<td>" + read.renderInline(escaped(name)) + "</td>" in read.render(
+    cell = escape_markdown(name).replace("|", "\\|")
+    assert "<td>" + read.renderInline(escape_markdown(name)) + "</td>" in read.render(
         f"| a |\n| --- |\n| {cell} |\n"
     )
 
 
 def test_only_names_are_escaped() -> None:
-    names = Names.of(small_study(study={"name": "*a* `b`"}))
-    assert names.markdown("*never* `c` *a* `b`") == r"*never* `c` \*a\* \`b\`"
-    assert names.plain("*never* `c` *a* `b`") == "never c *a* `b`"
-    assert NO_NAMES.markdown("*never* 1 < 2, <b>") == "*never* 1 < 2, &lt;b>"
+    names = StudyNames.from_study(small_study(study={"name": "*a* `b`"}))
+    assert names.to_markdown("*never* `c` *a* `b`") == r"*never* `c` \*a\* \`b\`"
+    assert names.to_plain_text("*never* `c` *a* `b`") == "never c *a* `b`"
+    assert NO_NAMES.to_markdown("*never* 1 < 2, <b>") == "*never* 1 < 2, &lt;b>"
 
 
 def test_shipped_pages_are_unchanged_by_name_escaping() -> None:
     """Nothing that stands on a committed page is changed on its way there."""
     root = Path(__file__).parents[2]
     configs = sorted(root.glob("configs/*.toml"))
-    names = [Names.of(load_study(path), f"configs/{path.name}") for path in configs]
+    names = [StudyNames.from_study(load_study(path), f"configs/{path.name}") for path in configs]
     assert names and not any(each.texts for each in names)
     assert all(file_stem(path.stem) == path.stem for path in configs)
     for page in root.glob("docs/*.md"):
         text = re.sub(r"<!--.*?-->|</?(details|summary)>", "", page.read_text(encoding="utf-8"))
-        assert NO_NAMES.markdown(text) == text, page.name
+        assert NO_NAMES.to_markdown(text) == text, page.name
 
 
 @pytest.mark.usefixtures("drawn_on_request")
@@ -163,11 +163,11 @@ def test_control_characters_in_any_part_of_report_are_escaped(
     row = Table(f"verdict{odd}", [f"head{odd}"], [[f"row{odd}"]])
     verdict = Verdict(f"study{odd}", [Fact(f"label{odd}", f"fact{odd}")], row)
     chapter = Chapter(f"chapter{odd}", [Text(f"text{odd}"), table])
-    made = Made.of(Source.read(results), Report(verdict, [chapter]))
+    made = DrawnReport.from_report(Source.read(results), Report(verdict, [chapter]))
     print_report(made, said)
     print_report(made, said, full=True)
-    write_page(tmp_path / "page.md", f"name{odd}", [made])
-    write_html(tmp_path / "page.html", f"name{odd}", [made])
+    write_markdown_page(tmp_path / "page.md", f"name{odd}", [made])
+    write_html_page(tmp_path / "page.html", f"name{odd}", [made])
     printed = said.file.getvalue()
     pages = [(tmp_path / f"page.{end}").read_text() for end in ("md", "html")]
     for text in (printed, *pages):
@@ -273,7 +273,7 @@ def test_failed_report_keeps_results_complete(
     config, out = tmp_path / "swing.toml", tmp_path / "out"
     config.write_text(tomli_w.dumps(BASE))
     monkeypatch.setattr(run, "run_into", finished)
-    monkeypatch.setattr(report.auto, "report", broken)
+    monkeypatch.setattr(report.monte_carlo, "build_report", broken)
     monkeypatch.setattr("sys.argv", ["sinsjax", "sweep", str(config), "-o", str(out)])
     with pytest.raises(SystemExit) as stop:
         cli.main()

@@ -21,7 +21,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.source import Source
-from sinsjax.report import base, over_axes
+from sinsjax.report import axis_figures, base
 from sinsjax.study.load import study_from_dict
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
@@ -165,7 +165,7 @@ def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
     assert study.axes_shown == {("phi_e0_deg",): (0.0, 5.0, 10.0), ("phi_u0_deg",): (0.0, 30.0)}
     settle = np.tile([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], 3)
     source = Source(tmp_path, study, "x.toml", summary_of(study, settle_10_s=settle))
-    blocks = {block.name: block for block in over_axes.over_axes(source)}
+    blocks = {block.name: block for block in axis_figures.build_axis_blocks(source)}
     axes = blocks["settling_time"].figure.axes[0]
     assert (axes.get_ylabel(), axes.get_xlabel()) == (
         "initial level error about east (deg)",
@@ -323,7 +323,7 @@ def test_unwritable_output_is_refused_before_report_is_made(tmp_path, monkeypatc
     study = small_study()
     directory = store(tmp_path / "results", study, summary_of(study))
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(report.auto, "report", lambda source: pytest.fail("was made"))
+    monkeypatch.setattr(report.monte_carlo, "build_report", lambda source: pytest.fail("was made"))
     wrong = {"file/one": f"--{option} .*one: cannot be written: no folder.*file$"}
     if option == "html":
         wrong["results"] = "--html .*results: is a folder, give the name of a file$"
@@ -342,10 +342,10 @@ def test_missing_page_folder_is_created(tmp_path):
 
 def test_markdown_escapes_cells_and_folds_tables():
     table = base.Table("T", ["a|b"], [["|x|"]], "note", folded=True)
-    text = report.output.markdown(table)
+    text = report.output.block_to_markdown(table)
     assert text.startswith("<details>") and "\\|x\\|" in text and "note" in text
     picture = base.Picture("fig", "what is seen", Figure())
-    assert "](figures/p_fig.png)" in report.output.markdown(picture, "p_")
+    assert "](figures/p_fig.png)" in report.output.block_to_markdown(picture, "p_")
 
 
 def test_source_without_config_file_is_labelled_by_study_name(tmp_path):
@@ -376,13 +376,15 @@ def test_page_states_success_criteria_and_their_reference(tmp_path):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     page = tmp_path / "page.md"
     told(store(tmp_path / "out", study, summary_of(study)), page=page)
-    said = base.yardstick(study)
+    said = base.describe_success_criterion(study)
     assert said in "\n".join(page.read_text().splitlines()[:10])
     # A tenth of 6 s.
     assert "of true north" in said and "ok: it has been there for 0.6 s at the end" in said
     floor = small_study(study={"judged_from": "floor", "dwell_s": 0.0}, motion=STILL)
-    assert "not of true north" in base.yardstick(floor) and "it ends there" in base.yardstick(floor)
-    assert "of the reference's heading" in base.yardstick(recorded_study())
+    assert "not of true north" in base.describe_success_criterion(
+        floor
+    ) and "it ends there" in base.describe_success_criterion(floor)
+    assert "of the reference's heading" in base.describe_success_criterion(recorded_study())
 
 
 def test_success_from_truth_and_bias_floor_appears_in_all_outputs(tmp_path):
@@ -396,7 +398,7 @@ def test_success_from_truth_and_bias_floor_appears_in_all_outputs(tmp_path):
     floors = "within 10' of their bias floors"
     half = percent(analysis.share(flags["ok_truth"], np.repeat(np.arange(8), 2)))
     assert f"{half} % of the runs settle" in text
-    (along,) = over_axes.over_axes(source)
+    (along,) = axis_figures.build_axis_blocks(source)
     titles = [axes.get_title(loc="left") for axes in along.figure.axes]
     page = unescape(html.read_text())
     assert f"share of runs that are ok, {truth} (%)" in titles
@@ -435,7 +437,7 @@ def test_heading_error_table_shows_rms_and_quantile_per_time(tmp_path):
     few = small_study(study={"draws": 16})
     assert (
         "*few draws*: too few to bound it"
-        in report.auto.heading_errors(
+        in report.monte_carlo.heading_error_table(
             Source(tmp_path, few, "x.toml", summary_of(few)), [], "Heading error"
         ).note
     )
@@ -444,7 +446,7 @@ def test_heading_error_table_shows_rms_and_quantile_per_time(tmp_path):
 def test_notes_warn_of_fewer_than_16_draws(tmp_path):
     for draws, warns in ((15, True), (16, False)):
         study = small_study(study={"draws": draws})
-        note = report.base.intervals(Source(tmp_path, study, "x.toml", summary_of(study)))
+        note = report.base.describe_intervals(Source(tmp_path, study, "x.toml", summary_of(study)))
         assert note.startswith("Number [95 % interval over the draws].")
         assert ("*few draws*" in note and "fewer than 16 draws" in note) == warns
 
@@ -459,7 +461,9 @@ def test_runs_near_north_but_not_converged_are_reported(tmp_path):
     text = told(store(tmp_path / "a", study, summary_of(study, **flags, phi_u_arcmin=phi)))
     assert "All 8 runs that are ok within 10' of true north end more than 10' from" in text
     source = Source.read(tmp_path / "a")
-    drawn = {b.name: b for b in over_axes.over_axes(source) if isinstance(b, base.Picture)}
+    drawn = {
+        b.name: b for b in axis_figures.build_axis_blocks(source) if isinstance(b, base.Picture)
+    }
     assert drawn.keys() == {"settling_time", "settling_time_floor"}  # every share is 0 or 100 %
     for name, hatched in {"settling_time": 2, "settling_time_floor": 0}.items():
         patches = drawn[name].figure.axes[0].patches
@@ -491,7 +495,9 @@ def test_constant_bias_floor_is_drawn_as_line(tmp_path, floors, drawn):
     study = small_study(study={"draws": 2, "curves": True}, axes={"phi_u0_deg": [0.0, 30.0]})
     summary = summary_of(study, floor_arcmin=np.tile(floors, 2))
     source = Source.read(store(tmp_path, study, summary, curves_of(study)))
-    blocks = [block for one in report.auto.report(source).sections for block in one.blocks]
+    blocks = [
+        block for one in report.monte_carlo.build_report(source).sections for block in one.blocks
+    ]
     (figure,) = (block.figure for block in blocks if getattr(block, "name", "") == "misalignment")
     assert ("bias floor" in [text.get_text() for text in figure.legends[0].get_texts()]) == drawn
 
@@ -573,7 +579,9 @@ def test_stopped_study_reports_reason_for_stopping(tmp_path):
     source = Source.read(tmp_path / "out")
     assert source.draws == 64
     (why,) = (
-        fact.text for fact in report.auto.report(source).verdict.facts if fact[0] == "Stopped"
+        fact.text
+        for fact in report.monte_carlo.build_report(source).verdict.facts
+        if fact[0] == "Stopped"
     )
     assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why
 
@@ -593,7 +601,7 @@ def test_missing_part_of_stopped_study_is_refused(tmp_path):
         Source.read(tmp_path / "out")
     rewrite_manifest(tmp_path / "out", chunks=[])
     with pytest.raises(InputError, match="64 runs where the study has 128"):
-        report.auto.report(Source.read(tmp_path / "out"))
+        report.monte_carlo.build_report(Source.read(tmp_path / "out"))
 
 
 def test_report_of_draws_does_not_import_jax(tmp_path):

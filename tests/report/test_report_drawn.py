@@ -10,9 +10,9 @@ from sinsjax import analysis
 from sinsjax.analysis.summaries import estimate_of
 from sinsjax.execution import run
 from sinsjax.execution.source import Source
-from sinsjax.report import auto, over_axes
+from sinsjax.report import axis_figures, monte_carlo
 from sinsjax.report.base import Picture, Table, Text
-from sinsjax.report.groupings import bin_medians, binned
+from sinsjax.report.grouping import bin_drawn_keys, bin_medians
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -53,7 +53,7 @@ def test_bins_have_equal_counts_and_few_values_stay_separate() -> None:
 
 
 def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn: Source) -> None:
-    found = binned(drawn)
+    found = bin_drawn_keys(drawn)
     assert found.keys() == {"phi_u0_deg", "yaw_center_deg"}  # a vector has no order
     assert found["yaw_center_deg"][1] == (0.0, 90.0, 180.0)
     own, medians = found["phi_u0_deg"]
@@ -73,15 +73,15 @@ def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn: Source) -> None
 
 
 def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn: Source) -> None:
-    *pictures, idle = over_axes.over_axes(drawn)
+    *pictures, idle = axis_figures.build_axis_blocks(drawn)
     assert [getattr(block, "name", "") for block in pictures] == ["along_axis", "over_phi_u0_deg"]
     assert idle == Text("No figure over yaw_center_deg: no effect beyond the intervals.")
     assert isinstance(pictures[1], Picture)
     assert "phi_u0_deg: the median of each bin" in pictures[1].caption
     (line, _) = pictures[1].figure.axes[0].containers
-    medians = binned(drawn)["phi_u0_deg"][1]
+    medians = bin_drawn_keys(drawn)["phi_u0_deg"][1]
     assert np.allclose(line.lines[0].get_xdata(), medians, atol=0.2)
-    *_, tables = auto.report(drawn).sections
+    *_, tables = monte_carlo.build_report(drawn).sections
     titled = {block.title: block for block in tables.blocks if isinstance(block, Table)}
     table = titled["Over phi_u0_deg, drawn"]
     assert table.header[:3] == ["phi_u0_deg", "p0_yaw_deg", "runs"] and len(table.rows) == 12
@@ -89,7 +89,7 @@ def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn: Source) -> 
 
 
 def test_panel_without_values_is_omitted(drawn: Source) -> None:
-    over = over_axes.over_axes(drawn)[1]
+    over = axis_figures.build_axis_blocks(drawn)[1]
     assert isinstance(over, Picture)
     titles = [axes.get_title(loc="left") for axes in over.figure.axes]
     assert "median time (s) to within 10' of true north" not in titles  # 2 s are too short
@@ -108,7 +108,7 @@ def test_list_valued_axis_is_plotted_as_categories(tmp_path: Path) -> None:
     study = small_study(study=SHORT | {"draws": 4}, axes={"reset_times_s": times})
     assert study.figure_axes == ({"reset_times_s": ((), (0.5,), (0.5, 1.0))}, [])
     run.run_into(study, tmp_path / "out")
-    (figure,) = over_axes.over_axes(Source.read(tmp_path / "out"))
+    (figure,) = axis_figures.build_axis_blocks(Source.read(tmp_path / "out"))
     axes = figure.figure.axes[-1]
     assert [text.get_text() for text in axes.get_xticklabels()] == ["none", "0.5", "0.5, 1"]
     assert axes.get_xlabel() == "resets at (s)"

@@ -14,7 +14,7 @@ from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 from sinsjax.report import base
-from sinsjax.report.output import Made, write_html
+from sinsjax.report.output import DrawnReport, write_html_page
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 PNG = b"\x89PNG\r\n\x1a\n-the picture"
@@ -50,12 +50,12 @@ def made(*blocks, headline=("Found: *much*",), name="swing"):
     facts = [base.Fact("Best", text) for text in headline]
     report = base.Report(base.Verdict("title", facts), [base.Chapter("A `part`", blocks)])
     images = {block.name: PNG for block in blocks if isinstance(block, base.Picture)}
-    return Made(Source(Path("results"), study, f"{name}.toml", table), report, images)
+    return DrawnReport(Source(Path("results"), study, f"{name}.toml", table), report, images)
 
 
 def page(tmp_path, *parts, title="Title"):
     path = tmp_path / "page.html"
-    write_html(path, title, parts)
+    write_html_page(path, title, parts)
     return path.read_text(encoding="utf-8")
 
 
@@ -113,7 +113,7 @@ def test_folded_table_is_inside_details(tmp_path):
 def test_unwritable_html_page_raises_input_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        write_html(tmp_path / "file" / "page.html", "T", [made()])
+        write_html_page(tmp_path / "file" / "page.html", "T", [made()])
 
 
 def test_html_and_markdown_pages_have_same_content(tmp_path):

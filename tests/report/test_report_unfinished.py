@@ -35,7 +35,7 @@ def interrupted(out: Path, **tables: Any) -> Path:
 
 def told(out: Path, page: Path | None = None) -> list[str]:
     console = Console(file=io.StringIO(), width=2000)
-    report.summarise([out], console, page, full=True)
+    report.print_reports([out], console, page, full=True)
     return console.file.getvalue().splitlines()
 
 

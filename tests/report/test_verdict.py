@@ -14,10 +14,10 @@ from support.studies import small_study
 
 from sinsjax import analysis
 from sinsjax.execution.source import Source
-from sinsjax.report import estimated, terminal
+from sinsjax.report import covariance, terminal
 from sinsjax.report.base import Fact, Table, Verdict
-from sinsjax.report.choices import Choices, choose, choose_by_halves, schedule_words
-from sinsjax.report.verdict import q_doubt, verdict
+from sinsjax.report.choices import Choices, best_option, best_option_per_draw, schedule_words
+from sinsjax.report.verdict import q_caution, sweep_verdict
 from sinsjax.study.study import Study
 
 SWEEP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [5.0, 30.0, 60.0]}
@@ -43,7 +43,7 @@ def judged(study: Study, settle_s: np.ndarray) -> Verdict:
     names = ("settle_10_s", "settle_10_truth_s")
     columns = dict.fromkeys(names, np.where(flags, settle_s.ravel(), np.nan))
     summary = summary_of(study, status=status, **columns)
-    return verdict(Source(Path("out"), study, "x.toml", summary))
+    return sweep_verdict(Source(Path("out"), study, "x.toml", summary))
 
 
 # --- the choice -----------------------------------------------------------------------------
@@ -53,7 +53,7 @@ def test_each_draw_is_judged_with_option_chosen_by_the_other_half() -> None:
     random = np.random.default_rng(3)
     time_s = random.gamma(4.0, 10.0, (5, 3, 17))
     time_s[random.random(time_s.shape) < 0.1] = NEVER
-    found = choose_by_halves(time_s, 90.0)
+    found = best_option_per_draw(time_s, 90.0)
     for draw in range(17):
         others = [other for other in range(17) if other % 2 != draw % 2]
         ranks = []
@@ -66,8 +66,8 @@ def test_each_draw_is_judged_with_option_chosen_by_the_other_half() -> None:
 
 def test_choice_prefers_fewest_failures_then_fastest() -> None:
     time_s = np.array([[[NEVER, 1.0]], [[50.0, 60.0]], [[50.0, 40.0]]])
-    assert choose(time_s, 100.0) == 2
-    assert choose(time_s[:2], 100.0) == 1
+    assert best_option(time_s, 100.0) == 2
+    assert best_option(time_s[:2], 100.0) == 1
 
 
 def test_held_out_choice_is_not_flattered_by_many_equal_options() -> None:
@@ -76,9 +76,9 @@ def test_held_out_choice_is_not_flattered_by_many_equal_options() -> None:
     own, fresh = [], []
     for _ in range(200):
         time_s = random.normal(100.0, 10.0, (50, 1, 16))
-        places = choose_by_halves(time_s, 200.0)
+        places = best_option_per_draw(time_s, 200.0)
         fresh.append(time_s[places, 0, np.arange(16)].mean())
-        own.append(time_s[choose(time_s, 200.0), 0].mean())
+        own.append(time_s[best_option(time_s, 200.0), 0].mean())
     assert abs(np.mean(fresh) - 100.0) < 3 * np.std(fresh) / np.sqrt(200) < 1.0
     assert np.mean(own) < 96.0
 
@@ -94,7 +94,7 @@ def test_copies_of_a_variant_are_one_option() -> None:
     ]
     assert choices.reset_counts == [0, 1, 1, 2, 2] and choices.variants.shape == (5, 3)
     column = np.arange(18 * 4.0)
-    runs = choices.runs(column)
+    runs = choices.arrange_runs(column)
     assert runs.shape == (5, 3, 4)
     np.testing.assert_array_equal(runs[0, 0], [0, 18, 36, 54])
 
@@ -168,26 +168,26 @@ def test_runs_that_never_settle_limit_the_accuracy() -> None:
         floor_arcmin=np.full(16, 4.0),
     )
     source = Source(Path("out"), study, "x.toml", summary)
-    assert "mostly of runs that never settle" in facts(verdict(source))["Accuracy"]
+    assert "mostly of runs that never settle" in facts(sweep_verdict(source))["Accuracy"]
     near = summary_of(study, phi_u_arcmin=np.full(16, 5.0), floor_arcmin=np.full(16, 4.0))
-    found = facts(verdict(Source(Path("out"), study, "x.toml", near)))["Accuracy"]
+    found = facts(sweep_verdict(Source(Path("out"), study, "x.toml", near)))["Accuracy"]
     assert found.startswith("5.0 [") and found.endswith("mostly bias floor (4.0')")
 
 
 @pytest.mark.parametrize(("scale", "cautions"), [(None, True), (1e-3, False)])
 def test_q_above_ten_times_the_noise_is_cautioned(scale: float | None, cautions: bool) -> None:
     study = small_study(filter={} if scale is None else {"q_scale": scale})
-    (*told,) = q_doubt(Source(Path("out"), study, "x.toml"))
+    (*told,) = q_caution(Source(Path("out"), study, "x.toml"))
     assert bool(told) == cautions
     if told:  # 100 Hz with Q per step: 100 times the standard deviation of a sample
-        assert told[0].text.startswith("Q is 100 times the sensors' noise") and told[0].is_doubt
+        assert told[0].text.startswith("Q is 100 times the sensors' noise") and told[0].is_caution
 
 
 def test_method_that_has_no_bias_floor_is_compared_from_the_truth() -> None:
     study = small_study(study={"draws": 8, "judged_from": "floor"}, axes={"phi_u0_deg": [0.0, 9.0]})
     flags = [True] * 15 + [None]
     summary = summary_of(study, ok_floor=flags)
-    found = verdict(Source(Path("out"), study, "x.toml", summary))
+    found = sweep_verdict(Source(Path("out"), study, "x.toml", summary))
     assert "of true north" in facts(found)["Success"]
 
 
@@ -200,7 +200,7 @@ def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> No
     )
     run_into(study, tmp_path / "out")
     source = Source.read(tmp_path / "out")
-    found = estimated.report(source, full=False).verdict
+    found = covariance.build_report(source, with_tables=False).verdict
     assert source.table is not None
     mean = source.table.column("settle_10_truth_mean_s").to_numpy().reshape(4, 2).mean(axis=1)
     best = int(np.argmin(mean[[0, 2, 3]]))
@@ -215,7 +215,7 @@ def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> No
 
 def printed(found: Verdict, width: int, last: list[str] | None = None) -> list[str]:
     file = io.StringIO()
-    terminal.print_verdict(found, Console(file=file, width=width, markup=False), last=last or [])
+    terminal.print_verdict(found, Console(file=file, width=width, markup=False), footer=last or [])
     return [line.rstrip() for line in file.getvalue().splitlines()]
 
 
@@ -232,7 +232,7 @@ def test_verdict_fits_terminal_in_fifteen_lines(width: int, doubts: int) -> None
     some = [Fact("Best", LONG), Fact("Others", LONG), Fact("Accuracy", LONG)]
     found = Verdict("study: 7 runs", [*some, *([Fact("Caution", LONG, True)] * doubts)], table)
     lines = printed(found, width, ["Figures: out/figures", "All tables: sinsjax report out --full"])
-    assert len(lines) <= terminal.MOST_LINES and max(map(len, lines)) <= width
+    assert len(lines) <= terminal.MAX_VERDICT_LINES and max(map(len, lines)) <= width
     text = " ".join(lines)
     words = {*LONG.split(), *"study: 7 runs Figures: out/figures".split()}
     assert words <= {*text.split()}  # no word is broken
@@ -264,7 +264,9 @@ def test_report_prints_verdict_alone_until_all_tables_are_asked_for(tmp_path: Pa
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     directory = store(tmp_path / "out", study, summary_of(study))
     short = told(directory, full=False, width=80)
-    assert len(short.splitlines()) <= 1 + terminal.MOST_LINES and "Every variant" not in short
+    assert (
+        len(short.splitlines()) <= 1 + terminal.MAX_VERDICT_LINES and "Every variant" not in short
+    )
     assert "--full" in short
     full = told(directory)
     assert "Every variant" in full and "Heading error from true north" in full

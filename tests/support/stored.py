@@ -80,5 +80,5 @@ def told(
     """What a report of some results prints, on so many columns; None for those of a pipe."""
     file = io.StringIO()
     with mock.patch.dict(os.environ, {} if width is None else {"COLUMNS": str(width)}):
-        report.summarise(directories, Console(file=file), page, html, full=full)
+        report.print_reports(directories, Console(file=file), page, html, full=full)
     return file.getvalue()

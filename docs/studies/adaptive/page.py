@@ -9,7 +9,7 @@ from sinsjax.analysis.grids import median
 from sinsjax.analysis.words import percent
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import grid_of, shared
 from ..common.words import share
@@ -35,7 +35,7 @@ def page(sources: Sources) -> Page:
     """Triggers against the best single reset of each cell, and the winner on the record."""
     source = sources["adaptive_resets"]
     scores = Scores(source)
-    return Page.joined(
+    return Page.merge(
         Page({"study": {"runs": f"{source.runs:,}", "draws": scores.grid.draws}}),
         _simulated(scores, source.counted),
         _recorded(sources["car_adaptive"]),

@@ -9,7 +9,7 @@ from sinsjax.analysis.grids import median
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale
 from sinsjax.report.base import Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 from sinsjax.units import ARCMIN, DEG
 
 from ..common.grids import Grid, grid_of
@@ -22,7 +22,7 @@ END, MEAN, TRUTH = "phi_u_arcmin", "phi_u_mean_arcmin", "settle_10_truth_s"
 
 def page(sources: Sources) -> Page:
     """The three schemes over all start times, and a batch of misalignments."""
-    return Page.joined(_schemes(sources["car_test"]), _batch(sources["car_batch"]))
+    return Page.merge(_schemes(sources["car_test"]), _batch(sources["car_batch"]))
 
 
 def _schemes(source: Source) -> Page:

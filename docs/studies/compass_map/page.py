@@ -12,7 +12,7 @@ from sinsjax.methods.bounds import share_outside
 from sinsjax.plots import Scale, Shown
 from sinsjax.plots.words import value_text
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 from sinsjax.units import ARCMIN, DEG
 
 from ..common.grids import Grid, grid_of, shared
@@ -38,7 +38,7 @@ NAMES = (
 
 def page(sources: Sources) -> Page:
     """The map over turn, sigma and length, the search of schedules, and the best of them."""
-    return Page.joined(
+    return Page.merge(
         compared(sources["compass_80s_best"]),
         searched(sources["compass_80s_search"]),
         mapped(sources["paper2_map"]),

@@ -12,8 +12,8 @@ from sinsjax.analysis.words import percent
 from sinsjax.execution.source import Source
 from sinsjax.plots import BeliefPanel
 from sinsjax.report.base import Table
-from sinsjax.report.folder import Page, Sources
-from sinsjax.report.spreads import consistency
+from sinsjax.report.consistency import consistency_picture
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.words import share
 
@@ -63,7 +63,7 @@ def page(sources: Sources) -> Page:
         ),
     }
     lines = [BeliefPanel.of(case, one.rows) for case, one in checked.items()]
-    figure = consistency(plots.beliefs(lines, "Does the filter know its own error?"))
+    figure = consistency_picture(plots.beliefs(lines, "Does the filter know its own error?"))
     return Page(values, {"all": table(checked, nees, nis)}, {"consistency": figure}, claims)
 
 

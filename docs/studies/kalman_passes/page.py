@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import Grid, grid_of
 from ..common.words import arcmin

@@ -14,7 +14,7 @@ from sinsjax.execution.source import Source
 from sinsjax.plots import Ensemble
 from sinsjax.plots.style import GREY
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.words import arcmin, share
 from ..loops.runs import limits_of
@@ -52,7 +52,7 @@ def page(sources: Sources) -> Page:
             free.counted,
         ),
     }
-    return Page.joined(
+    return Page.merge(
         Page({"draws": free.draws}, {"conditions": _table(free, runs)}, figures),
         _ended(runs, with_resets["1"]),
         _limit(free, runs["1"]),

@@ -20,7 +20,7 @@ from sinsjax.execution.source import Source
 from sinsjax.methods.compass import design
 from sinsjax.plots import Line
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 from sinsjax.study.load import one_variant
 from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG, MICRO
@@ -121,7 +121,7 @@ def page(sources: Sources) -> Page:
         "expected": table(first, "What to expect, and what is printed", folded=False),
         "table_1": table(shown, "Table 1, static base: every interpretation"),
     }
-    return Page.joined(
+    return Page.merge(
         Page({"draws": static[0].source.draws}, tables),
         _limit(static[0]),
         _unsettled([case for case in shown if case.scheme == 1]),

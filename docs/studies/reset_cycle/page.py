@@ -10,7 +10,7 @@ from sinsjax.analysis.words import degrees
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import Grid, grid_of, held_out, least_mean, shared, soonest
 from ..common.settling import mean_time, median_time, settled, settling_maps
@@ -36,7 +36,7 @@ def page(sources: Sources) -> Page:
     """How many resets, when, and what makes the filter fail without."""
     source = sources["reset_cycle_study"]
     grid = layout(source)
-    return Page.joined(
+    return Page.merge(
         Page({"study": {"runs": f"{source.runs:,}", "draws": grid.draws}}),
         _answer(source, grid),
         _counts(grid),

@@ -7,7 +7,7 @@ from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.grids import median
 from sinsjax.plots import Scale
 from sinsjax.report.base import Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import Choice, Grid, grid_of, held_out, soonest
 from ..common.settling import mean_time, settled, settling_maps

@@ -9,9 +9,9 @@ from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import value_text
-from sinsjax.report import tuned_figures
+from sinsjax.report import tuning_figures
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 from sinsjax.study.study import Study
 from sinsjax.tuning import results
 from sinsjax.tuning.results import Tuning
@@ -85,7 +85,7 @@ def page(sources: Sources) -> Page:
     page = Page(values, {"expected": _expected(tunings, plain)}, {"seen": seen}, claims)
     belief = _filter(tunings, sources[STUDIES["belief"]])
     covariance, shifted = _covariance(tunings["large"]), _shifted(sources["tuned_phase"])
-    return Page.joined(page, belief, covariance, shifted)
+    return Page.merge(page, belief, covariance, shifted)
 
 
 def _filter(tunings: Mapping[str, Tuning], source: Source) -> Page:
@@ -179,7 +179,7 @@ def _shifted(source: Source) -> Page:
 
 def _seen(tuning: Tuning, source: Source) -> Picture:
     """Where the searches with two reset times looked, with the plain two marked."""
-    (seen,) = tuned_figures.landscape(tuning)
+    (seen,) = tuning_figures.landscape_pictures(tuning)
     (axes, *_) = seen.figure.axes
     axes.plot(*PLAIN_S, "X", color="white", markeredgecolor="black", markersize=11)
     axes.annotate(

@@ -9,7 +9,7 @@ from sinsjax.analysis import Estimate, mean
 from sinsjax.analysis.words import degrees
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Table
-from sinsjax.report.folder import Page
+from sinsjax.report.study_page import Page
 
 from ..common.grids import Grid, grid_of
 from ..common.words import arcmin

@@ -13,9 +13,9 @@ from sinsjax.execution.source import Source
 from sinsjax.messages import counted
 from sinsjax.plots.maps import MOST_PANELS
 from sinsjax.plots.spreads import acts, compare_panels
-from sinsjax.report.base import Block, Picture, Text, intervals
-from sinsjax.report.groupings import BINS, binned, lines_left
-from sinsjax.report.markup import said
+from sinsjax.report.base import Block, Picture, Text, describe_intervals
+from sinsjax.report.grouping import BINS_NOTE, bin_drawn_keys, describe_undrawn_lines
+from sinsjax.report.markup import render_sentence
 from sinsjax.study.keys import is_chosen, is_given
 from sinsjax.study.success import FLOOR_COLUMNS, Yardstick, judged_columns
 
@@ -23,7 +23,7 @@ _NOT_CONVERGED = "not converged"
 _FLAG = "flagged"
 
 
-def over_axes(source: Source) -> list[Block]:
+def build_axis_blocks(source: Source) -> list[Block]:
     """What the swept numbers decide.
 
     With two numeric axes or more, heat maps over the first two as the study writes them, a panel
@@ -31,31 +31,41 @@ def over_axes(source: Source) -> list[Block]:
     intervals; with none, nothing. Then curves over each drawn number.
     """
     shown, others = source.study.figure_axes
-    found: list[Block]
+    blocks: list[Block]
     if len(shown) == 2:
-        found = [block for yard in source.yardsticks for block in _heat_maps(source, yard)]
+        blocks = [block for yard in source.yardsticks for block in _heat_map_figures(source, yard)]
     else:
-        found = [one for axis in shown if (one := _along_axis(source, axis, others))]
-    idle = []
-    for key, (own, _) in binned(source).items():
-        drawn = _along_axis(own, key, source.study.keys_shown, only_if_it_acts=True)
+        blocks = [figure for axis in shown if (figure := _axis_curve_figure(source, axis, others))]
+    insignificant = []
+    for key, (binned_source, _) in bin_drawn_keys(source).items():
+        drawn = _axis_curve_figure(
+            binned_source, key, source.study.keys_shown, only_if_significant=True
+        )
         if drawn is None:
-            idle.append(key)
+            insignificant.append(key)
             continue
-        found.append(drawn._replace(name=f"over_{key}", caption=f"{drawn.caption} {key}: {BINS}"))
-    if idle:
-        found.append(Text(f"No figure over {', '.join(idle)}: no effect beyond the intervals."))
-    return found
+        blocks.append(
+            drawn._replace(name=f"over_{key}", caption=f"{drawn.caption} {key}: {BINS_NOTE}")
+        )
+    if insignificant:
+        blocks.append(
+            Text(f"No figure over {', '.join(insignificant)}: no effect beyond the intervals.")
+        )
+    return blocks
 
 
-def repeats(source: Source) -> Iterator[Text]:
+def repeated_variants_note(source: Source) -> Iterator[Text]:
     """How tables count runs that equal others, if there are any."""
     if keys := source.study.idle_keys():
         variants, kept = source.study.n_variants, len({*source.study.duplicate_of})
-        yield Text(said("repeats", source=source, variants=variants, kept=kept, keys=keys))
+        yield Text(
+            render_sentence(
+                "repeated_variants", source=source, variants=variants, kept=kept, keys=keys
+            )
+        )
 
 
-class Maps:
+class HeatMaps:
     """Heat maps over the first two swept numbers, a panel for each point of all other keys.
 
     Attributes:
@@ -72,8 +82,13 @@ class Maps:
         self.axes, self.panels = panels_of(self._table, down, across, self._by)
         self._repeats = (source.study.duplicate_of != np.arange(source.study.n_variants)).any()
 
-    def draw(
-        self, name: str, caption: str, value: str, flag: NDArray | None = None, meaning: str = ""
+    def draw_figure(
+        self,
+        name: str,
+        caption: str,
+        value: str,
+        flag: NDArray | None = None,
+        flag_meaning: str = "",
     ) -> Picture:
         """The figure of a column; cells are hatched in which most runs have a flag, (runs,)."""
         if len(self.panels) > MOST_PANELS:
@@ -91,60 +106,69 @@ class Maps:
             by=self._by,
             pooled=[key for key in self._by if is_given(key)],
             hatched=_FLAG if flag is not None else "",
-            hatch_name=meaning,
+            hatch_name=flag_meaning,
         )
         return Picture(name, f"{caption} Framed: the best of each panel.", figure)
 
-    def of(self, column: str) -> NDArray:
+    def column_values(self, column: str) -> NDArray:
         """A column of all runs as numbers, (runs,); null is NaN."""
         return analysis.numbers(self._table, column)
 
 
-def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
+def _heat_map_figures(source: Source, criterion: Yardstick) -> Iterator[Block]:
     """The maps from one yardstick, and only those that show something."""
-    maps = Maps(source, (yard.settle, yard.ok, *FLOOR_COLUMNS, "draw_id", "start_s"))
+    maps = HeatMaps(source, (criterion.settle, criterion.ok, *FLOOR_COLUMNS, "draw_id", "start_s"))
     shown = maps.panels[: 2 * MOST_PANELS]
-    every = [one.cells(yard.ok, yard.settle, yard.off_floor(one.of)) for one in shown]
-    cells, end = every[:MOST_PANELS], yard.end(source.yardsticks[0])
+    every = [
+        one.cells(criterion.ok, criterion.settle, criterion.off_floor(one.of)) for one in shown
+    ]
+    cells, end = every[:MOST_PANELS], criterion.end(source.yardsticks[0])
     if not any((np.isfinite(one.median_s) & ~one.not_converged).any() for one in cells):
         return  # no cell is within the band, or those that are only pass through it
-    off = np.where(maps.of(yard.ok) > 0, yard.off_floor(maps.of), np.nan)
+    off = np.where(
+        maps.column_values(criterion.ok) > 0, criterion.off_floor(maps.column_values), np.nan
+    )
     hatched = np.any([one.not_converged for one in cells])
-    mark = f" Cross-hatched: {said('not_converged', yard=yard)}" if hatched else ""
-    yield maps.draw(
+    mark = (
+        f" Cross-hatched: {render_sentence('not_converged', criterion=criterion)}"
+        if hatched
+        else ""
+    )
+    yield maps.draw_figure(
         f"settling_time{end}",
-        f"Median time over {counted(source.draws, 'draw')} until the heading stays {yard.words};"
-        f" grey where at least half of the runs never do.{mark}",
-        yard.settle,
+        f"Median time over {counted(source.draws, 'draw')} until the heading stays"
+        f" {criterion.words}; grey where at least half of the runs never do.{mark}",
+        criterion.settle,
         off,
         _NOT_CONVERGED,
     )
     shares = np.array([one.share for one in cells])
     if not np.isin(shares, (0.0, 1.0)).all():  # else the settling times say it all
-        yield maps.draw(
+        yield maps.draw_figure(
             f"success_rate{end}",
-            f"Share of {counted(source.draws, 'draw')} ok, {yard.of_several}.{mark}",
-            yard.ok,
+            f"Share of {counted(source.draws, 'draw')} ok, {criterion.of_several}.{mark}",
+            criterion.ok,
             off,
             _NOT_CONVERGED,
         )
 
 
-def _along_axis(
-    source: Source, axis: str, others: Sequence[str], *, only_if_it_acts: bool = False
+def _axis_curve_figure(
+    source: Source, axis: str, others: Sequence[str], *, only_if_significant: bool = False
 ) -> Picture | None:
     shown = {f"{y.settle}_median": f"median time (s) to {y.words}" for y in source.yardsticks}
     shown |= {y.rate: f"share of runs that are ok, {y.of_several} (%)" for y in source.yardsticks}
     shown["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
     table = source.rows([*others, axis, *judged_columns(source.study), *NEEDED])
     values, panels = compare_panels(table, axis, others, shown)
-    if only_if_it_acts and not acts(panels):
+    if only_if_significant and not acts(panels):
         return None
     left = "; ".join(words for words in shown.values() if words not in panels)
     return Picture(
         "along_axis",
         "How soon their heading enters the band for good, how many runs are ok, and how large the"
-        f" heading error is. {intervals(source, what='Estimate')}{lines_left(table, others)}"
+        f" heading error is. {describe_intervals(source, quantity='Estimate')}"
+        f"{describe_undrawn_lines(table, others)}"
         + (f" Left out, since it shows nothing more: {left}." if left else ""),
         plots.along_axis(axis, values, panels, condition=not is_chosen(axis)),
     )

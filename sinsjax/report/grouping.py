@@ -15,38 +15,38 @@ from sinsjax.plots.words import name_of
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.success import judged_columns
 
-BINS = "the median of each bin, of about as many draws."
-_MOST_BINS = 8
-_LEAST_DRAWS = 10  # a bin: an interval of fewer says little
+BINS_NOTE = "the median of each bin, of about as many draws."
+_MAX_BINS = 8
+_MIN_DRAWS_PER_BIN = 10  # a bin: an interval of fewer says little
 _DIGITS = 3  # significant ones of a bin's name
 
 
-def lines_of(table: pa.Table, others: Sequence[str]) -> dict[str, pa.Table]:
+def rows_by_line(table: pa.Table, line_keys: Sequence[str]) -> dict[str, pa.Table]:
     """The rows of each line along an axis by its name: of the first ones that have room."""
-    groups = list(analysis.groups(table, others))
+    groups = list(analysis.groups(table, line_keys))
     return {name_of(point): rows for point, rows in groups[:MOST_LINES]}
 
 
-def lines_left(table: pa.Table, others: Sequence[str]) -> str:
+def describe_undrawn_lines(table: pa.Table, line_keys: Sequence[str]) -> str:
     """A sentence on the lines along an axis that have no room, if there are any."""
-    left = sum(1 for _ in analysis.groups(table.select(others), others)) - MOST_LINES
+    left = sum(1 for _ in analysis.groups(table.select(line_keys), line_keys)) - MOST_LINES
     return f" {left} more lines are not drawn." if left > 0 else ""
 
 
-def keys_of_lines(source: Source) -> tuple[Sequence[str], str]:
+def choose_line_keys(source: Source) -> tuple[Sequence[str], str]:
     """The keys that tell few lines apart, and what is to be said of them.
 
     All of them where there are few variants, else the first that has few values, or none.
     """
     if source.study.n_variants <= MOST_LINES:
         return source.study.keys_shown, ""
-    for own, values in source.study.axes_shown.items():
+    for keys, values in source.study.axes_shown.items():
         if len(values) <= MOST_LINES:
-            return own, f" All runs of the same {' and '.join(own)} make one line."
+            return keys, f" All runs of the same {' and '.join(keys)} make one line."
     return (), " All runs together."
 
 
-def binned(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]]:
+def bin_drawn_keys(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]]:
     """For each drawn number of a study, its runs in bins of about as many draws.
 
     Returns:
@@ -55,7 +55,7 @@ def binned(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]]:
         there are too few draws for two bins.
     """
     study = source.study
-    count = min(_MOST_BINS, source.draws // _LEAST_DRAWS)
+    count = min(_MAX_BINS, source.draws // _MIN_DRAWS_PER_BIN)
     drawn = [key for key in study.drawn_keys if NUMBERS_DRAWN[key] == 1]
     found = {}
     for key in drawn if count > 1 else ():
@@ -67,19 +67,19 @@ def binned(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]]:
         table = table.set_column(place, key, pa.array(medians))
         table = table.sort_by([(key, "ascending"), ("run_id", "ascending")])
         found[key] = replace(source, table=table), tuple(map(float, np.unique(medians)))
-    return {key: one for key, one in found.items() if len(one[1]) > 1}
+    return {key: bins for key, bins in found.items() if len(bins[1]) > 1}
 
 
-def bin_medians(values: NDArray, count: int) -> NDArray:
+def bin_medians(values: NDArray, n_bins: int) -> NDArray:
     """For each of some values the median of its bin; few distinct values are bins of their own.
 
     Args:
         values: (n,) finite ones.
-        count: number of bins, of about as many values each.
+        n_bins: number of bins, of about as many values each.
     """
-    if len(np.unique(values)) <= count:
+    if len(np.unique(values)) <= n_bins:
         return values
-    edges = np.quantile(values, np.arange(1, count) / count)
+    edges = np.quantile(values, np.arange(1, n_bins) / n_bins)
     number = np.searchsorted(edges, values, side="right")
-    medians = np.array([np.median(values[number == n]) for n in range(count)])
+    medians = np.array([np.median(values[number == n]) for n in range(n_bins)])
     return np.array([float(f"{median:.{_DIGITS}g}") for median in medians])[number]

@@ -24,10 +24,15 @@ from sinsjax import plots
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.markup import environment, template
-from sinsjax.report.output import FIGURES, markdown, save_figures, write_text
+from sinsjax.report.markup import load_template, template_environment
+from sinsjax.report.output import (
+    FIGURES_FOLDER,
+    block_to_markdown,
+    save_figures,
+    write_escaped_text,
+)
 
-SCRIPT, PROSE = "page.py", "page.md.j2"
+SCRIPT_FILE, PROSE_FILE = "page.py", "page.md.j2"
 """The files of a page's folder."""
 
 _PACKAGE = "sinsjax_pages"
@@ -49,7 +54,7 @@ class Page(NamedTuple):
     claims: Mapping[str, bool | np.bool_] = MappingProxyType({})
 
     @classmethod
-    def joined(cls, *parts: "Page") -> "Page":
+    def merge(cls, *parts: "Page") -> "Page":
         """A page of several parts, each with names of its own."""
         return cls(*(dict(ChainMap(*map(dict, kind))) for kind in zip(*parts, strict=True)))
 
@@ -63,31 +68,31 @@ class Sources(dict[str, Source]):
         raise InputError(f"the page needs results of {name}: add their directory ({given})")
 
 
-class _Noted:
+class _TrackedValue:
     """A value that notes when the prose prints it."""
 
-    def __init__(self, value: Any, note: Callable[[], None]) -> None:
-        self._value, self._note = value, note
+    def __init__(self, value: Any, on_print: Callable[[], None]) -> None:
+        self._value, self._on_print = value, on_print
 
     def __str__(self) -> str:
-        self._note()
+        self._on_print()
         return str(self._value)
 
 
-def _noted(values: Mapping[str, Any], unused: set[str], of: str = "") -> dict[str, Any]:
+def _track_values(values: Mapping[str, Any], unused: set[str], prefix: str = "") -> dict[str, Any]:
     """Values by name, whose names within names are attributes; each leaves ``unused`` in print."""
-    made: dict[str, Any] = {}
+    tracked: dict[str, Any] = {}
     for name, value in values.items():
-        whole = f"{of}{name}"
+        full_name = f"{prefix}{name}"
         if isinstance(value, Mapping):
-            made[name] = SimpleNamespace(**_noted(value, unused, f"{whole}."))
+            tracked[name] = SimpleNamespace(**_track_values(value, unused, f"{full_name}."))
         else:
-            unused.add(whole)
-            made[name] = _Noted(value, partial(unused.discard, whole))
-    return made
+            unused.add(full_name)
+            tracked[name] = _TrackedValue(value, partial(unused.discard, full_name))
+    return tracked
 
 
-def script(folder: Path) -> ModuleType:
+def load_script(folder: Path) -> ModuleType:
     """Executes a page's script.
 
     It may import its neighbours (``from .x``), and those of folders beside its own (``from ..y``).
@@ -95,83 +100,89 @@ def script(folder: Path) -> ModuleType:
     Raises:
         InputError: the folder lacks the script or the prose.
     """
-    if missing := [name for name in (SCRIPT, PROSE) if not (folder / name).is_file()]:
-        told = f"holds no {missing[0]}, so that it is no folder of a page"
-        raise InputError(f"{folder}: {told} (--page takes one, or a file)")
-    beside = str(folder.resolve().parent)
+    if missing := [name for name in (SCRIPT_FILE, PROSE_FILE) if not (folder / name).is_file()]:
+        problem = f"holds no {missing[0]}, so that it is no folder of a page"
+        raise InputError(f"{folder}: {problem} (--page takes one, or a file)")
+    parent = str(folder.resolve().parent)
     known = sys.modules.get(_PACKAGE)
-    if known is None or list(known.__path__) != [beside]:
+    if known is None or list(known.__path__) != [parent]:
         for name in [name for name in sys.modules if name.partition(".")[0] == _PACKAGE]:
             del sys.modules[name]  # of folders elsewhere
         spec = ModuleSpec(_PACKAGE, None, is_package=True)
-        spec.submodule_search_locations = [beside]
+        spec.submodule_search_locations = [parent]
         sys.modules[_PACKAGE] = module_from_spec(spec)
     return importlib.import_module(f"{_PACKAGE}.{folder.resolve().name}.page")
 
 
-def compute(folder: Path, sources: Sequence[Source]) -> Page:
+def compute_page(folder: Path, sources: Sequence[Source]) -> Page:
     """What a page's script makes of results, given in any order.
 
     Raises:
         InputError: the folder is no page's, or results are missing.
     """
-    page: Page = script(folder).page(Sources({one.study.name: one for one in sources}))
+    page: Page = load_script(folder).page(
+        Sources({source.study.name: source for source in sources})
+    )
     return page
 
 
-def render(folder: Path, page: Page, *, enforced: bool = True) -> str:
+def render_prose(folder: Path, page: Page, *, enforce_claims: bool = True) -> str:
     """The prose of a page with its numbers, in Markdown.
 
     Raises:
         InputError: the prose names what is not there, something is not named, or, where that is
-            ``enforced``, a claim does not hold.
+            ``enforce_claims``, a claim does not hold.
     """
     unused = {f"claim {text!r}" for text in page.claims}
 
     def claim(text: str) -> str:
         if text not in page.claims:
-            raise InputError(f"{folder / PROSE}: {SCRIPT} does not say whether {text!r} is so")
+            raise InputError(
+                f"{folder / PROSE_FILE}: {SCRIPT_FILE} does not say whether {text!r} is so"
+            )
         unused.discard(f"claim {text!r}")
         return ""
 
     prefix = f"{folder.name}_"
     content = {
-        "tables": {name: markdown(table) for name, table in page.tables.items()},
-        "figures": {name: markdown(one, prefix) for name, one in page.figures.items()},
+        "tables": {name: block_to_markdown(table) for name, table in page.tables.items()},
+        "figures": {
+            name: block_to_markdown(picture, prefix) for name, picture in page.figures.items()
+        },
     }
-    names = _noted({**page.values, **content}, unused)
-    prose = (folder / PROSE).read_text(encoding="utf-8")
+    names = _track_values({**page.values, **content}, unused)
+    prose = (folder / PROSE_FILE).read_text(encoding="utf-8")
     try:
-        text = environment().from_string(prose).render(names, claim=claim)
+        text = template_environment().from_string(prose).render(names, claim=claim)
     except TemplateError as error:
-        raise InputError(f"{folder / PROSE}: {error}") from error
+        raise InputError(f"{folder / PROSE_FILE}: {error}") from error
     if unused:
-        raise InputError(f"{folder / PROSE}: no sentence names {', '.join(sorted(unused))}")
+        raise InputError(f"{folder / PROSE_FILE}: no sentence names {', '.join(sorted(unused))}")
     wrong = [text for text, holds in page.claims.items() if not holds]
-    if enforced and wrong:
-        raise InputError(f"{folder / PROSE}: not so in these results: {'; '.join(wrong)}")
+    if enforce_claims and wrong:
+        raise InputError(f"{folder / PROSE_FILE}: not so in these results: {'; '.join(wrong)}")
     return text
 
 
-def write(folder: Path, sources: Sequence[Source]) -> tuple[Path, int]:
+def write_study_page(folder: Path, sources: Sequence[Source]) -> tuple[Path, int]:
     """Writes the page of ``docs/studies/NAME``, ``docs/NAME.md``, and its figures.
 
     Returns the file, and how many figures it has.
 
     Raises:
-        InputError: see `compute` and `render`; or the page cannot be written.
+        InputError: see `compute_page` and `render_prose`; or the page cannot be written.
     """
     folder = folder.resolve()
-    page = compute(folder, sources)
-    body = render(folder, page)
+    page = compute_page(folder, sources)
+    body = render_prose(folder, page)
     path = folder.parents[1] / f"{folder.name}.md"
     footer = "; ".join(source.counted for source in sources)
     images = {
-        f"{folder.name}_{one.name}": plots.png(one.figure, one.rests_on or footer)
-        for one in page.figures.values()
+        f"{folder.name}_{picture.name}": plots.png(picture.figure, picture.data_footer or footer)
+        for picture in page.figures.values()
     }
-    save_figures(images, path.parent / FIGURES)
-    made_of = sorted(sources, key=lambda source: source.config)
-    text = template("folder.md.j2").render(name=folder.name, body=body, of=made_of)
-    write_text(path, text)
+    save_figures(images, path.parent / FIGURES_FOLDER)
+    ordered = sorted(sources, key=lambda source: source.config)
+    text = load_template("study_page.md.j2").render(name=folder.name, body=body, sources=ordered)
+    write_escaped_text(path, text)
     return path, len(images)

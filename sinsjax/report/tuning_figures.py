@@ -6,13 +6,13 @@ from sinsjax import plots
 from sinsjax.plots.descents import CostCurve, Landscape, Side, Spot, Way, best_by_cost, descent
 from sinsjax.plots.words import value_text
 from sinsjax.report.base import Picture
-from sinsjax.report.markup import said
+from sinsjax.report.markup import render_sentence
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning.results import LOOKS, SEARCHES, Tuning, axis
 
 
-def landscape(tuning: Tuning) -> list[Picture]:
+def landscape_pictures(tuning: Tuning) -> list[Picture]:
     """The descents over what a search has seen, for the best combination of candidates."""
     space = SearchSpace.from_study(tuning.study)
     number = tuning.found[tuning.best].best.candidate
@@ -24,33 +24,35 @@ def landscape(tuning: Tuning) -> list[Picture]:
     looks = [look for look in tuning.found[name].looks if look.candidate == number]
     points = tuning.tune.grid_points
     seen = Landscape(
-        [_side(space.variables[i]) for i in used],
+        [_variable_axis(space.variables[i]) for i in used],
         np.array([look.values for look in looks])[:, used],
         np.array([look.objective for look in looks]),
         (points,) * len(used) if name == "grid" else None,
         axis(tuning.study),
     )
     ways = [Way(values[:, used], found) for values, found in tuning.descents(number)]
-    spots = _spots(tuning, number, used)
+    spots = _best_points(tuning, number, used)
     case = tuning.judged.cases[tuning.places["baseline"]]
     if (values := space.locate(case, combination)) is not None:
         spots.insert(0, Spot("baseline", np.array(values), None, LOOKS.index("baseline")))
     chosen = ", ".join(f"{key} = {value_text(v)}" for key, v in combination.items())
-    caption = said(
+    caption = render_sentence(
         "landscape",
         search=name,
         is_line=len(used) == 1,
-        has_ways=bool(ways),
+        has_descents=bool(ways),
         chosen=chosen if len(space.combinations) > 1 else "",
     )
     best = tuning.found[tuning.best].best
-    point = zip((_side(space.variables[i]) for i in used), np.array(best.values)[used], strict=True)
-    words = ", ".join(_value_of(side, value) for side, value in point)
+    point = zip(
+        (_variable_axis(space.variables[i]) for i in used), np.array(best.values)[used], strict=True
+    )
+    words = ", ".join(_format_value(side, value) for side, value in point)
     figure = descent(seen, ways, spots, f"Best: {words}")
     return [Picture("descent", caption, figure)]
 
 
-def _side(variable: Variable) -> Side:
+def _variable_axis(variable: Variable) -> Side:
     name, bracket, unit = plots.label(variable.key).partition(" (")
     if variable.entry is not None and variable.key == TIMES:
         name = f"reset {variable.entry + 1} at"
@@ -59,23 +61,28 @@ def _side(variable: Variable) -> Side:
     return Side(f"{name}{bracket}{unit}", variable.low, variable.high, variable.log)
 
 
-def _value_of(side: Side, value: float) -> str:
+def _format_value(side: Side, value: float) -> str:
     """A value of a variable in words: ``reset 1 at 3.31 s``."""
     name, _, unit = side.name.partition(" (")
     return f"{name} {value:.3g} {unit.rstrip(')')}".rstrip()
 
 
-def _spots(tuning: Tuning, number: int, used: list[int]) -> list[Spot]:
+def _best_points(tuning: Tuning, candidate: int, variables: list[int]) -> list[Spot]:
     """The best point of each search that has the combination."""
     named = ((name, found.best) for name, found in tuning.found.items())
     return [
-        Spot(f"best of {SEARCHES[n]}", np.array(one.values)[used], one.objective, LOOKS.index(n))
-        for n, one in named
-        if one.candidate == number
+        Spot(
+            f"best of {SEARCHES[n]}",
+            np.array(best.values)[variables],
+            best.objective,
+            LOOKS.index(n),
+        )
+        for n, best in named
+        if best.candidate == candidate
     ]
 
 
-def course(tuning: Tuning) -> list[Picture]:
+def cost_pictures(tuning: Tuning) -> list[Picture]:
     """The best objective of each search against what it had cost by then, to compare searches."""
     if len(tuning.found) < 2:
         return []
@@ -84,6 +91,6 @@ def course(tuning: Tuning) -> list[Picture]:
         cost, best, relaxed = found.course
         ending = (found.cost, found.best.objective) if relaxed else None
         searches.append(CostCurve(SEARCHES[name], cost, best, relaxed, ending))
-    caption = said("course", relaxed=any(one.relaxed for one in searches))
+    caption = render_sentence("cost_curve", relaxed=any(one.relaxed for one in searches))
     title = f"The best point is of the search: {SEARCHES[tuning.best]}"
     return [Picture("history", caption, best_by_cost(searches, axis(tuning.study), title))]

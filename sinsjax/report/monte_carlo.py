@@ -15,36 +15,38 @@ from sinsjax.columns import report_columns
 from sinsjax.execution.source import Source
 from sinsjax.plots.curves import runs_of_lines
 from sinsjax.plots.words import name_of
-from sinsjax.report.attitudes import attitude_verdict, attitudes
+from sinsjax.report.attitude import attitude_table, attitude_verdict
+from sinsjax.report.axis_figures import build_axis_blocks, repeated_variants_note
 from sinsjax.report.base import (
-    ENOUGH_DRAWS,
-    MOST_ROWS,
+    MAX_ROWS,
+    MIN_DRAWS_FOR_INTERVALS,
     Block,
     Picture,
     Report,
     Table,
     Text,
-    intervals,
-    table_of,
+    build_table,
+    describe_intervals,
 )
-from sinsjax.report.groupings import BINS, binned
-from sinsjax.report.markup import said
-from sinsjax.report.over_axes import over_axes, repeats
-from sinsjax.report.spreads import spreads
-from sinsjax.report.verdict import verdict
+from sinsjax.report.consistency import consistency_blocks
+from sinsjax.report.grouping import BINS_NOTE, bin_drawn_keys
+from sinsjax.report.markup import render_sentence
+from sinsjax.report.verdict import sweep_verdict
 from sinsjax.study.keys import is_given
 from sinsjax.study.success import judged_columns, yardsticks
 
 _END = "phi_u_arcmin"
 
 
-def report(source: Source, *, full: bool = True, warned: bool = False) -> Report:
+def build_report(
+    source: Source, *, with_tables: bool = True, warnings_shown: bool = False
+) -> Report:
     """The verdict and the figures of a study, and all tables if they are wanted.
 
     Args:
         source: the results.
-        full: whether to compute the tables.
-        warned: whether the user has seen the study's warnings.
+        with_tables: whether to compute the tables.
+        warnings_shown: whether the user has seen the study's warnings.
 
     Raises:
         InputError: runs are missing.
@@ -52,59 +54,69 @@ def report(source: Source, *, full: bool = True, warned: bool = False) -> Report
     assert source.draws  # of which none is missing, or that is reported
     yaw = analysis.numbers(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
     has_truth = bool(np.isfinite(yaw).any())
-    blocks = [*over_axes(source), *spreads(source)] if has_truth else []
-    parts: dict[str, Sequence[Block]] = {"Figures": [*_curves(source), *blocks]}
+    blocks = [*build_axis_blocks(source), *consistency_blocks(source)] if has_truth else []
+    parts: dict[str, Sequence[Block]] = {"Figures": [*_curve_figures(source), *blocks]}
     needs_attitude = source.study.is_recorded or not has_truth
-    if full:
-        tables = [*repeats(source), *_tables(source)] if has_truth else []
-        parts["Tables"] = [attitudes(source), *tables] if needs_attitude else tables
-    found = attitude_verdict if needs_attitude else verdict
-    return Report.of(found(source, warned=warned), parts)
+    if with_tables:
+        tables = [*repeated_variants_note(source), *_all_tables(source)] if has_truth else []
+        parts["Tables"] = [attitude_table(source), *tables] if needs_attitude else tables
+    build_verdict = attitude_verdict if needs_attitude else sweep_verdict
+    return Report.from_parts(build_verdict(source, warnings_shown=warnings_shown), parts)
 
 
-def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
+def statistics_table(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
     """The statistics of each group of runs, told apart by some keys, as a table."""
-    shown = _shown(source)
+    shown = _statistic_columns(source)
     table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
-    rows = analysis.summarise(table, keys, [one.name for one in shown]).to_pylist()
-    cells = [("runs", lambda row: str(row["n"])), *((one.header, one.cell) for one in shown)]
-    return table_of(title, keys, rows, cells, note)
+    rows = analysis.summarise(table, keys, [column.name for column in shown]).to_pylist()
+    cells = [
+        ("runs", lambda row: str(row["n"])),
+        *((column.header, column.format_cell) for column in shown),
+    ]
+    return build_table(title, keys, rows, cells, note)
 
 
-class _Shown(NamedTuple):
+class _StatisticColumn(NamedTuple):
     """A statistic in a table: the header of its column, its name, and how it is told."""
 
     header: str
     name: str
-    text: Callable[[Estimate], str]
-    of_floor: bool = False  # whether it counts from the bias floor
+    format_value: Callable[[Estimate], str]
+    needs_floor: bool = False  # whether it counts from the bias floor
 
-    def cell(self, row: Mapping[str, Any]) -> str:
+    def format_cell(self, row: Mapping[str, Any]) -> str:
         """What a row of `analysis.summarise` tells of it."""
-        if self.of_floor and row["no_floor"] == row["n"]:
+        if self.needs_floor and row["no_floor"] == row["n"]:
             return "no bias floor"
-        return self.text(estimate_of(row, self.name))
+        return self.format_value(estimate_of(row, self.name))
 
 
-def _shown(source: Source) -> list[_Shown]:
+def _statistic_columns(source: Source) -> list[_StatisticColumn]:
     """How many runs succeed and how soon, from the truth and the bias floor; and the heading."""
     seconds, arcmin = (partial(format_estimate, digits=digits) for digits in (0, 1))
     yards = source.yardsticks
     missing = [yard for yard in yardsticks(source.study) if yard not in yards]
     aim = "the reference" if source.study.is_recorded else "its bias floor"
     return [
-        *(_Shown(f"ok: {y.words} (%)", y.rate, percent, not y.truth) for y in yards),
-        *(_Shown(f"ok: {y.words} (%)", y.rate, lambda _: "no bias floor") for y in missing),
+        *(_StatisticColumn(f"ok: {y.words} (%)", y.rate, percent, not y.truth) for y in yards),
         *(
-            _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median", seconds, not y.truth)
+            _StatisticColumn(f"ok: {y.words} (%)", y.rate, lambda _: "no bias floor")
+            for y in missing
+        ),
+        *(
+            _StatisticColumn(
+                f"time to {y.words}, median (s)", f"{y.settle}_median", seconds, not y.truth
+            )
             for y in yards
         ),
-        _Shown("heading error at the end, rms (arcmin)", f"{_END}_rms", heading),
-        _Shown(f"signed mean from {aim} (arcmin)", "phi_u_from_floor_arcmin_mean", arcmin, True),
+        _StatisticColumn("heading error at the end, rms (arcmin)", f"{_END}_rms", heading),
+        _StatisticColumn(
+            f"signed mean from {aim} (arcmin)", "phi_u_from_floor_arcmin_mean", arcmin, True
+        ),
     ]
 
 
-def heading_errors(source: Source, keys: Sequence[str], title: str) -> Table:
+def heading_error_table(source: Source, keys: Sequence[str], title: str) -> Table:
     """How far from the truth the headings are, at each report time and at the end."""
     times_s = source.study.study.report_times_s or ()
     times = {report_columns(time)[0].name: f"{time:g} s" for time in times_s} | {_END: "the end"}
@@ -116,29 +128,45 @@ def heading_errors(source: Source, keys: Sequence[str], title: str) -> Table:
         ("90 % of the runs below", lambda row: heading(row["q90"])),
     ]
     rows = list(analysis.heading_errors(table, keys, times))
-    unbounded = any(np.isnan(row["q90"].high) for row in rows) and source.draws >= ENOUGH_DRAWS
+    unbounded = (
+        any(np.isnan(row["q90"].high) for row in rows) and source.draws >= MIN_DRAWS_FOR_INTERVALS
+    )
     few = f" *{analysis.FEW_DRAWS}*: too few to bound it."
-    note = f"{intervals(source)}{few if unbounded and not source.study.is_recorded else ''}"
-    return table_of(title, keys, rows, cells, note, most=MOST_ROWS * len(times))
+    note = (
+        f"{describe_intervals(source)}{few if unbounded and not source.study.is_recorded else ''}"
+    )
+    return build_table(title, keys, rows, cells, note, max_rows=MAX_ROWS * len(times))
 
 
-def against_first(source: Source) -> Table:
+def first_variant_comparison_table(source: Source) -> Table:
     """How each variant differs from the first one under the same conditions, draw by draw."""
     keys, yards = source.study.keys_shown, source.yardsticks
     table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
     given = [key for key in keys if is_given(key)]
     first, rows = compare_with_first(table, keys, given)
-    compared = [each for each in source.study.dimensions if first.keys() & each.keys()]
-    swept = [(key, values) for each in compared for key, values in each.items() if is_given(key)]
-    mixed = [key for key, values in swept if any(one != values[0] for one in values)]
+    compared = [
+        dimension for dimension in source.study.dimensions if first.keys() & dimension.keys()
+    ]
+    swept = [
+        (key, values)
+        for dimension in compared
+        for key, values in dimension.items()
+        if is_given(key)
+    ]
+    mixed = [key for key, values in swept if any(column != values[0] for column in values)]
     times = partial(format_difference, digits=0, sides=("it", "the first"))
     shown = [
-        *(_Shown(f"ok: {y.words} (% points)", f"{y.rate}_difference", percent) for y in yards),
         *(
-            _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median_difference", times)
+            _StatisticColumn(f"ok: {y.words} (% points)", f"{y.rate}_difference", percent)
             for y in yards
         ),
-        _Shown(
+        *(
+            _StatisticColumn(
+                f"time to {y.words}, median (s)", f"{y.settle}_median_difference", times
+            )
+            for y in yards
+        ),
+        _StatisticColumn(
             "distance from its bias floor (arcmin)",
             "phi_u_error_arcmin_difference",
             format_estimate,
@@ -146,43 +174,48 @@ def against_first(source: Source) -> Table:
     ]
     shared = "from the same start times" if source.study.is_recorded else "on the same noise"
     same = "" if mixed or not given else f" with the same {' and '.join(given)}"
-    pairs = intervals(source, "pairs of runs of a draw", "Difference")
-    return table_of(
+    pairs = describe_intervals(source, "pairs of runs of a draw", "Difference")
+    return build_table(
         f"Against {name_of(first)}{same}, {shared}",
         keys,
         rows,
-        [(one.header, one.cell) for one in shown],
-        said("against", intervals=pairs, mixed=mixed),
+        [(column.header, column.format_cell) for column in shown],
+        render_sentence("comparison_with_first", intervals=pairs, mixed=mixed),
     )
 
 
-def _tables(source: Source) -> Sequence[Block]:
+def _all_tables(source: Source) -> Sequence[Block]:
     study = source.study
     start, end = study.study.window_s
     keys = study.keys_shown
     title = f"Heading error from {'the reference' if study.is_recorded else 'true north'}, arcmin"
-    note = f"{intervals(source)} *never*: did not settle. Signed mean: over {start:g} to {end:g} s."
-    if study.n_variants <= MOST_ROWS:
-        every = statistics(source, keys, "Every variant", note=note)
-        tables = [heading_errors(source, keys, title), every, *_over_drawn(source, keys)]
+    note = (
+        f"{describe_intervals(source)} *never*: did not settle. Signed mean: over {start:g} to"
+        f" {end:g} s."
+    )
+    if study.n_variants <= MAX_ROWS:
+        every = statistics_table(source, keys, "Every variant", note=note)
+        tables = [heading_error_table(source, keys, title), every, *_drawn_key_tables(source, keys)]
         compared = study.n_variants > 1 and source.draws > 1
-        return [*tables, against_first(source)] if compared else tables
-    each = f"{study.n_variants:,} variants: each table takes one key and pools the others."
-    headings = (heading_errors(source, [key], f"{title}, by {key}") for key in keys)
-    by_key = (statistics(source, [key], f"By {key}", note=note) for key in keys)
-    return [Text(each), *headings, *by_key, *_over_drawn(source, keys)]
+        return [*tables, first_variant_comparison_table(source)] if compared else tables
+    pooling_note = f"{study.n_variants:,} variants: each table takes one key and pools the others."
+    headings = (heading_error_table(source, [key], f"{title}, by {key}") for key in keys)
+    by_key = (statistics_table(source, [key], f"By {key}", note=note) for key in keys)
+    return [Text(pooling_note), *headings, *by_key, *_drawn_key_tables(source, keys)]
 
 
-def _over_drawn(source: Source, keys: Sequence[str]) -> Iterator[Table]:
+def _drawn_key_tables(source: Source, keys: Sequence[str]) -> Iterator[Table]:
     """The statistics of bins of each drawn number, of every variant if these are few."""
-    for key, (own, medians) in binned(source).items():
-        few = len(medians) * source.study.n_variants <= MOST_ROWS
+    for key, (binned_source, medians) in bin_drawn_keys(source).items():
+        few = len(medians) * source.study.n_variants <= MAX_ROWS
         note = "" if few or not keys else " All variants together."
-        note = f"{key}: {BINS} {intervals(source)}{note}"
-        yield statistics(own, [key, *(keys if few else ())], f"Over {key}, drawn", note=note)
+        note = f"{key}: {BINS_NOTE} {describe_intervals(source)}{note}"
+        yield statistics_table(
+            binned_source, [key, *(keys if few else ())], f"Over {key}, drawn", note=note
+        )
 
 
-def _curves(source: Source) -> Iterator[Block]:
+def _curve_figures(source: Source) -> Iterator[Block]:
     """Misalignment, or attitude, over time: the first few variants."""
     if not source.has_curves:
         return
