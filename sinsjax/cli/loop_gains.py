@@ -72,6 +72,6 @@ def _roots(polynomial: np.ndarray) -> str:
 
 
 def print_gains(console: Console, *args: float, **earth: float) -> None:
-    """Prints the tables of `design`, whose arguments it takes."""
+    """Print the tables of `design`, whose arguments it takes."""
     for table in design(*args, **earth):
         print_table(table, console)

@@ -85,7 +85,9 @@ class Source:
         study, runs = self.study, self.runs
         whole, shown = None, ""
         if self.table is None:
-            draws = analysis.numbers(results.read_summary(self.directory, ["draw_id"]), "draw_id")
+            draws = analysis.numeric_column(
+                results.read_summary(self.directory, ["draw_id"]), "draw_id"
+            )
             number, count = np.unique(draws.astype(int), return_counts=True)
             whole = number[count == study.n_variants]
             shown = f"; shown are the {len(whole):,} draws that every variant has"
@@ -132,7 +134,7 @@ class Source:
             return len(self.whole_draws)
         draws = study.n_draws
         if study.stop_when and self.runs:
-            draws = int(analysis.numbers(self.rows(["draw_id"]), "draw_id").max()) + 1
+            draws = int(analysis.numeric_column(self.rows(["draw_id"]), "draw_id").max()) + 1
         if self.runs != draws * study.n_variants:
             raise InputError(
                 f"{self.directory}: {self.runs} runs where the study has"

@@ -80,11 +80,11 @@ def analyse_interim(study: Study, table: pa.Table, draws: int) -> InterimAnalysi
     rows = table.filter(pa.compute.less(table["draw_id"], draws)).sort_by("run_id")
     name = study.stop_when.statistic
     widths = []
-    for _, own in analysis.groups(rows, ["variant_id"]):
+    for _, own in analysis.group_rows(rows, ["variant_id"]):
         if name == "success_rate":
             found = analysis.proportion(own["status"].to_pylist().count("ok"), own.num_rows)
         else:
-            found = analysis.mean(analysis.numbers(own, _needed(study)))
+            found = analysis.mean(analysis.numeric_column(own, _needed(study)))
         widths.append(_half_width(found))
     widest = max(widths)
     return InterimAnalysis(draws, widest, widest <= study.stop_when.half_width)

@@ -161,7 +161,7 @@ def _check(place: Path, *, own: bool) -> None:
 
 
 def _has_list(place: Path) -> bool:
-    """Whether there is an access control list; the group's bits are then its mask."""
+    """Return whether there is an access control list; the group's bits are then its mask."""
     if not hasattr(os, "listxattr"):
         return False
     try:
@@ -171,7 +171,7 @@ def _has_list(place: Path) -> bool:
 
 
 def _is_alone(user: int, group: int) -> bool:
-    """Whether a user is the only member of a group; False if that cannot be determined."""
+    """Return whether a user is the only member of a group; False if that cannot be determined."""
     import grp
     import pwd
 

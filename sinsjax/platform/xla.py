@@ -68,7 +68,7 @@ class ConfigurationWarning(UserWarning):
 
 
 def opted_out() -> bool:
-    """Whether ``SINSJAX_XLA_OPTIONS=0`` is set."""
+    """Return whether ``SINSJAX_XLA_OPTIONS=0`` is set."""
     return os.environ.get(OPT_OUT, "").strip() == "0"
 
 
@@ -85,7 +85,7 @@ def flag_values(flags: str) -> dict[str, str]:
 
 
 def names_a_file(flags: str) -> bool:
-    """Whether a value of ``XLA_FLAGS`` names a file that contains the flags."""
+    """Return whether a value of ``XLA_FLAGS`` names a file that contains the flags."""
     return bool(flags.strip()) and not flags.lstrip().startswith("-")
 
 
@@ -172,7 +172,7 @@ def apply_options() -> None:
 
 
 def backend_started() -> bool:
-    """Whether a JAX backend has started in this process, after which XLA reads no more options."""
+    """Return whether a JAX backend has started, after which XLA reads no more options."""
     # JAX has no public function for this that does not start it.
     bridge = sys.modules.get("jax._src.xla_bridge")
     return bridge is not None and bridge.backends_are_initialized()
@@ -207,7 +207,7 @@ def refused_options(jaxlib: str) -> frozenset[str]:
 
 
 def compiles(flags: str) -> bool:
-    """Whether a separate process compiles a small program with a value of ``XLA_FLAGS``."""
+    """Return whether a separate process compiles a small program with a value of ``XLA_FLAGS``."""
     settings = {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "false"}
     try:
         process = subprocess.run(

@@ -13,7 +13,7 @@ from scipy import special
 
 from sinsjax import analysis
 from sinsjax.analysis import NEES_FREEDOM, Estimate
-from sinsjax.analysis.tables import as_keys, as_table
+from sinsjax.analysis.tables import to_arrow_table, to_key_list
 from sinsjax.errors import InputError
 from sinsjax.plots.spreads import steps
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
@@ -47,10 +47,10 @@ class BeliefPanel(NamedTuple):
         """NEES and shares of some runs of a summary, with ``nees``, `SHARES` and the clusters."""
         shares = {}
         for of, column in SHARES.items():
-            found = analysis.mean(analysis.numbers(rows, column), analysis.clusters_of(rows))
+            found = analysis.mean(analysis.numeric_column(rows, column), analysis.cluster_ids(rows))
             low, high = np.clip(found[1:3], 0.0, 1.0).tolist()
             shares[of] = found._replace(low=low, high=high)
-        return cls(label, analysis.numbers(rows, "nees"), shares)
+        return cls(label, analysis.numeric_column(rows, "nees"), shares)
 
 
 def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> Figure:
@@ -81,8 +81,8 @@ def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> 
         >>> sinsjax.plot_belief(runs).get_suptitle()
         'Mean NEES 3, where a consistent filter has 3'
     """
-    keys = as_keys(by)
-    groups = analysis.groups(as_table(runs), keys)
+    keys = to_key_list(by)
+    groups = analysis.group_rows(to_arrow_table(runs), keys)
     shown = [BeliefPanel.of(name_of(point), rows) for point, rows in groups]
     shown = [one for one in shown if np.isfinite(one.nees).any()]
     if not shown:

@@ -11,7 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sinsjax.analysis.tables import as_keys, as_table, groups, numbers, require
+from sinsjax.analysis.tables import (
+    group_rows,
+    numeric_column,
+    require_column,
+    to_arrow_table,
+    to_key_list,
+)
 from sinsjax.errors import InputError
 from sinsjax.plots.style import GREY, both_sides, colour, label_lines, legend_outside, styled
 from sinsjax.plots.words import name_of
@@ -145,15 +151,17 @@ def plot_curves(
         >>> sinsjax.plot_curves(curves).get_suptitle()
         'Heading error after 2 s: 2 arcmin'
     """
-    table = as_table(curves)
-    keys = as_keys(by)
+    table = to_arrow_table(curves)
+    keys = to_key_list(by)
     found = [f"phi_{axis}_arcmin" for axis in "enu" if f"phi_{axis}_arcmin" in table.column_names]
-    has_truth = any(np.isfinite(numbers(table, name)).any() for name in found)
+    has_truth = any(np.isfinite(numeric_column(table, name)).any() for name in found)
     angles = [f"{angle}_deg" for angle in ("pitch", "roll", "yaw")]
     needed = found if has_truth else [*angles, *(f"sigma_{axis}_arcmin" for axis in "enu")]
     for name in ("run_id", "time_s", *needed):
-        require(table, name)
-    summary = pa.table({"run_id": table["run_id"].unique()}) if runs is None else as_table(runs)
+        require_column(table, name)
+    summary = (
+        pa.table({"run_id": table["run_id"].unique()}) if runs is None else to_arrow_table(runs)
+    )
     lines = runs_of_lines(summary, ["run_id"] if runs is None else keys)
     there = {*table["run_id"].unique().to_pylist()}
     lines = {name: ids for name, ids in lines.items() if there.intersection(ids)}
@@ -184,7 +192,7 @@ def runs_of_lines(summary: pa.Table, by: Sequence[str]) -> dict[str, list[int]]:
         by: keys of the lines.
     """
     keys = dict.fromkeys(["run_id", *by])
-    lines = islice(groups(summary.select(list(keys)), by), MOST_LINES)
+    lines = islice(group_rows(summary.select(list(keys)), by), MOST_LINES)
     return {name_of(key): rows["run_id"].slice(0, _MOST_DRAWS).to_pylist() for key, rows in lines}
 
 
@@ -192,7 +200,7 @@ def _only_floor(summary: pa.Table) -> float | None:
     """The bias floor of all runs that have one, if it is the same, arcmin."""
     if "floor_arcmin" not in summary.column_names:
         return None
-    floors = numbers(summary, "floor_arcmin")
+    floors = numeric_column(summary, "floor_arcmin")
     floors = floors[np.isfinite(floors)]
     return float(floors[0]) if floors.size and np.ptp(floors) < _SAME else None
 

@@ -97,7 +97,7 @@ class Marks(NamedTuple):
 
 
 def differ(values: NDArray | Sequence[NDArray]) -> bool:
-    """Whether cells of `heat_maps` differ; a figure of equal ones says nothing."""
+    """Return whether cells of `heat_maps` differ; a figure of equal ones says nothing."""
     return len(np.unique(values)) > 1
 
 

@@ -8,8 +8,8 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sinsjax.analysis.grids import Panel, median, panels_of
-from sinsjax.analysis.tables import as_keys, as_table, groups, require
+from sinsjax.analysis.grids import Panel, median_over_draws, split_into_panels
+from sinsjax.analysis.tables import group_rows, require_column, to_arrow_table, to_key_list
 from sinsjax.errors import InputError
 from sinsjax.plots.grids import Marks, Scale, Shown, heat_maps
 from sinsjax.plots.style import colour_range
@@ -86,19 +86,19 @@ def plot_map(
         >>> figure.get_suptitle()
         'Soonest: 2 resets, every 50 s (190 s)'
     """
-    table = as_table(runs)
+    table = to_arrow_table(runs)
     if not table.num_rows:
         raise InputError("plot_map: there are no runs")
-    by = as_keys(by)
-    axes, panels = panels_of(table, rows, columns, by)
-    quantity = _quantity(require(table, value), value)
+    by = to_key_list(by)
+    axes, panels = split_into_panels(table, rows, columns, by)
+    quantity = _quantity(require_column(table, value), value)
     if not title:
         chosen = [key for key in by if pooled is not None and key not in pooled]
         title = _finding(table, axes, value, quantity, chosen)
     panels = panels[:MOST_PANELS]
-    cells = [quantity.of(panel.of(value)) for panel in panels]
+    cells = [quantity.of(panel.column_values(value)) for panel in panels]
     alike = [_alike(panel, value) for panel in panels]
-    best = [_best(panel.of(value), quantity) for panel in panels]
+    best = [_best(panel.column_values(value), quantity) for panel in panels]
     lines = {value_text(panel.point[by[-1]]) for panel in panels} if by else [""]
     return heat_maps(
         list(zip(_panel_names([panel.point for panel in panels]), cells, strict=True)),
@@ -109,7 +109,7 @@ def plot_map(
         across=len(lines),
         marks=Marks(
             alike,
-            [_most(panel.of(hatched)) for panel in panels] if hatched else (),
+            [_most(panel.column_values(hatched)) for panel in panels] if hatched else (),
             hatch_name,
             best,
             "soonest" if quantity.settles else "best",
@@ -123,7 +123,7 @@ def _quantity(column: pa.ChunkedArray, name: str) -> _Quantity:
         band, *truth = name.removeprefix("settle_").split("_")
         aim = "truth" if "truth" in truth else "bias floor"
         shown = f"{which} time (s) to stay within {band}' of the {aim}"
-        return _Quantity(shown, lambda times: median(_never(times)), settles=True)
+        return _Quantity(shown, lambda times: median_over_draws(_never(times)), settles=True)
     if pa.types.is_boolean(column.type) or name.endswith("_share"):
         share = f"{label(name.removesuffix('_share'))} (%)"
         return _Quantity(share, lambda runs: 100 * runs.mean(axis=0), reverse=False, is_share=True)
@@ -157,7 +157,10 @@ def _alike(panel: Panel, value: str) -> NDArray:
     if _YAW not in panel.rows.column_names:
         return np.arange(np.prod(panel.shape)).reshape(panel.shape)
     runs = np.stack(
-        [np.nan_to_num(panel.of(name), nan=np.inf) for name in dict.fromkeys([value, _YAW])]
+        [
+            np.nan_to_num(panel.column_values(name), nan=np.inf)
+            for name in dict.fromkeys([value, _YAW])
+        ]
     )
     flat = runs.reshape(-1, np.prod(panel.shape)).T
     kinds = np.unique(flat, axis=0, return_inverse=True)[1]
@@ -204,9 +207,9 @@ def _finding(
 ) -> str:
     """What is best, in words: a cell, and a point of the chosen keys, over all other runs."""
     found = []
-    for point, rows in groups(table, chosen):
-        _, (panel,) = panels_of(rows, *axes)
-        runs = panel.of(value)
+    for point, rows in group_rows(table, chosen):
+        _, (panel,) = split_into_panels(rows, *axes)
+        runs = panel.column_values(value)
         if _best(runs, quantity) is None:
             continue
         settled = np.isfinite(runs).mean(axis=0)

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
-from sinsjax.analysis import Estimate, groups, summarise
-from sinsjax.analysis.summaries import estimate_of
-from sinsjax.analysis.tables import as_keys, as_table
+from sinsjax.analysis import Estimate, group_rows, summarise
+from sinsjax.analysis.summaries import read_estimate
+from sinsjax.analysis.tables import to_arrow_table, to_key_list
 from sinsjax.plots.style import GREY, LETTERS, colour, label_lines, legend_outside, styled
 from sinsjax.plots.words import label, name_of, point_text, value_text
 
@@ -86,7 +86,7 @@ def plot_compare(
         >>> [axes.get_title(loc="left") for axes in figure.axes]
         ['heading error at the end, rms (arcmin)']
     """
-    keys = as_keys(by)
+    keys = to_key_list(by)
     values, panels = compare_panels(runs, key, keys, statistics)
     return along_axis(key, values, panels, title=title, condition=condition)
 
@@ -95,9 +95,9 @@ def compare_panels(
     runs: Any, key: str, by: Sequence[str], statistics: Mapping[str, str] | None = None
 ) -> tuple[list[Any], dict[str, Mapping[str, Sequence[Estimate]]]]:
     """The values of a key and the panels of `plot_compare`, with the same arguments."""
-    table = as_table(runs)
+    table = to_arrow_table(runs)
     shown = _statistics(table) if statistics is None else dict(statistics)
-    lines = {name_of(point): rows for point, rows in islice(groups(table, by), MOST_LINES)}
+    lines = {name_of(point): rows for point, rows in islice(group_rows(table, by), MOST_LINES)}
     rows = {name: summarise(own, [key], list(shown)).to_pylist() for name, own in lines.items()}
     panels = {
         words: {name: [_estimate(row, statistic) for row in own] for name, own in rows.items()}
@@ -108,7 +108,7 @@ def compare_panels(
 
 
 def acts(panels: Mapping[str, Mapping[str, Sequence[Estimate]]]) -> bool:
-    """Whether the key of some panels acts: two values of a line lie far outside each other's bars.
+    """Return whether the key of some panels acts: two values of a line differ significantly.
 
     Bars of twice the length are compared, since there are many pairs of values.
     """
@@ -140,7 +140,7 @@ def _statistics(table: pa.Table) -> dict[str, str]:
 
 def _estimate(row: Mapping[str, Any], statistic: str) -> Estimate:
     """A statistic in a row of `summarise`, shares in percent."""
-    found = estimate_of(row, statistic)
+    found = read_estimate(row, statistic)
     if not statistic.endswith("_rate"):
         return found
     value, low, high = (100 * number for number in found[:3])
@@ -165,7 +165,7 @@ def worth_drawing(
 
 
 def _alike(values: NDArray, before: NDArray) -> bool:
-    """Whether a panel hardly differs from another one, in values and in what is *never*."""
+    """Return whether a panel hardly differs from another one, in values and in what is *never*."""
     reach = _SIMILAR * np.abs(before[np.isfinite(before)]).max(initial=0.0)
     return np.allclose(values, before, rtol=0.0, atol=reach, equal_nan=True)
 
@@ -249,7 +249,7 @@ def along_axis(
 
 
 def _is_wide(estimates: Sequence[Estimate]) -> bool:
-    """Whether values differ so much that a linear axis would hide the small ones."""
+    """Return whether values differ so much that a linear axis would hide the small ones."""
     values = np.array([e.value for e in estimates])
     values = values[np.isfinite(values)]
     return bool(values.size and values.min() > 0 and values.max() > _RANGE * values.min())
@@ -315,7 +315,7 @@ def _follow(axes: Axes, estimates: Sequence[Estimate], expected: Expected | None
 
 
 def tells(panel: Mapping[str, Sequence[Estimate]]) -> bool:
-    """Whether a panel of `along_axis` has anything but *never*, unknown and zeros."""
+    """Return whether a panel of `along_axis` has anything but *never*, unknown and zeros."""
     return any(e.value and np.isfinite(e.value) for line in panel.values() for e in line)
 
 

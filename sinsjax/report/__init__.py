@@ -1,7 +1,7 @@
-"""What is printed, drawn and written about directories of results, from Parquet alone.
+"""Reports on directories of results, from Parquet alone: printed, drawn and written.
 
-Every study has the same report, `auto`, or `estimated` where it has no draws, and every tuning,
-`tuned`; a folder of prose and a script makes a page of its own, `folder`.
+A study of draws is reported by `monte_carlo`, one estimated without draws by `covariance`, a
+tuning by `tuning`; a folder of prose and a script is written as a page by `study_page`.
 """
 
 from collections.abc import Sequence
@@ -44,14 +44,14 @@ def print_reports(
     Args:
         directories: of results or tunings.
         console: the console.
-        page: a Markdown file to write, with figures beside it; or the folder of a page with prose
-            and a script, of which nothing else is made unless ``html`` asks.
-        html: an HTML file to write, which holds all.
+        page: a Markdown file to write, with figures in ``figures/`` next to it; or the folder of
+            a study page (prose and script), which alone is written unless ``html`` is given.
+        html: a self-contained HTML file to write.
         full: whether to print all tables.
         warnings_shown: whether the user has seen the studies' warnings.
 
     Raises:
-        InputError: a directory holds no results that its layout can use, or cannot be written; or
+        InputError: a directory holds no usable results, or cannot be written; or
             a report that fails otherwise. The results are as they were then.
     """
     try:
@@ -115,7 +115,7 @@ def _print_reports(
 
 
 def print_terms(console: Console) -> None:
-    """Print what the words of a report mean."""
+    """Print the glossary of a report."""
     for line in load_template("terms.md.j2").render().splitlines():
         screen.say(console, NO_NAMES.to_plain_text(line.removeprefix("- ")), wrap=True)
 

@@ -32,7 +32,7 @@ _EXAMPLES = (0.01, 100.0)  # deg/h and ug, whose effect is stated if the biases 
 
 
 def attitude_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict:
-    """Return the attitude of each start, what may be wrong with it, and what is best.
+    """Return the attitude of each start, its cautions, and the best option.
 
     Args:
         source: results on a record, or of a study without truth.
@@ -116,7 +116,7 @@ def _final_attitude_table(source: Source, rows: list[dict[str, Any]]) -> Table:
 
 
 def attitude_table(source: Source) -> Table:
-    """Final attitude with the filter's own 1 sigma, run by run: what `align` is asked for."""
+    """Return the table of the final attitudes, run by run, with the filter's own 1 sigma."""
     keys = ["start_s", *source.study.keys_shown]
     digits = dict.fromkeys([f"{angle}_deg" for angle in ("pitch", "roll", "yaw")], 4)
     digits |= dict.fromkeys([f"sigma_{axis}_arcmin" for axis in "enu"], 2)
@@ -133,10 +133,10 @@ def attitude_table(source: Source) -> Table:
 
 
 def describe_innovations(source: Source) -> str:
-    """What the filters' innovations on a record say of their beliefs, and what they cannot say.
+    """Describe how the filters' innovations on a record agree with their covariance.
 
-    Only values above the chi-square band contradict a belief. One below it tells of an R that is
-    larger than the noise: the heading then shows in no innovation.
+    Only values above the chi-square band contradict the covariance. Values below it mean that R is
+    larger than the noise, so that innovations do not show the heading error.
     """
     statistics = _innovation_statistics(source)
     if statistics is None:
@@ -151,7 +151,7 @@ def describe_innovations(source: Source) -> str:
 
 
 def _count_runs_above_band(source: Source) -> int:
-    """How many runs have innovations above the chi-square band."""
+    """Return the number of runs with innovations above the chi-square band."""
     statistics = _innovation_statistics(source)
     return 0 if statistics is None else int((statistics[0] > statistics[2]).sum())
 
@@ -162,7 +162,7 @@ def _innovation_statistics(source: Source) -> tuple[np.ndarray, np.ndarray, np.n
         rows = source.rows(["innovation_nis", "innovation_freedom"])
     except InputError:
         return None
-    mean, freedom = (analysis.numbers(rows, name) for name in rows.column_names)
+    mean, freedom = (analysis.numeric_column(rows, name) for name in rows.column_names)
     mean, freedom = mean[freedom > 0], freedom[freedom > 0]
     tail = (1 - analysis.CONFIDENCE) / 2
     low, high = (2 * special.chdtri(freedom, p) / freedom for p in (1 - tail, tail))

@@ -7,8 +7,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis.grids import panels_of
-from sinsjax.analysis.summaries import NEEDED
+from sinsjax.analysis.grids import split_into_panels
+from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
 from sinsjax.plots.maps import MOST_PANELS
@@ -24,9 +24,9 @@ _FLAG = "flagged"
 
 
 def build_axis_blocks(source: Source) -> list[Block]:
-    """What the swept numbers decide.
+    """Return the figures over the swept numbers and the drawn numbers.
 
-    With two numeric axes or more, heat maps over the first two as the study writes them, a panel
+    With two numeric axes or more, heat maps over the first two in the order of the study, a panel
     for each point of all other keys; with one, or one whose values are lists, curves with
     intervals; with none, nothing. Then curves over each drawn number.
     """
@@ -55,7 +55,7 @@ def build_axis_blocks(source: Source) -> list[Block]:
 
 
 def repeated_variants_note(source: Source) -> Iterator[Text]:
-    """How tables count runs that equal others, if there are any."""
+    """Return a note on how tables count duplicate variants, if there are any."""
     if keys := source.study.idle_keys():
         variants, kept = source.study.n_variants, len({*source.study.duplicate_of})
         yield Text(
@@ -70,7 +70,7 @@ class HeatMaps:
 
     Attributes:
         axes: the two numbers with their values, rows first.
-        panels: all of them.
+        panels: all panels, also those beyond the limit of a figure.
     """
 
     def __init__(self, source: Source, columns: Sequence[str]) -> None:
@@ -79,7 +79,7 @@ class HeatMaps:
         self._keys = (down, across)
         times = [name for name in ("reset_times_s",) if "reset_count" in axes]
         self._table = source.rows([*self._by, *axes, *columns, *times])
-        self.axes, self.panels = panels_of(self._table, down, across, self._by)
+        self.axes, self.panels = split_into_panels(self._table, down, across, self._by)
         self._repeats = (source.study.duplicate_of != np.arange(source.study.n_variants)).any()
 
     def draw_figure(
@@ -112,19 +112,20 @@ class HeatMaps:
 
     def column_values(self, column: str) -> NDArray:
         """A column of all runs as numbers, (runs,); null is NaN."""
-        return analysis.numbers(self._table, column)
+        return analysis.numeric_column(self._table, column)
 
 
 def _heat_map_figures(source: Source, criterion: Yardstick) -> Iterator[Block]:
-    """The maps from one yardstick, and only those that show something."""
+    """Yield the maps by one criterion of success, without those that show nothing."""
     maps = HeatMaps(source, (criterion.settle, criterion.ok, *FLOOR_COLUMNS, "draw_id", "start_s"))
     shown = maps.panels[: 2 * MOST_PANELS]
     every = [
-        one.cells(criterion.ok, criterion.settle, criterion.off_floor(one.of)) for one in shown
+        one.cell_outcomes(criterion.ok, criterion.settle, criterion.off_floor(one.column_values))
+        for one in shown
     ]
     cells, end = every[:MOST_PANELS], criterion.end(source.yardsticks[0])
     if not any((np.isfinite(one.median_s) & ~one.not_converged).any() for one in cells):
-        return  # no cell is within the band, or those that are only pass through it
+        return  # no cell is within the band, or cells only pass through it
     off = np.where(
         maps.column_values(criterion.ok) > 0, criterion.off_floor(maps.column_values), np.nan
     )
@@ -142,8 +143,8 @@ def _heat_map_figures(source: Source, criterion: Yardstick) -> Iterator[Block]:
         off,
         _NOT_CONVERGED,
     )
-    shares = np.array([one.share for one in cells])
-    if not np.isin(shares, (0.0, 1.0)).all():  # else the settling times say it all
+    shares = np.array([one.success_share for one in cells])
+    if not np.isin(shares, (0.0, 1.0)).all():  # else the settling times show the same
         yield maps.draw_figure(
             f"success_rate{end}",
             f"Share of {counted(source.draws, 'draw')} ok, {criterion.of_several}.{mark}",
@@ -159,7 +160,7 @@ def _axis_curve_figure(
     shown = {f"{y.settle}_median": f"median time (s) to {y.words}" for y in source.yardsticks}
     shown |= {y.rate: f"share of runs that are ok, {y.of_several} (%)" for y in source.yardsticks}
     shown["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
-    table = source.rows([*others, axis, *judged_columns(source.study), *NEEDED])
+    table = source.rows([*others, axis, *judged_columns(source.study), *REQUIRED_COLUMNS])
     values, panels = compare_panels(table, axis, others, shown)
     if only_if_significant and not acts(panels):
         return None

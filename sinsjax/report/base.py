@@ -1,4 +1,4 @@
-"""What a report is made of, and words that all of them use."""
+"""Building blocks of a report, and sentences that all reports use."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from sinsjax.study.study import Study
 from sinsjax.study.success import success_of
 
 MAX_ROWS = 20
-"""Rows of a table; what is left out is said."""
+"""Rows of a table; the note counts the rows left out."""
 
 MIN_DRAWS_FOR_INTERVALS = 16
 """Draws from which on the coverage of all intervals is measured; below it, notes warn."""
@@ -30,10 +30,10 @@ class Table(NamedTuple):
     """A table of text.
 
     Attributes:
-        title: what it shows.
+        title: its title.
         header: a name for each column.
         rows: cells.
-        note: said below it.
+        note: text below the table.
         folded: on a page, hidden until a reader opens it; not printed on a console.
     """
 
@@ -54,7 +54,7 @@ def build_table(
     max_rows: int = MAX_ROWS,
     remainder: str = "rows are not shown",
 ) -> Table:
-    """A table with a line for each row: its keys, then what each cell with its header tells of it.
+    """Return a table with one line per row: the values of its keys, then its formatted cells.
 
     If there are more than ``max_rows`` rows, the note ends with their number and ``remainder``.
     """
@@ -72,9 +72,9 @@ class Picture(NamedTuple):
 
     Attributes:
         name: of its file, without extension.
-        caption: what is seen.
+        caption: text below the figure.
         figure: the figure.
-        data_footer: said below it, where it rests on other runs than those of the source.
+        data_footer: data that the figure rests on, if not the runs of the source.
     """
 
     name: str
@@ -87,7 +87,7 @@ Block = Text | Table | Picture
 
 
 class Chapter(NamedTuple):
-    """A heading and what stands under it."""
+    """A heading and the blocks under it."""
 
     heading: str
     blocks: Sequence[Block]
@@ -108,7 +108,7 @@ class Fact(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What a reader wants to know first.
+    """The answer that a report begins with.
 
     Attributes:
         title: name of the study, number of runs, and failures.
@@ -122,7 +122,7 @@ class Verdict(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What is made of a directory of results.
+    """The report on one directory of results.
 
     Attributes:
         verdict: the answer.
@@ -152,7 +152,7 @@ class Report(NamedTuple):
 
 
 def describe_success_criterion(study: Study) -> str:
-    """What *settled* and *ok* mean in a study, in one sentence for pages and captions."""
+    """Describe *settled* and *ok* in a study, in one sentence for pages and captions."""
     rule = success_of(study)
     ends_s = np.array([s.records for s in study.distinct_spans]) * study.study.record_interval_s
     dwell_s = rule.dwell(ends_s)
@@ -173,7 +173,7 @@ def describe_success_criterion(study: Study) -> str:
 def describe_intervals(
     source: Source, sampled_units: str = "draws", quantity: str = "Number"
 ) -> str:
-    """What the brackets of a table are, or why there are none, in words."""
+    """Describe the brackets of a table, or why there are none."""
     if source.study.is_recorded:
         return analysis.NO_INTERVAL
     note = f"{quantity} [95 % interval over the {sampled_units}]."

@@ -1,4 +1,4 @@
-"""The options and the conditions of a study: what an engineer decides, and what is given.
+"""The options and the conditions of a study: what an engineer chooses, and what is imposed.
 
 An axis with a starting error, a motion, a sensor or a site is a condition. Any other axis, such as
 a reset schedule, a filter key or the method, is a choice. Options are compared over all conditions.
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.analysis.grids import held_out_choice
-from sinsjax.analysis.words import degrees
+from sinsjax.analysis.formats import format_degrees
+from sinsjax.analysis.grids import held_out_choices
 from sinsjax.messages import counted
 from sinsjax.methods.filters.section import OF_SCHEDULES
 from sinsjax.plots.words import name_of, schedule_words, value_text, words_and_unit
@@ -22,7 +22,7 @@ from sinsjax.study.keys import is_given
 from sinsjax.study.study import Study
 
 MIN_DRAWS_TO_SPLIT = 8
-"""Fewest draws whose halves choose and judge in turn."""
+"""Fewest draws that are split into halves, each of which judges the choice of the other."""
 
 _ANGLES = {"phi_e0_deg": "east", "phi_n0_deg": "north", "phi_u0_deg": "up"}
 _MAX_OPTION_LENGTH = 80  # characters of an option; the tables have all its keys
@@ -62,7 +62,7 @@ class Choices:
 
     @cached_property
     def options(self) -> list[str]:
-        """Each option in words."""
+        """Description of each option."""
         return [self._describe_option(int(variant)) for variant in self.variants[:, 0]]
 
     @cached_property
@@ -102,7 +102,7 @@ class Choices:
 
     @property
     def option_noun(self) -> str:
-        """What an option is."""
+        """Kind of the options: schedule, method or option."""
         if all({*keys} <= {*OF_SCHEDULES} for keys in self._option_axes):
             return "schedule"
         return "method" if self._option_axes == [("method",)] else "option"
@@ -115,7 +115,7 @@ class Choices:
     def rival_options(self, best: int) -> list[list[int]]:
         """The options of each kind that the best is compared with.
 
-        With schedules those with a single reset and those with none; else all the others.
+        With schedules: the options with a single reset and those without; else all other options.
         """
         counts = self.reset_counts
         kinds = [[i for i, count in enumerate(counts) if count == number] for number in (1, 0)]
@@ -198,7 +198,7 @@ def format_condition(keys: Sequence[str], point: Sequence[Any]) -> str:
     angles = [key for key in keys if key in _ANGLES]
     cells = []
     if len(angles) > 1:
-        cells.append(degrees(*(values.pop(key) for key in angles)))
+        cells.append(format_degrees(*(values.pop(key) for key in angles)))
     for key, value in values.items():
         text, unit = value_text(value), condition_name_and_unit(key)[1]
         cells.append(f"{text} {unit}" if unit and text[-1:].isdigit() else text)
@@ -210,7 +210,7 @@ def best_option(time_s: NDArray, unsettled_time_s: float) -> int:
 
     Args:
         time_s: (options, conditions, draws) settling times, infinite for never.
-        unsettled_time_s: what such a run counts in the average, s.
+        unsettled_time_s: time that such a run counts in the average, s.
     """
     never = np.isinf(time_s).sum(axis=(1, 2))
     mean = np.minimum(time_s, unsettled_time_s).mean(axis=(1, 2))
@@ -233,4 +233,4 @@ def best_option_per_draw(time_s: NDArray, unsettled_time_s: float) -> NDArray:
     draws = time_s.shape[-1]
     if draws < MIN_DRAWS_TO_SPLIT:
         return np.full(draws, best_option(time_s, unsettled_time_s))
-    return held_out_choice(time_s, lambda half: best_option(half, unsettled_time_s))
+    return held_out_choices(time_s, lambda half: best_option(half, unsettled_time_s))

@@ -1,4 +1,4 @@
-"""What a method's covariance is worth: its error in units of what it believes, over the runs."""
+"""Consistency of a method's covariance: its error in units of its own sigma, over the runs."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -28,7 +28,7 @@ def consistency_blocks(source: Source) -> Iterator[Picture | Text]:
     """
     keys, note = choose_line_keys(source)
     table = source.distinct((*keys, "nees", *SHARES.values(), "draw_id", "start_s"))
-    if not np.isfinite(analysis.numbers(table, "nees")).any():
+    if not np.isfinite(analysis.numeric_column(table, "nees")).any():
         return
     explanation, biases_dominate = _explain_unmodelled_biases(source)
     yield from explanation
@@ -37,7 +37,7 @@ def consistency_blocks(source: Source) -> Iterator[Picture | Text]:
 
 
 def _explain_unmodelled_biases(source: Source) -> tuple[list[Text], bool]:
-    """Why filters without bias states have no NEES of 3 where the sensors have constant biases.
+    """Explain why filters without bias states have no NEES of 3 with constant sensor biases.
 
     Returns:
         Sentences, and whether the biases exceed the filters' own sigma, so that a figure of their
@@ -52,7 +52,7 @@ def _explain_unmodelled_biases(source: Source) -> tuple[list[Text], bool]:
         return [], False
     names = [*(f"sigma_{axis}_arcmin" for axis in "enu"), "floor_arcmin", _YAW, "nees"]
     rows = source.distinct(names)
-    *sigmas, floor, yaw, nees = (analysis.numbers(rows, name) for name in names)
+    *sigmas, floor, yaw, nees = (analysis.numeric_column(rows, name) for name in names)
     east, north, up = np.nanmedian(sigmas, axis=1)
     tilt = accel * MICRO / ARCMIN
     values: dict[str, Any] = {"gyro": gyro, "accel": accel, "tilt": tilt, "sigmas": (east, north)}
@@ -67,7 +67,7 @@ def _explain_unmodelled_biases(source: Source) -> tuple[list[Text], bool]:
 
 
 def consistency_picture(figure: Figure, note: str = "") -> Picture:
-    """The figure of what filters believe of their error, with its caption."""
+    """Return the figure of the filters' consistency, with its caption."""
     return Picture(
         "consistency",
         "Left: NEES, the squared attitude error at the end in units of the filter's own covariance;"

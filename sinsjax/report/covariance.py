@@ -34,7 +34,7 @@ Cell = tuple[str, Callable[[Row], str]]
 
 
 class _EstimateColumns(NamedTuple):
-    """A yardstick, and its columns of the estimates."""
+    """A criterion of success, and its columns of the estimates."""
 
     criterion: Yardstick
     mean: str
@@ -49,13 +49,13 @@ class _EstimateColumns(NamedTuple):
         return _normal_estimate(row[self.mean], row[self.error])
 
     def format_quantiles(self, row: Row) -> str:
-        """When 10, 50 and 90 % of the runs have settled."""
+        """Return the times by which 10, 50 and 90 % of the runs have settled, as text."""
         times = (row[name] for name in (self.q10, self.median, self.q90))
         return ", ".join("never" if time is None else f"{time:.0f}" for time in times)
 
     @property
     def table_cells(self) -> list[Cell]:
-        """What a table tells of a variant."""
+        """Headers and formats of the columns of a table of variants."""
         words = self.criterion.words
         return [
             (f"mean time to {words} (s)", lambda row: format_estimate(self.expected_settling(row))),
@@ -77,7 +77,7 @@ def build_report(
     Raises:
         InputError: variants are missing.
     """
-    assert source.draws  # of which none is missing, or that is told
+    assert source.draws  # raises if variants are missing
     criteria = _usable_estimate_columns(source)
     parts: dict[str, Sequence[Block]] = {
         "Figures": [
@@ -130,7 +130,7 @@ class _ExpectedSettling(NamedTuple):
         columns = (names.mean, names.error, names.within, _YAW, _SIGMA)
         rows = source.rows(columns)
         mean, error, within, yaw, sigma = (
-            choices.arrange_runs(analysis.numbers(rows, name))[..., 0] for name in columns
+            choices.arrange_runs(analysis.numeric_column(rows, name))[..., 0] for name in columns
         )
         return cls(choices, mean, error, within, np.hypot(yaw, sigma))
 
@@ -149,7 +149,7 @@ class _ExpectedSettling(NamedTuple):
 
 
 def _answer_facts(expected: _ExpectedSettling, criterion: Yardstick) -> Iterator[Fact]:
-    """The best option, what it is compared with, and its accuracy."""
+    """Yield the best option, its rivals, and its accuracy."""
     words, best = expected.choices.options, expected.best_option()
     least = 100 * float(expected.within[best].min())
     share = "all settle" if least > 99.95 else f"at least {least:.0f} % settle"
@@ -189,9 +189,11 @@ def _condition_table(expected: _ExpectedSettling) -> Table | None:
 
 
 def _linearity_fact(source: Source) -> Iterator[Fact]:
-    """How far covariance analysis holds."""
+    """Yield how far covariance analysis is valid."""
     if source.study.checks_linearity:
-        index, filled = (analysis.numbers(source.distinct([name]), name) for name in _CHECKED)
+        index, filled = (
+            analysis.numeric_column(source.distinct([name]), name) for name in _CHECKED
+        )
         largest = f"{np.nanmax(index):.2f}" if np.isfinite(index).any() else "unknown"
         beyond = int(np.nansum(filled))
         text = render_sentence("linearity", largest=largest, beyond=beyond, variants=len(filled))
@@ -205,7 +207,7 @@ def _format_nonlinearity(row: Row) -> str:
 
 
 def _usable_estimate_columns(source: Source) -> list[_EstimateColumns]:
-    """What a settling time can be told from, what the study is judged from first."""
+    """Return the criteria that some variant can be judged by, that of the study first."""
     band, found = success_of(source.study).band_arcmin, []
     for yard in yardsticks(source.study):
         settled = [c.name for c in columns.settle_estimates(band, truth=yard.truth)]
@@ -232,9 +234,9 @@ def _best_settings_table(source: Source, names: _EstimateColumns) -> Iterator[Ta
     needed = (names.mean, names.error, names.within, _SIGMA)
     table = source.distinct([*keys, *needed])
     points = []
-    for point, rows in analysis.groups(table, chosen):
+    for point, rows in analysis.group_rows(table, chosen):
         time, error, share, sigma = (
-            analysis.numbers(rows, name) for name in rows.column_names[-4:]
+            analysis.numeric_column(rows, name) for name in rows.column_names[-4:]
         )
         statistics = {
             "mean": _normal_estimate(time.mean(), error.mean()),
@@ -297,13 +299,13 @@ def _axis_figures(
 def _heat_map_figures(
     source: Source, names: _EstimateColumns, name_suffix: str
 ) -> Iterator[Picture]:
-    """The maps from one yardstick, and only those that show something."""
+    """Yield the maps by one criterion of success, without those that show nothing."""
     words, of_floor = names.criterion.words, names.within.replace("_truth", "")
     maps = HeatMaps(source, (names.mean, names.within, of_floor, "phi_u_arcmin"))
     within = np.round(100 * maps.column_values(names.within))
     either = np.fmin(maps.column_values(names.within), maps.column_values(of_floor))
     if not np.round(100 * either).any():
-        return  # no cell is within the band, or those that are only pass through it
+        return  # no cell is within the band, or cells only pass through it
     if plots.differ(maps.column_values(names.mean)):
         yield maps.draw_figure(
             f"settling_time{name_suffix}",

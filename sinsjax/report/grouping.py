@@ -8,7 +8,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.analysis.summaries import NEEDED
+from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.execution.source import Source
 from sinsjax.plots.spreads import MOST_LINES
 from sinsjax.plots.words import name_of
@@ -17,26 +17,26 @@ from sinsjax.study.success import judged_columns
 
 BINS_NOTE = "the median of each bin, of about as many draws."
 _MAX_BINS = 8
-_MIN_DRAWS_PER_BIN = 10  # a bin: an interval of fewer says little
+_MIN_DRAWS_PER_BIN = 10  # per bin: the interval of fewer draws is too wide to be of use
 _DIGITS = 3  # significant ones of a bin's name
 
 
 def rows_by_line(table: pa.Table, line_keys: Sequence[str]) -> dict[str, pa.Table]:
     """The rows of each line along an axis by its name: of the first ones that have room."""
-    groups = list(analysis.groups(table, line_keys))
+    groups = list(analysis.group_rows(table, line_keys))
     return {name_of(point): rows for point, rows in groups[:MOST_LINES]}
 
 
 def describe_undrawn_lines(table: pa.Table, line_keys: Sequence[str]) -> str:
     """A sentence on the lines along an axis that have no room, if there are any."""
-    left = sum(1 for _ in analysis.groups(table.select(line_keys), line_keys)) - MOST_LINES
+    left = sum(1 for _ in analysis.group_rows(table.select(line_keys), line_keys)) - MOST_LINES
     return f" {left} more lines are not drawn." if left > 0 else ""
 
 
 def choose_line_keys(source: Source) -> tuple[Sequence[str], str]:
-    """The keys that tell few lines apart, and what is to be said of them.
+    """Return the keys that identify a few lines, and a note for the caption.
 
-    All of them where there are few variants, else the first that has few values, or none.
+    These are all keys if there are few variants, else the first key with few values, or none.
     """
     if source.study.n_variants <= MOST_LINES:
         return source.study.keys_shown, ""
@@ -60,9 +60,16 @@ def bin_drawn_keys(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]
     found = {}
     for key in drawn if count > 1 else ():
         table = source.rows(
-            [key, "run_id", "variant_id", *study.keys_shown, *NEEDED, *judged_columns(study)]
+            [
+                key,
+                "run_id",
+                "variant_id",
+                *study.keys_shown,
+                *REQUIRED_COLUMNS,
+                *judged_columns(study),
+            ]
         )
-        medians = bin_medians(analysis.numbers(table, key), count)
+        medians = bin_medians(analysis.numeric_column(table, key), count)
         place = table.column_names.index(key)
         table = table.set_column(place, key, pa.array(medians))
         table = table.sort_by([(key, "ascending"), ("run_id", "ascending")])
@@ -71,7 +78,7 @@ def bin_drawn_keys(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]
 
 
 def bin_medians(values: NDArray, n_bins: int) -> NDArray:
-    """For each of some values the median of its bin; few distinct values are bins of their own.
+    """Return the median of the bin of each value; few distinct values are bins of their own.
 
     Args:
         values: (n,) finite ones.

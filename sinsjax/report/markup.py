@@ -1,4 +1,4 @@
-"""The package's templates: Markdown as it stands, HTML with everything escaped."""
+"""The package's templates: Markdown is not escaped, HTML is."""
 
 import re
 from functools import lru_cache
@@ -11,9 +11,9 @@ from sinsjax.report.names import escape_markdown
 
 @lru_cache(maxsize=1)
 def template_environment() -> Environment:
-    """How templates are filled in.
+    """Return the environment that renders templates.
 
-    A name that is not there is an error; what ends in ``.html.j2`` is escaped.
+    An undefined name is an error; templates named ``*.html.j2`` are escaped.
     """
     environment = Environment(
         loader=PackageLoader("sinsjax.report"),
@@ -38,7 +38,7 @@ def load_template(name: str) -> Template:
 
 
 def render_sentence(macro_name: str, **values: Any) -> str:
-    """A macro of ``sentences.md.j2`` with what it tells, in one line."""
+    """Render a macro of ``sentences.md.j2`` with values, in one line."""
     macro = getattr(load_template("sentences.md.j2").module, macro_name)
     return " ".join(str(macro(**values)).split())
 
@@ -49,7 +49,7 @@ def _escape_table_cell(text: str) -> str:
 
 
 def _format_code_span(text: str) -> str:
-    """Text as a Markdown code span, whose fence is longer than any backticks within."""
+    """Return text as a Markdown code span, with a fence longer than any backticks within."""
     fence = "`" * (1 + max(map(len, re.findall("`+", text)), default=0))
     blank = " " if text.startswith("`") or text.endswith("`") else ""
     return f"{fence}{blank}{text}{blank}{fence}"

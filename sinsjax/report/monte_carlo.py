@@ -8,9 +8,9 @@ import numpy as np
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_difference, format_estimate
+from sinsjax.analysis.formats import format_heading_error, format_percent
 from sinsjax.analysis.references import compare_with_first
-from sinsjax.analysis.summaries import NEEDED, estimate_of
-from sinsjax.analysis.words import heading, percent
+from sinsjax.analysis.summaries import REQUIRED_COLUMNS, read_estimate
 from sinsjax.columns import report_columns
 from sinsjax.execution.source import Source
 from sinsjax.plots.curves import runs_of_lines
@@ -51,8 +51,8 @@ def build_report(
     Raises:
         InputError: runs are missing.
     """
-    assert source.draws  # of which none is missing, or that is reported
-    yaw = analysis.numbers(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
+    assert source.draws  # raises if draws are missing
+    yaw = analysis.numeric_column(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
     has_truth = bool(np.isfinite(yaw).any())
     blocks = [*build_axis_blocks(source), *consistency_blocks(source)] if has_truth else []
     parts: dict[str, Sequence[Block]] = {"Figures": [*_curve_figures(source), *blocks]}
@@ -65,9 +65,9 @@ def build_report(
 
 
 def statistics_table(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
-    """The statistics of each group of runs, told apart by some keys, as a table."""
+    """Return the statistics of each group of runs that share some keys, as a table."""
     shown = _statistic_columns(source)
-    table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
+    table = source.distinct([*keys, *REQUIRED_COLUMNS, *judged_columns(source.study)])
     rows = analysis.summarise(table, keys, [column.name for column in shown]).to_pylist()
     cells = [
         ("runs", lambda row: str(row["n"])),
@@ -77,7 +77,7 @@ def statistics_table(source: Source, keys: Sequence[str], title: str, *, note: s
 
 
 class _StatisticColumn(NamedTuple):
-    """A statistic in a table: the header of its column, its name, and how it is told."""
+    """A column of statistics in a table: its header, the statistic, and its format."""
 
     header: str
     name: str
@@ -85,20 +85,23 @@ class _StatisticColumn(NamedTuple):
     needs_floor: bool = False  # whether it counts from the bias floor
 
     def format_cell(self, row: Mapping[str, Any]) -> str:
-        """What a row of `analysis.summarise` tells of it."""
+        """Return the statistic as text from a row of `analysis.summarise`."""
         if self.needs_floor and row["no_floor"] == row["n"]:
             return "no bias floor"
-        return self.format_value(estimate_of(row, self.name))
+        return self.format_value(read_estimate(row, self.name))
 
 
 def _statistic_columns(source: Source) -> list[_StatisticColumn]:
-    """How many runs succeed and how soon, from the truth and the bias floor; and the heading."""
+    """Return the columns of success, settling time and heading error, by each criterion."""
     seconds, arcmin = (partial(format_estimate, digits=digits) for digits in (0, 1))
     yards = source.yardsticks
     missing = [yard for yard in yardsticks(source.study) if yard not in yards]
     aim = "the reference" if source.study.is_recorded else "its bias floor"
     return [
-        *(_StatisticColumn(f"ok: {y.words} (%)", y.rate, percent, not y.truth) for y in yards),
+        *(
+            _StatisticColumn(f"ok: {y.words} (%)", y.rate, format_percent, not y.truth)
+            for y in yards
+        ),
         *(
             _StatisticColumn(f"ok: {y.words} (%)", y.rate, lambda _: "no bias floor")
             for y in missing
@@ -109,7 +112,9 @@ def _statistic_columns(source: Source) -> list[_StatisticColumn]:
             )
             for y in yards
         ),
-        _StatisticColumn("heading error at the end, rms (arcmin)", f"{_END}_rms", heading),
+        _StatisticColumn(
+            "heading error at the end, rms (arcmin)", f"{_END}_rms", format_heading_error
+        ),
         _StatisticColumn(
             f"signed mean from {aim} (arcmin)", "phi_u_from_floor_arcmin_mean", arcmin, True
         ),
@@ -117,17 +122,17 @@ def _statistic_columns(source: Source) -> list[_StatisticColumn]:
 
 
 def heading_error_table(source: Source, keys: Sequence[str], title: str) -> Table:
-    """How far from the truth the headings are, at each report time and at the end."""
+    """Return the heading errors from the truth, at each report time and at the end, as a table."""
     times_s = source.study.study.report_times_s or ()
     times = {report_columns(time)[0].name: f"{time:g} s" for time in times_s} | {_END: "the end"}
-    table = source.distinct([*keys, *NEEDED, *times])
+    table = source.distinct([*keys, *REQUIRED_COLUMNS, *times])
     cells = [
         ("runs", lambda row: str(row["n"])),
         ("at", lambda row: row["at"]),
-        ("rms", lambda row: heading(row["rms"])),
-        ("90 % of the runs below", lambda row: heading(row["q90"])),
+        ("rms", lambda row: format_heading_error(row["rms"])),
+        ("90 % of the runs below", lambda row: format_heading_error(row["q90"])),
     ]
-    rows = list(analysis.heading_errors(table, keys, times))
+    rows = list(analysis.heading_error_statistics(table, keys, times))
     unbounded = (
         any(np.isnan(row["q90"].high) for row in rows) and source.draws >= MIN_DRAWS_FOR_INTERVALS
     )
@@ -139,9 +144,9 @@ def heading_error_table(source: Source, keys: Sequence[str], title: str) -> Tabl
 
 
 def first_variant_comparison_table(source: Source) -> Table:
-    """How each variant differs from the first one under the same conditions, draw by draw."""
+    """Return the difference of each variant from the first under the same conditions, by draw."""
     keys, yards = source.study.keys_shown, source.yardsticks
-    table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
+    table = source.distinct([*keys, *REQUIRED_COLUMNS, *judged_columns(source.study)])
     given = [key for key in keys if is_given(key)]
     first, rows = compare_with_first(table, keys, given)
     compared = [
@@ -157,7 +162,7 @@ def first_variant_comparison_table(source: Source) -> Table:
     times = partial(format_difference, digits=0, sides=("it", "the first"))
     shown = [
         *(
-            _StatisticColumn(f"ok: {y.words} (% points)", f"{y.rate}_difference", percent)
+            _StatisticColumn(f"ok: {y.words} (% points)", f"{y.rate}_difference", format_percent)
             for y in yards
         ),
         *(
@@ -220,7 +225,7 @@ def _curve_figures(source: Source) -> Iterator[Block]:
     if not source.has_curves:
         return
     keys = source.study.keys_shown
-    floor = () if source.study.is_recorded else ("floor_arcmin",)  # whose biases are unknown
+    floor = () if source.study.is_recorded else ("floor_arcmin",)  # a record's biases are unknown
     table = source.distinct([*keys, "run_id", "reset_times_s", *floor])
     runs = runs_of_lines(table, keys)
     curves = source.curves(run for ids in runs.values() for run in ids)
@@ -228,11 +233,11 @@ def _curve_figures(source: Source) -> Iterator[Block]:
         return
     count = max(map(len, runs.values()))
     caption = f"Mean of {count} runs" if count > 1 else "One run each"
-    if left := sum(1 for _ in analysis.groups(table.select(keys), keys)) - len(runs):
+    if left := sum(1 for _ in analysis.group_rows(table.select(keys), keys)) - len(runs):
         caption += f" (the first {len(runs)} variants; {left} more are not drawn)"
     figure = plots.plot_curves(curves, table, by=keys, zoom_s=source.study.study.window_s)
-    has_sigma = bool(np.isfinite(analysis.numbers(curves, "sigma_u_arcmin")).any())
-    if not np.isfinite(analysis.numbers(curves, "phi_u_arcmin")).any():
+    has_sigma = bool(np.isfinite(analysis.numeric_column(curves, "sigma_u_arcmin")).any())
+    if not np.isfinite(analysis.numeric_column(curves, "phi_u_arcmin")).any():
         shading = "; shading: the filter's own 1 sigma" if has_sigma else ""
         yield Picture("attitude", f"{caption}{shading}.", figure)
         return

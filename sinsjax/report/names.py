@@ -1,7 +1,7 @@
-"""Names out of a study are text, whatever a page's Markdown or a console would read in them.
+"""Names from a study, which are printed literally in Markdown and on a console.
 
-What a layout says is Markdown of its own, into which it puts names as they are. Only here, where it
-leaves for a medium, are they told from it: by the study, which has them all.
+Text of a report is Markdown, into which names are put unescaped. They are escaped only when the
+text is written to a medium; the study, which has all names, tells which parts are names.
 """
 
 import re
@@ -11,16 +11,16 @@ from typing import Any, NamedTuple
 from sinsjax.study.study import Study
 
 _MARKUP = re.compile(r"[\\`*\[\]~$#]|(?<![^\W_])_|_(?![^\W_])|^[-+>]")
-"""What Markdown, or what GitHub adds to it, reads in a name; ``_`` is one only at a word's rim."""
+"""What Markdown or GitHub interprets in a name; ``_`` only at the edge of a word."""
 
 _TAG = re.compile("<(?=[A-Za-z/!?])")
 
 
 class StudyNames(NamedTuple):
-    """The names that a report may hold.
+    """The names that may occur in a report.
 
     Attributes:
-        texts: all of them, in any order.
+        texts: the names, in any order.
     """
 
     texts: frozenset[str] = frozenset()
@@ -33,11 +33,11 @@ class StudyNames(NamedTuple):
         )
 
     def to_markdown(self, text: str) -> str:
-        """What a report says as a page's Markdown: markup in a name is escaped."""
+        """Return text of a report as Markdown of a page, with markup in names escaped."""
         return self._map_pieces(text, escape_markdown, lambda other: _TAG.sub("&lt;", other))
 
     def to_plain_text(self, text: str) -> str:
-        """What a report says without its markup: that in a name stays."""
+        """Return text of a report without its markup; markup in names stays."""
         return self._map_pieces(text, str, lambda other: other.replace("*", "").replace("`", ""))
 
     def _map_pieces(
@@ -53,11 +53,11 @@ class StudyNames(NamedTuple):
 
 
 NO_NAMES = StudyNames()
-"""Of a report that is all the package's own words."""
+"""Names of a report that has only the package's own words."""
 
 
 def escape_markdown(name: str) -> str:
-    """A name as Markdown that shows it letter by letter; in a table ``|`` is escaped besides."""
+    """Return a name as Markdown that shows it literally; table cells also escape ``|``."""
     return _MARKUP.sub(r"\\\g<0>", name.replace("&", "&amp;")).replace("<", "&lt;")
 
 

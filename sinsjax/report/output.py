@@ -1,4 +1,4 @@
-"""Where a report goes: a console, a directory of figures, a page in Markdown or in HTML."""
+"""Output of a report: console, directory of figures, Markdown page, HTML page."""
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
@@ -27,10 +27,10 @@ class DrawnReport(NamedTuple):
     """A report with its figures drawn.
 
     Attributes:
-        source: what it reports.
-        report: what it says.
+        source: the results.
+        report: their report.
         images: PNG files by the name of the figure.
-        names: in what it says.
+        names: names that occur in the report.
     """
 
     source: Source
@@ -40,7 +40,7 @@ class DrawnReport(NamedTuple):
 
     @classmethod
     def from_report(cls, source: Source, report: Report) -> "DrawnReport":
-        """Draws the figures of a report."""
+        """Draw the figures of a report."""
         blocks = (block for section in report.sections for block in section.blocks)
         pictures = (block for block in blocks if isinstance(block, Picture))
         footer = report.data_footer or source.counted
@@ -80,7 +80,7 @@ def print_report(drawn: DrawnReport, console: Console, *, full: bool = False) ->
 
 
 def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
-    """Writes PNG files, by their names without extension, to a directory that is made if missing.
+    """Write PNG files, by their names without extension, to a directory, created if missing.
 
     Raises:
         InputError: the directory cannot be written.
@@ -92,14 +92,14 @@ def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
 
 
 def describe_origin(reports: Sequence[DrawnReport]) -> str:
-    """What a page was made from: the files of its studies and what computed them, each once."""
+    """Return the study files of a page and the versions that computed them, without repetition."""
     configs = ", ".join(dict.fromkeys(drawn.source.config for drawn in reports))
     versions = ", ".join(dict.fromkeys(drawn.source.version for drawn in reports))
     return f"{configs}; computed by sinsjax {versions}"
 
 
 def write_markdown_page(page: Path, title: str, reports: Sequence[DrawnReport]) -> None:
-    """Writes a documentation page in Markdown, and its figures to ``figures/`` beside it.
+    """Write a documentation page in Markdown, and its figures to ``figures/`` next to it.
 
     Raises:
         InputError: the page cannot be written.
@@ -128,7 +128,7 @@ def write_markdown_page(page: Path, title: str, reports: Sequence[DrawnReport]) 
 
 
 def write_html_page(path: Path, title: str, reports: Sequence[DrawnReport]) -> None:
-    """Writes an HTML page that needs nothing else: no network, no file beside it, no script.
+    """Write a self-contained HTML page: no network, no other files, no script.
 
     Raises:
         InputError: the page cannot be written.
@@ -158,12 +158,12 @@ def write_escaped_text(path: Path, text: str) -> None:
 
 
 def merge_names(reports: Sequence[DrawnReport]) -> StudyNames:
-    """The names in all that stands on a page."""
+    """Return the names in all reports of a page."""
     return StudyNames(frozenset().union(*(drawn.names.texts for drawn in reports)))
 
 
 def success_definitions(reports: Sequence[DrawnReport]) -> list[str]:
-    """What *settled* and *ok* mean on a page, each meaning once."""
+    """Return the definitions of *settled* and *ok* of a page, without repetition."""
     return list(dict.fromkeys(describe_success_criterion(drawn.source.study) for drawn in reports))
 
 
@@ -188,7 +188,7 @@ def _render_html_paragraphs(text: str, names: StudyNames = NO_NAMES) -> Markup:
 
 @lru_cache(maxsize=1)
 def _markdown_parser() -> Any:
-    """What a report says is Markdown without links or images; anything else in it is text."""
-    from markdown_it import MarkdownIt  # late, for reports without such a page
+    """Return a parser of Markdown without links and images, with HTML as text."""
+    from markdown_it import MarkdownIt  # late: only HTML pages need it
 
     return MarkdownIt("commonmark", {"html": False}).disable(["link", "image", "autolink"])

@@ -1,8 +1,8 @@
 """A page of a study: prose in ``page.md.j2``, its numbers, tables and figures from ``page.py``.
 
-``page.py`` has a function ``page(sources)`` that computes a `Page`. The prose takes from it by
+``page.py`` has a function ``page(sources)`` that computes a `Page`. The prose refers to its parts
 name: ``{{ best_two.settle }}`` a value, ``{{ tables.what_to_set }}`` a table, ``{{ figures.map }}``
-a figure. ``{{ claim("two settle sooner than one") }}`` prints nothing: it ties a sentence to what
+a figure. ``{{ claim("two settle sooner than one") }}`` prints nothing: it ties a sentence to the
 makes it true.
 """
 
@@ -39,13 +39,13 @@ _PACKAGE = "sinsjax_pages"
 
 
 class Page(NamedTuple):
-    """What the prose of a page may name; all of it has to be named.
+    """The values, tables and figures that the prose of a page may name; all must be named.
 
     Attributes:
         values: text and numbers by name, or by name within a name.
         tables: by name.
         figures: by name.
-        claims: whether what the prose says is so, by what it says.
+        claims: whether each claim of the prose is true, by its text.
     """
 
     values: Mapping[str, Any]
@@ -55,7 +55,7 @@ class Page(NamedTuple):
 
     @classmethod
     def merge(cls, *parts: "Page") -> "Page":
-        """A page of several parts, each with names of its own."""
+        """Return a page of several parts, whose names differ."""
         return cls(*(dict(ChainMap(*map(dict, kind))) for kind in zip(*parts, strict=True)))
 
 
@@ -63,7 +63,7 @@ class Sources(dict[str, Source]):
     """Results by the name of their study."""
 
     def __missing__(self, name: str) -> Source:
-        """Tells that results are not among those that were given."""
+        """Report that the results of a study were not given."""
         given = ", ".join(self) or "none"
         raise InputError(f"the page needs results of {name}: add their directory ({given})")
 
@@ -80,7 +80,7 @@ class _TrackedValue:
 
 
 def _track_values(values: Mapping[str, Any], unused: set[str], prefix: str = "") -> dict[str, Any]:
-    """Values by name, whose names within names are attributes; each leaves ``unused`` in print."""
+    """Return values that leave ``unused`` when printed; nested names become attributes."""
     tracked: dict[str, Any] = {}
     for name, value in values.items():
         full_name = f"{prefix}{name}"
@@ -93,9 +93,9 @@ def _track_values(values: Mapping[str, Any], unused: set[str], prefix: str = "")
 
 
 def load_script(folder: Path) -> ModuleType:
-    """Executes a page's script.
+    """Execute a page's script.
 
-    It may import its neighbours (``from .x``), and those of folders beside its own (``from ..y``).
+    It may import modules of its folder (``from .x``) and of neighbouring ones (``from ..y``).
 
     Raises:
         InputError: the folder lacks the script or the prose.
@@ -107,7 +107,7 @@ def load_script(folder: Path) -> ModuleType:
     known = sys.modules.get(_PACKAGE)
     if known is None or list(known.__path__) != [parent]:
         for name in [name for name in sys.modules if name.partition(".")[0] == _PACKAGE]:
-            del sys.modules[name]  # of folders elsewhere
+            del sys.modules[name]  # of other page folders
         spec = ModuleSpec(_PACKAGE, None, is_package=True)
         spec.submodule_search_locations = [parent]
         sys.modules[_PACKAGE] = module_from_spec(spec)
@@ -115,7 +115,7 @@ def load_script(folder: Path) -> ModuleType:
 
 
 def compute_page(folder: Path, sources: Sequence[Source]) -> Page:
-    """What a page's script makes of results, given in any order.
+    """Return the page that its script computes from results, given in any order.
 
     Raises:
         InputError: the folder is no page's, or results are missing.
@@ -130,8 +130,8 @@ def render_prose(folder: Path, page: Page, *, enforce_claims: bool = True) -> st
     """The prose of a page with its numbers, in Markdown.
 
     Raises:
-        InputError: the prose names what is not there, something is not named, or, where that is
-            ``enforce_claims``, a claim does not hold.
+        InputError: the prose names an unknown value, a value is not named, or a claim is false and
+            ``enforce_claims`` is set.
     """
     unused = {f"claim {text!r}" for text in page.claims}
 
@@ -165,9 +165,9 @@ def render_prose(folder: Path, page: Page, *, enforce_claims: bool = True) -> st
 
 
 def write_study_page(folder: Path, sources: Sequence[Source]) -> tuple[Path, int]:
-    """Writes the page of ``docs/studies/NAME``, ``docs/NAME.md``, and its figures.
+    """Write the page of ``docs/studies/NAME``, ``docs/NAME.md``, and its figures.
 
-    Returns the file, and how many figures it has.
+    Returns the file, and its number of figures.
 
     Raises:
         InputError: see `compute_page` and `render_prose`; or the page cannot be written.

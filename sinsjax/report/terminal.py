@@ -42,14 +42,14 @@ def print_verdict(
 ) -> None:
     """Print a verdict in at most `MAX_VERDICT_LINES` lines on 80 columns or more.
 
-    Its table is reduced to rows evenly over the conditions; if that is not enough, it is left out,
+    Rows of its table are left out evenly over the conditions; if that is not enough, the table,
     then facts, doubts last, and these are counted.
 
     Args:
         verdict: the verdict.
         console: the console.
         names: the names of the study, which are printed literally.
-        footer: what its last line names: figures, and the command for all tables.
+        footer: parts of its last line: figures, and the command for all tables.
         full: whether to print all of it instead.
     """
     facts = list(verdict.facts)
@@ -99,7 +99,7 @@ def _layout_verdict(
 def _layout_verdict_rows(
     table: Table, n_rows: int, names: StudyNames, width: int
 ) -> RenderableType:
-    """Some rows of a verdict's table, evenly over all of them."""
+    """Return some rows of a verdict's table, evenly over all of them."""
     every = len(table.rows)
     places = sorted({round(n * (every - 1) / max(n_rows - 1, 1)) for n in range(n_rows)})
     header, *shown = (
@@ -141,7 +141,7 @@ def _highlight_failures(text: Line) -> Line:
 
 
 def _pack_words(words: Iterable[str], width: int) -> list[str]:
-    """Words in as few lines as have room, three blanks between them."""
+    """Return words in as few lines as possible, separated by three blanks."""
     lines: list[str] = []
     for word in words:
         if lines and len(lines[-1]) + 3 + len(word) <= width:
@@ -182,7 +182,7 @@ def _min_cell_width(cell: str) -> int:
 
 
 def _split_columns(cells: Sequence[Sequence[str]], width: int) -> list[list[int]]:
-    """The columns of each part of a table, none of whose words is broken."""
+    """Return the columns of each part of a table, so that no word is broken."""
     least = [max(map(_min_cell_width, column)) for column in zip(*cells, strict=True)]
     parts: list[list[int]] = [[]]
     for column in range(len(least)):

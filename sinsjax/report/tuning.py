@@ -1,4 +1,4 @@
-"""A tuning: what its searches found, judged on draws that tuned nothing, and how they did."""
+"""The report of a tuning: its candidates, evaluated on unused draws, and its searches."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -20,11 +20,11 @@ from sinsjax.tuning.results import SEARCHES, Tuning, words
 from sinsjax.tuning.run_tuning import GRADIENT
 
 DOUBLE_RESET_S = 1.0
-"""Resets closer than this are told as a double one, s."""
+"""Resets closer than this are printed as a double reset, s."""
 
 
 def build_report(source: Source) -> Report:
-    """The candidates on the unused draws, and how the searches came to them.
+    """Return the candidates on the unused draws, and how the searches found them.
 
     Raises:
         InputError: a file of the tuning cannot be read.
@@ -113,7 +113,7 @@ def _gradient_fact(tuning: Tuning) -> Iterator[Fact]:
 
 
 def _caution_facts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
-    """Why the best point may not be what it seems."""
+    """Yield why the best point may mislead."""
     looks = [
         look.objective
         for found in tuning.found.values()
@@ -149,9 +149,9 @@ def _candidate_summary_table(tuning: Tuning) -> Table:
 
 
 def _format_candidate_value(value: Any, bounds: Sequence[tuple[Variable, float]], key: str) -> str:
-    """A candidate's value of a key: what stands on a bound is marked, near resets are joined."""
+    """Return a candidate's value of a key: bounds are marked, close resets joined."""
     numbers = value if isinstance(value, list | tuple) else [value]
-    ends = [end for v, end in bounds if v.key == key]  # times were put in order: told by value
+    ends = [end for v, end in bounds if v.key == key]  # by value, since times were sorted
     words = [
         value_text(x) + (" (bound)" if any(math.isclose(x, e, rel_tol=0.01) for e in ends) else "")
         for x in numbers

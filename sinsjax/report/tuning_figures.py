@@ -1,4 +1,4 @@
-"""The figures of a tuning: descents over what a search has seen, and best against cost."""
+"""The figures of a tuning: descents over the evaluated points, and best objective against cost."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from sinsjax.tuning.results import LOOKS, SEARCHES, Tuning, axis
 
 
 def landscape_pictures(tuning: Tuning) -> list[Picture]:
-    """The descents over what a search has seen, for the best combination of candidates."""
+    """Return the descents over the points of a search, for the best combination of candidates."""
     space = SearchSpace.from_study(tuning.study)
     number = tuning.found[tuning.best].best.candidate
     combination = space.combinations[number]
@@ -83,7 +83,7 @@ def _best_points(tuning: Tuning, candidate: int, variables: list[int]) -> list[S
 
 
 def cost_pictures(tuning: Tuning) -> list[Picture]:
-    """The best objective of each search against what it had cost by then, to compare searches."""
+    """Return the best objective of each search against its cost."""
     if len(tuning.found) < 2:
         return []
     searches = []

@@ -1,4 +1,4 @@
-"""The verdict on a sweep: the best option, what it gains, how accurate it is, and what limits it.
+"""The verdict on a sweep: the best option, its gain, its accuracy, and its limiting factor.
 
 A choice is judged on draws that did not make it. See `sinsjax.report.choices`.
 """
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.words import heading, percent
+from sinsjax.analysis.formats import format_heading_error, format_percent
 from sinsjax.columns import FAILED
 from sinsjax.execution import stopping
 from sinsjax.execution.source import Source
@@ -82,7 +82,7 @@ class SweepOutcome:
         choices = Choices.from_study(source.study)
 
         def column(name: str) -> NDArray:
-            return choices.arrange_runs(analysis.numbers(table, name))
+            return choices.arrange_runs(analysis.numeric_column(table, name))
 
         settle_s = np.where(column(criterion.ok) > 0, column(criterion.settle), np.inf)
         time_s = np.where(np.isnan(settle_s), np.inf, settle_s)
@@ -96,7 +96,7 @@ class SweepOutcome:
 
     @cached_property
     def unsettled_time_s(self) -> float:
-        """What a run that never settles counts when options are ranked, s."""
+        """Time that a run without settling counts when options are ranked, s."""
         return max(self.source.study.run_s, np.max(self.time_s, initial=0, where=self.settled))
 
     @property
@@ -148,11 +148,13 @@ class SweepOutcome:
         return found._replace(low=max(found.low, 0.0))
 
     def format_settling(self, choice: "Choice", unit: str = "") -> str:
-        """Settling with a choice in a few words: a mean time, ``never``, or how many settle."""
+        """Return settling with a choice as text: mean time, ``never``, or share that settles."""
         settled = np.isfinite(self.held_out_values(choice, self.time_s))
         if settled.all():
             return format_estimate(self.mean_settling_s(choice), unit, 0)
-        return f"{percent(self.success_share(choice))} % settle" if settled.any() else "never"
+        return (
+            f"{format_percent(self.success_share(choice))} % settle" if settled.any() else "never"
+        )
 
 
 class Choice(NamedTuple):
@@ -168,7 +170,7 @@ class Choice(NamedTuple):
 
 
 def study_title(source: Source) -> str:
-    """The name of a study, how many runs it has, how long they took, and how many failed."""
+    """Return the name of a study with its numbers of runs and failures, and the computing time."""
     study, runs = source.study, source.runs
     count = counted(runs, "run")
     if source.whole_draws is not None:
@@ -178,12 +180,12 @@ def study_title(source: Source) -> str:
     kept = len({*study.duplicate_of}) * runs // study.n_variants
     count += f" ({kept:,} distinct)" if kept < runs else ""
     status = source.rows(["status"])
-    failed = sum(int(analysis.has_status(status, outcome).sum()) for outcome in FAILED)
+    failed = sum(int(analysis.status_mask(status, outcome).sum()) for outcome in FAILED)
     return f"{study.name}: {count}, {f'{failed:,}' if failed else 'none'} failed"
 
 
 def warning_facts(source: Source, *, warnings_shown: bool) -> Iterator[Fact]:
-    """The warnings of a study, unless the user has seen them."""
+    """Yield the warnings of a study, unless the user has seen them."""
     yield from (Fact("Warning", line, True) for line in (() if warnings_shown else source.warnings))
 
 
@@ -204,14 +206,14 @@ def q_caution(source: Source) -> Iterator[Fact]:
 
 
 def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
-    """The best option, its accuracy, and what the answer rests on."""
+    """Yield the best option, its accuracy, and the basis of the answer."""
     yield from _best_option_facts(outcome)
     yield _accuracy_fact(outcome)
     yield from _basis_facts(outcome)
 
 
 def _best_option_facts(outcome: SweepOutcome) -> Iterator[Fact]:
-    """The best option, and those that it is compared with."""
+    """Yield the best option and its rivals."""
     options, best = outcome.choices.options, outcome.overall_choice
     if len(options) == 1:
         yield Fact("Settling", _settling_sentence(outcome, best))
@@ -226,14 +228,14 @@ def _best_option_facts(outcome: SweepOutcome) -> Iterator[Fact]:
 
 
 def _settling_sentence(outcome: SweepOutcome, choice: Choice) -> str:
-    """How many runs settle with a choice, and when."""
+    """Return the share of runs that settle with a choice, and their mean time."""
     settled = np.isfinite(outcome.held_out_values(choice, outcome.time_s))
     if not settled.any():
         return "no run settles"
     time = format_estimate(outcome.mean_settling_s(choice), "s", 0)
     if settled.all():
         return f"{_every_run_phrase(outcome)} settles, after {time} on average"
-    share = percent(outcome.success_share(choice))
+    share = format_percent(outcome.success_share(choice))
     return f"{share} % of the runs settle, after {time} on average"
 
 
@@ -249,7 +251,7 @@ def _every_run_phrase(outcome: SweepOutcome) -> str:
 
 
 def _rival_choices(outcome: SweepOutcome, best: Choice) -> Iterator[tuple[str, Choice]]:
-    """What the best option is compared with, each the best of its kind."""
+    """Yield the rivals of the best option, each the best of its kind."""
     names = outcome.choices.options
     for kind in outcome.choices.rival_options(best.option):
         choice = outcome.choose_best(kind)
@@ -258,14 +260,14 @@ def _rival_choices(outcome: SweepOutcome, best: Choice) -> Iterator[tuple[str, C
 
 
 def _accuracy_fact(outcome: SweepOutcome) -> Fact:
-    """The heading error at the end, and what limits it."""
+    """Return the heading error at the end, and its limiting factor."""
     best = outcome.overall_choice
     error, floor = (
         outcome.held_out_values(best, values) for values in (outcome.error, outcome.floor)
     )
     found = analysis.rms(error, outcome.clusters)
     aim = "the reference" if outcome.source.study.is_recorded else "true north"
-    text = f"{heading(found)}' rms from {aim}"
+    text = f"{format_heading_error(found)}' rms from {aim}"
     known = np.isfinite(error)
     never = np.isinf(outcome.held_out_values(best, outcome.time_s))
     squares = float(np.sum(error[known] ** 2))
@@ -286,10 +288,10 @@ def _basis_facts(outcome: SweepOutcome) -> Iterator[Fact]:
         outcome.criterion,
         outcome.held_out_values(outcome.overall_choice, outcome.error),
     )
-    text = f"{percent(outcome.success_share(best))} % {criterion.words}"
+    text = f"{format_percent(outcome.success_share(best))} % {criterion.words}"
     if not criterion.truth:
         right = analysis.share(np.abs(error) <= criterion.band_arcmin, outcome.clusters)
-        text += f", {percent(right)} % of north"
+        text += f", {format_percent(right)} % of north"
     yield Fact("Success", text)
     names = outcome.choices.options
     text = f"{draws}{' (few)' if draws < MIN_DRAWS_FOR_INTERVALS else ''}"
@@ -304,7 +306,7 @@ def _basis_facts(outcome: SweepOutcome) -> Iterator[Fact]:
 
 
 def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
-    """Why the answer may mislead."""
+    """Yield why the answer may mislead."""
     draws, study = outcome.n_draws, outcome.source.study
     several = len(outcome.choices.options) > 1
     unit = "start time" if study.is_recorded else "draw"
@@ -342,9 +344,9 @@ def condition_table(outcome: SweepOutcome) -> Table | None:
         if len(choices.options) == 1:
             error = analysis.rms(here.held_out_values(overall, here.error), here.clusters)
             return [
-                percent(here.success_share(overall)),
+                format_percent(here.success_share(overall)),
                 here.format_settling(overall),
-                heading(error),
+                format_heading_error(error),
             ]
         best = here.choose_best()
         rival = (

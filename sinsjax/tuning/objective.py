@@ -51,13 +51,13 @@ def values(tune: TuneSection, study: Study, table: pa.Table) -> NDArray:
         (variants, draws): settling time, s, or the run's length if it never settled; final heading
         error about the bias floor or the truth, arcmin; or 1 for a failure and 0 for a success.
     """
-    order = np.argsort(analysis.numbers(table, "run_id"))
+    order = np.argsort(analysis.numeric_column(table, "run_id"))
     end = study.spans_s[:, :1]
     if tune.objective == "final_error":
-        yaw, *limit = (analysis.numbers(table, name) for name in columns_of(tune, study)[1:])
+        yaw, *limit = (analysis.numeric_column(table, name) for name in columns_of(tune, study)[1:])
         found = np.nan_to_num(np.abs(yaw - sum(limit)), nan=np.inf)
     else:
-        found = analysis.numbers(table, columns_of(tune, study)[1])
+        found = analysis.numeric_column(table, columns_of(tune, study)[1])
     by_variant = found[order].reshape(-1, study.n_variants).T
     if tune.objective == "final_error":
         return by_variant

@@ -31,7 +31,7 @@ def summary(n=12, **columns):
 def test_paired_joins_on_draw_id():
     a = pa.table({"draw_id": [2, 0, 1], "x": [20, 0, None]})
     b = pa.table({"draw_id": [0, 1, 2], "x": [0.5, 1.5, 2.5]})
-    first, second = analysis.paired(a, b, "x")
+    first, second = analysis.pair_by_draw(a, b, "x")
     np.testing.assert_array_equal(first, [0.0, math.nan, 20.0])
     np.testing.assert_array_equal(second, [0.5, 1.5, 2.5])
 
@@ -44,7 +44,7 @@ def test_paired_refuses_repeated_or_differing_draws_and_missing_column(draws, co
     a = pa.table({"draw_id": [0, 1, 2], "x": [1, 2, 3]})
     b = pa.table({"draw_id": draws, "x": [1, 2, 3]})
     with pytest.raises(InputError, match=message):
-        analysis.paired(a, b, column)
+        analysis.pair_by_draw(a, b, column)
 
 
 def keyed(dictionary=False):
@@ -74,17 +74,17 @@ def test_groups_match_naive_loop(by, dictionary, monkeypatch):
             expected.append((key, [row["row"]]))
         else:
             rows.append(row["row"])
-    found = [(key, rows["row"].to_pylist()) for key, rows in analysis.groups(table, by)]
+    found = [(key, rows["row"].to_pylist()) for key, rows in analysis.group_rows(table, by)]
     assert found == expected
 
 
 def test_groups_of_empty_table_are_empty():
-    assert list(analysis.groups(keyed().slice(0, 0), ["case", "reset_times_s"])) == []
+    assert list(analysis.group_rows(keyed().slice(0, 0), ["case", "reset_times_s"])) == []
 
 
 def test_groups_refuses_unknown_key():
     with pytest.raises(InputError, match="column reset_cout is missing"):
-        list(analysis.groups(keyed(), ["reset_cout"]))
+        list(analysis.group_rows(keyed(), ["reset_cout"]))
 
 
 def test_summarise_returns_one_row_per_group():
@@ -263,8 +263,8 @@ def test_compare_pairs_by_draw():
     ends = [second[f"success_rate_difference{end}"] for end in ("", "_low", "_high")]
     assert ends == pytest.approx(list(expected[:3])) and second["success_rate_difference"] < -0.5
     assert first["success_rate_difference"] == 0.0
-    errors = (np.abs(x + 27.0) for x in analysis.paired(later, base, "phi_u_mean_arcmin"))
-    error = analysis.difference(*errors)
+    errors = (np.abs(x + 27.0) for x in analysis.pair_by_draw(later, base, "phi_u_mean_arcmin"))
+    error = analysis.mean_difference(*errors)
     ends = [first[f"phi_u_error_arcmin_difference{end}"] for end in ("", "_low", "_high", "_n")]
     assert ends == pytest.approx(list(error)) and first["n"] == 40
 

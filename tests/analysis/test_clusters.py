@@ -192,7 +192,7 @@ def test_one_cluster_has_no_interval():
         analysis.share(values > 0, record),
         analysis.std(values, record),
         analysis.rms(values, record),
-        analysis.difference(values, -values, record),
+        analysis.mean_difference(values, -values, record),
     ):
         assert math.isfinite(found.value) and found.n == 12
         assert np.isnan(found[1:3]).all()
@@ -214,11 +214,15 @@ def runs(draw, start):
 
 def test_clusters_are_draws_or_one_whole_record():
     simulated, recorded = runs([0, 0, 1], [0.0, 0.0, 0.0]), runs([0, 0, 1], [0.0, 0.0, 30.0])
-    assert analysis.clusters_of(simulated).tolist() == [0, 0, 1]
-    assert analysis.clusters_of(recorded).tolist() == [0, 0, 0]
-    assert analysis.clusters_of(simulated.select(["x"])) is None
-    assert not analysis.are_single(simulated) and not analysis.are_single(recorded)
-    assert analysis.are_single(simulated.slice(1)) and analysis.are_single(simulated.select(["x"]))
+    assert analysis.cluster_ids(simulated).tolist() == [0, 0, 1]
+    assert analysis.cluster_ids(recorded).tolist() == [0, 0, 0]
+    assert analysis.cluster_ids(simulated.select(["x"])) is None
+    assert not analysis.has_independent_runs(simulated) and not analysis.has_independent_runs(
+        recorded
+    )
+    assert analysis.has_independent_runs(simulated.slice(1)) and analysis.has_independent_runs(
+        simulated.select(["x"])
+    )
 
 
 def summary(draws, **columns):

@@ -259,7 +259,7 @@ def test_statistics_refuse_empty_or_nested_values(statistic, values):
 
 @pytest.mark.parametrize(
     "compare",
-    [analysis.difference, analysis.quantile_difference, analysis.proportion_difference],
+    [analysis.mean_difference, analysis.quantile_difference, analysis.proportion_difference],
 )
 def test_differences_refuse_unequal_lengths_or_empty_values(compare):
     with pytest.raises(ValueError, match="equal lengths"):
@@ -278,11 +278,11 @@ def test_difference_matches_paired_t_test():
     a, apart = random.normal(size=30), random.normal(0.3, 0.1, 15)
     b = a + np.r_[apart, 0.6 - apart]
     oracle = stats.ttest_rel(b, a).confidence_interval(0.95)
-    found = analysis.difference(b, a)
+    found = analysis.mean_difference(b, a)
     assert found == pytest.approx(((b - a).mean(), oracle.low, oracle.high, 30), rel=1e-9)
     a[3], b[4] = math.nan, NEVER
     a[5] = b[5] = NEVER
-    assert analysis.difference(b, a).n == 27
+    assert analysis.mean_difference(b, a).n == 27
 
 
 @pytest.mark.parametrize(
@@ -389,10 +389,10 @@ def test_rms_ignores_non_finite_values():
 
 def test_rms_interval_is_capped_at_largest_possible_value():
     values = [*np.full(9, 30.0), 8000.0]
-    free, bound = analysis.rms(values), analysis.rms(values, most=10_800.0)
+    free, bound = analysis.rms(values), analysis.rms(values, max_magnitude=10_800.0)
     assert free.high > 1e4 and bound == free._replace(high=10_800.0)
-    assert analysis.rms(np.arange(9.0), most=100.0) == analysis.rms(np.arange(9.0))
-    assert math.isnan(analysis.rms([2.0], most=9.0).high)
+    assert analysis.rms(np.arange(9.0), max_magnitude=100.0) == analysis.rms(np.arange(9.0))
+    assert math.isnan(analysis.rms([2.0], max_magnitude=9.0).high)
 
 
 @pytest.mark.parametrize(("freedom", "n"), [(1, 1), (3, 1), (3, 256), (1, 100_000)])

@@ -16,7 +16,7 @@ from support.stored import store, told
 from support.studies import STILL, small_study, with_paper_values
 
 from sinsjax import analysis, report
-from sinsjax.analysis.words import percent
+from sinsjax.analysis.formats import format_percent
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution.results import read_summary
@@ -62,7 +62,8 @@ def test_table_shows_success_settling_and_heading_statistics(tmp_path):
     ):
         assert cell in text
     assert (
-        f"{percent(analysis.share(ok == 'ok', np.repeat(np.arange(40), 2)))} % of the runs" in text
+        f"{format_percent(analysis.share(ok == 'ok', np.repeat(np.arange(40), 2)))} % of the runs"
+        in text
     )
 
 
@@ -125,8 +126,8 @@ def test_variants_are_compared_with_first_on_same_noise(tmp_path):
     row = next(line for line in text.splitlines() if line.startswith(" 30"))
     share = analysis.proportion_difference(np.arange(40) < 39, np.full(40, True))
     yaw = np.abs(summary["phi_u_mean_arcmin"].to_numpy() - FLOOR)
-    error = analysis.format_estimate(analysis.difference(yaw[1::2], yaw[::2]))
-    assert "7 [7, 7]" in row and percent(share) in row and error in row
+    error = analysis.format_estimate(analysis.mean_difference(yaw[1::2], yaw[::2]))
+    assert "7 [7, 7]" in row and format_percent(share) in row and error in row
     assert "is a reference only: variants also differ from it in phi_u0_deg, the" in text
 
 
@@ -396,7 +397,7 @@ def test_success_from_truth_and_bias_floor_appears_in_all_outputs(tmp_path):
     text = told(store(tmp_path / "out", study, summary), html=html)
     truth, floor = "within 10' of true north", "within 10' of its bias floor"
     floors = "within 10' of their bias floors"
-    half = percent(analysis.share(flags["ok_truth"], np.repeat(np.arange(8), 2)))
+    half = format_percent(analysis.share(flags["ok_truth"], np.repeat(np.arange(8), 2)))
     assert f"{half} % of the runs settle" in text
     (along,) = axis_figures.build_axis_blocks(source)
     titles = [axes.get_title(loc="left") for axes in along.figure.axes]

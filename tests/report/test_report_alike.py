@@ -30,9 +30,9 @@ def test_distinct_rows_exclude_duplicate_variants(source: Source) -> None:
     keys = [(row["reset_count"], row["reset_cycle_s"]) for row in table.to_pylist()]
     assert keys == [(0, None), (1, 1.0), (1, 2.0), (1, 3.0)] * source.draws
     whole = source.rows(["phi_u_arcmin", "variant_id"])
-    variant = analysis.numbers(whole, "variant_id")
-    expected = analysis.numbers(whole, "phi_u_arcmin")[np.isin(variant, [0, 3, 4, 5])]
-    np.testing.assert_array_equal(analysis.numbers(table, "phi_u_arcmin"), expected)
+    variant = analysis.numeric_column(whole, "variant_id")
+    expected = analysis.numeric_column(whole, "phi_u_arcmin")[np.isin(variant, [0, 3, 4, 5])]
+    np.testing.assert_array_equal(analysis.numeric_column(table, "phi_u_arcmin"), expected)
 
 
 def test_variant_table_lists_duplicate_variants_once(source: Source) -> None:
@@ -58,7 +58,7 @@ def test_tables_section_explains_how_duplicate_variants_count(source: Source) ->
 def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> None:
     """The runs without resets end right, those with one do not: 3 of 12 runs, not 9 of 18."""
     table = source.summary
-    right = analysis.numbers(table, "reset_count") == 0
+    right = analysis.numeric_column(table, "reset_count") == 0
     columns = {
         "phi_u_arcmin": np.where(right, 1.0, 50.0),
         "ok_truth": right,

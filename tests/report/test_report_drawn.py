@@ -7,7 +7,7 @@ import pytest
 from support.studies import small_study
 
 from sinsjax import analysis
-from sinsjax.analysis.summaries import estimate_of
+from sinsjax.analysis.summaries import read_estimate
 from sinsjax.execution import run
 from sinsjax.execution.source import Source
 from sinsjax.report import axis_figures, monte_carlo
@@ -59,15 +59,15 @@ def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn: Source) -> None
     own, medians = found["phi_u0_deg"]
     assert len(medians) == 6  # ten draws each
     rows = drawn.rows(["phi_u0_deg", "phi_u_mean_arcmin", "draw_id"])
-    values = analysis.numbers(rows, "phi_u0_deg")
+    values = analysis.numeric_column(rows, "phi_u0_deg")
     bins = bin_medians(values, 6)
-    window = analysis.numbers(rows, "phi_u_mean_arcmin")
+    window = analysis.numeric_column(rows, "phi_u_mean_arcmin")
     table = analysis.summarise(own.table, ["phi_u0_deg"], ["phi_u_mean_arcmin_mean"]).to_pylist()
     assert [row["phi_u0_deg"] for row in table] == list(medians)
     for row in table:
         mine = bins == row["phi_u0_deg"]
         assert row["n"] == mine.sum() == 20
-        estimate = estimate_of(row, "phi_u_mean_arcmin_mean")
+        estimate = read_estimate(row, "phi_u_mean_arcmin_mean")
         assert estimate.value == pytest.approx(window[mine].mean())
         assert estimate.low < estimate.value < estimate.high
 
@@ -97,7 +97,7 @@ def test_panel_without_values_is_omitted(drawn: Source) -> None:
     assert over.figure.axes[-1].get_xlabel() == "initial heading error (deg)"
     (line, *_) = over.figure.axes[titles.index("heading error at the end, rms (arcmin)")].containers
     rows = drawn.rows(["phi_u0_deg", "p0_yaw_deg", "phi_u_arcmin"])
-    start, p0, phi = (analysis.numbers(rows, name) for name in rows.column_names)
+    start, p0, phi = (analysis.numeric_column(rows, name) for name in rows.column_names)
     bins = bin_medians(start, 6)
     mine = phi[(bins == np.unique(bins)[1]) & (p0 == 10)]
     assert line.lines[0].get_ydata()[1] == pytest.approx(np.sqrt(np.mean(mine**2)))

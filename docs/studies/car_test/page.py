@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 
 from sinsjax import analysis
-from sinsjax.analysis.grids import median
+from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale
 from sinsjax.report.base import Table
@@ -65,7 +65,7 @@ def _batch(source: Source) -> Page:
         "without": f"{share[0]:.0f} %",
         "resets": f"{share[1]:.0f} %",
         "misalignments": without[..., 0].size,
-        "slowest": f"{median(resets).max():.0f} s",
+        "slowest": f"{median_over_draws(resets).max():.0f} s",
         "small": f"{100 * np.isfinite(small).mean():.0f} %",
     }
     claims = {

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis.grids import median
+from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale, Shown
 from sinsjax.report.base import Picture
@@ -51,7 +51,7 @@ def settling_maps(
         columns: to the right.
         title: of the figure, with what the heading is judged from.
     """
-    medians = {panel: median(runs) for panel, runs in panels.items()}
+    medians = {panel: median_over_draws(runs) for panel, runs in panels.items()}
     figure = plots.heat_maps(
         list(medians.items()),
         title,
@@ -71,6 +71,6 @@ def _how_many(source: Source, panels: Mapping[str, NDArray]) -> str:
     if source.study.is_recorded:
         return f"{source.draws} start times on one record, which give no interval"
     cells = np.concatenate([runs.reshape(-1, source.draws) for runs in panels.values()])
-    known = [analysis.quantile(runs) for runs in cells[np.isfinite(median(cells))]]
+    known = [analysis.quantile(runs) for runs in cells[np.isfinite(median_over_draws(cells))]]
     width = np.median([(one.high - one.low) / 2 for one in known])
     return f"{source.draws} Monte Carlo runs (95 % interval: ±{width:.0f} s in half of the cells)"

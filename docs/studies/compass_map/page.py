@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import median
-from sinsjax.analysis.words import percent
+from sinsjax.analysis.formats import format_percent
+from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
 from sinsjax.methods.bounds import share_outside
 from sinsjax.plots import Scale, Shown
@@ -66,7 +66,7 @@ def rank(wide_s: NDArray, narrow_s: NDArray) -> tuple[list[int], int]:
     smallest median to the wide band wins, then the smallest to the narrow one.
     """
     narrow = [analysis.quantile(times) for times in narrow_s]
-    first, second = np.array([one.value for one in narrow]), median(wide_s)
+    first, second = np.array([one.value for one in narrow]), median_over_draws(wide_s)
     best = narrow[int(np.lexsort((second, first))[0])]
     tied = np.array([_overlap(one, best) for one in narrow])
     keys = np.where(tied, first, second), np.where(tied, second, first), ~tied
@@ -144,7 +144,7 @@ def compared(source: Source) -> Page:
 def _cases(source: Source, wide_s: NDArray, narrow_s: NDArray, outside: NDArray) -> Table:
     def told(times: NDArray) -> list[str]:
         median_s = format_estimate(analysis.quantile(times), digits=0)
-        return [percent(shared(np.isfinite(times))), median_s]
+        return [format_percent(shared(np.isfinite(times))), median_s]
 
     study, (wide, narrow) = source.study, bands_of(source)
     rows = [

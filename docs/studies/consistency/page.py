@@ -8,7 +8,7 @@ from scipy import special
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.words import percent
+from sinsjax.analysis.formats import format_percent
 from sinsjax.execution.source import Source
 from sinsjax.plots import BeliefPanel
 from sinsjax.report.base import Table
@@ -70,8 +70,8 @@ def page(sources: Sources) -> Page:
 def checks(source: Source) -> dict[str, Checked]:
     """Each case of the study, in its order."""
     found = {}
-    for key, rows in analysis.groups(source.rows((*COLUMNS, "draw_id", "start_s")), ["case"]):
-        nees, nis = (analysis.numbers(rows, column) for column in ("nees", "nis_u"))
+    for key, rows in analysis.group_rows(source.rows((*COLUMNS, "draw_id", "start_s")), ["case"]):
+        nees, nis = (analysis.numeric_column(rows, column) for column in ("nees", "nis_u"))
         inside = analysis.proportion(int(np.count_nonzero(nees <= QUANTILE)), nees.size)
         found[key["case"]] = Checked(analysis.mean(nees), analysis.mean(nis), inside, rows)
     return found
@@ -90,7 +90,7 @@ def table(
     rows = [["*expected of a consistent filter*", *bands, "95"]]
     for case, one in checked.items():
         means = (format_estimate(mean, digits=2) for mean in (one.nees, one.nis_u))
-        rows.append([case, *means, percent(one.inside)])
+        rows.append([case, *means, format_percent(one.inside)])
     means_of = ["mean NEES", "mean NEES of the heading, from its limit"]
     header = ["filter", *means_of, "runs up to the 95 % quantile (%)"]
     return Table("Five filters on the same noise", header, rows, "Number [95 % interval].")

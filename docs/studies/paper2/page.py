@@ -95,7 +95,7 @@ class Case:
 
     def means(self, angle: str) -> NDArray:
         """Window means of an angle's error by draw, (draws,), deg."""
-        return _FROM_PHI * analysis.numbers(self.rows, f"phi_{ANGLES[angle]}_mean_arcmin")
+        return _FROM_PHI * analysis.numeric_column(self.rows, f"phi_{ANGLES[angle]}_mean_arcmin")
 
     @cached_property
     def heading(self) -> tuple[NDArray, NDArray]:
@@ -190,7 +190,7 @@ def _bases(static: Sequence[Case], swing: Sequence[Case]) -> Page:
     """How far the mean headings of two bases are apart on the same noise."""
     moved = {(case["case"], case.drift): case.means("heading") for case in swing}
     apart = [
-        analysis.difference(moved[case["case"], case.drift], case.means("heading"))
+        analysis.mean_difference(moved[case["case"], case.drift], case.means("heading"))
         for case in static
     ]
     sizes = sorted(abs(one.value) for one in apart)
@@ -270,7 +270,7 @@ def _gains(printed_k3: Case) -> Page:
         "the printed K3 lacks one factor sigma": agrees(LEVEL_K3, level.k3 / LEVEL_SIGMA),
         "with the printed K3 the levelling loop is unstable": root.real > 0,
         "every draw with the printed K3 diverges": (
-            analysis.has_status(printed_k3.rows, "diverged").all()
+            analysis.status_mask(printed_k3.rows, "diverged").all()
         ),
     }
     return Page({"gains": values}, claims=claims)
@@ -285,7 +285,7 @@ def agrees(text: str, value: float) -> bool:
 
 def cases_of(source: Source) -> list[Case]:
     """The variants of a study, in its order."""
-    groups = analysis.groups(source.summary, ["variant_id"])
+    groups = analysis.group_rows(source.summary, ["variant_id"])
     return [Case(source, one_variant(source.study, k["variant_id"]), rows) for k, rows in groups]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import median
+from sinsjax.analysis.grids import median_over_draws
 from sinsjax.plots import Scale
 from sinsjax.report.base import Table
 from sinsjax.report.study_page import Page, Sources
@@ -31,7 +31,7 @@ def page(sources: Sources) -> Page:
     single = grid.at(LIMIT, count=1)
     one = single[int(np.argmin(np.minimum(single, run_s).mean(axis=(1, 2))))]
     truth = grid.at(TRUTH, count=list(counts[1:]))
-    floor = float(analysis.numbers(source.rows(["floor_arcmin"]), "floor_arcmin")[0])
+    floor = float(analysis.numeric_column(source.rows(["floor_arcmin"]), "floor_arcmin")[0])
     values = {
         "runs": f"{source.runs:,}",
         "draws": grid.draws,
@@ -50,7 +50,7 @@ def page(sources: Sources) -> Page:
         "two resets are the best for all": best[0] == 2,
         "with resets every run settles": np.isfinite(reset).all(),
         "without, only small heading errors do": (
-            np.isfinite(without[:2]).all() and np.isinf(median(without[3:])).all()
+            np.isfinite(without[:2]).all() and np.isinf(median_over_draws(without[3:])).all()
         ),
         "one reset takes longer": (
             np.minimum(one, run_s).mean() > np.minimum(at_best, run_s).mean() + 10

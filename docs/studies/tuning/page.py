@@ -92,7 +92,7 @@ def _filter(tunings: Mapping[str, Tuning], source: Source) -> Page:
     """P0, Q and R, whose gradient goes through covariance analysis, beside the searches."""
     tuning, times = tunings["belief"], tunings["large"]
     # By candidate, misalignment and draw: the cases of the judging are its outermost dimension.
-    every = analysis.numbers(source.rows(["nees"]), "nees")
+    every = analysis.numeric_column(source.rows(["nees"]), "nees")
     by_variant = every.reshape(-1, source.study.n_variants).T
     by_case = by_variant.reshape(-1, tuning.study.n_variants, by_variant.shape[1])
     nees = {
@@ -147,7 +147,7 @@ def _shifted(source: Source) -> Page:
     times = [[pooled_mean(one) for one in of] for of in runs]
     over = {name: pooled_mean(of) for name, of in zip(SHIFTED, runs, strict=True)}
     _, sobol, _, robust, _ = runs.mean(axis=(1, 2))  # over shifts and misalignments, by draw
-    apart = analysis.difference(robust, sobol)
+    apart = analysis.mean_difference(robust, sobol)
     plain, found, put_off = ([one.value for one in times[at]] for at in (0, 3, 4))
     figure = plots.along_axis(
         "shift_s",
