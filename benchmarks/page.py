@@ -17,7 +17,7 @@ from targets import judged, sizes
 
 from sinsjax.errors import InputError
 from sinsjax.platform.files import replacing
-from sinsjax.plots import png
+from sinsjax.plots import render_png
 from sinsjax.report.base import Block, Chapter, Picture, Table, Text
 from sinsjax.report.output import FIGURES_FOLDER, block_to_markdown, save_figures
 
@@ -299,7 +299,7 @@ def write(page: Path, machines: Sequence[Machine], notes: str) -> None:
             text = block_to_markdown(block, PREFIX)
             if isinstance(block, Picture):
                 text = text.replace("![]", f"![{block.caption.replace('`', '')}]", 1)
-                images[f"{PREFIX}{block.name}"] = png(block.figure)
+                images[f"{PREFIX}{block.name}"] = render_png(block.figure)
             lines.append(text)
     save_figures(images, page.parent / FIGURES_FOLDER)
     with replacing(page) as file:

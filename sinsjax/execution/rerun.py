@@ -137,20 +137,20 @@ def _write(target: Path, made: Rerun, study: Study) -> None:
         with replacing(target / f"{name}.parquet") as file:
             pq.write_table(table, file, compression="zstd")
     with replacing(target / "curve.png") as file:
-        file.write(plots.png(_figure(made, study)))
+        file.write(plots.render_png(_figure(made, study)))
 
 
 def _figure(made: Rerun, study: Study) -> Any:
     run_id = made.row["run_id"][0].as_py()
     title = f"{study.name}, run {run_id}"
-    shown = plots.ensembles(made.curve, {f"run {run_id}": [run_id]})
+    shown = plots.group_curves(made.curve, {f"run {run_id}": [run_id]})
     if made.curve["phi_u_arcmin"].null_count == made.curve.num_rows:
-        return plots.attitude(shown, title)
+        return plots.draw_attitude(shown, title)
     limit = made.row["floor_arcmin"][0].as_py()
-    return plots.misalignment(
+    return plots.draw_misalignment(
         shown,
         title,
-        limits=None if limit is None else {"u": limit},
+        floors=None if limit is None else {"u": limit},
         resets_s=made.row["reset_times_s"][0].as_py(),
         zoom_s=study.study.window_s,
         with_sigma=made.curve["sigma_u_arcmin"].null_count < made.curve.num_rows,

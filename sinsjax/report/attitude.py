@@ -12,7 +12,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 from sinsjax.methods.filters.description import knows_biases
 from sinsjax.methods.registry import METHODS
-from sinsjax.plots.words import name_of
+from sinsjax.plots.labels import describe_point
 from sinsjax.records.means import EARTH_RATE
 from sinsjax.report.base import MAX_ROWS, Fact, Table, Verdict, build_table
 from sinsjax.report.markup import render_sentence
@@ -107,7 +107,10 @@ def _final_attitude_table(source: Source, rows: list[dict[str, Any]]) -> Table:
         first, key = ("start (s)", "start_s") if source.study.is_recorded else ("draw", "draw_id")
         names = [f"{row[key]:g}" for row in rows]
     else:
-        first, names = "variant", [name_of({key: row[key] for key in keys}) for row in listed]
+        first, names = (
+            "variant",
+            [describe_point({key: row[key] for key in keys}) for row in listed],
+        )
     cells = [
         [name, *(analysis.format_number(row[column], digits[column]) for column in shown)]
         for name, row in zip(names, listed, strict=True)

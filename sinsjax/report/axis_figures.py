@@ -11,8 +11,8 @@ from sinsjax.analysis.grids import split_into_panels
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
-from sinsjax.plots.maps import MOST_PANELS
-from sinsjax.plots.spreads import acts, compare_panels
+from sinsjax.plots.comparison import build_comparison_panels, has_significant_effect
+from sinsjax.plots.maps import MAX_PANELS
 from sinsjax.report.base import Block, Picture, Text, describe_intervals
 from sinsjax.report.grouping import BINS_NOTE, bin_drawn_keys, describe_undrawn_lines
 from sinsjax.report.markup import render_sentence
@@ -91,8 +91,8 @@ class HeatMaps:
         flag_meaning: str = "",
     ) -> Picture:
         """The figure of a column; cells are hatched in which most runs have a flag, (runs,)."""
-        if len(self.panels) > MOST_PANELS:
-            caption += f" The first {MOST_PANELS} of {len(self.panels)} panels."
+        if len(self.panels) > MAX_PANELS:
+            caption += f" The first {MAX_PANELS} of {len(self.panels)} panels."
         if self._repeats:
             caption += " Cells that share a number have the same runs: there a key does not act."
         table = self._table
@@ -118,12 +118,12 @@ class HeatMaps:
 def _heat_map_figures(source: Source, criterion: Yardstick) -> Iterator[Block]:
     """Yield the maps by one criterion of success, without those that show nothing."""
     maps = HeatMaps(source, (criterion.settle, criterion.ok, *FLOOR_COLUMNS, "draw_id", "start_s"))
-    shown = maps.panels[: 2 * MOST_PANELS]
+    shown = maps.panels[: 2 * MAX_PANELS]
     every = [
         one.cell_outcomes(criterion.ok, criterion.settle, criterion.off_floor(one.column_values))
         for one in shown
     ]
-    cells, end = every[:MOST_PANELS], criterion.end(source.yardsticks[0])
+    cells, end = every[:MAX_PANELS], criterion.end(source.yardsticks[0])
     if not any((np.isfinite(one.median_s) & ~one.not_converged).any() for one in cells):
         return  # no cell is within the band, or cells only pass through it
     off = np.where(
@@ -161,8 +161,8 @@ def _axis_curve_figure(
     shown |= {y.rate: f"share of runs that are ok, {y.of_several} (%)" for y in source.yardsticks}
     shown["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
     table = source.rows([*others, axis, *judged_columns(source.study), *REQUIRED_COLUMNS])
-    values, panels = compare_panels(table, axis, others, shown)
-    if only_if_significant and not acts(panels):
+    values, panels = build_comparison_panels(table, axis, others, shown)
+    if only_if_significant and not has_significant_effect(panels):
         return None
     left = "; ".join(words for words in shown.values() if words not in panels)
     return Picture(
@@ -171,5 +171,5 @@ def _axis_curve_figure(
         f" heading error is. {describe_intervals(source, quantity='Estimate')}"
         f"{describe_undrawn_lines(table, others)}"
         + (f" Left out, since it shows nothing more: {left}." if left else ""),
-        plots.along_axis(axis, values, panels, condition=not is_chosen(axis)),
+        plots.draw_along_axis(axis, values, panels, condition=not is_chosen(axis)),
     )

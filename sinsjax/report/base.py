@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from sinsjax import analysis
 from sinsjax.execution.source import Source
-from sinsjax.plots.words import value_text
+from sinsjax.plots.labels import format_value
 from sinsjax.report.markup import render_sentence
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_of
@@ -59,7 +59,7 @@ def build_table(
     If there are more than ``max_rows`` rows, the note ends with their number and ``remainder``.
     """
     lines = [
-        [*(value_text(row[key]) for key in keys), *(format_cell(row) for _, format_cell in cells)]
+        [*(format_value(row[key]) for key in keys), *(format_cell(row) for _, format_cell in cells)]
         for row in rows[:max_rows]
     ]
     if hidden := len(rows) - len(lines):

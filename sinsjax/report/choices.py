@@ -16,7 +16,7 @@ from sinsjax.analysis.formats import format_degrees
 from sinsjax.analysis.grids import held_out_choices
 from sinsjax.messages import counted
 from sinsjax.methods.filters.section import OF_SCHEDULES
-from sinsjax.plots.words import name_of, schedule_words, value_text, words_and_unit
+from sinsjax.plots.labels import describe_point, describe_schedule, format_value, name_and_unit
 from sinsjax.report.base import Table
 from sinsjax.study.keys import is_given
 from sinsjax.study.study import Study
@@ -159,10 +159,14 @@ class Choices:
             for key in keys:
                 if key in OF_SCHEDULES:
                     times = self._reset_schedules[variant]
-                    words += [schedule_words(times)] if times or {*keys} <= {*OF_SCHEDULES} else []
+                    words += (
+                        [describe_schedule(times)] if times or {*keys} <= {*OF_SCHEDULES} else []
+                    )
                 else:
                     value = self.study.values(key)[variant]
-                    words.append(value_text(value) if key == "method" else name_of({key: value}))
+                    words.append(
+                        format_value(value) if key == "method" else describe_point({key: value})
+                    )
         first, *more = dict.fromkeys(words) or [""]
         text = first
         for place, word in enumerate(more):
@@ -178,7 +182,7 @@ def _is_condition(axis: Mapping[str, Sequence[Any]]) -> bool:
 
 def condition_name_and_unit(key: str) -> tuple[str, str]:
     """The name of a condition, of a starting error without ``initial``, and its unit."""
-    name, unit = words_and_unit(key)
+    name, unit = name_and_unit(key)
     return name.removeprefix("initial "), unit
 
 
@@ -200,7 +204,7 @@ def format_condition(keys: Sequence[str], point: Sequence[Any]) -> str:
     if len(angles) > 1:
         cells.append(format_degrees(*(values.pop(key) for key in angles)))
     for key, value in values.items():
-        text, unit = value_text(value), condition_name_and_unit(key)[1]
+        text, unit = format_value(value), condition_name_and_unit(key)[1]
         cells.append(f"{text} {unit}" if unit and text[-1:].isdigit() else text)
     return ", ".join(cells)
 

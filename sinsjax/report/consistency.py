@@ -10,7 +10,7 @@ from sinsjax import analysis, plots
 from sinsjax.execution.source import Source
 from sinsjax.methods.filters.description import knows_biases
 from sinsjax.methods.registry import METHODS
-from sinsjax.plots.beliefs import SHARES
+from sinsjax.plots.consistency import SHARE_COLUMNS
 from sinsjax.report.base import Picture, Text
 from sinsjax.report.grouping import choose_line_keys
 from sinsjax.report.markup import render_sentence
@@ -27,7 +27,7 @@ def consistency_blocks(source: Source) -> Iterator[Picture | Text]:
     A line a variant; of many variants, a line a value of the first key that has few.
     """
     keys, note = choose_line_keys(source)
-    table = source.distinct((*keys, "nees", *SHARES.values(), "draw_id", "start_s"))
+    table = source.distinct((*keys, "nees", *SHARE_COLUMNS.values(), "draw_id", "start_s"))
     if not np.isfinite(analysis.numeric_column(table, "nees")).any():
         return
     explanation, biases_dominate = _explain_unmodelled_biases(source)

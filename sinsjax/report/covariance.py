@@ -306,7 +306,7 @@ def _heat_map_figures(
     either = np.fmin(maps.column_values(names.within), maps.column_values(of_floor))
     if not np.round(100 * either).any():
         return  # no cell is within the band, or cells only pass through it
-    if plots.differ(maps.column_values(names.mean)):
+    if plots.values_differ(maps.column_values(names.mean)):
         yield maps.draw_figure(
             f"settling_time{name_suffix}",
             f"Expected time until the heading stays {words}; where it never does, the length of the"
@@ -348,5 +348,5 @@ def _axis_curve_figure(
         "When the heading has entered the band for good [95 % interval over the sampled errors],"
         " and how far the true heading error spreads at the end beside what the filter believes."
         f"{describe_undrawn_lines(table, others)}",
-        plots.along_axis(axis, values, panels, condition=not is_chosen(axis)),
+        plots.draw_along_axis(axis, values, panels, condition=not is_chosen(axis)),
     )

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from sinsjax import analysis
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.execution.source import Source
-from sinsjax.plots.spreads import MOST_LINES
-from sinsjax.plots.words import name_of
+from sinsjax.plots.comparison import MAX_LINES
+from sinsjax.plots.labels import describe_point
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.success import judged_columns
 
@@ -24,12 +24,12 @@ _DIGITS = 3  # significant ones of a bin's name
 def rows_by_line(table: pa.Table, line_keys: Sequence[str]) -> dict[str, pa.Table]:
     """The rows of each line along an axis by its name: of the first ones that have room."""
     groups = list(analysis.group_rows(table, line_keys))
-    return {name_of(point): rows for point, rows in groups[:MOST_LINES]}
+    return {describe_point(point): rows for point, rows in groups[:MAX_LINES]}
 
 
 def describe_undrawn_lines(table: pa.Table, line_keys: Sequence[str]) -> str:
     """A sentence on the lines along an axis that have no room, if there are any."""
-    left = sum(1 for _ in analysis.group_rows(table.select(line_keys), line_keys)) - MOST_LINES
+    left = sum(1 for _ in analysis.group_rows(table.select(line_keys), line_keys)) - MAX_LINES
     return f" {left} more lines are not drawn." if left > 0 else ""
 
 
@@ -38,10 +38,10 @@ def choose_line_keys(source: Source) -> tuple[Sequence[str], str]:
 
     These are all keys if there are few variants, else the first key with few values, or none.
     """
-    if source.study.n_variants <= MOST_LINES:
+    if source.study.n_variants <= MAX_LINES:
         return source.study.keys_shown, ""
     for keys, values in source.study.axes_shown.items():
-        if len(values) <= MOST_LINES:
+        if len(values) <= MAX_LINES:
             return keys, f" All runs of the same {' and '.join(keys)} make one line."
     return (), " All runs together."
 

@@ -13,8 +13,8 @@ from sinsjax.analysis.references import compare_with_first
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS, read_estimate
 from sinsjax.columns import report_columns
 from sinsjax.execution.source import Source
-from sinsjax.plots.curves import runs_of_lines
-from sinsjax.plots.words import name_of
+from sinsjax.plots.curves import select_runs_by_line
+from sinsjax.plots.labels import describe_point
 from sinsjax.report.attitude import attitude_table, attitude_verdict
 from sinsjax.report.axis_figures import build_axis_blocks, repeated_variants_note
 from sinsjax.report.base import (
@@ -181,7 +181,7 @@ def first_variant_comparison_table(source: Source) -> Table:
     same = "" if mixed or not given else f" with the same {' and '.join(given)}"
     pairs = describe_intervals(source, "pairs of runs of a draw", "Difference")
     return build_table(
-        f"Against {name_of(first)}{same}, {shared}",
+        f"Against {describe_point(first)}{same}, {shared}",
         keys,
         rows,
         [(column.header, column.format_cell) for column in shown],
@@ -227,7 +227,7 @@ def _curve_figures(source: Source) -> Iterator[Block]:
     keys = source.study.keys_shown
     floor = () if source.study.is_recorded else ("floor_arcmin",)  # a record's biases are unknown
     table = source.distinct([*keys, "run_id", "reset_times_s", *floor])
-    runs = runs_of_lines(table, keys)
+    runs = select_runs_by_line(table, keys)
     curves = source.curves(run for ids in runs.values() for run in ids)
     if curves.num_rows == 0:
         return

@@ -45,7 +45,7 @@ class DrawnReport(NamedTuple):
         pictures = (block for block in blocks if isinstance(block, Picture))
         footer = report.data_footer or source.counted
         images = {
-            picture.name: plots.png(picture.figure, picture.data_footer or footer)
+            picture.name: plots.render_png(picture.figure, picture.data_footer or footer)
             for picture in pictures
         }
         return cls(

@@ -178,7 +178,9 @@ def write_study_page(folder: Path, sources: Sequence[Source]) -> tuple[Path, int
     path = folder.parents[1] / f"{folder.name}.md"
     footer = "; ".join(source.counted for source in sources)
     images = {
-        f"{folder.name}_{picture.name}": plots.png(picture.figure, picture.data_footer or footer)
+        f"{folder.name}_{picture.name}": plots.render_png(
+            picture.figure, picture.data_footer or footer
+        )
         for picture in page.figures.values()
     }
     save_figures(images, path.parent / FIGURES_FOLDER)

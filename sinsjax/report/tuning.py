@@ -8,7 +8,7 @@ from typing import Any
 from sinsjax.analysis import NO_INTERVAL, Estimate, format_estimate
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
-from sinsjax.plots.words import setting, value_text
+from sinsjax.plots.labels import format_setting, format_value
 from sinsjax.report import tuning_figures
 from sinsjax.report.base import Block, Fact, Report, Table, Verdict
 from sinsjax.report.markup import render_sentence
@@ -85,7 +85,7 @@ def _describe_candidate(tuning: Tuning, name: str) -> str:
     bounds = tuning.on_bounds.get(name, ())
     case = tuning.judged.cases[tuning.places[name]]
     return ", ".join(
-        setting(key, _format_candidate_value(value, bounds, key))
+        format_setting(key, _format_candidate_value(value, bounds, key))
         for key, value in case.items()
         if key != "case"
     )
@@ -128,7 +128,9 @@ def _caution_facts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
         yield Fact("Caution", "not better than the start as far as these draws show", True)
     if tuning.study.is_recorded:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)
-    ends = [f"{v.name} = {value_text(value)}" for v, value in tuning.on_bounds.get(tuning.best, ())]
+    ends = [
+        f"{v.name} = {format_value(value)}" for v, value in tuning.on_bounds.get(tuning.best, ())
+    ]
     if ends:
         text = f"{', '.join(ends)}: the end of the range, a better value may lie beyond"
         yield Fact("Caution", text, True)
@@ -153,11 +155,12 @@ def _format_candidate_value(value: Any, bounds: Sequence[tuple[Variable, float]]
     numbers = value if isinstance(value, list | tuple) else [value]
     ends = [end for v, end in bounds if v.key == key]  # by value, since times were sorted
     words = [
-        value_text(x) + (" (bound)" if any(math.isclose(x, e, rel_tol=0.01) for e in ends) else "")
+        format_value(x)
+        + (" (bound)" if any(math.isclose(x, e, rel_tol=0.01) for e in ends) else "")
         for x in numbers
     ]
     if not words:
-        return value_text(value)
+        return format_value(value)
     text = words[0]
     for before, after, word in zip(numbers, numbers[1:], words[1:], strict=False):
         near = key == TIMES and after - before < DOUBLE_RESET_S

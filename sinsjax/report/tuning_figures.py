@@ -3,8 +3,16 @@
 import numpy as np
 
 from sinsjax import plots
-from sinsjax.plots.descents import CostCurve, Landscape, Side, Spot, Way, best_by_cost, descent
-from sinsjax.plots.words import value_text
+from sinsjax.plots.descents import (
+    CostCurve,
+    DescentPath,
+    MarkedPoint,
+    ObjectiveLandscape,
+    VariableAxis,
+    draw_best_by_cost,
+    draw_descents,
+)
+from sinsjax.plots.labels import format_value
 from sinsjax.report.base import Picture
 from sinsjax.report.markup import render_sentence
 from sinsjax.study.search_space import SearchSpace, Variable
@@ -23,19 +31,19 @@ def landscape_pictures(tuning: Tuning) -> list[Picture]:
     name = next(name for name in ("grid", *tuning.found) if name in tuning.found)
     looks = [look for look in tuning.found[name].looks if look.candidate == number]
     points = tuning.tune.grid_points
-    seen = Landscape(
+    seen = ObjectiveLandscape(
         [_variable_axis(space.variables[i]) for i in used],
         np.array([look.values for look in looks])[:, used],
         np.array([look.objective for look in looks]),
         (points,) * len(used) if name == "grid" else None,
         axis(tuning.study),
     )
-    ways = [Way(values[:, used], found) for values, found in tuning.descents(number)]
+    ways = [DescentPath(values[:, used], found) for values, found in tuning.descents(number)]
     spots = _best_points(tuning, number, used)
     case = tuning.judged.cases[tuning.places["baseline"]]
     if (values := space.locate(case, combination)) is not None:
-        spots.insert(0, Spot("baseline", np.array(values), None, LOOKS.index("baseline")))
-    chosen = ", ".join(f"{key} = {value_text(v)}" for key, v in combination.items())
+        spots.insert(0, MarkedPoint("baseline", np.array(values), None, LOOKS.index("baseline")))
+    chosen = ", ".join(f"{key} = {format_value(v)}" for key, v in combination.items())
     caption = render_sentence(
         "landscape",
         search=name,
@@ -48,30 +56,30 @@ def landscape_pictures(tuning: Tuning) -> list[Picture]:
         (_variable_axis(space.variables[i]) for i in used), np.array(best.values)[used], strict=True
     )
     words = ", ".join(_format_value(side, value) for side, value in point)
-    figure = descent(seen, ways, spots, f"Best: {words}")
+    figure = draw_descents(seen, ways, spots, f"Best: {words}")
     return [Picture("descent", caption, figure)]
 
 
-def _variable_axis(variable: Variable) -> Side:
-    name, bracket, unit = plots.label(variable.key).partition(" (")
+def _variable_axis(variable: Variable) -> VariableAxis:
+    name, bracket, unit = plots.axis_label(variable.key).partition(" (")
     if variable.entry is not None and variable.key == TIMES:
         name = f"reset {variable.entry + 1} at"
     elif variable.entry is not None:
         name = f"{name}, number {variable.entry + 1}"
-    return Side(f"{name}{bracket}{unit}", variable.low, variable.high, variable.log)
+    return VariableAxis(f"{name}{bracket}{unit}", variable.low, variable.high, variable.log)
 
 
-def _format_value(side: Side, value: float) -> str:
+def _format_value(side: VariableAxis, value: float) -> str:
     """A value of a variable in words: ``reset 1 at 3.31 s``."""
     name, _, unit = side.name.partition(" (")
     return f"{name} {value:.3g} {unit.rstrip(')')}".rstrip()
 
 
-def _best_points(tuning: Tuning, candidate: int, variables: list[int]) -> list[Spot]:
+def _best_points(tuning: Tuning, candidate: int, variables: list[int]) -> list[MarkedPoint]:
     """The best point of each search that has the combination."""
     named = ((name, found.best) for name, found in tuning.found.items())
     return [
-        Spot(
+        MarkedPoint(
             f"best of {SEARCHES[n]}",
             np.array(best.values)[variables],
             best.objective,
@@ -93,4 +101,4 @@ def cost_pictures(tuning: Tuning) -> list[Picture]:
         searches.append(CostCurve(SEARCHES[name], cost, best, relaxed, ending))
     caption = render_sentence("cost_curve", relaxed=any(one.relaxed for one in searches))
     title = f"The best point is of the search: {SEARCHES[tuning.best]}"
-    return [Picture("history", caption, best_by_cost(searches, axis(tuning.study), title))]
+    return [Picture("history", caption, draw_best_by_cost(searches, axis(tuning.study), title))]

@@ -527,22 +527,25 @@ def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax_: Comm
     assert tuned_study.record is not None and len(tuned_study.record.start_s) == 3
 
 
-def landscape(count: int, *, grid: bool = False) -> descents.Landscape:
-    sides = [descents.Side(f"x{i}", 1.0, 100.0, bool(i % 2)) for i in range(count)]
+def landscape(count: int, *, grid: bool = False) -> descents.ObjectiveLandscape:
+    sides = [descents.VariableAxis(f"x{i}", 1.0, 100.0, bool(i % 2)) for i in range(count)]
     axes = [np.geomspace(1, 100, 4) if i % 2 else np.linspace(1, 100, 4) for i in range(count)]
     values = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, count)
     scores = values.sum(axis=1)
     scores[0] = np.inf
     shape = (4,) * count if grid else None
-    return descents.Landscape(sides, values, scores, shape, "time (s)")
+    return descents.ObjectiveLandscape(sides, values, scores, shape, "time (s)")
 
 
 @pytest.mark.parametrize(("count", "grid"), [(1, True), (2, True), (2, False), (3, False)])
 def test_descent_plot_has_expected_panels_and_legend(count: int, grid: bool) -> None:
-    ways = [descents.Way(np.full((3, count), 20.0), np.array([3.0, 2.0, 1.0]))]
+    ways = [descents.DescentPath(np.full((3, count), 20.0), np.array([3.0, 2.0, 1.0]))]
     point = np.full(count, 30.0)
-    spots = [descents.Spot("best", point, 2.0, 0), descents.Spot("baseline", point, None, 2)]
-    figure = descents.descent(landscape(count, grid=grid), ways, spots, "swing")
+    spots = [
+        descents.MarkedPoint("best", point, 2.0, 0),
+        descents.MarkedPoint("baseline", point, None, 2),
+    ]
+    figure = descents.draw_descents(landscape(count, grid=grid), ways, spots, "swing")
     panels = [axes for axes in figure.axes if axes.get_visible() and axes.get_xlabel()]
     assert len(panels) == {1: 1, 2: 1, 3: 3}[count]
     if count > 1:
@@ -552,7 +555,7 @@ def test_descent_plot_has_expected_panels_and_legend(count: int, grid: bool) -> 
 
 
 def test_descent_map_places_objective_at_grid_points() -> None:
-    figure = descents.descent(landscape(2, grid=True), [], [], "swing")
+    figure = descents.draw_descents(landscape(2, grid=True), [], [], "swing")
     (mesh,) = figure.axes[0].collections
     shown = np.ma.masked_invalid(mesh.get_array()).reshape(4, 4)
     assert shown.mask[0, 0] and shown.mask.sum() == 1
@@ -566,7 +569,7 @@ def test_best_by_cost_plot_labels_relaxed_and_hard_results() -> None:
         descents.CostCurve("grid", cost, best, False, None),
         descents.CostCurve("gradient", cost, best, True, (5.0, 3.5)),
     ]
-    figure = descents.best_by_cost(searches, "time (s)", "swing")
+    figure = descents.draw_best_by_cost(searches, "time (s)", "swing")
     (axes,) = figure.axes
     assert axes.get_xscale() == "log"
     labels = axes.get_legend_handles_labels()[1]

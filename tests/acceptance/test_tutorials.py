@@ -10,7 +10,7 @@ import pytest
 from support.commands import Command, command_line
 
 import sinsjax
-from sinsjax.plots import png
+from sinsjax.plots import render_png
 from sinsjax.records.layout import to_body
 
 pytestmark = [
@@ -188,7 +188,7 @@ def test_each_concept_page_has_one_figure_drawn_by_script() -> None:
         assert shown == f"../figures/concept_{name}.png"
         assert (page.parent / shown).stat().st_size < 100_000
     for name in ("frames_and_signs", "misalignment"):  # the others take runs
-        assert png(drawn[name]()).startswith(b"\x89PNG")
+        assert render_png(drawn[name]()).startswith(b"\x89PNG")
 
 
 def test_body_axes_figure_agrees_with_to_body() -> None:

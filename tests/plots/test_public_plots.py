@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 import sinsjax
 from sinsjax import analysis, plots
 from sinsjax.errors import InputError
-from sinsjax.plots.beliefs import SHARES
-from sinsjax.plots.spreads import acts
+from sinsjax.plots.comparison import has_significant_effect
+from sinsjax.plots.consistency import SHARE_COLUMNS
 
 COUNTS, CYCLES, STARTS = (0, 1, 2), (10.0, 50.0), (0.0, 30.0)
 SETTLE = {  # s, by number of resets, cycle and start; None never settles
@@ -155,7 +155,7 @@ def test_pandas_frames_are_accepted():
     frame = pandas.DataFrame(runs().to_pydict())
     figure = sinsjax.plot_map(frame, *MAP, "settle_10_s", by="phi_u0_deg")
     same = sinsjax.plot_map(runs(), *MAP, "settle_10_s", by="phi_u0_deg")
-    assert plots.png(figure) == plots.png(same)
+    assert plots.render_png(figure) == plots.render_png(same)
 
 
 # --- plot_compare -------------------------------------------------------------------------------
@@ -184,7 +184,7 @@ def test_compare_leaves_out_panels_that_show_nothing_more():
 )
 def test_key_acts_if_values_lie_far_outside_each_others_intervals(ends, expected):
     line = [analysis.Estimate(*numbers, 9) for numbers in ends]
-    assert acts({"x": {"a": line}}) == expected
+    assert has_significant_effect({"x": {"a": line}}) == expected
 
 
 def test_compare_states_best_value_of_choice_and_best_line_over_conditions():
@@ -219,7 +219,7 @@ def test_compare_names_lines_at_their_ends_if_there_is_room():
 
 
 def test_belief_leaves_out_lines_without_covariance_and_refuses_none():
-    columns = {name: [0.5] * 4 for name in SHARES.values()}
+    columns = {name: [0.5] * 4 for name in SHARE_COLUMNS.values()}
     table = pa.table(columns | {"method": ["a", "a", "b", "b"], "nees": [1.0, 2.0, None, None]})
     figure = sinsjax.plot_belief(table, by="method")
     assert [text.get_text() for text in figure.axes[1].texts] == ["method a"]

@@ -32,8 +32,8 @@ from sinsjax.execution.run import RunProgress
 from sinsjax.execution.source import Source
 from sinsjax.messages import CONTROL
 from sinsjax.platform.files import file_stem
-from sinsjax.plots import png
-from sinsjax.plots.style import styled
+from sinsjax.plots import render_png
+from sinsjax.plots.style import with_style
 from sinsjax.report.base import Chapter, Fact, Report, Table, Text, Verdict
 from sinsjax.report.names import NO_NAMES, StudyNames, escape_markdown
 from sinsjax.report.output import DrawnReport, print_report, write_html_page, write_markdown_page
@@ -214,7 +214,7 @@ def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates
 
 
 def test_figure_shows_names_and_decades_without_mathtext() -> None:
-    @styled
+    @with_style
     def draw() -> Figure:
         figure = Figure(figsize=(3, 3))
         axes = figure.subplots()
@@ -226,7 +226,7 @@ def test_figure_shows_names_and_decades_without_mathtext() -> None:
         return figure
 
     figure = draw()
-    assert png(figure, "$x^$").startswith(b"\x89PNG")
+    assert render_png(figure, "$x^$").startswith(b"\x89PNG")
     (axes,) = figure.axes
     across, up = axes.get_xticklabels(), axes.get_yticklabels(which="both")
     assert "10⁻³" in {label.get_text() for label in across}

@@ -16,7 +16,7 @@ from sinsjax import analysis
 from sinsjax.execution.source import Source
 from sinsjax.report import covariance, terminal
 from sinsjax.report.base import Fact, Table, Verdict
-from sinsjax.report.choices import Choices, best_option, best_option_per_draw, schedule_words
+from sinsjax.report.choices import Choices, best_option, best_option_per_draw, describe_schedule
 from sinsjax.report.verdict import q_caution, sweep_verdict
 from sinsjax.study.study import Study
 
@@ -110,7 +110,7 @@ def test_copies_of_a_variant_are_one_option() -> None:
     ],
 )
 def test_schedule_is_described_by_its_times(times: tuple[float, ...], words: str) -> None:
-    assert schedule_words(times) == words
+    assert describe_schedule(times) == words
 
 
 # --- what it states -------------------------------------------------------------------------

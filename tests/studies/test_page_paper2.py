@@ -21,7 +21,7 @@ K3_CASE = "Scheme 1, K3 as printed"
 
 @pytest.fixture(autouse=True)
 def _not_drawn(monkeypatch):
-    monkeypatch.setattr("sinsjax.plots.png", lambda *_: b"not drawn")
+    monkeypatch.setattr("sinsjax.plots.render_png", lambda *_: b"not drawn")
 
 
 def study_of(base: str, **changes):

@@ -139,7 +139,7 @@ def _obey(
     for number, path in enumerate(said, start=1):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
     os.environ |= environment
-    plots.png = lambda *_: b"not drawn"  # takes as long as all else
+    plots.render_png = lambda *_: b"not drawn"  # takes as long as all else
     arm(Killer(*point), pause_s)
     begin.recv()
     sys.argv = ["sinsjax", *words]

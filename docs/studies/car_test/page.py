@@ -7,7 +7,7 @@ import numpy as np
 from sinsjax import analysis
 from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
-from sinsjax.plots import Scale
+from sinsjax.plots import GridAxis
 from sinsjax.report.base import Table
 from sinsjax.report.study_page import Page, Sources
 from sinsjax.units import ARCMIN, DEG
@@ -80,8 +80,8 @@ def _batch(source: Source) -> Page:
         {f"{words}: {settle:.0f} % settle": times for words, (times, settle) in runs.items()},
         "Level errors about east, 5 deg about north. With four resets (50 to 200 s) every"
         " misalignment settles 30 s after the last one.",
-        rows=Scale("added level error_deg", grid.axes["level"]),
-        columns=Scale("added heading error_deg", grid.axes["yaw"]),
+        rows=GridAxis("added level error_deg", grid.axes["level"]),
+        columns=GridAxis("added heading error_deg", grid.axes["yaw"]),
         title="How long until the heading stays within 10' of the reference?",
     )
     return Page({"batch": values}, figures={"batch": picture}, claims=claims)

@@ -9,8 +9,8 @@ from sinsjax.analysis.formats import format_percent
 from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
 from sinsjax.methods.bounds import share_outside
-from sinsjax.plots import Scale, Shown
-from sinsjax.plots.words import value_text
+from sinsjax.plots import GridAxis, MapQuantity
+from sinsjax.plots.labels import format_value
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.study_page import Page, Sources
 from sinsjax.units import ARCMIN, DEG
@@ -85,7 +85,7 @@ def searched(source: Source) -> Page:
     keys = (*gains, "sigma_factors", "sigma_times_s", "turn_smoothing_s")
     values = {
         "search": {"schedules": len(order), "draws": study.n_draws, "tied": tied},
-        "set": {key: value_text(study.values(key)[order[0]]) for key in keys},
+        "set": {key: format_value(study.values(key)[order[0]]) for key in keys},
     }
     return Page(values)
 
@@ -202,14 +202,14 @@ def _error_maps(source: Source, grid: Grid, rms: NDArray) -> Picture:
     low = float(bound_arcmin(study, max(columns)))
     high = abs(study.only("phi_u0_deg")) * DEG / ARCMIN
     contours = Contours("share that a cycle leaves (linear loops)", _LEVELS, radii)
-    figure = plots.heat_maps(
+    figure = plots.draw_heat_maps(
         [(TURNS[turn], rms[i].T) for i, turn in enumerate(grid.axes["turn"])],
         "How far from its limit does the heading end? By turn, sigma and record",
-        Shown("rms heading error (arcmin)", low, high, reverse=True, log=True, numbers=False),
+        MapQuantity("rms heading error (arcmin)", low, high, reverse=True, log=True, numbers=False),
         legend=legend(contours),
-        rows=Scale(SIGMA, rows),
-        columns=Scale(LENGTH, columns),
-        across=2,
+        rows=GridAxis(SIGMA, rows),
+        columns=GridAxis(LENGTH, columns),
+        panels_per_row=2,
     )
     for axes, values in zip(figure.axes, contours.values, strict=False):
         draw_contours(axes, contours.levels, values)

@@ -10,7 +10,7 @@ from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.formats import format_percent
 from sinsjax.execution.source import Source
-from sinsjax.plots import BeliefPanel
+from sinsjax.plots import ConsistencyLine
 from sinsjax.report.base import Table
 from sinsjax.report.consistency import consistency_picture
 from sinsjax.report.study_page import Page, Sources
@@ -62,8 +62,10 @@ def page(sources: Sources) -> Page:
             checked[BIASED].nees.low > nees[1] and within(checked[BIASED].nis_u, nis)
         ),
     }
-    lines = [BeliefPanel.of(case, one.rows) for case, one in checked.items()]
-    figure = consistency_picture(plots.beliefs(lines, "Does the filter know its own error?"))
+    lines = [ConsistencyLine.from_runs(case, one.rows) for case, one in checked.items()]
+    figure = consistency_picture(
+        plots.draw_consistency(lines, "Does the filter know its own error?")
+    )
     return Page(values, {"all": table(checked, nees, nis)}, {"consistency": figure}, claims)
 
 

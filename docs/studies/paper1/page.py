@@ -67,7 +67,7 @@ def _runs(source: Source, names: Sequence[str]) -> dict[str, pa.Table]:
 
 def _ensembles(source: Source, runs: Mapping[str, pa.Table]) -> dict[str, Ensemble]:
     ids = {f"condition {name}": rows["run_id"].to_pylist() for name, rows in runs.items()}
-    return dict(zip(runs, plots.ensembles(source.curves(), ids), strict=True))
+    return dict(zip(runs, plots.group_curves(source.curves(), ids), strict=True))
 
 
 def _limit_arcmin(runs: pa.Table) -> float:

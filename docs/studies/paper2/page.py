@@ -101,7 +101,7 @@ class Case:
     def heading(self) -> tuple[NDArray, NDArray]:
         """Times (T,), s, and heading errors from the limit (draws, T), deg."""
         columns, ids = ["run_id", "time_s", "phi_u_arcmin"], self.rows["run_id"].to_pylist()
-        (phi,) = plots.ensembles(self.source.curves(ids).select(columns), {self.name: ids})
+        (phi,) = plots.group_curves(self.source.curves(ids).select(columns), {self.name: ids})
         return phi.time_s, _FROM_PHI * phi.columns["phi_u_arcmin"] - self.limit
 
     def from_floor(self, time_s: float) -> NDArray:
@@ -205,7 +205,7 @@ def _turns(cases: Mapping[str, Case]) -> Page:
     stored_s = shown[0]["stored_s"]
     radii = [float(cycle_radius(c.study, c["turn"], AZIMUTH_SIGMA, stored_s)) for c in shown]
     lines = [
-        Line(TURNS[case["turn"]], *case.heading, plots.colour(number))
+        Line(TURNS[case["turn"]], *case.heading, plots.line_colour(number))
         for number, case in enumerate(shown)
     ]
     begins = float(np.mean(shown[0].from_floor(0.0)))

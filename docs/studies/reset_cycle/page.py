@@ -8,7 +8,7 @@ from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.formats import format_degrees
 from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
-from sinsjax.plots import Scale
+from sinsjax.plots import GridAxis
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.study_page import Page, Sources
 
@@ -188,8 +188,8 @@ def _single(source: Source, grid: Grid) -> Page:
         "single_reset",
         panels,
         "As above, against the time of the only reset.",
-        rows=Scale("initial level error_deg", grid.axes["level"]),
-        columns=Scale("time of the reset_s", [time for (time,) in times]),
+        rows=GridAxis("initial level error_deg", grid.axes["level"]),
+        columns=GridAxis("time of the reset_s", [time for (time,) in times]),
         title="When must a single reset come? Heading within 10' of its limit",
     )
     return Page({"single": values}, figures={"single": picture}, claims=claims)
@@ -253,8 +253,8 @@ def _answer_figure(source: Source, grid: Grid) -> Picture:
         "answer",
         panels,
         "Feedback every second, Q as printed.",
-        rows=Scale("initial level error_deg", grid.axes["level"]),
-        columns=Scale("initial heading error_deg", grid.axes["yaw"]),
+        rows=GridAxis("initial level error_deg", grid.axes["level"]),
+        columns=GridAxis("initial heading error_deg", grid.axes["yaw"]),
     )
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.grids import median_over_draws
-from sinsjax.plots import Scale
+from sinsjax.plots import GridAxis
 from sinsjax.report.base import Table
 from sinsjax.report.study_page import Page, Sources
 
@@ -67,8 +67,8 @@ def page(sources: Sources) -> Page:
             if yaw % 30 == 0
         },
         "The first reset comes after one time between resets; level errors of 5 deg.",
-        rows=Scale("reset_count", counts[1:]),
-        columns=Scale("reset_cycle_s", cycles),
+        rows=GridAxis("reset_count", counts[1:]),
+        columns=GridAxis("reset_cycle_s", cycles),
     )
     return Page(values, {"best": _best(grid, contests, gains)}, {"settling": picture}, claims)
 

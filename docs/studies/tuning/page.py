@@ -8,7 +8,7 @@ import numpy as np
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
 from sinsjax.execution.source import Source
-from sinsjax.plots.words import value_text
+from sinsjax.plots.labels import format_value
 from sinsjax.report import tuning_figures
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.study_page import Page, Sources
@@ -149,7 +149,7 @@ def _shifted(source: Source) -> Page:
     _, sobol, _, robust, _ = runs.mean(axis=(1, 2))  # over shifts and misalignments, by draw
     apart = analysis.mean_difference(robust, sobol)
     plain, found, put_off = ([one.value for one in times[at]] for at in (0, 3, 4))
-    figure = plots.along_axis(
+    figure = plots.draw_along_axis(
         "shift_s",
         list(SHIFTS_S),
         {"mean settling time (s)": dict(zip(SHIFTED.values(), times, strict=True))},
@@ -258,4 +258,4 @@ def _expected(tunings: Mapping[str, Tuning], plain: Mapping[str, Estimate]) -> T
 def _shown(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(_shown(one) for one in value)}]"
-    return f"{value:.3g}" if isinstance(value, float) else value_text(value)
+    return f"{value:.3g}" if isinstance(value, float) else format_value(value)

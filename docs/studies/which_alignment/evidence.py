@@ -8,7 +8,7 @@ import numpy as np
 from sinsjax.analysis import format_estimate, quantile
 from sinsjax.analysis.formats import format_degrees, format_percent
 from sinsjax.execution.source import Source
-from sinsjax.plots.words import value_text
+from sinsjax.plots.labels import format_value
 from sinsjax.report.base import Table
 
 from ..common.grids import grid_of, pooled_mean, shared
@@ -156,4 +156,4 @@ def settings(sources: Sequence[Source]) -> Table:
 
 
 def _text(value: object) -> str:
-    return f'"{value}"' if isinstance(value, str) else value_text(value)
+    return f'"{value}"' if isinstance(value, str) else format_value(value)
