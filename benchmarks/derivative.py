@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.bench.cases import TILES, default_group, engine, shortened, without_noise
+from sinsjax.bench.cases import TILES, default_group, engine_workload, remove_noise, shorten_runs
 from sinsjax.bench.timing import Row, Workload, measure_against
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.build import parts
@@ -28,7 +28,7 @@ from sinsjax.engine.lanes import LANES, Group, Tiles, tiles_of
 from sinsjax.engine.pieces import piece
 from sinsjax.engine.simulate import RunParams
 from sinsjax.engine.tile import run_tile
-from sinsjax.platform.assets import asset
+from sinsjax.platform.assets import asset_path
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
@@ -170,7 +170,7 @@ def temporary(program: jax.stages.Compiled) -> int:
 
 def tuned_study(seconds: float) -> Study:
     """The default sweep's base, sensors and filter; two reset times are tuned."""
-    data = tomllib.loads(asset("configs/reset_sweep.toml").read_text("utf-8"))
+    data = tomllib.loads(asset_path("configs/reset_sweep.toml").read_text("utf-8"))
     data["study"] |= {"duration_s": seconds, "window_s": [seconds / 2, seconds]}
     data["study"]["judged_from"] = "truth"  # a short run has no limit
     data["resets"] = {"reset_times_s": [seconds / 3, seconds / 2]}
@@ -191,7 +191,7 @@ def tuning(seconds: float, repeats: int) -> list[Row]:
     box = np.linspace(0.3, 0.7, 2 * STARTS).reshape(STARTS, 2)
     points = {f"start {i}": space.point(space.values(own), {}) for i, own in enumerate(box)}
     (part,) = parts(search.derive(study, points, name="plain"), curves=False)
-    base = engine("tune_plain", part.group)
+    base = engine_workload("tune_plain", part.group)
     arguments = (box, np.arange(DRAWS), Softness(seconds / 20, 4.0))
     since = time.perf_counter()
     slope = Slope(study, None, 0, starts=STARTS, draws=DRAWS)
@@ -230,8 +230,8 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         tuning counts.
     """
     records = QUICK if quick else RECORDS
-    silent = without_noise(default_group())
-    group = shortened(silent, records)
+    silent = remove_noise(default_group())
+    group = shorten_runs(silent, records)
     base, plain = case("derivative_plain", group, 0)
     counts = (1,) if quick else range(1, MOST + 1)
     made = {p: case(f"derivative_p{p}", group, p) for p in counts}
@@ -247,7 +247,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         }
     lengths = {"half": records // 2, "double": 2 * records}
     for key, length in [*lengths.items()][quick:]:
-        program, *_ = program_of(shortened(silent, length), max(counts))
+        program, *_ = program_of(shorten_runs(silent, length), max(counts))
         others[-1][f"temp_bytes_{key}"] = temporary(program)
     return [first, *others, *tuning(float(records), repeats)]
 

@@ -9,7 +9,7 @@ good scalar program costs.
 import numpy as np
 from numba import njit
 
-from sinsjax.bench.baseline import Setting
+from sinsjax.bench.baseline import AlignmentSettings
 
 ENTRIES = np.array(
     [
@@ -20,7 +20,9 @@ ENTRIES = np.array(
 """Rows and columns of the non-zero entries of A dt, [P1] eq. (3)."""
 
 
-def align(increments: np.ndarray, c: np.ndarray, setting: Setting) -> tuple[np.ndarray, np.ndarray]:
+def align(
+    increments: np.ndarray, c: np.ndarray, setting: AlignmentSettings
+) -> tuple[np.ndarray, np.ndarray]:
     """Takes and returns what `sinsjax.bench.baseline.align` does."""
     s = setting
     earth = (s.dt, s.rate_n, s.rate_u, s.tan_latitude, 1 / s.radius)

@@ -16,7 +16,7 @@ from store import Machine
 from targets import judged, sizes
 
 from sinsjax.errors import InputError
-from sinsjax.platform.files import replacing
+from sinsjax.platform.files import atomic_write
 from sinsjax.plots import render_png
 from sinsjax.report.base import Block, Chapter, Picture, Table, Text
 from sinsjax.report.output import FIGURES_FOLDER, block_to_markdown, save_figures
@@ -302,7 +302,7 @@ def write(page: Path, machines: Sequence[Machine], notes: str) -> None:
                 images[f"{PREFIX}{block.name}"] = render_png(block.figure)
             lines.append(text)
     save_figures(images, page.parent / FIGURES_FOLDER)
-    with replacing(page) as file:
+    with atomic_write(page) as file:
         file.write(("\n\n".join(lines) + "\n").encode())
 
 

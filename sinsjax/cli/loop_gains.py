@@ -10,7 +10,7 @@ from sinsjax.report.base import Table
 from sinsjax.report.terminal import print_table
 
 
-def design(
+def gain_tables(
     level_sigma: float, azimuth_sigma: float, damping: float, *, gravity: float, radius: float
 ) -> list[Table]:
     """Gains and roots of both loops, [P2] eqs (17), (18), (22) and (23).
@@ -32,8 +32,8 @@ def design(
         ["K4", "-", "-", f"{azimuth.k4:.4g}", "1/s"],
     ]
     found = [
-        _times("level", level_sigma, damping, loops.level_polynomial(level, **earth)),
-        _times("azimuth", azimuth_sigma, damping, loops.azimuth_polynomial(azimuth, **earth)),
+        _loop_row("level", level_sigma, damping, loops.level_polynomial(level, **earth)),
+        _loop_row("azimuth", azimuth_sigma, damping, loops.azimuth_polynomial(azimuth, **earth)),
     ]
     return [
         Table(
@@ -51,12 +51,12 @@ def design(
     ]
 
 
-def _times(name: str, sigma: float, damping: float, polynomial: np.ndarray) -> list[str]:
+def _loop_row(name: str, sigma: float, damping: float, polynomial: np.ndarray) -> list[str]:
     period = 2 * math.pi * damping / (sigma * math.sqrt(1 - damping**2))
-    return [name, _roots(polynomial), f"{math.log(20) / sigma:.4g}", f"{period:.4g}"]
+    return [name, _format_roots(polynomial), f"{math.log(20) / sigma:.4g}", f"{period:.4g}"]
 
 
-def _roots(polynomial: np.ndarray) -> str:
+def _format_roots(polynomial: np.ndarray) -> str:
     """Return the roots, conjugate pairs together, and how often each occurs."""
     found = loops.roots(polynomial)
     size = np.abs(found).max()
@@ -72,6 +72,6 @@ def _roots(polynomial: np.ndarray) -> str:
 
 
 def print_gains(console: Console, *args: float, **earth: float) -> None:
-    """Print the tables of `design`, whose arguments it takes."""
-    for table in design(*args, **earth):
+    """Print the tables of `gain_tables`, whose arguments it takes."""
+    for table in gain_tables(*args, **earth):
         print_table(table, console)

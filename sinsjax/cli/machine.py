@@ -4,29 +4,29 @@ from typing import Annotated
 
 import typer
 
-from sinsjax.console import plain_console, say
+from sinsjax.console import plain_console, print_line
 from sinsjax.platform import runtime
 
 
 def info() -> None:
     """Show versions, devices, compiler options and the folder of compiled programs."""
     runtime.configure()
-    runtime.require_backend()
+    runtime.start_backend()
     console = plain_console()
     known = runtime.info()
     known["options"] = ", ".join(f"{key} = {value}" for key, value in known["options"].items())
-    for key, value in (known | _methods_from_outside()).items():
-        say(console, f"{key:>20}  {value}")
+    for key, value in (known | _plugin_methods()).items():
+        print_line(console, f"{key:>20}  {value}")
 
 
-def _methods_from_outside() -> dict[str, str]:
+def _plugin_methods() -> dict[str, str]:
     """Methods that other packages bring, and why some cannot be used."""
     from sinsjax.methods.registry import PACKAGES
     from sinsjax.study.keys import BROKEN
 
-    brought = (f"{name} ({' '.join(PACKAGES[name])})" for name in PACKAGES)
-    told = {"methods from outside": ", ".join(brought), "not usable": "; ".join(BROKEN.values())}
-    return {key: value for key, value in told.items() if value}
+    methods = (f"{name} ({' '.join(PACKAGES[name])})" for name in PACKAGES)
+    entries = {"methods from outside": ", ".join(methods), "not usable": "; ".join(BROKEN.values())}
+    return {key: value for key, value in entries.items() if value}
 
 
 def bench(
@@ -44,7 +44,7 @@ def bench(
     """
     from sinsjax import bench as benchmarks
 
-    benchmarks.run(plain_console(), as_json=as_json, limit=limit, repeats=repeats)
+    benchmarks.run_benchmarks(plain_console(), as_json=as_json, limit=limit, repeats=repeats)
 
 
 COMMANDS = (info, bench)

@@ -11,7 +11,7 @@ from sinsjax.engine.lanes import Group, shown, tiles_of
 from sinsjax.engine.study_limits import hidden_north
 from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
-from sinsjax.messages import one_line, seconds
+from sinsjax.messages import format_seconds, to_one_line
 from sinsjax.methods.filters.parameters import level_settling_s
 from sinsjax.methods.registry import METHODS, PACKAGES, from_package
 from sinsjax.records import Layout, Record, require_span
@@ -77,7 +77,7 @@ def check_methods(study: Study, stored: StoredRecord | None = None) -> list[str]
             raise
         except Exception as error:  # what JAX says of another's function
             of = from_package(static.method)
-            what = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
+            what = f"{type(error).__name__}: {to_one_line(str(error).strip(), 600)}"
             raise InputError(f"{of}: does not trace: {what}") from error
         if static.method not in told:
             told[static.method] = _odd_covariance(part.group)
@@ -195,7 +195,7 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
         yield f"{record.source}: {odd.text}"
     dead = [odd.text for odd in record.oddities if (odd.begin, odd.end) == (0, len(record.dv))]
     for begin, end in used:
-        begin_s, end_s = (seconds(sample / record.rate_hz) for sample in (begin, end))
+        begin_s, end_s = (format_seconds(sample / record.rate_hz) for sample in (begin, end))
         where = f"{record.source}: {begin_s} to {end_s} s"
         for finding in findings(record, (begin, end), layout, expected):
             if finding.hard and not section.trust:
@@ -214,7 +214,7 @@ def _used(study: Study, record: Record) -> list[tuple[int, int]]:
     fine = max(span.read for span in study.distinct_spans) * study.record_every
     needed, coarse = max(before) + fine, ""
     if max(before):
-        lengths = [f"{seconds(count / record.rate_hz)} s" for count in (max(before), fine)]
+        lengths = [f"{format_seconds(count / record.rate_hz)} s" for count in (max(before), fine)]
         coarse = f" ({lengths[0]} of coarse alignment + {lengths[1]})"
     merged: list[tuple[int, int]] = []
     for start in sorted(starts.tolist()):
@@ -227,8 +227,9 @@ def _used(study: Study, record: Record) -> list[tuple[int, int]]:
     end = study.record.to_s
     if end is not None and merged[-1][1] / record.rate_hz > end * (1 + 1e-9):
         raise InputError(
-            f"{record.source}: the study needs data up to {seconds(merged[-1][1] / record.rate_hz)}"
-            f" s, but [record] to_s is {seconds(end)}"
+            f"{record.source}: the study needs data up to"
+            f" {format_seconds(merged[-1][1] / record.rate_hz)} s, but [record] to_s is"
+            f" {format_seconds(end)}"
         )
     return merged
 

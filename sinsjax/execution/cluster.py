@@ -23,10 +23,10 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
-from sinsjax.console import warn
+from sinsjax.console import print_warning
 from sinsjax.errors import InputError
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
-from sinsjax.messages import first_line
+from sinsjax.messages import first_error_line
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import affinity, runtime, xla
 
@@ -114,9 +114,9 @@ def _connect(address: str) -> Any:
                 socket.create_connection(addressing.parse_host_port(location), CONNECT_S).close()
             answers.put(Client(address, timeout=CONNECT_S, set_as_default=False))
         except OSError as error:
-            answers.put(error.strerror or first_line(error))
+            answers.put(error.strerror or first_error_line(error))
         except ValueError as error:
-            answers.put(first_line(error))
+            answers.put(first_error_line(error))
         except Exception:  # depends on the service
             answers.put("another service does")
 
@@ -205,11 +205,11 @@ class _Workers:
                 time.sleep(_LOOK_S / 10)
                 continue
             # Dask's own question first: workers may have another sinsjax, or none.
-            found = self._ask(self._client.get_versions, packages=list(runtime.DECISIVE))
-            ours = {name: found["client"]["packages"][name] for name in runtime.DECISIVE}
+            found = self._ask(self._client.get_versions, packages=list(runtime.RESULT_PACKAGES))
+            ours = {name: found["client"]["packages"][name] for name in runtime.RESULT_PACKAGES}
             for worker, theirs in found["workers"].items():
                 _require_same(worker, theirs["packages"], ours)
-            sets = self._ask(self._client.run, xla.instructions, on_error="ignore")
+            sets = self._ask(self._client.run, xla.instruction_set, on_error="ignore")
             for worker, instructions in sorted(sets.items()):
                 self.instructions = self.instructions or instructions
                 theirs = {_INSTRUCTIONS: instructions}
@@ -220,8 +220,8 @@ class _Workers:
         """Run tasks, see `Executor`."""
         from distributed import wait
 
-        versions = runtime.versions()
-        required = {name: versions[name] for name in runtime.DECISIVE}
+        versions = runtime.relevant_versions()
+        required = {name: versions[name] for name in runtime.RESULT_PACKAGES}
         required |= packages_of(runner.job.study.methods) | {_INSTRUCTIONS: self.instructions}
         run = partial(run_task, self._share_job(runner), required)
         left, pending = iter(tasks), dict[Any, Task]()
@@ -254,7 +254,7 @@ class _Workers:
         before, self._threads = self._threads, dict(self._ask(self._client.nthreads))
         if lost := sorted(before.keys() - self._threads):
             which = f"{lost[0]} and {len(lost) - 1} more" if len(lost) > 1 else lost[0]
-            warn(f"{which}: worker lost, its tasks run again ({len(self._threads)} left)")
+            print_warning(f"{which}: worker lost, its tasks run again ({len(self._threads)} left)")
         if self._threads:
             self._seen_s, self._warned = time.monotonic(), False
             return self._threads
@@ -264,7 +264,7 @@ class _Workers:
         if waited_s > CONNECT_S and not self._warned:
             self._warned = True
             how = f"; start one: dask worker {self._name}" if "://" in self._name else ""
-            warn(f"{self._name}: no workers (waiting up to {PATIENCE_S / 60:g} min{how})")
+            print_warning(f"{self._name}: no workers (waiting up to {PATIENCE_S / 60:g} min{how})")
         return self._threads
 
     def forget_job(self) -> None:
@@ -295,7 +295,7 @@ class _Workers:
         elif isinstance(error, KilledWorker):
             text = f"{error.allowed_failures + 1} workers died while running it (out of memory?)"
         else:
-            text = f"failed on a worker: {type(error).__name__}: {first_line(error)}"
+            text = f"failed on a worker: {type(error).__name__}: {first_error_line(error)}"
         raise InputError(f"{task.name}: {text}") from error
 
     def _ask(self, question: Callable[..., Any], *args: Any, **named: Any) -> Any:
@@ -353,11 +353,11 @@ def _prepare(job_name: str, required: Mapping[str, str]) -> TaskRunner:
     from distributed import Variable, get_worker
 
     worker = get_worker()
-    theirs = runtime.versions() | {_INSTRUCTIONS: xla.instructions()}
+    theirs = runtime.relevant_versions() | {_INSTRUCTIONS: xla.instruction_set()}
     _require_same(worker.address, theirs, required)  # before unpickling, which needs the packages
     one_core = os.environ.get(affinity.VARIABLE, "1" if worker.state.nthreads == 1 else "0")
     if one_core.strip() == "1":
-        affinity.keep_to_one_core()
+        affinity.pin_to_free_core()
     if platforms := os.environ.get("JAX_PLATFORMS"):  # Dask may have set it after JAX read it
         jax.config.update("jax_platforms", platforms)
     runtime.configure(devices=1)

@@ -100,7 +100,8 @@ class Estimates:
             phi, sigma, belief = (np.asarray(a)[:, :, place] for a in spread[:3])
             own = None if spread.from_floor is None else np.asarray(spread.from_floor)[:, place]
             names = (
-                c.name for c in columns.estimated(self._bands, time_s, own_floors=own is not None)
+                c.name
+                for c in columns.estimate_columns(self._bands, time_s, floors_vary=own is not None)
             )
             values |= zip(names, self._at(phi, sigma, belief, floor, own), strict=True)
         until = np.ascontiguousarray(spread.outside_until)  # sums of one order, however cut
@@ -108,7 +109,7 @@ class Estimates:
             for number, band in enumerate(self._bands):
                 settled = settled_of(until[:, about, number], self._end_s[variant])
                 known = limited if about == FLOOR else np.ones_like(limited)
-                names = (c.name for c in columns.settle_estimates(band, truth=truth))
+                names = (c.name for c in columns.settle_estimate_columns(band, truth=truth))
                 cells = (nullable(np.where(known, value, np.nan)) for value in settled)
                 values |= zip(names, cells, strict=True)
         values |= {"has_floor": pa.array(limited), "floor_arcmin": nullable(floor / ARCMIN)}
@@ -131,7 +132,7 @@ class Estimates:
     ) -> list[pa.Array]:
         """Columns of one time from misalignment, 1 sigma and belief (runs, 3), and floor (runs,).
 
-        All of them rad, in the order of `columns.estimated`; ``from_floor`` as of `Spread`.
+        All of them rad, in the order of `columns.estimate_columns`; ``from_floor`` as of `Spread`.
         """
         angles = [*(np.concatenate([phi, sigma, belief], axis=1).T / ARCMIN)]
         about_floor = sigma[:, 2]

@@ -21,7 +21,7 @@ from sinsjax.engine.truth import MOST_STORED_SAMPLES
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts, stopping
 from sinsjax.execution.directory import find_manifest
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import machine, runtime
 from sinsjax.study.schema import NUMBERS_DRAWN
@@ -103,7 +103,7 @@ class Forecast(NamedTuple):
             threads: whether the cores are threads of workers, of whatever kind.
         """
         kind = "noise-free run" if self.noise_free else "run"
-        runs = f"{counted(self.runs, kind)} of up to {self.length_s:g} s"
+        runs = f"{format_count(self.runs, kind)} of up to {self.length_s:g} s"
         left = max(0, self.runs - done)
         if not left:
             return f"{runs}: nothing is left to run"
@@ -111,8 +111,8 @@ class Forecast(NamedTuple):
             runs += f", {left:,} left"
         takes = _time(left * self.run_s / cores)
         most = "At most " if self.at_most else ""
-        on = counted(cores, "worker thread" if threads else "core")
-        programs = counted(self.programs, "program")
+        on = format_count(cores, "worker thread" if threads else "core")
+        programs = format_count(self.programs, "program")
         first = f"{_time(_START_S + self.programs * _COMPILE_S)} the first time"
         return (
             f"{most}{runs}: roughly {takes} on {on}, and {_time(_START_S)} to start ({first},"
@@ -185,7 +185,7 @@ def require_room(
     """
     if directory is not None:
         _require_disk(forecast, directory, overwrite=overwrite, resume=resume)
-    there = machine.memory_bytes()
+    there = machine.available_memory_bytes()
     if forecast.memory > there:
         raise InputError(
             f"{study.name}: {forecast.runs:,} runs need about {_size(forecast.memory)} of memory,"
@@ -198,7 +198,7 @@ def _require_disk(forecast: Forecast, directory: Path, *, overwrite: bool, resum
     for batch in forecast.batches:
         done = runs_done(directory / batch.name) if resume else 0
         need += max(0, batch.sure - done) * forecast.run_bytes
-    free = machine.free_bytes(directory)
+    free = machine.free_disk_bytes(directory)
     if overwrite:
         free += _size_of_parts(directory / batch.name for batch in forecast.batches)
     if need > free:

@@ -22,7 +22,7 @@ def summary(study: Study) -> tuple[Column, ...]:
         *_of_keys(study),
         *columns.OBSERVED,
         *_settling(study),
-        *(column for t in study.report_times_s for column in columns.report_columns(t)),
+        *(column for t in study.report_times_s for column in columns.report_time_columns(t)),
         *columns.JUDGED,
         *(own.column for own in of_methods(study).values()),
     )
@@ -43,16 +43,16 @@ def estimates(study: Study) -> tuple[Column, ...]:
         *(
             c
             for time_s in times
-            for c in columns.estimated(bands(study), time_s, own_floors=draws_limits(study))
+            for c in columns.estimate_columns(bands(study), time_s, floors_vary=draws_limits(study))
         ),
         *(
             c
             for truth in (False, True)
             for band in bands(study)
-            for c in columns.settle_estimates(band, truth=truth)
+            for c in columns.settle_estimate_columns(band, truth=truth)
         ),
         *columns.FLOOR,
-        *(map(columns.nonlinearity, times) if study.checks_linearity else ()),
+        *(map(columns.nonlinearity_column, times) if study.checks_linearity else ()),
         *((columns.FILLED,) if study.checks_linearity else ()),
     )
 
@@ -108,7 +108,7 @@ def of_methods(study: Study) -> dict[str, OwnColumn]:
 
 def curves(study: Study) -> tuple[Column, ...]:
     """Columns of the curves."""
-    return columns.curves(passes=study.passes is not None, coarse=bool(study.coarse_stages))
+    return columns.curve_columns(passes=study.passes is not None, coarse=bool(study.coarse_stages))
 
 
 def tells_data(study: Study) -> bool:

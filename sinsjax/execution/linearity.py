@@ -130,7 +130,7 @@ class Linearity:
         until, end_s = of(out.outside_until), self._end_s[table["variant_id"].to_numpy()[rows]]
         for truth, about in ((False, FLOOR), (True, TRUTH)):
             for number, band in enumerate(bands(self._study)):
-                names = (c.name for c in columns.settle_estimates(band, truth=truth))
+                names = (c.name for c in columns.settle_estimate_columns(band, truth=truth))
                 settled = settled_of(until[:, :, about, number], end_s, opposite=False)
                 known = np.ones_like(limited) if truth else limited
                 values |= zip(names, (np.where(known, s, np.nan) for s in settled), strict=True)

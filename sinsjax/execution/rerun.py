@@ -18,9 +18,9 @@ from sinsjax.execution.directory import RERUN
 from sinsjax.execution.outputs import output_of
 from sinsjax.execution.prepare import load_increments
 from sinsjax.execution.tasks import Job
-from sinsjax.messages import one_line
+from sinsjax.messages import to_one_line
 from sinsjax.methods.registry import packages_of
-from sinsjax.platform.files import make_folder, replacing
+from sinsjax.platform.files import atomic_write, make_folder
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.study import Study
 
@@ -127,16 +127,16 @@ def rerun_into(
         _verdict(stored, made.row, differ, _why(directory, stored, made.row)),
         f"Row, curve and figure: {target}",
     ]:
-        screen.say(console, line)
+        screen.print_line(console, line)
     return not differ
 
 
 def _write(target: Path, made: Rerun, study: Study) -> None:
     make_folder(target)
     for name, table in (("summary", made.row), ("curve", made.curve)):
-        with replacing(target / f"{name}.parquet") as file:
+        with atomic_write(target / f"{name}.parquet") as file:
             pq.write_table(table, file, compression="zstd")
-    with replacing(target / "curve.png") as file:
+    with atomic_write(target / "curve.png") as file:
         file.write(plots.render_png(_figure(made, study)))
 
 
@@ -181,7 +181,7 @@ def _why(directory: Path, stored: pa.Table, again: pa.Table) -> str:
     versions = places.read_manifest(directory).get("versions")
     told = versions if isinstance(versions, dict) else {}
     for name, here in packages.items():
-        there = one_line(str(told.get(name, here)))
+        there = to_one_line(str(told.get(name, here)))
         if there != here:
             return f"The stored row was computed with {name} {there}, but here is {here}."
         if _beyond_last_bits(stored, again):

@@ -21,9 +21,9 @@ from sinsjax.execution.directory import (
     list_parts,
     read_manifest,
 )
-from sinsjax.messages import first_line, one_line
+from sinsjax.messages import first_error_line, to_one_line
 from sinsjax.platform import runtime
-from sinsjax.platform.files import read_regular
+from sinsjax.platform.files import read_regular_file
 from sinsjax.study.identity import differences, fingerprint
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
@@ -117,7 +117,7 @@ def read_curves(
         900
     """
     if not has_dataset(directory, "curves", verify=verify):
-        return columns.schema(columns.CURVES).empty_table()
+        return columns.arrow_schema(columns.CURVES).empty_table()
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
     return _read(directory, "curves", None, ["run_id", "time_s"], verify=verify, rows=rows)
 
@@ -151,7 +151,7 @@ def load_stored_study(directory: Path) -> Study:
     manifest = find_manifest(directory)
     if manifest is not None and manifest.fingerprint != fingerprint(study):
         differing = differences(manifest.study, study, ("in the results", "in the file"))
-        text = one_line("; ".join(differing))
+        text = to_one_line("; ".join(differing))
         raise InputError(
             f"{directory / STUDY}: is not the study of the results: {text}"
             " (restore it, or delete it: `--resume` writes it again)"
@@ -163,8 +163,10 @@ def _missing(directory: Path) -> list[tuple[str, str]]:
     """Packages in the manifest that are not installed, and their versions."""
     stored = read_manifest(directory).get("versions")
     versions = stored if isinstance(stored, dict) else {}
-    others = (name for name in versions if name not in ("python", *runtime.DECISIVE))
-    return [(name, versions[name]) for name in others if runtime.version_or_none(name) is None]
+    others = (name for name in versions if name not in ("python", *runtime.RESULT_PACKAGES))
+    return [
+        (name, versions[name]) for name in others if runtime.installed_version_or_none(name) is None
+    ]
 
 
 def has_dataset(directory: str | Path, name: str, *, verify: bool = True) -> bool:
@@ -213,7 +215,7 @@ def query(
             _verify(directory, name, parts)
         return question(ds.dataset(parts, format="parquet"))
     except (OSError, pa.ArrowException) as error:
-        what = first_line(error)
+        what = first_error_line(error)
         raise InputError(f"{directory / name}: cannot be read: {what} ({_REMEDY})") from error
 
 
@@ -279,7 +281,7 @@ def _identity(path: Path) -> str:
     file = FileState.of(path)
     if (known := _verified.get(file)) is not None:
         return known
-    marks = part_marks(read_regular(path))
+    marks = part_marks(read_regular_file(path))
     if marks is None:
         raise InputError(f"{path}: has changed since it was written ({_REMEDY})")
     chunk = json.loads(marks[CHUNK_MARK])

@@ -20,10 +20,10 @@ from sinsjax.execution.directory import (
 )
 from sinsjax.execution.results import CHUNK_MARK, STUDY_MARK, part_marks
 from sinsjax.execution.tasks import Job
-from sinsjax.messages import one_line, shortened
+from sinsjax.messages import shorten, to_one_line
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime
-from sinsjax.platform.files import read_regular
+from sinsjax.platform.files import read_regular_file
 from sinsjax.study.identity import differences, fingerprint, with_draws
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
@@ -132,7 +132,7 @@ def check_instructions(directory: Path, here: str) -> None:
     """
     known = find_manifest(directory)
     for session in known.sessions if known else ():
-        if (there := shortened(one_line(session.instructions or here))) != here:
+        if (there := shorten(to_one_line(session.instructions or here))) != here:
             raise InputError(
                 f"{directory}: was computed with instruction set {there}, but here is {here} (use a"
                 f" machine with that one, XLA_FLAGS=--xla_cpu_max_isa={there} on a larger one, or"
@@ -181,7 +181,7 @@ def _added_values(stored: Study, study: Study) -> str:
     key = added[0]
     new = [value for value in study.axes[key] if value not in stored.axes[key]]
     return (
-        f"run the added values, axes.{key}={shortened(str(new), 40)}, into another directory;"
+        f"run the added values, axes.{key}={shorten(str(new), 40)}, into another directory;"
         " read both together with their paths in one list, and tell the runs apart by directory and"
         " run_id, which counts within a directory"
     )
@@ -208,10 +208,10 @@ def _check_extension(directory: Path, stored: Study, study: Study) -> None:
 
 def _check_versions(directory: Path, known: Manifest, packages: Iterable[str]) -> None:
     """Reject rows of other versions, packages that provide methods included: bits may differ."""
-    here = runtime.versions()
+    here = runtime.relevant_versions()
     for session in known.sessions:
-        for name in (*runtime.DECISIVE, *packages):
-            there = shortened(one_line(session.versions.get(name, here[name])))
+        for name in (*runtime.RESULT_PACKAGES, *packages):
+            there = shorten(to_one_line(session.versions.get(name, here[name])))
             if there != here[name]:
                 raise InputError(
                     f"{directory}: was computed with {name} {there}, but here is {here[name]}"
@@ -230,7 +230,7 @@ def _from_parts(directory: Path) -> Manifest | None:
     found = []
     for path in (path for name in ONE_ROW_EACH for path in list_parts(directory, name)):
         with suppress(OSError, InputError):
-            if marks := part_marks(read_regular(path)):
+            if marks := part_marks(read_regular_file(path)):
                 chunk = json.loads(marks[CHUNK_MARK])
                 found.append(
                     Manifest(

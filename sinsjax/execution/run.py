@@ -244,7 +244,7 @@ def run_job(
     """
     assert job.directory is not None
     executor = executor or study_tasks.on_this_machine()
-    session = runtime.session() | executor.facts
+    session = runtime.describe_environment() | executor.facts
     if job.resume:
         resume.check_instructions(job.directory, session["instructions"])
     runner = TaskRunner(job)
@@ -274,7 +274,7 @@ def _results(job: Job, tell: Tell | None) -> Results:
     began = time.monotonic()
     tables = run_in_memory(job, tell)
     order = [("run_id", "ascending"), ("time_s", "ascending")]
-    curves = tables.get("curves", columns.schema(layouts.curves(job.study)).empty_table())
+    curves = tables.get("curves", columns.arrow_schema(layouts.curves(job.study)).empty_table())
     tables |= {"summary": tables["summary"].sort_by("run_id"), "curves": curves.sort_by(order)}
     return Results(job.study, time.monotonic() - began, tables=tables)
 

@@ -13,7 +13,7 @@ from sinsjax import analysis
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
 from sinsjax.execution import results
-from sinsjax.messages import counted, one_line
+from sinsjax.messages import format_count, to_one_line
 from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick, yardsticks
 
@@ -70,10 +70,12 @@ class Source:
         study = results.load_stored_study(directory)
         name = manifest.get("config") or f"study.toml of {study.name}"
         told = manifest.get("warnings")
-        warnings = tuple(one_line(str(line)) for line in (told if isinstance(told, list) else ()))
+        warnings = tuple(
+            to_one_line(str(line)) for line in (told if isinstance(told, list) else ())
+        )
         versions = manifest.get("versions")
         version = (versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown")
-        version, config = one_line(str(version)), one_line(str(name))
+        version, config = to_one_line(str(version)), to_one_line(str(name))
         numbers = (manifest.get(name) for name in ("wall_s", "record_latitude_deg"))
         wall_s, latitude_deg = (float(x) if isinstance(x, int | float) else None for x in numbers)
         source = cls(directory, study, config, table, warnings, version, wall_s, latitude_deg)
@@ -117,9 +119,9 @@ class Source:
         study = self.study
         unit = "start time" if study.is_recorded else "Monte Carlo run"
         if study.n_variants == 1:
-            return f"{study.name}: {counted(self.runs, unit)}"
+            return f"{study.name}: {format_count(self.runs, unit)}"
         each = self.runs / study.n_variants
-        rows = counted(int(each), unit) if each.is_integer() else f"{each:,g} {unit}s"
+        rows = format_count(int(each), unit) if each.is_integer() else f"{each:,g} {unit}s"
         return f"{study.name}: {study.n_variants:,} variants × {rows} = {self.runs:,} runs"
 
     @property

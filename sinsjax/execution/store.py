@@ -21,7 +21,7 @@ from sinsjax.execution.directory import DATASETS, MANIFEST, STUDY, find_manifest
 from sinsjax.execution.results import part_marks
 from sinsjax.execution.sealed import sealed_json
 from sinsjax.execution.tasks import EncodedResult, Task, TaskResult, TaskRunner
-from sinsjax.platform.files import read_regular, replacing, unwritable
+from sinsjax.platform.files import atomic_write, read_regular_file, unwritable_message
 from sinsjax.study.identity import fingerprint, sections_of
 from sinsjax.study.load import study_to_toml
 
@@ -183,7 +183,7 @@ class Store:
             try:
                 path.parent.mkdir(exist_ok=True)
             except OSError as error:
-                raise InputError(unwritable(path, error)) from error
+                raise InputError(unwritable_message(path, error)) from error
             _write(path, result.files[dataset])
         self._chunks[result.task.name] = self._entry(result.task, round(result.seconds, 4))
         if time.monotonic() >= self._next_manifest:
@@ -222,7 +222,7 @@ class Store:
         """Whether all parts of a task are complete and intact."""
         for dataset, _ in task.rows:
             try:
-                content = read_regular(self._path(dataset, task))
+                content = read_regular_file(self._path(dataset, task))
             except (OSError, InputError):
                 return False
             if part_marks(content) != self._runner.marks(dataset, task):
@@ -272,7 +272,7 @@ class Store:
 
 
 def _write(path: Path, content: bytes) -> None:
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         file.write(content)
 
 
@@ -281,4 +281,4 @@ def _remove(paths: Iterable[Path]) -> None:
         try:
             path.unlink()
         except OSError as error:
-            raise InputError(unwritable(path, error)) from error
+            raise InputError(unwritable_message(path, error)) from error

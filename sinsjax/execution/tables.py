@@ -172,7 +172,7 @@ class Tables:
         for number, time in enumerate(self._study.report_times_s):
             phi, sigma, nees = np.asarray(out.at_times)[:, number].T
             arrays = self._known(phi / ARCMIN), nullable(sigma / ARCMIN), self._known(nees)
-            names = (column.name for column in columns.report_columns(time))
+            names = (column.name for column in columns.report_time_columns(time))
             values |= dict(zip(names, arrays, strict=True))
         return values
 
@@ -220,4 +220,4 @@ def with_column(table: pa.Table, name: str, values: pa.Array) -> pa.Table:
 def table_of(layout: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
     """A table of some columns, from their values by name."""
     arrays = [pa.array(values[c.name]).cast(c.dtype) for c in layout]
-    return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
+    return pa.Table.from_arrays(arrays, schema=columns.arrow_schema(layout))

@@ -252,7 +252,7 @@ class TaskRunner:
         Raises:
             ValueError: the table lacks columns of the dataset.
         """
-        schema = columns.schema(self.layouts[dataset])
+        schema = columns.arrow_schema(self.layouts[dataset])
         return sealed.sealed_parquet(table.cast(schema), self.marks(dataset, task))
 
     def marks(self, dataset: str, task: Task) -> dict[str, str]:

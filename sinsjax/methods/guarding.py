@@ -18,7 +18,7 @@ from typing import Any, get_type_hints
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from sinsjax.errors import InputError
-from sinsjax.messages import explained, first_line, one_line
+from sinsjax.messages import explain_error, first_error_line, to_one_line
 from sinsjax.methods.description import Description, Implementation
 
 _CONFIG = ConfigDict(strict=True, arbitrary_types_allowed=True, allow_inf_nan=False)
@@ -121,7 +121,7 @@ def what(
     place = f", in {own[-1].filename}:{own[-1].lineno}" if own else defined(function)
     if isinstance(error, KeyError) and frames and frames[-1].filename.startswith(_STUDIES):
         return f"no section of the method, or of the study, has a key {error}{place}"
-    said = _TRACER.sub("array or number", first_line(error))
+    said = _TRACER.sub("array or number", first_error_line(error))
     return f"{type(error).__name__}: {said}{place}"
 
 
@@ -173,8 +173,10 @@ def mistyped(field: str, value: object, kind: Any) -> str | None:
     except ValidationError as error:
         first = error.errors()[0]
         where = field + "".join(f"[{part!r}]" for part in first["loc"])
-        text = explained(first).replace("must be a list", "must be a tuple")  # that of a study file
-        return one_line(f"{where}: {text}")
+        text = explain_error(first).replace(
+            "must be a list", "must be a tuple"
+        )  # that of a study file
+        return to_one_line(f"{where}: {text}")
     return None
 
 

@@ -18,11 +18,11 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from sinsjax.errors import InputError
-from sinsjax.messages import near
+from sinsjax.messages import suggest_closest
 from sinsjax.methods.description import COMMON_KEYS, Description
 from sinsjax.methods.guarding import guarded, mistyped, of_package, what
 from sinsjax.platform import runtime
-from sinsjax.value_types import ActsWhere, key_info
+from sinsjax.value_types import KeyCondition, key_info
 
 
 class Brought(NamedTuple):
@@ -115,13 +115,13 @@ def _loaded(point: EntryPoint) -> Description:
         _check_type(point, field, getattr(method, field), kind)
     for name, section in method.sections.items():
         _check_type(point, f"[{name}] exclusive", section.exclusive, tuple[tuple[str, str], ...])
-        _check_type(point, f"[{name}] conditions", section.conditions, tuple[ActsWhere, ...])
+        _check_type(point, f"[{name}] conditions", section.conditions, tuple[KeyCondition, ...])
         for key, of_key in section.model_fields.items():
             _check_defaults(point, f"[{name}] default of {key}", of_key)
     named = {"silent": method.silent, "gyro_bias_keys": sum(method.gyro_bias_keys, ())}
     for field, keys in named.items():
         if unknown := sorted({*keys} - method.keys - {*COMMON_KEYS}):
-            hint = near(unknown[0], sorted(method.keys))
+            hint = suggest_closest(unknown[0], sorted(method.keys))
             text = f"{unknown[0]!r} is in none of its sections, nor in reads{hint}"
             raise InputError(f"{_named(point)}: {field}: {text}")
     if not 0 < method.step_s < 1:

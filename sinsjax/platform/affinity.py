@@ -20,13 +20,13 @@ VARIABLE = "SINSJAX_ONE_CORE"
 _lock: Any = None  # held until the process ends
 
 
-def apply() -> None:
+def pin_if_requested() -> None:
     """Pin this process to one core if the environment requests it."""
     if os.environ.get(VARIABLE, "").strip() == "1":
-        keep_to_one_core()
+        pin_to_free_core()
 
 
-def keep_to_one_core() -> int | None:
+def pin_to_free_core() -> int | None:
     """Pin this process and all its threads to a core not taken by another such process.
 
     Returns:
@@ -41,26 +41,26 @@ def keep_to_one_core() -> int | None:
     # Where the folder is unsafe or the disk has no locks, running unpinned is not an error.
     with suppress(OSError):
         # In a folder writable by others, a planted link could redirect the lock file.
-        folder = machine.private_folder(machine.temporary_folder())
+        folder = machine.ensure_private_folder(machine.user_temporary_folder())
         for core in sorted(os.sched_getaffinity(0)):
             lock = filelock.FileLock(folder / f"core-{platform.node()}-{core}.lock", timeout=0)
             with suppress(filelock.Timeout):
                 lock.acquire()
-                _keep_to(core)
+                _pin_all_threads(core)
                 _lock = lock
                 return core
     return None
 
 
-def _keep_to(core: int) -> None:
-    kept: set[int] = set()
+def _pin_all_threads(core: int) -> None:
+    pinned: set[int] = set()
     # A thread not yet pinned may start others meanwhile; threads inherit the core of their parent.
-    while missed := _threads() - kept:
+    while missed := _thread_ids() - pinned:
         for thread in missed:
             with suppress(ProcessLookupError):  # the thread has ended
                 os.sched_setaffinity(thread, {core})
-        kept |= missed
+        pinned |= missed
 
 
-def _threads() -> set[int]:
+def _thread_ids() -> set[int]:
     return {int(path.name) for path in Path("/proc/self/task").glob("*")} or {0}

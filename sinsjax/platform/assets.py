@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 
 
-def asset(name: str) -> Path:
+def asset_path(name: str) -> Path:
     """Path of a file or folder, in a source tree or as installed.
 
     Args:

@@ -104,7 +104,7 @@ def _mean_nees_title(lines: Sequence[ConsistencyLine]) -> str:
 
 @with_style
 def draw_consistency(lines: Sequence[ConsistencyLine], title: str) -> Figure:
-    """Draw the distribution of NEES against chi-square, and the shares of P above the squared error.
+    """Draw the distribution of NEES against chi-square, and how often P exceeds the squared error.
 
     Args:
         lines: one line each; all with shares of the same names.

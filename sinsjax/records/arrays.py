@@ -9,7 +9,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.messages import first_line, shortened
+from sinsjax.messages import first_error_line, shorten
 from sinsjax.records.files import LARGEST
 from sinsjax.records.layout import (
     ACCEL_UNITS,
@@ -149,7 +149,7 @@ def _numbers(source: str, name: str, values: Any) -> FloatArray:
     except (TypeError, ValueError) as error:
         cells = _cells(values)
         if cells is None:
-            raise InputError(f"{source}: {name}: no numbers: {first_line(error)}") from None
+            raise InputError(f"{source}: {name}: no numbers: {first_error_line(error)}") from None
     numbers = np.empty(cells.shape)
     for place, cell in np.ndenumerate(cells):
         try:
@@ -157,7 +157,7 @@ def _numbers(source: str, name: str, values: Any) -> FloatArray:
         except (TypeError, ValueError):
             row, *axis = place
             column = f"{name}[:, {axis[0]}]" if axis else name
-            shown = shortened(repr(cell), 32)
+            shown = shorten(repr(cell), 32)
             raise InputError(
                 f"{source}: row {row}: column {column!r}: {shown} is no number"
             ) from None
@@ -203,7 +203,9 @@ def _moments(source: str, name: str, values: Any) -> NDArray[Any]:
     try:
         dates = pa.array(values, pa.timestamp("ns", "UTC"), from_pandas=True)
     except (pa.ArrowException, TypeError, ValueError) as error:
-        raise InputError(f"{source}: {name}: no dates with time: {first_line(error)}") from None
+        raise InputError(
+            f"{source}: {name}: no dates with time: {first_error_line(error)}"
+        ) from None
     moments: NDArray[Any] = dates.to_numpy(zero_copy_only=False)
     return moments
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from sinsjax.errors import InputError
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.records.files import line_batches, number
 from sinsjax.records.stamps import from_iso
 from sinsjax.records.tables import (
@@ -150,4 +150,4 @@ def _is_date(cell: str) -> bool:
 
 def listed(names: list[str]) -> str:
     """Names of columns for a message, as many as a line holds."""
-    return shortened(", ".join(names), 120)
+    return shorten(", ".join(names), 120)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.records.layout import Oddity, spans_of
 from sinsjax.records.means import EARTH_RATE
 from sinsjax.units import DEG, STANDARD_GRAVITY
@@ -58,7 +58,7 @@ def told(found: Sequence[Oddity], spans: Sequence[tuple[int, int]]) -> Iterator[
     certain = [odd for odd in read if odd.hard]
     if certain:
         first, more = min(certain, key=lambda odd: odd.begin), len(certain) - 1
-        text = f"{first.text}; {counted(more, 'more such place')}" if more else first.text
+        text = f"{first.text}; {format_count(more, 'more such place')}" if more else first.text
         yield first._replace(text=text)
     yield from [odd for odd in read if not odd.hard][:_MOST_TOLD]
 

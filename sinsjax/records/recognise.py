@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sinsjax.errors import InputError
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.records.clock import LOOKED_AT_S, timing_of
 from sinsjax.records.head import Head, listed
 from sinsjax.records.layout import (
@@ -135,7 +135,7 @@ def _sensor(path: Path, head: Head, kind: str) -> tuple[Triad, Note]:
         hint = "decimal commas are not read: write points"
         if not re.fullmatch(r"[+-]?\d*,\d+", cell):
             hint = "if it is a row of units, begin it with #"
-        text = f"row {row}: column {name!r}: {shortened(cell, 24)!r} is no number"
+        text = f"row {row}: column {name!r}: {shorten(cell, 24)!r} is no number"
         raise InputError(f"{path}: {text} ({hint})")
     if not found:
         what = "gyros" if kind == "gyro" else "accelerometers"

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.records.files import CUT_OFF, LARGEST, Lines, line_batches, load, number, number_or_nan
 from sinsjax.records.layout import FloatArray
 from sinsjax.records.stamps import from_iso
@@ -59,7 +59,7 @@ def column_index(path: str | Path, names: list[str], wanted: Sequence[str]) -> l
 
 
 def _listed(names: list[str]) -> str:
-    shown = shortened(", ".join(map(repr, names[:12])))
+    shown = shorten(", ".join(map(repr, names[:12])))
     return f"the file has {shown}{', ...' if len(names) > 12 else ''}"
 
 

@@ -13,7 +13,7 @@ from sinsjax import console as screen
 from sinsjax.errors import InputError
 from sinsjax.execution.directory import list_figures
 from sinsjax.execution.source import Source
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.platform.files import require_writable
 from sinsjax.report import covariance, monte_carlo, study_page
 from sinsjax.report.base import Chapter, Report, Text
@@ -60,7 +60,7 @@ def print_reports(
         raise
     except Exception as error:
         where = ", ".join(map(str, directories))
-        what = shortened(" ".join(f"{type(error).__name__}: {error}".split()))
+        what = shorten(" ".join(f"{type(error).__name__}: {error}".split()))
         text = f"{where}: the report failed, the results are as they were ({what})"
         raise InputError(text) from error
 
@@ -82,7 +82,7 @@ def _print_reports(
         written, figures = study_page.write_study_page(
             page, [_read_source(directory) for directory in directories]
         )
-        screen.say(console, f"{written} and {figures} figures beside it", wrap=True)
+        screen.print_line(console, f"{written} and {figures} figures beside it", wrap=True)
         if html is None:
             return
         page = None
@@ -117,7 +117,7 @@ def _print_reports(
 def print_terms(console: Console) -> None:
     """Print the glossary of a report."""
     for line in load_template("terms.md.j2").render().splitlines():
-        screen.say(console, NO_NAMES.to_plain_text(line.removeprefix("- ")), wrap=True)
+        screen.print_line(console, NO_NAMES.to_plain_text(line.removeprefix("- ")), wrap=True)
 
 
 def _read_source(directory: Path, *, allow_unfinished: bool = False) -> Source:

@@ -10,7 +10,7 @@ from sinsjax import analysis, plots
 from sinsjax.analysis.grids import split_into_panels
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.execution.source import Source
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.plots.comparison import build_comparison_panels, has_significant_effect
 from sinsjax.plots.maps import MAX_PANELS
 from sinsjax.report.base import Block, Picture, Text, describe_intervals
@@ -137,7 +137,7 @@ def _heat_map_figures(source: Source, criterion: Yardstick) -> Iterator[Block]:
     )
     yield maps.draw_figure(
         f"settling_time{end}",
-        f"Median time over {counted(source.draws, 'draw')} until the heading stays"
+        f"Median time over {format_count(source.draws, 'draw')} until the heading stays"
         f" {criterion.words}; grey where at least half of the runs never do.{mark}",
         criterion.settle,
         off,
@@ -147,7 +147,7 @@ def _heat_map_figures(source: Source, criterion: Yardstick) -> Iterator[Block]:
     if not np.isin(shares, (0.0, 1.0)).all():  # else the settling times show the same
         yield maps.draw_figure(
             f"success_rate{end}",
-            f"Share of {counted(source.draws, 'draw')} ok, {criterion.of_several}.{mark}",
+            f"Share of {format_count(source.draws, 'draw')} ok, {criterion.of_several}.{mark}",
             criterion.ok,
             off,
             _NOT_CONVERGED,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sinsjax.analysis.formats import format_degrees
 from sinsjax.analysis.grids import held_out_choices
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.methods.filters.section import OF_SCHEDULES
 from sinsjax.plots.labels import describe_point, describe_schedule, format_value, name_and_unit
 from sinsjax.report.base import Table
@@ -171,7 +171,7 @@ class Choices:
         text = first
         for place, word in enumerate(more):
             if len(text) + len(word) > _MAX_OPTION_LENGTH:
-                return f"{text} + {counted(len(more) - place, 'key')}"
+                return f"{text} + {format_count(len(more) - place, 'key')}"
             text += f", {word}"
         return text
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sinsjax import analysis, columns, plots
 from sinsjax.analysis import UNKNOWN, Estimate, format_estimate, format_number
 from sinsjax.execution.source import Source
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.report.axis_figures import HeatMaps, repeated_variants_note
 from sinsjax.report.base import Block, Fact, Picture, Report, Table, Verdict, build_table
 from sinsjax.report.choices import Choices
@@ -98,7 +98,7 @@ def build_report(
             _all_variants_table(source, criteria),
         ]
     study = source.study
-    variants = counted(study.n_variants, "variant")
+    variants = format_count(study.n_variants, "variant")
     title = f"{study.name}: {variants} by covariance analysis, without draws"
     expected = _ExpectedSettling.from_source(source, criteria[0])
     facts = [*_answer_facts(expected, criteria[0].criterion), *_linearity_fact(source)]
@@ -210,7 +210,7 @@ def _usable_estimate_columns(source: Source) -> list[_EstimateColumns]:
     """Return the criteria that some variant can be judged by, that of the study first."""
     band, found = success_of(source.study).band_arcmin, []
     for yard in yardsticks(source.study):
-        settled = [c.name for c in columns.settle_estimates(band, truth=yard.truth)]
+        settled = [c.name for c in columns.settle_estimate_columns(band, truth=yard.truth)]
         within = f"within_{band:g}{'_truth' if yard.truth else ''}_share"
         found.append(_EstimateColumns._make([yard, *settled, within]))
     table = source.rows([one.mean for one in found])

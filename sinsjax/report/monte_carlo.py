@@ -11,7 +11,7 @@ from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.analysis.formats import format_heading_error, format_percent
 from sinsjax.analysis.references import compare_with_first
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS, read_estimate
-from sinsjax.columns import report_columns
+from sinsjax.columns import report_time_columns
 from sinsjax.execution.source import Source
 from sinsjax.plots.curves import select_runs_by_line
 from sinsjax.plots.labels import describe_point
@@ -124,7 +124,9 @@ def _statistic_columns(source: Source) -> list[_StatisticColumn]:
 def heading_error_table(source: Source, keys: Sequence[str], title: str) -> Table:
     """Return the heading errors from the truth, at each report time and at the end, as a table."""
     times_s = source.study.study.report_times_s or ()
-    times = {report_columns(time)[0].name: f"{time:g} s" for time in times_s} | {_END: "the end"}
+    times = {report_time_columns(time)[0].name: f"{time:g} s" for time in times_s} | {
+        _END: "the end"
+    }
     table = source.distinct([*keys, *REQUIRED_COLUMNS, *times])
     cells = [
         ("runs", lambda row: str(row["n"])),

@@ -12,8 +12,8 @@ from rich.console import Console
 from sinsjax import console as screen
 from sinsjax import plots
 from sinsjax.execution.source import Source
-from sinsjax.messages import escape_controls, one_line
-from sinsjax.platform.files import file_stem, make_folder, replacing
+from sinsjax.messages import escape_controls, to_one_line
+from sinsjax.platform.files import atomic_write, make_folder, safe_file_stem
 from sinsjax.report.base import Block, Picture, Report, Table, Text, describe_success_criterion
 from sinsjax.report.markup import load_template
 from sinsjax.report.names import NO_NAMES, StudyNames
@@ -67,16 +67,16 @@ def print_report(drawn: DrawnReport, console: Console, *, full: bool = False) ->
         return
     print_verdict(report.verdict, console, names, footer, full=True)
     console.print()
-    screen.say(console, describe_success_criterion(source.study), wrap=True)
+    screen.print_line(console, describe_success_criterion(source.study), wrap=True)
     for section in report.sections:
         for block in section.blocks:
             if isinstance(block, Text):
-                screen.say(console, names.to_plain_text(block.text), wrap=True)
+                screen.print_line(console, names.to_plain_text(block.text), wrap=True)
             elif isinstance(block, Table) and not block.folded and block != report.verdict.table:
                 print_table(block, console, names)
     if images:
         listed = ", ".join(f"{name}.png" for name in images)
-        screen.say(console, f"Figures: {listed}. Words: sinsjax terms.", wrap=True)
+        screen.print_line(console, f"Figures: {listed}. Words: sinsjax terms.", wrap=True)
 
 
 def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
@@ -87,7 +87,7 @@ def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
     """
     make_folder(directory)
     for name, content in images.items():
-        with replacing(directory / f"{name}.png") as file:
+        with atomic_write(directory / f"{name}.png") as file:
             file.write(content)
 
 
@@ -104,10 +104,10 @@ def write_markdown_page(page: Path, title: str, reports: Sequence[DrawnReport]) 
     Raises:
         InputError: the page cannot be written.
     """
-    written_by = one_line(f"sinsjax report --page {page.name} ({describe_origin(reports)})")
+    written_by = to_one_line(f"sinsjax report --page {page.name} ({describe_origin(reports)})")
     sections = []
     for source, report, images, names in reports:
-        prefix = f"{file_stem(source.study.name)}_"
+        prefix = f"{safe_file_stem(source.study.name)}_"
         prefixed = {f"{prefix}{name}": image for name, image in images.items()}
         save_figures(prefixed, page.parent / FIGURES_FOLDER)
         for heading, blocks in report.sections:
@@ -153,7 +153,7 @@ def write_escaped_text(path: Path, text: str) -> None:
     Raises:
         InputError: the page cannot be written.
     """
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         file.write(escape_controls(text, keep="\n").encode())
 
 

@@ -78,14 +78,14 @@ def _layout_verdict(
     footer: Sequence[str],
     width: int,
 ) -> Group:
-    parts: list[RenderableType] = [screen.literal(names.to_plain_text(verdict.title), "bold")]
+    parts: list[RenderableType] = [screen.literal_text(names.to_plain_text(verdict.title), "bold")]
     grid = Grid.grid(padding=(0, 2, 0, 0))
     grid.add_column(no_wrap=True)
     grid.add_column()
     for number, fact in enumerate(facts):
         style = "yellow" if fact.is_caution else "bold" if number == 0 else ""
-        text = screen.literal(names.to_plain_text(fact.text), "bold" if number == 0 else "")
-        grid.add_row(screen.literal(fact.label, style), _highlight_failures(text))
+        text = screen.literal_text(names.to_plain_text(fact.text), "bold" if number == 0 else "")
+        grid.add_row(screen.literal_text(fact.label, style), _highlight_failures(text))
     if left := len(verdict.facts) - len(facts):
         grid.add_row(Line("Also", "yellow"), Line(f"{left} more, see --full"))
     parts.append(Padding(grid, (0, 0, 0, 2)))
@@ -93,7 +93,7 @@ def _layout_verdict(
         parts += (
             [Line(), _layout_verdict_rows(verdict.table, n_rows, names, width)] if n_rows else []
         )
-    return Group(*parts, *(screen.literal(line, "dim") for line in footer))
+    return Group(*parts, *(screen.literal_text(line, "dim") for line in footer))
 
 
 def _layout_verdict_rows(
@@ -108,9 +108,9 @@ def _layout_verdict_rows(
     )
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for name, size in zip(header, _fit_column_widths([header, *shown], width - 2, 2), strict=True):
-        grid.add_column(screen.literal(name), width=size, overflow="fold")
+        grid.add_column(screen.literal_text(name), width=size, overflow="fold")
     for row in shown:
-        grid.add_row(*(_highlight_failures(screen.literal(cell)) for cell in row))
+        grid.add_row(*(_highlight_failures(screen.literal_text(cell)) for cell in row))
     return Padding(grid, (0, 0, 0, 2))
 
 
@@ -163,13 +163,13 @@ def print_table(table: Table, console: Console, names: StudyNames = NO_NAMES) ->
     if not console.is_terminal and not os.environ.get("COLUMNS"):
         console.width = PIPE_WIDTH
     width = console.width - _EDGES
-    console.print(screen.literal(names.to_plain_text(table.title), "bold"))
+    console.print(screen.literal_text(names.to_plain_text(table.title), "bold"))
     header = [escape_controls(name).replace(" (", "\n(") for name in table.header]
     cells = [header, *([escape_controls(cell) for cell in row] for row in table.rows)]
     for columns in _split_columns(cells, width):
         console.print(_layout_table([[row[column] for column in columns] for row in cells], width))
     if table.note:
-        console.print(screen.literal(names.to_plain_text(table.note), "dim"))
+        console.print(screen.literal_text(names.to_plain_text(table.note), "dim"))
     console.print()
     console.width = previous_width
 
@@ -201,8 +201,8 @@ def _layout_table(cells: Sequence[Sequence[str]], width: int) -> Grid:
     lines = [name.split("\n") for name in header]
     heads = zip_longest(*lines, fillvalue="")
     for line, size in zip(lines, _fit_column_widths([*heads, *rows], width, _GAP), strict=True):
-        text = Line("\n").join(map(screen.literal, line))
+        text = Line("\n").join(map(screen.literal_text, line))
         table.add_column(text, width=size, overflow="fold")
     for row in rows:
-        table.add_row(*(_highlight_failures(screen.literal(cell)) for cell in row))
+        table.add_row(*(_highlight_failures(screen.literal_text(cell)) for cell in row))
     return table

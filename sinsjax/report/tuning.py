@@ -7,7 +7,7 @@ from typing import Any
 
 from sinsjax.analysis import NO_INTERVAL, Estimate, format_estimate
 from sinsjax.execution.source import Source
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.plots.labels import format_setting, format_value
 from sinsjax.report import tuning_figures
 from sinsjax.report.base import Block, Fact, Report, Table, Verdict
@@ -54,7 +54,7 @@ def _tuning_verdict(tuning: Tuning) -> Verdict:
     looks = sum(len(found.looks) for found in tuning.found.values())
     unit = "start time" if study.is_recorded else "draw"
     name, in_unit = words(study)[0], partial(_format_objective, tuning)
-    fresh = counted(tuning.runs.shape[2], f"unused {unit}")
+    fresh = format_count(tuning.runs.shape[2], f"unused {unit}")
     gain = tuning.difference(best, "baseline")
     verb = "worse" if gain.value > 0 else "better"
     size = gain if gain.value > 0 else Estimate(-gain.value, -gain.high, -gain.low, gain.n)
@@ -67,7 +67,7 @@ def _tuning_verdict(tuning: Tuning) -> Verdict:
         Fact("Measure", name + _describe_aggregation(tuning)),
         Fact(
             "Why",
-            f"in tuned.toml: best of {counted(looks, 'evaluation')} on"
+            f"in tuned.toml: best of {format_count(looks, 'evaluation')} on"
             f" {_describe_tuning_draws(tuning)} ({SEARCHES.get(best, best)})",
         ),
     ]

@@ -17,7 +17,7 @@ from sinsjax.analysis.formats import format_heading_error, format_percent
 from sinsjax.columns import FAILED
 from sinsjax.execution import stopping
 from sinsjax.execution.source import Source
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Table, Verdict
 from sinsjax.report.choices import (
     MIN_DRAWS_TO_SPLIT,
@@ -172,7 +172,7 @@ class Choice(NamedTuple):
 def study_title(source: Source) -> str:
     """Return the name of a study with its numbers of runs and failures, and the computing time."""
     study, runs = source.study, source.runs
-    count = counted(runs, "run")
+    count = format_count(runs, "run")
     if source.whole_draws is not None:
         count = f"unfinished, {runs:,} of {study.n_draws * study.n_variants:,} runs"
     if source.wall_s is not None:
@@ -313,7 +313,9 @@ def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     if several and draws < MIN_DRAWS_TO_SPLIT:
         pronoun = "it" if draws == 1 else "them"
         yield Fact(
-            "Caution", f"only {counted(draws, unit)}: chosen and judged on {pronoun} alike", True
+            "Caution",
+            f"only {format_count(draws, unit)}: chosen and judged on {pronoun} alike",
+            True,
         )
     if study.is_recorded:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.messages import near
-from sinsjax.platform.assets import asset
+from sinsjax.messages import suggest_closest
+from sinsjax.platform.assets import asset_path
 
 _FOLDER = "configs"
 _SCHEMA, _GROUP = "#:schema", "#:group "
@@ -40,7 +40,7 @@ TEMPLATES = ("sweep", "record", "tune", "compare")
 
 def studies() -> dict[str, Path]:
     """Return the files of the shipped studies by name, in alphabetical order."""
-    return {path.stem: path for path in sorted(asset(_FOLDER).glob("*.toml"))}
+    return {path.stem: path for path in sorted(asset_path(_FOLDER).glob("*.toml"))}
 
 
 def groups() -> dict[str, dict[str, Path]]:
@@ -54,7 +54,7 @@ def groups() -> dict[str, dict[str, Path]]:
 
 def templates() -> dict[str, Path]:
     """Return the files of the templates by name."""
-    return {name: asset(f"{_FOLDER}/templates/{name}.toml") for name in TEMPLATES}
+    return {name: asset_path(f"{_FOLDER}/templates/{name}.toml") for name in TEMPLATES}
 
 
 def find_study(given: str | Path) -> Path:
@@ -82,7 +82,7 @@ def source_name(given: str | Path) -> str:
         given: file, or name of a shipped study, see `find_study`.
     """
     path = find_study(given)
-    return path.stem if path.parent == asset(_FOLDER) else str(path)
+    return path.stem if path.parent == asset_path(_FOLDER) else str(path)
 
 
 def purpose(path: Path) -> str:
@@ -111,14 +111,15 @@ def text_of(name: str) -> str:
     stem = Path(name).stem
     if stem not in known:
         raise InputError(
-            f"{name}: no study of this name (`init --list` shows them){near(stem, known)}"
+            f"{name}: no study of this name (`init --list` shows them)"
+            f"{suggest_closest(stem, known)}"
         )
     return f"{schema_line()}\n{_body(known[stem])}"
 
 
 def schema_line() -> str:
     """Return the first line of a study, with the path of the schema of its keys for editors."""
-    return f"{_SCHEMA} {asset(f'{_FOLDER}/schema.json').as_uri()}"
+    return f"{_SCHEMA} {asset_path(f'{_FOLDER}/schema.json').as_uri()}"
 
 
 def _group(path: Path) -> str:
@@ -182,4 +183,4 @@ def require_shallow(content: Any, source: str | Path) -> None:
 
 def _hint(given: str | Path) -> str:
     """Return a hint at the shipped study with the most similar name; empty without one."""
-    return near(Path(given).stem, studies())
+    return suggest_closest(Path(given).stem, studies())

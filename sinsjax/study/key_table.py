@@ -1,7 +1,7 @@
 """The page of all keys: ``python -m sinsjax.study.key_table > docs/keys.md``."""
 
 from sinsjax.errors import InputError
-from sinsjax.messages import near
+from sinsjax.messages import suggest_closest
 from sinsjax.methods.registry import BROKEN, METHODS, PACKAGES
 from sinsjax.study.keys import KEYS, SWEEPABLE, TABLES, Key
 from sinsjax.value_types import Section
@@ -36,7 +36,7 @@ def find_keys(wanted: str | None = None) -> list[Key]:
     if wanted is not None and wanted not in names:
         if found := [key for key in every if wanted and wanted in key.name]:
             return found
-        hint = near(wanted, sorted({*names, *METHODS}))
+        hint = suggest_closest(wanted, sorted({*names, *METHODS}))
         raise InputError(f"{wanted}: unknown section, key or method{hint or _ALL_KEYS}")
     return [
         key for key in every if wanted in (None, key.section, key.name, f"{key.section}.{key.name}")

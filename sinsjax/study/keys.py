@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from sinsjax.messages import near
+from sinsjax.messages import suggest_closest
 from sinsjax.methods.description import INITIAL_KEYS
 from sinsjax.methods.registry import (
     BROKEN,
@@ -34,7 +34,7 @@ from sinsjax.study.schema import (
     TuneSection,
 )
 from sinsjax.units import split_unit
-from sinsjax.value_types import ActsWhere, KeyInfo, Section, key_info
+from sinsjax.value_types import KeyCondition, KeyInfo, Section, key_info
 
 _BEFORE: dict[str, type[Section]] = {
     "study": StudySection,
@@ -73,7 +73,7 @@ def _join_sections() -> dict[str, type[Section]]:
     known = {key for section in sections for key in section.model_fields}
     for one in [*METHODS.values()]:
         if strange := sorted({*one.reads} - known):
-            hint = near(strange[0], sorted(known))
+            hint = suggest_closest(strange[0], sorted(known))
             why = f"reads: {strange[0]!r} is no key of [alignment] or [passes]{hint}"
             _refuse(one.name, why)
     return _BEFORE | SECTIONS_OF_METHODS | _AFTER
@@ -178,7 +178,7 @@ class Key(NamedTuple):
 
 def unknown_key(key: str, known: Iterable[str]) -> str:
     """Return the error text of an unknown key: its replacement, or the closest known key."""
-    return REPLACED.get(key) or f"unknown key{near(key, known)}"
+    return REPLACED.get(key) or f"unknown key{suggest_closest(key, known)}"
 
 
 def info(key: str) -> KeyInfo:
@@ -216,7 +216,7 @@ def is_chosen(key: str) -> bool:
 
 
 @cache
-def conditions(key: str) -> tuple[ActsWhere, ...]:
+def conditions(key: str) -> tuple[KeyCondition, ...]:
     """Return the conditions under which a key has an effect."""
     section = SECTIONS[SECTION_OF[key]]
     return tuple(condition for condition in section.conditions if key in condition.keys)

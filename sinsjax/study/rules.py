@@ -17,7 +17,7 @@ import numpy as np
 
 from sinsjax import columns
 from sinsjax.errors import ErrorCollector, InputError
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.methods.filters.section import OF_RESETS, OF_SCHEDULES, reset_times
 from sinsjax.methods.registry import METHODS, keys_unread
 from sinsjax.methods.triggers.section import any_trigger
@@ -42,7 +42,7 @@ from sinsjax.study.schema import (
 )
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import wrong_value
-from sinsjax.value_types import ROUNDING, ActsWhere
+from sinsjax.value_types import ROUNDING, KeyCondition
 
 Where = Mapping[str, str]
 """The table, in brackets, that gives, sweeps or draws a key, for each key of a file."""
@@ -328,7 +328,7 @@ def _check_stop(study: Study, where: Where) -> None:
     bands = success.bands(study)
     known = ["success_rate", *(f"{columns.settle_column(band).name}_mean" for band in bands)]
     if study.stop_when.statistic not in known:
-        text = f"'{shortened(study.stop_when.statistic, 60)}' is not one of {', '.join(known)}"
+        text = f"'{shorten(study.stop_when.statistic, 60)}' is not one of {', '.join(known)}"
         _refuse("statistic", where, text)
     if study.stop_when.statistic == "success_rate" and study.stop_when.half_width >= 1:
         _refuse(
@@ -386,7 +386,7 @@ def _check_time(study: Study, where: Where, key: str) -> None:
             _refuse(key, where, f"{text} (give an earlier time, or longer runs)")
 
 
-def _check_unread(study: Study, where: Where, section: str, condition: ActsWhere) -> None:
+def _check_unread(study: Study, where: Where, section: str, condition: KeyCondition) -> None:
     """Refuse values of keys, other than their defaults, that have no effect."""
     for key in condition.keys:
         default: Any = SECTIONS[section].model_fields[key].default

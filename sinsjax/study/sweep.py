@@ -14,7 +14,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from sinsjax.errors import ErrorCollector, InputError
-from sinsjax.messages import explained, index, near, rule
+from sinsjax.messages import describe_rule, explain_error, format_list_index, suggest_closest
 from sinsjax.study.keys import (
     SECTION_OF,
     SECTIONS,
@@ -123,7 +123,7 @@ def check_value(value: Any, key: str, place: str) -> Any:
         return _validator(key)(value)
     except ValidationError as error:
         raise InputError(
-            *(f"{place}{index(one)}: {explained(one)}" for one in errors_of(error))
+            *(f"{place}{format_list_index(one)}: {explain_error(one)}" for one in errors_of(error))
         ) from None
 
 
@@ -134,8 +134,8 @@ def errors_of(error: ValidationError) -> list[ErrorDetails]:
     default that depends on a wrong value.
     """
     errors = [one for one in error.errors() if one["type"] != "default_factory_not_called"]
-    with_entries = {_without_entries(one) for one in errors if index(one)}
-    return [one for one in errors if index(one) or one["loc"] not in with_entries]
+    with_entries = {_without_entries(one) for one in errors if format_list_index(one)}
+    return [one for one in errors if format_list_index(one) or one["loc"] not in with_entries]
 
 
 def _without_entries(error: ErrorDetails) -> tuple[int | str, ...]:
@@ -147,7 +147,7 @@ def wrong_value(value: Any, key: str) -> str | None:
     try:
         _validator(key)(value)
     except ValidationError as error:
-        return rule(error.errors()[0])
+        return describe_rule(error.errors()[0])
     return None
 
 
@@ -276,7 +276,7 @@ def _drawn(tables: TomlTable, taken: Mapping[str, str]) -> DrawnSection | None:
     try:
         return DrawnSection.model_validate(sampling | laws)
     except ValidationError as error:
-        raise InputError(f"[drawn] sampling: {explained(error.errors()[0])}") from None
+        raise InputError(f"[drawn] sampling: {explain_error(error.errors()[0])}") from None
 
 
 def _law(key: str, table: Any) -> Distribution:
@@ -286,7 +286,7 @@ def _law(key: str, table: Any) -> Distribution:
         raise InputError(f"[drawn] {key}: must be a table such as {example}, not {table!r}")
     for name in table:
         if name not in _LAWS:
-            raise InputError(f"[drawn] {key}.{name}: unknown key{near(name, _LAWS)}")
+            raise InputError(f"[drawn] {key}.{name}: unknown key{suggest_closest(name, _LAWS)}")
     if len(table) != 1:
         given = " and ".join(table) or "none"
         raise InputError(f"[drawn] {key}: needs one of {', '.join(_LAWS)}, not {given}")
@@ -298,7 +298,7 @@ def _law(key: str, table: Any) -> Distribution:
         law = Distribution.model_validate({name: value})
     except ValidationError as error:
         first = error.errors()[0]
-        raise InputError(f"{place}{index(first)}: {explained(first)}") from None
+        raise InputError(f"{place}{format_list_index(first)}: {explain_error(first)}") from None
     if name not in ("values", "grid"):
         return law
     return Distribution.model_validate({name: check_values(value, key, place)})
@@ -325,7 +325,7 @@ def _check_sweepable(table: str, key: str, recorded: bool) -> None:
 def _check_drawable(key: str, recorded: bool) -> None:
     section = SECTION_OF.get(key)
     if section is None:
-        reason = f"unknown key{near(key, NUMBERS_DRAWN)}"
+        reason = f"unknown key{suggest_closest(key, NUMBERS_DRAWN)}"
     elif key not in NUMBERS_DRAWN:
         kinds = "latitude_deg, keys of [motion] and [sensors]"
         reason = f"cannot be drawn (possible: {kinds}, {', '.join(INITIAL_NUMBERS)})"
@@ -475,7 +475,7 @@ def _entry(place: str, value: Any, kind_of: Any) -> Range:
         try:
             end = TypeAdapter(kind_of, config=_STRICT).validate_python(value[name])
         except ValidationError as error:
-            raise InputError(f"{place}.{name}: {explained(error.errors()[0])}") from None
+            raise InputError(f"{place}.{name}: {explain_error(error.errors()[0])}") from None
         if kind.is_free:
             _check_end(end, place)
     return kind
@@ -487,14 +487,14 @@ def _range(place: str, key: str | None, value: Any) -> Range:
         raise InputError(f"{place}: must be a table such as {{ low = 0, high = 1 }}, not {value!r}")
     for name in value:
         if name not in _KINDS:
-            raise InputError(f"{place}.{name}: unknown key{near(name, _KINDS)}")
+            raise InputError(f"{place}.{name}: unknown key{suggest_closest(name, _KINDS)}")
     try:
         kind = Range.model_validate(({"scale": "linear"} if "low" in value else {}) | dict(value))
     except ValidationError as error:
         first = error.errors()[0]
         name = first["loc"][0] if first["loc"] else first.get("ctx", {}).get("key")
-        at = f".{name}{index(first)}" if name else ""
-        raise InputError(f"{place}{at}: {explained(first)}") from None
+        at = f".{name}{format_list_index(first)}" if name else ""
+        raise InputError(f"{place}{at}: {explain_error(first)}") from None
     if key is None:
         return kind
     if kind.fixed is not None:

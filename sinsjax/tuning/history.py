@@ -9,11 +9,11 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax.columns import SCHEMA_VERSION, Column, schema
+from sinsjax.columns import SCHEMA_VERSION, Column, arrow_schema
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
 from sinsjax.messages import escape_controls
-from sinsjax.platform.files import replacing
+from sinsjax.platform.files import atomic_write
 from sinsjax.study.keys import TomlTable, meaning
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.search_space import SearchSpace
@@ -132,7 +132,7 @@ def write(directory: Path, study: Study, found: Iterable[Found]) -> None:
         InputError: the file cannot be written.
     """
     table = _table(SearchSpace.from_study(study), found)
-    with replacing(directory / FILE) as file:
+    with atomic_write(directory / FILE) as file:
         file.write(sealed.sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)}))
 
 
@@ -162,7 +162,7 @@ def _table(space: SearchSpace, found: Iterable[Found]) -> pa.Table:
     }
     layout = columns_of(space)
     arrays = [pa.array(columns[column.name], column.dtype) for column in layout]
-    return pa.Table.from_arrays(arrays, schema=schema(layout))
+    return pa.Table.from_arrays(arrays, schema=arrow_schema(layout))
 
 
 def read_history(directory: str | Path) -> pa.Table:

@@ -352,17 +352,20 @@ def test_bench_json_prints_one_object_per_line(
     monkeypatch: pytest.MonkeyPatch, sinsjax: Command
 ) -> None:
     from sinsjax import bench
-    from sinsjax.bench.cases import engine, numpy_baseline, without_noise
+    from sinsjax.bench.cases import engine_workload, numpy_baseline_workload, remove_noise
 
     # The short set itself takes half a minute: `.ci/run` runs it. Here two rows in small.
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]}, study={"draws": 64, "duration_s": 20.0})
     (part,) = build.parts(study)
-    silent = without_noise(part.group)
-    monkeypatch.setattr(bench, "use_one_core", lambda: None)
+    silent = remove_noise(part.group)
+    monkeypatch.setattr(bench, "pin_to_one_core", lambda: None)
     monkeypatch.setattr(
         bench,
-        "short_set",
-        lambda **_: [engine("kalman_shared_record", silent), numpy_baseline(silent)],
+        "short_workloads",
+        lambda **_: [
+            engine_workload("kalman_shared_record", silent),
+            numpy_baseline_workload(silent),
+        ],
     )
     code, told, _ = sinsjax("bench", "--json", "--repeats", 1)
     rows = [json.loads(line) for line in told.splitlines()]

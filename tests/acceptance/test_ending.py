@@ -6,10 +6,10 @@ from pathlib import Path
 
 _REFUSED_WHILE_IMPORTING = """
 import jax.monitoring
-from sinsjax.cli import study
+from sinsjax.cli import running
 
-study._import_while_compiling("slow")
-jax.monitoring.record_event_duration_secs(study._LOWERED, 0.1)
+running._import_while_compiling("slow")
+jax.monitoring.record_event_duration_secs(running._LOWERED, 0.1)
 raise SystemExit(2)
 """
 

@@ -545,10 +545,10 @@ def test_version_and_command_help_are_printed(sinsjax: Command) -> None:
 
 def test_shell_completion_offers_studies_and_keys(sinsjax: Command, tmp_path: Path) -> None:
     (tmp_path / "reset_mine.toml").write_text(tomli_w.dumps({}))
-    names = options.study_names("reset_")
+    names = options.complete_study("reset_")
     assert names == ["reset_mine.toml", "reset_cycle_study", "reset_phase", "reset_sweep"]
-    assert options.sections_and_keys("reset_r") == ["reset_restarts_feedback"]
-    assert options.places("alignment.phi_u") == ["alignment.phi_u0_deg="]
+    assert options.complete_section_or_key("reset_r") == ["reset_restarts_feedback"]
+    assert options.complete_override_key("alignment.phi_u") == ["alignment.phi_u0_deg="]
 
 
 @pytest.mark.slow

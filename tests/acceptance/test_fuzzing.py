@@ -17,7 +17,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import resume
 from sinsjax.execution.source import Source
 from sinsjax.execution.tasks import Job
-from sinsjax.messages import first_line
+from sinsjax.messages import first_error_line
 from sinsjax.records import read_reference
 from sinsjax.study.keys import SECTIONS
 
@@ -125,6 +125,6 @@ def test_overlong_column_names_are_shortened_in_error(tmp_path: Path):
 
 def test_first_line_of_library_error_is_short_and_printable():
     error = OSError("Could not read 'a\x04b\u2028c': " + "x" * 5000 + "\nand more")
-    line = first_line(error)
+    line = first_error_line(error)
     assert line.startswith("Could not read 'a\\x04b c': xxx") and len(line) <= 400
-    assert first_line(OSError("")) == ""
+    assert first_error_line(OSError("")) == ""

@@ -21,7 +21,7 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import resume, run
 from sinsjax.execution.directory import find_manifest
 from sinsjax.execution.tasks import Job
-from sinsjax.messages import one_line
+from sinsjax.messages import to_one_line
 from sinsjax.platform import runtime
 from sinsjax.study.keys import SECTIONS
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml
@@ -90,7 +90,7 @@ def test_long_unknown_name_is_shortened_in_error() -> None:
     for data in ({"x" * 10_000: {}}, BASE | {"study": {"x" * 10_000: 1}}):
         line = refused(data)
         assert " ... " in line and ": unknown " in line
-    assert one_line("a\nb\x1b[2J\u202e") == r"a b\x1b[2J\u202e"
+    assert to_one_line("a\nb\x1b[2J\u202e") == r"a b\x1b[2J\u202e"
 
 
 # --- nesting ----------------------------------------------------------------------------------
@@ -189,7 +189,7 @@ def test_missing_standard_streams_are_no_error(monkeypatch: pytest.MonkeyPatch) 
     """As of a daemon, whose standard streams are None in Python."""
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
-    with pytest.raises(SystemExit) as stop, console.lasting():
+    with pytest.raises(SystemExit) as stop, console.tolerate_broken_pipe():
         print("lost")
         sys.stdout.flush()
     assert stop.value.code == 0
@@ -238,10 +238,10 @@ def test_full_disk_on_standard_output_is_reported_in_one_line(
 
 def test_exit_codes_and_exceptions_pass_through_broken_pipe_guard() -> None:
     for code in (0, 1, 130):
-        with pytest.raises(SystemExit) as stop, console.lasting():
+        with pytest.raises(SystemExit) as stop, console.tolerate_broken_pipe():
             raise SystemExit(code)
         assert stop.value.code == code
-    with pytest.raises(ZeroDivisionError), console.lasting():
+    with pytest.raises(ZeroDivisionError), console.tolerate_broken_pipe():
         print(1 / 0)
 
 
@@ -256,7 +256,7 @@ def test_unavailable_jax_platform_is_reported_in_one_line() -> None:
     )
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert done.stderr.startswith("error: JAX_PLATFORMS=foo: JAX does not start: ")
-    runtime.require_backend()
+    runtime.start_backend()
 
 
 # --- interrupted, and continued -----------------------------------------------------------------

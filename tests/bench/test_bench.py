@@ -15,7 +15,7 @@ from support.studies import small_study
 
 from sinsjax import bench
 from sinsjax.bench import Workload, cases, limit, timing
-from sinsjax.bench.limit import limit_kernel
+from sinsjax.bench.limit import limit_kernel_workload
 from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.platform import xla
@@ -38,18 +38,20 @@ def fake(name, seconds, calls=None, runs=10, steps=100, **more):
 @pytest.fixture
 def quiet(monkeypatch, tmp_path):
     """Nothing of this process is changed, no engine is compiled, temporary files go to tmp_path."""
-    monkeypatch.setattr(bench, "use_one_core", lambda: None)
-    monkeypatch.setattr(bench, "conditions", lambda: HOLDS)
+    monkeypatch.setattr(bench, "pin_to_one_core", lambda: None)
+    monkeypatch.setattr(bench, "measurement_conditions", lambda: HOLDS)
     faked = {name: partial(Workload, name, 1, 1, 0.0, lambda: 1e-6) for name in ROWS}
     monkeypatch.setattr(bench, "SHORT", faked)
-    monkeypatch.setattr(bench, "limit_kernel", partial(limit_kernel, steps=200, vectors=1))
+    monkeypatch.setattr(
+        bench, "limit_kernel_workload", partial(limit_kernel_workload, steps=200, vectors=1)
+    )
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     return monkeypatch
 
 
 def timed(capsys, **choices):
     """The rows of a run, and what it says on stderr."""
-    bench.run(Console(), as_json=True, repeats=2, **choices)
+    bench.run_benchmarks(Console(), as_json=True, repeats=2, **choices)
     told = capsys.readouterr()
     return [json.loads(line) for line in told.out.splitlines()], told.err
 
@@ -64,7 +66,7 @@ def tool(path, script):
 @pytest.fixture
 def gcc():
     try:
-        return limit.compiler()
+        return limit.find_compiler()
     except InputError as error:
         pytest.skip(str(error))
 
@@ -73,7 +75,7 @@ def test_cases_are_timed_in_turns_and_median_is_reported():
     calls: list[str] = []
     slow = fake("slow", [0.004, 0.1, 0.002], calls)
     fast = fake("fast", [0.001, 0.001, 0.003], calls, runs=1, dtype="float32", devices=2)
-    rows = bench.measure([slow, fast], 3)
+    rows = bench.measure_workloads([slow, fast], 3)
     assert calls == ["slow", "fast"] * 3
     assert [row["name"] for row in rows] == ["slow", "fast"]
     assert [row["median_s"] for row in rows] == [0.004, 0.001]
@@ -94,7 +96,7 @@ def test_ratio_is_median_of_per_turn_ratios():
 
 
 def test_conditions_list_machine_and_software():
-    holds = bench.conditions()
+    holds = bench.measurement_conditions()
     machine = "cpu family ghz instructions avx512 cores platform device"
     software = "sinsjax jax jaxlib python options"
     assert list(holds) == f"{machine} {software}".split()
@@ -106,23 +108,23 @@ def test_conditions_list_machine_and_software():
     ("values", "told"),
     [
         ({}, "all"),
-        (dict.fromkeys((option.name for option in xla.wanted()), None), "none"),
-        ({xla.wanted()[0].name: "other"}, None),
+        (dict.fromkeys((option.name for option in xla.required_options()), None), "none"),
+        ({xla.required_options()[0].name: "other"}, None),
     ],
 )
 def test_xla_options_that_are_set_are_summarised(values, told):
-    options = {option.name: option.value for option in xla.wanted()} | values
-    rest = " ".join(option.name.removeprefix("xla_cpu_") for option in xla.wanted()[1:])
-    assert timing._options_set(options) == (told or rest)
+    options = {option.name: option.value for option in xla.required_options()} | values
+    rest = " ".join(option.name.removeprefix("xla_cpu_") for option in xla.required_options()[1:])
+    assert timing._describe_options(options) == (told or rest)
 
 
 @pytest.mark.parametrize("name", ["configs/reset_sweep.toml", "benchmarks/limit_kernel.c"])
 def test_assets_are_found(name):
-    assert bench.asset(name).is_file()
+    assert bench.asset_path(name).is_file()
 
 
 def test_limit_kernel_runs(gcc, tmp_path):
-    case = limit_kernel(gcc, str(tmp_path), steps=200, vectors=1)
+    case = limit_kernel_workload(gcc, str(tmp_path), steps=200, vectors=1)
     assert (case.runs, case.steps) == (8, 200)
     assert case.compile_s > 0
     assert 0 < case.call() < 1
@@ -163,12 +165,12 @@ def test_broken_gcc_warns_and_skips_limit_kernel(quiet, tmp_path, capsys, script
 def test_missing_compiler_options_warn_only_on_cpu(quiet, capsys):
     for platform, warned in (("cpu", True), ("gpu", False)):
         holds = HOLDS | {"platform": platform, "options": "none"}
-        quiet.setattr(bench, "conditions", lambda holds=holds: holds)
+        quiet.setattr(bench, "measurement_conditions", lambda holds=holds: holds)
         assert ("compiler options" in timed(capsys, limit=False)[1]) == warned
 
 
 def test_table_shows_ratio_to_limit_kernel(gcc, quiet, capsys):
-    bench.run(Console(width=80), as_json=False, limit=True, repeats=1)
+    bench.run_benchmarks(Console(width=80), as_json=False, limit=True, repeats=1)
     told = capsys.readouterr().out
     assert "x limit" in told and "1.00" in told and "model X" in told
     assert max(map(len, told.splitlines())) <= 80
@@ -183,13 +185,13 @@ def test_table_shows_ratio_to_limit_kernel(gcc, quiet, capsys):
 )
 def test_failing_compiler_raises_one_line_error(tmp_path, script, why):
     with pytest.raises(InputError) as told:
-        limit_kernel(tool(tmp_path / "gcc", script), str(tmp_path))
+        limit_kernel_workload(tool(tmp_path / "gcc", script), str(tmp_path))
     assert str(told.value) == why
 
 
 def test_missing_compiler_raises_input_error(tmp_path):
     with pytest.raises(InputError, match="^gcc cannot be started: "):
-        limit_kernel(str(tmp_path / "none"), str(tmp_path))
+        limit_kernel_workload(str(tmp_path / "none"), str(tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -197,7 +199,7 @@ def test_missing_compiler_raises_input_error(tmp_path):
     [("import os; os.kill(os.getpid(), 9)", "signal 9"), ("raise SystemExit(2)", "exit status 2")],
 )
 def test_failing_limit_kernel_raises_one_line_error(tmp_path, script, why):
-    case = limit_kernel(tool(tmp_path / "gcc", ""), str(tmp_path))
+    case = limit_kernel_workload(tool(tmp_path / "gcc", ""), str(tmp_path))
     tool(tmp_path / "limit", script)
     with pytest.raises(InputError) as told:
         case.call()
@@ -205,8 +207,8 @@ def test_failing_limit_kernel_raises_one_line_error(tmp_path, script, why):
 
 
 def test_registry_rows_have_their_listed_names(monkeypatch):
-    monkeypatch.setattr(cases, "engine", lambda name, group: fake(name, []))
-    monkeypatch.setattr(cases, "numpy_baseline", lambda group: fake("numpy_baseline", []))
+    monkeypatch.setattr(cases, "engine_workload", lambda name, group: fake(name, []))
+    monkeypatch.setattr(cases, "numpy_baseline_workload", lambda group: fake("numpy_baseline", []))
     assert {name: make().name for name, make in cases.SHORT.items()} == {n: n for n in cases.SHORT}
 
 
@@ -231,7 +233,7 @@ def small_group():
 
 
 def test_some_variants_picks_last_variants_with_enough_draws(small_group):
-    group = cases.some_variants(small_group, 3, runs=1000)
+    group = cases.select_last_variants(small_group, 3, min_runs=1000)
     draws, variants = group.sizes
     assert variants == 3 and draws * variants >= 1000
     assert len(set(group.draws.draw_id.tolist())) == draws == len(group.q)
@@ -239,7 +241,7 @@ def test_some_variants_picks_last_variants_with_enough_draws(small_group):
 
 
 def test_without_noise_removes_only_noise(small_group):
-    quiet = cases.without_noise(small_group)
+    quiet = cases.remove_noise(small_group)
     assert (
         not quiet.environment.errors.gyro_noise.any()
         and not quiet.environment.errors.accel_noise.any()
@@ -257,7 +259,9 @@ def test_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elaps
     wall, cpu = count(0.0), count(0.0, 100.0)
     clocks = SimpleNamespace(perf_counter=lambda: next(wall), process_time=lambda: next(cpu))
     monkeypatch.setattr(cases, "time", clocks)
-    case = cases.engine("x", cases.shortened(small_group, 2), tiles=4, lanes=16, devices=devices)
+    case = cases.engine_workload(
+        "x", cases.shorten_runs(small_group, 2), tiles=4, lanes=16, devices=devices
+    )
     runs = 64 * devices
     assert (case.name, case.runs, case.steps, case.devices) == ("x", runs, 200, devices)
     assert case.compile_s > 0
@@ -266,12 +270,12 @@ def test_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elaps
 
 @pytest.mark.optimised(False)
 def test_idle_lanes_are_not_counted_as_runs(small_group):
-    few = cases.shortened(small_group.some(np.arange(3), np.arange(4)), 2)
-    assert cases.engine("x", few, tiles=4, lanes=16).runs == 3 * 4 < 64
+    few = cases.shorten_runs(small_group.some(np.arange(3), np.arange(4)), 2)
+    assert cases.engine_workload("x", few, tiles=4, lanes=16).runs == 3 * 4 < 64
 
 
 def test_baseline_that_differs_from_engine_is_refused(small_group, monkeypatch):
     wrong = lambda *_: (np.eye(3), np.zeros(5))  # noqa: E731
     monkeypatch.setattr(cases, "align", wrong)
     with pytest.raises(RuntimeError, match="the NumPy baseline and the engine differ"):
-        cases.numpy_baseline(cases.without_noise(small_group))
+        cases.numpy_baseline_workload(cases.remove_noise(small_group))

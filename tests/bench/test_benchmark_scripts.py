@@ -186,7 +186,7 @@ def test_gate_exits_with_worst_status(faked, capsys):
 def test_gate_is_skipped_if_limit_kernel_cannot_be_built(faked, tools, what, answer, why):
     patch, asked = faked
     if what == "gcc":
-        patch.setattr(gate, "compiler", limit.compiler)
+        patch.setattr(gate, "compiler", limit.find_compiler)
         tools(gcc=answer)
     else:
         patch.setattr(gate.platform, what, lambda: answer)

@@ -371,7 +371,7 @@ def test_workers_with_other_package_version_are_refused(
 def test_workers_with_differing_instruction_sets_are_refused(begin: Begin, scheduler: str) -> None:
     begin("worker", scheduler, "--nthreads", "1")
     with cluster.executor(scheduler=scheduler) as executor:
-        assert executor.facts["instructions"] == xla.instructions()
+        assert executor.facts["instructions"] == xla.instruction_set()
     begin("worker", scheduler, "--nthreads", "1", XLA_FLAGS="--xla_cpu_max_isa=SSE4_2")
     with distributed.Client(scheduler, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)

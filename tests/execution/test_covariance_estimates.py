@@ -339,7 +339,7 @@ def test_report_of_estimates_handles_any_axes(
     study_run.run_into(study_of(axes=axes, resets=resets, study=study), tmp_path)
     said = told(tmp_path)
     assert "Every variant" in said and "by covariance analysis" in said
-    assert columns.settle_estimates(10.0)[0].name in read_estimates(tmp_path).column_names
+    assert columns.settle_estimate_columns(10.0)[0].name in read_estimates(tmp_path).column_names
 
 
 def test_run_and_estimate_refuse_study_of_other_kind() -> None:

@@ -97,7 +97,7 @@ def test_world_writable_lock_folder_is_not_used(start: Start, tmp_path: Path) ->
 def test_threads_started_during_pinning_are_pinned_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """By one that has not its core yet, they have not theirs."""
     seen, kept = iter([{1, 2}, {1, 2, 3}, {1, 3, 4}, {1, 3, 4}]), list[int]()
-    monkeypatch.setattr(affinity, "_threads", lambda: next(seen))
+    monkeypatch.setattr(affinity, "_thread_ids", lambda: next(seen))
     monkeypatch.setattr(os, "sched_setaffinity", lambda thread, cores: kept.append(thread))
-    affinity._keep_to(0)
+    affinity._pin_all_threads(0)
     assert sorted(kept) == [1, 2, 3, 4]

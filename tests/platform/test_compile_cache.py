@@ -24,7 +24,7 @@ def unchanged(monkeypatch, tmp_path):
     """What a test sets is undone; the user's cache folder is its own."""
     before = {key: jax.config.values[key] for key in KEYS}
     jax.config.update("jax_compilation_cache_dir", None)
-    monkeypatch.setattr(machine, "cache_folder", lambda: tmp_path / "sinsjax")
+    monkeypatch.setattr(machine, "user_cache_folder", lambda: tmp_path / "sinsjax")
     for variable in (compile_cache.VARIABLE, compile_cache._SIZE):
         monkeypatch.delenv(variable, raising=False)
     yield monkeypatch
@@ -35,7 +35,7 @@ def unchanged(monkeypatch, tmp_path):
 def test_cache_is_off_when_variable_is_zero(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, "0")
     assert compile_cache.enable() is None
-    assert compile_cache.why_off() == "SINSJAX_COMPILE_CACHE=0"
+    assert compile_cache.reason_off() == "SINSJAX_COMPILE_CACHE=0"
     assert jax.config.values["jax_compilation_cache_dir"] is None
     assert not list(tmp_path.iterdir())
 
@@ -54,13 +54,13 @@ def test_cache_is_on_by_default_with_bounded_size(unchanged, tmp_path, asked):
     unchanged.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
     here = compile_cache.enable()
     assert here.parent == tmp_path / "sinsjax" / "compiled"
-    assert jax.config.values["jax_compilation_cache_max_size"] == compile_cache.MOST_BYTES
+    assert jax.config.values["jax_compilation_cache_max_size"] == compile_cache.MAX_BYTES
 
 
 def test_cache_is_off_by_default_with_untested_jaxlib(unchanged, tmp_path):
     unchanged.setattr(compile_cache, "SAFE_JAXLIB", frozenset())
     assert compile_cache.enable() is None
-    assert compile_cache.why_off().startswith("not tested with jaxlib")
+    assert compile_cache.reason_off().startswith("not tested with jaxlib")
     unchanged.setenv(compile_cache.VARIABLE, "1")
     assert compile_cache.enable().is_relative_to(tmp_path)
 
@@ -68,7 +68,7 @@ def test_cache_is_off_by_default_with_untested_jaxlib(unchanged, tmp_path):
 def test_existing_jax_cache_folder_is_kept_by_default(unchanged, tmp_path):
     jax.config.update("jax_compilation_cache_dir", str(tmp_path / "users"))
     assert compile_cache.enable() is None
-    assert compile_cache.why_off() == "JAX already has a compilation cache"
+    assert compile_cache.reason_off() == "JAX already has a compilation cache"
     assert jax.config.values["jax_compilation_cache_dir"] == str(tmp_path / "users")
 
 
@@ -86,7 +86,7 @@ def test_unusable_default_folder_turns_cache_off(unchanged, tmp_path, spoil, tol
     unchanged.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
     spoil(tmp_path)
     assert compile_cache.enable() is None
-    assert compile_cache.why_off().endswith(told)
+    assert compile_cache.reason_off().endswith(told)
     assert jax.config.values["jax_compilation_cache_dir"] is None
 
 
@@ -96,9 +96,9 @@ def test_cache_folder_is_private_and_separate_per_jaxlib_and_cpu(unchanged, tmp_
     assert str(here) == jax.config.values["jax_compilation_cache_dir"]
     assert here.parent == tmp_path / "sinsjax" / "compiled"
     assert all(place.stat().st_mode & 0o077 == 0 for place in (here, here.parent))
-    unchanged.setattr(machine, "cpu", lambda: {"model name": "another", "flags": "avx2"})
+    unchanged.setattr(machine, "cpu_info", lambda: {"model name": "another", "flags": "avx2"})
     other_cpu = compile_cache.enable()
-    unchanged.setattr(machine, "cpu", lambda: {"model name": "another", "flags": "avx512f"})
+    unchanged.setattr(machine, "cpu_info", lambda: {"model name": "another", "flags": "avx512f"})
     other_features = compile_cache.enable()
     unchanged.setattr(compile_cache.importlib.metadata, "version", lambda _: "99.0")
     other_jaxlib = compile_cache.enable()
@@ -232,10 +232,10 @@ def test_simultaneous_first_starts_give_same_result(tmp_path, first):
 def test_old_cache_folders_are_removed(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, "1")
     here = compile_cache.enable()
-    for age in range(compile_cache.MOST_FOLDERS + 3):
+    for age in range(compile_cache.MAX_FOLDERS + 3):
         other = here.with_name(f"jaxlib-0.1-{age:02d}")
         other.mkdir()
         os.utime(other, (1e9 - age, 1e9 - age))
     assert compile_cache.enable() == here
     left = sorted(other.name for other in here.parent.iterdir() if other != here)
-    assert left == [f"jaxlib-0.1-{age:02d}" for age in range(compile_cache.MOST_FOLDERS)]
+    assert left == [f"jaxlib-0.1-{age:02d}" for age in range(compile_cache.MAX_FOLDERS)]

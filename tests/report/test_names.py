@@ -31,7 +31,7 @@ from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.source import Source
 from sinsjax.messages import CONTROL
-from sinsjax.platform.files import file_stem
+from sinsjax.platform.files import safe_file_stem
 from sinsjax.plots import render_png
 from sinsjax.plots.style import with_style
 from sinsjax.report.base import Chapter, Fact, Report, Table, Text, Verdict
@@ -100,7 +100,7 @@ def test_shipped_pages_are_unchanged_by_name_escaping() -> None:
     configs = sorted(root.glob("configs/*.toml"))
     names = [StudyNames.from_study(load_study(path), f"configs/{path.name}") for path in configs]
     assert names and not any(each.texts for each in names)
-    assert all(file_stem(path.stem) == path.stem for path in configs)
+    assert all(safe_file_stem(path.stem) == path.stem for path in configs)
     for page in root.glob("docs/*.md"):
         text = re.sub(r"<!--.*?-->|</?(details|summary)>", "", page.read_text(encoding="utf-8"))
         assert NO_NAMES.to_markdown(text) == text, page.name
@@ -197,7 +197,7 @@ def test_study_file_with_control_characters_in_its_name_is_shown_escaped(
 
 def test_errors_and_warnings_are_one_visible_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert str(InputError("a\nb\x1b[2J\u202e")) == r"a b\x1b[2J\u202e"
-    screen.warn("a\nb\x1b[2J\u202e")
+    screen.print_warning("a\nb\x1b[2J\u202e")
     assert capsys.readouterr().err == "Warning: a\\nb\\x1b[2J\\u202e\n"
 
 
@@ -237,8 +237,8 @@ def test_figure_shows_names_and_decades_without_mathtext() -> None:
 def test_console_output_shows_markup_in_names_literally() -> None:
     file = io.StringIO()
     shown = Console(file=file, width=40)
-    screen.say(shown, "[/b] reset [fast] :smile:")
-    with progress.progress(shown, "[/b] :smile:") as tell:
+    screen.print_line(shown, "[/b] reset [fast] :smile:")
+    with progress.show_progress(shown, "[/b] :smile:") as tell:
         tell(RunProgress(5, 5, 0, 0))
     assert file.getvalue().splitlines() == [
         "[/b] reset [fast] :smile:",

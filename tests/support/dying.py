@@ -43,7 +43,7 @@ def kill() -> None:
 
 
 def arm(killer: Killer, pause_s: float) -> None:
-    """Has every file that `files.replacing` writes pass by the killer, and pauses after a part."""
+    """Make every file of `files.atomic_write` pass the killer, with a pause after each part."""
     rename = Path.replace
 
     class Half(io.BufferedWriter):

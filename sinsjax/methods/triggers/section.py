@@ -7,8 +7,8 @@ from pydantic import Field
 from sinsjax.methods.description import CheckedStudy, StudyView
 from sinsjax.methods.triggers.description import TRIGGERS
 from sinsjax.value_types import (
-    ActsWhere,
     Count,
+    KeyCondition,
     KeyInfo,
     NonNegative,
     Seconds,
@@ -59,8 +59,8 @@ def check_trigger(study: CheckedStudy) -> None:
 class TriggerKeys(Section):
     """The keys of triggers, in the section of the resets that they cause."""
 
-    conditions: ClassVar[tuple[ActsWhere, ...]] = (
-        ActsWhere(_NUMBERS, ("reset_trigger",), has_trigger),
+    conditions: ClassVar[tuple[KeyCondition, ...]] = (
+        KeyCondition(_NUMBERS, ("reset_trigger",), has_trigger),
     )
 
     reset_trigger: TriggerName | None = Field(

@@ -1,4 +1,4 @@
-"""The help of every command as a page: ``python -m sinsjax.cli.page > docs/commands.md``."""
+"""The page of all commands: ``python -m sinsjax.cli.commands_page > docs/commands.md``."""
 
 from typing import Any
 
@@ -7,12 +7,12 @@ import typer
 from sinsjax.cli import app
 
 
-def page() -> str:
+def render_commands_page() -> str:
     """Usage, arguments, options and an example of every command, as Markdown."""
     group: Any = typer.main.get_command(app)
-    panels = group.panels(typer.Context(group))
+    panels = group.commands_by_panel(typer.Context(group))
     commands = {name: command for panel in panels.values() for name, command in panel.items()}
-    about = {name: _about(command) for name, command in commands.items()}
+    about = {name: _summary_and_example(command) for name, command in commands.items()}
     lines = [
         "# Commands",
         "",
@@ -25,31 +25,39 @@ def page() -> str:
         lines += ["", f"**{panel}**", "", "| command | |", "| --- | --- |"]
         lines += [f"| [`{name}`](#{name}) | {about[name][0]} |" for name in here]
     for name, command in commands.items():
-        lines += ["", f"## {name}", "", *_described(name, command, *about[name])]
+        lines += ["", f"## {name}", "", *_command_section(name, command, *about[name])]
     return "\n".join([*lines, ""])
 
 
-def _about(command: Any) -> tuple[str, str]:
+def _summary_and_example(command: Any) -> tuple[str, str]:
     """What the command does, and the example of its docstring."""
     text, _, example = " ".join(command.help.split()).partition(" Example: ")
     return text, example
 
 
-def _described(name: str, command: Any, text: str, example: str) -> list[str]:
+def _command_section(name: str, command: Any, summary: str, example: str) -> list[str]:
     context = typer.Context(command, info_name=name)
     usage = " ".join(["sinsjax", name, *command.collect_usage_pieces(context)])
-    lines = [text, "", "```", usage, "```", ""]
-    records = [record for some in command.help_records(context).values() for record in some]
+    lines = [summary, "", "```", usage, "```", ""]
+    records = [
+        record
+        for records_of_kind in command.help_records(context).values()
+        for record in records_of_kind
+    ]
     lines += ["| | |", "| --- | --- |"]
-    lines += [f"| `{_cell(name)}` | {_cell(told)} |" for name, told in records if name != "--help"]
+    lines += [
+        f"| `{_table_cell(name)}` | {_table_cell(meaning)} |"
+        for name, meaning in records
+        if name != "--help"
+    ]
     if example:
         lines += ["", "For example:", "", "```", *example.split("; "), "```"]
     return lines
 
 
-def _cell(text: str) -> str:
+def _table_cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
 
 
 if __name__ == "__main__":
-    print(page(), end="")
+    print(render_commands_page(), end="")

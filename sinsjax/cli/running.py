@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from sinsjax.console import plain_console, say, warn
+from sinsjax.console import plain_console, print_line, print_warning
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
 
@@ -21,12 +21,12 @@ def run_study(
     changes: list[str] | None = None,
     overwrite: bool,
     devices: int | None,
-    every_curve: bool,
+    keep_curves: bool,
     full: bool = False,
     resume: bool = False,
     chunk_runs: int | None = None,
-    cluster: tuple[int | None, str | None] = (None, None),
-    files: tuple[Path | None, Path | None] = (None, None),
+    workers_and_scheduler: tuple[int | None, str | None] = (None, None),
+    record_and_reference: tuple[Path | None, Path | None] = (None, None),
 ) -> None:
     """Run a study into a directory and print its report.
 
@@ -36,46 +36,48 @@ def run_study(
         changes: of the study, ``section.key=value``.
         overwrite: whether to replace existing results.
         devices: threads that run the compiled program; None for all cores.
-        every_curve: whether to keep the curves of all runs, if they are few.
+        keep_curves: whether to keep the curves of all runs, if they are few.
         full: whether to print all tables.
         resume: whether to complete existing results.
         chunk_runs: runs per chunk; None for the default.
-        cluster: workers to start, and the address of a Dask scheduler.
-        files: record and reference of a recorded study.
+        workers_and_scheduler: workers to start, and the address of a Dask scheduler.
+        record_and_reference: record and reference of a recorded study.
 
     Raises:
         InputError: the study cannot be run with these options.
     """
-    from sinsjax.cli.progress import interruptible, progress
+    from sinsjax.cli.progress import show_progress, stop_on_signal
     from sinsjax.execution import forecast
     from sinsjax.execution.prepare import Options, prepare
     from sinsjax.execution.run import MOST_CURVES, run_job
     from sinsjax.study.changes import parse_changes
 
-    check_options(overwrite=overwrite, resume=resume, devices=devices, workers=cluster[0])
-    configure(devices)
+    check_options(
+        overwrite=overwrite, resume=resume, devices=devices, workers=workers_and_scheduler[0]
+    )
+    configure_jax(devices)
     options = Options(
         directory,
-        most_curves=MOST_CURVES if every_curve else None,
+        most_curves=MOST_CURVES if keep_curves else None,
         chunk_runs=chunk_runs,
         overwrite=overwrite,
         resume=resume,
         source=source_label(config, changes),
     )
-    job = prepare(config, parse_changes(changes or ()), *files, options)
+    job = prepare(config, parse_changes(changes or ()), *record_and_reference, options)
     assert job.directory is not None and job.forecast is not None
     terminal = plain_console()
     done = forecast.runs_done(job.directory) if resume else 0
     with ExitStack() as stack:
-        if cluster[1] is None:
-            cores = devices or cluster[0] or runtime.usable_cores()
+        if workers_and_scheduler[1] is None:
+            cores = devices or workers_and_scheduler[0] or runtime.usable_cores()
             print_job(terminal, job, job.forecast.describe(cores, done))
-        executor = stack.enter_context(_executor(*cluster))
-        if cluster[1] is not None:  # only now it is known how many threads there are
+        executor = stack.enter_context(_open_executor(*workers_and_scheduler))
+        if workers_and_scheduler[1] is not None:  # only now it is known how many threads there are
             threads = executor.facts["threads"]
             print_job(terminal, job, job.forecast.describe(threads, done, threads=True))
-        stop = stack.enter_context(interruptible(terminal))
-        tell = stack.enter_context(progress(terminal, job.study.name))
+        stop = stack.enter_context(stop_on_signal(terminal))
+        tell = stack.enter_context(show_progress(terminal, job.study.name))
         run_job(job, executor=executor, tell=tell, stop=stop)
     import_module("sinsjax.report").print_reports(
         [job.directory], terminal, full=full, warnings_shown=True
@@ -87,11 +89,11 @@ def print_job(terminal: Any, job: Any, plan: str) -> None:
 
     The report's modules will be imported while its first program compiles.
     """
-    say(terminal, f"{plan}.")
+    print_line(terminal, f"{plan}.")
     for line in job.warnings:
-        warn(line)
+        print_warning(line)
     for line in job.notes:
-        say(terminal, line)
+        print_line(terminal, line)
     _import_while_compiling("sinsjax.report")
 
 
@@ -147,13 +149,13 @@ def check_options(
             raise InputError(f"{option}: {count} exceeds the {cores} available cores")
 
 
-def configure(devices: int | None) -> None:
+def configure_jax(devices: int | None) -> None:
     """Configure JAX and start it."""
     runtime.configure(devices)
-    runtime.require_backend()
+    runtime.start_backend()
 
 
-def _import_while_compiling(name: str) -> None:
+def _import_while_compiling(module_name: str) -> None:
     """Import a module while XLA compiles its first program and Python is idle.
 
     The process waits for the thread before it ends: one that Python stops within an extension
@@ -163,7 +165,7 @@ def _import_while_compiling(name: str) -> None:
 
     def load() -> None:
         with suppress(Exception):  # the import by the main thread tells it
-            import_module(name)
+            import_module(module_name)
 
     thread = threading.Thread(target=load, daemon=False)
 
@@ -175,7 +177,7 @@ def _import_while_compiling(name: str) -> None:
     jax.monitoring.register_event_duration_secs_listener(listen)
 
 
-def _executor(workers: int | None, scheduler: str | None) -> Any:
+def _open_executor(workers: int | None, scheduler: str | None) -> Any:
     """A context with the executor of the tasks: Dask workers, or None for this process."""
     if workers is None and scheduler is None:
         return nullcontext()

@@ -10,15 +10,15 @@ from typing import Any
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
-from sinsjax.messages import one_line
+from sinsjax.messages import to_one_line
 
 UsageError: Any = typer.BadParameter.__base__
 """What typer raises for a command line that it cannot read; it has no public name for all kinds."""
 
 
-def wrong_usage(error: Any) -> str:
+def format_usage_error(error: Any) -> str:
     """One line about a `UsageError`: an unknown option, a missing argument, a value of no use."""
-    text = one_line(error.format_message()).rstrip(".")
+    text = to_one_line(error.format_message()).rstrip(".")
     help_ = "" if error.ctx is None else f" (see `{error.ctx.command_path} -h`)"
     return f"{text[:1].lower()}{text[1:]}{help_}"
 
@@ -27,13 +27,13 @@ RUN, LOOK, SET_UP = PANELS = ("Run", "Look", "Set up")
 """Panels of the commands in the help of all: the ``rich_help_panel`` of each."""
 
 
-class Group(TyperGroup):
+class CommandGroup(TyperGroup):
     """The commands, whose help lists them by panel.
 
     Typer draws panels only with markup, which would swallow the name of a section such as [tune].
     """
 
-    def panels(self, ctx: Any) -> dict[str, dict[str, Any]]:
+    def commands_by_panel(self, ctx: Any) -> dict[str, dict[str, Any]]:
         """Return the commands by name in each panel."""
         names = self.list_commands(ctx)
         commands: dict[str, Any] = {name: self.get_command(ctx, name) for name in names}
@@ -44,7 +44,7 @@ class Group(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write each panel with its commands and their first sentences."""
-        for panel, commands in self.panels(ctx).items():
+        for panel, commands in self.commands_by_panel(ctx).items():
             with formatter.section(panel):
                 formatter.write_dl([(k, c.get_short_help_str()) for k, c in commands.items()])
 
@@ -83,7 +83,7 @@ class Command(TyperCommand):
                     formatter.write_dl(records)
 
 
-def command_to_resume() -> str:
+def resume_command_line() -> str:
     """The command line that continues what this one began."""
     words = [word for word in sys.argv[1:] if word not in ("--overwrite", "--resume")]
     return shlex.join(["sinsjax", *words, "--resume"])
