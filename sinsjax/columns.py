@@ -17,7 +17,7 @@ SCHEMA_VERSION = "4"
 """Incremented whenever a column is removed or changes its meaning."""
 
 STATUSES = ("ok", "not_settled", "diverged", "nonfinite", "no_north")
-"""How a run ended: the first that applies; null if there is nothing to judge it from.
+"""Outcomes of a run: the first that applies; null if there is no truth or bias floor.
 
 nonfinite: the last attitude is not finite (detected even without truth). no_north: the run's level
 gyro bias exceeds the level component of Earth rate, which shows north. ok: ``ok_truth`` or
@@ -94,7 +94,7 @@ FLOOR = (
         "bias floor of phi_u under the run's constant biases, without its drift by the up gyro",
     ),
 )
-"""Columns of the bias floor that a heading is judged from."""
+"""Columns of the bias floor, from which a heading may be judged."""
 
 JUDGED = (
     *_misalignment_columns("phi", "window mean of the misalignment", "_mean"),
@@ -122,7 +122,7 @@ JUDGED = (
     ),
     Column("status", _S, "", "ok (see judged_from), not_settled, diverged, no_north or nonfinite"),
 )
-"""Columns of a run's verdict; those that need a truth or reference are null without it."""
+"""Columns that judge a run; those that need a truth or reference are null without it."""
 
 CURVES = (RUN_ID, Column("time_s", _F, "s", "from the start of fine alignment"), *OBSERVED)
 """Columns of the curves dataset."""
@@ -141,10 +141,10 @@ PASSES = (
 
 
 def curve_columns(*, passes: bool, coarse: bool = False) -> tuple[Column, ...]:
-    """Columns of the curves.
+    """Return the columns of the curves.
 
     Args:
-        passes: whether with those of repeated passes.
+        passes: whether to include those of repeated passes.
         coarse: whether runs begin with coarse alignment.
     """
     run_id, time_s, *observed = CURVES
@@ -164,7 +164,7 @@ def settle_column(band_arcmin: float, *, truth: bool = False) -> Column:
 def settle_data_column(band_arcmin: float, *, truth: bool = False) -> Column:
     """The length of data recorded by the settling time of one band.
 
-    Where that is another time, with repeated passes, and where coarse alignment is counted in.
+    It differs from the settling time with repeated passes and with coarse alignment.
     """
     settled = settle_column(band_arcmin, truth=truth).name
     meaning = f"length of data recorded by {settled}; null if never settled"
@@ -172,7 +172,7 @@ def settle_data_column(band_arcmin: float, *, truth: bool = False) -> Column:
 
 
 def report_time_columns(time_s: float) -> tuple[Column, Column, Column]:
-    """Heading error, its sigma and NEES at one of a study's report times."""
+    """Return heading error, its sigma and NEES at one of a study's report times."""
     at = f"{time_s:g}"
     return (
         Column(f"phi_u_at_{at}_arcmin", _F, "arcmin", f"phi_u_arcmin at {at} s of data"),
@@ -184,12 +184,12 @@ def report_time_columns(time_s: float) -> tuple[Column, Column, Column]:
 def estimate_columns(
     bands_arcmin: Iterable[float], time_s: float | None = None, *, floors_vary: bool = False
 ) -> tuple[Column, ...]:
-    """Columns of an estimate at one time: mean and spread of the misalignment, shares in bands.
+    """Return the columns of an estimate at one time: mean and 1 sigma of phi, shares in bands.
 
     Args:
         bands_arcmin: of the heading.
         time_s: from the first sample of data; None for the end.
-        floors_vary: whether draws have bias floors of their own.
+        floors_vary: whether draws have different bias floors.
     """
     at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
     shares = (
@@ -228,7 +228,7 @@ ESTIMATED_CURVES = (
     *_misalignment_columns("true_sigma", "1 sigma of the misalignment about its mean"),
     *_misalignment_columns("sigma", "the filter's own 1 sigma of the misalignment"),
 )
-"""Columns of estimates over time, of which `sinsjax.estimated_curves` makes a table."""
+"""Columns of `sinsjax.estimated_curves`."""
 
 
 INFORMATION_BOUND = (
@@ -264,7 +264,7 @@ FILLED = Column(
     "filled_by_draws",
     pa.bool_(),
     "",
-    "whether nonlinearity exceeds 0.5, so that what is told of phi_u is that of draws",
+    "whether nonlinearity exceeds 0.5, so that the statistics of phi_u are those of draws",
 )
 
 
@@ -296,7 +296,7 @@ def drawn_column(key: str, dimensions: int, meaning: str) -> Column:
 
 @lru_cache(maxsize=8)  # needed for every chunk
 def arrow_schema(columns: tuple[Column, ...]) -> pa.Schema:
-    """Arrow schema with units and meanings as field metadata."""
+    """Return the Arrow schema with units and meanings as field metadata."""
     fields = [
         pa.field(c.name, c.dtype, metadata={"unit": c.unit, "meaning": c.meaning}) for c in columns
     ]

@@ -1,4 +1,4 @@
-"""Terminal output as plain text, without rich's markup, whose failure does not stop the work.
+"""Terminal output as plain text, without rich's markup; failures of output do not stop the work.
 
 The reader may leave early (``| head -1``), and the disk it is redirected to may be full.
 """

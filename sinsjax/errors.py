@@ -40,10 +40,10 @@ class InputError(ValueError):
 
 
 class ErrorCollector:
-    """Collects input errors, so that all of them are reported at once.
+    """Collector of input errors, so that all of them are reported at once.
 
     Attributes:
-        lines: those of the errors so far, without repetition.
+        lines: lines of the errors so far, without repetition.
     """
 
     def __init__(self) -> None:

@@ -29,7 +29,7 @@ Python decodes a byte of a file name that is not UTF-8 to half of a surrogate pa
 def escape_controls(text: str, keep: str = "") -> str:
     r"""Return the text with `CONTROL` characters as escapes such as ``\x1b`` and ``\u202e``.
 
-    All output to a terminal, a page or a figure passes through here, since any of it may hold
+    All output to a terminal, a page or a figure is escaped by this function, since it may contain
     text from a file.
 
     Args:
@@ -73,7 +73,7 @@ def suggest_closest(word: str, known_words: Iterable[str], template: str = "{}")
 
 
 def format_list_index(error: ErrorDetails) -> str:
-    """Position of an error in a list, ``[3]`` or ``[3][0]``; empty if the value is not a list."""
+    """Return the position of an error in a list, ``[3]`` or ``[3][0]``; else an empty string."""
     return "".join(f"[{part}]" for part in error["loc"] if isinstance(part, int))
 
 

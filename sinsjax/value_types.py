@@ -27,14 +27,14 @@ def rule_error(text: str, key: str | None = None) -> PydanticCustomError:
     """The error of a broken rule within a section.
 
     Args:
-        text: what is wrong.
+        text: the message.
         key: the key to name, for a rule about the whole section.
     """
     return PydanticCustomError("invalid", text, {"key": key} if key else None)
 
 
 class KeyInfo(NamedTuple):
-    """What a study file needs to know of a key beyond its type and meaning.
+    """Properties of a study key in addition to its type and meaning.
 
     It is written in the annotation of the key or of its type; the outermost value of each attribute
     counts.
@@ -43,12 +43,12 @@ class KeyInfo(NamedTuple):
         usual: lowest and highest usual value, in the unit of the key; `rules` questions others.
         default: value of a key that a study omits although one of its methods reads it. Not filled
             in if the study gives an alternative key, see `Section.exclusive`.
-        beside: a key without which, or with 'none' as its value, the default is not filled in.
+        beside: a key that must be given, not as 'none', for the default to be filled in.
         same_as: meaning of an omitted key: the value of another key, or a number.
         whole: interval that a time must be a multiple of, to which a search rounds it: 'sample',
             or 'record' interval.
         merged: whether a search merges times of a list that round to the same sample; otherwise it
-            moves them a sample apart.
+            separates them by one sample.
         time: unit of a time within a run, which must not be after its end: 's', or 'pass' for a
             number of passes.
     """
@@ -83,7 +83,7 @@ ROUNDING = 1e-9
 
 
 def key_info(field: FieldInfo) -> KeyInfo:
-    """Return what the annotation of a key says of it, the outermost value of each attribute."""
+    """Return the properties in the annotation of a key, the outermost value of each attribute."""
     given: dict[str, Any] = {}
     for info in _iterate_key_infos([*field.metadata, field.annotation]):
         for name, value in info._asdict().items():

@@ -1,4 +1,4 @@
-"""The short benchmark set: time of the engine's step on one core, in ns per step and run.
+"""The short benchmark set: time of the engine's step on one core, in ns per step per run.
 
 Every row times a compiled function of the engine. The scripts in ``benchmarks/`` time more with the
 same modules: `timing` is the timer, `cases` and `limit` define the workloads.
@@ -86,7 +86,7 @@ def short_workloads(*, limit_folder: str | None) -> list[Workload]:
 
 
 def _results_table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="ns per step and run", box=box.SIMPLE)
+    table = Table(title="ns per step per run", box=box.SIMPLE)
     shown = {
         "name": "name",
         "ns_per_step_run": "ns",

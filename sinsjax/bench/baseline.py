@@ -39,12 +39,12 @@ class AlignmentSettings(NamedTuple):
 
 
 def skew_matrix(v: np.ndarray) -> np.ndarray:
-    """Cross-product matrix of v."""
+    """Return the cross-product matrix of v."""
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
 def rotation_matrix(v: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a rotation vector (Rodrigues)."""
+    """Return the rotation matrix of a rotation vector (Rodrigues)."""
     angle = np.sqrt(v @ v)
     if angle < 1e-12:
         return np.eye(3) + skew_matrix(v)
@@ -93,7 +93,7 @@ def align(
 def compensate_coning_and_sculling(
     increments: np.ndarray, previous: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation vector and velocity increment of a sample with coning and sculling."""
+    """Return rotation vector and velocity increment of a sample with coning and sculling."""
     theta, dv, theta0, dv0 = increments[:3], increments[3:], previous[:3], previous[3:]
     sculling = (np.cross(theta0, dv) + np.cross(dv0, theta)) / 12
     rotation_correction = np.cross(theta, dv) / 2 + np.cross(theta, np.cross(theta, dv)) / 6
@@ -101,7 +101,7 @@ def compensate_coning_and_sculling(
 
 
 def navigation_rate(velocity: np.ndarray, settings: AlignmentSettings) -> np.ndarray:
-    """Rotation rate w_in in n, rad/s."""
+    """Return the rotation rate w_in in n, rad/s."""
     east = velocity[0] / settings.radius
     return np.array(
         [

@@ -57,13 +57,15 @@ def default_group() -> Group:
 
 @cache
 def method_group(name: str) -> Group:
-    """The default sweep with another method, less what that does not read.
+    """The default sweep with another method, without the keys that the method does not read.
 
     A method that no swept key acts on has a single variant a draw, and draws enough for a call.
     """
     data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
     if METHODS[name].gyro_bias_keys:
-        data["study"]["judged_from"] = "truth"  # it estimates what would set a limit
+        data["study"]["judged_from"] = (
+            "truth"  # the method estimates the biases that set a bias floor
+        )
     data["alignment"]["method"] = name
     unread = keys_unread([name]) | {*METHODS[name].silent}
     data = {
@@ -106,7 +108,7 @@ def compass_group(record_s: float | None = None) -> Group:
         for key in keys:
             del data[section][key]
     del data["filter"], data["resets"]
-    data["study"]["judged_from"] = "truth"  # a pass is too short for a limit
+    data["study"]["judged_from"] = "truth"  # a pass is too short for a bias floor
     data["alignment"]["method"] = "compass"
     data["axes"] |= _SIGMAS
     if record_s is not None:
@@ -278,7 +280,7 @@ def _first_run_params(group: Group) -> RunParams:
 
 
 def _check_baseline(group: Group, c_nb: np.ndarray) -> None:
-    """Check that the baseline gives the engine's attitude; otherwise its time is meaningless."""
+    """Check that the baseline reproduces the engine's attitude, or its time is meaningless."""
     static = group.static._replace(records=_BASELINE_SAMPLES // group.static.record_every)
     draw = jax.tree.map(lambda a: np.asarray(a).ravel()[0], group.draws)
     outcome, _ = jax.jit(partial(simulate, static))(

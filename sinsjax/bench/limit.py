@@ -1,4 +1,4 @@
-"""The limit kernel, ``benchmarks/limit_kernel.c``, built for the instruction set in use."""
+"""The limit kernel, a hand-written lower bound of the time: ``benchmarks/limit_kernel.c``."""
 
 import shutil
 import subprocess
@@ -17,7 +17,7 @@ _LEVELS = {"AVX512": "x86-64-v4", "AVX2": "x86-64-v3", "SSE4_2": "x86-64-v2"}
 
 
 def find_compiler() -> str:
-    """Path of gcc, after checking that it builds a working program with the kernel's options.
+    """Return the path of gcc, after building and running a program with the kernel's options.
 
     Raises:
         InputError: gcc is missing, or cannot build a program that runs on this machine.
@@ -36,7 +36,7 @@ def find_compiler() -> str:
 
 
 def _architecture_option() -> str:
-    """Option of gcc for XLA's instruction set, so that the kernel has no more than the engine."""
+    """Return gcc's option for XLA's instruction set, so that kernel and engine use the same."""
     instructions = xla.instruction_set()
     if instructions == machine.instruction_set():
         return "-march=native"

@@ -16,7 +16,7 @@ Row = dict[str, Any]
 
 
 class Workload(NamedTuple):
-    """Something to time.
+    """A function to time.
 
     Attributes:
         name: name of the row.
@@ -37,7 +37,7 @@ class Workload(NamedTuple):
     devices: int = 1
 
     def ns_per_step_run(self, seconds: float) -> float:
-        """The time of a call in ns per step and run."""
+        """The time of a call in ns per step per run."""
         return seconds / (self.runs * self.steps) * 1e9
 
 
@@ -54,7 +54,7 @@ class TimingSpread(NamedTuple):
 
 
 def time_in_turns(workloads: Sequence[Workload], repeats: int) -> list[list[float]]:
-    """Time workloads in turns; gives the times of each workload's calls, s."""
+    """Time workloads in turns, and return the times of each workload's calls, s."""
     seconds: list[list[float]] = [[] for _ in workloads]
     for _ in range(repeats):
         for workload, times_s in zip(workloads, seconds, strict=True):
@@ -79,7 +79,7 @@ def timing_row(workload: Workload, times_s: Sequence[float]) -> Row:
 
 
 def measure_workloads(workloads: Sequence[Workload], repeats: int) -> list[Row]:
-    """Time workloads in turns; gives one row each."""
+    """Time workloads in turns, and return a row for each."""
     seconds = time_in_turns(workloads, repeats)
     return [
         timing_row(workload, times_s) for workload, times_s in zip(workloads, seconds, strict=True)
@@ -89,7 +89,7 @@ def measure_workloads(workloads: Sequence[Workload], repeats: int) -> list[Row]:
 def time_ratios(
     workload: Workload, base: Workload, times_s: Sequence[float], base_times_s: Sequence[float]
 ) -> list[float]:
-    """Ratios of a workload's time per step and run to the base's, turn by turn.
+    """Return the ratios of a workload's time per step per run to the base's, turn by turn.
 
     Args:
         workload: workload to compare.
@@ -113,7 +113,7 @@ def measure_against(base: Workload, workloads: Sequence[Workload], repeats: int)
 
     Returns:
         The base's row, then one per workload with ``ratio``, the median over the turns of the ratio
-        of its time per step and run to the base's, and ``ratio_spread``, half the range.
+        of its time per step per run to the base's, and ``ratio_spread``, half the range.
     """
     first, *others = time_in_turns([base, *workloads], repeats)
     rows = [timing_row(base, first)]
@@ -128,13 +128,13 @@ def ratio_row(workload: Workload, times_s: Sequence[float], ratios_to_base: Sequ
 
 
 def median_and_spread(name: str, values: Sequence[float]) -> Row:
-    """Two entries of a row: the median of some values, and half their range."""
+    """Return two entries of a row: the median of some values, and half their range."""
     found = TimingSpread.from_values(values)
     return {name: round(found.median, 3), f"{name}_spread": round(found.half_range, 3)}
 
 
 def measurement_conditions() -> Row:
-    """Conditions of a measurement; starts JAX.
+    """Return the conditions of a measurement; starts JAX.
 
     Returns:
         ``cpu`` with its ``family`` and ``ghz`` (None if unknown), ``cores`` of the machine,

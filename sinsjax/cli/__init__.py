@@ -288,7 +288,7 @@ def report(
 
 @command(rich_help_panel=LOOK)
 def terms() -> None:
-    """Explain the words of a report."""
+    """Explain the terms of a report."""
     from sinsjax.report import print_terms
 
     print_terms(plain_console())
@@ -342,7 +342,7 @@ def main() -> None:
         try:
             code = app(standalone_mode=False)  # typer itself would print the usage before an error
         except UsageError as error:
-            if len(sys.argv) == 1:  # without a command: the help is what it tells
+            if len(sys.argv) == 1:  # without a command, its help is shown
                 error.show()
             else:
                 print(f"error: {format_usage_error(error)}", file=sys.stderr)

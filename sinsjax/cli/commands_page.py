@@ -8,7 +8,7 @@ from sinsjax.cli import app
 
 
 def render_commands_page() -> str:
-    """Usage, arguments, options and an example of every command, as Markdown."""
+    """Return usage, arguments, options and an example of every command, as Markdown."""
     group: Any = typer.main.get_command(app)
     panels = group.commands_by_panel(typer.Context(group))
     commands = {name: command for panel in panels.values() for name, command in panel.items()}
@@ -30,7 +30,7 @@ def render_commands_page() -> str:
 
 
 def _summary_and_example(command: Any) -> tuple[str, str]:
-    """What the command does, and the example of its docstring."""
+    """Return the summary of a command, and the example of its docstring."""
     text, _, example = " ".join(command.help.split()).partition(" Example: ")
     return text, example
 

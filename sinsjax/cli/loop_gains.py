@@ -1,4 +1,4 @@
-"""Gains of the compass loops from their decay rates, and the roots that they give: a design."""
+"""Design of the compass loops: gains from decay rates, and the resulting roots."""
 
 import math
 
@@ -13,7 +13,7 @@ from sinsjax.report.terminal import print_table
 def gain_tables(
     level_sigma: float, azimuth_sigma: float, damping: float, *, gravity: float, radius: float
 ) -> list[Table]:
-    """Gains and roots of both loops, [P2] eqs (17), (18), (22) and (23).
+    """Return the gains and roots of both loops, [P2] eqs (17), (18), (22) and (23).
 
     Args:
         level_sigma: decay rate of the levelling loop, 1/s.
@@ -57,7 +57,7 @@ def _loop_row(name: str, sigma: float, damping: float, polynomial: np.ndarray) -
 
 
 def _format_roots(polynomial: np.ndarray) -> str:
-    """Return the roots, conjugate pairs together, and how often each occurs."""
+    """Return the roots, conjugate pairs together, with the multiplicity of double ones."""
     found = loops.roots(polynomial)
     size = np.abs(found).max()
     # Double roots are found to half of the digits only.
@@ -72,6 +72,6 @@ def _format_roots(polynomial: np.ndarray) -> str:
 
 
 def print_gains(console: Console, *args: float, **earth: float) -> None:
-    """Print the tables of `gain_tables`, whose arguments it takes."""
+    """Print the tables of `gain_tables`, with its arguments."""
     for table in gain_tables(*args, **earth):
         print_table(table, console)

@@ -20,7 +20,7 @@ def info() -> None:
 
 
 def _plugin_methods() -> dict[str, str]:
-    """Methods that other packages bring, and why some cannot be used."""
+    """Return the methods of other packages, and why some cannot be used."""
     from sinsjax.methods.registry import PACKAGES
     from sinsjax.study.keys import BROKEN
 

@@ -1,4 +1,4 @@
-"""Arguments and options that several commands take, and how a shell completes them."""
+"""Arguments and options shared by several commands, and their shell completion."""
 
 from pathlib import Path
 from typing import Annotated
@@ -30,7 +30,7 @@ def complete_section_or_key(incomplete: str) -> list[str]:
 
 
 def add_draws_override(changes: list[str] | None, draws: int | None) -> list[str] | None:
-    """Changes of a study, with its number of draws where that is given."""
+    """Return the changes of a study, with its number of draws if given."""
     return changes if draws is None else [*(changes or ()), f"study.draws={draws}"]
 
 

@@ -17,7 +17,7 @@ from sinsjax.execution.run import RunProgress, Tell
 
 _PLAIN_EVERY_S = 10.0
 _MEASURED_S = 1.0
-"""Least time after the first chunk to tell a rate from: threads end their first chunks together."""
+"""Least time since the first chunk for a rate: threads end their first chunks together."""
 
 _STOPPING = "Stopping after the running chunks (repeat to abandon them)."
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # batch systems send the second
@@ -27,7 +27,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # batch systems send the second
 def show_progress(console: Console, name: str) -> Iterator[Tell]:
     """A progress bar on a terminal; otherwise a plain line every 10 % of a stage, or every 10 s.
 
-    Both show what is completed, how many per second, the time left and the failures so far.
+    Both show the completed runs, the rate, the time left and the failures so far.
     """
     if not console.is_terminal:
         yield _plain_progress(console, name, _RateMeter())
@@ -78,7 +78,7 @@ def _plain_progress(console: Console, name: str, rate: "_RateMeter") -> Tell:
 
 
 class _RateMeter:
-    """Runs per second since the first chunk finished; the time before is mostly compilation."""
+    """The rate of runs since the first chunk ended; the time before is mostly compilation."""
 
     def __init__(self) -> None:
         self._first: tuple[float, int] | None = None

@@ -73,7 +73,7 @@ def run_study(
             cores = devices or workers_and_scheduler[0] or runtime.usable_cores()
             print_job(terminal, job, job.forecast.describe(cores, done))
         executor = stack.enter_context(_open_executor(*workers_and_scheduler))
-        if workers_and_scheduler[1] is not None:  # only now it is known how many threads there are
+        if workers_and_scheduler[1] is not None:  # the number of threads is known only now
             threads = executor.facts["threads"]
             print_job(terminal, job, job.forecast.describe(threads, done, threads=True))
         stop = stack.enter_context(stop_on_signal(terminal))
@@ -85,7 +85,7 @@ def run_study(
 
 
 def print_job(terminal: Any, job: Any, plan: str) -> None:
-    """Print what a prepared job takes, and its warnings and notes.
+    """Print the plan of a prepared job, its warnings and notes.
 
     The report's modules will be imported while its first program compiles.
     """
@@ -98,13 +98,13 @@ def print_job(terminal: Any, job: Any, plan: str) -> None:
 
 
 def source_label(config: Path, changes: list[str] | None) -> Path | str:
-    """Return words for a study in its results: its file, and what ``--set`` changed."""
+    """Return the label of a study in its results: its file, and its changes by ``--set``."""
     file = config.name if config.is_absolute() else config.as_posix()
     return f"{file} with {', '.join(changes)}" if changes else config
 
 
 def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
-    """Return what a study would run, without running it: runs, steps, time, memory and disk."""
+    """Return the planned runs of a study and their cost: steps, time, memory and disk."""
     from sinsjax.execution import checks
     from sinsjax.execution.prepare import Options, prepare
     from sinsjax.study.changes import parse_changes
@@ -159,12 +159,12 @@ def _import_while_compiling(module_name: str) -> None:
     """Import a module while XLA compiles its first program and Python is idle.
 
     The process waits for the thread before it ends: one that Python stops within an extension
-    module takes the whole process down with "terminate called".
+    module aborts the whole process with "terminate called".
     """
     import jax.monitoring
 
     def load() -> None:
-        with suppress(Exception):  # the import by the main thread tells it
+        with suppress(Exception):  # the import by the main thread reports it
             import_module(module_name)
 
     thread = threading.Thread(target=load, daemon=False)

@@ -134,7 +134,7 @@ def _two_columns(rows: dict[str, str], width: int, column_width: int = 0) -> lis
 
 
 def validate(config: Config, changes: Changes = None) -> None:
-    """Check a study without running it: all of its errors, or what it would run.
+    """Check a study without running it: report every error, or the planned runs and their cost.
 
     Example: sinsjax validate reset_sweep --set study.draws=64
     """
@@ -157,7 +157,7 @@ def keys(
 ) -> None:
     """Explain the keys of a study: name, unit, default, meaning, and the methods that read them.
 
-    A method is explained by its source, the package that brings it, and the keys of its own.
+    For a method: its source, the package that provides it, and its own keys.
 
     Example: sinsjax keys reset_cycle_s
     """

@@ -3,8 +3,8 @@
 XLA sizes its thread pool by the cores available to the process when JAX starts, and threads that
 migrate between cores cost time, so a worker is pinned to a core before: ``SINSJAX_ONE_CORE=1`` in
 its environment makes `runtime.configure` do so. An operating system lock for each core marks it as
-taken and is released when the process ends: restarted workers, and those of several schedulers on
-one machine, find cores of their own.
+occupied and is released when the process ends: restarted workers, and workers of several
+schedulers on one machine, find other cores.
 """
 
 import os
@@ -36,7 +36,7 @@ def pin_to_free_core() -> int | None:
     global _lock
     if _lock is not None or not hasattr(os, "sched_setaffinity"):
         return None
-    import filelock  # here, because importing it takes longer than the rest of this module
+    import filelock  # here, because importing it is slower than the rest of this module
 
     # Where the folder is unsafe or the disk has no locks, running unpinned is not an error.
     with suppress(OSError):

@@ -10,7 +10,7 @@ write there can run code here, so the folder must be this user's alone, see
 JAX writes the access time of an entry after its content, so an entry without one was cut short by a
 full disk or a kill. It would stop all later writing and is removed here. If JAX cannot read another
 entry it warns, "Error reading persistent compilation cache entry", compiles the program again and
-leaves the entry as it is: delete the folder, which `sinsjax info` names.
+does not remove the entry: delete the folder, which `sinsjax info` shows.
 """
 
 import hashlib
@@ -34,7 +34,7 @@ MAX_BYTES = 2**28
 """Size limit of a folder, about a hundred programs; the least recently used are removed first."""
 
 MAX_FOLDERS = 8
-"""Folders of other versions, processors and options that are kept beside the one in use."""
+"""Number of folders of other versions, processors and options that are kept."""
 
 _MIN_COMPILE_S = 0.2
 _SIZE = "JAX_COMPILATION_CACHE_MAX_SIZE"  # JAX's own variable takes precedence over `MAX_BYTES`
@@ -43,7 +43,7 @@ _reason_off = "sinsjax.configure() was not called"
 
 
 def reason_off() -> str:
-    """Why the cache is off, if it is."""
+    """Return the reason why the cache is off."""
     return _reason_off
 
 
@@ -51,7 +51,7 @@ def enable() -> Path | None:
     """Turn JAX's compilation cache on, unless the environment forbids it or it would be unsafe.
 
     Returns:
-        The folder in use, or None; `reason_off` then gives the reason.
+        The folder in use, or None; see `reason_off` then.
 
     Raises:
         InputError: the requested folder cannot be created, or others can write to or replace it.

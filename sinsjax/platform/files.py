@@ -1,4 +1,4 @@
-"""Atomic writing of files, and names for them."""
+"""Atomic writing of files, and file names."""
 
 import errno
 import hashlib
@@ -29,7 +29,7 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
     target = Path(path)
     temporary = target.parent / f".{target.name}.{os.getpid()}.tmp"
     try:
-        temporary.unlink(missing_ok=True)  # of a process that had the same number
+        temporary.unlink(missing_ok=True)  # left by a process with the same number
         with open(temporary, "xb") as file:  # through no link that somebody has put there
             yield file
             file.flush()
@@ -69,10 +69,10 @@ def read_regular_file(path: Path) -> bytes:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those above it, where they are missing.
+    """Create a folder and its missing parents.
 
     Raises:
-        InputError: it cannot be made.
+        InputError: it cannot be created.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -81,14 +81,14 @@ def make_folder(path: Path) -> None:
 
 
 def require_writable(path: Path, option_name: str) -> None:
-    """Refuse a file that cannot be written, before any work goes into it.
+    """Reject a file that cannot be written, before any work is done.
 
     Args:
         path: the file; its folder need not be there yet.
-        option_name: what the message calls it.
+        option_name: the option that named it, for the message.
 
     Raises:
-        InputError: it is a folder, or cannot be made.
+        InputError: it is a folder, or cannot be created.
     """
     if path.is_dir():
         raise InputError(f"{option_name} {path}: is a folder, give the name of a file")
@@ -115,6 +115,6 @@ def _sync_directory(directory: Path) -> None:
 
 
 def safe_file_stem(name: str) -> str:
-    """A name as the beginning of a file's; one that had to change is told from others by digits."""
+    """Return a name as a valid file stem; digits of its hash mark a name that had to change."""
     stem = re.sub(r"[^\w.-]+", "-", name)[:80].strip("-.")
     return stem if stem == name else f"{stem}-{hashlib.sha256(name.encode()).hexdigest()[:6]}"

@@ -45,7 +45,7 @@ def instruction_set(max_isa: str = "") -> str:
 
     Returns:
         ``AVX512``, ``AVX2``, ``AVX`` or ``SSE4_2``, as in that option, ``SVE`` or ``NEON``; the
-        machine type where the system gives no flags. Later x86 extensions are for short integers
+        machine type if the system lists no flags. Later x86 extensions are for short integers
         and half precision and count as AVX-512.
     """
     entries = cpu_info()
@@ -60,7 +60,7 @@ def instruction_set(max_isa: str = "") -> str:
 
 
 def available_memory_bytes() -> float:
-    """Memory available to this process at most; infinite if unknown."""
+    """Return the memory available to this process at most; infinite if unknown."""
     limits = [math.inf]
     with suppress(ValueError, OSError, AttributeError):
         limits.append(float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")))
@@ -71,7 +71,7 @@ def available_memory_bytes() -> float:
 
 
 def free_disk_bytes(folder: Path) -> float:
-    """Free space on the disk of a folder, existing or not; infinite if unknown."""
+    """Return the free space on the disk of a folder, existing or not; infinite if unknown."""
     for there in (folder.absolute(), *folder.absolute().parents):
         with suppress(OSError):
             return float(shutil.disk_usage(there).free)
@@ -79,13 +79,13 @@ def free_disk_bytes(folder: Path) -> float:
 
 
 def user_temporary_folder() -> Path:
-    """This user's folder below the system's temporary one; it may not exist yet."""
+    """Return this user's folder in the system's temporary folder; it may not exist yet."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     return Path(tempfile.gettempdir()) / f"sinsjax-{user}"
 
 
 def user_cache_folder() -> Path:
-    """This user's cache folder; it may not exist yet.
+    """Return this user's cache folder; it may not exist yet.
 
     Raises:
         OSError: the user has no home directory.
@@ -168,7 +168,7 @@ def _has_access_control_list(place: Path) -> bool:
         return False
     try:
         return _ACL in os.listxattr(place, follow_symlinks=False)
-    except OSError:  # a file system without them
+    except OSError:  # a file system without such lists
         return False
 
 

@@ -1,4 +1,4 @@
-"""Configuration of this process (devices, precision, compiler options) and what `info` reports."""
+"""Configuration of this process: devices, precision, compiler options; and its description."""
 
 import functools
 import importlib.metadata
@@ -133,7 +133,7 @@ def start_backend() -> None:
 
 
 def usable_cores() -> int:
-    """Number of cores that this process may run on."""
+    """Return the number of cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -141,7 +141,7 @@ def usable_cores() -> int:
 
 @functools.cache
 def method_entry_points() -> tuple[importlib.metadata.EntryPoint, ...]:
-    """Where other installed packages say that they bring alignment methods, none loaded."""
+    """Return the entry points of alignment methods in installed packages, none loaded."""
     found = importlib.metadata.entry_points(group="sinsjax.methods")
     return tuple(sorted(found, key=lambda point: point.name))
 
@@ -154,7 +154,7 @@ def relevant_versions() -> dict[str, str]:
 
 
 def describe_environment() -> dict[str, Any]:
-    """What may affect the results, for a manifest: versions, machine and XLA options."""
+    """Return the versions, machine and XLA options that may affect results, for a manifest."""
     cpu = machine.cpu_info()
     return {
         "versions": relevant_versions(),
@@ -166,7 +166,7 @@ def describe_environment() -> dict[str, Any]:
 
 
 def info() -> dict[str, Any]:
-    """Versions, devices and options of this process; configures it if necessary, and starts JAX.
+    """Return versions, devices and options of this process; configures it if necessary.
 
     Returns:
         All of `relevant_versions`; ``platform``, ``cpu``; ``instructions``: the set in use;

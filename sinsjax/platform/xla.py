@@ -73,7 +73,7 @@ def is_opted_out() -> bool:
 
 
 def parse_flags(flags: str) -> dict[str, str]:
-    """Every flag and extra option in a value of ``XLA_FLAGS``, by name; the last one wins."""
+    """Return the flags and extra options in a value of ``XLA_FLAGS`` by name; the last one wins."""
     values: dict[str, str] = {}
     for name, quoted in _FLAG.findall(flags):
         value = quoted.strip("\"'")
