@@ -36,11 +36,12 @@ RECORDS, CALLS = 90, 20
 
 _ENGINE = """
 import os, sys
-from sinsjax.bench.timing import use_one_core
-use_one_core()
-from sinsjax.bench.cases import at_rest, default_group, engine, shortened, without_noise
-change = {"shared_record": lambda g: g, "shared_covariance": at_rest}[sys.argv[1]]
-case = engine("x", change(shortened(without_noise(default_group()), int(sys.argv[2]))))
+from sinsjax.bench.timing import pin_to_one_core
+pin_to_one_core()
+from sinsjax.bench.cases import default_group, engine_workload, remove_noise
+from sinsjax.bench.cases import shared_covariance_group, shorten_runs
+change = {"shared_record": lambda g: g, "shared_covariance": shared_covariance_group}[sys.argv[1]]
+case = engine_workload("x", change(shorten_runs(remove_noise(default_group()), int(sys.argv[2]))))
 with open(os.environ["COUNTING"], "w") as counting:
     print("enable", file=counting, flush=True)
     for _ in range(int(sys.argv[3])):

@@ -22,7 +22,7 @@ def command() -> NoReturn:
     except SystemExit as stop:
         code = stop.code
     except KeyboardInterrupt:  # during the import of modules; `main` reports later ones
-        print("interrupted: nothing was begun", file=sys.stderr)
+        print("interrupted: nothing was started", file=sys.stderr)
     for thread in threading.enumerate():
         if thread is not threading.current_thread() and not thread.daemon:
             thread.join()

@@ -90,8 +90,8 @@ def split_into_panels(
         cell = numeric_column(group, _PLACE).astype(np.int64)
         if np.ptp(np.bincount(cell, minlength=np.prod(shape))):
             raise InputError(
-                f"{row_key}, {column_key}: the runs are no full grid of these keys, with as many"
-                " runs in each cell (name the other keys that differ in `by`)"
+                f"{row_key}, {column_key}: the runs form no full grid of these keys with equally"
+                " many runs per cell (name the other varying keys in `by`)"
             )
         order = np.argsort(cell, kind="stable").reshape(np.prod(shape), -1)
         panels.append(Panel(point, group.take(order.T.ravel()), shape))

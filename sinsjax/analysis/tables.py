@@ -145,7 +145,9 @@ def to_arrow_table(runs: Any) -> pa.Table:
         return runs
     if hasattr(runs, "to_numpy") and hasattr(runs, "columns"):
         return pa.Table.from_pandas(runs, preserve_index=False)
-    raise InputError(f"{type(runs).__name__}: is no table (give a pyarrow table or a pandas frame)")
+    raise InputError(
+        f"{type(runs).__name__}: is not a table (give a pyarrow table or a pandas frame)"
+    )
 
 
 def require_column(table: pa.Table, name: str) -> pa.ChunkedArray:

@@ -133,7 +133,9 @@ def sweep(
     if workers is not None and scheduler is not None:
         raise InputError("--workers: conflicts with --scheduler (give one of them)")
     if devices is not None and (workers or scheduler):
-        raise InputError("--devices: conflicts with --workers and --scheduler (one core a worker)")
+        raise InputError(
+            "--devices: conflicts with --workers and --scheduler (one core per worker)"
+        )
     run_study(
         config,
         out,
@@ -356,5 +358,5 @@ def main() -> None:
             print(escape_controls(line), file=sys.stderr)
             raise SystemExit(130) from None
         if code == 130:  # Ctrl-C outside of a study's chunks, which typer turns into this code
-            print("interrupted: what is stored is kept", file=sys.stderr)
+            print("interrupted: stored results are kept", file=sys.stderr)
         raise SystemExit(code)

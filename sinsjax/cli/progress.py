@@ -69,7 +69,7 @@ def _plain_progress(console: Console, name: str, rate: "_RateMeter") -> Tell:
         if not due:
             return
         shown, last = tenth, clock
-        pace_text = " already there" if began else text
+        pace_text = " already done" if began else text
         screen.print_line(
             console, f"{name}: {now.done:,} of {now.total:,} {now.counted}{pace_text}"
         )

@@ -122,7 +122,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
         what = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
     lines = [f"{source_name(config)}: valid; {what}.", *notes]
     if study.is_recorded:
-        return [*lines, "The record determines the rate, and so how long this takes."]
+        return [*lines, "The record determines the rate and the duration."]
     if study.tune:
         job = prepare_tuning(config, overrides, None, None, Options())
     else:
@@ -131,7 +131,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     assert expected is not None
     steps = expected.length_s * study.rate_hz
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
-    lines.append(f"Up to {steps:,.0f} steps a run, {steps * expected.runs:,.0f} in all.")
+    lines.append(f"Up to {steps:,.0f} steps per run, {steps * expected.runs:,.0f} in total.")
     compared = (checks.process_noise(study), checks.feedback(study))
     lines += [f"{line}." for line in compared if line]
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]

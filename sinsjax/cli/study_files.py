@@ -63,7 +63,7 @@ def init(
     if name is None:
         raise InputError("NAME: required (`sinsjax init --list` shows the names)")
     if from_ is not None and name != "record":
-        raise InputError(f"--from: goes with `init record`, not with `init {name}`")
+        raise InputError(f"--from: requires `init record`, not `init {name}`")
     path = out or Path(f"{(from_ or Path(name)).stem}.toml")
     if from_ is None:
         text = files.text_of(name)
@@ -72,14 +72,15 @@ def init(
 
         text = study_text(from_, path)
     if os.path.lexists(path):
-        raise InputError(f"{path}: exists, and is left as it is (give another with --out)")
+        raise InputError(f"{path}: exists, and is not overwritten (give another file with --out)")
     with atomic_write(path) as file:
         file.write(text.encode())
     print_line(console, f"{path} written; `sinsjax validate {path}` checks it.")
     if from_ is not None:
         doubts = text.count(files.DOUBT)
         print_line(
-            console, f"What {from_} cannot tell: {doubts} lines of {path} begin with # DOUBT."
+            console,
+            f"{doubts} lines of {path} begin with # DOUBT: {from_} does not determine them.",
         )
         print_line(console, f"`sinsjax align {from_} {path} -o out` runs it.")
 

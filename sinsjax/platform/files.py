@@ -48,7 +48,7 @@ def read_regular_file(path: Path) -> bytes:
 
     Raises:
         FileNotFoundError: there is no such file.
-        InputError: it is no regular file, too large, or cannot be read.
+        InputError: it is not a regular file, too large, or cannot be read.
     """
     try:
         # Without waiting for the writer of a named pipe.
@@ -56,7 +56,7 @@ def read_regular_file(path: Path) -> bytes:
         with open(handle, "rb") as file:
             about = os.fstat(file.fileno())
             if not stat.S_ISREG(about.st_mode):
-                raise InputError(f"{path}: is no regular file (remove it)")
+                raise InputError(f"{path}: is not a regular file (remove it)")
             if about.st_size > MAX_BYTES:
                 raise InputError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
             return file.read()
@@ -95,7 +95,7 @@ def require_writable(path: Path, option_name: str) -> None:
     folder = next(one for one in path.absolute().parents if one.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise InputError(
-            f"{option_name} {path}: cannot be written: no folder can be written at {folder}"
+            f"{option_name} {path}: cannot be written: {folder} is not a writable folder"
         )
 
 

@@ -72,7 +72,7 @@ def plot_map(
         hatch_name: meaning of the hatch, for the legend.
 
     Raises:
-        InputError: no table, no runs, a missing column, or runs that are no full grid of the keys.
+        InputError: no table, no runs, a missing column, or runs that form no full grid of the keys.
 
     Examples:
         >>> import pyarrow as pa

@@ -52,7 +52,7 @@ def print_reports(
 
     Raises:
         InputError: a directory holds no usable results, or cannot be written; or
-            a report that fails otherwise. The results are as they were then.
+            a report that fails otherwise. The results are then unchanged.
     """
     try:
         _print_reports(directories, console, page, html, full=full, warnings_shown=warnings_shown)
@@ -61,7 +61,7 @@ def print_reports(
     except Exception as error:
         where = ", ".join(map(str, directories))
         what = shorten(" ".join(f"{type(error).__name__}: {error}".split()))
-        text = f"{where}: the report failed, the results are as they were ({what})"
+        text = f"{where}: the report failed, the results are unchanged ({what})"
         raise InputError(text) from error
 
 
@@ -106,7 +106,7 @@ def _print_reports(
     names = list(dict.fromkeys(drawn.source.study.name for drawn in reports))
     *_, last = reports
     words = load_template("terms.md.j2").render().rstrip()
-    sections = [*last.report.sections, Chapter("What the words mean", [Text(words)])]
+    sections = [*last.report.sections, Chapter("Terms", [Text(words)])]
     reports[-1] = last._replace(report=last.report._replace(sections=sections))
     if page is not None:
         write_markdown_page(page, ", ".join(names), reports)

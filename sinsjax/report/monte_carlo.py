@@ -205,7 +205,7 @@ def _all_tables(source: Source) -> Sequence[Block]:
         tables = [heading_error_table(source, keys, title), every, *_drawn_key_tables(source, keys)]
         compared = study.n_variants > 1 and source.draws > 1
         return [*tables, first_variant_comparison_table(source)] if compared else tables
-    pooling_note = f"{study.n_variants:,} variants: each table takes one key and pools the others."
+    pooling_note = f"{study.n_variants:,} variants: each table has one key and pools the others."
     headings = (heading_error_table(source, [key], f"{title}, by {key}") for key in keys)
     by_key = (statistics_table(source, [key], f"By {key}", note=note) for key in keys)
     return [Text(pooling_note), *headings, *by_key, *_drawn_key_tables(source, keys)]

@@ -65,7 +65,7 @@ class Sources(dict[str, Source]):
     def __missing__(self, name: str) -> Source:
         """Report that the results of a study were not given."""
         given = ", ".join(self) or "none"
-        raise InputError(f"the page needs results of {name}: add their directory ({given})")
+        raise InputError(f"the page needs results of {name}: add their directory (given: {given})")
 
 
 class _TrackedValue:
@@ -101,8 +101,8 @@ def load_script(folder: Path) -> ModuleType:
         InputError: the folder lacks the script or the prose.
     """
     if missing := [name for name in (SCRIPT_FILE, PROSE_FILE) if not (folder / name).is_file()]:
-        problem = f"holds no {missing[0]}, so that it is no folder of a page"
-        raise InputError(f"{folder}: {problem} (--page takes one, or a file)")
+        problem = f"has no {missing[0]}, so it is not the folder of a page"
+        raise InputError(f"{folder}: {problem} (give --page such a folder, or a file)")
     parent = str(folder.resolve().parent)
     known = sys.modules.get(_PACKAGE)
     if known is None or list(known.__path__) != [parent]:
@@ -137,9 +137,7 @@ def render_prose(folder: Path, page: Page, *, enforce_claims: bool = True) -> st
 
     def claim(text: str) -> str:
         if text not in page.claims:
-            raise InputError(
-                f"{folder / PROSE_FILE}: {SCRIPT_FILE} does not say whether {text!r} is so"
-            )
+            raise InputError(f"{folder / PROSE_FILE}: {SCRIPT_FILE} has no claim {text!r}")
         unused.discard(f"claim {text!r}")
         return ""
 
@@ -157,10 +155,12 @@ def render_prose(folder: Path, page: Page, *, enforce_claims: bool = True) -> st
     except TemplateError as error:
         raise InputError(f"{folder / PROSE_FILE}: {error}") from error
     if unused:
-        raise InputError(f"{folder / PROSE_FILE}: no sentence names {', '.join(sorted(unused))}")
+        raise InputError(
+            f"{folder / PROSE_FILE}: the prose does not use {', '.join(sorted(unused))}"
+        )
     wrong = [text for text, holds in page.claims.items() if not holds]
     if enforce_claims and wrong:
-        raise InputError(f"{folder / PROSE_FILE}: not so in these results: {'; '.join(wrong)}")
+        raise InputError(f"{folder / PROSE_FILE}: false in these results: {'; '.join(wrong)}")
     return text
 
 

@@ -34,8 +34,8 @@ def build_report(source: Source) -> Report:
     variants = tuning.runs.shape[1]
     each = f" × {variants} variants" if variants > 1 else ""
     parts: dict[str, Sequence[Block]] = {
-        "What was found": [_candidate_table(tuning)],
-        "How it was found": pictures,
+        "Candidates": [_candidate_table(tuning)],
+        "Searches": pictures,
     }
     rests_on = f"{tuning.study.name}: {_describe_tuning_draws(tuning)}{each} a point"
     return Report.from_parts(_tuning_verdict(tuning), parts, rests_on)
@@ -105,7 +105,7 @@ def _gradient_fact(tuning: Tuning) -> Iterator[Fact]:
     """The gradient compared with the best of the other searches."""
     if GRADIENT in tuning.found and tuning.rival != GRADIENT:
         difference = tuning.difference(GRADIENT)
-        lower = "better than" if difference.high < 0 else "as good as far as these draws show as"
+        lower = "better than" if difference.high < 0 else "not significantly different from"
         verdict = "worse than" if difference.low > 0 else lower
         share = _format_percent(tuning.found[GRADIENT].cost / tuning.found[tuning.rival].cost)
         text = f"{verdict} the {SEARCHES.get(tuning.rival, tuning.rival)}, at {share} of its cost"
@@ -125,14 +125,14 @@ def _caution_facts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
         text = render_sentence("all_points_fail", words=judged.words, from_truth=judged.truth)
         yield Fact("Caution", text, True)
     elif not gain.high < 0 and not tuning.study.is_recorded:
-        yield Fact("Caution", "not better than the start as far as these draws show", True)
+        yield Fact("Caution", "not significantly better than the start", True)
     if tuning.study.is_recorded:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)
     ends = [
         f"{v.name} = {format_value(value)}" for v, value in tuning.on_bounds.get(tuning.best, ())
     ]
     if ends:
-        text = f"{', '.join(ends)}: the end of the range, a better value may lie beyond"
+        text = f"{', '.join(ends)}: at the end of the range, a better value may lie beyond"
         yield Fact("Caution", text, True)
 
 

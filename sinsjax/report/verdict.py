@@ -200,7 +200,7 @@ def q_caution(source: Source) -> Iterator[Fact]:
         yield Fact(
             "Caution",
             f"{which} is {float(f'{most:.2g}'):,g} times the sensors' noise (sigma): a schedule"
-            " that repairs a mistuned filter is not advice (leave Q's keys out)",
+            " that repairs a mistuned filter is no recommendation (omit the keys of Q)",
             True,
         )
 
@@ -296,8 +296,8 @@ def _basis_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     names = outcome.choices.options
     text = f"{draws}{' (few)' if draws < MIN_DRAWS_FOR_INTERVALS else ''}"
     if len(names) > 1 and draws >= MIN_DRAWS_TO_SPLIT:
-        text += ": each half judged what the other half chose"
-        text += ", not the same" if len({*best.option_per_draw[:2]}) > 1 else ""
+        text += ": each half evaluates the choice of the other"
+        text += ", and they chose differently" if len({*best.option_per_draw[:2]}) > 1 else ""
     yield Fact("Starts" if study.is_recorded else "Draws", text)
     if study.stop_when and outcome.source.whole_draws is None:
         rows = outcome.source.rows(stopping.columns(study))
@@ -311,12 +311,8 @@ def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     several = len(outcome.choices.options) > 1
     unit = "start time" if study.is_recorded else "draw"
     if several and draws < MIN_DRAWS_TO_SPLIT:
-        pronoun = "it" if draws == 1 else "them"
-        yield Fact(
-            "Caution",
-            f"only {format_count(draws, unit)}: chosen and judged on {pronoun} alike",
-            True,
-        )
+        text = f"only {format_count(draws, unit)}: no other {unit}s evaluate the choice"
+        yield Fact("Caution", text, True)
     if study.is_recorded:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)
     best = outcome.overall_choice

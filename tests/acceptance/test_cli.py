@@ -176,14 +176,14 @@ def test_resume_computes_only_missing_runs(sinsjax: Command, tmp_path: Path) -> 
     lost.unlink()
     code, told, _ = sinsjax(*words)
     assert code == 0 and "nothing to resume" not in told
-    assert "study: 72 of 200 runs already there" in told
+    assert "study: 72 of 200 runs already done" in told
     assert "study: 200 of 200 runs" in told
     assert {k: v[0] for k, v in everything(out).items() if "summary" in k} == {
         k: v[0] for k, v in before.items() if "summary" in k
     }
     assert kept[0].stat().st_mtime_ns == before[str(kept[0].relative_to(out))][1]
     code, told, _ = sinsjax(*words)
-    assert code == 0 and "study: 200 of 200 runs already there" in told
+    assert code == 0 and "study: 200 of 200 runs already done" in told
     assert "study: 200 runs in" in told
 
 
@@ -241,7 +241,7 @@ def test_resume_and_rerun_of_recorded_study_require_same_record(
     assert_refused(told, tmp_path / "none", str(out), "another record")
     assert everything(out) == before
     code, told, _ = sinsjax("align", path, config, "-o", out, "--resume")
-    assert code == 0 and "2 of 2 runs already there" in told
+    assert code == 0 and "2 of 2 runs already done" in told
     code, told, _ = sinsjax("rerun", out, "--run-id", 1, "--record", path)
     assert code == 0 and "identical to the stored one" in told
 

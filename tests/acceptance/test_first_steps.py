@@ -193,7 +193,7 @@ def test_study_file_is_written_whole_or_not_at_all(
     Path("dangling.toml").symlink_to("nowhere")
     for name in ("sweep", "dangling"):
         code, _, error = sinsjax("init", "sweep", "-o", f"{name}.toml")
-        assert code == 2 and error.startswith(f"error: {name}.toml: exists, and is left as it is")
+        assert code == 2 and error.startswith(f"error: {name}.toml: exists, and is not overwritten")
     assert Path("sweep.toml").read_bytes() == written and not Path("nowhere").exists()
 
 
@@ -401,7 +401,7 @@ def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
     code, told, _ = sinsjax("validate", "reset_sweep", "--set", "alignment.phi_u0_deg=12")
     assert code == 0 and "variants: 56, draws: 16." in told
     assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
-    assert "Up to 90,000 steps a run, 80,640,000 in all." in told
+    assert "Up to 90,000 steps per run, 80,640,000 in total." in told
     assert "The filter assumes 100 times the sensors' noise, in standard deviation." in told
     assert "The filter feeds back every 1 s; its level settles in 0.89 s (to a tenth" in told
 

@@ -285,7 +285,7 @@ def test_keyboard_interrupt_outside_runs_is_reported_in_one_line(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("sinsjax.execution.prepare.load_with_notes", interrupted)
-    told = "interrupted: what is stored is kept\n"
+    told = "interrupted: stored results are kept\n"
     assert sinsjax("sweep", "reset_sweep", "-o", tmp_path / "out") == (130, told)
 
 

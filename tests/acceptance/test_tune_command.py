@@ -168,7 +168,7 @@ def test_report_flags_values_at_range_bounds(made: Path) -> None:
         assert bounds[name] == there
     made_report = tuning_report.build_report(results.read(made))
     cautions = [fact.text for fact in made_report.verdict.facts if fact.is_caution]
-    assert any("the end of the range" in text for text in cautions) == bool(bounds[tuning.best])
+    assert any("at the end of the range" in text for text in cautions) == bool(bounds[tuning.best])
     (table,) = (b for one in made_report.sections for b in one.blocks if b[0] == CANDIDATES)
     cells = [cell for row in table.rows for cell in row]
     assert any("(bound)" in cell for cell in cells) == any(bounds.values())

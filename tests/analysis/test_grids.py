@@ -28,7 +28,7 @@ def test_panels_hold_each_run_at_its_keys_in_order_of_draws():
 
 def test_runs_that_are_no_full_grid_are_refused():
     table = pa.table({"a": [1, 1, 2], "b": [1, 2, 1]})
-    with pytest.raises(InputError, match="a, b: the runs are no full grid of these keys"):
+    with pytest.raises(InputError, match="a, b: the runs form no full grid of these keys"):
         split_into_panels(table, "a", "b")
 
 

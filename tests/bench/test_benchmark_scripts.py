@@ -148,9 +148,9 @@ def faked(monkeypatch):
         return found | {"kernel_ns": 10.0}
 
     monkeypatch.setattr(gate, "measured", row)
-    monkeypatch.setattr(gate, "compiler", lambda: "gcc")
+    monkeypatch.setattr(gate, "find_compiler", lambda: "gcc")
     monkeypatch.setattr(gate.platform, "machine", lambda: "x86_64")
-    monkeypatch.setattr(gate.machine, "instructions", lambda limit="": "AVX512")
+    monkeypatch.setattr(gate.machine, "instruction_set", lambda limit="": "AVX512")
     return monkeypatch, asked
 
 
@@ -160,7 +160,7 @@ def test_gate_measures_each_available_instruction_set(faked, capsys):
     assert asked == ["AVX512", "AVX2"]
     assert "ratios of 7 pairs: 1.40, 1.42, 1.45; median 1.42" in capsys.readouterr().out
     for largest in ("AVX2", "SSE4_2"):
-        patch.setattr(gate.machine, "instructions", lambda limit="", largest=largest: largest)
+        patch.setattr(gate.machine, "instruction_set", lambda limit="", largest=largest: largest)
         assert [verdict.status for verdict in gate.gate()] == [1]
     assert asked[2:] == ["AVX2", "SSE4_2"]
 
@@ -186,7 +186,7 @@ def test_gate_exits_with_worst_status(faked, capsys):
 def test_gate_is_skipped_if_limit_kernel_cannot_be_built(faked, tools, what, answer, why):
     patch, asked = faked
     if what == "gcc":
-        patch.setattr(gate, "compiler", limit.find_compiler)
+        patch.setattr(gate, "find_compiler", limit.find_compiler)
         tools(gcc=answer)
     else:
         patch.setattr(gate.platform, what, lambda: answer)
@@ -223,9 +223,9 @@ def tools(monkeypatch, tmp_path):
 
 @pytest.fixture
 def unpinned(monkeypatch):
-    monkeypatch.setattr(common, "use_one_core", lambda: None)
+    monkeypatch.setattr(common, "pin_to_one_core", lambda: None)
     monkeypatch.setattr(common.runtime, "configure", lambda: None)
-    monkeypatch.setattr(common, "conditions", lambda: HOLDS)
+    monkeypatch.setattr(common, "measurement_conditions", lambda: HOLDS)
 
 
 def test_script_passes_flags_on_and_adds_conditions_to_rows(unpinned, capsys):
@@ -363,15 +363,15 @@ PERFS = {
 
 @pytest.mark.parametrize(("script", "why"), PERFS.items())
 def test_perf_that_cannot_count_gives_warning_and_no_rows(monkeypatch, tools, capsys, script, why):
-    monkeypatch.setattr(instructions.machine, "cpu", lambda: {"vendor_id": "AuthenticAMD"})
-    monkeypatch.setattr(instructions, "compiler", lambda: "gcc")
+    monkeypatch.setattr(instructions.machine, "cpu_info", lambda: {"vendor_id": "AuthenticAMD"})
+    monkeypatch.setattr(instructions, "find_compiler", lambda: "gcc")
     tools(perf=script)
     assert instructions.rows(True, 1) == []
     assert capsys.readouterr().err == f"warning: nothing is counted: {why}\n"
 
 
 def test_unknown_cpu_vendor_gives_warning_and_no_rows(monkeypatch, capsys):
-    monkeypatch.setattr(instructions.machine, "cpu", dict)
+    monkeypatch.setattr(instructions.machine, "cpu_info", dict)
     assert instructions.rows(True, 1) == []
     expected = "warning: nothing is counted: only the counters of AMD and Intel are known\n"
     assert capsys.readouterr().err == expected

@@ -87,7 +87,7 @@ def test_stored_runs_are_reported_and_excluded_from_pace(clock: Clock) -> None:
         clock.now += 5.0
         tell(RunProgress(1000, 1000, 2, 900))
     assert file.getvalue().splitlines() == [
-        "swing: 900 of 1,000 runs already there",
+        "swing: 900 of 1,000 runs already done",
         "swing: 1,000 of 1,000 runs, 10 runs/s, 0:00 left, 2 failed",
     ]
 
@@ -110,7 +110,7 @@ def test_complete_study_prints_one_progress_line(clock: Clock) -> None:
     screen, file = plain()
     with progress.show_progress(screen, "swing") as tell:
         tell(RunProgress(1000, 1000, 0, 1000))
-    assert file.getvalue() == "swing: 1,000 of 1,000 runs already there\n"
+    assert file.getvalue() == "swing: 1,000 of 1,000 runs already done\n"
 
 
 def test_terminal_shows_progress_bar_with_pace_and_failures(clock: Clock) -> None:

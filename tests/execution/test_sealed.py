@@ -62,7 +62,11 @@ def test_nothing_is_read_through_links_or_pipes(tmp_path) -> None:
     link.symlink_to(file)
     os.mkfifo(pipe)
     assert files.read_regular_file(file) == b"content"
-    for path, why in ((link, "is a symbolic link"), (pipe, "is no regular file"), (tmp_path, "")):
+    for path, why in (
+        (link, "is a symbolic link"),
+        (pipe, "is not a regular file"),
+        (tmp_path, ""),
+    ):
         with pytest.raises(InputError, match=f"{path.name}: {why}"):
             files.read_regular_file(path)
     with pytest.raises(FileNotFoundError):

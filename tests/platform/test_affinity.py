@@ -24,7 +24,7 @@ if {bare}:  # the module alone, without jax: quicker
     package.__path__ = [{path!r}]
     sys.modules["sinsjax"] = package
     from sinsjax.platform import affinity
-    affinity.apply()
+    affinity.pin_if_requested()
 else:
     import jax, sinsjax
     sinsjax.configure()

@@ -149,7 +149,7 @@ def test_cache_folder_that_cannot_be_created_raises_input_error(unchanged, tmp_p
 SCRIPT = """
 import jax, jax.numpy as jnp, sinsjax
 from sinsjax.platform import compile_cache
-compile_cache._WORTH_KEEPING_S = 0
+compile_cache._MIN_COMPILE_S = 0
 sinsjax.configure(devices=1)
 hits = []
 jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))

@@ -79,7 +79,7 @@ names = [module.name for module in pkgutil.walk_packages(sinsjax.__path__, "sins
 for name in names:
     if not name.endswith("__main__"):
         importlib.import_module(name)
-        assert not xla.backend_started(), name
+        assert not xla.has_backend_started(), name
 assert len(names) > 100
 """)
 

@@ -190,7 +190,7 @@ def test_invalid_flag_value_does_not_compile():
 
 
 def test_instruction_set_in_use_follows_xla_flags(monkeypatch, tmp_path):
-    monkeypatch.setattr(xla.machine, "instructions", lambda limit: limit)
+    monkeypatch.setattr(xla.machine, "instruction_set", lambda limit: limit)
     monkeypatch.delenv("XLA_FLAGS", raising=False)
     assert xla.instruction_set() == ""
     monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_max_isa=AVX --xla_cpu_max_isa=AVX2")

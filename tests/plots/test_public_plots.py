@@ -142,7 +142,7 @@ def test_map_does_not_depend_on_order_of_rows():
         (runs().slice(0, 5), "no full grid of these keys"),
         (runs().slice(0, 0), "there are no runs"),
         (runs().drop_columns(["settle_10_s"]), "column settle_10_s is missing"),
-        ([1, 2], "list: is no table"),
+        ([1, 2], "list: is not a table"),
     ],
 )
 def test_map_of_unusable_runs_is_refused(table, line):

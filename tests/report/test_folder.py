@@ -94,11 +94,14 @@ def test_page_shows_doctored_config_and_version_literally(page_of, results, tmp_
     [
         (PROSE.replace("best.settle", "best.setle"), "no attribute 'setle'"),
         (PROSE.replace("{{ runs }}", "{{ rans }}"), "'rans' is undefined"),
-        (PROSE.replace("{{ best.items }}", ""), "no sentence names best.items"),
-        (PROSE.replace("{{ figures.map }}", ""), "no sentence names figures.map"),
-        (PROSE.replace("{{ tables.all }}", ""), "no sentence names tables.all"),
-        (PROSE.replace('{{ claim("there are runs") }}', ""), "no sentence names claim 'there are"),
-        (PROSE.replace("there are", "there were"), "does not say whether 'there were runs' is so"),
+        (PROSE.replace("{{ best.items }}", ""), "the prose does not use best.items"),
+        (PROSE.replace("{{ figures.map }}", ""), "the prose does not use figures.map"),
+        (PROSE.replace("{{ tables.all }}", ""), "the prose does not use tables.all"),
+        (
+            PROSE.replace('{{ claim("there are runs") }}', ""),
+            "the prose does not use claim 'there are",
+        ),
+        (PROSE.replace("there are", "there were"), "has no claim 'there were runs'"),
         (PROSE.replace("{{ runs }}", "{{ runs"), "page.md.j2"),
     ],
 )
@@ -110,7 +113,7 @@ def test_unused_or_undefined_names_in_prose_are_refused(page_of, results, prose,
 
 def test_false_claim_in_page_is_reported(page_of, results):
     script = SCRIPT.replace("runs > 0", "runs > 3")
-    with pytest.raises(InputError, match="not so in these results: there are runs"):
+    with pytest.raises(InputError, match="false in these results: there are runs"):
         told(results, page=page_of(script=script))
 
 
@@ -121,7 +124,7 @@ def test_missing_results_of_page_are_reported(page_of, tmp_path):
 
 
 def test_folder_without_page_script_is_refused(results, tmp_path):
-    with pytest.raises(InputError, match=r"holds no page.py, .* a page \(--page takes"):
+    with pytest.raises(InputError, match=r"has no page.py, .* a page \(give --page"):
         told(results, page=tmp_path)
 
 

@@ -50,8 +50,8 @@ def test_tables_section_explains_how_duplicate_variants_count(source: Source) ->
         one for one in monte_carlo.build_report(source).sections if one.heading == "Tables"
     )
     assert chapter.blocks[0] == Text(
-        "2 of the 6 variants repeat another one, because reset_cycle_s does not act there. All"
-        " numbers here count repeated variants once: 12 of 18 runs. The Parquet files list all."
+        "2 of the 6 variants repeat another one, because reset_cycle_s has no effect there. All"
+        " numbers here count repeated variants once: 12 of 18 runs. The Parquet files contain all."
     )
 
 

@@ -138,7 +138,7 @@ def test_verdict_names_best_schedule_its_rivals_and_each_condition() -> None:
         f" after {analysis.format_estimate(mean, 's', 0)} on average"
     )
     assert told["Others"].startswith("1 reset at 2 s: 68 [") and "no reset: 33 [" in told["Others"]
-    assert told["Draws"] == "16: each half judged what the other half chose"
+    assert told["Draws"] == "16: each half evaluates the choice of the other"
     assert told["Success"] == "100 [79, 100] % within 10' of true north"
     assert found.title == "sweep: 288 runs (240 distinct), none failed"
     table = found.table
@@ -155,7 +155,7 @@ DRAW = np.repeat(np.arange(16), 3)
 def test_few_draws_are_judged_as_they_choose_and_verdict_says_so() -> None:
     found = facts(judged(sweep(4), settling()[:4]))
     assert found["Draws"] == "4 (few)"
-    assert "only 4 draws: chosen and judged on them alike" in found["Caution"]
+    assert "only 4 draws: no other draws evaluate the choice" in found["Caution"]
 
 
 def test_runs_that_never_settle_limit_the_accuracy() -> None:
