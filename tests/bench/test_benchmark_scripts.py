@@ -286,7 +286,7 @@ def test_speedup_is_relative_to_one_device_in_same_repeat(monkeypatch):
         runs = 64 * tiles * devices
         return Workload(name, runs, 9000, 0.0, lambda: next(taken[devices]), devices=devices)
 
-    monkeypatch.setattr(devices, "engine", engine)
+    monkeypatch.setattr(devices, "engine_workload", engine)
     one, two = devices.scaling(False, 3)
     assert (one["name"], one["speedup"]) == ("devices_1", 1.0)
     assert (two["name"], two["devices"]) == ("devices_2", 2)
