@@ -4,7 +4,7 @@ import common
 import numpy as np
 
 from sinsjax.bench.cases import default_group, engine_workload, shorten_runs
-from sinsjax.bench.timing import Row, measure_against
+from sinsjax.bench.timing import Row, measure_relative_to_base
 from sinsjax.engine import covariance
 
 SAMPLES = (2, 64)
@@ -20,7 +20,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     group = shorten_runs(default_group(), 2) if quick else default_group()
     one = group.some(np.arange(1), np.arange(group.sizes[1]))
     cases = [engine_workload(f"covariance_{n}", covariance.watched(one, n)) for n in SAMPLES]
-    return measure_against(engine_workload("plain", group), cases, repeats)
+    return measure_relative_to_base(engine_workload("plain", group), cases, repeats)
 
 
 if __name__ == "__main__":

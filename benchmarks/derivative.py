@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.bench.cases import TILES, default_group, engine_workload, remove_noise, shorten_runs
-from sinsjax.bench.timing import Row, Workload, measure_against
+from sinsjax.bench.timing import Row, Workload, measure_relative_to_base
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.build import parts
 from sinsjax.engine.lanes import LANES, Group, Tiles, tiles_of
@@ -205,7 +205,7 @@ def tuning(seconds: float, repeats: int) -> list[Row]:
 
     call()
     gradient = Workload(f"tune_gradient_p{len(box[0])}", base.runs, base.steps, compile_s, call)
-    first, row = measure_against(base, [gradient], repeats)
+    first, row = measure_relative_to_base(base, [gradient], repeats)
     tiles = tiles_of(part.group, plan(part.group, tiles_a_chunk=TILES)[0])
     plain = compiled(part.group.static, part.group.environment, tiles)
     row |= {
@@ -235,7 +235,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     base, plain = case("derivative_plain", group, 0)
     counts = (1,) if quick else range(1, MOST + 1)
     made = {p: case(f"derivative_p{p}", group, p) for p in counts}
-    first, *others = measure_against(base, [one for one, _ in made.values()], repeats)
+    first, *others = measure_relative_to_base(base, [one for one, _ in made.values()], repeats)
     loops = loops_of(group, tiles_of(group, plan(group, tiles_a_chunk=TILES)[0]))
     by = operations(plain, loops)
     for row, (p, (_, program)) in zip(others, made.items(), strict=True):

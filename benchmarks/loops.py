@@ -26,7 +26,7 @@ CHECKED = 2000
 """Samples over which the Numba loop is compared."""
 
 Loop = Callable[[np.ndarray, np.ndarray, AlignmentSettings], tuple[np.ndarray, np.ndarray]]
-"""As `sinsjax.bench.baseline.align`."""
+"""As `sinsjax.bench.baseline.align_with_numpy_loop`."""
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:
@@ -62,7 +62,7 @@ def numba_case(loop: Loop, group: Group, samples: int | None) -> Workload:
     since = time.perf_counter()
     ours = loop(increments[:CHECKED], start, setting)[0]
     compile_s = time.perf_counter() - since
-    theirs = baseline.align(increments[:CHECKED], start, setting)[0]
+    theirs = baseline.align_with_numpy_loop(increments[:CHECKED], start, setting)[0]
     if not np.allclose(ours, theirs, rtol=0, atol=1e-9):
         raise RuntimeError(f"the Numba loop and the NumPy loop differ: {ours} and {theirs}")
     taken = increments[:samples]

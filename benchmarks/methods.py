@@ -19,7 +19,7 @@ from sinsjax.bench.cases import (
     shorten_runs,
     trigger_group,
 )
-from sinsjax.bench.timing import Row, measure_against
+from sinsjax.bench.timing import Row, measure_relative_to_base
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.lanes import Group, tiles_of
 from sinsjax.methods.registry import METHODS
@@ -56,7 +56,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     measured = []
     for side in ({k: v for k, v in silent.items() if k not in alone}, alone):
         base, *others = (engine_workload(name, group) for name, group in side.items())
-        of_side = measure_against(base, others, repeats)
+        of_side = measure_relative_to_base(base, others, repeats)
         counts = [arithmetic(group) for group in side.values()]
         for row, count in zip(of_side, counts, strict=True):
             row["operations"] = round(count, 1)

@@ -11,7 +11,7 @@ from sinsjax.bench.cases import (
     select_last_variants,
     shorten_runs,
 )
-from sinsjax.bench.timing import Row, measure_against
+from sinsjax.bench.timing import Row, measure_relative_to_base
 
 BASE_VARIANTS = 2
 """Variants a draw where each draw has a base of its own."""
@@ -44,7 +44,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         variants.append(1)
     cases.append(engine_workload(f"base_{BASE_VARIANTS}", based))
     variants.append(BASE_VARIANTS)
-    base, *others = measure_against(off, cases, repeats)
+    base, *others = measure_relative_to_base(off, cases, repeats)
     told = [row | {"variants": count} for row, count in zip(others, variants, strict=True)]
     return [base, *told[:-1], told[-1] | split([base, *told])]
 

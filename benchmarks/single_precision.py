@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.bench.cases import default_group, engine_workload, remove_noise, shorten_runs
-from sinsjax.bench.timing import Row, measure_against
+from sinsjax.bench.timing import Row, measure_relative_to_base
 from sinsjax.engine.batch import chunks
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Outcome
@@ -116,7 +116,7 @@ def compared(quick: bool, repeats: int) -> list[Row]:
     """`rows`, while the method of this file has a name."""
     group = shorten_runs(default_group(), 2) if quick else default_group()
     silent = remove_noise(shorten_runs(group, min(group.static.records, 300)))
-    made = measure_against(
+    made = measure_relative_to_base(
         engine_workload("double_precision", silent),
         [engine_workload("single_precision", in_single(silent))],
         repeats,

@@ -77,7 +77,7 @@ def format_list_index(error: ErrorDetails) -> str:
     return "".join(f"[{part}]" for part in error["loc"] if isinstance(part, int))
 
 
-def describe_rule(error: ErrorDetails) -> str:
+def describe_broken_rule(error: ErrorDetails) -> str:
     """The rule that a value breaks."""
     kind = error["type"]
     if kind == "invalid":
@@ -92,9 +92,9 @@ def describe_rule(error: ErrorDetails) -> str:
 def explain_error(error: ErrorDetails) -> str:
     """The rule that a value breaks, and the value unless the rule already shows it."""
     if error["type"] in ("invalid", "missing", "too_long"):
-        return describe_rule(error)
+        return describe_broken_rule(error)
     given = error["input"]
     value = repr(list(given) if isinstance(given, tuple) else given)
     words = error["ctx"]["expected"].split("'")[1::2] if error["type"] == "literal_error" else ()
     hint = suggest_closest(given, words) if isinstance(given, str) else ""
-    return f"{describe_rule(error)}, not {shorten(value, 60)}{hint}"
+    return f"{describe_broken_rule(error)}, not {shorten(value, 60)}{hint}"

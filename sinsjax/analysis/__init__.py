@@ -28,7 +28,7 @@ from sinsjax.analysis.estimates import (
 )
 from sinsjax.analysis.formats import FEW_DRAWS, format_difference, format_estimate, format_number
 from sinsjax.analysis.headings import heading_error_statistics
-from sinsjax.analysis.summaries import NEES_FREEDOM, compare, summarise
+from sinsjax.analysis.summaries import NEES_FREEDOM, compare_with_baseline, summarise
 from sinsjax.analysis.tables import group_rows, has_truth, numeric_column, pair_by_draw, status_mask
 
 __all__ = [
@@ -42,7 +42,7 @@ __all__ = [
     "permutation_false_positive_rate",
     "chi2_mean_band",
     "cluster_ids",
-    "compare",
+    "compare_with_baseline",
     "mean_difference",
     "format_difference",
     "format_estimate",

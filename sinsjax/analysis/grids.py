@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax.analysis.tables import group_rows, numeric_column, require_column, value_codes
+from sinsjax.analysis.tables import encode_values, group_rows, numeric_column, require_column
 from sinsjax.errors import InputError
 
 _PLACE = "place in the grid"
@@ -80,7 +80,7 @@ def split_into_panels(
     """
     axes, places = {}, []
     for key in (row_key, column_key):
-        places.append(value_codes(require_column(table, key)))
+        places.append(encode_values(require_column(table, key)))
         first = np.unique(places[-1], return_index=True)[1]
         axes[key] = tuple(table[key].take(first).to_pylist())
     shape = tuple(map(len, axes.values()))

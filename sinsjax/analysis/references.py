@@ -5,26 +5,26 @@ from typing import Any
 
 import pyarrow as pa
 
-from sinsjax.analysis.summaries import compare
+from sinsjax.analysis.summaries import compare_with_baseline
 from sinsjax.analysis.tables import group_rows
 
 
-def compare_with_first(
+def compare_with_first_group(
     table: pa.Table, by: Sequence[str], condition_keys: Sequence[str]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Compare each group of runs with the first one, under the same conditions where there is one.
 
     Args:
         table: the summary, one row per run.
-        by: key columns, as for `compare`.
+        by: key columns, as for `compare_with_baseline`.
         condition_keys: keys among them that are conditions, such as the initial heading error.
 
     Returns:
         The keys that identify the first group, without the conditions if these are the same in each
-        comparison, and the rows of `compare`.
+        comparison, and the rows of `compare_with_baseline`.
 
     Raises:
-        InputError: as `compare`.
+        InputError: as `compare_with_baseline`.
     """
     by_condition = [rows for _, rows in group_rows(table, condition_keys)]
     others = [key for key in by if key not in condition_keys]
@@ -34,7 +34,7 @@ def compare_with_first(
     found = [
         row
         for rows in by_condition
-        for row in compare(rows, by, _first_row_values(rows, by)).to_pylist()
+        for row in compare_with_baseline(rows, by, _first_row_values(rows, by)).to_pylist()
     ]
     return firsts[0], found
 

@@ -137,7 +137,9 @@ def read_estimate(row: Mapping[str, Any], name: str) -> Estimate:
     return Estimate(value, low, high, row["n"])
 
 
-def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> pa.Table:
+def compare_with_baseline(
+    table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]
+) -> pa.Table:
     """Compare each group of runs with a baseline group on the same draws.
 
     Columns: the keys; ``n`` draws; then ``X``, ``X_low`` and ``X_high``, group minus baseline, for
@@ -190,7 +192,7 @@ def _tuple_to_list(value: Any) -> Any:
 def _difference_cells(
     rows: pa.Table, baseline: pa.Table, columns: Sequence[str], *, known: bool
 ) -> dict[str, Any]:
-    """One group's cells of `compare`."""
+    """One group's cells of `compare_with_baseline`."""
     rows_order, base_order = paired_row_indices(rows, baseline)
     single = has_independent_runs(
         rows
@@ -272,12 +274,12 @@ def _available_statistics(columns: Sequence[str]) -> dict[str, _Statistic]:
 
 
 def _column_statistic(
-    function: Callable[..., Estimate], *columns: str, **properties: Any
+    estimator: Callable[..., Estimate], *columns: str, **properties: Any
 ) -> _Statistic:
     """A function of some numeric columns as a statistic."""
 
     def estimate(rows: pa.Table) -> Estimate:
-        return function(
+        return estimator(
             *(numeric_column(rows, column) for column in columns), cluster=cluster_ids(rows)
         )
 

@@ -107,7 +107,7 @@ def group_rows(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, A
     code = np.zeros(table.num_rows, dtype=np.int64)
     for name in by:
         # Renumbered after each key, so that the product of many keys cannot overflow.
-        code = code * (table.num_rows + 1) + value_codes(require_column(table, name))
+        code = code * (table.num_rows + 1) + encode_values(require_column(table, name))
         code = np.unique(code, return_inverse=True)[1]
     _, first, size = np.unique(code, return_index=True, return_counts=True)
     ordered = table.take(np.argsort(code, kind="stable"))
@@ -117,7 +117,7 @@ def group_rows(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, A
         yield {name: rows[name][0].as_py() for name in by}, rows
 
 
-def value_codes(column: pa.ChunkedArray) -> NDArray:
+def encode_values(column: pa.ChunkedArray) -> NDArray:
     """A number for each distinct value of a column by first appearance, shape (rows,)."""
     if not (pa.types.is_nested(column.type) or pa.types.is_dictionary(column.type)):
         whole = column.combine_chunks()

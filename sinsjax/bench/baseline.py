@@ -52,7 +52,7 @@ def rotation_matrix(v: np.ndarray) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
 
 
-def align(
+def align_with_numpy_loop(
     increments: np.ndarray, c_nb: np.ndarray, settings: AlignmentSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Run the 5-state zero-velocity alignment.

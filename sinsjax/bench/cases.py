@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from sinsjax.bench.baseline import AlignmentSettings, align
+from sinsjax.bench.baseline import AlignmentSettings, align_with_numpy_loop
 from sinsjax.bench.timing import Workload
 from sinsjax.engine.batch import compiled, in_threads, plan
 from sinsjax.engine.build import parts
@@ -56,18 +56,18 @@ def default_group() -> Group:
 
 
 @cache
-def method_group(name: str) -> Group:
+def method_group(method: str) -> Group:
     """The default sweep with another method, without the keys that the method does not read.
 
     A method that no swept key acts on has a single variant a draw, and draws enough for a call.
     """
     data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
-    if METHODS[name].gyro_bias_keys:
+    if METHODS[method].gyro_bias_keys:
         data["study"]["judged_from"] = (
             "truth"  # the method estimates the biases that set a bias floor
         )
-    data["alignment"]["method"] = name
-    unread = keys_unread([name]) | {*METHODS[name].silent}
+    data["alignment"]["method"] = method
+    unread = keys_unread([method]) | {*METHODS[method].silent}
     data = {
         section: {key: value for key, value in table.items() if key not in unread}
         for section, table in data.items()
@@ -241,18 +241,18 @@ def numpy_baseline_workload(group: Group) -> Workload:
     """The first run of a noise-free group as a plain NumPy loop, checked against the engine."""
     increments, start, setting = first_run_arguments(group)
     increments = increments[:_BASELINE_SAMPLES]
-    _check_baseline(group, align(increments, start, setting)[0])
+    _check_baseline(group, align_with_numpy_loop(increments, start, setting)[0])
 
     def call() -> float:
         since = time.process_time()
-        align(increments, start, setting)
+        align_with_numpy_loop(increments, start, setting)
         return time.process_time() - since
 
     return Workload("numpy_baseline", 1, _BASELINE_SAMPLES, 0.0, call)
 
 
 def first_run_arguments(group: Group) -> tuple[np.ndarray, np.ndarray, AlignmentSettings]:
-    """The first run of a noise-free group, as the arguments of `sinsjax.bench.baseline.align`."""
+    """The first run of a noise-free group, as the arguments of `align_with_numpy_loop`."""
     errors, place = group.environment.errors, group.environment.site.place
     dt = group.static.options.dt
     bias = np.concatenate([errors.gyro_bias, errors.accel_bias])

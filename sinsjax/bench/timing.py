@@ -103,7 +103,9 @@ def time_ratios(
     ]
 
 
-def measure_against(base: Workload, workloads: Sequence[Workload], repeats: int) -> list[Row]:
+def measure_relative_to_base(
+    base: Workload, workloads: Sequence[Workload], repeats: int
+) -> list[Row]:
     """Time workloads and a base in turns, with the ratios of their times.
 
     Args:

@@ -34,7 +34,13 @@ from sinsjax.cli.options import (
     Resume,
     add_draws_override,
 )
-from sinsjax.cli.running import check_options, configure_jax, print_job, run_study, source_label
+from sinsjax.cli.running import (
+    configure_jax,
+    print_plan_and_warnings,
+    reject_conflicting_options,
+    run_study,
+    source_label,
+)
 from sinsjax.console import plain_console, tolerate_broken_pipe
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.messages import escape_controls
@@ -205,7 +211,7 @@ def tune(
     from sinsjax.study.changes import parse_changes
     from sinsjax.tuning import run_tuning
 
-    check_options(overwrite=overwrite, resume=resume, devices=devices)
+    reject_conflicting_options(overwrite=overwrite, resume=resume, devices=devices)
     configure_jax(devices)
     options = Options(out, overwrite=overwrite, resume=resume, source=source_label(config, changes))
     job = run_tuning.prepare_tuning(
@@ -214,7 +220,7 @@ def tune(
     assert job.directory is not None and job.forecast is not None
     terminal = plain_console()
     cores = runtime.usable_cores() if devices is None else devices
-    print_job(terminal, job, job.forecast.describe(cores))
+    print_plan_and_warnings(terminal, job, job.forecast.describe(cores))
     with stop_on_signal(terminal) as stop:
         run_tuning.run_tuning(
             job, watch=lambda name: show_progress(terminal, f"{job.study.name}: {name}"), stop=stop

@@ -25,7 +25,7 @@ def render_commands_page() -> str:
         lines += ["", f"**{panel}**", "", "| command | |", "| --- | --- |"]
         lines += [f"| [`{name}`](#{name}) | {about[name][0]} |" for name in here]
     for name, command in commands.items():
-        lines += ["", f"## {name}", "", *_command_section(name, command, *about[name])]
+        lines += ["", f"## {name}", "", *_command_help_section(name, command, *about[name])]
     return "\n".join([*lines, ""])
 
 
@@ -35,7 +35,7 @@ def _summary_and_example(command: Any) -> tuple[str, str]:
     return text, example
 
 
-def _command_section(name: str, command: Any, summary: str, example: str) -> list[str]:
+def _command_help_section(name: str, command: Any, summary: str, example: str) -> list[str]:
     context = typer.Context(command, info_name=name)
     usage = " ".join(["sinsjax", name, *command.collect_usage_pieces(context)])
     lines = [summary, "", "```", usage, "```", ""]

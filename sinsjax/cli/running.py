@@ -52,7 +52,7 @@ def run_study(
     from sinsjax.execution.run import MOST_CURVES, run_job
     from sinsjax.study.changes import parse_changes
 
-    check_options(
+    reject_conflicting_options(
         overwrite=overwrite, resume=resume, devices=devices, workers=workers_and_scheduler[0]
     )
     configure_jax(devices)
@@ -71,11 +71,13 @@ def run_study(
     with ExitStack() as stack:
         if workers_and_scheduler[1] is None:
             cores = devices or workers_and_scheduler[0] or runtime.usable_cores()
-            print_job(terminal, job, job.forecast.describe(cores, done))
+            print_plan_and_warnings(terminal, job, job.forecast.describe(cores, done))
         executor = stack.enter_context(_open_executor(*workers_and_scheduler))
         if workers_and_scheduler[1] is not None:  # the number of threads is known only now
             threads = executor.facts["threads"]
-            print_job(terminal, job, job.forecast.describe(threads, done, threads=True))
+            print_plan_and_warnings(
+                terminal, job, job.forecast.describe(threads, done, threads=True)
+            )
         stop = stack.enter_context(stop_on_signal(terminal))
         tell = stack.enter_context(show_progress(terminal, job.study.name))
         run_job(job, executor=executor, tell=tell, stop=stop)
@@ -84,7 +86,7 @@ def run_study(
     )
 
 
-def print_job(terminal: Any, job: Any, plan: str) -> None:
+def print_plan_and_warnings(terminal: Any, job: Any, plan: str) -> None:
     """Print the plan of a prepared job, its warnings and notes.
 
     The report's modules will be imported while its first program compiles.
@@ -137,7 +139,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 
 
-def check_options(
+def reject_conflicting_options(
     *, overwrite: bool, resume: bool, devices: int | None, workers: int | None = None
 ) -> None:
     """Reject conflicting options, and more devices or workers than cores."""

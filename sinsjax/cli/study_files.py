@@ -97,7 +97,7 @@ def _list_studies(name: str | None, width: int) -> list[str]:
             raise InputError(
                 f"{name}: no study or group of this name{suggest_closest(name, known)}"
             )
-        return _two_columns(
+        return _format_two_columns(
             {study: files.purpose(path) for study, path in known[name].items()}, width
         )
     first = groups.pop("first")
@@ -113,15 +113,15 @@ def _list_studies(name: str | None, width: int) -> list[str]:
     )
     lines = []
     for title, members_of_title in begin.items():
-        lines += [f"{title}:", *_two_columns(members_of_title, width, column)]
+        lines += [f"{title}:", *_format_two_columns(members_of_title, width, column)]
     lines.append("More studies, by group (`sinsjax init --list GROUP` describes them):")
     for group, members in groups.items():
-        lines += _two_columns({group: f"{files.GROUPS[group]}:"}, width, column)
-        lines += _two_columns({"": "  ".join(members)}, width, column)
+        lines += _format_two_columns({group: f"{files.GROUPS[group]}:"}, width, column)
+        lines += _format_two_columns({"": "  ".join(members)}, width, column)
     return lines
 
 
-def _two_columns(rows: dict[str, str], width: int, column_width: int = 0) -> list[str]:
+def _format_two_columns(rows: dict[str, str], width: int, column_width: int = 0) -> list[str]:
     """Return lines of a terminal with a name in the first column and a text in the second."""
     column_width = column_width or max(map(len, rows))
     space = " " * (column_width + 4)

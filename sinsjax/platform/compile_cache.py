@@ -47,7 +47,7 @@ def reason_off() -> str:
     return _reason_off
 
 
-def enable() -> Path | None:
+def enable_cache() -> Path | None:
     """Turn JAX's compilation cache on, unless the environment forbids it or it would be unsafe.
 
     Returns:
@@ -69,7 +69,7 @@ def enable() -> Path | None:
         _reason_off = f"not tested with jaxlib {version}; {VARIABLE}=1 enables it anyway"
     else:
         try:
-            return _activate(_versioned_folder(setting))
+            return _activate_cache(_versioned_folder(setting))
         except OSError as error:
             run = (
                 ", and cached programs are executed"
@@ -99,7 +99,7 @@ def _folder_name() -> str:
     return f"jaxlib-{importlib.metadata.version('jaxlib')}-{digest}"
 
 
-def _activate(folder: Path) -> Path:
+def _activate_cache(folder: Path) -> Path:
     import jax
 
     os.utime(folder)

@@ -124,12 +124,12 @@ def ensure_private_folder(folder: Path) -> Path:
     path = [*reversed(real.parents), real]
     there = [place for place in path if _exists(place)]
     for place in there:
-        _require_private(place, is_target=place == real)
+        _require_private_folder(place, is_target=place == real)
     for place in path[len(there) :]:
         # Another process of this user may have created it; one of another user fails the check.
         with suppress(FileExistsError):
             place.mkdir(mode=0o700)
-        _require_private(place, is_target=place == real)
+        _require_private_folder(place, is_target=place == real)
     return real
 
 
@@ -141,7 +141,7 @@ def _exists(place: Path) -> bool:
     return True
 
 
-def _require_private(folder: Path, *, is_target: bool) -> None:
+def _require_private_folder(folder: Path, *, is_target: bool) -> None:
     """Reject a folder that other users could write to or replace."""
     about = folder.lstat()  # not following links: the path was resolved, so a link is a new one
     if not stat.S_ISDIR(about.st_mode):

@@ -68,7 +68,7 @@ def configure(devices: int | None = None) -> None:
         xla.apply_options()
         jax.config.update("jax_num_cpu_devices", count)
     _enable_x64()
-    compile_cache.enable()
+    compile_cache.enable_cache()
     _configured = True
 
 

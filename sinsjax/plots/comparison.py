@@ -243,7 +243,7 @@ def draw_along_axis(
         if "(%)" in name:
             axes.set_ylim(-4, 104)
         elif axes.get_yscale() == "linear":
-            _limit_to_typical_bars(axes, every, expected)
+            _clip_axis_to_typical_bars(axes, every, expected)
         axes.set_title(name, loc="left", size="medium")
         if not any(np.isfinite(e.value) for e in every):
             axes.set_yticks([])
@@ -318,7 +318,7 @@ def _values_and_bars(estimates: Sequence[Estimate]) -> tuple[NDArray, NDArray]:
     return value, np.maximum(spread, 0.0)
 
 
-def _limit_to_typical_bars(
+def _clip_axis_to_typical_bars(
     axes: Axes, estimates: Sequence[Estimate], expected: ExpectedValue | None
 ) -> None:
     """Let a bar that is far longer than the others leave the panel, instead of squashing it."""
@@ -340,7 +340,7 @@ def is_informative(panel: Mapping[str, Sequence[Estimate]]) -> bool:
     return any(e.value and np.isfinite(e.value) for line in panel.values() for e in line)
 
 
-def cumulative_steps(values: NDArray) -> tuple[NDArray, NDArray]:
+def cumulative_distribution_steps(values: NDArray) -> tuple[NDArray, NDArray]:
     """The cumulative distribution of some values as points of a step function.
 
     Args:

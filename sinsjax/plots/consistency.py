@@ -15,7 +15,7 @@ from sinsjax import analysis
 from sinsjax.analysis import NEES_FREEDOM, Estimate
 from sinsjax.analysis.tables import to_arrow_table, to_key_list
 from sinsjax.errors import InputError
-from sinsjax.plots.comparison import cumulative_steps
+from sinsjax.plots.comparison import cumulative_distribution_steps
 from sinsjax.plots.labels import describe_point
 from sinsjax.plots.style import GREY, add_legend_below, line_colour, with_style
 
@@ -121,7 +121,7 @@ def draw_consistency(lines: Sequence[ConsistencyLine], title: str) -> Figure:
 
 def _draw_nees(axes: Axes, lines: Sequence[ConsistencyLine]) -> None:
     for i, belief in enumerate(lines):
-        x, share = cumulative_steps(belief.nees)
+        x, share = cumulative_distribution_steps(belief.nees)
         width = _WIDTH - _THINNER * i  # so that a line under another one remains visible
         line: Any = {"color": line_colour(i), "linewidth": width, "label": belief.label}
         axes.plot(x, share[: x.size], drawstyle="steps-post", **line)

@@ -97,7 +97,7 @@ def plot_map(
         title = _best_cell_title(table, axes, value, statistic, chosen)
     panels = panels[:MAX_PANELS]
     cells = [statistic.compute(panel.column_values(value)) for panel in panels]
-    same_runs = [_same_run_numbers(panel, value) for panel in panels]
+    same_runs = [_number_identical_cells(panel, value) for panel in panels]
     best = [_best_cell(panel.column_values(value), statistic) for panel in panels]
     lines = {format_value(panel.point[by[-1]]) for panel in panels} if by else [""]
     return draw_heat_maps(
@@ -109,7 +109,7 @@ def plot_map(
         panels_per_row=len(lines),
         marks=CellMarks(
             same_runs,
-            [_mostly_set(panel.column_values(hatched)) for panel in panels] if hatched else (),
+            [_flagged_cells(panel.column_values(hatched)) for panel in panels] if hatched else (),
             hatch_name,
             best,
             "soonest" if statistic.is_settling_time else "best",
@@ -157,7 +157,7 @@ def _colour_scale(
     return MapQuantity(statistic.name, low, high, reverse=True, digits=digits)
 
 
-def _same_run_numbers(panel: Panel, value: str) -> NDArray:
+def _number_identical_cells(panel: Panel, column: str) -> NDArray:
     """A number per cell (rows, columns), the same for cells with the same runs in all draws.
 
     Runs are identified by their final heading error; without that column all cells differ.
@@ -167,7 +167,7 @@ def _same_run_numbers(panel: Panel, value: str) -> NDArray:
     runs = np.stack(
         [
             np.nan_to_num(panel.column_values(name), nan=np.inf)
-            for name in dict.fromkeys([value, _YAW])
+            for name in dict.fromkeys([column, _YAW])
         ]
     )
     flat = runs.reshape(-1, np.prod(panel.shape)).T
@@ -188,7 +188,7 @@ def _best_cell(runs: NDArray, statistic: _CellStatistic) -> tuple[int, int] | No
     return None if is_tied else (int(row), int(column))
 
 
-def _mostly_set(flags: NDArray) -> NDArray:
+def _flagged_cells(flags: NDArray) -> NDArray:
     """Cells (rows, columns) in which a flag (draws, rows, columns) is set for most known runs."""
     return np.asarray(2 * np.nansum(flags, axis=0) > np.isfinite(flags).sum(axis=0))
 
@@ -209,7 +209,7 @@ def _panel_titles(points: Sequence[Mapping[str, Any]]) -> list[str]:
 def _best_cell_title(
     table: pa.Table,
     axes: Mapping[str, Sequence[Any]],
-    value: str,
+    column: str,
     statistic: _CellStatistic,
     choice_keys: Sequence[str],
 ) -> str:
@@ -217,7 +217,7 @@ def _best_cell_title(
     found = []
     for point, rows in group_rows(table, choice_keys):
         _, (panel,) = split_into_panels(rows, *axes)
-        runs = panel.column_values(value)
+        runs = panel.column_values(column)
         if _best_cell(runs, statistic) is None:
             continue
         settled = np.isfinite(runs).mean(axis=0)

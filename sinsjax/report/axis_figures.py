@@ -23,7 +23,7 @@ _NOT_CONVERGED = "not converged"
 _FLAG = "flagged"
 
 
-def build_axis_blocks(source: Source) -> list[Block]:
+def build_axis_figures(source: Source) -> list[Block]:
     """Return the figures over the swept numbers and the drawn numbers.
 
     With two numeric axes or more, heat maps over the first two in the order of the study, a panel
@@ -75,20 +75,20 @@ class HeatMaps:
 
     def __init__(self, source: Source, columns: Sequence[str]) -> None:
         axes, self._by = source.study.figure_axes
-        down, across = axes
-        self._keys = (down, across)
+        row_key, column_key = axes
+        self._keys = (row_key, column_key)
         times = [name for name in ("reset_times_s",) if "reset_count" in axes]
         self._table = source.rows([*self._by, *axes, *columns, *times])
-        self.axes, self.panels = split_into_panels(self._table, down, across, self._by)
+        self.axes, self.panels = split_into_panels(self._table, row_key, column_key, self._by)
         self._repeats = (source.study.duplicate_of != np.arange(source.study.n_variants)).any()
 
     def draw_figure(
         self,
         name: str,
         caption: str,
-        value: str,
-        flag: NDArray | None = None,
-        flag_meaning: str = "",
+        column: str,
+        hatched: NDArray | None = None,
+        hatch_meaning: str = "",
     ) -> Picture:
         """The figure of a column; cells are hatched in which most runs have a flag, (runs,)."""
         if len(self.panels) > MAX_PANELS:
@@ -96,17 +96,17 @@ class HeatMaps:
         if self._repeats:
             caption += " Cells that share a number have the same runs: there a key does not act."
         table = self._table
-        if flag is not None:
-            table = table.append_column(_FLAG, pa.array(flag))
+        if hatched is not None:
+            table = table.append_column(_FLAG, pa.array(hatched))
         figure = plots.plot_map(
             table,
             self._keys[0],
             self._keys[1],
-            value,
+            column,
             by=self._by,
             pooled=[key for key in self._by if is_given(key)],
-            hatched=_FLAG if flag is not None else "",
-            hatch_name=flag_meaning,
+            hatched=_FLAG if hatched is not None else "",
+            hatch_name=hatch_meaning,
         )
         return Picture(name, f"{caption} Framed: the best of each panel.", figure)
 
@@ -155,13 +155,13 @@ def _heat_map_figures(source: Source, criterion: Yardstick) -> Iterator[Block]:
 
 
 def _axis_curve_figure(
-    source: Source, axis: str, others: Sequence[str], *, only_if_significant: bool = False
+    source: Source, axis: str, line_keys: Sequence[str], *, only_if_significant: bool = False
 ) -> Picture | None:
     shown = {f"{y.settle}_median": f"median time (s) to {y.words}" for y in source.yardsticks}
     shown |= {y.rate: f"share of runs that are ok, {y.of_several} (%)" for y in source.yardsticks}
     shown["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
-    table = source.rows([*others, axis, *judged_columns(source.study), *REQUIRED_COLUMNS])
-    values, panels = build_comparison_panels(table, axis, others, shown)
+    table = source.rows([*line_keys, axis, *judged_columns(source.study), *REQUIRED_COLUMNS])
+    values, panels = build_comparison_panels(table, axis, line_keys, shown)
     if only_if_significant and not has_significant_effect(panels):
         return None
     left = "; ".join(words for words in shown.values() if words not in panels)
@@ -169,7 +169,7 @@ def _axis_curve_figure(
         "along_axis",
         "How soon their heading enters the band for good, how many runs are ok, and how large the"
         f" heading error is. {describe_intervals(source, quantity='Estimate')}"
-        f"{describe_undrawn_lines(table, others)}"
+        f"{describe_undrawn_lines(table, line_keys)}"
         + (f" Left out, since it shows nothing more: {left}." if left else ""),
         plots.draw_along_axis(axis, values, panels, condition=not is_chosen(axis)),
     )

@@ -15,7 +15,7 @@ from sinsjax.report.base import Block, Fact, Picture, Report, Table, Verdict, bu
 from sinsjax.report.choices import Choices
 from sinsjax.report.grouping import describe_undrawn_lines, rows_by_line
 from sinsjax.report.markup import render_sentence
-from sinsjax.report.verdict import q_caution, warning_facts
+from sinsjax.report.verdict import process_noise_caution, warning_facts
 from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import Yardstick, success_of, yardsticks
 
@@ -102,7 +102,7 @@ def build_report(
     title = f"{study.name}: {variants} by covariance analysis, without draws"
     expected = _ExpectedSettling.from_source(source, criteria[0])
     facts = [*_answer_facts(expected, criteria[0].criterion), *_linearity_fact(source)]
-    doubts = [*warning_facts(source, warnings_shown=warnings_shown), *q_caution(source)]
+    doubts = [*warning_facts(source, warnings_shown=warnings_shown), *process_noise_caution(source)]
     verdict = Verdict(title, [*facts, *doubts], _condition_table(expected))
     return Report.from_parts(verdict, parts, f"{study.name}: {variants}, no Monte Carlo runs")
 
@@ -125,9 +125,17 @@ class _ExpectedSettling(NamedTuple):
     heading: NDArray
 
     @classmethod
-    def from_source(cls, source: Source, names: _EstimateColumns) -> "_ExpectedSettling":
+    def from_source(
+        cls, source: Source, criterion_columns: _EstimateColumns
+    ) -> "_ExpectedSettling":
         choices = Choices.from_study(source.study)
-        columns = (names.mean, names.error, names.within, _YAW, _SIGMA)
+        columns = (
+            criterion_columns.mean,
+            criterion_columns.error,
+            criterion_columns.within,
+            _YAW,
+            _SIGMA,
+        )
         rows = source.rows(columns)
         mean, error, within, yaw, sigma = (
             choices.arrange_runs(analysis.numeric_column(rows, name))[..., 0] for name in columns
@@ -174,7 +182,7 @@ def _condition_table(expected: _ExpectedSettling) -> Table | None:
     if axis is None:
         return None
 
-    def row(conditions: list[int]) -> list[str]:
+    def format_row(conditions: list[int]) -> list[str]:
         if len(choices.options) == 1:
             within = 100 * float(expected.within[0, conditions].min())
             error = float(np.sqrt(np.mean(expected.heading[0, conditions] ** 2)))
@@ -185,7 +193,7 @@ def _condition_table(expected: _ExpectedSettling) -> Table | None:
         times = [expected.format_settling(option, conditions) for option in (here, rival)]
         return [choices.options[here], *times]
 
-    return choices.condition_table(axis, row, "expected after")
+    return choices.condition_table(axis, format_row, "expected after")
 
 
 def _linearity_fact(source: Source) -> Iterator[Fact]:
@@ -224,14 +232,14 @@ def _normal_estimate(value: float | None, standard_error: float | None) -> Estim
     return Estimate(value, value - _Z_95 * standard_error, value + _Z_95 * standard_error, 1)
 
 
-def _best_settings_table(source: Source, names: _EstimateColumns) -> Iterator[Table]:
+def _best_settings_table(source: Source, criterion_columns: _EstimateColumns) -> Iterator[Table]:
     """The settings with the shortest expected settling times, over all that is not chosen."""
     keys = source.study.keys_shown
     chosen = [key for key in keys if is_chosen(key)]
     if not chosen:
         return
     given = [key for key in keys if key not in chosen]
-    needed = (names.mean, names.error, names.within, _SIGMA)
+    needed = (criterion_columns.mean, criterion_columns.error, criterion_columns.within, _SIGMA)
     table = source.distinct([*keys, *needed])
     points = []
     for point, rows in analysis.group_rows(table, chosen):
@@ -246,7 +254,10 @@ def _best_settings_table(source: Source, names: _EstimateColumns) -> Iterator[Ta
         }
         points.append(point | statistics)
     points.sort(key=lambda row: (np.isnan(row["mean"].value), row["mean"].value))
-    words, over = names.criterion.words, f", mean over {' and '.join(given)}" if given else ""
+    words, over = (
+        criterion_columns.criterion.words,
+        f", mean over {' and '.join(given)}" if given else "",
+    )
     worst: list[Cell] = [
         ("longest (s)", lambda row: f"{row['longest']:.0f}"),
         ("least share within it at the end (%)", lambda row: f"{row['least']:.0f}"),
@@ -286,51 +297,58 @@ def _all_variants_table(source: Source, criteria: Sequence[_EstimateColumns]) ->
 
 
 def _axis_figures(
-    source: Source, names: _EstimateColumns, first: _EstimateColumns
+    source: Source, criterion_columns: _EstimateColumns, main_criterion: _EstimateColumns
 ) -> Iterator[Picture]:
     """Over the first two axes of numbers heat maps, along a single one curves."""
     axes, others = source.study.figure_axes
     if len(axes) == 2:
-        yield from _heat_map_figures(source, names, names.criterion.end(first.criterion))
-    elif axes and names is first:
-        yield _axis_curve_figure(source, names, *axes.popitem(), others)
+        yield from _heat_map_figures(
+            source, criterion_columns, criterion_columns.criterion.end(main_criterion.criterion)
+        )
+    elif axes and criterion_columns is main_criterion:
+        yield _axis_curve_figure(source, criterion_columns, *axes.popitem(), others)
 
 
 def _heat_map_figures(
-    source: Source, names: _EstimateColumns, name_suffix: str
+    source: Source, criterion_columns: _EstimateColumns, name_suffix: str
 ) -> Iterator[Picture]:
     """Yield the maps by one criterion of success, without those that show nothing."""
-    words, of_floor = names.criterion.words, names.within.replace("_truth", "")
-    maps = HeatMaps(source, (names.mean, names.within, of_floor, "phi_u_arcmin"))
-    within = np.round(100 * maps.column_values(names.within))
-    either = np.fmin(maps.column_values(names.within), maps.column_values(of_floor))
+    words, of_floor = (
+        criterion_columns.criterion.words,
+        criterion_columns.within.replace("_truth", ""),
+    )
+    maps = HeatMaps(
+        source, (criterion_columns.mean, criterion_columns.within, of_floor, "phi_u_arcmin")
+    )
+    within = np.round(100 * maps.column_values(criterion_columns.within))
+    either = np.fmin(maps.column_values(criterion_columns.within), maps.column_values(of_floor))
     if not np.round(100 * either).any():
         return  # no cell is within the band, or cells only pass through it
-    if plots.values_differ(maps.column_values(names.mean)):
+    if plots.values_differ(maps.column_values(criterion_columns.mean)):
         yield maps.draw_figure(
             f"settling_time{name_suffix}",
             f"Expected time until the heading stays {words}; where it never does, the length of the"
             " run counts.",
-            names.mean,
+            criterion_columns.mean,
         )
     if not np.isin(within, (0.0, 100.0)).all():
         yield maps.draw_figure(
             f"within_band{name_suffix}",
             f"Probability that the heading is {words} at the end of the run.",
-            names.within,
+            criterion_columns.within,
         )
 
 
 def _axis_curve_figure(
     source: Source,
-    names: _EstimateColumns,
+    criterion_columns: _EstimateColumns,
     axis: str,
     values: Sequence[float],
-    others: Sequence[str],
+    line_keys: Sequence[str],
 ) -> Picture:
-    needed = [*others, names.mean, names.error, _YAW, _SIGMA, _OWN, axis]
+    needed = [*line_keys, criterion_columns.mean, criterion_columns.error, _YAW, _SIGMA, _OWN, axis]
     table = source.rows(needed)
-    lines = rows_by_line(table, others)
+    lines = rows_by_line(table, line_keys)
 
     def panel(estimate: Callable[[Row], Estimate]) -> dict[str, list[Estimate]]:
         return {name: [estimate(row) for row in rows.to_pylist()] for name, rows in lines.items()}
@@ -339,7 +357,9 @@ def _axis_curve_figure(
         return panel(lambda row: _normal_estimate(row[name], 0.0))
 
     panels = {
-        f"expected time (s) to {names.criterion.words}": panel(names.expected_settling),
+        f"expected time (s) to {criterion_columns.criterion.words}": panel(
+            criterion_columns.expected_settling
+        ),
         "1 sigma of the true heading error at the end (arcmin)": exact(_SIGMA),
         "the filter's own 1 sigma at the end (arcmin)": exact(_OWN),
     }
@@ -347,6 +367,6 @@ def _axis_curve_figure(
         "along_axis",
         "When the heading has entered the band for good [95 % interval over the sampled errors],"
         " and how far the true heading error spreads at the end beside what the filter believes."
-        f"{describe_undrawn_lines(table, others)}",
+        f"{describe_undrawn_lines(table, line_keys)}",
         plots.draw_along_axis(axis, values, panels, condition=not is_chosen(axis)),
     )

@@ -9,14 +9,14 @@ import numpy as np
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.analysis.formats import format_heading_error, format_percent
-from sinsjax.analysis.references import compare_with_first
+from sinsjax.analysis.references import compare_with_first_group
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS, read_estimate
 from sinsjax.columns import report_time_columns
 from sinsjax.execution.source import Source
 from sinsjax.plots.curves import select_runs_by_line
 from sinsjax.plots.labels import describe_point
 from sinsjax.report.attitude import attitude_table, attitude_verdict
-from sinsjax.report.axis_figures import build_axis_blocks, repeated_variants_note
+from sinsjax.report.axis_figures import build_axis_figures, repeated_variants_note
 from sinsjax.report.base import (
     MAX_ROWS,
     MIN_DRAWS_FOR_INTERVALS,
@@ -54,7 +54,7 @@ def build_report(
     assert source.draws  # raises if draws are missing
     yaw = analysis.numeric_column(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
     has_truth = bool(np.isfinite(yaw).any())
-    blocks = [*build_axis_blocks(source), *consistency_blocks(source)] if has_truth else []
+    blocks = [*build_axis_figures(source), *consistency_blocks(source)] if has_truth else []
     parts: dict[str, Sequence[Block]] = {"Figures": [*_curve_figures(source), *blocks]}
     needs_attitude = source.study.is_recorded or not has_truth
     if with_tables:
@@ -150,7 +150,7 @@ def first_variant_comparison_table(source: Source) -> Table:
     keys, yards = source.study.keys_shown, source.yardsticks
     table = source.distinct([*keys, *REQUIRED_COLUMNS, *judged_columns(source.study)])
     given = [key for key in keys if is_given(key)]
-    first, rows = compare_with_first(table, keys, given)
+    first, rows = compare_with_first_group(table, keys, given)
     compared = [
         dimension for dimension in source.study.dimensions if first.keys() & dimension.keys()
     ]

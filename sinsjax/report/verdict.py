@@ -189,7 +189,7 @@ def warning_facts(source: Source, *, warnings_shown: bool) -> Iterator[Fact]:
     yield from (Fact("Warning", line, True) for line in (() if warnings_shown else source.warnings))
 
 
-def q_caution(source: Source) -> Iterator[Fact]:
+def process_noise_caution(source: Source) -> Iterator[Fact]:
     """A caution if the filter's Q is far larger than the noise of the sensors."""
     if source.study.is_recorded:
         return
@@ -234,12 +234,12 @@ def _settling_sentence(outcome: SweepOutcome, choice: Choice) -> str:
         return "no run settles"
     time = format_estimate(outcome.mean_settling_s(choice), "s", 0)
     if settled.all():
-        return f"{_every_run_phrase(outcome)} settles, after {time} on average"
+        return f"{_describe_all_runs(outcome)} settles, after {time} on average"
     share = format_percent(outcome.success_share(choice))
     return f"{share} % of the runs settle, after {time} on average"
 
 
-def _every_run_phrase(outcome: SweepOutcome) -> str:
+def _describe_all_runs(outcome: SweepOutcome) -> str:
     """All runs in words: by the condition, if one number makes it."""
     axes = outcome.choices.condition_axes
     if len(axes) == 1 and len(axes[0]) == 1:
@@ -326,7 +326,7 @@ def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
             ),
             True,
         )
-    yield from q_caution(outcome.source)
+    yield from process_noise_caution(outcome.source)
 
 
 def condition_table(outcome: SweepOutcome) -> Table | None:
@@ -337,7 +337,7 @@ def condition_table(outcome: SweepOutcome) -> Table | None:
     if axis is None:
         return None
 
-    def row(conditions: list[int]) -> list[str]:
+    def format_row(conditions: list[int]) -> list[str]:
         here = outcome.select_conditions(conditions)
         if len(choices.options) == 1:
             error = analysis.rms(here.held_out_values(overall, here.error), here.clusters)
@@ -358,4 +358,4 @@ def condition_table(outcome: SweepOutcome) -> Table | None:
             here.format_settling(rival),
         ]
 
-    return choices.condition_table(axis, row, "settles after")
+    return choices.condition_table(axis, format_row, "settles after")

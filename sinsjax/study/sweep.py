@@ -14,7 +14,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from sinsjax.errors import ErrorCollector, InputError
-from sinsjax.messages import describe_rule, explain_error, format_list_index, suggest_closest
+from sinsjax.messages import describe_broken_rule, explain_error, format_list_index, suggest_closest
 from sinsjax.study.keys import (
     SECTION_OF,
     SECTIONS,
@@ -147,7 +147,7 @@ def wrong_value(value: Any, key: str) -> str | None:
     try:
         _validator(key)(value)
     except ValidationError as error:
-        return describe_rule(error.errors()[0])
+        return describe_broken_rule(error.errors()[0])
     return None
 
 

@@ -251,7 +251,9 @@ def variants(n=40):
 
 def test_compare_pairs_by_draw():
     base, later, failing = parts = variants()
-    table = analysis.compare(pa.concat_tables(parts), ["reset_times_s"], {"reset_times_s": ()})
+    table = analysis.compare_with_baseline(
+        pa.concat_tables(parts), ["reset_times_s"], {"reset_times_s": ()}
+    )
     first, second = table.to_pylist()
     assert [row["reset_times_s"] for row in (first, second)] == [[50.0], [50.0, 100.0]]
     # The same settling times 30 s later, so no interval, though draws differ by far more.
@@ -276,7 +278,7 @@ def test_compare_without_truth_returns_nulls():
     for name in names:
         nulls = pa.nulls(40, pa.string()) if name == "status" else lost
         parts = [t.append_column(name, nulls) for t in parts]
-    row, _ = analysis.compare(
+    row, _ = analysis.compare_with_baseline(
         pa.concat_tables(parts), ["reset_times_s"], {"reset_times_s": []}
     ).to_pylist()
     keys = ("reset_times_s", "n", "phi_u_error_arcmin_difference_n")
@@ -286,8 +288,10 @@ def test_compare_without_truth_returns_nulls():
 def test_compare_refuses_missing_baseline_and_unpaired_draws():
     table = pa.concat_tables(variants())
     with pytest.raises(InputError, match="no runs of the baseline {'reset_times_s': \\[7.0\\]}"):
-        analysis.compare(table, ["reset_times_s"], {"reset_times_s": [7.0]})
+        analysis.compare_with_baseline(table, ["reset_times_s"], {"reset_times_s": [7.0]})
     with pytest.raises(InputError, match="draws differ"):
-        analysis.compare(table.slice(1), ["reset_times_s"], {"reset_times_s": []})
+        analysis.compare_with_baseline(table.slice(1), ["reset_times_s"], {"reset_times_s": []})
     with pytest.raises(InputError, match="draw_id repeats"):
-        analysis.compare(table.append_column("case", table["status"]), ["case"], {"case": "ok"})
+        analysis.compare_with_baseline(
+            table.append_column("case", table["status"]), ["case"], {"case": "ok"}
+        )

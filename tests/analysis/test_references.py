@@ -5,7 +5,7 @@ import pytest
 from support.made_up import summary_of
 from support.studies import small_study
 
-from sinsjax.analysis.references import compare_with_first
+from sinsjax.analysis.references import compare_with_first_group
 
 AXES = {"reset_count": [0, 1, 2], "phi_u0_deg": [5.0, 30.0]}
 RATE = "success_rate_difference"
@@ -23,7 +23,7 @@ def differences(rows: list) -> dict:
 
 
 def test_groups_compare_with_first_group_of_same_conditions() -> None:
-    first, rows = compare_with_first(summary(), ["reset_count", "phi_u0_deg"], ["phi_u0_deg"])
+    first, rows = compare_with_first_group(summary(), ["reset_count", "phi_u0_deg"], ["phi_u0_deg"])
     assert first == {"reset_count": 0}
     assert differences(rows) == {(1, 5.0): -1, (2, 5.0): 0, (1, 30.0): 0, (2, 30.0): 1}
 
@@ -34,12 +34,12 @@ def test_one_reference_serves_all_groups_without_first_per_condition(without: tu
     if without:
         kept = [(r["reset_count"], r["phi_u0_deg"]) != without for r in table.to_pylist()]
         table, given = table.filter(pa.array(kept)), ["phi_u0_deg"]
-    first, rows = compare_with_first(table, ["reset_count", "phi_u0_deg"], given)
+    first, rows = compare_with_first_group(table, ["reset_count", "phi_u0_deg"], given)
     assert first == {"reset_count": 0, "phi_u0_deg": 5.0}
     assert len(rows) == (4 if without else 5) and differences(rows)[(1, 30.0)] == -1
 
 
 def test_conditions_alone_compare_with_first_condition() -> None:
     table = summary().slice(0, 2)
-    first, rows = compare_with_first(table, ["phi_u0_deg"], ["phi_u0_deg"])
+    first, rows = compare_with_first_group(table, ["phi_u0_deg"], ["phi_u0_deg"])
     assert first == {"phi_u0_deg": 5.0} and [row["phi_u0_deg"] for row in rows] == [30.0]

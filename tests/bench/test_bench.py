@@ -88,7 +88,7 @@ def test_cases_are_timed_in_turns_and_median_is_reported():
 def test_ratio_is_median_of_per_turn_ratios():
     base = fake("base", [1.0, 2.0, 4.0])
     other = fake("other", [3.0, 4.0, 20.0], runs=20)
-    first, second = timing.measure_against(base, [other], 3)
+    first, second = timing.measure_relative_to_base(base, [other], 3)
     assert "ratio" not in first
     # 1.5, 1 and 2.5 times, where the ratio of the medians would be 1.
     assert second["ratio"] == pytest.approx(1.5)
@@ -276,6 +276,6 @@ def test_idle_lanes_are_not_counted_as_runs(small_group):
 
 def test_baseline_that_differs_from_engine_is_refused(small_group, monkeypatch):
     wrong = lambda *_: (np.eye(3), np.zeros(5))  # noqa: E731
-    monkeypatch.setattr(cases, "align", wrong)
+    monkeypatch.setattr(cases, "align_with_numpy_loop", wrong)
     with pytest.raises(RuntimeError, match="the NumPy baseline and the engine differ"):
         cases.numpy_baseline_workload(cases.remove_noise(small_group))

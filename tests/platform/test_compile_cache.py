@@ -34,7 +34,7 @@ def unchanged(monkeypatch, tmp_path):
 
 def test_cache_is_off_when_variable_is_zero(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, "0")
-    assert compile_cache.enable() is None
+    assert compile_cache.enable_cache() is None
     assert compile_cache.reason_off() == "SINSJAX_COMPILE_CACHE=0"
     assert jax.config.values["jax_compilation_cache_dir"] is None
     assert not list(tmp_path.iterdir())
@@ -44,7 +44,7 @@ def test_size_limit_of_jax_takes_precedence(unchanged, tmp_path):
     unchanged.setenv(compile_cache._SIZE, "-1")
     unchanged.setenv(compile_cache.VARIABLE, "1")
     before = jax.config.values["jax_compilation_cache_max_size"]
-    assert compile_cache.enable()
+    assert compile_cache.enable_cache()
     assert jax.config.values["jax_compilation_cache_max_size"] == before
 
 
@@ -52,22 +52,22 @@ def test_size_limit_of_jax_takes_precedence(unchanged, tmp_path):
 def test_cache_is_on_by_default_with_bounded_size(unchanged, tmp_path, asked):
     unchanged.setenv(compile_cache.VARIABLE, asked)
     unchanged.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
-    here = compile_cache.enable()
+    here = compile_cache.enable_cache()
     assert here.parent == tmp_path / "sinsjax" / "compiled"
     assert jax.config.values["jax_compilation_cache_max_size"] == compile_cache.MAX_BYTES
 
 
 def test_cache_is_off_by_default_with_untested_jaxlib(unchanged, tmp_path):
     unchanged.setattr(compile_cache, "SAFE_JAXLIB", frozenset())
-    assert compile_cache.enable() is None
+    assert compile_cache.enable_cache() is None
     assert compile_cache.reason_off().startswith("not tested with jaxlib")
     unchanged.setenv(compile_cache.VARIABLE, "1")
-    assert compile_cache.enable().is_relative_to(tmp_path)
+    assert compile_cache.enable_cache().is_relative_to(tmp_path)
 
 
 def test_existing_jax_cache_folder_is_kept_by_default(unchanged, tmp_path):
     jax.config.update("jax_compilation_cache_dir", str(tmp_path / "users"))
-    assert compile_cache.enable() is None
+    assert compile_cache.enable_cache() is None
     assert compile_cache.reason_off() == "JAX already has a compilation cache"
     assert jax.config.values["jax_compilation_cache_dir"] == str(tmp_path / "users")
 
@@ -85,33 +85,33 @@ def test_existing_jax_cache_folder_is_kept_by_default(unchanged, tmp_path):
 def test_unusable_default_folder_turns_cache_off(unchanged, tmp_path, spoil, told):
     unchanged.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
     spoil(tmp_path)
-    assert compile_cache.enable() is None
+    assert compile_cache.enable_cache() is None
     assert compile_cache.reason_off().endswith(told)
     assert jax.config.values["jax_compilation_cache_dir"] is None
 
 
 def test_cache_folder_is_private_and_separate_per_jaxlib_and_cpu(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, "1")
-    here = compile_cache.enable()
+    here = compile_cache.enable_cache()
     assert str(here) == jax.config.values["jax_compilation_cache_dir"]
     assert here.parent == tmp_path / "sinsjax" / "compiled"
     assert all(place.stat().st_mode & 0o077 == 0 for place in (here, here.parent))
     unchanged.setattr(machine, "cpu_info", lambda: {"model name": "another", "flags": "avx2"})
-    other_cpu = compile_cache.enable()
+    other_cpu = compile_cache.enable_cache()
     unchanged.setattr(machine, "cpu_info", lambda: {"model name": "another", "flags": "avx512f"})
-    other_features = compile_cache.enable()
+    other_features = compile_cache.enable_cache()
     unchanged.setattr(compile_cache.importlib.metadata, "version", lambda _: "99.0")
-    other_jaxlib = compile_cache.enable()
+    other_jaxlib = compile_cache.enable_cache()
     assert len({here, other_cpu, other_features, other_jaxlib}) == 4
     assert here.parent == other_cpu.parent == other_jaxlib.parent
 
 
 def test_cache_folder_writable_by_others_is_refused(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, str(tmp_path / "mine"))
-    folder = compile_cache.enable()
+    folder = compile_cache.enable_cache()
     folder.chmod(0o707)
     with pytest.raises(InputError, match="other users can write there"):
-        compile_cache.enable()
+        compile_cache.enable_cache()
 
 
 def test_parent_folder_writable_by_others_is_refused(unchanged, tmp_path):
@@ -124,7 +124,7 @@ def test_parent_folder_writable_by_others_is_refused(unchanged, tmp_path):
         " and cached programs are executed$"
     )
     with pytest.raises(InputError, match=told):
-        compile_cache.enable()
+        compile_cache.enable_cache()
     assert not list((tmp_path / "theirs").iterdir())
     assert jax.config.values["jax_compilation_cache_dir"] is None
 
@@ -143,7 +143,7 @@ def test_cache_folder_that_cannot_be_created_raises_input_error(unchanged, tmp_p
     (tmp_path / "loop").symlink_to("loop")
     unchanged.setenv(compile_cache.VARIABLE, asked.format(tmp_path))
     with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: {told}"):
-        compile_cache.enable()
+        compile_cache.enable_cache()
 
 
 SCRIPT = """
@@ -231,11 +231,11 @@ def test_simultaneous_first_starts_give_same_result(tmp_path, first):
 
 def test_old_cache_folders_are_removed(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, "1")
-    here = compile_cache.enable()
+    here = compile_cache.enable_cache()
     for age in range(compile_cache.MAX_FOLDERS + 3):
         other = here.with_name(f"jaxlib-0.1-{age:02d}")
         other.mkdir()
         os.utime(other, (1e9 - age, 1e9 - age))
-    assert compile_cache.enable() == here
+    assert compile_cache.enable_cache() == here
     left = sorted(other.name for other in here.parent.iterdir() if other != here)
     assert left == [f"jaxlib-0.1-{age:02d}" for age in range(compile_cache.MAX_FOLDERS)]

@@ -12,7 +12,7 @@ from scipy import stats
 from sinsjax import plots
 from sinsjax.analysis import Estimate
 from sinsjax.plots import ConsistencyLine, Ensemble, GridAxis, HeadingErrorCourse, Line, MapQuantity
-from sinsjax.plots.comparison import cumulative_steps
+from sinsjax.plots.comparison import cumulative_distribution_steps
 
 TIME = np.arange(1.0, 11.0)
 
@@ -325,7 +325,7 @@ def test_axis_ticks_are_at_values_when_spaced_apart(values, marks):
 def test_steps_thin_many_values_without_changing_shape():
     values = np.random.default_rng(3).normal(size=100_000)
     values[:20_000] = np.nan
-    x, share = cumulative_steps(values)
+    x, share = cumulative_distribution_steps(values)
     assert x.size <= 1000
     assert (share[0], share[-1]) == (0.0, 0.8) and x[-1] == np.nanmax(values)
     known = np.sort(values[20_000:])

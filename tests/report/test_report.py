@@ -166,7 +166,7 @@ def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
     assert study.axes_shown == {("phi_e0_deg",): (0.0, 5.0, 10.0), ("phi_u0_deg",): (0.0, 30.0)}
     settle = np.tile([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], 3)
     source = Source(tmp_path, study, "x.toml", summary_of(study, settle_10_s=settle))
-    blocks = {block.name: block for block in axis_figures.build_axis_blocks(source)}
+    blocks = {block.name: block for block in axis_figures.build_axis_figures(source)}
     axes = blocks["settling_time"].figure.axes[0]
     assert (axes.get_ylabel(), axes.get_xlabel()) == (
         "initial level error about east (deg)",
@@ -399,7 +399,7 @@ def test_success_from_truth_and_bias_floor_appears_in_all_outputs(tmp_path):
     floors = "within 10' of their bias floors"
     half = format_percent(analysis.share(flags["ok_truth"], np.repeat(np.arange(8), 2)))
     assert f"{half} % of the runs settle" in text
-    (along,) = axis_figures.build_axis_blocks(source)
+    (along,) = axis_figures.build_axis_figures(source)
     titles = [axes.get_title(loc="left") for axes in along.figure.axes]
     page = unescape(html.read_text())
     assert f"share of runs that are ok, {truth} (%)" in titles
@@ -463,7 +463,7 @@ def test_runs_near_north_but_not_converged_are_reported(tmp_path):
     assert "All 8 runs that are ok within 10' of true north end more than 10' from" in text
     source = Source.read(tmp_path / "a")
     drawn = {
-        b.name: b for b in axis_figures.build_axis_blocks(source) if isinstance(b, base.Picture)
+        b.name: b for b in axis_figures.build_axis_figures(source) if isinstance(b, base.Picture)
     }
     assert drawn.keys() == {"settling_time", "settling_time_floor"}  # every share is 0 or 100 %
     for name, hatched in {"settling_time": 2, "settling_time_floor": 0}.items():

@@ -91,7 +91,7 @@ def test_heat_map_writes_number_of_duplicate_variants_once(source: Source) -> No
     for name in ("settle_10_s", "settle_10_truth_s"):  # short runs never settle
         place = table.column_names.index(name)
         table = table.set_column(place, name, pa.array(np.full(table.num_rows, 50.0)))
-    blocks = axis_figures.build_axis_blocks(
+    blocks = axis_figures.build_axis_figures(
         Source(source.directory, source.study, source.config, table)
     )
     (picture, *_) = (b for b in blocks if isinstance(b, Picture) and "settling" in b.name)

@@ -73,7 +73,7 @@ def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn: Source) -> None
 
 
 def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn: Source) -> None:
-    *pictures, idle = axis_figures.build_axis_blocks(drawn)
+    *pictures, idle = axis_figures.build_axis_figures(drawn)
     assert [getattr(block, "name", "") for block in pictures] == ["along_axis", "over_phi_u0_deg"]
     assert idle == Text("No figure over yaw_center_deg: no effect beyond the intervals.")
     assert isinstance(pictures[1], Picture)
@@ -89,7 +89,7 @@ def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn: Source) -> 
 
 
 def test_panel_without_values_is_omitted(drawn: Source) -> None:
-    over = axis_figures.build_axis_blocks(drawn)[1]
+    over = axis_figures.build_axis_figures(drawn)[1]
     assert isinstance(over, Picture)
     titles = [axes.get_title(loc="left") for axes in over.figure.axes]
     assert "median time (s) to within 10' of true north" not in titles  # 2 s are too short
@@ -108,7 +108,7 @@ def test_list_valued_axis_is_plotted_as_categories(tmp_path: Path) -> None:
     study = small_study(study=SHORT | {"draws": 4}, axes={"reset_times_s": times})
     assert study.figure_axes == ({"reset_times_s": ((), (0.5,), (0.5, 1.0))}, [])
     run.run_into(study, tmp_path / "out")
-    (figure,) = axis_figures.build_axis_blocks(Source.read(tmp_path / "out"))
+    (figure,) = axis_figures.build_axis_figures(Source.read(tmp_path / "out"))
     axes = figure.figure.axes[-1]
     assert [text.get_text() for text in axes.get_xticklabels()] == ["none", "0.5", "0.5, 1"]
     assert axes.get_xlabel() == "resets at (s)"

@@ -17,7 +17,7 @@ from sinsjax.execution.source import Source
 from sinsjax.report import covariance, terminal
 from sinsjax.report.base import Fact, Table, Verdict
 from sinsjax.report.choices import Choices, best_option, best_option_per_draw, describe_schedule
-from sinsjax.report.verdict import q_caution, sweep_verdict
+from sinsjax.report.verdict import process_noise_caution, sweep_verdict
 from sinsjax.study.study import Study
 
 SWEEP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [5.0, 30.0, 60.0]}
@@ -177,7 +177,7 @@ def test_runs_that_never_settle_limit_the_accuracy() -> None:
 @pytest.mark.parametrize(("scale", "cautions"), [(None, True), (1e-3, False)])
 def test_q_above_ten_times_the_noise_is_cautioned(scale: float | None, cautions: bool) -> None:
     study = small_study(filter={} if scale is None else {"q_scale": scale})
-    (*told,) = q_caution(Source(Path("out"), study, "x.toml"))
+    (*told,) = process_noise_caution(Source(Path("out"), study, "x.toml"))
     assert bool(told) == cautions
     if told:  # 100 Hz with Q per step: 100 times the standard deviation of a sample
         assert told[0].text.startswith("Q is 100 times the sensors' noise") and told[0].is_caution
