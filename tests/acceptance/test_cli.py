@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_re
 
 @pytest.fixture
 def sinsjax(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command line in this process; gives exit code, output and error output."""
+    """Run a command line in this process; gives exit code, output and error output."""
     return command_line(monkeypatch, capsys)
 
 

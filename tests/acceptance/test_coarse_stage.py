@@ -41,7 +41,7 @@ def results() -> run.Results:
     return run.run(study())
 
 
-def of_variant(table: pa.Table, variant: int, name: str) -> np.ndarray:
+def values_of_variant(table: pa.Table, variant: int, name: str) -> np.ndarray:
     """Values of the runs of a variant, (draws, records or 1)."""
     runs = pc.equal(pc.bit_wise_and(table["run_id"], 7), variant)
     return table.filter(runs)[name].to_numpy().reshape(3, -1)
@@ -55,7 +55,7 @@ def test_attitude_before_hand_over_equals_coarse_method_alone() -> None:
         changes = {"alignment": {"method": method}, "axes": {}, "coarse": {"coarse_method": "none"}}
         alone = run.run(study(**changes)).curves["phi_u_arcmin"].to_numpy().reshape(3, -1)
         for variant in variants:
-            phi = of_variant(curves, variant, "phi_u_arcmin")
+            phi = values_of_variant(curves, variant, "phi_u_arcmin")
             np.testing.assert_array_equal(phi[:, :3], alone[:, :3])
             assert not np.any(phi[:, 3:] == alone[:, 3:])
     assert results().curves["time_s"].to_pylist()[:6] == [1, 2, 3, 4, 5, 6]
@@ -74,7 +74,7 @@ def test_initial_heading_error_is_ignored_after_coarse_alignment() -> None:
 
 def test_sigma_is_nan_before_hand_over_and_smaller_after_replay() -> None:
     """Before, there is none; one that has filtered all data since the start knows more."""
-    sigma = [of_variant(results().curves, v, "sigma_u_arcmin") for v in range(8)]
+    sigma = [values_of_variant(results().curves, v, "sigma_u_arcmin") for v in range(8)]
     assert not np.isnan(sigma[0]).any() and np.isnan(sigma[2][:, :3]).all()
     assert np.isnan(sigma[6][:, :3]).all() and not np.isnan(sigma[6][:, 3:]).any()
     replayed, handed_over = sigma[6][:, 3:], sigma[2][:, 3:]

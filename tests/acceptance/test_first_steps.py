@@ -64,7 +64,7 @@ p0_yaw_deg = 80.0
 def sinsjax(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Command:
-    """Runs a command line in this process, in an empty folder."""
+    """Run a command line in this process, in an empty folder."""
     monkeypatch.chdir(tmp_path)
     return command_line(monkeypatch, capsys)
 

@@ -57,7 +57,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def forked() -> Iterator[Server]:
-    """Runs command lines one after the other in a process that finds methods of its own."""
+    """Run command lines one after the other in a process that finds methods of its own."""
     server = Server()
     yield server
     server.close()
@@ -76,7 +76,7 @@ def sinsjax(*words: str, site: Path, cwd: Path) -> subprocess.CompletedProcess[s
 
 
 def is_listed(line: str) -> bool:
-    """Whether a row on methods of other packages is on a message that names one."""
+    """Return whether a row on methods of other packages is on a message that names one."""
     section = MESSAGES.partition("\n## A method of another package\n")[2].partition("\n## ")[0]
     rows = [row.split("|")[1] for row in section.splitlines() if row.startswith("| `")]
     forms = [form.split("...") for row in rows for form in re.findall("`(.+?)`", row)]
@@ -106,7 +106,7 @@ def test_plugin_method_is_explained_and_swept_like_built_in_methods(
 
 
 def tuning(path: Path, tune: str = "") -> None:
-    """Writes the study of the page with its variable, for the searches that [tune] does."""
+    """Write the study of the page with its variable, for the searches that [tune] does."""
     (ranges,) = re.findall(r"`(averaging_time_s = \{.+\})`", PAGE)
     study = STUDY.replace("averaging_time_s = 1000.0", "").replace(', "inertial"]', "]")
     path.write_text(f"{study}{tune}[tune.variables]\n{ranges}\n")

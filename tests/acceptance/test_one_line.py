@@ -31,7 +31,7 @@ Command = Callable[..., tuple[int, str]]
 
 @pytest.fixture
 def sinsjax(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command line in this process; gives exit code and error output."""
+    """Run a command line in this process; gives exit code and error output."""
 
     def call(*words: object) -> tuple[int, str]:
         monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])

@@ -391,7 +391,7 @@ def test_pass_longer_than_record_is_refused() -> None:
 
 
 def test_only_needed_part_of_record_is_loaded() -> None:
-    """Runs that begin at 10 s of the record begin where their fine alignment does on the record."""
+    """Run that begin at 10 s of the record begin where their fine alignment does on the record."""
     data = recorded(stored_s=6.0)
     data["record"] = data["record"] | {"start_s": 4.0}
     (part,) = build.parts(study_from_dict(data), StoredRecord(record(), None))

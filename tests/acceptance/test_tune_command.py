@@ -15,7 +15,7 @@ import pytest
 import tomli_w
 from support.commands import Command, command_line
 from support.kept import everything
-from support.stored import told, write_part
+from support.stored import report_text, write_part
 from support.studies import BASE, PAPER, small_study
 
 import sinsjax.tuning
@@ -69,7 +69,7 @@ def write(path: Path, **changes: Any) -> Path:
 
 @pytest.fixture
 def sinsjax_(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command line in this process; gives exit code, output and error output."""
+    """Run a command line in this process; gives exit code, output and error output."""
     return command_line(monkeypatch, capsys)
 
 
@@ -138,7 +138,7 @@ def test_tuned_study_has_best_point_of_tuning_draws(made: Path) -> None:
 
 
 def test_tuning_report_is_built_from_stored_files(made: Path, tmp_path: Path) -> None:
-    said = told(made, page=tmp_path / "page.md", html=tmp_path / "page.html")
+    said = report_text(made, page=tmp_path / "page.md", html=tmp_path / "page.html")
     page = (tmp_path / "page.md").read_text()
     for text in (said, page):
         assert "root mean square heading error at the end, worst over 2 variants" in text
@@ -194,10 +194,10 @@ def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path)
     shorter = pq.read_table(part).slice(1)
     pq.write_table(shorter, part)
     with pytest.raises(InputError, match="part-0000-000000.parquet: has changed since it was wri"):
-        told(out)
+        report_text(out)
     write_part(part, shorter, read_manifest(out / "evaluation")["identity"])
     with pytest.raises(InputError, match=r"evaluation: 31 runs where the study has 32: are the re"):
-        told(out)
+        report_text(out)
 
 
 def test_scores_and_differences_use_common_draws(made: Path) -> None:
@@ -278,7 +278,7 @@ def test_overwrite_removes_previous_tuning_results(
         from_python.tune(load_study(out / "study.toml"), out, overwrite=True)
     assert not (out / "tuned.toml").exists() and history.read_history(out).num_rows == 0
     with pytest.raises(InputError, match="out: holds a tuning run that is not complete"):
-        told(out)
+        report_text(out)
     assert run_tuning.is_tuning(out)
 
 
@@ -325,7 +325,7 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
     with pytest.raises(StudyInterrupted, match=r"0 of 72 runs are in .*grid"):
         from_python.tune(study, tmp_path / "out", stop=stop)
     with pytest.raises(InputError, match=r"out: holds a tuning run that is not complete \(`sinsj"):
-        told(tmp_path / "out")
+        report_text(tmp_path / "out")
     alone = load_study(write(tmp_path / "swing.toml", tune=TUNE | {"searches": ["gradient"]}))
     with pytest.MonkeyPatch.context() as patch:
         fake = sys.modules["sinsjax.tuning.descent"]
@@ -348,7 +348,7 @@ def test_damaged_history_is_refused_by_report_and_made_again_by_resume(
         (out / "history.parquet").write_bytes(content if damage == "flipped" else b"")
     words = "there is no such file" if damage == "gone" else "has changed since .*tune --resume"
     with pytest.raises(InputError, match=rf"history\.parquet: {words}"):
-        told(out)
+        report_text(out)
     from_python.tune(load_study(out / "study.toml"), out, resume=True)
     assert history.read_history(out).equals(whole)
     assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
@@ -372,10 +372,10 @@ def test_damaged_study_of_tuning_is_named_and_restored_by_resume(
         "gone": r".* \(delete it: `sinsjax tune --resume` writes it again\)",
     }
     with pytest.raises(InputError, match=rf"out/study\.toml: {named[damage]}"):
-        told(out)
+        report_text(out)
     from_python.tune(study, out, resume=True)
     assert (out / "study.toml").read_text() == text
-    assert "swing" in told(out)
+    assert "swing" in report_text(out)
 
 
 def test_search_folder_that_is_a_link_is_refused(made: Path, tmp_path: Path) -> None:
@@ -386,7 +386,7 @@ def test_search_folder_that_is_a_link_is_refused(made: Path, tmp_path: Path) -> 
     before = everything(tmp_path)
     for attempt in (
         lambda: from_python.tune(load_study(out / "study.toml"), out, overwrite=True),
-        lambda: told(out),
+        lambda: report_text(out),
     ):
         with pytest.raises(InputError, match=r"out/grid: is a symbolic link"):
             attempt()
@@ -399,7 +399,7 @@ def test_report_draws_no_figures_through_a_link(made: Path, tmp_path: Path) -> N
     other.mkdir()
     (out / "figures").symlink_to(other)
     with pytest.raises(InputError, match=r"out/figures: is a symbolic link"):
-        told(out)
+        report_text(out)
     assert not list(other.iterdir())
 
 

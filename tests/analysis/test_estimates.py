@@ -99,7 +99,7 @@ def test_quantile_is_smallest_value_covering_requested_share(values, q):
     assert math.isnan(found.high) or (found.high in data and found.value <= found.high)
 
 
-def at_most(k, n, q):
+def binomial_at_most(k, n, q):
     """That no more than k of n values lie below their quantile q, in fractions."""
     return sum(math.comb(n, i) * q**i * (1 - q) ** (n - i) for i in range(k + 1))
 
@@ -109,8 +109,8 @@ def at_most(k, n, q):
 def test_quantile_interval_is_narrowest_allowed_by_binomial_law(n, q):
     values = np.random.default_rng(n).permutation([*np.arange(1.0, n), NEVER])
     ordered, share, tail = sorted(values), Fraction(str(q)), Fraction(25, 1000)
-    lows = [k for k in range(1, n + 1) if at_most(k - 1, n, share) <= tail]
-    highs = [k for k in range(1, n + 1) if 1 - at_most(k - 1, n, share) <= tail]
+    lows = [k for k in range(1, n + 1) if binomial_at_most(k - 1, n, share) <= tail]
+    highs = [k for k in range(1, n + 1) if 1 - binomial_at_most(k - 1, n, share) <= tail]
     found = analysis.quantile(values, q)
     assert found.low == ordered[lows[-1] - 1] if lows else math.isnan(found.low)
     assert found.high == ordered[highs[0] - 1] if highs else math.isnan(found.high)
@@ -166,7 +166,7 @@ def test_mean_interval_of_symmetric_values_is_student_t():
     assert found == pytest.approx((values.mean(), oracle.low, oracle.high, 20), rel=1e-12)
 
 
-def hall(values, end):
+def hall_interval_end(values, end):
     """The end at which Hall's transformation of the studentised mean equals a t quantile."""
     n, skew = len(values), stats.skew(values, bias=False)
     mean, error = np.mean(values), stats.sem(values)
@@ -186,10 +186,10 @@ def test_mean_interval_of_skewed_values_is_wider_on_their_long_side_only(sign):
     found = analysis.mean(values)
     if sign > 0:
         assert found.low == pytest.approx(ends.low) and found.high > 1.04 * ends.high
-        assert found.high == pytest.approx(hall(values, 0.025))
+        assert found.high == pytest.approx(hall_interval_end(values, 0.025))
     else:
         assert found.high == pytest.approx(ends.high) and found.low < 1.04 * ends.low
-        assert found.low == pytest.approx(hall(values, 0.975))
+        assert found.low == pytest.approx(hall_interval_end(values, 0.975))
 
 
 def test_std_interval_of_normal_values_matches_chi_square():
@@ -201,7 +201,7 @@ def test_std_interval_of_normal_values_matches_chi_square():
     assert other.low < other.value < other.high and other.value == found.value
 
 
-def naive_root(squares, value):
+def naive_root_interval(squares, value):
     """The interval of the root of a mean square, term by term."""
     n = len(squares)
     mean = sum(squares) / n
@@ -217,9 +217,11 @@ def naive_root(squares, value):
 def test_std_and_rms_intervals_match_naive_loop(n):
     values = np.random.default_rng(n).standard_t(5, n) + 0.5
     found = analysis.rms(values)
-    assert found[1:3] == pytest.approx(naive_root([x * x for x in values], found.value))
+    assert found[1:3] == pytest.approx(naive_root_interval([x * x for x in values], found.value))
     found, middle = analysis.std(values), values.mean()
-    assert found[1:3] == pytest.approx(naive_root([(x - middle) ** 2 for x in values], found.value))
+    assert found[1:3] == pytest.approx(
+        naive_root_interval([(x - middle) ** 2 for x in values], found.value)
+    )
 
 
 @pytest.mark.parametrize("statistic", [analysis.std, analysis.rms])

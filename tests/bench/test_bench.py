@@ -24,7 +24,7 @@ HOLDS = {"cpu": "model X", "sinsjax": "1.2", "jax": "0", "platform": "cpu", "opt
 ROWS = ["kalman_shared_record", "kalman_noise_64", "numpy_baseline"]
 
 
-def fake(name, seconds, calls=None, runs=10, steps=100, **more):
+def fake_workload(name, seconds, calls=None, runs=10, steps=100, **more):
     left = iter(seconds)
 
     def call():
@@ -36,7 +36,7 @@ def fake(name, seconds, calls=None, runs=10, steps=100, **more):
 
 
 @pytest.fixture
-def quiet(monkeypatch, tmp_path):
+def fake_workloads(monkeypatch, tmp_path):
     """Nothing of this process is changed, no engine is compiled, temporary files go to tmp_path."""
     monkeypatch.setattr(bench, "pin_to_one_core", lambda: None)
     monkeypatch.setattr(bench, "measurement_conditions", lambda: HOLDS)
@@ -49,14 +49,14 @@ def quiet(monkeypatch, tmp_path):
     return monkeypatch
 
 
-def timed(capsys, **choices):
+def run_and_parse(capsys, **choices):
     """The rows of a run, and what it says on stderr."""
     bench.run_benchmarks(Console(), as_json=True, repeats=2, **choices)
     told = capsys.readouterr()
     return [json.loads(line) for line in told.out.splitlines()], told.err
 
 
-def tool(path, script):
+def write_tool(path, script):
     """An executable that runs a line of Python."""
     path.write_text(f"#!{sys.executable}\n{script}\n")
     path.chmod(0o755)
@@ -73,8 +73,8 @@ def gcc():
 
 def test_cases_are_timed_in_turns_and_median_is_reported():
     calls: list[str] = []
-    slow = fake("slow", [0.004, 0.1, 0.002], calls)
-    fast = fake("fast", [0.001, 0.001, 0.003], calls, runs=1, dtype="float32", devices=2)
+    slow = fake_workload("slow", [0.004, 0.1, 0.002], calls)
+    fast = fake_workload("fast", [0.001, 0.001, 0.003], calls, runs=1, dtype="float32", devices=2)
     rows = bench.measure_workloads([slow, fast], 3)
     assert calls == ["slow", "fast"] * 3
     assert [row["name"] for row in rows] == ["slow", "fast"]
@@ -86,8 +86,8 @@ def test_cases_are_timed_in_turns_and_median_is_reported():
 
 
 def test_ratio_is_median_of_per_turn_ratios():
-    base = fake("base", [1.0, 2.0, 4.0])
-    other = fake("other", [3.0, 4.0, 20.0], runs=20)
+    base = fake_workload("base", [1.0, 2.0, 4.0])
+    other = fake_workload("other", [3.0, 4.0, 20.0], runs=20)
     first, second = timing.measure_relative_to_base(base, [other], 3)
     assert "ratio" not in first
     # 1.5, 1 and 2.5 times, where the ratio of the medians would be 1.
@@ -130,18 +130,18 @@ def test_limit_kernel_runs(gcc, tmp_path):
     assert 0 < case.call() < 1
 
 
-def test_run_with_limit_kernel_leaves_no_temp_files(gcc, quiet, tmp_path, capsys):
-    rows, said = timed(capsys, limit=True)
+def test_run_with_limit_kernel_leaves_no_temp_files(gcc, fake_workloads, tmp_path, capsys):
+    rows, said = run_and_parse(capsys, limit=True)
     assert [row["name"] for row in rows] == ["limit_kernel", *ROWS]
     assert all(HOLDS.items() <= row.items() for row in rows)
     assert said == ""
     assert not list(tmp_path.iterdir())
 
 
-def test_missing_gcc_warns_and_skips_limit_kernel(quiet, capsys):
-    quiet.setattr(shutil, "which", lambda name: None)
-    rows, said = timed(capsys, limit=True)
-    without, silent = timed(capsys, limit=False)
+def test_missing_gcc_warns_and_skips_limit_kernel(fake_workloads, capsys):
+    fake_workloads.setattr(shutil, "which", lambda name: None)
+    rows, said = run_and_parse(capsys, limit=True)
+    without, silent = run_and_parse(capsys, limit=False)
     assert said == "warning: no limit kernel: gcc not found\n"
     assert silent == ""
     assert [row["name"] for row in rows] == [row["name"] for row in without] == ROWS
@@ -154,22 +154,22 @@ def test_missing_gcc_warns_and_skips_limit_kernel(quiet, capsys):
         ("pass", "a program built by gcc cannot be started: No such file or directory"),
     ],
 )
-def test_broken_gcc_warns_and_skips_limit_kernel(quiet, tmp_path, capsys, script, why):
-    tool(tmp_path / "gcc", script)
-    quiet.setenv("PATH", str(tmp_path))
-    rows, said = timed(capsys, limit=True)
+def test_broken_gcc_warns_and_skips_limit_kernel(fake_workloads, tmp_path, capsys, script, why):
+    write_tool(tmp_path / "gcc", script)
+    fake_workloads.setenv("PATH", str(tmp_path))
+    rows, said = run_and_parse(capsys, limit=True)
     assert said == f"warning: no limit kernel: {why}\n"
     assert [row["name"] for row in rows] == ROWS
 
 
-def test_missing_compiler_options_warn_only_on_cpu(quiet, capsys):
+def test_missing_compiler_options_warn_only_on_cpu(fake_workloads, capsys):
     for platform, warned in (("cpu", True), ("gpu", False)):
         holds = HOLDS | {"platform": platform, "options": "none"}
-        quiet.setattr(bench, "measurement_conditions", lambda holds=holds: holds)
-        assert ("compiler options" in timed(capsys, limit=False)[1]) == warned
+        fake_workloads.setattr(bench, "measurement_conditions", lambda holds=holds: holds)
+        assert ("compiler options" in run_and_parse(capsys, limit=False)[1]) == warned
 
 
-def test_table_shows_ratio_to_limit_kernel(gcc, quiet, capsys):
+def test_table_shows_ratio_to_limit_kernel(gcc, fake_workloads, capsys):
     bench.run_benchmarks(Console(width=80), as_json=False, limit=True, repeats=1)
     told = capsys.readouterr().out
     assert "x limit" in told and "1.00" in told and "model X" in told
@@ -185,7 +185,7 @@ def test_table_shows_ratio_to_limit_kernel(gcc, quiet, capsys):
 )
 def test_failing_compiler_raises_one_line_error(tmp_path, script, why):
     with pytest.raises(InputError) as told:
-        limit_kernel_workload(tool(tmp_path / "gcc", script), str(tmp_path))
+        limit_kernel_workload(write_tool(tmp_path / "gcc", script), str(tmp_path))
     assert str(told.value) == why
 
 
@@ -199,16 +199,18 @@ def test_missing_compiler_raises_input_error(tmp_path):
     [("import os; os.kill(os.getpid(), 9)", "signal 9"), ("raise SystemExit(2)", "exit status 2")],
 )
 def test_failing_limit_kernel_raises_one_line_error(tmp_path, script, why):
-    case = limit_kernel_workload(tool(tmp_path / "gcc", ""), str(tmp_path))
-    tool(tmp_path / "limit", script)
+    case = limit_kernel_workload(write_tool(tmp_path / "gcc", ""), str(tmp_path))
+    write_tool(tmp_path / "limit", script)
     with pytest.raises(InputError) as told:
         case.call()
     assert str(told.value) == f"the limit kernel failed: {why}"
 
 
 def test_registry_rows_have_their_listed_names(monkeypatch):
-    monkeypatch.setattr(cases, "engine_workload", lambda name, group: fake(name, []))
-    monkeypatch.setattr(cases, "numpy_baseline_workload", lambda group: fake("numpy_baseline", []))
+    monkeypatch.setattr(cases, "engine_workload", lambda name, group: fake_workload(name, []))
+    monkeypatch.setattr(
+        cases, "numpy_baseline_workload", lambda group: fake_workload("numpy_baseline", [])
+    )
     assert {name: make().name for name, make in cases.SHORT.items()} == {n: n for n in cases.SHORT}
 
 
@@ -241,14 +243,14 @@ def test_some_variants_picks_last_variants_with_enough_draws(small_group):
 
 
 def test_without_noise_removes_only_noise(small_group):
-    quiet = cases.remove_noise(small_group)
+    fake_workloads = cases.remove_noise(small_group)
     assert (
-        not quiet.environment.errors.gyro_noise.any()
-        and not quiet.environment.errors.accel_noise.any()
+        not fake_workloads.environment.errors.gyro_noise.any()
+        and not fake_workloads.environment.errors.accel_noise.any()
     )
-    assert quiet.static == small_group.static._replace(noisy=False)
+    assert fake_workloads.static == small_group.static._replace(noisy=False)
     np.testing.assert_array_equal(
-        quiet.environment.errors.gyro_bias, small_group.environment.errors.gyro_bias
+        fake_workloads.environment.errors.gyro_bias, small_group.environment.errors.gyro_bias
     )
 
 

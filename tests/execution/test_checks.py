@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.stored import told
+from support.stored import report_text
 from support.studies import BASE, PAPER, small_study, with_paper_values
 
 from sinsjax.cli.running import describe_plan
@@ -220,7 +220,7 @@ def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None
     filled, light = json.loads((tmp_path / "out" / "manifest.json").read_text())["warnings"]
     assert filled.startswith("drive.imu: 3 missing samples are interpolated")
     assert light.startswith("drive.imu: 0 to 90 s: the mean specific force is 9.7")
-    report = told(tmp_path / "out")
+    report = report_text(tmp_path / "out")
     warnings = [line.strip() for line in report.splitlines() if line.startswith("  Warning")]
     assert [line.removeprefix("Warning").strip() for line in warnings] == [filled, light]
     assert "Innovations: the mean of r' S^-1 r is" in report

@@ -14,7 +14,7 @@ from rich.console import Console
 from scipy import stats
 from support.dying import Dying
 from support.kept import assert_complete, manifest, parts, times
-from support.stored import store, told
+from support.stored import report_text, store
 from support.studies import STILL, small_study
 
 from sinsjax import columns
@@ -300,7 +300,7 @@ def test_report_lists_fastest_settings_and_plots_axes(
     study = study_of(axes=axes, resets={})
     study_run.run_into(study, tmp_path / "out")
     page = tmp_path / "page.md"
-    said = told(tmp_path / "out", page=page)
+    said = report_text(tmp_path / "out", page=page)
     assert "8 variants by covariance analysis, without draws" in said
     table = said.partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
     made = read_estimates(tmp_path / "out")
@@ -323,7 +323,9 @@ def test_report_prints_least_share_over_starts_of_each_setting(tmp_path: Path) -
         place = made.column_names.index(name)
         made = made.set_column(place, made.schema.field(place), pa.array(values))
     out = store(tmp_path, study, estimates=made)
-    table = told(out).partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
+    table = report_text(out).partition(
+        "The soonest within 10' of true north, mean over phi_u0_deg"
+    )[2]
     assert [line.split()[-2] for line in table.splitlines()[5:7]] == ["30", "60"]
 
 
@@ -337,7 +339,7 @@ def test_report_of_estimates_handles_any_axes(
 ) -> None:
     resets, study = {"reset_times_s": [10.0]}, {"check_linearity": checked}
     study_run.run_into(study_of(axes=axes, resets=resets, study=study), tmp_path)
-    said = told(tmp_path)
+    said = report_text(tmp_path)
     assert "Every variant" in said and "by covariance analysis" in said
     assert columns.settle_estimate_columns(10.0)[0].name in read_estimates(tmp_path).column_names
 

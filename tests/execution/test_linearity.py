@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from support.stored import told
+from support.stored import report_text
 from support.studies import STILL, small_study
 
 from sinsjax.engine import build, companions
@@ -108,6 +108,6 @@ def test_nonlinearity_columns_absent_without_check_linearity() -> None:
 
 def test_report_counts_variants_with_high_nonlinearity_index(tmp_path: Any) -> None:
     study_run.run_into(study_of(estimate="covariance", draws=DRAWS), tmp_path / "out")
-    said = told(tmp_path / "out")
+    said = report_text(tmp_path / "out")
     assert "index at most" in said
     assert "2 of 4 variants exceed 0.5" in said

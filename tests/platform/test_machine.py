@@ -47,7 +47,7 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def refused(folder: Path) -> tuple[str, str]:
+def refusal(folder: Path) -> tuple[str, str]:
     """Where and why a folder is not safe; nothing is made."""
     root = next(place for place in folder.parents if place.exists())
     before = sorted(root.rglob("*"))
@@ -76,10 +76,10 @@ def test_folder_below_world_writable_parent_is_refused(tmp_path: Path, between: 
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
     leaf = tmp_path / "open" / f"{between}leaf"
-    assert refused(leaf) == (str(tmp_path / "open"), "other users can write there")
+    assert refusal(leaf) == (str(tmp_path / "open"), "other users can write there")
     # Also where it was there already, as safe as can be.
     leaf.mkdir(mode=0o700, parents=True)
-    assert refused(leaf) == (str(tmp_path / "open"), "other users can write there")
+    assert refusal(leaf) == (str(tmp_path / "open"), "other users can write there")
 
 
 @modes
@@ -92,10 +92,10 @@ def test_sticky_parent_is_accepted_only_if_owned_by_root(
     if os.geteuid() == 0:
         machine.ensure_private_folder(sticky / "leaf")
         os.chown(sticky, SOMEBODY, SOMEBODY)
-        assert refused(sticky / "new") == (str(sticky), "owned by another user")
+        assert refusal(sticky / "new") == (str(sticky), "owned by another user")
     else:
-        assert refused(sticky / "leaf") == (str(sticky), "other users can write there")
-    assert refused(sticky)[0] == str(sticky)
+        assert refusal(sticky / "leaf") == (str(sticky), "other users can write there")
+    assert refusal(sticky)[0] == str(sticky)
 
 
 @modes
@@ -104,7 +104,7 @@ def test_folder_owned_by_another_user_is_refused(
 ) -> None:
     (tmp_path / "mine").mkdir()
     monkeypatch.setattr(machine.os, "geteuid", lambda: os.getuid() + 1)
-    assert refused(tmp_path / "mine")[1] == "owned by another user"
+    assert refusal(tmp_path / "mine")[1] == "owned by another user"
 
 
 @modes
@@ -114,7 +114,7 @@ def test_folder_below_parent_of_another_user_is_refused(tmp_path: Path) -> None:
     theirs = tmp_path / "theirs"
     theirs.mkdir(mode=0o700)
     os.chown(theirs, SOMEBODY, SOMEBODY)
-    assert refused(theirs / "leaf") == (str(theirs), "owned by another user")
+    assert refusal(theirs / "leaf") == (str(theirs), "owned by another user")
 
 
 @modes
@@ -126,7 +126,7 @@ def test_links_are_followed_once_and_their_targets_checked(tmp_path: Path) -> No
     found = machine.ensure_private_folder(tmp_path / "open" / "link" / "leaf")
     assert found == (tmp_path / "mine" / "leaf").resolve()
     (tmp_path / "mine" / "link").symlink_to(tmp_path / "open")
-    assert refused(tmp_path / "mine" / "link" / "leaf")[0] == str(tmp_path / "open")
+    assert refusal(tmp_path / "mine" / "link" / "leaf")[0] == str(tmp_path / "open")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     with pytest.raises(OSError, match="loop"):
         machine.ensure_private_folder(tmp_path / "loop" / "leaf")
@@ -188,7 +188,7 @@ def test_group_writable_parent_is_accepted_only_without_other_members(
         machine.ensure_private_folder(tmp_path / "shared" / "leaf")
         # Those whom an access control list names are in no group.
         monkeypatch.setattr(machine.os, "listxattr", lambda *_, **__: [machine._ACL], raising=False)
-    assert refused(tmp_path / "shared" / "new")[0] == str(tmp_path / "shared")
+    assert refusal(tmp_path / "shared" / "new")[0] == str(tmp_path / "shared")
 
 
 @modes

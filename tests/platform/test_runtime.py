@@ -14,7 +14,7 @@ from sinsjax.platform import runtime, xla
 from sinsjax.platform.xla import merge_options
 
 
-def python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run_python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a script in a fresh interpreter, free of this one's settings."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("XLA_", "JAX_", "SINSJAX_"))}
     kept["PYTHONPATH"] = str(Path(sinsjax.__file__).parents[1])
@@ -29,12 +29,12 @@ def python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture
-def late(monkeypatch):
+def reset_late_warning(monkeypatch):
     """No warning was given yet."""
     monkeypatch.setattr(runtime, "_warned_late", False)
 
 
-def test_configure_after_jax_start_warns_once_of_other_device_count(late, recwarn):
+def test_configure_after_jax_start_warns_once_of_other_device_count(reset_late_warning, recwarn):
     assert len(jax.devices()) == 2
     runtime.configure(devices=2)
     runtime.configure()
@@ -56,7 +56,7 @@ def test_device_count_below_one_is_refused():
 
 def test_import_changes_nothing():
     """Not the environment, the affinity or the warnings filters, even if pinning is on."""
-    done = python(
+    done = run_python(
         """
 import os, sys, warnings
 state = lambda: [dict(os.environ), list(warnings.filters), os.sched_getaffinity(0)]
@@ -72,7 +72,7 @@ assert "jax" not in sys.modules
 
 def test_no_module_starts_jax_at_import():
     """Otherwise the compiler options would come too late."""
-    python("""
+    run_python("""
 import importlib, pkgutil, sinsjax
 from sinsjax.platform import xla
 names = [module.name for module in pkgutil.walk_packages(sinsjax.__path__, "sinsjax.")]
@@ -85,7 +85,7 @@ assert len(names) > 100
 
 
 def test_configure_sets_options_devices_and_precision_before_jax_starts():
-    done = python(
+    done = run_python(
         """
 import json, os
 import jax, sinsjax  # JAX is imported, but has not started
@@ -106,7 +106,7 @@ print(json.dumps([os.environ["XLA_FLAGS"], sinsjax.info()]))
 
 
 def test_opt_out_leaves_flags_and_keeps_user_device_count():
-    done = python(
+    done = run_python(
         "import json, sinsjax; print(json.dumps(sinsjax.info()))",
         SINSJAX_XLA_OPTIONS="0",
         XLA_FLAGS="--xla_force_host_platform_device_count=4",
@@ -129,7 +129,7 @@ study = sinsjax.study_from_dict({
 
 def test_run_after_jax_start_warns_once_and_computes_in_double_precision():
     """As a notebook that has used JAX; options of the user's own are no reason to be silent."""
-    done = python(
+    done = run_python(
         f"""
 import jax.numpy as jnp
 assert jnp.ones(3).dtype == "float32"
@@ -152,7 +152,7 @@ assert jnp.ones(3).dtype == "float64"
 
 
 def test_options_of_user_set_before_jax_start_need_no_warning():
-    done = python(
+    done = run_python(
         "import jax; jax.devices(); import sinsjax; sinsjax.configure()",
         XLA_FLAGS=merge_options("", xla.required_options()),
         JAX_NUM_CPU_DEVICES=str(runtime.usable_cores()),

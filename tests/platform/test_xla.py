@@ -23,7 +23,7 @@ EXTRA = (
 
 
 @pytest.fixture
-def unset(monkeypatch, tmp_path):
+def unset_flags(monkeypatch, tmp_path):
     """No options yet, an empty cache folder, an instruction set without options of its own."""
     for name in ("XLA_FLAGS", xla.OPT_OUT):
         monkeypatch.setenv(name, "")  # so that what a test sets is undone
@@ -101,24 +101,24 @@ def test_merge_options_keeps_user_values_and_adds_rest_once(flags):
     assert merge_options(merged, OPTIONS) == merged
 
 
-def test_apply_options_sets_flags_without_starting_process(unset, no_process):
-    unset.setattr(xla, "_jaxlib_version", lambda: "0.10.2")
+def test_apply_options_sets_flags_without_starting_process(unset_flags, no_process):
+    unset_flags.setattr(xla, "_jaxlib_version", lambda: "0.10.2")
     xla.apply_options()
     assert os.environ["XLA_FLAGS"] == merge_options("", OPTIONS)
     assert not xla.missing_options()
 
 
-def test_apply_options_respects_opt_out(unset, no_process):
-    unset.setattr(xla, "_jaxlib_version", lambda: "99.0")
-    unset.setenv(xla.OPT_OUT, "0")
+def test_apply_options_respects_opt_out(unset_flags, no_process):
+    unset_flags.setattr(xla, "_jaxlib_version", lambda: "99.0")
+    unset_flags.setenv(xla.OPT_OUT, "0")
     xla.apply_options()
     assert "XLA_FLAGS" not in os.environ
 
 
-def test_apply_warns_and_leaves_flag_file_unchanged(unset, tmp_path):
+def test_apply_warns_and_leaves_flag_file_unchanged(unset_flags, tmp_path):
     file = tmp_path / "flags"
     file.write_text(merge_options("", OPTIONS[1:]))
-    unset.setenv("XLA_FLAGS", str(file))
+    unset_flags.setenv("XLA_FLAGS", str(file))
     told = f"names the file {file}; add {merge_options('', OPTIONS[:1])} to it"
     with pytest.warns(ConfigurationWarning, match=re.escape(told)):
         xla.apply_options()
@@ -128,21 +128,21 @@ def test_apply_warns_and_leaves_flag_file_unchanged(unset, tmp_path):
 
 
 @pytest.mark.slow
-def test_unknown_jaxlib_is_tried_once_and_cached(unset):
+def test_unknown_jaxlib_is_tried_once_and_cached(unset_flags):
     """XLA says so when it starts, LLVM when it compiles."""
     unknown = XlaOption("xla_no_such_flag", "1", extra=False), XlaOption("--no-such-option", "1")
-    unset.setattr(xla, "_OPTIONS", (*unknown, *OPTIONS))
-    unset.setattr(xla, "_jaxlib_version", lambda: "99.0")
+    unset_flags.setattr(xla, "_OPTIONS", (*unknown, *OPTIONS))
+    unset_flags.setattr(xla, "_jaxlib_version", lambda: "99.0")
     told = "99.0 does not know --xla_no_such_flag, --no-such-option"
     with pytest.warns(ConfigurationWarning, match=told):
         xla.apply_options()
     assert parse_flags(os.environ["XLA_FLAGS"]) == ALL
     xla.refused_options.cache_clear()
-    unset.setattr(xla, "can_compile", lambda flags: pytest.fail("tried again"))
+    unset_flags.setattr(xla, "can_compile", lambda flags: pytest.fail("tried again"))
     assert xla.refused_options("99.0") == {"xla_no_such_flag", "--no-such-option"}
 
 
-def test_only_options_that_fail_alone_are_refused(unset, tmp_path):
+def test_only_options_that_fail_alone_are_refused(unset_flags, tmp_path):
     """And the answer is that of these options: a change of theirs is tried again."""
     tried = []
 
@@ -150,18 +150,18 @@ def test_only_options_that_fail_alone_are_refused(unset, tmp_path):
         tried.append(flags)
         return "region_analysis" not in flags
 
-    unset.setattr(xla, "can_compile", compiles)
+    unset_flags.setattr(xla, "can_compile", compiles)
     refused = "xla_cpu_copy_insertion_use_region_analysis"
     for options in (OPTIONS, OPTIONS, OPTIONS[1:]):
-        unset.setattr(xla, "_OPTIONS", options)
+        unset_flags.setattr(xla, "_OPTIONS", options)
         xla.refused_options.cache_clear()
         assert xla.refused_options("99.0") == {refused}
     assert len(tried) == (2 + len(OPTIONS)) + (2 + len(OPTIONS) - 1)
     assert len(json.loads((tmp_path / "sinsjax" / "xla_options.json").read_text())) == 2
 
 
-def test_damaged_answers_are_rewritten(unset, tmp_path):
-    unset.setattr(xla, "can_compile", lambda flags: True)
+def test_damaged_answers_are_rewritten(unset_flags, tmp_path):
+    unset_flags.setattr(xla, "can_compile", lambda flags: True)
     answers = tmp_path / "sinsjax" / "xla_options.json"
     answers.parent.mkdir()
     for damaged in ("{", "[1]", '{"99.0": 3}'):
@@ -171,16 +171,16 @@ def test_damaged_answers_are_rewritten(unset, tmp_path):
         assert json.loads(answers.read_text()) == {f"jaxlib 99.0 {merge_options('', OPTIONS)}": []}
 
 
-def test_failed_trial_refuses_all_options_and_is_not_cached(unset, tmp_path):
-    unset.setattr(sys, "executable", str(tmp_path / "missing"))
-    unset.setattr(xla, "_jaxlib_version", lambda: "99.0")
+def test_failed_trial_refuses_all_options_and_is_not_cached(unset_flags, tmp_path):
+    unset_flags.setattr(sys, "executable", str(tmp_path / "missing"))
+    unset_flags.setattr(xla, "_jaxlib_version", lambda: "99.0")
     assert xla.refused_options("99.0") == ALL.keys()
     assert xla.extended_flags() == ""
     assert not list(tmp_path.rglob("*.json"))
 
 
-def test_unwritable_cache_folder_is_ignored(unset, tmp_path):
-    unset.setattr(xla, "can_compile", lambda flags: True)
+def test_unwritable_cache_folder_is_ignored(unset_flags, tmp_path):
+    unset_flags.setattr(xla, "can_compile", lambda flags: True)
     (tmp_path / "sinsjax").write_text("a file where the folder should be")
     assert xla.refused_options("99.0") == frozenset()
 
@@ -200,12 +200,12 @@ def test_instruction_set_in_use_follows_xla_flags(monkeypatch, tmp_path):
     assert xla.instruction_set() == "AVX"
 
 
-def test_flags_are_read_from_flag_file(unset, tmp_path):
+def test_flags_are_read_from_flag_file(unset_flags, tmp_path):
     file = tmp_path / "flags"
     file.write_text("--xla_cpu_max_isa=AVX2\n--xla_backend_extra_options=--force-vector-width=4\n")
-    unset.setenv("XLA_FLAGS", str(file))
+    unset_flags.setenv("XLA_FLAGS", str(file))
     assert xla.current_options() == {"xla_cpu_max_isa": "AVX2", "--force-vector-width": "4"}
-    unset.setenv("XLA_FLAGS", str(tmp_path / "missing"))
+    unset_flags.setenv("XLA_FLAGS", str(tmp_path / "missing"))
     assert xla.current_options() == {}
 
 
@@ -213,8 +213,8 @@ def test_flags_are_read_from_flag_file(unset, tmp_path):
     ("instructions", "width"),
     [("AVX512", "8"), ("AVX2", "4"), ("AVX", "4"), ("SSE4_2", "4"), ("SVE", None), ("s390x", None)],
 )
-def test_loop_vector_width_follows_instruction_set(unset, instructions, width):
-    unset.setattr(xla, "instruction_set", lambda: instructions)
+def test_loop_vector_width_follows_instruction_set(unset_flags, instructions, width):
+    unset_flags.setattr(xla, "instruction_set", lambda: instructions)
     set_ = {option.name: option.value for option in xla.required_options()}
     assert set_.items() >= ALL.items()
     assert set_.get("--force-vector-width") == width

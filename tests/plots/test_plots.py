@@ -17,7 +17,7 @@ from sinsjax.plots.comparison import cumulative_distribution_steps
 TIME = np.arange(1.0, 11.0)
 
 
-def ensemble(label, *, runs=4, size=1.0, sigma=2.0):
+def make_ensemble(label, *, runs=4, size=1.0, sigma=2.0):
     noise = np.random.default_rng(7).normal(size=(runs, TIME.size))
     columns = {f"phi_{axis}_arcmin": size + noise for axis in "enu"}
     columns |= {f"sigma_{axis}_arcmin": np.full((runs, TIME.size), sigma) for axis in "enu"}
@@ -25,12 +25,12 @@ def ensemble(label, *, runs=4, size=1.0, sigma=2.0):
     return Ensemble(label, TIME, columns)
 
 
-def words(figure: Figure) -> str:
+def figure_text(figure: Figure) -> str:
     """All text of a figure that says something."""
     return "\n".join(t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_text().strip())
 
 
-def solid(axes):
+def solid_lines(axes):
     """The lines of an axes that a legend names and that are no marks along it."""
     return [line for line in axes.get_lines() if len(line.get_xdata()) > 2]
 
@@ -92,7 +92,7 @@ def test_single_run_has_no_band():
 
 
 def test_misalignment_figure_has_panels_labels_and_legend():
-    shown = [ensemble("a"), ensemble("b", size=900.0)]
+    shown = [make_ensemble("a"), make_ensemble("b", size=900.0)]
     figure = plots.draw_misalignment(
         shown, "Title", floors={"u": -27.0}, resets_s=[3.0, 6.0], zoom_s=(5.0, 10.0)
     )
@@ -101,7 +101,7 @@ def test_misalignment_figure_has_panels_labels_and_legend():
     names = ("level error, east", "level error, north", "heading error")
     for axes, name in zip(whole, names, strict=True):
         assert axes.get_ylabel().startswith(name) and "(arcmin)" in axes.get_ylabel()
-        assert [line.get_label() for line in solid(axes)] == ["a", "b"]
+        assert [line.get_label() for line in solid_lines(axes)] == ["a", "b"]
         assert axes.get_yscale() == "asinh" and axes.get_xlim() == (0.0, 10.0)
         assert sum(line.get_linestyle() == ":" for line in axes.get_lines()) == 2
     assert all(axes.get_yscale() == "linear" for axes in enlarged)
@@ -119,7 +119,7 @@ def test_misalignment_figure_has_panels_labels_and_legend():
 
 
 def test_misalignment_axis_is_linear_for_narrow_range():
-    figure = plots.draw_misalignment([ensemble("a")], "Title")
+    figure = plots.draw_misalignment([make_ensemble("a")], "Title")
     assert [axes.get_yscale() for axes in figure.axes] == ["linear"] * 3
 
 
@@ -135,18 +135,18 @@ def test_wide_misalignment_axis_has_ticks_on_both_sides(size):
         assert sum(tick > 0 for tick in ticks) == sum(tick < 0 for tick in ticks) >= 2
         zero, end, top = axes.transData.transform([(1.0, y) for y in (0.0, size, 40 * size)])[:, 1]
         assert size < 0.1 or (end - zero) / (top - zero) > 0.1
-    assert "±1 sigma of the filter" in words(figure)
+    assert "±1 sigma of the filter" in figure_text(figure)
 
 
 def test_misalignment_sigma_is_dashed_on_both_sides():
-    figure = plots.draw_misalignment([ensemble("a", sigma=5.0)], "Title", with_sigma=True)
+    figure = plots.draw_misalignment([make_ensemble("a", sigma=5.0)], "Title", with_sigma=True)
     dashed = [line for line in figure.axes[2].get_lines() if line.get_linestyle() == "--"]
     ends = [line.get_ydata()[0] for line in dashed if len(line.get_ydata())]
     assert sorted(ends) == [-5.0, 5.0]
 
 
 def test_enlarged_panel_shows_whole_band():
-    wide = ensemble("a", runs=40)
+    wide = make_ensemble("a", runs=40)
     figure = plots.draw_misalignment([wide], "Title", zoom_s=(4.0, 10.0))
     inside = wide.columns["phi_u_arcmin"][:, TIME >= 4.0]
     low, high = figure.axes[-1].get_ylim()
@@ -166,10 +166,10 @@ def test_enlarged_panel_range_ignores_sigma_jump_at_reset():
 
 
 def test_attitude_figure_shows_degrees_and_sigma_band():
-    figure = plots.draw_attitude([ensemble("a", sigma=60.0), ensemble("b")], "Title")
+    figure = plots.draw_attitude([make_ensemble("a", sigma=60.0), make_ensemble("b")], "Title")
     assert [axes.get_ylabel() for axes in figure.axes] == ["pitch (deg)", "roll (deg)", "yaw (deg)"]
     path = figure.axes[2].collections[0].get_paths()[0]
-    middle = ensemble("a").columns["yaw_deg"].mean(axis=0)
+    middle = make_ensemble("a").columns["yaw_deg"].mean(axis=0)
     assert path.vertices[:, 1].max() == pytest.approx(middle.max() + 1.0)  # 60 arcmin are 1 deg
 
 
@@ -204,10 +204,10 @@ def test_heat_maps_show_values_and_hatch_infinite_cells():
         "time between resets (s)",
     )
     assert bar.get_ylabel() == "time (s)"
-    assert "never" in words(figure)
+    assert "never" in figure_text(figure)
 
 
-def marked(values, alike, hatched):
+def draw_hatched_map(values, alike, hatched):
     return plots.draw_heat_maps(
         [("all", np.array(values))],
         "Title",
@@ -219,17 +219,19 @@ def marked(values, alike, hatched):
 
 
 def test_heat_maps_hatch_marked_cells_and_name_reason():
-    figure = marked([[10.0, 90.0, np.inf]], [[0, 1, 2]], [[True, False, True]])
+    figure = draw_hatched_map([[10.0, 90.0, np.inf]], [[0, 1, 2]], [[True, False, True]])
     (patch,) = figure.axes[0].patches  # what is never there has a hatch of its own
-    assert patch.get_xy() == (-0.5, -0.5) and patch.get_hatch() and "not so" in words(figure)
+    assert patch.get_xy() == (-0.5, -0.5) and patch.get_hatch() and "not so" in figure_text(figure)
     assert all(text.get_bbox_patch() for text in figure.axes[0].texts)  # legible on the hatch
-    plain = marked([[10.0, 90.0]], [[0, 1]], [[False, False]])
-    assert "not so" not in words(plain)
+    plain = draw_hatched_map([[10.0, 90.0]], [[0, 1]], [[False, False]])
+    assert "not so" not in figure_text(plain)
     assert not any(text.get_bbox_patch() for text in plain.axes[0].texts)  # may hide contours
 
 
 def test_heat_maps_write_value_of_equal_cells_once():
-    figure = marked([[10.0, 10.0], [30.0, 10.0], [50.0, 50.0]], [[0, 0], [2, 0], [4, 4]], [[0]])
+    figure = draw_hatched_map(
+        [[10.0, 10.0], [30.0, 10.0], [50.0, 50.0]], [[0, 0], [2, 0], [4, 4]], [[0]]
+    )
     written = {text.get_text(): text.get_position() for text in figure.axes[0].texts}
     assert written == {"10": (0, 0), "30": (0, 1), "50": (0.5, 2)}  # 10: no rectangle
     assert len(figure.axes[0].texts) == 3
@@ -278,7 +280,7 @@ def test_heat_map_uses_log_colours_and_two_digits_per_cell():
     assert plots.render_png(figure)
 
 
-def height_of(high, *, others=12.0, last=20.0):
+def axis_height(high, *, others=12.0, last=20.0):
     """The upper end of an axis with points at 10, 10, 10 and the last; their bars end above."""
     ends = [(10.0, others)] * 3 + [(last, high)]
     line = {"a": [Estimate(x, x - 1.0, end, 9) for x, end in ends]}
@@ -286,10 +288,10 @@ def height_of(high, *, others=12.0, last=20.0):
 
 
 def test_axis_range_ignores_single_huge_error_bar():
-    assert 20 < height_of(10800.0) < 40  # the bar goes on beyond the panel
-    assert height_of(26.0) > 26.0  # a longer one than the others is whole
-    assert height_of(600.0, others=500.0) > 600.0  # as are bars that are all long
-    assert height_of(10800.0, last=2500.0) > 2500.0  # points are all there
+    assert 20 < axis_height(10800.0) < 40  # the bar goes on beyond the panel
+    assert axis_height(26.0) > 26.0  # a longer one than the others is whole
+    assert axis_height(600.0, others=500.0) > 600.0  # as are bars that are all long
+    assert axis_height(10800.0, last=2500.0) > 2500.0  # points are all there
 
 
 def test_along_axis_marks_infinite_values_as_never():
@@ -308,7 +310,7 @@ def test_along_axis_marks_infinite_values_as_never():
     crosses = [line for line in bottom.get_lines() if line.get_marker() == "x"]
     # Beside the other line's marks, so that neither hides the other.
     assert [list(line.get_xdata()) for line in crosses] == [[pytest.approx(30.0, abs=0.15)]]
-    assert "never" in words(figure)
+    assert "never" in figure_text(figure)
     assert plots.render_png(figure)
 
 
@@ -374,24 +376,24 @@ def test_beliefs_figure_draws_without_known_values():
     assert plots.render_png(plots.draw_consistency(shown, "Title"))
 
 
-def course(label: str, *, resets_s=()) -> HeadingErrorCourse:
+def make_course(label: str, *, resets_s=()) -> HeadingErrorCourse:
     mean, own = np.linspace(600.0, -20.0, TIME.size), np.full(TIME.size, 100.0)
     return HeadingErrorCourse(label, TIME, mean, own / 4, own, resets_s, floor=-25.0)
 
 
 def test_believed_figure_compares_true_error_with_filter_sigma():
     figure = plots.draw_error_bands(
-        [course("plain"), course("reset", resets_s=[4.0, 6.0])], "Title"
+        [make_course("plain"), make_course("reset", resets_s=[4.0, 6.0])], "Title"
     )
     above, resets, ratio, _ = figure.axes
     own, true = (band.get_paths()[0].get_extents() for band in above.collections)
     assert (own.ymin, own.ymax) == (-200.0, 200.0)
     assert (true.ymin, true.ymax) == (-70.0, 650.0)
     mean = next(line for line in above.get_lines() if line.get_label() == "true error: mean")
-    np.testing.assert_array_equal(mean.get_ydata(), course("").mean)
+    np.testing.assert_array_equal(mean.get_ydata(), make_course("").mean)
     np.testing.assert_allclose(ratio.get_lines()[0].get_ydata()[0], np.hypot(600, 25) / 100)
     assert [line.get_xdata()[0] for line in resets.get_lines()[-2:]] == [4.0, 6.0]
-    said = words(figure)
+    said = figure_text(figure)
     for word in ("arcmin", "time (s)", "plain", "reset", "bias floor", "believes", "± 2 sigma"):
         assert word in said
     assert said.count("bias floor, left by the sensor biases") == 1
@@ -433,26 +435,26 @@ def test_heat_map_panels_have_equal_size_and_labels_below(count, across):
         assert any(label.get_visible() for label in axes.get_xticklabels())
 
 
-def image(content):
+def read_png(content):
     from PIL import Image
 
     return np.asarray(Image.open(io.BytesIO(content)))
 
 
 def test_footer_is_added_as_strip_below_figure():
-    figure = plots.draw_misalignment([ensemble("a")], "Title")
-    plain, signed = (image(plots.render_png(figure, text)) for text in ("", "swing: 3 draws"))
+    figure = plots.draw_misalignment([make_ensemble("a")], "Title")
+    plain, signed = (read_png(plots.render_png(figure, text)) for text in ("", "swing: 3 draws"))
     height = plain.shape[0]
     assert signed.shape[0] > height and signed.shape[1] == plain.shape[1]
     np.testing.assert_array_equal(signed[:height], plain)
     strip = signed[height:]
     assert (strip < 128).any() and (strip[:2] == 255).all()
-    other = image(plots.render_png(figure, "swing: 4 draws"))
+    other = read_png(plots.render_png(figure, "swing: 4 draws"))
     assert (other[height:] != strip).any()
 
 
 def test_text_is_large_enough_for_slide():
-    figure = plots.draw_misalignment([ensemble("a")], "Title", zoom_s=(2.0, 6.0))
+    figure = plots.draw_misalignment([make_ensemble("a")], "Title", zoom_s=(2.0, 6.0))
     plots.render_png(figure)
     # A figure fills a slide of 13.3 in.
     scale = 13.3 / figure.get_figwidth()
@@ -462,7 +464,7 @@ def test_text_is_large_enough_for_slide():
 
 def test_png_does_not_depend_on_rc_params(monkeypatch):
     def draw():
-        return plots.render_png(plots.draw_misalignment([ensemble("a")], "Title"))
+        return plots.render_png(plots.draw_misalignment([make_ensemble("a")], "Title"))
 
     first = draw()
     monkeypatch.setitem(mpl.rcParams, "font.size", 30.0)

@@ -7,7 +7,7 @@ import pytest
 from markdown_it import MarkdownIt
 from support.kept import rewrite_manifest
 from support.made_up import summary_of
-from support.stored import store, told
+from support.stored import report_text, store
 from support.studies import small_study
 
 from sinsjax.errors import InputError
@@ -44,7 +44,7 @@ In {{ runs }} runs it takes {{ best.settle }}, {{ best.items }}{{ claim("there a
 
 
 @pytest.fixture
-def page_of(tmp_path):
+def write_page_folder(tmp_path):
     """A folder of a page with prose to choose."""
 
     def made(prose: str = PROSE, script: str = SCRIPT) -> Path:
@@ -64,8 +64,8 @@ def results(tmp_path):
     return store(tmp_path / "results", study, summary_of(study))
 
 
-def test_page_renders_prose_with_script_values(page_of, results, tmp_path):
-    said = told(results, page=page_of())
+def test_page_renders_prose_with_script_values(write_page_folder, results, tmp_path):
+    said = report_text(results, page=write_page_folder())
     text = (tmp_path / "docs" / "two_words.md").read_text()
     assert "two_words.md and 1 figures" in said and "ok:" not in said
     assert text.startswith("<!-- Written by: sinsjax report --page docs/studies/two_words;")
@@ -78,10 +78,12 @@ def test_page_renders_prose_with_script_values(page_of, results, tmp_path):
 
 
 @pytest.mark.parametrize("config", ["a`b|<script>x", "`a``b`", "</details> *b* &amp;"])
-def test_page_shows_doctored_config_and_version_literally(page_of, results, tmp_path, config):
+def test_page_shows_doctored_config_and_version_literally(
+    write_page_folder, results, tmp_path, config
+):
     versions = {"sinsjax": "<script>*1*\x1b"}
     rewrite_manifest(results, config=f"{config}\x1b\n", versions=versions)
-    told(results, page=page_of())
+    report_text(results, page=write_page_folder())
     footer = (tmp_path / "docs" / "two_words.md").read_text().splitlines()[-1]
     code = html.escape(config, quote=False)
     assert MarkdownIt("commonmark").renderInline(footer) == (
@@ -105,37 +107,37 @@ def test_page_shows_doctored_config_and_version_literally(page_of, results, tmp_
         (PROSE.replace("{{ runs }}", "{{ runs"), "page.md.j2"),
     ],
 )
-def test_unused_or_undefined_names_in_prose_are_refused(page_of, results, prose, message):
+def test_unused_or_undefined_names_in_prose_are_refused(write_page_folder, results, prose, message):
     with pytest.raises(InputError, match="page.md.j2: ") as caught:
-        told(results, page=page_of(prose))
+        report_text(results, page=write_page_folder(prose))
     assert message in str(caught.value)
 
 
-def test_false_claim_in_page_is_reported(page_of, results):
+def test_false_claim_in_page_is_reported(write_page_folder, results):
     script = SCRIPT.replace("runs > 0", "runs > 3")
     with pytest.raises(InputError, match="false in these results: there are runs"):
-        told(results, page=page_of(script=script))
+        report_text(results, page=write_page_folder(script=script))
 
 
-def test_missing_results_of_page_are_reported(page_of, tmp_path):
+def test_missing_results_of_page_are_reported(write_page_folder, tmp_path):
     study = small_study(study={"name": "sway"})
     with pytest.raises(InputError, match="needs results of swing: add their directory"):
-        told(store(tmp_path / "sway", study, summary_of(study)), page=page_of())
+        report_text(store(tmp_path / "sway", study, summary_of(study)), page=write_page_folder())
 
 
 def test_folder_without_page_script_is_refused(results, tmp_path):
     with pytest.raises(InputError, match=r"has no page.py, .* a page \(give --page"):
-        told(results, page=tmp_path)
+        report_text(results, page=tmp_path)
 
 
-def test_false_claims_are_ignored_when_not_enforced(page_of):
+def test_false_claims_are_ignored_when_not_enforced(write_page_folder):
     page = Page({}, {}, {}, {"so": False})
-    at = page_of("{{ claim('so') }}said")
+    at = write_page_folder("{{ claim('so') }}said")
     assert study_page.render_prose(at, page, enforce_claims=False) == "said"
 
 
 def test_study_name_does_not_select_report_layout(tmp_path):
     study = small_study(study={"name": "consistency"})
     page = tmp_path / "mine.md"
-    told(store(tmp_path / "results", study, summary_of(study)), page=page)
+    report_text(store(tmp_path / "results", study, summary_of(study)), page=page)
     assert "\n# consistency\n" in page.read_text()

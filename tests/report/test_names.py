@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from support.commands import command_line
 from support.kept import rewrite_manifest
-from support.stored import store, told, write_part
+from support.stored import report_text, store, write_part
 from support.studies import BASE, small_study
 
 from sinsjax import cli, columns, report
@@ -56,7 +56,7 @@ NASTY = (
 NAME = "[/b] <script>x</script> $x^$ ../../a"
 
 
-def stored(directory: Path) -> Path:
+def store_results(directory: Path) -> Path:
     """Results of a study whose names are as bad as can be."""
     cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
     unbiased = {"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0}
@@ -73,7 +73,7 @@ def stored(directory: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return stored(tmp_path_factory.mktemp("names") / "results")
+    return store_results(tmp_path_factory.mktemp("names") / "results")
 
 
 @pytest.mark.parametrize("name", NASTY)
@@ -110,7 +110,7 @@ def test_shipped_pages_are_unchanged_by_name_escaping() -> None:
 def test_report_shows_special_characters_in_names_literally(results: Path, tmp_path: Path) -> None:
     page, html = tmp_path / "docs" / "page.md", tmp_path / "page.html"
     page.parent.mkdir()
-    said = told(results, page=page, html=html)
+    said = report_text(results, page=page, html=html)
     assert NAME in said and all(f" {name} " in said for name in NASTY if name != "[/b]")
     written = page.read_text()
     assert "<script" not in written and "<script" not in html.read_text()
@@ -129,7 +129,7 @@ DOCTORED = "a\x1b]0;x\x07\x7f\u202e\u2028\u061c\udcff|`<script>x</script> --> b\
 
 @pytest.mark.usefixtures("drawn_on_request")
 def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: Path) -> None:
-    directory = stored(tmp_path / "results")
+    directory = store_results(tmp_path / "results")
     part = directory / "summary" / "part-0000-000000.parquet"
     table = pq.read_table(part)
     cases = [f"{case}\x1b[2J\u202e\n" for case in table["case"].to_pylist()]
@@ -138,7 +138,7 @@ def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: P
     doctored = {"config": DOCTORED, "warnings": [DOCTORED], "versions": {"sinsjax": DOCTORED}}
     rewrite_manifest(directory, **doctored)
     page, html = tmp_path / "page\x1b\u202e.md", tmp_path / "page.html"
-    said = told(directory, page=page, html=html)
+    said = report_text(directory, page=page, html=html)
     written, shown = page.read_text(), html.read_text()
     for text in (said, written, shown):
         assert not CONTROL.search(text.replace("\n", "")) and "\nWarning: c" not in text
@@ -263,7 +263,7 @@ def test_failed_report_keeps_results_complete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def finished(study: Any, directory: Path, *_: Any, **options: Any) -> None:
-        stored(directory)
+        store_results(directory)
         manifest = {"state": "complete", "config": str(options["source"])}
         (directory / "manifest.json").write_text(json.dumps(manifest))
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from support.kept import manifest, rewrite_manifest
 from support.made_up import FLOOR, curves_of, summary_of
-from support.stored import store, told
+from support.stored import report_text, store
 from support.studies import STILL, small_study, with_paper_values
 
 from sinsjax import analysis, report
@@ -48,7 +48,7 @@ def test_table_shows_success_settling_and_heading_statistics(tmp_path):
     settle = np.where(np.arange(80) % 4 == 1, np.nan, 20.0 + np.arange(80))
     ok = np.where(np.isnan(settle), "not_settled", "ok")
     summary = summary_of(study, settle_10_s=settle, status=list(ok))
-    text = told(store(tmp_path, study, summary))
+    text = report_text(store(tmp_path, study, summary))
     rows = summary.filter(summary["phi_u0_deg"].combine_chunks().cast(pa.int64()).to_numpy() == 30)
     share = analysis.proportion(rows["status"].to_pylist().count("ok"), 40)
     median = analysis.quantile(rows["settle_10_s"].to_numpy())
@@ -71,19 +71,19 @@ def test_tables_fit_terminal_and_are_not_cut_off(tmp_path):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
     store(tmp_path, study, summary_of(study))
     for width, widest in ((None, 120), (70, 70)):
-        text = told(tmp_path, width=width)
+        text = report_text(tmp_path, width=width)
         table = text.partition("Every variant")[2].partition("Number [")[0]
         assert 60 < max(map(len, table.splitlines())) <= widest
-        assert max(map(len, told(tmp_path, width=70, full=False).splitlines())) <= 80
+        assert max(map(len, report_text(tmp_path, width=70, full=False).splitlines())) <= 80
     assert table.count("phi_u0_deg") == 2  # it continues below, with its first key
     # Too little for whole words: nothing is cut off.
-    assert "\N{HORIZONTAL ELLIPSIS}" not in told(tmp_path, width=30)
+    assert "\N{HORIZONTAL ELLIPSIS}" not in report_text(tmp_path, width=30)
 
 
 def test_pooled_variants_have_intervals_counted_by_draws(tmp_path):
     axes = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [0, 5, 10, 20]}
     study = small_study(axes=axes, resets={})
-    text = told(store(tmp_path, study, summary_of(study)))
+    text = report_text(store(tmp_path, study, summary_of(study)))
     assert "study: 72 runs (60 distinct), none failed" in text
     assert "24 variants: each table has one key" in text
     assert "4 of the 24 variants repeat another one, because reset_cycle_s has no effect" in text
@@ -108,7 +108,7 @@ def test_best_schedule_has_most_successes_then_fastest_settling(tmp_path):
     settle[3] = np.nan  # the fastest one fails once
     status = list(np.where(np.isnan(settle), "diverged", "ok"))
     summary = summary_of(study, settle_10_s=settle, status=status)
-    text = told(store(tmp_path, study, summary))
+    text = report_text(store(tmp_path, study, summary))
     assert "Best      1 reset at 1 s: every run settles, after 3 " in text
     assert "no reset: 5 " in text
     # Chosen and judged on the same draws, since their halves are too few.
@@ -120,7 +120,7 @@ def test_variants_are_compared_with_first_on_same_noise(tmp_path):
     settle = 50.0 + np.repeat(np.arange(40.0), 2) + np.tile([0.0, 7.0], 40)
     status = ["ok"] * 79 + ["diverged"]
     summary = summary_of(study, settle_10_s=settle, status=status)
-    text = told(store(tmp_path, study, summary)).partition(
+    text = report_text(store(tmp_path, study, summary)).partition(
         "Against initial heading error 0 deg, on the same"
     )[2]
     row = next(line for line in text.splitlines() if line.startswith(" 30"))
@@ -136,7 +136,7 @@ def test_variants_are_compared_under_same_conditions(tmp_path):
     axes = {"reset_count": [1, 2], "phi_u0_deg": [0.0, 30.0]}
     study = small_study(study={"draws": 40}, axes=axes, resets={"reset_cycle_s": 1.0})
     settle = 50.0 + np.repeat(np.arange(40.0), 4) + np.tile([0.0, 100.0, 7.0, 107.0], 40)
-    text = told(store(tmp_path, study, summary_of(study, settle_10_s=settle)))
+    text = report_text(store(tmp_path, study, summary_of(study, settle_10_s=settle)))
     title = "Against number of resets 1 with the same phi_u0_deg, on the same noise"
     table = text.partition(title)[2].partition("Difference [")[0]
     rows = [line for line in table.splitlines() if line.startswith(" 2 ")]
@@ -149,7 +149,7 @@ def test_differing_conditions_of_cases_are_reported(tmp_path):
     level = {"phi_e0_deg": 2.0, "reset_count": 0}  # the same in both
     cases = [{"case": name, "phi_u0_deg": u, **level} for name, u in (("near", 1.0), ("far", 9.0))]
     study = small_study(study={"draws": 8}, cases=cases)
-    text = told(store(tmp_path, study, summary_of(study)))
+    text = report_text(store(tmp_path, study, summary_of(study)))
     assert "Against near, on the same noise" in text
     assert "variants also differ from it in phi_u0_deg, the conditions of a run." in text
 
@@ -157,7 +157,7 @@ def test_differing_conditions_of_cases_are_reported(tmp_path):
 @pytest.mark.parametrize("changes", [{"study": {"draws": 1}}, {}])
 def test_single_draw_or_variant_has_no_comparison(tmp_path, changes):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]} if changes else {}, **changes)
-    assert "Against" not in told(store(tmp_path, study, summary_of(study)))
+    assert "Against" not in report_text(store(tmp_path, study, summary_of(study)))
 
 
 def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
@@ -187,7 +187,7 @@ def test_report_of_stopped_study_counts_its_actual_draws(tmp_path):
     axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
     study = small_study(study={"draws": 100}, stop_when=stop, axes=axes)
     summary = summary_of(study).slice(0, 4 * 64)
-    text = told(store(tmp_path, study, summary))
+    text = report_text(store(tmp_path, study, summary))
     assert (
         "study: 256 runs (192 distinct)" in text
         and "64: each half evaluates the choice of the other" in text
@@ -205,7 +205,7 @@ def test_report_reads_only_needed_summary_columns(tmp_path, monkeypatch):
         return read_summary(directory, names)
 
     monkeypatch.setattr("sinsjax.execution.results.read_summary", read)
-    told(directory)
+    report_text(directory)
     assert seen and max(map(len, seen)) < 14
 
 
@@ -247,12 +247,12 @@ def test_incomplete_results_are_refused(tmp_path):
     study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
     summary = summary_of(study).slice(0, 11)
     with pytest.raises(InputError, match="11 runs where the study has 12"):
-        told(store(tmp_path, study, summary))
+        report_text(store(tmp_path, study, summary))
 
 
 def test_misalignment_figure_is_drawn_from_stored_curves(tmp_path):
     study = small_study(sensors=UNBIASED)
-    told(store(tmp_path, study, summary_of(study), curves_of(study)))
+    report_text(store(tmp_path, study, summary_of(study), curves_of(study)))
     names = {path.name for path in (tmp_path / "figures").iterdir()}
     assert names == {"misalignment.png", "consistency.png"}
 
@@ -260,14 +260,14 @@ def test_misalignment_figure_is_drawn_from_stored_curves(tmp_path):
 def test_record_without_reference_reports_attitude_and_sigma(tmp_path):
     study = recorded_study()
     summary = summary_of(study, truth=False, yaw_deg=[-90.1234, 1.0, 2.0])
-    text = told(store(tmp_path, study, summary, curves_of(study, truth=False)))
+    text = report_text(store(tmp_path, study, summary, curves_of(study, truth=False)))
     assert "-90.1234" in text and "sigma_u_arcmin" in text and " within 10' of " not in text
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {"attitude.png"}
 
 
 def test_missing_results_are_refused(tmp_path):
     with pytest.raises(InputError, match="holds no results"):
-        told(tmp_path / "nothing")
+        report_text(tmp_path / "nothing")
 
 
 # --- pages --------------------------------------------------------------------------------------
@@ -279,7 +279,7 @@ def test_page_has_header_figures_and_tables(tmp_path):
     study = small_study(study={"name": "swing"}, axes=axes, sensors=UNBIASED)
     results_at = store(tmp_path / "results", study, summary_of(study))
     page = tmp_path / "docs" / "swing.md"
-    told(results_at, page=page)
+    report_text(results_at, page=page)
     text = page.read_text()
     first, blank, title, *_ = text.splitlines()
     assert first.startswith("<!-- Written by: sinsjax report") and first.endswith("-->")
@@ -306,7 +306,7 @@ def test_page_is_written_identically_twice(tmp_path):
     content = []
     for name in ("a", "b"):
         page = tmp_path / name / "page.md"
-        told(directory, page=page)
+        report_text(directory, page=page)
         content.append([p.read_bytes() for p in sorted(page.parent.rglob("*.*"))])
     assert content[0] == content[1]
 
@@ -316,7 +316,7 @@ def test_unwritable_page_is_refused(tmp_path):
     directory = store(tmp_path / "results", study, summary_of(study))
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        told(directory, page=tmp_path / "file" / "page.md")
+        report_text(directory, page=tmp_path / "file" / "page.md")
 
 
 @pytest.mark.parametrize("option", ["page", "html"])
@@ -330,14 +330,14 @@ def test_unwritable_output_is_refused_before_report_is_made(tmp_path, monkeypatc
         wrong["results"] = "--html .*results: is a folder, give the name of a file$"
     for name, line in wrong.items():
         with pytest.raises(InputError, match=line):
-            told(directory, **{option: tmp_path / name})
+            report_text(directory, **{option: tmp_path / name})
 
 
 def test_missing_page_folder_is_created(tmp_path):
     study = small_study()
     directory = store(tmp_path / "results", study, summary_of(study))
     files = [tmp_path / kind / f"page.{kind}" for kind in ("md", "html")]
-    told(directory, page=files[0], html=files[1])
+    report_text(directory, page=files[0], html=files[1])
     assert all(file.is_file() for file in files)
 
 
@@ -376,7 +376,7 @@ def test_results_of_other_schema_are_refused_with_their_version(tmp_path, is_sea
 def test_page_states_success_criteria_and_their_reference(tmp_path):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     page = tmp_path / "page.md"
-    told(store(tmp_path / "out", study, summary_of(study)), page=page)
+    report_text(store(tmp_path / "out", study, summary_of(study)), page=page)
     said = base.describe_success_criterion(study)
     assert said in "\n".join(page.read_text().splitlines()[:10])
     # A tenth of 6 s.
@@ -394,7 +394,7 @@ def test_success_from_truth_and_bias_floor_appears_in_all_outputs(tmp_path):
     summary = summary_of(study, **flags, phi_u_arcmin=np.tile([9.0, 11.0], 8))
     source = Source(tmp_path, study, "x.toml", summary)
     html = tmp_path / "page.html"
-    text = told(store(tmp_path / "out", study, summary), html=html)
+    text = report_text(store(tmp_path / "out", study, summary), html=html)
     truth, floor = "within 10' of true north", "within 10' of its bias floor"
     floors = "within 10' of their bias floors"
     half = format_percent(analysis.share(flags["ok_truth"], np.repeat(np.arange(8), 2)))
@@ -414,7 +414,7 @@ def test_headings_too_far_east_are_not_within_the_band_at_the_end(tmp_path):
     study = small_study(study={"judged_from": "floor"}, axes={"phi_u0_deg": [0.0, 30.0]})
     summary = summary_of(study)
     assert (summary["phi_u_arcmin"].to_numpy() < -20).all()
-    text = told(store(tmp_path, study, summary))
+    text = report_text(store(tmp_path, study, summary))
     assert (
         "every heading error from 0 to 30 deg settles" in text and ", 0 [0, 71] % of north" in text
     )
@@ -428,7 +428,7 @@ def test_heading_error_table_shows_rms_and_quantile_per_time(tmp_path):
     summary = summary_of(
         study, every=True, phi_u_arcmin=sign * size, phi_u_at_3_arcmin=2 * sign * size
     )
-    text = told(store(tmp_path, study, summary))
+    text = report_text(store(tmp_path, study, summary))
     table = text.partition("Heading error from true north, arcmin")[2].partition("Every var")[0]
     rms, q90 = np.sqrt(np.mean(size**2)), np.sort(size)[57]
     early, last = (line.split() for line in table.splitlines()[4:6])
@@ -459,7 +459,7 @@ def test_runs_near_north_but_not_converged_are_reported(tmp_path):
     off = np.tile([True, False, True, False], 8)
     flags = {"ok_truth": off, "ok_floor": ~off, "status": ["ok"] * 32}
     phi = np.where(off, 0.5, FLOOR)
-    text = told(store(tmp_path / "a", study, summary_of(study, **flags, phi_u_arcmin=phi)))
+    text = report_text(store(tmp_path / "a", study, summary_of(study, **flags, phi_u_arcmin=phi)))
     assert "All 8 runs that are ok within 10' of true north end more than 10' from" in text
     source = Source.read(tmp_path / "a")
     drawn = {
@@ -471,20 +471,20 @@ def test_runs_near_north_but_not_converged_are_reported(tmp_path):
         assert sum(patch.get_hatch() is not None for patch in patches) == hatched
         assert ("more than 10' from their bias floors" in drawn[name].caption) == bool(hatched)
     near = summary_of(study, ok_truth=[True] * 32, phi_u_arcmin=np.full(32, FLOOR + 9))
-    text = told(store(tmp_path / "b", study, near))
+    text = report_text(store(tmp_path / "b", study, near))
     assert "from their bias floor" not in text and ", not converged" not in text
 
 
 def test_counts_of_one_use_singular(tmp_path):
     study = small_study(study={"draws": 1})
     flags = {"ok_truth": [True], "ok_floor": [False]}
-    text = told(store(tmp_path, study, summary_of(study, **flags, phi_u_arcmin=np.zeros(1))))
+    text = report_text(store(tmp_path, study, summary_of(study, **flags, phi_u_arcmin=np.zeros(1))))
     assert "study: 1 run, none failed" in text and "1 (few)" in text
     assert "The one run that is ok within 10' of true north ends more than 10' from its" in text
     several = small_study(study={"draws": 8})
     flags = {"ok_truth": [True] + [False] * 7, "ok_floor": [True] + [False] * 7}
     summary = summary_of(several, **flags, phi_u_arcmin=np.zeros(8))
-    text = told(store(tmp_path / "b", several, summary))
+    text = report_text(store(tmp_path / "b", several, summary))
     assert "study: 8 runs, none failed" in text
 
 
@@ -509,7 +509,7 @@ def test_no_schedule_is_best_without_successful_run(tmp_path):
     ok = np.tile([True, False], 32)  # from 5 deg alone
     settle = np.where(ok, 50.0, np.nan)
     summary = summary_of(study, ok_truth=ok, settle_10_truth_s=settle)
-    text = told(store(tmp_path, study, summary))
+    text = report_text(store(tmp_path, study, summary))
     rows = [line.split() for line in text.splitlines() if line.startswith(("  5 deg", "  30 deg"))]
     assert [row[:2] for row in rows] == [["5", "deg"], ["30", "deg"]]
     assert "50" in rows[0]
@@ -518,7 +518,7 @@ def test_no_schedule_is_best_without_successful_run(tmp_path):
 
 def test_bias_floor_is_explained_before_first_use(tmp_path):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
-    text = told(store(tmp_path, study, summary_of(study)))
+    text = report_text(store(tmp_path, study, summary_of(study)))
     meaning = text.index("Bias floor: the heading error caused by a run's own")
     assert meaning < text.index("from its bias floor")
     assert "allow" not in text and "limit" not in text
@@ -527,7 +527,7 @@ def test_bias_floor_is_explained_before_first_use(tmp_path):
 def test_glossary_terms_are_explained_once_per_report(tmp_path):
     study = small_study()
     page, html = tmp_path / "page.md", tmp_path / "page.html"
-    text = told(store(tmp_path / "out", study, summary_of(study)), page=page, html=html)
+    text = report_text(store(tmp_path / "out", study, summary_of(study)), page=page, html=html)
     file = io.StringIO()
     report.print_terms(Console(file=file, width=1000))
     terms = f"\n{file.getvalue()}"
@@ -540,10 +540,10 @@ def test_glossary_terms_are_explained_once_per_report(tmp_path):
 def test_unmodelled_biases_explain_high_nees(tmp_path):
     axes = {"phi_u0_deg": [0.0, 30.0]}
     biased = small_study(study={"draws": 8}, axes=axes, sensors={"accel_bias_ug": 500.0})
-    text = told(store(tmp_path / "a", biased, summary_of(biased, nees=np.full(16, 9.0))))
+    text = report_text(store(tmp_path / "a", biased, summary_of(biased, nees=np.full(16, 9.0))))
     assert "A NEES of 3 cannot be expected here" in text and "up to 1.72 arcmin" in text
     clean = small_study(study={"draws": 8}, axes=axes, sensors=UNBIASED)
-    text = told(store(tmp_path / "b", clean, summary_of(clean, nees=np.full(16, 9.0))))
+    text = report_text(store(tmp_path / "b", clean, summary_of(clean, nees=np.full(16, 9.0))))
     assert "cannot be expected" not in text
 
 
@@ -560,7 +560,7 @@ def test_drawn_unmodelled_biases_explain_high_nees(tmp_path, method, told_of):
     biases = [[0.0, 0.3, -0.7512]] * 8
     runs = {"floor_arcmin": np.full(8, -12.0), "phi_u_arcmin": np.full(8, 13.5), **of_filter}
     summary = summary_of(study, every=True, gyro_bias_deg_per_h=biases, **runs)
-    text = told(store(tmp_path, study, summary))
+    text = report_text(store(tmp_path, study, summary))
     assert ("A NEES of 3 cannot be expected here" in text) == told_of
     assert ("gyros up to 0.751 deg/h, accelerometers up to 0 ug" in text) == told_of
     assert ("The mean NEES is 18,000, far above the band" in text) == told_of

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
-from support.stored import store, told
+from support.stored import report_text, store
 from support.studies import small_study
 
 from sinsjax import columns
@@ -44,7 +44,7 @@ class Reader(HTMLParser):
         self.text.append(data)
 
 
-def made(*blocks, headline=("Found: *much*",), name="swing"):
+def drawn_report(*blocks, headline=("Found: *much*",), name="swing"):
     study = small_study(study={"name": name})
     table = pa.table({"run_id": np.arange(3)})
     facts = [base.Fact("Best", text) for text in headline]
@@ -53,7 +53,7 @@ def made(*blocks, headline=("Found: *much*",), name="swing"):
     return DrawnReport(Source(Path("results"), study, f"{name}.toml", table), report, images)
 
 
-def page(tmp_path, *parts, title="Title"):
+def html_page(tmp_path, *parts, title="Title"):
     path = tmp_path / "page.html"
     write_html_page(path, title, parts)
     return path.read_text(encoding="utf-8")
@@ -63,7 +63,7 @@ def test_html_page_contains_whole_report(tmp_path):
     table = base.Table("A *table*", ["a", "b"], [["1", "`2`"], ["3", "4"]], "a note")
     picture = base.Picture("fig", 'what is "seen"', Figure())
     picture.figure.suptitle('what is "drawn"')
-    text = page(tmp_path, made(base.Text("Some *words*.\n\nMore."), table, picture))
+    text = html_page(tmp_path, drawn_report(base.Text("Some *words*.\n\nMore."), table, picture))
     assert text.startswith('<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">')
     read = Reader(text)
     seen = [path[-1] for path in read.seen]
@@ -79,7 +79,9 @@ def test_html_page_contains_whole_report(tmp_path):
 
 
 def test_html_page_is_self_contained(tmp_path):
-    text = page(tmp_path, made(base.Picture("fig", "c", Figure()), base.Text("http://a.b/c")))
+    text = html_page(
+        tmp_path, drawn_report(base.Picture("fig", "c", Figure()), base.Text("http://a.b/c"))
+    )
     places = [value for _, name, value in Reader(text).attributes if name in ("src", "href")]
     assert len(places) == 1 and places[0].startswith("data:")
     assert "<script" not in text and "<link" not in text
@@ -91,8 +93,8 @@ def test_html_page_escapes_markup_in_text(tmp_path):
     table = base.Table(nasty, [nasty], [[nasty]], nasty)
     picture = base.Picture("fig", nasty, Figure())
     picture.figure.suptitle(nasty)
-    made_of = made(base.Text(nasty), table, picture, headline=[nasty], name="a<b")
-    text = page(tmp_path, made_of, title="<i>& so")
+    made_of = drawn_report(base.Text(nasty), table, picture, headline=[nasty], name="a<b")
+    text = html_page(tmp_path, made_of, title="<i>& so")
     read = Reader(text)
     assert not {"b", "a", "i"} & {path[-1] for path in read.seen}
     assert sum(path[-1] == "img" for path in read.seen) == 1
@@ -104,7 +106,7 @@ def test_html_page_escapes_markup_in_text(tmp_path):
 
 def test_folded_table_is_inside_details(tmp_path):
     table = base.Table("All of it", ["a"], [["1"]], "note", folded=True)
-    text = page(tmp_path, made(table))
+    text = html_page(tmp_path, drawn_report(table))
     paths = Reader(text).seen
     assert all("details" in path for path in paths if path[-1] in ("summary", "table"))
     assert "<summary>All of it</summary>" in text and "<caption>" not in text
@@ -113,7 +115,7 @@ def test_folded_table_is_inside_details(tmp_path):
 def test_unwritable_html_page_raises_input_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        write_html_page(tmp_path / "file" / "page.html", "T", [made()])
+        write_html_page(tmp_path / "file" / "page.html", "T", [drawn_report()])
 
 
 def test_html_and_markdown_pages_have_same_content(tmp_path):
@@ -128,7 +130,7 @@ def test_html_and_markdown_pages_have_same_content(tmp_path):
     rows |= {"status": ["ok"] * 6, "phi_u0_deg": [0.0, 30.0] * 3, "reset_times_s": [[]] * 6}
     directory = store(tmp_path / "results", study, pa.table(rows))
     markdown, one = tmp_path / "page.md", tmp_path / "page.html"
-    told(directory, page=markdown, html=one)
+    report_text(directory, page=markdown, html=one)
     text = Reader(one.read_text()).text
     for line in markdown.read_text().splitlines():
         if line.startswith("| ") and "---" not in line:
@@ -136,5 +138,5 @@ def test_html_and_markdown_pages_have_same_content(tmp_path):
             assert all(cell.strip() in text for cell in cells), line
     assert one.read_text().count("data:image/png;base64,") == markdown.read_text().count("![")
     first = one.read_bytes()
-    told(directory, html=one)
+    report_text(directory, html=one)
     assert one.read_bytes() == first

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 from support.made_up import summary_of
-from support.stored import store, told
+from support.stored import report_text, store
 from support.studies import small_study
 
 from sinsjax import analysis
@@ -24,11 +24,11 @@ SWEEP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [5
 NEVER = np.inf
 
 
-def sweep(draws: int = 16, **changes: Any) -> Study:
+def sweep_study(draws: int = 16, **changes: Any) -> Study:
     return small_study(study={"draws": draws, "name": "sweep"}, axes=SWEEP, **changes)
 
 
-def facts(found: Verdict) -> dict[str, str]:
+def facts_by_label(found: Verdict) -> dict[str, str]:
     """The facts by label; several of a label are joined."""
     texts: dict[str, str] = {}
     for label, text, _ in found.facts:
@@ -36,7 +36,7 @@ def facts(found: Verdict) -> dict[str, str]:
     return texts
 
 
-def judged(study: Study, settle_s: np.ndarray) -> Verdict:
+def verdict_from_times(study: Study, settle_s: np.ndarray) -> Verdict:
     """The verdict on settling times (draws, variants), NaN for never."""
     flags = np.isfinite(settle_s.ravel())
     status = list(np.where(flags, "ok", "not_settled"))
@@ -84,7 +84,7 @@ def test_held_out_choice_is_not_flattered_by_many_equal_options() -> None:
 
 
 def test_copies_of_a_variant_are_one_option() -> None:
-    choices = Choices.from_study(sweep())
+    choices = Choices.from_study(sweep_study())
     assert choices.options == [
         "no reset",
         "1 reset at 1 s",
@@ -116,7 +116,7 @@ def test_schedule_is_described_by_its_times(times: tuple[float, ...], words: str
 # --- what it states -------------------------------------------------------------------------
 
 
-def settling() -> np.ndarray:
+def settling_times() -> np.ndarray:
     """Settling times (16 draws, 18 variants): 2 resets every 2 s are best from 30 and 60 deg."""
     draw = np.arange(16.0)[:, None, None]
     at = np.full((16, 6, 3), np.nan)  # counts and cycles, misalignments
@@ -130,8 +130,8 @@ def settling() -> np.ndarray:
 
 
 def test_verdict_names_best_schedule_its_rivals_and_each_condition() -> None:
-    found = judged(sweep(), settling())
-    told = facts(found)
+    found = verdict_from_times(sweep_study(), settling_times())
+    told = facts_by_label(found)
     mean = analysis.mean((np.array([45.0, 40.0, 30.0]) + np.arange(16.0)[:, None]).ravel(), DRAW)
     assert told["Best"] == (
         "2 resets, every 2 s: every heading error from 5 to 60 deg settles,"
@@ -153,7 +153,7 @@ DRAW = np.repeat(np.arange(16), 3)
 
 
 def test_few_draws_are_judged_as_they_choose_and_verdict_says_so() -> None:
-    found = facts(judged(sweep(4), settling()[:4]))
+    found = facts_by_label(verdict_from_times(sweep_study(4), settling_times()[:4]))
     assert found["Draws"] == "4 (few)"
     assert "only 4 draws: no other draws evaluate the choice" in found["Caution"]
 
@@ -168,9 +168,9 @@ def test_runs_that_never_settle_limit_the_accuracy() -> None:
         floor_arcmin=np.full(16, 4.0),
     )
     source = Source(Path("out"), study, "x.toml", summary)
-    assert "mostly of runs that never settle" in facts(sweep_verdict(source))["Accuracy"]
+    assert "mostly of runs that never settle" in facts_by_label(sweep_verdict(source))["Accuracy"]
     near = summary_of(study, phi_u_arcmin=np.full(16, 5.0), floor_arcmin=np.full(16, 4.0))
-    found = facts(sweep_verdict(Source(Path("out"), study, "x.toml", near)))["Accuracy"]
+    found = facts_by_label(sweep_verdict(Source(Path("out"), study, "x.toml", near)))["Accuracy"]
     assert found.startswith("5.0 [") and found.endswith("mostly bias floor (4.0')")
 
 
@@ -188,7 +188,7 @@ def test_method_that_has_no_bias_floor_is_compared_from_the_truth() -> None:
     flags = [True] * 15 + [None]
     summary = summary_of(study, ok_floor=flags)
     found = sweep_verdict(Source(Path("out"), study, "x.toml", summary))
-    assert "of true north" in facts(found)["Success"]
+    assert "of true north" in facts_by_label(found)["Success"]
 
 
 def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> No
     mean = source.table.column("settle_10_truth_mean_s").to_numpy().reshape(4, 2).mean(axis=1)
     best = int(np.argmin(mean[[0, 2, 3]]))
     names = ["no reset", "2 resets, every 2 s", "2 resets, every 4 s"]
-    told = facts(found)
+    told = facts_by_label(found)
     assert told["Best"].startswith(f"{names[best]}: {mean[[0, 2, 3]][best]:.0f} [")
     assert found.table is not None and len(found.table.rows) == 2
 
@@ -213,7 +213,7 @@ def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> No
 # --- the terminal ---------------------------------------------------------------------------
 
 
-def printed(found: Verdict, width: int, last: list[str] | None = None) -> list[str]:
+def printed_lines(found: Verdict, width: int, last: list[str] | None = None) -> list[str]:
     file = io.StringIO()
     terminal.print_verdict(found, Console(file=file, width=width, markup=False), footer=last or [])
     return [line.rstrip() for line in file.getvalue().splitlines()]
@@ -231,7 +231,9 @@ def test_verdict_fits_terminal_in_fifteen_lines(width: int, doubts: int) -> None
     )
     some = [Fact("Best", LONG), Fact("Others", LONG), Fact("Accuracy", LONG)]
     found = Verdict("study: 7 runs", [*some, *([Fact("Caution", LONG, True)] * doubts)], table)
-    lines = printed(found, width, ["Figures: out/figures", "All tables: sinsjax report out --full"])
+    lines = printed_lines(
+        found, width, ["Figures: out/figures", "All tables: sinsjax report out --full"]
+    )
     assert len(lines) <= terminal.MAX_VERDICT_LINES and max(map(len, lines)) <= width
     text = " ".join(lines)
     words = {*LONG.split(), *"study: 7 runs Figures: out/figures".split()}
@@ -263,10 +265,10 @@ def test_wide_table_continues_below_with_its_first_column() -> None:
 def test_report_prints_verdict_alone_until_all_tables_are_asked_for(tmp_path: Path) -> None:
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     directory = store(tmp_path / "out", study, summary_of(study))
-    short = told(directory, full=False, width=80)
+    short = report_text(directory, full=False, width=80)
     assert (
         len(short.splitlines()) <= 1 + terminal.MAX_VERDICT_LINES and "Every variant" not in short
     )
     assert "--full" in short
-    full = told(directory)
+    full = report_text(directory)
     assert "Every variant" in full and "Heading error from true north" in full

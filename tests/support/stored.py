@@ -70,7 +70,7 @@ def store(
     return directory
 
 
-def told(
+def report_text(
     *directories: Path,
     page: Path | None = None,
     html: Path | None = None,
