@@ -1,4 +1,4 @@
-"""Commands as a user types them: what they leave behind, and one clear line for every mistake."""
+"""Commands as a user types them: their results, and one clear line for every mistake."""
 
 import inspect
 import json
@@ -52,7 +52,7 @@ TWO: dict[str, Any] = {
     "axes": {"phi_u0_deg": [0.0, 30.0]},
     "resets": {"reset_times_s": [2.5]},
 }
-"""Two variants, 6 runs: what is compiled for one test serves the others."""
+"""Two variants, 6 runs: tests share the compiled program."""
 
 RECORDED: dict[str, Any] = {
     "study": {"duration_s": 2.0, "draws": None, "window_s": [0, 2]},
@@ -97,7 +97,7 @@ def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command, tmp_p
 
 
 def written_help(callback: Callable[..., None]) -> list[str]:
-    """What the source says of a command: the lines of its docstring, the help of its options."""
+    """Return a command's help from its source: docstring lines and help of options."""
     hints = get_type_hints(callback, include_extras=True).values()
     given = (each for hint in hints for each in getattr(hint, "__metadata__", ()))
     return [inspect.getdoc(callback) or "", *(each.help for each in given if each.help)]
@@ -306,7 +306,7 @@ def test_align_with_reference_reports_true_misalignment(
 def test_record_gives_same_heading_in_every_format(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:
-    """Bit-identical through increments, 1e-9 through rates, quantised through PSINS text."""
+    """Bit-equal through increments, 1e-9 through rates, quantised through PSINS text."""
     columns = {
         "time_column": "t",
         "gyro_columns": ["gx", "gy", "gz"],
@@ -482,7 +482,7 @@ def test_unwritable_output_is_refused_in_one_line(sinsjax: Command, tmp_path: Pa
 
 
 def assert_refused(told: tuple[int, str, str], out: Path, *named: str) -> None:
-    """Exit code 2, one line that names what is wrong, no traceback, nothing left behind."""
+    """Check for exit code 2, one line that names the mistake, no traceback, no files."""
     code, _, error = told
     assert code == 2, error
     (line,) = [line for line in error.splitlines() if not line.startswith("Warning: ")]

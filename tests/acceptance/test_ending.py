@@ -1,4 +1,4 @@
-"""How a process of the command line ends."""
+"""End of a process of the command line."""
 
 import subprocess
 import sys
@@ -15,7 +15,7 @@ raise SystemExit(2)
 
 
 def test_process_waits_for_import_thread_before_exit(tmp_path: Path) -> None:
-    """Python would stop it anywhere, in an extension module with "terminate called"."""
+    """Python would stop the thread in an extension module with "terminate called"."""
     (tmp_path / "slow.py").write_text("import time\ntime.sleep(0.3)\nprint('imported')\n")
     ended = subprocess.run(
         [sys.executable, "-c", _REFUSED_WHILE_IMPORTING],

@@ -476,7 +476,7 @@ IDLE = "[alignment] phi_e0_deg, phi_n0_deg, [axes] phi_u0_deg have no effect wit
 
 
 def test_another_method_needs_no_further_changes(sinsjax: Command, tmp_path: Path) -> None:
-    """It reads neither [filter] nor the axis of resets of the template."""
+    """The study reads neither [filter] nor the template's axis of resets."""
     template = files.templates()["sweep"]
     changes = ("--set", "alignment.method=inertial", "--set", "study.draws=2")
     code, shown, error = sinsjax("validate", template, *changes)
@@ -553,7 +553,7 @@ def test_shell_completion_offers_studies_and_keys(sinsjax: Command, tmp_path: Pa
 
 @pytest.mark.slow
 def test_wheel_alone_finds_templates_and_configs(tmp_path: Path) -> None:
-    """Built, unpacked and used in an empty folder: what the README tells to type is found."""
+    """Built, unpacked and used in an empty folder: the commands of the README work."""
     build = pytest.importorskip("hatchling.build")
     here = os.getcwd()
     try:

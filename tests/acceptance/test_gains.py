@@ -1,4 +1,4 @@
-"""What `sinsjax gains` designs."""
+"""Designs of `sinsjax gains`."""
 
 import io
 import re

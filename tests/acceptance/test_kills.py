@@ -1,4 +1,4 @@
-"""Sweeps in processes of their own that are killed, stopped and disturbed, and lose nothing."""
+"""Sweeps in separate processes that are killed, stopped and disturbed, and lose nothing."""
 
 import random
 import re
@@ -29,7 +29,7 @@ STUDY = small_study(
     compass={"level_time_s": 1.0},
     axes={"yaw_amplitude_deg": [2.8, 0.0], "phi_u0_deg": [0.1 * i for i in range(16)]},
 )
-"""Two environments of 16 variants; every process traces its program again, a compass's soonest."""
+"""Two environments of 16 variants; every process traces its program, a compass's is fastest."""
 CHUNKS = STUDY.n_draws * STUDY.n_variants // CHUNK_RUNS
 DEADLINE_S = 120.0
 FULL = "size=50m,nr_inodes=24"
@@ -51,7 +51,7 @@ NAMED = (
 
 
 class Sweeps:
-    """Starts processes that sweep into a directory, each made ready while the last one runs."""
+    """Starter of sweeping processes, each prepared while the previous one runs."""
 
     def __init__(self, folder: Path, out: Path) -> None:
         self.out, self._folder = out, folder
@@ -77,21 +77,21 @@ class Sweeps:
         return process
 
     def ended(self, process: Dying) -> tuple[int, str, str]:
-        """Exit code, output and error output of a process that ends by itself."""
+        """Return exit code, output and error output of a process that ends by itself."""
         return exit_code(process), *process.said()
 
     def sweep(self, *options: str, how: str = "--resume") -> tuple[int, str, str]:
-        """Sweep to the end."""
+        """Run a sweep to its end."""
         return self.ended(self.ready(NEVER, *options, how=how).go())
 
     def close(self) -> None:
-        """End what is left."""
+        """End the remaining processes."""
         for process in self._all:
             process.close()
 
 
 def exit_code(process: Dying) -> int:
-    """Of a process that ends by itself."""
+    """Return the exit code of a process that ends by itself."""
     process.process.join(DEADLINE_S)
     code = process.process.exitcode
     assert code is not None, process.said()
@@ -99,7 +99,7 @@ def exit_code(process: Dying) -> int:
 
 
 def wait(process: Dying, until: Callable[[], bool]) -> None:
-    """Wait for something that a process does."""
+    """Wait until a process has done something."""
     since = time.monotonic()
     while not until():
         assert process.process.exitcode is None, process.said()
@@ -122,7 +122,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(folder: Path) -> Iterator[Path]:
-    """What an uninterrupted run on one device leaves; all others here have two."""
+    """Results of an uninterrupted run on one device; all other runs here use two."""
     sweeps = Sweeps(folder, folder / "whole")
     code, _, error = sweeps.sweep("--devices", "1")
     assert (code, error) == (0, "")
@@ -139,7 +139,7 @@ def sweeps(folder: Path, whole: Path, tmp_path: Path) -> Iterator[Sweeps]:
 
 
 def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
-    """What a kill left can be read, is part of the whole, and holds all that was there before.
+    """Check that results after a kill are readable, part of the whole, and lost nothing.
 
     Args:
         out: the directory that a process died in.
@@ -169,7 +169,7 @@ def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
 
 
 def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Path) -> None:
-    """Ten at named points, ten at moments spread over the sweep, all on one directory."""
+    """Ten kills at named points, ten spread over the sweep, all on one directory."""
     out, chance = sweeps.out, random.Random(5)
     chunk_s = sum(chunk["seconds"] for chunk in manifest(whole)["chunks"]) / CHUNKS
     named, kills = iter(NAMED), {"named": 0, "spread": 0}
@@ -205,7 +205,7 @@ def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Pa
 
 
 def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole: Path) -> None:
-    """Whatever way it dies: the lock is the operating system's."""
+    """The lock is the operating system's, so it is released however the process dies."""
     first = sweeps.ready().go()
     wait(first, lambda: count(sweeps.out) > 0)
     first.send(signal.SIGSTOP)  # holds on, and writes no more
@@ -227,7 +227,7 @@ def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole
 
 
 def test_sweep_stopped_by_signals_resumes_without_loss(sweeps: Sweeps, whole: Path) -> None:
-    """Once: what is under way is finished. Twice: it ends at once, and nothing else is lost."""
+    """One signal finishes the running chunks; two end at once, and lose nothing else."""
     out, made = sweeps.out, dict[str, int]()
     following = sweeps.ready()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -326,7 +326,7 @@ MORE = 200
 def test_killed_extension_keeps_existing_results(
     sweeps: Sweeps, whole: Path, point: tuple[str, str, int], began: bool
 ) -> None:
-    """No part of the results is replaced, so there are never fewer than before."""
+    """No part of the results is replaced, so their number never decreases."""
     out, before = sweeps.out, parts(whole)
     shutil.copytree(whole, out)
     there = times(out)

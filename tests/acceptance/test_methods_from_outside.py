@@ -26,7 +26,7 @@ STUDY = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)[-1]
 
 
 def test_own_method_pages_document_options_and_covariance() -> None:
-    """Fields in their order, and where what they do not show stands."""
+    """Yield the fields in order, and the hidden differences between two objects."""
     fields = ", ".join(base.AttitudeCovariance._fields)
     assert f"`AttitudeCovariance({fields})`, rad^2" in PAGE
     assert all(f"`{name}`" in PAGE for name in base.Options._fields)
@@ -40,7 +40,7 @@ def test_own_method_pages_document_options_and_covariance() -> None:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the example is installed."""
+    """Folder where the example is installed."""
     build = pytest.importorskip("hatchling.build")
     folder = tmp_path_factory.mktemp("site")
     source = shutil.copytree(EXAMPLE, tmp_path_factory.mktemp("source") / "example")
@@ -64,7 +64,7 @@ def forked() -> Iterator[Server]:
 
 
 def sinsjax(*words: str, site: Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """As a user does, who waits a second for what it imports."""
+    """Run a command as a user does, in a fresh process."""
     paths = [str(site), *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.run(
         [sys.executable, "-m", "sinsjax", *words],
@@ -89,7 +89,7 @@ def is_listed(line: str) -> bool:
 def test_plugin_method_is_explained_and_swept_like_built_in_methods(
     site: Path, tmp_path: Path
 ) -> None:
-    """Its section is read and explained, its runs stand beside others', its version is kept."""
+    """Its section is read and explained, its runs are compared with others, its version stored."""
     (tmp_path / "averages.toml").write_text(STUDY)
     told = sinsjax("keys", "averaged", site=site, cwd=tmp_path)
     assert (told.returncode, told.stderr) == (0, "")
@@ -116,7 +116,7 @@ def tuning(path: Path, tune: str = "") -> None:
 def test_plugin_method_key_can_be_tuned_by_gradient(
     forked: Server, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Numbers follow the key as they are made from it, and the searches of [tune] take it."""
+    """Numbers follow the key, and the searches of [tune] use it."""
     monkeypatch.syspath_prepend(site)
     method, relaxed = (
         import_module(f"averaged_alignment.{name}") for name in ("method", "relaxed")

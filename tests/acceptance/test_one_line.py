@@ -1,4 +1,4 @@
-"""What used to end in a traceback: one line, whatever stands in a file or becomes of the output."""
+"""Former tracebacks are one line, whatever a file contains or happens to the output."""
 
 import copy
 import os
@@ -186,7 +186,7 @@ def test_results_directory_whose_name_is_not_utf8_is_refused_before_any_run(
 
 
 def test_missing_standard_streams_are_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As of a daemon, whose standard streams are None in Python."""
+    """A daemon's standard streams are None in Python."""
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
     with pytest.raises(SystemExit) as stop, console.tolerate_broken_pipe():
@@ -198,7 +198,7 @@ def test_missing_standard_streams_are_no_error(monkeypatch: pytest.MonkeyPatch) 
 def test_sweep_and_report_finish_after_broken_pipe(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """What ``| head -1`` does: the sweep goes on to its end, and so do figures and tables."""
+    """As with ``| head -1``: the sweep continues to its end, with figures and tables."""
     reading, writing = os.pipe()
     os.close(reading)
     done = []
@@ -246,7 +246,7 @@ def test_exit_codes_and_exceptions_pass_through_broken_pipe_guard() -> None:
 
 
 def test_unavailable_jax_platform_is_reported_in_one_line() -> None:
-    """In a process of its own: JAX starts once."""
+    """In a separate process, since JAX starts once."""
     done = subprocess.run(
         [sys.executable, "-m", "sinsjax", "info"],
         env={**os.environ, "JAX_PLATFORMS": "foo"},
@@ -320,7 +320,7 @@ command()
 
 
 def test_abort_at_teardown_does_not_change_exit_code_or_output() -> None:
-    """Exit code and output stand, whatever the objects that are left would do when destroyed."""
+    """Exit code and output are right, whatever the remaining objects do when destroyed."""
     ended = subprocess.run([sys.executable, "-c", ENDING], capture_output=True, text=True)
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
     assert ended.stderr.startswith("error: no_such_key: unknown section, key or method")

@@ -1,4 +1,4 @@
-"""`sinsjax tune` as a user types it: what it leaves, how it is gone on with, every mistake told."""
+"""`sinsjax tune` as a user types it: its results, its continuation, and every mistake."""
 
 import shutil
 import sys
@@ -88,7 +88,7 @@ def descend(study: Study, stored: Any, *, tell: Any) -> Found:
 
 @pytest.fixture(scope="module")
 def faked() -> Iterator[pytest.MonkeyPatch]:
-    """That descent in place of the real one."""
+    """Replace the descent by a fake."""
     fake = ModuleType("sinsjax.tuning.descent")
     fake.descend = descend  # type: ignore[attr-defined]
     with pytest.MonkeyPatch.context() as patch:
@@ -214,7 +214,7 @@ def test_scores_and_differences_use_common_draws(made: Path) -> None:
 
 
 def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, faked: Any) -> None:
-    """What is complete is kept, the gradient too; only what is missing is made."""
+    """Complete parts are kept, also the gradient's; only missing parts are computed."""
     out = shutil.copytree(made, tmp_path / "out")
     shutil.rmtree(out / "equal_cost")
     (out / "tuned.toml").unlink()
@@ -285,7 +285,7 @@ def test_overwrite_removes_previous_tuning_results(
 def test_resume_removes_temporary_files_of_killed_tuning(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Files that were not whole yet, and nothing that a person put there."""
+    """Only incomplete files are removed, and none that a person put there."""
     out = shutil.copytree(made, tmp_path / "out")
     names = (".study.toml.12.tmp", ".history.parquet.3456.tmp", ".tuned.toml.7.tmp")
     for name in (*names, "notes.tmp", ".tuned.toml.mine.tmp"):
@@ -305,7 +305,7 @@ def test_resume_removes_temporary_files_of_killed_tuning(
 def test_concurrent_tunings_in_one_directory_are_refused(
     made: Path, tmp_path: Path, how: str
 ) -> None:
-    """Not even between two searches, where no results are written."""
+    """No results are written between two searches either."""
     out = shutil.copytree(made, tmp_path / "out")
     held = lock(out)
     before = everything(out)
@@ -478,7 +478,7 @@ def test_tune_refuses_output_path_with_foreign_files(tmp_path: Path, sinsjax_: C
 def test_equal_points_are_evaluated_once_under_joined_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One candidate, the study's own value: the grid finds the baseline."""
+    """The only candidate is the study's own value: the grid finds the baseline."""
     tune = TUNE | {"searches": ["grid"], "variables": {"reset_count": {"fixed": 2}}}
     study = load_study(write(tmp_path / "swing.toml", tune=tune))
     seen: list[Study] = []
@@ -492,7 +492,7 @@ def test_equal_points_are_evaluated_once_under_joined_names(
 
 @pytest.mark.slow
 def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax_: Command) -> None:
-    """Its start times tune and judge in turn; the tuned study is one that `align` takes."""
+    """Start times tune and evaluate alternately; `align` accepts the tuned study."""
     write_psins(simulated_record(small_study()), tmp_path / "swing.imu")
     times = np.arange(0, 6.01, 0.01)
     angles = zip((1.8, 2.4, 2.8), (6, 8, 10), (0, 0, 10), strict=True)

@@ -147,7 +147,7 @@ def test_heading_error_interval_ends_are_capped_at_180_deg():
 
 
 def test_heading_error_statistics_use_magnitudes_at_end_and_report_times():
-    """Against NumPy; pooled variants of a draw count once, and headings do not cancel."""
+    """Compared with NumPy; pooled variants of a draw count once, and headings do not cancel."""
     draw = np.repeat(np.arange(40), 2)
     error = 60.0 * np.random.default_rng(3).normal(size=80)
     early = np.where(np.arange(80) == 7, math.nan, 10 * error)
@@ -234,7 +234,7 @@ def test_summarise_refuses_no_runs_missing_column_and_unknown_statistic():
 
 
 def variant_table(n=40):
-    """Three variants on the same draws, which the table holds in no order."""
+    """Three variants on the same draws, in random order."""
     random = np.random.default_rng(11)
     shared = random.normal(0.0, 5.0, n)
     parts = []

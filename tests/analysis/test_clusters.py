@@ -1,4 +1,4 @@
-"""Intervals of runs that depend on one another: by draw, and none on a record."""
+"""Intervals of dependent runs: by draw, and none on a record."""
 
 import math
 
@@ -15,7 +15,7 @@ DRAWS, VARIANTS = 16, 12
 
 
 def flatten_draws(values):
-    """Values (draws, variants) as runs, with the draw of each."""
+    """Return values (draws, variants) as runs, with the draw of each."""
     draws = np.broadcast_to(np.arange(len(values))[:, None], np.shape(values))
     return np.ravel(values), draws.ravel()
 
@@ -89,7 +89,7 @@ def test_share_that_all_draws_have_is_bounded_by_one_unseen_kind_of_draw():
 
 @pytest.mark.parametrize("sizes", [[12] * 16, [5, 12, 1, 7, 12, 12, 3, 8]])
 def test_share_ends_are_quantiles_of_dirichlet_weighted_share(sizes):
-    """Against simulated weights of the draws and one that fails, or succeeds, in all its runs."""
+    """Compared with simulated weights of the draws and of one that fails, or succeeds, always."""
     random = np.random.default_rng(14)
     draw = np.repeat(np.arange(len(sizes)), sizes)
     likely = random.uniform(0.3, 1.0, len(sizes))
@@ -120,7 +120,7 @@ def test_share_ends_never_rise_with_further_failure(flags, chosen):
 
 
 def test_spread_between_variants_does_not_widen_intervals():
-    """Of eight fixed variants the mean has the width of equal ones, and q90 is of the last."""
+    """Over eight fixed variants the mean is as wide as over equal ones, and q90 is the last's."""
     random = np.random.default_rng(15)
     noise = random.uniform(-0.6, 0.6, (16, 8))
     spread = noise + [40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 98.0, 148.4]

@@ -100,7 +100,7 @@ def test_quantile_is_smallest_value_covering_requested_share(values, q):
 
 
 def binomial_at_most(k, n, q):
-    """That no more than k of n values lie below their quantile q, in fractions."""
+    """Return the probability that at most k of n values lie below their quantile q."""
     return sum(math.comb(n, i) * q**i * (1 - q) ** (n - i) for i in range(k + 1))
 
 

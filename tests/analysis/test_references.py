@@ -1,4 +1,4 @@
-"""Which group of runs others are compared with."""
+"""Comparison of each group of runs with a reference group."""
 
 import pyarrow as pa
 import pytest
@@ -12,7 +12,7 @@ RATE = "success_rate_difference"
 
 
 def summary_table() -> pa.Table:
-    """All runs with one reset fail, whatever they begin with; without any, those from 30 deg."""
+    """All runs with one reset fail; without resets, those from 30 deg fail."""
     study = small_study(study={"draws": 6}, axes=AXES, resets={"reset_cycle_s": 1.0})
     status = ["ok", "diverged", "diverged", "diverged", "ok", "ok"] * 6
     return summary_of(study, status=status)

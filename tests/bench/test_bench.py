@@ -1,4 +1,4 @@
-"""What is timed is faked here, but for the limit kernel: the short set itself takes long."""
+"""Workloads are replaced by fakes, except the limit kernel: the short set takes long."""
 
 import json
 import shutil
@@ -37,7 +37,7 @@ def fake_workload(name, seconds, calls=None, runs=10, steps=100, **more):
 
 @pytest.fixture
 def fake_workloads(monkeypatch, tmp_path):
-    """Nothing of this process is changed, no engine is compiled, temporary files go to tmp_path."""
+    """Leave this process unchanged, compile no engine, put temporary files into tmp_path."""
     monkeypatch.setattr(bench, "pin_to_one_core", lambda: None)
     monkeypatch.setattr(bench, "measurement_conditions", lambda: HOLDS)
     faked = {name: partial(Workload, name, 1, 1, 0.0, lambda: 1e-6) for name in ROWS}
@@ -257,7 +257,7 @@ def test_without_noise_removes_only_noise(small_group):
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize(("devices", "elapsed_s"), [(1, 100.0), (2, 1.0)])
 def test_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elapsed_s):
-    """One device in CPU time, several in wall time: here one second, in which 100 are computed."""
+    """One device is timed in CPU time, several in wall time: here 1 s with 100 s of CPU time."""
     wall, cpu = count(0.0), count(0.0, 100.0)
     clocks = SimpleNamespace(perf_counter=lambda: next(wall), process_time=lambda: next(cpu))
     monkeypatch.setattr(cases, "time", clocks)

@@ -364,7 +364,7 @@ PERFS = {
         "perf stat: a:u: not supported"
     ),
 }
-"""What a perf does that cannot count, and what is said of it."""
+"""Fake perf programs that cannot count, and the reported reasons."""
 
 
 @pytest.mark.parametrize(("script", "why"), PERFS.items())
@@ -601,7 +601,7 @@ def test_target_of_time_per_operation_is_relative_to_kalman5(tmp_path, ratio, re
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_operation_counts_of_methods_are_in_expected_ranges():
-    """XLA does the same operations at either level; LLVM, which comes after it, is not counted."""
+    """XLA counts the same operations at either level, before LLVM."""
     assert {*methods.OTHERS} == {*METHODS} - {"kalman5", "compass"}
     rows = {row["name"]: row for row in quick_rows(methods)}
     beside = {"kalman", "kalman_alone", "linearisation", "compass", "compass_tape"}

@@ -1,4 +1,4 @@
-"""One process, one core: real processes, which hold real locks."""
+"""One core per process: real processes with real locks."""
 
 import os
 import subprocess
@@ -40,7 +40,7 @@ Start = Callable[..., tuple[str, subprocess.Popen]]
 
 @pytest.fixture
 def start_pinned_process(tmp_path: Path) -> Iterator[Start]:
-    """Starts a process that tells the cores of its threads, and stays; they end with the test."""
+    """Start processes that print the cores of their threads and stay until the test ends."""
     started: list[subprocess.Popen] = []
 
     def begin(asked: str = "1", bare: bool = True) -> tuple[str, subprocess.Popen]:
@@ -97,7 +97,7 @@ def test_world_writable_lock_folder_is_not_used(
 
 
 def test_threads_started_during_pinning_are_pinned_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By one that has not its core yet, they have not theirs."""
+    """A thread that is not pinned yet may start another one meanwhile."""
     seen, kept = iter([{1, 2}, {1, 2, 3}, {1, 3, 4}, {1, 3, 4}]), list[int]()
     monkeypatch.setattr(affinity, "_thread_ids", lambda: next(seen))
     monkeypatch.setattr(os, "sched_setaffinity", lambda thread, cores: kept.append(thread))

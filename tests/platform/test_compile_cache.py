@@ -21,7 +21,7 @@ KEYS = (
 
 @pytest.fixture
 def restored_settings(monkeypatch, tmp_path):
-    """What a test sets is undone; the user's cache folder is its own."""
+    """Undo the settings of a test, and use a separate cache folder."""
     before = {key: jax.config.values[key] for key in KEYS}
     jax.config.update("jax_compilation_cache_dir", None)
     monkeypatch.setattr(machine, "user_cache_folder", lambda: tmp_path / "sinsjax")
@@ -119,7 +119,7 @@ def test_cache_folder_writable_by_others_is_refused(restored_settings, tmp_path)
 
 
 def test_parent_folder_writable_by_others_is_refused(restored_settings, tmp_path):
-    """They rename the leaf as soon as it is there, and put their own in its place."""
+    """Another user renames the leaf as soon as it exists, and puts a folder in its place."""
     (tmp_path / "theirs").mkdir()
     (tmp_path / "theirs").chmod(0o777)
     restored_settings.setenv(compile_cache.VARIABLE, str(tmp_path / "theirs" / "leaf"))
@@ -194,7 +194,7 @@ def first_process(tmp_path_factory):
 
 @pytest.fixture
 def filled_cache(first_process):
-    """That cache as it was, where it was, for JAX takes none that was moved; with the bits."""
+    """The unchanged cache in its first place, since JAX rejects a moved one; with the bits."""
     folder, bits = first_process
     shutil.rmtree(folder / "cache")
     shutil.copytree(folder / "copy", folder / "cache")
@@ -203,7 +203,7 @@ def filled_cache(first_process):
 
 
 def test_second_process_reuses_compiled_programs_of_first(filled_cache):
-    """And gives the same bits."""
+    """The result is bit-equal."""
     folder, _, bits = filled_cache
     assert result(start(folder)) == (bits, True, "")
 
@@ -219,7 +219,7 @@ def test_truncated_cache_entry_is_recompiled_with_warning(filled_cache, length):
 
 
 def test_entry_of_interrupted_write_is_replaced(filled_cache):
-    """It has no access time, and would stop all later writing."""
+    """An entry without access time would stop all later writing."""
     folder, inner, bits = filled_cache
     for entry in inner.glob("*-cache"):
         entry.write_bytes(entry.read_bytes()[:100])

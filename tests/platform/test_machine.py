@@ -48,7 +48,7 @@ def mode(path: Path) -> int:
 
 
 def refusal(folder: Path) -> tuple[str, str]:
-    """Where and why a folder is not safe; nothing is made."""
+    """Return where and why a folder is not safe; nothing is created."""
     root = next(place for place in folder.parents if place.exists())
     before = sorted(root.rglob("*"))
     with pytest.raises(machine.UnsafeFolderError) as told:
@@ -110,7 +110,7 @@ def test_folder_owned_by_another_user_is_refused(
 @modes
 @pytest.mark.skipif(not hasattr(os, "chown") or os.geteuid() != 0, reason="needs a second user")
 def test_folder_below_parent_of_another_user_is_refused(tmp_path: Path) -> None:
-    """As closed as it is: its owner opens it when it pays."""
+    """A closed folder stays closed: its owner opens it if needed."""
     theirs = tmp_path / "theirs"
     theirs.mkdir(mode=0o700)
     os.chown(theirs, SOMEBODY, SOMEBODY)
@@ -157,7 +157,7 @@ GROUPS = [
     ("me", [], [], True),
     ("me", [], ["other"], False),
 ]
-"""Name of the group, accounts that are listed (``primary`` has it as its own), members, alone?"""
+"""Name of the group, listed accounts (``primary`` has it as its own), members, only member?"""
 
 
 @modes

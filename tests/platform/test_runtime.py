@@ -30,7 +30,7 @@ def run_python(script: str, **environment: str) -> subprocess.CompletedProcess[s
 
 @pytest.fixture
 def reset_late_warning(monkeypatch):
-    """No warning was given yet."""
+    """Forget earlier warnings."""
     monkeypatch.setattr(runtime, "_warned_late", False)
 
 
@@ -55,7 +55,7 @@ def test_device_count_below_one_is_refused():
 
 
 def test_import_changes_nothing():
-    """Not the environment, the affinity or the warnings filters, even if pinning is on."""
+    """Environment, affinity and warning filters stay, even if pinning is on."""
     done = run_python(
         """
 import os, sys, warnings
@@ -71,7 +71,7 @@ assert "jax" not in sys.modules
 
 
 def test_no_module_starts_jax_at_import():
-    """Otherwise the compiler options would come too late."""
+    """Otherwise the compiler options would be set too late."""
     run_python("""
 import importlib, pkgutil, sinsjax
 from sinsjax.platform import xla
@@ -128,7 +128,7 @@ study = sinsjax.study_from_dict({
 
 
 def test_run_after_jax_start_warns_once_and_computes_in_double_precision():
-    """As a notebook that has used JAX; options of the user's own are no reason to be silent."""
+    """A notebook that has used JAX already; the user's own options do not silence the warning."""
     done = run_python(
         f"""
 import jax.numpy as jnp

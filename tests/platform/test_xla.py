@@ -24,7 +24,7 @@ EXTRA = (
 
 @pytest.fixture
 def unset_flags(monkeypatch, tmp_path):
-    """No options yet, an empty cache folder, an instruction set without options of its own."""
+    """No options set, an empty cache folder, an instruction set without its own options."""
     for name in ("XLA_FLAGS", xla.OPT_OUT):
         monkeypatch.setenv(name, "")  # so that what a test sets is undone
         monkeypatch.delenv(name)
@@ -129,7 +129,7 @@ def test_apply_warns_and_leaves_flag_file_unchanged(unset_flags, tmp_path):
 
 @pytest.mark.slow
 def test_unknown_jaxlib_is_tried_once_and_cached(unset_flags):
-    """XLA says so when it starts, LLVM when it compiles."""
+    """XLA reports an unknown option when it starts, LLVM when it compiles."""
     unknown = XlaOption("xla_no_such_flag", "1", extra=False), XlaOption("--no-such-option", "1")
     unset_flags.setattr(xla, "_OPTIONS", (*unknown, *OPTIONS))
     unset_flags.setattr(xla, "_jaxlib_version", lambda: "99.0")
@@ -143,7 +143,7 @@ def test_unknown_jaxlib_is_tried_once_and_cached(unset_flags):
 
 
 def test_only_options_that_fail_alone_are_refused(unset_flags, tmp_path):
-    """And the answer is that of these options: a change of theirs is tried again."""
+    """The answer holds for these options only: other options are tried again."""
     tried = []
 
     def compiles(flags: str) -> bool:

@@ -26,7 +26,7 @@ def make_ensemble(label, *, runs=4, size=1.0, sigma=2.0):
 
 
 def figure_text(figure: Figure) -> str:
-    """All text of a figure that says something."""
+    """Return all visible text of a figure."""
     return "\n".join(t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_text().strip())
 
 

@@ -1,4 +1,4 @@
-"""Pages of a folder: prose with numbers by name, none missing, none left over, none untrue."""
+"""Study pages: prose with named numbers, none missing, none unused, no false claim."""
 
 import html
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Names from a study are text in every medium, and no report takes finished results with it."""
+"""Names from a study are printed literally in every medium, and no name breaks a report."""
 
 import io
 import json
@@ -57,7 +57,7 @@ NAME = "[/b] <script>x</script> $x^$ ../../a"
 
 
 def store_results(directory: Path) -> Path:
-    """Results of a study whose names are as bad as can be."""
+    """Results of a study with the worst possible names."""
     cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
     unbiased = {"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0}
     study = small_study(study={"name": NAME, "draws": 2}, cases=cases, sensors=unbiased)
@@ -95,7 +95,7 @@ def test_only_names_are_escaped() -> None:
 
 
 def test_shipped_pages_are_unchanged_by_name_escaping() -> None:
-    """Nothing that stands on a committed page is changed on its way there."""
+    """Committed pages are not changed by escaping."""
     root = Path(__file__).parents[2]
     configs = sorted(root.glob("configs/*.toml"))
     names = [StudyNames.from_study(load_study(path), f"configs/{path.name}") for path in configs]
@@ -124,7 +124,7 @@ def test_report_shows_special_characters_in_names_literally(results: Path, tmp_p
 
 
 DOCTORED = "a\x1b]0;x\x07\x7f\u202e\u2028\u061c\udcff|`<script>x</script> --> b\nWarning: c"
-"""Text that a file may hold, for the terminal and for pages to show harmlessly."""
+"""Text that a file may contain, which terminal and pages must show harmlessly."""
 
 
 @pytest.mark.usefixtures("drawn_on_request")
@@ -156,7 +156,7 @@ def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: P
 def test_control_characters_in_any_part_of_report_are_escaped(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever a layout puts there, and wherever that comes from."""
+    """Control characters are escaped wherever they come from."""
     monkeypatch.setenv("COLUMNS", "200")
     said, odd = Console(file=io.StringIO()), "\x1b[2J\u202e"
     table = Table(f"title{odd}", [f"header{odd}"], [[f"cell{odd}"]], f"note{odd}")
@@ -202,7 +202,7 @@ def test_errors_and_warnings_are_one_visible_line(capsys: pytest.CaptureFixture[
 
 
 def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates() -> None:
-    """As the Unicode database has them."""
+    """Return the control characters of the Unicode database."""
     explicit = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
     for letter in map(chr, range(sys.maxunicode + 1)):
         expected = (

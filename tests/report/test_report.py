@@ -132,7 +132,7 @@ def test_variants_are_compared_with_first_on_same_noise(tmp_path):
 
 
 def test_variants_are_compared_under_same_conditions(tmp_path):
-    """From 30 deg every run takes 100 s longer, and a second reset 7 s longer."""
+    """From 30 deg every run settles 100 s later, and a second reset 7 s later."""
     axes = {"reset_count": [1, 2], "phi_u0_deg": [0.0, 30.0]}
     study = small_study(study={"draws": 40}, axes=axes, resets={"reset_cycle_s": 1.0})
     settle = 50.0 + np.repeat(np.arange(40.0), 4) + np.tile([0.0, 100.0, 7.0, 107.0], 40)
@@ -421,7 +421,7 @@ def test_headings_too_far_east_are_not_within_the_band_at_the_end(tmp_path):
 
 
 def test_heading_error_table_shows_rms_and_quantile_per_time(tmp_path):
-    """Headings to the left and to the right do not cancel, and the window mean is not told."""
+    """Headings to the left and right do not cancel, and the window mean is not shown."""
     sign = np.tile([1.0, -1.0], 32)
     size = np.linspace(200.0, 400.0, 64)
     study = small_study(study={"draws": 64, "report_times_s": [3]})
@@ -453,7 +453,7 @@ def test_notes_warn_of_fewer_than_16_draws(tmp_path):
 
 
 def test_runs_near_north_but_not_converged_are_reported(tmp_path):
-    """One axis lies at its bias floor, and one at north, 25.9' from it."""
+    """One axis value ends at its bias floor, the other at north, 25.9' from it."""
     axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
     study = small_study(study={"draws": 8}, axes=axes)
     off = np.tile([True, False, True, False], 8)
@@ -571,7 +571,7 @@ def test_drawn_unmodelled_biases_explain_high_nees(tmp_path, method, told_of):
 
 
 def test_stopped_study_reports_reason_for_stopping(tmp_path):
-    """From the rows alone, and with the numbers of the rule."""
+    """The reason follows from the rows alone, with the numbers of the rule."""
     study = small_study(
         study={"draws": 100},
         stop_when={"statistic": "success_rate", "half_width": 0.9},
@@ -588,7 +588,7 @@ def test_stopped_study_reports_reason_for_stopping(tmp_path):
 
 
 def test_missing_part_of_stopped_study_is_refused(tmp_path):
-    """Variants that are not there must not pass for fewer draws."""
+    """Missing variants must not be counted as missing draws."""
     study = small_study(
         study={"draws": 65},
         stop_when={"statistic": "success_rate", "half_width": 0.9},

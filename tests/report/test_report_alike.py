@@ -1,4 +1,4 @@
-"""Variants with the same runs are told once."""
+"""Variants with the same runs are reported once."""
 
 from pathlib import Path
 

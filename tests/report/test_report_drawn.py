@@ -1,4 +1,4 @@
-"""Tables and figures over what a study draws, in bins, and along an axis whose values are lists."""
+"""Tables and figures over drawn keys, in bins, and along an axis with lists as values."""
 
 from pathlib import Path
 

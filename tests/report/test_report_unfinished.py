@@ -21,7 +21,7 @@ SHORT = {"draws": 300, "duration_s": 2.0, "window_s": [0, 2]}
 
 
 def store_interrupted(out: Path, **tables: Any) -> Path:
-    """Results of a study that was told to stop while its first chunk ran."""
+    """Results of a study that was stopped while its first chunk ran."""
     stop = threading.Event()
 
     def tell(progress: RunProgress) -> None:

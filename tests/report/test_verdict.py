@@ -71,7 +71,7 @@ def test_choice_prefers_fewest_failures_then_fastest() -> None:
 
 
 def test_held_out_choice_is_not_flattered_by_many_equal_options() -> None:
-    """All options have the same law: their best, judged on its own draws, would seem faster."""
+    """All options are equal: judged on its own draws, the best would seem faster."""
     random = np.random.default_rng(1)
     own, fresh = [], []
     for _ in range(200):
