@@ -54,7 +54,9 @@ class DrawCounts(NamedTuple):
         """Add one draw with a share, of as many runs as the largest draw."""
         most = self.runs.max()
         added = (share * most, most, 1.0)
-        return DrawCounts(*(np.append(mine, one) for mine, one in zip(self, added, strict=True)))
+        return DrawCounts(
+            *(np.append(counts, extra) for counts, extra in zip(self, added, strict=True))
+        )
 
     def mean_share(self) -> float:
         """The share of all runs."""
@@ -78,9 +80,9 @@ class DrawCounts(NamedTuple):
         """
         excess = self.hits - share * self.runs
         excess[np.abs(excess) < _ROUNDING * self.runs] = 0.0
-        apart = float(self.copies @ excess)
-        if apart <= 0 or excess.min() >= 0 or apart > _FAR * math.sqrt(self.copies @ excess**2):
-            return apart > 0
+        total = float(self.copies @ excess)
+        if total <= 0 or excess.min() >= 0 or total > _FAR * math.sqrt(self.copies @ excess**2):
+            return total > 0
         return _probability_below(excess, self.runs, self.copies)[0] < tail
 
     def lower_bound(self, tail: float) -> float:
@@ -144,8 +146,8 @@ def quantile_bounds(
     """
     order = np.argsort(values, kind="stable")
     values, draw_ids = values[order], draw_ids[order]
-    known = np.unique(values)
-    ends = np.searchsorted(values, known, side="right")
+    distinct = np.unique(values)
+    ends = np.searchsorted(values, distinct, side="right")
     runs = np.bincount(draw_ids)
     least, most = _extra_draw_range(values, draw_ids, runs)
     sizes = np.append(runs, runs.max()).astype(float)
@@ -159,22 +161,22 @@ def quantile_bounds(
         return DrawCounts(hits, sizes, np.ones_like(sizes))
 
     def may_reach(place: int) -> bool:  # -1: below all values
-        share = np.count_nonzero(least <= known[max(place, 0)]) / least.size
+        share = np.count_nonzero(least <= distinct[max(place, 0)]) / least.size
         return not counts_up_to(place, share).complement().exceeds(1 - q, tail)
 
     def must_exceed(place: int) -> bool:
-        share = np.count_nonzero(most < known[place]) / most.size
+        share = np.count_nonzero(most < distinct[place]) / most.size
         return counts_up_to(place, share).exceeds(q, tail)
 
     shares = ends / values.size
-    middle = min(int(np.searchsorted(shares, q)), known.size - 1)
+    middle = min(int(np.searchsorted(shares, q)), distinct.size - 1)
     reach = 2 * counts_up_to(middle, q).standard_deviation()
     first, last = np.searchsorted(shares, (q - reach, q + reach)).tolist()
     low = _first_passing_index(may_reach, 0, middle + 1, first)
-    high = _first_passing_index(must_exceed, middle, known.size, last)
+    high = _first_passing_index(must_exceed, middle, distinct.size, last)
     return (
-        math.nan if low == 0 and may_reach(-1) else float(known[low]),
-        math.nan if high == known.size else float(known[high]),
+        math.nan if low == 0 and may_reach(-1) else float(distinct[low]),
+        math.nan if high == distinct.size else float(distinct[high]),
     )
 
 

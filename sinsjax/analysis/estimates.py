@@ -331,8 +331,10 @@ def to_float_array(values: ArrayLike, *, missing: float = math.nan) -> NDArray:
 def _finite_values(values: ArrayLike, cluster: ArrayLike | None) -> tuple[NDArray, NDArray | None]:
     """The finite values, with their clusters; there must be at least one value."""
     data = to_float_array(values)
-    known = np.isfinite(data)
-    return data[known], None if cluster is None else validate_cluster_ids(cluster, data.size)[known]
+    is_finite = np.isfinite(data)
+    return data[is_finite], None if cluster is None else validate_cluster_ids(cluster, data.size)[
+        is_finite
+    ]
 
 
 def bootstrap_interval(statistic: Callable[..., NDArray], *samples: NDArray) -> tuple[float, float]:

@@ -27,9 +27,9 @@ def compare_with_first_group(
         InputError: as `compare_with_baseline`.
     """
     by_condition = [rows for _, rows in group_rows(table, condition_keys)]
-    others = [key for key in by if key not in condition_keys]
-    firsts = [_first_row_values(rows, others) for rows in by_condition]
-    if not others or any(first != firsts[0] for first in firsts):
+    option_keys = [key for key in by if key not in condition_keys]
+    firsts = [_first_row_values(rows, option_keys) for rows in by_condition]
+    if not option_keys or any(first != firsts[0] for first in firsts):
         by_condition, firsts = [table], [_first_row_values(table, by)]
     found = [
         row

@@ -123,11 +123,11 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
     statistics = {name: offered[name] for name in chosen}
     used = [column for statistic in statistics.values() for column in statistic.columns]
     used += [column for column in CLUSTER_COLUMNS if column in table.column_names]
-    made = (
+    rows_of_groups = (
         key | _statistics_row(rows, statistics)
         for key, rows in group_rows(_select_columns(table, *by, *_status_columns(table), *used), by)
     )
-    return _build_table(made, table.schema, by)
+    return _build_table(rows_of_groups, table.schema, by)
 
 
 def read_estimate(row: Mapping[str, Any], name: str) -> Estimate:
@@ -167,17 +167,17 @@ def compare_with_baseline(
     used = ["draw_id", *_status_columns(table), *flags, _YAW, _FLOOR, *settling]
     used += [column for column in CLUSTER_COLUMNS if column in table.column_names]
     found = list(group_rows(_select_columns(table, *by, *used), by))
-    wanted = {key: _tuple_to_list(value) for key, value in baseline.items()}
-    base = next((rows for key, rows in found if key == wanted), None)
+    baseline_key = {key: _tuple_to_list(value) for key, value in baseline.items()}
+    base = next((rows for key, rows in found if key == baseline_key), None)
     if base is None:
-        raise InputError(f"summary: there are no runs of the baseline {wanted}")
+        raise InputError(f"summary: there are no runs of the baseline {baseline_key}")
     known = has_truth(table)
-    made = (
+    rows_of_groups = (
         key | {"n": rows.num_rows} | _difference_cells(rows, base, [*flags, *settling], known=known)
         for key, rows in found
         if rows is not base
     )
-    return _build_table(made, table.schema, by)
+    return _build_table(rows_of_groups, table.schema, by)
 
 
 def _status_columns(table: pa.Table) -> tuple[str, ...]:
@@ -208,7 +208,7 @@ def _difference_cells(
     ok = status_mask(rows, "ok")[rows_order], status_mask(baseline, "ok")[base_order]
     found = {"success_rate_difference": proportion_difference(*ok) if known else UNKNOWN}
     limited = all(
-        select_runs_with_floor(some).num_rows == some.num_rows for some in (rows, baseline)
+        select_runs_with_floor(group).num_rows == group.num_rows for group in (rows, baseline)
     )
     for name in columns:
         judged = known and (limited or "_truth" in name)
@@ -218,8 +218,8 @@ def _difference_cells(
             rate = f"{name.replace('ok', 'success')}_rate_difference"
             found[rate] = proportion_difference(*pairs) if recorded else UNKNOWN
         else:
-            apart = quantile_difference(*pair(name)) if judged else UNKNOWN
-            found[f"{name}_median_difference"] = apart
+            difference = quantile_difference(*pair(name)) if judged else UNKNOWN
+            found[f"{name}_median_difference"] = difference
     cells: dict[str, Any] = {}
     found["phi_u_error_arcmin_difference"] = mean_difference(*errors)
     for name, estimate in found.items():
@@ -292,10 +292,10 @@ def _status_share(rows: pa.Table, status: str) -> Estimate:
 
 def _flag_share(rows: pa.Table, name: str) -> Estimate:
     """The share of runs whose flag is set; unknown if it was not recorded."""
-    known = rows.filter(pc.is_valid(require_column(rows, name)))
-    if not known.num_rows:
+    recorded = rows.filter(pc.is_valid(require_column(rows, name)))
+    if not recorded.num_rows:
         return UNKNOWN
-    return share(known[name].to_numpy(), cluster_ids(known))
+    return share(recorded[name].to_numpy(), cluster_ids(recorded))
 
 
 def _std_of_single_status(rows: pa.Table) -> Estimate:
@@ -320,10 +320,10 @@ def _abs_quantile_90(values: NDArray, cluster: NDArray | None) -> Estimate:
 
 
 def _quantile_of_finite(values: NDArray, cluster: NDArray | None, q: float) -> Estimate:
-    known = np.isfinite(values)
-    if not known.any():
+    is_finite = np.isfinite(values)
+    if not is_finite.any():
         return UNKNOWN
-    return quantile(values[known], q, None if cluster is None else cluster[known])
+    return quantile(values[is_finite], q, None if cluster is None else cluster[is_finite])
 
 
 def _statistics_row(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Any]:

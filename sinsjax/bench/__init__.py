@@ -87,19 +87,19 @@ def short_workloads(*, limit_folder: str | None) -> list[Workload]:
 
 def _results_table(rows: list[dict[str, Any]]) -> Table:
     table = Table(title="ns per step per run", box=box.SIMPLE)
-    shown = {
+    headings = {
         "name": "name",
         "ns_per_step_run": "ns",
         "compile_s": "compile s",
         "median_s": "median s",
         "spread_s": "+- s",
     }
-    for key, heading in shown.items():
+    for key, heading in headings.items():
         table.add_column(heading, justify="left" if key == "name" else "right", no_wrap=True)
     kernel = next((r["ns_per_step_run"] for r in rows if r["name"] == "limit_kernel"), None)
     if kernel:
         table.add_column("x limit", justify="right", no_wrap=True)
     for row in rows:
         ratio = [f"{row['ns_per_step_run'] / kernel:.2f}"] if kernel else []
-        table.add_row(*(str(row[key]) for key in shown), *ratio)
+        table.add_row(*(str(row[key]) for key in headings), *ratio)
     return table

@@ -140,8 +140,8 @@ def shared_covariance_group(group: Group) -> Group:
 def set_feedback_every_sample(group: Group) -> Group:
     """The group with feedback at every sample."""
     method = group.variants.method
-    every = np.ones_like(method.feedback.every)
-    method = method._replace(feedback=method.feedback._replace(every=every))
+    ones = np.ones_like(method.feedback.every)
+    method = method._replace(feedback=method.feedback._replace(every=ones))
     return group._replace(variants=group.variants._replace(method=method))
 
 
@@ -286,16 +286,19 @@ def _check_baseline(group: Group, c_nb: np.ndarray) -> None:
     outcome, _ = jax.jit(partial(simulate, static))(
         group.environment, draw, _first_run_params(group)
     )
-    ours = np.array([outcome.last.pitch, outcome.last.roll, outcome.last.yaw])
-    theirs = np.array(
+    engine_attitude = np.array([outcome.last.pitch, outcome.last.roll, outcome.last.yaw])
+    baseline_attitude = np.array(
         [
             np.arcsin(c_nb[2, 1]),
             np.arctan2(-c_nb[2, 0], c_nb[2, 2]),
             np.arctan2(-c_nb[0, 1], c_nb[1, 1]),
         ]
     )
-    if not np.allclose(ours, theirs, atol=1e-9):
-        raise RuntimeError(f"the NumPy baseline and the engine differ: {theirs} and {ours} rad")
+    if not np.allclose(engine_attitude, baseline_attitude, atol=1e-9):
+        raise RuntimeError(
+            "the NumPy baseline and the engine differ:"
+            f" {baseline_attitude} and {engine_attitude} rad"
+        )
 
 
 def _default_group_without_noise() -> Group:

@@ -81,6 +81,6 @@ def _run_command(command: list[str], name: str) -> str:
     if ended.returncode:
         complaint = ended.stderr.strip().partition("\n")[0]
         code = ended.returncode
-        why = complaint or (f"signal {-code}" if code < 0 else f"exit status {code}")
-        raise InputError(f"{name} failed: {why}")
+        reason = complaint or (f"signal {-code}" if code < 0 else f"exit status {code}")
+        raise InputError(f"{name} failed: {reason}")
     return ended.stdout

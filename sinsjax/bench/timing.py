@@ -166,11 +166,11 @@ def measurement_conditions() -> Row:
 
 
 def _describe_options(options: dict[str, str | None]) -> str:
-    wanted = {option.name: option.value for option in xla.required_options()}
-    there = [name for name, value in options.items() if value == wanted[name]]
-    if len(there) == len(wanted):
+    required = {option.name: option.value for option in xla.required_options()}
+    set_names = [name for name, value in options.items() if value == required[name]]
+    if len(set_names) == len(required):
         return "all"
-    return " ".join(name.removeprefix("xla_cpu_") for name in there) or "none"
+    return " ".join(name.removeprefix("xla_cpu_") for name in set_names) or "none"
 
 
 def pin_to_one_core() -> None:

@@ -21,9 +21,9 @@ def render_commands_page() -> str:
         " mistake is one line ([messages](messages.md)) and exit code 2; an interrupted study ends"
         " with exit code 130, and `--resume` continues it.",
     ]
-    for panel, here in panels.items():
+    for panel, commands_of_panel in panels.items():
         lines += ["", f"**{panel}**", "", "| command | |", "| --- | --- |"]
-        lines += [f"| [`{name}`](#{name}) | {about[name][0]} |" for name in here]
+        lines += [f"| [`{name}`](#{name}) | {about[name][0]} |" for name in commands_of_panel]
     for name, command in commands.items():
         lines += ["", f"## {name}", "", *_command_help_section(name, command, *about[name])]
     return "\n".join([*lines, ""])

@@ -63,12 +63,12 @@ def _format_roots(polynomial: np.ndarray) -> str:
     # Double roots are found to half of the digits only.
     rounded = [(round(r.real / size, 6), round(r.imag / size, 6)) for r in found]
     upper = sorted(root for root in rounded if root[1] >= 0)
-    shown = []
+    texts = []
     for real, imag in dict.fromkeys(upper):
         pair = f" +- {imag * size:.4g}j" if imag else ""
         double = " (double)" if upper.count((real, imag)) > 1 else ""
-        shown.append(f"{real * size:.4g}{pair}{double}")
-    return ", ".join(shown)
+        texts.append(f"{real * size:.4g}{pair}{double}")
+    return ", ".join(texts)
 
 
 def print_gains(console: Console, *args: float, **earth: float) -> None:

@@ -13,9 +13,9 @@ def info() -> None:
     runtime.configure()
     runtime.start_backend()
     console = plain_console()
-    known = runtime.info()
-    known["options"] = ", ".join(f"{key} = {value}" for key, value in known["options"].items())
-    for key, value in (known | _plugin_methods()).items():
+    entries = runtime.info()
+    entries["options"] = ", ".join(f"{key} = {value}" for key, value in entries["options"].items())
+    for key, value in (entries | _plugin_methods()).items():
         print_line(console, f"{key:>20}  {value}")
 
 

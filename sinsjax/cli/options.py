@@ -16,8 +16,8 @@ def complete_study(incomplete: str) -> list[str]:
     """The shipped studies and the study files of this folder that a word may be completed to."""
     from sinsjax.study import files
 
-    here = (path.name for path in Path().glob("*.toml"))
-    return [name for name in (*here, *files.studies()) if name.startswith(incomplete)]
+    local = (path.name for path in Path().glob("*.toml"))
+    return [name for name in (*local, *files.studies()) if name.startswith(incomplete)]
 
 
 def complete_section_or_key(incomplete: str) -> list[str]:

@@ -40,13 +40,13 @@ def show_progress(console: Console, name: str) -> Iterator[Tell]:
         console=console,
     )
     with bar:
-        shown = bar.add_task(f"{name} (compiling)", total=None, counted="runs", pace="")
+        task = bar.add_task(f"{name} (compiling)", total=None, counted="runs", pace="")
         pace = _RateMeter()
 
         def on_progress(now: RunProgress) -> None:
             text = pace.format_rate(now)
             bar.update(
-                shown,
+                task,
                 description=name if text else f"{name} (compiling)",
                 completed=now.done,
                 total=now.total,
@@ -58,17 +58,17 @@ def show_progress(console: Console, name: str) -> Iterator[Tell]:
 
 
 def _plain_progress(console: Console, name: str, rate: "_RateMeter") -> Tell:
-    shown, last = -1, time.monotonic()
+    last_tenth, last = -1, time.monotonic()
 
     def on_progress(now: RunProgress) -> None:
-        nonlocal shown, last
+        nonlocal last_tenth, last
         text = rate.format_rate(now)
         tenth, clock = now.done * 10 // now.total, time.monotonic()
         began = now.done == now.before
-        due = now.before > 0 if began else tenth != shown or clock >= last + _PLAIN_EVERY_S
+        due = now.before > 0 if began else tenth != last_tenth or clock >= last + _PLAIN_EVERY_S
         if not due:
             return
-        shown, last = tenth, clock
+        last_tenth, last = tenth, clock
         pace_text = " already done" if began else text
         screen.print_line(
             console, f"{name}: {now.done:,} of {now.total:,} {now.counted}{pace_text}"

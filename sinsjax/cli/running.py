@@ -118,11 +118,11 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     overrides = parse_changes(changes or ())
     study, notes = load_with_notes(config, overrides)
     if study.tune:
-        what = f"tunes {', '.join(study.tune.variables)}"
+        summary = f"tunes {', '.join(study.tune.variables)}"
     else:
         draws = "start times" if study.is_recorded else "draws"
-        what = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
-    lines = [f"{source_name(config)}: valid; {what}.", *notes]
+        summary = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
+    lines = [f"{source_name(config)}: valid; {summary}.", *notes]
     if study.is_recorded:
         return [*lines, "The record determines the rate and the duration."]
     if study.tune:

@@ -94,8 +94,10 @@ def _versioned_folder(setting: str) -> Path:
 def _folder_name() -> str:
     """The jaxlib version, and a digest of the processor's model and features and the options."""
     cpu = machine.cpu_info()
-    what = [cpu.get(key, "") for key in ("model name", "flags")] + [os.environ.get("XLA_FLAGS", "")]
-    digest = hashlib.sha256("\n".join(what).encode()).hexdigest()[:12]
+    parts = [cpu.get(key, "") for key in ("model name", "flags")] + [
+        os.environ.get("XLA_FLAGS", "")
+    ]
+    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
     return f"jaxlib-{importlib.metadata.version('jaxlib')}-{digest}"
 
 

@@ -92,7 +92,7 @@ def require_writable(path: Path, option_name: str) -> None:
     """
     if path.is_dir():
         raise InputError(f"{option_name} {path}: is a folder, give the name of a file")
-    folder = next(one for one in path.absolute().parents if one.exists())
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise InputError(
             f"{option_name} {path}: cannot be written: {folder} is not a writable folder"

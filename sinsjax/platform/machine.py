@@ -72,9 +72,9 @@ def available_memory_bytes() -> float:
 
 def free_disk_bytes(folder: Path) -> float:
     """Return the free space on the disk of a folder, existing or not; infinite if unknown."""
-    for there in (folder.absolute(), *folder.absolute().parents):
+    for path in (folder.absolute(), *folder.absolute().parents):
         with suppress(OSError):
-            return float(shutil.disk_usage(there).free)
+            return float(shutil.disk_usage(path).free)
     return math.inf
 
 
@@ -122,10 +122,10 @@ def ensure_private_folder(folder: Path) -> Path:
     except RuntimeError as error:  # a loop of links, in Python 3.11 and 3.12
         raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(folder)) from error
     path = [*reversed(real.parents), real]
-    there = [place for place in path if _exists(place)]
-    for place in there:
+    existing = [place for place in path if _exists(place)]
+    for place in existing:
         _require_private_folder(place, is_target=place == real)
-    for place in path[len(there) :]:
+    for place in path[len(existing) :]:
         # Another process of this user may have created it; one of another user fails the check.
         with suppress(FileExistsError):
             place.mkdir(mode=0o700)
@@ -148,8 +148,8 @@ def _require_private_folder(folder: Path, *, is_target: bool) -> None:
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder))
     if not hasattr(os, "geteuid"):  # Windows, where a profile is private to its user
         return
-    this = os.geteuid()
-    if about.st_uid not in ({this} if is_target else {this, 0}):
+    user = os.geteuid()
+    if about.st_uid not in ({user} if is_target else {user, 0}):
         raise UnsafeFolderError(folder, "owned by another user")
     sticky = about.st_uid == 0 and about.st_mode & stat.S_ISVTX and not is_target
     if sticky:
@@ -157,7 +157,7 @@ def _require_private_folder(folder: Path, *, is_target: bool) -> None:
     if about.st_mode & stat.S_IWOTH:
         raise UnsafeFolderError(folder, _BY_OTHERS)
     if about.st_mode & stat.S_IWGRP and (
-        _has_access_control_list(folder) or not _is_only_group_member(this, about.st_gid)
+        _has_access_control_list(folder) or not _is_only_group_member(user, about.st_gid)
     ):
         raise UnsafeFolderError(folder, _BY_OTHERS)
 

@@ -128,8 +128,8 @@ def start_backend() -> None:
         jax.devices()
     except (RuntimeError, AssertionError) as error:
         platforms = os.environ.get("JAX_PLATFORMS", "")
-        why = str(error).partition("\n")[0] or "no such device"
-        raise InputError(f"JAX_PLATFORMS={platforms}: JAX does not start: {why}") from error
+        reason = str(error).partition("\n")[0] or "no such device"
+        raise InputError(f"JAX_PLATFORMS={platforms}: JAX does not start: {reason}") from error
 
 
 def usable_cores() -> int:
@@ -185,13 +185,13 @@ def info() -> dict[str, Any]:
 
     ensure_configured()
     present = xla.current_options()
-    this, cpu = describe_environment(), machine.cpu_info()
+    environment, cpu = describe_environment(), machine.cpu_info()
     return {
-        **this["versions"],
-        "platform": this["platform"],
-        "cpu": this["cpu"],
-        "instructions": this["instructions"],
-        "avx512": this["instructions"] == "AVX512" if "flags" in cpu else None,
+        **environment["versions"],
+        "platform": environment["platform"],
+        "cpu": environment["cpu"],
+        "instructions": environment["instructions"],
+        "avx512": environment["instructions"] == "AVX512" if "flags" in cpu else None,
         "cores": usable_cores(),
         "devices": [str(device) for device in jax.devices()],
         "x64": bool(jax.config.jax_enable_x64),

@@ -105,12 +105,12 @@ def build_comparison_panels(
 ) -> tuple[list[Any], dict[str, Mapping[str, Sequence[Estimate]]]]:
     """The values of a key and the panels of `plot_compare`, with the same arguments."""
     table = to_arrow_table(runs)
-    shown = _default_statistics(table) if statistics is None else dict(statistics)
+    titles = _default_statistics(table) if statistics is None else dict(statistics)
     lines = {
         describe_point(point): rows for point, rows in islice(group_rows(table, by), MAX_LINES)
     }
     rows = {
-        name: summarise(line_rows, [key], list(shown)).to_pylist()
+        name: summarise(line_rows, [key], list(titles)).to_pylist()
         for name, line_rows in lines.items()
     }
     panels = {
@@ -118,7 +118,7 @@ def build_comparison_panels(
             name: [_read_estimate(row, statistic) for row in line_rows]
             for name, line_rows in rows.items()
         }
-        for statistic, words in shown.items()
+        for statistic, words in titles.items()
     }
     values = [row[key] for row in max(rows.values(), key=len)]
     return values, drop_uninformative_panels(panels) or dict(list(panels.items())[-1:])
@@ -174,8 +174,10 @@ def drop_uninformative_panels(
         values = np.array([e.value for line in panel.values() for e in line])
         same = "(%)" in name and np.ptp(values) == 0
         unit = name.partition("(")[2].partition(")")[0]
-        known = any(unit == other and _nearly_equal(values, before) for other, before in seen)
-        if is_informative(panel) and not same and not known:
+        is_repeated = any(
+            unit == seen_unit and _nearly_equal(values, before) for seen_unit, before in seen
+        )
+        if is_informative(panel) and not same and not is_repeated:
             found[name] = panel
             seen.append((unit, values))
     return found
@@ -220,10 +222,12 @@ def draw_along_axis(
         if expected:
             axes.axhspan(*expected.band, color=GREY, alpha=0.25, linewidth=0)
             axes.axhline(expected.value, color=GREY, linestyle="--", label=expected.name)
-        every = [e for estimates in lines.values() for e in estimates]
-        if log or _needs_log_axis(every):
+        all_estimates = [e for estimates in lines.values() for e in estimates]
+        if log or _needs_log_axis(all_estimates):
             axes.set_yscale("log")
-            decades = np.ptp(np.log10([e.value for e in every if 0 < e.value < np.inf] or [1.0]))
+            decades = np.ptp(
+                np.log10([e.value for e in all_estimates if 0 < e.value < np.inf] or [1.0])
+            )
             axes.yaxis.set_major_locator(
                 LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2 else (1.0,))
             )
@@ -243,9 +247,9 @@ def draw_along_axis(
         if "(%)" in name:
             axes.set_ylim(-4, 104)
         elif axes.get_yscale() == "linear":
-            _clip_axis_to_typical_bars(axes, every, expected)
+            _clip_axis_to_typical_bars(axes, all_estimates, expected)
         axes.set_title(name, loc="left", size="medium")
-        if not any(np.isfinite(e.value) for e in every):
+        if not any(np.isfinite(e.value) for e in all_estimates):
             axes.set_yticks([])
     if words:
         turned = {"rotation": 20, "ha": "right"} if max(map(len, words)) > _WIDE else {}
@@ -257,7 +261,8 @@ def draw_along_axis(
         grid[0].plot([], [], "x", color=GREY, label="never (median)")
     for axes, lines in zip(grid, panels.values(), strict=True):
         ends = [
-            (name, some[-1].value, line_colour(i)) for i, (name, some) in enumerate(lines.items())
+            (name, estimates_of_line[-1].value, line_colour(i))
+            for i, (name, estimates_of_line) in enumerate(lines.items())
         ]
         if not words and label_line_ends(axes, ends):
             break

@@ -87,7 +87,7 @@ def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> 
     keys = to_key_list(by)
     groups = analysis.group_rows(to_arrow_table(runs), keys)
     lines = [ConsistencyLine.from_runs(describe_point(point), rows) for point, rows in groups]
-    lines = [one for one in lines if np.isfinite(one.nees).any()]
+    lines = [line for line in lines if np.isfinite(line.nees).any()]
     if not lines:
         raise InputError("plot_belief: no run has a finite nees (only filters have a covariance)")
     return draw_consistency(lines, title or _mean_nees_title(lines))
@@ -95,7 +95,7 @@ def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> 
 
 def _mean_nees_title(lines: Sequence[ConsistencyLine]) -> str:
     """The mean NEES of the lines, in words."""
-    means = [float(np.mean(one.nees[np.isfinite(one.nees)])) for one in lines]
+    means = [float(np.mean(line.nees[np.isfinite(line.nees)])) for line in lines]
     ends = dict.fromkeys(
         f"{mean:,.0f}" if mean >= 10 else f"{mean:.2g}" for mean in (min(means), max(means))
     )
@@ -115,7 +115,7 @@ def draw_consistency(lines: Sequence[ConsistencyLine], title: str) -> Figure:
     left, right = figure.subplots(1, 2, width_ratios=[3, 2])
     _draw_nees(left, lines)
     _draw_shares(right, lines)
-    add_legend_below(figure, left, {one.label for one in lines})  # named on the right
+    add_legend_below(figure, left, {line.label for line in lines})  # named on the right
     return figure
 
 

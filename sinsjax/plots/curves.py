@@ -170,20 +170,20 @@ def plot_curves(
         pa.table({"run_id": table["run_id"].unique()}) if runs is None else to_arrow_table(runs)
     )
     lines = select_runs_by_line(summary, ["run_id"] if runs is None else keys)
-    there = {*table["run_id"].unique().to_pylist()}
-    lines = {name: ids for name, ids in lines.items() if there.intersection(ids)}
+    run_ids = {*table["run_id"].unique().to_pylist()}
+    lines = {name: ids for name, ids in lines.items() if run_ids.intersection(ids)}
     if not lines:
         raise InputError("plot_curves: there are no curves of these runs")
-    shown = group_curves(table, lines)
-    sigmas = [one.columns.get("sigma_u_arcmin") for one in shown]
+    ensembles = group_curves(table, lines)
+    sigmas = [ensemble.columns.get("sigma_u_arcmin") for ensemble in ensembles]
     with_sigma = any(sigma is not None and np.isfinite(sigma).any() for sigma in sigmas)
     if not has_truth:
-        return draw_attitude(shown, title or _attitude_title(shown))
+        return draw_attitude(ensembles, title or _attitude_title(ensembles))
     drawn = summary.filter(pc.is_in(summary["run_id"], pa.array(sum(lines.values(), []))))
     limit = _common_bias_floor(summary)
     return draw_misalignment(
-        shown,
-        title or _heading_error_title(shown),
+        ensembles,
+        title or _heading_error_title(ensembles),
         floors=None if limit is None else {"u": limit},
         resets_s=_reset_times_to_mark(drawn),
         zoom_s=zoom_s,
@@ -224,7 +224,7 @@ def _reset_times_to_mark(summary: pa.Table) -> list[float]:
 
 def _attitude_title(ensembles: Sequence[Ensemble]) -> str:
     """The yaw at the end of each line, in words."""
-    last = [float(one.columns["yaw_deg"][:, -1].mean()) for one in ensembles]
+    last = [float(ensemble.columns["yaw_deg"][:, -1].mean()) for ensemble in ensembles]
     ends = dict.fromkeys(f"{yaw:.2f}" for yaw in (min(last), max(last)))
     return f"Yaw after {ensembles[0].time_s[-1]:g} s: {' to '.join(ends)} deg"
 
@@ -232,7 +232,11 @@ def _attitude_title(ensembles: Sequence[Ensemble]) -> str:
 def _heading_error_title(ensembles: Sequence[Ensemble]) -> str:
     """The heading error at the end of each line, in words."""
     last = [np.abs(e.columns["phi_u_arcmin"][:, -1]) for e in ensembles]
-    errors = [float(np.sqrt(np.mean(one**2))) for one in last if np.isfinite(one).all()]
+    errors = [
+        float(np.sqrt(np.mean(errors_of_line**2)))
+        for errors_of_line in last
+        if np.isfinite(errors_of_line).all()
+    ]
     end = max(float(e.time_s[-1]) for e in ensembles)
     if not errors:
         return "Misalignment"
@@ -328,9 +332,11 @@ def _draw_misalignment_panel(
 
 def use_asinh_if_wide(axes: Axes, extents: Sequence[Extent]) -> str:
     """Make a wide range of values legible, and return a note for the axis label."""
-    far = [np.maximum(np.abs(e.low), np.abs(e.high)) for e in extents if e.time_s.size]
-    end = max(min((float(one[-1]) for one in far), default=0.0), _LINEAR[0])
-    top = max((float(one.max()) for one in far), default=0.0)
+    all_magnitudes = [np.maximum(np.abs(e.low), np.abs(e.high)) for e in extents if e.time_s.size]
+    end = max(
+        min((float(magnitudes[-1]) for magnitudes in all_magnitudes), default=0.0), _LINEAR[0]
+    )
+    top = max((float(magnitudes.max()) for magnitudes in all_magnitudes), default=0.0)
     if top <= _WIDE * end:
         return ""
     linear = 10.0 ** np.floor(np.log10(min(end, _LINEAR[1])))

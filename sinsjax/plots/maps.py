@@ -225,10 +225,10 @@ def _best_cell_title(
         shown = shown if statistic.is_settling_time else statistic.compute(runs)
         order = np.nan_to_num(shown, nan=np.inf) * (1 if statistic.small_is_better else -1)
         best = np.lexsort((order.ravel(), -settled.ravel()))[0]
-        here = dict(point)
+        best_point = dict(point)
         for name in (*axes, *{"reset_times_s"}.intersection(rows.column_names)):
-            here[name] = panel.rows[name][int(best)].as_py()
-        found.append((-settled.flat[best], order.flat[best], here, shown.flat[best]))
+            best_point[name] = panel.rows[name][int(best)].as_py()
+        found.append((-settled.flat[best], order.flat[best], best_point, shown.flat[best]))
     if not found:
         return f"{statistic.name[:1].upper()}{statistic.name[1:]}"
     missing, _, point, shown = min(found, key=lambda candidate: candidate[:2])

@@ -139,9 +139,9 @@ def add_legend_below(figure: Figure, axes: Axes, omitted: Collection[str] = ()) 
         omitted: entries to leave out, because `label_line_ends` wrote them at their lines.
     """
     entries = zip(*axes.get_legend_handles_labels(), strict=True)
-    shown = [entry for entry in entries if entry[1] not in omitted]
-    if shown:
-        handles, labels = zip(*shown, strict=True)
+    entries_shown = [entry for entry in entries if entry[1] not in omitted]
+    if entries_shown:
+        handles, labels = zip(*entries_shown, strict=True)
         room = 12 * figure.get_figwidth()  # characters per line
         columns = max(1, min(len(labels), int(room / (max(map(len, labels)) + 6))))
         figure.legend(handles, labels, loc="outside lower center", ncols=columns)

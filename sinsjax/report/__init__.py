@@ -59,9 +59,9 @@ def print_reports(
     except InputError:
         raise
     except Exception as error:
-        where = ", ".join(map(str, directories))
-        what = shorten(" ".join(f"{type(error).__name__}: {error}".split()))
-        text = f"{where}: the report failed, the results are unchanged ({what})"
+        paths = ", ".join(map(str, directories))
+        reason = shorten(" ".join(f"{type(error).__name__}: {error}".split()))
+        text = f"{paths}: the report failed, the results are unchanged ({reason})"
         raise InputError(text) from error
 
 

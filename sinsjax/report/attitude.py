@@ -101,7 +101,7 @@ def _final_attitude_table(source: Source, rows: list[dict[str, Any]]) -> Table:
     words = {"sigma_u_arcmin": "1 sigma (')", "phi_u_arcmin": "error (')"}
     words |= {f"{angle}_deg": f"{angle} (deg)" for angle in _ANGLES}
     digits = dict(zip(_COLUMNS, (3, 3, 3, 1, 1), strict=True))
-    shown = [name for name in digits if any(row[name] is not None for row in rows)]
+    columns = [name for name in digits if any(row[name] is not None for row in rows)]
     listed = rows if one_variant else rows[-source.study.n_variants :]
     if one_variant:
         first, key = ("start (s)", "start_s") if source.study.is_recorded else ("draw", "draw_id")
@@ -112,10 +112,10 @@ def _final_attitude_table(source: Source, rows: list[dict[str, Any]]) -> Table:
             [describe_point({key: row[key] for key in keys}) for row in listed],
         )
     cells = [
-        [name, *(analysis.format_number(row[column], digits[column]) for column in shown)]
+        [name, *(analysis.format_number(row[column], digits[column]) for column in columns)]
         for name, row in zip(names, listed, strict=True)
     ]
-    return Table("Attitude at the end", [first, *(words[name] for name in shown)], cells)
+    return Table("Attitude at the end", [first, *(words[name] for name in columns)], cells)
 
 
 def attitude_table(source: Source) -> Table:
@@ -124,8 +124,8 @@ def attitude_table(source: Source) -> Table:
     digits = dict.fromkeys([f"{angle}_deg" for angle in ("pitch", "roll", "yaw")], 4)
     digits |= dict.fromkeys([f"sigma_{axis}_arcmin" for axis in "enu"], 2)
     variants = source.study.n_variants
-    shown = MAX_ROWS // variants * variants or MAX_ROWS  # whole start times, where they fit
-    rows = source.rows([*keys, *digits]).slice(0, shown).to_pylist()
+    n_rows = MAX_ROWS // variants * variants or MAX_ROWS  # whole start times, where they fit
+    rows = source.rows([*keys, *digits]).slice(0, n_rows).to_pylist()
     cells = [
         (name, lambda row, n=name: analysis.format_number(row[n], digits[n])) for name in digits
     ]

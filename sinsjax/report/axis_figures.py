@@ -30,12 +30,14 @@ def build_axis_figures(source: Source) -> list[Block]:
     for each point of all other keys; with one, or one whose values are lists, curves with
     intervals; with none, nothing. Then curves over each drawn number.
     """
-    shown, others = source.study.figure_axes
+    axes, line_keys = source.study.figure_axes
     blocks: list[Block]
-    if len(shown) == 2:
+    if len(axes) == 2:
         blocks = [block for yard in source.yardsticks for block in _heat_map_figures(source, yard)]
     else:
-        blocks = [figure for axis in shown if (figure := _axis_curve_figure(source, axis, others))]
+        blocks = [
+            figure for axis in axes if (figure := _axis_curve_figure(source, axis, line_keys))
+        ]
     insignificant = []
     for key, (binned_source, _) in bin_drawn_keys(source).items():
         drawn = _axis_curve_figure(
@@ -118,15 +120,15 @@ class HeatMaps:
 def _heat_map_figures(source: Source, criterion: Yardstick) -> Iterator[Block]:
     """Yield the maps by one criterion of success, without those that show nothing."""
     maps = HeatMaps(source, (criterion.settle, criterion.ok, *FLOOR_COLUMNS, "draw_id", "start_s"))
-    shown = maps.panels[: 2 * MAX_PANELS]
-    every = [
+    panels = maps.panels[: 2 * MAX_PANELS]
+    outcomes = [
         one.cell_outcomes(criterion.ok, criterion.settle, criterion.off_floor(one.column_values))
-        for one in shown
+        for one in panels
     ]
-    cells, end = every[:MAX_PANELS], criterion.end(source.yardsticks[0])
+    cells, end = outcomes[:MAX_PANELS], criterion.end(source.yardsticks[0])
     if not any((np.isfinite(one.median_s) & ~one.not_converged).any() for one in cells):
         return  # no cell is within the band, or cells only pass through it
-    off = np.where(
+    off_floor = np.where(
         maps.column_values(criterion.ok) > 0, criterion.off_floor(maps.column_values), np.nan
     )
     hatched = np.any([one.not_converged for one in cells])
@@ -140,7 +142,7 @@ def _heat_map_figures(source: Source, criterion: Yardstick) -> Iterator[Block]:
         f"Median time over {format_count(source.draws, 'draw')} until the heading stays"
         f" {criterion.words}; grey where at least half of the runs never do.{mark}",
         criterion.settle,
-        off,
+        off_floor,
         _NOT_CONVERGED,
     )
     shares = np.array([one.success_share for one in cells])
@@ -149,7 +151,7 @@ def _heat_map_figures(source: Source, criterion: Yardstick) -> Iterator[Block]:
             f"success_rate{end}",
             f"Share of {format_count(source.draws, 'draw')} ok, {criterion.of_several}.{mark}",
             criterion.ok,
-            off,
+            off_floor,
             _NOT_CONVERGED,
         )
 
@@ -157,14 +159,14 @@ def _heat_map_figures(source: Source, criterion: Yardstick) -> Iterator[Block]:
 def _axis_curve_figure(
     source: Source, axis: str, line_keys: Sequence[str], *, only_if_significant: bool = False
 ) -> Picture | None:
-    shown = {f"{y.settle}_median": f"median time (s) to {y.words}" for y in source.yardsticks}
-    shown |= {y.rate: f"share of runs that are ok, {y.of_several} (%)" for y in source.yardsticks}
-    shown["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
+    titles = {f"{y.settle}_median": f"median time (s) to {y.words}" for y in source.yardsticks}
+    titles |= {y.rate: f"share of runs that are ok, {y.of_several} (%)" for y in source.yardsticks}
+    titles["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
     table = source.rows([*line_keys, axis, *judged_columns(source.study), *REQUIRED_COLUMNS])
-    values, panels = build_comparison_panels(table, axis, line_keys, shown)
+    values, panels = build_comparison_panels(table, axis, line_keys, titles)
     if only_if_significant and not has_significant_effect(panels):
         return None
-    left = "; ".join(words for words in shown.values() if words not in panels)
+    left = "; ".join(words for words in titles.values() if words not in panels)
     return Picture(
         "along_axis",
         "How soon their heading enters the band for good, how many runs are ok, and how large the"

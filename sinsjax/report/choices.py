@@ -46,7 +46,7 @@ class Choices:
     def from_study(cls, study: Study) -> "Choices":
         """Sort the axes of a study into choices and conditions."""
         conditions = [_is_condition(dimension) for dimension in study.dimensions]
-        shown = tuple(zip(conditions, study.axes_shown, strict=True))
+        dimensions = tuple(zip(conditions, study.axes_shown, strict=True))
         sizes = [len(next(iter(dimension.values()))) for dimension in study.dimensions]
         place = np.arange(study.n_variants).reshape(sizes)
         chosen = [axis for axis, given in enumerate(conditions) if not given]
@@ -54,7 +54,7 @@ class Choices:
         options = int(np.prod([sizes[axis] for axis in chosen], dtype=int))
         variants = place.reshape(options, -1)
         first = study.duplicate_of[variants] == variants
-        return cls(study, variants[first.any(axis=1)][:, first.any(axis=0)], shown)
+        return cls(study, variants[first.any(axis=1)][:, first.any(axis=0)], dimensions)
 
     def arrange_runs(self, column: NDArray) -> NDArray:
         """Lay out a column of the summary, ordered by run_id, as (options, conditions, draws)."""
@@ -142,8 +142,8 @@ class Choices:
             header = [f"best {self.option_noun}", f"{settling_header} (s)", rival]
         first = condition_header(axis)
         rows = [
-            [format_condition(axis, point), *row_cells(here)]
-            for point, here in self.conditions_by_point(axis).items()
+            [format_condition(axis, point), *row_cells(conditions)]
+            for point, conditions in self.conditions_by_point(axis).items()
         ]
         return Table(f"Per {first}", [first, *header], rows)
 

@@ -146,9 +146,9 @@ class _ExpectedSettling(NamedTuple):
         self, options: Sequence[int] | None = None, conditions: Sequence[int] | slice = slice(None)
     ) -> int:
         """The option with the shortest expected settling time, averaged over the conditions."""
-        wanted = list(range(len(self.mean_s)) if options is None else options)
-        mean_s = self.mean_s[wanted][:, conditions].mean(axis=1)
-        return wanted[int(np.argmin(np.nan_to_num(mean_s, nan=np.inf)))]
+        candidates = list(range(len(self.mean_s)) if options is None else options)
+        mean_s = self.mean_s[candidates][:, conditions].mean(axis=1)
+        return candidates[int(np.argmin(np.nan_to_num(mean_s, nan=np.inf)))]
 
     def format_settling(self, option: int, conditions: Sequence[int] | slice = slice(None)) -> str:
         """The expected settling time of an option in some conditions, on average."""
@@ -187,11 +187,11 @@ def _condition_table(expected: _ExpectedSettling) -> Table | None:
             within = 100 * float(expected.within[0, conditions].min())
             error = float(np.sqrt(np.mean(expected.heading[0, conditions] ** 2)))
             return [f"{within:.0f}", expected.format_settling(0, conditions), f"{error:.1f}"]
-        here = expected.best_option(conditions=conditions)
+        best_here = expected.best_option(conditions=conditions)
         without_reset = choices.options_without_reset
         rival = expected.best_option(without_reset, conditions) if without_reset else best
-        times = [expected.format_settling(option, conditions) for option in (here, rival)]
-        return [choices.options[here], *times]
+        times = [expected.format_settling(option, conditions) for option in (best_here, rival)]
+        return [choices.options[best_here], *times]
 
     return choices.condition_table(axis, format_row, "expected after")
 
@@ -238,7 +238,7 @@ def _best_settings_table(source: Source, criterion_columns: _EstimateColumns) ->
     chosen = [key for key in keys if is_chosen(key)]
     if not chosen:
         return
-    given = [key for key in keys if key not in chosen]
+    condition_keys = [key for key in keys if key not in chosen]
     needed = (criterion_columns.mean, criterion_columns.error, criterion_columns.within, _SIGMA)
     table = source.distinct([*keys, *needed])
     points = []
@@ -256,7 +256,7 @@ def _best_settings_table(source: Source, criterion_columns: _EstimateColumns) ->
     points.sort(key=lambda row: (np.isnan(row["mean"].value), row["mean"].value))
     words, over = (
         criterion_columns.criterion.words,
-        f", mean over {' and '.join(given)}" if given else "",
+        f", mean over {' and '.join(condition_keys)}" if condition_keys else "",
     )
     worst: list[Cell] = [
         ("longest (s)", lambda row: f"{row['longest']:.0f}"),
@@ -268,7 +268,7 @@ def _best_settings_table(source: Source, criterion_columns: _EstimateColumns) ->
         points,
         [
             (f"mean time to {words} (s)", lambda row: format_estimate(row["mean"])),
-            *(worst if given else []),
+            *(worst if condition_keys else []),
             ("1 sigma at the end, rms (arcmin)", lambda row: f"{row['sigma']:.1f}"),
         ],
         _TIMES,
@@ -300,13 +300,13 @@ def _axis_figures(
     source: Source, criterion_columns: _EstimateColumns, main_criterion: _EstimateColumns
 ) -> Iterator[Picture]:
     """Over the first two axes of numbers heat maps, along a single one curves."""
-    axes, others = source.study.figure_axes
+    axes, line_keys = source.study.figure_axes
     if len(axes) == 2:
         yield from _heat_map_figures(
             source, criterion_columns, criterion_columns.criterion.end(main_criterion.criterion)
         )
     elif axes and criterion_columns is main_criterion:
-        yield _axis_curve_figure(source, criterion_columns, *axes.popitem(), others)
+        yield _axis_curve_figure(source, criterion_columns, *axes.popitem(), line_keys)
 
 
 def _heat_map_figures(

@@ -66,12 +66,12 @@ def build_report(
 
 def statistics_table(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
     """Return the statistics of each group of runs that share some keys, as a table."""
-    shown = _statistic_columns(source)
+    columns = _statistic_columns(source)
     table = source.distinct([*keys, *REQUIRED_COLUMNS, *judged_columns(source.study)])
-    rows = analysis.summarise(table, keys, [column.name for column in shown]).to_pylist()
+    rows = analysis.summarise(table, keys, [column.name for column in columns]).to_pylist()
     cells = [
         ("runs", lambda row: str(row["n"])),
-        *((column.header, column.format_cell) for column in shown),
+        *((column.header, column.format_cell) for column in columns),
     ]
     return build_table(title, keys, rows, cells, note)
 
@@ -149,8 +149,8 @@ def first_variant_comparison_table(source: Source) -> Table:
     """Return the difference of each variant from the first under the same conditions, by draw."""
     keys, yards = source.study.keys_shown, source.yardsticks
     table = source.distinct([*keys, *REQUIRED_COLUMNS, *judged_columns(source.study)])
-    given = [key for key in keys if is_given(key)]
-    first, rows = compare_with_first_group(table, keys, given)
+    condition_keys = [key for key in keys if is_given(key)]
+    first, rows = compare_with_first_group(table, keys, condition_keys)
     compared = [
         dimension for dimension in source.study.dimensions if first.keys() & dimension.keys()
     ]
@@ -162,7 +162,7 @@ def first_variant_comparison_table(source: Source) -> Table:
     ]
     mixed = [key for key, values in swept if any(column != values[0] for column in values)]
     times = partial(format_difference, digits=0, sides=("it", "the first"))
-    shown = [
+    columns = [
         *(
             _StatisticColumn(f"ok: {y.words} (% points)", f"{y.rate}_difference", format_percent)
             for y in yards
@@ -180,13 +180,13 @@ def first_variant_comparison_table(source: Source) -> Table:
         ),
     ]
     shared = "from the same start times" if source.study.is_recorded else "on the same noise"
-    same = "" if mixed or not given else f" with the same {' and '.join(given)}"
+    same = "" if mixed or not condition_keys else f" with the same {' and '.join(condition_keys)}"
     pairs = describe_intervals(source, "pairs of runs of a draw", "Difference")
     return build_table(
         f"Against {describe_point(first)}{same}, {shared}",
         keys,
         rows,
-        [(column.header, column.format_cell) for column in shown],
+        [(column.header, column.format_cell) for column in columns],
         render_sentence("comparison_with_first", intervals=pairs, mixed=mixed),
     )
 
@@ -201,8 +201,12 @@ def _all_tables(source: Source) -> Sequence[Block]:
         f" {end:g} s."
     )
     if study.n_variants <= MAX_ROWS:
-        every = statistics_table(source, keys, "Every variant", note=note)
-        tables = [heading_error_table(source, keys, title), every, *_drawn_key_tables(source, keys)]
+        all_variants = statistics_table(source, keys, "Every variant", note=note)
+        tables = [
+            heading_error_table(source, keys, title),
+            all_variants,
+            *_drawn_key_tables(source, keys),
+        ]
         compared = study.n_variants > 1 and source.draws > 1
         return [*tables, first_variant_comparison_table(source)] if compared else tables
     pooling_note = f"{study.n_variants:,} variants: each table has one key and pools the others."

@@ -104,8 +104,8 @@ def load_script(folder: Path) -> ModuleType:
         problem = f"has no {missing[0]}, so it is not the folder of a page"
         raise InputError(f"{folder}: {problem} (give --page such a folder, or a file)")
     parent = str(folder.resolve().parent)
-    known = sys.modules.get(_PACKAGE)
-    if known is None or list(known.__path__) != [parent]:
+    loaded_package = sys.modules.get(_PACKAGE)
+    if loaded_package is None or list(loaded_package.__path__) != [parent]:
         for name in [name for name in sys.modules if name.partition(".")[0] == _PACKAGE]:
             del sys.modules[name]  # of other page folders
         spec = ModuleSpec(_PACKAGE, None, is_package=True)

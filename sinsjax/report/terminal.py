@@ -55,10 +55,10 @@ def print_verdict(
     facts = list(verdict.facts)
     n_rows = len(verdict.table.rows) if verdict.table else 0
     while True:
-        shown = _layout_verdict(
+        layout = _layout_verdict(
             verdict, facts, n_rows, names, _pack_words(footer, console.width), console.width
         )
-        if full or len(console.render_lines(shown, pad=False)) <= MAX_VERDICT_LINES:
+        if full or len(console.render_lines(layout, pad=False)) <= MAX_VERDICT_LINES:
             break
         droppable = [fact for fact in facts[1:] if not fact.is_caution] or facts[1:]
         if n_rows:
@@ -67,7 +67,7 @@ def print_verdict(
             facts.remove(droppable[-1])
         else:
             break
-    console.print(shown)
+    console.print(layout)
 
 
 def _layout_verdict(
@@ -100,8 +100,8 @@ def _layout_verdict_rows(
     table: Table, n_rows: int, names: StudyNames, width: int
 ) -> RenderableType:
     """Return some rows of a verdict's table, evenly over all of them."""
-    every = len(table.rows)
-    places = sorted({round(n * (every - 1) / max(n_rows - 1, 1)) for n in range(n_rows)})
+    total = len(table.rows)
+    places = sorted({round(n * (total - 1) / max(n_rows - 1, 1)) for n in range(n_rows)})
     header, *shown = (
         [escape_controls(names.to_plain_text(cell)) for cell in row]
         for row in (table.header, *(table.rows[place] for place in places))
@@ -186,11 +186,11 @@ def _split_columns(cells: Sequence[Sequence[str]], width: int) -> list[list[int]
     least = [max(map(_min_cell_width, column)) for column in zip(*cells, strict=True)]
     parts: list[list[int]] = [[]]
     for column in range(len(least)):
-        wanted = [*parts[-1], column]
-        if sum(least[one] + _GAP for one in wanted) - _GAP > width and len(parts[-1]) > 1:
+        extended = [*parts[-1], column]
+        if sum(least[index] + _GAP for index in extended) - _GAP > width and len(parts[-1]) > 1:
             parts.append([0, column])
         else:
-            parts[-1] = wanted
+            parts[-1] = extended
     return parts
 
 

@@ -32,12 +32,12 @@ def build_report(source: Source) -> Report:
     tuning = Tuning.of(source)
     pictures = [*tuning_figures.landscape_pictures(tuning), *tuning_figures.cost_pictures(tuning)]
     variants = tuning.runs.shape[1]
-    each = f" × {variants} variants" if variants > 1 else ""
+    variants_text = f" × {variants} variants" if variants > 1 else ""
     parts: dict[str, Sequence[Block]] = {
         "Candidates": [_candidate_table(tuning)],
         "Searches": pictures,
     }
-    rests_on = f"{tuning.study.name}: {_describe_tuning_draws(tuning)}{each} a point"
+    rests_on = f"{tuning.study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point"
     return Report.from_parts(_tuning_verdict(tuning), parts, rests_on)
 
 

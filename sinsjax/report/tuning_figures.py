@@ -99,6 +99,6 @@ def cost_pictures(tuning: Tuning) -> list[Picture]:
         cost, best, relaxed = found.course
         ending = (found.cost, found.best.objective) if relaxed else None
         searches.append(CostCurve(SEARCHES[name], cost, best, relaxed, ending))
-    caption = render_sentence("cost_curve", relaxed=any(one.relaxed for one in searches))
+    caption = render_sentence("cost_curve", relaxed=any(search.relaxed for search in searches))
     title = f"The best point is of the search: {SEARCHES[tuning.best]}"
     return [Picture("history", caption, draw_best_by_cost(searches, axis(tuning.study), title))]

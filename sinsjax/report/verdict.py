@@ -106,11 +106,11 @@ class SweepOutcome:
 
     def choose_best(self, options: Sequence[int] | None = None) -> "Choice":
         """Choose among some options, or among all."""
-        wanted = np.arange(len(self.time_s)) if options is None else np.asarray(options)
-        time_s = self.time_s[wanted]
+        candidates = np.arange(len(self.time_s)) if options is None else np.asarray(options)
+        time_s = self.time_s[candidates]
         return Choice(
-            int(wanted[best_option(time_s, self.unsettled_time_s)]),
-            wanted[best_option_per_draw(time_s, self.unsettled_time_s)],
+            int(candidates[best_option(time_s, self.unsettled_time_s)]),
+            candidates[best_option_per_draw(time_s, self.unsettled_time_s)],
         )
 
     @property
@@ -317,12 +317,12 @@ def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)
     best = outcome.overall_choice
     ok = outcome.held_out_values(best, outcome.settled)
-    off = outcome.held_out_values(best, outcome.off_floor)
-    if off.sum() > _RARE * ok.sum():
+    off_floor = outcome.held_out_values(best, outcome.off_floor)
+    if off_floor.sum() > _RARE * ok.sum():
         yield Fact(
             "Caution",
             render_sentence(
-                "off_floor", off=int(off.sum()), ok=int(ok.sum()), criterion=outcome.criterion
+                "off_floor", off=int(off_floor.sum()), ok=int(ok.sum()), criterion=outcome.criterion
             ),
             True,
         )
@@ -338,24 +338,26 @@ def condition_table(outcome: SweepOutcome) -> Table | None:
         return None
 
     def format_row(conditions: list[int]) -> list[str]:
-        here = outcome.select_conditions(conditions)
+        outcome_here = outcome.select_conditions(conditions)
         if len(choices.options) == 1:
-            error = analysis.rms(here.held_out_values(overall, here.error), here.clusters)
+            error = analysis.rms(
+                outcome_here.held_out_values(overall, outcome_here.error), outcome_here.clusters
+            )
             return [
-                format_percent(here.success_share(overall)),
-                here.format_settling(overall),
+                format_percent(outcome_here.success_share(overall)),
+                outcome_here.format_settling(overall),
                 format_heading_error(error),
             ]
-        best = here.choose_best()
+        best = outcome_here.choose_best()
         rival = (
-            here.choose_best(choices.options_without_reset)
+            outcome_here.choose_best(choices.options_without_reset)
             if choices.options_without_reset
             else overall
         )
         return [
             choices.options[best.option],
-            here.format_settling(best),
-            here.format_settling(rival),
+            outcome_here.format_settling(best),
+            outcome_here.format_settling(rival),
         ]
 
     return choices.condition_table(axis, format_row, "settles after")
