@@ -180,11 +180,11 @@ def plot_curves(
     if not has_truth:
         return draw_attitude(ensembles, title or _attitude_title(ensembles))
     drawn = summary.filter(pc.is_in(summary["run_id"], pa.array(sum(lines.values(), []))))
-    limit = _common_bias_floor(summary)
+    floor = _common_bias_floor(summary)
     return draw_misalignment(
         ensembles,
         title or _heading_error_title(ensembles),
-        floors=None if limit is None else {"u": limit},
+        floors=None if floor is None else {"u": floor},
         resets_s=_reset_times_to_mark(drawn),
         zoom_s=zoom_s,
         with_sigma=with_sigma,

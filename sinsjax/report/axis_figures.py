@@ -72,7 +72,7 @@ class HeatMaps:
 
     Attributes:
         axes: the two numbers with their values, rows first.
-        panels: all panels, also those beyond the limit of a figure.
+        panels: all panels, including those that do not fit a figure.
     """
 
     def __init__(self, source: Source, columns: Sequence[str]) -> None:
