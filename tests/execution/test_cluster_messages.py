@@ -386,7 +386,7 @@ def test_forecast_counts_worker_threads_and_remaining_runs(
     monkeypatch.setattr(run, "run_job", lambda *_, **__: None)
     monkeypatch.setattr("sinsjax.report.print_reports", lambda *_, **__: None)
     options: dict[str, Any] = {"overwrite": False, "devices": None, "resume": True}
-    options["every_curve"] = False
+    options["keep_curves"] = False
     for where, on in (((None, "tcp://head:8786"), "24 worker threads"), ((1, None), "1 core")):
         running.run_study(config, str(out), workers_and_scheduler=where, **options)
         (line,) = capsys.readouterr().out.splitlines()

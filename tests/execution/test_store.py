@@ -480,7 +480,7 @@ def test_writer_releases_lock_after_failed_start(
 
 def test_directory_in_place_of_lock_raises_input_error(tmp_path: Path) -> None:
     (tmp_path / "out" / ".lock").mkdir(parents=True)
-    with pytest.raises(InputError, match=r"out/\.lock: is not a regular file"):
+    with pytest.raises(InputError, match=r"out/\.lock: is no regular file"):
         sweep(tmp_path / "out")
 
 
