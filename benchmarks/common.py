@@ -74,7 +74,7 @@ def main(
 
 def seconds(name: str, taken: Sequence[float]) -> Row:
     """A row of some times: their median, and half their range."""
-    found = TimingSpread.of(taken)
+    found = TimingSpread.from_values(taken)
     return {
         "name": name,
         "median_s": round(found.median, 4),
