@@ -20,7 +20,7 @@ CLUSTER_COLUMNS = ("draw_id", "start_s")
 
 NO_INTERVAL = (
     "No intervals: the runs are on one record. They share its sensor biases, and most of its"
-    " samples where their spans overlap, so that their spread does not tell how far another record"
+    " samples where their spans overlap, so their spread does not show how far another record"
     " would differ."
 )
 """Note for results of runs on a record."""

@@ -113,8 +113,8 @@ def ensure_private_folder(folder: Path) -> Path:
         The path without symbolic links, which is the one to use: links may be changed later.
 
     Raises:
-        Unsafe: other users could write there. For this error and the next, ``strerror`` says what
-            is wrong and ``filename`` where.
+        UnsafeFolderError: other users could write there. For this error and the next, ``strerror``
+            has the reason and ``filename`` the folder.
         OSError: the folder cannot be created.
     """
     try:

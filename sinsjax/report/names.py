@@ -1,7 +1,7 @@
 """Names from a study, which are printed literally in Markdown and on a console.
 
 Text of a report is Markdown, into which names are put unescaped. They are escaped only when the
-text is written to a medium; the study, which has all names, tells which parts are names.
+text is written to a medium; the study identifies which parts are names.
 """
 
 import re
