@@ -3,8 +3,8 @@
 import common
 import numpy as np
 
-from sinsjax.bench.cases import default_group, engine, shortened
-from sinsjax.bench.timing import Row, measure_against
+from sinsjax.bench.cases import default_group, engine_workload, shorten_runs
+from sinsjax.bench.timing import Row, measure_relative_to_base
 from sinsjax.covariance import analysis
 
 SAMPLES = (2, 64)
@@ -17,10 +17,10 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     Returns:
         ``plain``, then ``covariance_N`` with N sampled errors, with their ``ratio`` to it.
     """
-    group = shortened(default_group(), 2) if quick else default_group()
+    group = shorten_runs(default_group(), 2) if quick else default_group()
     one = group.select(np.arange(1), np.arange(group.sizes[1]))
-    cases = [engine(f"covariance_{n}", analysis.analysis_group(one, n)) for n in SAMPLES]
-    return measure_against(engine("plain", group), cases, repeats)
+    cases = [engine_workload(f"covariance_{n}", analysis.analysis_group(one, n)) for n in SAMPLES]
+    return measure_relative_to_base(engine_workload("plain", group), cases, repeats)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from sinsjax.bench.timing import Row, TimingSpread, conditions, use_one_core
+from sinsjax.bench.timing import Row, TimingSpread, measurement_conditions, pin_to_one_core
 from sinsjax.errors import InputError
 from sinsjax.platform import compile_cache, runtime
 
@@ -59,9 +59,9 @@ def main(
     if flags.repeats < 1:
         parser.error("--repeats: at least 1")
     if one_core:
-        use_one_core()
+        pin_to_one_core()
     else:
-        os.environ[compile_cache.VARIABLE] = "0"  # as `use_one_core` does
+        os.environ[compile_cache.VARIABLE] = "0"  # as `pin_to_one_core` does
         runtime.configure()
     try:
         measured = rows(flags.quick, flags.repeats)
@@ -69,12 +69,12 @@ def main(
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     if measured:
-        show(measured, conditions(), as_json=flags.json)
+        show(measured, measurement_conditions(), as_json=flags.json)
 
 
 def seconds(name: str, taken: Sequence[float]) -> Row:
     """A row of some times: their median, and half their range."""
-    found = TimingSpread.of(taken)
+    found = TimingSpread.from_values(taken)
     return {
         "name": name,
         "median_s": round(found.median, 4),

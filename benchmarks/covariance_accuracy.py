@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import sinsjax
-from sinsjax.bench.timing import Row, conditions
+from sinsjax.bench.timing import Row, measurement_conditions
 from sinsjax.engine import build
 
 sys.path.insert(0, str(common.ROOT / "tests"))
@@ -193,7 +193,7 @@ def main() -> None:
     sinsjax.configure()
     size = QUICK if flags.quick else Size()
     size = size._replace(draws=flags.draws or size.draws)
-    common.show(rows(size, flags.seed), conditions(), as_json=flags.json)
+    common.show(rows(size, flags.seed), measurement_conditions(), as_json=flags.json)
 
 
 if __name__ == "__main__":

@@ -20,14 +20,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.bench.cases import TILES, default_group, engine, shortened, without_noise
-from sinsjax.bench.timing import Row, Workload, measure_against
+from sinsjax.bench.cases import TILES, default_group, engine_workload, remove_noise, shorten_runs
+from sinsjax.bench.timing import Row, Workload, measure_relative_to_base
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.build import parts
 from sinsjax.engine.lanes import LANES, Group, Tiles, tiles_of
 from sinsjax.engine.run import RunParams, run_tile
 from sinsjax.engine.samples import block_size
-from sinsjax.platform.assets import asset
+from sinsjax.platform.assets import asset_path
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
@@ -175,7 +175,7 @@ def temporary(program: jax.stages.Compiled) -> int:
 
 def tuned_study(seconds: float) -> Study:
     """The default sweep's base, sensors and filter; two reset times are tuned."""
-    data = tomllib.loads(asset("configs/reset_sweep.toml").read_text("utf-8"))
+    data = tomllib.loads(asset_path("configs/reset_sweep.toml").read_text("utf-8"))
     data["study"] |= {"duration_s": seconds, "window_s": [seconds / 2, seconds]}
     data["study"]["judged_from"] = "truth"  # a short run has no limit
     data["resets"] = {"reset_times_s": [seconds / 3, seconds / 2]}
@@ -194,9 +194,9 @@ def tuning(seconds: float, repeats: int) -> list[Row]:
     study = tuned_study(seconds)
     space = SearchSpace.from_study(study)
     box = np.linspace(0.3, 0.7, 2 * STARTS).reshape(STARTS, 2)
-    points = {f"start {i}": space.point(space.values(own), {}) for i, own in enumerate(box)}
+    points = {f"start {i}": space.make_point(space.to_values(own), {}) for i, own in enumerate(box)}
     (part,) = parts(search.derive_study(study, points, name="plain"), curves=False)
-    base = engine("tune_plain", part.group)
+    base = engine_workload("tune_plain", part.group)
     arguments = (box, np.arange(DRAWS), Softness(seconds / 20, 4.0))
     since = time.perf_counter()
     slope = Slope(ParameterMap(study, {}), starts=STARTS, draws=DRAWS)
@@ -210,7 +210,7 @@ def tuning(seconds: float, repeats: int) -> list[Row]:
 
     call()
     gradient = Workload(f"tune_gradient_p{len(box[0])}", base.runs, base.steps, compile_s, call)
-    first, row = measure_against(base, [gradient], repeats)
+    first, row = measure_relative_to_base(base, [gradient], repeats)
     tiles = tiles_of(part.group, plan(part.group, tiles_per_chunk=TILES)[0])
     plain = compiled(part.group, tiles)
     row |= {
@@ -235,12 +235,12 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         tuning counts.
     """
     records = QUICK if quick else RECORDS
-    silent = without_noise(default_group())
-    group = shortened(silent, records)
+    silent = remove_noise(default_group())
+    group = shorten_runs(silent, records)
     base, plain = case("derivative_plain", group, 0)
     counts = (1,) if quick else range(1, MOST + 1)
     made = {p: case(f"derivative_p{p}", group, p) for p in counts}
-    first, *others = measure_against(base, [one for one, _ in made.values()], repeats)
+    first, *others = measure_relative_to_base(base, [one for one, _ in made.values()], repeats)
     loops = loops_of(group, tiles_of(group, plan(group, tiles_per_chunk=TILES)[0]))
     by = operations(plain, loops)
     for row, (p, (_, program)) in zip(others, made.items(), strict=True):
@@ -252,7 +252,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         }
     lengths = {"half": records // 2, "double": 2 * records}
     for key, length in [*lengths.items()][quick:]:
-        program, *_ = program_of(shortened(silent, length), max(counts))
+        program, *_ = program_of(shorten_runs(silent, length), max(counts))
         others[-1][f"temp_bytes_{key}"] = temporary(program)
     return [first, *others, *tuning(float(records), repeats)]
 

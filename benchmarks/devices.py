@@ -8,12 +8,19 @@ from pathlib import Path
 import common
 import jax
 
-from sinsjax.bench.cases import default_group, engine, shortened, without_noise
-from sinsjax.bench.timing import Row, Workload, ratios, row, spread, turns
+from sinsjax.bench.cases import default_group, engine_workload, remove_noise, shorten_runs
+from sinsjax.bench.timing import (
+    Row,
+    Workload,
+    median_and_spread,
+    time_in_turns,
+    time_ratios,
+    timing_row,
+)
 from sinsjax.engine.build import parts
 from sinsjax.engine.lanes import LANES
 from sinsjax.execution import run
-from sinsjax.platform.assets import asset
+from sinsjax.platform.assets import asset_path
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
@@ -41,12 +48,15 @@ def scaling(quick: bool, repeats: int) -> list[Row]:
     most = len(jax.devices())
     counts = [most] if quick else sorted({2**n for n in range(most.bit_length())} | {most})
     tiles = 2 * most * (1 if quick else -(-16 // most))
-    group = shortened(without_noise(default_group()), 2 if quick else 90)
-    cases = [engine(f"devices_{n}", group, tiles=tiles // n, devices=n) for n in counts]
-    seconds = turns(cases, repeats)
+    group = shorten_runs(remove_noise(default_group()), 2 if quick else 90)
+    cases = [engine_workload(f"devices_{n}", group, tiles=tiles // n, devices=n) for n in counts]
+    seconds = time_in_turns(cases, repeats)
     out = []
     for case, taken in zip(cases, seconds, strict=True):
-        out.append(row(case, taken) | spread("speedup", ratios(cases[0], case, seconds[0], taken)))
+        out.append(
+            timing_row(case, taken)
+            | median_and_spread("speedup", time_ratios(cases[0], case, seconds[0], taken))
+        )
     return out
 
 
@@ -56,16 +66,16 @@ def whole_sweep(duration_s: float, draws: int, repeats: int) -> list[Row]:
     (part,) = parts(study)
     devices = len(jax.devices())
     every = study.n_draws * study.n_variants // (LANES * devices)
-    alone = engine(f"call_{duration_s:g}s", part.group, tiles=every, devices=devices)
+    alone = engine_workload(f"call_{duration_s:g}s", part.group, tiles=every, devices=devices)
     whole = sweep_case(f"sweep_{duration_s:g}s", study, devices)
-    its, taken = turns([alone, whole], repeats)
-    share = spread("share", ratios(alone, whole, its, taken))
-    return [row(alone, its), row(whole, taken) | share]
+    its, taken = time_in_turns([alone, whole], repeats)
+    share = median_and_spread("share", time_ratios(alone, whole, its, taken))
+    return [timing_row(alone, its), timing_row(whole, taken) | share]
 
 
 def sweep_study(duration_s: float, draws: int) -> Study:
     """The default sweep with runs of another length, everything in time scaled with it."""
-    data = tomllib.loads(asset("configs/reset_sweep.toml").read_text(encoding="utf-8"))
+    data = tomllib.loads(asset_path("configs/reset_sweep.toml").read_text(encoding="utf-8"))
     scale = duration_s / data["study"]["duration_s"]
     times = ("duration_s", "consistency_after_s", "steady_after_s")
     data["study"] |= {key: data["study"][key] * scale for key in times}

@@ -10,7 +10,7 @@ from store import Machine
 from targets import PAIRS
 
 from sinsjax.bench.timing import Row
-from sinsjax.plots.style import COLOURS, GREY, colour, legend_outside, styled
+from sinsjax.plots.style import COLOURS, GREY, add_legend_below, line_colour, with_style
 
 
 class Panel(NamedTuple):
@@ -46,7 +46,7 @@ PANELS = (
 )
 
 
-@styled
+@with_style
 def bends(machines: Sequence[Machine]) -> Figure | None:
     """Where the cost bends: a panel a size, a line a machine; None without rows."""
     panels = [panel for panel in PANELS if any(panel.points(m)[0] for m in machines)]
@@ -61,7 +61,7 @@ def bends(machines: Sequence[Machine]) -> Figure | None:
     for axes in list(grid)[len(panels) :]:
         axes.set_axis_off()
     if len(machines) > 1:
-        legend_outside(figure, figure.axes[0])
+        add_legend_below(figure, figure.axes[0])
     return figure
 
 
@@ -71,7 +71,9 @@ def _draw(axes: Axes, panel: Panel, machines: Sequence[Machine]) -> None:
         x, rows = panel.points(machine)
         y = [row[panel.value] for row in rows]
         error = [_half_range(row, panel.value) for row in rows]
-        axes.errorbar(x, y, error, fmt="o-", color=colour(number), label=machine.name, capsize=2)
+        axes.errorbar(
+            x, y, error, fmt="o-", color=line_colour(number), label=machine.name, capsize=2
+        )
         sizes.update(x)
     if panel.value == "speedup":
         axes.plot(sorted(sizes), sorted(sizes), "--", color=GREY, linewidth=0.9, zorder=1.5)
@@ -97,7 +99,7 @@ def _readable(sizes: Sequence[int]) -> list[int]:
     return powers if len(sizes) > 5 and powers else list(sizes)
 
 
-@styled
+@with_style
 def beside_limit(machine: Machine, ns: Sequence[tuple[str, float]], kernel: float) -> Figure:
     """The ns a step and run of every row, and how far that is from the limit kernel's.
 
@@ -132,7 +134,7 @@ def _round(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
-@styled
+@with_style
 def history(machines: Sequence[Machine]) -> Figure:
     """The engine's ns over the limit kernel's by version, a line a machine."""
     versions = list(dict.fromkeys(machine.version for machine in machines))
@@ -143,7 +145,7 @@ def history(machines: Sequence[Machine]) -> Figure:
         found = [(m.version, m.x_limit) for m in machines if m.name == name]
         x = [versions.index(version) for version, ratio in found if ratio is not None]
         y = [ratio for _, ratio in found if ratio is not None]
-        axes.plot(x, y, "o-", color=colour(number), label=name)
+        axes.plot(x, y, "o-", color=line_colour(number), label=name)
     targets = PAIRS["kalman_shared_record"]
     for (instructions, most), line in zip(targets.items(), ("--", ":"), strict=True):
         told = f"target {most:g}, {instructions}"
@@ -154,5 +156,5 @@ def history(machines: Sequence[Machine]) -> Figure:
     axes.set_ylim(0, 1.1 * max(axes.get_ylim()[1], *targets.values()))
     axes.set_xlabel("sinsjax")
     axes.set_ylabel("times the limit kernel")
-    legend_outside(figure, axes)
+    add_legend_below(figure, axes)
     return figure

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import pairs
 
-from sinsjax.bench.limit import compiler
-from sinsjax.bench.timing import Row, conditions, use_one_core
+from sinsjax.bench.limit import find_compiler
+from sinsjax.bench.timing import Row, measurement_conditions, pin_to_one_core
 from sinsjax.errors import InputError
 from sinsjax.platform import machine
 
@@ -53,7 +53,7 @@ def unable() -> str:
     if platform.machine().lower() not in ("x86_64", "amd64"):
         return f"the limit kernel is for x86-64, this is {platform.machine()}"
     try:
-        compiler()
+        find_compiler()
     except InputError as error:
         return str(error)
     return ""
@@ -61,7 +61,7 @@ def unable() -> str:
 
 def sets() -> list[str]:
     """Return the sets of `BOUNDS` that this machine has, or the one that it has instead."""
-    largest, known = machine.instructions(), list(BOUNDS)
+    largest, known = machine.instruction_set(), list(BOUNDS)
     return known[known.index(largest) :] if largest in known else [largest]
 
 
@@ -92,9 +92,9 @@ def here() -> Row:
     Raises:
         InputError: the kernel cannot be built or dies.
     """
-    use_one_core()
+    pin_to_one_core()
     kernel, ours = pairs.rows(False, PAIRS, ("kalman_shared_record",))
-    return conditions() | ours | {"kernel_ns": kernel["ns_per_step_run"]}
+    return measurement_conditions() | ours | {"kernel_ns": kernel["ns_per_step_run"]}
 
 
 def gate() -> list[Verdict]:

@@ -5,8 +5,14 @@ import sys
 import common
 import jax
 
-from sinsjax.bench.cases import default_group, engine, shortened, some_variants, without_noise
-from sinsjax.bench.timing import Row, measure
+from sinsjax.bench.cases import (
+    default_group,
+    engine_workload,
+    remove_noise,
+    select_last_variants,
+    shorten_runs,
+)
+from sinsjax.bench.timing import Row, measure_workloads
 
 RUNS = (1_000, 10_000, 100_000, 1_000_000)
 TILE = 16_384
@@ -32,18 +38,20 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 
 def sized(runs: int, records: int, repeats: int) -> list[Row]:
     """The rows of one number of runs; what they hold on the GPU is free again after."""
-    group, half = shortened(default_group(), records), runs // 2
-    silent = without_noise(some_variants(group, group.sizes[1], runs))
-    cases = [engine(f"gpu_silent_{runs}", silent, lanes=half)]
+    group, half = shorten_runs(default_group(), records), runs // 2
+    silent = remove_noise(select_last_variants(group, group.sizes[1], runs))
+    cases = [engine_workload(f"gpu_silent_{runs}", silent, lanes=half)]
     lanes = [half]
     if half > TILE:
-        cases.append(engine(f"gpu_tiled_{runs}", silent, tiles=runs // TILE, lanes=TILE))
+        cases.append(engine_workload(f"gpu_tiled_{runs}", silent, tiles=runs // TILE, lanes=TILE))
         lanes.append(TILE)
-    cases.append(engine(f"gpu_noise_{runs}", some_variants(group, 64, runs), lanes=half))
+    cases.append(
+        engine_workload(f"gpu_noise_{runs}", select_last_variants(group, 64, runs), lanes=half)
+    )
     lanes.append(half)
     return [
         row | {"lanes": count, "runs_per_s": round(row["runs"] / row["median_s"])}
-        for row, count in zip(measure(cases, repeats), lanes, strict=True)
+        for row, count in zip(measure_workloads(cases, repeats), lanes, strict=True)
     ]
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import common
 
-from sinsjax.bench.limit import compiler, limit_kernel
+from sinsjax.bench.limit import find_compiler, limit_kernel_workload
 from sinsjax.bench.timing import Row
 from sinsjax.errors import InputError
 from sinsjax.platform import machine
@@ -36,11 +36,12 @@ RECORDS, CALLS = 90, 20
 
 _ENGINE = """
 import os, sys
-from sinsjax.bench.timing import use_one_core
-use_one_core()
-from sinsjax.bench.cases import at_rest, default_group, engine, shortened, without_noise
-change = {"shared_record": lambda g: g, "shared_covariance": at_rest}[sys.argv[1]]
-case = engine("x", change(shortened(without_noise(default_group()), int(sys.argv[2]))))
+from sinsjax.bench.timing import pin_to_one_core
+pin_to_one_core()
+from sinsjax.bench.cases import default_group, engine_workload, remove_noise
+from sinsjax.bench.cases import shared_covariance_group, shorten_runs
+change = {"shared_record": lambda g: g, "shared_covariance": shared_covariance_group}[sys.argv[1]]
+case = engine_workload("x", change(shorten_runs(remove_noise(default_group()), int(sys.argv[2]))))
 with open(os.environ["COUNTING"], "w") as counting:
     print("enable", file=counting, flush=True)
     for _ in range(int(sys.argv[3])):
@@ -68,7 +69,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     Returns:
         Rows with ``instructions``, ``cycles``, ``loads`` and ``stores`` a step and run.
     """
-    vendor = machine.cpu().get("vendor_id", "")
+    vendor = machine.cpu_info().get("vendor_id", "")
     events = BOTH | EVENTS.get(vendor, {})
     steps, records = (STEPS // 10, RECORDS // 10) if quick else (STEPS, RECORDS)
     made = []
@@ -76,14 +77,14 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         try:
             if vendor not in EVENTS:
                 raise InputError("only the counters of AMD and Intel are known")
-            gcc = compiler()
+            gcc = find_compiler()
             # Whether perf is there says nothing: a virtual machine may lack the counters, and the
             # system may forbid them.
             counted([sys.executable, "-c", _TRIAL], events, Path(folder) / "trial.fifo")
         except InputError as error:
             print(f"warning: nothing is counted: {error}", file=sys.stderr)
             return []
-        limit_kernel(gcc, folder)
+        limit_kernel_workload(gcc, folder)
         kernel = [os.path.join(folder, "limit")]
         few, _ = counted([*kernel, str(steps), str(VECTORS)], events)
         many, _ = counted([*kernel, str(2 * steps), str(VECTORS)], events)

@@ -20,7 +20,7 @@ from scipy import special
 import sinsjax
 from sinsjax import analysis
 from sinsjax.analysis import Estimate
-from sinsjax.bench.timing import Row, conditions
+from sinsjax.bench.timing import Row, measurement_conditions
 
 REPETITIONS = 4000
 LEAST = 93.0  # percent
@@ -238,7 +238,7 @@ def main() -> None:
     shares, values, pairs = measure(flags.quick, 20 if flags.quick else flags.repetitions)
     every = [*shares, *values, *pairs]
     if flags.json:
-        common.show([cell._asdict() for cell in every], conditions(), as_json=True)
+        common.show([cell._asdict() for cell in every], measurement_conditions(), as_json=True)
     else:
         tables = (
             lowest(shares, lambda c: {"draws_": c.draws, "per_draw": c.variants}, lambda c: c.name),
@@ -250,7 +250,7 @@ def main() -> None:
             lowest(pairs, lambda c: {"name": c.name}, lambda c: f"{c.draws} draws"),
         )
         for table in tables:
-            common.show(table, conditions(), as_json=False)
+            common.show(table, measurement_conditions(), as_json=False)
     failed = [cell for cell in every if cell.promised and cell.percent < LEAST]
     if failed and not flags.quick:
         for cell in failed:

@@ -12,16 +12,21 @@ import common
 import numpy as np
 
 from sinsjax.bench import baseline
-from sinsjax.bench.baseline import Setting
-from sinsjax.bench.cases import default_group, first_run, numpy_baseline, without_noise
-from sinsjax.bench.timing import Row, Workload, measure
+from sinsjax.bench.baseline import AlignmentSettings
+from sinsjax.bench.cases import (
+    default_group,
+    first_run_arguments,
+    numpy_baseline_workload,
+    remove_noise,
+)
+from sinsjax.bench.timing import Row, Workload, measure_workloads
 from sinsjax.engine.lanes import Group
 
 CHECKED = 2000
 """Samples over which the Numba loop is compared."""
 
-Loop = Callable[[np.ndarray, np.ndarray, Setting], tuple[np.ndarray, np.ndarray]]
-"""As `sinsjax.bench.baseline.align`."""
+Loop = Callable[[np.ndarray, np.ndarray, AlignmentSettings], tuple[np.ndarray, np.ndarray]]
+"""As `sinsjax.bench.baseline.align_with_numpy_loop`."""
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:
@@ -30,16 +35,16 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     Returns:
         ``numpy_loop``, and ``numba_loop`` where Numba is installed.
     """
-    group = without_noise(default_group())
+    group = remove_noise(default_group())
     # Checked against the engine where it is made.
-    cases = [numpy_baseline(group)._replace(name="numpy_loop")]
+    cases = [numpy_baseline_workload(group)._replace(name="numpy_loop")]
     try:
         import numba_loop
     except (ImportError, OSError) as error:
         print(f"warning: no numba_loop: {error}", file=sys.stderr)
     else:
         cases.append(numba_case(numba_loop.align, group, 2 * CHECKED if quick else None))
-    return measure(cases, repeats)
+    return measure_workloads(cases, repeats)
 
 
 def numba_case(loop: Loop, group: Group, samples: int | None) -> Workload:
@@ -53,11 +58,11 @@ def numba_case(loop: Loop, group: Group, samples: int | None) -> Workload:
     Raises:
         RuntimeError: the two differ by more than 1e-9.
     """
-    increments, start, setting = first_run(group)
+    increments, start, setting = first_run_arguments(group)
     since = time.perf_counter()
     ours = loop(increments[:CHECKED], start, setting)[0]
     compile_s = time.perf_counter() - since
-    theirs = baseline.align(increments[:CHECKED], start, setting)[0]
+    theirs = baseline.align_with_numpy_loop(increments[:CHECKED], start, setting)[0]
     if not np.allclose(ours, theirs, rtol=0, atol=1e-9):
         raise RuntimeError(f"the Numba loop and the NumPy loop differ: {ours} and {theirs}")
     taken = increments[:samples]

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import common
 
-from sinsjax.bench.cases import default_group, shortened
+from sinsjax.bench.cases import default_group, shorten_runs
 from sinsjax.bench.timing import Row
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.lanes import tiles_of
 from sinsjax.errors import InputError
-from sinsjax.platform.assets import asset
+from sinsjax.platform.assets import asset_path
 
 TILE_COUNTS = (2, 8, 32)
 """Tiles a compiled call: what a chunk is made of."""
@@ -63,7 +63,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 
 def of_call(tiles: int, records: int, *, curves: bool) -> Row:
     """What the compiled function of `sweep` needs for one call."""
-    group = shortened(default_group(), records)
+    group = shorten_runs(default_group(), records)
     group = group._replace(static=group.static._replace(curves=curves))
     places = plan(group, tiles_per_chunk=tiles)[0]
     found = compiled(group, tiles_of(group, places)).memory_analysis()
@@ -91,7 +91,7 @@ def of_sweep(draws: int, quick: bool) -> Row:
     study |= {"consistency_after_s": 1.0, "steady_after_s": 5.0}
     path = os.pathsep.join(filter(None, [str(common.ROOT), os.environ.get("PYTHONPATH")]))
     with tempfile.TemporaryDirectory(prefix="sinsjax-memory-") as folder:
-        config, out = str(asset("configs/reset_sweep.toml")), str(Path(folder) / "out")
+        config, out = str(asset_path("configs/reset_sweep.toml")), str(Path(folder) / "out")
         ended = subprocess.run(
             [sys.executable, "-c", _SWEEP, config, json.dumps(study), out, str(VARIANTS)],
             capture_output=True,

@@ -12,14 +12,14 @@ from sinsjax.bench.cases import (
     TILES,
     compass_group,
     default_group,
-    engine,
+    engine_workload,
     method_group,
-    shortened,
-    some_variants,
+    remove_noise,
+    select_last_variants,
+    shorten_runs,
     trigger_group,
-    without_noise,
 )
-from sinsjax.bench.timing import Row, measure_against
+from sinsjax.bench.timing import Row, measure_relative_to_base
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.lanes import Group, tiles_of
 from sinsjax.methods.registry import METHODS
@@ -49,14 +49,14 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         "compass_tape": compass_group(RECORD_S),
     }
     if quick:
-        groups = {name: shortened(group, SHORT) for name, group in groups.items()}
-    silent = {name: without_noise(group) for name, group in groups.items()}
+        groups = {name: shorten_runs(group, SHORT) for name, group in groups.items()}
+    silent = {name: remove_noise(group) for name, group in groups.items()}
     alone = {name: group for name, group in silent.items() if group.sizes[1] == 1}
-    alone = {"kalman_alone": some_variants(silent["kalman"], 1), **alone}
+    alone = {"kalman_alone": select_last_variants(silent["kalman"], 1), **alone}
     measured = []
     for side in ({k: v for k, v in silent.items() if k not in alone}, alone):
-        base, *others = (engine(name, group) for name, group in side.items())
-        of_side = measure_against(base, others, repeats)
+        base, *others = (engine_workload(name, group) for name, group in side.items())
+        of_side = measure_relative_to_base(base, others, repeats)
         counts = [arithmetic(group) for group in side.values()]
         for row, count in zip(of_side, counts, strict=True):
             row["operations"] = round(count, 1)

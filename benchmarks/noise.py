@@ -5,13 +5,13 @@ import common
 from sinsjax.bench.cases import (
     default_group,
     disturbed_group,
-    drawn_base_group,
-    engine,
-    shortened,
-    some_variants,
-    without_noise,
+    drawn_motion_group,
+    engine_workload,
+    remove_noise,
+    select_last_variants,
+    shorten_runs,
 )
-from sinsjax.bench.timing import Row, measure_against
+from sinsjax.bench.timing import Row, measure_relative_to_base
 
 BASE_VARIANTS = 2
 """Variants a draw where each draw has a base of its own."""
@@ -27,24 +27,24 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         ``base_2``, ``noise_2`` with a base of its own for each draw. That has its split too,
         ns a step and run: ``increments_ns``, ``noise_ns`` (noise, and handing it out), ``rest_ns``.
     """
-    group, based = default_group(), drawn_base_group(BASE_VARIANTS)
+    group, based = default_group(), drawn_motion_group(BASE_VARIANTS)
     if quick:
-        group, based = shortened(group, 2), shortened(based, 2)
-    off = engine("noise_off", without_noise(group))
+        group, based = shorten_runs(group, 2), shorten_runs(based, 2)
+    off = engine_workload("noise_off", remove_noise(group))
     cases, variants = [], []
     for count in (64, BASE_VARIANTS) if quick else (64, 6, BASE_VARIANTS, 1):
-        some = some_variants(group, count)
-        cases.append(engine(f"noise_{count}", some))
+        some = select_last_variants(group, count)
+        cases.append(engine_workload(f"noise_{count}", some))
         variants.append(count)
         if count < 64:
-            cases.append(engine(f"silent_{count}", without_noise(some)))
+            cases.append(engine_workload(f"silent_{count}", remove_noise(some)))
             variants.append(count)
     if not quick:
-        cases.append(engine("disturbed_1", disturbed_group(1)))
+        cases.append(engine_workload("disturbed_1", disturbed_group(1)))
         variants.append(1)
-    cases.append(engine(f"base_{BASE_VARIANTS}", based))
+    cases.append(engine_workload(f"base_{BASE_VARIANTS}", based))
     variants.append(BASE_VARIANTS)
-    base, *others = measure_against(off, cases, repeats)
+    base, *others = measure_relative_to_base(off, cases, repeats)
     told = [row | {"variants": count} for row, count in zip(others, variants, strict=True)]
     return [base, *told[:-1], told[-1] | split([base, *told])]
 

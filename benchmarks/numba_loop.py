@@ -1,6 +1,6 @@
 """The alignment step as one scalar Numba loop over the samples of one run.
 
-It does what `sinsjax.bench.baseline.align` does, without its detours: attitude as a quaternion,
+It computes `sinsjax.bench.baseline.align_with_numpy_loop` without its detours: a quaternion,
 only the non-zero entries of A dt, measurements one after the other. Arrays are of fixed size and
 made once, before the loop. Written on its own because Numba compiles no other two: it is what a
 good scalar program costs.
@@ -9,7 +9,7 @@ good scalar program costs.
 import numpy as np
 from numba import njit
 
-from sinsjax.bench.baseline import Setting
+from sinsjax.bench.baseline import AlignmentSettings
 
 ENTRIES = np.array(
     [
@@ -20,8 +20,10 @@ ENTRIES = np.array(
 """Rows and columns of the non-zero entries of A dt, [P1] eq. (3)."""
 
 
-def align(increments: np.ndarray, c: np.ndarray, setting: Setting) -> tuple[np.ndarray, np.ndarray]:
-    """Takes and returns what `sinsjax.bench.baseline.align` does."""
+def align(
+    increments: np.ndarray, c: np.ndarray, setting: AlignmentSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Takes and returns what `sinsjax.bench.baseline.align_with_numpy_loop` does."""
     s = setting
     earth = (s.dt, s.rate_n, s.rate_u, s.tan_latitude, 1 / s.radius)
     resets = np.array(s.resets, dtype=np.int64)

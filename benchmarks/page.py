@@ -16,10 +16,10 @@ from store import Machine
 from targets import judged, sizes
 
 from sinsjax.errors import InputError
-from sinsjax.platform.files import replacing
-from sinsjax.plots import png
+from sinsjax.platform.files import atomic_write
+from sinsjax.plots import render_png
 from sinsjax.report.base import Block, Chapter, Picture, Table, Text
-from sinsjax.report.output import FIGURES, markdown, save_figures
+from sinsjax.report.output import FIGURES_FOLDER, block_to_markdown, save_figures
 
 PAGE = common.ROOT / "docs" / "performance.md"
 NOTES = Path(__file__).parent / "notes.md"
@@ -296,13 +296,13 @@ def write(page: Path, machines: Sequence[Machine], notes: str) -> None:
     for section in sections(machines, notes):
         lines.append(f"## {section.heading}")
         for block in section.blocks:
-            text = markdown(block, PREFIX)
+            text = block_to_markdown(block, PREFIX)
             if isinstance(block, Picture):
                 text = text.replace("![]", f"![{block.caption.replace('`', '')}]", 1)
-                images[f"{PREFIX}{block.name}"] = png(block.figure)
+                images[f"{PREFIX}{block.name}"] = render_png(block.figure)
             lines.append(text)
-    save_figures(images, page.parent / FIGURES)
-    with replacing(page) as file:
+    save_figures(images, page.parent / FIGURES_FOLDER)
+    with atomic_write(page) as file:
         file.write(("\n\n".join(lines) + "\n").encode())
 
 

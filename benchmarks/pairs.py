@@ -6,21 +6,21 @@ from collections.abc import Callable, Sequence
 import common
 
 from sinsjax.bench.cases import (
-    at_rest,
     default_group,
-    engine,
-    shortened,
-    with_feedback_each_sample,
-    without_noise,
+    engine_workload,
+    remove_noise,
+    set_feedback_every_sample,
+    shared_covariance_group,
+    shorten_runs,
 )
-from sinsjax.bench.limit import compiler, limit_kernel
-from sinsjax.bench.timing import Row, Workload, ratios, row, row_against, turns
+from sinsjax.bench.limit import find_compiler, limit_kernel_workload
+from sinsjax.bench.timing import Row, Workload, ratio_row, time_in_turns, time_ratios, timing_row
 from sinsjax.engine.lanes import Group
 
 MADE: dict[str, Callable[[Group], Group]] = {
     "kalman_shared_record": lambda silent: silent,
-    "kalman_feedback_each_sample": with_feedback_each_sample,
-    "kalman_shared_covariance": at_rest,
+    "kalman_feedback_each_sample": set_feedback_every_sample,
+    "kalman_shared_covariance": shared_covariance_group,
 }
 """What makes a row's group of the silent default sweep."""
 
@@ -40,21 +40,24 @@ def rows(quick: bool, repeats: int, names: Sequence[str] = tuple(MADE)) -> list[
     Raises:
         InputError: there is no gcc, or it cannot build the kernel.
     """
-    gcc = compiler()
-    group = without_noise(default_group())
+    gcc = find_compiler()
+    group = remove_noise(default_group())
     if quick:
-        group = shortened(group, 2)
+        group = shorten_runs(group, 2)
     with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
-        kernel = limit_kernel(gcc, folder, **({"steps": 200} if quick else {}))
-        ours = [engine(name, MADE[name](group)) for name in names]
-        its, *taken = turns([kernel, *ours], repeats)
-    return [row(kernel, its), *(told(*pair, kernel, its) for pair in zip(ours, taken, strict=True))]
+        kernel = limit_kernel_workload(gcc, folder, **({"steps": 200} if quick else {}))
+        ours = [engine_workload(name, MADE[name](group)) for name in names]
+        its, *taken = time_in_turns([kernel, *ours], repeats)
+    return [
+        timing_row(kernel, its),
+        *(told(*pair, kernel, its) for pair in zip(ours, taken, strict=True)),
+    ]
 
 
 def told(case: Workload, taken: list[float], kernel: Workload, its: list[float]) -> Row:
     """The row of a case, with its ratios to the kernel."""
-    found = ratios(case, kernel, taken, its)
-    return row_against(case, taken, found) | {"ratios": [round(ratio, 3) for ratio in found]}
+    found = time_ratios(case, kernel, taken, its)
+    return ratio_row(case, taken, found) | {"ratios": [round(ratio, 3) for ratio in found]}
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from sinsjax.engine.batch import plan
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import tiles_of
 from sinsjax.execution.tables import TableBuilder
-from sinsjax.platform.assets import asset
+from sinsjax.platform.assets import asset_path
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
@@ -43,7 +43,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 
 def many_variants(first: int) -> Study:
     """The default sweep over 100 cycles, 6 counts and some initial heading errors."""
-    data = tomllib.loads(asset("configs/reset_sweep.toml").read_text(encoding="utf-8"))
+    data = tomllib.loads(asset_path("configs/reset_sweep.toml").read_text(encoding="utf-8"))
     data["study"] |= {"draws": 1, "judged_from": "truth"}
     data["axes"] |= {
         "reset_cycle_s": [10.0 + i for i in range(100)],

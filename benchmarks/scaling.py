@@ -11,7 +11,14 @@ import common
 import devices
 import jax
 
-from sinsjax.bench.timing import Row, Workload, ratios, row, spread, turns
+from sinsjax.bench.timing import (
+    Row,
+    Workload,
+    median_and_spread,
+    time_in_turns,
+    time_ratios,
+    timing_row,
+)
 from sinsjax.engine.batch import map_in_threads as calls_on
 from sinsjax.execution import cluster, run
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
@@ -35,12 +42,14 @@ def rows(quick: bool, repeats: int) -> list[Row]:
             sweep_case(f"sweep_devices_{n}", study, on_devices(n), n) for n in sorted({1, most})
         ]
         cases.append(sweep_case(f"sweep_workers_{most}", study, workers, most))
-        seconds = turns(cases, repeats)
+        seconds = time_in_turns(cases, repeats)
     out = []
     for case, taken in zip(cases, seconds, strict=True):
-        measured = row(case, taken)
+        measured = timing_row(case, taken)
         measured["compile_s"] = round(case.compile_s - measured["median_s"], 3)
-        out.append(measured | spread("speedup", ratios(cases[0], case, seconds[0], taken)))
+        out.append(
+            measured | median_and_spread("speedup", time_ratios(cases[0], case, seconds[0], taken))
+        )
     out[-1]["start_s"] = round(start_s, 2)
     return out
 

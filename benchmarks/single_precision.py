@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.bench.cases import default_group, engine, shortened, without_noise
-from sinsjax.bench.timing import Row, measure_against
+from sinsjax.bench.cases import default_group, engine_workload, remove_noise, shorten_runs
+from sinsjax.bench.timing import Row, measure_relative_to_base
 from sinsjax.engine.batch import chunks
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Outcome
@@ -114,10 +114,12 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 
 def compared(quick: bool, repeats: int) -> list[Row]:
     """`rows`, while the method of this file has a name."""
-    group = shortened(default_group(), 2) if quick else default_group()
-    silent = without_noise(shortened(group, min(group.static.records, 300)))
-    made = measure_against(
-        engine("double_precision", silent), [engine("single_precision", in_single(silent))], repeats
+    group = shorten_runs(default_group(), 2) if quick else default_group()
+    silent = remove_noise(shorten_runs(group, min(group.static.records, 300)))
+    made = measure_relative_to_base(
+        engine_workload("double_precision", silent),
+        [engine_workload("single_precision", in_single(silent))],
+        repeats,
     )
     made[1] |= differences(outcome(group), outcome(in_single(group))) | {"dtype": "float32"}
     return made

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from sinsjax.bench.timing import Row
 from sinsjax.errors import InputError
-from sinsjax.platform.files import replacing
+from sinsjax.platform.files import atomic_write
 
 HISTORY = Path(__file__).parent / "history"
 
@@ -127,7 +127,7 @@ def read(path: Path) -> list[Row]:
 def write(path: Path, rows: Sequence[Row]) -> None:
     """Write rows, one a line, whole or not at all; numbers keep five digits."""
     lines = [json.dumps({key: _tidy(value) for key, value in row.items()}) for row in rows]
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         file.write(("[\n" + ",\n".join(lines) + "\n]\n").encode())
 
 

@@ -5,12 +5,12 @@ import common
 from sinsjax.bench.cases import (
     TILES,
     default_group,
-    engine,
-    shortened,
-    some_variants,
-    without_noise,
+    engine_workload,
+    remove_noise,
+    select_last_variants,
+    shorten_runs,
 )
-from sinsjax.bench.timing import Row, Workload, measure
+from sinsjax.bench.timing import Row, Workload, measure_workloads
 from sinsjax.engine.lanes import LANES, Group
 
 LANE_COUNTS = (16, 32, 48, 64, 80, 96, 128, 192, 256)
@@ -26,8 +26,8 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         ``curves_off`` and ``curves_on``, which keeps the observations of every record. All have
         ``lanes``, ``tiles`` and ``variants``.
     """
-    noisy = shortened(default_group(), 2 if quick else 90)
-    silent = without_noise(noisy)
+    noisy = shorten_runs(default_group(), 2 if quick else 90)
+    silent = remove_noise(noisy)
     every = silent.sizes[1]
     storing = silent._replace(static=silent.static._replace(curves=True))
     cases: list[Workload] = []
@@ -36,7 +36,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     def add(
         name: str, group: Group, *, lanes: int = LANES, tiles: int = TILES, variants: int = every
     ) -> None:
-        cases.append(engine(name, group, tiles=tiles, lanes=lanes))
+        cases.append(engine_workload(name, group, tiles=tiles, lanes=lanes))
         sizes.append({"lanes": lanes, "tiles": tiles, "variants": variants})
 
     for lanes in (LANES,) if quick else LANE_COUNTS:
@@ -44,10 +44,10 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     for tiles in TILE_COUNTS[:1] if quick else TILE_COUNTS:
         add(f"tiles_{tiles}", silent, tiles=tiles)
     for count in VARIANT_COUNTS[-1:] if quick else VARIANT_COUNTS:
-        add(f"variants_{count}", some_variants(noisy, count), variants=count)
+        add(f"variants_{count}", select_last_variants(noisy, count), variants=count)
     add("curves_off", silent)
     add("curves_on", storing)
-    return [row | size for row, size in zip(measure(cases, repeats), sizes, strict=True)]
+    return [row | size for row, size in zip(measure_workloads(cases, repeats), sizes, strict=True)]
 
 
 if __name__ == "__main__":

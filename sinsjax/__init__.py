@@ -10,7 +10,7 @@ Terms and conventions of the whole package:
 **Misalignment.** ``phi`` is the rotation vector between the true and the computed navigation
 frame: ``C_b^{n'} = exp(-phi x) C_b^n``. A correction is ``C <- exp(+phi x) C``, ``V <- V - dV``.
 A ``phi`` column is the rotation vector of ``C_true C_hat^T``, each component in (-180, 180] deg,
-where ``C_hat`` is the corrected attitude, as a user would receive it.
+where ``C_hat`` is the corrected attitude that a user receives.
 
 **Units.** SI units, radians and seconds inside. Outside (TOML keys, columns, axis labels) the unit
 is part of the name: ``_deg``, ``_arcmin``, ``_deg_per_h``, ``_ug``, ``_s``, ``_m_per_s``.

@@ -10,9 +10,9 @@ from typing import NoReturn
 def command() -> NoReturn:
     """Run the command line, and end the process once all that was begun is done.
 
-    The interpreter's own end would destroy every object of the extension modules first. That takes
+    The interpreter's own exit would first destroy every object of the extension modules. That takes
     a third of a second, and rarely aborts the process ("terminate called", exit code 134) on a C++
-    thread that one of them still holds.
+    thread that such an object still uses.
     """
     code: object = 130
     try:
@@ -21,8 +21,8 @@ def command() -> NoReturn:
         main()
     except SystemExit as stop:
         code = stop.code
-    except KeyboardInterrupt:  # while modules are imported; later ones are told by `main`
-        print("interrupted: nothing was begun", file=sys.stderr)
+    except KeyboardInterrupt:  # during the import of modules; `main` reports later ones
+        print("interrupted: nothing was started", file=sys.stderr)
     for thread in threading.enumerate():
         if thread is not threading.current_thread() and not thread.daemon:
             thread.join()

@@ -17,7 +17,7 @@ SCHEMA_VERSION = "4"
 """Incremented whenever a column is removed or changes its meaning."""
 
 STATUSES = ("ok", "not_settled", "diverged", "nonfinite", "no_north")
-"""How a run ended: the first that applies; null if there is nothing to judge it from.
+"""Outcomes of a run: the first that applies; null if there is no truth or bias floor.
 
 nonfinite: the last attitude is not finite (detected even without truth). no_north: the run's level
 gyro bias exceeds the level component of Earth rate, which shows north. ok: ``ok_truth`` or
@@ -49,14 +49,14 @@ _AXES = {"e": "east", "n": "north", "u": "up"}
 _ANGLES = ("pitch", "roll", "yaw")
 
 
-def _phi(prefix: str, meaning: str, suffix: str = "") -> tuple[Column, ...]:
+def _misalignment_columns(prefix: str, meaning: str, suffix: str = "") -> tuple[Column, ...]:
     return tuple(
         Column(f"{prefix}_{a}{suffix}_arcmin", _F, "arcmin", f"{meaning} about {name}")
         for a, name in _AXES.items()
     )
 
 
-def _euler(meaning: str, suffix: str = "") -> tuple[Column, ...]:
+def _euler_angle_columns(meaning: str, suffix: str = "") -> tuple[Column, ...]:
     return tuple(Column(f"{a}{suffix}_deg", _F, "deg", f"{meaning} {a}") for a in _ANGLES)
 
 
@@ -78,9 +78,9 @@ IDENTITY = (
 """Columns that identify the run of a row."""
 
 OBSERVED = (
-    *_phi("phi", "misalignment of the corrected attitude"),
-    *_phi("sigma", "the filter's own 1 sigma of the misalignment"),
-    *_euler("corrected"),
+    *_misalignment_columns("phi", "misalignment of the corrected attitude"),
+    *_misalignment_columns("sigma", "the filter's own 1 sigma of the misalignment"),
+    *_euler_angle_columns("corrected"),
     Column("heading_deg", _F, "deg", "corrected heading, clockwise from north, 0 to 360: -yaw"),
 )
 """Columns of one observation: the summary has the last observation, the curves have all of them."""
@@ -94,13 +94,13 @@ FLOOR = (
         "bias floor of phi_u under the run's constant biases, without its drift by the up gyro",
     ),
 )
-"""Columns of the bias floor that a heading is judged from."""
+"""Columns of the bias floor, from which a heading may be judged."""
 
 JUDGED = (
-    *_phi("phi", "window mean of the misalignment", "_mean"),
-    *_phi("phi", "window standard deviation of the misalignment", "_std"),
-    *_euler("window mean of", "_mean"),
-    *_euler("window standard deviation of", "_std"),
+    *_misalignment_columns("phi", "window mean of the misalignment", "_mean"),
+    *_misalignment_columns("phi", "window standard deviation of the misalignment", "_std"),
+    *_euler_angle_columns("window mean of", "_mean"),
+    *_euler_angle_columns("window standard deviation of", "_std"),
     *FLOOR,
     Column("nees", _F, "", "phi' P^-1 phi at the end, phi from the truth; 3 degrees of freedom"),
     Column("nis_u", _F, "", "(phi_u - floor)^2 / P_UU at the end"),
@@ -122,7 +122,7 @@ JUDGED = (
     ),
     Column("status", _S, "", "ok (see judged_from), not_settled, diverged, no_north or nonfinite"),
 )
-"""Columns of a run's verdict; those that need a truth or reference are null without it."""
+"""Columns that judge a run; those that need a truth or reference are null without it."""
 
 CURVES = (RUN_ID, Column("time_s", _F, "s", "from the start of fine alignment"), *OBSERVED)
 """Columns of the curves dataset."""
@@ -140,11 +140,11 @@ PASSES = (
 """Additional columns of the curves of repeated passes over a stored record."""
 
 
-def curves(*, passes: bool, coarse: bool = False) -> tuple[Column, ...]:
-    """Columns of the curves.
+def curve_columns(*, passes: bool, coarse: bool = False) -> tuple[Column, ...]:
+    """Return the columns of the curves.
 
     Args:
-        passes: whether with those of repeated passes.
+        passes: whether to include those of repeated passes.
         coarse: whether runs begin with coarse alignment.
     """
     run_id, time_s, *observed = CURVES
@@ -164,15 +164,15 @@ def settle_column(band_arcmin: float, *, truth: bool = False) -> Column:
 def settle_data_column(band_arcmin: float, *, truth: bool = False) -> Column:
     """The length of data recorded by the settling time of one band.
 
-    Where that is another time, with repeated passes, and where coarse alignment is counted in.
+    It differs from the settling time with repeated passes and with coarse alignment.
     """
     settled = settle_column(band_arcmin, truth=truth).name
     meaning = f"length of data recorded by {settled}; null if never settled"
     return Column(f"{settled.removesuffix('_s')}_data_s", _F, "s", meaning)
 
 
-def report_columns(time_s: float) -> tuple[Column, Column, Column]:
-    """Heading error, its sigma and NEES at one of a study's report times."""
+def report_time_columns(time_s: float) -> tuple[Column, Column, Column]:
+    """Return heading error, its sigma and NEES at one of a study's report times."""
     at = f"{time_s:g}"
     return (
         Column(f"phi_u_at_{at}_arcmin", _F, "arcmin", f"phi_u_arcmin at {at} s of data"),
@@ -181,15 +181,15 @@ def report_columns(time_s: float) -> tuple[Column, Column, Column]:
     )
 
 
-def estimated(
-    bands_arcmin: Iterable[float], time_s: float | None = None, *, own_floors: bool = False
+def estimate_columns(
+    bands_arcmin: Iterable[float], time_s: float | None = None, *, floors_vary: bool = False
 ) -> tuple[Column, ...]:
-    """Columns of an estimate at one time: mean and spread of the misalignment, shares in bands.
+    """Return the columns of an estimate at one time: mean and 1 sigma of phi, shares in bands.
 
     Args:
         bands_arcmin: of the heading.
         time_s: from the first sample of data; None for the end.
-        own_floors: whether draws have bias floors of their own.
+        floors_vary: whether draws have different bias floors.
     """
     at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
     shares = (
@@ -204,15 +204,17 @@ def estimated(
         for band in bands_arcmin
     )
     return (
-        *_phi("phi", f"mean misalignment of the corrected attitude {when}", at),
-        *_phi("true_sigma", f"1 sigma of the misalignment about its mean {when}", at),
-        *_phi("sigma", f"the filter's own 1 sigma of the misalignment {when}", at),
-        *([from_floor(time_s)] * own_floors),
+        *_misalignment_columns("phi", f"mean misalignment of the corrected attitude {when}", at),
+        *_misalignment_columns(
+            "true_sigma", f"1 sigma of the misalignment about its mean {when}", at
+        ),
+        *_misalignment_columns("sigma", f"the filter's own 1 sigma of the misalignment {when}", at),
+        *([floor_spread_column(time_s)] * floors_vary),
         *shares,
     )
 
 
-def from_floor(time_s: float | None = None) -> Column:
+def floor_spread_column(time_s: float | None = None) -> Column:
     """The spread about bias floors that differ from draw to draw, at one time; None for the end."""
     at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
     meaning = f"1 sigma of phi_u - floor about its mean {when}, the floor that of the draw's biases"
@@ -222,11 +224,11 @@ def from_floor(time_s: float | None = None) -> Column:
 ESTIMATED_CURVES = (
     Column("variant_id", _I, "", "point of the study's axes"),
     CURVES[1],
-    *_phi("phi", "mean misalignment of the corrected attitude"),
-    *_phi("true_sigma", "1 sigma of the misalignment about its mean"),
-    *_phi("sigma", "the filter's own 1 sigma of the misalignment"),
+    *_misalignment_columns("phi", "mean misalignment of the corrected attitude"),
+    *_misalignment_columns("true_sigma", "1 sigma of the misalignment about its mean"),
+    *_misalignment_columns("sigma", "the filter's own 1 sigma of the misalignment"),
 )
-"""Columns of estimates over time, of which `sinsjax.estimated_curves` makes a table."""
+"""Columns of `sinsjax.estimated_curves`."""
 
 
 INFORMATION_BOUND = (
@@ -237,7 +239,7 @@ INFORMATION_BOUND = (
 """Columns of `sinsjax.information_bound`."""
 
 
-def settle_estimates(band_arcmin: float, *, truth: bool = False) -> tuple[Column, ...]:
+def settle_estimate_columns(band_arcmin: float, *, truth: bool = False) -> tuple[Column, ...]:
     """The settling time into one band, estimated from sampled errors."""
     settled = settle_column(band_arcmin, truth=truth).name.removesuffix("_s")
     never = "null if so many never settle"
@@ -251,7 +253,7 @@ def settle_estimates(band_arcmin: float, *, truth: bool = False) -> tuple[Column
     return tuple(Column(f"{settled}_{k}_s", _F, "s", text) for k, text in meanings.items())
 
 
-def nonlinearity(time_s: float | None = None) -> Column:
+def nonlinearity_column(time_s: float | None = None) -> Column:
     """The index of nonlinearity of an estimate at one time; None for the end."""
     at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
     meaning = "rms over 8 draws of phi_u beyond first order, in 1 sigma of the misalignment"
@@ -262,11 +264,13 @@ FILLED = Column(
     "filled_by_draws",
     pa.bool_(),
     "",
-    "whether nonlinearity exceeds 0.5, so that what is told of phi_u is that of draws",
+    "whether nonlinearity exceeds 0.5, so that the statistics of phi_u are those of draws",
 )
 
 
-def bands(study_bands: Iterable[float], success_band: float | None = None) -> tuple[float, ...]:
+def settling_bands(
+    study_bands: Iterable[float], success_band: float | None = None
+) -> tuple[float, ...]:
     """A study's settling bands, including its success band, arcmin."""
     decisive = SUCCESS_BAND_ARCMIN if success_band is None else success_band
     return tuple(dict.fromkeys((*study_bands, decisive)))
@@ -291,8 +295,8 @@ def drawn_column(key: str, dimensions: int, meaning: str) -> Column:
 
 
 @lru_cache(maxsize=8)  # needed for every chunk
-def schema(columns: tuple[Column, ...]) -> pa.Schema:
-    """Arrow schema with units and meanings as field metadata."""
+def arrow_schema(columns: tuple[Column, ...]) -> pa.Schema:
+    """Return the Arrow schema with units and meanings as field metadata."""
     fields = [
         pa.field(c.name, c.dtype, metadata={"unit": c.unit, "meaning": c.meaning}) for c in columns
     ]

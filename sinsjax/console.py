@@ -1,4 +1,4 @@
-"""Terminal output as plain text, without rich's markup, whose failure does not stop the work.
+"""Terminal output as plain text, without rich's markup; failures of output do not stop the work.
 
 The reader may leave early (``| head -1``), and the disk it is redirected to may be full.
 """
@@ -20,17 +20,17 @@ def plain_console() -> Console:
     return Console(markup=False, emoji=False, highlight=False)
 
 
-def literal(text: str, style: str = "") -> Text:
+def literal_text(text: str, style: str = "") -> Text:
     """Return text for rich that shows every character, control characters as escapes."""
     return Text(escape_controls(text), style=style)
 
 
-def warn(line: str) -> None:
+def print_warning(line: str) -> None:
     """Print a warning on the standard error."""
     print(f"Warning: {escape_controls(line)}", file=sys.stderr, flush=True)
 
 
-def say(console: Console, text: str, *, style: str = "", wrap: bool = False) -> None:
+def print_line(console: Console, text: str, *, style: str = "", wrap: bool = False) -> None:
     """Print a line literally, on a console with or without markup.
 
     Args:
@@ -40,10 +40,10 @@ def say(console: Console, text: str, *, style: str = "", wrap: bool = False) -> 
         wrap: whether to wrap it at the width of a terminal; files and pipes are never wrapped.
     """
     soft = not (wrap and console.is_terminal)
-    console.print(literal(text, style), highlight=False, soft_wrap=soft)
+    console.print(literal_text(text, style), highlight=False, soft_wrap=soft)
 
 
-class _Tolerant:
+class _FailsafeStream:
     """A stream whose write errors are remembered instead of raised.
 
     The stream is None if it was closed before Python started, as for a daemon.
@@ -55,18 +55,18 @@ class _Tolerant:
 
     def write(self, text: str) -> int:
         if self._stream is not None:
-            self._attempt(self._stream.write, text)
+            self._try(self._stream.write, text)
         return len(text)
 
     def flush(self) -> None:
         if self._stream is not None:
-            self._attempt(self._stream.flush)
+            self._try(self._stream.flush)
 
-    def _attempt(self, act: Any, *given: str) -> None:
+    def _try(self, operation: Any, *arguments: str) -> None:
         if self.error is not None:
             return
         try:
-            act(*given)
+            operation(*arguments)
         except OSError as error:
             self.error = error
             # Discards buffered text, or Python reports the same error once more at exit.
@@ -80,7 +80,7 @@ class _Tolerant:
 
 
 @contextmanager
-def lasting() -> Iterator[None]:
+def tolerate_broken_pipe() -> Iterator[None]:
     """Keep working when the standard output can no longer be written.
 
     Raises:
@@ -88,7 +88,7 @@ def lasting() -> Iterator[None]:
             output was lost, for example on a full disk. A pipe closed by its reader is no error.
     """
     streams = sys.stdout, sys.stderr
-    out, err = map(_Tolerant, streams)
+    out, err = map(_FailsafeStream, streams)
     sys.stdout, sys.stderr = out, err
     code: Any = 0
     try:

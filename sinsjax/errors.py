@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from sinsjax.messages import one_line
+from sinsjax.messages import to_one_line
 
 
 class InputError(ValueError):
@@ -27,7 +27,7 @@ class InputError(ValueError):
 
     def __init__(self, *messages: str) -> None:
         """Keep each message as one line, whatever text from a file is in it."""
-        self.lines = tuple(map(one_line, messages))
+        self.lines = tuple(map(to_one_line, messages))
         super().__init__("\n".join(self.lines))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -40,10 +40,10 @@ class InputError(ValueError):
 
 
 class ErrorCollector:
-    """Collects input errors, so that all of them are reported at once.
+    """Collector of input errors, so that all of them are reported at once.
 
     Attributes:
-        lines: those of the errors so far, without repetition.
+        lines: lines of the errors so far, without repetition.
     """
 
     def __init__(self) -> None:

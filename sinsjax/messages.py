@@ -29,7 +29,7 @@ Python decodes a byte of a file name that is not UTF-8 to half of a surrogate pa
 def escape_controls(text: str, keep: str = "") -> str:
     r"""Return the text with `CONTROL` characters as escapes such as ``\x1b`` and ``\u202e``.
 
-    All output to a terminal, a page or a figure passes through here, since any of it may hold
+    All output to a terminal, a page or a figure is escaped by this function, since it may contain
     text from a file.
 
     Args:
@@ -39,45 +39,45 @@ def escape_controls(text: str, keep: str = "") -> str:
     return CONTROL.sub(lambda found: found[0] if found[0] in keep else repr(found[0])[1:-1], text)
 
 
-def shortened(text: str, most: int = 200) -> str:
-    """The text, truncated to ``most`` characters."""
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+def shorten(text: str, max_length: int = 200) -> str:
+    """The text, truncated to ``max_length`` characters."""
+    return text if len(text) <= max_length else f"{text[: max_length - 3]}..."
 
 
-def counted(number: int, noun: str) -> str:
+def format_count(number: int, noun: str) -> str:
     """A number of things: ``1 draw``, ``2,000 draws``."""
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
-def seconds(time_s: float) -> str:
+def format_seconds(time_s: float) -> str:
     """A time to a hundredth of a second, however large: that of a clock may count from 1970."""
     text = f"{time_s:.2f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
 
 
-def one_line(text: str, most: int = 1000) -> str:
+def to_one_line(text: str, max_length: int = 1000) -> str:
     """A message in one visible line: control characters escaped, a long middle left out."""
     line = escape_controls(" ".join(text.splitlines()))
-    return line if len(line) <= most else f"{line[: most - 300]} ... {line[-295:]}"
+    return line if len(line) <= max_length else f"{line[: max_length - 300]} ... {line[-295:]}"
 
 
-def first_line(error: BaseException) -> str:
+def first_error_line(error: BaseException) -> str:
     """The first line of another library's message, which may be long and quote its input."""
-    return one_line(str(error).strip().partition("\n")[0], 400)
+    return to_one_line(str(error).strip().partition("\n")[0], 400)
 
 
-def near(word: str, words: Iterable[str], form: str = "{}") -> str:
+def suggest_closest(word: str, known_words: Iterable[str], template: str = "{}") -> str:
     """A hint at the known word closest to an unknown one; empty if none is close."""
-    found = difflib.get_close_matches(str(word), list(words), n=1)
-    return f" (did you mean {form.format(found[0])}?)" if found else ""
+    found = difflib.get_close_matches(str(word), list(known_words), n=1)
+    return f" (did you mean {template.format(found[0])}?)" if found else ""
 
 
-def index(error: ErrorDetails) -> str:
-    """Position of an error in a list, ``[3]`` or ``[3][0]``; empty if the value is not a list."""
+def format_list_index(error: ErrorDetails) -> str:
+    """Return the position of an error in a list, ``[3]`` or ``[3][0]``; else an empty string."""
     return "".join(f"[{part}]" for part in error["loc"] if isinstance(part, int))
 
 
-def rule(error: ErrorDetails) -> str:
+def describe_broken_rule(error: ErrorDetails) -> str:
     """The rule that a value breaks."""
     kind = error["type"]
     if kind == "invalid":
@@ -89,12 +89,12 @@ def rule(error: ErrorDetails) -> str:
     return _IN_PLAIN_WORDS.get(kind, error["msg"].replace("Input should be", "must be"))
 
 
-def explained(error: ErrorDetails) -> str:
+def explain_error(error: ErrorDetails) -> str:
     """The rule that a value breaks, and the value unless the rule already shows it."""
     if error["type"] in ("invalid", "missing", "too_long"):
-        return rule(error)
+        return describe_broken_rule(error)
     given = error["input"]
     value = repr(list(given) if isinstance(given, tuple) else given)
     words = error["ctx"]["expected"].split("'")[1::2] if error["type"] == "literal_error" else ()
-    hint = near(given, words) if isinstance(given, str) else ""
-    return f"{rule(error)}, not {shortened(value, 60)}{hint}"
+    hint = suggest_closest(given, words) if isinstance(given, str) else ""
+    return f"{describe_broken_rule(error)}, not {shorten(value, 60)}{hint}"

@@ -39,7 +39,7 @@ SUFFIXES = {
     "um_per_s": "um/s",
     "ug_per_sqrt_hz": "ug/sqrt(Hz)",
 }
-"""Unit suffixes of keys and columns, and the units they stand for."""
+"""Unit suffixes of keys and columns, and their units."""
 
 
 def split_unit(name: str) -> tuple[str, str]:

@@ -1,6 +1,6 @@
 """Types of the values that a study's keys take, with their bounds and rules.
 
-Values stay in the file's units. A broken rule raises `invalid` with a message in a user's terms.
+Values stay in the file's units. A broken rule raises `rule_error` with a message in a user's terms.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -23,18 +23,18 @@ from sinsjax import columns
 from sinsjax.messages import CONTROL
 
 
-def invalid(text: str, key: str | None = None) -> PydanticCustomError:
+def rule_error(text: str, key: str | None = None) -> PydanticCustomError:
     """The error of a broken rule within a section.
 
     Args:
-        text: what is wrong.
+        text: the message.
         key: the key to name, for a rule about the whole section.
     """
     return PydanticCustomError("invalid", text, {"key": key} if key else None)
 
 
 class KeyInfo(NamedTuple):
-    """What a study file needs to know of a key beyond its type and meaning.
+    """Properties of a study key in addition to its type and meaning.
 
     It is written in the annotation of the key or of its type; the outermost value of each attribute
     counts.
@@ -43,12 +43,12 @@ class KeyInfo(NamedTuple):
         usual: lowest and highest usual value, in the unit of the key; `rules` questions others.
         default: value of a key that a study omits although one of its methods reads it. Not filled
             in if the study gives an alternative key, see `Section.exclusive`.
-        beside: a key without which, or with 'none' as its value, the default is not filled in.
+        beside: a key that must be given, not as 'none', for the default to be filled in.
         same_as: meaning of an omitted key: the value of another key, or a number.
         whole: interval that a time must be a multiple of, to which a search rounds it: 'sample',
             or 'record' interval.
         merged: whether a search merges times of a list that round to the same sample; otherwise it
-            moves them a sample apart.
+            separates them by one sample.
         time: unit of a time within a run, which must not be after its end: 's', or 'pass' for a
             number of passes.
     """
@@ -62,7 +62,7 @@ class KeyInfo(NamedTuple):
     time: str | None = None
 
 
-class ActsWhere(NamedTuple):
+class KeyCondition(NamedTuple):
     """Condition under which keys affect a run at all, whatever their values.
 
     Attributes:
@@ -83,65 +83,65 @@ ROUNDING = 1e-9
 
 
 def key_info(field: FieldInfo) -> KeyInfo:
-    """Return what the annotation of a key says of it, the outermost value of each attribute."""
+    """Return the properties in the annotation of a key, the outermost value of each attribute."""
     given: dict[str, Any] = {}
-    for info in _infos([*field.metadata, field.annotation]):
+    for info in _iterate_key_infos([*field.metadata, field.annotation]):
         for name, value in info._asdict().items():
             if value != KeyInfo._field_defaults[name]:
                 given.setdefault(name, value)
     return KeyInfo(**given)
 
 
-def _infos(parts: Iterable[Any]) -> Iterator[KeyInfo]:
+def _iterate_key_infos(parts: Iterable[Any]) -> Iterator[KeyInfo]:
     for part in parts:
         if isinstance(part, KeyInfo):
             yield part
         else:
-            yield from _infos(reversed(get_args(part)))
+            yield from _iterate_key_infos(reversed(get_args(part)))
 
 
-def _shape(value: Any) -> str:
+def _vector_tag(value: Any) -> str:
     return "list" if isinstance(value, tuple) else "number"
 
 
-def unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
+def require_unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
     """Reject a list with a repeated value."""
     if len(set(values)) < len(values):
-        raise invalid("repeats a value (drop one)")
+        raise rule_error("repeats a value (drop one)")
     return values
 
 
-def _distinct_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
+def _require_distinct_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
     """Reject bands whose result columns would share a name."""
     if len({columns.settle_column(band).name for band in bands}) < len(bands):
-        raise invalid("repeats a value, to the 6 digits in its column name (drop one)")
+        raise rule_error("repeats a value, to the 6 digits in its column name (drop one)")
     return bands
 
 
-def _distinct_reports(times_s: tuple[float, ...]) -> tuple[float, ...]:
+def _require_distinct_report_columns(times_s: tuple[float, ...]) -> tuple[float, ...]:
     """Reject report times whose result columns would share a name."""
-    if len({columns.report_columns(time) for time in times_s}) < len(times_s):
-        raise invalid("repeats a value, to the 6 digits in its column names (drop one)")
+    if len({columns.report_time_columns(time) for time in times_s}) < len(times_s):
+        raise rule_error("repeats a value, to the 6 digits in its column names (drop one)")
     return times_s
 
 
-def _increasing(times: tuple[Any, ...]) -> tuple[Any, ...]:
+def _require_increasing(times: tuple[Any, ...]) -> tuple[Any, ...]:
     if any(late <= early for early, late in pairwise(times)):
-        raise invalid("must increase")
+        raise rule_error("must increase")
     return times
 
 
-def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
+def _require_ordered(ends: tuple[float, float]) -> tuple[float, float]:
     low, high = ends
     if low > high:
-        raise invalid(f"must be [low, high] with low <= high, not [{low:g}, {high:g}]")
+        raise rule_error(f"must be [low, high] with low <= high, not [{low:g}, {high:g}]")
     return ends
 
 
-def _printable(name: str) -> str:
+def _require_printable(name: str) -> str:
     """Reject invisible characters that act on a terminal or an editor."""
     if found := CONTROL.search(name):
-        raise invalid(f"must not contain control characters (\\u{ord(found[0]):04x})")
+        raise rule_error(f"must not contain control characters (\\u{ord(found[0]):04x})")
     return name
 
 
@@ -172,40 +172,42 @@ AccelNoise = Annotated[NonNegative, KeyInfo(usual=(0, 1e7))]
 GyroWalk = Annotated[NonNegative, KeyInfo(usual=(0, 1e4))]
 Bandwidth = Annotated[Positive, KeyInfo(usual=(1e-6, 1e4))]
 Factor = Annotated[Positive, KeyInfo(usual=(1e-9, 1e9))]
-IncreasingPair = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
+IncreasingPair = Annotated[tuple[Finite, Finite], AfterValidator(_require_ordered)]
 Normal = tuple[Finite, NonNegative]
-Name = Annotated[str, Field(min_length=1), AfterValidator(_printable)]
+Name = Annotated[str, Field(min_length=1), AfterValidator(_require_printable)]
 Triad = tuple[Name, Name, Name]
-Times = Annotated[tuple[Seconds, ...], AfterValidator(_increasing)]
+Times = Annotated[tuple[Seconds, ...], AfterValidator(_require_increasing)]
 ReportTimes = Annotated[
     tuple[Seconds, ...],
     Field(min_length=1),
-    AfterValidator(_increasing),
-    AfterValidator(_distinct_reports),
+    AfterValidator(_require_increasing),
+    AfterValidator(_require_distinct_report_columns),
 ]
-Bands = Annotated[tuple[Band, ...], AfterValidator(unique), AfterValidator(_distinct_columns)]
+Bands = Annotated[
+    tuple[Band, ...], AfterValidator(require_unique), AfterValidator(_require_distinct_columns)
+]
 Starts = Annotated[
     tuple[SecondsOrZero, ...],
     Field(min_length=1),
     BeforeValidator(lambda value: value if isinstance(value, tuple) else (value,)),
-    AfterValidator(unique),
+    AfterValidator(require_unique),
 ]
 Vector = Annotated[
     Annotated[Finite, Tag("number")] | Annotated[tuple[Finite, Finite, Finite], Tag("list")],
-    Discriminator(_shape),
+    Discriminator(_vector_tag),
 ]
 NoisePerAxis = Annotated[
     Annotated[NonNegative, Tag("number")]
     | Annotated[tuple[NonNegative, NonNegative, NonNegative], Tag("list")],
-    Discriminator(_shape),
+    Discriminator(_vector_tag),
 ]
 CrossAxis = Annotated[
     Annotated[Finite, Tag("number")]
     | Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], Tag("list")],
-    Discriminator(_shape),
+    Discriminator(_vector_tag),
 ]
 PassNumbers = Annotated[
-    tuple[Annotated[int, Field(ge=1, le=10**9)], ...], AfterValidator(_increasing)
+    tuple[Annotated[int, Field(ge=1, le=10**9)], ...], AfterValidator(_require_increasing)
 ]
 Factors = Annotated[tuple[Factor, ...], Field(min_length=1)]
 Damping = Annotated[float, Field(ge=0.01, lt=1)]
@@ -220,7 +222,7 @@ class Section(BaseModel):
     """
 
     exclusive: ClassVar[tuple[tuple[str, str], ...]] = ()
-    conditions: ClassVar[tuple[ActsWhere, ...]] = ()
+    conditions: ClassVar[tuple[KeyCondition, ...]] = ()
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 

@@ -87,4 +87,4 @@ def drawn():
 def drawn_on_request(request, monkeypatch):
     """Lays no figure out but for a test that asks for `drawn`."""
     if "drawn" not in request.fixturenames:
-        monkeypatch.setattr("sinsjax.plots.png", lambda *_: b"not drawn")
+        monkeypatch.setattr("sinsjax.plots.render_png", lambda *_: b"not drawn")

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Polygon
 
-from sinsjax.plots.style import GREY, colour, png, styled
+from sinsjax.plots.style import GREY, line_colour, render_png, with_style
 
 _ALONG = {"right": (0.86, -0.3), "front": (0.62, 0.5), "up": (0.0, 1.0)}
 """Where the ways of the body point on paper, seen from behind, from the right and from above."""
@@ -50,10 +50,10 @@ def _triad(axes: Axes, name: str) -> None:
         size = (2.0 if base == "front" else 1.75) * (1 if way == base else -1)
         tip = _paper(**{base: size})
         begin = _paper(up=_HALF["up"])
-        style = {"arrowstyle": "-|>", "lw": 2.2, "color": colour(number), "mutation_scale": 16}
+        style = {"arrowstyle": "-|>", "lw": 2.2, "color": line_colour(number), "mutation_scale": 16}
         axes.annotate("", begin + tip, begin, arrowprops=style)
         place = begin + tip * (1.16 if base == "up" else 1.22) + _BESIDE.get(base, 0)
-        axes.text(*place, f"{letter} {way}", color=colour(number), ha="center", va="center")
+        axes.text(*place, f"{letter} {way}", color=line_colour(number), ha="center", va="center")
     axes.set_title(f'axes_order = "{name}"', loc="center")
     axes.text(0, -2.6, _TOLD[name], ha="center", color="#555555")
     axes.set(xlim=(-2.6, 2.6), ylim=(-2.8, 2.6))
@@ -70,10 +70,12 @@ def _yaw(axes: Axes, yaw_deg: float = 35.0) -> None:
     body = np.array([(-0.4, -0.7), (0.4, -0.7), (0.4, 0.5), (0.0, 0.9), (-0.4, 0.5)])
     axes.add_patch(Polygon(body @ turn.T, fc="#e6e6e6", ec=GREY, lw=0.8, zorder=0))
     front = turn @ (0, 2.0)
-    axes.annotate("", front, (0, 0), arrowprops=style | {"color": colour(0), "lw": 2.2})
-    axes.text(*(1.14 * front), "front", ha="center", va="center", color=colour(0))
-    axes.add_patch(Arc((0, 0), 2.6, 2.6, theta1=90, theta2=90 + yaw_deg, color=colour(1), lw=2))
-    axes.text(-0.55, 1.45, "yaw", color=colour(1), ha="center")
+    axes.annotate("", front, (0, 0), arrowprops=style | {"color": line_colour(0), "lw": 2.2})
+    axes.text(*(1.14 * front), "front", ha="center", va="center", color=line_colour(0))
+    axes.add_patch(
+        Arc((0, 0), 2.6, 2.6, theta1=90, theta2=90 + yaw_deg, color=line_colour(1), lw=2)
+    )
+    axes.text(-0.55, 1.45, "yaw", color=line_colour(1), ha="center")
     axes.text(0, -1.75, f"yaw_deg = +{yaw_deg:g}\nheading_deg = {360 - yaw_deg:g}", ha="center",
               va="center")  # fmt: skip
     axes.set_title("from above", loc="center")
@@ -81,7 +83,7 @@ def _yaw(axes: Axes, yaw_deg: float = 35.0) -> None:
     axes.set(xlim=(-2.6, 2.6), ylim=(-2.8, 2.6))
 
 
-@styled
+@with_style
 def figure() -> Figure:
     """The three orders of axes, and yaw against heading."""
     drawn = Figure(figsize=(12.4, 3.9))
@@ -96,4 +98,4 @@ def figure() -> Figure:
 
 
 if __name__ == "__main__":
-    Path(__file__).with_suffix(".png").write_bytes(png(figure()))
+    Path(__file__).with_suffix(".png").write_bytes(render_png(figure()))

@@ -18,7 +18,7 @@ from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from scipy import stats
 
 import sinsjax
-from sinsjax.plots.style import GREY, colour, legend_outside, png, styled
+from sinsjax.plots.style import GREY, add_legend_below, line_colour, render_png, with_style
 from sinsjax.study.study import Study
 
 _WIDE, _HIGH = 8.4, 3.7  # in
@@ -67,7 +67,7 @@ def _logarithmic(axes: Axes, ticks: list[float]) -> None:
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
 
 
-@styled
+@with_style
 def frames_and_signs() -> Figure:
     """From above: yaw, heading and a positive heading error."""
     figure = Figure(figsize=(_WIDE, 3.7))
@@ -79,17 +79,17 @@ def frames_and_signs() -> Figure:
     _arrow(left, -90.0, "east", GREY)
     left.set_title("Attitude: front at yaw +35 deg", loc="center")
     _body(left, 35.0, "#e6e6e6")
-    _arrow(left, 35.0, "front", colour(0))
-    left.add_patch(Arc((0, 0), 2.8, 2.8, theta1=90, theta2=125, color=colour(1), lw=2))
-    left.text(-0.55, 1.58, "yaw", color=colour(1), ha="center")
-    left.add_patch(Arc((0, 0), 1.9, 1.9, theta1=125, theta2=450, color=colour(2), lw=2))
-    left.text(0.95, -0.8, "heading 325 deg", color=colour(2), ha="left")
+    _arrow(left, 35.0, "front", line_colour(0))
+    left.add_patch(Arc((0, 0), 2.8, 2.8, theta1=90, theta2=125, color=line_colour(1), lw=2))
+    left.text(-0.55, 1.58, "yaw", color=line_colour(1), ha="center")
+    left.add_patch(Arc((0, 0), 1.9, 1.9, theta1=125, theta2=450, color=line_colour(2), lw=2))
+    left.text(0.95, -0.8, "heading 325 deg", color=line_colour(2), ha="left")
     right.set_title("Misalignment: phi_u = +35 deg", loc="center")
     _body(right, 55.0, "#e6e6e6")
-    _arrow(right, 55.0, "true front", colour(0), (-0.3, 0.0))
-    _arrow(right, 20.0, "computed front", colour(3), (-0.6, 0.05))
-    right.add_patch(Arc((0, 0), 3.4, 3.4, theta1=110, theta2=145, color=colour(1), lw=2))
-    right.text(-0.83, 1.02, "phi_u", color=colour(1), ha="center")
+    _arrow(right, 55.0, "true front", line_colour(0), (-0.3, 0.0))
+    _arrow(right, 20.0, "computed front", line_colour(3), (-0.6, 0.05))
+    right.add_patch(Arc((0, 0), 3.4, 3.4, theta1=110, theta2=145, color=line_colour(1), lw=2))
+    right.text(-0.83, 1.02, "phi_u", color=line_colour(1), ha="center")
     return figure
 
 
@@ -109,7 +109,7 @@ def _body(axes: Axes, yaw_deg: float, shade: str) -> None:
     axes.add_patch(Polygon(outline @ turn.T, fc=shade, ec=GREY, lw=0.8, zorder=0))
 
 
-@styled
+@with_style
 def misalignment() -> Figure:
     """What the sensors show of it, beside what a linear model says."""
     figure = Figure(figsize=(_WIDE, _HIGH))
@@ -117,10 +117,10 @@ def misalignment() -> Figure:
     level, heading = np.linspace(0, 30, 61), np.linspace(0, 180, 181)
     rate_n = 15.041067 * np.cos(np.radians(45.0))  # deg/h
     left.plot(level, np.radians(level), "--", color=GREY, label="small angles")
-    left.plot(level, np.sin(np.radians(level)), color=colour(0), label="in fact")
+    left.plot(level, np.sin(np.radians(level)), color=line_colour(0), label="in fact")
     left.set(xlabel="level error (deg)", ylabel="false horizontal force (g)")
     right.plot(heading, rate_n * np.radians(heading), "--", color=GREY, label="small angles")
-    right.plot(heading, rate_n * np.sin(np.radians(heading)), color=colour(1), label="in fact")
+    right.plot(heading, rate_n * np.sin(np.radians(heading)), color=line_colour(1), label="in fact")
     right.set(xlabel="heading error (deg)", ylabel="Earth rate about east (deg/h)")
     right.set(xlim=(0, 180), ylim=(0, 26), xticks=range(0, 181, 30))
     left.set(xlim=(0, 30), ylim=(0, 0.55))
@@ -130,7 +130,7 @@ def misalignment() -> Figure:
     return figure
 
 
-@styled
+@with_style
 def why_p_lies() -> Figure:
     """One run without noise: heading error and sigma, by the force in the model."""
     study = _paper1(
@@ -146,21 +146,23 @@ def why_p_lies() -> Figure:
     for variant, (axes, title) in enumerate(
         zip(figure.subplots(1, 2, sharey=True), titles, strict=True)
     ):
-        axes.plot(time_s, np.abs(error[0, variant]) / 60, color=colour(0), label="heading error")
+        axes.plot(
+            time_s, np.abs(error[0, variant]) / 60, color=line_colour(0), label="heading error"
+        )
         axes.plot(
             time_s,
             sigma[0, variant] / 60,
-            color=colour(1),
+            color=line_colour(1),
             label="1 sigma that the filter believes",
         )
         _logarithmic(axes, [0.3, 1, 3, 10, 30, 100])
         axes.set(title=title, xlabel="time (s)", xlim=(0, 120), ylim=(0.2, 120))
     figure.axes[0].set_ylabel("heading (deg)")
-    legend_outside(figure, figure.axes[0])
+    add_legend_below(figure, figure.axes[0])
     return figure
 
 
-@styled
+@with_style
 def resets_and_triggers() -> Figure:
     """The same draw of noise without resets, with two, and with a trigger."""
     none: dict[str, Any] = {"reset_times_s": [], "reset_trigger": "none", "trigger_threshold": 0.0}
@@ -182,17 +184,17 @@ def resets_and_triggers() -> Figure:
     figure = Figure(figsize=(_WIDE, 4.1))
     left, right = figure.subplots(1, 2)
     for number, label in enumerate(ways):
-        left.plot(time_s, np.abs(error[0, number]) / 60, color=colour(number), label=label)
-        right.plot(time_s, sigma[0, number] / 60, color=colour(number))
+        left.plot(time_s, np.abs(error[0, number]) / 60, color=line_colour(number), label=label)
+        right.plot(time_s, sigma[0, number] / 60, color=line_colour(number))
     for axes, word in ((left, "Heading error (deg)"), (right, "1 sigma in P (deg)")):
         axes.set(title=word, xlabel="time (s)", xlim=(0, 300))
         _logarithmic(axes, [0.3, 1, 3, 10, 30, 100])
         axes.set_ylim(0.2, 120)
-    legend_outside(figure, left)
+    add_legend_below(figure, left)
     return figure
 
 
-@styled
+@with_style
 def passes() -> Figure:
     """Rms heading error and sigma over four passes, P carried over or reset."""
     study = sinsjax.study_from_dict(
@@ -230,19 +232,21 @@ def passes() -> Figure:
     for variant, (axes, title) in enumerate(
         zip(panels, ("P carried through the turns", "P reset at each turn"), strict=True)
     ):
-        axes.plot(time_s, rms[variant], color=colour(0), label="heading error, rms of 32 draws")
-        axes.plot(time_s, sigma.mean(axis=0)[variant], color=colour(1), label="1 sigma in P")
+        axes.plot(
+            time_s, rms[variant], color=line_colour(0), label="heading error, rms of 32 draws"
+        )
+        axes.plot(time_s, sigma.mean(axis=0)[variant], color=line_colour(1), label="1 sigma in P")
         for turn_s in range(80, 320, 80):
             axes.axvline(turn_s, color=GREY, lw=0.8, ls=":")
         _logarithmic(axes, [0.3, 1, 3, 10, 30, 100])
         axes.set(title=title, xlabel="time of updates (s)", xlim=(0, 320), ylim=(0.3, 130))
         axes.set_xticks(range(0, 321, 80))
     panels[0].set_ylabel("heading (arcmin)")
-    legend_outside(figure, panels[0])
+    add_legend_below(figure, panels[0])
     return figure
 
 
-@styled
+@with_style
 def truth_limit_and_bound() -> Figure:
     """Heading errors of 6 draws, the bias floor that they share, and the bound about it."""
     times = [20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 240.0, 300.0]
@@ -275,21 +279,21 @@ def truth_limit_and_bound() -> Figure:
     time_s, errors = _over_time(results.curves, "phi_u_arcmin", 1)
     label = "heading error, 6 draws"
     for error in errors[:, 0]:
-        axes.plot(time_s[29:], error[29:], color=colour(0), lw=0.8, label=label)
+        axes.plot(time_s[29:], error[29:], color=line_colour(0), lw=0.8, label=label)
         label = ""
     axes.fill_between(
-        times, floor - 2 * sigma, floor + 2 * sigma, color=colour(4), alpha=0.35, lw=0,
+        times, floor - 2 * sigma, floor + 2 * sigma, color=line_colour(4), alpha=0.35, lw=0,
         label="bias floor ± 2 sigma of the information bound",
     )  # fmt: skip
-    axes.axhline(floor, color=colour(1), label="bias floor")
+    axes.axhline(floor, color=line_colour(1), label="bias floor")
     axes.axhline(0.0, color="black", lw=1.2, ls="--", label="true north")
     axes.set(xlabel="time (s)", ylabel="heading error phi_u (arcmin)")
     axes.set(xlim=(30, 300), ylim=(-60, 30))
-    legend_outside(figure, axes)
+    add_legend_below(figure, axes)
     return figure
 
 
-@styled
+@with_style
 def consistency() -> Figure:
     """Share of runs up to each NEES, for three settings of Q, beside chi-square."""
     study = sinsjax.load_study("consistency", {"study.draws": 256})
@@ -300,7 +304,7 @@ def consistency() -> Figure:
     for number, case in enumerate(cases):
         nees = np.sort(summary.filter(pc.field("case") == case)["nees"].to_numpy())
         share = 100 * (np.arange(len(nees)) + 0.5) / len(nees)
-        axes.step(nees, share, where="mid", color=colour(number), label=case)
+        axes.step(nees, share, where="mid", color=line_colour(number), label=case)
     grid = np.geomspace(0.05, 60, 300)
     expected = 100 * stats.chi2.cdf(grid, 3)
     axes.plot(grid, expected, "--", color="black", lw=1.3, label="chi-square, 3 degrees of freedom")
@@ -310,7 +314,7 @@ def consistency() -> Figure:
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.set(xlabel="NEES of the attitude at the end", ylabel="runs up to there (%)")
     axes.set(xlim=(0.05, 60), ylim=(0, 101))
-    legend_outside(figure, axes)
+    add_legend_below(figure, axes)
     return figure
 
 
@@ -332,7 +336,7 @@ def main(names: list[str]) -> None:
     """Writes the figures with these names, by default all."""
     sinsjax.configure()
     for name in names or FIGURES:
-        Path(__file__).with_name(f"concept_{name}.png").write_bytes(png(FIGURES[name]()))
+        Path(__file__).with_name(f"concept_{name}.png").write_bytes(render_png(FIGURES[name]()))
 
 
 if __name__ == "__main__":

@@ -2,15 +2,15 @@
 
 `clusters` determines which runs are dependent. `bounded` has the intervals of shares and quantiles
 over draws. `estimates` computes statistics of some runs,
-`differences` those between runs on the same noise, and `summaries` tables of them from a whole
-summary, with the help of `tables`; `headings` has those of the heading error, time by time. `grids`
+`differences` compares runs on the same noise, and `summaries` makes tables from a whole
+summary, using `tables`; `headings` has the heading errors at report times. `grids`
 lays runs out over the axes of a study. `formats` and `words` print estimates.
 """
 
-from sinsjax.analysis.clusters import NO_INTERVAL, are_single, clusters_of
+from sinsjax.analysis.clusters import NO_INTERVAL, cluster_ids, has_independent_runs
 from sinsjax.analysis.differences import (
-    chance_apart,
-    difference,
+    mean_difference,
+    permutation_false_positive_rate,
     proportion_difference,
     quantile_difference,
 )
@@ -27,9 +27,9 @@ from sinsjax.analysis.estimates import (
     std,
 )
 from sinsjax.analysis.formats import FEW_DRAWS, format_difference, format_estimate, format_number
-from sinsjax.analysis.headings import heading_errors
-from sinsjax.analysis.summaries import NEES_FREEDOM, compare, summarise
-from sinsjax.analysis.tables import groups, has_status, has_truth, numbers, paired
+from sinsjax.analysis.headings import heading_error_statistics
+from sinsjax.analysis.summaries import NEES_FREEDOM, compare_with_baseline, summarise
+from sinsjax.analysis.tables import group_rows, has_truth, numeric_column, pair_by_draw, status_mask
 
 __all__ = [
     "CONFIDENCE",
@@ -38,22 +38,22 @@ __all__ = [
     "NO_INTERVAL",
     "UNKNOWN",
     "Estimate",
-    "are_single",
-    "chance_apart",
+    "has_independent_runs",
+    "permutation_false_positive_rate",
     "chi2_mean_band",
-    "clusters_of",
-    "compare",
-    "difference",
+    "cluster_ids",
+    "compare_with_baseline",
+    "mean_difference",
     "format_difference",
     "format_estimate",
     "format_number",
-    "groups",
-    "has_status",
+    "group_rows",
+    "status_mask",
     "has_truth",
-    "heading_errors",
+    "heading_error_statistics",
     "mean",
-    "numbers",
-    "paired",
+    "numeric_column",
+    "pair_by_draw",
     "proportion",
     "proportion_difference",
     "quantile",

@@ -10,10 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
-from sinsjax.analysis.estimates import SEED, TAIL, Estimate, bootstrap, clean, mean, place
+from sinsjax.analysis.estimates import (
+    SEED,
+    TAIL,
+    Estimate,
+    bootstrap_interval,
+    mean,
+    quantile_index,
+    to_float_array,
+)
 
 
-def difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
+def mean_difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The mean of a - b over pairs on the same noise, with the interval of `mean`.
 
     Pairs whose difference is not finite are omitted; ``n`` is the number used.
@@ -26,12 +34,12 @@ def difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None) -> 
     Raises:
         ValueError: shapes differ, or no pairs.
     """
-    first, second = _pair(a, b)
+    first, second = _paired_arrays(a, b)
     with np.errstate(invalid="ignore"):  # infinite minus infinite, omitted by mean
         return mean(first - second, cluster)
 
 
-def chance_apart(a: ArrayLike, b: ArrayLike, swaps: int = 16) -> float:
+def permutation_false_positive_rate(a: ArrayLike, b: ArrayLike, permutations: int = 16) -> float:
     """One-sided false positive rate of `quantile_difference`, estimated by permutation.
 
     Swapping a and b in randomly chosen pairs, the same at every call, removes any systematic
@@ -40,7 +48,7 @@ def chance_apart(a: ArrayLike, b: ArrayLike, swaps: int = 16) -> float:
     Args:
         a: shape (n,), any unit.
         b: shape (n,), the same draws in the same order.
-        swaps: number of permutations.
+        permutations: number of permutations.
 
     Returns:
         Half the share of permutations whose interval excludes 0, since both sides are equivalent.
@@ -48,12 +56,12 @@ def chance_apart(a: ArrayLike, b: ArrayLike, swaps: int = 16) -> float:
     Raises:
         ValueError: shapes differ, or no pairs.
     """
-    first, second = _pair(a, b, missing=math.inf)
-    shown = 0
-    for swap in np.random.default_rng(SEED).random((swaps, first.size)) < 0.5:
-        apart = quantile_difference(np.where(swap, second, first), np.where(swap, first, second))
-        shown += apart.low > 0 or apart.high < 0
-    return shown / swaps / 2
+    first, second = _paired_arrays(a, b, missing=math.inf)
+    significant = 0
+    for swap in np.random.default_rng(SEED).random((permutations, first.size)) < 0.5:
+        estimate = quantile_difference(np.where(swap, second, first), np.where(swap, first, second))
+        significant += estimate.low > 0 or estimate.high < 0
+    return significant / permutations / 2
 
 
 def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
@@ -72,15 +80,15 @@ def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
     Raises:
         ValueError: shapes differ, no pairs, or q out of range.
     """
-    first, second = _pair(a, b, missing=math.inf)
-    at = place(first.size, q)
+    first, second = _paired_arrays(a, b, missing=math.inf)
+    at = quantile_index(first.size, q)
 
     def statistic(x: NDArray, y: NDArray) -> NDArray:
         left, right = (np.partition(z, at, axis=-1)[..., at] for z in (x, y))
         same = left == right  # also where both are infinite
         return np.where(same, 0.0, left - np.where(same, 0.0, right))
 
-    low, high = bootstrap(statistic, first, second)
+    low, high = bootstrap_interval(statistic, first, second)
     neither = all(math.isinf(np.partition(x, at)[at]) for x in (first, second))
     value = math.nan if neither else float(statistic(first, second))
     return Estimate(value, low, high, first.size)
@@ -100,21 +108,21 @@ def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     Raises:
         ValueError: shapes differ, or no pairs.
     """
-    first, second = (x.astype(bool) for x in _pair(a, b))
+    first, second = (x.astype(bool) for x in _paired_arrays(a, b))
     n = first.size
-    one, other = (_wilson(int(np.count_nonzero(x)), n) for x in (first, second))
-    shared = _correlation(first, second)
-    apart = one.value - other.value
+    share_a, share_b = (_wilson_interval(int(np.count_nonzero(x)), n) for x in (first, second))
+    correlation = _paired_correlation(first, second)
+    difference = share_a.value - share_b.value
 
-    def reach(x: float, y: float) -> float:
-        return math.sqrt(max(x * x - 2 * shared * x * y + y * y, 0.0))
+    def half_width(x: float, y: float) -> float:
+        return math.sqrt(max(x * x - 2 * correlation * x * y + y * y, 0.0))
 
-    low = apart - reach(one.value - one.low, other.high - other.value)
-    high = apart + reach(one.high - one.value, other.value - other.low)
-    return Estimate(apart, low, high, n)
+    low = difference - half_width(share_a.value - share_a.low, share_b.high - share_b.value)
+    high = difference + half_width(share_a.high - share_a.value, share_b.value - share_b.low)
+    return Estimate(difference, low, high, n)
 
 
-def _wilson(k: int, n: int) -> Estimate:
+def _wilson_interval(k: int, n: int) -> Estimate:
     """The share k/n with Wilson's score interval."""
     share, z = k / n, float(special.ndtri(1 - TAIL))
     centre = (k + z * z / 2) / (n + z * z)
@@ -123,20 +131,22 @@ def _wilson(k: int, n: int) -> Estimate:
     return Estimate(share, centre - half if k else 0.0, centre + half if k < n else 1.0, n)
 
 
-def _correlation(a: NDArray, b: NDArray) -> float:
+def _paired_correlation(a: NDArray, b: NDArray) -> float:
     """Pearson's phi of two paired shares, with Newcombe's continuity correction."""
     n = a.size
-    both, one, other = (float(np.count_nonzero(x)) for x in (a & b, a & ~b, b & ~a))
-    none = n - both - one - other
-    scale = math.sqrt((both + one) * (other + none) * (both + other) * (one + none))
-    excess = both * none - one * other
+    both, only_a, only_b = (float(np.count_nonzero(x)) for x in (a & b, a & ~b, b & ~a))
+    none = n - both - only_a - only_b
+    scale = math.sqrt((both + only_a) * (only_b + none) * (both + only_b) * (only_a + none))
+    excess = both * none - only_a * only_b
     if excess > 0:
         excess = max(excess - n / 2, 0.0)
     return excess / scale if scale else 0.0
 
 
-def _pair(a: ArrayLike, b: ArrayLike, *, missing: float = math.nan) -> tuple[NDArray, NDArray]:
-    first, second = clean(a, missing=missing), clean(b, missing=missing)
+def _paired_arrays(
+    a: ArrayLike, b: ArrayLike, *, missing: float = math.nan
+) -> tuple[NDArray, NDArray]:
+    first, second = to_float_array(a, missing=missing), to_float_array(b, missing=missing)
     if first.shape != second.shape:
         raise ValueError(f"pairs need equal lengths, got {first.size} and {second.size}")
     return first, second

@@ -3,16 +3,16 @@
 Nothing is omitted silently: a run that never settled counts as an infinite settling time, and an
 `Estimate` states the number of values used. The intervals:
 
-* shares: Clopper and Pearson's, extended to several runs per draw in `sinsjax.analysis.bounded`;
+* shares: Clopper and Pearson's, extended to several runs per draw in `sinsjax.analysis.bounds`;
 * quantiles: two of the values, by inverting the interval of the share below a value;
 * means: Student's t, corrected for skewness;
-* standard deviations and root mean squares: on a logarithmic scale, see `_root`; for normal values
-  chi-square.
+* standard deviations and root mean squares: on a logarithmic scale, see `_root_interval`; for
+  normal values chi-square.
 
 Their coverage is in ``docs/results.md``, measured by ``benchmarks/interval_coverage.py``.
 
 The runs of a draw share its noise, and all runs on a record share the record, so they are not
-independent. All functions take the cluster of each value (see `sinsjax.analysis.clusters_of`) and
+independent. All functions take the cluster of each value (see `sinsjax.analysis.cluster_ids`) and
 count clusters instead of values. An interval holds for other draws of the same variants: the
 spread between variants is not a sampling error. One cluster has no interval, since the spread
 between clusters is unknown. An end of an interval is also NaN if there are too few values to bound
@@ -28,15 +28,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
-from sinsjax.analysis.bounded import Draws, quantile_bounds
-from sinsjax.analysis.clusters import Clustered, of_each
+from sinsjax.analysis.bounds import DrawCounts, quantile_bounds
+from sinsjax.analysis.clusters import ClusteredMean, validate_cluster_ids
 
 CONFIDENCE = 0.95
 RESAMPLES = 1000
 SEED = 0
 TAIL = (1 - CONFIDENCE) / 2
-_LEAST = 5  # fewest clusters that bound a standard deviation or a root mean square
-_UPPER = 1.3  # factor on the upper reach of a root's interval, see `_root`
+_MIN_CLUSTERS = 5  # fewest clusters that bound a standard deviation or a root mean square
+_UPPER = 1.3  # factor on the upper reach of a root's interval, see `_root_interval`
 _BLOCK = 2**22  # values drawn at a time, to bound the bootstrap's memory
 
 
@@ -86,7 +86,7 @@ def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The share of the values that are true, with an interval that holds for any dependence.
 
     The draws count, whatever the number and dependence of their runs: see
-    `sinsjax.analysis.bounded`. For independent runs the interval equals that of `proportion`.
+    `sinsjax.analysis.bounds`. For independent runs the interval equals that of `proportion`.
 
     Args:
         flags: shape (n,), bool.
@@ -102,18 +102,18 @@ def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
         >>> analysis.format_estimate(found, digits=2)
         '0.83 [0.23, 1.00]'
     """
-    data = clean(flags)
+    data = to_float_array(flags)
     n, value = data.size, float(np.mean(data))
     if cluster is None:
         return proportion(round(value * n), n)
-    place = np.unique(of_each(cluster, n), return_inverse=True)[1]
+    place = np.unique(validate_cluster_ids(cluster, n), return_inverse=True)[1]
     runs = np.bincount(place)
     if runs.size < 2:  # a draw or a record alone, be it of one run
         return UNKNOWN._replace(value=value, n=n)
     if runs.size == n:
         return proportion(round(value * n), n)
-    draws = Draws.from_runs(np.bincount(place, data), runs)
-    return Estimate(value, draws.lower_bound(TAIL), 1 - draws.misses().lower_bound(TAIL), n)
+    draws = DrawCounts.from_runs(np.bincount(place, data), runs)
+    return Estimate(value, draws.lower_bound(TAIL), 1 - draws.complement().lower_bound(TAIL), n)
 
 
 def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None) -> Estimate:
@@ -125,7 +125,7 @@ def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None
     The interval is distribution-free. For independent values the number below the quantile is
     binomial, and each end is an order statistic exceeded by it with at most 2.5 % probability
     (Conover 1999, section 3.2). With clusters an end is the last value whose share of runs below
-    it, by draw, agrees with q: see `sinsjax.analysis.bounded.quantile_bounds`. An end is NaN if
+    it, by draw, agrees with q: see `sinsjax.analysis.bounds.quantile_bounds`. An end is NaN if
     there are too few draws for such a bound: 16 draws of one run each do not bound a 90 % quantile
     from above.
 
@@ -144,18 +144,18 @@ def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None
         >>> analysis.format_estimate(analysis.quantile(range(16), q=0.9), "s", 0)
         '14 [11, few draws] s'
     """
-    data = clean(values, missing=math.inf)
-    n, at = data.size, place(data.size, q)
+    data = to_float_array(values, missing=math.inf)
+    n, at = data.size, quantile_index(data.size, q)
     value = float(np.partition(data, at)[at])
     draw = np.arange(n)
     if cluster is not None:
-        draw = np.unique(of_each(cluster, n), return_inverse=True)[1]
+        draw = np.unique(validate_cluster_ids(cluster, n), return_inverse=True)[1]
     draws = int(draw.max()) + 1
     if draws < 2 <= n:
         return UNKNOWN._replace(value=value, n=n)
     if draws < n:
         return Estimate(value, *quantile_bounds(data, draw, q, TAIL), n)
-    low, high = _bounds(n, q)
+    low, high = _binomial_rank_bounds(n, q)
     ends = np.partition(data, [max(low - 1, 0), min(high - 1, n - 1)])
     return Estimate(
         value,
@@ -165,7 +165,7 @@ def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None
     )
 
 
-def place(n: int, q: float) -> int:
+def quantile_index(n: int, q: float) -> int:
     """Index of a quantile among n sorted values, as in numpy's method "inverted_cdf".
 
     Raises:
@@ -178,7 +178,7 @@ def place(n: int, q: float) -> int:
 
 
 @lru_cache(maxsize=256)
-def _bounds(n: int, q: float) -> tuple[int, int]:
+def _binomial_rank_bounds(n: int, q: float) -> tuple[int, int]:
     """Ranks, from 1, of the ends of a quantile's interval among n values; 0 or n + 1 for none."""
     below = special.bdtr(np.arange(n), n, q)  # probability that at most 0, 1, ... lie below it
     return int(np.sum(below <= TAIL)), int(np.sum(1 - below > TAIL)) + 1
@@ -205,13 +205,13 @@ def mean(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
         >>> analysis.format_estimate(analysis.mean([1.0, 2.0, 3.0, 4.0]))
         '2.5 [0.4, 4.6]'
     """
-    data, cluster = _finite(values, cluster)
+    data, cluster = _finite_values(values, cluster)
     if data.size == 0:
         return UNKNOWN
-    clustered = Clustered.of(data, cluster)
-    centre, reach = float(np.mean(data)), clustered.factor(TAIL)
-    low = centre - max(reach, clustered.skewed(reach)) * clustered.error
-    high = centre + max(reach, -clustered.skewed(-reach)) * clustered.error
+    clustered = ClusteredMean.from_values(data, cluster)
+    centre, reach = float(np.mean(data)), clustered.student_quantile(TAIL)
+    low = centre - max(reach, clustered.skewness_corrected(reach)) * clustered.standard_error
+    high = centre + max(reach, -clustered.skewness_corrected(-reach)) * clustered.standard_error
     return Estimate(centre, low, high, data.size)
 
 
@@ -234,23 +234,27 @@ def std(
     Raises:
         ValueError: no values at all.
     """
-    data, cluster = _finite(values, cluster)
+    data, cluster = _finite_values(values, cluster)
     n = data.size
     if n < 2:
         return UNKNOWN._replace(n=n)
     centred = data - np.mean(data)
-    clustered = Clustered.of(centred**2, cluster)
-    of_mean = Clustered.of(data, cluster)  # its variance is missing in that about the mean
+    clustered = ClusteredMean.from_values(centred**2, cluster)
+    of_mean = ClusteredMean.from_values(
+        data, cluster
+    )  # its variance is missing in that about the mean
     value = float(np.std(data, ddof=1))
     if of_mean.n > 1:
-        value = math.sqrt(np.mean(centred**2) + of_mean.error**2)
+        value = math.sqrt(np.mean(centred**2) + of_mean.standard_error**2)
     if is_normal and clustered.n == n:
         low, high = chi2_mean_band(n - 1, 1)
         return Estimate(value, value * ((n - 1) / high) ** 0.5, value * ((n - 1) / low) ** 0.5, n)
-    return Estimate(value, *_root(value, clustered), n)
+    return Estimate(value, *_root_interval(value, clustered), n)
 
 
-def rms(values: ArrayLike, cluster: ArrayLike | None = None, *, most: float = math.inf) -> Estimate:
+def rms(
+    values: ArrayLike, cluster: ArrayLike | None = None, *, max_magnitude: float = math.inf
+) -> Estimate:
     """The root mean square of the finite values.
 
     Non-finite values are omitted; ``n`` is the number used. Fewer than five have no interval.
@@ -258,20 +262,22 @@ def rms(values: ArrayLike, cluster: ArrayLike | None = None, *, most: float = ma
     Args:
         values: shape (m,), any unit.
         cluster: shape (m,), integer cluster of each value; None if each is its own.
-        most: largest magnitude that a value can have; the interval ends there.
+        max_magnitude: largest magnitude that a value can have; the interval ends there.
 
     Raises:
         ValueError: no values at all.
     """
-    data, cluster = _finite(values, cluster)
+    data, cluster = _finite_values(values, cluster)
     if data.size == 0:
         return UNKNOWN
     value = math.sqrt(np.mean(data**2))
-    low, high = np.minimum(_root(value, Clustered.of(data**2, cluster)), most).tolist()
+    low, high = np.minimum(
+        _root_interval(value, ClusteredMean.from_values(data**2, cluster)), max_magnitude
+    ).tolist()
     return Estimate(value, low, high, data.size)
 
 
-def _root(value: float, squares: Clustered) -> tuple[float, float]:
+def _root_interval(value: float, mean_square: ClusteredMean) -> tuple[float, float]:
     """The ends of the interval of the root of a mean square.
 
     Student's t on a logarithmic scale, with Bonett's two corrections (2006, Computational
@@ -281,24 +287,24 @@ def _root(value: float, squares: Clustered) -> tuple[float, float]:
     of a heavy-tailed distribution; `benchmarks/interval_coverage.py` requires that value for
     Student's t with 5 degrees of freedom.
     """
-    n = squares.n
+    n = mean_square.n
     if value == 0.0 and n > 1:
         return value, value
-    if n < _LEAST:
+    if n < _MIN_CLUSTERS:
         return math.nan, math.nan
-    variance = n / (n - 2) * (squares.error / squares.mean) ** 2
-    reach = squares.factor(TAIL) * math.sqrt(variance) * (1 + variance)
+    variance = n / (n - 2) * (mean_square.standard_error / mean_square.mean) ** 2
+    reach = mean_square.student_quantile(TAIL) * math.sqrt(variance) * (1 + variance)
     return tuple(value * math.exp((variance + r) / 2) for r in (-reach, _UPPER * reach))  # type: ignore[return-value]
 
 
-def chi2_mean_band(freedom: int, n: int) -> tuple[float, float]:
+def chi2_mean_band(degrees_of_freedom: int, n: int) -> tuple[float, float]:
     """The 95 % band of the mean of n chi-square values.
 
     The mean NEES of a consistent filter over independent runs lies in it in 95 of 100 studies
     (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
 
     Args:
-        freedom: degrees of freedom of one value, at least 1.
+        degrees_of_freedom: degrees of freedom of one value, at least 1.
         n: number of values; 0 gives NaN.
 
     Returns:
@@ -306,11 +312,11 @@ def chi2_mean_band(freedom: int, n: int) -> tuple[float, float]:
     """
     if n < 1:
         return math.nan, math.nan
-    low, high = 2 * special.gammaincinv(freedom * n / 2, [TAIL, 1 - TAIL]) / n
+    low, high = 2 * special.gammaincinv(degrees_of_freedom * n / 2, [TAIL, 1 - TAIL]) / n
     return float(low), float(high)
 
 
-def clean(values: ArrayLike, *, missing: float = math.nan) -> NDArray:
+def to_float_array(values: ArrayLike, *, missing: float = math.nan) -> NDArray:
     """Values as float64, shape (n,), with NaN replaced.
 
     Raises:
@@ -322,14 +328,16 @@ def clean(values: ArrayLike, *, missing: float = math.nan) -> NDArray:
     return np.where(np.isnan(data), missing, data)
 
 
-def _finite(values: ArrayLike, cluster: ArrayLike | None) -> tuple[NDArray, NDArray | None]:
+def _finite_values(values: ArrayLike, cluster: ArrayLike | None) -> tuple[NDArray, NDArray | None]:
     """The finite values, with their clusters; there must be at least one value."""
-    data = clean(values)
-    known = np.isfinite(data)
-    return data[known], None if cluster is None else of_each(cluster, data.size)[known]
+    data = to_float_array(values)
+    is_finite = np.isfinite(data)
+    return data[is_finite], None if cluster is None else validate_cluster_ids(cluster, data.size)[
+        is_finite
+    ]
 
 
-def bootstrap(statistic: Callable[..., NDArray], *samples: NDArray) -> tuple[float, float]:
+def bootstrap_interval(statistic: Callable[..., NDArray], *samples: NDArray) -> tuple[float, float]:
     """Percentile bootstrap interval of a statistic, the same at every call.
 
     Args:

@@ -64,3 +64,21 @@ def format_difference(
     if math.isinf(value) and {low, high} <= {value, 0.0}:  # an end is 0 if neither settles
         return text(value)
     return f"{text(value)} [{text(low)}, {text(high)}] {unit}".rstrip()
+
+
+def format_heading_error(error_arcmin: Estimate) -> str:
+    """A heading error without its unit, to a tenth where it is below 100 arcmin."""
+    digits = 0 if error_arcmin.value >= 100 else 1
+    return format_estimate(error_arcmin, digits=digits, infinite="no number")
+
+
+def format_degrees(*angles_deg: float) -> str:
+    """Return angles as a misalignment is printed: ``(5, 5, 30) deg``, or ``30 deg`` for one."""
+    text = ", ".join(f"{angle:g}" for angle in angles_deg)
+    return f"({text}) deg" if len(angles_deg) > 1 else f"{text} deg"
+
+
+def format_percent(share: Estimate) -> str:
+    """A share with its interval as a number of percent."""
+    low, value, high = (100 * x for x in (share.low, share.value, share.high))
+    return format_estimate(Estimate(value, low, high, share.n), digits=0)

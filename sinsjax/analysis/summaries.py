@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from sinsjax.analysis.clusters import COLUMNS, are_single, clusters_of
-from sinsjax.analysis.differences import difference, proportion_difference, quantile_difference
+from sinsjax.analysis.clusters import CLUSTER_COLUMNS, cluster_ids, has_independent_runs
+from sinsjax.analysis.differences import mean_difference, proportion_difference, quantile_difference
 from sinsjax.analysis.estimates import (
     UNKNOWN,
     Estimate,
@@ -23,13 +23,13 @@ from sinsjax.analysis.estimates import (
     std,
 )
 from sinsjax.analysis.tables import (
-    by_draw,
-    groups,
-    has_status,
+    group_rows,
     has_truth,
-    numbers,
-    require,
-    with_floor,
+    numeric_column,
+    paired_row_indices,
+    require_column,
+    select_runs_with_floor,
+    status_mask,
 )
 from sinsjax.errors import InputError
 
@@ -37,8 +37,8 @@ NEES_FREEDOM = 3
 """Degrees of freedom of ``nees``: three angles."""
 _YAW, _FLOOR, _AT = "phi_u_mean_arcmin", "floor_arcmin", "phi_u_at_"
 _MOST = 180 * 60.0  # arcmin, of a heading error
-NEEDED = ("draw_id", "start_s", "status", "phi_u_arcmin", "has_floor", _YAW, _FLOOR)
-"""Columns that `summarise` needs besides keys and those that its statistics are of."""
+REQUIRED_COLUMNS = ("draw_id", "start_s", "status", "phi_u_arcmin", "has_floor", _YAW, _FLOOR)
+"""Columns that `summarise` needs in addition to keys and the columns of its statistics."""
 
 _INTERVAL = ("", "_low", "_high")
 _MEAN = (*_INTERVAL, "_n")  # a mean omits non-finite values, so its number of values is given
@@ -50,18 +50,18 @@ class _Statistic(NamedTuple):
 
     Attributes:
         columns: columns that it uses.
-        of: function that estimates it from a group's rows.
-        suffixes: suffixes of the columns that it gives.
-        judged: whether it requires a truth.
-        limited: whether it uses only runs that have a bias floor.
+        estimate: function that estimates it from a group's rows.
+        suffixes: suffixes of its columns.
+        needs_truth: whether it requires a truth.
+        needs_floor: whether it uses only runs that have a bias floor.
         freedom: degrees of freedom if it is a mean of chi-square values; 0 otherwise.
     """
 
     columns: tuple[str, ...]
-    of: Callable[[pa.Table], Estimate]
+    estimate: Callable[[pa.Table], Estimate]
     suffixes: tuple[str, ...] = _INTERVAL
-    judged: bool = False
-    limited: bool = False
+    needs_truth: bool = False
+    needs_floor: bool = False
     freedom: int = 0
 
 
@@ -116,28 +116,30 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
     """
     if table.num_rows == 0:
         raise InputError("summary: there are no runs to summarise")
-    offered = _offered(table.column_names)
+    offered = _available_statistics(table.column_names)
     chosen = list(offered) if names is None else list(names)
     if unknown := [name for name in chosen if name not in offered]:
         raise InputError(f"summary: there is no statistic {unknown[0]} of these columns")
     statistics = {name: offered[name] for name in chosen}
     used = [column for statistic in statistics.values() for column in statistic.columns]
-    used += [column for column in COLUMNS if column in table.column_names]
-    made = (
-        key | _row(rows, statistics)
-        for key, rows in groups(_select(table, *by, *_needed(table), *used), by)
+    used += [column for column in CLUSTER_COLUMNS if column in table.column_names]
+    rows_of_groups = (
+        key | _statistics_row(rows, statistics)
+        for key, rows in group_rows(_select_columns(table, *by, *_status_columns(table), *used), by)
     )
-    return _table(made, table.schema, by)
+    return _build_table(rows_of_groups, table.schema, by)
 
 
-def estimate_of(row: Mapping[str, Any], name: str) -> Estimate:
+def read_estimate(row: Mapping[str, Any], name: str) -> Estimate:
     """A statistic in a row of `summarise`; NaN where it is unknown."""
     ends = (row[f"{name}{end}"] for end in _INTERVAL)
     value, low, high = (math.nan if end is None else end for end in ends)
     return Estimate(value, low, high, row["n"])
 
 
-def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> pa.Table:
+def compare_with_baseline(
+    table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]
+) -> pa.Table:
     """Compare each group of runs with a baseline group on the same draws.
 
     Columns: the keys; ``n`` draws; then ``X``, ``X_low`` and ``X_high``, group minus baseline, for
@@ -151,7 +153,7 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
 
     Args:
         table: the summary, one row per run.
-        by: key columns as for `groups`; one run per draw in each group.
+        by: key columns as for `group_rows`; one run per draw in each group.
         baseline: key values of the group to compare with.
 
     Returns:
@@ -162,46 +164,52 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
     """
     settling = [name for name in table.column_names if name.startswith("settle_")]
     flags = [name for name in ("ok_floor", "ok_truth") if name in table.column_names]
-    used = ["draw_id", *_needed(table), *flags, _YAW, _FLOOR, *settling]
-    used += [column for column in COLUMNS if column in table.column_names]
-    found = list(groups(_select(table, *by, *used), by))
-    wanted = {key: _plain(value) for key, value in baseline.items()}
-    base = next((rows for key, rows in found if key == wanted), None)
+    used = ["draw_id", *_status_columns(table), *flags, _YAW, _FLOOR, *settling]
+    used += [column for column in CLUSTER_COLUMNS if column in table.column_names]
+    found = list(group_rows(_select_columns(table, *by, *used), by))
+    baseline_key = {key: _tuple_to_list(value) for key, value in baseline.items()}
+    base = next((rows for key, rows in found if key == baseline_key), None)
     if base is None:
-        raise InputError(f"summary: there are no runs of the baseline {wanted}")
+        raise InputError(f"summary: there are no runs of the baseline {baseline_key}")
     known = has_truth(table)
-    made = (
-        key | {"n": rows.num_rows} | _differences(rows, base, [*flags, *settling], known=known)
+    rows_of_groups = (
+        key | {"n": rows.num_rows} | _difference_cells(rows, base, [*flags, *settling], known=known)
         for key, rows in found
         if rows is not base
     )
-    return _table(made, table.schema, by)
+    return _build_table(rows_of_groups, table.schema, by)
 
 
-def _needed(table: pa.Table) -> tuple[str, ...]:
+def _status_columns(table: pa.Table) -> tuple[str, ...]:
     """Columns that determine which statistics of a run are defined."""
     return ("status", "phi_u_arcmin", *{"has_floor"}.intersection(table.column_names))
 
 
-def _plain(value: Any) -> Any:
+def _tuple_to_list(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _differences(
-    rows: pa.Table, base: pa.Table, columns: Sequence[str], *, known: bool
+def _difference_cells(
+    rows: pa.Table, baseline: pa.Table, columns: Sequence[str], *, known: bool
 ) -> dict[str, Any]:
-    """One group's cells of `compare`."""
-    mine, others = by_draw(rows, base)
-    single = are_single(rows)  # otherwise on one record, where no difference has an interval
+    """One group's cells of `compare_with_baseline`."""
+    rows_order, base_order = paired_row_indices(rows, baseline)
+    single = has_independent_runs(
+        rows
+    )  # otherwise on one record, where no difference has an interval
 
     def pair(column: str) -> tuple[NDArray, NDArray]:
-        return numbers(rows, column)[mine], numbers(base, column)[others]
+        return numeric_column(rows, column)[rows_order], numeric_column(baseline, column)[
+            base_order
+        ]
 
     yaw, floor = pair(_YAW), pair(_FLOOR)
     errors = (np.abs(a - b) for a, b in zip(yaw, floor, strict=True))
-    ok = has_status(rows, "ok")[mine], has_status(base, "ok")[others]
+    ok = status_mask(rows, "ok")[rows_order], status_mask(baseline, "ok")[base_order]
     found = {"success_rate_difference": proportion_difference(*ok) if known else UNKNOWN}
-    limited = all(with_floor(some).num_rows == some.num_rows for some in (rows, base))
+    limited = all(
+        select_runs_with_floor(group).num_rows == group.num_rows for group in (rows, baseline)
+    )
     for name in columns:
         judged = known and (limited or "_truth" in name)
         if name.startswith("ok_"):
@@ -210,136 +218,161 @@ def _differences(
             rate = f"{name.replace('ok', 'success')}_rate_difference"
             found[rate] = proportion_difference(*pairs) if recorded else UNKNOWN
         else:
-            apart = quantile_difference(*pair(name)) if judged else UNKNOWN
-            found[f"{name}_median_difference"] = apart
+            difference = quantile_difference(*pair(name)) if judged else UNKNOWN
+            found[f"{name}_median_difference"] = difference
     cells: dict[str, Any] = {}
-    found["phi_u_error_arcmin_difference"] = difference(*errors)
+    found["phi_u_error_arcmin_difference"] = mean_difference(*errors)
     for name, estimate in found.items():
         suffixes = _MEAN if name.startswith("phi_u") else _INTERVAL
         bare = estimate._replace(low=math.nan, high=math.nan)
-        cells |= _cells(name, estimate if single else bare, suffixes)
+        cells |= _estimate_cells(name, estimate if single else bare, suffixes)
     return cells
 
 
-def _offered(columns: Sequence[str]) -> dict[str, _Statistic]:
+def _available_statistics(columns: Sequence[str]) -> dict[str, _Statistic]:
     """All statistics of a table with these columns, by name."""
     offered = {
-        f"{name}_rate": _Statistic(("status",), partial(_share, status=status), judged=True)
+        f"{name}_rate": _Statistic(
+            ("status",), partial(_status_share, status=status), needs_truth=True
+        )
         for name, status in {"success": "ok", "diverged": "diverged"}.items()
     }
     for name in (name for name in ("ok_floor", "ok_truth") if name in columns):
         rate = name.replace("ok", "success") + "_rate"
-        flagged = partial(_true, name=name)
-        offered[rate] = _Statistic((name,), flagged, judged=True, limited=name == "ok_floor")
+        flagged = partial(_flag_share, name=name)
+        offered[rate] = _Statistic(
+            (name,), flagged, needs_truth=True, needs_floor=name == "ok_floor"
+        )
     for name in (name for name in columns if name.startswith("settle_")):
-        about = {"judged": True, "limited": "_truth_" not in name}
+        about = {"needs_truth": True, "needs_floor": "_truth_" not in name}
         if not name.endswith("_data_s"):
             count = name.replace("settle_", "never_settled_").removesuffix("_s")
-            offered[count] = _of(_missing, name, suffixes=("",), **about)
-        offered[f"{name}_median"] = _of(quantile, name, **about)
-        offered[f"{name}_q90"] = _of(partial(quantile, q=0.9), name, **about)
-        offered[f"{name}_mean"] = _of(mean, name, suffixes=_MEAN, **about)
+            offered[count] = _column_statistic(_count_missing, name, suffixes=("",), **about)
+        offered[f"{name}_median"] = _column_statistic(quantile, name, **about)
+        offered[f"{name}_q90"] = _column_statistic(partial(quantile, q=0.9), name, **about)
+        offered[f"{name}_mean"] = _column_statistic(mean, name, suffixes=_MEAN, **about)
     for name in (name for name in columns if name == "phi_u_arcmin" or name.startswith(_AT)):
-        offered[f"{name}_rms"] = _of(partial(rms, most=_MOST), name, suffixes=_MEAN)
-        offered[f"{name}_abs_q90"] = _of(_abs_q90, name)
+        offered[f"{name}_rms"] = _column_statistic(
+            partial(rms, max_magnitude=_MOST), name, suffixes=_MEAN
+        )
+        offered[f"{name}_abs_q90"] = _column_statistic(_abs_quantile_90, name)
     return offered | {
-        "phi_u_mean_arcmin_mean": _of(mean, _YAW, suffixes=_MEAN),
-        "phi_u_mean_arcmin_std": _Statistic((_YAW,), _one_status_std, suffixes=_MEAN),
+        "phi_u_mean_arcmin_mean": _column_statistic(mean, _YAW, suffixes=_MEAN),
+        "phi_u_mean_arcmin_std": _Statistic((_YAW,), _std_of_single_status, suffixes=_MEAN),
         **{
-            f"phi_u_mean_arcmin_{name}": _of(partial(_known_quantile, q=q), _YAW)
+            f"phi_u_mean_arcmin_{name}": _column_statistic(partial(_quantile_of_finite, q=q), _YAW)
             for name, q in {"q10": 0.1, "median": 0.5, "q90": 0.9}.items()
         },
-        "phi_u_from_floor_arcmin_mean": _of(difference, _YAW, _FLOOR, suffixes=_MEAN),
-        "phi_u_std_arcmin_mean": _of(mean, "phi_u_std_arcmin", suffixes=_MEAN),
-        "nees_median": _of(_known_median, "nees"),
-        "nees_mean": _of(mean, "nees", suffixes=_CHI2, freedom=NEES_FREEDOM),
-        "nis_u_mean": _of(mean, "nis_u", suffixes=_CHI2, freedom=1),
+        "phi_u_from_floor_arcmin_mean": _column_statistic(
+            mean_difference, _YAW, _FLOOR, suffixes=_MEAN
+        ),
+        "phi_u_std_arcmin_mean": _column_statistic(mean, "phi_u_std_arcmin", suffixes=_MEAN),
+        "nees_median": _column_statistic(_median_if_any_finite, "nees"),
+        "nees_mean": _column_statistic(mean, "nees", suffixes=_CHI2, freedom=NEES_FREEDOM),
+        "nis_u_mean": _column_statistic(mean, "nis_u", suffixes=_CHI2, freedom=1),
     }
 
 
-def _of(function: Callable[..., Estimate], *columns: str, **properties: Any) -> _Statistic:
+def _column_statistic(
+    estimator: Callable[..., Estimate], *columns: str, **properties: Any
+) -> _Statistic:
     """A function of some numeric columns as a statistic."""
 
     def estimate(rows: pa.Table) -> Estimate:
-        return function(*(numbers(rows, column) for column in columns), cluster=clusters_of(rows))
+        return estimator(
+            *(numeric_column(rows, column) for column in columns), cluster=cluster_ids(rows)
+        )
 
     return _Statistic(columns, estimate, **properties)
 
 
-def _share(rows: pa.Table, status: str) -> Estimate:
-    return share(has_status(rows, status), clusters_of(rows))
+def _status_share(rows: pa.Table, status: str) -> Estimate:
+    return share(status_mask(rows, status), cluster_ids(rows))
 
 
-def _true(rows: pa.Table, name: str) -> Estimate:
+def _flag_share(rows: pa.Table, name: str) -> Estimate:
     """The share of runs whose flag is set; unknown if it was not recorded."""
-    known = rows.filter(pc.is_valid(require(rows, name)))
-    if not known.num_rows:
+    recorded = rows.filter(pc.is_valid(require_column(rows, name)))
+    if not recorded.num_rows:
         return UNKNOWN
-    return share(known[name].to_numpy(), clusters_of(known))
+    return share(recorded[name].to_numpy(), cluster_ids(recorded))
 
 
-def _one_status_std(rows: pa.Table) -> Estimate:
+def _std_of_single_status(rows: pa.Table) -> Estimate:
     """The spread of the window means, which is meaningful only for runs of the same status."""
     if len(rows["status"].unique()) > 1:
         return UNKNOWN
-    return std(numbers(rows, _YAW), clusters_of(rows))
+    return std(numeric_column(rows, _YAW), cluster_ids(rows))
 
 
-def _missing(values: NDArray, cluster: NDArray | None) -> Estimate:
+def _count_missing(values: NDArray, cluster: NDArray | None) -> Estimate:
     return UNKNOWN._replace(value=float(np.isnan(values).sum()))
 
 
-def _known_median(values: NDArray, cluster: NDArray | None) -> Estimate:
+def _median_if_any_finite(values: NDArray, cluster: NDArray | None) -> Estimate:
     return quantile(values, cluster=cluster) if np.isfinite(values).any() else UNKNOWN
 
 
-def _abs_q90(values: NDArray, cluster: NDArray | None) -> Estimate:
+def _abs_quantile_90(values: NDArray, cluster: NDArray | None) -> Estimate:
     if not np.isfinite(values).any():
         return UNKNOWN
     return quantile(np.abs(values), 0.9, cluster)
 
 
-def _known_quantile(values: NDArray, cluster: NDArray | None, q: float) -> Estimate:
-    known = np.isfinite(values)
-    if not known.any():
+def _quantile_of_finite(values: NDArray, cluster: NDArray | None, q: float) -> Estimate:
+    is_finite = np.isfinite(values)
+    if not is_finite.any():
         return UNKNOWN
-    return quantile(values[known], q, None if cluster is None else cluster[known])
+    return quantile(values[is_finite], q, None if cluster is None else cluster[is_finite])
 
 
-def _row(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Any]:
+def _statistics_row(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Any]:
     """One group's cells of `summarise`."""
-    truth, single, limited = has_truth(rows), are_single(rows), with_floor(rows)
+    truth, single, limited = (
+        has_truth(rows),
+        has_independent_runs(rows),
+        select_runs_with_floor(rows),
+    )
     row = {
         "n": rows.num_rows,
-        "nonfinite": int(has_status(rows, "nonfinite").sum()),
+        "nonfinite": int(status_mask(rows, "nonfinite").sum()),
         "no_floor": rows.num_rows - limited.num_rows,
     }
     for name, statistic in statistics.items():
-        judged = limited if statistic.limited else rows
-        known = judged.num_rows and (truth or not statistic.judged)
-        estimate = statistic.of(judged) if known else UNKNOWN
+        judged = limited if statistic.needs_floor else rows
+        known = judged.num_rows and (truth or not statistic.needs_truth)
+        estimate = statistic.estimate(judged) if known else UNKNOWN
         # The band is valid for independent runs only.
-        row |= _cells(name, estimate, statistic.suffixes, statistic.freedom, banded=single)
+        row |= _estimate_cells(
+            name, estimate, statistic.suffixes, statistic.freedom, with_band=single
+        )
     return row
 
 
-def _cells(
-    name: str, estimate: Estimate, suffixes: Sequence[str], freedom: int = 0, *, banded: bool = True
+def _estimate_cells(
+    name: str,
+    estimate: Estimate,
+    suffixes: Sequence[str],
+    freedom: int = 0,
+    *,
+    with_band: bool = True,
 ) -> dict[str, Any]:
     cells: dict[str, Any] = dict(zip(_MEAN, estimate, strict=True))
     if freedom:
-        band = chi2_mean_band(freedom, estimate.n if banded else 0)
+        band = chi2_mean_band(freedom, estimate.n if with_band else 0)
         cells |= zip(_CHI2[len(_MEAN) :], band, strict=True)
     return {f"{name}{end}": cells[end] for end in suffixes}
 
 
-def _select(table: pa.Table, *columns: str) -> pa.Table:
+def _select_columns(table: pa.Table, *columns: str) -> pa.Table:
     for column in columns:
-        require(table, column)
+        require_column(table, column)
     return table.select(list(dict.fromkeys(columns)))
 
 
-def _table(rows: Iterable[Mapping[str, Any]], schema: pa.Schema, by: Sequence[str]) -> pa.Table:
+def _build_table(
+    rows: Iterable[Mapping[str, Any]], schema: pa.Schema, by: Sequence[str]
+) -> pa.Table:
     """Rows as a table: keys as they were, counts as whole numbers, NaN as null."""
     columns: dict[str, list] = {}
     for row in rows:

@@ -13,44 +13,44 @@ from sinsjax.errors import InputError
 _SLICE = 2**16  # rows converted to Python objects at a time
 
 
-def numbers(table: pa.Table, column: str) -> NDArray:
+def numeric_column(table: pa.Table, column: str) -> NDArray:
     """A numeric column as float64, shape (rows,); null becomes NaN.
 
     Raises:
         InputError: the column is missing.
     """
-    return require(table, column).cast(pa.float64()).to_numpy()
+    return require_column(table, column).cast(pa.float64()).to_numpy()
 
 
-def has_status(table: pa.Table, status: str) -> NDArray:
-    """Which runs ended with a status, shape (rows,), bool; null is no status.
+def status_mask(table: pa.Table, status: str) -> NDArray:
+    """Return which runs ended with a status, shape (rows,), bool; null is no status.
 
     Raises:
         InputError: the column ``status`` is missing.
     """
-    return pc.equal(require(table, "status"), status).fill_null(False).to_numpy()
+    return pc.equal(require_column(table, "status"), status).fill_null(False).to_numpy()
 
 
 def has_truth(table: pa.Table) -> bool:
-    """Whether the runs have a truth or a reference.
+    """Return whether the runs have a truth or a reference.
 
     Without one every misalignment is null; it also is if no run is finite.
 
     Raises:
         InputError: a column is missing.
     """
-    known = bool(np.isfinite(numbers(table, "phi_u_arcmin")).any())
-    return known or bool(has_status(table, "nonfinite").any())
+    known = bool(np.isfinite(numeric_column(table, "phi_u_arcmin")).any())
+    return known or bool(status_mask(table, "nonfinite").any())
 
 
-def with_floor(table: pa.Table) -> pa.Table:
-    """The runs that have a bias floor; all runs if the table does not say."""
+def select_runs_with_floor(table: pa.Table) -> pa.Table:
+    """Return the runs that have a bias floor; all runs if the table has no such column."""
     if "has_floor" not in table.column_names:
         return table
     return table.filter(pc.fill_null(table["has_floor"], True))
 
 
-def paired(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArray]:
+def pair_by_draw(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArray]:
     """One column of two tables, paired by draw.
 
     Args:
@@ -64,11 +64,11 @@ def paired(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArray]:
     Raises:
         InputError: a missing column, a repeated draw, or draws that differ.
     """
-    first, second = by_draw(a, b)
-    return numbers(a, column)[first], numbers(b, column)[second]
+    first, second = paired_row_indices(a, b)
+    return numeric_column(a, column)[first], numeric_column(b, column)[second]
 
 
-def by_draw(a: pa.Table, b: pa.Table) -> tuple[NDArray, NDArray]:
+def paired_row_indices(a: pa.Table, b: pa.Table) -> tuple[NDArray, NDArray]:
     """The rows of two tables in ascending order of ``draw_id``.
 
     Args:
@@ -78,7 +78,9 @@ def by_draw(a: pa.Table, b: pa.Table) -> tuple[NDArray, NDArray]:
     Raises:
         InputError: no ``draw_id``, a repeated draw, or draws that differ.
     """
-    (draws, first), (others, second) = (np.unique(numbers(t, "draw_id"), True) for t in (a, b))
+    (draws, first), (others, second) = (
+        np.unique(numeric_column(t, "draw_id"), True) for t in (a, b)
+    )
     if draws.size < a.num_rows or others.size < b.num_rows:
         raise InputError("summary: draw_id repeats, so runs cannot be paired by draw")
     if not np.array_equal(draws, others):
@@ -86,7 +88,7 @@ def by_draw(a: pa.Table, b: pa.Table) -> tuple[NDArray, NDArray]:
     return first, second
 
 
-def groups(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, Any], pa.Table]]:
+def group_rows(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, Any], pa.Table]]:
     """Split a table by the values of some columns.
 
     The table is copied once, in the order of the groups, so pass only the columns needed.
@@ -105,7 +107,7 @@ def groups(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, Any],
     code = np.zeros(table.num_rows, dtype=np.int64)
     for name in by:
         # Renumbered after each key, so that the product of many keys cannot overflow.
-        code = code * (table.num_rows + 1) + codes(require(table, name))
+        code = code * (table.num_rows + 1) + encode_values(require_column(table, name))
         code = np.unique(code, return_inverse=True)[1]
     _, first, size = np.unique(code, return_index=True, return_counts=True)
     ordered = table.take(np.argsort(code, kind="stable"))
@@ -115,7 +117,7 @@ def groups(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, Any],
         yield {name: rows[name][0].as_py() for name in by}, rows
 
 
-def codes(column: pa.ChunkedArray) -> NDArray:
+def encode_values(column: pa.ChunkedArray) -> NDArray:
     """A number for each distinct value of a column by first appearance, shape (rows,)."""
     if not (pa.types.is_nested(column.type) or pa.types.is_dictionary(column.type)):
         whole = column.combine_chunks()
@@ -128,13 +130,13 @@ def codes(column: pa.ChunkedArray) -> NDArray:
     return found
 
 
-def as_keys(by: str | Sequence[str]) -> list[str]:
+def to_key_list(by: str | Sequence[str]) -> list[str]:
     """A key, or several, as a list."""
     return [by] if isinstance(by, str) else list(by)
 
 
-def as_table(runs: Any) -> pa.Table:
-    """Runs as a table: an Arrow table as it is, a pandas data frame without its index.
+def to_arrow_table(runs: Any) -> pa.Table:
+    """Return runs as a table: an Arrow table unchanged, a pandas data frame without its index.
 
     Raises:
         InputError: they are neither.
@@ -143,10 +145,12 @@ def as_table(runs: Any) -> pa.Table:
         return runs
     if hasattr(runs, "to_numpy") and hasattr(runs, "columns"):
         return pa.Table.from_pandas(runs, preserve_index=False)
-    raise InputError(f"{type(runs).__name__}: is no table (give a pyarrow table or a pandas frame)")
+    raise InputError(
+        f"{type(runs).__name__}: is not a table (give a pyarrow table or a pandas frame)"
+    )
 
 
-def require(table: pa.Table, name: str) -> pa.ChunkedArray:
+def require_column(table: pa.Table, name: str) -> pa.ChunkedArray:
     """A column of a table.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The short benchmark set: time of the engine's step on one core, in ns per step and run.
+"""The short benchmark set: time of the engine's step on one core, in ns per step per run.
 
 Every row times a compiled function of the engine. The scripts in ``benchmarks/`` time more with the
 same modules: `timing` is the timer, `cases` and `limit` define the workloads.
@@ -15,16 +15,31 @@ from rich.table import Table
 
 from sinsjax import console as screen
 from sinsjax.bench.cases import SHORT
-from sinsjax.bench.limit import compiler, limit_kernel
-from sinsjax.bench.timing import Row, Workload, conditions, measure, use_one_core
+from sinsjax.bench.limit import find_compiler, limit_kernel_workload
+from sinsjax.bench.timing import (
+    Row,
+    Workload,
+    measure_workloads,
+    measurement_conditions,
+    pin_to_one_core,
+)
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
-from sinsjax.platform.assets import asset
+from sinsjax.platform.assets import asset_path
 
-__all__ = ["SHORT", "Workload", "Row", "asset", "conditions", "measure", "run", "short_set"]
+__all__ = [
+    "SHORT",
+    "Workload",
+    "Row",
+    "asset_path",
+    "measurement_conditions",
+    "measure_workloads",
+    "run_benchmarks",
+    "short_workloads",
+]
 
 
-def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
+def run_benchmarks(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
     """Time the short set on one core and print it.
 
     Args:
@@ -36,23 +51,23 @@ def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
     Raises:
         InputError: the limit kernel cannot be built or crashes.
     """
-    use_one_core()
-    runtime.require_backend()
+    pin_to_one_core()
+    runtime.start_backend()
     with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
-        rows = measure(short_set(limit_folder=folder if limit else None), repeats)
-    holds = conditions()
-    if holds["platform"] == "cpu" and holds["options"] != "all":
+        rows = measure_workloads(short_workloads(limit_folder=folder if limit else None), repeats)
+    conditions = measurement_conditions()
+    if conditions["platform"] == "cpu" and conditions["options"] != "all":
         print("warning: not all compiler options are set, see `sinsjax info`", file=sys.stderr)
     if as_json:
         for row in rows:
-            screen.say(console, json.dumps(row | holds))
+            screen.print_line(console, json.dumps(row | conditions))
         return
-    console.print(_table(rows))
-    about = f"{holds['cpu']}, jax {holds['jax']}, median of {repeats} turns on one core"
-    screen.say(console, about, wrap=True)
+    console.print(_results_table(rows))
+    about = f"{conditions['cpu']}, jax {conditions['jax']}, median of {repeats} turns on one core"
+    screen.print_line(console, about, wrap=True)
 
 
-def short_set(*, limit_folder: str | None) -> list[Workload]:
+def short_workloads(*, limit_folder: str | None) -> list[Workload]:
     """The rows of the short set, compiled and ready to time.
 
     Args:
@@ -62,29 +77,29 @@ def short_set(*, limit_folder: str | None) -> list[Workload]:
     out = []
     if limit_folder:
         try:
-            gcc = compiler()
+            gcc = find_compiler()
         except InputError as error:
             print(f"warning: no limit kernel: {error}", file=sys.stderr)
         else:
-            out.append(limit_kernel(gcc, limit_folder))
+            out.append(limit_kernel_workload(gcc, limit_folder))
     return out + [make() for make in SHORT.values()]
 
 
-def _table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="ns per step and run", box=box.SIMPLE)
-    shown = {
+def _results_table(rows: list[dict[str, Any]]) -> Table:
+    table = Table(title="ns per step per run", box=box.SIMPLE)
+    headings = {
         "name": "name",
         "ns_per_step_run": "ns",
         "compile_s": "compile s",
         "median_s": "median s",
         "spread_s": "+- s",
     }
-    for key, heading in shown.items():
+    for key, heading in headings.items():
         table.add_column(heading, justify="left" if key == "name" else "right", no_wrap=True)
     kernel = next((r["ns_per_step_run"] for r in rows if r["name"] == "limit_kernel"), None)
     if kernel:
         table.add_column("x limit", justify="right", no_wrap=True)
     for row in rows:
         ratio = [f"{row['ns_per_step_run'] / kernel:.2f}"] if kernel else []
-        table.add_row(*(str(row[key]) for key in shown), *ratio)
+        table.add_row(*(str(row[key]) for key in headings), *ratio)
     return table

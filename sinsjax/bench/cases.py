@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from sinsjax.bench.baseline import Setting, align
+from sinsjax.bench.baseline import AlignmentSettings, align_with_numpy_loop
 from sinsjax.bench.timing import Workload
 from sinsjax.engine.batch import compiled, map_in_threads, plan
 from sinsjax.engine.build import parts
@@ -21,7 +21,7 @@ from sinsjax.engine.lanes import LANES, STACKED_TILES, Group, Tiles, tiles_of
 from sinsjax.engine.run import run_tile
 from sinsjax.maths.rotations import matrix, misalign
 from sinsjax.methods.registry import METHODS, unread_keys
-from sinsjax.platform.assets import asset
+from sinsjax.platform.assets import asset_path
 from sinsjax.study.load import load_study, study_from_dict
 from sinsjax.types import Quat
 
@@ -39,7 +39,7 @@ _SIGMAS: dict[str, list[float]] = {
     "azimuth_sigma_per_s": [0.01, 0.012, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05],
 }
 
-_BASE = {
+_MOTION_RANGES = {
     "yaw_center_deg": [0.0, 360.0],
     "pitch_amplitude_deg": [1.0, 3.0],
     "roll_period_s": [6.0, 10.0],
@@ -51,27 +51,29 @@ _BASE = {
 @cache
 def default_group() -> Group:
     """The group of runs of the default sweep, ``configs/reset_sweep.toml``."""
-    (part,) = parts(load_study(asset(_DEFAULT)))
+    (part,) = parts(load_study(asset_path(_DEFAULT)))
     return part.group
 
 
 @cache
-def method_group(name: str) -> Group:
-    """The default sweep with another method, less what that does not read.
+def method_group(method: str) -> Group:
+    """The default sweep with another method, without the keys that the method does not read.
 
     A method that no swept key acts on has a single variant a draw, and draws enough for a call.
     """
-    data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
-    if METHODS[name].gyro_bias_keys:
-        data["study"]["judged_from"] = "truth"  # it estimates what would set a limit
-    data["alignment"]["method"] = name
-    unread = unread_keys([name]) | {*METHODS[name].silent}
+    data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
+    if METHODS[method].gyro_bias_keys:
+        data["study"]["judged_from"] = (
+            "truth"  # the method estimates the biases that set a bias floor
+        )
+    data["alignment"]["method"] = method
+    unread = unread_keys([method]) | {*METHODS[method].silent}
     data = {
         section: {key: value for key, value in table.items() if key not in unread}
         for section, table in data.items()
     }
     if not data["axes"]:
-        data["study"]["draws"] = _draws(1)
+        data["study"]["draws"] = _draw_count(1)
     (part,) = parts(study_from_dict({k: v for k, v in data.items() if v}, _DEFAULT))
     return part.group
 
@@ -79,7 +81,7 @@ def method_group(name: str) -> Group:
 @cache
 def trigger_group() -> Group:
     """The default sweep with the `linearisation` trigger, and the same number of variants."""
-    data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
+    data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
     for key in ("reset_count", "reset_cycle_s"):
         del data["axes"][key]
     data["resets"] = {"reset_trigger": "linearisation"}
@@ -98,7 +100,7 @@ def compass_group(record_s: float | None = None) -> Group:
     Args:
         record_s: length of the stored record for repeated passes, s; None for a single pass.
     """
-    data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
+    data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
     for section, keys in (
         ("alignment", ("specific_force", "feedback_interval_s")),
         ("axes", ("reset_count", "reset_cycle_s")),
@@ -106,7 +108,7 @@ def compass_group(record_s: float | None = None) -> Group:
         for key in keys:
             del data[section][key]
     del data["filter"], data["resets"]
-    data["study"]["judged_from"] = "truth"  # a pass is too short for a limit
+    data["study"]["judged_from"] = "truth"  # a pass is too short for a bias floor
     data["alignment"]["method"] = "compass"
     data["axes"] |= _SIGMAS
     if record_s is not None:
@@ -115,7 +117,7 @@ def compass_group(record_s: float | None = None) -> Group:
     return part.group
 
 
-def without_noise(group: Group) -> Group:
+def remove_noise(group: Group) -> Group:
     """The group without sensor noise."""
     model, static = group.environment.sensors, group.static
     quiet = model.errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
@@ -125,29 +127,29 @@ def without_noise(group: Group) -> Group:
     )
 
 
-def at_rest(group: Group) -> Group:
+def shared_covariance_group(group: Group) -> Group:
     """A tenth of the group's duration, with A(t) of a base at rest: draws share a covariance.
 
     Calls are large: all variants of several draws.
     """
     options = group.static.options._replace(specific_force="gravity")
     group = group._replace(static=group.static._replace(options=options))
-    return shortened(group, max(2, group.static.records // 10))
+    return shorten_runs(group, max(2, group.static.records // 10))
 
 
-def with_feedback_each_sample(group: Group) -> Group:
+def set_feedback_every_sample(group: Group) -> Group:
     """The group with feedback at every sample."""
     method = group.variants.method
-    every = np.ones_like(method.feedback.every)
-    method = method._replace(feedback=method.feedback._replace(every=every))
+    ones = np.ones_like(method.feedback.every)
+    method = method._replace(feedback=method.feedback._replace(every=ones))
     return group._replace(variants=group.variants._replace(method=method))
 
 
-def some_variants(group: Group, count: int, runs: int = 0) -> Group:
+def select_last_variants(group: Group, n_variants: int, min_runs: int = 0) -> Group:
     """The group with its last variants only, and enough draws for `TILES` and a number of runs."""
-    draws = _draws(count, runs)
+    draws = _draw_count(n_variants, min_runs)
     return group._replace(
-        variants=_last(group, count),
+        variants=_last_variants(group, n_variants),
         draws=Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int)),
         q=np.tile(group.q[:1], (draws, 1)),
     )
@@ -160,42 +162,44 @@ _DISTURBED: Mapping[str, Mapping[str, Any]] = {
 
 
 @cache
-def disturbed_group(count: int) -> Group:
-    """`some_variants` of the default sweep with surge, a lever arm and bias instability."""
-    data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
+def disturbed_group(n_variants: int) -> Group:
+    """`select_last_variants` of the default sweep with surge, a lever arm and bias instability."""
+    data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
     for name, keys in _DISTURBED.items():
         data[name] |= keys
     (part,) = parts(study_from_dict(data, _DEFAULT))
-    return some_variants(part.group, count)
+    return select_last_variants(part.group, n_variants)
 
 
 @cache
-def drawn_base_group(count: int) -> Group:
-    """`some_variants` of the default sweep with a different base motion for each draw."""
-    data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
-    data["study"]["draws"] = _draws(count)
-    for key in _BASE:
+def drawn_motion_group(n_variants: int) -> Group:
+    """`select_last_variants` of the default sweep with a different base motion for each draw."""
+    data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
+    data["study"]["draws"] = _draw_count(n_variants)
+    for key in _MOTION_RANGES:
         data["motion"].pop(key, None)
-    data["drawn"] = {"sampling": "random"} | {key: {"uniform": ends} for key, ends in _BASE.items()}
+    data["drawn"] = {"sampling": "random"} | {
+        key: {"uniform": ends} for key, ends in _MOTION_RANGES.items()
+    }
     (part,) = parts(study_from_dict(data, _DEFAULT))
-    return part.group._replace(variants=_last(part.group, count))
+    return part.group._replace(variants=_last_variants(part.group, n_variants))
 
 
-def _draws(count: int, runs: int = 0) -> int:
-    return max(runs, TILES * STACKED_TILES * max(LANES, count)) // count + 1
+def _draw_count(n_variants: int, min_runs: int = 0) -> int:
+    return max(min_runs, TILES * STACKED_TILES * max(LANES, n_variants)) // n_variants + 1
 
 
-def _last(group: Group, count: int) -> RunParams:
-    variants: RunParams = jax.tree.map(lambda a: a[-count:], group.variants)
+def _last_variants(group: Group, n_variants: int) -> RunParams:
+    variants: RunParams = jax.tree.map(lambda a: a[-n_variants:], group.variants)
     return variants
 
 
-def shortened(group: Group, records: int) -> Group:
+def shorten_runs(group: Group, records: int) -> Group:
     """The group with shorter runs, in record intervals."""
     return group._replace(static=group.static._replace(records=records))
 
 
-def engine(
+def engine_workload(
     name: str, group: Group, *, tiles: int = TILES, lanes: int = LANES, devices: int = 1
 ) -> Workload:
     """The compiled function of `sweep` on its first call for a group.
@@ -233,28 +237,28 @@ def engine(
     return Workload(name, runs, steps, compile_s, call, devices=devices)
 
 
-def numpy_baseline(group: Group) -> Workload:
+def numpy_baseline_workload(group: Group) -> Workload:
     """The first run of a noise-free group as a plain NumPy loop, checked against the engine."""
-    increments, start, setting = first_run(group)
+    increments, start, setting = first_run_arguments(group)
     increments = increments[:_BASELINE_SAMPLES]
-    _check(group, align(increments, start, setting)[0])
+    _check_baseline(group, align_with_numpy_loop(increments, start, setting)[0])
 
     def call() -> float:
         since = time.process_time()
-        align(increments, start, setting)
+        align_with_numpy_loop(increments, start, setting)
         return time.process_time() - since
 
     return Workload("numpy_baseline", 1, _BASELINE_SAMPLES, 0.0, call)
 
 
-def first_run(group: Group) -> tuple[np.ndarray, np.ndarray, Setting]:
-    """The first run of a noise-free group, as the arguments of `sinsjax.bench.baseline.align`."""
+def first_run_arguments(group: Group) -> tuple[np.ndarray, np.ndarray, AlignmentSettings]:
+    """The first run of a noise-free group, as the arguments of `align_with_numpy_loop`."""
     model, place = group.environment.sensors, group.environment.site.place
     dt = group.static.options.dt
     bias = np.concatenate([model.errors.gyro_bias, model.errors.accel_bias])
-    params = _first_params(group)
+    params = _first_run_params(group)
     method = params.method
-    setting = Setting(
+    setting = AlignmentSettings(
         dt=dt,
         rate_n=float(place.rate_n),
         rate_u=float(place.rate_u),
@@ -270,47 +274,60 @@ def first_run(group: Group) -> tuple[np.ndarray, np.ndarray, Setting]:
     return np.asarray(model.increments) + bias * dt, start, setting
 
 
-def _first_params(group: Group) -> RunParams:
+def _first_run_params(group: Group) -> RunParams:
     first = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
     return first._replace(q=Quat(*group.q[0]))
 
 
-def _check(group: Group, c: np.ndarray) -> None:
-    """Check that the baseline gives the engine's attitude; otherwise its time is meaningless."""
+def _check_baseline(group: Group, c_nb: np.ndarray) -> None:
+    """Check that the baseline reproduces the engine's attitude, or its time is meaningless."""
     static = group.static._replace(records=_BASELINE_SAMPLES // group.static.record_every)
     draw = jax.tree.map(lambda a: np.asarray(a).ravel()[:1], group.draws)
-    params = jax.tree.map(lambda a: np.asarray(a)[None], _first_params(group))
+    params = jax.tree.map(lambda a: np.asarray(a)[None], _first_run_params(group))
     tile = Tiles(draw, np.zeros(1, np.int32), params)
     outcome, _ = jax.jit(partial(run_tile, static))(group.environment, tile)
     last = outcome.last
-    ours = np.array([last.pitch[0], last.roll[0], last.yaw[0]])
-    theirs = np.array(
-        [np.arcsin(c[2, 1]), np.arctan2(-c[2, 0], c[2, 2]), np.arctan2(-c[0, 1], c[1, 1])]
+    engine_attitude = np.array([last.pitch[0], last.roll[0], last.yaw[0]])
+    baseline_attitude = np.array(
+        [
+            np.arcsin(c_nb[2, 1]),
+            np.arctan2(-c_nb[2, 0], c_nb[2, 2]),
+            np.arctan2(-c_nb[0, 1], c_nb[1, 1]),
+        ]
     )
-    if not np.allclose(ours, theirs, atol=1e-9):
-        raise RuntimeError(f"the NumPy baseline and the engine differ: {theirs} and {ours} rad")
+    if not np.allclose(engine_attitude, baseline_attitude, atol=1e-9):
+        raise RuntimeError(
+            "the NumPy baseline and the engine differ:"
+            f" {baseline_attitude} and {engine_attitude} rad"
+        )
 
 
-def _silent() -> Group:
-    return without_noise(default_group())
+def _default_group_without_noise() -> Group:
+    return remove_noise(default_group())
 
 
-def _compass(name: str, record_s: float | None = None) -> Workload:
-    return engine(name, without_noise(compass_group(record_s)))
+def _compass_workload(name: str, record_s: float | None = None) -> Workload:
+    return engine_workload(name, remove_noise(compass_group(record_s)))
 
 
-def _noisy(variants: int) -> Workload:
-    return engine(f"kalman_noise_{variants}", some_variants(default_group(), variants))
+def _noisy_workload(variants: int) -> Workload:
+    return engine_workload(
+        f"kalman_noise_{variants}", select_last_variants(default_group(), variants)
+    )
 
 
 SHORT: dict[str, Callable[[], Workload]] = {
-    "kalman_shared_record": lambda: engine("kalman_shared_record", _silent()),
-    "kalman_noise_64": lambda: _noisy(64),
-    "kalman_noise_6": lambda: _noisy(6),
-    "kalman_noise_1": lambda: _noisy(1),
-    "kalman_shared_covariance": lambda: engine("kalman_shared_covariance", at_rest(_silent())),
-    "compass_shared_record": lambda: _compass("compass_shared_record"),
-    "compass_stored_tape": lambda: _compass("compass_stored_tape", RECORD_S),
-    "numpy_baseline": lambda: numpy_baseline(_silent()),
+    "kalman_shared_record": lambda: engine_workload(
+        "kalman_shared_record", _default_group_without_noise()
+    ),
+    "kalman_noise_64": lambda: _noisy_workload(64),
+    "kalman_noise_6": lambda: _noisy_workload(6),
+    "kalman_noise_1": lambda: _noisy_workload(1),
+    "kalman_shared_covariance": lambda: engine_workload(
+        "kalman_shared_covariance", shared_covariance_group(_default_group_without_noise())
+    ),
+    "compass_shared_record": lambda: _compass_workload("compass_shared_record"),
+    "compass_stored_tape": lambda: _compass_workload("compass_stored_tape", RECORD_S),
+    "numpy_baseline": lambda: numpy_baseline_workload(_default_group_without_noise()),
 }
 """The short set: functions that give each row, by name and in order."""

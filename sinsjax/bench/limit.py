@@ -1,4 +1,4 @@
-"""The limit kernel, ``benchmarks/limit_kernel.c``, built for the instruction set in use."""
+"""The limit kernel, a hand-written lower bound of the time: ``benchmarks/limit_kernel.c``."""
 
 import shutil
 import subprocess
@@ -9,15 +9,15 @@ from pathlib import Path
 from sinsjax.bench.timing import Workload
 from sinsjax.errors import InputError
 from sinsjax.platform import machine, xla
-from sinsjax.platform.assets import asset
+from sinsjax.platform.assets import asset_path
 
 _FLAGS = "-O3 -ffast-math -Wno-psabi -mprefer-vector-width=512".split()
 _LEVELS = {"AVX512": "x86-64-v4", "AVX2": "x86-64-v3", "SSE4_2": "x86-64-v2"}
 """gcc's names of the minimal processors with each instruction set."""
 
 
-def compiler() -> str:
-    """Path of gcc, after checking that it builds a working program with the kernel's options.
+def find_compiler() -> str:
+    """Return the path of gcc, after building and running a program with the kernel's options.
 
     Raises:
         InputError: gcc is missing, or cannot build a program that runs on this machine.
@@ -28,24 +28,28 @@ def compiler() -> str:
     with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
         source, program = Path(folder) / "empty.c", str(Path(folder) / "empty")
         source.write_text("int main(void) { return 0; }\n", encoding="utf-8")
-        _output([found, *_FLAGS, _architecture(), str(source), "-o", program, "-lm"], "gcc")
-        _output([program], "a program built by gcc")
+        _run_command(
+            [found, *_FLAGS, _architecture_option(), str(source), "-o", program, "-lm"], "gcc"
+        )
+        _run_command([program], "a program built by gcc")
     return found
 
 
-def _architecture() -> str:
-    """Option of gcc for XLA's instruction set, so that the kernel has no more than the engine."""
-    instructions = xla.instructions()
-    if instructions == machine.instructions():
+def _architecture_option() -> str:
+    """Return gcc's option for XLA's instruction set, so that kernel and engine use the same."""
+    instructions = xla.instruction_set()
+    if instructions == machine.instruction_set():
         return "-march=native"
     return f"-march={_LEVELS.get(instructions, 'native')}"
 
 
-def limit_kernel(compiler: str, folder: str, *, steps: int = 20000, vectors: int = 32) -> Workload:
+def limit_kernel_workload(
+    compiler: str, folder: str, *, steps: int = 20000, vectors: int = 32
+) -> Workload:
     """The hand-written kernel of ``benchmarks/limit_kernel.c``, in CPU time.
 
     Args:
-        compiler: path of gcc, see `compiler`.
+        compiler: path of gcc, see `find_compiler`.
         folder: where to put the program; must exist as long as the workload is used.
         steps: steps of each run.
         vectors: number of vectors of 8 runs.
@@ -54,21 +58,21 @@ def limit_kernel(compiler: str, folder: str, *, steps: int = 20000, vectors: int
         InputError: gcc cannot build it; raised by the workload's call if the kernel crashes.
     """
     program = str(Path(folder) / "limit")
-    source = str(asset("benchmarks/limit_kernel.c"))
+    source = str(asset_path("benchmarks/limit_kernel.c"))
     since = time.perf_counter()
-    options = [*_FLAGS, _architecture(), "-DREAL=double"]
-    _output([compiler, *options, source, "-o", program, "-lm"], "gcc")
+    options = [*_FLAGS, _architecture_option(), "-DREAL=double"]
+    _run_command([compiler, *options, source, "-o", program, "-lm"], "gcc")
     compile_s = time.perf_counter() - since
     runs = 8 * vectors
 
     def call() -> float:
-        printed = _output([program, str(steps), str(vectors)], "the limit kernel")
+        printed = _run_command([program, str(steps), str(vectors)], "the limit kernel")
         return float(printed.split()[0]) * 1e-9 * steps * runs
 
     return Workload("limit_kernel", runs, steps, compile_s, call)
 
 
-def _output(command: list[str], name: str) -> str:
+def _run_command(command: list[str], name: str) -> str:
     """Run a command and give its output; raises a one-line InputError if it fails."""
     try:
         ended = subprocess.run(command, capture_output=True, text=True)
@@ -77,6 +81,6 @@ def _output(command: list[str], name: str) -> str:
     if ended.returncode:
         complaint = ended.stderr.strip().partition("\n")[0]
         code = ended.returncode
-        why = complaint or (f"signal {-code}" if code < 0 else f"exit status {code}")
-        raise InputError(f"{name} failed: {why}")
+        reason = complaint or (f"signal {-code}" if code < 0 else f"exit status {code}")
+        raise InputError(f"{name} failed: {reason}")
     return ended.stdout

@@ -16,7 +16,7 @@ Row = dict[str, Any]
 
 
 class Workload(NamedTuple):
-    """Something to time.
+    """A function to time.
 
     Attributes:
         name: name of the row.
@@ -36,8 +36,8 @@ class Workload(NamedTuple):
     dtype: str = "float64"
     devices: int = 1
 
-    def ns(self, seconds: float) -> float:
-        """The time of a call in ns per step and run."""
+    def ns_per_step_run(self, seconds: float) -> float:
+        """The time of a call in ns per step per run."""
         return seconds / (self.runs * self.steps) * 1e9
 
 
@@ -48,88 +48,95 @@ class TimingSpread(NamedTuple):
     half_range: float
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> "TimingSpread":
+    def from_values(cls, values: Sequence[float]) -> "TimingSpread":
         """The spread of at least one value."""
         return cls(statistics.median(values), (max(values) - min(values)) / 2)
 
 
-def turns(timed: Sequence[Workload], repeats: int) -> list[list[float]]:
-    """Time workloads in turns; gives the times of each workload's calls, s."""
-    seconds: list[list[float]] = [[] for _ in timed]
+def time_in_turns(workloads: Sequence[Workload], repeats: int) -> list[list[float]]:
+    """Time workloads in turns, and return the times of each workload's calls, s."""
+    seconds: list[list[float]] = [[] for _ in workloads]
     for _ in range(repeats):
-        for case, taken in zip(timed, seconds, strict=True):
-            taken.append(case.call())
+        for workload, times_s in zip(workloads, seconds, strict=True):
+            times_s.append(workload.call())
     return seconds
 
 
-def row(case: Workload, taken: Sequence[float]) -> Row:
+def timing_row(workload: Workload, times_s: Sequence[float]) -> Row:
     """The row of a workload, from the times of its calls, s."""
-    found = TimingSpread.of(taken)
+    spread = TimingSpread.from_values(times_s)
     return {
-        "name": case.name,
-        "ns_per_step_run": round(case.ns(found.median), 2),
-        "runs": case.runs,
-        "steps": case.steps,
-        "dtype": case.dtype,
-        "devices": case.devices,
-        "compile_s": round(case.compile_s, 3),
-        "median_s": round(found.median, 5),
-        "spread_s": round(found.half_range, 5),
+        "name": workload.name,
+        "ns_per_step_run": round(workload.ns_per_step_run(spread.median), 2),
+        "runs": workload.runs,
+        "steps": workload.steps,
+        "dtype": workload.dtype,
+        "devices": workload.devices,
+        "compile_s": round(workload.compile_s, 3),
+        "median_s": round(spread.median, 5),
+        "spread_s": round(spread.half_range, 5),
     }
 
 
-def measure(timed: Sequence[Workload], repeats: int) -> list[Row]:
-    """Time workloads in turns; gives one row each."""
-    seconds = turns(timed, repeats)
-    return [row(case, taken) for case, taken in zip(timed, seconds, strict=True)]
+def measure_workloads(workloads: Sequence[Workload], repeats: int) -> list[Row]:
+    """Time workloads in turns, and return a row for each."""
+    seconds = time_in_turns(workloads, repeats)
+    return [
+        timing_row(workload, times_s) for workload, times_s in zip(workloads, seconds, strict=True)
+    ]
 
 
-def ratios(
-    case: Workload, base: Workload, taken: Sequence[float], its: Sequence[float]
+def time_ratios(
+    workload: Workload, base: Workload, times_s: Sequence[float], base_times_s: Sequence[float]
 ) -> list[float]:
-    """Ratios of a workload's time per step and run to the base's, turn by turn.
+    """Return the ratios of a workload's time per step per run to the base's, turn by turn.
 
     Args:
-        case: workload to compare.
+        workload: workload to compare.
         base: workload to compare with.
-        taken: times of the workload's calls, s.
-        its: times of the base's calls in the same turns, s.
+        times_s: times of the workload's calls, s.
+        base_times_s: times of the base's calls in the same turns, s.
     """
-    return [case.ns(ours) / base.ns(theirs) for ours, theirs in zip(taken, its, strict=True)]
+    return [
+        workload.ns_per_step_run(ours) / base.ns_per_step_run(theirs)
+        for ours, theirs in zip(times_s, base_times_s, strict=True)
+    ]
 
 
-def measure_against(base: Workload, timed: Sequence[Workload], repeats: int) -> list[Row]:
+def measure_relative_to_base(
+    base: Workload, workloads: Sequence[Workload], repeats: int
+) -> list[Row]:
     """Time workloads and a base in turns, with the ratios of their times.
 
     Args:
         base: workload to compare with.
-        timed: workloads to compare.
+        workloads: workloads to compare.
         repeats: number of turns.
 
     Returns:
         The base's row, then one per workload with ``ratio``, the median over the turns of the ratio
-        of its time per step and run to the base's, and ``ratio_spread``, half the range.
+        of its time per step per run to the base's, and ``ratio_spread``, half the range.
     """
-    first, *others = turns([base, *timed], repeats)
-    rows = [row(base, first)]
-    for case, taken in zip(timed, others, strict=True):
-        rows.append(row_against(case, taken, ratios(case, base, taken, first)))
+    first, *others = time_in_turns([base, *workloads], repeats)
+    rows = [timing_row(base, first)]
+    for workload, times_s in zip(workloads, others, strict=True):
+        rows.append(ratio_row(workload, times_s, time_ratios(workload, base, times_s, first)))
     return rows
 
 
-def row_against(case: Workload, taken: Sequence[float], found: Sequence[float]) -> Row:
+def ratio_row(workload: Workload, times_s: Sequence[float], ratios_to_base: Sequence[float]) -> Row:
     """The row of a workload with ``ratio`` and ``ratio_spread``, from its ratios to a base."""
-    return row(case, taken) | spread("ratio", found)
+    return timing_row(workload, times_s) | median_and_spread("ratio", ratios_to_base)
 
 
-def spread(name: str, values: Sequence[float]) -> Row:
-    """Two entries of a row: the median of some values, and half their range."""
-    found = TimingSpread.of(values)
+def median_and_spread(name: str, values: Sequence[float]) -> Row:
+    """Return two entries of a row: the median of some values, and half their range."""
+    found = TimingSpread.from_values(values)
     return {name: round(found.median, 3), f"{name}_spread": round(found.half_range, 3)}
 
 
-def conditions() -> Row:
-    """Conditions of a measurement; starts JAX.
+def measurement_conditions() -> Row:
+    """Return the conditions of a measurement; starts JAX.
 
     Returns:
         ``cpu`` with its ``family`` and ``ghz`` (None if unknown), ``cores`` of the machine,
@@ -139,7 +146,7 @@ def conditions() -> Row:
     """
     import jax
 
-    facts, entries = runtime.info(), machine.cpu()
+    facts, entries = runtime.info(), machine.cpu_info()
     device = jax.devices()[0]
     return {
         "cpu": facts["cpu"],
@@ -154,19 +161,19 @@ def conditions() -> Row:
         "jax": facts["jax"],
         "jaxlib": facts["jaxlib"],
         "python": facts["python"],
-        "options": _options_set(facts["options"]),
+        "options": _describe_options(facts["options"]),
     }
 
 
-def _options_set(options: dict[str, str | None]) -> str:
-    wanted = {option.name: option.value for option in xla.wanted()}
-    there = [name for name, value in options.items() if value == wanted[name]]
-    if len(there) == len(wanted):
+def _describe_options(options: dict[str, str | None]) -> str:
+    required = {option.name: option.value for option in xla.required_options()}
+    set_names = [name for name, value in options.items() if value == required[name]]
+    if len(set_names) == len(required):
         return "all"
-    return " ".join(name.removeprefix("xla_cpu_") for name in there) or "none"
+    return " ".join(name.removeprefix("xla_cpu_") for name in set_names) or "none"
 
 
-def use_one_core() -> None:
+def pin_to_one_core() -> None:
     """Pin this process to one core, and disable the compile cache.
 
     Must be called before XLA sizes its thread pool.

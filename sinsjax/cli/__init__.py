@@ -10,16 +10,16 @@ from typing import Annotated
 
 import typer
 
-from sinsjax.cli import machine, studies
-from sinsjax.cli.helping import (
+from sinsjax.cli import machine, study_files
+from sinsjax.cli.help import (
     LOOK,
     RUN,
     SET_UP,
     Command,
-    Group,
+    CommandGroup,
     UsageError,
-    command_to_resume,
-    wrong_usage,
+    format_usage_error,
+    resume_command_line,
 )
 from sinsjax.cli.options import (
     Changes,
@@ -32,16 +32,22 @@ from sinsjax.cli.options import (
     Record,
     Reference,
     Resume,
-    with_draws,
+    add_draws_override,
 )
-from sinsjax.cli.study import check_options, configure, print_job, run_study, source_label
-from sinsjax.console import lasting, plain_console
+from sinsjax.cli.running import (
+    configure_jax,
+    print_plan_and_warnings,
+    reject_conflicting_options,
+    run_study,
+    source_label,
+)
+from sinsjax.console import plain_console, tolerate_broken_pipe
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.messages import escape_controls
 from sinsjax.platform import runtime
 
 app = typer.Typer(
-    cls=Group,
+    cls=CommandGroup,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode=None,  # markup would swallow the name of a section such as [tune]
@@ -50,19 +56,19 @@ app = typer.Typer(
 command = partial(app.command, cls=Command)
 
 
-def _version(wanted: bool) -> bool:
-    if wanted:
+def _print_version(requested: bool) -> bool:
+    if requested:
         typer.echo(f"sinsjax {runtime.package_version()}")
         raise typer.Exit
-    return wanted
+    return requested
 
 
 @app.callback()
-def _of_all(
+def _common_options(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", help="Show the version and exit.", callback=_version, is_eager=True
+            "--version", help="Show the version and exit.", callback=_print_version, is_eager=True
         ),
     ] = False,
 ) -> None:
@@ -91,7 +97,7 @@ def run(
         resume=resume,
         devices=devices,
         full=full,
-        every_curve=True,
+        keep_curves=True,
     )
 
 
@@ -133,18 +139,20 @@ def sweep(
     if workers is not None and scheduler is not None:
         raise InputError("--workers: conflicts with --scheduler (give one of them)")
     if devices is not None and (workers or scheduler):
-        raise InputError("--devices: conflicts with --workers and --scheduler (one core a worker)")
+        raise InputError(
+            "--devices: conflicts with --workers and --scheduler (one core per worker)"
+        )
     run_study(
         config,
         out,
-        changes=with_draws(changes, draws),
+        changes=add_draws_override(changes, draws),
         overwrite=overwrite,
         resume=resume,
         devices=devices,
         full=full,
-        every_curve=False,
+        keep_curves=False,
         chunk_runs=chunk_runs,
-        cluster=(workers, scheduler),
+        workers_and_scheduler=(workers, scheduler),
     )
 
 
@@ -177,15 +185,15 @@ def align(
         resume=resume,
         devices=devices,
         full=full,
-        every_curve=True,
-        files=(record, reference),
+        keep_curves=True,
+        record_and_reference=(record, reference),
     )
 
 
 @command(rich_help_panel=RUN)
 def tune(
     config: Config,
-    given: Out,
+    out: Out,
     record: Record = None,
     reference: Reference = None,
     changes: Changes = None,
@@ -198,15 +206,15 @@ def tune(
 
     Example: sinsjax tune tune_condition5 -o out
     """
-    from sinsjax.cli.progress import interruptible, progress
+    from sinsjax.cli.progress import show_progress, stop_on_signal
     from sinsjax.execution.prepare import RunOptions
     from sinsjax.study.changes import parse_changes
     from sinsjax.tuning import run_tuning
 
-    check_options(overwrite=overwrite, resume=resume, devices=devices)
-    configure(devices)
+    reject_conflicting_options(overwrite=overwrite, resume=resume, devices=devices)
+    configure_jax(devices)
     options = RunOptions(
-        given, overwrite=overwrite, resume=resume, source=source_label(config, changes)
+        out, overwrite=overwrite, resume=resume, source=source_label(config, changes)
     )
     job = run_tuning.prepare_tuning(
         config, parse_changes(changes or ()), record, reference, options
@@ -214,12 +222,14 @@ def tune(
     assert job.directory is not None and job.forecast is not None
     terminal = plain_console()
     cores = runtime.usable_cores() if devices is None else devices
-    print_job(terminal, job, job.forecast.describe(cores))
-    with interruptible(terminal) as stop:
+    print_plan_and_warnings(terminal, job, job.forecast.describe(cores))
+    with stop_on_signal(terminal) as stop:
         run_tuning.run_tuning(
-            job, watch=lambda name: progress(terminal, f"{job.study.name}: {name}"), stop=stop
+            job, watch=lambda name: show_progress(terminal, f"{job.study.name}: {name}"), stop=stop
         )
-    import_module("sinsjax.report").summarise([job.directory], terminal, full=full, warned=True)
+    import_module("sinsjax.report").print_reports(
+        [job.directory], terminal, full=full, warnings_shown=True
+    )
 
 
 @command(rich_help_panel=LOOK)
@@ -250,10 +260,10 @@ def rerun(
     from sinsjax.execution.directory import results_path
 
     runtime.configure()
-    runtime.require_backend()
-    out = None if given is None else results_path(given)
+    runtime.start_backend()
+    out_path = None if given is None else results_path(given)
     terminal, files = plain_console(), (record, reference)
-    if not rerunning.rerun_stored_run(directory, run_id, terminal, out=out, files=files):
+    if not rerunning.rerun_stored_run(directory, run_id, terminal, out=out_path, files=files):
         raise typer.Exit(1)
 
 
@@ -283,19 +293,19 @@ def report(
     """
     from sinsjax import report as reports
 
-    reports.summarise(directories, plain_console(), page, html, full=full)
+    reports.print_reports(directories, plain_console(), page, html, full=full)
 
 
 @command(rich_help_panel=LOOK)
 def terms() -> None:
-    """Explain the words of a report."""
+    """Explain the terms of a report."""
     from sinsjax.report import print_terms
 
     print_terms(plain_console())
 
 
-for _one in (*studies.COMMANDS, *machine.COMMANDS):
-    command(rich_help_panel=SET_UP)(_one)
+for _command in (*study_files.COMMANDS, *machine.COMMANDS):
+    command(rich_help_panel=SET_UP)(_command)
 
 
 @command(rich_help_panel=SET_UP)
@@ -338,21 +348,21 @@ def main() -> None:
     # Imported objects stay alive; scanning them repeatedly takes a fifth of the tracing time.
     gc.freeze()
     gc.set_threshold(100_000)
-    with lasting():
+    with tolerate_broken_pipe():
         try:
             code = app(standalone_mode=False)  # typer itself would print the usage before an error
         except UsageError as error:
-            if len(sys.argv) == 1:  # without a command: the help is what it tells
+            if len(sys.argv) == 1:  # without a command, its help is shown
                 error.show()
             else:
-                print(f"error: {wrong_usage(error)}", file=sys.stderr)
+                print(f"error: {format_usage_error(error)}", file=sys.stderr)
             raise SystemExit(2) from None
         except InputError as error:
             for line in error.lines:
                 print(f"error: {line}", file=sys.stderr)
             raise SystemExit(2) from None
         except StudyInterrupted as interrupted:
-            line = f"interrupted: {interrupted} (continue: {command_to_resume()})"
+            line = f"interrupted: {interrupted} (continue: {resume_command_line()})"
             print(escape_controls(line), file=sys.stderr)
             raise SystemExit(130) from None
         except Exception as error:
@@ -364,5 +374,5 @@ def main() -> None:
             print(f"error: {described}", file=sys.stderr)
             raise SystemExit(2) from None
         if code == 130:  # Ctrl-C outside of a study's chunks, which typer turns into this code
-            print("interrupted: what is stored is kept", file=sys.stderr)
+            print("interrupted: stored results are kept", file=sys.stderr)
         raise SystemExit(code)

@@ -1,4 +1,4 @@
-"""Gains of the compass loops from their decay rates, and the roots that they give: a design."""
+"""Design of the compass loops: gains from decay rates, and the resulting roots."""
 
 import math
 
@@ -10,10 +10,10 @@ from sinsjax.report.base import Table
 from sinsjax.report.terminal import print_table
 
 
-def design(
+def gain_tables(
     level_sigma: float, azimuth_sigma: float, damping: float, *, gravity: float, radius: float
 ) -> list[Table]:
-    """Gains and roots of both loops, [P2] eqs (17), (18), (22) and (23).
+    """Return the gains and roots of both loops, [P2] eqs (17), (18), (22) and (23).
 
     Args:
         level_sigma: decay rate of the levelling loop, 1/s.
@@ -32,8 +32,8 @@ def design(
         ["K4", "-", "-", f"{azimuth.k4:.4g}", "1/s"],
     ]
     found = [
-        _times("level", level_sigma, damping, loops.level_polynomial(level, **earth)),
-        _times("azimuth", azimuth_sigma, damping, loops.azimuth_polynomial(azimuth, **earth)),
+        _loop_row("level", level_sigma, damping, loops.level_polynomial(level, **earth)),
+        _loop_row("azimuth", azimuth_sigma, damping, loops.azimuth_polynomial(azimuth, **earth)),
     ]
     return [
         Table(
@@ -51,27 +51,27 @@ def design(
     ]
 
 
-def _times(name: str, sigma: float, damping: float, polynomial: np.ndarray) -> list[str]:
+def _loop_row(name: str, sigma: float, damping: float, polynomial: np.ndarray) -> list[str]:
     period = 2 * math.pi * damping / (sigma * math.sqrt(1 - damping**2))
-    return [name, _roots(polynomial), f"{math.log(20) / sigma:.4g}", f"{period:.4g}"]
+    return [name, _format_roots(polynomial), f"{math.log(20) / sigma:.4g}", f"{period:.4g}"]
 
 
-def _roots(polynomial: np.ndarray) -> str:
-    """Return the roots, conjugate pairs together, and how often each occurs."""
+def _format_roots(polynomial: np.ndarray) -> str:
+    """Return the roots, conjugate pairs together, with the multiplicity of double ones."""
     found = loops.roots(polynomial)
     size = np.abs(found).max()
     # Double roots are found to half of the digits only.
     rounded = [(round(r.real / size, 6), round(r.imag / size, 6)) for r in found]
     upper = sorted(root for root in rounded if root[1] >= 0)
-    shown = []
+    texts = []
     for real, imag in dict.fromkeys(upper):
         pair = f" +- {imag * size:.4g}j" if imag else ""
         double = " (double)" if upper.count((real, imag)) > 1 else ""
-        shown.append(f"{real * size:.4g}{pair}{double}")
-    return ", ".join(shown)
+        texts.append(f"{real * size:.4g}{pair}{double}")
+    return ", ".join(texts)
 
 
 def print_gains(console: Console, *args: float, **earth: float) -> None:
-    """Prints the tables of `design`, whose arguments it takes."""
-    for table in design(*args, **earth):
+    """Print the tables of `gain_tables`, with its arguments."""
+    for table in gain_tables(*args, **earth):
         print_table(table, console)

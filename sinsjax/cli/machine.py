@@ -4,29 +4,29 @@ from typing import Annotated
 
 import typer
 
-from sinsjax.console import plain_console, say
+from sinsjax.console import plain_console, print_line
 from sinsjax.platform import runtime
 
 
 def info() -> None:
     """Show versions, devices, compiler options and the folder of compiled programs."""
     runtime.configure()
-    runtime.require_backend()
+    runtime.start_backend()
     console = plain_console()
-    known = runtime.info()
-    known["options"] = ", ".join(f"{key} = {value}" for key, value in known["options"].items())
-    for key, value in (known | _describe_plugins()).items():
-        say(console, f"{key:>20}  {value}")
+    entries = runtime.info()
+    entries["options"] = ", ".join(f"{key} = {value}" for key, value in entries["options"].items())
+    for key, value in (entries | _plugin_methods()).items():
+        print_line(console, f"{key:>20}  {value}")
 
 
-def _describe_plugins() -> dict[str, str]:
-    """Return the plug-in methods, and the reasons why some cannot be used."""
+def _plugin_methods() -> dict[str, str]:
+    """Return the methods of other packages, and the reasons why some cannot be used."""
     from sinsjax.study.keys import REGISTRY  # without plug-ins that clash with keys of a study
 
-    usable = (f"{name} ({' '.join(package)})" for name, package in REGISTRY.packages.items())
+    methods = (f"{name} ({' '.join(package)})" for name, package in REGISTRY.packages.items())
     broken = "; ".join(REGISTRY.broken.values())
-    lines = {"plug-in methods": ", ".join(usable), "not usable": broken}
-    return {key: value for key, value in lines.items() if value}
+    entries = {"plug-in methods": ", ".join(methods), "not usable": broken}
+    return {key: value for key, value in entries.items() if value}
 
 
 def bench(
@@ -44,7 +44,7 @@ def bench(
     """
     from sinsjax import bench as benchmarks
 
-    benchmarks.run(plain_console(), as_json=as_json, limit=limit, repeats=repeats)
+    benchmarks.run_benchmarks(plain_console(), as_json=as_json, limit=limit, repeats=repeats)
 
 
 COMMANDS = (info, bench)

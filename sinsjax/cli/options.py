@@ -1,4 +1,4 @@
-"""Arguments and options that several commands take, and how a shell completes them."""
+"""Arguments and options shared by several commands, and their shell completion."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,21 +6,21 @@ from typing import Annotated
 import typer
 
 
-def _found(given: Path) -> Path:
+def _find_study(path: Path) -> Path:
     from sinsjax.study import files
 
-    return files.find_study_file(given)
+    return files.find_study_file(path)
 
 
-def study_names(incomplete: str) -> list[str]:
+def complete_study(incomplete: str) -> list[str]:
     """The shipped studies and the study files of this folder that a word may be completed to."""
     from sinsjax.study import files
 
-    here = (path.name for path in Path().glob("*.toml"))
-    return [name for name in (*here, *files.shipped_studies()) if name.startswith(incomplete)]
+    local = (path.name for path in Path().glob("*.toml"))
+    return [name for name in (*local, *files.shipped_studies()) if name.startswith(incomplete)]
 
 
-def sections_and_keys(incomplete: str) -> list[str]:
+def complete_section_or_key(incomplete: str) -> list[str]:
     """The sections, keys and methods that `sinsjax keys` explains."""
     from sinsjax.methods.registry import METHODS
     from sinsjax.study.keys import TABLES
@@ -29,12 +29,12 @@ def sections_and_keys(incomplete: str) -> list[str]:
     return [name for name in known if name.startswith(incomplete)]
 
 
-def with_draws(changes: list[str] | None, draws: int | None) -> list[str] | None:
-    """Changes of a study, with its number of draws where that is given."""
+def add_draws_override(changes: list[str] | None, draws: int | None) -> list[str] | None:
+    """Return the changes of a study, with its number of draws if given."""
     return changes if draws is None else [*(changes or ()), f"study.draws={draws}"]
 
 
-def places(incomplete: str) -> list[str]:
+def complete_override_key(incomplete: str) -> list[str]:
     """The keys that may be set, as ``section.key=``."""
     from sinsjax.study.keys import SECTIONS
 
@@ -48,8 +48,8 @@ Config = Annotated[
         help="Study file (TOML), or the name of a shipped study (sinsjax init --list).",
         show_default=False,
         metavar="CONFIG",
-        callback=_found,
-        autocompletion=study_names,
+        callback=_find_study,
+        autocompletion=complete_study,
     ),
 ]
 Changes = Annotated[
@@ -59,7 +59,7 @@ Changes = Annotated[
         help="Change a key of the study, as in alignment.phi_u0_deg=12; SECTION={} drops a section,"
         " axes.KEY={} an axis; may be repeated.",
         metavar="SECTION.KEY=VALUE",
-        autocompletion=places,
+        autocompletion=complete_override_key,
     ),
 ]
 Draws = Annotated[

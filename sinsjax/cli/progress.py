@@ -17,20 +17,20 @@ from sinsjax.execution.run import ProgressCallback, RunProgress
 
 _PLAIN_EVERY_S = 10.0
 _MEASURED_S = 1.0
-"""Least time after the first chunk to tell a rate from: threads end their first chunks together."""
+"""Least time since the first chunk for a rate: threads end their first chunks together."""
 
 _STOPPING = "Stopping after the running chunks (repeat to abandon them)."
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # batch systems send the second
 
 
 @contextmanager
-def progress(console: Console, name: str) -> Iterator[ProgressCallback]:
+def show_progress(console: Console, name: str) -> Iterator[ProgressCallback]:
     """A progress bar on a terminal; otherwise a plain line every 10 % of a stage, or every 10 s.
 
-    Both show what is completed, how many per second, the time left and the failures so far.
+    Both show the completed runs, the rate, the time left and the failures so far.
     """
     if not console.is_terminal:
-        yield _plainly(console, name, _Pace())
+        yield _plain_progress(console, name, _RateMeter())
         return
     bar = Bar(
         TextColumn("{task.description}", markup=False),
@@ -40,13 +40,13 @@ def progress(console: Console, name: str) -> Iterator[ProgressCallback]:
         console=console,
     )
     with bar:
-        shown = bar.add_task(f"{name} (compiling)", total=None, counted="runs", pace="")
-        pace = _Pace()
+        task = bar.add_task(f"{name} (compiling)", total=None, counted="runs", pace="")
+        pace = _RateMeter()
 
-        def tell(now: RunProgress) -> None:
-            text = pace.text(now)
+        def on_progress(now: RunProgress) -> None:
+            text = pace.format_rate(now)
             bar.update(
-                shown,
+                task,
                 description=name if text else f"{name} (compiling)",
                 completed=now.done,
                 total=now.total,
@@ -54,34 +54,36 @@ def progress(console: Console, name: str) -> Iterator[ProgressCallback]:
                 pace=text,
             )
 
-        yield tell
+        yield on_progress
 
 
-def _plainly(console: Console, name: str, pace: "_Pace") -> ProgressCallback:
-    shown, last = -1, time.monotonic()
+def _plain_progress(console: Console, name: str, rate: "_RateMeter") -> ProgressCallback:
+    last_tenth, last = -1, time.monotonic()
 
-    def tell(now: RunProgress) -> None:
-        nonlocal shown, last
-        text = pace.text(now)
+    def on_progress(now: RunProgress) -> None:
+        nonlocal last_tenth, last
+        text = rate.format_rate(now)
         tenth, clock = now.done * 10 // now.total, time.monotonic()
         began = now.done == now.done_before
-        due = now.done_before > 0 if began else tenth != shown or clock >= last + _PLAIN_EVERY_S
+        due = (
+            now.done_before > 0 if began else tenth != last_tenth or clock >= last + _PLAIN_EVERY_S
+        )
         if not due:
             return
-        shown, last = tenth, clock
-        pace_text = " already there" if began else text
-        screen.say(console, f"{name}: {now.done:,} of {now.total:,} {now.unit}{pace_text}")
+        last_tenth, last = tenth, clock
+        pace_text = " already done" if began else text
+        screen.print_line(console, f"{name}: {now.done:,} of {now.total:,} {now.unit}{pace_text}")
 
-    return tell
+    return on_progress
 
 
-class _Pace:
-    """Runs per second since the first chunk finished; the time before is mostly compilation."""
+class _RateMeter:
+    """The rate of runs since the first chunk ended; the time before is mostly compilation."""
 
     def __init__(self) -> None:
         self._first: tuple[float, int] | None = None
 
-    def text(self, now: RunProgress) -> str:
+    def format_rate(self, now: RunProgress) -> str:
         """The pace as text; empty before the first chunk."""
         if now.done == now.done_before:
             return ""
@@ -90,18 +92,18 @@ class _Pace:
         if clock < since + _MEASURED_S or now.done == done:
             return f", {now.failures:,} failed"
         rate = (now.done - done) / (clock - since)
-        left = _clock((now.total - now.done) / rate)
+        left = _format_duration((now.total - now.done) / rate)
         return f", {rate:,.0f} {now.unit}/s, {left} left, {now.failures:,} failed"
 
 
-def _clock(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     minutes, s = divmod(round(seconds), 60)
     hours, m = divmod(minutes, 60)
     return f"{hours}:{m:02d}:{s:02d}" if hours else f"{m}:{s:02d}"
 
 
 @contextmanager
-def interruptible(console: Console) -> Iterator[threading.Event]:
+def stop_on_signal(console: Console) -> Iterator[threading.Event]:
     """An event set by Ctrl-C or a termination signal; a second signal ends the process at once.
 
     Ending at once loses only the running chunks: files are written atomically.
@@ -113,7 +115,7 @@ def interruptible(console: Console) -> Iterator[threading.Event]:
             os._exit(128 + number)
         stop.set()
         # In a thread, because the signal may have interrupted this one while printing.
-        threading.Thread(target=screen.say, args=(console, _STOPPING)).start()
+        threading.Thread(target=screen.print_line, args=(console, _STOPPING)).start()
 
     before = {number: signal.signal(number, handle) for number in _SIGNALS}
     try:

@@ -27,7 +27,7 @@ from sinsjax.engine.sensor_inputs import (
     read_motion,
 )
 from sinsjax.errors import InputError
-from sinsjax.messages import seconds
+from sinsjax.messages import format_seconds
 from sinsjax.methods.base import Site
 from sinsjax.methods.coarse import COARSE
 from sinsjax.methods.floors import NO_BIASES, mean_biases
@@ -313,8 +313,9 @@ def reference_attitudes(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
         if max(late, early) > end - begin:
             remedy = "do their clocks differ?"
         raise InputError(
-            f"{reference.source}: covers {seconds(clock + first)} to {seconds(clock + last)} s,"
-            f" but the study needs {seconds(clock + begin)} to {seconds(clock + end)} s by the"
+            f"{reference.source}: covers {format_seconds(clock + first)} to"
+            f" {format_seconds(clock + last)} s, but the study needs"
+            f" {format_seconds(clock + begin)} to {format_seconds(clock + end)} s by the"
             f" clock of {stored.record.source}: it {lack} ({remedy})"
         )
     # With the samples on either side, between which the ends are interpolated.

@@ -10,7 +10,7 @@ from sinsjax.engine.build import Scenario
 from sinsjax.engine.environment import build_method
 from sinsjax.engine.truth import read_site, start_samples
 from sinsjax.errors import InputError
-from sinsjax.messages import seconds
+from sinsjax.messages import format_seconds
 from sinsjax.methods.filters.parameters import level_settling_s
 from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
@@ -178,7 +178,7 @@ def _record_warnings(study: Study, stored: StoredRecord) -> Iterator[str]:
         if (anomaly.begin, anomaly.end) == (0, len(record.dv))
     ]
     for begin, end in used:
-        begin_s, end_s = (seconds(sample / record.rate_hz) for sample in (begin, end))
+        begin_s, end_s = (format_seconds(sample / record.rate_hz) for sample in (begin, end))
         where = f"{record.source}: {begin_s} to {end_s} s"
         for finding in check_stationary(record, (begin, end), layout, expected):
             if finding.is_certain and not section.trust:
@@ -198,7 +198,8 @@ def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
     needed, coarse = max(samples_before) + fine_samples, ""
     if max(samples_before):
         lengths = [
-            f"{seconds(count / record.rate_hz)} s" for count in (max(samples_before), fine_samples)
+            f"{format_seconds(count / record.rate_hz)} s"
+            for count in (max(samples_before), fine_samples)
         ]
         coarse = f" ({lengths[0]} of coarse alignment + {lengths[1]})"
     merged: list[tuple[int, int]] = []
@@ -212,8 +213,9 @@ def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
     end = study.record.to_s
     if end is not None and merged[-1][1] / record.rate_hz > end * (1 + 1e-9):
         raise InputError(
-            f"{record.source}: the study needs data up to {seconds(merged[-1][1] / record.rate_hz)}"
-            f" s, but [record] to_s is {seconds(end)}"
+            f"{record.source}: the study needs data up to"
+            f" {format_seconds(merged[-1][1] / record.rate_hz)} s, but [record] to_s is"
+            f" {format_seconds(end)}"
         )
     return merged
 

@@ -23,10 +23,10 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
-from sinsjax.console import warn
+from sinsjax.console import print_warning
 from sinsjax.errors import InputError
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
-from sinsjax.messages import first_line
+from sinsjax.messages import first_error_line
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import affinity, runtime, xla
 
@@ -116,9 +116,9 @@ def _connect(address: str) -> Any:
                 ).close()
             answers.put(Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False))
         except OSError as error:
-            answers.put(error.strerror or first_line(error))
+            answers.put(error.strerror or first_error_line(error))
         except ValueError as error:
-            answers.put(first_line(error))
+            answers.put(first_error_line(error))
         except Exception:  # which one depends on the service
             answers.put("another service does")
 
@@ -207,12 +207,16 @@ class _Workers:
                 time.sleep(_POLL_S / 10)
                 continue
             # Through Dask first: workers may have another sinsjax, or none.
-            versions = self._call_dask(self._client.get_versions, packages=list(runtime.DECISIVE))
-            required = {name: versions["client"]["packages"][name] for name in runtime.DECISIVE}
+            versions = self._call_dask(
+                self._client.get_versions, packages=list(runtime.RESULT_PACKAGES)
+            )
+            required = {
+                name: versions["client"]["packages"][name] for name in runtime.RESULT_PACKAGES
+            }
             for worker, installed in versions["workers"].items():
                 _check_same_versions(worker, installed["packages"], required)
             instruction_sets = self._call_dask(
-                self._client.run, xla.instructions, on_error="ignore"
+                self._client.run, xla.instruction_set, on_error="ignore"
             )
             for worker, instructions in sorted(instruction_sets.items()):
                 self.instructions = self.instructions or instructions
@@ -224,8 +228,8 @@ class _Workers:
         """Run tasks, see `Executor`."""
         from distributed import wait
 
-        versions = runtime.versions()
-        required = {name: versions[name] for name in runtime.DECISIVE}
+        versions = runtime.relevant_versions()
+        required = {name: versions[name] for name in runtime.RESULT_PACKAGES}
         required |= packages_of(runner.job.study.methods) | {_INSTRUCTIONS: self.instructions}
         run = partial(run_task_on_worker, self._share_job(runner), required)
         remaining, pending = iter(tasks), dict[Any, Task]()
@@ -260,7 +264,7 @@ class _Workers:
         before, self._threads = self._threads, dict(self._call_dask(self._client.nthreads))
         if lost := sorted(before.keys() - self._threads):
             names = f"{lost[0]} and {len(lost) - 1} more" if len(lost) > 1 else lost[0]
-            warn(f"{names}: worker lost, its tasks run again ({len(self._threads)} left)")
+            print_warning(f"{names}: worker lost, its tasks run again ({len(self._threads)} left)")
         if self._threads:
             self._last_worker_s, self._warned = time.monotonic(), False
             return self._threads
@@ -270,7 +274,9 @@ class _Workers:
         if waited_s > CONNECT_TIMEOUT_S and not self._warned:
             self._warned = True
             hint = f"; start one: dask worker {self._name}" if "://" in self._name else ""
-            warn(f"{self._name}: no workers (waiting up to {WORKER_TIMEOUT_S / 60:g} min{hint})")
+            print_warning(
+                f"{self._name}: no workers (waiting up to {WORKER_TIMEOUT_S / 60:g} min{hint})"
+            )
         return self._threads
 
     def delete_job(self) -> None:
@@ -301,7 +307,7 @@ class _Workers:
         elif isinstance(error, KilledWorker):
             text = f"{error.allowed_failures + 1} workers died while running it (out of memory?)"
         else:
-            text = f"failed on a worker: {type(error).__name__}: {first_line(error)}"
+            text = f"failed on a worker: {type(error).__name__}: {first_error_line(error)}"
         raise InputError(f"{task.name}: {text}") from error
 
     def _call_dask(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
@@ -363,13 +369,13 @@ def _make_runner(job_name: str, required: Mapping[str, str]) -> TaskRunner:
     from distributed import Variable, get_worker
 
     worker = get_worker()
-    installed = runtime.versions() | {_INSTRUCTIONS: xla.instructions()}
+    installed = runtime.relevant_versions() | {_INSTRUCTIONS: xla.instruction_set()}
     _check_same_versions(
         worker.address, installed, required
     )  # before unpickling, which needs the packages
     one_core = os.environ.get(affinity.VARIABLE, "1" if worker.state.nthreads == 1 else "0")
     if one_core.strip() == "1":
-        affinity.keep_to_one_core()
+        affinity.pin_to_free_core()
     if platforms := os.environ.get("JAX_PLATFORMS"):  # Dask may have set it after JAX read it
         jax.config.update("jax_platforms", platforms)
     runtime.configure(devices=1)

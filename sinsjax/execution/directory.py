@@ -25,8 +25,8 @@ from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
 from sinsjax.execution.sealed import DamagedError
-from sinsjax.messages import one_line, shortened
-from sinsjax.platform.files import make_folder, read_regular, replacing, unwritable
+from sinsjax.messages import shorten, to_one_line
+from sinsjax.platform.files import atomic_write, make_folder, read_regular_file, unwritable_message
 from sinsjax.study.files import check_nesting
 
 MANIFEST, STUDY = "manifest.json", "study.toml"
@@ -172,7 +172,7 @@ def check_directory(directory: Path) -> None:
         for name in _FOLDERS:
             _check_kind(directory / name, stat.S_ISDIR, "folder")
     except OSError as error:
-        raise InputError(unwritable(directory, error)) from error
+        raise InputError(unwritable_message(directory, error)) from error
 
 
 def _check_kind(path: Path, is_kind: Any, kind: str) -> None:
@@ -279,16 +279,17 @@ def _check_version(directory: Path, manifest: Mapping[str, Any]) -> None:
     versions = manifest.get("versions")
     version = str(versions.get("sinsjax", "")) if isinstance(versions, dict) else ""
     raise OtherVersionError(
-        f"{directory}: contains results of {shortened(one_line(f'sinsjax {version}'.strip()), 40)},"
-        f" whose columns (schema {shortened(one_line(schema), 20)}) this version does not read (run"
-        " the study again, into another directory or with --overwrite, or use that version)"
+        f"{directory}: contains results of"
+        f" {shorten(to_one_line(f'sinsjax {version}'.strip()), 40)},"
+        f" whose columns (schema {shorten(to_one_line(schema), 20)}) this version does not read"
+        " (run the study again, into another directory or with --overwrite, or use that version)"
     )
 
 
 def _read_unsealed_manifest(path: Path) -> dict[str, Any]:
     """Return a manifest without a seal, as older versions wrote it; empty if there is none."""
     try:
-        manifest = json.loads(read_regular(path))
+        manifest = json.loads(read_regular_file(path))
     except (OSError, ValueError, RecursionError):
         return {}
     return manifest if isinstance(manifest, dict) and "fingerprint" in manifest else {}
@@ -309,7 +310,7 @@ def lock_directory(directory: Path) -> filelock.FileLock:
     check_directory(directory)
     file_lock = _acquire_lock(directory)
     with suppress(InputError):  # the lock holds without the writer's name
-        with replacing(directory / WRITER) as file:
+        with atomic_write(directory / WRITER) as file:
             file.write(f"pid {os.getpid()} on {socket.gethostname()}\n".encode())
     return file_lock
 
@@ -335,16 +336,16 @@ def _acquire_lock(directory: Path) -> filelock.FileLock:
         text = f"{directory}: another process is writing there{_format_writer(directory)}"
         raise InputError(f"{text} (wait until it ends)") from None
     except OSError as error:
-        raise InputError(unwritable(directory, error)) from error
+        raise InputError(unwritable_message(directory, error)) from error
     return file_lock
 
 
 def _format_writer(directory: Path) -> str:
     try:
-        name = read_regular(directory / WRITER)[:_MAX_LIST_BYTES].decode().strip()
+        name = read_regular_file(directory / WRITER)[:_MAX_LIST_BYTES].decode().strip()
     except (OSError, ValueError):
         return ""
-    return f": {shortened(one_line(name))}" if name else ""
+    return f": {shorten(to_one_line(name))}" if name else ""
 
 
 # --- the files that sinsjax wrote; it removes no others -------------------------------------------
@@ -394,7 +395,7 @@ def register_figures(images: Mapping[str, bytes], directory: Path) -> None:
         if path != directory / FIGURES and path.name not in images:
             with suppress(OSError):  # the directory may be read only
                 path.unlink()
-    with replacing(directory / FIGURES) as file:
+    with atomic_write(directory / FIGURES) as file:
         file.write((json.dumps(digests, indent=1) + "\n").encode())
 
 
@@ -403,7 +404,7 @@ def _unchanged_figures(directory: Path) -> Iterator[Path]:
     for name, digest in _figure_digests(directory).items():
         path = directory / "figures" / Path(name).name
         with suppress(OSError, InputError):
-            if hashlib.sha256(read_regular(path)).hexdigest() == digest:
+            if hashlib.sha256(read_regular_file(path)).hexdigest() == digest:
                 yield path
     if (directory / FIGURES).is_file():
         yield directory / FIGURES
@@ -411,7 +412,7 @@ def _unchanged_figures(directory: Path) -> Iterator[Path]:
 
 def _figure_digests(directory: Path) -> dict[str, str]:
     try:
-        listed = json.loads(read_regular(directory / FIGURES))
+        listed = json.loads(read_regular_file(directory / FIGURES))
     except (OSError, ValueError, RecursionError):  # InputError is a ValueError
         return {}
     return {str(k): str(v) for k, v in listed.items()} if isinstance(listed, dict) else {}

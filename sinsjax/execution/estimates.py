@@ -110,8 +110,8 @@ class EstimateOutput:
             )
             names = (
                 c.name
-                for c in columns.estimated(
-                    self._bands, time_s, own_floors=sigma_about_floor is not None
+                for c in columns.estimate_columns(
+                    self._bands, time_s, floors_vary=sigma_about_floor is not None
                 )
             )
             values |= zip(
@@ -126,7 +126,7 @@ class EstimateOutput:
                     outside_until[:, centre, number], self._end_s[variant]
                 )
                 known = has_floor if centre == FLOOR else np.ones_like(has_floor)
-                names = (c.name for c in columns.settle_estimates(band, truth=truth))
+                names = (c.name for c in columns.settle_estimate_columns(band, truth=truth))
                 cells = (nullable_array(np.where(known, value, np.nan)) for value in settled)
                 values |= zip(names, cells, strict=True)
         values |= {"has_floor": pa.array(has_floor), "floor_arcmin": nullable_array(floor / ARCMIN)}
@@ -149,7 +149,7 @@ class EstimateOutput:
     ) -> list[pa.Array]:
         """Return the columns of one time from phi, sigma and belief (runs, 3), and floor (runs,).
 
-        All in rad, in the order of `columns.estimated`; see `ErrorCovariance.from_floor`.
+        All in rad, in the order of `columns.estimate_columns`; see `ErrorCovariance.from_floor`.
         """
         angles = [*(np.concatenate([phi, sigma, believed_sigma], axis=1).T / ARCMIN)]
         sigma_used = sigma[:, 2]

@@ -26,7 +26,7 @@ from sinsjax.engine.truth import MOST_STORED_SAMPLES
 from sinsjax.errors import InputError
 from sinsjax.execution import schemas, stopping
 from sinsjax.execution.directory import find_manifest
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import machine, runtime
 from sinsjax.study.schema import NUMBERS_DRAWN
@@ -115,7 +115,7 @@ class Forecast(NamedTuple):
             threads: whether the cores are threads of Dask workers.
         """
         kind = "noise-free run" if self.noise_free else "run"
-        runs = f"{counted(self.runs, kind)} of up to {self.length_s:g} s"
+        runs = f"{format_count(self.runs, kind)} of up to {self.length_s:g} s"
         remaining = max(0, self.runs - done)
         if not remaining:
             return f"{runs}: all are done"
@@ -123,8 +123,8 @@ class Forecast(NamedTuple):
             runs += f", {remaining:,} left"
         duration = _format_duration(remaining * self.run_s / cores)
         prefix = "At most " if self.may_stop_early else ""
-        processors = counted(cores, "worker thread" if threads else "core")
-        programs = counted(self.programs, "program")
+        processors = format_count(cores, "worker thread" if threads else "core")
+        programs = format_count(self.programs, "program")
         first_time = f"{_format_duration(_START_S + self.programs * _COMPILE_S)} the first time"
         return (
             f"{prefix}{runs}: roughly {duration} on {processors}, and"
@@ -202,7 +202,7 @@ def check_resources(
     """
     if directory is not None:
         _check_disk_space(forecast, directory, overwrite=overwrite, resume=resume)
-    available = machine.memory_bytes()
+    available = machine.available_memory_bytes()
     if forecast.memory > available:
         raise InputError(
             f"{study.name}: {forecast.runs:,} runs need about {_format_bytes(forecast.memory)} of"
@@ -217,7 +217,7 @@ def _check_disk_space(
     for batch in forecast.batches:
         done = count_stored_runs(directory / batch.name) if resume else 0
         needed += max(0, batch.least_runs - done) * forecast.run_bytes
-    available = machine.free_bytes(directory)
+    available = machine.free_disk_bytes(directory)
     if overwrite:
         available += _total_part_bytes(directory / batch.name for batch in forecast.batches)
     if needed > available:

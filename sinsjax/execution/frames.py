@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax.errors import InputError
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.study.study import Study
 
 
@@ -54,7 +54,7 @@ def to_dataset(study: Study, table: pa.Table) -> Any:
     per_draw = "draw_id" in table.column_names
     draws = np.unique(table["draw_id"].to_numpy()) if per_draw else np.zeros(1, int)
     if table.num_rows != len(draws) * study.n_variants:
-        present = f"{counted(table.num_rows, 'run')} of {counted(len(draws), 'draw')}"
+        present = f"{format_count(table.num_rows, 'run')} of {format_count(len(draws), 'draw')}"
         text = f"some variants are missing ({present}; to_pandas returns the rows that exist)"
         raise InputError(f"{study.name}: {text}")
     table = table.sort_by("run_id" if per_draw else "variant_id")

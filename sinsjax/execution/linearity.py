@@ -148,7 +148,7 @@ class LinearityCheck:
         )
         for truth, centre in ((False, FLOOR), (True, TRUTH)):
             for number, band in enumerate(settling_bands(self._study)):
-                names = (c.name for c in columns.settle_estimates(band, truth=truth))
+                names = (c.name for c in columns.settle_estimate_columns(band, truth=truth))
                 settled = settling_statistics(
                     outside_until[:, :, centre, number], end_s, antithetic=False
                 )

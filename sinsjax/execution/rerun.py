@@ -18,9 +18,9 @@ from sinsjax.execution.directory import RERUN_FILES
 from sinsjax.execution.outputs import make_output
 from sinsjax.execution.prepare import load_increments
 from sinsjax.execution.tasks import Job
-from sinsjax.messages import one_line
+from sinsjax.messages import to_one_line
 from sinsjax.methods.registry import packages_of
-from sinsjax.platform.files import make_folder, replacing
+from sinsjax.platform.files import atomic_write, make_folder
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.study import Study
 
@@ -132,30 +132,30 @@ def rerun_stored_run(
         ),
         f"Row, curve and figure: {target}",
     ]:
-        screen.say(console, line)
+        screen.print_line(console, line)
     return not differing
 
 
 def _write_rerun(target: Path, run: Rerun, study: Study) -> None:
     make_folder(target)
     for name, table in (("summary", run.row), ("curve", run.curve)):
-        with replacing(target / f"{name}.parquet") as file:
+        with atomic_write(target / f"{name}.parquet") as file:
             pq.write_table(table, file, compression="zstd")
-    with replacing(target / "curve.png") as file:
-        file.write(plots.png(_plot_rerun(run, study)))
+    with atomic_write(target / "curve.png") as file:
+        file.write(plots.render_png(_plot_rerun(run, study)))
 
 
 def _plot_rerun(run: Rerun, study: Study) -> Any:
     run_id = run.row["run_id"][0].as_py()
     title = f"{study.name}, run {run_id}"
-    ensembles = plots.ensembles(run.curve, {f"run {run_id}": [run_id]})
+    ensembles = plots.group_curves(run.curve, {f"run {run_id}": [run_id]})
     if run.curve["phi_u_arcmin"].null_count == run.curve.num_rows:
-        return plots.attitude(ensembles, title)
+        return plots.draw_attitude(ensembles, title)
     floor_arcmin = run.row["floor_arcmin"][0].as_py()
-    return plots.misalignment(
+    return plots.draw_misalignment(
         ensembles,
         title,
-        limits=None if floor_arcmin is None else {"u": floor_arcmin},
+        floors=None if floor_arcmin is None else {"u": floor_arcmin},
         resets_s=run.row["reset_times_s"][0].as_py(),
         zoom_s=study.study.window_s,
         with_sigma=run.curve["sigma_u_arcmin"].null_count < run.curve.num_rows,
@@ -190,7 +190,7 @@ def _explain_difference(directory: Path, stored: pa.Table, repeated: pa.Table) -
     versions = results_directory.read_manifest(directory).get("versions")
     stored_versions = versions if isinstance(versions, dict) else {}
     for name, current_version in packages.items():
-        stored_version = one_line(str(stored_versions.get(name, current_version)))
+        stored_version = to_one_line(str(stored_versions.get(name, current_version)))
         if stored_version != current_version:
             return (
                 f"The stored row was computed with {name} {stored_version}, but here is"

@@ -21,9 +21,9 @@ from sinsjax.execution.directory import (
     list_parts,
     read_manifest,
 )
-from sinsjax.messages import first_line, one_line
+from sinsjax.messages import first_error_line, to_one_line
 from sinsjax.platform import runtime
-from sinsjax.platform.files import read_regular
+from sinsjax.platform.files import read_regular_file
 from sinsjax.study.identity import describe_differences, fingerprint
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
@@ -117,7 +117,7 @@ def read_curves(
         900
     """
     if not has_dataset(directory, "curves", verify=verify):
-        return columns.schema(columns.CURVES).empty_table()
+        return columns.arrow_schema(columns.CURVES).empty_table()
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
     return _read_sorted(directory, "curves", None, ["run_id", "time_s"], verify=verify, rows=rows)
 
@@ -153,7 +153,7 @@ def load_stored_study(directory: Path) -> Study:
     manifest = find_manifest(directory)
     if manifest is not None and manifest.fingerprint != fingerprint(study):
         differing = describe_differences(manifest.study, study, ("in the results", "in the file"))
-        text = one_line("; ".join(differing))
+        text = to_one_line("; ".join(differing))
         raise InputError(
             f"{directory / STUDY}: is not the study of the results: {text}"
             " (restore it, or delete it: `--resume` writes it again)"
@@ -165,8 +165,10 @@ def _missing_packages(directory: Path) -> list[tuple[str, str]]:
     """Return the packages in the manifest that are not installed, and their versions."""
     stored = read_manifest(directory).get("versions")
     versions = stored if isinstance(stored, dict) else {}
-    others = (name for name in versions if name not in ("python", *runtime.DECISIVE))
-    return [(name, versions[name]) for name in others if runtime.version_or_none(name) is None]
+    others = (name for name in versions if name not in ("python", *runtime.RESULT_PACKAGES))
+    return [
+        (name, versions[name]) for name in others if runtime.installed_version_or_none(name) is None
+    ]
 
 
 def has_dataset(directory: str | Path, name: str, *, verify: bool = True) -> bool:
@@ -215,7 +217,7 @@ def query_dataset(
             _verify_parts(directory, name, parts)
         return function(ds.dataset(parts, format="parquet"))
     except (OSError, pa.ArrowException) as error:
-        reason = first_line(error)
+        reason = first_error_line(error)
         raise InputError(
             f"{directory / name}: cannot be read: {reason} ({_RESUME_HINT})"
         ) from error
@@ -287,7 +289,7 @@ def _verified_identity(path: Path) -> str:
     file = FileState.from_path(path)
     if (identity := _verified.get(file)) is not None:
         return identity
-    metadata = read_part_metadata(read_regular(path))
+    metadata = read_part_metadata(read_regular_file(path))
     if metadata is None:
         raise InputError(f"{path}: has changed since it was written ({_RESUME_HINT})")
     chunk = json.loads(metadata[CHUNK_METADATA])

@@ -20,10 +20,10 @@ from sinsjax.execution.directory import (
 )
 from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA, read_part_metadata
 from sinsjax.execution.tasks import Job
-from sinsjax.messages import one_line, shortened
+from sinsjax.messages import shorten, to_one_line
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime
-from sinsjax.platform.files import read_regular
+from sinsjax.platform.files import read_regular_file
 from sinsjax.study.identity import describe_differences, fingerprint, with_draws
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
@@ -139,7 +139,7 @@ def check_instruction_set(directory: Path, current: str) -> None:
     """
     manifest = find_manifest(directory)
     for session in manifest.sessions if manifest else ():
-        if (stored := shortened(one_line(session.instructions or current))) != current:
+        if (stored := shorten(to_one_line(session.instructions or current))) != current:
             raise InputError(
                 f"{directory}: was computed with instruction set {stored}, but here is {current}"
                 f" (use a machine with that one, XLA_FLAGS=--xla_cpu_max_isa={stored} on a"
@@ -188,7 +188,7 @@ def _added_values_hint(stored: Study, study: Study) -> str:
     key = added[0]
     new = [value for value in study.axes[key] if value not in stored.axes[key]]
     return (
-        f"run the added values, axes.{key}={shortened(str(new), 40)}, into another directory;"
+        f"run the added values, axes.{key}={shorten(str(new), 40)}, into another directory;"
         " read both with their paths in one list, and identify runs by directory and run_id, which"
         " counts within a directory"
     )
@@ -215,10 +215,10 @@ def _check_extension(directory: Path, stored: Study, study: Study) -> None:
 
 def _check_versions(directory: Path, manifest: Manifest, packages: Iterable[str]) -> None:
     """Reject rows of other versions, including packages that provide methods: bits may differ."""
-    current = runtime.versions()
+    current = runtime.relevant_versions()
     for session in manifest.sessions:
-        for name in (*runtime.DECISIVE, *packages):
-            stored = shortened(one_line(session.versions.get(name, current[name])))
+        for name in (*runtime.RESULT_PACKAGES, *packages):
+            stored = shorten(to_one_line(session.versions.get(name, current[name])))
             if stored != current[name]:
                 raise InputError(
                     f"{directory}: was computed with {name} {stored}, but here is {current[name]}"
@@ -237,7 +237,7 @@ def _manifest_from_parts(directory: Path) -> Manifest | None:
     manifests = []
     for path in (path for name in ROW_DATASETS for path in list_parts(directory, name)):
         with suppress(OSError, InputError):
-            if metadata := read_part_metadata(read_regular(path)):
+            if metadata := read_part_metadata(read_regular_file(path)):
                 chunk = json.loads(metadata[CHUNK_METADATA])
                 manifests.append(
                     Manifest(

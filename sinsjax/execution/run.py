@@ -249,7 +249,7 @@ def run_job(
     """
     assert job.directory is not None
     executor = executor or study_tasks.local_executor()
-    session = runtime.session() | executor.facts
+    session = runtime.describe_environment() | executor.facts
     if job.resume:
         resume.check_instruction_set(job.directory, session["instructions"])
     runner = TaskRunner(job)
@@ -281,7 +281,9 @@ def _run_to_results(job: Job, on_progress: ProgressCallback | None) -> Results:
     began = time.monotonic()
     tables = run_in_memory(job, on_progress)
     order = [("run_id", "ascending"), ("time_s", "ascending")]
-    curves = tables.get("curves", columns.schema(schemas.curve_columns(job.study)).empty_table())
+    curves = tables.get(
+        "curves", columns.arrow_schema(schemas.curve_columns(job.study)).empty_table()
+    )
     tables |= {"summary": tables["summary"].sort_by("run_id"), "curves": curves.sort_by(order)}
     return Results(job.study, time.monotonic() - began, tables=tables)
 

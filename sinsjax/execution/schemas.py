@@ -22,7 +22,7 @@ def summary_columns(study: Study) -> tuple[Column, ...]:
         *_key_columns(study),
         *columns.OBSERVED,
         *_settling_columns(study),
-        *(column for t in study.report_times_s for column in columns.report_columns(t)),
+        *(column for t in study.report_times_s for column in columns.report_time_columns(t)),
         *columns.JUDGED,
         *(method_column.column for method_column in method_columns(study).values()),
     )
@@ -43,18 +43,18 @@ def estimate_columns(study: Study) -> tuple[Column, ...]:
         *(
             c
             for time_s in times
-            for c in columns.estimated(
-                settling_bands(study), time_s, own_floors=has_drawn_biases(study)
+            for c in columns.estimate_columns(
+                settling_bands(study), time_s, floors_vary=has_drawn_biases(study)
             )
         ),
         *(
             c
             for truth in (False, True)
             for band in settling_bands(study)
-            for c in columns.settle_estimates(band, truth=truth)
+            for c in columns.settle_estimate_columns(band, truth=truth)
         ),
         *columns.FLOOR,
-        *(map(columns.nonlinearity, times) if study.checks_linearity else ()),
+        *(map(columns.nonlinearity_column, times) if study.checks_linearity else ()),
         *((columns.FILLED,) if study.checks_linearity else ()),
     )
 
@@ -114,7 +114,7 @@ def method_columns(study: Study) -> dict[str, OwnColumn]:
 
 def curve_columns(study: Study) -> tuple[Column, ...]:
     """Return the columns of the curves."""
-    return columns.curves(passes=study.passes is not None, coarse=bool(study.coarse_stages))
+    return columns.curve_columns(passes=study.passes is not None, coarse=bool(study.coarse_stages))
 
 
 def has_data_columns(study: Study) -> bool:

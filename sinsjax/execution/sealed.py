@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sinsjax.errors import InputError
-from sinsjax.platform.files import read_regular
+from sinsjax.platform.files import read_regular_file
 
 SEAL_KEY = "sinsjax.sha256"
 _BLANK_DIGEST = "0" * 64
@@ -93,7 +93,7 @@ def is_intact(content: bytes) -> bool:
 
 
 def _read_intact(path: Path) -> bytes:
-    content = read_regular(path)
+    content = read_regular_file(path)
     if not is_intact(content):
         raise DamagedError(
             f"{path}: has changed since it was written (its checksum does not match)"

@@ -13,7 +13,7 @@ from sinsjax import analysis
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as results_directory
 from sinsjax.execution import results
-from sinsjax.messages import counted, one_line
+from sinsjax.messages import format_count, to_one_line
 from sinsjax.study.study import Study
 from sinsjax.study.success import SuccessMeasure, success_measures
 
@@ -71,12 +71,12 @@ class Source:
         name = manifest.get("config") or f"study.toml of {study.name}"
         manifest_warnings = manifest.get("warnings")
         warnings = tuple(
-            one_line(str(line))
+            to_one_line(str(line))
             for line in (manifest_warnings if isinstance(manifest_warnings, list) else ())
         )
         versions = manifest.get("versions")
         version = (versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown")
-        version, config = one_line(str(version)), one_line(str(name))
+        version, config = to_one_line(str(version)), to_one_line(str(name))
         numbers = (manifest.get(name) for name in ("wall_s", "record_latitude_deg"))
         wall_s, latitude_deg = (float(x) if isinstance(x, int | float) else None for x in numbers)
         source = cls(directory, study, config, table, warnings, version, wall_s, latitude_deg)
@@ -88,7 +88,9 @@ class Source:
         study, runs = self.study, self.runs
         whole_draws, suffix = None, ""
         if self.table is None:
-            draws = analysis.numbers(results.read_summary(self.directory, ["draw_id"]), "draw_id")
+            draws = analysis.numeric_column(
+                results.read_summary(self.directory, ["draw_id"]), "draw_id"
+            )
             draw_ids, variant_counts = np.unique(draws.astype(int), return_counts=True)
             whole_draws = draw_ids[variant_counts == study.n_variants]
             suffix = f"; shown are the {len(whole_draws):,} draws that every variant has"
@@ -119,10 +121,10 @@ class Source:
         study = self.study
         unit = "start time" if study.is_recorded else "Monte Carlo run"
         if study.n_variants == 1:
-            return f"{study.name}: {counted(self.runs, unit)}"
+            return f"{study.name}: {format_count(self.runs, unit)}"
         runs_per_variant = self.runs / study.n_variants
         rows = (
-            counted(int(runs_per_variant), unit)
+            format_count(int(runs_per_variant), unit)
             if runs_per_variant.is_integer()
             else f"{runs_per_variant:,g} {unit}s"
         )
@@ -140,7 +142,7 @@ class Source:
             return len(self.whole_draws)
         draws = study.n_draws
         if study.stop_when and self.runs:
-            draws = int(analysis.numbers(self.rows(["draw_id"]), "draw_id").max()) + 1
+            draws = int(analysis.numeric_column(self.rows(["draw_id"]), "draw_id").max()) + 1
         if self.runs != draws * study.n_variants:
             raise InputError(
                 f"{self.directory}: has {self.runs} runs, but the study has"

@@ -80,13 +80,15 @@ def analyse_interim(study: Study, table: pa.Table, draws: int) -> InterimAnalysi
     rows = table.filter(pa.compute.less(table["draw_id"], draws)).sort_by("run_id")
     name = study.stop_when.statistic
     widths = []
-    for _, variant_rows in analysis.groups(rows, ["variant_id"]):
+    for _, variant_rows in analysis.group_rows(rows, ["variant_id"]):
         if name == "success_rate":
             estimate = analysis.proportion(
                 variant_rows["status"].to_pylist().count("ok"), variant_rows.num_rows
             )
         else:
-            estimate = analysis.mean(analysis.numbers(variant_rows, _statistic_column(study)))
+            estimate = analysis.mean(
+                analysis.numeric_column(variant_rows, _statistic_column(study))
+            )
         widths.append(_half_width(estimate))
     widest = max(widths)
     return InterimAnalysis(draws, widest, widest <= study.stop_when.half_width)

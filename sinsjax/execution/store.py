@@ -21,7 +21,7 @@ from sinsjax.execution.directory import DATASETS, MANIFEST, STUDY, find_manifest
 from sinsjax.execution.results import read_part_metadata
 from sinsjax.execution.sealed import to_sealed_json
 from sinsjax.execution.tasks import EncodedResult, Task, TaskResult, TaskRunner
-from sinsjax.platform.files import read_regular, replacing, unwritable
+from sinsjax.platform.files import atomic_write, read_regular_file, unwritable_message
 from sinsjax.study.identity import fingerprint, sections_to_json
 from sinsjax.study.load import study_to_toml
 
@@ -187,7 +187,7 @@ class DirectoryStore:
             try:
                 path.parent.mkdir(exist_ok=True)
             except OSError as error:
-                raise InputError(unwritable(path, error)) from error
+                raise InputError(unwritable_message(path, error)) from error
             _write_file(path, result.files[dataset])
         self._chunks[result.task.name] = self._chunk_entry(result.task, round(result.seconds, 4))
         if time.monotonic() >= self._next_manifest:
@@ -226,7 +226,7 @@ class DirectoryStore:
         """Whether all parts of a task are complete and intact."""
         for dataset, _ in task.rows:
             try:
-                content = read_regular(self._part_path(dataset, task))
+                content = read_regular_file(self._part_path(dataset, task))
             except (OSError, InputError):
                 return False
             if read_part_metadata(content) != self._runner.part_metadata(dataset, task):
@@ -276,7 +276,7 @@ class DirectoryStore:
 
 
 def _write_file(path: Path, content: bytes) -> None:
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         file.write(content)
 
 
@@ -285,4 +285,4 @@ def _remove_files(paths: Iterable[Path]) -> None:
         try:
             path.unlink()
         except OSError as error:
-            raise InputError(unwritable(path, error)) from error
+            raise InputError(unwritable_message(path, error)) from error

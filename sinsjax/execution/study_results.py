@@ -17,7 +17,7 @@ from sinsjax.execution.results import (
     read_estimates,
     read_summary,
 )
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.study import display
 from sinsjax.study.study import Study
 
@@ -185,7 +185,7 @@ class Results:
             failed = pc.sum(pc.is_in(self.summary["status"], pa.array(columns.FAILED))).as_py() or 0
             planned = self.study.n_draws * self.study.n_variants
             if (runs := self.summary.num_rows) < planned:
-                facts["runs"] = f"{runs:,} of {counted(planned, 'run')}"
+                facts["runs"] = f"{runs:,} of {format_count(planned, 'run')}"
             facts["runs"] += f", {failed:,} diverged or not finite"
         location = f"in {self.directory}" if self.directory else "in memory"
         return facts | {"computed": f"in {self.wall_s:.3g} s, {location}"}

@@ -189,7 +189,7 @@ class TableBuilder:
                 nullable_array(sigma / ARCMIN),
                 self._truth_column(nees),
             )
-            names = (column.name for column in columns.report_columns(time))
+            names = (column.name for column in columns.report_time_columns(time))
             values |= dict(zip(names, arrays, strict=True))
         return values
 
@@ -237,4 +237,4 @@ def replace_column(table: pa.Table, name: str, values: pa.Array) -> pa.Table:
 def make_table(table_columns: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
     """Return a table of some columns, from their values by name."""
     arrays = [pa.array(values[c.name]).cast(c.dtype) for c in table_columns]
-    return pa.Table.from_arrays(arrays, schema=columns.schema(table_columns))
+    return pa.Table.from_arrays(arrays, schema=columns.arrow_schema(table_columns))

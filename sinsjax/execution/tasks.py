@@ -259,7 +259,7 @@ class TaskRunner:
         Raises:
             ValueError: the table lacks columns of the dataset.
         """
-        schema = columns.schema(self.schemas[dataset])
+        schema = columns.arrow_schema(self.schemas[dataset])
         return sealed.to_sealed_parquet(table.cast(schema), self.part_metadata(dataset, task))
 
     def part_metadata(self, dataset: str, task: Task) -> dict[str, str]:

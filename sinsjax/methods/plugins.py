@@ -18,7 +18,7 @@ from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
-from sinsjax.messages import first_line
+from sinsjax.messages import first_error_line
 from sinsjax.methods.description import Description
 from sinsjax.platform import runtime
 from sinsjax.value_types import Section
@@ -190,7 +190,7 @@ def _package_label(point: EntryPoint) -> str:
 
 
 def _describe_error(error: BaseException, point: EntryPoint) -> str:
-    return f"{type(error).__name__}: {first_line(error)}{_last_place(error, point)}"
+    return f"{type(error).__name__}: {first_error_line(error)}{_last_place(error, point)}"
 
 
 def _last_place(error: BaseException, point: EntryPoint) -> str:

@@ -4,19 +4,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, WrapValidator
 
-from sinsjax.messages import explained
+from sinsjax.messages import explain_error
 from sinsjax.methods.registry import METHODS, hint_broken_plugins
 from sinsjax.value_types import (
-    ActsWhere,
     Count,
     Factor,
     HalfTurn,
+    KeyCondition,
     KeyInfo,
     Seconds,
     SecondsOrZero,
     Section,
     Speed,
-    invalid,
+    rule_error,
 )
 
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
@@ -27,7 +27,7 @@ def _check_method_name(name: Any, check: Any) -> Any:
     try:
         return check(name)
     except ValidationError as error:
-        raise invalid(explained(error.errors()[0]) + hint_broken_plugins()) from None
+        raise rule_error(explain_error(error.errors()[0]) + hint_broken_plugins()) from None
 
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def _has_rotation(*angles: float | None) -> bool:
 class AlignmentSection(Section):
     """[alignment]: the method, its initial errors, and the feedback of its estimate."""
 
-    conditions = (ActsWhere(("misalignment",), _ANGLES, _has_rotation),)
+    conditions = (KeyCondition(("misalignment",), _ANGLES, _has_rotation),)
 
     method: MethodName = Field(
         "kalman5", description="alignment method; `sinsjax keys METHOD` describes one"
@@ -104,13 +104,13 @@ class PassesSection(Section):
     """
 
     conditions = (
-        ActsWhere(
+        KeyCondition(
             ("turn", "turn_smoothing_s", "turn_covariance", "turn_inflation"),
             ("direction",),
             lambda direction: direction != "rewind",
         ),
-        ActsWhere(("turn_smoothing_s",), ("turn",), lambda turn: turn in (None, "reflect")),
-        ActsWhere(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
+        KeyCondition(("turn_smoothing_s",), ("turn",), lambda turn: turn in (None, "reflect")),
+        KeyCondition(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
     )
 
     stored_s: Annotated[Seconds | None, KeyInfo(whole="record")] = Field(
@@ -184,7 +184,9 @@ class CoarseSection(Section):
     attitude.
     """
 
-    conditions = (ActsWhere(("coarse_duration_s", "coarse_then"), ("coarse_method",), _is_aligned),)
+    conditions = (
+        KeyCondition(("coarse_duration_s", "coarse_then"), ("coarse_method",), _is_aligned),
+    )
 
     coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = Field(
         "inertial",

@@ -1,6 +1,6 @@
-"""Files of the repository that go with the package: the studies in configs/, a benchmark's kernel.
+"""Files of the repository that the package needs: studies in configs/, a benchmark's kernel.
 
-A wheel has them under ``sinsjax/assets``; a source tree, where an editable install finds them, at
+A wheel has them in ``sinsjax/assets``; a source tree (also of an editable install) has them at
 its top.
 """
 
@@ -8,8 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 
 
-def asset(name: str) -> Path:
-    """Path of a file or folder, in a source tree or as installed.
+def asset_path(name: str) -> Path:
+    """Return the path of a file or folder, in a source tree or as installed.
 
     Args:
         name: path from the top of the repository, such as ``configs/reset_sweep.toml``.

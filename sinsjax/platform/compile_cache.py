@@ -5,12 +5,12 @@ variable ``SINSJAX_COMPILE_CACHE`` is 0; 1 enables it with any jaxlib, and a pat
 A program compiled for one CPU may be rejected or crash on another, and options change programs, so
 there is a subfolder for each jaxlib version, processor and value of ``XLA_FLAGS``. Anyone who can
 write there can run code here, so the folder must be this user's alone, see
-`machine.private_folder`.
+`machine.ensure_private_folder`.
 
 JAX writes the access time of an entry after its content, so an entry without one was cut short by a
 full disk or a kill. It would stop all later writing and is removed here. If JAX cannot read another
 entry it warns, "Error reading persistent compilation cache entry", compiles the program again and
-leaves the entry as it is: delete the folder, which `sinsjax info` names.
+does not remove the entry: delete the folder, which `sinsjax info` shows.
 """
 
 import hashlib
@@ -30,95 +30,101 @@ SAFE_JAXLIB = frozenset({"0.10.2"})
 """jaxlib versions tested against every known fault of the cache; on some processors 0.9.1 to 0.10.1
 reject all their own entries, with a warning at every start."""
 
-MOST_BYTES = 2**28
+MAX_BYTES = 2**28
 """Size limit of a folder, about a hundred programs; the least recently used are removed first."""
 
-MOST_FOLDERS = 8
-"""Folders of other versions, processors and options that are kept beside the one in use."""
+MAX_FOLDERS = 8
+"""Number of folders of other versions, processors and options that are kept."""
 
-_WORTH_KEEPING_S = 0.2
-_SIZE = "JAX_COMPILATION_CACHE_MAX_SIZE"  # JAX's own variable takes precedence over `MOST_BYTES`
+_MIN_COMPILE_S = 0.2
+_SIZE = "JAX_COMPILATION_CACHE_MAX_SIZE"  # JAX's own variable takes precedence over `MAX_BYTES`
 
-_why_off = "sinsjax.configure() was not called"
-
-
-def why_off() -> str:
-    """Why the cache is off, if it is."""
-    return _why_off
+_reason_off = "sinsjax.configure() was not called"
 
 
-def enable() -> Path | None:
+def reason_off() -> str:
+    """Return the reason why the cache is off."""
+    return _reason_off
+
+
+def enable_cache() -> Path | None:
     """Turn JAX's compilation cache on, unless the environment forbids it or it would be unsafe.
 
     Returns:
-        The folder in use, or None; `why_off` then gives the reason.
+        The folder in use, or None; see `reason_off` then.
 
     Raises:
         InputError: the requested folder cannot be created, or others can write to or replace it.
     """
-    global _why_off
+    global _reason_off
     import jax  # here, to keep importing this module cheap
 
     setting = os.environ.get(VARIABLE, "").strip()
     version = importlib.metadata.version("jaxlib")
     if setting == "0":
-        _why_off = f"{VARIABLE}=0"
+        _reason_off = f"{VARIABLE}=0"
     elif not setting and jax.config.values["jax_compilation_cache_dir"]:
-        _why_off = "JAX already has a compilation cache"
+        _reason_off = "JAX already has a compilation cache"
     elif not setting and version not in SAFE_JAXLIB:
-        _why_off = f"not tested with jaxlib {version}; {VARIABLE}=1 enables it anyway"
+        _reason_off = f"not tested with jaxlib {version}; {VARIABLE}=1 enables it anyway"
     else:
         try:
-            return _use(_folder(setting))
+            return _activate_cache(_versioned_folder(setting))
         except OSError as error:
-            run = ", and cached programs are executed" if isinstance(error, machine.Unsafe) else ""
-            _why_off = f"{error.filename or setting}: {error.strerror or error}{run}"
+            run = (
+                ", and cached programs are executed"
+                if isinstance(error, machine.UnsafeFolderError)
+                else ""
+            )
+            _reason_off = f"{error.filename or setting}: {error.strerror or error}{run}"
         except RuntimeError:  # from expanduser
-            _why_off = f"{setting}: no such user, or a user without a home directory"
+            _reason_off = f"{setting}: no such user, or a user without a home directory"
         if setting:
-            raise InputError(f"{VARIABLE}: {_why_off}")
+            raise InputError(f"{VARIABLE}: {_reason_off}")
     return None
 
 
-def _folder(setting: str) -> Path:
+def _versioned_folder(setting: str) -> Path:
     """The folder for this jaxlib, processor and options, created if missing."""
     by_name = setting not in ("", "1")
-    root = Path(setting).expanduser() if by_name else machine.cache_folder() / "compiled"
-    return machine.private_folder(root / _key())
+    root = Path(setting).expanduser() if by_name else machine.user_cache_folder() / "compiled"
+    return machine.ensure_private_folder(root / _folder_name())
 
 
-def _key() -> str:
+def _folder_name() -> str:
     """The jaxlib version, and a digest of the processor's model and features and the options."""
-    cpu = machine.cpu()
-    what = [cpu.get(key, "") for key in ("model name", "flags")] + [os.environ.get("XLA_FLAGS", "")]
-    digest = hashlib.sha256("\n".join(what).encode()).hexdigest()[:12]
+    cpu = machine.cpu_info()
+    parts = [cpu.get(key, "") for key in ("model name", "flags")] + [
+        os.environ.get("XLA_FLAGS", "")
+    ]
+    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
     return f"jaxlib-{importlib.metadata.version('jaxlib')}-{digest}"
 
 
-def _use(folder: Path) -> Path:
+def _activate_cache(folder: Path) -> Path:
     import jax
 
     os.utime(folder)
-    _remove_old(folder)
+    _remove_old_folders(folder)
     # At worst a program is compiled again.
     warnings.filterwarnings("ignore", "Error writing persistent compilation cache entry")
     if _SIZE not in os.environ:
-        jax.config.update("jax_compilation_cache_max_size", MOST_BYTES)
-        _remove_incomplete(folder)
+        jax.config.update("jax_compilation_cache_max_size", MAX_BYTES)
+        _remove_incomplete_entries(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_S)
     return folder
 
 
-def _remove_old(folder: Path) -> None:
+def _remove_old_folders(folder: Path) -> None:
     """Remove folders of other versions, processors and options, the longest unused first."""
     with suppress(OSError):
         others = [other for other in folder.parent.glob("jaxlib-*") if other != folder]
-        for other in sorted(others, key=lambda other: other.stat().st_mtime)[:-MOST_FOLDERS]:
+        for other in sorted(others, key=lambda other: other.stat().st_mtime)[:-MAX_FOLDERS]:
             shutil.rmtree(other, ignore_errors=True)
 
 
-def _remove_incomplete(folder: Path) -> None:
+def _remove_incomplete_entries(folder: Path) -> None:
     """Remove entries without the file of their access time, which JAX writes last."""
     with suppress(OSError):
         for entry in folder.glob("*-cache"):

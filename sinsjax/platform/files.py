@@ -1,4 +1,4 @@
-"""Atomic writing of files, and names for them."""
+"""Atomic writing of files, and file names."""
 
 import errno
 import hashlib
@@ -12,15 +12,15 @@ from typing import BinaryIO
 
 from sinsjax.errors import InputError
 
-MOST_BYTES = 2**30
-"""Largest file that `read_regular` reads."""
+MAX_BYTES = 2**30
+"""Largest file that `read_regular_file` reads."""
 
 
 _NO_LINK, _NO_WAIT = getattr(os, "O_NOFOLLOW", 0), getattr(os, "O_NONBLOCK", 0)
 
 
 @contextmanager
-def replacing(path: str | Path) -> Iterator[BinaryIO]:
+def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
     """Open a temporary file that replaces ``path`` when the block ends without an error.
 
     Raises:
@@ -29,26 +29,26 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
     target = Path(path)
     temporary = target.parent / f".{target.name}.{os.getpid()}.tmp"
     try:
-        temporary.unlink(missing_ok=True)  # of a process that had the same number
+        temporary.unlink(missing_ok=True)  # left by a process with the same number
         with open(temporary, "xb") as file:  # through no link that somebody has put there
             yield file
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(target)
-        _sync(target.parent)
+        _sync_directory(target.parent)
     except OSError as error:
-        raise InputError(unwritable(target, error)) from None
+        raise InputError(unwritable_message(target, error)) from None
     finally:
         with suppress(OSError):
             temporary.unlink()
 
 
-def read_regular(path: Path) -> bytes:
-    """Read a regular file of at most `MOST_BYTES`; nothing is read through a link or from a pipe.
+def read_regular_file(path: Path) -> bytes:
+    """Read a regular file of at most `MAX_BYTES`; nothing is read through a link or from a pipe.
 
     Raises:
         FileNotFoundError: there is no such file.
-        InputError: it is no regular file, too large, or cannot be read.
+        InputError: it is not a regular file, too large, or cannot be read.
     """
     try:
         # Without waiting for the writer of a named pipe.
@@ -56,9 +56,9 @@ def read_regular(path: Path) -> bytes:
         with open(handle, "rb") as file:
             about = os.fstat(file.fileno())
             if not stat.S_ISREG(about.st_mode):
-                raise InputError(f"{path}: is no regular file (remove it)")
-            if about.st_size > MOST_BYTES:
-                raise InputError(f"{path}: is larger than {MOST_BYTES >> 20} MiB")
+                raise InputError(f"{path}: is not a regular file (remove it)")
+            if about.st_size > MAX_BYTES:
+                raise InputError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
             return file.read()
     except FileNotFoundError:
         raise
@@ -69,42 +69,42 @@ def read_regular(path: Path) -> bytes:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those above it, where they are missing.
+    """Create a folder and its missing parents.
 
     Raises:
-        InputError: it cannot be made.
+        InputError: it cannot be created.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(unwritable(path, error)) from None
+        raise InputError(unwritable_message(path, error)) from None
 
 
-def require_writable(path: Path, option: str) -> None:
-    """Refuse a file that cannot be written, before any work goes into it.
+def require_writable(path: Path, option_name: str) -> None:
+    """Reject a file that cannot be written, before any work is done.
 
     Args:
         path: the file; its folder need not be there yet.
-        option: what the message calls it.
+        option_name: the option that named it, for the message.
 
     Raises:
-        InputError: it is a folder, or cannot be made.
+        InputError: it is a folder, or cannot be created.
     """
     if path.is_dir():
-        raise InputError(f"{option} {path}: is a folder, give the name of a file")
-    folder = next(one for one in path.absolute().parents if one.exists())
+        raise InputError(f"{option_name} {path}: is a folder, give the name of a file")
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise InputError(
-            f"{option} {path}: cannot be written: no folder can be written at {folder}"
+            f"{option_name} {path}: cannot be written: {folder} is not a writable folder"
         )
 
 
-def unwritable(path: Path, error: OSError) -> str:
+def unwritable_message(path: Path, error: OSError) -> str:
     """The message about a file or directory that cannot be written."""
     return f"{path}: cannot be written: {error.strerror or error}"
 
 
-def _sync(directory: Path) -> None:
+def _sync_directory(directory: Path) -> None:
     """Make the new name survive a power cut, where the system can."""
     with suppress(OSError):
         handle = os.open(directory, os.O_RDONLY)
@@ -114,7 +114,7 @@ def _sync(directory: Path) -> None:
             os.close(handle)
 
 
-def file_stem(name: str) -> str:
-    """A name as the beginning of a file's; one that had to change is told from others by digits."""
+def safe_file_stem(name: str) -> str:
+    """Return a name as a valid file stem; digits of its hash mark a name that had to change."""
     stem = re.sub(r"[^\w.-]+", "-", name)[:80].strip("-.")
     return stem if stem == name else f"{stem}-{hashlib.sha256(name.encode()).hexdigest()[:6]}"

@@ -1,4 +1,4 @@
-"""Configuration of this process (devices, precision, compiler options) and what `info` reports."""
+"""Configuration of this process: devices, precision, compiler options; and its description."""
 
 import functools
 import importlib.metadata
@@ -11,7 +11,7 @@ from typing import Any
 from sinsjax.errors import InputError
 from sinsjax.platform import affinity, machine, xla
 
-DECISIVE = ("sinsjax", "jax", "jaxlib", "numpy", "scipy", "pyarrow")
+RESULT_PACKAGES = ("sinsjax", "jax", "jaxlib", "numpy", "scipy", "pyarrow")
 """Packages whose versions may change result rows or the bytes of their files."""
 
 
@@ -60,15 +60,15 @@ def configure(devices: int | None = None) -> None:
 
     if devices is not None and devices < 1:
         raise InputError(f"devices: must be at least 1, not {devices}")
-    affinity.apply()
-    count = devices if devices is not None else _default_devices()
-    if xla.backend_started():
-        _warn_if_late(count, "" if devices is None else f"devices={devices}")
+    affinity.pin_if_requested()
+    count = devices if devices is not None else _default_device_count()
+    if xla.has_backend_started():
+        _warn_if_jax_started(count, "" if devices is None else f"devices={devices}")
     else:
         xla.apply_options()
         jax.config.update("jax_num_cpu_devices", count)
     _enable_x64()
-    compile_cache.enable()
+    compile_cache.enable_cache()
     _configured = True
 
 
@@ -84,7 +84,7 @@ def ensure_configured() -> None:
         configure()
 
 
-def _warn_if_late(devices: int, arguments: str) -> None:
+def _warn_if_jax_started(devices: int, configure_arguments: str) -> None:
     """Warn once if JAX has started without the compiler options or with other devices."""
     global _warned_late
     import jax
@@ -100,7 +100,8 @@ def _warn_if_late(devices: int, arguments: str) -> None:
         _warned_late = True
         warnings.warn(
             f"JAX has started already, {' and '.join(problems)}: restart Python or the notebook's"
-            f" kernel and call sinsjax.configure({arguments}) before JAX computes anything",
+            f" kernel and call sinsjax.configure({configure_arguments}) before JAX computes"
+            " anything",
             xla.ConfigurationWarning,
             stacklevel=3,
         )
@@ -115,7 +116,7 @@ def _enable_x64() -> None:
         raise InputError("sinsjax needs double precision: call it outside jax.enable_x64(False)")
 
 
-def require_backend() -> None:
+def start_backend() -> None:
     """Start JAX's backend.
 
     Raises:
@@ -127,12 +128,12 @@ def require_backend() -> None:
         jax.devices()
     except (RuntimeError, AssertionError) as error:
         platforms = os.environ.get("JAX_PLATFORMS", "")
-        why = str(error).partition("\n")[0] or "no such device"
-        raise InputError(f"JAX_PLATFORMS={platforms}: JAX does not start: {why}") from error
+        reason = str(error).partition("\n")[0] or "no such device"
+        raise InputError(f"JAX_PLATFORMS={platforms}: JAX does not start: {reason}") from error
 
 
 def usable_cores() -> int:
-    """Number of cores that this process may run on."""
+    """Return the number of cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -140,35 +141,35 @@ def usable_cores() -> int:
 
 @functools.cache
 def method_entry_points() -> tuple[importlib.metadata.EntryPoint, ...]:
-    """Where other installed packages say that they bring alignment methods, none loaded."""
+    """Return the entry points of alignment methods in installed packages, none loaded."""
     found = importlib.metadata.entry_points(group="sinsjax.methods")
     return tuple(sorted(found, key=lambda point: point.name))
 
 
-def versions() -> dict[str, str]:
-    """The versions of Python, of the packages in `DECISIVE` and of those that bring methods."""
-    packages = {name: _version(name) for name in DECISIVE if name != "sinsjax"}
+def relevant_versions() -> dict[str, str]:
+    """Return the versions of Python, of `RESULT_PACKAGES` and of packages with methods."""
+    packages = {name: _installed_version(name) for name in RESULT_PACKAGES if name != "sinsjax"}
     bring = {point.dist.name: point.dist.version for point in method_entry_points() if point.dist}
     return {"sinsjax": package_version(), "python": platform.python_version(), **packages, **bring}
 
 
-def session() -> dict[str, Any]:
-    """What may affect the results, for a manifest: versions, machine and XLA options."""
-    cpu = machine.cpu()
+def describe_environment() -> dict[str, Any]:
+    """Return the versions, machine and XLA options that may affect results, for a manifest."""
+    cpu = machine.cpu_info()
     return {
-        "versions": versions(),
+        "versions": relevant_versions(),
         "platform": platform.platform(),
         "cpu": cpu.get("model name") or platform.processor() or platform.machine(),
-        "instructions": xla.instructions(),
+        "instructions": xla.instruction_set(),
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
     }
 
 
 def info() -> dict[str, Any]:
-    """Versions, devices and options of this process; configures it if necessary, and starts JAX.
+    """Return versions, devices and options of this process; configures it if necessary.
 
     Returns:
-        All of `versions`; ``platform``, ``cpu``; ``instructions``: the instruction set in use;
+        All of `relevant_versions`; ``platform``, ``cpu``; ``instructions``: the set in use;
         ``avx512``: whether that is AVX-512, None if unknown; ``cores``, ``devices``, ``x64``;
         ``compile_cache``: the folder of compiled programs, or off and why; ``options``: each XLA
         option with its value in ``XLA_FLAGS`` or None; ``opted_out``; ``jaxlib_tested``: whether
@@ -183,43 +184,43 @@ def info() -> dict[str, Any]:
     from sinsjax.platform import compile_cache
 
     ensure_configured()
-    present = xla.given()
-    this, cpu = session(), machine.cpu()
+    present = xla.current_options()
+    environment, cpu = describe_environment(), machine.cpu_info()
     return {
-        **this["versions"],
-        "platform": this["platform"],
-        "cpu": this["cpu"],
-        "instructions": this["instructions"],
-        "avx512": this["instructions"] == "AVX512" if "flags" in cpu else None,
+        **environment["versions"],
+        "platform": environment["platform"],
+        "cpu": environment["cpu"],
+        "instructions": environment["instructions"],
+        "avx512": environment["instructions"] == "AVX512" if "flags" in cpu else None,
         "cores": usable_cores(),
         "devices": [str(device) for device in jax.devices()],
         "x64": bool(jax.config.jax_enable_x64),
         "compile_cache": jax.config.values["jax_compilation_cache_dir"]
-        or f"off ({compile_cache.why_off()})",
-        "options": {option.name: present.get(option.name) for option in xla.wanted()},
-        "opted_out": xla.opted_out(),
-        "jaxlib_tested": _version("jaxlib") in xla.TESTED_JAXLIB,
+        or f"off ({compile_cache.reason_off()})",
+        "options": {option.name: present.get(option.name) for option in xla.required_options()},
+        "opted_out": xla.is_opted_out(),
+        "jaxlib_tested": _installed_version("jaxlib") in xla.TESTED_JAXLIB,
     }
 
 
 @functools.cache
-def _version(package: str) -> str:
+def _installed_version(package: str) -> str:
     return importlib.metadata.version(package)
 
 
-def version_or_none(package: str) -> str | None:
+def installed_version_or_none(package: str) -> str | None:
     """The version of an installed package; None if it is not installed."""
     try:
-        return _version(package)
+        return _installed_version(package)
     except importlib.metadata.PackageNotFoundError:
         return None
 
 
-def _default_devices() -> int:
+def _default_device_count() -> int:
     import jax
 
     chosen = int(jax.config.values["jax_num_cpu_devices"])
     if chosen >= 1:
         return chosen
-    forced = xla.given().get("xla_force_host_platform_device_count", "")
+    forced = xla.current_options().get("xla_force_host_platform_device_count", "")
     return int(forced) if forced.isdigit() and int(forced) else usable_cores()

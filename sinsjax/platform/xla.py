@@ -24,13 +24,13 @@ from typing import NamedTuple
 
 from sinsjax.errors import InputError
 from sinsjax.platform import machine
-from sinsjax.platform.files import replacing
+from sinsjax.platform.files import atomic_write
 
 EXTRA_FLAG = "xla_backend_extra_options"
 OPT_OUT = "SINSJAX_XLA_OPTIONS"
 
 
-class Option(NamedTuple):
+class XlaOption(NamedTuple):
     """One option of XLA:CPU, or of LLVM underneath.
 
     Attributes:
@@ -50,11 +50,11 @@ TESTED_JAXLIB = frozenset({"0.10.0", "0.10.2"})
 """jaxlib versions on which all options were seen to take effect in a compiled loop."""
 
 _OPTIONS = (
-    Option("xla_cpu_prefer_vector_width", "512", extra=False),
-    Option("xla_cpu_copy_insertion_use_region_analysis", "true", extra=False),
-    Option("xla_cpu_small_while_loop_byte_threshold", "1000000000"),
-    Option("xla_cpu_use_multi_output_fusion", "true"),
-    Option("--vectorize-memory-check-threshold", "100000"),
+    XlaOption("xla_cpu_prefer_vector_width", "512", extra=False),
+    XlaOption("xla_cpu_copy_insertion_use_region_analysis", "true", extra=False),
+    XlaOption("xla_cpu_small_while_loop_byte_threshold", "1000000000"),
+    XlaOption("xla_cpu_use_multi_output_fusion", "true"),
+    XlaOption("--vectorize-memory-check-threshold", "100000"),
 )
 _WIDTHS = {"AVX512": "8", "AVX2": "4", "AVX": "4", "SSE4_2": "4"}
 _FLAG = re.compile(r"""(?:^|(?<=\s))--(\w+)=(\"[^\"]*\"|'[^']*'|\S*)""")
@@ -67,13 +67,13 @@ class ConfigurationWarning(UserWarning):
     """JAX could not be set up as intended: runs can be slower, results differ by rounding."""
 
 
-def opted_out() -> bool:
-    """Whether ``SINSJAX_XLA_OPTIONS=0`` is set."""
+def is_opted_out() -> bool:
+    """Return whether ``SINSJAX_XLA_OPTIONS=0`` is set."""
     return os.environ.get(OPT_OUT, "").strip() == "0"
 
 
-def flag_values(flags: str) -> dict[str, str]:
-    """Every flag and extra option in a value of ``XLA_FLAGS``, by name; the last one wins."""
+def parse_flags(flags: str) -> dict[str, str]:
+    """Return the flags and extra options in a value of ``XLA_FLAGS`` by name; the last one wins."""
     values: dict[str, str] = {}
     for name, quoted in _FLAG.findall(flags):
         value = quoted.strip("\"'")
@@ -85,45 +85,45 @@ def flag_values(flags: str) -> dict[str, str]:
 
 
 def names_a_file(flags: str) -> bool:
-    """Whether a value of ``XLA_FLAGS`` names a file that contains the flags."""
+    """Return whether a value of ``XLA_FLAGS`` names a file that contains the flags."""
     return bool(flags.strip()) and not flags.lstrip().startswith("-")
 
 
-def given() -> dict[str, str]:
-    """The options set by ``XLA_FLAGS``, or by the file that it names, see `flag_values`."""
+def current_options() -> dict[str, str]:
+    """The options set by ``XLA_FLAGS``, or by the file that it names, see `parse_flags`."""
     flags = os.environ.get("XLA_FLAGS", "")
     if names_a_file(flags):
         with contextlib.suppress(OSError, ValueError):
             flags = Path(flags.strip()).read_text(encoding="utf-8")
-    return flag_values(flags)
+    return parse_flags(flags)
 
 
-def instructions() -> str:
+def instruction_set() -> str:
     """The instruction set in use: this machine's, limited by ``XLA_FLAGS``."""
-    return machine.instructions(given().get("xla_cpu_max_isa", ""))
+    return machine.instruction_set(current_options().get("xla_cpu_max_isa", ""))
 
 
-def wanted() -> tuple[Option, ...]:
+def required_options() -> tuple[XlaOption, ...]:
     """The options for the instruction set in use.
 
     On x86 they include LLVM's options for loops over lanes in double precision: wider vectors than
     LLVM would choose, one per iteration.
     """
-    width = _WIDTHS.get(instructions())
+    width = _WIDTHS.get(instruction_set())
     if width is None:
         return _OPTIONS
-    loops = Option("--force-vector-width", width), Option("--force-vector-interleave", "1")
+    loops = XlaOption("--force-vector-width", width), XlaOption("--force-vector-interleave", "1")
     return _OPTIONS + loops
 
 
-def missing_options() -> tuple[Option, ...]:
+def missing_options() -> tuple[XlaOption, ...]:
     """The options that ``XLA_FLAGS`` does not set and this jaxlib knows; none if opted out."""
     unset = _unset_options()
-    refused = refused_options(_jaxlib()) if unset else frozenset()
+    refused = refused_options(_jaxlib_version()) if unset else frozenset()
     return tuple(option for option in unset if option.name not in refused)
 
 
-def merge_options(flags: str, options: Sequence[Option]) -> str:
+def merge_options(flags: str, options: Sequence[XlaOption]) -> str:
     """Extend a value of ``XLA_FLAGS`` by the options that it does not set.
 
     Args:
@@ -133,7 +133,7 @@ def merge_options(flags: str, options: Sequence[Option]) -> str:
     Returns:
         The new value. Extra options are appended to an existing ``--xla_backend_extra_options``.
     """
-    present = flag_values(flags)
+    present = parse_flags(flags)
     missing = [option for option in options if option.name not in present]
     plain = [f"--{o.name}={o.value}" for o in missing if not o.extra]
     extra = ",".join(f"{o.name}={o.value}" for o in missing if o.extra)
@@ -163,16 +163,18 @@ def apply_options() -> None:
     """
     flags, missing = os.environ.get("XLA_FLAGS", ""), missing_options()
     if names_a_file(flags) and missing:
-        _warn(f"XLA_FLAGS names the file {flags.strip()}; add {merge_options('', missing)} to it")
+        _warn_incomplete_options(
+            f"XLA_FLAGS names the file {flags.strip()}; add {merge_options('', missing)} to it"
+        )
     elif missing:
         os.environ["XLA_FLAGS"] = extended_flags()
     if not names_a_file(flags) and (refused := _unset_options()):
         names = ", ".join(f"--{option.name.removeprefix('--')}" for option in refused)
-        _warn(f"jaxlib {_jaxlib()} does not know {names}")
+        _warn_incomplete_options(f"jaxlib {_jaxlib_version()} does not know {names}")
 
 
-def backend_started() -> bool:
-    """Whether a JAX backend has started in this process, after which XLA reads no more options."""
+def has_backend_started() -> bool:
+    """Return whether a JAX backend has started, after which XLA reads no more options."""
     # JAX has no public function for this that does not start it.
     bridge = sys.modules.get("jax._src.xla_bridge")
     return bridge is not None and bridge.backends_are_initialized()
@@ -180,7 +182,7 @@ def backend_started() -> bool:
 
 @functools.cache
 def refused_options(jaxlib: str) -> frozenset[str]:
-    """The names of the `wanted` options that a jaxlib version does not know.
+    """The names of the `required_options` options that a jaxlib version does not know.
 
     An unknown option would end this process, so a version not in `TESTED_JAXLIB` is tried in a
     separate one, first with all the options and, if it fails, with each alone. The answer is stored
@@ -192,22 +194,22 @@ def refused_options(jaxlib: str) -> frozenset[str]:
     Returns:
         Names of options; all of them if nothing can be tried.
     """
-    options = wanted()
+    options = required_options()
     if jaxlib in TESTED_JAXLIB:
         return frozenset()
-    key, answers = f"jaxlib {jaxlib} {merge_options('', options)}", _read_answers()
-    if key not in answers:
-        if not compiles(""):
+    key, trial_results = f"jaxlib {jaxlib} {merge_options('', options)}", _read_trial_results()
+    if key not in trial_results:
+        if not can_compile(""):
             return frozenset(option.name for option in options)
-        refused = [] if compiles(merge_options("", options)) else options
-        names = [option.name for option in refused if not compiles(merge_options("", [option]))]
-        answers[key] = names
-        _write_answers(answers)
-    return frozenset(answers[key])
+        refused = [] if can_compile(merge_options("", options)) else options
+        names = [option.name for option in refused if not can_compile(merge_options("", [option]))]
+        trial_results[key] = names
+        _write_trial_results(trial_results)
+    return frozenset(trial_results[key])
 
 
-def compiles(flags: str) -> bool:
-    """Whether a separate process compiles a small program with a value of ``XLA_FLAGS``."""
+def can_compile(flags: str) -> bool:
+    """Return whether a separate process compiles a small program with a value of ``XLA_FLAGS``."""
     settings = {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "false"}
     try:
         process = subprocess.run(
@@ -223,12 +225,12 @@ def compiles(flags: str) -> bool:
     return process.returncode == 0
 
 
-def _unset_options() -> tuple[Option, ...]:
-    present = given()
-    return () if opted_out() else tuple(o for o in wanted() if o.name not in present)
+def _unset_options() -> tuple[XlaOption, ...]:
+    present = current_options()
+    return () if is_opted_out() else tuple(o for o in required_options() if o.name not in present)
 
 
-def _warn(problem: str) -> None:
+def _warn_incomplete_options(problem: str) -> None:
     warnings.warn(
         f"sinsjax's XLA options are not all in effect, runs may be several times slower: {problem}"
         f" ({OPT_OUT}=0 silences this warning)",
@@ -238,26 +240,26 @@ def _warn(problem: str) -> None:
 
 
 @functools.cache
-def _jaxlib() -> str:
+def _jaxlib_version() -> str:
     return importlib.metadata.version("jaxlib")
 
 
-def _answers_file() -> Path:
-    return machine.cache_folder() / "xla_options.json"
+def _trial_results_file() -> Path:
+    return machine.user_cache_folder() / "xla_options.json"
 
 
-def _read_answers() -> dict[str, list[str]]:
+def _read_trial_results() -> dict[str, list[str]]:
     """The options refused in earlier trials, by jaxlib version and options tried."""
     try:
-        stored = json.loads(_answers_file().read_text(encoding="utf-8"))
+        stored = json.loads(_trial_results_file().read_text(encoding="utf-8"))
         return {key: names for key, names in stored.items() if isinstance(names, list)}
     except (OSError, ValueError, AttributeError):
         return {}
 
 
-def _write_answers(answers: dict[str, list[str]]) -> None:
+def _write_trial_results(results: dict[str, list[str]]) -> None:
     # If nothing can be stored, the next process tries again.
     with contextlib.suppress(OSError, InputError):
-        machine.private_folder(_answers_file().parent)
-        with replacing(_answers_file()) as file:
-            file.write(json.dumps(answers, indent=1).encode())
+        machine.ensure_private_folder(_trial_results_file().parent)
+        with atomic_write(_trial_results_file()) as file:
+            file.write(json.dumps(results, indent=1).encode())

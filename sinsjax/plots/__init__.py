@@ -1,61 +1,61 @@
-"""Figures from tables, in one style; each module holds one kind of figure.
+"""Figures from tables, in one style; each module has one kind of figure.
 
-Every function returns a new matplotlib `Figure`; `png` converts it to bytes that depend only on the
-figure. Nothing here changes matplotlib's global state.
+Every function returns a new matplotlib `Figure`; `render_png` converts it to bytes that depend only
+on the figure. Nothing here changes matplotlib's global state.
 """
 
-from sinsjax.plots.beliefs import BeliefPanel, beliefs, plot_belief
-from sinsjax.plots.believed import Course, believed
+from sinsjax.plots.comparison import ExpectedValue, draw_along_axis, is_informative, plot_compare
+from sinsjax.plots.consistency import ConsistencyLine, draw_consistency, plot_belief
 from sinsjax.plots.curves import (
     Ensemble,
     Line,
-    attitude,
-    draw,
-    ensembles,
-    misalignment,
+    draw_attitude,
+    draw_mean_and_band,
+    draw_misalignment,
+    draw_squared_errors,
+    group_curves,
     plot_curves,
-    squares,
 )
+from sinsjax.plots.error_bands import HeadingErrorCourse, draw_error_bands
 from sinsjax.plots.grids import (
-    Marks,
-    Scale,
-    Shown,
-    differ,
-    heat_maps,
+    CellMarks,
+    GridAxis,
+    MapQuantity,
+    draw_heat_maps,
+    values_differ,
 )
+from sinsjax.plots.labels import axis_label, format_setting
 from sinsjax.plots.maps import plot_map
-from sinsjax.plots.spreads import Expected, along_axis, plot_compare, tells
-from sinsjax.plots.style import COLOURS, STYLE, colour, png
-from sinsjax.plots.words import label, setting
+from sinsjax.plots.style import COLOURS, STYLE, line_colour, render_png
 
 __all__ = [
     "COLOURS",
     "STYLE",
-    "BeliefPanel",
-    "Course",
+    "ConsistencyLine",
+    "HeadingErrorCourse",
     "Ensemble",
-    "Expected",
+    "ExpectedValue",
     "Line",
-    "Marks",
-    "Scale",
-    "Shown",
-    "along_axis",
-    "attitude",
-    "beliefs",
-    "believed",
-    "colour",
-    "differ",
-    "draw",
-    "ensembles",
-    "heat_maps",
-    "label",
-    "misalignment",
+    "CellMarks",
+    "GridAxis",
+    "MapQuantity",
+    "draw_along_axis",
+    "draw_attitude",
+    "draw_consistency",
+    "draw_error_bands",
+    "line_colour",
+    "values_differ",
+    "draw_mean_and_band",
+    "group_curves",
+    "draw_heat_maps",
+    "axis_label",
+    "draw_misalignment",
     "plot_belief",
     "plot_compare",
     "plot_curves",
     "plot_map",
-    "png",
-    "setting",
-    "squares",
-    "tells",
+    "render_png",
+    "format_setting",
+    "draw_squared_errors",
+    "is_informative",
 ]

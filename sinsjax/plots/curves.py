@@ -11,12 +11,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sinsjax.analysis.tables import as_keys, as_table, groups, numbers, require
+from sinsjax.analysis.tables import (
+    group_rows,
+    numeric_column,
+    require_column,
+    to_arrow_table,
+    to_key_list,
+)
 from sinsjax.errors import InputError
-from sinsjax.plots.style import GREY, both_sides, colour, label_lines, legend_outside, styled
-from sinsjax.plots.words import name_of
+from sinsjax.plots.labels import describe_point
+from sinsjax.plots.style import (
+    GREY,
+    add_legend_below,
+    label_line_ends,
+    line_colour,
+    set_asinh_scale,
+    with_style,
+)
 
-MOST_LINES = 6
+MAX_LINES = 6
 """Lines of a figure at most."""
 
 BAND = (0.025, 0.975)
@@ -65,15 +78,15 @@ class Line(NamedTuple):
     style: str = "-"
 
 
-def ensembles(curves: pa.Table, runs: Mapping[str, Iterable[int]]) -> list[Ensemble]:
+def group_curves(curves: pa.Table, runs_by_line: Mapping[str, Iterable[int]]) -> list[Ensemble]:
     """Arrange curves by run and record time.
 
     Args:
         curves: one row per run and record time, ordered by run_id and time.
-        runs: label to the runs of a line.
+        runs_by_line: label to the runs of a line.
     """
-    made = []
-    for name, run_ids in runs.items():
+    grouped = []
+    for name, run_ids in runs_by_line.items():
         rows = curves.filter(pc.field("run_id").isin(sorted(run_ids)))
         count = pc.count_distinct(rows["run_id"]).as_py()
         columns = {
@@ -81,8 +94,8 @@ def ensembles(curves: pa.Table, runs: Mapping[str, Iterable[int]]) -> list[Ensem
             for column in rows.column_names
             if column != "run_id"
         }
-        made.append(Ensemble(name, columns.pop("time_s")[0], columns))
-    return made
+        grouped.append(Ensemble(name, columns.pop("time_s")[0], columns))
+    return grouped
 
 
 class Extent(NamedTuple):
@@ -94,7 +107,7 @@ class Extent(NamedTuple):
     is_sigma: bool = False
 
 
-def draw(axes: Axes, line: Line) -> Extent:
+def draw_mean_and_band(axes: Axes, line: Line) -> Extent:
     """Draw a line's mean over the runs and the band that contains 95 % of them.
 
     Args:
@@ -122,8 +135,8 @@ def plot_curves(
 ) -> Figure:
     """Draw the misalignment over time, or the attitude of runs without a truth, line by line.
 
-    A line is the mean over its runs with the band of 95 % of them, dashed the filter's own 1 sigma.
-    Of many lines the first 6 are drawn, of many runs of a line the first 256.
+    Each line is the mean over its runs with the band of 95 % of them; dashed: the filter's own
+    1 sigma. Only the first 6 lines and the first 256 runs of a line are drawn.
 
     Args:
         curves: one row per run and record time, ordered by run and time, with ``run_id``,
@@ -132,7 +145,7 @@ def plot_curves(
         runs: the runs to draw, one row each, such as `Results.summary`, with the keys of ``by``;
             reset times and a bias floor in it are marked. None draws every run as its own line.
         by: key or keys of the lines; without keys all runs make one.
-        zoom_s: time span to enlarge beside the whole run, s.
+        zoom_s: time span to enlarge next to the whole run, s.
         title: title of the figure; by default it states the heading error at the end.
 
     Raises:
@@ -145,38 +158,40 @@ def plot_curves(
         >>> sinsjax.plot_curves(curves).get_suptitle()
         'Heading error after 2 s: 2 arcmin'
     """
-    table = as_table(curves)
-    keys = as_keys(by)
+    table = to_arrow_table(curves)
+    keys = to_key_list(by)
     found = [f"phi_{axis}_arcmin" for axis in "enu" if f"phi_{axis}_arcmin" in table.column_names]
-    has_truth = any(np.isfinite(numbers(table, name)).any() for name in found)
+    has_truth = any(np.isfinite(numeric_column(table, name)).any() for name in found)
     angles = [f"{angle}_deg" for angle in ("pitch", "roll", "yaw")]
     needed = found if has_truth else [*angles, *(f"sigma_{axis}_arcmin" for axis in "enu")]
     for name in ("run_id", "time_s", *needed):
-        require(table, name)
-    summary = pa.table({"run_id": table["run_id"].unique()}) if runs is None else as_table(runs)
-    lines = runs_of_lines(summary, ["run_id"] if runs is None else keys)
-    there = {*table["run_id"].unique().to_pylist()}
-    lines = {name: ids for name, ids in lines.items() if there.intersection(ids)}
+        require_column(table, name)
+    summary = (
+        pa.table({"run_id": table["run_id"].unique()}) if runs is None else to_arrow_table(runs)
+    )
+    lines = select_runs_by_line(summary, ["run_id"] if runs is None else keys)
+    run_ids = {*table["run_id"].unique().to_pylist()}
+    lines = {name: ids for name, ids in lines.items() if run_ids.intersection(ids)}
     if not lines:
         raise InputError("plot_curves: there are no curves of these runs")
-    shown = ensembles(table, lines)
-    sigmas = [one.columns.get("sigma_u_arcmin") for one in shown]
+    ensembles = group_curves(table, lines)
+    sigmas = [ensemble.columns.get("sigma_u_arcmin") for ensemble in ensembles]
     with_sigma = any(sigma is not None and np.isfinite(sigma).any() for sigma in sigmas)
     if not has_truth:
-        return attitude(shown, title or _attitude_finding(shown))
+        return draw_attitude(ensembles, title or _attitude_title(ensembles))
     drawn = summary.filter(pc.is_in(summary["run_id"], pa.array(sum(lines.values(), []))))
-    limit = _only_floor(summary)
-    return misalignment(
-        shown,
-        title or _finding(shown),
-        limits=None if limit is None else {"u": limit},
-        resets_s=_few_resets(drawn),
+    floor = _common_bias_floor(summary)
+    return draw_misalignment(
+        ensembles,
+        title or _heading_error_title(ensembles),
+        floors=None if floor is None else {"u": floor},
+        resets_s=_reset_times_to_mark(drawn),
         zoom_s=zoom_s,
         with_sigma=with_sigma,
     )
 
 
-def runs_of_lines(summary: pa.Table, by: Sequence[str]) -> dict[str, list[int]]:
+def select_runs_by_line(summary: pa.Table, by: Sequence[str]) -> dict[str, list[int]]:
     """The runs of each line that `plot_curves` draws, by its name.
 
     Args:
@@ -184,20 +199,22 @@ def runs_of_lines(summary: pa.Table, by: Sequence[str]) -> dict[str, list[int]]:
         by: keys of the lines.
     """
     keys = dict.fromkeys(["run_id", *by])
-    lines = islice(groups(summary.select(list(keys)), by), MOST_LINES)
-    return {name_of(key): rows["run_id"].slice(0, _MOST_DRAWS).to_pylist() for key, rows in lines}
+    lines = islice(group_rows(summary.select(list(keys)), by), MAX_LINES)
+    return {
+        describe_point(key): rows["run_id"].slice(0, _MOST_DRAWS).to_pylist() for key, rows in lines
+    }
 
 
-def _only_floor(summary: pa.Table) -> float | None:
+def _common_bias_floor(summary: pa.Table) -> float | None:
     """The bias floor of all runs that have one, if it is the same, arcmin."""
     if "floor_arcmin" not in summary.column_names:
         return None
-    floors = numbers(summary, "floor_arcmin")
+    floors = numeric_column(summary, "floor_arcmin")
     floors = floors[np.isfinite(floors)]
     return float(floors[0]) if floors.size and np.ptp(floors) < _SAME else None
 
 
-def _few_resets(summary: pa.Table) -> list[float]:
+def _reset_times_to_mark(summary: pa.Table) -> list[float]:
     """The reset times of the runs in ascending order, s; none if there are too many to mark."""
     if "reset_times_s" not in summary.column_names:
         return []
@@ -205,18 +222,22 @@ def _few_resets(summary: pa.Table) -> list[float]:
     return sorted(moments) if len(moments) <= _MOST_MOMENTS else []
 
 
-def _attitude_finding(shown: Sequence[Ensemble]) -> str:
+def _attitude_title(ensembles: Sequence[Ensemble]) -> str:
     """The yaw at the end of each line, in words."""
-    last = [float(one.columns["yaw_deg"][:, -1].mean()) for one in shown]
+    last = [float(ensemble.columns["yaw_deg"][:, -1].mean()) for ensemble in ensembles]
     ends = dict.fromkeys(f"{yaw:.2f}" for yaw in (min(last), max(last)))
-    return f"Yaw after {shown[0].time_s[-1]:g} s: {' to '.join(ends)} deg"
+    return f"Yaw after {ensembles[0].time_s[-1]:g} s: {' to '.join(ends)} deg"
 
 
-def _finding(shown: Sequence[Ensemble]) -> str:
+def _heading_error_title(ensembles: Sequence[Ensemble]) -> str:
     """The heading error at the end of each line, in words."""
-    last = [np.abs(e.columns["phi_u_arcmin"][:, -1]) for e in shown]
-    errors = [float(np.sqrt(np.mean(one**2))) for one in last if np.isfinite(one).all()]
-    end = max(float(e.time_s[-1]) for e in shown)
+    last = [np.abs(e.columns["phi_u_arcmin"][:, -1]) for e in ensembles]
+    errors = [
+        float(np.sqrt(np.mean(errors_of_line**2)))
+        for errors_of_line in last
+        if np.isfinite(errors_of_line).all()
+    ]
+    end = max(float(e.time_s[-1]) for e in ensembles)
     if not errors:
         return "Misalignment"
     ends = dict.fromkeys(f"{error:.3g}" for error in (min(errors), max(errors)))
@@ -224,12 +245,12 @@ def _finding(shown: Sequence[Ensemble]) -> str:
     return f"Heading error after {end:g} s: {' to '.join(ends)} arcmin{rms}"
 
 
-@styled
-def misalignment(
-    shown: Sequence[Ensemble],
+@with_style
+def draw_misalignment(
+    ensembles: Sequence[Ensemble],
     title: str,
     *,
-    limits: Mapping[str, float] | None = None,
+    floors: Mapping[str, float] | None = None,
     resets_s: Sequence[float] = (),
     zoom_s: tuple[float, float] | None = None,
     with_sigma: bool = False,
@@ -237,9 +258,9 @@ def misalignment(
     """Misalignment about east, north and up: the whole run, and its end enlarged.
 
     Args:
-        shown: one line each, with the phi columns (and sigma, if drawn).
+        ensembles: one line each, with the phi columns (and sigma, if drawn).
         title: title of the figure.
-        limits: dash-dotted lines at ``{"e": ..., "n": ..., "u": ...}``, arcmin.
+        floors: dash-dotted lines at ``{"e": ..., "n": ..., "u": ...}``, arcmin.
         resets_s: dotted lines at reset times, s.
         zoom_s: time span to enlarge, s; None for no enlargement.
         with_sigma: whether to draw the filter's 1 sigma, dashed on both sides of 0.
@@ -250,47 +271,49 @@ def misalignment(
     notes = {""}
     for row, axis in zip(grid, "enu", strict=True):
         for axes in row:
-            extents = _draw_misalignment(axes, axis, shown, with_sigma=with_sigma)
-            if limits and axis in limits:
-                # Over the lines: what has converged would hide it.
+            extents = _draw_misalignment_panel(axes, axis, ensembles, with_sigma=with_sigma)
+            if floors and axis in floors:
+                # On top of the lines, or converged lines would hide it.
                 axes.axhline(
-                    limits[axis], color="black", ls="-.", lw=0.9, zorder=3, label="bias floor"
+                    floors[axis], color="black", ls="-.", lw=0.9, zorder=3, label="bias floor"
                 )
-            _mark(axes, resets_s)
+            _mark_resets(axes, resets_s)
         row[0].set_xlim(0, max(extent.time_s[-1] for extent in extents))
-        notes.add(fit_range(row[0], extents).replace("\n", ", "))
+        notes.add(use_asinh_if_wide(row[0], extents).replace("\n", ", "))
         row[0].set_ylabel(f"{_NAMES[axis]}\n(arcmin)")
         if zoom_s:
-            _enlarge(row[1], zoom_s, extents)
+            _show_time_span(row[1], zoom_s, extents)
     grid[0, 0].set_title(f"Whole run{max(notes)}")
     if zoom_s:
         grid[0, 1].set_title(f"Enlarged: {zoom_s[0]:g} to {zoom_s[1]:g} s")
     for axes in grid[-1]:
         axes.set_xlabel("time (s)")
-    legend_outside(figure, grid[-1, 0], _labelled(grid[:, -1], shown))
+    add_legend_below(figure, grid[-1, 0], _label_line_ends(grid[:, -1], ensembles))
     return figure
 
 
-def _labelled(panels: NDArray, shown: Sequence[Ensemble]) -> set[str]:
-    """Write the names of the lines beside the first panel that has room; gives these names."""
+def _label_line_ends(panels: NDArray, ensembles: Sequence[Ensemble]) -> set[str]:
+    """Write the names of the lines next to the first panel that has room, and return them."""
     for axes, axis in reversed(list(zip(panels, "enu", strict=True))):
-        last = [float(e.columns[f"phi_{axis}_arcmin"][:, -1].mean()) for e in shown]
+        last = [float(e.columns[f"phi_{axis}_arcmin"][:, -1].mean()) for e in ensembles]
         ends = [
-            (e.label, value, colour(i))
-            for i, (e, value) in enumerate(zip(shown, last, strict=True))
+            (e.label, value, line_colour(i))
+            for i, (e, value) in enumerate(zip(ensembles, last, strict=True))
         ]
-        if label_lines(axes, ends):
-            return {e.label for e in shown}
+        if label_line_ends(axes, ends):
+            return {e.label for e in ensembles}
     return set()
 
 
-def _draw_misalignment(
-    axes: Axes, axis: str, shown: Sequence[Ensemble], *, with_sigma: bool
+def _draw_misalignment_panel(
+    axes: Axes, axis: str, ensembles: Sequence[Ensemble], *, with_sigma: bool
 ) -> list[Extent]:
     extents = []
-    for i, ensemble in enumerate(shown):
+    for i, ensemble in enumerate(ensembles):
         values = ensemble.columns[f"phi_{axis}_arcmin"]
-        extents.append(draw(axes, Line(ensemble.label, ensemble.time_s, values, colour(i))))
+        extents.append(
+            draw_mean_and_band(axes, Line(ensemble.label, ensemble.time_s, values, line_colour(i)))
+        )
         if with_sigma:
             sigma = ensemble.columns[f"sigma_{axis}_arcmin"].mean(axis=0)
             known = np.isfinite(sigma)
@@ -298,27 +321,29 @@ def _draw_misalignment(
                 continue  # a method without a covariance
             time, sigma = ensemble.time_s[known], sigma[known]
             for side in (sigma, -sigma):
-                axes.plot(time, side, "--", color=colour(i), linewidth=0.9, alpha=0.8)
+                axes.plot(time, side, "--", color=line_colour(i), linewidth=0.9, alpha=0.8)
             extents.append(Extent(time, -sigma, sigma, is_sigma=True))
-    if any(len(ensemble.columns[f"phi_{axis}_arcmin"]) > 1 for ensemble in shown):
+    if any(len(ensemble.columns[f"phi_{axis}_arcmin"]) > 1 for ensemble in ensembles):
         axes.fill_between([], [], color=GREY, alpha=_FAINT, linewidth=0, label="95 % of the runs")
-    if len(extents) > len(shown):
+    if len(extents) > len(ensembles):
         axes.plot([], [], "--", color=GREY, linewidth=0.9, label="±1 sigma of the filter")
     return extents
 
 
-def fit_range(axes: Axes, extents: Sequence[Extent]) -> str:
-    """Make a wide range of values legible; gives a note for the axis label."""
-    far = [np.maximum(np.abs(e.low), np.abs(e.high)) for e in extents if e.time_s.size]
-    end = max(min((float(one[-1]) for one in far), default=0.0), _LINEAR[0])
-    top = max((float(one.max()) for one in far), default=0.0)
+def use_asinh_if_wide(axes: Axes, extents: Sequence[Extent]) -> str:
+    """Make a wide range of values legible, and return a note for the axis label."""
+    all_magnitudes = [np.maximum(np.abs(e.low), np.abs(e.high)) for e in extents if e.time_s.size]
+    end = max(
+        min((float(magnitudes[-1]) for magnitudes in all_magnitudes), default=0.0), _LINEAR[0]
+    )
+    top = max((float(magnitudes.max()) for magnitudes in all_magnitudes), default=0.0)
     if top <= _WIDE * end:
         return ""
     linear = 10.0 ** np.floor(np.log10(min(end, _LINEAR[1])))
-    return both_sides(axes.yaxis, linear, 10 * linear if top > _CROWDED * linear else linear)
+    return set_asinh_scale(axes.yaxis, linear, 10 * linear if top > _CROWDED * linear else linear)
 
 
-def _enlarge(axes: Axes, span: tuple[float, float], extents: Sequence[Extent]) -> None:
+def _show_time_span(axes: Axes, span: tuple[float, float], extents: Sequence[Extent]) -> None:
     """Show a time span, with the vertical axis fitted to the lines within it."""
     axes.set_xlim(*span)
     values = []
@@ -334,18 +359,18 @@ def _enlarge(axes: Axes, span: tuple[float, float], extents: Sequence[Extent]) -
         axes.set_ylim(covered.min() - margin, covered.max() + margin)
 
 
-def _mark(axes: Axes, times_s: Sequence[float]) -> None:
+def _mark_resets(axes: Axes, times_s: Sequence[float]) -> None:
     for i, time in enumerate(times_s):
         name = "reset" if i == 0 else None
         axes.axvline(time, color=GREY, linestyle=":", linewidth=1.1, label=name)
 
 
-@styled
-def attitude(shown: Sequence[Ensemble], title: str) -> Figure:
+@with_style
+def draw_attitude(ensembles: Sequence[Ensemble], title: str) -> Figure:
     """Pitch, roll and yaw with the filter's 1 sigma shaded, for runs without a truth.
 
     Args:
-        shown: one line each: the mean over its runs, and their mean sigma.
+        ensembles: one line each: the mean over its runs, and their mean sigma.
         title: title of the figure.
     """
     figure = Figure(figsize=(9.2, 7.2))
@@ -355,12 +380,14 @@ def attitude(shown: Sequence[Ensemble], title: str) -> Figure:
         panels, {"pitch": "e", "roll": "n", "yaw": "u"}.items(), strict=True
     ):
         edges = []
-        for i, ensemble in enumerate(shown):
+        for i, ensemble in enumerate(ensembles):
             values = ensemble.columns[f"{angle}_deg"].mean(axis=0)
             sigma = ensemble.columns[f"sigma_{axis}_arcmin"].mean(axis=0) / 60
-            axes.plot(ensemble.time_s, values, color=colour(i), label=ensemble.label)
+            axes.plot(ensemble.time_s, values, color=line_colour(i), label=ensemble.label)
             low, high = values - sigma, values + sigma
-            axes.fill_between(ensemble.time_s, low, high, color=colour(i), alpha=0.18, linewidth=0)
+            axes.fill_between(
+                ensemble.time_s, low, high, color=line_colour(i), alpha=0.18, linewidth=0
+            )
             edges.append(values)
             if (there := np.isfinite(sigma)).any():
                 edges += [np.quantile(edge[there], _SPIKES) for edge in (low, high)]
@@ -371,17 +398,17 @@ def attitude(shown: Sequence[Ensemble], title: str) -> Figure:
             axes.set_ylim(known.min() - margin, known.max() + margin)
         axes.set_ylabel(f"{angle} (deg)")
     panels[-1].set_xlabel("time (s)")
-    legend_outside(figure, panels[0])
+    add_legend_below(figure, panels[0])
     return figure
 
 
-@styled
-def squares(
+@with_style
+def draw_squared_errors(
     panels: Mapping[str, Sequence[Line]],
     title: str,
     *,
     resets_s: Sequence[float] = (),
-    floor: float = 0.1,
+    axis_minimum: float = 0.1,
 ) -> Figure:
     """Squared quantities on a log axis: the filter's variance against the true squared error.
 
@@ -389,19 +416,19 @@ def squares(
         panels: panel title to lines, arcmin^2.
         title: title of the figure.
         resets_s: dotted lines at reset times, s.
-        floor: lower end of the axis, arcmin^2.
+        axis_minimum: lower end of the axis, arcmin^2.
     """
     figure = Figure(figsize=(9.2, 4.8))
     figure.suptitle(title)
     grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, (name, lines) in zip(grid, panels.items(), strict=True):
         for line in lines:
-            draw(axes, line)
-        _mark(axes, resets_s)
+            draw_mean_and_band(axes, line)
+        _mark_resets(axes, resets_s)
         axes.set_yscale("log")
-        axes.set_ylim(bottom=floor)
+        axes.set_ylim(bottom=axis_minimum)
         axes.set_title(name)
         axes.set_xlabel("time (s)")
     grid[0].set_ylabel("heading variance (arcmin²)")
-    legend_outside(figure, grid[0])
+    add_legend_below(figure, grid[0])
     return figure

@@ -20,10 +20,10 @@ from sinsjax.plots.style import (
     COLOURS,
     GREY,
     LETTERS,
-    colour,
+    add_legend_below,
     colour_range,
-    legend_outside,
-    styled,
+    line_colour,
+    with_style,
 )
 
 _COLOURS = "viridis_r"  # light where the objective is small
@@ -33,7 +33,7 @@ _LETTERS = 44  # characters per line of an axis label
 _MOST_PANELS = 10  # pairs of variables; more would not be legible
 
 
-class Side(NamedTuple):
+class VariableAxis(NamedTuple):
     """A variable along one axis of a figure.
 
     Attributes:
@@ -49,45 +49,45 @@ class Side(NamedTuple):
     log: bool
 
 
-class Landscape(NamedTuple):
+class ObjectiveLandscape(NamedTuple):
     """The objective at the points of a search.
 
     Attributes:
-        sides: the p variables.
+        axes: the p variables.
         values: (n, p) points.
         objective: (n,) objective of each point; infinite where it has none.
         shape: number of points along each variable if they form a grid, the last one fastest.
         name: name of the objective, with its unit.
     """
 
-    sides: Sequence[Side]
+    axes: Sequence[VariableAxis]
     values: NDArray
     objective: NDArray
     shape: tuple[int, ...] | None
     name: str
 
 
-class Way(NamedTuple):
+class DescentPath(NamedTuple):
     """A descent: (steps, p) values, and the (steps,) relaxed objectives at them."""
 
     values: NDArray
     objective: NDArray
 
 
-class Spot(NamedTuple):
+class MarkedPoint(NamedTuple):
     """A marked point.
 
     Attributes:
         name: label in the legend.
         values: (p,) values of the variables.
         objective: its objective; None if unknown.
-        look: number of its marker and colour.
+        style_index: number of its marker and colour.
     """
 
     name: str
     values: NDArray
     objective: float | None
-    look: int
+    style_index: int
 
 
 class CostCurve(NamedTuple):
@@ -108,59 +108,66 @@ class CostCurve(NamedTuple):
     final: tuple[float, float] | None
 
 
-@styled
-def descent(landscape: Landscape, ways: Sequence[Way], spots: Sequence[Spot], title: str) -> Figure:
+@with_style
+def draw_descents(
+    landscape: ObjectiveLandscape,
+    paths: Sequence[DescentPath],
+    points: Sequence[MarkedPoint],
+    title: str,
+) -> Figure:
     """Descents over a landscape: a curve of one variable, a map of two, or all pairs of more.
 
     Args:
         landscape: objective at points of one or more variables.
-        ways: paths of the descents.
-        spots: marked points, such as the best point of each search.
+        paths: paths of the descents.
+        points: marked points, such as the best point of each search.
         title: title of the figure.
     """
-    count = len(landscape.sides)
+    count = len(landscape.axes)
     if count == 1:
         figure = Figure(figsize=(8.4, 5.2))
-        _curve(figure.subplots(), landscape, ways, spots)
+        _draw_curve(figure.subplots(), landscape, paths, points)
     elif count == 2:
         figure = Figure(figsize=(8.4, 6.4))
         axes = figure.subplots()
-        norm = _norm(landscape)
+        norm = _colour_norm(landscape)
         if landscape.shape is not None:
-            _map(axes, landscape, norm)
+            _draw_map(axes, landscape, norm)
         else:
-            _scatter(axes, landscape, (0, 1), norm)
-        _over(axes, landscape.sides, (0, 1), ways, spots)
-        _colour_bar(figure, axes, landscape)
+            _draw_scatter(axes, landscape, (0, 1), norm)
+        _draw_paths_and_points(axes, landscape.axes, (0, 1), paths, points)
+        _add_colour_bar(figure, axes, landscape)
     else:
-        figure = _pairs(landscape, ways, spots)
+        figure = _draw_pairs(landscape, paths, points)
     figure.suptitle(fill(title, int(LETTERS * figure.get_figwidth())))
-    legend_outside(figure, figure.axes[0])
+    add_legend_below(figure, figure.axes[0])
     return figure
 
 
-def _pairs(landscape: Landscape, ways: Sequence[Way], spots: Sequence[Spot]) -> Figure:
-    pairs = list(combinations(range(len(landscape.sides)), 2))[:_MOST_PANELS]
+def _draw_pairs(
+    landscape: ObjectiveLandscape, paths: Sequence[DescentPath], points: Sequence[MarkedPoint]
+) -> Figure:
+    pairs = list(combinations(range(len(landscape.axes)), 2))[:_MOST_PANELS]
     across = min(3, len(pairs))
     down = -(-len(pairs) // across)
     figure = Figure(figsize=(1.4 + 3.3 * across, 1.5 + 3.0 * down))
     grid = figure.subplots(down, across, squeeze=False)
-    norm = _norm(landscape)
+    norm = _colour_norm(landscape)
     for axes, pair in zip(grid.flat, pairs, strict=False):
-        _scatter(axes, landscape, pair, norm)
-        _over(axes, landscape.sides, pair, ways, spots)
+        _draw_scatter(axes, landscape, pair, norm)
+        _draw_paths_and_points(axes, landscape.axes, pair, paths, points)
     for axes in list(grid.flat)[len(pairs) :]:
         axes.set_visible(False)
-    _colour_bar(figure, grid, landscape, shrink=0.9)
+    _add_colour_bar(figure, grid, landscape, shrink=0.9)
     return figure
 
 
-def _norm(landscape: Landscape) -> Normalize:
+def _colour_norm(landscape: ObjectiveLandscape) -> Normalize:
     return Normalize(*colour_range(landscape.objective[np.isfinite(landscape.objective)]))
 
 
-def _colour_bar(figure: Figure, axes: Any, landscape: Landscape, **style: Any) -> None:
-    norm = _norm(landscape)
+def _add_colour_bar(figure: Figure, axes: Any, landscape: ObjectiveLandscape, **style: Any) -> None:
+    norm = _colour_norm(landscape)
     finite = landscape.objective[np.isfinite(landscape.objective)]
     above = bool(np.any(finite > norm.vmax))
     name = fill(f"{landscape.name}{AND_MORE if above else ''}", _LETTERS)
@@ -169,9 +176,14 @@ def _colour_bar(figure: Figure, axes: Any, landscape: Landscape, **style: Any) -
     figure.colorbar(mappable, ax=axes, label=name, aspect=30, extend=extend, **style)
 
 
-def _curve(axes: Axes, landscape: Landscape, ways: Sequence[Way], spots: Sequence[Spot]) -> None:
+def _draw_curve(
+    axes: Axes,
+    landscape: ObjectiveLandscape,
+    paths: Sequence[DescentPath],
+    points: Sequence[MarkedPoint],
+) -> None:
     order = np.argsort(landscape.values[:, 0])
-    side = landscape.sides[0]
+    axis = landscape.axes[0]
     axes.plot(
         landscape.values[order, 0],
         landscape.objective[order],
@@ -179,123 +191,130 @@ def _curve(axes: Axes, landscape: Landscape, ways: Sequence[Way], spots: Sequenc
         marker=".",
         label="points of the search",
     )
-    for number, way in enumerate(ways):
+    for number, path in enumerate(paths):
         style: Any = {"color": COLOURS[0], "linewidth": 1.1, "alpha": 0.8}
         name = "descents (relaxed)" if number == 0 else None
-        axes.plot(way.values[:, 0], way.objective, marker=".", label=name, **style)
-        axes.plot(way.values[0, 0], way.objective[0], marker="o", markerfacecolor="white", **style)
-    for spot in spots:
-        if spot.objective is None:
-            style = {"color": _spot_colour(spot.look), "linestyle": ":"}
-            axes.axvline(spot.values[0], label=spot.name, **style)
+        axes.plot(path.values[:, 0], path.objective, marker=".", label=name, **style)
+        axes.plot(
+            path.values[0, 0], path.objective[0], marker="o", markerfacecolor="white", **style
+        )
+    for point in points:
+        if point.objective is None:
+            style = {"color": _point_colour(point.style_index), "linestyle": ":"}
+            axes.axvline(point.values[0], label=point.name, **style)
             continue
-        axes.plot(spot.values[0], spot.objective, label=spot.name, **_spot_style(spot.look))
-    _scale(axes.xaxis, side)
+        axes.plot(
+            point.values[0], point.objective, label=point.name, **_point_style(point.style_index)
+        )
+    _set_axis_scale(axes.xaxis, axis)
     axes.set_ylabel(fill(landscape.name, _LETTERS))
 
 
-def _map(axes: Axes, landscape: Landscape, norm: Normalize) -> None:
+def _draw_map(axes: Axes, landscape: ObjectiveLandscape, norm: Normalize) -> None:
     """Cells around the points of a grid; the first variable is horizontal."""
     assert landscape.shape is not None
     across, up = (
-        _edges(np.unique(landscape.values[:, i]), side) for i, side in enumerate(landscape.sides)
+        _cell_edges(np.unique(landscape.values[:, i]), axis)
+        for i, axis in enumerate(landscape.axes)
     )
     values = np.ma.masked_invalid(landscape.objective.reshape(landscape.shape).T)
     axes.grid(visible=False)
     axes.pcolormesh(across, up, values, cmap=_COLOURS, norm=norm)
 
 
-def _edges(middles: NDArray, side: Side) -> NDArray:
+def _cell_edges(centres: NDArray, axis: VariableAxis) -> NDArray:
     """Edges of cells around their centres, of which there are at least two."""
-    places = np.log(middles) if side.log else middles
+    places = np.log(centres) if axis.log else centres
     inner = (places[1:] + places[:-1]) / 2
     ends = 2 * places[[0, -1]] - inner[[0, -1]]
     edges = np.concatenate([ends[:1], inner, ends[1:]])
-    return np.exp(edges) if side.log else edges
+    return np.exp(edges) if axis.log else edges
 
 
-def _scatter(axes: Axes, landscape: Landscape, pair: tuple[int, int], norm: Normalize) -> None:
+def _draw_scatter(
+    axes: Axes, landscape: ObjectiveLandscape, pair: tuple[int, int], norm: Normalize
+) -> None:
     """All points, with the best on top."""
     order = np.argsort(-landscape.objective)
     x, y = (landscape.values[order, i] for i in pair)
     axes.scatter(x, y, c=landscape.objective[order], cmap=_COLOURS, norm=norm, s=16)
 
 
-def _over(
+def _draw_paths_and_points(
     axes: Axes,
-    sides: Sequence[Side],
+    variables: Sequence[VariableAxis],
     pair: tuple[int, int],
-    ways: Sequence[Way],
-    spots: Sequence[Spot],
+    paths: Sequence[DescentPath],
+    points: Sequence[MarkedPoint],
 ) -> None:
     """Descents and marked points over a landscape of two variables."""
-    for number, way in enumerate(ways):
-        x, y = way.values[:, pair[0]], way.values[:, pair[1]]
+    for number, path in enumerate(paths):
+        x, y = path.values[:, pair[0]], path.values[:, pair[1]]
         name = "descents, from the open circles" if number == 0 else None
         axes.plot(x, y, color="white", linewidth=1.6, path_effects=_EDGE, zorder=3)
         axes.plot(x, y, ".", color="black", markersize=3, zorder=4)
         axes.plot(x[:1], y[:1], "o", mfc="white", mec="black", color="black", label=name, zorder=4)
-    for number, spot in enumerate(spots):
+    for number, point in enumerate(points):
         axes.plot(
-            spot.values[pair[0]],
-            spot.values[pair[1]],
-            label=spot.name,
-            zorder=5 + len(spots) - number,
-            **_spot_style(spot.look),
+            point.values[pair[0]],
+            point.values[pair[1]],
+            label=point.name,
+            zorder=5 + len(points) - number,
+            **_point_style(point.style_index),
         )
     for axis, number in ((axes.xaxis, pair[0]), (axes.yaxis, pair[1])):
-        _scale(axis, sides[number])
+        _set_axis_scale(axis, variables[number])
 
 
-def _scale(axis: Axis, side: Side) -> None:
-    axis.set_label_text(side.name)
-    if not side.log:
+def _set_axis_scale(axis: Axis, variable: VariableAxis) -> None:
+    axis.set_label_text(variable.name)
+    if not variable.log:
         return
     (axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale)("log")
-    decades = np.log10(side.high / side.low)
+    decades = np.log10(variable.high / variable.low)
     axis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
-def _spot_colour(number: int) -> str:
-    return COLOURS[(1, 3, 6, 4, 5, 0)[number % 6]]
+def _point_colour(style_index: int) -> str:
+    return COLOURS[(1, 3, 6, 4, 5, 0)[style_index % 6]]
 
 
-def _spot_style(number: int) -> dict[str, Any]:
-    marker = _MARKERS[number % len(_MARKERS)]
+def _point_style(style_index: int) -> dict[str, Any]:
+    marker = _MARKERS[style_index % len(_MARKERS)]
     return {
         "marker": marker,
         "markersize": 15 if marker == "*" else 9,
-        "color": _spot_colour(number),
+        "color": _point_colour(style_index),
         "markeredgecolor": "black",
         "linestyle": "none",
     }
 
 
-@styled
-def best_by_cost(searches: Sequence[CostCurve], name: str, title: str) -> Figure:
+@with_style
+def draw_best_by_cost(searches: Sequence[CostCurve], objective_name: str, title: str) -> Figure:
     """The best objective of each search against its cost so far.
 
     Args:
         searches: in the order of the legend.
-        name: name of the objective, with its unit.
+        objective_name: name of the objective, with its unit.
         title: title of the figure.
     """
     figure = Figure(figsize=(8.4, 5.2))
     figure.suptitle(title)
     axes = figure.subplots()
-    for number, one in enumerate(searches):
-        shown: Any = {"color": colour(number), "zorder": 2 + one.relaxed}
-        if not one.relaxed:
-            axes.step(one.cost, one.best, where="post", label=one.name, **shown)
-            axes.plot(one.cost[-1], one.best[-1], marker="o", **shown)
+    for number, search in enumerate(searches):
+        style: Any = {"color": line_colour(number), "zorder": 2 + search.relaxed}
+        if not search.relaxed:
+            axes.step(search.cost, search.best, where="post", label=search.name, **style)
+            axes.plot(search.cost[-1], search.best[-1], marker="o", **style)
             continue
-        axes.plot(one.cost, one.best, "--", label=f"{one.name}, relaxed", **shown)
-        if one.final is not None:
-            axes.plot(*one.final, "D", label=f"{one.name}, its end with hard resets", **shown)
+        axes.plot(search.cost, search.best, "--", label=f"{search.name}, relaxed", **style)
+        if search.final is not None:
+            axes.plot(*search.final, "D", label=f"{search.name}, its end with hard resets", **style)
     axes.set_xscale("log")
     axes.set_xlabel("cost (plain-run steps)")
-    axes.set_ylabel(fill(name, _LETTERS))
-    legend_outside(figure, axes)
+    axes.set_ylabel(fill(objective_name, _LETTERS))
+    add_legend_below(figure, axes)
     return figure

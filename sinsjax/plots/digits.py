@@ -1,6 +1,6 @@
-"""Numbers that are drawn from cached digits, since a map has hundreds of them.
+"""Numbers drawn from cached digits, since a map has hundreds of them.
 
-Any other text is laid out and rendered anew each time it is drawn, which takes ten times as long.
+Any other text is laid out and rendered each time it is drawn, which takes ten times as long.
 """
 
 from functools import lru_cache
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 
 class Number(Text):
-    """A number in upright digits, centred at its position; it takes no part in the layout."""
+    """A number in upright digits, centred at its position; it is ignored by the layout."""
 
     def __init__(self, x: float, y: float, text: str, **style: Any) -> None:
         super().__init__(x, y, text, **style)
@@ -36,18 +36,18 @@ class Number(Text):
         place = Affine2D().scale(pixels).translate(x, y)
         gc = renderer.new_gc()
         gc.set_linewidth(0.0)
-        path = _centred(self.get_text(), float(self.get_fontsize()))
+        path = _centred_outline(self.get_text(), float(self.get_fontsize()))
         renderer.draw_path(gc, path, place, to_rgba(self.get_color()))
         gc.restore()
         self.stale = False
 
 
 @lru_cache(maxsize=4096)
-def _centred(text: str, size: float) -> Path:
+def _centred_outline(text: str, size: float) -> Path:
     """The outline of a number about its centre, in points."""
-    glyphs = [_glyph(letter, size) for letter in text]
+    glyphs = [_glyph_outline(letter, size) for letter in text]
     starts = np.cumsum([0.0, *(width for *_, width in glyphs)])
-    middle = (starts[-1] / 2, _height(size) / 2)
+    middle = (starts[-1] / 2, _digit_height(size) / 2)
     vertices = [
         outline + (start, 0.0) for (outline, *_), start in zip(glyphs, starts, strict=False)
     ]
@@ -56,7 +56,7 @@ def _centred(text: str, size: float) -> Path:
 
 
 @lru_cache(maxsize=256)
-def _glyph(letter: str, size: float) -> tuple[NDArray, NDArray, float]:
+def _glyph_outline(letter: str, size: float) -> tuple[NDArray, NDArray, float]:
     """Vertices (n, 2) and codes (n,) of a letter in the default font, and its width, in points."""
     font = FontProperties(size=size)
     path = TextPath((0.0, 0.0), letter, size=size, prop=font)
@@ -65,7 +65,7 @@ def _glyph(letter: str, size: float) -> tuple[NDArray, NDArray, float]:
     return np.asarray(path.vertices), np.asarray(path.codes), float(width)
 
 
-def _height(size: float) -> float:
+def _digit_height(size: float) -> float:
     """The height of a digit, in points."""
-    vertices, _, _ = _glyph("0", size)
+    vertices, _, _ = _glyph_outline("0", size)
     return float(vertices[:, 1].max())

@@ -16,8 +16,8 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from sinsjax.plots.digits import Number
-from sinsjax.plots.style import AND_MORE, COLOURS, LETTERS, styled
-from sinsjax.plots.words import label, value_text
+from sinsjax.plots.labels import axis_label, format_value
+from sinsjax.plots.style import AND_MORE, COLOURS, LETTERS, with_style
 
 _NEVER, _NEVER_EDGE = "#dcdcdc", "#b5b5b5"
 _HATCH, _MARKED = "////", "xx"
@@ -31,7 +31,7 @@ _BEST = COLOURS[1]  # frame of the best cell
 _LIGHT = 0.5  # position in the colour map beyond which cells are light and have dark numbers
 
 
-class Scale(NamedTuple):
+class GridAxis(NamedTuple):
     """A swept key along one axis of a heat map.
 
     Attributes:
@@ -43,7 +43,7 @@ class Scale(NamedTuple):
     values: Sequence[Any]
 
 
-class Shown(NamedTuple):
+class MapQuantity(NamedTuple):
     """The quantity shown by a heat map.
 
     Attributes:
@@ -69,7 +69,7 @@ class Shown(NamedTuple):
         """Normalisation of a value to its position on the colour map, 0 to 1."""
         return (LogNorm if self.log else Normalize)(self.low, self.high, clip=True)
 
-    def text(self, value: float) -> str:
+    def format_number(self, value: float) -> str:
         """The number in a cell."""
         digits = self.digits
         if self.log:
@@ -77,41 +77,41 @@ class Shown(NamedTuple):
         return f"{value:.{digits}f}"
 
 
-class Marks(NamedTuple):
-    """What cells of heat maps show besides their colour.
+class CellMarks(NamedTuple):
+    """Marks of the cells of heat maps in addition to their colour.
 
     Attributes:
-        alike: for each panel, a number for each of its cells (rows, columns); cells that share it
-            have the same runs, and their value is written once.
+        same_runs: for each panel, a number for each of its cells (rows, columns); cells that share
+            it have the same runs, and their value is written once.
         hatched: for each panel, the cells (rows, columns) to hatch; empty for none.
-        name: meaning of the hatch, for the legend.
+        hatch_name: meaning of the hatch, for the legend.
         best: for each panel, the cell (row, column) to outline, or None; empty for none.
         best_name: meaning of the outline, for the legend.
     """
 
-    alike: Sequence[NDArray]
+    same_runs: Sequence[NDArray]
     hatched: Sequence[NDArray] = ()
-    name: str = ""
+    hatch_name: str = ""
     best: Sequence[tuple[int, int] | None] = ()
     best_name: str = ""
 
 
-def differ(values: NDArray | Sequence[NDArray]) -> bool:
-    """Whether cells of `heat_maps` differ; a figure of equal ones says nothing."""
+def values_differ(values: NDArray | Sequence[NDArray]) -> bool:
+    """Return whether cells of `draw_heat_maps` differ; a figure of equal cells shows nothing."""
     return len(np.unique(values)) > 1
 
 
-@styled
-def heat_maps(
+@with_style
+def draw_heat_maps(
     panels: Sequence[tuple[str, NDArray]],
     title: str,
-    shown: Shown,
+    quantity: MapQuantity,
     *,
-    rows: Scale,
-    columns: Scale,
+    rows: GridAxis,
+    columns: GridAxis,
     legend: Sequence[Patch | Line2D] = (),
-    across: int | None = None,
-    marks: Marks | None = None,
+    panels_per_row: int | None = None,
+    marks: CellMarks | None = None,
 ) -> Figure:
     """Heat maps of one quantity over two swept keys, side by side.
 
@@ -119,23 +119,23 @@ def heat_maps(
         panels: title and values (rows, columns) of each; a non-finite value means *never* and is
             hatched in grey.
         title: title of the figure.
-        shown: quantity to show.
+        quantity: quantity to show.
         rows: key from bottom to top.
         columns: key from left to right.
         legend: further entries of the legend.
-        across: panels per row, such as the values of a third key; at most 4.
+        panels_per_row: panels per row, such as the values of a third key; at most 4.
         marks: cells to hatch, and cells whose value is written once.
     """
-    width = min(4, across or 4, len(panels))
+    width = min(4, panels_per_row or 4, len(panels))
     height = -(-len(panels) // width)
     side = max(_LEAST, 7.2 / width)  # width of a panel, in; together as wide as the title
     names = [fill(name, int(_LETTERS * side)) for name, _ in panels]
-    ticks = [[value_text(value) for value in scale.values] for scale in (rows, columns)]
+    ticks = [[format_value(value) for value in scale.values] for scale in (rows, columns)]
     finite = np.concatenate([values[np.isfinite(values)] for _, values in panels])
-    below, above = bool(np.any(finite < shown.low)), bool(np.any(finite > shown.high))
-    bar = fill(f"{shown.name}{AND_MORE if above else ''}", int(_BAR * (_PANEL + 0.5) * height))
-    handles = [*legend, *_handles(panels, marks)]
-    # Laid out from the sizes of the texts: to measure each would take longer than to draw them.
+    below, above = bool(np.any(finite < quantity.low)), bool(np.any(finite > quantity.high))
+    bar = fill(f"{quantity.name}{AND_MORE if above else ''}", int(_BAR * (_PANEL + 0.5) * height))
+    handles = [*legend, *_legend_handles(panels, marks)]
+    # Laid out from the sizes of the texts: measuring each takes longer than drawing them.
     turned = _LETTER * sum(map(len, ticks[1])) > 0.8 * side
     lines = [
         max(name.count("\n") + 1 for name in row)
@@ -153,7 +153,7 @@ def heat_maps(
     figure = Figure(figsize=(wide, tall))
     figure.set_layout_engine("none")
     figure.suptitle(heading, y=1 - 0.06 / tall, va="top")
-    # Set before the axes are made: later, every tick would be made twice.
+    # Set before the axes are created: later, every tick would be created twice.
     tick = 10.5 if len(columns.values) <= _ROOMY else 9
     mpl.rcParams.update({"axes.grid": False, "xtick.labelsize": tick})
     grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
@@ -169,13 +169,13 @@ def heat_maps(
                 axes.tick_params(axis="x", labelrotation=90)
         upper -= _BETWEEN
     for number, (axes, (_, values)) in enumerate(zip(grid.flat, panels, strict=False)):
-        image = _heat_map(axes, values, shown, marks.alike[number] if marks else None)
+        image = _draw_heat_map(axes, values, quantity, marks.same_runs[number] if marks else None)
         if marks and marks.hatched:
-            _mark(axes, np.isfinite(values) & marks.hatched[number], values, shown)
+            _hatch_cells(axes, np.isfinite(values) & marks.hatched[number], values, quantity)
         if marks and marks.best and (best := marks.best[number]) is not None:
-            _outline(axes, marks.alike[number], best)
+            _outline_cell(axes, marks.same_runs[number], best)
         axes.set_title(names[number])
-    label_rim(grid, len(panels), rows=rows, columns=columns)
+    label_outer_axes(grid, len(panels), rows=rows, columns=columns)
     extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get((below, above))
     low, high = foot_in / tall, 1 - (top_in + above_in[0]) / tall
     at = (left_in + side * width + 0.1) / wide, low + 0.1 * (high - low)
@@ -186,86 +186,92 @@ def heat_maps(
     return figure
 
 
-def _handles(panels: Sequence[tuple[str, NDArray]], marks: Marks | None) -> Iterator[Patch]:
+def _legend_handles(
+    panels: Sequence[tuple[str, NDArray]], marks: CellMarks | None
+) -> Iterator[Patch]:
     """The entries of the legend."""
     if any(not np.isfinite(values).all() for _, values in panels):
         yield Patch(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH, label="never (median)")
     if marks and np.any(marks.hatched):
-        yield Patch(facecolor="none", edgecolor="black", hatch=_MARKED, label=marks.name)
+        yield Patch(facecolor="none", edgecolor="black", hatch=_MARKED, label=marks.hatch_name)
     if marks and any(best is not None for best in marks.best):
         yield Patch(fill=False, edgecolor=_BEST, linewidth=2.5, label=marks.best_name)
 
 
-def label_rim(grid: NDArray, panels: int, *, rows: Scale, columns: Scale) -> None:
+def label_outer_axes(grid: NDArray, n_panels: int, *, rows: GridAxis, columns: GridAxis) -> None:
     """Label the left and lower edge of a grid of axes, and hide the unused axes.
 
     Args:
         grid: two-dimensional array of axes.
-        panels: number of axes used, row by row.
+        n_panels: number of axes used, row by row.
         rows: scale of the y axes.
         columns: scale of the x axes.
     """
     height, width = grid.shape
-    lowest = [max(i for i in range(height) if i * width + j < panels) for j in range(width)]
-    for axes in list(grid.flat)[panels:]:
+    lowest = [max(i for i in range(height) if i * width + j < n_panels) for j in range(width)]
+    for axes in list(grid.flat)[n_panels:]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
-        axes.set_ylabel(label(rows.key))
+        axes.set_ylabel(axis_label(rows.key))
     for axes in grid[:, 1:].flat:
         axes.yaxis.set_visible(False)
     for row, axes in zip(lowest, grid.T, strict=True):
         for upper in axes[:row]:
             upper.xaxis.set_visible(False)
-        axes[row].set_xlabel(label(columns.key))
+        axes[row].set_xlabel(axis_label(columns.key))
         if row < height - 1:
             axes[row].tick_params(labelbottom=True)
 
 
-def _heat_map(axes: Axes, values: NDArray, shown: Shown, alike: NDArray | None = None) -> AxesImage:
+def _draw_heat_map(
+    axes: Axes, values: NDArray, quantity: MapQuantity, same_runs: NDArray | None = None
+) -> AxesImage:
     image = axes.imshow(
         np.ma.masked_invalid(values),
-        cmap="viridis_r" if shown.reverse else "viridis",
-        norm=shown.norm,
+        cmap="viridis_r" if quantity.reverse else "viridis",
+        norm=quantity.norm,
         aspect="auto",
         origin="lower",
     )
     axes.patch.set(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH)  # behind masked cells
     size = 9.0 if values.shape[1] <= _ROOMY else 7.5
-    if shown.numbers and values.shape[1] <= _LEGIBLE:
-        own = np.arange(values.size).reshape(values.shape)
-        shades = _shades(values, shown)
-        for cell, (row, column) in _places(own if alike is None else alike):
+    if quantity.numbers and values.shape[1] <= _LEGIBLE:
+        cell_numbers = np.arange(values.size).reshape(values.shape)
+        shades = _number_colours(values, quantity)
+        for cell, (row, column) in _number_positions(
+            cell_numbers if same_runs is None else same_runs
+        ):
             if np.isfinite(values[cell]):
                 style: Any = {"ha": "center", "va": "center", "size": size, "color": shades[cell]}
-                number = Number(column, row, shown.text(values[cell]), **style)
+                number = Number(column, row, quantity.format_number(values[cell]), **style)
                 number.set_transform(axes.transData)
                 axes.add_artist(number)
     return image
 
 
-def _places(alike: NDArray) -> Iterator[tuple[tuple[int, int], tuple[float, float]]]:
+def _number_positions(same_runs: NDArray) -> Iterator[tuple[tuple[int, int], tuple[float, float]]]:
     """A cell of each kind, and where its value is written: mid-way if they make a rectangle."""
-    for kind in np.unique(alike):
-        (low, high), first = _extent(alike, int(kind))
+    for kind in np.unique(same_runs):
+        (low, high), first = _cell_extent(same_runs, int(kind))
         row, column = (low + high) / 2
         yield first, (float(row), float(column))
 
 
-def _extent(alike: NDArray, kind: int) -> tuple[NDArray, tuple[int, int]]:
+def _cell_extent(same_runs: NDArray, kind: int) -> tuple[NDArray, tuple[int, int]]:
     """The lower and upper corner (2, 2) of the cells of a kind, and the first of these cells.
 
     The corners are those of the first cell alone if the cells do not make a rectangle.
     """
-    cells = np.argwhere(alike == kind)
+    cells = np.argwhere(same_runs == kind)
     low, high = cells.min(axis=0), cells.max(axis=0)
     is_whole = np.prod(high - low + 1) == len(cells)
     first = (int(cells[0][0]), int(cells[0][1]))
     return np.array([low, high] if is_whole else [cells[0], cells[0]]), first
 
 
-def _outline(axes: Axes, alike: NDArray, cell: tuple[int, int]) -> None:
+def _outline_cell(axes: Axes, same_runs: NDArray, cell: tuple[int, int]) -> None:
     """Frame a cell, with the cells that have the same runs."""
-    (low, high), _ = _extent(alike, int(alike[cell]))
+    (low, high), _ = _cell_extent(same_runs, int(same_runs[cell]))
     height, width = high - low + 1
     frame: dict[str, Any] = {"fill": False, "clip_on": False, "zorder": 3}
     for colour, line in (("white", 4.0), (_BEST, 2.5)):
@@ -273,8 +279,8 @@ def _outline(axes: Axes, alike: NDArray, cell: tuple[int, int]) -> None:
         axes.add_patch(Rectangle(corner, width, height, edgecolor=colour, linewidth=line, **frame))
 
 
-def _mark(axes: Axes, hatched: NDArray, values: NDArray, shown: Shown) -> None:
-    shades = _shades(values, shown)
+def _hatch_cells(axes: Axes, hatched: NDArray, values: NDArray, quantity: MapQuantity) -> None:
+    shades = _number_colours(values, quantity)
     for row, column in np.argwhere(hatched):
         shade, corner = shades[row, column], (column - 0.5, row - 0.5)
         patch = Rectangle(corner, 1, 1, fill=False, edgecolor=shade, hatch=_MARKED, linewidth=0)
@@ -286,7 +292,7 @@ def _mark(axes: Axes, hatched: NDArray, values: NDArray, shown: Shown) -> None:
         text.set_bbox({"facecolor": colour, "linewidth": 0, "pad": 1.0})
 
 
-def _shades(values: NDArray, shown: Shown) -> NDArray:
-    """What is legible on the colour of each cell."""
-    light = np.ma.filled(shown.norm(np.ma.masked_invalid(values)), 0.0) > _LIGHT
-    return np.where(light != shown.reverse, "black", "white")
+def _number_colours(values: NDArray, quantity: MapQuantity) -> NDArray:
+    """Return the colour that is legible on each cell."""
+    light = np.ma.filled(quantity.norm(np.ma.masked_invalid(values)), 0.0) > _LIGHT
+    return np.where(light != quantity.reverse, "black", "white")

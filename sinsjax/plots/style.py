@@ -27,7 +27,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5
 """Okabe and Ito's palette, repeated for more lines than it has colours."""
 
 GREY = "#8a8a8a"
-"""Colour of annotations: reset times, limits, cells without a number."""
+"""Colour of annotations: reset times, bias floors, cells without a number."""
 
 AND_MORE = ", above the scale: and more"
 """End of the label of a colour bar with values above it."""
@@ -74,20 +74,20 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def styled(draw: Callable[P, R]) -> Callable[P, R]:
+def with_style(draw: Callable[P, R]) -> Callable[P, R]:
     """Make a function draw in the common style, whatever the caller's settings are."""
 
     @wraps(draw)
-    def inside(*args: P.args, **kwargs: P.kwargs) -> R:
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
         with mpl.rc_context():
             mpl.rcdefaults()
             mpl.rcParams.update(STYLE)
             return draw(*args, **kwargs)
 
-    return inside
+    return wrapper
 
 
-def colour(index: int) -> str:
+def line_colour(index: int) -> str:
     """Colour of the line with this number."""
     return COLOURS[index % len(COLOURS)]
 
@@ -95,7 +95,7 @@ def colour(index: int) -> str:
 def colour_range(values: NDArray) -> tuple[float, float]:
     """The lowest and the highest value of a colour scale.
 
-    Where a few values lie far above all others, the scale ends below them, so that they do not
+    If a few values lie far above all others, the scale ends below them, so that they do not
     flatten the others.
 
     Args:
@@ -109,44 +109,45 @@ def colour_range(values: NDArray) -> tuple[float, float]:
     return low, high if high > low else low + 1
 
 
-def both_sides(axis: Axis, linear: float, first: float | None = None) -> str:
+def set_asinh_scale(axis: Axis, linear_width: float, first_tick: float | None = None) -> str:
     """Make an axis logarithmic on both sides of 0, so that a wide range is legible.
 
     Args:
         axis: axis of values of either sign.
-        linear: magnitude up to which the axis is nearly linear.
-        first: first tick on either side of 0, a power of 10; None for ``linear`` rounded to one.
+        linear_width: magnitude up to which the axis is nearly linear.
+        first_tick: first tick on either side of 0, a power of 10; None for ``linear_width`` rounded
+            to one.
 
     Returns:
         A note for the end of the axis label.
     """
-    decades = 10.0 ** np.arange(math.floor(math.log10(first or linear) + 0.5), 7)
+    decades = 10.0 ** np.arange(math.floor(math.log10(first_tick or linear_width) + 0.5), 7)
     set_scale = axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale
-    set_scale("asinh", linear_width=linear)
+    set_scale("asinh", linear_width=linear_width)
     axis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_locator(NullLocator())
     return "\nlogarithmic far from 0"
 
 
-def legend_outside(figure: Figure, axes: Axes, labelled: Collection[str] = ()) -> None:
+def add_legend_below(figure: Figure, axes: Axes, omitted: Collection[str] = ()) -> None:
     """Put the legend of some axes below the whole figure, clear of the data.
 
     Args:
         figure: the figure.
         axes: axes with the entries.
-        labelled: entries to leave out, because `label_lines` wrote them at their lines.
+        omitted: entries to leave out, because `label_line_ends` wrote them at their lines.
     """
     entries = zip(*axes.get_legend_handles_labels(), strict=True)
-    shown = [entry for entry in entries if entry[1] not in labelled]
-    if shown:
-        handles, labels = zip(*shown, strict=True)
+    entries_shown = [entry for entry in entries if entry[1] not in omitted]
+    if entries_shown:
+        handles, labels = zip(*entries_shown, strict=True)
         room = 12 * figure.get_figwidth()  # characters per line
         columns = max(1, min(len(labels), int(room / (max(map(len, labels)) + 6))))
         figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 
 
-def label_lines(axes: Axes, ends: Sequence[tuple[str, float, str]]) -> bool:
+def label_line_ends(axes: Axes, ends: Sequence[tuple[str, float, str]]) -> bool:
     """Write the name of each line at its right end instead of a legend, if there is room.
 
     Args:
@@ -179,20 +180,20 @@ def label_lines(axes: Axes, ends: Sequence[tuple[str, float, str]]) -> bool:
     return True
 
 
-@styled
-def png(figure: Figure, footer: str = "") -> bytes:
+@with_style
+def render_png(figure: Figure, footer: str = "") -> bytes:
     """The figure as a PNG file; the same figure and footer give the same bytes.
 
     Args:
         figure: figure to draw.
         footer: source of the data, in small print on a strip below the figure.
     """
-    drawn = [_pixels(figure)]
+    drawn = [_render_pixels(figure)]
     if footer:
         # A separate figure, unaffected by the layout, legend or title of the other one.
         strip = Figure(figsize=(figure.get_figwidth(), _STRIP))
         strip.text(0.1 / figure.get_figwidth(), 0.5, footer, va="center", size=9, color=_SMALL)
-        drawn.append(_pixels(strip))
+        drawn.append(_render_pixels(strip))
     buffer = io.BytesIO()
     pixels = np.vstack(drawn)
     anonymous: Any = {"Software": None}
@@ -201,11 +202,11 @@ def png(figure: Figure, footer: str = "") -> bytes:
     return buffer.getvalue()
 
 
-class _Unicode(Formatter):
+class _UnicodeFormatter(Formatter):
     """Labels of a logarithmic axis in Unicode instead of mathematical text."""
 
-    def __init__(self, marked: LogFormatterMathtext) -> None:
-        self._marked = marked
+    def __init__(self, mathtext: LogFormatterMathtext) -> None:
+        self._marked = mathtext
 
     def set_axis(self, axis: Any) -> None:
         super().set_axis(axis)
@@ -220,13 +221,13 @@ class _Unicode(Formatter):
         return raised.replace(r"\times", "×").replace("-", "\N{MINUS SIGN}")
 
 
-def _pixels(figure: Figure) -> NDArray:
+def _render_pixels(figure: Figure) -> NDArray:
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
             if isinstance(formatter := axis.get_major_formatter(), LogFormatterMathtext):
-                axis.set_major_formatter(_Unicode(formatter))
+                axis.set_major_formatter(_UnicodeFormatter(formatter))
             if isinstance(formatter := axis.get_minor_formatter(), LogFormatterMathtext):
-                axis.set_minor_formatter(_Unicode(formatter))
+                axis.set_minor_formatter(_UnicodeFormatter(formatter))
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3]

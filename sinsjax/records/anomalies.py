@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.records.layout import Anomaly, find_spans
 from sinsjax.records.means import EARTH_RATE
 from sinsjax.units import DEG, STANDARD_GRAVITY
@@ -66,7 +66,9 @@ def report_anomalies(
     certain = [anomaly for anomaly in relevant if anomaly.is_certain]
     if certain:
         first, further = min(certain, key=lambda anomaly: anomaly.begin), len(certain) - 1
-        text = f"{first.text}; {counted(further, 'more such place')}" if further else first.text
+        text = (
+            f"{first.text}; {format_count(further, 'more such place')}" if further else first.text
+        )
         yield first._replace(text=text)
     yield from [anomaly for anomaly in relevant if not anomaly.is_certain][:_MAX_REPORTED]
 

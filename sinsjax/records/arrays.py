@@ -9,7 +9,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.messages import first_line, shortened
+from sinsjax.messages import first_error_line, shorten
 from sinsjax.records.files import MAX_MAGNITUDE
 from sinsjax.records.layout import (
     ACCEL_UNITS,
@@ -154,7 +154,7 @@ def _to_floats(source: str, name: str, values: Any) -> FloatArray:
     except (TypeError, ValueError) as error:
         cells = _to_cells(values)
         if cells is None:
-            raise InputError(f"{source}: {name}: not numeric: {first_line(error)}") from None
+            raise InputError(f"{source}: {name}: not numeric: {first_error_line(error)}") from None
     numbers = np.empty(cells.shape)
     for index, cell in np.ndenumerate(cells):
         try:
@@ -162,7 +162,7 @@ def _to_floats(source: str, name: str, values: Any) -> FloatArray:
         except (TypeError, ValueError):
             row, *axis = index
             column = f"{name}[:, {axis[0]}]" if axis else name
-            cell_text = shortened(repr(cell), 32)
+            cell_text = shorten(repr(cell), 32)
             raise InputError(
                 f"{source}: row {row}: column {column!r}: {cell_text} is not a number"
             ) from None
@@ -208,7 +208,9 @@ def _to_utc_dates(source: str, name: str, values: Any) -> NDArray[Any]:
     try:
         dates = pa.array(values, pa.timestamp("ns", "UTC"), from_pandas=True)
     except (pa.ArrowException, TypeError, ValueError) as error:
-        raise InputError(f"{source}: {name}: not dates with time: {first_line(error)}") from None
+        raise InputError(
+            f"{source}: {name}: not dates with time: {first_error_line(error)}"
+        ) from None
     moments: NDArray[Any] = dates.to_numpy(zero_copy_only=False)
     return moments
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from sinsjax.errors import InputError
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.records.files import parse_number, read_line_batches
 from sinsjax.records.stamps import parse_iso
 from sinsjax.records.tables import (
@@ -153,4 +153,4 @@ def _is_date(cell: str) -> bool:
 
 def format_names(names: list[str]) -> str:
     """Return column names for a message, shortened to one line."""
-    return shortened(", ".join(names), 120)
+    return shorten(", ".join(names), 120)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.messages import seconds
+from sinsjax.messages import format_seconds
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 
 FloatArray = NDArray[np.float64]
@@ -308,12 +308,16 @@ def require_span(record: Record, start_s: float, needed_s: float, breakdown: str
     """
     available_s = len(record.dtheta) / record.rate_hz
     if start_s < 0:
-        raise InputError(f"{record.source}: start_s = {seconds(start_s)} is before the record")
+        raise InputError(
+            f"{record.source}: start_s = {format_seconds(start_s)} is before the record"
+        )
     # A thousandth of a sample absorbs the rounding of the sum without hiding a missing sample.
     if start_s + needed_s > available_s + 1e-3 / record.rate_hz:
         raise InputError(
-            f"{record.source}: has {seconds(available_s)} s, but {seconds(needed_s)} s{breakdown}"
-            f" from start_s = {seconds(start_s)} need {seconds(start_s + needed_s)} s"
+            f"{record.source}: has {format_seconds(available_s)} s, but {format_seconds(needed_s)}"
+            f" s{breakdown}"
+            f" from start_s = {format_seconds(start_s)} need"
+            f" {format_seconds(start_s + needed_s)} s"
         )
     begin, end = start_s * record.rate_hz, (start_s + needed_s) * record.rate_hz
     for flaw in record.flaws:

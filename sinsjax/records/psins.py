@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.platform.files import replacing
+from sinsjax.platform.files import atomic_write
 from sinsjax.records.anomalies import find_anomalies
 from sinsjax.records.files import CUT_OFF_HINT, Lines, parse_number, read_line_batches
 from sinsjax.records.layout import (
@@ -262,7 +262,7 @@ def write_psins(
             _to_counts(path, record.dv, accel_scale_ug_s * micro_g(gravity)),
         ]
     )
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         file.write(b"% PSINS-format SIMU log file.\n")
         for line in header:
             file.write(" ".join(repr(float(value)) for value in line).encode() + b"\n")

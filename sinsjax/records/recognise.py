@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sinsjax.errors import InputError
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.records.anomalies import find_dead_channels
 from sinsjax.records.clock import EXAMINED_S, find_timing
 from sinsjax.records.column_names import (
@@ -144,7 +144,7 @@ def _find_sensor_columns(path: Path, head: Head, sensor: str) -> tuple[Triad, No
         hint = "decimal commas are not read: write points"
         if not re.fullmatch(r"[+-]?\d*,\d+", cell):
             hint = "begin a row of units with #"
-        text = f"row {row}: column {name!r}: {shortened(cell, 24)!r} is not a number"
+        text = f"row {row}: column {name!r}: {shorten(cell, 24)!r} is not a number"
         raise InputError(f"{path}: {text} ({hint})")
     if not candidates:
         sensor_name = "gyros" if sensor == "gyro" else "accelerometers"

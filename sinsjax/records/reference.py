@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sinsjax.errors import InputError
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.records.layout import TIME_UNITS, FloatArray, Layout, Record
 from sinsjax.records.tables import ColumnTable, open_csv, open_parquet
 
@@ -70,7 +70,7 @@ def reference_from_table(
     if layout and time not in table.names and layout.time_column in table.names:
         time, unit = layout.time_column, layout.time_unit
     if not yaws and {time, "pitch_deg", "roll_deg"} <= set(table.names):
-        shown = shortened(", ".join(map(repr, table.names)))
+        shown = shorten(", ".join(map(repr, table.names)))
         raise InputError(f"{path}: no column 'yaw_deg' or 'heading_deg'; the file has {shown}")
     names = [time, "pitch_deg", "roll_deg", *(yaws or ["yaw_deg"]), *sigmas]
     values = np.column_stack(table.read(names, dates=[time] if unit == "iso" else []))

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.records.files import (
     CUT_OFF_HINT,
     MAX_MAGNITUDE,
@@ -67,7 +67,7 @@ def find_columns(path: str | Path, names: list[str], wanted: Sequence[str]) -> l
 
 
 def _format_names(names: list[str]) -> str:
-    text = shortened(", ".join(map(repr, names[:12])))
+    text = shorten(", ".join(map(repr, names[:12])))
     return f"the file has {text}{', ...' if len(names) > 12 else ''}"
 
 

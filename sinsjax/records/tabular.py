@@ -12,7 +12,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from sinsjax.errors import InputError
-from sinsjax.platform.files import replacing
+from sinsjax.platform.files import atomic_write
 from sinsjax.records.anomalies import find_anomalies
 from sinsjax.records.layout import (
     ACCEL_UNITS,
@@ -217,7 +217,7 @@ def write_csv(record: Record, path: str | Path, layout: Layout) -> None:
     columns = _record_to_columns(record, path, layout)
     header = io.StringIO()
     csv.writer(header, lineterminator="\n").writerow(columns)
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         file.write(header.getvalue().encode())
         pa.csv.write_csv(pa.table(columns), file, pa.csv.WriteOptions(include_header=False))
 
@@ -225,7 +225,7 @@ def write_csv(record: Record, path: str | Path, layout: Layout) -> None:
 def write_parquet(record: Record, path: str | Path, layout: Layout) -> None:
     """Write a record as a Parquet file of float64 columns, like `write_csv`."""
     columns = _record_to_columns(record, path, layout)
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         pq.write_table(pa.table(columns), file)
 
 

@@ -1,4 +1,4 @@
-"""What a report is made of, and words that all of them use."""
+"""Building blocks of a report, and sentences that all reports use."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -8,15 +8,15 @@ from matplotlib.figure import Figure
 
 from sinsjax import analysis
 from sinsjax.execution.source import Source
-from sinsjax.plots.words import value_text
-from sinsjax.report.markup import said
+from sinsjax.plots.labels import format_value
+from sinsjax.report.markup import render_sentence
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
 
-MOST_ROWS = 20
-"""Rows of a table; what is left out is said."""
+MAX_ROWS = 20
+"""Rows of a table; the note counts the rows left out."""
 
-ENOUGH_DRAWS = 16
+MIN_DRAWS_FOR_INTERVALS = 16
 """Draws from which on the coverage of all intervals is measured; below it, notes warn."""
 
 
@@ -30,10 +30,10 @@ class Table(NamedTuple):
     """A table of text.
 
     Attributes:
-        title: what it shows.
+        title: its title.
         header: a name for each column.
         rows: cells.
-        note: said below it.
+        note: text below the table.
         folded: on a page, hidden until a reader opens it; not printed on a console.
     """
 
@@ -44,26 +44,26 @@ class Table(NamedTuple):
     folded: bool = False
 
 
-def table_of(
+def build_table(
     title: str,
     keys: Sequence[str],
     rows: Sequence[Mapping[str, Any]],
     cells: Sequence[tuple[str, Callable[[Any], str]]],
     note: str = "",
     *,
-    most: int = MOST_ROWS,
-    left: str = "rows are not shown",
+    max_rows: int = MAX_ROWS,
+    remainder: str = "rows are not shown",
 ) -> Table:
-    """A table with a line for each row: its keys, then what each cell with its header tells of it.
+    """Return a table with one line per row: the values of its keys, then its formatted cells.
 
-    Of more than ``most`` rows the note says how many there are, and in the words of ``left`` where.
+    If there are more than ``max_rows`` rows, the note ends with their number and ``remainder``.
     """
     lines = [
-        [*(value_text(row[key]) for key in keys), *(tell(row) for _, tell in cells)]
-        for row in rows[:most]
+        [*(format_value(row[key]) for key in keys), *(format_cell(row) for _, format_cell in cells)]
+        for row in rows[:max_rows]
     ]
     if hidden := len(rows) - len(lines):
-        note = f"{note} {hidden} more {left}.".lstrip()
+        note = f"{note} {hidden} more {remainder}.".lstrip()
     return Table(title, [*keys, *(header for header, _ in cells)], lines, note)
 
 
@@ -72,22 +72,22 @@ class Picture(NamedTuple):
 
     Attributes:
         name: of its file, without extension.
-        caption: what is seen.
+        caption: text below the figure.
         figure: the figure.
-        rests_on: said below it, where it rests on other runs than those of the source.
+        data_footer: data that the figure rests on, if not the runs of the source.
     """
 
     name: str
     caption: str
     figure: Figure
-    rests_on: str = ""
+    data_footer: str = ""
 
 
 Block = Text | Table | Picture
 
 
 class Chapter(NamedTuple):
-    """A heading and what stands under it."""
+    """A heading and the blocks under it."""
 
     heading: str
     blocks: Sequence[Block]
@@ -99,16 +99,16 @@ class Fact(NamedTuple):
     Attributes:
         label: a word or two, such as ``Accuracy``.
         text: a sentence, in Markdown without links.
-        is_doubt: whether it warns.
+        is_caution: whether it warns.
     """
 
     label: str
     text: str
-    is_doubt: bool = False
+    is_caution: bool = False
 
 
 class Verdict(NamedTuple):
-    """What a reader wants to know first.
+    """The answer that a report begins with.
 
     Attributes:
         title: name of the study, number of runs, and failures.
@@ -122,37 +122,37 @@ class Verdict(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What is made of a directory of results.
+    """The report on one directory of results.
 
     Attributes:
         verdict: the answer.
         sections: all the rest, in the order in which it is read.
-        rests_on: footer of the figures, if they rest on other runs than those of the source.
+        data_footer: footer of the figures, if they rest on other runs than those of the source.
     """
 
     verdict: Verdict
     sections: Sequence[Chapter]
-    rests_on: str = ""
+    data_footer: str = ""
 
     @classmethod
-    def of(
-        cls, verdict: Verdict, parts: Mapping[str, Sequence[Block]], rests_on: str = ""
+    def from_parts(
+        cls, verdict: Verdict, parts: Mapping[str, Sequence[Block]], data_footer: str = ""
     ) -> "Report":
         """A report of the parts, by their headings, that have blocks; the verdict's table first."""
         first = [] if verdict.table is None else [verdict.table]
-        every = {"Verdict": first, **parts}
-        sections = [Chapter(heading, blocks) for heading, blocks in every.items() if blocks]
-        return cls(verdict, sections, rests_on)
+        chapters = {"Verdict": first, **parts}
+        sections = [Chapter(heading, blocks) for heading, blocks in chapters.items() if blocks]
+        return cls(verdict, sections, data_footer)
 
     @property
-    def headline(self) -> list[str]:
+    def verdict_lines(self) -> list[str]:
         """The verdict without its table as lines of Markdown."""
         facts = self.verdict.facts
-        return [f"{self.verdict.title}.", *(f"**{one.label}:** {one.text}." for one in facts)]
+        return [f"{self.verdict.title}.", *(f"**{fact.label}:** {fact.text}." for fact in facts)]
 
 
-def yardstick(study: Study) -> str:
-    """What *settled* and *ok* mean in a study, in one sentence for pages and captions."""
+def describe_success_criterion(study: Study) -> str:
+    """Describe *settled* and *ok* in a study, in one sentence for pages and captions."""
     rule = success_criteria(study)
     ends_s = np.array([s.records for s in study.distinct_spans]) * study.study.record_interval_s
     dwell_s = rule.dwell(ends_s)
@@ -160,8 +160,8 @@ def yardstick(study: Study) -> str:
     aim = "true north" if rule.from_truth else "its bias floor (not of true north)"
     if study.is_recorded:
         aim = "the reference's heading, where there is one,"
-    return said(
-        "yardstick",
+    return render_sentence(
+        "success_criterion",
         band=rule.band_arcmin,
         aim=aim,
         dwell=last if dwell_s.max() else "",
@@ -170,14 +170,17 @@ def yardstick(study: Study) -> str:
     )
 
 
-def intervals(source: Source, over: str = "draws", what: str = "Number") -> str:
-    """What the brackets of a table are, or why there are none, in words."""
+def describe_intervals(
+    source: Source, sampled_units: str = "draws", quantity: str = "Number"
+) -> str:
+    """Describe the brackets of a table, or why there are none."""
     if source.study.is_recorded:
         return analysis.NO_INTERVAL
-    note = f"{what} [95 % interval over the {over}]."
-    if source.draws >= ENOUGH_DRAWS:
+    note = f"{quantity} [95 % interval over the {sampled_units}]."
+    if source.draws >= MIN_DRAWS_FOR_INTERVALS:
         return note
     return (
         f"{note} *{analysis.FEW_DRAWS}*, or no interval: so few do not bound the number. With fewer"
-        f" than {ENOUGH_DRAWS} draws, intervals of the means of skewed values are too narrow."
+        f" than {MIN_DRAWS_FOR_INTERVALS} draws, intervals of the means of skewed values are too"
+        " narrow."
     )

@@ -1,4 +1,4 @@
-"""The options and the conditions of a study: what an engineer decides, and what is given.
+"""The options and the conditions of a study: what an engineer chooses, and what is imposed.
 
 An axis with a starting error, a motion, a sensor or a site is a condition. Any other axis, such as
 a reset schedule, a filter key or the method, is a choice. Options are compared over all conditions.
@@ -12,20 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.analysis.grids import held_out_choice
-from sinsjax.analysis.words import degrees
-from sinsjax.messages import counted
+from sinsjax.analysis.formats import format_degrees
+from sinsjax.analysis.grids import held_out_choices
+from sinsjax.messages import format_count
 from sinsjax.methods.filters.section import OF_SCHEDULES
-from sinsjax.plots.words import name_of, schedule_words, value_text, words_and_unit
+from sinsjax.plots.labels import describe_point, describe_schedule, format_value, name_and_unit
 from sinsjax.report.base import Table
 from sinsjax.study.keys import is_condition_key
 from sinsjax.study.study import Study
 
-LEAST_DRAWS = 8
-"""Fewest draws whose halves choose and judge in turn."""
+MIN_DRAWS_TO_SPLIT = 8
+"""Fewest draws that are split into halves, each of which judges the choice of the other."""
 
 _ANGLES = {"phi_e0_deg": "east", "phi_n0_deg": "north", "phi_u0_deg": "up"}
-_MOST_WORDS = 80  # characters of an option; the tables have all its keys
+_MAX_OPTION_LENGTH = 80  # characters of an option; the tables have all its keys
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Choices:
     def from_study(cls, study: Study) -> "Choices":
         """Sort the axes of a study into choices and conditions."""
         conditions = [_is_condition(dimension) for dimension in study.dimensions]
-        shown = tuple(zip(conditions, study.axes_shown, strict=True))
+        dimensions = tuple(zip(conditions, study.axes_shown, strict=True))
         sizes = [len(next(iter(dimension.values()))) for dimension in study.dimensions]
         place = np.arange(study.n_variants).reshape(sizes)
         chosen = [axis for axis, given in enumerate(conditions) if not given]
@@ -54,88 +54,97 @@ class Choices:
         options = int(np.prod([sizes[axis] for axis in chosen], dtype=int))
         variants = place.reshape(options, -1)
         first = study.duplicate_of[variants] == variants
-        return cls(study, variants[first.any(axis=1)][:, first.any(axis=0)], shown)
+        return cls(study, variants[first.any(axis=1)][:, first.any(axis=0)], dimensions)
 
-    def runs(self, column: NDArray) -> NDArray:
+    def arrange_runs(self, column: NDArray) -> NDArray:
         """Lay out a column of the summary, ordered by run_id, as (options, conditions, draws)."""
         return column.reshape(-1, self.study.n_variants).T[self.variants]
 
     @cached_property
     def options(self) -> list[str]:
-        """Each option in words."""
-        return [self._words(int(variant)) for variant in self.variants[:, 0]]
+        """Description of each option."""
+        return [self._describe_option(int(variant)) for variant in self.variants[:, 0]]
 
     @cached_property
     def reset_counts(self) -> list[int | None]:
         """The number of scheduled resets of each option; None if no axis is a schedule."""
-        if not any({*keys} <= {*OF_SCHEDULES} for keys in self._chosen):
+        if not any({*keys} <= {*OF_SCHEDULES} for keys in self._option_axes):
             return [None] * len(self.variants)
-        return [len(self._schedules[row[0]]) for row in self.variants]
+        return [len(self._reset_schedules[row[0]]) for row in self.variants]
 
     @property
-    def _chosen(self) -> list[tuple[str, ...]]:
+    def _option_axes(self) -> list[tuple[str, ...]]:
         return [keys for is_condition, keys in self.dimensions if not is_condition]
 
     @cached_property
-    def _schedules(self) -> list[tuple[float, ...]]:
+    def _reset_schedules(self) -> list[tuple[float, ...]]:
         return self.study.reset_times()
 
-    def places(self, keys: Sequence[str]) -> dict[tuple[Any, ...], list[int]]:
+    def conditions_by_point(self, keys: Sequence[str]) -> dict[tuple[Any, ...], list[int]]:
         """The conditions at each point of an axis, by the values of its keys."""
         columns = [self.study.values(key) for key in keys]
-        found: dict[tuple[Any, ...], list[int]] = {}
+        conditions: dict[tuple[Any, ...], list[int]] = {}
         for place, variant in enumerate(self.variants[0].tolist()):
-            found.setdefault(tuple(values[variant] for values in columns), []).append(place)
-        return found
+            conditions.setdefault(tuple(values[variant] for values in columns), []).append(place)
+        return conditions
 
-    def axis_that_matters(self, values: NDArray) -> tuple[str, ...] | None:
+    def most_influential_axis(self, values: NDArray) -> tuple[str, ...] | None:
         """The condition axis along which some values (conditions,) vary most; None without one."""
         ranges: dict[tuple[str, ...], float] = {}
         for keys in self.condition_axes:
-            means = [float(np.mean(values[here])) for here in self.places(keys).values()]
+            means = [
+                float(np.mean(values[conditions]))
+                for conditions in self.conditions_by_point(keys).values()
+            ]
             if len(means) > 1:
                 ranges[keys] = max(means) - min(means)
         return max(ranges, key=ranges.__getitem__) if ranges else None
 
     @property
-    def noun(self) -> str:
-        """What an option is."""
-        if all({*keys} <= {*OF_SCHEDULES} for keys in self._chosen):
+    def option_noun(self) -> str:
+        """Kind of the options: schedule, method or option."""
+        if all({*keys} <= {*OF_SCHEDULES} for keys in self._option_axes):
             return "schedule"
-        return "method" if self._chosen == [("method",)] else "option"
+        return "method" if self._option_axes == [("method",)] else "option"
 
     @property
-    def without_reset(self) -> list[int]:
+    def options_without_reset(self) -> list[int]:
         """The options without a scheduled reset, if an axis is a schedule."""
         return [place for place, count in enumerate(self.reset_counts) if count == 0]
 
-    def rivals(self, best: int) -> list[list[int]]:
+    def rival_options(self, best: int) -> list[list[int]]:
         """The options of each kind that the best is compared with.
 
-        With schedules those with a single reset and those with none; else all the others.
+        With schedules: the options with a single reset and those without; else all other options.
         """
         counts = self.reset_counts
         kinds = [[i for i, count in enumerate(counts) if count == number] for number in (1, 0)]
         kinds = [kind for kind in kinds if kind and best not in kind]
         return kinds or [[i for i in range(len(counts)) if i != best]]
 
-    def table(
-        self, axis: tuple[str, ...], row: Callable[[list[int]], list[str]], settles: str
+    def condition_table(
+        self,
+        axis: tuple[str, ...],
+        row_cells: Callable[[list[int]], list[str]],
+        settling_header: str,
     ) -> Table:
         """The table of a verdict with the points of a condition axis.
 
         Args:
             axis: the keys of the axis.
-            row: returns the cells of some conditions: the best option, its settling time and that
-                of its rival; or success, settling time and heading error of a single option.
-            settles: header of the settling times, without its unit.
+            row_cells: returns the cells of some conditions: the best option, its settling time and
+                that of its rival; or success, settling time and heading error of a single option.
+            settling_header: header of the settling times, without its unit.
         """
-        rival = "no reset (s)" if self.without_reset else "best overall (s)"
-        header = ["settled (%)", f"{settles} (s)", "error, rms (arcmin)"]
+        rival = "no reset (s)" if self.options_without_reset else "best overall (s)"
+        header = ["settled (%)", f"{settling_header} (s)", "error, rms (arcmin)"]
         if len(self.options) > 1:
-            header = [f"best {self.noun}", f"{settles} (s)", rival]
-        first = point_header(axis)
-        rows = [[point_cell(axis, point), *row(here)] for point, here in self.places(axis).items()]
+            header = [f"best {self.option_noun}", f"{settling_header} (s)", rival]
+        first = condition_header(axis)
+        rows = [
+            [format_condition(axis, point), *row_cells(conditions)]
+            for point, conditions in self.conditions_by_point(axis).items()
+        ]
         return Table(f"Per {first}", [first, *header], rows)
 
     @property
@@ -143,85 +152,89 @@ class Choices:
         """The axes that are conditions, by the keys that identify their points."""
         return [keys for is_condition, keys in self.dimensions if is_condition]
 
-    def _words(self, variant: int) -> str:
+    def _describe_option(self, variant: int) -> str:
         """The option of a variant in words."""
         words: list[str] = []
-        for keys in self._chosen:
+        for keys in self._option_axes:
             for key in keys:
                 if key in OF_SCHEDULES:
-                    times = self._schedules[variant]
-                    words += [schedule_words(times)] if times or {*keys} <= {*OF_SCHEDULES} else []
+                    times = self._reset_schedules[variant]
+                    words += (
+                        [describe_schedule(times)] if times or {*keys} <= {*OF_SCHEDULES} else []
+                    )
                 else:
                     value = self.study.values(key)[variant]
-                    words.append(value_text(value) if key == "method" else name_of({key: value}))
+                    words.append(
+                        format_value(value) if key == "method" else describe_point({key: value})
+                    )
         first, *more = dict.fromkeys(words) or [""]
         text = first
         for place, word in enumerate(more):
-            if len(text) + len(word) > _MOST_WORDS:
-                return f"{text} + {counted(len(more) - place, 'key')}"
+            if len(text) + len(word) > _MAX_OPTION_LENGTH:
+                return f"{text} + {format_count(len(more) - place, 'key')}"
             text += f", {word}"
         return text
 
 
-def _is_condition(dimension: Mapping[str, Sequence[Any]]) -> bool:
-    return any(is_condition_key(key) or key == "start_s" for key in dimension)
+def _is_condition(axis: Mapping[str, Sequence[Any]]) -> bool:
+    return any(is_condition_key(key) or key == "start_s" for key in axis)
 
 
-def name_and_unit(key: str) -> tuple[str, str]:
+def condition_name_and_unit(key: str) -> tuple[str, str]:
     """The name of a condition, of a starting error without ``initial``, and its unit."""
-    name, unit = words_and_unit(key)
+    name, unit = name_and_unit(key)
     return name.removeprefix("initial "), unit
 
 
-def point_header(keys: Sequence[str]) -> str:
+def condition_header(keys: Sequence[str]) -> str:
     """The header of a column with the points of a condition."""
     angles = [key for key in keys if key in _ANGLES]
     if len(angles) < 2:
-        return ", ".join(name_and_unit(key)[0] for key in keys)
-    others = [name_and_unit(key)[0] for key in keys if key not in angles]
+        return ", ".join(condition_name_and_unit(key)[0] for key in keys)
+    others = [condition_name_and_unit(key)[0] for key in keys if key not in angles]
     axes = ", ".join(_ANGLES[key] for key in angles)
     return ", ".join([f"errors {axes}", *others])
 
 
-def point_cell(keys: Sequence[str], point: Sequence[Any]) -> str:
+def format_condition(keys: Sequence[str], point: Sequence[Any]) -> str:
     """A point of a condition: ``30 deg``, or ``(5, 5, 30) deg`` for starting errors together."""
     values = dict(zip(keys, point, strict=True))
     angles = [key for key in keys if key in _ANGLES]
     cells = []
     if len(angles) > 1:
-        cells.append(degrees(*(values.pop(key) for key in angles)))
+        cells.append(format_degrees(*(values.pop(key) for key in angles)))
     for key, value in values.items():
-        text, unit = value_text(value), name_and_unit(key)[1]
+        text, unit = format_value(value), condition_name_and_unit(key)[1]
         cells.append(f"{text} {unit}" if unit and text[-1:].isdigit() else text)
     return ", ".join(cells)
 
 
-def choose(time_s: NDArray, longest_s: float) -> int:
+def best_option(time_s: NDArray, unsettled_time_s: float) -> int:
     """Return the option with the fewest runs that never settle; of equals, the fastest on average.
 
     Args:
         time_s: (options, conditions, draws) settling times, infinite for never.
-        longest_s: what such a run counts in the average, s.
+        unsettled_time_s: time that such a run counts in the average, s.
     """
     never = np.isinf(time_s).sum(axis=(1, 2))
-    mean = np.minimum(time_s, longest_s).mean(axis=(1, 2))
+    mean = np.minimum(time_s, unsettled_time_s).mean(axis=(1, 2))
     return int(np.lexsort((mean, never))[0])
 
 
-def choose_by_halves(time_s: NDArray, longest_s: float) -> NDArray:
+def best_option_per_draw(time_s: NDArray, unsettled_time_s: float) -> NDArray:
     """Return the option with which each draw is judged, chosen by draws it does not belong to.
 
-    Every other draw chooses for the rest, and the rest for it. Fewer than `LEAST_DRAWS` choose and
-    judge together.
+    Each half of the draws chooses the option for the other half. Fewer than `MIN_DRAWS_TO_SPLIT`
+    draws are not split: all choose and all judge.
 
     Args:
         time_s: (options, conditions, draws) settling times, infinite for never.
-        longest_s: as for `choose`.
+        unsettled_time_s: as for `best_option`.
 
     Returns:
         (draws,) option.
     """
     draws = time_s.shape[-1]
-    if draws < LEAST_DRAWS:
-        return np.full(draws, choose(time_s, longest_s))
-    return held_out_choice(time_s, lambda some: choose(some, longest_s))
+    if draws < MIN_DRAWS_TO_SPLIT:
+        return np.full(draws, best_option(time_s, unsettled_time_s))
+    return held_out_choices(time_s, lambda half: best_option(half, unsettled_time_s))

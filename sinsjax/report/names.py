@@ -1,7 +1,7 @@
-"""Names out of a study are text, whatever a page's Markdown or a console would read in them.
+"""Names from a study, which are printed literally in Markdown and on a console.
 
-What a layout says is Markdown of its own, into which it puts names as they are. Only here, where it
-leaves for a medium, are they told from it: by the study, which has them all.
+Text of a report is Markdown, into which names are put unescaped. They are escaped only when the
+text is written to a medium; the study identifies which parts are names.
 """
 
 import re
@@ -11,59 +11,65 @@ from typing import Any, NamedTuple
 from sinsjax.study.study import Study
 
 _MARKUP = re.compile(r"[\\`*\[\]~$#]|(?<![^\W_])_|_(?![^\W_])|^[-+>]")
-"""What Markdown, or what GitHub adds to it, reads in a name; ``_`` is one only at a word's rim."""
+"""What Markdown or GitHub interprets in a name; ``_`` only at the edge of a word."""
 
 _TAG = re.compile("<(?=[A-Za-z/!?])")
 
 
-class Names(NamedTuple):
-    """The names that a report may hold.
+class StudyNames(NamedTuple):
+    """The names that may occur in a report.
 
     Attributes:
-        texts: all of them, in any order.
+        texts: the names, in any order.
     """
 
     texts: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, study: Study, *others: str) -> "Names":
+    def from_study(cls, study: Study, *other_texts: str) -> "StudyNames":
         """All text in a study, and other text that is not the report's own."""
-        return cls(frozenset(filter(_has_markup, [*_texts(study.model_dump()), *others])))
+        return cls(
+            frozenset(filter(_has_markdown, [*_iterate_texts(study.model_dump()), *other_texts]))
+        )
 
-    def markdown(self, text: str) -> str:
-        """What a report says as a page's Markdown: markup in a name is escaped."""
-        return self._split(text, escaped, lambda said: _TAG.sub("&lt;", said))
+    def to_markdown(self, text: str) -> str:
+        """Return text of a report as Markdown of a page, with markup in names escaped."""
+        return self._map_pieces(text, escape_markdown, lambda other: _TAG.sub("&lt;", other))
 
-    def plain(self, text: str) -> str:
-        """What a report says without its markup: that in a name stays."""
-        return self._split(text, str, lambda said: said.replace("*", "").replace("`", ""))
+    def to_plain_text(self, text: str) -> str:
+        """Return text of a report without its markup; markup in names stays."""
+        return self._map_pieces(text, str, lambda other: other.replace("*", "").replace("`", ""))
 
-    def _split(self, text: str, name: Callable[[str], str], said: Callable[[str], str]) -> str:
+    def _map_pieces(
+        self, text: str, map_name: Callable[[str], str], map_other: Callable[[str], str]
+    ) -> str:
         if not self.texts:
-            return said(text)
+            return map_other(text)
         longest_first = sorted(self.texts, key=len, reverse=True)
         pieces = re.split(f"({'|'.join(map(re.escape, longest_first))})", text)
-        return "".join((said, name)[place % 2](piece) for place, piece in enumerate(pieces))
+        return "".join(
+            (map_other, map_name)[place % 2](piece) for place, piece in enumerate(pieces)
+        )
 
 
-NO_NAMES = Names()
-"""Of a report that is all the package's own words."""
+NO_NAMES = StudyNames()
+"""Names of a report that has only the package's own words."""
 
 
-def escaped(name: str) -> str:
-    """A name as Markdown that shows it letter by letter; in a table ``|`` is escaped besides."""
+def escape_markdown(name: str) -> str:
+    """Return a name as Markdown that shows it literally; table cells also escape ``|``."""
     return _MARKUP.sub(r"\\\g<0>", name.replace("&", "&amp;")).replace("<", "&lt;")
 
 
-def _has_markup(text: str) -> bool:
-    return escaped(text) != text
+def _has_markdown(text: str) -> bool:
+    return escape_markdown(text) != text
 
 
-def _texts(content: Any) -> Iterator[str]:
+def _iterate_texts(content: Any) -> Iterator[str]:
     if isinstance(content, str):
         yield content
     elif isinstance(content, Mapping | list | tuple):
         for entry in content:
-            yield from _texts(entry)
+            yield from _iterate_texts(entry)
             if isinstance(content, Mapping):
-                yield from _texts(content[entry])
+                yield from _iterate_texts(content[entry])

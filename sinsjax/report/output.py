@@ -1,4 +1,4 @@
-"""Where a report goes: a console, a directory of figures, a page in Markdown or in HTML."""
+"""Output of a report: console, directory of figures, Markdown page, HTML page."""
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
@@ -12,171 +12,183 @@ from rich.console import Console
 from sinsjax import console as screen
 from sinsjax import plots
 from sinsjax.execution.source import Source
-from sinsjax.messages import escape_controls, one_line
-from sinsjax.platform.files import file_stem, make_folder, replacing
-from sinsjax.report.base import Block, Picture, Report, Table, Text, yardstick
-from sinsjax.report.markup import template
-from sinsjax.report.names import NO_NAMES, Names
+from sinsjax.messages import escape_controls, to_one_line
+from sinsjax.platform.files import atomic_write, make_folder, safe_file_stem
+from sinsjax.report.base import Block, Picture, Report, Table, Text, describe_success_criterion
+from sinsjax.report.markup import load_template
+from sinsjax.report.names import NO_NAMES, StudyNames
 from sinsjax.report.terminal import print_table, print_verdict
 
-FIGURES = "figures"
+FIGURES_FOLDER = "figures"
 """Directory of the figures, in that of the results or of a page."""
 
 
-class Made(NamedTuple):
+class DrawnReport(NamedTuple):
     """A report with its figures drawn.
 
     Attributes:
-        source: what it reports.
-        report: what it says.
+        source: the results.
+        report: their report.
         images: PNG files by the name of the figure.
-        names: in what it says.
+        names: names that occur in the report.
     """
 
     source: Source
     report: Report
     images: Mapping[str, bytes]
-    names: Names = NO_NAMES
+    names: StudyNames = NO_NAMES
 
     @classmethod
-    def of(cls, source: Source, report: Report) -> "Made":
-        """Draws the figures of a report."""
+    def from_report(cls, source: Source, report: Report) -> "DrawnReport":
+        """Draw the figures of a report."""
         blocks = (block for section in report.sections for block in section.blocks)
         pictures = (block for block in blocks if isinstance(block, Picture))
-        footer = report.rests_on or source.sample_size_text
-        images = {one.name: plots.png(one.figure, one.rests_on or footer) for one in pictures}
-        return cls(source, report, images, Names.of(source.study, source.config, *source.warnings))
+        footer = report.data_footer or source.sample_size_text
+        images = {
+            picture.name: plots.render_png(picture.figure, picture.data_footer or footer)
+            for picture in pictures
+        }
+        return cls(
+            source,
+            report,
+            images,
+            StudyNames.from_study(source.study, source.config, *source.warnings),
+        )
 
 
-def print_report(made: Made, console: Console, *, full: bool = False) -> None:
+def print_report(drawn: DrawnReport, console: Console, *, full: bool = False) -> None:
     """Print the verdict, where the figures are, and all tables that are not folded if wanted."""
-    source, report, images, names = made
+    source, report, images, names = drawn
     console.print()
-    last = [f"Figures: {source.directory / FIGURES}"] if images else []
+    footer = [f"Figures: {source.directory / FIGURES_FOLDER}"] if images else []
     if not full:
-        last.append(f"All tables: sinsjax report {source.directory} --full")
-        print_verdict(report.verdict, console, names, last)
+        footer.append(f"All tables: sinsjax report {source.directory} --full")
+        print_verdict(report.verdict, console, names, footer)
         return
-    print_verdict(report.verdict, console, names, last, full=True)
+    print_verdict(report.verdict, console, names, footer, full=True)
     console.print()
-    screen.say(console, yardstick(source.study), wrap=True)
+    screen.print_line(console, describe_success_criterion(source.study), wrap=True)
     for section in report.sections:
         for block in section.blocks:
             if isinstance(block, Text):
-                screen.say(console, names.plain(block.text), wrap=True)
+                screen.print_line(console, names.to_plain_text(block.text), wrap=True)
             elif isinstance(block, Table) and not block.folded and block != report.verdict.table:
                 print_table(block, console, names)
     if images:
         listed = ", ".join(f"{name}.png" for name in images)
-        screen.say(console, f"Figures: {listed}. Words: sinsjax terms.", wrap=True)
+        screen.print_line(console, f"Figures: {listed}. Words: sinsjax terms.", wrap=True)
 
 
 def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
-    """Writes PNG files, by their names without extension, to a directory that is made if missing.
+    """Write PNG files, by their names without extension, to a directory, created if missing.
 
     Raises:
         InputError: the directory cannot be written.
     """
     make_folder(directory)
     for name, content in images.items():
-        with replacing(directory / f"{name}.png") as file:
+        with atomic_write(directory / f"{name}.png") as file:
             file.write(content)
 
 
-def origin(made: Sequence[Made]) -> str:
-    """What a page was made from: the files of its studies and what computed them, each once."""
-    configs = ", ".join(dict.fromkeys(one.source.config for one in made))
-    versions = ", ".join(dict.fromkeys(one.source.version for one in made))
+def describe_origin(reports: Sequence[DrawnReport]) -> str:
+    """Return the study files of a page and the versions that computed them, without repetition."""
+    configs = ", ".join(dict.fromkeys(drawn.source.config for drawn in reports))
+    versions = ", ".join(dict.fromkeys(drawn.source.version for drawn in reports))
     return f"{configs}; computed by sinsjax {versions}"
 
 
-def write_page(page: Path, title: str, made: Sequence[Made]) -> None:
-    """Writes a documentation page in Markdown, and its figures to ``figures/`` beside it.
+def write_markdown_page(page: Path, title: str, reports: Sequence[DrawnReport]) -> None:
+    """Write a documentation page in Markdown, and its figures to ``figures/`` next to it.
 
     Raises:
         InputError: the page cannot be written.
     """
-    begun = one_line(f"sinsjax report --page {page.name} ({origin(made)})")
+    written_by = to_one_line(f"sinsjax report --page {page.name} ({describe_origin(reports)})")
     sections = []
-    for source, report, images, names in made:
-        prefix = f"{file_stem(source.study.name)}_"
-        named = {f"{prefix}{name}": image for name, image in images.items()}
-        save_figures(named, page.parent / FIGURES)
+    for source, report, images, names in reports:
+        prefix = f"{safe_file_stem(source.study.name)}_"
+        prefixed = {f"{prefix}{name}": image for name, image in images.items()}
+        save_figures(prefixed, page.parent / FIGURES_FOLDER)
         for heading, blocks in report.sections:
-            told = [markdown(block, prefix, names) for block in blocks]
-            sections.append((names.markdown(heading), told))
-    text = template("report.md.j2").render(
-        begun=begun.replace("<", "&lt;").replace(">", "&gt;"),
-        title=names_of(made).markdown(title),
-        meanings=meanings(made),
-        headline=[one.names.markdown(line) for one in made for line in one.report.headline],
+            rendered = [block_to_markdown(block, prefix, names) for block in blocks]
+            sections.append((names.to_markdown(heading), rendered))
+    text = load_template("report.md.j2").render(
+        written_by=written_by.replace("<", "&lt;").replace(">", "&gt;"),
+        title=merge_names(reports).to_markdown(title),
+        success_definitions=success_definitions(reports),
+        verdict_lines=[
+            drawn.names.to_markdown(line)
+            for drawn in reports
+            for line in drawn.report.verdict_lines
+        ],
         sections=sections,
     )
-    write_text(page, text)
+    write_escaped_text(page, text)
 
 
-def write_html(path: Path, title: str, made: Sequence[Made]) -> None:
-    """Writes an HTML page that needs nothing else: no network, no file beside it, no script.
+def write_html_page(path: Path, title: str, reports: Sequence[DrawnReport]) -> None:
+    """Write a self-contained HTML page: no network, no other files, no script.
 
     Raises:
         InputError: the page cannot be written.
     """
-    page = template("report.html.j2").render(
+    page = load_template("report.html.j2").render(
         title=title,
-        all_names=names_of(made),
-        meanings=meanings(made),
-        made=made,
-        origin=origin(made),
-        inline=_inline,
-        paragraphs=_paragraphs,
+        all_names=merge_names(reports),
+        success_definitions=success_definitions(reports),
+        reports=reports,
+        origin=describe_origin(reports),
+        inline=_render_inline_html,
+        paragraphs=_render_html_paragraphs,
         base64=lambda content: b64encode(content).decode(),
     )
     make_folder(path.parent)
-    write_text(path, page)
+    write_escaped_text(path, page)
 
 
-def write_text(path: Path, text: str) -> None:
+def write_escaped_text(path: Path, text: str) -> None:
     """Write a page, in Markdown or HTML, with control characters other than line breaks escaped.
 
     Raises:
         InputError: the page cannot be written.
     """
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         file.write(escape_controls(text, keep="\n").encode())
 
 
-def names_of(made: Sequence[Made]) -> Names:
-    """The names in all that stands on a page."""
-    return Names(frozenset().union(*(one.names.texts for one in made)))
+def merge_names(reports: Sequence[DrawnReport]) -> StudyNames:
+    """Return the names in all reports of a page."""
+    return StudyNames(frozenset().union(*(drawn.names.texts for drawn in reports)))
 
 
-def meanings(made: Sequence[Made]) -> list[str]:
-    """What *settled* and *ok* mean on a page, each meaning once."""
-    return list(dict.fromkeys(yardstick(one.source.study) for one in made))
+def success_definitions(reports: Sequence[DrawnReport]) -> list[str]:
+    """Return the definitions of *settled* and *ok* of a page, without repetition."""
+    return list(dict.fromkeys(describe_success_criterion(drawn.source.study) for drawn in reports))
 
 
-def markdown(block: Block, prefix: str = "", names: Names = NO_NAMES) -> str:
+def block_to_markdown(block: Block, prefix: str = "", names: StudyNames = NO_NAMES) -> str:
     """A block with its names as Markdown; the file name of a figure may have a prefix."""
-    text = template("block.md.j2").render(
+    text = load_template("block.md.j2").render(
         block=block,
-        md=names.markdown,
-        file=f"{FIGURES}/{prefix}{block.name}.png" if isinstance(block, Picture) else "",
+        to_markdown=names.to_markdown,
+        file=f"{FIGURES_FOLDER}/{prefix}{block.name}.png" if isinstance(block, Picture) else "",
         rule=["---"] * len(block.header) if isinstance(block, Table) else [],
     )
     return text.rstrip()
 
 
-def _inline(text: str, names: Names = NO_NAMES) -> Markup:
-    return Markup(_markdown().renderInline(names.markdown(text)))
+def _render_inline_html(text: str, names: StudyNames = NO_NAMES) -> Markup:
+    return Markup(_markdown_parser().renderInline(names.to_markdown(text)))
 
 
-def _paragraphs(text: str, names: Names = NO_NAMES) -> Markup:
-    return Markup(_markdown().render(names.markdown(text)).rstrip())
+def _render_html_paragraphs(text: str, names: StudyNames = NO_NAMES) -> Markup:
+    return Markup(_markdown_parser().render(names.to_markdown(text)).rstrip())
 
 
 @lru_cache(maxsize=1)
-def _markdown() -> Any:
-    """What a report says is Markdown without links or images; anything else in it is text."""
-    from markdown_it import MarkdownIt  # late, for reports without such a page
+def _markdown_parser() -> Any:
+    """Return a parser of Markdown without links and images, with HTML as text."""
+    from markdown_it import MarkdownIt  # late: only HTML pages need it
 
     return MarkdownIt("commonmark", {"html": False}).disable(["link", "image", "autolink"])

@@ -1,4 +1,4 @@
-"""The verdict on a sweep: the best option, what it gains, how accurate it is, and what limits it.
+"""The verdict on a sweep: the best option, its gain, its accuracy, and its limiting factor.
 
 A choice is judged on draws that did not make it. See `sinsjax.report.choices`.
 """
@@ -13,48 +13,48 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.words import heading, percent
+from sinsjax.analysis.formats import format_heading_error, format_percent
 from sinsjax.columns import FAILED
 from sinsjax.execution import stopping
 from sinsjax.execution.source import Source
-from sinsjax.messages import counted
-from sinsjax.report.base import ENOUGH_DRAWS, Fact, Table, Verdict
+from sinsjax.messages import format_count
+from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Table, Verdict
 from sinsjax.report.choices import (
-    LEAST_DRAWS,
+    MIN_DRAWS_TO_SPLIT,
     Choices,
-    choose,
-    choose_by_halves,
-    name_and_unit,
+    best_option,
+    best_option_per_draw,
+    condition_name_and_unit,
 )
-from sinsjax.report.markup import said
+from sinsjax.report.markup import render_sentence
 from sinsjax.study.process_noise import noise_ratios_by_sensor
 from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure
 
-_MOST_Q = 10.0  # times the sensors' noise that Q may be before the verdict cautions
+_MAX_Q_RATIO = 10.0  # times the sensors' noise that Q may be before the verdict cautions
 _LIMITING = 0.7  # share of the rms error from which the bias floor is its cause
 _RARE = 0.1  # of the successful runs: so many may be at the edge of both bands
 
 
-def verdict(source: Source, *, warned: bool = False) -> Verdict:
+def sweep_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict:
     """Return the verdict on a simulated study, or on a recorded one with a reference.
 
     Args:
         source: the results; some run has a truth.
-        warned: whether the user has seen the study's warnings.
+        warnings_shown: whether the user has seen the study's warnings.
     """
-    outcome = Outcome.from_source(source)
-    doubts = [*warnings_of(source, warned=warned), *doubts_of(outcome)]
-    return Verdict(title_of(source), [*answer(outcome), *doubts], per_condition(outcome))
+    outcome = SweepOutcome.from_source(source)
+    doubts = [*warning_facts(source, warnings_shown=warnings_shown), *caution_facts(outcome)]
+    return Verdict(study_title(source), [*answer_facts(outcome), *doubts], condition_table(outcome))
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SweepOutcome:
     """The runs of a study over its options, conditions and draws.
 
     Attributes:
         source: the results.
         choices: the options and conditions.
-        yard: the criterion of success.
+        criterion: the criterion of success.
         time_s: (options, conditions, draws) settling times, infinite for runs without success, s.
         error: (options, conditions, draws) heading error from the truth at the end, arcmin.
         floor: (options, conditions, draws) bias floor, arcmin; NaN if there is none.
@@ -63,39 +63,46 @@ class Outcome:
 
     source: Source
     choices: Choices
-    yard: SuccessMeasure
+    criterion: SuccessMeasure
     time_s: NDArray
     error: NDArray
     floor: NDArray
     off_floor: NDArray
 
     @classmethod
-    def from_source(cls, source: Source) -> "Outcome":
+    def from_source(cls, source: Source) -> "SweepOutcome":
         """Read the columns of the summary that a verdict needs."""
-        yards = source.success_measures
+        criteria = source.success_measures
         table = source.rows(
-            [*FLOOR_COLUMNS, *(n for y in yards for n in (y.ok_column, y.settle_column))]
+            [*FLOOR_COLUMNS, *(n for y in criteria for n in (y.ok_column, y.settle_column))]
         )
         # A criterion that some method does not have cannot compare the methods.
-        yard = next((one for one in yards if table[one.ok_column].null_count == 0), yards[0])
+        criterion = next(
+            (candidate for candidate in criteria if table[candidate.ok_column].null_count == 0),
+            criteria[0],
+        )
         choices = Choices.from_study(source.study)
 
         def column(name: str) -> NDArray:
-            return choices.runs(analysis.numbers(table, name))
+            return choices.arrange_runs(analysis.numeric_column(table, name))
 
-        settle_s = np.where(column(yard.ok_column) > 0, column(yard.settle_column), np.inf)
+        settle_s = np.where(
+            column(criterion.ok_column) > 0, column(criterion.settle_column), np.inf
+        )
         time_s = np.where(np.isnan(settle_s), np.inf, settle_s)
         error, floor = (column(name) for name in FLOOR_COLUMNS)
-        return cls(source, choices, yard, time_s, error, floor, yard.outside_floor_band(column))
+        return cls(
+            source, choices, criterion, time_s, error, floor, criterion.outside_floor_band(column)
+        )
 
     @property
-    def draws(self) -> int:
+    def n_draws(self) -> int:
         """Number of draws, or of start times on a record."""
         return int(self.time_s.shape[-1])
 
     @cached_property
-    def longest_s(self) -> float:
-        """What a run that never settles counts when options are ranked, s."""
+    def unsettled_time_s(self) -> float:
+        """Time that a run without settling counts when options are ranked, s."""
         return max(self.source.study.run_s, np.max(self.time_s, initial=0, where=self.settled))
 
     @property
@@ -103,55 +110,57 @@ class Outcome:
         """(options, conditions, draws) whether a run settles."""
         return np.isfinite(self.time_s)
 
-    def best(self, options: Sequence[int] | None = None) -> "Choice":
+    def choose_best(self, options: Sequence[int] | None = None) -> "Choice":
         """Choose among some options, or among all."""
-        wanted = np.arange(len(self.time_s)) if options is None else np.asarray(options)
-        time_s = self.time_s[wanted]
+        candidates = np.arange(len(self.time_s)) if options is None else np.asarray(options)
+        time_s = self.time_s[candidates]
         return Choice(
-            int(wanted[choose(time_s, self.longest_s)]),
-            wanted[choose_by_halves(time_s, self.longest_s)],
+            int(candidates[best_option(time_s, self.unsettled_time_s)]),
+            candidates[best_option_per_draw(time_s, self.unsettled_time_s)],
         )
 
     @property
     def best_variant(self) -> int:
         """The number of the best option's variant in the last condition."""
-        return int(self.choices.variants[self.overall.option, -1])
+        return int(self.choices.variants[self.overall_choice.option, -1])
 
     @cached_property
-    def overall(self) -> "Choice":
+    def overall_choice(self) -> "Choice":
         """The best of all options."""
-        return self.best()
+        return self.choose_best()
 
-    def at(self, conditions: Sequence[int]) -> "Outcome":
+    def select_conditions(self, conditions: Sequence[int]) -> "SweepOutcome":
         """The same in some conditions."""
         names = ("time_s", "error", "floor", "off_floor")
         return replace(self, **{name: getattr(self, name)[:, conditions] for name in names})
 
-    def judged(self, choice: "Choice", values: NDArray) -> NDArray:
+    def held_out_values(self, choice: "Choice", values: NDArray) -> NDArray:
         """Values (options, conditions, draws) with the option chosen for each draw, flat."""
-        return values[choice.places, :, np.arange(self.draws)].ravel()
+        return values[choice.option_per_draw, :, np.arange(self.n_draws)].ravel()
 
     @property
-    def cluster(self) -> NDArray:
+    def clusters(self) -> NDArray:
         """The cluster of each of the values of `judged`."""
         draw = np.zeros if self.source.study.is_recorded else np.arange
-        return np.repeat(draw(self.draws).astype(int), self.time_s.shape[1])
+        return np.repeat(draw(self.n_draws).astype(int), self.time_s.shape[1])
 
-    def success(self, choice: "Choice") -> Estimate:
+    def success_share(self, choice: "Choice") -> Estimate:
         """The share of runs that settle with a choice."""
-        return analysis.share(np.isfinite(self.judged(choice, self.time_s)), self.cluster)
+        return analysis.share(np.isfinite(self.held_out_values(choice, self.time_s)), self.clusters)
 
-    def mean_s(self, choice: "Choice") -> Estimate:
+    def mean_settling_s(self, choice: "Choice") -> Estimate:
         """The mean settling time of the runs that settle with a choice, s; never below 0."""
-        found = analysis.mean(self.judged(choice, self.time_s), self.cluster)
+        found = analysis.mean(self.held_out_values(choice, self.time_s), self.clusters)
         return found._replace(low=max(found.low, 0.0))
 
-    def short(self, choice: "Choice", unit: str = "") -> str:
-        """Settling with a choice in a few words: a mean time, ``never``, or how many settle."""
-        settled = np.isfinite(self.judged(choice, self.time_s))
+    def format_settling(self, choice: "Choice", unit: str = "") -> str:
+        """Return settling with a choice as text: mean time, ``never``, or share that settles."""
+        settled = np.isfinite(self.held_out_values(choice, self.time_s))
         if settled.all():
-            return format_estimate(self.mean_s(choice), unit, 0)
-        return f"{percent(self.success(choice))} % settle" if settled.any() else "never"
+            return format_estimate(self.mean_settling_s(choice), unit, 0)
+        return (
+            f"{format_percent(self.success_share(choice))} % settle" if settled.any() else "never"
+        )
 
 
 class Choice(NamedTuple):
@@ -159,17 +168,17 @@ class Choice(NamedTuple):
 
     Attributes:
         option: the best according to all draws, which names it.
-        places: (draws,) the option that judges each draw, chosen by other draws.
+        option_per_draw: (draws,) the option that judges each draw, chosen by other draws.
     """
 
     option: int
-    places: NDArray
+    option_per_draw: NDArray
 
 
-def title_of(source: Source) -> str:
-    """The name of a study, how many runs it has, how long they took, and how many failed."""
+def study_title(source: Source) -> str:
+    """Return the name of a study with its numbers of runs and failures, and the computing time."""
     study, runs = source.study, source.runs
-    count = counted(runs, "run")
+    count = format_count(runs, "run")
     if source.whole_draws is not None:
         count = f"unfinished, {runs:,} of {study.n_draws * study.n_variants:,} runs"
     if source.wall_s is not None:
@@ -177,92 +186,96 @@ def title_of(source: Source) -> str:
     kept = len({*study.duplicate_of}) * runs // study.n_variants
     count += f" ({kept:,} distinct)" if kept < runs else ""
     status = source.rows(["status"])
-    failed = sum(int(analysis.has_status(status, one).sum()) for one in FAILED)
+    failed = sum(int(analysis.status_mask(status, outcome).sum()) for outcome in FAILED)
     return f"{study.name}: {count}, {f'{failed:,}' if failed else 'none'} failed"
 
 
-def warnings_of(source: Source, *, warned: bool) -> Iterator[Fact]:
-    """The warnings of a study, unless the user has seen them."""
-    yield from (Fact("Warning", line, True) for line in (() if warned else source.warnings))
+def warning_facts(source: Source, *, warnings_shown: bool) -> Iterator[Fact]:
+    """Yield the warnings of a study, unless the user has seen them."""
+    yield from (Fact("Warning", line, True) for line in (() if warnings_shown else source.warnings))
 
 
-def q_doubt(source: Source) -> Iterator[Fact]:
+def process_noise_caution(source: Source) -> Iterator[Fact]:
     """A caution if the filter's Q is far larger than the noise of the sensors."""
     if source.study.is_recorded:
         return
     ratios = [ratio for found in noise_ratios_by_sensor(source.study).values() for ratio in found]
     most = max(ratios, default=0.0)
-    if most > _MOST_Q:
-        which = "Q" if min(ratios) > _MOST_Q else "Q of some variants"
+    if most > _MAX_Q_RATIO:
+        which = "Q" if min(ratios) > _MAX_Q_RATIO else "Q of some variants"
         yield Fact(
             "Caution",
             f"{which} is {float(f'{most:.2g}'):,g} times the sensors' noise (sigma): a schedule"
-            " that repairs a mistuned filter is not advice (leave Q's keys out)",
+            " that repairs a mistuned filter is no recommendation (omit the keys of Q)",
             True,
         )
 
 
-def answer(outcome: Outcome) -> Iterator[Fact]:
-    """The best option, its accuracy, and what the answer rests on."""
-    yield from _best(outcome)
-    yield _accuracy(outcome)
-    yield from _basis(outcome)
+def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+    """Yield the best option, its accuracy, and the basis of the answer."""
+    yield from _best_option_facts(outcome)
+    yield _accuracy_fact(outcome)
+    yield from _basis_facts(outcome)
 
 
-def _best(outcome: Outcome) -> Iterator[Fact]:
-    """The best option, and those that it is compared with."""
-    options, best = outcome.choices.options, outcome.overall
+def _best_option_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+    """Yield the best option and its rivals."""
+    options, best = outcome.choices.options, outcome.overall_choice
     if len(options) == 1:
-        yield Fact("Settling", _sentence(outcome, best))
+        yield Fact("Settling", _settling_sentence(outcome, best))
         return
-    yield Fact("Best", f"{options[best.option]}: {_sentence(outcome, best)}")
-    rivals = list(_rivals(outcome, best))
+    yield Fact("Best", f"{options[best.option]}: {_settling_sentence(outcome, best)}")
+    rivals = list(_rival_choices(outcome, best))
     if rivals:
-        text = "; ".join(f"{name}: {outcome.short(choice, 's')}" for name, choice in rivals)
+        text = "; ".join(
+            f"{name}: {outcome.format_settling(choice, 's')}" for name, choice in rivals
+        )
         yield Fact("Others", text)
 
 
-def _sentence(outcome: Outcome, choice: Choice) -> str:
-    """How many runs settle with a choice, and when."""
-    settled = np.isfinite(outcome.judged(choice, outcome.time_s))
+def _settling_sentence(outcome: SweepOutcome, choice: Choice) -> str:
+    """Return the share of runs that settle with a choice, and their mean time."""
+    settled = np.isfinite(outcome.held_out_values(choice, outcome.time_s))
     if not settled.any():
         return "no run settles"
-    time = format_estimate(outcome.mean_s(choice), "s", 0)
+    time = format_estimate(outcome.mean_settling_s(choice), "s", 0)
     if settled.all():
-        return f"{_every(outcome)} settles, after {time} on average"
-    share = percent(outcome.success(choice))
+        return f"{_describe_all_runs(outcome)} settles, after {time} on average"
+    share = format_percent(outcome.success_share(choice))
     return f"{share} % of the runs settle, after {time} on average"
 
 
-def _every(outcome: Outcome) -> str:
+def _describe_all_runs(outcome: SweepOutcome) -> str:
     """All runs in words: by the condition, if one number makes it."""
     axes = outcome.choices.condition_axes
     if len(axes) == 1 and len(axes[0]) == 1:
-        values = [value for (value,) in outcome.choices.places(axes[0])]
+        values = [value for (value,) in outcome.choices.conditions_by_point(axes[0])]
         if all(isinstance(value, int | float) for value in values):
-            name, unit = name_and_unit(axes[0][0])
+            name, unit = condition_name_and_unit(axes[0][0])
             return f"every {name} from {min(values):g} to {max(values):g} {unit}".rstrip()
     return "every run"
 
 
-def _rivals(outcome: Outcome, best: Choice) -> Iterator[tuple[str, Choice]]:
-    """What the best option is compared with, each the best of its kind."""
+def _rival_choices(outcome: SweepOutcome, best: Choice) -> Iterator[tuple[str, Choice]]:
+    """Yield the rivals of the best option, each the best of its kind."""
     names = outcome.choices.options
-    for kind in outcome.choices.rivals(best.option):
-        found = outcome.best(kind)
-        name = names[found.option]
-        yield name if name != names[best.option] else "the next best", found
+    for kind in outcome.choices.rival_options(best.option):
+        choice = outcome.choose_best(kind)
+        name = names[choice.option]
+        yield name if name != names[best.option] else "the next best", choice
 
 
-def _accuracy(outcome: Outcome) -> Fact:
-    """The heading error at the end, and what limits it."""
-    best = outcome.overall
-    error, floor = (outcome.judged(best, one) for one in (outcome.error, outcome.floor))
-    found = analysis.rms(error, outcome.cluster)
+def _accuracy_fact(outcome: SweepOutcome) -> Fact:
+    """Return the heading error at the end, and its limiting factor."""
+    best = outcome.overall_choice
+    error, floor = (
+        outcome.held_out_values(best, values) for values in (outcome.error, outcome.floor)
+    )
+    found = analysis.rms(error, outcome.clusters)
     aim = "the reference" if outcome.source.study.is_recorded else "true north"
-    text = f"{heading(found)}' rms from {aim}"
+    text = f"{format_heading_error(found)}' rms from {aim}"
     known = np.isfinite(error)
-    never = np.isinf(outcome.judged(best, outcome.time_s))
+    never = np.isinf(outcome.held_out_values(best, outcome.time_s))
     squares = float(np.sum(error[known] ** 2))
     if float(np.sum(error[known & never] ** 2)) > squares / 2:
         return Fact("Accuracy", f"{text}, mostly of runs that never settle")
@@ -274,66 +287,83 @@ def _accuracy(outcome: Outcome) -> Fact:
     return Fact("Accuracy", f"{text}, bias floor only {lowest:.1f}'")
 
 
-def _basis(outcome: Outcome) -> Iterator[Fact]:
+def _basis_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """The success, and which draws chose and which judged."""
-    study, draws, best = outcome.source.study, outcome.draws, outcome.overall
-    yard, error = outcome.yard, outcome.judged(outcome.overall, outcome.error)
-    text = f"{percent(outcome.success(best))} % {yard.description}"
-    if not yard.truth:
-        right = analysis.share(np.abs(error) <= yard.band_arcmin, outcome.cluster)
-        text += f", {percent(right)} % of north"
+    study, draws, best = outcome.source.study, outcome.n_draws, outcome.overall_choice
+    criterion, error = (
+        outcome.criterion,
+        outcome.held_out_values(outcome.overall_choice, outcome.error),
+    )
+    text = f"{format_percent(outcome.success_share(best))} % {criterion.description}"
+    if not criterion.truth:
+        right = analysis.share(np.abs(error) <= criterion.band_arcmin, outcome.clusters)
+        text += f", {format_percent(right)} % of north"
     yield Fact("Success", text)
     names = outcome.choices.options
-    text = f"{draws}{' (few)' if draws < ENOUGH_DRAWS else ''}"
-    if len(names) > 1 and draws >= LEAST_DRAWS:
-        text += ": each half judged what the other half chose"
-        text += ", not the same" if len({*best.places[:2]}) > 1 else ""
+    text = f"{draws}{' (few)' if draws < MIN_DRAWS_FOR_INTERVALS else ''}"
+    if len(names) > 1 and draws >= MIN_DRAWS_TO_SPLIT:
+        text += ": each half evaluates the choice of the other"
+        text += ", and they chose differently" if len({*best.option_per_draw[:2]}) > 1 else ""
     yield Fact("Starts" if study.is_recorded else "Draws", text)
     if study.stop_when and outcome.source.whole_draws is None:
         rows = outcome.source.rows(stopping.required_columns(study))
         found = stopping.analyse_interim(study, rows, draws)
-        yield Fact("Stopped", said("stopped", rule=study.stop_when, found=found))
+        yield Fact("Stopped", render_sentence("stopped", rule=study.stop_when, reached=found))
 
 
-def doubts_of(outcome: Outcome) -> Iterator[Fact]:
-    """Why the answer may mislead."""
-    draws, study = outcome.draws, outcome.source.study
+def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+    """Yield why the answer may mislead."""
+    draws, study = outcome.n_draws, outcome.source.study
     several = len(outcome.choices.options) > 1
     unit = "start time" if study.is_recorded else "draw"
-    if several and draws < LEAST_DRAWS:
-        them = "it" if draws == 1 else "them"
-        yield Fact(
-            "Caution", f"only {counted(draws, unit)}: chosen and judged on {them} alike", True
-        )
+    if several and draws < MIN_DRAWS_TO_SPLIT:
+        text = f"only {format_count(draws, unit)}: no other {unit}s evaluate the choice"
+        yield Fact("Caution", text, True)
     if study.is_recorded:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)
-    best = outcome.overall
-    ok = outcome.judged(best, outcome.settled)
-    off = outcome.judged(best, outcome.off_floor)
-    if off.sum() > _RARE * ok.sum():
+    best = outcome.overall_choice
+    ok = outcome.held_out_values(best, outcome.settled)
+    off_floor = outcome.held_out_values(best, outcome.off_floor)
+    if off_floor.sum() > _RARE * ok.sum():
         yield Fact(
             "Caution",
-            said("off_floor", off=int(off.sum()), ok=int(ok.sum()), yard=outcome.yard),
+            render_sentence(
+                "off_floor", off=int(off_floor.sum()), ok=int(ok.sum()), criterion=outcome.criterion
+            ),
             True,
         )
-    yield from q_doubt(outcome.source)
+    yield from process_noise_caution(outcome.source)
 
 
-def per_condition(outcome: Outcome) -> Table | None:
+def condition_table(outcome: SweepOutcome) -> Table | None:
     """The best option at each point of the condition that matters most."""
-    choices, overall = outcome.choices, outcome.overall
-    time_s = np.minimum(outcome.time_s[overall.option], outcome.longest_s).mean(axis=-1)
-    axis = choices.axis_that_matters(time_s)
+    choices, overall = outcome.choices, outcome.overall_choice
+    time_s = np.minimum(outcome.time_s[overall.option], outcome.unsettled_time_s).mean(axis=-1)
+    axis = choices.most_influential_axis(time_s)
     if axis is None:
         return None
 
-    def row(conditions: list[int]) -> list[str]:
-        here = outcome.at(conditions)
+    def format_row(conditions: list[int]) -> list[str]:
+        outcome_here = outcome.select_conditions(conditions)
         if len(choices.options) == 1:
-            error = analysis.rms(here.judged(overall, here.error), here.cluster)
-            return [percent(here.success(overall)), here.short(overall), heading(error)]
-        best = here.best()
-        rival = here.best(choices.without_reset) if choices.without_reset else overall
-        return [choices.options[best.option], here.short(best), here.short(rival)]
+            error = analysis.rms(
+                outcome_here.held_out_values(overall, outcome_here.error), outcome_here.clusters
+            )
+            return [
+                format_percent(outcome_here.success_share(overall)),
+                outcome_here.format_settling(overall),
+                format_heading_error(error),
+            ]
+        best = outcome_here.choose_best()
+        rival = (
+            outcome_here.choose_best(choices.options_without_reset)
+            if choices.options_without_reset
+            else overall
+        )
+        return [
+            choices.options[best.option],
+            outcome_here.format_settling(best),
+            outcome_here.format_settling(rival),
+        ]
 
-    return choices.table(axis, row, "settles after")
+    return choices.condition_table(axis, format_row, "settles after")

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from sinsjax.messages import escape_controls, shortened
+from sinsjax.messages import escape_controls, shorten
 
 WIDTH = 80
 """Longest line of a text, in characters."""
@@ -22,7 +22,7 @@ def format_text(title: str, facts: Mapping[str, str]) -> str:
     """
     width = max(map(len, facts))
     lines = (title, *(f"  {name:<{width}}  {fact}" for name, fact in facts.items()))
-    return "\n".join(shortened(escape_controls(line), WIDTH) for line in lines)
+    return "\n".join(shorten(escape_controls(line), WIDTH) for line in lines)
 
 
 def format_html(title: str, facts: Mapping[str, str]) -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.messages import near
-from sinsjax.platform.assets import asset
+from sinsjax.messages import suggest_closest
+from sinsjax.platform.assets import asset_path
 
 _FOLDER = "configs"
 _SCHEMA, _GROUP = "#:schema", "#:group "
@@ -40,7 +40,7 @@ TEMPLATES = ("sweep", "record", "tune", "compare")
 
 def shipped_studies() -> dict[str, Path]:
     """Return the files of the shipped studies by name, in alphabetical order."""
-    return {path.stem: path for path in sorted(asset(_FOLDER).glob("*.toml"))}
+    return {path.stem: path for path in sorted(asset_path(_FOLDER).glob("*.toml"))}
 
 
 def studies_by_group() -> dict[str, dict[str, Path]]:
@@ -54,7 +54,7 @@ def studies_by_group() -> dict[str, dict[str, Path]]:
 
 def template_files() -> dict[str, Path]:
     """Return the files of the templates by name."""
-    return {name: asset(f"{_FOLDER}/templates/{name}.toml") for name in TEMPLATES}
+    return {name: asset_path(f"{_FOLDER}/templates/{name}.toml") for name in TEMPLATES}
 
 
 def find_study_file(name_or_path: str | Path) -> Path:
@@ -82,7 +82,7 @@ def source_name(name_or_path: str | Path) -> str:
         name_or_path: file, or name of a shipped study, see `find_study_file`.
     """
     path = find_study_file(name_or_path)
-    return path.stem if path.parent == asset(_FOLDER) else str(path)
+    return path.stem if path.parent == asset_path(_FOLDER) else str(path)
 
 
 def read_purpose(path: Path) -> str:
@@ -111,14 +111,15 @@ def shipped_text(name: str) -> str:
     stem = Path(name).stem
     if stem not in known:
         raise InputError(
-            f"{name}: no study of this name (`init --list` shows them){near(stem, known)}"
+            f"{name}: no study of this name (`init --list` shows them)"
+            f"{suggest_closest(stem, known)}"
         )
     return f"{schema_line()}\n{_read_body(known[stem])}"
 
 
 def schema_line() -> str:
     """Return the first line of a study, with the path of the schema of its keys for editors."""
-    return f"{_SCHEMA} {asset(f'{_FOLDER}/schema.json').as_uri()}"
+    return f"{_SCHEMA} {asset_path(f'{_FOLDER}/schema.json').as_uri()}"
 
 
 def _read_group(path: Path) -> str:
@@ -184,4 +185,4 @@ def check_nesting(content: Any, source: str | Path) -> None:
 
 def _similar_study_hint(name_or_path: str | Path) -> str:
     """Return a hint at the shipped study with the most similar name; empty without one."""
-    return near(Path(name_or_path).stem, shipped_studies())
+    return suggest_closest(Path(name_or_path).stem, shipped_studies())

@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.study.study import Study
 
 NOT_COMPUTED: Any = {"tune": True, "study": {"name", "unchecked"}}
@@ -83,4 +83,4 @@ def _as_table(value: Any) -> Mapping[str, Any]:
 
 
 def _format_value(value: Any) -> str:
-    return "none" if value is None else shortened(str(value), 60)
+    return "none" if value is None else shorten(str(value), 60)

@@ -1,7 +1,7 @@
 """The page of all keys: ``python -m sinsjax.study.key_table > docs/keys.md``."""
 
 from sinsjax.errors import InputError
-from sinsjax.messages import near
+from sinsjax.messages import suggest_closest
 from sinsjax.methods.registry import BROKEN, METHODS, PACKAGES
 from sinsjax.study.keys import KEYS, SWEEPABLE, TABLES, Key
 from sinsjax.value_types import Section
@@ -38,7 +38,7 @@ def find_keys(name: str | None = None) -> list[Key]:
     if name is not None and name not in names:
         if matches := [key for key in all_keys if name and name in key.name]:
             return matches
-        hint = near(name, sorted({*names, *METHODS}))
+        hint = suggest_closest(name, sorted({*names, *METHODS}))
         raise InputError(f"{name}: unknown section, key or method{hint or _ALL_KEYS}")
     return [
         key

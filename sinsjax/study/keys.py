@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from sinsjax.messages import near
+from sinsjax.messages import suggest_closest
 from sinsjax.methods.description import INITIAL_KEYS
 from sinsjax.methods.plugins import exclude_clashing
 from sinsjax.methods.registry import METHODS, REGISTRY, SECTIONS_OF_METHODS
@@ -29,7 +29,7 @@ from sinsjax.study.schema import (
     TuneSection,
 )
 from sinsjax.units import split_unit
-from sinsjax.value_types import ActsWhere, KeyInfo, Section, key_info
+from sinsjax.value_types import KeyCondition, KeyInfo, Section, key_info
 
 _SECTIONS_BEFORE: dict[str, type[Section]] = {
     "study": StudySection,
@@ -138,7 +138,7 @@ class Key(NamedTuple):
 
 def unknown_key_error(key: str, known: Iterable[str]) -> str:
     """Return the error text of an unknown key: its replacement, or the closest known key."""
-    return REPLACED.get(key) or f"unknown key{near(key, known)}"
+    return REPLACED.get(key) or f"unknown key{suggest_closest(key, known)}"
 
 
 def leaf_info(key: str) -> KeyInfo:
@@ -176,7 +176,7 @@ def is_method_setting(key: str) -> bool:
 
 
 @cache
-def effect_conditions(key: str) -> tuple[ActsWhere, ...]:
+def effect_conditions(key: str) -> tuple[KeyCondition, ...]:
     """Return the conditions under which a key has an effect."""
     section = SECTIONS[SECTION_OF[key]]
     return tuple(condition for condition in section.conditions if key in condition.keys)

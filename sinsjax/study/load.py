@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from sinsjax.errors import ErrorCollector, InputError, StudyWarning
-from sinsjax.messages import escape_controls, explained, index, near
+from sinsjax.messages import escape_controls, explain_error, format_list_index, suggest_closest
 from sinsjax.methods.registry import (
     BROKEN,
     METHODS,
@@ -359,7 +359,7 @@ def _check_table(name: str, table: Any) -> None:
     if name in _REMOVED_SECTIONS:
         raise InputError(f"[{name}]: was dropped, {_REMOVED_SECTIONS[name]} (remove the section)")
     if name not in names:
-        hint = near(name, names, "[{}]") + hint_broken_plugins()
+        hint = suggest_closest(name, names, "[{}]") + hint_broken_plugins()
         hint = hint or " (is it of a method whose package is not installed?)"
         raise InputError(f"[{name}]: unknown section{hint}")
     if name == "cases":
@@ -471,4 +471,4 @@ def _format_error(error: ErrorDetails) -> str:
     hint = ""
     if error["type"] == "missing" and len(error["loc"]) == 2:
         hint = f" ({key_summary(section, str(key))})"
-    return f"[{section}] {key}{index(error)}: {explained(error)}{hint}"
+    return f"[{section}] {key}{format_list_index(error)}: {explain_error(error)}{hint}"

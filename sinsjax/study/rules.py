@@ -17,7 +17,7 @@ import numpy as np
 
 from sinsjax import columns
 from sinsjax.errors import ErrorCollector, InputError
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.methods.filters.section import OF_RESETS, OF_SCHEDULES, scheduled_reset_times
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.methods.triggers.config import any_trigger
@@ -42,7 +42,7 @@ from sinsjax.study.schema import (
 )
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
-from sinsjax.value_types import ROUNDING, ActsWhere
+from sinsjax.value_types import ROUNDING, KeyCondition
 
 KeyTables = Mapping[str, str]
 """The table, in brackets, that gives, sweeps or draws a key, for each key of a file."""
@@ -362,7 +362,7 @@ def _check_stop_when(study: Study, key_tables: KeyTables) -> None:
     bands = success.settling_bands(study)
     known = ["success_rate", *(f"{columns.settle_column(band).name}_mean" for band in bands)]
     if study.stop_when.statistic not in known:
-        text = f"'{shortened(study.stop_when.statistic, 60)}' is not one of {', '.join(known)}"
+        text = f"'{shorten(study.stop_when.statistic, 60)}' is not one of {', '.join(known)}"
         _refuse_key("statistic", key_tables, text)
     if study.stop_when.statistic == "success_rate" and study.stop_when.half_width >= 1:
         _refuse_key(
@@ -421,7 +421,7 @@ def _check_time_within_runs(study: Study, key_tables: KeyTables, key: str) -> No
 
 
 def _check_has_effect(
-    study: Study, key_tables: KeyTables, section: str, condition: ActsWhere
+    study: Study, key_tables: KeyTables, section: str, condition: KeyCondition
 ) -> None:
     """Refuse values of keys, other than their defaults, that have no effect."""
     for key in condition.keys:

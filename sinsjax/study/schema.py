@@ -10,11 +10,10 @@ from typing import Annotated, Any, Literal, cast, get_args, get_origin
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
-from sinsjax.messages import shortened
+from sinsjax.messages import shorten
 from sinsjax.records.layout import Layout, find_fault, parse_axes_order
 from sinsjax.value_types import (
     AccelNoise,
-    ActsWhere,
     Amplitude,
     Angle,
     AngleSigma,
@@ -29,6 +28,7 @@ from sinsjax.value_types import (
     GyroNoise,
     HalfTurn,
     IncreasingPair,
+    KeyCondition,
     KeyInfo,
     Name,
     NoisePerAxis,
@@ -43,8 +43,8 @@ from sinsjax.value_types import (
     Starts,
     Triad,
     Vector,
-    invalid,
-    unique,
+    require_unique,
+    rule_error,
 )
 
 
@@ -167,7 +167,7 @@ class StudySection(Section):
     @classmethod
     def _refuse_limit(cls, value: Any) -> Any:
         if value == "limit":
-            raise invalid("'limit' was renamed (use 'floor')")
+            raise rule_error("'limit' was renamed (use 'floor')")
         return value
 
     @field_validator("estimate", mode="before")
@@ -175,14 +175,14 @@ class StudySection(Section):
     def _refuse_controlled(cls, value: Any) -> Any:
         if value == "controlled":
             text = "leave the key out for Monte Carlo, or use 'covariance'"
-            raise invalid(f"'controlled' was dropped ({text})")
+            raise rule_error(f"'controlled' was dropped ({text})")
         return value
 
     @model_validator(mode="after")
     def _check_window(self) -> "StudySection":
         start, end = self.window_s
         if not start < end <= self.duration_s:
-            raise invalid(
+            raise rule_error(
                 f"must be [a, b] with 0 <= a < b <= duration_s = {self.duration_s:g},"
                 f" not [{start:g}, {end:g}]",
                 key="window_s",
@@ -194,7 +194,7 @@ class EarthSection(Section):
     """[earth]: gravity, shape and rotation of the Earth, and the place on it."""
 
     conditions = (
-        ActsWhere(
+        KeyCondition(
             ("gravity_m_per_s2", "radius_m", "earth_rate_deg_per_h"),
             ("earth",),
             lambda earth: earth == "constants",
@@ -244,25 +244,25 @@ class MotionSection(Section):
 
     conditions = (
         *(
-            ActsWhere(
+            KeyCondition(
                 (f"{angle}_period_s", f"{angle}_phase_deg"),
                 (f"{angle}_amplitude_deg",),
                 _any_nonzero,
             )
             for angle in ("pitch", "roll", "yaw")
         ),
-        ActsWhere(
+        KeyCondition(
             ("lever_arm_m",),
             tuple(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw")),
             _any_nonzero,
         ),
-        ActsWhere(("surge_time_s", "surge_model"), ("surge_m_per_s",), _any_nonzero),
-        ActsWhere(
+        KeyCondition(("surge_time_s", "surge_model"), ("surge_m_per_s",), _any_nonzero),
+        KeyCondition(
             ("surge_bandwidth_hz",),
             ("surge_m_per_s", "surge_model"),
             lambda surge, model: _any_nonzero(surge) and model == "third_order",
         ),
-        ActsWhere(
+        KeyCondition(
             ("vibration_hz", "vibration_damping"),
             ("vibration_ug_rms", "vibration_deg_per_h_rms"),
             _any_nonzero,
@@ -348,8 +348,8 @@ class SensorsSection(Section):
         ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
     )
     conditions = (
-        ActsWhere(("gyro_instability_time_s",), ("gyro_instability_deg_per_h",), _any_nonzero),
-        ActsWhere(("accel_instability_time_s",), ("accel_instability_ug",), _any_nonzero),
+        KeyCondition(("gyro_instability_time_s",), ("gyro_instability_deg_per_h",), _any_nonzero),
+        KeyCondition(("accel_instability_time_s",), ("accel_instability_ug",), _any_nonzero),
     )
 
     gyro_bias_deg_per_h: Annotated[Vector, KeyInfo(usual=(-1e5, 1e5))] = Field(
@@ -439,7 +439,7 @@ def _check_axes_order(order: str) -> str:
     try:
         parse_axes_order(order)
     except ValueError as error:
-        raise invalid(shortened(str(error))) from None
+        raise rule_error(shorten(str(error))) from None
     return order
 
 
@@ -538,14 +538,14 @@ class RecordSection(Section):
             why = "fixes it" if self.format == "psins" else "has it already"
             for key in given:
                 text = f"does not apply to format '{self.format}', which {why} (drop it)"
-                raise invalid(text, key=key)
+                raise rule_error(text, key=key)
             return self
         for key in needed:
             if getattr(self, key) is None:
-                raise invalid(f"required with format '{self.format}'", key=key)
+                raise rule_error(f"required with format '{self.format}'", key=key)
         # `rules` checks whether a rate is needed.
         if found := find_fault(self.layout(rate_hz=1.0)):
-            raise invalid(found.text, key=found.key)
+            raise rule_error(found.text, key=found.key)
         return self
 
     def layout(self, rate_hz: float | None) -> Layout:
@@ -555,13 +555,13 @@ class RecordSection(Section):
 
     def _check_times(self) -> None:
         if self.time_unit is not None and self.time_column is None:
-            raise invalid("requires a time_column (give it, or drop this)", key="time_unit")
+            raise rule_error("requires a time_column (give it, or drop this)", key="time_unit")
         begin, end = self.from_s or 0.0, self.to_s
         if end is not None and end <= begin:
-            raise invalid(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
+            raise rule_error(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
         if min(self.start_s) < begin:
             text = f"{min(self.start_s):g} s is before from_s = {begin:g} (start later)"
-            raise invalid(text, key="start_s")
+            raise rule_error(text, key="start_s")
 
 
 INITIAL_NUMBERS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s")
@@ -658,7 +658,7 @@ Some = Annotated[Count, Field(ge=1)]
 Searches = Annotated[
     tuple[Literal["grid", "sobol", "random", "gradient", "covariance"], ...],
     Field(min_length=1),
-    AfterValidator(unique),
+    AfterValidator(require_unique),
 ]
 
 
@@ -683,15 +683,17 @@ class Range(Section):
         given = [name for name in names if getattr(self, name) is not None]
         if given not in (["low", "high"], ["fixed"], ["candidates"]):
             listed = " and ".join(given) or "none"
-            raise invalid(f"needs low and high, or fixed, or candidates, not {listed}")
+            raise rule_error(f"needs low and high, or fixed, or candidates, not {listed}")
         if self.low is None or self.high is None:
             if self.scale is not None:
-                raise invalid("requires low and high", key="scale")
+                raise rule_error("requires low and high", key="scale")
             return self
         if not self.low < self.high:
-            raise invalid(f"must be above low = {self.low:.12g}, not {self.high:.12g}", key="high")
+            raise rule_error(
+                f"must be above low = {self.low:.12g}, not {self.high:.12g}", key="high"
+            )
         if self.scale == "log" and self.low <= 0:
-            raise invalid(f"'log' needs low > 0, not {self.low:.12g}", key="scale")
+            raise rule_error(f"'log' needs low > 0, not {self.low:.12g}", key="scale")
         return self
 
     @property

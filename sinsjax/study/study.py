@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, create_model
 
 from sinsjax.errors import InputError
-from sinsjax.messages import counted
+from sinsjax.messages import format_count
 from sinsjax.methods.description import INITIAL_KEYS
 from sinsjax.methods.filters.section import OF_SCHEDULES, scheduled_reset_times
 from sinsjax.methods.registry import SECTIONS_OF_METHODS
@@ -202,9 +202,9 @@ class Study(_SectionsOfMethods):
     @property
     def facts(self) -> dict[str, str]:
         """Runs, axes, methods and length of runs, in words."""
-        variants = counted(self.n_variants, "variant")
-        draws = counted(self.n_draws, "start time" if self.is_recorded else "draw")
-        runs = f"{variants} x {draws} = {counted(self.n_draws * self.n_variants, 'run')}"
+        variants = format_count(self.n_variants, "variant")
+        draws = format_count(self.n_draws, "start time" if self.is_recorded else "draw")
+        runs = f"{variants} x {draws} = {format_count(self.n_draws * self.n_variants, 'run')}"
         axes = (display.describe_axis(keys, values) for keys, values in self.axes_shown.items())
         rate = f"{self.rate_hz:g} Hz" if self.rate_hz else "the rate of its record"
         several = len(self.methods) > 1

@@ -62,7 +62,7 @@ def success_criteria(study: Study) -> SuccessCriteria:
 
 def settling_bands(study: Study) -> tuple[float, ...]:
     """Return the bands of a study's settling times, including the success band, arcmin."""
-    return columns.bands(study.study.settle_bands_arcmin, study.study.success_band_arcmin)
+    return columns.settling_bands(study.study.settle_bands_arcmin, study.study.success_band_arcmin)
 
 
 FLOOR_COLUMNS = ("phi_u_arcmin", "floor_arcmin")

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from sinsjax.errors import ErrorCollector, InputError
-from sinsjax.messages import explained, index, near, rule
+from sinsjax.messages import describe_broken_rule, explain_error, format_list_index, suggest_closest
 from sinsjax.study.keys import (
     SECTION_OF,
     SECTIONS,
@@ -124,7 +124,7 @@ def check_value(value: Any, key: str, place: str) -> Any:
     except ValidationError as error:
         raise InputError(
             *(
-                f"{place}{index(detail)}: {explained(detail)}"
+                f"{place}{format_list_index(detail)}: {explain_error(detail)}"
                 for detail in correctable_errors(error)
             )
         ) from None
@@ -137,8 +137,14 @@ def correctable_errors(error: ValidationError) -> list[ErrorDetails]:
     default that depends on a wrong value.
     """
     errors = [detail for detail in error.errors() if detail["type"] != "default_factory_not_called"]
-    with_entries = {_location_without_indices(detail) for detail in errors if index(detail)}
-    return [detail for detail in errors if index(detail) or detail["loc"] not in with_entries]
+    with_entries = {
+        _location_without_indices(detail) for detail in errors if format_list_index(detail)
+    }
+    return [
+        detail
+        for detail in errors
+        if format_list_index(detail) or detail["loc"] not in with_entries
+    ]
 
 
 def _location_without_indices(error: ErrorDetails) -> tuple[int | str, ...]:
@@ -150,7 +156,7 @@ def value_error(value: Any, key: str) -> str | None:
     try:
         _validator(key)(value)
     except ValidationError as error:
-        return rule(error.errors()[0])
+        return describe_broken_rule(error.errors()[0])
     return None
 
 
@@ -281,7 +287,7 @@ def _read_drawn(tables: TomlTable, key_tables: Mapping[str, str]) -> DrawnSectio
     try:
         return DrawnSection.model_validate(sampling | laws)
     except ValidationError as error:
-        raise InputError(f"[drawn] sampling: {explained(error.errors()[0])}") from None
+        raise InputError(f"[drawn] sampling: {explain_error(error.errors()[0])}") from None
 
 
 def _read_law(key: str, table: Any) -> Distribution:
@@ -291,7 +297,9 @@ def _read_law(key: str, table: Any) -> Distribution:
         raise InputError(f"[drawn] {key}: must be a table such as {example}, not {table!r}")
     for name in table:
         if name not in _LAW_NAMES:
-            raise InputError(f"[drawn] {key}.{name}: unknown key{near(name, _LAW_NAMES)}")
+            raise InputError(
+                f"[drawn] {key}.{name}: unknown key{suggest_closest(name, _LAW_NAMES)}"
+            )
     if len(table) != 1:
         given = " and ".join(table) or "none"
         raise InputError(f"[drawn] {key}: needs one of {', '.join(_LAW_NAMES)}, not {given}")
@@ -303,7 +311,7 @@ def _read_law(key: str, table: Any) -> Distribution:
         law = Distribution.model_validate({name: value})
     except ValidationError as error:
         first = error.errors()[0]
-        raise InputError(f"{place}{index(first)}: {explained(first)}") from None
+        raise InputError(f"{place}{format_list_index(first)}: {explain_error(first)}") from None
     if name not in ("values", "grid"):
         return law
     return Distribution.model_validate({name: check_values(value, key, place)})
@@ -330,7 +338,7 @@ def _check_sweepable(table: str, key: str, recorded: bool) -> None:
 def _check_drawable(key: str, recorded: bool) -> None:
     section = SECTION_OF.get(key)
     if section is None:
-        reason = f"unknown key{near(key, NUMBERS_DRAWN)}"
+        reason = f"unknown key{suggest_closest(key, NUMBERS_DRAWN)}"
     elif key not in NUMBERS_DRAWN:
         kinds = "latitude_deg, keys of [motion] and [sensors]"
         reason = f"cannot be drawn (possible: {kinds}, {', '.join(INITIAL_NUMBERS)})"
@@ -480,7 +488,7 @@ def _read_entry_range(place: str, value: Any, entry_type: Any) -> Range:
         try:
             end = TypeAdapter(entry_type, config=_STRICT).validate_python(value[name])
         except ValidationError as error:
-            raise InputError(f"{place}.{name}: {explained(error.errors()[0])}") from None
+            raise InputError(f"{place}.{name}: {explain_error(error.errors()[0])}") from None
         if entry_range.is_free:
             _refuse_whole_number(end, place)
     return entry_range
@@ -492,7 +500,7 @@ def _read_range(place: str, key: str | None, value: Any) -> Range:
         raise InputError(f"{place}: must be a table such as {{ low = 0, high = 1 }}, not {value!r}")
     for name in value:
         if name not in _RANGE_KEYS:
-            raise InputError(f"{place}.{name}: unknown key{near(name, _RANGE_KEYS)}")
+            raise InputError(f"{place}.{name}: unknown key{suggest_closest(name, _RANGE_KEYS)}")
     try:
         value_range = Range.model_validate(
             ({"scale": "linear"} if "low" in value else {}) | dict(value)
@@ -500,8 +508,8 @@ def _read_range(place: str, key: str | None, value: Any) -> Range:
     except ValidationError as error:
         first = error.errors()[0]
         name = first["loc"][0] if first["loc"] else first.get("ctx", {}).get("key")
-        suffix = f".{name}{index(first)}" if name else ""
-        raise InputError(f"{place}{suffix}: {explained(first)}") from None
+        suffix = f".{name}{format_list_index(first)}" if name else ""
+        raise InputError(f"{place}{suffix}: {explain_error(first)}") from None
     if key is None:
         return value_range
     if value_range.fixed is not None:

@@ -12,13 +12,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax.columns import SCHEMA_VERSION, Column, schema
+from sinsjax.columns import SCHEMA_VERSION, Column, arrow_schema
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
 from sinsjax.execution import sealed
 from sinsjax.execution.directory import MANIFEST, STUDY
 from sinsjax.messages import escape_controls
-from sinsjax.platform.files import replacing
+from sinsjax.platform.files import atomic_write
 from sinsjax.study.identity import describe_differences
 from sinsjax.study.keys import TomlTable, key_meaning
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml
@@ -140,7 +140,7 @@ def write_history(directory: Path, study: Study, searches: Iterable[SearchResult
         InputError: the file cannot be written.
     """
     table = _history_table(SearchSpace.from_study(study), searches)
-    with replacing(directory / FILE) as file:
+    with atomic_write(directory / FILE) as file:
         file.write(sealed.to_sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)}))
 
 
@@ -158,7 +158,7 @@ def _history_table(space: SearchSpace, searches: Iterable[SearchResult]) -> pa.T
     }
     layout = history_columns(space)
     arrays = [pa.array(columns[column.name], column.dtype) for column in layout]
-    return pa.Table.from_arrays(arrays, schema=schema(layout))
+    return pa.Table.from_arrays(arrays, schema=arrow_schema(layout))
 
 
 def read_history(directory: str | Path) -> pa.Table:

@@ -56,9 +56,9 @@ def run_values(tune: TuneSection, study: Study, table: pa.Table) -> NDArray:
         (variants, draws): settling time, s, or the run's length if it never settled; final heading
         error about the bias floor or the truth, arcmin; or 1 for a failure and 0 for a success.
     """
-    order = np.argsort(analysis.numbers(table, "run_id"))
+    order = np.argsort(analysis.numeric_column(table, "run_id"))
     numbers = [
-        analysis.numbers(table, name)[order].reshape(-1, study.n_variants).T
+        analysis.numeric_column(table, name)[order].reshape(-1, study.n_variants).T
         for name in summary_columns(tune, study)[1:]
     ]
     if tune.objective == "final_error":

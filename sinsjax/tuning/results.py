@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
-from sinsjax.analysis.estimates import bootstrap
+from sinsjax.analysis.estimates import bootstrap_interval
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 from sinsjax.study.schema import TuneSection
@@ -170,7 +170,9 @@ class Tuning:
         every = np.arange(draws)
         if self.study.is_recorded:
             return Estimate(score(every), math.nan, math.nan, draws)
-        low, high = bootstrap(lambda picks: np.array([score(pick) for pick in picks]), every)
+        low, high = bootstrap_interval(
+            lambda picks: np.array([score(pick) for pick in picks]), every
+        )
         return Estimate(score(every), low, high, draws)
 
 

@@ -19,7 +19,7 @@ from sinsjax.execution.prepare import JobKind, RunOptions, prepare_job
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.sealed import DamagedError
 from sinsjax.execution.tasks import Job
-from sinsjax.platform.files import replacing, unwritable
+from sinsjax.platform.files import atomic_write, unwritable_message
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import describe_differences, fingerprint
 from sinsjax.study.keys import TomlTable
@@ -98,7 +98,7 @@ def _search_and_evaluate(study: Study, session: SearchSession) -> None:
     _evaluate_best_points(study, space, results, session)
     best = min(results, key=lambda result: result.best.objective)
     tuned = study_to_toml(with_point(study, best.point(space)))
-    with replacing(directory / TUNED) as file:
+    with atomic_write(directory / TUNED) as file:
         file.write(tuned.encode())
 
 
@@ -151,9 +151,9 @@ def _prepare_directory(
             for name in (TUNED, history.FILE):
                 (directory / name).unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(unwritable(directory, error)) from error
+        raise InputError(unwritable_message(directory, error)) from error
     history.write_history(directory, study, known)
-    with replacing(directory / STUDY) as file:
+    with atomic_write(directory / STUDY) as file:
         file.write(study_to_toml(study).encode())
     return known
 

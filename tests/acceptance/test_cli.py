@@ -1,4 +1,4 @@
-"""Commands as a user types them: what they leave behind, and one clear line for every mistake."""
+"""Commands as a user types them: their results, and one clear line for every mistake."""
 
 import inspect
 import json
@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_re
 
 @pytest.fixture
 def sinsjax(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command line in this process; gives exit code, output and error output."""
+    """Run a command line in this process; gives exit code, output and error output."""
     return command_line(monkeypatch, capsys)
 
 
@@ -52,7 +52,7 @@ TWO: dict[str, Any] = {
     "axes": {"phi_u0_deg": [0.0, 30.0]},
     "resets": {"reset_times_s": [2.5]},
 }
-"""Two variants, 6 runs: what is compiled for one test serves the others."""
+"""Two variants, 6 runs: tests share the compiled program."""
 
 RECORDED: dict[str, Any] = {
     "study": {"duration_s": 2.0, "draws": None, "window_s": [0, 2]},
@@ -97,7 +97,7 @@ def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command, tmp_p
 
 
 def written_help(callback: Callable[..., None]) -> list[str]:
-    """What the source says of a command: the lines of its docstring, the help of its options."""
+    """Return a command's help from its source: docstring lines and help of options."""
     hints = get_type_hints(callback, include_extras=True).values()
     given = (each for hint in hints for each in getattr(hint, "__metadata__", ()))
     return [inspect.getdoc(callback) or "", *(each.help for each in given if each.help)]
@@ -176,14 +176,14 @@ def test_resume_computes_only_missing_runs(sinsjax: Command, tmp_path: Path) -> 
     lost.unlink()
     code, told, _ = sinsjax(*words)
     assert code == 0 and "no results to resume" not in told
-    assert "study: 72 of 200 runs already there" in told
+    assert "study: 72 of 200 runs already done" in told
     assert "study: 200 of 200 runs" in told
     assert {k: v[0] for k, v in read_files_and_times(out).items() if "summary" in k} == {
         k: v[0] for k, v in before.items() if "summary" in k
     }
     assert kept[0].stat().st_mtime_ns == before[str(kept[0].relative_to(out))][1]
     code, told, _ = sinsjax(*words)
-    assert code == 0 and "study: 200 of 200 runs already there" in told
+    assert code == 0 and "study: 200 of 200 runs already done" in told
     assert "study: 200 runs in" in told
 
 
@@ -241,7 +241,7 @@ def test_resume_and_rerun_of_recorded_study_require_same_record(
     assert_refused(told, tmp_path / "none", str(out), "another record")
     assert read_files_and_times(out) == before
     code, told, _ = sinsjax("align", path, config, "-o", out, "--resume")
-    assert code == 0 and "2 of 2 runs already there" in told
+    assert code == 0 and "2 of 2 runs already done" in told
     code, told, _ = sinsjax("rerun", out, "--run-id", 1, "--record", path)
     assert code == 0 and "identical to the stored one" in told
 
@@ -306,7 +306,7 @@ def test_align_with_reference_reports_true_misalignment(
 def test_record_gives_same_heading_in_every_format(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:
-    """Bit-identical through increments, 1e-9 through rates, quantised through PSINS text."""
+    """Bit-equal through increments, 1e-9 through rates, quantised through PSINS text."""
     columns = {
         "time_column": "t",
         "gyro_columns": ["gx", "gy", "gz"],
@@ -352,17 +352,20 @@ def test_bench_json_prints_one_object_per_line(
     monkeypatch: pytest.MonkeyPatch, sinsjax: Command
 ) -> None:
     from sinsjax import bench
-    from sinsjax.bench.cases import engine, numpy_baseline, without_noise
+    from sinsjax.bench.cases import engine_workload, numpy_baseline_workload, remove_noise
 
     # The short set itself takes half a minute: `.ci/run` runs it. Here two rows in small.
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]}, study={"draws": 64, "duration_s": 20.0})
     (part,) = build.parts(study)
-    silent = without_noise(part.group)
-    monkeypatch.setattr(bench, "use_one_core", lambda: None)
+    silent = remove_noise(part.group)
+    monkeypatch.setattr(bench, "pin_to_one_core", lambda: None)
     monkeypatch.setattr(
         bench,
-        "short_set",
-        lambda **_: [engine("kalman_shared_record", silent), numpy_baseline(silent)],
+        "short_workloads",
+        lambda **_: [
+            engine_workload("kalman_shared_record", silent),
+            numpy_baseline_workload(silent),
+        ],
     )
     code, told, _ = sinsjax("bench", "--json", "--repeats", 1)
     rows = [json.loads(line) for line in told.splitlines()]
@@ -479,7 +482,7 @@ def test_unwritable_output_is_refused_in_one_line(sinsjax: Command, tmp_path: Pa
 
 
 def assert_refused(told: tuple[int, str, str], out: Path, *named: str) -> None:
-    """Exit code 2, one line that names what is wrong, no traceback, nothing left behind."""
+    """Check for exit code 2, one line that names the mistake, no traceback, no files."""
     code, _, error = told
     assert code == 2, error
     (line,) = [line for line in error.splitlines() if not line.startswith("Warning: ")]

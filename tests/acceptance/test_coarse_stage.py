@@ -41,21 +41,21 @@ def results() -> run.Results:
     return run.run(study())
 
 
-def of_variant(table: pa.Table, variant: int, name: str) -> np.ndarray:
-    """Values of the runs of a variant, (draws, records or 1)."""
+def values_of_variant(table: pa.Table, variant: int, name: str) -> np.ndarray:
+    """Return the values of the runs of a variant, (draws, records or 1)."""
     runs = pc.equal(pc.bit_wise_and(table["run_id"], 7), variant)
     return table.filter(runs)[name].to_numpy().reshape(3, -1)
 
 
 @pytest.mark.slow
 def test_attitude_before_hand_over_equals_coarse_method_alone() -> None:
-    """To the bit that of a run of this method alone, which goes on where this one stops."""
+    """Bit-equal to a run of this method alone, which continues after the coarse stage."""
     curves = results().curves
     for method, variants in {"inertial": (2, 3, 6, 7), "optimisation": (4, 5)}.items():
         changes = {"alignment": {"method": method}, "axes": {}, "coarse": {"coarse_method": "none"}}
         alone = run.run(study(**changes)).curves["phi_u_arcmin"].to_numpy().reshape(3, -1)
         for variant in variants:
-            phi = of_variant(curves, variant, "phi_u_arcmin")
+            phi = values_of_variant(curves, variant, "phi_u_arcmin")
             np.testing.assert_array_equal(phi[:, :3], alone[:, :3])
             assert not np.any(phi[:, 3:] == alone[:, 3:])
     assert results().curves["time_s"].to_pylist()[:6] == [1, 2, 3, 4, 5, 6]
@@ -64,7 +64,7 @@ def test_attitude_before_hand_over_equals_coarse_method_alone() -> None:
 
 
 def test_initial_heading_error_is_ignored_after_coarse_alignment() -> None:
-    """Such variants are one: computed once, and shown once."""
+    """Such variants are duplicates: computed once and shown once."""
     phi = results().summary["phi_u_arcmin"].to_numpy().reshape(3, 4, 2)
     same = phi[..., 0] == phi[..., 1]
     np.testing.assert_array_equal(same, [[False, True, True, True]] * 3)
@@ -73,8 +73,8 @@ def test_initial_heading_error_is_ignored_after_coarse_alignment() -> None:
 
 
 def test_sigma_is_nan_before_hand_over_and_smaller_after_replay() -> None:
-    """Before, there is none; one that has filtered all data since the start knows more."""
-    sigma = [of_variant(results().curves, v, "sigma_u_arcmin") for v in range(8)]
+    """There is no sigma before; a filter of all data since the start has a smaller one."""
+    sigma = [values_of_variant(results().curves, v, "sigma_u_arcmin") for v in range(8)]
     assert not np.isnan(sigma[0]).any() and np.isnan(sigma[2][:, :3]).all()
     assert np.isnan(sigma[6][:, :3]).all() and not np.isnan(sigma[6][:, 3:]).any()
     replayed, handed_over = sigma[6][:, 3:], sigma[2][:, 3:]
@@ -151,7 +151,7 @@ def test_replay_allows_resets_during_coarse_alignment() -> None:
 
 @pytest.mark.slow
 def test_rerun_with_coarse_stage_is_identical(tmp_path: Path) -> None:
-    """With passes that rewind, a trigger, and after a replay."""
+    """With passes that rewind, with a trigger, and after a replay."""
     one = study(
         axes={"coarse_then": ["hand_over", "replay"]},
         passes={"stored_s": 4.0, "direction": "rewind"},
@@ -166,7 +166,7 @@ def test_rerun_with_coarse_stage_is_identical(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_replayed_record_matches_its_simulation() -> None:
-    """From its start time, with the attitude unknown; its own hand-over has t = 0 at its end."""
+    """It begins at its start time with unknown attitude; t = 0 at its own hand-over."""
     silent = {"gyro_noise_deg_per_h": 0.0}
     stored = add_true_reference(build.simulated_record(study(sensors=silent)))
     settings: dict[str, Any] = {"duration_s": 4.0, "window_s": [2, 4], "curves": True}

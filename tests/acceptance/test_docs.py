@@ -34,7 +34,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_results_page_python_examples_run(
     number: int, out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One after another, as a reader would type them; the fifth needs a name of the second."""
+    """Blocks run in order, as a reader types them; the fifth uses a name of the second."""
     examples = re.findall(r"```python\n(.*?)```", RESULTS, re.DOTALL)
     assert len(examples) == 6
     monkeypatch.chdir(out)
@@ -84,7 +84,7 @@ def test_links_in_docs_pages_exist() -> None:
 
 
 def test_psins_comparison_example_loads_and_names_known_keys(tmp_path: Path) -> None:
-    """Its worked example is valid, and every key that its table names is one."""
+    """The worked example is valid, and the keys in its table exist."""
     text = (ROOT / "docs" / "comparison.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
     (tmp_path / "methods_compare.toml").write_text(example, encoding="utf-8")
@@ -97,7 +97,7 @@ def test_psins_comparison_example_loads_and_names_known_keys(tmp_path: Path) -> 
 
 
 def test_notebooks_need_no_checkout() -> None:
-    """Neither its folder of studies nor a module that `sinsjax.plots` keeps to itself."""
+    """The pages use neither the folder of studies nor private modules of `sinsjax.plots`."""
     notebooks = sorted((ROOT / "notebooks").glob("*.ipynb"))
     assert len(notebooks) > 5
     for path in notebooks:

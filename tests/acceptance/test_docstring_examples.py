@@ -1,4 +1,4 @@
-"""Examples in the docstrings of all that is public: each name has one, and it runs."""
+"""Examples in public docstrings: each public name has one, and it runs."""
 
 import doctest
 import inspect
@@ -17,7 +17,7 @@ LIBRARIES = {"Results.to_pandas": ["pandas"], "Results.to_xarray": ["pandas", "x
 
 
 def public_names() -> dict[str, Any]:
-    """Everything public by name, with the methods of `WITH_METHODS` that completion shows."""
+    """Return all public objects by name, with the methods of `WITH_METHODS`."""
     found = {name: getattr(sinsjax, name) for name in sinsjax.__all__}
     shown = set(dir(sinsjax.load_study("reset_sweep")))
     for name in WITH_METHODS:

@@ -1,4 +1,4 @@
-"""How a process of the command line ends."""
+"""End of a process of the command line."""
 
 import subprocess
 import sys
@@ -6,16 +6,16 @@ from pathlib import Path
 
 _REFUSED_WHILE_IMPORTING = """
 import jax.monitoring
-from sinsjax.cli import study
+from sinsjax.cli import running
 
-study._import_while_compiling("slow")
-jax.monitoring.record_event_duration_secs(study._LOWERED, 0.1)
+running._import_while_compiling("slow")
+jax.monitoring.record_event_duration_secs(running._LOWERED, 0.1)
 raise SystemExit(2)
 """
 
 
 def test_process_waits_for_import_thread_before_exit(tmp_path: Path) -> None:
-    """Python would stop it anywhere, in an extension module with "terminate called"."""
+    """Python would stop the thread in an extension module with "terminate called"."""
     (tmp_path / "slow.py").write_text("import time\ntime.sleep(0.3)\nprint('imported')\n")
     ended = subprocess.run(
         [sys.executable, "-c", _REFUSED_WHILE_IMPORTING],

@@ -64,7 +64,7 @@ p0_yaw_deg = 80.0
 def sinsjax(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Command:
-    """Runs a command line in this process, in an empty folder."""
+    """Run a command line in this process, in an empty folder."""
     monkeypatch.chdir(tmp_path)
     return command_line(monkeypatch, capsys)
 
@@ -193,7 +193,7 @@ def test_study_file_is_written_whole_or_not_at_all(
     Path("dangling.toml").symlink_to("nowhere")
     for name in ("sweep", "dangling"):
         code, _, error = sinsjax("init", "sweep", "-o", f"{name}.toml")
-        assert code == 2 and error.startswith(f"error: {name}.toml: exists, and is left as it is")
+        assert code == 2 and error.startswith(f"error: {name}.toml: exists, and is not overwritten")
     assert Path("sweep.toml").read_bytes() == written and not Path("nowhere").exists()
 
 
@@ -401,7 +401,7 @@ def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
     code, told, _ = sinsjax("validate", "reset_sweep", "--set", "alignment.phi_u0_deg=12")
     assert code == 0 and "variants: 56, draws: 16." in told
     assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
-    assert "Up to 90,000 steps a run, 80,640,000 in all." in told
+    assert "Up to 90,000 steps per run, 80,640,000 in total." in told
     assert "The filter assumes 100 times the sensors' noise, in standard deviation." in told
     assert "The filter feeds back every 1 s; its level settles in 0.89 s (to a tenth" in told
 
@@ -476,7 +476,7 @@ IDLE = "[alignment] phi_e0_deg, phi_n0_deg, [axes] phi_u0_deg have no effect wit
 
 
 def test_another_method_needs_no_further_changes(sinsjax: Command, tmp_path: Path) -> None:
-    """It reads neither [filter] nor the axis of resets of the template."""
+    """The study reads neither [filter] nor the template's axis of resets."""
     template = files.template_files()["sweep"]
     changes = ("--set", "alignment.method=inertial", "--set", "study.draws=2")
     code, shown, error = sinsjax("validate", template, *changes)
@@ -545,15 +545,15 @@ def test_version_and_command_help_are_printed(sinsjax: Command) -> None:
 
 def test_shell_completion_offers_studies_and_keys(sinsjax: Command, tmp_path: Path) -> None:
     (tmp_path / "reset_mine.toml").write_text(tomli_w.dumps({}))
-    names = options.study_names("reset_")
+    names = options.complete_study("reset_")
     assert names == ["reset_mine.toml", "reset_cycle_study", "reset_phase", "reset_sweep"]
-    assert options.sections_and_keys("reset_r") == ["reset_restarts_feedback"]
-    assert options.places("alignment.phi_u") == ["alignment.phi_u0_deg="]
+    assert options.complete_section_or_key("reset_r") == ["reset_restarts_feedback"]
+    assert options.complete_override_key("alignment.phi_u") == ["alignment.phi_u0_deg="]
 
 
 @pytest.mark.slow
 def test_wheel_alone_finds_templates_and_configs(tmp_path: Path) -> None:
-    """Built, unpacked and used in an empty folder: what the README tells to type is found."""
+    """Built, unpacked and used in an empty folder: the commands of the README work."""
     build = pytest.importorskip("hatchling.build")
     here = os.getcwd()
     try:

@@ -1,4 +1,4 @@
-"""Whatever a study, a manifest or a record says, it is taken or refused in one line.
+"""Any study, manifest or record is accepted or rejected in one line.
 
 `python benchmarks/fuzz.py --minutes N` hunts for longer, and looks at time and memory too.
 """
@@ -17,13 +17,13 @@ from sinsjax.errors import InputError
 from sinsjax.execution import resume
 from sinsjax.execution.source import Source
 from sinsjax.execution.tasks import Job
-from sinsjax.messages import first_line
+from sinsjax.messages import first_error_line
 from sinsjax.records import read_reference
 from sinsjax.study.keys import SECTIONS
 
 EXAMPLES = {"studies": 1000, "manifests": 500, "records": 500}
 LATE_S = 60
-"""Only against what never ends; a case may take two seconds where nothing else runs."""
+"""Limit for hanging cases only; a case may take two seconds on an idle machine."""
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ MISFITS = [{"a": 1}, [[[1]]], 1e300, -1]
 @pytest.mark.slow
 @pytest.mark.parametrize("value", MISFITS, ids=repr)
 def test_misfit_value_is_accepted_or_refused_in_one_line(value: object, tmp_path: Path):
-    """Chance hardly ever puts a table where one word belongs."""
+    """Random edits hardly ever put a table in place of a word."""
     for data in studies.studies_with_value(value):
         check_study(tmp_path / "s.toml", studies.to_toml_bytes(data))
 
@@ -125,6 +125,6 @@ def test_overlong_column_names_are_shortened_in_error(tmp_path: Path):
 
 def test_first_line_of_library_error_is_short_and_printable():
     error = OSError("Could not read 'a\x04b\u2028c': " + "x" * 5000 + "\nand more")
-    line = first_line(error)
+    line = first_error_line(error)
     assert line.startswith("Could not read 'a\\x04b c': xxx") and len(line) <= 400
-    assert first_line(OSError("")) == ""
+    assert first_error_line(OSError("")) == ""

@@ -1,4 +1,4 @@
-"""What `sinsjax gains` designs."""
+"""Designs of `sinsjax gains`."""
 
 import io
 import re
@@ -13,7 +13,7 @@ PAPER = {"gravity": 9.8, "radius": 6378165.0}
 
 
 def test_design_gives_gains_and_roots_of_paper_loops():
-    made, roots = loop_gains.design(0.02, 0.01, 0.5**0.5, **PAPER)
+    made, roots = loop_gains.gain_tables(0.02, 0.01, 0.5**0.5, **PAPER)
     k1, k2, k3, k4 = made.rows
     assert k1 == ["K1", "0.06", "1/s", "0.02", "1/s"] and k4[1:4] == ["-", "-", "0.02"]
     assert k2[1::2] == ["1040", "259.3"]
@@ -24,7 +24,7 @@ def test_design_gives_gains_and_roots_of_paper_loops():
 
 @pytest.mark.parametrize("factor", [0.1, 1.0, 300.0])
 def test_roots_are_shown_at_any_scale(factor: float) -> None:
-    _, roots = loop_gains.design(0.02 * factor, 0.01 * factor, 0.8, **PAPER)
+    _, roots = loop_gains.gain_tables(0.02 * factor, 0.01 * factor, 0.8, **PAPER)
     numbers = [[float(x) for x in re.findall(r"-?[\d.]+(?:e-?\d+)?", row[1])] for row in roots.rows]
     sigma = np.array([0.02, 0.01]) * factor
     assert numbers[0] == pytest.approx([-sigma[0], -sigma[0], 0.75 * sigma[0]], rel=5e-4)

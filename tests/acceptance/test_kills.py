@@ -1,4 +1,4 @@
-"""Sweeps in processes of their own that are killed, stopped and disturbed, and lose nothing."""
+"""Sweeps in separate processes that are killed, stopped and disturbed, and lose nothing."""
 
 import random
 import re
@@ -35,7 +35,7 @@ STUDY = small_study(
     compass={"level_time_s": 1.0},
     axes={"yaw_amplitude_deg": [2.8, 0.0], "phi_u0_deg": [0.1 * i for i in range(16)]},
 )
-"""Two environments of 16 variants; every process traces its program again, a compass's soonest."""
+"""Two environments of 16 variants; every process traces its program, a compass's is fastest."""
 CHUNKS = STUDY.n_draws * STUDY.n_variants // CHUNK_RUNS
 DEADLINE_S = 120.0
 FULL = "size=50m,nr_inodes=24"
@@ -57,7 +57,7 @@ NAMED = (
 
 
 class Sweeps:
-    """Starts processes that sweep into a directory, each made ready while the last one runs."""
+    """Starter of sweeping processes, each prepared while the previous one runs."""
 
     def __init__(self, folder: Path, out: Path) -> None:
         self.out, self._folder = out, folder
@@ -83,21 +83,21 @@ class Sweeps:
         return process
 
     def ended(self, process: KilledCommand) -> tuple[int, str, str]:
-        """Exit code, output and error output of a process that ends by itself."""
+        """Return exit code, output and error output of a process that ends by itself."""
         return exit_code(process), *process.read_output()
 
     def sweep(self, *options: str, how: str = "--resume") -> tuple[int, str, str]:
-        """Sweep to the end."""
+        """Run a sweep to its end."""
         return self.ended(self.ready(NEVER, *options, how=how).proceed())
 
     def close(self) -> None:
-        """End what is left."""
+        """End the remaining processes."""
         for process in self._all:
             process.close()
 
 
 def exit_code(process: KilledCommand) -> int:
-    """Of a process that ends by itself."""
+    """Return the exit code of a process that ends by itself."""
     process.process.join(DEADLINE_S)
     code = process.process.exitcode
     assert code is not None, process.read_output()
@@ -105,7 +105,7 @@ def exit_code(process: KilledCommand) -> int:
 
 
 def wait(process: KilledCommand, until: Callable[[], bool]) -> None:
-    """Wait for something that a process does."""
+    """Wait until a process has done something."""
     since = time.monotonic()
     while not until():
         assert process.process.exitcode is None, process.read_output()
@@ -128,7 +128,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(folder: Path) -> Iterator[Path]:
-    """What an uninterrupted run on one device leaves; all others here have two."""
+    """Results of an uninterrupted run on one device; all other runs here use two."""
     sweeps = Sweeps(folder, folder / "whole")
     code, _, error = sweeps.sweep("--devices", "1")
     assert (code, error) == (0, "")
@@ -145,7 +145,7 @@ def sweeps(folder: Path, whole: Path, tmp_path: Path) -> Iterator[Sweeps]:
 
 
 def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
-    """What a kill left can be read, is part of the whole, and holds all that was there before.
+    """Check that results after a kill are readable, part of the whole, and lost nothing.
 
     Args:
         out: the directory that a process died in.
@@ -175,7 +175,7 @@ def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
 
 
 def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Path) -> None:
-    """Ten at named points, ten at moments spread over the sweep, all on one directory."""
+    """Ten kills at named points, ten spread over the sweep, all on one directory."""
     out, chance = sweeps.out, random.Random(5)
     chunk_s = sum(chunk["seconds"] for chunk in read_manifest_entries(whole)["chunks"]) / CHUNKS
     named, kills = iter(NAMED), {"named": 0, "spread": 0}
@@ -203,7 +203,7 @@ def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Pa
     assert count(out) < CHUNKS
     code, told, error = sweeps.ended(following.proceed())
     assert (code, error) == (0, "")
-    assert "runs already there" in told
+    assert "runs already done" in told
     assert_sound(out, whole, made)
     assert_complete(out, whole)
     assert read_summary(out).equals(read_summary(whole))
@@ -211,7 +211,7 @@ def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Pa
 
 
 def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole: Path) -> None:
-    """Whatever way it dies: the lock is the operating system's."""
+    """The lock is the operating system's, so it is released however the process dies."""
     first = sweeps.ready().proceed()
     wait(first, lambda: count(sweeps.out) > 0)
     first.send_signal(signal.SIGSTOP)  # holds on, and writes no more
@@ -233,7 +233,7 @@ def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole
 
 
 def test_sweep_stopped_by_signals_resumes_without_loss(sweeps: Sweeps, whole: Path) -> None:
-    """Once: what is under way is finished. Twice: it ends at once, and nothing else is lost."""
+    """One signal finishes the running chunks; two end at once, and lose nothing else."""
     out, made = sweeps.out, dict[str, int]()
     following = sweeps.ready()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -332,7 +332,7 @@ MORE = 200
 def test_killed_extension_keeps_existing_results(
     sweeps: Sweeps, whole: Path, point: tuple[str, str, int], began: bool
 ) -> None:
-    """No part of the results is replaced, so there are never fewer than before."""
+    """No part of the results is replaced, so their number never decreases."""
     out, before = sweeps.out, read_parts(whole)
     shutil.copytree(whole, out)
     there = modification_times(out)

@@ -1,4 +1,4 @@
-"""Runs of a day: what is kept of them, and that truth in pieces is truth at once."""
+"""Runs of a day: memory of their results, and equality of truth in blocks and at once."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
 
 DAY_S = 86_400.0
 MOST_BYTES = 60e6
-"""Of one array in the program of a day's run; its curves are 6 MB, those of 8 sets of lanes 50."""
+"""Bytes of one array in the program of a day's run; curves: 6 MB, of 8 sets of lanes 50 MB."""
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def without_records(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def arrays(jaxpr: Any) -> Iterator[tuple[int, str]]:
-    """Bytes and shape of every array of a program."""
+    """Yield bytes and shape of every array of a program."""
     for equation in jaxpr.eqns:
         for variable in (*equation.invars, *equation.outvars):
             if isinstance(aval := getattr(variable, "aval", None), jax.core.ShapedArray):
@@ -43,7 +43,7 @@ def arrays(jaxpr: Any) -> Iterator[tuple[int, str]]:
 
 @pytest.mark.parametrize("specific_force", ["measured", "gravity"])
 def test_day_long_run_allocates_no_large_array(specific_force: str) -> None:
-    """No record, nor what idle lanes would have; with gravity, tiles share a covariance."""
+    """No record and no idle lanes; with gravity, tiles share a covariance."""
     study = small_study(
         study={"duration_s": DAY_S, "draws": 1},
         alignment={"specific_force": specific_force},
@@ -72,7 +72,7 @@ PASSES = small_study(
 
 
 def test_curves_without_stored_increments_match_stored_ones(request: pytest.FixtureRequest) -> None:
-    """To rounding, forward and backward: the formulas are the same, not the loop they are in."""
+    """Equal to rounding, forward and backward: the formulas are the same, the loop differs."""
     whole = run.run(PASSES).curves
     request.getfixturevalue("without_records")
     (part,) = build.parts(PASSES)

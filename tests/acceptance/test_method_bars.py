@@ -1,4 +1,4 @@
-"""How soon and how well methods find north, at [P1]'s conditions, against the information bound."""
+"""Settling time and accuracy of the methods at [P1]'s conditions, and the information bound."""
 
 import tomllib
 from pathlib import Path
@@ -29,7 +29,7 @@ CASES: list[Case] = [
 
 
 def heading_bound(t: float) -> float:
-    """Standard deviation of phi_u after t (s), rad: white accelerometer noise of [P1], 100 Hz."""
+    """Return the 1 sigma bound of phi_u after t (s), rad: white noise of [P1], 100 Hz."""
     north = 15.041067 * DEG / 3600 * np.cos(32 * DEG)
     return 2 * 500e-6 * np.sqrt(3 / (100 * t)) / (north * t)
 

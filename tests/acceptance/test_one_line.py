@@ -1,4 +1,4 @@
-"""What used to end in a traceback: one line, whatever stands in a file or becomes of the output."""
+"""Former tracebacks are one line, whatever a file contains or happens to the output."""
 
 import copy
 import os
@@ -21,7 +21,7 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import resume, run
 from sinsjax.execution.directory import find_manifest
 from sinsjax.execution.tasks import Job
-from sinsjax.messages import one_line
+from sinsjax.messages import to_one_line
 from sinsjax.platform import runtime
 from sinsjax.study.keys import SECTIONS
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml
@@ -31,7 +31,7 @@ Command = Callable[..., tuple[int, str]]
 
 @pytest.fixture
 def sinsjax(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command line in this process; gives exit code and error output."""
+    """Run a command line in this process; gives exit code and error output."""
 
     def call(*words: object) -> tuple[int, str]:
         monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
@@ -90,7 +90,7 @@ def test_long_unknown_name_is_shortened_in_error() -> None:
     for data in ({"x" * 10_000: {}}, BASE | {"study": {"x" * 10_000: 1}}):
         line = refused(data)
         assert " ... " in line and ": unknown " in line
-    assert one_line("a\nb\x1b[2J\u202e") == r"a b\x1b[2J\u202e"
+    assert to_one_line("a\nb\x1b[2J\u202e") == r"a b\x1b[2J\u202e"
 
 
 # --- nesting ----------------------------------------------------------------------------------
@@ -188,10 +188,10 @@ def test_results_directory_whose_name_is_not_utf8_is_refused_before_any_run(
 
 
 def test_missing_standard_streams_are_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As of a daemon, whose standard streams are None in Python."""
+    """A daemon's standard streams are None in Python."""
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
-    with pytest.raises(SystemExit) as stop, console.lasting():
+    with pytest.raises(SystemExit) as stop, console.tolerate_broken_pipe():
         print("lost")
         sys.stdout.flush()
     assert stop.value.code == 0
@@ -200,7 +200,7 @@ def test_missing_standard_streams_are_no_error(monkeypatch: pytest.MonkeyPatch) 
 def test_sweep_and_report_finish_after_broken_pipe(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """What ``| head -1`` does: the sweep goes on to its end, and so do figures and tables."""
+    """As with ``| head -1``: the sweep continues to its end, with figures and tables."""
     reading, writing = os.pipe()
     os.close(reading)
     done = []
@@ -213,7 +213,7 @@ def test_sweep_and_report_finish_after_broken_pipe(
     config = tmp_path / "swing.toml"
     config.write_text(tomli_w.dumps(small_tables()))
     monkeypatch.setattr(run, "run_job", finished)
-    monkeypatch.setattr("sinsjax.report.summarise", lambda *_, **__: done.append("report"))
+    monkeypatch.setattr("sinsjax.report.print_reports", lambda *_, **__: done.append("report"))
     monkeypatch.setattr(sys, "argv", ["sinsjax", "sweep", str(config), "-o", str(tmp_path / "o")])
     with open(writing, "w", buffering=1) as closed:
         monkeypatch.setattr(sys, "stdout", closed)
@@ -240,15 +240,15 @@ def test_full_disk_on_standard_output_is_reported_in_one_line(
 
 def test_exit_codes_and_exceptions_pass_through_broken_pipe_guard() -> None:
     for code in (0, 1, 130):
-        with pytest.raises(SystemExit) as stop, console.lasting():
+        with pytest.raises(SystemExit) as stop, console.tolerate_broken_pipe():
             raise SystemExit(code)
         assert stop.value.code == code
-    with pytest.raises(ZeroDivisionError), console.lasting():
+    with pytest.raises(ZeroDivisionError), console.tolerate_broken_pipe():
         print(1 / 0)
 
 
 def test_unavailable_jax_platform_is_reported_in_one_line() -> None:
-    """In a process of its own: JAX starts once."""
+    """In a separate process, since JAX starts once."""
     done = subprocess.run(
         [sys.executable, "-m", "sinsjax", "info"],
         env={**os.environ, "JAX_PLATFORMS": "foo"},
@@ -258,7 +258,7 @@ def test_unavailable_jax_platform_is_reported_in_one_line() -> None:
     )
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert done.stderr.startswith("error: JAX_PLATFORMS=foo: JAX does not start: ")
-    runtime.require_backend()
+    runtime.start_backend()
 
 
 # --- interrupted, and continued -----------------------------------------------------------------
@@ -287,7 +287,7 @@ def test_keyboard_interrupt_outside_runs_is_reported_in_one_line(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("sinsjax.execution.prepare.load_with_notes", interrupted)
-    told = "interrupted: what is stored is kept\n"
+    told = "interrupted: stored results are kept\n"
     assert sinsjax("sweep", "reset_sweep", "-o", tmp_path / "out") == (130, told)
 
 
@@ -322,7 +322,7 @@ command()
 
 
 def test_abort_at_teardown_does_not_change_exit_code_or_output() -> None:
-    """Exit code and output stand, whatever the objects that are left would do when destroyed."""
+    """Exit code and output are right, whatever the remaining objects do when destroyed."""
     ended = subprocess.run([sys.executable, "-c", ENDING], capture_output=True, text=True)
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
     assert ended.stderr.startswith("error: no_such_key: unknown section, key or method")

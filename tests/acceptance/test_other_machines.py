@@ -1,4 +1,4 @@
-"""Other instruction sets give the same rows to a stated tolerance: they stand for other CPUs."""
+"""Other instruction sets, in place of other CPUs, give the same rows to a tolerance."""
 
 import os
 import subprocess

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.command_server import Server
+from support.command_server import CommandServer
 
 import sinsjax
 from sinsjax.methods import base
@@ -52,9 +52,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def forked() -> Iterator[Server]:
+def server() -> Iterator[CommandServer]:
     """Runs command lines in processes that find the package."""
-    server = Server()
+    server = CommandServer()
     yield server
     server.close()
 
@@ -71,11 +71,11 @@ def change(site: Path, folder: Path, file: str, old: str, new: str) -> Path:
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
-    forked: Server, site: Path, tmp_path: Path
+    server: CommandServer, site: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "averages.toml").write_text(STUDY)
     commands = ("keys", "averaged"), ("info",), ("sweep", "averages.toml", "-o", "out")
-    keys, info, sweep = forked(*commands, site=site, cwd=tmp_path)
+    keys, info, sweep = server(*commands, site=site, cwd=tmp_path)
     assert (keys.returncode, keys.stderr) == (0, "")
     assert "averaging_time_s" in keys.stdout and "time constant of the averages" in keys.stdout
     assert "package: averaged-alignment 1.0" in keys.stdout
@@ -106,22 +106,22 @@ def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
     ],
 )
 def test_broken_plugin_is_one_line_and_affects_only_studies_that_use_it(
-    forked: Server, site: Path, tmp_path: Path, edit: tuple[str, str, str], line: str
+    server: CommandServer, site: Path, tmp_path: Path, edit: tuple[str, str, str], line: str
 ) -> None:
     (tmp_path / "averages.toml").write_text(STUDY)
     changed = change(site, tmp_path, *edit)
     commands = ("validate", "averages.toml"), ("validate", "reset_sweep")
-    own, other = forked(*commands, site=changed, cwd=tmp_path)
+    own, other = server(*commands, site=changed, cwd=tmp_path)
     assert (own.returncode, own.stderr) == (2, f"error: {line}\n")
     assert (other.returncode, other.stderr) == (0, "")
 
 
 def test_misnamed_entry_point_is_reported_by_validate_and_info(
-    forked: Server, site: Path, tmp_path: Path
+    server: CommandServer, site: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "averages.toml").write_text(STUDY)
     changed = change(site, tmp_path, POINTS, "averaged =", "other =")
-    validate, info = forked(("validate", "averages.toml"), ("info",), site=changed, cwd=tmp_path)
+    validate, info = server(("validate", "averages.toml"), ("info",), site=changed, cwd=tmp_path)
     assert validate.returncode == 2 and "not 'averaged'" in validate.stderr
     for line in validate.stderr.splitlines():
         assert "`sinsjax info` shows why" in line
@@ -145,12 +145,17 @@ def test_misnamed_entry_point_is_reported_by_validate_and_info(
     ],
 )
 def test_validate_and_sweep_report_wrong_plugin_method_in_one_line(
-    forked: Server, site: Path, tmp_path: Path, edit: tuple[str, str, str], text: str, marked: str
+    server: CommandServer,
+    site: Path,
+    tmp_path: Path,
+    edit: tuple[str, str, str],
+    text: str,
+    marked: str,
 ) -> None:
     (tmp_path / "averages.toml").write_text(STUDY)
     changed = change(site, tmp_path, *edit)
     commands = ("validate", "averages.toml"), ("sweep", "averages.toml", "-o", "out")
-    for ended in forked(*commands, site=changed, cwd=tmp_path):
+    for ended in server(*commands, site=changed, cwd=tmp_path):
         assert ended.returncode == 2 and ended.stderr.count("\n") == 1
         assert ended.stderr.startswith(f"error: {WHOSE}{text}")
         if marked:
@@ -160,10 +165,10 @@ def test_validate_and_sweep_report_wrong_plugin_method_in_one_line(
 
 
 def test_passes_with_plugin_that_reads_record_once_are_refused(
-    forked: Server, site: Path, tmp_path: Path
+    server: CommandServer, site: Path, tmp_path: Path
 ) -> None:
     study = STUDY.replace('["averaged", "inertial"]', '["averaged"]')
     (tmp_path / "averages.toml").write_text(f"{study}[passes]\nstored_s = 20.0\n")
-    (ended,) = forked(("validate", "averages.toml"), site=site, cwd=tmp_path)
+    (ended,) = server(("validate", "averages.toml"), site=site, cwd=tmp_path)
     line = f"{WHOSE}reads a stored record once (drop [passes])"
     assert (ended.returncode, ended.stderr) == (2, f"error: {line}\n")

@@ -1,4 +1,4 @@
-"""Studies that go over a stored record forward and backward: from the study to its tables' rows."""
+"""Studies of repeated passes, forward and backward: from the study to the rows of its tables."""
 
 import copy
 import sys
@@ -106,7 +106,7 @@ PLACES = ("time_s", "update_time_s", "stored_time_s", "pass")
 def test_stored_times_and_pass_numbers_follow_passes(
     passes: dict[str, Any], stored_times_of: list[int], numbers: list[int]
 ) -> None:
-    """By hand; the engine is told the same times by the truth, see below."""
+    """Times by hand; the engine gets the same times from the truth, see below."""
     study = study_from_dict(merged({"passes": passes}, QUICK))
     (span,) = set(study.spans)
     updates = list(range(1, len(stored_times_of) + 1))
@@ -155,7 +155,7 @@ def test_single_pass_of_full_duration_gives_identical_results() -> None:
 @pytest.mark.slow
 @pytest.mark.optimised(True)
 def test_swept_stored_durations_give_same_rows_as_each_alone() -> None:
-    """Every bit of them, though the parts share a record of one length."""
+    """Every bit is equal, though the parts share a record of one length."""
     alone = run(QUICK, {"passes": {"stored_s": 3.0}, "axes": TURNS})
     rows = swept().summary.filter(pc.less(swept().summary["variant_id"], 2))
     names = [n for n in alone.summary.column_names if n != "run_id"]
@@ -170,7 +170,7 @@ def test_swept_stored_durations_give_same_rows_as_each_alone() -> None:
 
 @pytest.mark.optimised(True)
 def test_backward_pass_undoes_noise_of_forward_pass() -> None:
-    """Without gains the noise of the way there is undone on the way back, to the last digits."""
+    """Without gains the backward pass undoes the noise of the forward pass, to rounding."""
     still = {"level_gains": [0.0] * 3, "azimuth_gains": [0.0] * 4, "allow_unstable": True}
     start = {"method": "compass", "phi_e0_deg": 0.0, "phi_n0_deg": 0.0, "phi_u0_deg": 0.0}
     loops = {"alignment": start, "compass": still}
@@ -216,7 +216,7 @@ def test_backward_pass_undoes_noise_of_forward_pass() -> None:
     ],
 )
 def test_batched_runs_with_passes_match_single_runs(tables: dict[str, Any]) -> None:
-    """Tiles of runs, and filters that share their P, turn as one run by itself does."""
+    """Tiles of runs, and filters that share P, reverse as a single run does."""
     (part,) = build.parts(study_from_dict(merged({"passes": {"stored_s": 3.0}}, tables)))
     group = part.group
     pieces = [(c.outcome, c.curves) for c in batch.chunks(group)]
@@ -241,7 +241,7 @@ def test_batched_runs_with_passes_match_single_runs(tables: dict[str, Any]) -> N
     ],
 )
 def test_error_free_run_keeps_true_attitude_over_every_pass(method: str, direction: str) -> None:
-    """What a run is compared with is the attitude at its place on the record, backward too."""
+    """The reference of a run is the attitude at its place in the record, also backward."""
     start = {"alignment": {"method": method, "phi_e0_deg": 0.0, "phi_n0_deg": 0, "phi_u0_deg": 0}}
     loops = {"compass": QUICK["compass"]} if method == "compass" else {}
     out = run(PERFECT, loops, start, {"passes": {"stored_s": 3.0, "direction": direction}})
@@ -306,7 +306,7 @@ def repeated(draws: int, passes: list[int], turns: list[str], spread: int = 4) -
 
 
 def mean_and_half_width(rows: pa.Table, key: str, passes: int, turn: str) -> tuple[float, float]:
-    """Mean over all runs and its 95 % half-width from that of draws; starts share their draws."""
+    """Return the mean over all runs and its 95 % half-width over the draws."""
     own = (pc.field("passes") == passes) & (pc.field("turn_covariance") == turn)
     kept = rows.filter(own).sort_by("draw_id")
     values = np.array(kept[key]).reshape(len(set(kept["draw_id"].to_pylist())), -1).mean(axis=1)
@@ -315,7 +315,7 @@ def mean_and_half_width(rows: pa.Table, key: str, passes: int, turn: str) -> tup
 
 @pytest.mark.slow
 def test_carried_covariance_is_overconfident_after_repeated_passes() -> None:
-    """One pass is consistent. N passes are believed to be N times the data: P_UU is N times small.
+    """One pass is consistent; N passes count as N times the data, so P_UU is N times too small.
 
     The error itself stays: repetition adds no information.
     """
@@ -392,7 +392,7 @@ def test_pass_longer_than_record_is_refused() -> None:
 
 
 def test_only_needed_part_of_record_is_loaded() -> None:
-    """Runs that begin at 10 s of the record begin where their fine alignment does on the record."""
+    """Run that begin at 10 s of the record begin where their fine alignment does on the record."""
     data = recorded(stored_s=6.0)
     data["record"] = data["record"] | {"start_s": 4.0}
     (part,) = build.parts(study_from_dict(data), StoredRecord(record(), None))
@@ -405,7 +405,7 @@ def test_only_needed_part_of_record_is_loaded() -> None:
 
 @pytest.mark.parametrize("passes", [1, 2])
 def test_reference_must_cover_whole_stored_record(passes: int) -> None:
-    """With two passes a run ends where its record begins, which the reference covers."""
+    """With two passes a run ends at the beginning of its record, which the reference covers."""
     study = study_from_dict(recorded(stored_s=6.0, passes=passes))
     with pytest.raises(InputError, match=r"covers 0 to 13 s, but the study needs 1. to 16 s"):
         list(build.parts(study, StoredRecord(record(), reference(13.0))))
@@ -453,7 +453,7 @@ def test_align_refuses_record_shorter_than_pass_in_one_line(
 def command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: object
 ) -> tuple[int, str]:
-    """Exit code and error output of a command line, run in this process."""
+    """Return exit code and error output of a command line in this process."""
     monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
     with pytest.raises(SystemExit) as stop:
         cli.main()

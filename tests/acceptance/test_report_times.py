@@ -58,14 +58,14 @@ def results(name: str, *times: float) -> run.Results:
 
 
 def at_record(curves: pa.Table, name: str, record: int) -> np.ndarray:
-    """(runs,) a column of the curves at a record, from 1; NaN for null."""
+    """Return a column of the curves at a record, from 1, (runs,); NaN for null."""
     return curves[name].to_numpy().reshape(-1, 6)[:, record - 1]
 
 
 @pytest.mark.representative("turns")
 @pytest.mark.parametrize("name", STUDIES)
 def test_report_time_columns_match_curves(name: str) -> None:
-    """Counted over all passes, and from the first sample of coarse alignment."""
+    """Times count over all passes, from the first sample of coarse alignment."""
     summary, curves = results(name, 1.0, 2.0, 5.0)
     for time in (1, 2, 5):
         for column in ("phi_u", "sigma_u"):
@@ -78,7 +78,7 @@ def test_report_time_columns_match_curves(name: str) -> None:
 @pytest.mark.representative("loops")
 @pytest.mark.parametrize("name", ["loops", "turns", "coarse"])
 def test_report_times_leave_other_results_bit_identical(name: str) -> None:
-    """Filters of one pass are below, in optimised programs."""
+    """Filters of one pass follow below, in optimised programs."""
     plain, reported = results(name), results(name, 1.0, 2.0, 5.0)
     names = plain.summary.column_names
     assert reported.summary.select(names).equals(plain.summary)
@@ -129,7 +129,7 @@ def test_equally_many_report_times_share_one_program() -> None:
         (part,) = build.parts(small_study(study={"report_times_s": times}))
         group = part.group
         tiles = tiles_of(group, batch.plan(group)[0])
-        return batch.program(group.static, group.environment, tiles)
+        return batch.program(group, tiles)
 
     assert program([1.0, 2.0]) is program([3.0, 6.0])
     assert program([1.0, 2.0]) is not program([3.0])
@@ -174,7 +174,7 @@ def test_report_time_columns_have_unit_and_meaning() -> None:
 @pytest.mark.slow
 @pytest.mark.optimised(True)
 def test_rerun_with_report_times_is_identical(tmp_path: Path) -> None:
-    """To the bit: at the least level the program with curves rounds otherwise."""
+    """Bit-equal: without optimisation the program with curves rounds differently."""
     replay = COARSE | {"axes": {"coarse_then": ["replay"]}}
     study = small_study(**replay, study={"report_times_s": [1.0, 5.0]})
     run.run_into(study, tmp_path / "out", curves=False)
@@ -184,7 +184,7 @@ def test_rerun_with_report_times_is_identical(tmp_path: Path) -> None:
 
 
 def record() -> StoredRecord:
-    """Six seconds of the swinging base, with its true attitude."""
+    """Return six seconds of the swaying vehicle, with its true attitude."""
     simulated = small_study(sensors={"gyro_noise_deg_per_h": 0.0})
     return add_true_reference(build.simulated_record(simulated))
 

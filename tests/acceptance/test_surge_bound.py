@@ -1,4 +1,4 @@
-"""How close methods come to the information bound on bases that sway, surge, or do neither."""
+"""Accuracy of the methods relative to the information bound, with sway, surge, or neither."""
 
 from itertools import product
 
@@ -13,7 +13,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
 
 RATE_HZ, DRAWS, END_S = 25.0, 128, 300.0
 AIM = 1.5
-"""Of the bound, at the end, on every base."""
+"""Ratio to the bound at the end, for every motion."""
 BASES = {
     "still": STILL,
     "sway": {"lever_arm_m": [2.0, 2.0, 2.0]},
@@ -25,7 +25,7 @@ METHODS = ("kalman_surge", "optimisation_position")
 
 @pytest.fixture(scope="module")
 def ratios():
-    """Standard deviation of phi_u (95 % interval) by method and base, in units of the bound."""
+    """Standard deviation of phi_u (95 % interval) by method and motion, in units of the bound."""
     found = {}
     for base, motion in BASES.items():
         study = small_study(

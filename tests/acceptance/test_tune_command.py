@@ -24,7 +24,7 @@ from sinsjax.execution.run import RunProgress
 from sinsjax.execution.tasks import Job
 from sinsjax.plots import descents
 from sinsjax.records import write_psins
-from sinsjax.report import tuned
+from sinsjax.report import tuning as tuning_report
 from sinsjax.study.load import load_study, study_from_dict, with_point
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
@@ -164,7 +164,7 @@ def test_report_flags_values_at_range_bounds(made: Path) -> None:
         name: {v.name for v, x in there if x in (v.low, v.high)}
         for name, there in tuning.values_on_bounds.items()
     }
-    for name, found in tuning.found.items():
+    for name, found in tuning.searches.items():
         used = space.used_variables(space.combinations[found.best.candidate])
         there = {
             space.variables[i].name
@@ -172,9 +172,9 @@ def test_report_flags_values_at_range_bounds(made: Path) -> None:
             if found.best.values[i] in (space.variables[i].low, space.variables[i].high)
         }
         assert bounds[name] == there
-    made_report = tuned.report(results.read_evaluation(made))
-    cautions = [fact.text for fact in made_report.verdict.facts if fact.is_doubt]
-    assert any("the end of the range" in text for text in cautions) == bool(bounds[tuning.best])
+    made_report = tuning_report.build_report(results.read_evaluation(made))
+    cautions = [fact.text for fact in made_report.verdict.facts if fact.is_caution]
+    assert any("at the end of the range" in text for text in cautions) == bool(bounds[tuning.best])
     (table,) = (b for one in made_report.sections for b in one.blocks if b[0] == CANDIDATES)
     cells = [cell for row in table.rows for cell in row]
     assert any("(bound)" in cell for cell in cells) == any(bounds.values())
@@ -182,10 +182,16 @@ def test_report_flags_values_at_range_bounds(made: Path) -> None:
 
 def test_reset_times_close_together_are_printed_as_pair() -> None:
     first = Variable("reset_times_s", 0, 2.0, 50.0, True)
-    assert tuned._value((8.94, 76.55, 76.74), (), "reset_times_s") == "8.94, 76.55 and 76.74"
-    found = tuned._value((2.0, 63.84), [(first, 2.0)], "reset_times_s")
+    assert (
+        tuning_report._format_candidate_value((8.94, 76.55, 76.74), (), "reset_times_s")
+        == "8.94, 76.55 and 76.74"
+    )
+    found = tuning_report._format_candidate_value((2.0, 63.84), [(first, 2.0)], "reset_times_s")
     assert found == "2 (bound), 63.84"
-    assert tuned._value(0.5, (), "q_scale") == "0.5" and tuned._value((), (), "q") == "none"
+    assert (
+        tuning_report._format_candidate_value(0.5, (), "q_scale") == "0.5"
+        and tuning_report._format_candidate_value((), (), "q") == "none"
+    )
 
 
 def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path) -> None:
@@ -306,7 +312,7 @@ def test_resume_removes_temporary_files_of_killed_tuning(
 def test_concurrent_tunings_in_one_directory_are_refused(
     made: Path, tmp_path: Path, how: str
 ) -> None:
-    """Not even between two searches, where no results are written."""
+    """No results are written between two searches either."""
     out = shutil.copytree(made, tmp_path / "out")
     held = lock_directory(out)
     before = read_files_and_times(out)
@@ -530,22 +536,25 @@ def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax_: Comm
     assert tuned_study.record is not None and len(tuned_study.record.start_s) == 3
 
 
-def landscape(count: int, *, grid: bool = False) -> descents.Landscape:
-    sides = [descents.Side(f"x{i}", 1.0, 100.0, bool(i % 2)) for i in range(count)]
+def landscape(count: int, *, grid: bool = False) -> descents.ObjectiveLandscape:
+    sides = [descents.VariableAxis(f"x{i}", 1.0, 100.0, bool(i % 2)) for i in range(count)]
     axes = [np.geomspace(1, 100, 4) if i % 2 else np.linspace(1, 100, 4) for i in range(count)]
     values = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, count)
     scores = values.sum(axis=1)
     scores[0] = np.inf
     shape = (4,) * count if grid else None
-    return descents.Landscape(sides, values, scores, shape, "time (s)")
+    return descents.ObjectiveLandscape(sides, values, scores, shape, "time (s)")
 
 
 @pytest.mark.parametrize(("count", "grid"), [(1, True), (2, True), (2, False), (3, False)])
 def test_descent_plot_has_expected_panels_and_legend(count: int, grid: bool) -> None:
-    ways = [descents.Way(np.full((3, count), 20.0), np.array([3.0, 2.0, 1.0]))]
+    ways = [descents.DescentPath(np.full((3, count), 20.0), np.array([3.0, 2.0, 1.0]))]
     point = np.full(count, 30.0)
-    spots = [descents.Spot("best", point, 2.0, 0), descents.Spot("baseline", point, None, 2)]
-    figure = descents.descent(landscape(count, grid=grid), ways, spots, "swing")
+    spots = [
+        descents.MarkedPoint("best", point, 2.0, 0),
+        descents.MarkedPoint("baseline", point, None, 2),
+    ]
+    figure = descents.draw_descents(landscape(count, grid=grid), ways, spots, "swing")
     panels = [axes for axes in figure.axes if axes.get_visible() and axes.get_xlabel()]
     assert len(panels) == {1: 1, 2: 1, 3: 3}[count]
     if count > 1:
@@ -555,7 +564,7 @@ def test_descent_plot_has_expected_panels_and_legend(count: int, grid: bool) -> 
 
 
 def test_descent_map_places_objective_at_grid_points() -> None:
-    figure = descents.descent(landscape(2, grid=True), [], [], "swing")
+    figure = descents.draw_descents(landscape(2, grid=True), [], [], "swing")
     (mesh,) = figure.axes[0].collections
     shown = np.ma.masked_invalid(mesh.get_array()).reshape(4, 4)
     assert shown.mask[0, 0] and shown.mask.sum() == 1
@@ -569,7 +578,7 @@ def test_best_by_cost_plot_labels_relaxed_and_hard_results() -> None:
         descents.CostCurve("grid", cost, best, False, None),
         descents.CostCurve("gradient", cost, best, True, (5.0, 3.5)),
     ]
-    figure = descents.best_by_cost(searches, "time (s)", "swing")
+    figure = descents.draw_best_by_cost(searches, "time (s)", "swing")
     (axes,) = figure.axes
     assert axes.get_xscale() == "log"
     labels = axes.get_legend_handles_labels()[1]

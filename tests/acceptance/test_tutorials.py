@@ -1,4 +1,4 @@
-"""What the tutorials tell to type runs, one after another, in an empty folder."""
+"""The commands of the tutorials run in order in an empty folder."""
 
 import ast
 import re
@@ -10,7 +10,7 @@ import pytest
 from support.commands import Command, command_line
 
 import sinsjax
-from sinsjax.plots import png
+from sinsjax.plots import render_png
 from sinsjax.records.layout import to_body_axes
 
 pytestmark = [
@@ -31,7 +31,7 @@ def command(
 
 
 def blocks(page: str) -> list[tuple[str, str]]:
-    """Language and text of the fenced blocks of a page; commands have no language."""
+    """Return language and text of the fenced blocks of a page; commands have no language."""
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     return re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
@@ -45,7 +45,7 @@ def typed(
     shorter: dict[str, str] | None = None,
     saved: str = "",
 ) -> list[str]:
-    """What the blocks of a page print, as a reader would type them.
+    """Return the output of the blocks of a page, as a reader types them.
 
     Args:
         page: file below docs/.
@@ -153,7 +153,7 @@ def test_one_run_tutorial_prints_shown_output(
 
 
 def test_tutorial_pages_use_distinct_result_folders() -> None:
-    """Who follows the README and these pages in one folder meets no results of another page."""
+    """A reader of the README and these pages in one folder meets no results of another page."""
     taken: list[str] = []
     for page in ("../README.md", "start.md", "own_imu.md", "reading_results.md"):
         text = "".join(text for _, text in blocks(page))
@@ -188,7 +188,7 @@ def test_each_concept_page_has_one_figure_drawn_by_script() -> None:
         assert shown == f"../figures/concept_{name}.png"
         assert (page.parent / shown).stat().st_size < 100_000
     for name in ("frames_and_signs", "misalignment"):  # the others take runs
-        assert png(drawn[name]()).startswith(b"\x89PNG")
+        assert render_png(drawn[name]()).startswith(b"\x89PNG")
 
 
 def test_body_axes_figure_agrees_with_to_body() -> None:

@@ -13,7 +13,7 @@ NEVER = math.inf
 KEYS = ["reset_count", "reset_times_s"]
 
 
-def summary(n=12, **columns):
+def summary_table(n=12, **columns):
     base = {
         "draw_id": np.arange(n),
         "status": ["ok"] * n,
@@ -31,7 +31,7 @@ def summary(n=12, **columns):
 def test_paired_joins_on_draw_id():
     a = pa.table({"draw_id": [2, 0, 1], "x": [20, 0, None]})
     b = pa.table({"draw_id": [0, 1, 2], "x": [0.5, 1.5, 2.5]})
-    first, second = analysis.paired(a, b, "x")
+    first, second = analysis.pair_by_draw(a, b, "x")
     np.testing.assert_array_equal(first, [0.0, math.nan, 20.0])
     np.testing.assert_array_equal(second, [0.5, 1.5, 2.5])
 
@@ -44,10 +44,10 @@ def test_paired_refuses_repeated_or_differing_draws_and_missing_column(draws, co
     a = pa.table({"draw_id": [0, 1, 2], "x": [1, 2, 3]})
     b = pa.table({"draw_id": draws, "x": [1, 2, 3]})
     with pytest.raises(InputError, match=message):
-        analysis.paired(a, b, column)
+        analysis.pair_by_draw(a, b, column)
 
 
-def keyed(dictionary=False):
+def keyed_table(dictionary=False):
     label = pa.array(["b", "a", None, "b", "a", "b"])
     return pa.table(
         {
@@ -65,7 +65,9 @@ def keyed(dictionary=False):
 def test_groups_match_naive_loop(by, dictionary, monkeypatch):
     monkeypatch.setattr(tables, "_SLICE", 4)
     # Two chunks, as a dataset of several parts gives them.
-    table = pa.concat_tables([keyed(dictionary).slice(0, 4), keyed(dictionary).slice(4)])
+    table = pa.concat_tables(
+        [keyed_table(dictionary).slice(0, 4), keyed_table(dictionary).slice(4)]
+    )
     expected: list[tuple[dict, list]] = []
     for row in table.to_pylist():
         key = {name: row[name] for name in by}
@@ -74,25 +76,25 @@ def test_groups_match_naive_loop(by, dictionary, monkeypatch):
             expected.append((key, [row["row"]]))
         else:
             rows.append(row["row"])
-    found = [(key, rows["row"].to_pylist()) for key, rows in analysis.groups(table, by)]
+    found = [(key, rows["row"].to_pylist()) for key, rows in analysis.group_rows(table, by)]
     assert found == expected
 
 
 def test_groups_of_empty_table_are_empty():
-    assert list(analysis.groups(keyed().slice(0, 0), ["case", "reset_times_s"])) == []
+    assert list(analysis.group_rows(keyed_table().slice(0, 0), ["case", "reset_times_s"])) == []
 
 
 def test_groups_refuses_unknown_key():
     with pytest.raises(InputError, match="column reset_cout is missing"):
-        list(analysis.groups(keyed(), ["reset_cout"]))
+        list(analysis.group_rows(keyed_table(), ["reset_cout"]))
 
 
 def test_summarise_returns_one_row_per_group():
     status = ["ok"] * 6 + ["diverged"] * 3 + ["not_settled"] * 2 + ["nonfinite"]
     settle = [50.0, 60.0, 70.0, 80.0, 90.0, 100.0] + [None] * 6
     yaw = [-27.5, -26.5] * 5 + [-27.0, math.nan]
-    one = summary(status=status, settle_10_s=settle, phi_u_mean_arcmin=yaw)
-    other = summary(settle_60_s=np.full(12, 30.0)).select(one.column_names)
+    one = summary_table(status=status, settle_10_s=settle, phi_u_mean_arcmin=yaw)
+    other = summary_table(settle_60_s=np.full(12, 30.0)).select(one.column_names)
     parts = [
         t.append_column("reset_times_s", pa.array([times] * 12, pa.list_(pa.float64())))
         .append_column("reset_count", pa.array([len(times)] * 12, pa.int32()))
@@ -140,16 +142,16 @@ def test_summarise_returns_one_row_per_group():
 
 def test_heading_error_interval_ends_are_capped_at_180_deg():
     errors = np.r_[np.full(11, 30.0), 8000.0]
-    row = analysis.summarise(summary(12, phi_u_arcmin=errors), []).to_pylist()[0]
+    row = analysis.summarise(summary_table(12, phi_u_arcmin=errors), []).to_pylist()[0]
     assert analysis.rms(errors).high > 10_800.0 == row["phi_u_arcmin_rms_high"]
 
 
 def test_heading_error_statistics_use_magnitudes_at_end_and_report_times():
-    """Against NumPy; pooled variants of a draw count once, and headings do not cancel."""
+    """Compared with NumPy; pooled variants of a draw count once, and headings do not cancel."""
     draw = np.repeat(np.arange(40), 2)
     error = 60.0 * np.random.default_rng(3).normal(size=80)
     early = np.where(np.arange(80) == 7, math.nan, 10 * error)
-    table = summary(
+    table = summary_table(
         80, draw_id=draw, phi_u_arcmin=np.r_[error[::2], -error[::2]], phi_u_at_60_arcmin=early
     )
     (row,) = analysis.summarise(table, []).to_pylist()
@@ -171,7 +173,7 @@ def test_heading_error_statistics_use_magnitudes_at_end_and_report_times():
 
 
 def test_summarise_of_single_run_covers_every_settle_band():
-    table = analysis.summarise(summary(1, settle_3_s=[None], settle_60_s=[20.0]), [])
+    table = analysis.summarise(summary_table(1, settle_3_s=[None], settle_60_s=[20.0]), [])
     (row,) = table.to_pylist()
     assert row["settle_3_s_median"] == NEVER and row["settle_60_s_median"] == 20.0
     assert (row["never_settled_3"], row["never_settled_60"]) == (1, 0)
@@ -182,9 +184,9 @@ def test_summarise_of_single_run_covers_every_settle_band():
 
 def test_summarise_without_truth_returns_nulls():
     nothing = pa.nulls(12, pa.float64())
-    names = [name for name in summary().column_names if name not in ("draw_id", "status")]
+    names = [name for name in summary_table().column_names if name not in ("draw_id", "status")]
     status = pa.nulls(12, pa.string())
-    table = summary(**dict.fromkeys(names, nothing), status=status)
+    table = summary_table(**dict.fromkeys(names, nothing), status=status)
     (row,) = analysis.summarise(table, []).to_pylist()
     assert row.pop("n") == 12 and row.pop("nonfinite") == row.pop("no_floor") == 0
     assert {value for name, value in row.items() if not name.endswith("_n")} == {None}
@@ -193,7 +195,7 @@ def test_summarise_without_truth_returns_nulls():
 
 def test_summarise_counts_nonfinite_runs_as_failed_and_unsettled():
     nothing = np.full(12, math.nan)
-    table = summary(
+    table = summary_table(
         status=["nonfinite"] * 12, phi_u_arcmin=nothing, phi_u_mean_arcmin=nothing,
         settle_10_s=nothing, nees=nothing, nis_u=nothing,
     )  # fmt: skip
@@ -206,7 +208,7 @@ def test_summarise_counts_nonfinite_runs_as_failed_and_unsettled():
 
 
 def test_summarise_of_chosen_statistics_needs_only_their_columns():
-    whole = summary(case=["a", "b"] * 6)
+    whole = summary_table(case=["a", "b"] * 6)
     table = whole.select(["case", "status", "phi_u_arcmin", "settle_10_s"])
     names = ["never_settled_10", "success_rate", "settle_10_s_median"]
     found = analysis.summarise(table, ["case"], names)
@@ -217,29 +219,29 @@ def test_summarise_of_chosen_statistics_needs_only_their_columns():
 
 
 def test_settle_data_columns_have_no_never_settled_count():
-    names = analysis.summarise(summary(settle_10_data_s=np.full(12, 40.0)), []).column_names
+    names = analysis.summarise(summary_table(settle_10_data_s=np.full(12, 40.0)), []).column_names
     assert "settle_10_data_s_median" in names and "settle_10_data_s_mean_n" in names
     assert [name for name in names if name.startswith("never")] == ["never_settled_10"]
 
 
 def test_summarise_refuses_no_runs_missing_column_and_unknown_statistic():
     with pytest.raises(InputError, match="no runs"):
-        analysis.summarise(summary().slice(0, 0), [])
+        analysis.summarise(summary_table().slice(0, 0), [])
     with pytest.raises(InputError, match="column nees is missing"):
-        analysis.summarise(summary().drop_columns(["nees"]), [])
+        analysis.summarise(summary_table().drop_columns(["nees"]), [])
     with pytest.raises(InputError, match="no statistic settle_60_s_median"):
-        analysis.summarise(summary(), [], ["settle_60_s_median"])
+        analysis.summarise(summary_table(), [], ["settle_60_s_median"])
 
 
-def variants(n=40):
-    """Three variants on the same draws, which the table holds in no order."""
+def variant_table(n=40):
+    """Three variants on the same draws, in random order."""
     random = np.random.default_rng(11)
     shared = random.normal(0.0, 5.0, n)
     parts = []
     for times, slower, failing in (([], 0.0, 0), ([50.0], 30.0, 0), ([50.0, 100.0], 60.0, 25)):
         settle = 100.0 + shared + slower
         settle[:failing] = np.nan
-        part = summary(
+        part = summary_table(
             n,
             settle_10_s=settle,
             status=["not_settled"] * failing + ["ok"] * (n - failing),
@@ -250,8 +252,10 @@ def variants(n=40):
 
 
 def test_compare_pairs_by_draw():
-    base, later, failing = parts = variants()
-    table = analysis.compare(pa.concat_tables(parts), ["reset_times_s"], {"reset_times_s": ()})
+    base, later, failing = parts = variant_table()
+    table = analysis.compare_with_baseline(
+        pa.concat_tables(parts), ["reset_times_s"], {"reset_times_s": ()}
+    )
     first, second = table.to_pylist()
     assert [row["reset_times_s"] for row in (first, second)] == [[50.0], [50.0, 100.0]]
     # The same settling times 30 s later, so no interval, though draws differ by far more.
@@ -263,8 +267,8 @@ def test_compare_pairs_by_draw():
     ends = [second[f"success_rate_difference{end}"] for end in ("", "_low", "_high")]
     assert ends == pytest.approx(list(expected[:3])) and second["success_rate_difference"] < -0.5
     assert first["success_rate_difference"] == 0.0
-    errors = (np.abs(x + 27.0) for x in analysis.paired(later, base, "phi_u_mean_arcmin"))
-    error = analysis.difference(*errors)
+    errors = (np.abs(x + 27.0) for x in analysis.pair_by_draw(later, base, "phi_u_mean_arcmin"))
+    error = analysis.mean_difference(*errors)
     ends = [first[f"phi_u_error_arcmin_difference{end}"] for end in ("", "_low", "_high", "_n")]
     assert ends == pytest.approx(list(error)) and first["n"] == 40
 
@@ -272,11 +276,11 @@ def test_compare_pairs_by_draw():
 def test_compare_without_truth_returns_nulls():
     lost = pa.nulls(40, pa.float64())
     names = ("phi_u_arcmin", "phi_u_mean_arcmin", "floor_arcmin", "settle_10_s", "status")
-    parts = [t.drop_columns(names) for t in variants()]
+    parts = [t.drop_columns(names) for t in variant_table()]
     for name in names:
         nulls = pa.nulls(40, pa.string()) if name == "status" else lost
         parts = [t.append_column(name, nulls) for t in parts]
-    row, _ = analysis.compare(
+    row, _ = analysis.compare_with_baseline(
         pa.concat_tables(parts), ["reset_times_s"], {"reset_times_s": []}
     ).to_pylist()
     keys = ("reset_times_s", "n", "phi_u_error_arcmin_difference_n")
@@ -284,10 +288,12 @@ def test_compare_without_truth_returns_nulls():
 
 
 def test_compare_refuses_missing_baseline_and_unpaired_draws():
-    table = pa.concat_tables(variants())
+    table = pa.concat_tables(variant_table())
     with pytest.raises(InputError, match="no runs of the baseline {'reset_times_s': \\[7.0\\]}"):
-        analysis.compare(table, ["reset_times_s"], {"reset_times_s": [7.0]})
+        analysis.compare_with_baseline(table, ["reset_times_s"], {"reset_times_s": [7.0]})
     with pytest.raises(InputError, match="draws differ"):
-        analysis.compare(table.slice(1), ["reset_times_s"], {"reset_times_s": []})
+        analysis.compare_with_baseline(table.slice(1), ["reset_times_s"], {"reset_times_s": []})
     with pytest.raises(InputError, match="draw_id repeats"):
-        analysis.compare(table.append_column("case", table["status"]), ["case"], {"case": "ok"})
+        analysis.compare_with_baseline(
+            table.append_column("case", table["status"]), ["case"], {"case": "ok"}
+        )

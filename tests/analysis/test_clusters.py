@@ -1,4 +1,4 @@
-"""Intervals of runs that depend on one another: by draw, and none on a record."""
+"""Intervals of dependent runs: by draw, and none on a record."""
 
 import math
 
@@ -14,8 +14,8 @@ from sinsjax import analysis
 DRAWS, VARIANTS = 16, 12
 
 
-def pooled(values):
-    """Values (draws, variants) as runs, with the draw of each."""
+def flatten_draws(values):
+    """Return values (draws, variants) as runs, with the draw of each."""
     draws = np.broadcast_to(np.arange(len(values))[:, None], np.shape(values))
     return np.ravel(values), draws.ravel()
 
@@ -35,7 +35,7 @@ def test_share_without_clusters_counts_runs():
 def test_mean_of_equal_draws_is_student_interval_of_draw_means():
     values = np.random.default_rng(2).normal(size=(DRAWS, 1)) + np.zeros((DRAWS, VARIANTS))
     values += np.random.default_rng(3).normal(0, 0.3, values.shape)
-    found, by_draw = analysis.mean(*pooled(values)), analysis.mean(values.mean(axis=1))
+    found, by_draw = analysis.mean(*flatten_draws(values)), analysis.mean(values.mean(axis=1))
     assert found[:3] == pytest.approx(by_draw[:3]) and found.n == DRAWS * VARIANTS
 
 
@@ -52,28 +52,28 @@ def test_mean_of_unequal_draws_agrees_with_bootstrap():
 
 
 def test_nonfinite_values_are_left_out_with_their_clusters():
-    values, draws = pooled(np.random.default_rng(5).normal(size=(8, 3)))
+    values, draws = flatten_draws(np.random.default_rng(5).normal(size=(8, 3)))
     holed = np.append(values, [math.inf, math.nan])
     assert analysis.mean(holed, np.append(draws, [0, 99])) == analysis.mean(values, draws)
 
 
 def test_deviation_of_identical_runs_per_draw_is_that_of_draws():
     values = np.random.default_rng(13).normal(size=DRAWS)
-    found = analysis.std(*pooled(np.repeat(values[:, None], VARIANTS, axis=1)))
+    found = analysis.std(*flatten_draws(np.repeat(values[:, None], VARIANTS, axis=1)))
     assert found.value == pytest.approx(np.std(values, ddof=1))
 
 
 def test_share_of_identical_runs_per_draw_is_share_of_draws():
     whole = np.repeat(np.arange(DRAWS) < 5, VARIANTS).reshape(DRAWS, VARIANTS)
     oracle = stats.binomtest(5, DRAWS).proportion_ci(0.95, "exact")
-    assert analysis.share(*pooled(whole))[:3] == pytest.approx((5 / 16, *oracle), rel=1e-9)
+    assert analysis.share(*flatten_draws(whole))[:3] == pytest.approx((5 / 16, *oracle), rel=1e-9)
 
 
 def test_one_failure_never_tightens_interval_of_share():
     """16 of 16 draws end at 79.4 %, with any number of runs; a failure lowers both ends."""
     least = 0.025 ** (1 / 16)
     assert analysis.proportion(16, 16)[1:3] == pytest.approx((least, 1.0))
-    flags, draws = pooled(np.ones((16, 64), bool))
+    flags, draws = flatten_draws(np.ones((16, 64), bool))
     assert analysis.share(flags, draws)[1:3] == pytest.approx((least, 1.0))
     flags[100] = False
     found = analysis.share(flags, draws)
@@ -82,14 +82,14 @@ def test_one_failure_never_tightens_interval_of_share():
 
 def test_share_that_all_draws_have_is_bounded_by_one_unseen_kind_of_draw():
     """2 of 8 starts settle in each of 16 draws: by hand, 2.5 % quantiles of Beta(16, 1)."""
-    flags, draws = pooled(np.tile(np.arange(8) < 2, (16, 1)))
+    flags, draws = flatten_draws(np.tile(np.arange(8) < 2, (16, 1)))
     least = 0.025 ** (1 / 16)
     assert analysis.share(flags, draws)[1:3] == pytest.approx((least / 4, 1 - least * 3 / 4))
 
 
 @pytest.mark.parametrize("sizes", [[12] * 16, [5, 12, 1, 7, 12, 12, 3, 8]])
 def test_share_ends_are_quantiles_of_dirichlet_weighted_share(sizes):
-    """Against simulated weights of the draws and one that fails, or succeeds, in all its runs."""
+    """Compared with simulated weights of the draws and of one that fails, or succeeds, always."""
     random = np.random.default_rng(14)
     draw = np.repeat(np.arange(len(sizes)), sizes)
     likely = random.uniform(0.3, 1.0, len(sizes))
@@ -120,13 +120,13 @@ def test_share_ends_never_rise_with_further_failure(flags, chosen):
 
 
 def test_spread_between_variants_does_not_widen_intervals():
-    """Of eight fixed variants the mean has the width of equal ones, and q90 is of the last."""
+    """Over eight fixed variants the mean is as wide as over equal ones, and q90 is the last's."""
     random = np.random.default_rng(15)
     noise = random.uniform(-0.6, 0.6, (16, 8))
     spread = noise + [40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 98.0, 148.4]
-    one, other = analysis.mean(*pooled(noise)), analysis.mean(*pooled(spread))
+    one, other = analysis.mean(*flatten_draws(noise)), analysis.mean(*flatten_draws(spread))
     assert other.high - other.low == pytest.approx(one.high - one.low)
-    runs, draws = pooled(spread)
+    runs, draws = flatten_draws(spread)
     found = analysis.quantile(runs, 0.9, draws)
     least, most = spread[:, -1].min(), spread[:, -1].max()
     assert least <= found.low <= found.value <= found.high < most
@@ -137,7 +137,7 @@ def test_spread_between_variants_does_not_widen_intervals():
 @pytest.mark.parametrize(("q", "ends"), [(0.1, (1, 2)), (0.5, (5, 6)), (0.9, (9, 10))])
 def test_quantile_between_two_constant_variants_is_bounded_by_them(q, ends):
     """The share up to the lower one is q in every draw, which rounding must not decide."""
-    runs, draws = pooled(np.tile(np.arange(1.0, 11.0), (16, 1)))
+    runs, draws = flatten_draws(np.tile(np.arange(1.0, 11.0), (16, 1)))
     assert analysis.quantile(runs, q, draws)[:3] == (ends[0], *ends)
 
 
@@ -146,7 +146,7 @@ def test_quantile_between_two_constant_variants_is_bounded_by_them(q, ends):
 def test_quantile_of_identical_runs_per_draw_is_that_of_draws(n, q):
     values = np.random.default_rng(n).normal(size=n).round(1)
     values[:2] = math.inf
-    runs, draws = pooled(np.repeat(values[:, None], 3, axis=1))
+    runs, draws = flatten_draws(np.repeat(values[:, None], 3, axis=1))
     np.testing.assert_array_equal(
         analysis.quantile(runs, q, draws)[:3], analysis.quantile(values, q)[:3]
     )
@@ -172,7 +172,7 @@ def test_clustered_intervals_cover_true_values(draws, alike):
         values = math.sqrt(alike) * random.normal(size=(draws, 1)) + math.sqrt(
             1 - alike
         ) * random.normal(size=(draws, VARIANTS))
-        runs = pooled(values)
+        runs = flatten_draws(values)
         for q in hits:
             one, true = analysis.quantile(runs[0], q, runs[1]), special.ndtri(q)
             hits[q] += not (one.low > true or one.high < true)
@@ -192,7 +192,7 @@ def test_one_cluster_has_no_interval():
         analysis.share(values > 0, record),
         analysis.std(values, record),
         analysis.rms(values, record),
-        analysis.difference(values, -values, record),
+        analysis.mean_difference(values, -values, record),
     ):
         assert math.isfinite(found.value) and found.n == 12
         assert np.isnan(found[1:3]).all()
@@ -208,20 +208,27 @@ def test_unequal_number_of_clusters_and_values_raises():
         analysis.mean([1.0, 2.0, 3.0], [0, 1])
 
 
-def runs(draw, start):
+def run_table(draw, start):
     return pa.table({"draw_id": draw, "start_s": start, "x": np.arange(len(draw))})
 
 
 def test_clusters_are_draws_or_one_whole_record():
-    simulated, recorded = runs([0, 0, 1], [0.0, 0.0, 0.0]), runs([0, 0, 1], [0.0, 0.0, 30.0])
-    assert analysis.clusters_of(simulated).tolist() == [0, 0, 1]
-    assert analysis.clusters_of(recorded).tolist() == [0, 0, 0]
-    assert analysis.clusters_of(simulated.select(["x"])) is None
-    assert not analysis.are_single(simulated) and not analysis.are_single(recorded)
-    assert analysis.are_single(simulated.slice(1)) and analysis.are_single(simulated.select(["x"]))
+    simulated, recorded = (
+        run_table([0, 0, 1], [0.0, 0.0, 0.0]),
+        run_table([0, 0, 1], [0.0, 0.0, 30.0]),
+    )
+    assert analysis.cluster_ids(simulated).tolist() == [0, 0, 1]
+    assert analysis.cluster_ids(recorded).tolist() == [0, 0, 0]
+    assert analysis.cluster_ids(simulated.select(["x"])) is None
+    assert not analysis.has_independent_runs(simulated) and not analysis.has_independent_runs(
+        recorded
+    )
+    assert analysis.has_independent_runs(simulated.slice(1)) and analysis.has_independent_runs(
+        simulated.select(["x"])
+    )
 
 
-def summary(draws, **columns):
+def summary_table(draws, **columns):
     n = len(draws)
     base = {
         "draw_id": draws,
@@ -241,7 +248,7 @@ def summary(draws, **columns):
 def test_summarise_pools_runs_clustered_by_draw():
     draws = np.repeat(np.arange(12), 4)
     status = np.where(draws < 3, "not_settled", "ok")
-    (row,) = analysis.summarise(summary(draws, status=status), []).to_pylist()
+    (row,) = analysis.summarise(summary_table(draws, status=status), []).to_pylist()
     expected = analysis.share(status == "ok", draws)
     ends = [row[f"success_rate{end}"] for end in ("", "_low", "_high")]
     assert ends == pytest.approx(expected[:3]) and row["n"] == 48
@@ -249,12 +256,14 @@ def test_summarise_pools_runs_clustered_by_draw():
 
 
 def test_summarise_and_compare_give_no_intervals_on_record():
-    table = summary(np.arange(12), start_s=30.0 * np.arange(12))
+    table = summary_table(np.arange(12), start_s=30.0 * np.arange(12))
     (row,) = analysis.summarise(table, []).to_pylist()
     assert row["success_rate"] == 1.0 and row["settle_10_s_median"] > 0
     ends = {value for name, value in row.items() if name.endswith(("_low", "_high"))}
     assert ends == {None}
     both = [table.append_column("case", [[name] * 12]) for name in "ab"]
-    (row,) = analysis.compare(pa.concat_tables(both), ["case"], {"case": "a"}).to_pylist()
+    (row,) = analysis.compare_with_baseline(
+        pa.concat_tables(both), ["case"], {"case": "a"}
+    ).to_pylist()
     assert row["settle_10_s_median_difference"] == 0.0
     assert {value for name, value in row.items() if name.endswith(("_low", "_high"))} == {None}

@@ -99,8 +99,8 @@ def test_quantile_is_smallest_value_covering_requested_share(values, q):
     assert math.isnan(found.high) or (found.high in data and found.value <= found.high)
 
 
-def at_most(k, n, q):
-    """That no more than k of n values lie below their quantile q, in fractions."""
+def binomial_at_most(k, n, q):
+    """Return the probability that at most k of n values lie below their quantile q."""
     return sum(math.comb(n, i) * q**i * (1 - q) ** (n - i) for i in range(k + 1))
 
 
@@ -109,8 +109,8 @@ def at_most(k, n, q):
 def test_quantile_interval_is_narrowest_allowed_by_binomial_law(n, q):
     values = np.random.default_rng(n).permutation([*np.arange(1.0, n), NEVER])
     ordered, share, tail = sorted(values), Fraction(str(q)), Fraction(25, 1000)
-    lows = [k for k in range(1, n + 1) if at_most(k - 1, n, share) <= tail]
-    highs = [k for k in range(1, n + 1) if 1 - at_most(k - 1, n, share) <= tail]
+    lows = [k for k in range(1, n + 1) if binomial_at_most(k - 1, n, share) <= tail]
+    highs = [k for k in range(1, n + 1) if 1 - binomial_at_most(k - 1, n, share) <= tail]
     found = analysis.quantile(values, q)
     assert found.low == ordered[lows[-1] - 1] if lows else math.isnan(found.low)
     assert found.high == ordered[highs[0] - 1] if highs else math.isnan(found.high)
@@ -166,7 +166,7 @@ def test_mean_interval_of_symmetric_values_is_student_t():
     assert found == pytest.approx((values.mean(), oracle.low, oracle.high, 20), rel=1e-12)
 
 
-def hall(values, end):
+def hall_interval_end(values, end):
     """The end at which Hall's transformation of the studentised mean equals a t quantile."""
     n, skew = len(values), stats.skew(values, bias=False)
     mean, error = np.mean(values), stats.sem(values)
@@ -186,10 +186,10 @@ def test_mean_interval_of_skewed_values_is_wider_on_their_long_side_only(sign):
     found = analysis.mean(values)
     if sign > 0:
         assert found.low == pytest.approx(ends.low) and found.high > 1.04 * ends.high
-        assert found.high == pytest.approx(hall(values, 0.025))
+        assert found.high == pytest.approx(hall_interval_end(values, 0.025))
     else:
         assert found.high == pytest.approx(ends.high) and found.low < 1.04 * ends.low
-        assert found.low == pytest.approx(hall(values, 0.975))
+        assert found.low == pytest.approx(hall_interval_end(values, 0.975))
 
 
 def test_std_interval_of_normal_values_matches_chi_square():
@@ -201,7 +201,7 @@ def test_std_interval_of_normal_values_matches_chi_square():
     assert other.low < other.value < other.high and other.value == found.value
 
 
-def naive_root(squares, value):
+def naive_root_interval(squares, value):
     """The interval of the root of a mean square, term by term."""
     n = len(squares)
     mean = sum(squares) / n
@@ -217,9 +217,11 @@ def naive_root(squares, value):
 def test_std_and_rms_intervals_match_naive_loop(n):
     values = np.random.default_rng(n).standard_t(5, n) + 0.5
     found = analysis.rms(values)
-    assert found[1:3] == pytest.approx(naive_root([x * x for x in values], found.value))
+    assert found[1:3] == pytest.approx(naive_root_interval([x * x for x in values], found.value))
     found, middle = analysis.std(values), values.mean()
-    assert found[1:3] == pytest.approx(naive_root([(x - middle) ** 2 for x in values], found.value))
+    assert found[1:3] == pytest.approx(
+        naive_root_interval([(x - middle) ** 2 for x in values], found.value)
+    )
 
 
 @pytest.mark.parametrize("statistic", [analysis.std, analysis.rms])
@@ -259,7 +261,7 @@ def test_statistics_refuse_empty_or_nested_values(statistic, values):
 
 @pytest.mark.parametrize(
     "compare",
-    [analysis.difference, analysis.quantile_difference, analysis.proportion_difference],
+    [analysis.mean_difference, analysis.quantile_difference, analysis.proportion_difference],
 )
 def test_differences_refuse_unequal_lengths_or_empty_values(compare):
     with pytest.raises(ValueError, match="equal lengths"):
@@ -278,11 +280,11 @@ def test_difference_matches_paired_t_test():
     a, apart = random.normal(size=30), random.normal(0.3, 0.1, 15)
     b = a + np.r_[apart, 0.6 - apart]
     oracle = stats.ttest_rel(b, a).confidence_interval(0.95)
-    found = analysis.difference(b, a)
+    found = analysis.mean_difference(b, a)
     assert found == pytest.approx(((b - a).mean(), oracle.low, oracle.high, 30), rel=1e-9)
     a[3], b[4] = math.nan, NEVER
     a[5] = b[5] = NEVER
-    assert analysis.difference(b, a).n == 27
+    assert analysis.mean_difference(b, a).n == 27
 
 
 @pytest.mark.parametrize(
@@ -389,10 +391,10 @@ def test_rms_ignores_non_finite_values():
 
 def test_rms_interval_is_capped_at_largest_possible_value():
     values = [*np.full(9, 30.0), 8000.0]
-    free, bound = analysis.rms(values), analysis.rms(values, most=10_800.0)
+    free, bound = analysis.rms(values), analysis.rms(values, max_magnitude=10_800.0)
     assert free.high > 1e4 and bound == free._replace(high=10_800.0)
-    assert analysis.rms(np.arange(9.0), most=100.0) == analysis.rms(np.arange(9.0))
-    assert math.isnan(analysis.rms([2.0], most=9.0).high)
+    assert analysis.rms(np.arange(9.0), max_magnitude=100.0) == analysis.rms(np.arange(9.0))
+    assert math.isnan(analysis.rms([2.0], max_magnitude=9.0).high)
 
 
 @pytest.mark.parametrize(("freedom", "n"), [(1, 1), (3, 1), (3, 256), (1, 100_000)])

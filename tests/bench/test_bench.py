@@ -1,4 +1,4 @@
-"""What is timed is faked here, but for the limit kernel: the short set itself takes long."""
+"""Workloads are replaced by fakes, except the limit kernel: the short set takes long."""
 
 import json
 import shutil
@@ -15,7 +15,7 @@ from support.studies import small_study
 
 from sinsjax import bench
 from sinsjax.bench import Workload, cases, limit, timing
-from sinsjax.bench.limit import limit_kernel
+from sinsjax.bench.limit import limit_kernel_workload
 from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.platform import xla
@@ -24,7 +24,7 @@ HOLDS = {"cpu": "model X", "sinsjax": "1.2", "jax": "0", "platform": "cpu", "opt
 ROWS = ["kalman_shared_record", "kalman_noise_64", "numpy_baseline"]
 
 
-def fake(name, seconds, calls=None, runs=10, steps=100, **more):
+def fake_workload(name, seconds, calls=None, runs=10, steps=100, **more):
     left = iter(seconds)
 
     def call():
@@ -36,25 +36,27 @@ def fake(name, seconds, calls=None, runs=10, steps=100, **more):
 
 
 @pytest.fixture
-def quiet(monkeypatch, tmp_path):
-    """Nothing of this process is changed, no engine is compiled, temporary files go to tmp_path."""
-    monkeypatch.setattr(bench, "use_one_core", lambda: None)
-    monkeypatch.setattr(bench, "conditions", lambda: HOLDS)
+def fake_workloads(monkeypatch, tmp_path):
+    """Leave this process unchanged, compile no engine, put temporary files into tmp_path."""
+    monkeypatch.setattr(bench, "pin_to_one_core", lambda: None)
+    monkeypatch.setattr(bench, "measurement_conditions", lambda: HOLDS)
     faked = {name: partial(Workload, name, 1, 1, 0.0, lambda: 1e-6) for name in ROWS}
     monkeypatch.setattr(bench, "SHORT", faked)
-    monkeypatch.setattr(bench, "limit_kernel", partial(limit_kernel, steps=200, vectors=1))
+    monkeypatch.setattr(
+        bench, "limit_kernel_workload", partial(limit_kernel_workload, steps=200, vectors=1)
+    )
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     return monkeypatch
 
 
-def timed(capsys, **choices):
+def run_and_parse(capsys, **choices):
     """The rows of a run, and what it says on stderr."""
-    bench.run(Console(), as_json=True, repeats=2, **choices)
+    bench.run_benchmarks(Console(), as_json=True, repeats=2, **choices)
     told = capsys.readouterr()
     return [json.loads(line) for line in told.out.splitlines()], told.err
 
 
-def tool(path, script):
+def write_tool(path, script):
     """An executable that runs a line of Python."""
     path.write_text(f"#!{sys.executable}\n{script}\n")
     path.chmod(0o755)
@@ -64,16 +66,16 @@ def tool(path, script):
 @pytest.fixture
 def gcc():
     try:
-        return limit.compiler()
+        return limit.find_compiler()
     except InputError as error:
         pytest.skip(str(error))
 
 
 def test_cases_are_timed_in_turns_and_median_is_reported():
     calls: list[str] = []
-    slow = fake("slow", [0.004, 0.1, 0.002], calls)
-    fast = fake("fast", [0.001, 0.001, 0.003], calls, runs=1, dtype="float32", devices=2)
-    rows = bench.measure([slow, fast], 3)
+    slow = fake_workload("slow", [0.004, 0.1, 0.002], calls)
+    fast = fake_workload("fast", [0.001, 0.001, 0.003], calls, runs=1, dtype="float32", devices=2)
+    rows = bench.measure_workloads([slow, fast], 3)
     assert calls == ["slow", "fast"] * 3
     assert [row["name"] for row in rows] == ["slow", "fast"]
     assert [row["median_s"] for row in rows] == [0.004, 0.001]
@@ -84,9 +86,9 @@ def test_cases_are_timed_in_turns_and_median_is_reported():
 
 
 def test_ratio_is_median_of_per_turn_ratios():
-    base = fake("base", [1.0, 2.0, 4.0])
-    other = fake("other", [3.0, 4.0, 20.0], runs=20)
-    first, second = timing.measure_against(base, [other], 3)
+    base = fake_workload("base", [1.0, 2.0, 4.0])
+    other = fake_workload("other", [3.0, 4.0, 20.0], runs=20)
+    first, second = timing.measure_relative_to_base(base, [other], 3)
     assert "ratio" not in first
     # 1.5, 1 and 2.5 times, where the ratio of the medians would be 1.
     assert second["ratio"] == pytest.approx(1.5)
@@ -94,7 +96,7 @@ def test_ratio_is_median_of_per_turn_ratios():
 
 
 def test_conditions_list_machine_and_software():
-    holds = bench.conditions()
+    holds = bench.measurement_conditions()
     machine = "cpu family ghz instructions avx512 cores platform device"
     software = "sinsjax jax jaxlib python options"
     assert list(holds) == f"{machine} {software}".split()
@@ -106,40 +108,40 @@ def test_conditions_list_machine_and_software():
     ("values", "told"),
     [
         ({}, "all"),
-        (dict.fromkeys((option.name for option in xla.wanted()), None), "none"),
-        ({xla.wanted()[0].name: "other"}, None),
+        (dict.fromkeys((option.name for option in xla.required_options()), None), "none"),
+        ({xla.required_options()[0].name: "other"}, None),
     ],
 )
 def test_xla_options_that_are_set_are_summarised(values, told):
-    options = {option.name: option.value for option in xla.wanted()} | values
-    rest = " ".join(option.name.removeprefix("xla_cpu_") for option in xla.wanted()[1:])
-    assert timing._options_set(options) == (told or rest)
+    options = {option.name: option.value for option in xla.required_options()} | values
+    rest = " ".join(option.name.removeprefix("xla_cpu_") for option in xla.required_options()[1:])
+    assert timing._describe_options(options) == (told or rest)
 
 
 @pytest.mark.parametrize("name", ["configs/reset_sweep.toml", "benchmarks/limit_kernel.c"])
 def test_assets_are_found(name):
-    assert bench.asset(name).is_file()
+    assert bench.asset_path(name).is_file()
 
 
 def test_limit_kernel_runs(gcc, tmp_path):
-    case = limit_kernel(gcc, str(tmp_path), steps=200, vectors=1)
+    case = limit_kernel_workload(gcc, str(tmp_path), steps=200, vectors=1)
     assert (case.runs, case.steps) == (8, 200)
     assert case.compile_s > 0
     assert 0 < case.call() < 1
 
 
-def test_run_with_limit_kernel_leaves_no_temp_files(gcc, quiet, tmp_path, capsys):
-    rows, said = timed(capsys, limit=True)
+def test_run_with_limit_kernel_leaves_no_temp_files(gcc, fake_workloads, tmp_path, capsys):
+    rows, said = run_and_parse(capsys, limit=True)
     assert [row["name"] for row in rows] == ["limit_kernel", *ROWS]
     assert all(HOLDS.items() <= row.items() for row in rows)
     assert said == ""
     assert not list(tmp_path.iterdir())
 
 
-def test_missing_gcc_warns_and_skips_limit_kernel(quiet, capsys):
-    quiet.setattr(shutil, "which", lambda name: None)
-    rows, said = timed(capsys, limit=True)
-    without, silent = timed(capsys, limit=False)
+def test_missing_gcc_warns_and_skips_limit_kernel(fake_workloads, capsys):
+    fake_workloads.setattr(shutil, "which", lambda name: None)
+    rows, said = run_and_parse(capsys, limit=True)
+    without, silent = run_and_parse(capsys, limit=False)
     assert said == "warning: no limit kernel: gcc not found\n"
     assert silent == ""
     assert [row["name"] for row in rows] == [row["name"] for row in without] == ROWS
@@ -152,23 +154,23 @@ def test_missing_gcc_warns_and_skips_limit_kernel(quiet, capsys):
         ("pass", "a program built by gcc cannot be started: No such file or directory"),
     ],
 )
-def test_broken_gcc_warns_and_skips_limit_kernel(quiet, tmp_path, capsys, script, why):
-    tool(tmp_path / "gcc", script)
-    quiet.setenv("PATH", str(tmp_path))
-    rows, said = timed(capsys, limit=True)
+def test_broken_gcc_warns_and_skips_limit_kernel(fake_workloads, tmp_path, capsys, script, why):
+    write_tool(tmp_path / "gcc", script)
+    fake_workloads.setenv("PATH", str(tmp_path))
+    rows, said = run_and_parse(capsys, limit=True)
     assert said == f"warning: no limit kernel: {why}\n"
     assert [row["name"] for row in rows] == ROWS
 
 
-def test_missing_compiler_options_warn_only_on_cpu(quiet, capsys):
+def test_missing_compiler_options_warn_only_on_cpu(fake_workloads, capsys):
     for platform, warned in (("cpu", True), ("gpu", False)):
         holds = HOLDS | {"platform": platform, "options": "none"}
-        quiet.setattr(bench, "conditions", lambda holds=holds: holds)
-        assert ("compiler options" in timed(capsys, limit=False)[1]) == warned
+        fake_workloads.setattr(bench, "measurement_conditions", lambda holds=holds: holds)
+        assert ("compiler options" in run_and_parse(capsys, limit=False)[1]) == warned
 
 
-def test_table_shows_ratio_to_limit_kernel(gcc, quiet, capsys):
-    bench.run(Console(width=80), as_json=False, limit=True, repeats=1)
+def test_table_shows_ratio_to_limit_kernel(gcc, fake_workloads, capsys):
+    bench.run_benchmarks(Console(width=80), as_json=False, limit=True, repeats=1)
     told = capsys.readouterr().out
     assert "x limit" in told and "1.00" in told and "model X" in told
     assert max(map(len, told.splitlines())) <= 80
@@ -183,13 +185,13 @@ def test_table_shows_ratio_to_limit_kernel(gcc, quiet, capsys):
 )
 def test_failing_compiler_raises_one_line_error(tmp_path, script, why):
     with pytest.raises(InputError) as told:
-        limit_kernel(tool(tmp_path / "gcc", script), str(tmp_path))
+        limit_kernel_workload(write_tool(tmp_path / "gcc", script), str(tmp_path))
     assert str(told.value) == why
 
 
 def test_missing_compiler_raises_input_error(tmp_path):
     with pytest.raises(InputError, match="^gcc cannot be started: "):
-        limit_kernel(str(tmp_path / "none"), str(tmp_path))
+        limit_kernel_workload(str(tmp_path / "none"), str(tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -197,16 +199,18 @@ def test_missing_compiler_raises_input_error(tmp_path):
     [("import os; os.kill(os.getpid(), 9)", "signal 9"), ("raise SystemExit(2)", "exit status 2")],
 )
 def test_failing_limit_kernel_raises_one_line_error(tmp_path, script, why):
-    case = limit_kernel(tool(tmp_path / "gcc", ""), str(tmp_path))
-    tool(tmp_path / "limit", script)
+    case = limit_kernel_workload(write_tool(tmp_path / "gcc", ""), str(tmp_path))
+    write_tool(tmp_path / "limit", script)
     with pytest.raises(InputError) as told:
         case.call()
     assert str(told.value) == f"the limit kernel failed: {why}"
 
 
 def test_registry_rows_have_their_listed_names(monkeypatch):
-    monkeypatch.setattr(cases, "engine", lambda name, group: fake(name, []))
-    monkeypatch.setattr(cases, "numpy_baseline", lambda group: fake("numpy_baseline", []))
+    monkeypatch.setattr(cases, "engine_workload", lambda name, group: fake_workload(name, []))
+    monkeypatch.setattr(
+        cases, "numpy_baseline_workload", lambda group: fake_workload("numpy_baseline", [])
+    )
     assert {name: make().name for name, make in cases.SHORT.items()} == {n: n for n in cases.SHORT}
 
 
@@ -234,7 +238,7 @@ def small_group():
 
 
 def test_some_variants_picks_last_variants_with_enough_draws(small_group):
-    group = cases.some_variants(small_group, 3, runs=1000)
+    group = cases.select_last_variants(small_group, 3, min_runs=1000)
     draws, variants = group.sizes
     assert variants == 3 and draws * variants >= 1000
     assert len(set(group.draws.draw_id.tolist())) == draws == len(group.q)
@@ -242,27 +246,30 @@ def test_some_variants_picks_last_variants_with_enough_draws(small_group):
 
 
 def test_without_noise_removes_only_noise(small_group):
-    quiet = cases.without_noise(small_group)
+    fake_workloads = cases.remove_noise(small_group)
     assert (
-        not quiet.environment.sensors.errors.gyro_noise.any()
-        and not quiet.environment.sensors.errors.accel_noise.any()
+        not fake_workloads.environment.sensors.errors.gyro_noise.any()
+        and not fake_workloads.environment.sensors.errors.accel_noise.any()
     )
-    assert quiet.static == small_group.static._replace(
+    assert fake_workloads.static == small_group.static._replace(
         sensors=small_group.static.sensors._replace(noisy=False)
     )
     np.testing.assert_array_equal(
-        quiet.environment.sensors.errors.gyro_bias, small_group.environment.sensors.errors.gyro_bias
+        fake_workloads.environment.sensors.errors.gyro_bias,
+        small_group.environment.sensors.errors.gyro_bias,
     )
 
 
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize(("devices", "elapsed_s"), [(1, 100.0), (2, 1.0)])
 def test_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elapsed_s):
-    """One device in CPU time, several in wall time: here one second, in which 100 are computed."""
+    """One device is timed in CPU time, several in wall time: here 1 s with 100 s of CPU time."""
     wall, cpu = count(0.0), count(0.0, 100.0)
     clocks = SimpleNamespace(perf_counter=lambda: next(wall), process_time=lambda: next(cpu))
     monkeypatch.setattr(cases, "time", clocks)
-    case = cases.engine("x", cases.shortened(small_group, 2), tiles=4, lanes=16, devices=devices)
+    case = cases.engine_workload(
+        "x", cases.shorten_runs(small_group, 2), tiles=4, lanes=16, devices=devices
+    )
     runs = 64 * devices
     assert (case.name, case.runs, case.steps, case.devices) == ("x", runs, 200, devices)
     assert case.compile_s > 0
@@ -271,12 +278,12 @@ def test_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elaps
 
 @pytest.mark.optimised(False)
 def test_idle_lanes_are_not_counted_as_runs(small_group):
-    few = cases.shortened(small_group.select(np.arange(3), np.arange(4)), 2)
-    assert cases.engine("x", few, tiles=4, lanes=16).runs == 3 * 4 < 64
+    few = cases.shorten_runs(small_group.select(np.arange(3), np.arange(4)), 2)
+    assert cases.engine_workload("x", few, tiles=4, lanes=16).runs == 3 * 4 < 64
 
 
 def test_baseline_that_differs_from_engine_is_refused(small_group, monkeypatch):
     wrong = lambda *_: (np.eye(3), np.zeros(5))  # noqa: E731
-    monkeypatch.setattr(cases, "align", wrong)
+    monkeypatch.setattr(cases, "align_with_numpy_loop", wrong)
     with pytest.raises(RuntimeError, match="the NumPy baseline and the engine differ"):
-        cases.numpy_baseline(cases.without_noise(small_group))
+        cases.numpy_baseline_workload(cases.remove_noise(small_group))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from oracles.naive import euler_matrix
 
-from sinsjax.bench.baseline import Setting, align
+from sinsjax.bench.baseline import AlignmentSettings, align_with_numpy_loop
 from sinsjax.units import DEG, DEG_PER_H
 
 try:
@@ -34,7 +34,7 @@ def increments(samples, dt, c):
 @pytest.mark.parametrize("angles", [(0.1, -0.2, 0.7), (0.3, 0.2, 3.1), (0.2, 3.0, 0.1)])
 def test_numba_loop_matches_numpy_baseline(angles):
     dt = 0.01
-    setting = Setting(
+    setting = AlignmentSettings(
         dt=dt,
         rate_n=RATE * 0.8,
         rate_u=RATE * 0.6,
@@ -49,6 +49,6 @@ def test_numba_loop_matches_numpy_baseline(angles):
     c = euler_matrix(*angles)
     data = increments(350, dt, c)
     for ours, theirs in zip(
-        numba_loop.align(data, c, setting), align(data, c, setting), strict=True
+        numba_loop.align(data, c, setting), align_with_numpy_loop(data, c, setting), strict=True
     ):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)

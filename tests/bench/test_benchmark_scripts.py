@@ -54,7 +54,7 @@ HOLDS: Row = {
 }
 
 
-def told(of: str, name: str, ns: float, **more: object) -> Row:
+def fake_row(of: str, name: str, ns: float, **more: object) -> Row:
     """A row of the history."""
     sizes = {"runs": 128, "steps": 90000, "dtype": "float64", "devices": 1, "compile_s": 1.5}
     seconds = {"median_s": round(ns * 128 * 9e-5, 5), "spread_s": 0.012}
@@ -62,15 +62,15 @@ def told(of: str, name: str, ns: float, **more: object) -> Row:
     return row | sizes | seconds | HOLDS | more
 
 
-def history(version: str = "0.1.0", factor: float = 1.0, **changes: object) -> list[Row]:
+def history_rows(version: str = "0.1.0", factor: float = 1.0, **changes: object) -> list[Row]:
     """Rows of every set but the GPU's, with numbers that are easy to find on a page."""
     ns = {"limit_kernel": 10.0, "kalman_shared_record": 14.2 * factor, "kalman_noise_64": 15.1}
     ns |= {"kalman_noise_6": 17.3, "kalman_noise_1": 24.9, "numpy_baseline": 448286.3}
-    rows = [told("short", name, value) for name, value in ns.items()]
+    rows = [fake_row("short", name, value) for name, value in ns.items()]
     spread = {"ratio_spread": 0.03}
     rows += [
-        told("pairs", "limit_kernel", 10.0),
-        told(
+        fake_row("pairs", "limit_kernel", 10.0),
+        fake_row(
             "pairs",
             "kalman_shared_record",
             14.2 * factor,
@@ -80,26 +80,28 @@ def history(version: str = "0.1.0", factor: float = 1.0, **changes: object) -> l
         ),
     ]
     lanes = {16: 40.1, 32: 22.0, 48: 17.2, 64: 14.2, 80: 13.9, 96: 14.8, 128: 18.0, 256: 33.3}
-    rows += [told("throughput", f"lanes_{n}", x * factor, lanes=n) for n, x in lanes.items()]
-    rows += [told("throughput", f"tiles_{n}", 14.2 + n / 50, tiles=n) for n in (2, 4, 8, 16, 32)]
+    rows += [fake_row("throughput", f"lanes_{n}", x * factor, lanes=n) for n, x in lanes.items()]
+    rows += [
+        fake_row("throughput", f"tiles_{n}", 14.2 + n / 50, tiles=n) for n in (2, 4, 8, 16, 32)
+    ]
     variants = {1: 24.9, 2: 20.0, 4: 18.1, 8: 16.9, 16: 15.9, 32: 15.4, 64: 15.1}
-    rows += [told("throughput", f"variants_{n}", x, variants=n) for n, x in variants.items()]
-    rows += [told("throughput", "curves_off", 14.2), told("throughput", "curves_on", 14.9)]
-    rows += [told("noise", "noise_off", 14.2)]
+    rows += [fake_row("throughput", f"variants_{n}", x, variants=n) for n, x in variants.items()]
+    rows += [fake_row("throughput", "curves_off", 14.2), fake_row("throughput", "curves_on", 14.9)]
+    rows += [fake_row("noise", "noise_off", 14.2)]
     ratios = {64: 1.06, 6: 1.22, 1: 1.75}
     rows += [
-        told("noise", f"noise_{n}", 14.2 * x, ratio=x, variants=n, **spread)
+        fake_row("noise", f"noise_{n}", 14.2 * x, ratio=x, variants=n, **spread)
         for n, x in ratios.items()
     ]
     rows += [
-        told("devices", f"devices_{n}", 14.2 / s, devices=n, speedup=s, speedup_spread=0.02)
+        fake_row("devices", f"devices_{n}", 14.2 / s, devices=n, speedup=s, speedup_spread=0.02)
         for n, s in ((1, 1.0), (2, 1.87))
     ]
-    rows += [told("devices", "call_900s", 7.6, devices=2)]
-    rows += [told("devices", "sweep_900s", 8.3, devices=2, share=0.91, share_spread=0.01)]
-    rows += [told("loops", "numba_loop", 6200.0)]
+    rows += [fake_row("devices", "call_900s", 7.6, devices=2)]
+    rows += [fake_row("devices", "sweep_900s", 8.3, devices=2, share=0.91, share_spread=0.01)]
+    rows += [fake_row("loops", "numba_loop", 6200.0)]
     rows += [
-        {k: v for k, v in told("memory", name, 0.0, **more).items() if k != "ns_per_step_run"}
+        {k: v for k, v in fake_row("memory", name, 0.0, **more).items() if k != "ns_per_step_run"}
         for name, more in (
             ("memory_call_2_tiles", {"bytes_per_run": 21000, "temp_bytes": 5}),
             ("memory_sweep_448", {"before_mib": 240, "peak_mib": 1510}),
@@ -108,7 +110,7 @@ def history(version: str = "0.1.0", factor: float = 1.0, **changes: object) -> l
     return [row | {"sinsjax": version} | changes for row in rows]
 
 
-def written(folder: Path, *pieces: list[Row]) -> list[store.Machine]:
+def write_history(folder: Path, *pieces: list[Row]) -> list[store.Machine]:
     for rows in pieces:
         store.keep(rows, record.SETS, folder)
     return store.machines(folder)
@@ -138,35 +140,35 @@ def test_gate_passes_or_fails_by_ratio(measured, instructions, status, line):
 
 
 @pytest.fixture
-def faked(monkeypatch):
+def fake_gate(monkeypatch):
     """A gate that measures 1.42 with each set, on a machine that has both; the sets asked for."""
     asked: list[str] = []
 
     def row(instructions: str) -> Row:
         asked.append(instructions)
-        (found,) = (r for r in history() if r["set"] == "pairs" and "ratio" in r)
+        (found,) = (r for r in history_rows() if r["set"] == "pairs" and "ratio" in r)
         return found | {"kernel_ns": 10.0}
 
     monkeypatch.setattr(gate, "measured", row)
-    monkeypatch.setattr(gate, "compiler", lambda: "gcc")
+    monkeypatch.setattr(gate, "find_compiler", lambda: "gcc")
     monkeypatch.setattr(gate.platform, "machine", lambda: "x86_64")
-    monkeypatch.setattr(gate.machine, "instructions", lambda limit="": "AVX512")
+    monkeypatch.setattr(gate.machine, "instruction_set", lambda limit="": "AVX512")
     return monkeypatch, asked
 
 
-def test_gate_measures_each_available_instruction_set(faked, capsys):
-    patch, asked = faked
+def test_gate_measures_each_available_instruction_set(fake_gate, capsys):
+    patch, asked = fake_gate
     assert [verdict.status for verdict in gate.gate()] == [0, 1]
     assert asked == ["AVX512", "AVX2"]
     assert "ratios of 7 pairs: 1.40, 1.42, 1.45; median 1.42" in capsys.readouterr().out
     for largest in ("AVX2", "SSE4_2"):
-        patch.setattr(gate.machine, "instructions", lambda limit="", largest=largest: largest)
+        patch.setattr(gate.machine, "instruction_set", lambda limit="", largest=largest: largest)
         assert [verdict.status for verdict in gate.gate()] == [1]
     assert asked[2:] == ["AVX2", "SSE4_2"]
 
 
-def test_gate_exits_with_worst_status(faked, capsys):
-    patch, _ = faked
+def test_gate_exits_with_worst_status(fake_gate, capsys):
+    patch, _ = fake_gate
     patch.setattr(sys, "argv", ["gate.py"])
     with pytest.raises(SystemExit) as ended:
         gate.main()
@@ -183,11 +185,11 @@ def test_gate_exits_with_worst_status(faked, capsys):
         ("machine", "arm64", "the limit kernel is for x86-64"),
     ],
 )
-def test_gate_is_skipped_if_limit_kernel_cannot_be_built(faked, tools, what, answer, why):
-    patch, asked = faked
+def test_gate_is_skipped_if_limit_kernel_cannot_be_built(fake_gate, fake_tools, what, answer, why):
+    patch, asked = fake_gate
     if what == "gcc":
-        patch.setattr(gate, "compiler", limit.compiler)
-        tools(gcc=answer)
+        patch.setattr(gate, "find_compiler", limit.find_compiler)
+        fake_tools(gcc=answer)
     else:
         patch.setattr(gate.platform, what, lambda: answer)
     (verdict,) = gate.gate()
@@ -195,7 +197,7 @@ def test_gate_is_skipped_if_limit_kernel_cannot_be_built(faked, tools, what, ans
     assert asked == []
 
 
-def test_gate_reports_failed_measurement_in_one_line(faked, monkeypatch):
+def test_gate_reports_failed_measurement_in_one_line(fake_gate, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(sys, "executable", "false")
     with pytest.raises(InputError, match="no ratio with AVX2: exit status 1"):
@@ -206,8 +208,8 @@ def test_gate_reports_failed_measurement_in_one_line(faked, monkeypatch):
 
 
 @pytest.fixture
-def tools(monkeypatch, tmp_path):
-    """Makes the only programs there are: shell scripts by name; an empty one is not there."""
+def fake_tools(monkeypatch, tmp_path):
+    """Make the only programs there are: shell scripts by name; an empty one is not there."""
 
     def make(**scripts: str) -> None:
         folder = tmp_path / "bin"
@@ -223,9 +225,9 @@ def tools(monkeypatch, tmp_path):
 
 @pytest.fixture
 def unpinned(monkeypatch):
-    monkeypatch.setattr(common, "use_one_core", lambda: None)
+    monkeypatch.setattr(common, "pin_to_one_core", lambda: None)
     monkeypatch.setattr(common.runtime, "configure", lambda: None)
-    monkeypatch.setattr(common, "conditions", lambda: HOLDS)
+    monkeypatch.setattr(common, "measurement_conditions", lambda: HOLDS)
 
 
 def test_script_passes_flags_on_and_adds_conditions_to_rows(unpinned, capsys):
@@ -243,7 +245,9 @@ def test_script_passes_flags_on_and_adds_conditions_to_rows(unpinned, capsys):
 
 
 def test_script_prints_table_of_rows(unpinned, capsys):
-    common.main(lambda quick, repeats: [told("x", "one", 14.2, ratio=1.5, ratio_spread=0.1)], [])
+    common.main(
+        lambda quick, repeats: [fake_row("x", "one", 14.2, ratio=1.5, ratio_spread=0.1)], []
+    )
     out = capsys.readouterr().out
     assert "one" in out and "1.5 +- 0.1" in out and HOLDS["cpu"] in out
 
@@ -264,8 +268,8 @@ def test_gpu_script_without_gpu_reports_no_gpu(capsys):
 
 
 @pytest.mark.parametrize(("script", "why"), [("", "gcc not found"), ("exit 1", "gcc failed")])
-def test_pairs_script_raises_without_working_gcc(tools, script, why):
-    tools(gcc=script)
+def test_pairs_script_raises_without_working_gcc(fake_tools, script, why):
+    fake_tools(gcc=script)
     with pytest.raises(InputError, match=why):
         pairs.rows(True, 1)
 
@@ -286,7 +290,7 @@ def test_speedup_is_relative_to_one_device_in_same_repeat(monkeypatch):
         runs = 64 * tiles * devices
         return Workload(name, runs, 9000, 0.0, lambda: next(taken[devices]), devices=devices)
 
-    monkeypatch.setattr(devices, "engine", engine)
+    monkeypatch.setattr(devices, "engine_workload", engine)
     one, two = devices.scaling(False, 3)
     assert (one["name"], one["speedup"]) == ("devices_1", 1.0)
     assert (two["name"], two["devices"]) == ("devices_2", 2)
@@ -321,8 +325,10 @@ def test_resolve_script_is_timed_and_judged_against_targets(tmp_path):
     rows = resolve.rows(True, 1)
     assert [row["name"] for row in rows] == ["resolve_6000", "part_6000"]
     assert all(0 < row["median_s"] < 10 for row in rows)
-    slow = [told("resolve", n, 0.0, median_s=0.3, spread_s=0.0) for n in ("resolve_6", "part_6")]
-    (machine,) = written(tmp_path, slow)
+    slow = [
+        fake_row("resolve", n, 0.0, median_s=0.3, spread_s=0.0) for n in ("resolve_6", "part_6")
+    ]
+    (machine,) = write_history(tmp_path, slow)
     assert [(row.target, row.measured, row.reached) for row in judged(machine)] == [
         ("under 500 ms", "300 ± 0 ms", True),
         ("under 50 ms", "300 ± 0 ms", False),
@@ -358,20 +364,22 @@ PERFS = {
         "perf stat: a:u: not supported"
     ),
 }
-"""What a perf does that cannot count, and what is said of it."""
+"""Fake perf programs that cannot count, and the reported reasons."""
 
 
 @pytest.mark.parametrize(("script", "why"), PERFS.items())
-def test_perf_that_cannot_count_gives_warning_and_no_rows(monkeypatch, tools, capsys, script, why):
-    monkeypatch.setattr(instructions.machine, "cpu", lambda: {"vendor_id": "AuthenticAMD"})
-    monkeypatch.setattr(instructions, "compiler", lambda: "gcc")
-    tools(perf=script)
+def test_perf_that_cannot_count_gives_warning_and_no_rows(
+    monkeypatch, fake_tools, capsys, script, why
+):
+    monkeypatch.setattr(instructions.machine, "cpu_info", lambda: {"vendor_id": "AuthenticAMD"})
+    monkeypatch.setattr(instructions, "find_compiler", lambda: "gcc")
+    fake_tools(perf=script)
     assert instructions.rows(True, 1) == []
     assert capsys.readouterr().err == f"warning: nothing is counted: {why}\n"
 
 
 def test_unknown_cpu_vendor_gives_warning_and_no_rows(monkeypatch, capsys):
-    monkeypatch.setattr(instructions.machine, "cpu", dict)
+    monkeypatch.setattr(instructions.machine, "cpu_info", dict)
     assert instructions.rows(True, 1) == []
     expected = "warning: nothing is counted: only the counters of AMD and Intel are known\n"
     assert capsys.readouterr().err == expected
@@ -419,11 +427,11 @@ def test_history_file_is_named_after_version_and_machine(changes, name):
 
 
 def test_repeated_measurement_replaces_only_rows_of_its_set(tmp_path):
-    store.keep(history(), record.SETS, tmp_path)
-    (path,) = store.keep([told("noise", "noise_off", 99.123456789)], record.SETS, tmp_path)
+    store.keep(history_rows(), record.SETS, tmp_path)
+    (path,) = store.keep([fake_row("noise", "noise_off", 99.123456789)], record.SETS, tmp_path)
     rows = store.read(path)
     assert [r["ns_per_step_run"] for r in rows if r["set"] == "noise"] == [99.123]
-    rest = [(r["set"], r["name"]) for r in history() if r["set"] != "noise"]
+    rest = [(r["set"], r["name"]) for r in history_rows() if r["set"] != "noise"]
     rest.sort(key=lambda row: record.SETS.index(row[0]))
     assert [(r["set"], r["name"]) for r in rows if r["set"] != "noise"] == rest
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
@@ -439,14 +447,16 @@ def test_invalid_history_file_is_reported_by_name(tmp_path, text):
 
 
 def test_machines_are_sorted_by_version(tmp_path):
-    found = written(tmp_path, history("0.10.0"), history("0.9.0"), history("0.2.1", avx512=False))
+    found = write_history(
+        tmp_path, history_rows("0.10.0"), history_rows("0.9.0"), history_rows("0.2.1", avx512=False)
+    )
     assert [machine.version for machine in found] == ["0.2.1", "0.9.0", "0.10.0"]
     assert [machine.x_limit for machine in found] == [1.42] * 3
 
 
 def test_ratio_without_pairs_is_read_from_short_set(tmp_path):
-    rows = [row for row in history() if row["set"] == "short"]
-    (machine,) = written(tmp_path, rows)
+    rows = [row for row in history_rows() if row["set"] == "short"]
+    (machine,) = write_history(tmp_path, rows)
     assert machine.x_limit == pytest.approx(1.42)
 
 
@@ -455,7 +465,7 @@ def test_record_script_stores_version_date_and_set(tmp_path, monkeypatch, capsys
 
     def run(command, **_):
         commands.append(command)
-        rows = [told("?", "noise_off", 5.0, sinsjax="0+source"), told("?", "noise_64", 6.0)]
+        rows = [fake_row("?", "noise_off", 5.0, sinsjax="0+source"), fake_row("?", "noise_64", 6.0)]
         told_lines = "\n".join(json.dumps(row) for row in rows)
         return subprocess.CompletedProcess(command, 0, told_lines)
 
@@ -503,7 +513,7 @@ def test_every_measuring_script_is_registered_as_set():
 
 
 def test_targets_are_judged_from_history_rows(tmp_path):
-    (machine,) = written(tmp_path, history())
+    (machine,) = write_history(tmp_path, history_rows())
     found = {row.what: row for row in judged(machine)}
     reached = [row.reached for row in found.values()]
     assert reached == [True, True, True, False, True, True]
@@ -517,9 +527,9 @@ def test_targets_are_judged_from_history_rows(tmp_path):
 @pytest.mark.parametrize(("ratio", "reached"), [(0.99, True), (1.01, False)])
 def test_target_of_limit_ratio_depends_on_instruction_set(tmp_path, ratio, reached):
     more = {"ratio": ratio, "ratio_spread": 0.01, "ratios": [ratio] * 7, "avx512": False}
-    rows = [told("pairs", name, 15.0, **more) for name in ("kalman_shared_record",)]
-    rows.append(told("pairs", "kalman_shared_covariance", 8.0, **more))  # has none for this set
-    (machine,) = written(tmp_path, rows)
+    rows = [fake_row("pairs", name, 15.0, **more) for name in ("kalman_shared_record",)]
+    rows.append(fake_row("pairs", "kalman_shared_covariance", 8.0, **more))  # has none for this set
+    (machine,) = write_history(tmp_path, rows)
     (record_row,) = judged(machine)
     assert (record_row.target, record_row.reached) == ("at most 1", reached)
 
@@ -527,7 +537,7 @@ def test_target_of_limit_ratio_depends_on_instruction_set(tmp_path, ratio, reach
 @pytest.mark.parametrize(("operations", "most"), [(3.4, "4.1"), (2.0, "3.6")])
 def test_derivative_target_is_larger_of_two_bounds(tmp_path, operations, most):
     more = {"ratio": 4.0, "ratio_spread": 0.1, "operations_ratio": operations}
-    (machine,) = written(tmp_path, [told("derivative", "derivative_p1", 57.0, **more)])
+    (machine,) = write_history(tmp_path, [fake_row("derivative", "derivative_p1", 57.0, **more)])
     (row,) = judged(machine)
     assert row.target == f"at most {most}"
     assert row.reached == (most == "4.1")
@@ -536,9 +546,9 @@ def test_derivative_target_is_larger_of_two_bounds(tmp_path, operations, most):
 @pytest.mark.parametrize(("ratio", "reached"), [(4.9, True), (5.1, False)])
 def test_target_of_tuning_gradient_is_its_counted_cost(tmp_path, ratio, reached):
     more = {"ratio": ratio, "ratio_spread": 0.1, "operations_ratio": 4.0, "counted": 5}
-    rows = [told("derivative", "tune_plain", 50.0)]
-    rows.append(told("derivative", "tune_gradient_p2", 250.0, **more))
-    machines = written(tmp_path / "history", rows)
+    rows = [fake_row("derivative", "tune_plain", 50.0)]
+    rows.append(fake_row("derivative", "tune_gradient_p2", 250.0, **more))
+    machines = write_history(tmp_path / "history", rows)
     (row,) = judged(machines[0])
     assert (row.target, row.reached) == ("at most 5, as its cost is counted", reached)
     page.write(tmp_path / "p.md", machines, "")
@@ -547,10 +557,10 @@ def test_target_of_tuning_gradient_is_its_counted_cost(tmp_path, ratio, reached)
 
 @pytest.mark.parametrize(("ns", "reached"), [(119.0, True), (121.0, False)])
 def test_target_of_drawn_base_motion_is_120_ns(tmp_path, ns, reached):
-    rows = [told("noise", "silent_2", 25.0), told("noise", "noise_2", 34.0)]
-    row = told("noise", "base_2", ns, ratio=8.0, ratio_spread=0.1, variants=2)
+    rows = [fake_row("noise", "silent_2", 25.0), fake_row("noise", "noise_2", 34.0)]
+    row = fake_row("noise", "base_2", ns, ratio=8.0, ratio_spread=0.1, variants=2)
     rows.append(row | noise.split([*rows, row]))
-    machines = written(tmp_path / "history", rows)
+    machines = write_history(tmp_path / "history", rows)
     (judgement,) = judged(machines[0])
     assert (judgement.target, judgement.reached) == ("at most 120 ns", reached)
     page.write(tmp_path / "p.md", machines, "")
@@ -572,9 +582,9 @@ def test_tuning_gradient_is_timed_next_to_plain_runs():
 @pytest.mark.parametrize(("ratio", "reached"), [(0.28, True), (0.29, False)])
 def test_target_of_time_per_operation_is_relative_to_kalman5(tmp_path, ratio, reached):
     beside = {"ratio": ratio, "ratio_spread": 0.02, "operations": 145.3, "operations_ratio": 0.228}
-    rows = [told("methods", "kalman", 46.0, operations=638.1)]
-    rows.append(told("methods", "compass", 10.0, **beside))
-    machines = written(tmp_path / "history", rows)
+    rows = [fake_row("methods", "kalman", 46.0, operations=638.1)]
+    rows.append(fake_row("methods", "compass", 10.0, **beside))
+    machines = write_history(tmp_path / "history", rows)
     (row,) = judged(machines[0])
     assert (row.what, row.target) == (
         "`compass`, time per operation, times that of `kalman5`",
@@ -591,7 +601,7 @@ def test_target_of_time_per_operation_is_relative_to_kalman5(tmp_path, ratio, re
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_operation_counts_of_methods_are_in_expected_ranges():
-    """XLA does the same operations at either level; LLVM, which comes after it, is not counted."""
+    """XLA counts the same operations at either level, before LLVM."""
     assert {*methods.OTHERS} == {*METHODS} - {"kalman5", "compass"}
     rows = {row["name"]: row for row in quick_rows(methods)}
     beside = {"kalman", "kalman_alone", "linearisation", "compass", "compass_tape"}
@@ -609,19 +619,19 @@ def test_operation_counts_of_methods_are_in_expected_ranges():
 def test_derivative_memory_must_not_grow_with_steps(tmp_path, double, reached):
     more = {"ratio": 4.0, "ratio_spread": 0.1, "operations_ratio": 5.0}
     more |= {"temp_bytes_half": 100e3, "temp_bytes": 101e3, "temp_bytes_double": double}
-    (machine,) = written(tmp_path, [told("derivative", "derivative_p4", 57.0, **more)])
+    (machine,) = write_history(tmp_path, [fake_row("derivative", "derivative_p4", 57.0, **more)])
     _, row = judged(machine)
     assert row.measured == f"100, 101, {double / 1e3:.0f} kB"
     assert row.reached == reached
 
 
 def test_cold_start_is_judged_and_listed_by_phase(tmp_path):
-    told_row = told("cold_start", "cold_start_first_result", 0.0, median_s=5.91, spread_s=0.2)
-    phase = told("cold_start", "cold_start_compile", 0.0, median_s=2.5, spread_s=0.1)
+    told_row = fake_row("cold_start", "cold_start_first_result", 0.0, median_s=5.91, spread_s=0.2)
+    phase = fake_row("cold_start", "cold_start_compile", 0.0, median_s=2.5, spread_s=0.1)
     for row in (told_row, phase):
         for key in ("ns_per_step_run", "compile_s"):
             del row[key]
-    machines = written(tmp_path / "history", [told_row, phase])
+    machines = write_history(tmp_path / "history", [told_row, phase])
     (row,) = judged(machines[0])
     assert (row.target, row.measured, row.reached) == ("under 4.5 s", "5.9 ± 0.2 s", False)
     page.write(tmp_path / "p.md", machines, "")
@@ -631,12 +641,14 @@ def test_cold_start_is_judged_and_listed_by_phase(tmp_path):
 @pytest.mark.parametrize(("more_s", "cpu_s", "reached"), [(2.9, 1.9, True), (3.1, 2.1, False)])
 def test_first_command_is_judged_beside_its_compiled_calls(tmp_path, more_s, cpu_s, reached):
     more = {"median_s": 13.9, "spread_s": 0.2, "calls_s": 10.0, "more_s": more_s}
-    first = told("first_command", "first_command", 0.0, **more)
-    report = told("first_command", "report_command", 0.0, median_s=2.0, spread_s=0.1, cpu_s=cpu_s)
+    first = fake_row("first_command", "first_command", 0.0, **more)
+    report = fake_row(
+        "first_command", "report_command", 0.0, median_s=2.0, spread_s=0.1, cpu_s=cpu_s
+    )
     for row in (first, report):
         for key in ("ns_per_step_run", "compile_s"):
             del row[key]
-    (machine,) = written(tmp_path, [first, report])
+    (machine,) = write_history(tmp_path, [first, report])
     assert [row.reached for row in judged(machine)] == [reached, reached]
 
 
@@ -647,7 +659,7 @@ def test_time_of_overlapping_calls_counts_once():
 
 
 def test_performance_page_shows_history_rows(tmp_path):
-    machines = written(tmp_path / "history", history("0.0.9", 1.3), history())
+    machines = write_history(tmp_path / "history", history_rows("0.0.9", 1.3), history_rows())
     page.write(tmp_path / "performance.md", machines, "float32: the reason.")
     text = (tmp_path / "performance.md").read_text()
     headings = re.findall("^## (.*)$", text, re.MULTILINE)
@@ -675,22 +687,24 @@ def test_performance_page_shows_history_rows(tmp_path):
 
 
 def test_page_omits_sections_without_measurements(tmp_path):
-    rows = [row for row in history() if row["set"] == "short"]
-    page.write(tmp_path / "p.md", written(tmp_path / "history", rows), "")
+    rows = [row for row in history_rows() if row["set"] == "short"]
+    page.write(tmp_path / "p.md", write_history(tmp_path / "history", rows), "")
     headings = re.findall("^## (.*)$", (tmp_path / "p.md").read_text(), re.MULTILINE)
     assert headings == ["Targets", "Beside the limit", "History"]
 
 
 def test_gpu_rows_get_page_section(tmp_path):
-    row = told("gpu", "gpu_silent_1000", 0.9, lanes=1000, runs_per_s=12345)
+    row = fake_row("gpu", "gpu_silent_1000", 0.9, lanes=1000, runs_per_s=12345)
     row |= {"platform": "gpu", "device": "NVIDIA H100"}
-    page.write(tmp_path / "p.md", written(tmp_path / "history", history(), [row]), "")
+    page.write(tmp_path / "p.md", write_history(tmp_path / "history", history_rows(), [row]), "")
     text = (tmp_path / "p.md").read_text()
     assert "## On a GPU" in text and "12,345" in text and "NVIDIA H100" in text
 
 
 def test_two_machines_share_one_figure(tmp_path):
-    machines = written(tmp_path / "history", history(), history(cpu="Other", avx512=False))
+    machines = write_history(
+        tmp_path / "history", history_rows(), history_rows(cpu="Other", avx512=False)
+    )
     page.write(tmp_path / "p.md", machines, "")
     text = (tmp_path / "p.md").read_text()
     assert text.count("**Runs a minute to expect") == 2

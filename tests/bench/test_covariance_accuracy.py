@@ -1,4 +1,4 @@
-"""What the script on covariance analysis makes of draws: its intervals and its verdicts."""
+"""Intervals and verdicts of the script on the accuracy of covariance analysis."""
 
 import sys
 from pathlib import Path
@@ -24,7 +24,7 @@ def test_bootstrap_interval_of_sigma_matches_normal_theory() -> None:
 
 @pytest.mark.parametrize(("share", "misses"), [(0.5, 0), (0.62, 0), (0.8, 2)])
 def test_share_counts_as_miss_if_interval_lies_beyond_tolerance(share: float, misses: int) -> None:
-    """Half of 64 draws of two variants are within, at the one time before the end and there."""
+    """Half of 64 draws of two variants are within, at one earlier time and at the end."""
     size = accuracy.QUICK._replace(draws=64, times_s=(1, 2))
     error = np.tile([0.0, 0.0, 50.0, 50.0], 32)
     names = ("phi_u_at_1_arcmin", "phi_u_arcmin")

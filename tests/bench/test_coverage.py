@@ -42,7 +42,7 @@ def test_intervals_of_paired_differences_reach_promised_coverage(draws):
 
 @pytest.mark.parametrize("law", measured.LAWS, ids=lambda law: law.name)
 def test_laws_have_the_numbers_that_they_state(law):
-    """Against integrals over the normal score."""
+    """Compared with integrals over the normal score."""
     mean, square = (
         stats.norm.expect(lambda x, p=p: float(law.value(np.array(x))) ** p, lb=-8, ub=8)
         for p in (1, 2)

@@ -1,4 +1,4 @@
-"""``benchmarks/soak.py`` on a command that takes no engine: it passes a sound one, and no other."""
+"""``benchmarks/soak.py`` on a fake command: a sound one passes, a faulty one fails."""
 
 import re
 import sys

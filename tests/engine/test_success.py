@@ -165,7 +165,9 @@ def test_success_rate_differences_are_paired() -> None:
     parts = [
         pa.table(common | {"case": [case] * 20} | own) for case, own in (("a", flags), ("b", other))
     ]
-    (row,) = analysis.compare(pa.concat_tables(parts), ["case"], {"case": "b"}).to_pylist()
+    (row,) = analysis.compare_with_baseline(
+        pa.concat_tables(parts), ["case"], {"case": "b"}
+    ).to_pylist()
     for name in ("floor", "truth"):
         pair = [np.array(own[f"ok_{name}"]) for own in (flags, other)]
         expected = analysis.proportion_difference(*pair)

@@ -14,13 +14,13 @@ from scipy.spatial.transform import Rotation
 from support.stored_results import report_text
 from support.studies import BASE, PAPER, small_study, with_paper_values
 
-from sinsjax.cli.study import describe_plan
+from sinsjax.cli.running import describe_plan
 from sinsjax.engine import build
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import checks, prepare, run
 from sinsjax.execution.checks import describe_process_noise, study_warnings
 from sinsjax.execution.directory import read_manifest
-from sinsjax.platform.assets import asset
+from sinsjax.platform.assets import asset_path
 from sinsjax.records import Layout, Record, Reference, means, write_csv
 from sinsjax.records.plausibility import Finding, StationaryValues, check_stationary
 from sinsjax.records.quaternions import integrate_attitudes
@@ -453,7 +453,7 @@ def test_feedback_is_compared_with_settling_level_over_whole_sweep() -> None:
 
 
 def test_validate_compares_filter_with_sensors_and_feedback() -> None:
-    lines = describe_plan(asset("configs/reset_sweep.toml"), None)
+    lines = describe_plan(asset_path("configs/reset_sweep.toml"), None)
     assert "The filter assumes 100 times the sensors' noise, in standard deviation." in lines
     assert (
         "The filter feeds back every 1 s; its level settles in 0.89 s (to a tenth of its initial"

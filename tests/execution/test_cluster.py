@@ -379,7 +379,7 @@ def test_workers_with_differing_instruction_sets_are_refused(
 ) -> None:
     start_command("worker", scheduler, "--nthreads", "1")
     with cluster.executor(scheduler=scheduler) as executor:
-        assert executor.facts["instructions"] == xla.instructions()
+        assert executor.facts["instructions"] == xla.instruction_set()
     start_command("worker", scheduler, "--nthreads", "1", XLA_FLAGS="--xla_cpu_max_isa=SSE4_2")
     with distributed.Client(scheduler, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)

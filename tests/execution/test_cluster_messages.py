@@ -22,7 +22,7 @@ import tomli_w
 from support.stored_results import write_manifest
 from support.studies import add_true_reference, small_study, small_tables
 
-from sinsjax.cli import study as studies
+from sinsjax.cli import running
 from sinsjax.engine.build import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import cluster, run
@@ -109,7 +109,7 @@ def test_workers_give_same_files_and_read_job_once(
             "workers": 2,
             "threads": 2,
             "scheduler": scheduler,
-            "instructions": xla.instructions(),
+            "instructions": xla.instruction_set(),
         }
         for encoded in executor.run_tasks(runner, offered()):
             found[encoded.task.name] = encoded
@@ -309,12 +309,12 @@ def test_lost_scheduler_is_reported() -> None:
         ),
         (
             {"jaxlib": "0.1"},
-            f"the worker has jaxlib {runtime.versions()['jaxlib']}, not 0.1: rows could differ"
-            " (install the same version on every worker)",
+            f"the worker has jaxlib {runtime.relevant_versions()['jaxlib']}, not 0.1: rows could"
+            " differ (install the same version on every worker)",
         ),
         (
             {"instruction set": "VAX"},
-            f"the worker has instruction set {xla.instructions()}, not VAX: rows could differ"
+            f"the worker has instruction set {xla.instruction_set()}, not VAX: rows could differ"
             " (start all workers with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one)",
         ),
     ],
@@ -345,14 +345,14 @@ def test_worker_is_pinned_and_configured_before_it_builds_job(
     worker = SimpleNamespace(address="tcp://far:1", state=SimpleNamespace(nthreads=threads))
     monkeypatch.setattr("distributed.get_worker", lambda: worker)
     monkeypatch.setattr("distributed.Variable.get", lambda *_, **__: pickle.dumps(job))
-    monkeypatch.setattr(affinity, "keep_to_one_core", lambda: steps.append("pin"))
+    monkeypatch.setattr(affinity, "pin_to_free_core", lambda: steps.append("pin"))
     monkeypatch.setattr(runtime, "configure", lambda devices: steps.append(f"{devices} device"))
 
     def build(runner: TaskRunner, built: Job) -> None:
         steps.append(built.identity)
 
     monkeypatch.setattr(TaskRunner, "__init__", build)
-    cluster._make_runner("job", {"instruction set": xla.instructions()})
+    cluster._make_runner("job", {"instruction set": xla.instruction_set()})
     assert steps == [*(["pin"] if pinned else []), "1 device", job.identity]
 
 
@@ -384,12 +384,12 @@ def test_forecast_counts_worker_threads_and_remaining_runs(
     out.mkdir()
     write_manifest(out, study, runs_done=runs - 1)
     executor = Executor(lambda runner, tasks: iter(()), {"threads": 24})
-    monkeypatch.setattr(studies, "_executor", lambda *_: nullcontext(executor))
+    monkeypatch.setattr(running, "_open_executor", lambda *_: nullcontext(executor))
     monkeypatch.setattr(run, "run_job", lambda *_, **__: None)
-    monkeypatch.setattr("sinsjax.report.summarise", lambda *_, **__: None)
+    monkeypatch.setattr("sinsjax.report.print_reports", lambda *_, **__: None)
     options: dict[str, Any] = {"overwrite": False, "devices": None, "resume": True}
-    options["every_curve"] = False
+    options["keep_curves"] = False
     for where, on in (((None, "tcp://head:8786"), "24 worker threads"), ((1, None), "1 core")):
-        studies.run_study(config, str(out), cluster=where, **options)
+        running.run_study(config, str(out), workers_and_scheduler=where, **options)
         (line,) = capsys.readouterr().out.splitlines()
         assert f", 1 left: roughly 1 s on {on}, " in line

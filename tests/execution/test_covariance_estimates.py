@@ -365,7 +365,7 @@ def test_report_of_estimates_handles_any_axes(
     study_run.run_into(make_study(axes=axes, resets=resets, study=study), tmp_path)
     said = report_text(tmp_path)
     assert "Every variant" in said and "by covariance analysis" in said
-    assert columns.settle_estimates(10.0)[0].name in read_estimates(tmp_path).column_names
+    assert columns.settle_estimate_columns(10.0)[0].name in read_estimates(tmp_path).column_names
 
 
 def test_run_and_estimate_refuse_study_of_other_kind() -> None:

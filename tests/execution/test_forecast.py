@@ -38,8 +38,8 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return a function that sets the free disk space and the memory."""
 
     def has(free: float = math.inf, memory: float = math.inf) -> None:
-        monkeypatch.setattr(machine, "free_bytes", lambda folder: float(free))
-        monkeypatch.setattr(machine, "memory_bytes", lambda: memory)
+        monkeypatch.setattr(machine, "free_disk_bytes", lambda folder: float(free))
+        monkeypatch.setattr(machine, "available_memory_bytes", lambda: memory)
 
     return has
 
@@ -221,9 +221,9 @@ def test_compass_runs_are_forecast_faster_than_filter_runs():
 
 
 def test_machine_reports_memory_and_free_disk_space(tmp_path: Path):
-    assert 1e8 < machine.memory_bytes()
-    assert machine.free_bytes(tmp_path / "not" / "yet") == pytest.approx(
-        machine.free_bytes(tmp_path), rel=0.1
+    assert 1e8 < machine.available_memory_bytes()
+    assert machine.free_disk_bytes(tmp_path / "not" / "yet") == pytest.approx(
+        machine.free_disk_bytes(tmp_path), rel=0.1
     )
 
 

@@ -12,7 +12,7 @@ from sinsjax.execution import run
 from sinsjax.execution.source import Source
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.records.reference import StoredRecord
-from sinsjax.report.attitudes import innovations
+from sinsjax.report.attitude import describe_innovations
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
@@ -85,7 +85,7 @@ def test_only_nis_above_band_is_reported_as_contradiction(
     tmp_path: Any, mean: list[float], says: str, not_says: str
 ) -> None:
     table = pa.table({"innovation_nis": mean, "innovation_freedom": [2000.0, 2000.0]})
-    text = innovations(Source(tmp_path, recorded(), "x.toml", table))
+    text = describe_innovations(Source(tmp_path, recorded(), "x.toml", table))
     assert says in text and not_says not in text
 
 
@@ -93,11 +93,11 @@ def test_nis_band_holds_95_percent_of_chi_square(tmp_path: Any) -> None:
     """Of sums of squares of 200 normal numbers, 95 % lie inside; to three digits of 1e5 sums."""
     sums = (np.random.default_rng(0).normal(size=(20_000, 200)) ** 2).sum(1) / 100
     table = pa.table({"innovation_nis": sums, "innovation_freedom": np.full(20_000, 200.0)})
-    text = innovations(Source(tmp_path, recorded(), "x.toml", table))
+    text = describe_innovations(Source(tmp_path, recorded(), "x.toml", table))
     above, below = (int(text.split(" lie ")[i].split()[-1].replace(",", "")) for i in (0, 1))
     assert above == pytest.approx(500, abs=90) and below == pytest.approx(500, abs=90)
 
 
 def test_results_without_innovations_are_reported(tmp_path: Any) -> None:
     source = Source(tmp_path, recorded(), "x.toml", pa.table({"run_id": [0]}))
-    assert innovations(source) == "Innovations: none are recorded."
+    assert describe_innovations(source) == "Innovations: none are recorded."

@@ -36,7 +36,7 @@ def plain() -> tuple[Console, io.StringIO]:
 
 def test_plain_progress_prints_every_tenth_with_pace_and_failures(clock: Clock) -> None:
     screen, file = plain()
-    with progress.progress(screen, "swing") as tell:
+    with progress.show_progress(screen, "swing") as tell:
         tell(RunProgress(0, 20_000, 0, 0))
         for done in range(100, 20_001, 100):
             clock.now += 0.1
@@ -54,7 +54,7 @@ def test_plain_progress_prints_every_tenth_with_pace_and_failures(clock: Clock) 
 
 def test_plain_progress_prints_every_ten_seconds_if_slow(clock: Clock) -> None:
     screen, file = plain()
-    with progress.progress(screen, "swing") as tell:
+    with progress.show_progress(screen, "swing") as tell:
         tell(RunProgress(0, 1_000_000, 0, 0))
         for i in range(1, 61):
             clock.now += 1.0
@@ -67,7 +67,7 @@ def test_plain_progress_prints_every_ten_seconds_if_slow(clock: Clock) -> None:
 def test_pace_is_printed_only_once_measured(clock: Clock) -> None:
     """The threads end their first chunks at almost the same time."""
     screen, file = plain()
-    with progress.progress(screen, "swing") as tell:
+    with progress.show_progress(screen, "swing") as tell:
         for later, done in ((5.0, 448), (0.001, 896), (1.2, 1792)):
             clock.now += later
             tell(RunProgress(done, 7168, 0, 0))
@@ -80,21 +80,21 @@ def test_pace_is_printed_only_once_measured(clock: Clock) -> None:
 
 def test_stored_runs_are_reported_and_excluded_from_pace(clock: Clock) -> None:
     screen, file = plain()
-    with progress.progress(screen, "swing") as tell:
+    with progress.show_progress(screen, "swing") as tell:
         tell(RunProgress(900, 1000, 0, 900))
         clock.now += 5.0
         tell(RunProgress(950, 1000, 0, 900))
         clock.now += 5.0
         tell(RunProgress(1000, 1000, 2, 900))
     assert file.getvalue().splitlines() == [
-        "swing: 900 of 1,000 runs already there",
+        "swing: 900 of 1,000 runs already done",
         "swing: 1,000 of 1,000 runs, 10 runs/s, 0:00 left, 2 failed",
     ]
 
 
 def test_progress_names_its_unit(clock: Clock) -> None:
     screen, file = plain()
-    with progress.progress(screen, "swing") as tell:
+    with progress.show_progress(screen, "swing") as tell:
         tell(RunProgress(0, 20, 0, 0, "estimates"))
         for done in (10, 15, 20):
             clock.now += 1.0
@@ -108,15 +108,15 @@ def test_progress_names_its_unit(clock: Clock) -> None:
 
 def test_complete_study_prints_one_progress_line(clock: Clock) -> None:
     screen, file = plain()
-    with progress.progress(screen, "swing") as tell:
+    with progress.show_progress(screen, "swing") as tell:
         tell(RunProgress(1000, 1000, 0, 1000))
-    assert file.getvalue() == "swing: 1,000 of 1,000 runs already there\n"
+    assert file.getvalue() == "swing: 1,000 of 1,000 runs already done\n"
 
 
 def test_terminal_shows_progress_bar_with_pace_and_failures(clock: Clock) -> None:
     file = io.StringIO()
     screen = Console(file=file, force_terminal=True, width=120)
-    with progress.progress(screen, "swing [tune]") as tell:
+    with progress.show_progress(screen, "swing [tune]") as tell:
         tell(RunProgress(0, 1000, 0, 0))
         clock.now += 4.0
         tell(RunProgress(250, 1000, 1, 0))
@@ -144,7 +144,7 @@ def test_first_signal_requests_stop_and_second_exits(
     screen, file = plain()
     ended: list[int] = []
     monkeypatch.setattr(progress.os, "_exit", ended.append)
-    with progress.interruptible(screen) as stop:
+    with progress.stop_on_signal(screen) as stop:
         assert not stop.is_set()
         os.kill(os.getpid(), number)
         assert stop.wait(60)
@@ -174,11 +174,11 @@ def test_signal_during_console_write_is_safe(handlers: None) -> None:
             return super().write(text)
 
     screen = Console(file=Busy(), width=200)
-    with progress.interruptible(screen) as stop:
+    with progress.stop_on_signal(screen) as stop:
         screen.print("the first line")
         assert stop.is_set()
 
 
 def test_signal_handlers_are_restored_after_error(handlers: None) -> None:
-    with pytest.raises(ZeroDivisionError), progress.interruptible(plain()[0]):
+    with pytest.raises(ZeroDivisionError), progress.stop_on_signal(plain()[0]):
         raise ZeroDivisionError

@@ -64,8 +64,8 @@ def test_resume_with_other_package_version_is_refused(
     study, out = small_study(), tmp_path / "out"
     run.run_into(study, out)
     before = (out / "manifest.json").read_bytes()
-    other = runtime.versions() | {name: "0.0"}
-    monkeypatch.setattr(runtime, "versions", lambda: other)
+    other = runtime.relevant_versions() | {name: "0.0"}
+    monkeypatch.setattr(runtime, "relevant_versions", lambda: other)
     with pytest.raises(InputError, match=f"out: was computed with {name} .*, but here is 0.0"):
         run.run_into(study, out, resume=True)
     assert (out / "manifest.json").read_bytes() == before
@@ -76,10 +76,10 @@ def test_resume_with_other_version_of_method_package_is_refused(
 ) -> None:
     """Only where the study has that method; one that is not there is named where they are read."""
     study, out = small_study(), tmp_path / "out"
-    here = runtime.versions()
-    monkeypatch.setattr(runtime, "versions", lambda: here | {"bringing": "1.0"})
+    here = runtime.relevant_versions()
+    monkeypatch.setattr(runtime, "relevant_versions", lambda: here | {"bringing": "1.0"})
     run.run_into(study, out)
-    monkeypatch.setattr(runtime, "versions", lambda: here | {"bringing": "1.1"})
+    monkeypatch.setattr(runtime, "relevant_versions", lambda: here | {"bringing": "1.1"})
     run.run_into(study, out, resume=True)
     monkeypatch.setitem(methods.PACKAGES, "kalman5", ("bringing", "1.1"))
     with pytest.raises(InputError, match=r"computed with bringing 1\.0, but here is 1\.1 \("):
@@ -111,7 +111,7 @@ def test_resume_with_other_instruction_set_is_refused(tmp_path: Path) -> None:
     manifest = read_manifest(out)
     assert manifest["instructions"] == manifest["sessions"][0]["instructions"] == "SSE4_2"
     before = (out / "manifest.json").read_bytes()
-    here = xla.instructions()
+    here = xla.instruction_set()
     told = f"out: was computed with instruction set SSE4_2, but here is {here} .use.*max_isa=SSE4_2"
     with pytest.raises(InputError, match=told):
         run.run_into(study, out, resume=True)
@@ -130,4 +130,4 @@ def test_resume_of_manifest_without_instruction_set_is_accepted(tmp_path: Path) 
     del sessions[0]["instructions"]
     rewrite_manifest(out, sessions=sessions)
     run.run_into(study, out, resume=True)
-    assert read_manifest(out)["sessions"][1]["instructions"] == xla.instructions()
+    assert read_manifest(out)["sessions"][1]["instructions"] == xla.instruction_set()

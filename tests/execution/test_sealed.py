@@ -61,24 +61,24 @@ def test_nothing_is_read_through_links_or_pipes(tmp_path) -> None:
     file.write_bytes(b"content")
     link.symlink_to(file)
     os.mkfifo(pipe)
-    assert files.read_regular(file) == b"content"
+    assert files.read_regular_file(file) == b"content"
     for path, why in (
         (link, "is a symbolic link"),
         (pipe, "is no(t a)? regular file"),
         (tmp_path, ""),
     ):
         with pytest.raises(InputError, match=f"{path.name}: {why}"):
-            files.read_regular(path)
+            files.read_regular_file(path)
     with pytest.raises(FileNotFoundError):
-        files.read_regular(tmp_path / "nothing")
+        files.read_regular_file(tmp_path / "nothing")
 
 
 def test_file_larger_than_limit_is_refused(tmp_path, monkeypatch) -> None:
     path = tmp_path / "large"
     path.write_bytes(b"12345")
-    monkeypatch.setattr(files, "MOST_BYTES", 4)
+    monkeypatch.setattr(files, "MAX_BYTES", 4)
     with pytest.raises(InputError, match="large: is larger than"):
-        files.read_regular(path)
+        files.read_regular_file(path)
 
 
 def test_writing_follows_no_link(tmp_path) -> None:
@@ -86,7 +86,7 @@ def test_writing_follows_no_link(tmp_path) -> None:
     victim.write_bytes(b"precious")
     target.symlink_to(victim)
     (tmp_path / f".study.toml.{os.getpid()}.tmp").symlink_to(victim)
-    with files.replacing(target) as file:
+    with files.atomic_write(target) as file:
         file.write(b"new")
     assert victim.read_bytes() == b"precious"
     assert target.read_bytes() == b"new" and not target.is_symlink()

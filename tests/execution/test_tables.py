@@ -148,7 +148,7 @@ def test_key_columns_carry_unit_and_meaning() -> None:
         },
     }
     study = study_from_dict(with_paper_values(BASE | {"sensors": {}, "earth": {}} | sweep))
-    told = columns.schema(tables.TableBuilder(study).summary_columns)
+    told = columns.arrow_schema(tables.TableBuilder(study).summary_columns)
     for key, (unit, text) in SAID.items():
         assert told.field(key).metadata == {b"unit": unit.encode(), b"meaning": text.encode()}
 
@@ -465,5 +465,5 @@ def test_part_is_hashed_once_per_process(stored: Path, monkeypatch: pytest.Monke
     for path in stored.rglob("*.*"):
         os.utime(path, (1e9, 1e9))
     assert read_summary(stored)
-    monkeypatch.setattr(results, "read_regular", lambda _: pytest.fail("read again"))
+    monkeypatch.setattr(results, "read_regular_file", lambda _: pytest.fail("read again"))
     assert read_summary(stored) and count_runs(stored) == 4

@@ -56,7 +56,7 @@ def _empty_table(layout: tuple[columns.Column, ...], runs: list[int]) -> pa.Tabl
     arrays = [
         pa.array(runs) if c.name == "run_id" else pa.nulls(len(runs), c.dtype) for c in layout
     ]
-    return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
+    return pa.Table.from_arrays(arrays, schema=columns.arrow_schema(layout))
 
 
 def _manifest_entries() -> dict[str, Any]:
@@ -68,7 +68,7 @@ def _manifest_entries() -> dict[str, Any]:
         "seconds": 0.1,
         "files": entries,
     }
-    session = runtime.session() | {"started_unix_s": 1.7e9, "wall_s": 1.0}
+    session = runtime.describe_environment() | {"started_unix_s": 1.7e9, "wall_s": 1.0}
     return {
         "schema": columns.SCHEMA_VERSION,
         "state": "complete",

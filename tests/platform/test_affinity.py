@@ -1,4 +1,4 @@
-"""One process, one core: real processes, which hold real locks."""
+"""One core per process: real processes with real locks."""
 
 import os
 import subprocess
@@ -24,7 +24,7 @@ if {bare}:  # the module alone, without jax: quicker
     package.__path__ = [{path!r}]
     sys.modules["sinsjax"] = package
     from sinsjax.platform import affinity
-    affinity.apply()
+    affinity.pin_if_requested()
 else:
     import jax, sinsjax
     sinsjax.configure()
@@ -39,8 +39,8 @@ Start = Callable[..., tuple[str, subprocess.Popen]]
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Start]:
-    """Starts a process that tells the cores of its threads, and stays; they end with the test."""
+def start_pinned_process(tmp_path: Path) -> Iterator[Start]:
+    """Start processes that print the cores of their threads and stay until the test ends."""
     started: list[subprocess.Popen] = []
 
     def begin(asked: str = "1", bare: bool = True) -> tuple[str, subprocess.Popen]:
@@ -66,38 +66,40 @@ def start(tmp_path: Path) -> Iterator[Start]:
         process.communicate("\n", timeout=60)
 
 
-def test_each_process_holds_separate_core_until_it_ends(start: Start) -> None:
-    first, process = start()
+def test_each_process_holds_separate_core_until_it_ends(start_pinned_process: Start) -> None:
+    first, process = start_pinned_process()
     assert first == f"[{CORES[0]}]"
-    others = [start()[0] for _ in CORES[1:]]
+    others = [start_pinned_process()[0] for _ in CORES[1:]]
     assert others == [f"[{core}]" for core in CORES[1:]]
     # There is none left: a process more may run on all.
-    assert start()[0] == str(CORES)
+    assert start_pinned_process()[0] == str(CORES)
     process.kill()
     process.wait()
-    assert start()[0] == first
+    assert start_pinned_process()[0] == first
 
 
-def test_configure_pins_process_before_jax_starts_threads(start: Start) -> None:
-    assert start(bare=False)[0] == f"[{CORES[0]}]"
+def test_configure_pins_process_before_jax_starts_threads(start_pinned_process: Start) -> None:
+    assert start_pinned_process(bare=False)[0] == f"[{CORES[0]}]"
 
 
-def test_affinity_is_unchanged_unless_requested(start: Start) -> None:
-    assert start(asked="0")[0] == str(CORES)
+def test_affinity_is_unchanged_unless_requested(start_pinned_process: Start) -> None:
+    assert start_pinned_process(asked="0")[0] == str(CORES)
 
 
-def test_world_writable_lock_folder_is_not_used(start: Start, tmp_path: Path) -> None:
+def test_world_writable_lock_folder_is_not_used(
+    start_pinned_process: Start, tmp_path: Path
+) -> None:
     folder = tmp_path / f"sinsjax-{os.getuid()}"
     folder.mkdir()
     folder.chmod(0o777)
-    assert start()[0] == str(CORES)
+    assert start_pinned_process()[0] == str(CORES)
     assert not list(folder.iterdir())
 
 
 def test_threads_started_during_pinning_are_pinned_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By one that has not its core yet, they have not theirs."""
+    """A thread that is not pinned yet may start another one meanwhile."""
     seen, kept = iter([{1, 2}, {1, 2, 3}, {1, 3, 4}, {1, 3, 4}]), list[int]()
-    monkeypatch.setattr(affinity, "_threads", lambda: next(seen))
+    monkeypatch.setattr(affinity, "_thread_ids", lambda: next(seen))
     monkeypatch.setattr(os, "sched_setaffinity", lambda thread, cores: kept.append(thread))
-    affinity._keep_to(0)
+    affinity._pin_all_threads(0)
     assert sorted(kept) == [1, 2, 3, 4]

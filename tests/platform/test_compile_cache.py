@@ -20,11 +20,11 @@ KEYS = (
 
 
 @pytest.fixture
-def unchanged(monkeypatch, tmp_path):
-    """What a test sets is undone; the user's cache folder is its own."""
+def restored_settings(monkeypatch, tmp_path):
+    """Undo the settings of a test, and use a separate cache folder."""
     before = {key: jax.config.values[key] for key in KEYS}
     jax.config.update("jax_compilation_cache_dir", None)
-    monkeypatch.setattr(machine, "cache_folder", lambda: tmp_path / "sinsjax")
+    monkeypatch.setattr(machine, "user_cache_folder", lambda: tmp_path / "sinsjax")
     for variable in (compile_cache.VARIABLE, compile_cache._SIZE):
         monkeypatch.delenv(variable, raising=False)
     yield monkeypatch
@@ -32,43 +32,43 @@ def unchanged(monkeypatch, tmp_path):
         jax.config.update(key, value)
 
 
-def test_cache_is_off_when_variable_is_zero(unchanged, tmp_path):
-    unchanged.setenv(compile_cache.VARIABLE, "0")
-    assert compile_cache.enable() is None
-    assert compile_cache.why_off() == "SINSJAX_COMPILE_CACHE=0"
+def test_cache_is_off_when_variable_is_zero(restored_settings, tmp_path):
+    restored_settings.setenv(compile_cache.VARIABLE, "0")
+    assert compile_cache.enable_cache() is None
+    assert compile_cache.reason_off() == "SINSJAX_COMPILE_CACHE=0"
     assert jax.config.values["jax_compilation_cache_dir"] is None
     assert not list(tmp_path.iterdir())
 
 
-def test_size_limit_of_jax_takes_precedence(unchanged, tmp_path):
-    unchanged.setenv(compile_cache._SIZE, "-1")
-    unchanged.setenv(compile_cache.VARIABLE, "1")
+def test_size_limit_of_jax_takes_precedence(restored_settings, tmp_path):
+    restored_settings.setenv(compile_cache._SIZE, "-1")
+    restored_settings.setenv(compile_cache.VARIABLE, "1")
     before = jax.config.values["jax_compilation_cache_max_size"]
-    assert compile_cache.enable()
+    assert compile_cache.enable_cache()
     assert jax.config.values["jax_compilation_cache_max_size"] == before
 
 
 @pytest.mark.parametrize("asked", ["", " "])
-def test_cache_is_on_by_default_with_bounded_size(unchanged, tmp_path, asked):
-    unchanged.setenv(compile_cache.VARIABLE, asked)
-    unchanged.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
-    here = compile_cache.enable()
+def test_cache_is_on_by_default_with_bounded_size(restored_settings, tmp_path, asked):
+    restored_settings.setenv(compile_cache.VARIABLE, asked)
+    restored_settings.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
+    here = compile_cache.enable_cache()
     assert here.parent == tmp_path / "sinsjax" / "compiled"
-    assert jax.config.values["jax_compilation_cache_max_size"] == compile_cache.MOST_BYTES
+    assert jax.config.values["jax_compilation_cache_max_size"] == compile_cache.MAX_BYTES
 
 
-def test_cache_is_off_by_default_with_untested_jaxlib(unchanged, tmp_path):
-    unchanged.setattr(compile_cache, "SAFE_JAXLIB", frozenset())
-    assert compile_cache.enable() is None
-    assert compile_cache.why_off().startswith("not tested with jaxlib")
-    unchanged.setenv(compile_cache.VARIABLE, "1")
-    assert compile_cache.enable().is_relative_to(tmp_path)
+def test_cache_is_off_by_default_with_untested_jaxlib(restored_settings, tmp_path):
+    restored_settings.setattr(compile_cache, "SAFE_JAXLIB", frozenset())
+    assert compile_cache.enable_cache() is None
+    assert compile_cache.reason_off().startswith("not tested with jaxlib")
+    restored_settings.setenv(compile_cache.VARIABLE, "1")
+    assert compile_cache.enable_cache().is_relative_to(tmp_path)
 
 
-def test_existing_jax_cache_folder_is_kept_by_default(unchanged, tmp_path):
+def test_existing_jax_cache_folder_is_kept_by_default(restored_settings, tmp_path):
     jax.config.update("jax_compilation_cache_dir", str(tmp_path / "users"))
-    assert compile_cache.enable() is None
-    assert compile_cache.why_off() == "JAX already has a compilation cache"
+    assert compile_cache.enable_cache() is None
+    assert compile_cache.reason_off() == "JAX already has a compilation cache"
     assert jax.config.values["jax_compilation_cache_dir"] == str(tmp_path / "users")
 
 
@@ -82,49 +82,53 @@ def test_existing_jax_cache_folder_is_kept_by_default(unchanged, tmp_path):
         (lambda home: (home / "sinsjax").write_text(""), "Not a directory"),
     ],
 )
-def test_unusable_default_folder_turns_cache_off(unchanged, tmp_path, spoil, told):
-    unchanged.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
+def test_unusable_default_folder_turns_cache_off(restored_settings, tmp_path, spoil, told):
+    restored_settings.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
     spoil(tmp_path)
-    assert compile_cache.enable() is None
-    assert compile_cache.why_off().endswith(told)
+    assert compile_cache.enable_cache() is None
+    assert compile_cache.reason_off().endswith(told)
     assert jax.config.values["jax_compilation_cache_dir"] is None
 
 
-def test_cache_folder_is_private_and_separate_per_jaxlib_and_cpu(unchanged, tmp_path):
-    unchanged.setenv(compile_cache.VARIABLE, "1")
-    here = compile_cache.enable()
+def test_cache_folder_is_private_and_separate_per_jaxlib_and_cpu(restored_settings, tmp_path):
+    restored_settings.setenv(compile_cache.VARIABLE, "1")
+    here = compile_cache.enable_cache()
     assert str(here) == jax.config.values["jax_compilation_cache_dir"]
     assert here.parent == tmp_path / "sinsjax" / "compiled"
     assert all(place.stat().st_mode & 0o077 == 0 for place in (here, here.parent))
-    unchanged.setattr(machine, "cpu", lambda: {"model name": "another", "flags": "avx2"})
-    other_cpu = compile_cache.enable()
-    unchanged.setattr(machine, "cpu", lambda: {"model name": "another", "flags": "avx512f"})
-    other_features = compile_cache.enable()
-    unchanged.setattr(compile_cache.importlib.metadata, "version", lambda _: "99.0")
-    other_jaxlib = compile_cache.enable()
+    restored_settings.setattr(
+        machine, "cpu_info", lambda: {"model name": "another", "flags": "avx2"}
+    )
+    other_cpu = compile_cache.enable_cache()
+    restored_settings.setattr(
+        machine, "cpu_info", lambda: {"model name": "another", "flags": "avx512f"}
+    )
+    other_features = compile_cache.enable_cache()
+    restored_settings.setattr(compile_cache.importlib.metadata, "version", lambda _: "99.0")
+    other_jaxlib = compile_cache.enable_cache()
     assert len({here, other_cpu, other_features, other_jaxlib}) == 4
     assert here.parent == other_cpu.parent == other_jaxlib.parent
 
 
-def test_cache_folder_writable_by_others_is_refused(unchanged, tmp_path):
-    unchanged.setenv(compile_cache.VARIABLE, str(tmp_path / "mine"))
-    folder = compile_cache.enable()
+def test_cache_folder_writable_by_others_is_refused(restored_settings, tmp_path):
+    restored_settings.setenv(compile_cache.VARIABLE, str(tmp_path / "mine"))
+    folder = compile_cache.enable_cache()
     folder.chmod(0o707)
     with pytest.raises(InputError, match="other users can write there"):
-        compile_cache.enable()
+        compile_cache.enable_cache()
 
 
-def test_parent_folder_writable_by_others_is_refused(unchanged, tmp_path):
-    """They rename the leaf as soon as it is there, and put their own in its place."""
+def test_parent_folder_writable_by_others_is_refused(restored_settings, tmp_path):
+    """Another user renames the leaf as soon as it exists, and puts a folder in its place."""
     (tmp_path / "theirs").mkdir()
     (tmp_path / "theirs").chmod(0o777)
-    unchanged.setenv(compile_cache.VARIABLE, str(tmp_path / "theirs" / "leaf"))
+    restored_settings.setenv(compile_cache.VARIABLE, str(tmp_path / "theirs" / "leaf"))
     told = (
         "^SINSJAX_COMPILE_CACHE: .*/theirs: other users can write there,"
         " and cached programs are executed$"
     )
     with pytest.raises(InputError, match=told):
-        compile_cache.enable()
+        compile_cache.enable_cache()
     assert not list((tmp_path / "theirs").iterdir())
     assert jax.config.values["jax_compilation_cache_dir"] is None
 
@@ -138,18 +142,20 @@ def test_parent_folder_writable_by_others_is_refused(unchanged, tmp_path):
         ("~nosuchuser/x", "~nosuchuser/x: no such user"),
     ],
 )
-def test_cache_folder_that_cannot_be_created_raises_input_error(unchanged, tmp_path, asked, told):
+def test_cache_folder_that_cannot_be_created_raises_input_error(
+    restored_settings, tmp_path, asked, told
+):
     (tmp_path / "file").write_text("")
     (tmp_path / "loop").symlink_to("loop")
-    unchanged.setenv(compile_cache.VARIABLE, asked.format(tmp_path))
+    restored_settings.setenv(compile_cache.VARIABLE, asked.format(tmp_path))
     with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: {told}"):
-        compile_cache.enable()
+        compile_cache.enable_cache()
 
 
 SCRIPT = """
 import jax, jax.numpy as jnp, sinsjax
 from sinsjax.platform import compile_cache
-compile_cache._WORTH_KEEPING_S = 0
+compile_cache._MIN_COMPILE_S = 0
 sinsjax.configure(devices=1)
 hits = []
 jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))
@@ -177,7 +183,7 @@ def result(process: subprocess.Popen) -> tuple[str, bool, str]:
 
 
 @pytest.fixture(scope="module")
-def first(tmp_path_factory):
+def first_process(tmp_path_factory):
     """A cache that a process has filled, a copy of it, and the bits of its result."""
     folder = tmp_path_factory.mktemp("first")
     bits, found, errors = result(start(folder / "cache"))
@@ -187,24 +193,24 @@ def first(tmp_path_factory):
 
 
 @pytest.fixture
-def filled(first):
-    """That cache as it was, where it was, for JAX takes none that was moved; with the bits."""
-    folder, bits = first
+def filled_cache(first_process):
+    """The unchanged cache in its first place, since JAX rejects a moved one; with the bits."""
+    folder, bits = first_process
     shutil.rmtree(folder / "cache")
     shutil.copytree(folder / "copy", folder / "cache")
     (inner,) = (folder / "cache").glob("jaxlib-*")
     return folder / "cache", inner, bits
 
 
-def test_second_process_reuses_compiled_programs_of_first(filled):
-    """And gives the same bits."""
-    folder, _, bits = filled
+def test_second_process_reuses_compiled_programs_of_first(filled_cache):
+    """The result is bit-equal."""
+    folder, _, bits = filled_cache
     assert result(start(folder)) == (bits, True, "")
 
 
 @pytest.mark.parametrize("length", [100, 0])
-def test_truncated_cache_entry_is_recompiled_with_warning(filled, length):
-    folder, inner, bits = filled
+def test_truncated_cache_entry_is_recompiled_with_warning(filled_cache, length):
+    folder, inner, bits = filled_cache
     for entry in inner.glob("*-cache"):
         entry.write_bytes(entry.read_bytes()[:length])
     *found, errors = result(start(folder))
@@ -212,9 +218,9 @@ def test_truncated_cache_entry_is_recompiled_with_warning(filled, length):
     assert "UserWarning: Error reading persistent compilation cache entry" in errors
 
 
-def test_entry_of_interrupted_write_is_replaced(filled):
-    """It has no access time, and would stop all later writing."""
-    folder, inner, bits = filled
+def test_entry_of_interrupted_write_is_replaced(filled_cache):
+    """An entry without access time would stop all later writing."""
+    folder, inner, bits = filled_cache
     for entry in inner.glob("*-cache"):
         entry.write_bytes(entry.read_bytes()[:100])
         entry.with_name(entry.name.replace("-cache", "-atime")).unlink()
@@ -223,19 +229,19 @@ def test_entry_of_interrupted_write_is_replaced(filled):
 
 
 @pytest.mark.slow
-def test_simultaneous_first_starts_give_same_result(tmp_path, first):
+def test_simultaneous_first_starts_give_same_result(tmp_path, first_process):
     processes = [start(tmp_path / "new") for _ in range(3)]
-    assert [result(process)[0] for process in processes] == 3 * [first[1]]
-    assert result(start(tmp_path / "new")) == (first[1], True, "")
+    assert [result(process)[0] for process in processes] == 3 * [first_process[1]]
+    assert result(start(tmp_path / "new")) == (first_process[1], True, "")
 
 
-def test_old_cache_folders_are_removed(unchanged, tmp_path):
-    unchanged.setenv(compile_cache.VARIABLE, "1")
-    here = compile_cache.enable()
-    for age in range(compile_cache.MOST_FOLDERS + 3):
+def test_old_cache_folders_are_removed(restored_settings, tmp_path):
+    restored_settings.setenv(compile_cache.VARIABLE, "1")
+    here = compile_cache.enable_cache()
+    for age in range(compile_cache.MAX_FOLDERS + 3):
         other = here.with_name(f"jaxlib-0.1-{age:02d}")
         other.mkdir()
         os.utime(other, (1e9 - age, 1e9 - age))
-    assert compile_cache.enable() == here
+    assert compile_cache.enable_cache() == here
     left = sorted(other.name for other in here.parent.iterdir() if other != here)
-    assert left == [f"jaxlib-0.1-{age:02d}" for age in range(compile_cache.MOST_FOLDERS)]
+    assert left == [f"jaxlib-0.1-{age:02d}" for age in range(compile_cache.MAX_FOLDERS)]

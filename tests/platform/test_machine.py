@@ -35,9 +35,9 @@ X86 = "fpu sse4_2 avx f16c"
 def test_instruction_set_follows_cpu_flags_and_xla_limit(
     monkeypatch: pytest.MonkeyPatch, told: dict[str, str], limit: str, expected: str
 ) -> None:
-    monkeypatch.setattr(machine, "cpu", lambda: told)
+    monkeypatch.setattr(machine, "cpu_info", lambda: told)
     monkeypatch.setattr(machine.platform, "machine", lambda: "x86_64")
-    assert machine.instructions(limit) == expected
+    assert machine.instruction_set(limit) == expected
 
 
 modes = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has no such modes")
@@ -47,12 +47,12 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def refused(folder: Path) -> tuple[str, str]:
-    """Where and why a folder is not safe; nothing is made."""
+def refusal(folder: Path) -> tuple[str, str]:
+    """Return where and why a folder is not safe; nothing is created."""
     root = next(place for place in folder.parents if place.exists())
     before = sorted(root.rglob("*"))
-    with pytest.raises(machine.Unsafe) as told:
-        machine.private_folder(folder)
+    with pytest.raises(machine.UnsafeFolderError) as told:
+        machine.ensure_private_folder(folder)
     assert sorted(root.rglob("*")) == before
     return told.value.filename, told.value.strerror
 
@@ -61,11 +61,13 @@ def refused(folder: Path) -> tuple[str, str]:
 def test_missing_folders_are_created_private_to_user(tmp_path: Path) -> None:
     before = os.umask(0)
     try:
-        assert machine.private_folder(tmp_path / "a" / "b") == (tmp_path / "a" / "b").resolve()
+        assert (
+            machine.ensure_private_folder(tmp_path / "a" / "b") == (tmp_path / "a" / "b").resolve()
+        )
     finally:
         os.umask(before)
     assert mode(tmp_path / "a") == mode(tmp_path / "a" / "b") == 0o700
-    machine.private_folder(tmp_path / "a" / "b")
+    machine.ensure_private_folder(tmp_path / "a" / "b")
 
 
 @modes
@@ -74,10 +76,10 @@ def test_folder_below_world_writable_parent_is_refused(tmp_path: Path, between: 
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
     leaf = tmp_path / "open" / f"{between}leaf"
-    assert refused(leaf) == (str(tmp_path / "open"), "other users can write there")
+    assert refusal(leaf) == (str(tmp_path / "open"), "other users can write there")
     # Also where it was there already, as safe as can be.
     leaf.mkdir(mode=0o700, parents=True)
-    assert refused(leaf) == (str(tmp_path / "open"), "other users can write there")
+    assert refusal(leaf) == (str(tmp_path / "open"), "other users can write there")
 
 
 @modes
@@ -88,12 +90,12 @@ def test_sticky_parent_is_accepted_only_if_owned_by_root(
     sticky.mkdir()
     sticky.chmod(0o1777)
     if os.geteuid() == 0:
-        machine.private_folder(sticky / "leaf")
+        machine.ensure_private_folder(sticky / "leaf")
         os.chown(sticky, SOMEBODY, SOMEBODY)
-        assert refused(sticky / "new") == (str(sticky), "owned by another user")
+        assert refusal(sticky / "new") == (str(sticky), "owned by another user")
     else:
-        assert refused(sticky / "leaf") == (str(sticky), "other users can write there")
-    assert refused(sticky)[0] == str(sticky)
+        assert refusal(sticky / "leaf") == (str(sticky), "other users can write there")
+    assert refusal(sticky)[0] == str(sticky)
 
 
 @modes
@@ -102,17 +104,17 @@ def test_folder_owned_by_another_user_is_refused(
 ) -> None:
     (tmp_path / "mine").mkdir()
     monkeypatch.setattr(machine.os, "geteuid", lambda: os.getuid() + 1)
-    assert refused(tmp_path / "mine")[1] == "owned by another user"
+    assert refusal(tmp_path / "mine")[1] == "owned by another user"
 
 
 @modes
 @pytest.mark.skipif(not hasattr(os, "chown") or os.geteuid() != 0, reason="needs a second user")
 def test_folder_below_parent_of_another_user_is_refused(tmp_path: Path) -> None:
-    """As closed as it is: its owner opens it when it pays."""
+    """A closed folder stays closed: its owner opens it if needed."""
     theirs = tmp_path / "theirs"
     theirs.mkdir(mode=0o700)
     os.chown(theirs, SOMEBODY, SOMEBODY)
-    assert refused(theirs / "leaf") == (str(theirs), "owned by another user")
+    assert refusal(theirs / "leaf") == (str(theirs), "owned by another user")
 
 
 @modes
@@ -121,13 +123,13 @@ def test_links_are_followed_once_and_their_targets_checked(tmp_path: Path) -> No
     (tmp_path / "open").chmod(0o777)
     (tmp_path / "mine").mkdir()
     (tmp_path / "open" / "link").symlink_to(tmp_path / "mine")
-    found = machine.private_folder(tmp_path / "open" / "link" / "leaf")
+    found = machine.ensure_private_folder(tmp_path / "open" / "link" / "leaf")
     assert found == (tmp_path / "mine" / "leaf").resolve()
     (tmp_path / "mine" / "link").symlink_to(tmp_path / "open")
-    assert refused(tmp_path / "mine" / "link" / "leaf")[0] == str(tmp_path / "open")
+    assert refusal(tmp_path / "mine" / "link" / "leaf")[0] == str(tmp_path / "open")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     with pytest.raises(OSError, match="loop"):
-        machine.private_folder(tmp_path / "loop" / "leaf")
+        machine.ensure_private_folder(tmp_path / "loop" / "leaf")
 
 
 @modes
@@ -142,7 +144,7 @@ def test_folder_replaced_by_link_during_creation_raises(
 
     monkeypatch.setattr(Path, "mkdir", late)
     with pytest.raises(NotADirectoryError, match="theirs"):
-        machine.private_folder(tmp_path / "theirs")
+        machine.ensure_private_folder(tmp_path / "theirs")
 
 
 GROUPS = [
@@ -155,7 +157,7 @@ GROUPS = [
     ("me", [], [], True),
     ("me", [], ["other"], False),
 ]
-"""Name of the group, accounts that are listed (``primary`` has it as its own), members, alone?"""
+"""Name of the group, listed accounts (``primary`` has it as its own), members, only member?"""
 
 
 @modes
@@ -183,14 +185,14 @@ def test_group_writable_parent_is_accepted_only_without_other_members(
     about = SimpleNamespace(gr_name=group, gr_mem=members)
     monkeypatch.setattr(grp, "getgrgid", lambda number: about)
     if alone:
-        machine.private_folder(tmp_path / "shared" / "leaf")
+        machine.ensure_private_folder(tmp_path / "shared" / "leaf")
         # Those whom an access control list names are in no group.
         monkeypatch.setattr(machine.os, "listxattr", lambda *_, **__: [machine._ACL], raising=False)
-    assert refused(tmp_path / "shared" / "new")[0] == str(tmp_path / "shared")
+    assert refusal(tmp_path / "shared" / "new")[0] == str(tmp_path / "shared")
 
 
 @modes
 def test_cache_folder_without_home_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(platformdirs, "user_cache_path", lambda *_, **__: Path("~/.cache/sinsjax"))
     with pytest.raises(OSError, match="this user has no cache folder"):
-        machine.cache_folder()
+        machine.user_cache_folder()

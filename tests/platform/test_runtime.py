@@ -14,7 +14,7 @@ from sinsjax.platform import runtime, xla
 from sinsjax.platform.xla import merge_options
 
 
-def python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run_python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a script in a fresh interpreter, free of this one's settings."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("XLA_", "JAX_", "SINSJAX_"))}
     kept["PYTHONPATH"] = str(Path(sinsjax.__file__).parents[1])
@@ -29,12 +29,12 @@ def python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture
-def late(monkeypatch):
-    """No warning was given yet."""
+def reset_late_warning(monkeypatch):
+    """Forget earlier warnings."""
     monkeypatch.setattr(runtime, "_warned_late", False)
 
 
-def test_configure_after_jax_start_warns_once_of_other_device_count(late, recwarn):
+def test_configure_after_jax_start_warns_once_of_other_device_count(reset_late_warning, recwarn):
     assert len(jax.devices()) == 2
     runtime.configure(devices=2)
     runtime.configure()
@@ -55,8 +55,8 @@ def test_device_count_below_one_is_refused():
 
 
 def test_import_changes_nothing():
-    """Not the environment, the affinity or the warnings filters, even if pinning is on."""
-    done = python(
+    """Environment, affinity and warning filters stay, even if pinning is on."""
+    done = run_python(
         """
 import os, sys, warnings
 state = lambda: [dict(os.environ), list(warnings.filters), os.sched_getaffinity(0)]
@@ -71,21 +71,21 @@ assert "jax" not in sys.modules
 
 
 def test_no_module_starts_jax_at_import():
-    """Otherwise the compiler options would come too late."""
-    python("""
+    """Otherwise the compiler options would be set too late."""
+    run_python("""
 import importlib, pkgutil, sinsjax
 from sinsjax.platform import xla
 names = [module.name for module in pkgutil.walk_packages(sinsjax.__path__, "sinsjax.")]
 for name in names:
     if not name.endswith("__main__"):
         importlib.import_module(name)
-        assert not xla.backend_started(), name
+        assert not xla.has_backend_started(), name
 assert len(names) > 100
 """)
 
 
 def test_configure_sets_options_devices_and_precision_before_jax_starts():
-    done = python(
+    done = run_python(
         """
 import json, os
 import jax, sinsjax  # JAX is imported, but has not started
@@ -95,16 +95,18 @@ print(json.dumps([os.environ["XLA_FLAGS"], sinsjax.info()]))
         XLA_FLAGS="--xla_force_host_platform_device_count=4 --xla_cpu_prefer_vector_width=256",
     )
     flags, info = json.loads(done.stdout)
-    options = {o.name: o.value for o in xla.wanted()} | {"xla_cpu_prefer_vector_width": "256"}
+    options = {o.name: o.value for o in xla.required_options()} | {
+        "xla_cpu_prefer_vector_width": "256"
+    }
     set_ = options | {"xla_force_host_platform_device_count": "4"}
-    assert xla.flag_values(flags) == set_
+    assert xla.parse_flags(flags) == set_
     assert info["options"] == options
     assert (info["x64"], len(info["devices"])) == (True, 3)
     assert done.stderr == ""
 
 
 def test_opt_out_leaves_flags_and_keeps_user_device_count():
-    done = python(
+    done = run_python(
         "import json, sinsjax; print(json.dumps(sinsjax.info()))",
         SINSJAX_XLA_OPTIONS="0",
         XLA_FLAGS="--xla_force_host_platform_device_count=4",
@@ -126,8 +128,8 @@ study = sinsjax.study_from_dict({
 
 
 def test_run_after_jax_start_warns_once_and_computes_in_double_precision():
-    """As a notebook that has used JAX; options of the user's own are no reason to be silent."""
-    done = python(
+    """A notebook that has used JAX already; the user's own options do not silence the warning."""
+    done = run_python(
         f"""
 import jax.numpy as jnp
 assert jnp.ones(3).dtype == "float32"
@@ -150,9 +152,9 @@ assert jnp.ones(3).dtype == "float64"
 
 
 def test_options_of_user_set_before_jax_start_need_no_warning():
-    done = python(
+    done = run_python(
         "import jax; jax.devices(); import sinsjax; sinsjax.configure()",
-        XLA_FLAGS=merge_options("", xla.wanted()),
+        XLA_FLAGS=merge_options("", xla.required_options()),
         JAX_NUM_CPU_DEVICES=str(runtime.usable_cores()),
     )
     assert done.stderr == ""
@@ -200,7 +202,7 @@ def test_info_reports_versions_and_hardware():
     assert info["jax"] == jax.__version__
     assert 1 <= info["cores"] <= os.cpu_count()
     assert info["avx512"] in (info["instructions"] == "AVX512", None)
-    assert runtime.versions().items() <= info.items()
+    assert runtime.relevant_versions().items() <= info.items()
     json.dumps(info)
 
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sinsjax.platform import xla
-from sinsjax.platform.xla import ConfigurationWarning, Option, flag_values, merge_options
+from sinsjax.platform.xla import ConfigurationWarning, XlaOption, merge_options, parse_flags
 
 OPTIONS = xla._OPTIONS
 ALL = {option.name: option.value for option in OPTIONS}
@@ -23,13 +23,13 @@ EXTRA = (
 
 
 @pytest.fixture
-def unset(monkeypatch, tmp_path):
-    """No options yet, an empty cache folder, an instruction set without options of its own."""
+def unset_flags(monkeypatch, tmp_path):
+    """No options set, an empty cache folder, an instruction set without its own options."""
     for name in ("XLA_FLAGS", xla.OPT_OUT):
         monkeypatch.setenv(name, "")  # so that what a test sets is undone
         monkeypatch.delenv(name)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(xla, "instructions", lambda: "NEON")
+    monkeypatch.setattr(xla, "instruction_set", lambda: "NEON")
     xla.refused_options.cache_clear()
     yield monkeypatch
     xla.refused_options.cache_clear()
@@ -97,28 +97,28 @@ def user_flags(draw):
 @given(user_flags())
 def test_merge_options_keeps_user_values_and_adds_rest_once(flags):
     merged = merge_options(flags, OPTIONS)
-    assert flag_values(merged) == ALL | flag_values(flags)
+    assert parse_flags(merged) == ALL | parse_flags(flags)
     assert merge_options(merged, OPTIONS) == merged
 
 
-def test_apply_options_sets_flags_without_starting_process(unset, no_process):
-    unset.setattr(xla, "_jaxlib", lambda: "0.10.2")
+def test_apply_options_sets_flags_without_starting_process(unset_flags, no_process):
+    unset_flags.setattr(xla, "_jaxlib_version", lambda: "0.10.2")
     xla.apply_options()
     assert os.environ["XLA_FLAGS"] == merge_options("", OPTIONS)
     assert not xla.missing_options()
 
 
-def test_apply_options_respects_opt_out(unset, no_process):
-    unset.setattr(xla, "_jaxlib", lambda: "99.0")
-    unset.setenv(xla.OPT_OUT, "0")
+def test_apply_options_respects_opt_out(unset_flags, no_process):
+    unset_flags.setattr(xla, "_jaxlib_version", lambda: "99.0")
+    unset_flags.setenv(xla.OPT_OUT, "0")
     xla.apply_options()
     assert "XLA_FLAGS" not in os.environ
 
 
-def test_apply_warns_and_leaves_flag_file_unchanged(unset, tmp_path):
+def test_apply_warns_and_leaves_flag_file_unchanged(unset_flags, tmp_path):
     file = tmp_path / "flags"
     file.write_text(merge_options("", OPTIONS[1:]))
-    unset.setenv("XLA_FLAGS", str(file))
+    unset_flags.setenv("XLA_FLAGS", str(file))
     told = f"names the file {file}; add {merge_options('', OPTIONS[:1])} to it"
     with pytest.warns(ConfigurationWarning, match=re.escape(told)):
         xla.apply_options()
@@ -128,40 +128,40 @@ def test_apply_warns_and_leaves_flag_file_unchanged(unset, tmp_path):
 
 
 @pytest.mark.slow
-def test_unknown_jaxlib_is_tried_once_and_cached(unset):
-    """XLA says so when it starts, LLVM when it compiles."""
-    unknown = Option("xla_no_such_flag", "1", extra=False), Option("--no-such-option", "1")
-    unset.setattr(xla, "_OPTIONS", (*unknown, *OPTIONS))
-    unset.setattr(xla, "_jaxlib", lambda: "99.0")
+def test_unknown_jaxlib_is_tried_once_and_cached(unset_flags):
+    """XLA reports an unknown option when it starts, LLVM when it compiles."""
+    unknown = XlaOption("xla_no_such_flag", "1", extra=False), XlaOption("--no-such-option", "1")
+    unset_flags.setattr(xla, "_OPTIONS", (*unknown, *OPTIONS))
+    unset_flags.setattr(xla, "_jaxlib_version", lambda: "99.0")
     told = "99.0 does not know --xla_no_such_flag, --no-such-option"
     with pytest.warns(ConfigurationWarning, match=told):
         xla.apply_options()
-    assert flag_values(os.environ["XLA_FLAGS"]) == ALL
+    assert parse_flags(os.environ["XLA_FLAGS"]) == ALL
     xla.refused_options.cache_clear()
-    unset.setattr(xla, "compiles", lambda flags: pytest.fail("tried again"))
+    unset_flags.setattr(xla, "can_compile", lambda flags: pytest.fail("tried again"))
     assert xla.refused_options("99.0") == {"xla_no_such_flag", "--no-such-option"}
 
 
-def test_only_options_that_fail_alone_are_refused(unset, tmp_path):
-    """And the answer is that of these options: a change of theirs is tried again."""
+def test_only_options_that_fail_alone_are_refused(unset_flags, tmp_path):
+    """The answer holds for these options only: other options are tried again."""
     tried = []
 
     def compiles(flags: str) -> bool:
         tried.append(flags)
         return "region_analysis" not in flags
 
-    unset.setattr(xla, "compiles", compiles)
+    unset_flags.setattr(xla, "can_compile", compiles)
     refused = "xla_cpu_copy_insertion_use_region_analysis"
     for options in (OPTIONS, OPTIONS, OPTIONS[1:]):
-        unset.setattr(xla, "_OPTIONS", options)
+        unset_flags.setattr(xla, "_OPTIONS", options)
         xla.refused_options.cache_clear()
         assert xla.refused_options("99.0") == {refused}
     assert len(tried) == (2 + len(OPTIONS)) + (2 + len(OPTIONS) - 1)
     assert len(json.loads((tmp_path / "sinsjax" / "xla_options.json").read_text())) == 2
 
 
-def test_damaged_answers_are_rewritten(unset, tmp_path):
-    unset.setattr(xla, "compiles", lambda flags: True)
+def test_damaged_answers_are_rewritten(unset_flags, tmp_path):
+    unset_flags.setattr(xla, "can_compile", lambda flags: True)
     answers = tmp_path / "sinsjax" / "xla_options.json"
     answers.parent.mkdir()
     for damaged in ("{", "[1]", '{"99.0": 3}'):
@@ -171,57 +171,57 @@ def test_damaged_answers_are_rewritten(unset, tmp_path):
         assert json.loads(answers.read_text()) == {f"jaxlib 99.0 {merge_options('', OPTIONS)}": []}
 
 
-def test_failed_trial_refuses_all_options_and_is_not_cached(unset, tmp_path):
-    unset.setattr(sys, "executable", str(tmp_path / "missing"))
-    unset.setattr(xla, "_jaxlib", lambda: "99.0")
+def test_failed_trial_refuses_all_options_and_is_not_cached(unset_flags, tmp_path):
+    unset_flags.setattr(sys, "executable", str(tmp_path / "missing"))
+    unset_flags.setattr(xla, "_jaxlib_version", lambda: "99.0")
     assert xla.refused_options("99.0") == ALL.keys()
     assert xla.extended_flags() == ""
     assert not list(tmp_path.rglob("*.json"))
 
 
-def test_unwritable_cache_folder_is_ignored(unset, tmp_path):
-    unset.setattr(xla, "compiles", lambda flags: True)
+def test_unwritable_cache_folder_is_ignored(unset_flags, tmp_path):
+    unset_flags.setattr(xla, "can_compile", lambda flags: True)
     (tmp_path / "sinsjax").write_text("a file where the folder should be")
     assert xla.refused_options("99.0") == frozenset()
 
 
 def test_invalid_flag_value_does_not_compile():
-    assert not xla.compiles("--xla_cpu_prefer_vector_width=wide")
+    assert not xla.can_compile("--xla_cpu_prefer_vector_width=wide")
 
 
 def test_instruction_set_in_use_follows_xla_flags(monkeypatch, tmp_path):
-    monkeypatch.setattr(xla.machine, "instructions", lambda limit: limit)
+    monkeypatch.setattr(xla.machine, "instruction_set", lambda limit: limit)
     monkeypatch.delenv("XLA_FLAGS", raising=False)
-    assert xla.instructions() == ""
+    assert xla.instruction_set() == ""
     monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_max_isa=AVX --xla_cpu_max_isa=AVX2")
-    assert xla.instructions() == "AVX2"
+    assert xla.instruction_set() == "AVX2"
     (tmp_path / "flags").write_text("--xla_cpu_max_isa=AVX\n")
     monkeypatch.setenv("XLA_FLAGS", str(tmp_path / "flags"))
-    assert xla.instructions() == "AVX"
+    assert xla.instruction_set() == "AVX"
 
 
-def test_flags_are_read_from_flag_file(unset, tmp_path):
+def test_flags_are_read_from_flag_file(unset_flags, tmp_path):
     file = tmp_path / "flags"
     file.write_text("--xla_cpu_max_isa=AVX2\n--xla_backend_extra_options=--force-vector-width=4\n")
-    unset.setenv("XLA_FLAGS", str(file))
-    assert xla.given() == {"xla_cpu_max_isa": "AVX2", "--force-vector-width": "4"}
-    unset.setenv("XLA_FLAGS", str(tmp_path / "missing"))
-    assert xla.given() == {}
+    unset_flags.setenv("XLA_FLAGS", str(file))
+    assert xla.current_options() == {"xla_cpu_max_isa": "AVX2", "--force-vector-width": "4"}
+    unset_flags.setenv("XLA_FLAGS", str(tmp_path / "missing"))
+    assert xla.current_options() == {}
 
 
 @pytest.mark.parametrize(
     ("instructions", "width"),
     [("AVX512", "8"), ("AVX2", "4"), ("AVX", "4"), ("SSE4_2", "4"), ("SVE", None), ("s390x", None)],
 )
-def test_loop_vector_width_follows_instruction_set(unset, instructions, width):
-    unset.setattr(xla, "instructions", lambda: instructions)
-    set_ = {option.name: option.value for option in xla.wanted()}
+def test_loop_vector_width_follows_instruction_set(unset_flags, instructions, width):
+    unset_flags.setattr(xla, "instruction_set", lambda: instructions)
+    set_ = {option.name: option.value for option in xla.required_options()}
     assert set_.items() >= ALL.items()
     assert set_.get("--force-vector-width") == width
     assert set_.get("--force-vector-interleave") == (width and "1")
 
 
-@pytest.mark.skipif(xla.opted_out(), reason="the XLA options are opted out of")
+@pytest.mark.skipif(xla.is_opted_out(), reason="the XLA options are opted out of")
 def test_loop_is_compiled_to_one_function_with_fusions_of_several_outputs():
     """Extra options are ignored if unknown, so the compiled program must show their effect."""
 

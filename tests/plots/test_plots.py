@@ -11,13 +11,13 @@ from scipy import stats
 
 from sinsjax import plots
 from sinsjax.analysis import Estimate
-from sinsjax.plots import BeliefPanel, Course, Ensemble, Line, Scale, Shown
-from sinsjax.plots.spreads import steps
+from sinsjax.plots import ConsistencyLine, Ensemble, GridAxis, HeadingErrorCourse, Line, MapQuantity
+from sinsjax.plots.comparison import cumulative_distribution_steps
 
 TIME = np.arange(1.0, 11.0)
 
 
-def ensemble(label, *, runs=4, size=1.0, sigma=2.0):
+def make_ensemble(label, *, runs=4, size=1.0, sigma=2.0):
     noise = np.random.default_rng(7).normal(size=(runs, TIME.size))
     columns = {f"phi_{axis}_arcmin": size + noise for axis in "enu"}
     columns |= {f"sigma_{axis}_arcmin": np.full((runs, TIME.size), sigma) for axis in "enu"}
@@ -25,12 +25,12 @@ def ensemble(label, *, runs=4, size=1.0, sigma=2.0):
     return Ensemble(label, TIME, columns)
 
 
-def words(figure: Figure) -> str:
-    """All text of a figure that says something."""
+def figure_text(figure: Figure) -> str:
+    """Return all visible text of a figure."""
     return "\n".join(t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_text().strip())
 
 
-def solid(axes):
+def solid_lines(axes):
     """The lines of an axes that a legend names and that are no marks along it."""
     return [line for line in axes.get_lines() if len(line.get_xdata()) > 2]
 
@@ -48,19 +48,19 @@ def solid(axes):
     ],
 )
 def test_labels_and_settings_show_units(column, label, setting):
-    assert plots.label(column) == label
-    assert plots.setting(column, "30") == setting
+    assert plots.axis_label(column) == label
+    assert plots.format_setting(column, "30") == setting
 
 
 def test_setting_with_word_value_has_no_unit():
-    assert plots.setting("reset_times_s", "none") == "resets at none"
+    assert plots.format_setting("reset_times_s", "none") == "resets at none"
 
 
 def test_ensembles_arrange_runs_by_record():
     runs, times = np.repeat([3, 5, 8], 2), np.tile([1.0, 2.0], 3)
     phi = 100.0 * runs + times
     curves = pa.table({"run_id": runs, "time_s": times, "phi_u_arcmin": phi})
-    made = plots.ensembles(curves, {"a": [8, 3], "b": [5]})
+    made = plots.group_curves(curves, {"a": [8, 3], "b": [5]})
     assert [e.label for e in made] == ["a", "b"]
     np.testing.assert_array_equal(made[0].time_s, [1.0, 2.0])
     np.testing.assert_array_equal(made[0].columns["phi_u_arcmin"], [[301, 302], [801, 802]])
@@ -70,7 +70,7 @@ def test_ensembles_arrange_runs_by_record():
 def test_line_is_mean_and_band_covers_95_percent():
     axes = Figure().subplots()
     values = np.random.default_rng(1).normal(size=(200, TIME.size))
-    extent = plots.draw(axes, Line("x", TIME, values, "#000000"))
+    extent = plots.draw_mean_and_band(axes, Line("x", TIME, values, "#000000"))
     np.testing.assert_allclose(axes.get_lines()[0].get_ydata(), values.mean(axis=0))
     np.testing.assert_allclose(extent.low, np.quantile(values, 0.025, axis=0))
     np.testing.assert_allclose(extent.high, np.quantile(values, 0.975, axis=0))
@@ -81,27 +81,27 @@ def test_line_skips_records_with_missing_values():
     axes = Figure().subplots()
     values = np.ones((3, TIME.size))
     values[1, 4] = np.nan
-    plots.draw(axes, Line("x", TIME, values, "#000000"))
+    plots.draw_mean_and_band(axes, Line("x", TIME, values, "#000000"))
     np.testing.assert_array_equal(axes.get_lines()[0].get_xdata(), np.delete(TIME, 4))
 
 
 def test_single_run_has_no_band():
     axes = Figure().subplots()
-    plots.draw(axes, Line("x", TIME, np.ones((1, TIME.size)), "#000000"))
+    plots.draw_mean_and_band(axes, Line("x", TIME, np.ones((1, TIME.size)), "#000000"))
     assert not axes.collections
 
 
 def test_misalignment_figure_has_panels_labels_and_legend():
-    shown = [ensemble("a"), ensemble("b", size=900.0)]
-    figure = plots.misalignment(
-        shown, "Title", limits={"u": -27.0}, resets_s=[3.0, 6.0], zoom_s=(5.0, 10.0)
+    shown = [make_ensemble("a"), make_ensemble("b", size=900.0)]
+    figure = plots.draw_misalignment(
+        shown, "Title", floors={"u": -27.0}, resets_s=[3.0, 6.0], zoom_s=(5.0, 10.0)
     )
     whole, enlarged = figure.axes[::2], figure.axes[1::2]
     assert len(whole) == len(enlarged) == 3
     names = ("level error, east", "level error, north", "heading error")
     for axes, name in zip(whole, names, strict=True):
         assert axes.get_ylabel().startswith(name) and "(arcmin)" in axes.get_ylabel()
-        assert [line.get_label() for line in solid(axes)] == ["a", "b"]
+        assert [line.get_label() for line in solid_lines(axes)] == ["a", "b"]
         assert axes.get_yscale() == "asinh" and axes.get_xlim() == (0.0, 10.0)
         assert sum(line.get_linestyle() == ":" for line in axes.get_lines()) == 2
     assert all(axes.get_yscale() == "linear" for axes in enlarged)
@@ -119,7 +119,7 @@ def test_misalignment_figure_has_panels_labels_and_legend():
 
 
 def test_misalignment_axis_is_linear_for_narrow_range():
-    figure = plots.misalignment([ensemble("a")], "Title")
+    figure = plots.draw_misalignment([make_ensemble("a")], "Title")
     assert [axes.get_yscale() for axes in figure.axes] == ["linear"] * 3
 
 
@@ -128,26 +128,26 @@ def test_wide_misalignment_axis_has_ticks_on_both_sides(size):
     """A level error that begins at P0 and ends small, and a heading error that begins far off."""
     course = size * np.geomspace(40.0, 1.0, TIME.size)
     columns = {f"{kind}_{axis}_arcmin": course[None] for kind in ("phi", "sigma") for axis in "enu"}
-    figure = plots.misalignment([Ensemble("a", TIME, columns)], "Title", with_sigma=True)
+    figure = plots.draw_misalignment([Ensemble("a", TIME, columns)], "Title", with_sigma=True)
     for axes in figure.axes:
         low, high = axes.get_ylim()
         ticks = [tick for tick in axes.get_yticks() if low <= tick <= high]
         assert sum(tick > 0 for tick in ticks) == sum(tick < 0 for tick in ticks) >= 2
         zero, end, top = axes.transData.transform([(1.0, y) for y in (0.0, size, 40 * size)])[:, 1]
         assert size < 0.1 or (end - zero) / (top - zero) > 0.1
-    assert "±1 sigma of the filter" in words(figure)
+    assert "±1 sigma of the filter" in figure_text(figure)
 
 
 def test_misalignment_sigma_is_dashed_on_both_sides():
-    figure = plots.misalignment([ensemble("a", sigma=5.0)], "Title", with_sigma=True)
+    figure = plots.draw_misalignment([make_ensemble("a", sigma=5.0)], "Title", with_sigma=True)
     dashed = [line for line in figure.axes[2].get_lines() if line.get_linestyle() == "--"]
     ends = [line.get_ydata()[0] for line in dashed if len(line.get_ydata())]
     assert sorted(ends) == [-5.0, 5.0]
 
 
 def test_enlarged_panel_shows_whole_band():
-    wide = ensemble("a", runs=40)
-    figure = plots.misalignment([wide], "Title", zoom_s=(4.0, 10.0))
+    wide = make_ensemble("a", runs=40)
+    figure = plots.draw_misalignment([wide], "Title", zoom_s=(4.0, 10.0))
     inside = wide.columns["phi_u_arcmin"][:, TIME >= 4.0]
     low, high = figure.axes[-1].get_ylim()
     assert low < np.quantile(inside, 0.025, axis=0).min()
@@ -158,7 +158,7 @@ def test_enlarged_panel_range_ignores_sigma_jump_at_reset():
     sigma = np.array([2.0] * 4 + [500.0, 20.0] + [2.0] * 4)[None]
     columns = {f"phi_{axis}_arcmin": np.linspace(1.0, 3.0, TIME.size)[None] for axis in "enu"}
     columns |= {f"sigma_{axis}_arcmin": sigma for axis in "enu"}
-    figure = plots.misalignment(
+    figure = plots.draw_misalignment(
         [Ensemble("a", TIME, columns)], "Title", zoom_s=(5.0, 10.0), with_sigma=True
     )
     low, high = figure.axes[-1].get_ylim()
@@ -166,32 +166,32 @@ def test_enlarged_panel_range_ignores_sigma_jump_at_reset():
 
 
 def test_attitude_figure_shows_degrees_and_sigma_band():
-    figure = plots.attitude([ensemble("a", sigma=60.0), ensemble("b")], "Title")
+    figure = plots.draw_attitude([make_ensemble("a", sigma=60.0), make_ensemble("b")], "Title")
     assert [axes.get_ylabel() for axes in figure.axes] == ["pitch (deg)", "roll (deg)", "yaw (deg)"]
     path = figure.axes[2].collections[0].get_paths()[0]
-    middle = ensemble("a").columns["yaw_deg"].mean(axis=0)
+    middle = make_ensemble("a").columns["yaw_deg"].mean(axis=0)
     assert path.vertices[:, 1].max() == pytest.approx(middle.max() + 1.0)  # 60 arcmin are 1 deg
 
 
 def test_squares_figure_uses_log_axes_in_square_arcmin():
     values = np.full((3, TIME.size), 9.0)
     panels = {"one": [Line("P", TIME, values, "#000000", "--")], "two": []}
-    figure = plots.squares(panels, "Title", resets_s=[2.0])
+    figure = plots.draw_squared_errors(panels, "Title", resets_s=[2.0])
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["one", "two"]
     assert all(axes.get_yscale() == "log" for axes in figure.axes)
     assert "arcmin²" in figure.axes[0].get_ylabel()
-    assert plots.png(figure)
+    assert plots.render_png(figure)
     assert figure.axes[0].get_lines()[0].get_linestyle() == "--"
 
 
 def test_heat_maps_show_values_and_hatch_infinite_cells():
     values = np.array([[10.0, 20.0, np.inf], [30.0, np.nan, 40.0]])
-    figure = plots.heat_maps(
+    figure = plots.draw_heat_maps(
         [("first", values), ("second", values[:, ::-1])],
         "Title",
-        Shown("time (s)", 0.0, 40.0, reverse=True),
-        rows=Scale("reset_count", [0, 1]),
-        columns=Scale("reset_cycle_s", [10.0, 20.0, 50.0]),
+        MapQuantity("time (s)", 0.0, 40.0, reverse=True),
+        rows=GridAxis("reset_count", [0, 1]),
+        columns=GridAxis("reset_cycle_s", [10.0, 20.0, 50.0]),
     )
     first, second, bar = figure.axes
     image = first.get_images()[0].get_array()
@@ -204,55 +204,57 @@ def test_heat_maps_show_values_and_hatch_infinite_cells():
         "time between resets (s)",
     )
     assert bar.get_ylabel() == "time (s)"
-    assert "never" in words(figure)
+    assert "never" in figure_text(figure)
 
 
-def marked(values, alike, hatched):
-    return plots.heat_maps(
+def draw_hatched_map(values, alike, hatched):
+    return plots.draw_heat_maps(
         [("all", np.array(values))],
         "Title",
-        Shown("share (%)", 0.0, 100.0),
-        rows=Scale("a", range(len(values))),
-        columns=Scale("b", range(len(values[0]))),
-        marks=plots.Marks([np.array(alike)], [np.array(hatched)], "not so"),
+        MapQuantity("share (%)", 0.0, 100.0),
+        rows=GridAxis("a", range(len(values))),
+        columns=GridAxis("b", range(len(values[0]))),
+        marks=plots.CellMarks([np.array(alike)], [np.array(hatched)], "not so"),
     )
 
 
 def test_heat_maps_hatch_marked_cells_and_name_reason():
-    figure = marked([[10.0, 90.0, np.inf]], [[0, 1, 2]], [[True, False, True]])
+    figure = draw_hatched_map([[10.0, 90.0, np.inf]], [[0, 1, 2]], [[True, False, True]])
     (patch,) = figure.axes[0].patches  # what is never there has a hatch of its own
-    assert patch.get_xy() == (-0.5, -0.5) and patch.get_hatch() and "not so" in words(figure)
+    assert patch.get_xy() == (-0.5, -0.5) and patch.get_hatch() and "not so" in figure_text(figure)
     assert all(text.get_bbox_patch() for text in figure.axes[0].texts)  # legible on the hatch
-    plain = marked([[10.0, 90.0]], [[0, 1]], [[False, False]])
-    assert "not so" not in words(plain)
+    plain = draw_hatched_map([[10.0, 90.0]], [[0, 1]], [[False, False]])
+    assert "not so" not in figure_text(plain)
     assert not any(text.get_bbox_patch() for text in plain.axes[0].texts)  # may hide contours
 
 
 def test_heat_maps_write_value_of_equal_cells_once():
-    figure = marked([[10.0, 10.0], [30.0, 10.0], [50.0, 50.0]], [[0, 0], [2, 0], [4, 4]], [[0]])
+    figure = draw_hatched_map(
+        [[10.0, 10.0], [30.0, 10.0], [50.0, 50.0]], [[0, 0], [2, 0], [4, 4]], [[0]]
+    )
     written = {text.get_text(): text.get_position() for text in figure.axes[0].texts}
     assert written == {"10": (0, 0), "30": (0, 1), "50": (0.5, 2)}  # 10: no rectangle
     assert len(figure.axes[0].texts) == 3
 
 
 def test_heat_maps_draw_without_finite_values():
-    figure = plots.heat_maps(
+    figure = plots.draw_heat_maps(
         [("all", np.full((2, 2), np.inf))],
         "Title",
-        Shown("time (s)", 0.0, 1.0),
-        rows=Scale("a", [0, 1]),
-        columns=Scale("b", [0, 1]),
+        MapQuantity("time (s)", 0.0, 1.0),
+        rows=GridAxis("a", [0, 1]),
+        columns=GridAxis("b", [0, 1]),
     )
-    assert plots.png(figure)
+    assert plots.render_png(figure)
 
 
 def test_heat_map_numbers_contrast_with_cell_colour():
-    figure = plots.heat_maps(
+    figure = plots.draw_heat_maps(
         [("all", np.array([[0.0, 100.0]]))],
         "Title",
-        Shown("share (%)", 0.0, 100.0),
-        rows=Scale("a", [0]),
-        columns=Scale("b", [0, 1]),
+        MapQuantity("share (%)", 0.0, 100.0),
+        rows=GridAxis("a", [0]),
+        columns=GridAxis("b", [0, 1]),
     )
     dark, light = figure.axes[0].texts
     assert (dark.get_color(), light.get_color()) == ("white", "black")
@@ -261,12 +263,12 @@ def test_heat_map_numbers_contrast_with_cell_colour():
 
 
 def test_heat_map_uses_log_colours_and_two_digits_per_cell():
-    figure = plots.heat_maps(
+    figure = plots.draw_heat_maps(
         [("a", np.array([[0.123, 4.56], [78.9, 1234.0], [0.0, np.inf]]))],
         "Title",
-        Shown("error (arcmin)", 0.1, 100.0, reverse=True, log=True),
-        rows=Scale("azimuth_sigma_per_s", [0.01, 0.02, 0.04]),
-        columns=Scale("stored_s", [20.0, 40.0]),
+        MapQuantity("error (arcmin)", 0.1, 100.0, reverse=True, log=True),
+        rows=GridAxis("azimuth_sigma_per_s", [0.01, 0.02, 0.04]),
+        columns=GridAxis("stored_s", [20.0, 40.0]),
     )
     axes = figure.axes[0]
     assert [t.get_text() for t in axes.texts] == ["0.12", "4.6", "79", "1234", "0"]
@@ -275,21 +277,21 @@ def test_heat_map_uses_log_colours_and_two_digits_per_cell():
     assert norm(math.sqrt(0.1 * 100.0)) == pytest.approx(0.5)
     assert [t.get_color() for t in axes.texts][:4] == ["black", "white", "white", "white"]
     assert axes.get_ylabel() == "sigma of the azimuth loop (1/s)"
-    assert plots.png(figure)
+    assert plots.render_png(figure)
 
 
-def height_of(high, *, others=12.0, last=20.0):
+def axis_height(high, *, others=12.0, last=20.0):
     """The upper end of an axis with points at 10, 10, 10 and the last; their bars end above."""
     ends = [(10.0, others)] * 3 + [(last, high)]
     line = {"a": [Estimate(x, x - 1.0, end, 9) for x, end in ends]}
-    return plots.along_axis("k", range(4), {"x": line}, title="Title").axes[0].get_ylim()[1]
+    return plots.draw_along_axis("k", range(4), {"x": line}, title="Title").axes[0].get_ylim()[1]
 
 
 def test_axis_range_ignores_single_huge_error_bar():
-    assert 20 < height_of(10800.0) < 40  # the bar goes on beyond the panel
-    assert height_of(26.0) > 26.0  # a longer one than the others is whole
-    assert height_of(600.0, others=500.0) > 600.0  # as are bars that are all long
-    assert height_of(10800.0, last=2500.0) > 2500.0  # points are all there
+    assert 20 < axis_height(10800.0) < 40  # the bar goes on beyond the panel
+    assert axis_height(26.0) > 26.0  # a longer one than the others is whole
+    assert axis_height(600.0, others=500.0) > 600.0  # as are bars that are all long
+    assert axis_height(10800.0, last=2500.0) > 2500.0  # points are all there
 
 
 def test_along_axis_marks_infinite_values_as_never():
@@ -297,7 +299,7 @@ def test_along_axis_marks_infinite_values_as_never():
         "a": [Estimate(1.0, 0.5, 2.0, 8), Estimate(math.inf, 3.0, math.inf, 8)],
         "b": [Estimate(2.0, math.nan, math.nan, 8), Estimate(3.0, 2.0, math.inf, 8)],
     }
-    figure = plots.along_axis(
+    figure = plots.draw_along_axis(
         "phi_u0_deg", [0.0, 30.0], {"time (s)": lines, "share": lines}, title="Title"
     )
     top, bottom = figure.axes
@@ -308,8 +310,8 @@ def test_along_axis_marks_infinite_values_as_never():
     crosses = [line for line in bottom.get_lines() if line.get_marker() == "x"]
     # Beside the other line's marks, so that neither hides the other.
     assert [list(line.get_xdata()) for line in crosses] == [[pytest.approx(30.0, abs=0.15)]]
-    assert "never" in words(figure)
-    assert plots.png(figure)
+    assert "never" in figure_text(figure)
+    assert plots.render_png(figure)
 
 
 @pytest.mark.parametrize(
@@ -317,7 +319,7 @@ def test_along_axis_marks_infinite_values_as_never():
 )
 def test_axis_ticks_are_at_values_when_spaced_apart(values, marks):
     lines = {"a": [Estimate(1.0, 0.5, 2.0, 8)] * 3}
-    axes = plots.along_axis("reset_count", values, {"x": lines}, title="Title").axes[0]
+    axes = plots.draw_along_axis("reset_count", values, {"x": lines}, title="Title").axes[0]
     found = [t.get_text() for t in axes.get_xticklabels()]
     assert found == marks if marks else len(found) > 3
 
@@ -325,7 +327,7 @@ def test_axis_ticks_are_at_values_when_spaced_apart(values, marks):
 def test_steps_thin_many_values_without_changing_shape():
     values = np.random.default_rng(3).normal(size=100_000)
     values[:20_000] = np.nan
-    x, share = steps(values)
+    x, share = cumulative_distribution_steps(values)
     assert x.size <= 1000
     assert (share[0], share[-1]) == (0.0, 0.8) and x[-1] == np.nanmax(values)
     known = np.sort(values[20_000:])
@@ -335,8 +337,8 @@ def test_steps_thin_many_values_without_changing_shape():
 def test_beliefs_figure_shows_nees_distribution_and_shares():
     nees = np.array([0.5, 2.0, np.nan, 8.0])
     shares = {"a": Estimate(0.7, 0.6, 0.8, 4), "b": Estimate(0.4, math.nan, math.nan, 4)}
-    shown = [BeliefPanel("x", nees, shares), BeliefPanel("y", 4 * nees, shares)]
-    left, right = plots.beliefs(shown, "Title").axes
+    shown = [ConsistencyLine("x", nees, shares), ConsistencyLine("y", 4 * nees, shares)]
+    left, right = plots.draw_consistency(shown, "Title").axes
     first, second, chi2, *marks = left.get_lines()
     assert [line.get_label() for line in (first, second)] == ["x", "y"]
     np.testing.assert_array_equal(first.get_ydata(), [0.0, 0.25, 0.5, 0.75])
@@ -353,9 +355,9 @@ def test_beliefs_figure_shows_nees_distribution_and_shares():
 @pytest.mark.parametrize("lines", [1, 7])
 def test_belief_names_do_not_overlap_marks_or_edge(lines):
     shares = {name: Estimate(0.1, 0.05, 0.15, 4) for name in ("from truth", "from the bias floor")}
-    shown = [BeliefPanel(f"resets {i}", np.arange(1.0, 5.0), shares) for i in range(lines)]
-    figure = plots.beliefs(shown, "Title")
-    plots.png(figure)  # lays it out
+    shown = [ConsistencyLine(f"resets {i}", np.arange(1.0, 5.0), shares) for i in range(lines)]
+    figure = plots.draw_consistency(shown, "Title")
+    plots.render_png(figure)  # lays it out
     right = figure.axes[1]
     names = [t for t in right.texts if t.get_text().startswith("resets")]
     boxes = [name.get_window_extent() for name in names]
@@ -370,41 +372,43 @@ def test_belief_names_do_not_overlap_marks_or_edge(lines):
 
 
 def test_beliefs_figure_draws_without_known_values():
-    shown = [BeliefPanel("x", np.full(3, np.nan), {"a": Estimate(*[math.nan] * 3, 0)})]
-    assert plots.png(plots.beliefs(shown, "Title"))
+    shown = [ConsistencyLine("x", np.full(3, np.nan), {"a": Estimate(*[math.nan] * 3, 0)})]
+    assert plots.render_png(plots.draw_consistency(shown, "Title"))
 
 
-def course(label: str, *, resets_s=()) -> Course:
+def make_course(label: str, *, resets_s=()) -> HeadingErrorCourse:
     mean, own = np.linspace(600.0, -20.0, TIME.size), np.full(TIME.size, 100.0)
-    return Course(label, TIME, mean, own / 4, own, resets_s, limit=-25.0)
+    return HeadingErrorCourse(label, TIME, mean, own / 4, own, resets_s, floor=-25.0)
 
 
 def test_believed_figure_compares_true_error_with_filter_sigma():
-    figure = plots.believed([course("plain"), course("reset", resets_s=[4.0, 6.0])], "Title")
+    figure = plots.draw_error_bands(
+        [make_course("plain"), make_course("reset", resets_s=[4.0, 6.0])], "Title"
+    )
     above, resets, ratio, _ = figure.axes
     own, true = (band.get_paths()[0].get_extents() for band in above.collections)
     assert (own.ymin, own.ymax) == (-200.0, 200.0)
     assert (true.ymin, true.ymax) == (-70.0, 650.0)
     mean = next(line for line in above.get_lines() if line.get_label() == "true error: mean")
-    np.testing.assert_array_equal(mean.get_ydata(), course("").mean)
+    np.testing.assert_array_equal(mean.get_ydata(), make_course("").mean)
     np.testing.assert_allclose(ratio.get_lines()[0].get_ydata()[0], np.hypot(600, 25) / 100)
     assert [line.get_xdata()[0] for line in resets.get_lines()[-2:]] == [4.0, 6.0]
-    said = words(figure)
+    said = figure_text(figure)
     for word in ("arcmin", "time (s)", "plain", "reset", "bias floor", "believes", "± 2 sigma"):
         assert word in said
     assert said.count("bias floor, left by the sensor biases") == 1
-    assert plots.png(figure)
+    assert plots.render_png(figure)
 
 
 def test_heat_maps_use_requested_columns_and_wrap_long_names():
     name = "feedback_interval 0.5 s, reset_kind full, q_reading per_step"
-    figure = plots.heat_maps(
+    figure = plots.draw_heat_maps(
         [(name, np.ones((2, 2)))] * 6,
         "Title",
-        Shown("share (%)", 0.0, 100.0),
-        rows=Scale("a", [0, 1]),
-        columns=Scale("b", [0, 1]),
-        across=3,
+        MapQuantity("share (%)", 0.0, 100.0),
+        rows=GridAxis("a", [0, 1]),
+        columns=GridAxis("b", [0, 1]),
+        panels_per_row=3,
     )
     axes = figure.axes[:6]
     assert axes[0].get_subplotspec().get_gridspec().get_geometry() == (2, 3)
@@ -414,15 +418,15 @@ def test_heat_maps_use_requested_columns_and_wrap_long_names():
 
 @pytest.mark.parametrize(("count", "across"), [(8, 4), (5, 3)])
 def test_heat_map_panels_have_equal_size_and_labels_below(count, across):
-    figure = plots.heat_maps(
+    figure = plots.draw_heat_maps(
         [(f"panel {i}", np.ones((3, 4))) for i in range(count)],
         "Title",
-        Shown("share (%)", 0.0, 100.0),
-        rows=Scale("a", range(3)),
-        columns=Scale("b", range(4)),
-        across=across,
+        MapQuantity("share (%)", 0.0, 100.0),
+        rows=GridAxis("a", range(3)),
+        columns=GridAxis("b", range(4)),
+        panels_per_row=across,
     )
-    plots.png(figure)  # lays it out
+    plots.render_png(figure)  # lays it out
     panels = [axes for axes in figure.axes if axes.get_images()][:count]
     sizes = np.array([axes.get_window_extent().size for axes in panels])
     assert np.ptp(sizes, axis=0).max() < 1.0
@@ -431,27 +435,27 @@ def test_heat_map_panels_have_equal_size_and_labels_below(count, across):
         assert any(label.get_visible() for label in axes.get_xticklabels())
 
 
-def image(content):
+def read_png(content):
     from PIL import Image
 
     return np.asarray(Image.open(io.BytesIO(content)))
 
 
 def test_footer_is_added_as_strip_below_figure():
-    figure = plots.misalignment([ensemble("a")], "Title")
-    plain, signed = (image(plots.png(figure, text)) for text in ("", "swing: 3 draws"))
+    figure = plots.draw_misalignment([make_ensemble("a")], "Title")
+    plain, signed = (read_png(plots.render_png(figure, text)) for text in ("", "swing: 3 draws"))
     height = plain.shape[0]
     assert signed.shape[0] > height and signed.shape[1] == plain.shape[1]
     np.testing.assert_array_equal(signed[:height], plain)
     strip = signed[height:]
     assert (strip < 128).any() and (strip[:2] == 255).all()
-    other = image(plots.png(figure, "swing: 4 draws"))
+    other = read_png(plots.render_png(figure, "swing: 4 draws"))
     assert (other[height:] != strip).any()
 
 
 def test_text_is_large_enough_for_slide():
-    figure = plots.misalignment([ensemble("a")], "Title", zoom_s=(2.0, 6.0))
-    plots.png(figure)
+    figure = plots.draw_misalignment([make_ensemble("a")], "Title", zoom_s=(2.0, 6.0))
+    plots.render_png(figure)
     # A figure fills a slide of 13.3 in.
     scale = 13.3 / figure.get_figwidth()
     texts = [t for t in figure.findobj(mpl.text.Text) if t.get_text().strip()]
@@ -460,7 +464,7 @@ def test_text_is_large_enough_for_slide():
 
 def test_png_does_not_depend_on_rc_params(monkeypatch):
     def draw():
-        return plots.png(plots.misalignment([ensemble("a")], "Title"))
+        return plots.render_png(plots.draw_misalignment([make_ensemble("a")], "Title"))
 
     first = draw()
     monkeypatch.setitem(mpl.rcParams, "font.size", 30.0)
@@ -473,5 +477,5 @@ def test_png_does_not_depend_on_rc_params(monkeypatch):
 
 
 def test_colours_repeat_beyond_palette():
-    assert plots.colour(0) == plots.colour(len(plots.COLOURS)) == plots.COLOURS[0]
+    assert plots.line_colour(0) == plots.line_colour(len(plots.COLOURS)) == plots.COLOURS[0]
     assert len(set(plots.COLOURS)) == len(plots.COLOURS)

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 import sinsjax
 from sinsjax import analysis, plots
 from sinsjax.errors import InputError
-from sinsjax.plots.beliefs import SHARES
-from sinsjax.plots.spreads import acts
+from sinsjax.plots.comparison import has_significant_effect
+from sinsjax.plots.consistency import SHARE_COLUMNS
 
 COUNTS, CYCLES, STARTS = (0, 1, 2), (10.0, 50.0), (0.0, 30.0)
 SETTLE = {  # s, by number of resets, cycle and start; None never settles
@@ -29,7 +29,7 @@ SETTLE = {  # s, by number of resets, cycle and start; None never settles
 MAP = ("reset_count", "reset_cycle_s")
 
 
-def runs(settle=SETTLE, draws=3, **more):
+def run_table(settle=SETTLE, draws=3, **more):
     """A summary: every point of `SETTLE` in some draws, a second apart."""
     points = [(*point, draw) for draw in range(draws) for point in settle]
     count, cycle, start, draw = zip(*points, strict=True)
@@ -53,7 +53,7 @@ def runs(settle=SETTLE, draws=3, **more):
     return pa.table(columns | more)
 
 
-def panels(figure: Figure):
+def panel_titles(figure: Figure):
     return [axes for axes in figure.axes if axes.get_images()]
 
 
@@ -67,9 +67,9 @@ def test_plot_functions_are_public_names():
 
 
 def test_map_states_best_cell_over_all_panels_and_frames_best_of_each():
-    figure = sinsjax.plot_map(runs(), *MAP, "settle_10_s", by="phi_u0_deg")
+    figure = sinsjax.plot_map(run_table(), *MAP, "settle_10_s", by="phi_u0_deg")
     assert figure.get_suptitle() == "Soonest: 2 resets, every 10 s (180 s on average)"
-    first, second = panels(figure)
+    first, second = panel_titles(figure)
     np.testing.assert_array_equal(
         first.get_images()[0].get_array(), [[300, 300], [100, 200], [150, 180]]
     )
@@ -83,7 +83,7 @@ def test_map_states_best_cell_over_all_panels_and_frames_best_of_each():
 
 
 def test_map_title_names_best_choice_where_panels_are_choices():
-    table = runs()
+    table = run_table()
     table = table.append_column("method", table["phi_u0_deg"].cast(pa.string()))
     figure = sinsjax.plot_map(table, *MAP, "settle_10_s", by=["method"], pooled=[])
     title = "Soonest: 1 reset at 10 s, method 0 (100 s on average)"
@@ -92,7 +92,7 @@ def test_map_title_names_best_choice_where_panels_are_choices():
 
 def test_map_of_schedule_that_fails_sometimes_states_share():
     settle = {point: None if point[2] else time for point, time in SETTLE.items()}
-    figure = sinsjax.plot_map(runs(settle), *MAP, "settle_10_s", by="phi_u0_deg")
+    figure = sinsjax.plot_map(run_table(settle), *MAP, "settle_10_s", by="phi_u0_deg")
     assert figure.get_suptitle() == "Most often: 1 reset at 10 s (50 % of the runs settle)"
 
 
@@ -102,35 +102,35 @@ def test_outlier_ends_beyond_colour_scale():
         {"a": np.repeat(range(5), 6), "b": np.tile(range(6), 5), "settle_10_s": values}
     )
     figure = sinsjax.plot_map(table, "a", "b", "settle_10_s")
-    image = panels(figure)[0].get_images()[0]
+    image = panel_titles(figure)[0].get_images()[0]
     assert image.norm.vmax < 140 and "and more" in figure.axes[-1].get_ylabel()
     even = table.set_column(2, "settle_10_s", pa.array(np.linspace(100.0, 130.0, 30)))
     figure = sinsjax.plot_map(even, "a", "b", "settle_10_s")
-    assert panels(figure)[0].get_images()[0].norm.vmax == 130.0
+    assert panel_titles(figure)[0].get_images()[0].norm.vmax == 130.0
     assert "and more" not in figure.axes[-1].get_ylabel()
 
 
 def test_map_of_flag_is_share_in_percent_and_of_number_its_rms():
-    figure = sinsjax.plot_map(runs(), *MAP, "ok_floor")
+    figure = sinsjax.plot_map(run_table(), *MAP, "ok_floor")
     np.testing.assert_allclose(
-        panels(figure)[0].get_images()[0].get_array(), [[50, 50], [100, 100], [100, 100]]
+        panel_titles(figure)[0].get_images()[0].get_array(), [[50, 50], [100, 100], [100, 100]]
     )
-    table = runs()
+    table = run_table()
     figure = sinsjax.plot_map(table, *MAP, "phi_u_arcmin")
     phi = table["phi_u_arcmin"].to_numpy()[table["reset_count"].to_numpy() == 0]
-    shown = panels(figure)[0].get_images()[0].get_array()
+    shown = panel_titles(figure)[0].get_images()[0].get_array()
     np.testing.assert_allclose(shown[0], np.sqrt(np.mean(phi**2)))
     assert "(arcmin)" in figure.axes[-1].get_ylabel()
 
 
 def test_map_does_not_depend_on_order_of_rows():
-    table = runs()
+    table = run_table()
     order = np.random.default_rng(0).permutation(table.num_rows)
     order = order[np.lexsort((table["reset_cycle_s"].to_numpy()[order],))]
     mixed = table.take(order)
     counts = list(dict.fromkeys(mixed["reset_count"].to_pylist()))
     one, other = (
-        panels(sinsjax.plot_map(rows, *MAP, "settle_10_s"))[0].get_images()[0].get_array()
+        panel_titles(sinsjax.plot_map(rows, *MAP, "settle_10_s"))[0].get_images()[0].get_array()
         for rows in (table, mixed)
     )
     np.testing.assert_array_equal(other, one[counts])
@@ -139,10 +139,10 @@ def test_map_does_not_depend_on_order_of_rows():
 @pytest.mark.parametrize(
     ("table", "line"),
     [
-        (runs().slice(0, 5), "no full grid of these keys"),
-        (runs().slice(0, 0), "there are no runs"),
-        (runs().drop_columns(["settle_10_s"]), "column settle_10_s is missing"),
-        ([1, 2], "list: is no table"),
+        (run_table().slice(0, 5), "no full grid of these keys"),
+        (run_table().slice(0, 0), "there are no runs"),
+        (run_table().drop_columns(["settle_10_s"]), "column settle_10_s is missing"),
+        ([1, 2], "list: is not a table"),
     ],
 )
 def test_map_of_unusable_runs_is_refused(table, line):
@@ -152,17 +152,17 @@ def test_map_of_unusable_runs_is_refused(table, line):
 
 def test_pandas_frames_are_accepted():
     pandas = pytest.importorskip("pandas")
-    frame = pandas.DataFrame(runs().to_pydict())
+    frame = pandas.DataFrame(run_table().to_pydict())
     figure = sinsjax.plot_map(frame, *MAP, "settle_10_s", by="phi_u0_deg")
-    same = sinsjax.plot_map(runs(), *MAP, "settle_10_s", by="phi_u0_deg")
-    assert plots.png(figure) == plots.png(same)
+    same = sinsjax.plot_map(run_table(), *MAP, "settle_10_s", by="phi_u0_deg")
+    assert plots.render_png(figure) == plots.render_png(same)
 
 
 # --- plot_compare -------------------------------------------------------------------------------
 
 
 def test_compare_leaves_out_panels_that_show_nothing_more():
-    table = runs({point: time for point, time in SETTLE.items() if point[0]})
+    table = run_table({point: time for point, time in SETTLE.items() if point[0]})
     table = table.append_column("settle_10_truth_s", table["settle_10_s"])
     figure = sinsjax.plot_compare(table, "phi_u0_deg", by=MAP)
     titles = [axes.get_title(loc="left") for axes in figure.axes]
@@ -184,11 +184,11 @@ def test_compare_leaves_out_panels_that_show_nothing_more():
 )
 def test_key_acts_if_values_lie_far_outside_each_others_intervals(ends, expected):
     line = [analysis.Estimate(*numbers, 9) for numbers in ends]
-    assert acts({"x": {"a": line}}) == expected
+    assert has_significant_effect({"x": {"a": line}}) == expected
 
 
 def test_compare_states_best_value_of_choice_and_best_line_over_conditions():
-    table = runs({point: time for point, time in SETTLE.items() if point[0]})
+    table = run_table({point: time for point, time in SETTLE.items() if point[0]})
     choice = sinsjax.plot_compare(table, "reset_count", by=["reset_cycle_s", "phi_u0_deg"])
     assert "1, time between resets 10 s" in choice.get_suptitle().replace("\n", " ")
     assert "100 s" in choice.get_suptitle()
@@ -198,7 +198,7 @@ def test_compare_states_best_value_of_choice_and_best_line_over_conditions():
 
 
 def test_compare_of_one_line_states_range():
-    table = runs({point: time for point, time in SETTLE.items() if point[:2] == (0, 10.0)})
+    table = run_table({point: time for point, time in SETTLE.items() if point[:2] == (0, 10.0)})
     figure = sinsjax.plot_compare(table, "phi_u0_deg", condition=True)
     assert figure.get_suptitle() == "Median time: 300 to 300 s, never at 1 of 2 values"
 
@@ -219,7 +219,7 @@ def test_compare_names_lines_at_their_ends_if_there_is_room():
 
 
 def test_belief_leaves_out_lines_without_covariance_and_refuses_none():
-    columns = {name: [0.5] * 4 for name in SHARES.values()}
+    columns = {name: [0.5] * 4 for name in SHARE_COLUMNS.values()}
     table = pa.table(columns | {"method": ["a", "a", "b", "b"], "nees": [1.0, 2.0, None, None]})
     figure = sinsjax.plot_belief(table, by="method")
     assert [text.get_text() for text in figure.axes[1].texts] == ["method a"]

@@ -1,4 +1,4 @@
-"""Pages of a folder: prose with numbers by name, none missing, none left over, none untrue."""
+"""Study pages: prose with named numbers, none missing, none unused, no false claim."""
 
 import html
 from pathlib import Path
@@ -11,15 +11,15 @@ from support.sweep_directories import rewrite_manifest
 from support.synthetic_tables import synthetic_summary
 
 from sinsjax.errors import InputError
-from sinsjax.report import folder
-from sinsjax.report.folder import Page
+from sinsjax.report import study_page
+from sinsjax.report.study_page import Page
 
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
 
 SCRIPT = """
 from matplotlib.figure import Figure
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page
+from sinsjax.report.study_page import Page
 from .neighbour import HALF
 
 def page(sources):
@@ -44,7 +44,7 @@ In {{ runs }} runs it takes {{ best.settle }}, {{ best.items }}{{ claim("there a
 
 
 @pytest.fixture
-def page_of(tmp_path):
+def write_page_folder(tmp_path):
     """A folder of a page with prose to choose."""
 
     def made(prose: str = PROSE, script: str = SCRIPT) -> Path:
@@ -64,8 +64,8 @@ def results(tmp_path):
     return store_results(tmp_path / "results", study, synthetic_summary(study))
 
 
-def test_page_renders_prose_with_script_values(page_of, results, tmp_path):
-    said = report_text(results, page=page_of())
+def test_page_renders_prose_with_script_values(write_page_folder, results, tmp_path):
+    said = report_text(results, page=write_page_folder())
     text = (tmp_path / "docs" / "two_words.md").read_text()
     assert "two_words.md and 1 figures" in said and "ok:" not in said
     assert text.startswith("<!-- Written by: sinsjax report --page docs/studies/two_words;")
@@ -78,10 +78,12 @@ def test_page_renders_prose_with_script_values(page_of, results, tmp_path):
 
 
 @pytest.mark.parametrize("config", ["a`b|<script>x", "`a``b`", "</details> *b* &amp;"])
-def test_page_shows_doctored_config_and_version_literally(page_of, results, tmp_path, config):
+def test_page_shows_doctored_config_and_version_literally(
+    write_page_folder, results, tmp_path, config
+):
     versions = {"sinsjax": "<script>*1*\x1b"}
     rewrite_manifest(results, config=f"{config}\x1b\n", versions=versions)
-    report_text(results, page=page_of())
+    report_text(results, page=write_page_folder())
     footer = (tmp_path / "docs" / "two_words.md").read_text().splitlines()[-1]
     code = html.escape(config, quote=False)
     assert MarkdownIt("commonmark").renderInline(footer) == (
@@ -94,43 +96,47 @@ def test_page_shows_doctored_config_and_version_literally(page_of, results, tmp_
     [
         (PROSE.replace("best.settle", "best.setle"), "no attribute 'setle'"),
         (PROSE.replace("{{ runs }}", "{{ rans }}"), "'rans' is undefined"),
-        (PROSE.replace("{{ best.items }}", ""), "no sentence names best.items"),
-        (PROSE.replace("{{ figures.map }}", ""), "no sentence names figures.map"),
-        (PROSE.replace("{{ tables.all }}", ""), "no sentence names tables.all"),
-        (PROSE.replace('{{ claim("there are runs") }}', ""), "no sentence names claim 'there are"),
-        (PROSE.replace("there are", "there were"), "does not say whether 'there were runs' is so"),
+        (PROSE.replace("{{ best.items }}", ""), "the prose does not use best.items"),
+        (PROSE.replace("{{ figures.map }}", ""), "the prose does not use figures.map"),
+        (PROSE.replace("{{ tables.all }}", ""), "the prose does not use tables.all"),
+        (
+            PROSE.replace('{{ claim("there are runs") }}', ""),
+            "the prose does not use claim 'there are",
+        ),
+        (PROSE.replace("there are", "there were"), "has no claim 'there were runs'"),
         (PROSE.replace("{{ runs }}", "{{ runs"), "page.md.j2"),
     ],
 )
-def test_unused_or_undefined_names_in_prose_are_refused(page_of, results, prose, message):
+def test_unused_or_undefined_names_in_prose_are_refused(write_page_folder, results, prose, message):
     with pytest.raises(InputError, match="page.md.j2: ") as caught:
-        report_text(results, page=page_of(prose))
+        report_text(results, page=write_page_folder(prose))
     assert message in str(caught.value)
 
 
-def test_false_claim_in_page_is_reported(page_of, results):
+def test_false_claim_in_page_is_reported(write_page_folder, results):
     script = SCRIPT.replace("runs > 0", "runs > 3")
-    with pytest.raises(InputError, match="not so in these results: there are runs"):
-        report_text(results, page=page_of(script=script))
+    with pytest.raises(InputError, match="false in these results: there are runs"):
+        report_text(results, page=write_page_folder(script=script))
 
 
-def test_missing_results_of_page_are_reported(page_of, tmp_path):
+def test_missing_results_of_page_are_reported(write_page_folder, tmp_path):
     study = small_study(study={"name": "sway"})
     with pytest.raises(InputError, match="needs results of swing: add their directory"):
         report_text(
-            store_results(tmp_path / "sway", study, synthetic_summary(study)), page=page_of()
+            store_results(tmp_path / "sway", study, synthetic_summary(study)),
+            page=write_page_folder(),
         )
 
 
 def test_folder_without_page_script_is_refused(results, tmp_path):
-    with pytest.raises(InputError, match=r"holds no page.py, .* a page \(--page takes"):
+    with pytest.raises(InputError, match=r"has no page.py, .* a page \(give --page"):
         report_text(results, page=tmp_path)
 
 
-def test_false_claims_are_ignored_when_not_enforced(page_of):
+def test_false_claims_are_ignored_when_not_enforced(write_page_folder):
     page = Page({}, {}, {}, {"so": False})
-    at = page_of("{{ claim('so') }}said")
-    assert folder.render(at, page, enforced=False) == "said"
+    at = write_page_folder("{{ claim('so') }}said")
+    assert study_page.render_prose(at, page, enforce_claims=False) == "said"
 
 
 def test_study_name_does_not_select_report_layout(tmp_path):

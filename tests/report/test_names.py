@@ -1,4 +1,4 @@
-"""Names from a study are text in every medium, and no report takes finished results with it."""
+"""Names from a study are printed literally in every medium, and no name breaks a report."""
 
 import io
 import json
@@ -31,12 +31,12 @@ from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.source import Source
 from sinsjax.messages import CONTROL
-from sinsjax.platform.files import file_stem
-from sinsjax.plots import png
-from sinsjax.plots.style import styled
+from sinsjax.platform.files import safe_file_stem
+from sinsjax.plots import render_png
+from sinsjax.plots.style import with_style
 from sinsjax.report.base import Chapter, Fact, Report, Table, Text, Verdict
-from sinsjax.report.names import NO_NAMES, Names, escaped
-from sinsjax.report.output import Made, print_report, write_html, write_page
+from sinsjax.report.names import NO_NAMES, StudyNames, escape_markdown
+from sinsjax.report.output import DrawnReport, print_report, write_html_page, write_markdown_page
 from sinsjax.study.load import load_study
 
 NASTY = (
@@ -56,8 +56,8 @@ NASTY = (
 NAME = "[/b] <script>x</script> $x^$ ../../a"
 
 
-def stored(directory: Path) -> Path:
-    """Results of a study whose names are as bad as can be."""
+def store_nasty_results(directory: Path) -> Path:
+    """Results of a study with the worst possible names."""
     cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
     unbiased = {"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0}
     study = small_study(study={"name": NAME, "draws": 2}, cases=cases, sensors=unbiased)
@@ -73,37 +73,37 @@ def stored(directory: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return stored(tmp_path_factory.mktemp("names") / "results")
+    return store_nasty_results(tmp_path_factory.mktemp("names") / "results")
 
 
 @pytest.mark.parametrize("name", NASTY)
 def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
     read = MarkdownIt("commonmark").enable(["table", "strikethrough"])
-    shown = read.renderInline(escaped(name)).replace("&lt;", "<").replace("&gt;", ">")
+    shown = read.renderInline(escape_markdown(name)).replace("&lt;", "<").replace("&gt;", ">")
     assert shown.replace("&amp;", "&") == name
-    cell = escaped(name).replace("|", "\\|")
-    assert "<td>" + read.renderInline(escaped(name)) + "</td>" in read.render(
+    cell = escape_markdown(name).replace("|", "\\|")
+    assert "<td>" + read.renderInline(escape_markdown(name)) + "</td>" in read.render(
         f"| a |\n| --- |\n| {cell} |\n"
     )
 
 
 def test_only_names_are_escaped() -> None:
-    names = Names.of(small_study(study={"name": "*a* `b`"}))
-    assert names.markdown("*never* `c` *a* `b`") == r"*never* `c` \*a\* \`b\`"
-    assert names.plain("*never* `c` *a* `b`") == "never c *a* `b`"
-    assert NO_NAMES.markdown("*never* 1 < 2, <b>") == "*never* 1 < 2, &lt;b>"
+    names = StudyNames.from_study(small_study(study={"name": "*a* `b`"}))
+    assert names.to_markdown("*never* `c` *a* `b`") == r"*never* `c` \*a\* \`b\`"
+    assert names.to_plain_text("*never* `c` *a* `b`") == "never c *a* `b`"
+    assert NO_NAMES.to_markdown("*never* 1 < 2, <b>") == "*never* 1 < 2, &lt;b>"
 
 
 def test_shipped_pages_are_unchanged_by_name_escaping() -> None:
-    """Nothing that stands on a committed page is changed on its way there."""
+    """Committed pages are not changed by escaping."""
     root = Path(__file__).parents[2]
     configs = sorted(root.glob("configs/*.toml"))
-    names = [Names.of(load_study(path), f"configs/{path.name}") for path in configs]
+    names = [StudyNames.from_study(load_study(path), f"configs/{path.name}") for path in configs]
     assert names and not any(each.texts for each in names)
-    assert all(file_stem(path.stem) == path.stem for path in configs)
+    assert all(safe_file_stem(path.stem) == path.stem for path in configs)
     for page in root.glob("docs/*.md"):
         text = re.sub(r"<!--.*?-->|</?(details|summary)>", "", page.read_text(encoding="utf-8"))
-        assert NO_NAMES.markdown(text) == text, page.name
+        assert NO_NAMES.to_markdown(text) == text, page.name
 
 
 @pytest.mark.usefixtures("drawn_on_request")
@@ -124,12 +124,12 @@ def test_report_shows_special_characters_in_names_literally(results: Path, tmp_p
 
 
 DOCTORED = "a\x1b]0;x\x07\x7f\u202e\u2028\u061c\udcff|`<script>x</script> --> b\nWarning: c"
-"""Text that a file may hold, for the terminal and for pages to show harmlessly."""
+"""Text that a file may contain, which terminal and pages must show harmlessly."""
 
 
 @pytest.mark.usefixtures("drawn_on_request")
 def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: Path) -> None:
-    directory = stored(tmp_path / "results")
+    directory = store_nasty_results(tmp_path / "results")
     part = directory / "summary" / "part-0000-000000.parquet"
     table = pq.read_table(part)
     cases = [f"{case}\x1b[2J\u202e\n" for case in table["case"].to_pylist()]
@@ -156,18 +156,18 @@ def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: P
 def test_control_characters_in_any_part_of_report_are_escaped(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever a layout puts there, and wherever that comes from."""
+    """Control characters are escaped wherever they come from."""
     monkeypatch.setenv("COLUMNS", "200")
     said, odd = Console(file=io.StringIO()), "\x1b[2J\u202e"
     table = Table(f"title{odd}", [f"header{odd}"], [[f"cell{odd}"]], f"note{odd}")
     row = Table(f"verdict{odd}", [f"head{odd}"], [[f"row{odd}"]])
     verdict = Verdict(f"study{odd}", [Fact(f"label{odd}", f"fact{odd}")], row)
     chapter = Chapter(f"chapter{odd}", [Text(f"text{odd}"), table])
-    made = Made.of(Source.read(results), Report(verdict, [chapter]))
+    made = DrawnReport.from_report(Source.read(results), Report(verdict, [chapter]))
     print_report(made, said)
     print_report(made, said, full=True)
-    write_page(tmp_path / "page.md", f"name{odd}", [made])
-    write_html(tmp_path / "page.html", f"name{odd}", [made])
+    write_markdown_page(tmp_path / "page.md", f"name{odd}", [made])
+    write_html_page(tmp_path / "page.html", f"name{odd}", [made])
     printed = said.file.getvalue()
     pages = [(tmp_path / f"page.{end}").read_text() for end in ("md", "html")]
     for text in (printed, *pages):
@@ -197,12 +197,12 @@ def test_study_file_with_control_characters_in_its_name_is_shown_escaped(
 
 def test_errors_and_warnings_are_one_visible_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert str(InputError("a\nb\x1b[2J\u202e")) == r"a b\x1b[2J\u202e"
-    screen.warn("a\nb\x1b[2J\u202e")
+    screen.print_warning("a\nb\x1b[2J\u202e")
     assert capsys.readouterr().err == "Warning: a\\nb\\x1b[2J\\u202e\n"
 
 
 def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates() -> None:
-    """As the Unicode database has them."""
+    """Return the control characters of the Unicode database."""
     explicit = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
     for letter in map(chr, range(sys.maxunicode + 1)):
         expected = (
@@ -214,7 +214,7 @@ def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates
 
 
 def test_figure_shows_names_and_decades_without_mathtext() -> None:
-    @styled
+    @with_style
     def draw() -> Figure:
         figure = Figure(figsize=(3, 3))
         axes = figure.subplots()
@@ -226,7 +226,7 @@ def test_figure_shows_names_and_decades_without_mathtext() -> None:
         return figure
 
     figure = draw()
-    assert png(figure, "$x^$").startswith(b"\x89PNG")
+    assert render_png(figure, "$x^$").startswith(b"\x89PNG")
     (axes,) = figure.axes
     across, up = axes.get_xticklabels(), axes.get_yticklabels(which="both")
     assert "10⁻³" in {label.get_text() for label in across}
@@ -237,8 +237,8 @@ def test_figure_shows_names_and_decades_without_mathtext() -> None:
 def test_console_output_shows_markup_in_names_literally() -> None:
     file = io.StringIO()
     shown = Console(file=file, width=40)
-    screen.say(shown, "[/b] reset [fast] :smile:")
-    with progress.progress(shown, "[/b] :smile:") as tell:
+    screen.print_line(shown, "[/b] reset [fast] :smile:")
+    with progress.show_progress(shown, "[/b] :smile:") as tell:
         tell(RunProgress(5, 5, 0, 0))
     assert file.getvalue().splitlines() == [
         "[/b] reset [fast] :smile:",
@@ -263,7 +263,7 @@ def test_failed_report_keeps_results_complete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def finished(study: Any, directory: Path, *_: Any, **options: Any) -> None:
-        stored(directory)
+        store_nasty_results(directory)
         manifest = {"state": "complete", "config": str(options["source"])}
         (directory / "manifest.json").write_text(json.dumps(manifest))
 
@@ -273,7 +273,7 @@ def test_failed_report_keeps_results_complete(
     config, out = tmp_path / "swing.toml", tmp_path / "out"
     config.write_text(tomli_w.dumps(BASE))
     monkeypatch.setattr(run, "run_into", finished)
-    monkeypatch.setattr(report.auto, "report", broken)
+    monkeypatch.setattr(report.monte_carlo, "build_report", broken)
     monkeypatch.setattr("sys.argv", ["sinsjax", "sweep", str(config), "-o", str(out)])
     with pytest.raises(SystemExit) as stop:
         cli.main()

@@ -16,12 +16,12 @@ from support.sweep_directories import read_manifest_entries, rewrite_manifest
 from support.synthetic_tables import FLOOR, synthetic_curves, synthetic_summary
 
 from sinsjax import analysis, report
-from sinsjax.analysis.words import percent
+from sinsjax.analysis.formats import format_percent
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.source import Source
-from sinsjax.report import base, over_axes
+from sinsjax.report import axis_figures, base
 from sinsjax.study.load import study_from_dict
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
@@ -62,7 +62,8 @@ def test_table_shows_success_settling_and_heading_statistics(tmp_path):
     ):
         assert cell in text
     assert (
-        f"{percent(analysis.share(ok == 'ok', np.repeat(np.arange(40), 2)))} % of the runs" in text
+        f"{format_percent(analysis.share(ok == 'ok', np.repeat(np.arange(40), 2)))} % of the runs"
+        in text
     )
 
 
@@ -84,8 +85,8 @@ def test_pooled_variants_have_intervals_counted_by_draws(tmp_path):
     study = small_study(axes=axes, resets={})
     text = report_text(store_results(tmp_path, study, synthetic_summary(study)))
     assert "study: 72 runs (60 distinct), none failed" in text
-    assert "24 variants: each table takes one key" in text
-    assert "4 of the 24 variants repeat another one, because reset_cycle_s does not act" in text
+    assert "24 variants: each table has one key" in text
+    assert "4 of the 24 variants repeat another one, because reset_cycle_s has no effect" in text
     assert "count repeated variants once: 60 of 72 runs." in text
     table = text.partition("By reset_count")[2].partition("By reset_cycle_s")[0]
     assert [line.split()[:2] for line in table.splitlines()[5:8]] == [
@@ -111,7 +112,7 @@ def test_best_schedule_has_most_successes_then_fastest_settling(tmp_path):
     assert "Best      1 reset at 1 s: every run settles, after 3 " in text
     assert "no reset: 5 " in text
     # Chosen and judged on the same draws, since their halves are too few.
-    assert "Caution   only 3 draws: chosen and judged on them alike" in text
+    assert "Caution   only 3 draws: no other draws evaluate the choice" in text
 
 
 def test_variants_are_compared_with_first_on_same_noise(tmp_path):
@@ -125,13 +126,13 @@ def test_variants_are_compared_with_first_on_same_noise(tmp_path):
     row = next(line for line in text.splitlines() if line.startswith(" 30"))
     share = analysis.proportion_difference(np.arange(40) < 39, np.full(40, True))
     yaw = np.abs(summary["phi_u_mean_arcmin"].to_numpy() - FLOOR)
-    error = analysis.format_estimate(analysis.difference(yaw[1::2], yaw[::2]))
-    assert "7 [7, 7]" in row and percent(share) in row and error in row
+    error = analysis.format_estimate(analysis.mean_difference(yaw[1::2], yaw[::2]))
+    assert "7 [7, 7]" in row and format_percent(share) in row and error in row
     assert "is a reference only: variants also differ from it in phi_u0_deg, the" in text
 
 
 def test_variants_are_compared_under_same_conditions(tmp_path):
-    """From 30 deg every run takes 100 s longer, and a second reset 7 s longer."""
+    """From 30 deg every run settles 100 s later, and a second reset 7 s later."""
     axes = {"reset_count": [1, 2], "phi_u0_deg": [0.0, 30.0]}
     study = small_study(study={"draws": 40}, axes=axes, resets={"reset_cycle_s": 1.0})
     settle = 50.0 + np.repeat(np.arange(40.0), 4) + np.tile([0.0, 100.0, 7.0, 107.0], 40)
@@ -165,7 +166,7 @@ def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
     assert study.axes_shown == {("phi_e0_deg",): (0.0, 5.0, 10.0), ("phi_u0_deg",): (0.0, 30.0)}
     settle = np.tile([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], 3)
     source = Source(tmp_path, study, "x.toml", synthetic_summary(study, settle_10_s=settle))
-    blocks = {block.name: block for block in over_axes.over_axes(source)}
+    blocks = {block.name: block for block in axis_figures.build_axis_figures(source)}
     axes = blocks["settling_time"].figure.axes[0]
     assert (axes.get_ylabel(), axes.get_xlabel()) == (
         "initial level error about east (deg)",
@@ -189,7 +190,7 @@ def test_report_of_stopped_study_counts_its_actual_draws(tmp_path):
     text = report_text(store_results(tmp_path, study, summary))
     assert (
         "study: 256 runs (192 distinct)" in text
-        and "64: each half judged what the other half chose" in text
+        and "64: each half evaluates the choice of the other" in text
     )
 
 
@@ -325,8 +326,8 @@ def test_unwritable_output_is_refused_before_report_is_made(tmp_path, monkeypatc
     study = small_study()
     directory = store_results(tmp_path / "results", study, synthetic_summary(study))
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(report.auto, "report", lambda source: pytest.fail("was made"))
-    wrong = {"file/one": f"--{option} .*one: cannot be written: no folder.*file$"}
+    monkeypatch.setattr(report.monte_carlo, "build_report", lambda source: pytest.fail("was made"))
+    wrong = {"file/one": f"--{option} .*one: cannot be written: .*file is not a writable folder$"}
     if option == "html":
         wrong["results"] = "--html .*results: is a folder, give the name of a file$"
     for name, line in wrong.items():
@@ -344,10 +345,10 @@ def test_missing_page_folder_is_created(tmp_path):
 
 def test_markdown_escapes_cells_and_folds_tables():
     table = base.Table("T", ["a|b"], [["|x|"]], "note", folded=True)
-    text = report.output.markdown(table)
+    text = report.output.block_to_markdown(table)
     assert text.startswith("<details>") and "\\|x\\|" in text and "note" in text
     picture = base.Picture("fig", "what is seen", Figure())
-    assert "](figures/p_fig.png)" in report.output.markdown(picture, "p_")
+    assert "](figures/p_fig.png)" in report.output.block_to_markdown(picture, "p_")
 
 
 def test_source_without_config_file_is_labelled_by_study_name(tmp_path):
@@ -382,13 +383,15 @@ def test_page_states_success_criteria_and_their_reference(tmp_path):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     page = tmp_path / "page.md"
     report_text(store_results(tmp_path / "out", study, synthetic_summary(study)), page=page)
-    said = base.yardstick(study)
+    said = base.describe_success_criterion(study)
     assert said in "\n".join(page.read_text().splitlines()[:10])
     # A tenth of 6 s.
     assert "of true north" in said and "ok: it has been there for 0.6 s at the end" in said
     floor = small_study(study={"judged_from": "floor", "dwell_s": 0.0}, motion=STILL)
-    assert "not of true north" in base.yardstick(floor) and "it ends there" in base.yardstick(floor)
-    assert "of the reference's heading" in base.yardstick(recorded_study())
+    assert "not of true north" in base.describe_success_criterion(
+        floor
+    ) and "it ends there" in base.describe_success_criterion(floor)
+    assert "of the reference's heading" in base.describe_success_criterion(recorded_study())
 
 
 def test_success_from_truth_and_bias_floor_appears_in_all_outputs(tmp_path):
@@ -400,9 +403,9 @@ def test_success_from_truth_and_bias_floor_appears_in_all_outputs(tmp_path):
     text = report_text(store_results(tmp_path / "out", study, summary), html=html)
     truth, floor = "within 10' of true north", "within 10' of its bias floor"
     floors = "within 10' of their bias floors"
-    half = percent(analysis.share(flags["ok_truth"], np.repeat(np.arange(8), 2)))
+    half = format_percent(analysis.share(flags["ok_truth"], np.repeat(np.arange(8), 2)))
     assert f"{half} % of the runs settle" in text
-    (along,) = over_axes.over_axes(source)
+    (along,) = axis_figures.build_axis_figures(source)
     titles = [axes.get_title(loc="left") for axes in along.figure.axes]
     page = unescape(html.read_text())
     assert f"share of runs that are ok, {truth} (%)" in titles
@@ -424,7 +427,7 @@ def test_headings_too_far_east_are_not_within_the_band_at_the_end(tmp_path):
 
 
 def test_heading_error_table_shows_rms_and_quantile_per_time(tmp_path):
-    """Headings to the left and to the right do not cancel, and the window mean is not told."""
+    """Headings to the left and right do not cancel, and the window mean is not shown."""
     sign = np.tile([1.0, -1.0], 32)
     size = np.linspace(200.0, 400.0, 64)
     study = small_study(study={"draws": 64, "report_times_s": [3]})
@@ -441,7 +444,7 @@ def test_heading_error_table_shows_rms_and_quantile_per_time(tmp_path):
     few = small_study(study={"draws": 16})
     assert (
         "*few draws*: too few to bound it"
-        in report.auto.heading_errors(
+        in report.monte_carlo.heading_error_table(
             Source(tmp_path, few, "x.toml", synthetic_summary(few)), [], "Heading error"
         ).note
     )
@@ -450,13 +453,15 @@ def test_heading_error_table_shows_rms_and_quantile_per_time(tmp_path):
 def test_notes_warn_of_fewer_than_16_draws(tmp_path):
     for draws, warns in ((15, True), (16, False)):
         study = small_study(study={"draws": draws})
-        note = report.base.intervals(Source(tmp_path, study, "x.toml", synthetic_summary(study)))
+        note = report.base.describe_intervals(
+            Source(tmp_path, study, "x.toml", synthetic_summary(study))
+        )
         assert note.startswith("Number [95 % interval over the draws].")
         assert ("*few draws*" in note and "fewer than 16 draws" in note) == warns
 
 
 def test_runs_near_north_but_not_converged_are_reported(tmp_path):
-    """One axis lies at its bias floor, and one at north, 25.9' from it."""
+    """One axis value ends at its bias floor, the other at north, 25.9' from it."""
     axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
     study = small_study(study={"draws": 8}, axes=axes)
     off = np.tile([True, False, True, False], 8)
@@ -467,7 +472,9 @@ def test_runs_near_north_but_not_converged_are_reported(tmp_path):
     )
     assert "All 8 runs that are ok within 10' of true north end more than 10' from" in text
     source = Source.read(tmp_path / "a")
-    drawn = {b.name: b for b in over_axes.over_axes(source) if isinstance(b, base.Picture)}
+    drawn = {
+        b.name: b for b in axis_figures.build_axis_figures(source) if isinstance(b, base.Picture)
+    }
     assert drawn.keys() == {"settling_time", "settling_time_floor"}  # every share is 0 or 100 %
     for name, hatched in {"settling_time": 2, "settling_time_floor": 0}.items():
         patches = drawn[name].figure.axes[0].patches
@@ -501,7 +508,9 @@ def test_constant_bias_floor_is_drawn_as_line(tmp_path, floors, drawn):
     study = small_study(study={"draws": 2, "curves": True}, axes={"phi_u0_deg": [0.0, 30.0]})
     summary = synthetic_summary(study, floor_arcmin=np.tile(floors, 2))
     source = Source.read(store_results(tmp_path, study, summary, synthetic_curves(study)))
-    blocks = [block for one in report.auto.report(source).sections for block in one.blocks]
+    blocks = [
+        block for one in report.monte_carlo.build_report(source).sections for block in one.blocks
+    ]
     (figure,) = (block.figure for block in blocks if getattr(block, "name", "") == "misalignment")
     assert ("bias floor" in [text.get_text() for text in figure.legends[0].get_texts()]) == drawn
 
@@ -522,7 +531,7 @@ def test_no_schedule_is_best_without_successful_run(tmp_path):
 def test_bias_floor_is_explained_before_first_use(tmp_path):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     text = report_text(store_results(tmp_path, study, synthetic_summary(study)))
-    meaning = text.index("Bias floor: the heading error that a run's own")
+    meaning = text.index("Bias floor: the heading error caused by a run's own")
     assert meaning < text.index("from its bias floor")
     assert "allow" not in text and "limit" not in text
 
@@ -548,12 +557,12 @@ def test_unmodelled_biases_explain_high_nees(tmp_path):
     text = report_text(
         store_results(tmp_path / "a", biased, synthetic_summary(biased, nees=np.full(16, 9.0)))
     )
-    assert "A NEES of 3 is not to be expected here" in text and "up to 1.72 arcmin" in text
+    assert "A NEES of 3 cannot be expected here" in text and "up to 1.72 arcmin" in text
     clean = small_study(study={"draws": 8}, axes=axes, sensors=UNBIASED)
     text = report_text(
         store_results(tmp_path / "b", clean, synthetic_summary(clean, nees=np.full(16, 9.0)))
     )
-    assert "is not to be expected" not in text
+    assert "cannot be expected" not in text
 
 
 @pytest.mark.parametrize(("method", "told_of"), [("kalman5", True), ("kalman10", False)])
@@ -570,7 +579,7 @@ def test_drawn_unmodelled_biases_explain_high_nees(tmp_path, method, told_of):
     runs = {"floor_arcmin": np.full(8, -12.0), "phi_u_arcmin": np.full(8, 13.5), **of_filter}
     summary = synthetic_summary(study, all_columns=True, gyro_bias_deg_per_h=biases, **runs)
     text = report_text(store_results(tmp_path, study, summary))
-    assert ("A NEES of 3 is not to be expected here" in text) == told_of
+    assert ("A NEES of 3 cannot be expected here" in text) == told_of
     assert ("gyros up to 0.751 deg/h, accelerometers up to 0 ug" in text) == told_of
     assert ("The mean NEES is 18,000, far above the band" in text) == told_of
     assert ("in quadrature: 13.0 arcmin. The heading errors found are 13.5" in text) == told_of
@@ -580,7 +589,7 @@ def test_drawn_unmodelled_biases_explain_high_nees(tmp_path, method, told_of):
 
 
 def test_stopped_study_reports_reason_for_stopping(tmp_path):
-    """From the rows alone, and with the numbers of the rule."""
+    """The reason follows from the rows alone, with the numbers of the rule."""
     study = small_study(
         study={"draws": 100},
         stop_when={"statistic": "success_rate", "half_width": 0.9},
@@ -589,13 +598,15 @@ def test_stopped_study_reports_reason_for_stopping(tmp_path):
     source = Source.read(tmp_path / "out")
     assert source.draws == 64
     (why,) = (
-        fact.text for fact in report.auto.report(source).verdict.facts if fact[0] == "Stopped"
+        fact.text
+        for fact in report.monte_carlo.build_report(source).verdict.facts
+        if fact[0] == "Stopped"
     )
     assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why
 
 
 def test_missing_part_of_stopped_study_is_refused(tmp_path):
-    """Variants that are not there must not pass for fewer draws."""
+    """Missing variants must not be counted as missing draws."""
     study = small_study(
         study={"draws": 65},
         stop_when={"statistic": "success_rate", "half_width": 0.9},
@@ -609,7 +620,7 @@ def test_missing_part_of_stopped_study_is_refused(tmp_path):
         Source.read(tmp_path / "out")
     rewrite_manifest(tmp_path / "out", chunks=[])
     with pytest.raises(InputError, match="64 runs, but the study has 128"):
-        report.auto.report(Source.read(tmp_path / "out"))
+        report.monte_carlo.build_report(Source.read(tmp_path / "out"))
 
 
 def test_report_of_draws_does_not_import_jax(tmp_path):

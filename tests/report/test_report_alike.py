@@ -1,4 +1,4 @@
-"""Variants with the same runs are told once."""
+"""Variants with the same runs are reported once."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from support.studies import small_study
 from sinsjax import analysis
 from sinsjax.execution import run as study_run
 from sinsjax.execution.source import Source
-from sinsjax.report import auto, over_axes
+from sinsjax.report import axis_figures, monte_carlo
 from sinsjax.report.base import Picture, Table, Text
 
 pytestmark = pytest.mark.optimised(False)
@@ -30,13 +30,13 @@ def test_distinct_rows_exclude_duplicate_variants(source: Source) -> None:
     keys = [(row["reset_count"], row["reset_cycle_s"]) for row in table.to_pylist()]
     assert keys == [(0, None), (1, 1.0), (1, 2.0), (1, 3.0)] * source.draws
     whole = source.rows(["phi_u_arcmin", "variant_id"])
-    variant = analysis.numbers(whole, "variant_id")
-    expected = analysis.numbers(whole, "phi_u_arcmin")[np.isin(variant, [0, 3, 4, 5])]
-    np.testing.assert_array_equal(analysis.numbers(table, "phi_u_arcmin"), expected)
+    variant = analysis.numeric_column(whole, "variant_id")
+    expected = analysis.numeric_column(whole, "phi_u_arcmin")[np.isin(variant, [0, 3, 4, 5])]
+    np.testing.assert_array_equal(analysis.numeric_column(table, "phi_u_arcmin"), expected)
 
 
 def test_variant_table_lists_duplicate_variants_once(source: Source) -> None:
-    table = auto.statistics(source, ["reset_count", "reset_cycle_s"], "Every variant")
+    table = monte_carlo.statistics_table(source, ["reset_count", "reset_cycle_s"], "Every variant")
     assert [row[:3] for row in table.rows] == [
         ["0", "-", "3"],
         ["1", "1", "3"],
@@ -46,17 +46,19 @@ def test_variant_table_lists_duplicate_variants_once(source: Source) -> None:
 
 
 def test_tables_section_explains_how_duplicate_variants_count(source: Source) -> None:
-    (chapter,) = (one for one in auto.report(source).sections if one.heading == "Tables")
+    (chapter,) = (
+        one for one in monte_carlo.build_report(source).sections if one.heading == "Tables"
+    )
     assert chapter.blocks[0] == Text(
-        "2 of the 6 variants repeat another one, because reset_cycle_s does not act there. All"
-        " numbers here count repeated variants once: 12 of 18 runs. The Parquet files list all."
+        "2 of the 6 variants repeat another one, because reset_cycle_s has no effect there. All"
+        " numbers here count repeated variants once: 12 of 18 runs. The Parquet files contain all."
     )
 
 
 def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> None:
     """The runs without resets end right, those with one do not: 3 of 12 runs, not 9 of 18."""
     table = source.summary
-    right = analysis.numbers(table, "reset_count") == 0
+    right = analysis.numeric_column(table, "reset_count") == 0
     columns = {
         "phi_u_arcmin": np.where(right, 1.0, 50.0),
         "ok_truth": right,
@@ -68,13 +70,13 @@ def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> Non
     for name, values in columns.items():
         table = table.set_column(table.column_names.index(name), name, pa.array(values))
     changed = Source(source.directory, source.study, source.config, table)
-    found = auto.report(changed, full=False).verdict
+    found = monte_carlo.build_report(changed, with_tables=False).verdict
     assert found.title == "study: 18 runs (12 distinct), none failed"
     assert found.facts[0].text.startswith("no reset: every run settles")
     # A quarter of each of 3 draws: 2.5 % quantiles of Beta(3, 1), of the share and of the rest.
     least = 0.025 ** (1 / 3)
     ends = f"25 [{100 * least / 4:.0f}, {100 * (1 - 3 * least / 4):.0f}]"
-    (row,) = auto.statistics(changed, [], "All runs").rows
+    (row,) = monte_carlo.statistics_table(changed, [], "All runs").rows
     assert row[0] == "12" and ends in row[1]
 
 
@@ -89,7 +91,9 @@ def test_heat_map_writes_number_of_duplicate_variants_once(source: Source) -> No
     for name in ("settle_10_s", "settle_10_truth_s"):  # short runs never settle
         place = table.column_names.index(name)
         table = table.set_column(place, name, pa.array(np.full(table.num_rows, 50.0)))
-    blocks = over_axes.over_axes(Source(source.directory, source.study, source.config, table))
+    blocks = axis_figures.build_axis_figures(
+        Source(source.directory, source.study, source.config, table)
+    )
     (picture, *_) = (b for b in blocks if isinstance(b, Picture) and "settling" in b.name)
     assert not any("success" in b.name for b in blocks if isinstance(b, Picture))  # all alike
     assert "there a key does not act" in picture.caption
@@ -104,6 +108,6 @@ def test_report_draws_methods_with_and_without_covariance_together(tmp_path: Pat
         study={"curves": True, "draws": 2}, axes={"alignment": {"method": ["kalman5", "compass"]}}
     )
     study_run.run_into(study, tmp_path / "results")
-    report = auto.report(Source.read(tmp_path / "results"))
+    report = monte_carlo.build_report(Source.read(tmp_path / "results"))
     names = [b.name for s in report.sections for b in s.blocks if isinstance(b, Picture)]
     assert {"misalignment", "consistency"} <= {*names}

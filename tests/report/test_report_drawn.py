@@ -1,4 +1,4 @@
-"""Tables and figures over what a study draws, in bins, and along an axis whose values are lists."""
+"""Tables and figures over drawn keys, in bins, and along an axis with lists as values."""
 
 from pathlib import Path
 
@@ -7,12 +7,12 @@ import pytest
 from support.studies import small_study
 
 from sinsjax import analysis
-from sinsjax.analysis.summaries import estimate_of
+from sinsjax.analysis.summaries import read_estimate
 from sinsjax.execution import run
 from sinsjax.execution.source import Source
-from sinsjax.report import auto, over_axes
+from sinsjax.report import axis_figures, monte_carlo
 from sinsjax.report.base import Picture, Table, Text
-from sinsjax.report.groupings import bin_medians, binned
+from sinsjax.report.grouping import bin_drawn_keys, bin_medians
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -25,7 +25,7 @@ DRAWN = {
 
 
 @pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Source:
+def drawn_source(tmp_path_factory: pytest.TempPathFactory) -> Source:
     study = small_study(
         study=SHORT,
         alignment={"phi_u0_deg": None},
@@ -52,52 +52,52 @@ def test_bins_have_equal_counts_and_few_values_stay_separate() -> None:
     assert bin_medians(few, 3).tolist() == few.tolist()
 
 
-def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn: Source) -> None:
-    found = binned(drawn)
+def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn_source: Source) -> None:
+    found = bin_drawn_keys(drawn_source)
     assert found.keys() == {"phi_u0_deg", "yaw_center_deg"}  # a vector has no order
     assert found["yaw_center_deg"][1] == (0.0, 90.0, 180.0)
     own, medians = found["phi_u0_deg"]
     assert len(medians) == 6  # ten draws each
-    rows = drawn.rows(["phi_u0_deg", "phi_u_mean_arcmin", "draw_id"])
-    values = analysis.numbers(rows, "phi_u0_deg")
+    rows = drawn_source.rows(["phi_u0_deg", "phi_u_mean_arcmin", "draw_id"])
+    values = analysis.numeric_column(rows, "phi_u0_deg")
     bins = bin_medians(values, 6)
-    window = analysis.numbers(rows, "phi_u_mean_arcmin")
+    window = analysis.numeric_column(rows, "phi_u_mean_arcmin")
     table = analysis.summarise(own.table, ["phi_u0_deg"], ["phi_u_mean_arcmin_mean"]).to_pylist()
     assert [row["phi_u0_deg"] for row in table] == list(medians)
     for row in table:
         mine = bins == row["phi_u0_deg"]
         assert row["n"] == mine.sum() == 20
-        estimate = estimate_of(row, "phi_u_mean_arcmin_mean")
+        estimate = read_estimate(row, "phi_u_mean_arcmin_mean")
         assert estimate.value == pytest.approx(window[mine].mean())
         assert estimate.low < estimate.value < estimate.high
 
 
-def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn: Source) -> None:
-    *pictures, idle = over_axes.over_axes(drawn)
+def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn_source: Source) -> None:
+    *pictures, idle = axis_figures.build_axis_figures(drawn_source)
     assert [getattr(block, "name", "") for block in pictures] == ["along_axis", "over_phi_u0_deg"]
     assert idle == Text("No figure over yaw_center_deg: no effect beyond the intervals.")
     assert isinstance(pictures[1], Picture)
     assert "phi_u0_deg: the median of each bin" in pictures[1].caption
     (line, _) = pictures[1].figure.axes[0].containers
-    medians = binned(drawn)["phi_u0_deg"][1]
+    medians = bin_drawn_keys(drawn_source)["phi_u0_deg"][1]
     assert np.allclose(line.lines[0].get_xdata(), medians, atol=0.2)
-    *_, tables = auto.report(drawn).sections
+    *_, tables = monte_carlo.build_report(drawn_source).sections
     titled = {block.title: block for block in tables.blocks if isinstance(block, Table)}
     table = titled["Over phi_u0_deg, drawn"]
     assert table.header[:3] == ["phi_u0_deg", "p0_yaw_deg", "runs"] and len(table.rows) == 12
     assert [row[2] for row in table.rows] == ["10"] * 12
 
 
-def test_panel_without_values_is_omitted(drawn: Source) -> None:
-    over = over_axes.over_axes(drawn)[1]
+def test_panel_without_values_is_omitted(drawn_source: Source) -> None:
+    over = axis_figures.build_axis_figures(drawn_source)[1]
     assert isinstance(over, Picture)
     titles = [axes.get_title(loc="left") for axes in over.figure.axes]
     assert "median time (s) to within 10' of true north" not in titles  # 2 s are too short
     assert "Left out, since it shows nothing more: median time (s)" in over.caption
     assert over.figure.axes[-1].get_xlabel() == "initial heading error (deg)"
     (line, *_) = over.figure.axes[titles.index("heading error at the end, rms (arcmin)")].containers
-    rows = drawn.rows(["phi_u0_deg", "p0_yaw_deg", "phi_u_arcmin"])
-    start, p0, phi = (analysis.numbers(rows, name) for name in rows.column_names)
+    rows = drawn_source.rows(["phi_u0_deg", "p0_yaw_deg", "phi_u_arcmin"])
+    start, p0, phi = (analysis.numeric_column(rows, name) for name in rows.column_names)
     bins = bin_medians(start, 6)
     mine = phi[(bins == np.unique(bins)[1]) & (p0 == 10)]
     assert line.lines[0].get_ydata()[1] == pytest.approx(np.sqrt(np.mean(mine**2)))
@@ -108,7 +108,7 @@ def test_list_valued_axis_is_plotted_as_categories(tmp_path: Path) -> None:
     study = small_study(study=SHORT | {"draws": 4}, axes={"reset_times_s": times})
     assert study.figure_axes == ({"reset_times_s": ((), (0.5,), (0.5, 1.0))}, [])
     run.run_into(study, tmp_path / "out")
-    (figure,) = over_axes.over_axes(Source.read(tmp_path / "out"))
+    (figure,) = axis_figures.build_axis_figures(Source.read(tmp_path / "out"))
     axes = figure.figure.axes[-1]
     assert [text.get_text() for text in axes.get_xticklabels()] == ["none", "0.5", "0.5, 1"]
     assert axes.get_xlabel() == "resets at (s)"

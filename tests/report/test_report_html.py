@@ -14,7 +14,7 @@ from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 from sinsjax.report import base
-from sinsjax.report.output import Made, write_html
+from sinsjax.report.output import DrawnReport, write_html_page
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 PNG = b"\x89PNG\r\n\x1a\n-the picture"
@@ -44,18 +44,18 @@ class Reader(HTMLParser):
         self.text.append(data)
 
 
-def made(*blocks, headline=("Found: *much*",), name="swing"):
+def drawn_report(*blocks, headline=("Found: *much*",), name="swing"):
     study = small_study(study={"name": name})
     table = pa.table({"run_id": np.arange(3)})
     facts = [base.Fact("Best", text) for text in headline]
     report = base.Report(base.Verdict("title", facts), [base.Chapter("A `part`", blocks)])
     images = {block.name: PNG for block in blocks if isinstance(block, base.Picture)}
-    return Made(Source(Path("results"), study, f"{name}.toml", table), report, images)
+    return DrawnReport(Source(Path("results"), study, f"{name}.toml", table), report, images)
 
 
-def page(tmp_path, *parts, title="Title"):
+def html_page(tmp_path, *parts, title="Title"):
     path = tmp_path / "page.html"
-    write_html(path, title, parts)
+    write_html_page(path, title, parts)
     return path.read_text(encoding="utf-8")
 
 
@@ -63,7 +63,7 @@ def test_html_page_contains_whole_report(tmp_path):
     table = base.Table("A *table*", ["a", "b"], [["1", "`2`"], ["3", "4"]], "a note")
     picture = base.Picture("fig", 'what is "seen"', Figure())
     picture.figure.suptitle('what is "drawn"')
-    text = page(tmp_path, made(base.Text("Some *words*.\n\nMore."), table, picture))
+    text = html_page(tmp_path, drawn_report(base.Text("Some *words*.\n\nMore."), table, picture))
     assert text.startswith('<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">')
     read = Reader(text)
     seen = [path[-1] for path in read.seen]
@@ -79,7 +79,9 @@ def test_html_page_contains_whole_report(tmp_path):
 
 
 def test_html_page_is_self_contained(tmp_path):
-    text = page(tmp_path, made(base.Picture("fig", "c", Figure()), base.Text("http://a.b/c")))
+    text = html_page(
+        tmp_path, drawn_report(base.Picture("fig", "c", Figure()), base.Text("http://a.b/c"))
+    )
     places = [value for _, name, value in Reader(text).attributes if name in ("src", "href")]
     assert len(places) == 1 and places[0].startswith("data:")
     assert "<script" not in text and "<link" not in text
@@ -91,8 +93,8 @@ def test_html_page_escapes_markup_in_text(tmp_path):
     table = base.Table(nasty, [nasty], [[nasty]], nasty)
     picture = base.Picture("fig", nasty, Figure())
     picture.figure.suptitle(nasty)
-    made_of = made(base.Text(nasty), table, picture, headline=[nasty], name="a<b")
-    text = page(tmp_path, made_of, title="<i>& so")
+    made_of = drawn_report(base.Text(nasty), table, picture, headline=[nasty], name="a<b")
+    text = html_page(tmp_path, made_of, title="<i>& so")
     read = Reader(text)
     assert not {"b", "a", "i"} & {path[-1] for path in read.seen}
     assert sum(path[-1] == "img" for path in read.seen) == 1
@@ -104,7 +106,7 @@ def test_html_page_escapes_markup_in_text(tmp_path):
 
 def test_folded_table_is_inside_details(tmp_path):
     table = base.Table("All of it", ["a"], [["1"]], "note", folded=True)
-    text = page(tmp_path, made(table))
+    text = html_page(tmp_path, drawn_report(table))
     paths = Reader(text).seen
     assert all("details" in path for path in paths if path[-1] in ("summary", "table"))
     assert "<summary>All of it</summary>" in text and "<caption>" not in text
@@ -113,7 +115,7 @@ def test_folded_table_is_inside_details(tmp_path):
 def test_unwritable_html_page_raises_input_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        write_html(tmp_path / "file" / "page.html", "T", [made()])
+        write_html_page(tmp_path / "file" / "page.html", "T", [drawn_report()])
 
 
 def test_html_and_markdown_pages_have_same_content(tmp_path):

@@ -20,8 +20,8 @@ pytestmark = pytest.mark.optimised(False)
 SHORT = {"draws": 300, "duration_s": 2.0, "window_s": [0, 2]}
 
 
-def interrupted(out: Path, **tables: Any) -> Path:
-    """Results of a study that was told to stop while its first chunk ran."""
+def store_interrupted(out: Path, **tables: Any) -> Path:
+    """Results of a study that was stopped while its first chunk ran."""
     stop = threading.Event()
 
     def tell(progress: RunProgress) -> None:
@@ -33,16 +33,16 @@ def interrupted(out: Path, **tables: Any) -> Path:
     return out
 
 
-def told(out: Path, page: Path | None = None) -> list[str]:
+def printed_lines(out: Path, page: Path | None = None) -> list[str]:
     console = Console(file=io.StringIO(), width=2000)
-    report.summarise([out], console, page, full=True)
+    report.print_reports([out], console, page, full=True)
     return console.file.getvalue().splitlines()
 
 
 def test_unfinished_report_warns_with_share_of_runs(tmp_path: Path) -> None:
-    out = interrupted(tmp_path / "out", axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
+    out = store_interrupted(tmp_path / "out", axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
     page = tmp_path / "page.md"
-    lines = [line for line in told(out, page) if line]
+    lines = [line for line in printed_lines(out, page) if line]
     source = Source.read(out, unfinished=True)
     whole = source.draws
     there = Source.read(out).runs
@@ -60,14 +60,14 @@ def test_unfinished_report_warns_with_share_of_runs(tmp_path: Path) -> None:
 
 
 def test_report_without_complete_draw_is_refused(tmp_path: Path) -> None:
-    out = interrupted(tmp_path / "out", axes={"specific_force": ["measured", "gravity"]})
+    out = store_interrupted(tmp_path / "out", axes={"specific_force": ["measured", "gravity"]})
     with pytest.raises(InputError, match=r"unfinished: .* and no draw that every variant has") as e:
-        told(out)
+        printed_lines(out)
     assert "\n" not in str(e.value)
 
 
 def test_finished_report_has_no_unfinished_warning(tmp_path: Path) -> None:
     study = small_study(study=SHORT | {"draws": 4})
     run.run_into(study, tmp_path / "out")
-    assert not any("unfinished" in line for line in told(tmp_path / "out"))
+    assert not any("unfinished" in line for line in printed_lines(tmp_path / "out"))
     assert Source.read(tmp_path / "out", unfinished=True).whole_draws is None

@@ -14,21 +14,21 @@ from support.synthetic_tables import synthetic_summary
 
 from sinsjax import analysis
 from sinsjax.execution.source import Source
-from sinsjax.report import estimated, terminal
+from sinsjax.report import covariance, terminal
 from sinsjax.report.base import Fact, Table, Verdict
-from sinsjax.report.choices import Choices, choose, choose_by_halves, schedule_words
-from sinsjax.report.verdict import q_doubt, verdict
+from sinsjax.report.choices import Choices, best_option, best_option_per_draw, describe_schedule
+from sinsjax.report.verdict import process_noise_caution, sweep_verdict
 from sinsjax.study.study import Study
 
 SWEEP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [5.0, 30.0, 60.0]}
 NEVER = np.inf
 
 
-def sweep(draws: int = 16, **changes: Any) -> Study:
+def sweep_study(draws: int = 16, **changes: Any) -> Study:
     return small_study(study={"draws": draws, "name": "sweep"}, axes=SWEEP, **changes)
 
 
-def facts(found: Verdict) -> dict[str, str]:
+def facts_by_label(found: Verdict) -> dict[str, str]:
     """The facts by label; several of a label are joined."""
     texts: dict[str, str] = {}
     for label, text, _ in found.facts:
@@ -36,14 +36,14 @@ def facts(found: Verdict) -> dict[str, str]:
     return texts
 
 
-def judged(study: Study, settle_s: np.ndarray) -> Verdict:
+def verdict_from_times(study: Study, settle_s: np.ndarray) -> Verdict:
     """The verdict on settling times (draws, variants), NaN for never."""
     flags = np.isfinite(settle_s.ravel())
     status = list(np.where(flags, "ok", "not_settled"))
     names = ("settle_10_s", "settle_10_truth_s")
     columns = dict.fromkeys(names, np.where(flags, settle_s.ravel(), np.nan))
     summary = synthetic_summary(study, status=status, **columns)
-    return verdict(Source(Path("out"), study, "x.toml", summary))
+    return sweep_verdict(Source(Path("out"), study, "x.toml", summary))
 
 
 # --- the choice -----------------------------------------------------------------------------
@@ -53,7 +53,7 @@ def test_each_draw_is_judged_with_option_chosen_by_the_other_half() -> None:
     random = np.random.default_rng(3)
     time_s = random.gamma(4.0, 10.0, (5, 3, 17))
     time_s[random.random(time_s.shape) < 0.1] = NEVER
-    found = choose_by_halves(time_s, 90.0)
+    found = best_option_per_draw(time_s, 90.0)
     for draw in range(17):
         others = [other for other in range(17) if other % 2 != draw % 2]
         ranks = []
@@ -66,25 +66,25 @@ def test_each_draw_is_judged_with_option_chosen_by_the_other_half() -> None:
 
 def test_choice_prefers_fewest_failures_then_fastest() -> None:
     time_s = np.array([[[NEVER, 1.0]], [[50.0, 60.0]], [[50.0, 40.0]]])
-    assert choose(time_s, 100.0) == 2
-    assert choose(time_s[:2], 100.0) == 1
+    assert best_option(time_s, 100.0) == 2
+    assert best_option(time_s[:2], 100.0) == 1
 
 
 def test_held_out_choice_is_not_flattered_by_many_equal_options() -> None:
-    """All options have the same law: their best, judged on its own draws, would seem faster."""
+    """All options are equal: judged on its own draws, the best would seem faster."""
     random = np.random.default_rng(1)
     own, fresh = [], []
     for _ in range(200):
         time_s = random.normal(100.0, 10.0, (50, 1, 16))
-        places = choose_by_halves(time_s, 200.0)
+        places = best_option_per_draw(time_s, 200.0)
         fresh.append(time_s[places, 0, np.arange(16)].mean())
-        own.append(time_s[choose(time_s, 200.0), 0].mean())
+        own.append(time_s[best_option(time_s, 200.0), 0].mean())
     assert abs(np.mean(fresh) - 100.0) < 3 * np.std(fresh) / np.sqrt(200) < 1.0
     assert np.mean(own) < 96.0
 
 
 def test_copies_of_a_variant_are_one_option() -> None:
-    choices = Choices.from_study(sweep())
+    choices = Choices.from_study(sweep_study())
     assert choices.options == [
         "no reset",
         "1 reset at 1 s",
@@ -94,7 +94,7 @@ def test_copies_of_a_variant_are_one_option() -> None:
     ]
     assert choices.reset_counts == [0, 1, 1, 2, 2] and choices.variants.shape == (5, 3)
     column = np.arange(18 * 4.0)
-    runs = choices.runs(column)
+    runs = choices.arrange_runs(column)
     assert runs.shape == (5, 3, 4)
     np.testing.assert_array_equal(runs[0, 0], [0, 18, 36, 54])
 
@@ -110,13 +110,13 @@ def test_copies_of_a_variant_are_one_option() -> None:
     ],
 )
 def test_schedule_is_described_by_its_times(times: tuple[float, ...], words: str) -> None:
-    assert schedule_words(times) == words
+    assert describe_schedule(times) == words
 
 
 # --- what it states -------------------------------------------------------------------------
 
 
-def settling() -> np.ndarray:
+def settling_times() -> np.ndarray:
     """Settling times (16 draws, 18 variants): 2 resets every 2 s are best from 30 and 60 deg."""
     draw = np.arange(16.0)[:, None, None]
     at = np.full((16, 6, 3), np.nan)  # counts and cycles, misalignments
@@ -130,15 +130,15 @@ def settling() -> np.ndarray:
 
 
 def test_verdict_names_best_schedule_its_rivals_and_each_condition() -> None:
-    found = judged(sweep(), settling())
-    told = facts(found)
+    found = verdict_from_times(sweep_study(), settling_times())
+    told = facts_by_label(found)
     mean = analysis.mean((np.array([45.0, 40.0, 30.0]) + np.arange(16.0)[:, None]).ravel(), DRAW)
     assert told["Best"] == (
         "2 resets, every 2 s: every heading error from 5 to 60 deg settles,"
         f" after {analysis.format_estimate(mean, 's', 0)} on average"
     )
     assert told["Others"].startswith("1 reset at 2 s: 68 [") and "no reset: 33 [" in told["Others"]
-    assert told["Draws"] == "16: each half judged what the other half chose"
+    assert told["Draws"] == "16: each half evaluates the choice of the other"
     assert told["Success"] == "100 [79, 100] % within 10' of true north"
     assert found.title == "sweep: 288 runs (240 distinct), none failed"
     table = found.table
@@ -153,9 +153,9 @@ DRAW = np.repeat(np.arange(16), 3)
 
 
 def test_few_draws_are_judged_as_they_choose_and_verdict_says_so() -> None:
-    found = facts(judged(sweep(4), settling()[:4]))
+    found = facts_by_label(verdict_from_times(sweep_study(4), settling_times()[:4]))
     assert found["Draws"] == "4 (few)"
-    assert "only 4 draws: chosen and judged on them alike" in found["Caution"]
+    assert "only 4 draws: no other draws evaluate the choice" in found["Caution"]
 
 
 def test_runs_that_never_settle_limit_the_accuracy() -> None:
@@ -168,27 +168,27 @@ def test_runs_that_never_settle_limit_the_accuracy() -> None:
         floor_arcmin=np.full(16, 4.0),
     )
     source = Source(Path("out"), study, "x.toml", summary)
-    assert "mostly of runs that never settle" in facts(verdict(source))["Accuracy"]
+    assert "mostly of runs that never settle" in facts_by_label(sweep_verdict(source))["Accuracy"]
     near = synthetic_summary(study, phi_u_arcmin=np.full(16, 5.0), floor_arcmin=np.full(16, 4.0))
-    found = facts(verdict(Source(Path("out"), study, "x.toml", near)))["Accuracy"]
+    found = facts_by_label(sweep_verdict(Source(Path("out"), study, "x.toml", near)))["Accuracy"]
     assert found.startswith("5.0 [") and found.endswith("mostly bias floor (4.0')")
 
 
 @pytest.mark.parametrize(("scale", "cautions"), [(None, True), (1e-3, False)])
 def test_q_above_ten_times_the_noise_is_cautioned(scale: float | None, cautions: bool) -> None:
     study = small_study(filter={} if scale is None else {"q_scale": scale})
-    (*told,) = q_doubt(Source(Path("out"), study, "x.toml"))
+    (*told,) = process_noise_caution(Source(Path("out"), study, "x.toml"))
     assert bool(told) == cautions
     if told:  # 100 Hz with Q per step: 100 times the standard deviation of a sample
-        assert told[0].text.startswith("Q is 100 times the sensors' noise") and told[0].is_doubt
+        assert told[0].text.startswith("Q is 100 times the sensors' noise") and told[0].is_caution
 
 
 def test_method_that_has_no_bias_floor_is_compared_from_the_truth() -> None:
     study = small_study(study={"draws": 8, "judged_from": "floor"}, axes={"phi_u0_deg": [0.0, 9.0]})
     flags = [True] * 15 + [None]
     summary = synthetic_summary(study, ok_floor=flags)
-    found = verdict(Source(Path("out"), study, "x.toml", summary))
-    assert "of true north" in facts(found)["Success"]
+    found = sweep_verdict(Source(Path("out"), study, "x.toml", summary))
+    assert "of true north" in facts_by_label(found)["Success"]
 
 
 def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> None:
@@ -200,12 +200,12 @@ def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> No
     )
     run_into(study, tmp_path / "out")
     source = Source.read(tmp_path / "out")
-    found = estimated.report(source, full=False).verdict
+    found = covariance.build_report(source, with_tables=False).verdict
     assert source.table is not None
     mean = source.table.column("settle_10_truth_mean_s").to_numpy().reshape(4, 2).mean(axis=1)
     best = int(np.argmin(mean[[0, 2, 3]]))
     names = ["no reset", "2 resets, every 2 s", "2 resets, every 4 s"]
-    told = facts(found)
+    told = facts_by_label(found)
     assert told["Best"].startswith(f"{names[best]}: {mean[[0, 2, 3]][best]:.0f} [")
     assert found.table is not None and len(found.table.rows) == 2
 
@@ -213,9 +213,9 @@ def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> No
 # --- the terminal ---------------------------------------------------------------------------
 
 
-def printed(found: Verdict, width: int, last: list[str] | None = None) -> list[str]:
+def printed_lines(found: Verdict, width: int, last: list[str] | None = None) -> list[str]:
     file = io.StringIO()
-    terminal.print_verdict(found, Console(file=file, width=width, markup=False), last=last or [])
+    terminal.print_verdict(found, Console(file=file, width=width, markup=False), footer=last or [])
     return [line.rstrip() for line in file.getvalue().splitlines()]
 
 
@@ -231,8 +231,10 @@ def test_verdict_fits_terminal_in_fifteen_lines(width: int, doubts: int) -> None
     )
     some = [Fact("Best", LONG), Fact("Others", LONG), Fact("Accuracy", LONG)]
     found = Verdict("study: 7 runs", [*some, *([Fact("Caution", LONG, True)] * doubts)], table)
-    lines = printed(found, width, ["Figures: out/figures", "All tables: sinsjax report out --full"])
-    assert len(lines) <= terminal.MOST_LINES and max(map(len, lines)) <= width
+    lines = printed_lines(
+        found, width, ["Figures: out/figures", "All tables: sinsjax report out --full"]
+    )
+    assert len(lines) <= terminal.MAX_VERDICT_LINES and max(map(len, lines)) <= width
     text = " ".join(lines)
     words = {*LONG.split(), *"study: 7 runs Figures: out/figures".split()}
     assert words <= {*text.split()}  # no word is broken
@@ -264,7 +266,9 @@ def test_report_prints_verdict_alone_until_all_tables_are_asked_for(tmp_path: Pa
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     directory = store_results(tmp_path / "out", study, synthetic_summary(study))
     short = report_text(directory, full=False, width=80)
-    assert len(short.splitlines()) <= 1 + terminal.MOST_LINES and "Every variant" not in short
+    assert (
+        len(short.splitlines()) <= 1 + terminal.MAX_VERDICT_LINES and "Every variant" not in short
+    )
     assert "--full" in short
     full = report_text(directory)
     assert "Every variant" in full and "Heading error from true north" in full

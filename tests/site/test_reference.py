@@ -5,14 +5,16 @@ import re
 from pathlib import Path
 
 import sinsjax
-from sinsjax.cli import page
+from sinsjax.cli import commands_page
 
 DOCS = Path(__file__).parents[2] / "docs"
 PACKAGE = Path(sinsjax.__file__).parent
 
 
 def test_commands_page_is_up_to_date() -> None:
-    assert (DOCS / "commands.md").read_text(encoding="utf-8") == page.page()
+    assert (DOCS / "commands.md").read_text(
+        encoding="utf-8"
+    ) == commands_page.render_commands_page()
 
 
 def test_documented_messages_exist_in_package_source() -> None:

@@ -14,7 +14,7 @@ from support.synthetic_tables import synthetic_summary
 from docs.studies.common import grids
 from docs.studies.common.grids import held_out, least_mean, pooled_mean, shared, soonest
 from sinsjax import analysis
-from sinsjax.analysis.grids import median
+from sinsjax.analysis.grids import median_over_draws
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 
@@ -115,7 +115,9 @@ def test_pooled_statistics_group_runs_by_draw():
     draws = np.tile(np.arange(8), 15)
     assert shared(runs < 0.5) == analysis.share((runs < 0.5).ravel(), draws)
     assert pooled_mean(runs) == analysis.mean(runs.ravel(), draws)
-    assert median(np.array([[3.0, 1.0, NEVER, NEVER], [1.0, NEVER, NEVER, NEVER]])).tolist() == [
+    assert median_over_draws(
+        np.array([[3.0, 1.0, NEVER, NEVER], [1.0, NEVER, NEVER, NEVER]])
+    ).tolist() == [
         3.0,
         NEVER,
     ]

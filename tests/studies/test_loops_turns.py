@@ -11,6 +11,7 @@ from docs.studies.loops.turns import cycle_radius
 from sinsjax.execution import run as study_run
 from sinsjax.methods.compass import design as loops
 from sinsjax.methods.compass.config import REVERSALS
+from sinsjax.study.load import select_variant
 
 G, R = 9.8, 6378137.0
 LATITUDE, RATE = math.radians(32.0), math.radians(15.041067) / 3600

@@ -8,7 +8,7 @@ import pytest
 from sinsjax import analysis
 from sinsjax.execution import run as study_run
 from sinsjax.execution.source import Source
-from sinsjax.report import folder
+from sinsjax.report import study_page
 from sinsjax.study.load import study_from_dict
 
 ROOT = Path(__file__).parents[2]
@@ -21,7 +21,7 @@ def test_filter_is_consistent_only_if_its_model_is_true():
     data = tomllib.loads((ROOT / "configs" / "consistency.toml").read_text(encoding="utf-8"))
     data["study"]["draws"] = DRAWS
     study = study_from_dict(data)
-    page = folder.script(ROOT / "docs" / "studies" / "consistency")
+    page = study_page.load_script(ROOT / "docs" / "studies" / "consistency")
     checked = page.checks(Source(Path("x"), study, "x.toml", study_run.run(study).summary))
     assert len(checked) == 5
     for case, one in checked.items():

@@ -13,7 +13,7 @@ from docs.studies.compass_map.survival import survival
 from docs.studies.paper1.figures import Verdicts, verdict_matrix, yaw_errors
 from docs.studies.paper2.lines import over_time
 from sinsjax import plots
-from sinsjax.plots import Ensemble, Line, Scale, Shown
+from sinsjax.plots import Ensemble, GridAxis, Line, MapQuantity
 
 NEVER = math.inf
 TIME = np.arange(0.0, 101.0)
@@ -77,7 +77,7 @@ def test_strips_show_one_dot_per_start_and_median_line():
     assert legend_of(figure) == ["x", "y"]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["a", "b", "c"]
     assert axes.get_xscale() == "asinh" and axes.get_xlabel().startswith("error (arcmin)")
-    assert plots.png(figure).startswith(b"\x89PNG")
+    assert plots.render_png(figure).startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(("floor", "scale"), [(None, "linear"), (1e-3, "log")])
@@ -89,19 +89,19 @@ def test_over_time_sets_panel_titles_scale_and_label(floor, scale):
     assert figure.axes[0].get_ylabel() == "size (deg)"
     if floor:
         assert figure.axes[0].get_ylim()[0] == floor
-    assert plots.png(figure) == plots.png(figure)
+    assert plots.render_png(figure) == plots.render_png(figure)
 
 
 def test_heat_map_contours_lie_at_their_values():
     # Values that grow from the left edge (0) to the right edge (1) of two cells.
     values = np.tile(np.linspace(0.0, 1.0, 21), (11, 1))
     contours = Contours("radius", (0.25, 0.5), [values, values])
-    figure = plots.heat_maps(
+    figure = plots.draw_heat_maps(
         [("a", np.ones((3, 2))), ("b", np.ones((3, 2)))],
         "Title",
-        Shown("error (arcmin)", 0.1, 100.0, reverse=True, log=True),
-        rows=Scale("azimuth_sigma_per_s", [0.01, 0.02, 0.04]),
-        columns=Scale("stored_s", [20.0, 40.0]),
+        MapQuantity("error (arcmin)", 0.1, 100.0, reverse=True, log=True),
+        rows=GridAxis("azimuth_sigma_per_s", [0.01, 0.02, 0.04]),
+        columns=GridAxis("stored_s", [20.0, 40.0]),
         legend=legend(contours),
     )
     for axes, some in zip(figure.axes, contours.values, strict=False):
@@ -112,7 +112,7 @@ def test_heat_map_contours_lie_at_their_values():
     np.testing.assert_allclose(places[1][:, 0], 0.5)
     assert (places[0][:, 1].min(), places[0][:, 1].max()) == (-0.5, 2.5)
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["radius 0.25", "0.5"]
-    assert plots.png(figure)
+    assert plots.render_png(figure)
 
 
 def test_spread_interpolates_cell_centres_and_extends_to_edges():
@@ -137,7 +137,7 @@ def test_survival_plot_shows_share_of_unsettled_runs():
     np.testing.assert_array_equal(flat.get_ydata(), [1.0, 1.0])
     assert set(level.get_ydata()) == {0.2}
     assert left.get_xlim() == (0.0, 100.0)
-    assert plots.png(figure)
+    assert plots.render_png(figure)
 
 
 def test_yaw_errors_have_one_panel_per_name():
@@ -149,7 +149,7 @@ def test_yaw_errors_have_one_panel_per_name():
     assert [axes.get_title(loc="left") for axes in visible] == list("abc")
     assert all(len(axes.get_lines()) == 2 for axes in visible)
     assert len(figure.axes) == 4
-    assert plots.png(figure)
+    assert plots.render_png(figure)
 
 
 def test_verdict_matrix_shows_counts_and_marks_best_reading():
@@ -161,7 +161,7 @@ def test_verdict_matrix_shows_counts_and_marks_best_reading():
         best=1,
     )
     figure = verdict_matrix(verdicts, "Title")
-    assert plots.png(figure)
+    assert plots.render_png(figure)
     axes = figure.axes[0]
     assert [t.get_text() for t in axes.get_xticklabels()] == ["S1", "S2", "S3"]
     assert [t.get_text().split() for t in axes.get_yticklabels()] == [["a", "2"], ["b", "3"]]

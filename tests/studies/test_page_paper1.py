@@ -78,7 +78,7 @@ def test_statement_numbers_match_analysis_functions():
     assert found["S8"] == analysis.proportion(0, DRAWS)
     assert found["S12"].value == pytest.approx(0.3)
     errors = np.abs(yaw["4"] - FLOOR), np.abs(yaw["2"] - FLOOR)
-    assert found["S7a"] == analysis.difference(*errors)
+    assert found["S7a"] == analysis.mean_difference(*errors)
     assert found["S14"].value == pytest.approx(41 / 40, rel=1e-4)
 
 

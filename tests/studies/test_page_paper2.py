@@ -21,7 +21,7 @@ K3_CASE = "Scheme 1, K3 as printed"
 
 @pytest.fixture(autouse=True)
 def _not_drawn(monkeypatch):
-    monkeypatch.setattr("sinsjax.plots.png", lambda *_: b"not drawn")
+    monkeypatch.setattr("sinsjax.plots.render_png", lambda *_: b"not drawn")
 
 
 def study_of(base: str, **changes):
@@ -117,7 +117,7 @@ def test_page_errors_are_minus_phi(tmp_path):
     case = paper2.cases_of(source)[0]
     assert (case.scheme, case.drift) == (1, 0.02)
     assert (case["case"], case.name) == ("Scheme 1, level 150 s", "level 150 s")
-    phi = analysis.numbers(case.rows, "phi_u_mean_arcmin")
+    phi = analysis.numeric_column(case.rows, "phi_u_mean_arcmin")
     np.testing.assert_allclose(case.means("heading"), -phi / 60)
     assert case.heading[1].shape == (DRAWS, 300)
     np.testing.assert_allclose(case.from_floor(551.0), 0.1 - case.limit)

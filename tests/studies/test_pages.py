@@ -14,7 +14,7 @@ from support.synthetic_tables import synthetic_curves, synthetic_summary
 from sinsjax.analysis import Estimate
 from sinsjax.execution.source import Source
 from sinsjax.execution.tasks import Job
-from sinsjax.report import folder, tuned_figures
+from sinsjax.report import study_page, tuning_figures
 from sinsjax.report.base import Picture
 from sinsjax.study.load import study_from_dict
 from sinsjax.tuning import results
@@ -128,7 +128,7 @@ def tunings(monkeypatch):
     figure.subplots()
     monkeypatch.setattr(results, "Tuning", MadeUp)
     seen = Picture("seen", "made up", figure)
-    monkeypatch.setattr(tuned_figures, "landscape", lambda _: [seen])
+    monkeypatch.setattr(tuning_figures, "landscape_pictures", lambda _: [seen])
 
 
 @pytest.fixture
@@ -150,8 +150,8 @@ def bounds(monkeypatch):
 def test_page_renders_and_uses_all_computed_values(name, tmp_path):
     """Claims are looked at, but made-up numbers need not hold to them."""
     at = ROOT / "docs" / "studies" / name
-    page = folder.compute(at, [made_up(tmp_path, study) for study in PAGES[name]])
-    text = folder.render(at, page, enforced=False)
+    page = study_page.compute_page(at, [made_up(tmp_path, study) for study in PAGES[name]])
+    text = study_page.render_prose(at, page, enforce_claims=False)
     assert text.startswith("# ")
 
 

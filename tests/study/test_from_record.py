@@ -87,7 +87,7 @@ def align_written_study(sinsjax: Command, path: Path, *more: str) -> dict[str, A
     """The row of the study that is written for a file: it validates and runs with more options."""
     code, told, error = sinsjax("init", "record", "--from", path.name, "-o", "its.toml")
     assert (code, error) == (0, ""), error
-    assert re.search(r"cannot tell: \d+ lines of its.toml begin with # DOUBT", told)
+    assert re.search(r"\d+ lines of its.toml begin with # DOUBT: ", told)
     code, told, error = sinsjax("validate", "its.toml", *more)
     assert (code, error) == (0, ""), error
     code, told, error = sinsjax("align", path.name, "its.toml", "-o", "out", *more)
@@ -565,6 +565,6 @@ def test_first_row_may_have_empty_cells_but_no_text(
 
 def test_from_option_is_accepted_only_with_init_record(sinsjax: Command) -> None:
     code, _, error = sinsjax("init", "sweep", "--from", "log.csv")
-    assert code == 2 and error.startswith("error: --from: goes with `init record`")
+    assert code == 2 and error.startswith("error: --from: requires `init record`")
     code, _, error = sinsjax("init", "record", "--from", "log.csv")
     assert error == "error: log.csv: cannot be read: No such file or directory\n"

@@ -83,13 +83,13 @@ def share_cache(repository: Path) -> None:
     where others may write to the repository: JAX would run what they put there.
     """
     # Most programs here are small: the next process reads one sooner than it compiles it.
-    compile_cache._WORTH_KEEPING_S = 0.05
+    compile_cache._MIN_COMPILE_S = 0.05
     # To keep a limit, JAX reads the times of all entries whenever it writes one.
     os.environ.setdefault(compile_cache._SIZE, "-1")
     if compile_cache.VARIABLE in os.environ:
         return
     try:
-        folder = machine.private_folder(repository / ".pytest_cache" / "compiled")
+        folder = machine.ensure_private_folder(repository / ".pytest_cache" / "compiled")
     except OSError:
         folder = Path(tempfile.mkdtemp(prefix="sinsjax-tests-"))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)

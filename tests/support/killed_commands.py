@@ -43,7 +43,7 @@ def kill_process() -> None:
 
 
 def arm_killer(killer: FileKiller, pause_s: float) -> None:
-    """Let the killer check every file that `files.replacing` writes; pause after each part."""
+    """Let the killer check every file of `files.atomic_write` writes; pause after each part."""
     original_replace = Path.replace
 
     class Half(io.BufferedWriter):
@@ -140,7 +140,7 @@ def _run_child(
     for number, path in enumerate(output_paths, start=1):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
     os.environ |= environment
-    plots.png = lambda *_: b"not drawn"  # takes as long as all else
+    plots.render_png = lambda *_: b"not drawn"  # takes as long as all else
     arm_killer(FileKiller(*point), pause_s)
     start_pipe.recv()
     sys.argv = ["sinsjax", *arguments]

@@ -80,5 +80,5 @@ def report_text(
     """Return the printed report of some results, of this width; None for that of a pipe."""
     file = io.StringIO()
     with mock.patch.dict(os.environ, {} if width is None else {"COLUMNS": str(width)}):
-        report.summarise(directories, Console(file=file), page, html, full=full)
+        report.print_reports(directories, Console(file=file), page, html, full=full)
     return file.getvalue()

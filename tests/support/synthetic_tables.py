@@ -74,7 +74,7 @@ def synthetic_summary(study, *, truth=True, all_columns=False, **given_columns):
         default = noise if column.name.startswith(("pitch", "roll", "yaw", "sigma")) else default
         cells = values.get(column.name, [None] * (v * d) if default is None else default)
         arrays.append(pa.array(cells, column.dtype, from_pandas=True))
-    return pa.Table.from_arrays(arrays, schema=columns.schema((*layout, *extra_columns)))
+    return pa.Table.from_arrays(arrays, schema=columns.arrow_schema((*layout, *extra_columns)))
 
 
 def synthetic_curves(study, *, truth=True, times=TIMES):
@@ -88,4 +88,4 @@ def synthetic_curves(study, *, truth=True, times=TIMES):
         values |= {f"phi_{a}_arcmin": np.full(run.size, np.nan) for a in "enu"}
     values |= {"run_id": run, "time_s": time, "update_time_s": time, "pass": np.ones(run.size, int)}
     arrays = [pa.array(values[c.name], c.dtype, from_pandas=True) for c in layout]
-    return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
+    return pa.Table.from_arrays(arrays, schema=columns.arrow_schema(layout))

@@ -103,7 +103,7 @@ def test_finalists_are_evaluated_with_tuning_draws(found: history.SearchResult) 
     best = sorted(e.objective for e in found.evaluations if e.estimated)
     assert best[0] <= best[1]
     phases = {
-        f"{number} {k}": search.shift_resets(study, space.point(list(e.values), {}), k / 2)
+        f"{number} {k}": search.shift_resets(study, space.make_point(list(e.values), {}), k / 2)
         for number, e in enumerate(finalists)
         for k in range(2)
     }
@@ -145,7 +145,7 @@ def test_covariance_search_works_with_any_number_of_variables(
     space = SearchSpace.from_study(study)
     assert not found.best.estimated
     for e in found.evaluations:
-        point = space.point(list(np.nan_to_num(e.values)), space.combinations[e.candidate])
+        point = space.make_point(list(np.nan_to_num(e.values)), space.combinations[e.candidate])
         assert search.derive_study(study, {"point": point}, name="point").n_variants == 1
 
 
@@ -162,7 +162,7 @@ def test_covariance_search_screens_candidates_without_variables_once(
     screened = search.search_by_covariance(study).evaluations[:5]
     assert [e.candidate for e in screened] == [0, 1, 1, 1, 1]
     for e in screened:
-        used = space.used(space.combinations[e.candidate])
+        used = space.used_variables(space.combinations[e.candidate])
         assert np.flatnonzero(np.isfinite(e.values)).tolist() == used
 
 

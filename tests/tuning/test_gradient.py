@@ -260,9 +260,9 @@ def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -
     chosen = space.combinations[combination]
     box = np.array([places.get(v.name, 0.5) for v in space.variables])
     parameters, (method,) = ParameterMap(study, chosen), study.methods
-    expected = numbers(study, space.point(space.values(box), chosen))
+    expected = numbers(study, space.make_point(space.to_values(box), chosen))
     for base, there in zip(numbers(study, parameters.point), expected, strict=True):
-        got = parameters(method, base, box[space.used(chosen)], np.float64(50.0))
+        got = parameters(method, base, box[space.used_variables(chosen)], np.float64(50.0))
         if parameters.moves_resets:
             assert got.resets.width == 50.0
             samples = np.where(got.resets.samples < 1e14, got.resets.samples, np.inf)
@@ -333,7 +333,7 @@ def test_relaxed_objective_converges_to_hard_objective() -> None:
     )
     space = SearchSpace.from_study(study)
     box = np.array([[0.1, 0.5], [0.6, 0.2], [0.35, 0.9]])
-    points = {str(i): space.point(space.values(row), {}) for i, row in enumerate(box)}
+    points = {str(i): space.make_point(space.to_values(row), {}) for i, row in enumerate(box)}
     derived = search.derive_study(study, points, name="hard")
     table = run.run(derived, curves=False).summary
     assert study.tune is not None
@@ -420,10 +420,10 @@ def test_covariance_descents_improve_simulated_runs(
     assert [e.cost for e in steps[::9]] == costs
     assert found.cost == costs[-1] + 9 * 2 * draw
     space = SearchSpace.from_study(SMOOTH)
-    points = {str(i): space.point(e.values, {}) for i, e in enumerate(steps[:9])}
+    points = {str(i): space.make_point(e.values, {}) for i, e in enumerate(steps[:9])}
     derived = search.derive_study(SMOOTH, points, name="begin")
     hard = objective.estimate_values(tune, derived).reshape(9, -1)
-    box = np.array([space.box(e.values) for e in steps[:9]])
+    box = np.array([space.to_box(e.values) for e in steps[:9]])
     slope = smooth_slope(starts=9, draws=1, samples=32)
     np.testing.assert_allclose(
         slope(box, np.arange(1), Softness(1.0, 2.0**14))[0], hard.mean(axis=1), atol=0.02
@@ -519,7 +519,7 @@ def test_descents_decrease_objective_and_stay_in_bounds(
     for start in range(2):
         way = [e.objective for e in found.evaluations if e.start == start]
         assert len(way) == 9 and way[-2] < way[0]
-    points = {str(i): space.point(space.values([i / 40]), {}) for i in range(41)}
+    points = {str(i): space.make_point(space.to_values([i / 40]), {}) for i in range(41)}
     derived = search.derive_study(study, points, name="scan")
     table = run.run(derived, curves=False).summary
     assert study.tune is not None
@@ -641,7 +641,7 @@ def test_descent_runs_each_candidate_in_turn() -> None:
     assert [e.step for e in hard] == [2, 2]
     assert study.tune is not None
     for e in hard:
-        point = space.point(list(np.nan_to_num(e.values)), space.combinations[e.candidate])
+        point = space.make_point(list(np.nan_to_num(e.values)), space.combinations[e.candidate])
         derived = search.derive_study(study, {"end": point}, name="end")
         table = run.run(derived, curves=False).summary
         (runs,) = search.point_values(study, derived, table)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from sinsjax.plots.style import styled
+from sinsjax.plots.style import with_style
 
 _NEVER, _NEVER_EDGE, _HATCH = "#dcdcdc", "#b5b5b5", "////"
 _SIDE = 3.0  # in, width of a map
@@ -33,7 +33,7 @@ class Class(NamedTuple):
     dark: bool = False
 
 
-@styled
+@with_style
 def ratio_maps(
     panels: Sequence[tuple[str, NDArray]],
     classes: Sequence[Class],

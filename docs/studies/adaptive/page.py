@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import median
-from sinsjax.analysis.words import percent
+from sinsjax.analysis.formats import format_percent
+from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import grid_of, shared
 from ..common.words import share
@@ -35,7 +35,7 @@ def page(sources: Sources) -> Page:
     """Triggers against the best single reset of each cell, and the winner on the record."""
     source = sources["adaptive_resets"]
     scores = Scores(source)
-    return Page.joined(
+    return Page.merge(
         Page({"study": {"runs": f"{source.runs:,}", "draws": scores.grid.draws}}),
         _simulated(scores, source.sample_size_text),
         _recorded(sources["car_adaptive"]),
@@ -92,8 +92,8 @@ def _expected(scores: Scores) -> Table:
                 f"{policy.threshold:g}" if policy.trigger != "none" else "-",
                 _cells(scores.within(policy)),
                 "never settles" if math.isinf(worst) else f"{worst:.2f}",
-                percent(shared(np.isfinite(scores.runs(policy)))),
-                percent(scores.alarms(policy)),
+                format_percent(shared(np.isfinite(scores.runs(policy)))),
+                format_percent(scores.alarms(policy)),
             ]
         )
     header = ["resets by", "threshold", "cells as fast as the best single reset", "worst ratio"]
@@ -174,7 +174,7 @@ def _recorded(source: Source) -> Page:
     grid = grid_of(source, (TRUTH,), case="case", yaw="phi_u0_deg")
     cases = ("linearisation", FIXED, "no reset")
     worst = [grid.at(TRUTH, case=case, yaw=grid.axes["yaw"][-1]) for case in cases]
-    own, fixed = (float(median(settle_s)) for settle_s in worst[:2])
+    own, fixed = (float(median_over_draws(settle_s)) for settle_s in worst[:2])
     values = {"car": {"time": f"{own:.0f} s", "fixed": f"{fixed:.0f} s"}}
     claims = {
         "on the record the trigger settles every start, sooner than the paper's four": (

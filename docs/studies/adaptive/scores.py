@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
-from sinsjax.analysis.estimates import RESAMPLES, SEED, TAIL, place
-from sinsjax.analysis.grids import median
+from sinsjax.analysis.estimates import RESAMPLES, SEED, TAIL, quantile_index
+from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
 
 from ..common.grids import grid_of, held_out, shared, soonest
@@ -112,13 +112,16 @@ class Scores:
 
     def ratios(self, policy: Policy, draws: slice = slice(None)) -> NDArray:
         """(cells,) median settling time over that of the best single reset."""
-        return _ratio(median(self.runs(policy)[:, draws]), median(self.best_runs[:, draws]))
+        return _ratio(
+            median_over_draws(self.runs(policy)[:, draws]),
+            median_over_draws(self.best_runs[:, draws]),
+        )
 
     def intervals(self, policy: Policy) -> NDArray:
         """(2, cells) ends of the ratios' intervals, by the bootstrap over the draws."""
         draws = self.grid.draws
         pick = np.random.default_rng(SEED).integers(0, draws, (RESAMPLES, draws))
-        middle = place(draws, 0.5)
+        middle = quantile_index(draws, 0.5)
         one, other = (
             np.partition(runs[:, pick], middle, axis=-1)[..., middle]
             for runs in (self.runs(policy), self.best_runs)
@@ -135,7 +138,9 @@ class Scores:
 
     def ties(self, policy: Policy) -> int:
         """Number of cells in which neither a policy nor the best single reset settles half."""
-        never = np.isinf(median(self.runs(policy))) & np.isinf(median(self.best_runs))
+        never = np.isinf(median_over_draws(self.runs(policy))) & np.isinf(
+            median_over_draws(self.best_runs)
+        )
         return int(never.sum())
 
     def best(self, policies: list[Policy], draws: slice = slice(None)) -> Policy:

@@ -5,11 +5,11 @@ from itertools import product
 import numpy as np
 
 from sinsjax import analysis
-from sinsjax.analysis.grids import median
+from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
-from sinsjax.plots import Scale
+from sinsjax.plots import GridAxis
 from sinsjax.report.base import Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 from sinsjax.units import ARCMIN, DEG
 
 from ..common.grids import Grid, grid_of
@@ -22,7 +22,7 @@ END, MEAN, TRUTH = "phi_u_arcmin", "phi_u_mean_arcmin", "settle_10_truth_s"
 
 def page(sources: Sources) -> Page:
     """The three schemes over all start times, and a batch of misalignments."""
-    return Page.joined(_schemes(sources["car_test"]), _batch(sources["car_batch"]))
+    return Page.merge(_schemes(sources["car_test"]), _batch(sources["car_batch"]))
 
 
 def _schemes(source: Source) -> Page:
@@ -65,7 +65,7 @@ def _batch(source: Source) -> Page:
         "without": f"{share[0]:.0f} %",
         "resets": f"{share[1]:.0f} %",
         "misalignments": without[..., 0].size,
-        "slowest": f"{median(resets).max():.0f} s",
+        "slowest": f"{median_over_draws(resets).max():.0f} s",
         "small": f"{100 * np.isfinite(small).mean():.0f} %",
     }
     claims = {
@@ -80,8 +80,8 @@ def _batch(source: Source) -> Page:
         {f"{words}: {settle:.0f} % settle": times for words, (times, settle) in runs.items()},
         "Level errors about east, 5 deg about north. With four resets (50 to 200 s) every"
         " misalignment settles 30 s after the last one.",
-        rows=Scale("added level error_deg", grid.axes["level"]),
-        columns=Scale("added heading error_deg", grid.axes["yaw"]),
+        rows=GridAxis("added level error_deg", grid.axes["level"]),
+        columns=GridAxis("added heading error_deg", grid.axes["yaw"]),
         title="How long until the heading stays within 10' of the reference?",
     )
     return Page({"batch": values}, figures={"batch": picture}, claims=claims)

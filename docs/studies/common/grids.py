@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax.analysis import Estimate, mean, numbers, share
-from sinsjax.analysis.grids import held_out_choice, median
+from sinsjax.analysis import Estimate, mean, numeric_column, share
+from sinsjax.analysis.grids import held_out_choices, median_over_draws
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 
@@ -48,7 +48,7 @@ class Grid:
             raise InputError(f"is no full grid of {', '.join(axes)}")
         found = {}
         for name in rows.column_names:
-            runs = numbers(rows, name).reshape(draws, -1)[:, np.argsort(place)].T
+            runs = numeric_column(rows, name).reshape(draws, -1)[:, np.argsort(place)].T
             missing = np.inf if name.startswith("settle_") else np.nan
             found[name] = np.nan_to_num(runs, nan=missing, posinf=np.inf).reshape(*shape, draws)
         return cls(points, found, draws)
@@ -127,7 +127,7 @@ def held_out(values: NDArray, best: Callable[[NDArray], int]) -> Choice:
     """
     chosen = np.empty((*values.shape[:-2], values.shape[-1]), dtype=int)
     for point in np.ndindex(values.shape[:-2]):
-        chosen[point] = held_out_choice(values[point], best)
+        chosen[point] = held_out_choices(values[point], best)
     judged = np.take_along_axis(values, chosen[..., None, :], axis=-2)
     return Choice(chosen, judged[..., 0, :])
 
@@ -135,7 +135,7 @@ def held_out(values: NDArray, best: Callable[[NDArray], int]) -> Choice:
 def soonest(settle_s: NDArray) -> int:
     """The setting (settings, draws) with which most draws settle; among those, the soonest."""
     failed = np.isinf(settle_s).sum(axis=-1)
-    return int(np.lexsort((median(settle_s), failed))[0])
+    return int(np.lexsort((median_over_draws(settle_s), failed))[0])
 
 
 def least_mean(values: NDArray) -> int:

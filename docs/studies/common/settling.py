@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis.grids import median
+from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
-from sinsjax.plots import Scale, Shown
+from sinsjax.plots import GridAxis, MapQuantity
 from sinsjax.report.base import Picture
 
 from .grids import pooled_mean, shared
@@ -36,8 +36,8 @@ def settling_maps(
     panels: Mapping[str, NDArray],
     note: str,
     *,
-    rows: Scale,
-    columns: Scale,
+    rows: GridAxis,
+    columns: GridAxis,
     title: str = "How long until the heading stays within 10' of its limit?",
 ) -> Picture:
     """Median settling times over two axes, at most four panels side by side.
@@ -51,14 +51,14 @@ def settling_maps(
         columns: to the right.
         title: of the figure, with what the heading is judged from.
     """
-    medians = {panel: median(runs) for panel, runs in panels.items()}
-    figure = plots.heat_maps(
+    medians = {panel: median_over_draws(runs) for panel, runs in panels.items()}
+    figure = plots.draw_heat_maps(
         list(medians.items()),
         title,
-        Shown("median settling time (s)", 0.0, source.study.run_s, reverse=True),
+        MapQuantity("median settling time (s)", 0.0, source.study.run_s, reverse=True),
         rows=rows,
         columns=columns,
-        across=4,
+        panels_per_row=4,
     )
     never = any(not np.isfinite(cells).all() for cells in medians.values())
     hatched = ", hatched: at least half of them never settle" if never else ""
@@ -71,6 +71,6 @@ def _how_many(source: Source, panels: Mapping[str, NDArray]) -> str:
     if source.study.is_recorded:
         return f"{source.draws} start times on one record, which give no interval"
     cells = np.concatenate([runs.reshape(-1, source.draws) for runs in panels.values()])
-    known = [analysis.quantile(runs) for runs in cells[np.isfinite(median(cells))]]
+    known = [analysis.quantile(runs) for runs in cells[np.isfinite(median_over_draws(cells))]]
     width = np.median([(one.high - one.low) / 2 for one in known])
     return f"{source.draws} Monte Carlo runs (95 % interval: ±{width:.0f} s in half of the cells)"

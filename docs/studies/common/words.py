@@ -3,7 +3,7 @@
 import numpy as np
 
 from sinsjax.analysis import Estimate, format_difference, format_estimate
-from sinsjax.analysis.words import percent
+from sinsjax.analysis.formats import format_percent
 
 
 def seconds(time_s: Estimate, digits: int = 0) -> str:
@@ -18,7 +18,7 @@ def arcmin(angle: Estimate, digits: int = 1) -> str:
 
 def share(of_runs: Estimate) -> str:
     """A share with its interval, such as ``45 [43, 47] %``."""
-    return f"{percent(of_runs)} %"
+    return f"{format_percent(of_runs)} %"
 
 
 def apart(later_s: Estimate) -> str:

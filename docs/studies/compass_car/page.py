@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sinsjax import analysis
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import grid_of
 from ..loops.turns import TURNS

@@ -8,12 +8,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
-from sinsjax.plots.style import GREY, colour, legend_outside, styled
+from sinsjax.plots.style import GREY, add_legend_below, line_colour, with_style
 
 _LINEAR = 1.0  # asinh axes are nearly linear up to here, and logarithmic far beyond
 
 
-@styled
+@with_style
 def strips(
     rows: Mapping[str, NDArray], title: str, quantity: str, *, kinds: Sequence[str]
 ) -> Figure:
@@ -31,7 +31,7 @@ def strips(
     axes = figure.subplots()
     names = list(dict.fromkeys(kinds))
     for place, (values, kind) in enumerate(zip(rows.values(), kinds, strict=True)):
-        shade = colour(names.index(kind))
+        shade = line_colour(names.index(kind))
         new = kind if kind not in kinds[:place] else None
         axes.plot(
             values, np.full(values.size, place), "o", color=shade, ms=4.5, alpha=0.6, label=new
@@ -44,7 +44,7 @@ def strips(
     axes.set_xlabel(f"{quantity}, logarithmic far from 0")
     axes.set_xscale("asinh", linear_width=_LINEAR)
     _tick(axes.xaxis)
-    legend_outside(figure, axes)
+    add_legend_below(figure, axes)
     return figure
 
 

@@ -5,14 +5,14 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import median
-from sinsjax.analysis.words import percent
+from sinsjax.analysis.formats import format_percent
+from sinsjax.analysis.grids import median_over_draws
 from sinsjax.covariance.information import share_outside
 from sinsjax.execution.source import Source
-from sinsjax.plots import Scale, Shown
-from sinsjax.plots.words import value_text
+from sinsjax.plots import GridAxis, MapQuantity
+from sinsjax.plots.labels import format_value
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 from sinsjax.units import ARCMIN, DEG
 
 from ..common.grids import Grid, grid_of, shared
@@ -38,7 +38,7 @@ NAMES = (
 
 def page(sources: Sources) -> Page:
     """The map over turn, sigma and length, the search of schedules, and the best of them."""
-    return Page.joined(
+    return Page.merge(
         compared(sources["compass_80s_best"]),
         searched(sources["compass_80s_search"]),
         mapped(sources["paper2_map"]),
@@ -66,7 +66,7 @@ def rank(wide_s: NDArray, narrow_s: NDArray) -> tuple[list[int], int]:
     smallest median to the wide band wins, then the smallest to the narrow one.
     """
     narrow = [analysis.quantile(times) for times in narrow_s]
-    first, second = np.array([one.value for one in narrow]), median(wide_s)
+    first, second = np.array([one.value for one in narrow]), median_over_draws(wide_s)
     best = narrow[int(np.lexsort((second, first))[0])]
     tied = np.array([_overlap(one, best) for one in narrow])
     keys = np.where(tied, first, second), np.where(tied, second, first), ~tied
@@ -85,7 +85,7 @@ def searched(source: Source) -> Page:
     keys = (*gains, "sigma_factors", "sigma_times_s", "turn_smoothing_s")
     values = {
         "search": {"schedules": len(order), "draws": study.n_draws, "tied": tied},
-        "set": {key: value_text(study.values(key)[order[0]]) for key in keys},
+        "set": {key: format_value(study.values(key)[order[0]]) for key in keys},
     }
     return Page(values)
 
@@ -144,7 +144,7 @@ def compared(source: Source) -> Page:
 def _cases(source: Source, wide_s: NDArray, narrow_s: NDArray, outside: NDArray) -> Table:
     def told(times: NDArray) -> list[str]:
         median_s = format_estimate(analysis.quantile(times), digits=0)
-        return [percent(shared(np.isfinite(times))), median_s]
+        return [format_percent(shared(np.isfinite(times))), median_s]
 
     study, (wide, narrow) = source.study, bands_of(source)
     rows = [
@@ -202,14 +202,14 @@ def _error_maps(source: Source, grid: Grid, rms: NDArray) -> Picture:
     low = float(bound_arcmin(study, max(columns)))
     high = abs(study.single_value("phi_u0_deg")) * DEG / ARCMIN
     contours = Contours("share that a cycle leaves (linear loops)", _LEVELS, radii)
-    figure = plots.heat_maps(
+    figure = plots.draw_heat_maps(
         [(TURNS[turn], rms[i].T) for i, turn in enumerate(grid.axes["turn"])],
         "How far from its limit does the heading end? By turn, sigma and record",
-        Shown("rms heading error (arcmin)", low, high, reverse=True, log=True, numbers=False),
+        MapQuantity("rms heading error (arcmin)", low, high, reverse=True, log=True, numbers=False),
         legend=legend(contours),
-        rows=Scale(SIGMA, rows),
-        columns=Scale(LENGTH, columns),
-        across=2,
+        rows=GridAxis(SIGMA, rows),
+        columns=GridAxis(LENGTH, columns),
+        panels_per_row=2,
     )
     for axes, values in zip(figure.axes, contours.values, strict=False):
         draw_contours(axes, contours.levels, values)

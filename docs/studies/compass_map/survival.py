@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sinsjax.plots.style import colour, legend_outside, styled
+from sinsjax.plots.style import add_legend_below, line_colour, with_style
 
 
-@styled
+@with_style
 def survival(
     panels: Mapping[str, Mapping[str, NDArray]],
     title: str,
@@ -34,14 +34,20 @@ def survival(
             left = 1 - np.arange(settled.size + 1) / times.size
             x, y = np.append(0.0, settled), left
             axes.step(
-                np.append(x, end_s), np.append(y, y[-1]), where="post", color=colour(i), label=line
+                np.append(x, end_s),
+                np.append(y, y[-1]),
+                where="post",
+                color=line_colour(i),
+                label=line,
             )
             if line in levels.get(name, {}):
-                axes.axhline(levels[name][line], color=colour(i), linestyle="--", linewidth=1.0)
+                axes.axhline(
+                    levels[name][line], color=line_colour(i), linestyle="--", linewidth=1.0
+                )
         axes.set_xlim(0, end_s)
         axes.set_ylim(-0.02, 1.03)
         axes.set_title(name)
         axes.set_xlabel("update time (s)")
     grid[0].set_ylabel("share of runs not settled yet")
-    legend_outside(figure, grid[0])
+    add_legend_below(figure, grid[0])
     return figure

@@ -8,12 +8,12 @@ from scipy import special
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.words import percent
+from sinsjax.analysis.formats import format_percent
 from sinsjax.execution.source import Source
-from sinsjax.plots import BeliefPanel
+from sinsjax.plots import ConsistencyLine
 from sinsjax.report.base import Table
-from sinsjax.report.folder import Page, Sources
-from sinsjax.report.spreads import consistency
+from sinsjax.report.consistency import consistency_picture
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.words import share
 
@@ -62,16 +62,18 @@ def page(sources: Sources) -> Page:
             checked[BIASED].nees.low > nees[1] and within(checked[BIASED].nis_u, nis)
         ),
     }
-    lines = [BeliefPanel.of(case, one.rows) for case, one in checked.items()]
-    figure = consistency(plots.beliefs(lines, "Does the filter know its own error?"))
+    lines = [ConsistencyLine.from_runs(case, one.rows) for case, one in checked.items()]
+    figure = consistency_picture(
+        plots.draw_consistency(lines, "Does the filter know its own error?")
+    )
     return Page(values, {"all": table(checked, nees, nis)}, {"consistency": figure}, claims)
 
 
 def checks(source: Source) -> dict[str, Checked]:
     """Each case of the study, in its order."""
     found = {}
-    for key, rows in analysis.groups(source.rows((*COLUMNS, "draw_id", "start_s")), ["case"]):
-        nees, nis = (analysis.numbers(rows, column) for column in ("nees", "nis_u"))
+    for key, rows in analysis.group_rows(source.rows((*COLUMNS, "draw_id", "start_s")), ["case"]):
+        nees, nis = (analysis.numeric_column(rows, column) for column in ("nees", "nis_u"))
         inside = analysis.proportion(int(np.count_nonzero(nees <= QUANTILE)), nees.size)
         found[key["case"]] = Checked(analysis.mean(nees), analysis.mean(nis), inside, rows)
     return found
@@ -90,7 +92,7 @@ def table(
     rows = [["*expected of a consistent filter*", *bands, "95"]]
     for case, one in checked.items():
         means = (format_estimate(mean, digits=2) for mean in (one.nees, one.nis_u))
-        rows.append([case, *means, percent(one.inside)])
+        rows.append([case, *means, format_percent(one.inside)])
     means_of = ["mean NEES", "mean NEES of the heading, from its limit"]
     header = ["filter", *means_of, "runs up to the 95 % quantile (%)"]
     return Table("Five filters on the same noise", header, rows, "Number [95 % interval].")

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import Grid, grid_of
 from ..common.words import arcmin
@@ -86,7 +86,7 @@ def page(sources: Sources) -> Page:
             meets(one.nees) and one.nees.value < FREEDOM
         ),
     }
-    figure = plots.along_axis(
+    figure = plots.draw_along_axis(
         "passes",
         tuple(map(float, counts)),
         {
@@ -97,7 +97,9 @@ def page(sources: Sources) -> Page:
             for case in (SMALL, LARGE)
         },
         title="Passes over a stored record: mean NEES of the attitude, from truth",
-        expected=plots.Expected("consistent: 3, and its 95 % band", float(FREEDOM), (low, high)),
+        expected=plots.ExpectedValue(
+            "consistent: 3, and its 95 % band", float(FREEDOM), (low, high)
+        ),
         log=True,
     )
     for axes in figure.axes:

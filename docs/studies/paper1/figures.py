@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from sinsjax.plots import COLOURS, Ensemble, Line, colour, draw
-from sinsjax.plots.curves import fit_range
-from sinsjax.plots.style import legend_outside, styled
+from sinsjax.plots import COLOURS, Ensemble, Line, draw_mean_and_band, line_colour
+from sinsjax.plots.curves import use_asinh_if_wide
+from sinsjax.plots.style import add_legend_below, with_style
 
 
-@styled
+@with_style
 def yaw_errors(panels: Mapping[str, Sequence[Ensemble]], title: str) -> Figure:
     """Yaw error over time, one panel per setting.
 
@@ -30,10 +30,12 @@ def yaw_errors(panels: Mapping[str, Sequence[Ensemble]], title: str) -> Figure:
     far = ""
     for axes, (name, shown) in zip(grid.flat, panels.items(), strict=False):
         extents = [
-            draw(axes, Line(e.label, e.time_s, e.columns["phi_u_arcmin"], colour(i)))
+            draw_mean_and_band(
+                axes, Line(e.label, e.time_s, e.columns["phi_u_arcmin"], line_colour(i))
+            )
             for i, e in enumerate(shown)
         ]
-        far = fit_range(axes, extents) or far
+        far = use_asinh_if_wide(axes, extents) or far
         axes.set_title(name)
     for axes in list(grid.flat)[len(panels) :]:
         axes.set_visible(False)
@@ -41,7 +43,7 @@ def yaw_errors(panels: Mapping[str, Sequence[Ensemble]], title: str) -> Figure:
         axes.set_ylabel(f"heading error (arcmin){far}")
     for axes in grid[-1]:
         axes.set_xlabel("time (s)")
-    legend_outside(figure, grid[0, 0])
+    add_legend_below(figure, grid[0, 0])
     return figure
 
 
@@ -63,7 +65,7 @@ class Verdicts(NamedTuple):
     best: int
 
 
-@styled
+@with_style
 def verdict_matrix(verdicts: Verdicts, title: str) -> Figure:
     """Matrix of which statement holds under which reading.
 

@@ -8,13 +8,13 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import format_estimate, numbers
-from sinsjax.analysis.words import degrees, percent
+from sinsjax.analysis import format_estimate, numeric_column
+from sinsjax.analysis.formats import format_degrees, format_percent
 from sinsjax.execution.source import Source
 from sinsjax.plots import Ensemble
 from sinsjax.plots.style import GREY
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.words import arcmin, share
 from ..loops.runs import limits_of
@@ -52,7 +52,7 @@ def page(sources: Sources) -> Page:
             free.sample_size_text,
         ),
     }
-    return Page.joined(
+    return Page.merge(
         Page({"draws": free.draws}, {"conditions": _table(free, runs)}, figures),
         _ended(runs, with_resets["1"]),
         _limit(free, runs["1"]),
@@ -61,18 +61,18 @@ def page(sources: Sources) -> Page:
 
 
 def _runs(source: Source, names: Sequence[str]) -> dict[str, pa.Table]:
-    groups = {key["case"]: rows for key, rows in analysis.groups(source.summary, ["case"])}
+    groups = {key["case"]: rows for key, rows in analysis.group_rows(source.summary, ["case"])}
     return {name: groups[f"condition {name}"] for name in names}
 
 
 def _ensembles(source: Source, runs: Mapping[str, pa.Table]) -> dict[str, Ensemble]:
     ids = {f"condition {name}": rows["run_id"].to_pylist() for name, rows in runs.items()}
-    return dict(zip(runs, plots.ensembles(source.curves(), ids), strict=True))
+    return dict(zip(runs, plots.group_curves(source.curves(), ids), strict=True))
 
 
 def _limit_arcmin(runs: pa.Table) -> float:
     """The heading error that the constant biases leave, the same in all runs."""
-    return float(numbers(runs, "floor_arcmin")[0])
+    return float(numeric_column(runs, "floor_arcmin")[0])
 
 
 def _heading(source: Source, shown: Mapping[str, Ensemble], title: str) -> Figure:
@@ -99,11 +99,15 @@ def _table(source: Source, runs: Mapping[str, pa.Table]) -> Table:
     rows = []
     for name, table in runs.items():
         begun = starts[f"condition {name[0]}"]
-        settle, truth, limit, sigma = (numbers(table, column) for column in COLUMNS)
+        settle, truth, limit, sigma = (numeric_column(table, column) for column in COLUMNS)
         means = (analysis.mean(values) for values in (truth - limit, truth, sigma))
         settled, time = analysis.share(np.isfinite(settle)), analysis.quantile(settle)
-        told = [percent(settled), format_estimate(time, digits=0), *map(format_estimate, means)]
-        rows.append([f"condition {name}", degrees(*(begun[key] for key in keys)), *told])
+        told = [
+            format_percent(settled),
+            format_estimate(time, digits=0),
+            *map(format_estimate, means),
+        ]
+        rows.append([f"condition {name}", format_degrees(*(begun[key] for key in keys)), *told])
     header = ["", "misalignment", "settled about the limit (%)", "median time (s)"]
     heading = ["heading error from the limit (arcmin)", "from true north (arcmin)"]
     note = (
@@ -117,11 +121,15 @@ def _table(source: Source, runs: Mapping[str, pa.Table]) -> Table:
 
 def _ended(runs: Mapping[str, pa.Table], first: pa.Table) -> Page:
     """Where the heading ends; ``first`` is condition 1 on the noise of the runs with resets."""
-    apart = analysis.difference(*analysis.paired(runs[RESET], first, "phi_u_mean_arcmin"))
+    apart = analysis.mean_difference(
+        *analysis.pair_by_draw(runs[RESET], first, "phi_u_mean_arcmin")
+    )
     limit = _limit_arcmin(runs["1"])
-    away = [abs(np.mean(numbers(runs[name], "phi_u_arcmin")) - limit) for name in CONDITIONS[:-1]]
-    settled = {n: np.isfinite(numbers(runs[n], "settle_10_s")) for n in ("5", RESET)}
-    truth = analysis.share(np.isfinite(numbers(runs[RESET], "settle_10_truth_s")))
+    away = [
+        abs(np.mean(numeric_column(runs[name], "phi_u_arcmin")) - limit) for name in CONDITIONS[:-1]
+    ]
+    settled = {n: np.isfinite(numeric_column(runs[n], "settle_10_s")) for n in ("5", RESET)}
+    truth = analysis.share(np.isfinite(numeric_column(runs[RESET], "settle_10_truth_s")))
     values = {"limit": f"{limit:.1f} arcmin", "apart": arcmin(apart, 2), "truth": share(truth)}
     claims = {
         "every draw of condition 5 settles with resets, none without": (
@@ -139,7 +147,7 @@ def _ended(runs: Mapping[str, pa.Table], first: pa.Table) -> Page:
 def _limit(source: Source, runs: pa.Table) -> Page:
     """The limit accuracy of section 2.4.1: as printed, in closed form, and as simulated."""
     here, paper = limits_of(source.study), limits_of(source.study, 15.0)
-    means = {a: analysis.mean(numbers(runs, f"phi_{a}_mean_arcmin")) for a in "enu"}
+    means = {a: analysis.mean(numeric_column(runs, f"phi_{a}_mean_arcmin")) for a in "enu"}
     values = {
         "paper": ", ".join(f"{limit:.4f}" for limit in PRINTED_LIMITS.values()),
         "first": f"{paper.gyro:.4f} arcmin",

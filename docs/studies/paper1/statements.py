@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate, numbers, paired
+from sinsjax.analysis import Estimate, numeric_column, pair_by_draw
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 
@@ -68,35 +68,37 @@ class Finding(NamedTuple):
 
 
 def _settled(runs: pa.Table) -> Estimate:
-    return analysis.share(~np.isnan(numbers(runs, "settle_10_s")))
+    return analysis.share(~np.isnan(numeric_column(runs, "settle_10_s")))
 
 
 def _median_time(runs: pa.Table) -> Estimate:
-    return analysis.quantile(numbers(runs, "settle_10_s"))
+    return analysis.quantile(numeric_column(runs, "settle_10_s"))
 
 
 def _longer(runs: pa.Table, other: pa.Table) -> Estimate:
-    return analysis.quantile_difference(*paired(runs, other, "settle_10_s"))
+    return analysis.quantile_difference(*pair_by_draw(runs, other, "settle_10_s"))
 
 
 def _worse(runs: pa.Table, other: pa.Table) -> Estimate:
-    means, limits = (paired(runs, other, f"{name}_arcmin") for name in ("phi_u_mean", "floor"))
-    return analysis.difference(*(np.abs(m - at) for m, at in zip(means, limits, strict=True)))
+    means, limits = (
+        pair_by_draw(runs, other, f"{name}_arcmin") for name in ("phi_u_mean", "floor")
+    )
+    return analysis.mean_difference(*(np.abs(m - at) for m, at in zip(means, limits, strict=True)))
 
 
 def _p_above(runs: pa.Table, column: str, missing: float) -> Estimate:
     # Every run has equally many records, so the mean share is that of all records together; the
     # records of a run that is not finite count against the statement.
-    found = analysis.mean(np.nan_to_num(numbers(runs, column), nan=missing))
+    found = analysis.mean(np.nan_to_num(numeric_column(runs, column), nan=missing))
     return found._replace(low=max(found.low, 0.0), high=min(found.high, 1.0))
 
 
 def _apart(runs: pa.Table, other: pa.Table) -> Estimate:
-    return analysis.difference(*paired(runs, other, "phi_u_mean_arcmin"))
+    return analysis.mean_difference(*pair_by_draw(runs, other, "phi_u_mean_arcmin"))
 
 
 def _sigma_ratio(runs: pa.Table, other: pa.Table) -> Estimate:
-    sigma, reference = paired(runs, other, "sigma_u_arcmin")
+    sigma, reference = pair_by_draw(runs, other, "sigma_u_arcmin")
     return analysis.mean(sigma / reference)
 
 
@@ -186,8 +188,8 @@ class Judged(NamedTuple):
 def judge_all(source: Source) -> list[Judged]:
     """Every reading of the study, judged."""
     found = []
-    for reading, rows in analysis.groups(source.summary, list(source.study.axes)):
-        cases = analysis.groups(rows, ["case"])
+    for reading, rows in analysis.group_rows(source.summary, list(source.study.axes)):
+        cases = analysis.group_rows(rows, ["case"])
         conditions = {key["case"].removeprefix("condition "): table for key, table in cases}
         found.append(Judged(reading, judge(conditions)))
     return found

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure
 
-from sinsjax.plots.curves import Line, draw
-from sinsjax.plots.style import legend_outside, styled
+from sinsjax.plots.curves import Line, draw_mean_and_band
+from sinsjax.plots.style import add_legend_below, with_style
 
 
-@styled
+@with_style
 def over_time(
     panels: Mapping[str, Sequence[Line]],
     title: str,
@@ -28,7 +28,7 @@ def over_time(
     figure.suptitle(title)
     grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, (name, lines) in zip(grid, panels.items(), strict=True):
-        extents = [draw(axes, line) for line in lines]
+        extents = [draw_mean_and_band(axes, line) for line in lines]
         axes.set_xlim(0, max(extent.time_s[-1] for extent in extents))
         if floor is not None:
             axes.set_yscale("log")
@@ -36,5 +36,5 @@ def over_time(
         axes.set_title(name)
         axes.set_xlabel("update time (s)")
     grid[0].set_ylabel(quantity)
-    legend_outside(figure, grid[0])
+    add_legend_below(figure, grid[0])
     return figure

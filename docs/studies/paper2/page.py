@@ -20,7 +20,7 @@ from sinsjax.execution.source import Source
 from sinsjax.methods.compass import design
 from sinsjax.plots import Line
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 from sinsjax.study.load import select_variant
 from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG, MICRO
@@ -95,13 +95,13 @@ class Case:
 
     def means(self, angle: str) -> NDArray:
         """Window means of an angle's error by draw, (draws,), deg."""
-        return _FROM_PHI * analysis.numbers(self.rows, f"phi_{ANGLES[angle]}_mean_arcmin")
+        return _FROM_PHI * analysis.numeric_column(self.rows, f"phi_{ANGLES[angle]}_mean_arcmin")
 
     @cached_property
     def heading(self) -> tuple[NDArray, NDArray]:
         """Times (T,), s, and heading errors from the limit (draws, T), deg."""
         columns, ids = ["run_id", "time_s", "phi_u_arcmin"], self.rows["run_id"].to_pylist()
-        (phi,) = plots.ensembles(self.source.curves(ids).select(columns), {self.name: ids})
+        (phi,) = plots.group_curves(self.source.curves(ids).select(columns), {self.name: ids})
         return phi.time_s, _FROM_PHI * phi.columns["phi_u_arcmin"] - self.limit
 
     def from_floor(self, time_s: float) -> NDArray:
@@ -121,7 +121,7 @@ def page(sources: Sources) -> Page:
         "expected": table(first, "What to expect, and what is printed", folded=False),
         "table_1": table(shown, "Table 1, static base: every interpretation"),
     }
-    return Page.joined(
+    return Page.merge(
         Page({"draws": static[0].source.draws}, tables),
         _limit(static[0]),
         _unsettled([case for case in shown if case.scheme == 1]),
@@ -190,7 +190,7 @@ def _bases(static: Sequence[Case], swing: Sequence[Case]) -> Page:
     """How far the mean headings of two bases are apart on the same noise."""
     moved = {(case["case"], case.drift): case.means("heading") for case in swing}
     apart = [
-        analysis.difference(moved[case["case"], case.drift], case.means("heading"))
+        analysis.mean_difference(moved[case["case"], case.drift], case.means("heading"))
         for case in static
     ]
     sizes = sorted(abs(one.value) for one in apart)
@@ -205,7 +205,7 @@ def _turns(cases: Mapping[str, Case]) -> Page:
     stored_s = shown[0]["stored_s"]
     radii = [float(cycle_radius(c.study, c["turn"], AZIMUTH_SIGMA, stored_s)) for c in shown]
     lines = [
-        Line(TURNS[case["turn"]], *case.heading, plots.colour(number))
+        Line(TURNS[case["turn"]], *case.heading, plots.line_colour(number))
         for number, case in enumerate(shown)
     ]
     begins = float(np.mean(shown[0].from_floor(0.0)))
@@ -270,7 +270,7 @@ def _gains(printed_k3: Case) -> Page:
         "the printed K3 lacks one factor sigma": agrees(LEVEL_K3, level.k3 / LEVEL_SIGMA),
         "with the printed K3 the levelling loop is unstable": root.real > 0,
         "every draw with the printed K3 diverges": (
-            analysis.has_status(printed_k3.rows, "diverged").all()
+            analysis.status_mask(printed_k3.rows, "diverged").all()
         ),
     }
     return Page({"gains": values}, claims=claims)
@@ -285,7 +285,7 @@ def agrees(text: str, value: float) -> bool:
 
 def cases_of(source: Source) -> list[Case]:
     """The variants of a study, in its order."""
-    groups = analysis.groups(source.summary, ["variant_id"])
+    groups = analysis.group_rows(source.summary, ["variant_id"])
     return [Case(source, select_variant(source.study, k["variant_id"]), rows) for k, rows in groups]
 
 

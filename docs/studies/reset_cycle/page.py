@@ -5,12 +5,12 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import median
-from sinsjax.analysis.words import degrees
+from sinsjax.analysis.formats import format_degrees
+from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
-from sinsjax.plots import Scale
+from sinsjax.plots import GridAxis
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import Grid, grid_of, held_out, least_mean, shared, soonest
 from ..common.settling import mean_time, median_time, settled, settling_maps
@@ -36,7 +36,7 @@ def page(sources: Sources) -> Page:
     """How many resets, when, and what makes the filter fail without."""
     source = sources["reset_cycle_study"]
     grid = layout(source)
-    return Page.joined(
+    return Page.merge(
         Page({"study": {"runs": f"{source.runs:,}", "draws": grid.draws}}),
         _answer(source, grid),
         _counts(grid),
@@ -54,10 +54,10 @@ def _answer(source: Source, grid: Grid) -> Page:
     singles = grid.at(SETTLE, schedule=schedules(grid, 1, 1), **HERE)
     late = grid.at(SETTLE, force=MEASURED, schedule=THREE)
     slow = grid.at(SETTLE, schedule=TWO, feedback=SLOW, **PRINTED)
-    slowest = two.reshape(-1, grid.draws)[np.argmax(median(two))]
+    slowest = two.reshape(-1, grid.draws)[np.argmax(median_over_draws(two))]
     level, yaw = grid.axes["level"][-1], grid.axes["yaw"][-1]
     values = {
-        "worst": degrees(level, level, yaw),
+        "worst": format_degrees(level, level, yaw),
         "two": {
             "name": named(TWO).removeprefix("two "),
             "mean": mean_time(two, run_s),
@@ -132,10 +132,10 @@ def _counts(grid: Grid) -> Page:
     )
     pairs = list(zip(*(runs.reshape(-1, runs.shape[-1]) for runs in (more, one)), strict=True))
     saved = [analysis.quantile_difference(*pair) for pair in pairs]
-    chance = sum(analysis.chance_apart(*pair) for pair in pairs)
+    chance = sum(analysis.permutation_false_positive_rate(*pair) for pair in pairs)
     sooner = np.reshape([by.high < 0 for by in saved], one.shape[:-1])
     by_one = sum(by.low > 0 for by in saved)
-    only = sooner & np.isinf(median(one)) & np.isfinite(median(more))
+    only = sooner & np.isinf(median_over_draws(one)) & np.isfinite(median_over_draws(more))
     near, *_, large = sooner.sum(axis=(0, 1, 2))
     at = tuple(grid.axes[name].index(POINT[name]) for name in ("q", "feedback", "level", "yaw"))
     here = analysis.quantile_difference(more[at], one[at])
@@ -175,7 +175,7 @@ def _single(source: Source, grid: Grid) -> Page:
     }
     claims = {
         "at the paper's point one reset settles whenever it comes, the sooner the better": (
-            np.isfinite(here).all() and np.argmin(median(here)) == 0
+            np.isfinite(here).all() and np.argmin(median_over_draws(here)) == 0
         ),
         "one reset at the right time is nearly always enough": enough > 0.9 * points,
     }
@@ -188,8 +188,8 @@ def _single(source: Source, grid: Grid) -> Page:
         "single_reset",
         panels,
         "As above, against the time of the only reset.",
-        rows=Scale("initial level error_deg", grid.axes["level"]),
-        columns=Scale("time of the reset_s", [time for (time,) in times]),
+        rows=GridAxis("initial level error_deg", grid.axes["level"]),
+        columns=GridAxis("time of the reset_s", [time for (time,) in times]),
         title="When must a single reset come? Heading within 10' of its limit",
     )
     return Page({"single": values}, figures={"single": picture}, claims=claims)
@@ -218,7 +218,7 @@ def _phase(source: Source) -> Page:
     def later(feedback: float, one: Schedule, other: Schedule) -> Estimate:
         pair = (grid.at(SETTLE, feedback=feedback, schedule=times) for times in (one, other))
         means = (np.minimum(settle_s, run_s).mean(axis=(0, 1, 2, 3)) for settle_s in pair)
-        return analysis.difference(*means)
+        return analysis.mean_difference(*means)
 
     found = {
         "on": later(SLOW, on, between),
@@ -253,8 +253,8 @@ def _answer_figure(source: Source, grid: Grid) -> Picture:
         "answer",
         panels,
         "Feedback every second, Q as printed.",
-        rows=Scale("initial level error_deg", grid.axes["level"]),
-        columns=Scale("initial heading error_deg", grid.axes["yaw"]),
+        rows=GridAxis("initial level error_deg", grid.axes["level"]),
+        columns=GridAxis("initial heading error_deg", grid.axes["yaw"]),
     )
 
 

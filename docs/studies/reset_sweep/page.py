@@ -4,10 +4,10 @@ import numpy as np
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import median
-from sinsjax.plots import Scale
+from sinsjax.analysis.grids import median_over_draws
+from sinsjax.plots import GridAxis
 from sinsjax.report.base import Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import Choice, Grid, grid_of, held_out, soonest
 from ..common.settling import mean_time, settled, settling_maps
@@ -31,7 +31,7 @@ def page(sources: Sources) -> Page:
     single = grid.at(LIMIT, count=1)
     one = single[int(np.argmin(np.minimum(single, run_s).mean(axis=(1, 2))))]
     truth = grid.at(TRUTH, count=list(counts[1:]))
-    floor = float(analysis.numbers(source.rows(["floor_arcmin"]), "floor_arcmin")[0])
+    floor = float(analysis.numeric_column(source.rows(["floor_arcmin"]), "floor_arcmin")[0])
     values = {
         "runs": f"{source.runs:,}",
         "draws": grid.draws,
@@ -50,7 +50,7 @@ def page(sources: Sources) -> Page:
         "two resets are the best for all": best[0] == 2,
         "with resets every run settles": np.isfinite(reset).all(),
         "without, only small heading errors do": (
-            np.isfinite(without[:2]).all() and np.isinf(median(without[3:])).all()
+            np.isfinite(without[:2]).all() and np.isinf(median_over_draws(without[3:])).all()
         ),
         "one reset takes longer": (
             np.minimum(one, run_s).mean() > np.minimum(at_best, run_s).mean() + 10
@@ -67,8 +67,8 @@ def page(sources: Sources) -> Page:
             if yaw % 30 == 0
         },
         "The first reset comes after one time between resets; level errors of 5 deg.",
-        rows=Scale("reset_count", counts[1:]),
-        columns=Scale("reset_cycle_s", cycles),
+        rows=GridAxis("reset_count", counts[1:]),
+        columns=GridAxis("reset_cycle_s", cycles),
     )
     return Page(values, {"best": _best(grid, contests, gains)}, {"settling": picture}, claims)
 

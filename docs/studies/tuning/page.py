@@ -8,10 +8,10 @@ import numpy as np
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
 from sinsjax.execution.source import Source
-from sinsjax.plots.words import value_text
-from sinsjax.report import tuned_figures
+from sinsjax.plots.labels import format_value
+from sinsjax.report import tuning_figures
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 from sinsjax.study.study import Study
 from sinsjax.tuning import results
 from sinsjax.tuning.results import Tuning
@@ -85,14 +85,14 @@ def page(sources: Sources) -> Page:
     page = Page(values, {"expected": _expected(tunings, plain)}, {"seen": seen}, claims)
     belief = _filter(tunings, sources[STUDIES["belief"]])
     covariance, shifted = _covariance(tunings["large"]), _shifted(sources["tuned_phase"])
-    return Page.joined(page, belief, covariance, shifted)
+    return Page.merge(page, belief, covariance, shifted)
 
 
 def _filter(tunings: Mapping[str, Tuning], source: Source) -> Page:
     """P0, Q and R, whose gradient goes through covariance analysis, beside the searches."""
     tuning, times = tunings["belief"], tunings["large"]
     # By candidate, misalignment and draw: the cases of the judging are its outermost dimension.
-    every = analysis.numbers(source.rows(["nees"]), "nees")
+    every = analysis.numeric_column(source.rows(["nees"]), "nees")
     by_variant = every.reshape(-1, source.study.n_variants).T
     by_case = by_variant.reshape(-1, tuning.study.n_variants, by_variant.shape[1])
     nees = {
@@ -147,9 +147,9 @@ def _shifted(source: Source) -> Page:
     times = [[pooled_mean(one) for one in of] for of in runs]
     over = {name: pooled_mean(of) for name, of in zip(SHIFTED, runs, strict=True)}
     _, sobol, _, robust, _ = runs.mean(axis=(1, 2))  # over shifts and misalignments, by draw
-    apart = analysis.difference(robust, sobol)
+    apart = analysis.mean_difference(robust, sobol)
     plain, found, put_off = ([one.value for one in times[at]] for at in (0, 3, 4))
-    figure = plots.along_axis(
+    figure = plots.draw_along_axis(
         "shift_s",
         list(SHIFTS_S),
         {"mean settling time (s)": dict(zip(SHIFTED.values(), times, strict=True))},
@@ -179,7 +179,7 @@ def _shifted(source: Source) -> Page:
 
 def _seen(tuning: Tuning, source: Source) -> Picture:
     """Where the searches with two reset times looked, with the plain two marked."""
-    (seen,) = tuned_figures.landscape(tuning)
+    (seen,) = tuning_figures.landscape_pictures(tuning)
     (axes, *_) = seen.figure.axes
     axes.plot(*PLAIN_S, "X", color="white", markeredgecolor="black", markersize=11)
     axes.annotate(
@@ -259,4 +259,4 @@ def _expected(tunings: Mapping[str, Tuning], plain: Mapping[str, Estimate]) -> T
 def _shown(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(_shown(one) for one in value)}]"
-    return f"{value:.3g}" if isinstance(value, float) else value_text(value)
+    return f"{value:.3g}" if isinstance(value, float) else format_value(value)

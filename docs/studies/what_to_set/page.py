@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from sinsjax.report.folder import PROSE, Page, Sources
+from sinsjax.report.study_page import PROSE_FILE, Page, Sources
 
 from ..adaptive import page as adaptive
 from ..compass_map import page as compass_map
@@ -27,7 +27,7 @@ SCRIPTS = {
 def page(sources: Sources) -> Page:
     """The values and claims of other pages that a line of this one rests on."""
     made = {name: script.page(sources) for name, script in SCRIPTS.items()}
-    prose = Path(__file__).with_name(PROSE).read_text(encoding="utf-8")
+    prose = Path(__file__).with_name(PROSE_FILE).read_text(encoding="utf-8")
     values: dict[str, Any] = {}
     for path in re.findall(r"{{ (\w+\.[.\w]+) }}", prose):
         *parents, last = path.split(".")

@@ -6,7 +6,7 @@ import sinsjax
 from sinsjax.analysis import Estimate, format_estimate, rms
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Table
-from sinsjax.report.folder import Page
+from sinsjax.report.study_page import Page
 
 from ..common.grids import grid_of
 from .field import bases_of, start_samples

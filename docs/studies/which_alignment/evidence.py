@@ -6,9 +6,9 @@ from itertools import product
 import numpy as np
 
 from sinsjax.analysis import format_estimate, quantile
-from sinsjax.analysis.words import degrees, percent
+from sinsjax.analysis.formats import format_degrees, format_percent
 from sinsjax.execution.source import Source
-from sinsjax.plots.words import value_text
+from sinsjax.plots.labels import format_value
 from sinsjax.report.base import Table
 
 from ..common.grids import grid_of, pooled_mean, shared
@@ -77,7 +77,7 @@ def by_start(field: Field, base: str, grade: float, time_s: int) -> Table:
     for arm in field.at(grade):
         cells = [Cell((start,), field.bases[base], grade, time_s) for start in field.starts]
         rows.append([arm, *(angle(reach(field.errors(arm, cell))) for cell in cells)])
-    header = ["method", *(degrees(*start) for start in field.starts)]
+    header = ["method", *(format_degrees(*start) for start in field.starts)]
     note = "Heading error from true north that 90 % of the runs stay below [95 % interval]."
     title = f"Every method after {time_s} s on {base}, gyro bias {grade:g} deg/h"
     return Table(title, header, rows, note, folded=True)
@@ -97,7 +97,7 @@ def settled(field: Field, starts: tuple[Start, ...], base: str, grade: float) ->
         nees = field.column("nees_at_{t}", arm, cells[3])
         known = np.isfinite(nees).all()
         consistency = format_estimate(pooled_mean(nees), digits=1) if known else "-"
-        rows.append([arm, *map(percent, within), time, consistency])
+        rows.append([arm, *map(format_percent, within), time, consistency])
     header = ["method", *(f"{t} s (%)" for t in TIMES_S), "settles (s)", "NEES at 300 s"]
     note = (
         "Runs within 10' of true north; median time until the heading stays within 10' of its"
@@ -156,4 +156,4 @@ def settings(sources: Sequence[Source]) -> Table:
 
 
 def _text(value: object) -> str:
-    return f'"{value}"' if isinstance(value, str) else value_text(value)
+    return f'"{value}"' if isinstance(value, str) else format_value(value)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
-from sinsjax.analysis.estimates import bootstrap, place, quantile
+from sinsjax.analysis.estimates import bootstrap_interval, quantile, quantile_index
 from sinsjax.analysis.formats import format_estimate
 from sinsjax.execution.source import Source
 
@@ -175,12 +175,12 @@ def _axes(source: Source) -> dict[str, str | list[Any]]:
 
 def _most(errors: NDArray) -> float:
     """What most of the runs stay below, arcmin."""
-    return float(np.partition(errors.ravel(), at := place(errors.size, MOST))[at])
+    return float(np.partition(errors.ravel(), at := quantile_index(errors.size, MOST))[at])
 
 
 def _apart(one: NDArray, other: NDArray) -> tuple[float, float]:
     """95 % interval of the difference of what most runs (starts, draws) stay below, by draw."""
-    at = place(one.size, MOST)
+    at = quantile_index(one.size, MOST)
 
     def statistic(picks: NDArray) -> NDArray:
         left, right = (
@@ -192,4 +192,4 @@ def _apart(one: NDArray, other: NDArray) -> tuple[float, float]:
         same = left == right
         return np.where(same, 0.0, left - np.where(same, 0.0, right))
 
-    return bootstrap(statistic, np.arange(one.shape[-1]))
+    return bootstrap_interval(statistic, np.arange(one.shape[-1]))

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from sinsjax.plots.style import colour, legend_outside, styled
+from sinsjax.plots.style import add_legend_below, line_colour, with_style
 
 from .field import TIMES_S, Cell, Field, Start, reach
 
 
-@styled
+@with_style
 def reached(
     field: Field, arms: Sequence[str], starts: tuple[Start, ...], grade: float, title: str
 ) -> Figure:
@@ -21,7 +21,7 @@ def reached(
     for axes, (name, base) in zip(grid.flat, field.bases.items(), strict=True):
         for number, arm in enumerate(arms):
             told = [reach(field.errors(arm, Cell(starts, base, grade, t))) for t in TIMES_S]
-            line = colour(number), ("-", "--")[number // 7]
+            line = line_colour(number), ("-", "--")[number // 7]
             axes.plot(TIMES_S, [one.value for one in told], line[1], color=line[0], label=arm)
             low, high = ([one[end] for one in told] for end in (1, 2))
             axes.fill_between(TIMES_S, low, high, color=line[0], alpha=0.25, linewidth=0)
@@ -38,7 +38,7 @@ def reached(
     for axes in grid[-1]:
         axes.set_xlabel("time from the first sample (s)")
     figure.supylabel("heading error that 90 % of the runs stay below")
-    legend_outside(figure, grid[-1, -1])
+    add_legend_below(figure, grid[-1, -1])
     return figure
 
 

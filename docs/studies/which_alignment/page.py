@@ -6,7 +6,7 @@ from typing import Any
 
 from sinsjax.analysis import Estimate
 from sinsjax.report.base import Picture
-from sinsjax.report.folder import Page, Sources
+from sinsjax.report.study_page import Page, Sources
 
 from . import better, cost, evidence, why
 from .field import TIMES_S, Cell, Field, Start, angle, reach
@@ -82,7 +82,7 @@ def page(sources: Sources) -> Page:
         "draws": field.draws,
         **_told(field),
     }
-    return Page.joined(
+    return Page.merge(
         Page(values, tables, {"reached": picture}, _claims(field)),
         _experiments(sources, field),
     )
@@ -140,7 +140,7 @@ def _entries(field: Field) -> tuple[int, int]:
 def _experiments(sources: Sources, field: Field) -> Page:
     """What was run to answer one question each."""
     resets = why.resets(sources["which_alignment_why"])
-    return Page.joined(
+    return Page.merge(
         resets,
         why.passes(sources["which_alignment_stored"], field, GRADE),
         why.turning(sources["which_alignment_turning"]),

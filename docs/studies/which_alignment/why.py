@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate, mean
-from sinsjax.analysis.words import degrees
+from sinsjax.analysis.formats import format_degrees
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Table
-from sinsjax.report.folder import Page
+from sinsjax.report.study_page import Page
 
 from ..common.grids import Grid, grid_of
 from ..common.words import arcmin
@@ -61,7 +61,7 @@ def resets(source: Source) -> Page:
         [case, *(angle(median(case, base, start)) for start in starts for base in bases)]
         for case in run.grid.axes["case"]
     ]
-    header = [f"{base}, {degrees(*start)}" for start in starts for base in bases]
+    header = [f"{base}, {format_degrees(*start)}" for start in starts for base in bases]
     note = "Median heading error from its limit after 300 s [95 % interval]."
     title = "What of a reset fails when the base moves"
     table = Table(title, ["what is done", *header], rows, note, folded=True)
@@ -134,7 +134,7 @@ def passes(source: Source, field: Field, grade: float) -> Page:
     rows = [[case, *(angle(ends(case, base)) for base in bases)] for case in run.grid.axes["case"]]
     note = (
         "Heading error from true north that 90 % of the runs end below, from"
-        f" {' and '.join(degrees(*start) for start in starts)}."
+        f" {' and '.join(format_degrees(*start) for start in starts)}."
     )
     title = "A stored record, gone over again"
     table = Table(title, ["record and method", *bases], rows, note, folded=True)
@@ -229,7 +229,7 @@ def car(source: Source) -> Page:
         f" {CAR_S} s from the first sample, over {run.grid.draws} start times. One record: no"
         " interval. Fine alignment begins after 60 s of coarse alignment, misaligned on purpose."
     )
-    header = ["method", *(degrees(*start) for start in starts)]
+    header = ["method", *(format_degrees(*start) for start in starts)]
     table = Table("On the recorded car", header, rows, note, folded=True)
     values = {
         name: {"modest": angle(median(case, MODEST)), "large": angle(median(case, LARGE))}

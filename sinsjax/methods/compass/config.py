@@ -12,12 +12,12 @@ from sinsjax.methods.compass.design import AzimuthGains, LevelGains
 from sinsjax.methods.description import INITIAL_KEYS, CheckedStudy, Description, Implementation
 from sinsjax.methods.parameters import Columns, times_in_samples
 from sinsjax.value_types import (
-    ActsWhere,
     Bandwidth,
     Count,
     Damping,
     Factors,
     Finite,
+    KeyCondition,
     KeyInfo,
     PassNumbers,
     Seconds,
@@ -56,10 +56,10 @@ class CompassSection(Section):
         ("sigma_passes", "sigma_times_s"),
     )
     conditions = (
-        ActsWhere(("level_damping",), ("level_gains",), _are_designed, refused=True),
-        ActsWhere(("azimuth_damping",), ("azimuth_gains",), _are_designed, refused=True),
-        ActsWhere(("adjustment_reading",), _ADJUSTMENTS, _any_given),
-        ActsWhere(("adjustment_remainder",), ("adjustment_reading", *_ADJUSTMENTS), _settles),
+        KeyCondition(("level_damping",), ("level_gains",), _are_designed, refused=True),
+        KeyCondition(("azimuth_damping",), ("azimuth_gains",), _are_designed, refused=True),
+        KeyCondition(("adjustment_reading",), _ADJUSTMENTS, _any_given),
+        KeyCondition(("adjustment_remainder",), ("adjustment_reading", *_ADJUSTMENTS), _settles),
     )
 
     level_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.02)] = Field(

@@ -12,7 +12,6 @@ from sinsjax.value_types import (
     ROUNDING,
     AccelNoise,
     AccelSigma,
-    ActsWhere,
     AngleSigma,
     Count,
     Factor,
@@ -20,6 +19,7 @@ from sinsjax.value_types import (
     GyroSigma,
     GyroWalk,
     HeadingSigma,
+    KeyCondition,
     KeyInfo,
     Seconds,
     Section,
@@ -189,13 +189,15 @@ class ResetsSection(TriggerKeys):
     exclusive = tuple(("reset_times_s", key) for key in OF_SCHEDULES[1:])
     conditions = (
         *TriggerKeys.conditions,
-        ActsWhere(("reset_first_s",), ("reset_count",), bool),
-        ActsWhere(("reset_cycle_s",), ("reset_count", "reset_first_s"), _needs_cycle),
-        ActsWhere(("reset_kind", "reset_at_feedback"), _RESETS, _is_reset),
-        ActsWhere(("reset_restarts_feedback",), ("reset_at_feedback", *_RESETS), _moves_feedback),
-        ActsWhere(("reset_scale",), ("reset_kind", *_RESETS), _scales_covariance),
-        ActsWhere(("reset_yaw_deg",), ("reset_kind", *_RESETS), _sets_heading_variance),
-        ActsWhere(_SET_BY_FULL, ("reset_kind", *_RESETS), _sets_all_variances),
+        KeyCondition(("reset_first_s",), ("reset_count",), bool),
+        KeyCondition(("reset_cycle_s",), ("reset_count", "reset_first_s"), _needs_cycle),
+        KeyCondition(("reset_kind", "reset_at_feedback"), _RESETS, _is_reset),
+        KeyCondition(
+            ("reset_restarts_feedback",), ("reset_at_feedback", *_RESETS), _moves_feedback
+        ),
+        KeyCondition(("reset_scale",), ("reset_kind", *_RESETS), _scales_covariance),
+        KeyCondition(("reset_yaw_deg",), ("reset_kind", *_RESETS), _sets_heading_variance),
+        KeyCondition(_SET_BY_FULL, ("reset_kind", *_RESETS), _sets_all_variances),
     )
 
     reset_count: Annotated[Count | None, KeyInfo(default=0)] = Field(

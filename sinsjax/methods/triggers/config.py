@@ -15,8 +15,8 @@ from pydantic import Field
 from sinsjax.columns import Column
 from sinsjax.methods.description import CheckedStudy, OwnColumn, StudyView
 from sinsjax.value_types import (
-    ActsWhere,
     Count,
+    KeyCondition,
     KeyInfo,
     NonNegative,
     Seconds,
@@ -106,8 +106,8 @@ def check_trigger(study: CheckedStudy) -> None:
 class TriggerKeys(Section):
     """The keys of triggers, in the section of the resets that they cause."""
 
-    conditions: ClassVar[tuple[ActsWhere, ...]] = (
-        ActsWhere(_NUMBERS, ("reset_trigger",), has_trigger),
+    conditions: ClassVar[tuple[KeyCondition, ...]] = (
+        KeyCondition(_NUMBERS, ("reset_trigger",), has_trigger),
     )
 
     reset_trigger: TriggerName | None = Field(

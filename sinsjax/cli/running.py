@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from sinsjax.console import plain_console, say, warn
+from sinsjax.console import plain_console, print_line, print_warning
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
 
@@ -21,12 +21,12 @@ def run_study(
     changes: list[str] | None = None,
     overwrite: bool,
     devices: int | None,
-    every_curve: bool,
+    keep_curves: bool,
     full: bool = False,
     resume: bool = False,
     chunk_runs: int | None = None,
-    cluster: tuple[int | None, str | None] = (None, None),
-    files: tuple[Path | None, Path | None] = (None, None),
+    workers_and_scheduler: tuple[int | None, str | None] = (None, None),
+    record_and_reference: tuple[Path | None, Path | None] = (None, None),
 ) -> None:
     """Run a study into a directory and print its report.
 
@@ -36,71 +36,77 @@ def run_study(
         changes: of the study, ``section.key=value``.
         overwrite: whether to replace existing results.
         devices: threads that run the compiled program; None for all cores.
-        every_curve: whether to keep the curves of all runs, if they are few.
+        keep_curves: whether to keep the curves of all runs, if they are few.
         full: whether to print all tables.
         resume: whether to complete existing results.
         chunk_runs: runs per chunk; None for the default.
-        cluster: workers to start, and the address of a Dask scheduler.
-        files: record and reference of a recorded study.
+        workers_and_scheduler: workers to start, and the address of a Dask scheduler.
+        record_and_reference: record and reference of a recorded study.
 
     Raises:
         InputError: the study cannot be run with these options.
     """
-    from sinsjax.cli.progress import interruptible, progress
+    from sinsjax.cli.progress import show_progress, stop_on_signal
     from sinsjax.execution import forecast
     from sinsjax.execution.prepare import RunOptions, prepare_job
     from sinsjax.execution.run import MAX_CURVE_RUNS, run_job
     from sinsjax.study.changes import parse_changes
 
-    check_options(overwrite=overwrite, resume=resume, devices=devices, workers=cluster[0])
-    configure(devices)
+    reject_conflicting_options(
+        overwrite=overwrite, resume=resume, devices=devices, workers=workers_and_scheduler[0]
+    )
+    configure_jax(devices)
     options = RunOptions(
         directory,
-        max_curve_runs=MAX_CURVE_RUNS if every_curve else None,
+        max_curve_runs=MAX_CURVE_RUNS if keep_curves else None,
         chunk_runs=chunk_runs,
         overwrite=overwrite,
         resume=resume,
         source=source_label(config, changes),
     )
-    job = prepare_job(config, parse_changes(changes or ()), *files, options)
+    job = prepare_job(config, parse_changes(changes or ()), *record_and_reference, options)
     assert job.directory is not None and job.forecast is not None
     terminal = plain_console()
     done = forecast.count_stored_runs(job.directory) if resume else 0
     with ExitStack() as stack:
-        if cluster[1] is None:
-            cores = devices or cluster[0] or runtime.usable_cores()
-            print_job(terminal, job, job.forecast.describe(cores, done))
-        executor = stack.enter_context(_executor(*cluster))
-        if cluster[1] is not None:  # only now it is known how many threads there are
+        if workers_and_scheduler[1] is None:
+            cores = devices or workers_and_scheduler[0] or runtime.usable_cores()
+            print_plan_and_warnings(terminal, job, job.forecast.describe(cores, done))
+        executor = stack.enter_context(_open_executor(*workers_and_scheduler))
+        if workers_and_scheduler[1] is not None:  # the number of threads is known only now
             threads = executor.facts["threads"]
-            print_job(terminal, job, job.forecast.describe(threads, done, threads=True))
-        stop = stack.enter_context(interruptible(terminal))
-        tell = stack.enter_context(progress(terminal, job.study.name))
+            print_plan_and_warnings(
+                terminal, job, job.forecast.describe(threads, done, threads=True)
+            )
+        stop = stack.enter_context(stop_on_signal(terminal))
+        tell = stack.enter_context(show_progress(terminal, job.study.name))
         run_job(job, executor=executor, on_progress=tell, stop=stop)
-    import_module("sinsjax.report").summarise([job.directory], terminal, full=full, warned=True)
+    import_module("sinsjax.report").print_reports(
+        [job.directory], terminal, full=full, warnings_shown=True
+    )
 
 
-def print_job(terminal: Any, job: Any, plan: str) -> None:
-    """Print what a prepared job takes, and its warnings and notes.
+def print_plan_and_warnings(terminal: Any, job: Any, plan: str) -> None:
+    """Print the plan of a prepared job, its warnings and notes.
 
     The report's modules will be imported while its first program compiles.
     """
-    say(terminal, f"{plan}.")
+    print_line(terminal, f"{plan}.")
     for line in job.warnings:
-        warn(line)
+        print_warning(line)
     for line in job.notes:
-        say(terminal, line)
+        print_line(terminal, line)
     _import_while_compiling("sinsjax.report")
 
 
 def source_label(config: Path, changes: list[str] | None) -> Path | str:
-    """Return words for a study in its results: its file, and what ``--set`` changed."""
+    """Return the label of a study in its results: its file, and its changes by ``--set``."""
     file = config.name if config.is_absolute() else config.as_posix()
     return f"{file} with {', '.join(changes)}" if changes else config
 
 
 def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
-    """Return what a study would run, without running it: runs, steps, time, memory and disk."""
+    """Return the planned runs of a study and their cost: steps, time, memory and disk."""
     from sinsjax.execution import checks
     from sinsjax.execution.prepare import RunOptions, prepare_job
     from sinsjax.study.changes import parse_changes
@@ -112,13 +118,13 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     overrides = parse_changes(changes or ())
     study, notes = load_with_notes(config, overrides)
     if study.tune:
-        what = f"tunes {', '.join(study.tune.variables)}"
+        summary = f"tunes {', '.join(study.tune.variables)}"
     else:
         draws = "start times" if study.is_recorded else "draws"
-        what = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
-    lines = [f"{source_name(config)}: valid; {what}.", *notes]
+        summary = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
+    lines = [f"{source_name(config)}: valid; {summary}.", *notes]
     if study.is_recorded:
-        return [*lines, "The record determines the rate, and so how long this takes."]
+        return [*lines, "The record determines the rate and the duration."]
     if study.tune:
         job = prepare_tuning(config, overrides, None, None, RunOptions())
     else:
@@ -127,13 +133,13 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     assert expected is not None
     steps = expected.length_s * study.rate_hz
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
-    lines.append(f"Up to {steps:,.0f} steps a run, {steps * expected.runs:,.0f} in all.")
+    lines.append(f"Up to {steps:,.0f} steps per run, {steps * expected.runs:,.0f} in total.")
     compared = (checks.describe_process_noise(study), checks.describe_feedback_interval(study))
     lines += [f"{line}." for line in compared if line]
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 
 
-def check_options(
+def reject_conflicting_options(
     *, overwrite: bool, resume: bool, devices: int | None, workers: int | None = None
 ) -> None:
     """Reject conflicting options, and more devices or workers than cores."""
@@ -145,23 +151,23 @@ def check_options(
             raise InputError(f"{option}: {count} exceeds the {cores} available cores")
 
 
-def configure(devices: int | None) -> None:
+def configure_jax(devices: int | None) -> None:
     """Configure JAX and start it."""
     runtime.configure(devices)
-    runtime.require_backend()
+    runtime.start_backend()
 
 
-def _import_while_compiling(name: str) -> None:
+def _import_while_compiling(module_name: str) -> None:
     """Import a module while XLA compiles its first program and Python is idle.
 
     The process waits for the thread before it ends: one that Python stops within an extension
-    module takes the whole process down with "terminate called".
+    module aborts the whole process with "terminate called".
     """
     import jax.monitoring
 
     def load() -> None:
-        with suppress(Exception):  # the import by the main thread tells it
-            import_module(name)
+        with suppress(Exception):  # the import by the main thread reports it
+            import_module(module_name)
 
     thread = threading.Thread(target=load, daemon=False)
 
@@ -173,7 +179,7 @@ def _import_while_compiling(name: str) -> None:
     jax.monitoring.register_event_duration_secs_listener(listen)
 
 
-def _executor(workers: int | None, scheduler: str | None) -> Any:
+def _open_executor(workers: int | None, scheduler: str | None) -> Any:
     """A context with the executor of the tasks: Dask workers, or None for this process."""
     if workers is None and scheduler is None:
         return nullcontext()

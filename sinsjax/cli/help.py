@@ -1,6 +1,6 @@
-"""Help of commands in words: ``CONFIG`` and ``DIR...``, not ``{CONFIG}`` and ``<list[Path]>``.
+"""Help of commands that shows ``CONFIG`` and ``DIR...`` instead of ``{CONFIG}`` and types.
 
-And what is wrong with a command line, in one line; and which one goes on with a study.
+Also messages about a wrong command line, and the command line that resumes a study.
 """
 
 import shlex
@@ -10,30 +10,30 @@ from typing import Any
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
-from sinsjax.messages import one_line
+from sinsjax.messages import to_one_line
 
 UsageError: Any = typer.BadParameter.__base__
-"""What typer raises for a command line that it cannot read; it has no public name for all kinds."""
+"""Base class of typer's errors about a command line, which has no public name."""
 
 
-def wrong_usage(error: Any) -> str:
-    """One line about a `UsageError`: an unknown option, a missing argument, a value of no use."""
-    text = one_line(error.format_message()).rstrip(".")
+def format_usage_error(error: Any) -> str:
+    """Return one line about a `UsageError`, such as an unknown option or a missing argument."""
+    text = to_one_line(error.format_message()).rstrip(".")
     help_ = "" if error.ctx is None else f" (see `{error.ctx.command_path} -h`)"
     return f"{text[:1].lower()}{text[1:]}{help_}"
 
 
 RUN, LOOK, SET_UP = PANELS = ("Run", "Look", "Set up")
-"""Panels of the commands in the help of all: the ``rich_help_panel`` of each."""
+"""Panels of the list of commands: the ``rich_help_panel`` of each command."""
 
 
-class Group(TyperGroup):
-    """The commands, whose help lists them by panel.
+class CommandGroup(TyperGroup):
+    """The commands, listed by panel in the help.
 
     Typer draws panels only with markup, which would swallow the name of a section such as [tune].
     """
 
-    def panels(self, ctx: Any) -> dict[str, dict[str, Any]]:
+    def commands_by_panel(self, ctx: Any) -> dict[str, dict[str, Any]]:
         """Return the commands by name in each panel."""
         names = self.list_commands(ctx)
         commands: dict[str, Any] = {name: self.get_command(ctx, name) for name in names}
@@ -44,7 +44,7 @@ class Group(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write each panel with its commands and their first sentences."""
-        for panel, commands in self.panels(ctx).items():
+        for panel, commands in self.commands_by_panel(ctx).items():
             with formatter.section(panel):
                 formatter.write_dl([(k, c.get_short_help_str()) for k, c in commands.items()])
 
@@ -53,7 +53,7 @@ class Command(TyperCommand):
     """A command whose help names its arguments without their Python types."""
 
     def get_short_help_str(self, limit: int = 0) -> str:
-        """Its first sentence, which a list of commands breaks and does not cut."""
+        """Return its first sentence, wrapped but never cut in a list of commands."""
         return str(super().get_short_help_str(limit=sys.maxsize))
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
@@ -63,7 +63,7 @@ class Command(TyperCommand):
         ]
 
     def help_records(self, ctx: Any) -> dict[str, list[tuple[str, str]]]:
-        """Each argument and each option with its help, by the title that they stand under."""
+        """Return the arguments and the options with their help, by title."""
         records: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
         for param in self.get_params(ctx):
             if (record := param.get_help_record(ctx)) is None:
@@ -83,7 +83,7 @@ class Command(TyperCommand):
                     formatter.write_dl(records)
 
 
-def command_to_resume() -> str:
-    """The command line that continues what this one began."""
+def resume_command_line() -> str:
+    """Return the command line that resumes this one."""
     words = [word for word in sys.argv[1:] if word not in ("--overwrite", "--resume")]
     return shlex.join(["sinsjax", *words, "--resume"])

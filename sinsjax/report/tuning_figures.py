@@ -1,19 +1,27 @@
-"""The figures of a tuning: descents over what a search has seen, and best against cost."""
+"""The figures of a tuning: descents over the evaluated points, and best objective against cost."""
 
 import numpy as np
 
 from sinsjax import plots
-from sinsjax.plots.descents import CostCurve, Landscape, Side, Spot, Way, best_by_cost, descent
-from sinsjax.plots.words import value_text
+from sinsjax.plots.descents import (
+    CostCurve,
+    DescentPath,
+    MarkedPoint,
+    ObjectiveLandscape,
+    VariableAxis,
+    draw_best_by_cost,
+    draw_descents,
+)
+from sinsjax.plots.labels import format_value
 from sinsjax.report.base import Picture
-from sinsjax.report.markup import said
+from sinsjax.report.markup import render_sentence
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning.results import MARKER_ORDER, SEARCH_LABELS, Tuning, objective_label
 
 
-def landscape(tuning: Tuning) -> list[Picture]:
-    """The descents over what a search has seen, for the best combination of candidates."""
+def landscape_pictures(tuning: Tuning) -> list[Picture]:
+    """Return the descents over the points of a search, for the best combination of candidates."""
     space = SearchSpace.from_study(tuning.study)
     number = tuning.searches[tuning.best].best.candidate
     combination = space.combinations[number]
@@ -23,65 +31,69 @@ def landscape(tuning: Tuning) -> list[Picture]:
     name = next(name for name in ("grid", *tuning.searches) if name in tuning.searches)
     evaluations = [e for e in tuning.searches[name].evaluations if e.candidate == number]
     points = tuning.tune.grid_points
-    seen = Landscape(
-        [_side(space.variables[i]) for i in used],
+    seen = ObjectiveLandscape(
+        [_variable_axis(space.variables[i]) for i in used],
         np.array([e.values for e in evaluations])[:, used],
         np.array([e.objective for e in evaluations]),
         (points,) * len(used) if name == "grid" else None,
         objective_label(tuning.study),
     )
-    ways = [Way(values[:, used], found) for values, found in tuning.descents(number)]
-    spots = _spots(tuning, number, used)
+    ways = [DescentPath(values[:, used], found) for values, found in tuning.descents(number)]
+    spots = _best_points(tuning, number, used)
     case = tuning.evaluation_study.cases[tuning.case_numbers["baseline"]]
     if (values := space.locate(case, combination)) is not None:
-        spots.insert(0, Spot("baseline", np.array(values), None, MARKER_ORDER.index("baseline")))
-    chosen = ", ".join(f"{key} = {value_text(v)}" for key, v in combination.items())
-    caption = said(
+        spots.insert(
+            0, MarkedPoint("baseline", np.array(values), None, MARKER_ORDER.index("baseline"))
+        )
+    chosen = ", ".join(f"{key} = {format_value(v)}" for key, v in combination.items())
+    caption = render_sentence(
         "landscape",
         search=name,
         is_line=len(used) == 1,
-        has_ways=bool(ways),
+        has_descents=bool(ways),
         chosen=chosen if len(space.combinations) > 1 else "",
     )
     best = tuning.searches[tuning.best].best
-    point = zip((_side(space.variables[i]) for i in used), np.array(best.values)[used], strict=True)
-    words = ", ".join(_value_of(side, value) for side, value in point)
-    figure = descent(seen, ways, spots, f"Best: {words}")
+    point = zip(
+        (_variable_axis(space.variables[i]) for i in used), np.array(best.values)[used], strict=True
+    )
+    words = ", ".join(_format_value(side, value) for side, value in point)
+    figure = draw_descents(seen, ways, spots, f"Best: {words}")
     return [Picture("descent", caption, figure)]
 
 
-def _side(variable: Variable) -> Side:
-    name, bracket, unit = plots.label(variable.key).partition(" (")
+def _variable_axis(variable: Variable) -> VariableAxis:
+    name, bracket, unit = plots.axis_label(variable.key).partition(" (")
     if variable.entry is not None and variable.key == TIMES:
         name = f"reset {variable.entry + 1} at"
     elif variable.entry is not None:
         name = f"{name}, number {variable.entry + 1}"
-    return Side(f"{name}{bracket}{unit}", variable.low, variable.high, variable.log)
+    return VariableAxis(f"{name}{bracket}{unit}", variable.low, variable.high, variable.log)
 
 
-def _value_of(side: Side, value: float) -> str:
+def _format_value(side: VariableAxis, value: float) -> str:
     """A value of a variable in words: ``reset 1 at 3.31 s``."""
     name, _, unit = side.name.partition(" (")
     return f"{name} {value:.3g} {unit.rstrip(')')}".rstrip()
 
 
-def _spots(tuning: Tuning, number: int, used: list[int]) -> list[Spot]:
+def _best_points(tuning: Tuning, candidate: int, variables: list[int]) -> list[MarkedPoint]:
     """The best point of each search that has the combination."""
     named = ((name, result.best) for name, result in tuning.searches.items())
     return [
-        Spot(
+        MarkedPoint(
             f"best of {SEARCH_LABELS[n]}",
-            np.array(one.values)[used],
-            one.objective,
+            np.array(best.values)[variables],
+            best.objective,
             MARKER_ORDER.index(n),
         )
-        for n, one in named
-        if one.candidate == number
+        for n, best in named
+        if best.candidate == candidate
     ]
 
 
-def course(tuning: Tuning) -> list[Picture]:
-    """The best objective of each search against what it had cost by then, to compare searches."""
+def cost_pictures(tuning: Tuning) -> list[Picture]:
+    """Return the best objective of each search against its cost."""
     if len(tuning.searches) < 2:
         return []
     searches = []
@@ -89,8 +101,10 @@ def course(tuning: Tuning) -> list[Picture]:
         cost, best, relaxed = result.best_by_cost
         ending = (result.cost, result.best.objective) if relaxed else None
         searches.append(CostCurve(SEARCH_LABELS[name], cost, best, relaxed, ending))
-    caption = said("course", relaxed=any(one.relaxed for one in searches))
+    caption = render_sentence("cost_curve", relaxed=any(search.relaxed for search in searches))
     title = f"The best point is of the search: {SEARCH_LABELS[tuning.best]}"
     return [
-        Picture("history", caption, best_by_cost(searches, objective_label(tuning.study), title))
+        Picture(
+            "history", caption, draw_best_by_cost(searches, objective_label(tuning.study), title)
+        )
     ]

@@ -1,4 +1,4 @@
-"""A tuning: what its searches found, judged on draws that tuned nothing, and how they did."""
+"""The report of a tuning: its candidates, evaluated on unused draws, and its searches."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -7,11 +7,11 @@ from typing import Any
 
 from sinsjax.analysis import NO_INTERVAL, Estimate, format_estimate
 from sinsjax.execution.source import Source
-from sinsjax.messages import counted
-from sinsjax.plots.words import setting, value_text
-from sinsjax.report import tuned_figures
+from sinsjax.messages import format_count
+from sinsjax.plots.labels import format_setting, format_value
+from sinsjax.report import tuning_figures
 from sinsjax.report.base import Block, Fact, Report, Table, Verdict
-from sinsjax.report.markup import said
+from sinsjax.report.markup import render_sentence
 from sinsjax.study.search_space import Variable
 from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
@@ -19,97 +19,103 @@ from sinsjax.tuning import objective
 from sinsjax.tuning.results import SEARCH_LABELS, Tuning, describe_objective
 from sinsjax.tuning.run_tuning import GRADIENT
 
-NEAR_S = 1.0
-"""Resets closer than this are told as a double one, s."""
+DOUBLE_RESET_S = 1.0
+"""Resets closer than this are printed as a double reset, s."""
 
 
-def report(source: Source) -> Report:
-    """The candidates on the unused draws, and how the searches came to them.
+def build_report(source: Source) -> Report:
+    """Return the candidates on the unused draws, and how the searches found them.
 
     Raises:
         InputError: a file of the tuning cannot be read.
     """
     tuning = Tuning.from_source(source)
-    pictures = [*tuned_figures.landscape(tuning), *tuned_figures.course(tuning)]
+    pictures = [*tuning_figures.landscape_pictures(tuning), *tuning_figures.cost_pictures(tuning)]
     variants = tuning.run_values.shape[1]
-    each = f" × {variants} variants" if variants > 1 else ""
+    variants_text = f" × {variants} variants" if variants > 1 else ""
     parts: dict[str, Sequence[Block]] = {
-        "What was found": [_candidates(tuning)],
-        "How it was found": pictures,
+        "Candidates": [_candidate_table(tuning)],
+        "Searches": pictures,
     }
-    rests_on = f"{tuning.study.name}: {_drawn(tuning)}{each} a point"
-    return Report.of(_verdict(tuning), parts, rests_on)
+    rests_on = f"{tuning.study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point"
+    return Report.from_parts(_tuning_verdict(tuning), parts, rests_on)
 
 
-def _drawn(tuning: Tuning) -> str:
+def _describe_tuning_draws(tuning: Tuning) -> str:
     """The draws that tuned, in words."""
     if record := tuning.study.record:
         return f"{len(record.start_s[::2])} start times"
     return f"{tuning.tune.tune_draws} Monte Carlo runs"
 
 
-def _verdict(tuning: Tuning) -> Verdict:
+def _tuning_verdict(tuning: Tuning) -> Verdict:
     """The best point, its gain over the start on unused draws, and why it is in ``tuned.toml``."""
     study, best = tuning.study, tuning.best
     count = sum(len(result.evaluations) for result in tuning.searches.values())
     unit = "start time" if study.is_recorded else "draw"
-    name, in_unit = describe_objective(study)[0], partial(_said, tuning)
-    fresh = counted(tuning.run_values.shape[2], f"unused {unit}")
+    name, in_unit = describe_objective(study)[0], partial(_format_objective, tuning)
+    fresh = format_count(tuning.run_values.shape[2], f"unused {unit}")
     gain = tuning.difference(best, "baseline")
     verb = "worse" if gain.value > 0 else "better"
     size = gain if gain.value > 0 else Estimate(-gain.value, -gain.high, -gain.low, gain.n)
     facts = [
-        Fact("Best", _point(tuning, best)),
+        Fact("Best", _describe_candidate(tuning, best)),
         Fact(
             "Gain",
             f"{in_unit(tuning.score(best))}, {in_unit(size)} {verb} than the start, on {fresh}",
         ),
-        Fact("Measure", name + _across(tuning)),
+        Fact("Measure", name + _describe_aggregation(tuning)),
         Fact(
             "Why",
-            f"in tuned.toml: best of {counted(count, 'evaluation')} on {_drawn(tuning)}"
-            f" ({SEARCH_LABELS.get(best, best)})",
+            f"in tuned.toml: best of {format_count(count, 'evaluation')} on"
+            f" {_describe_tuning_draws(tuning)} ({SEARCH_LABELS.get(best, best)})",
         ),
     ]
-    searches = _listed([SEARCH_LABELS.get(name, name) for name in tuning.searches])
+    searches = _join_with_and([SEARCH_LABELS.get(name, name) for name in tuning.searches])
     title = f"{study.name}: tuned by {searches}"
-    return Verdict(title, [*facts, *_comparison(tuning), *_doubts(tuning, gain)], _few(tuning))
+    return Verdict(
+        title,
+        [*facts, *_gradient_fact(tuning), *_caution_facts(tuning, gain)],
+        _candidate_summary_table(tuning),
+    )
 
 
-def _point(tuning: Tuning, name: str) -> str:
+def _describe_candidate(tuning: Tuning, name: str) -> str:
     """The values of a candidate in words."""
     bounds = tuning.values_on_bounds.get(name, ())
     case = tuning.evaluation_study.cases[tuning.case_numbers[name]]
     return ", ".join(
-        setting(key, _value(value, bounds, key)) for key, value in case.items() if key != "case"
+        format_setting(key, _format_candidate_value(value, bounds, key))
+        for key, value in case.items()
+        if key != "case"
     )
 
 
-def _across(tuning: Tuning) -> str:
+def _describe_aggregation(tuning: Tuning) -> str:
     variants = tuning.run_values.shape[1]
     across = tuning.tune.objective_across
     return f", {across} over {variants} variants" if variants > 1 else ""
 
 
-def _listed(names: Sequence[str]) -> str:
+def _join_with_and(names: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
-def _comparison(tuning: Tuning) -> Iterator[Fact]:
+def _gradient_fact(tuning: Tuning) -> Iterator[Fact]:
     """The gradient compared with the best of the other searches."""
     if GRADIENT in tuning.searches and tuning.rival != GRADIENT:
-        apart = tuning.difference(GRADIENT)
-        lower = "better than" if apart.high < 0 else "as good as far as these draws show as"
-        verdict = "worse than" if apart.low > 0 else lower
-        share = _percent(tuning.searches[GRADIENT].cost / tuning.searches[tuning.rival].cost)
+        difference = tuning.difference(GRADIENT)
+        lower = "better than" if difference.high < 0 else "not significantly different from"
+        verdict = "worse than" if difference.low > 0 else lower
+        share = _format_percent(tuning.searches[GRADIENT].cost / tuning.searches[tuning.rival].cost)
         text = (
             f"{verdict} the {SEARCH_LABELS.get(tuning.rival, tuning.rival)}, at {share} of its cost"
         )
         yield Fact("Gradient", text)
 
 
-def _doubts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
-    """Why the best point may not be what it seems."""
+def _caution_facts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
+    """Yield why the best point may mislead."""
     scores = [
         evaluation.objective
         for result in tuning.searches.values()
@@ -118,88 +124,98 @@ def _doubts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
     ]
     if min(scores) >= objective.failure_score(tuning.tune, tuning.study):
         judged = success_measures(tuning.study, tuning.tune.objective_band_arcmin)[0]
-        text = said("all_fail", words=judged.words, from_truth=judged.truth)
+        text = render_sentence("all_points_fail", words=judged.description, from_truth=judged.truth)
         yield Fact("Caution", text, True)
     elif not gain.high < 0 and not tuning.study.is_recorded:
-        yield Fact("Caution", "not better than the start as far as these draws show", True)
+        yield Fact("Caution", "not significantly better than the start", True)
     if tuning.study.is_recorded:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)
     ends = [
-        f"{v.name} = {value_text(value)}"
+        f"{v.name} = {format_value(value)}"
         for v, value in tuning.values_on_bounds.get(tuning.best, ())
     ]
     if ends:
-        text = f"{', '.join(ends)}: the end of the range, a better value may lie beyond"
+        text = f"{', '.join(ends)}: at the end of the range, a better value may lie beyond"
         yield Fact("Caution", text, True)
 
 
-def _few(tuning: Tuning) -> Table:
+def _candidate_summary_table(tuning: Tuning) -> Table:
     """The candidates by their objective."""
     rows = []
     for name in sorted(tuning.case_numbers, key=lambda name: tuning.score(name).value):
-        apart = "-" if name == "baseline" else _said(tuning, tuning.difference(name, "baseline"))
-        own = "start" if name == "baseline" else SEARCH_LABELS.get(name, name)
-        rows.append([own, _said(tuning, tuning.score(name)), apart])
+        difference = (
+            "-"
+            if name == "baseline"
+            else _format_objective(tuning, tuning.difference(name, "baseline"))
+        )
+        label = "start" if name == "baseline" else SEARCH_LABELS.get(name, name)
+        rows.append([label, _format_objective(tuning, tuning.score(name)), difference])
     return Table("Candidates", ["candidate", "unused draws", "less the start"], rows)
 
 
-def _value(value: Any, bounds: Sequence[tuple[Variable, float]], key: str) -> str:
-    """A candidate's value of a key: what stands on a bound is marked, near resets are joined."""
+def _format_candidate_value(value: Any, bounds: Sequence[tuple[Variable, float]], key: str) -> str:
+    """Return a candidate's value of a key: bounds are marked, close resets joined."""
     numbers = value if isinstance(value, list | tuple) else [value]
-    ends = [end for v, end in bounds if v.key == key]  # times were put in order: told by value
+    ends = [end for v, end in bounds if v.key == key]  # by value, since times were sorted
     words = [
-        value_text(x) + (" (bound)" if any(math.isclose(x, e, rel_tol=0.01) for e in ends) else "")
+        format_value(x)
+        + (" (bound)" if any(math.isclose(x, e, rel_tol=0.01) for e in ends) else "")
         for x in numbers
     ]
     if not words:
-        return value_text(value)
+        return format_value(value)
     text = words[0]
     for before, after, word in zip(numbers, numbers[1:], words[1:], strict=False):
-        near = key == TIMES and after - before < NEAR_S
+        near = key == TIMES and after - before < DOUBLE_RESET_S
         text += f"{' and' if near else ','} {word}"
     return text
 
 
-def _percent(share: float) -> str:
+def _format_percent(share: float) -> str:
     return f"{100 * share:,.{0 if share >= 1 else 1}f} %"
 
 
-def _said(tuning: Tuning, estimate: Estimate) -> str:
+def _format_objective(tuning: Tuning, estimate: Estimate) -> str:
     digits = {"final_error": 2, "failure_rate": 3}.get(tuning.tune.objective, 1)
     return format_estimate(estimate, describe_objective(tuning.study)[1], digits)
 
 
-def _candidates(tuning: Tuning) -> Table:
+def _candidate_table(tuning: Tuning) -> Table:
     rival, bounds = tuning.rival, tuning.values_on_bounds
     costs = {name: result.cost for name, result in tuning.searches.items()}
 
-    def lessened(name: str) -> str:
-        return "-" if name == rival else _said(tuning, tuning.difference(name))
+    def difference_to_rival(name: str) -> str:
+        return "-" if name == rival else _format_objective(tuning, tuning.difference(name))
 
     def share(name: str) -> str:
         known = name in costs and costs.get(rival)
-        return _percent(costs[name] / costs[rival]) if known else "-"
+        return _format_percent(costs[name] / costs[rival]) if known else "-"
 
     def cell(key: str, name: str) -> str:
         value = tuning.evaluation_study.cases[tuning.case_numbers[name]][key]
-        return _value(value, bounds.get(name, ()), key)
+        return _format_candidate_value(value, bounds.get(name, ()), key)
 
     cells: list[tuple[str, Callable[[str], str]]] = [
-        (describe_objective(tuning.study)[0], lambda name: _said(tuning, tuning.score(name))),
-        (f"less that of '{rival}'", lessened),
+        (
+            describe_objective(tuning.study)[0],
+            lambda name: _format_objective(tuning, tuning.score(name)),
+        ),
+        (f"less that of '{rival}'", difference_to_rival),
         ("cost (10^6 steps)", lambda name: f"{costs[name] / 1e6:,.4g}" if name in costs else "-"),
         (f"of that of '{rival}'", share),
         *((key, partial(cell, key)) for key in tuning.evaluation_study.cases[0] if key != "case"),
     ]
-    rows = [[name, *(tell(name) for _, tell in cells)] for name in tuning.case_numbers]
+    rows = [
+        [name, *(format_cell(name) for _, format_cell in cells)] for name in tuning.case_numbers
+    ]
     recorded = tuning.study.is_recorded
     note = (
         "On draws that tuned nothing, the same for all."
         f" {NO_INTERVAL if recorded else 'Number [95 % interval by the bootstrap over them].'}"
         " Cost: simulated steps of the search, those of its derivatives included."
         " *Bound*: the value stands at the end of the range that was searched."
-        f" Resets less than {NEAR_S:g} s apart are joined by *and*: a double reset, whose effect"
-        " need not be that of one."
+        f" Resets less than {DOUBLE_RESET_S:g} s apart are joined by *and*: a double reset, whose"
+        " effect need not be that of one."
     )
     header = ["candidate", *(name for name, _ in cells)]
     return Table("Candidates on the unused draws", header, rows, note)

@@ -12,27 +12,36 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
-from sinsjax.analysis import Estimate, groups, summarise
-from sinsjax.analysis.summaries import estimate_of
-from sinsjax.analysis.tables import as_keys, as_table
-from sinsjax.plots.style import GREY, LETTERS, colour, label_lines, legend_outside, styled
-from sinsjax.plots.words import label, name_of, point_text, value_text
+from sinsjax.analysis import Estimate, group_rows, summarise
+from sinsjax.analysis.summaries import read_estimate
+from sinsjax.analysis.tables import to_arrow_table, to_key_list
+from sinsjax.plots.labels import axis_label, describe_axis_point, describe_point, format_value
+from sinsjax.plots.style import (
+    GREY,
+    LETTERS,
+    add_legend_below,
+    label_line_ends,
+    line_colour,
+    with_style,
+)
 
-MOST_LINES = 7
+MAX_LINES = 7
 """Lines of a figure at most."""
 
 _MARKS = "os^Dv*P"
 _DODGE = 0.008  # share of the axis by which the marks of two lines are offset to remain visible
 _MOST_STEPS = 1000
 _APART = 0.06  # share of the axis needed between marks
-_WIDE = 12  # letters of a word that has no room beside others
-_SIMILAR = 0.1  # of the largest value of a panel: another one as near as that is left out
+_WIDE = 12  # letters of a label that does not fit next to others
+_SIMILAR = (
+    0.1  # of a panel's largest value: a panel that differs by less from an earlier one is left out
+)
 _CLEAR = 0.05  # share by which the best line is better than the second
 _RANGE = 30.0  # largest over smallest value, beyond which an axis is logarithmic
 _LONG = 4.0  # times the median bar of a panel; beyond it a bar leaves the panel
 
 
-class Expected(NamedTuple):
+class ExpectedValue(NamedTuple):
     """Expected value of a quantity.
 
     Attributes:
@@ -57,7 +66,7 @@ def plot_compare(
 ) -> Figure:
     """Draw statistics of the runs along one swept key, with 95 % intervals, one line per variant.
 
-    Panels that say nothing are left out: without finite values, with shares that are all equal, or
+    Uninformative panels are left out: without finite values, with shares that are all equal, or
     hardly different from an earlier panel of the same unit. Of many lines the first 7 are drawn.
 
     Args:
@@ -69,7 +78,7 @@ def plot_compare(
             success and the rms of the heading error at the end that the columns allow.
         condition: whether the key is a condition of the runs such as the initial heading error, so
             that the title names the best line over all of its values; else it names the best value.
-        title: title of the figure; by default it states what is best.
+        title: title of the figure; by default it names the best value or line.
 
     Raises:
         InputError: no table, no runs, a missing column, or an unknown statistic.
@@ -86,29 +95,37 @@ def plot_compare(
         >>> [axes.get_title(loc="left") for axes in figure.axes]
         ['heading error at the end, rms (arcmin)']
     """
-    keys = as_keys(by)
-    values, panels = compare_panels(runs, key, keys, statistics)
-    return along_axis(key, values, panels, title=title, condition=condition)
+    keys = to_key_list(by)
+    values, panels = build_comparison_panels(runs, key, keys, statistics)
+    return draw_along_axis(key, values, panels, title=title, condition=condition)
 
 
-def compare_panels(
+def build_comparison_panels(
     runs: Any, key: str, by: Sequence[str], statistics: Mapping[str, str] | None = None
 ) -> tuple[list[Any], dict[str, Mapping[str, Sequence[Estimate]]]]:
     """The values of a key and the panels of `plot_compare`, with the same arguments."""
-    table = as_table(runs)
-    shown = _statistics(table) if statistics is None else dict(statistics)
-    lines = {name_of(point): rows for point, rows in islice(groups(table, by), MOST_LINES)}
-    rows = {name: summarise(own, [key], list(shown)).to_pylist() for name, own in lines.items()}
+    table = to_arrow_table(runs)
+    titles = _default_statistics(table) if statistics is None else dict(statistics)
+    lines = {
+        describe_point(point): rows for point, rows in islice(group_rows(table, by), MAX_LINES)
+    }
+    rows = {
+        name: summarise(line_rows, [key], list(titles)).to_pylist()
+        for name, line_rows in lines.items()
+    }
     panels = {
-        words: {name: [_estimate(row, statistic) for row in own] for name, own in rows.items()}
-        for statistic, words in shown.items()
+        words: {
+            name: [_read_estimate(row, statistic) for row in line_rows]
+            for name, line_rows in rows.items()
+        }
+        for statistic, words in titles.items()
     }
     values = [row[key] for row in max(rows.values(), key=len)]
-    return values, worth_drawing(panels) or dict(list(panels.items())[-1:])
+    return values, drop_uninformative_panels(panels) or dict(list(panels.items())[-1:])
 
 
-def acts(panels: Mapping[str, Mapping[str, Sequence[Estimate]]]) -> bool:
-    """Whether the key of some panels acts: two values of a line lie far outside each other's bars.
+def has_significant_effect(panels: Mapping[str, Mapping[str, Sequence[Estimate]]]) -> bool:
+    """Return whether the key of some panels has an effect: two values of a line differ clearly.
 
     Bars of twice the length are compared, since there are many pairs of values.
     """
@@ -123,7 +140,7 @@ def acts(panels: Mapping[str, Mapping[str, Sequence[Estimate]]]) -> bool:
     return False
 
 
-def _statistics(table: pa.Table) -> dict[str, str]:
+def _default_statistics(table: pa.Table) -> dict[str, str]:
     """The statistics that a summary allows, with the titles of their panels."""
     found = {}
     for name in table.column_names:
@@ -138,83 +155,87 @@ def _statistics(table: pa.Table) -> dict[str, str]:
     return found | {"phi_u_arcmin_rms": "heading error at the end, rms (arcmin)"}
 
 
-def _estimate(row: Mapping[str, Any], statistic: str) -> Estimate:
+def _read_estimate(row: Mapping[str, Any], statistic: str) -> Estimate:
     """A statistic in a row of `summarise`, shares in percent."""
-    found = estimate_of(row, statistic)
+    found = read_estimate(row, statistic)
     if not statistic.endswith("_rate"):
         return found
     value, low, high = (100 * number for number in found[:3])
     return Estimate(value, low, high, found.n)
 
 
-def worth_drawing(
+def drop_uninformative_panels(
     panels: Mapping[str, Mapping[str, Sequence[Estimate]]],
 ) -> dict[str, Mapping[str, Sequence[Estimate]]]:
-    """The panels of `along_axis` that show something that no earlier one does."""
+    """The panels of `draw_along_axis` that show something that no earlier one does."""
     found: dict[str, Mapping[str, Sequence[Estimate]]] = {}
     seen: list[tuple[str, NDArray]] = []
     for name, panel in panels.items():
         values = np.array([e.value for line in panel.values() for e in line])
         same = "(%)" in name and np.ptp(values) == 0
         unit = name.partition("(")[2].partition(")")[0]
-        known = any(unit == other and _alike(values, before) for other, before in seen)
-        if tells(panel) and not same and not known:
+        is_repeated = any(
+            unit == seen_unit and _nearly_equal(values, before) for seen_unit, before in seen
+        )
+        if is_informative(panel) and not same and not is_repeated:
             found[name] = panel
             seen.append((unit, values))
     return found
 
 
-def _alike(values: NDArray, before: NDArray) -> bool:
-    """Whether a panel hardly differs from another one, in values and in what is *never*."""
-    reach = _SIMILAR * np.abs(before[np.isfinite(before)]).max(initial=0.0)
-    return np.allclose(values, before, rtol=0.0, atol=reach, equal_nan=True)
+def _nearly_equal(values: NDArray, reference: NDArray) -> bool:
+    """Return whether a panel hardly differs from another one, in values and in *never*."""
+    reach = _SIMILAR * np.abs(reference[np.isfinite(reference)]).max(initial=0.0)
+    return np.allclose(values, reference, rtol=0.0, atol=reach, equal_nan=True)
 
 
-@styled
-def along_axis(
+@with_style
+def draw_along_axis(
     key: str,
     values: Sequence[Any],
     panels: Mapping[str, Mapping[str, Sequence[Estimate]]],
     *,
     title: str = "",
     condition: bool = False,
-    expected: Expected | None = None,
+    expected: ExpectedValue | None = None,
     log: bool = False,
 ) -> Figure:
     """Estimates with their 95 % intervals along one swept key.
 
     Args:
         key: leaf key, with the unit in its name.
-        values: values of the key; lists stand side by side, as words.
+        values: values of the key; lists are placed side by side, as text.
         panels: quantity, with its unit, to line label to one estimate per value; infinite ones are
             marked at the upper edge as *never*; a bar far longer than the others ends outside.
-        title: title of the figure; by default what is best in the first panel.
+        title: title of the figure; by default it names the best of the first panel.
         condition: whether the key is a condition, see `plot_compare`.
         expected: expected value, drawn in every panel.
         log: whether the vertical axes are logarithmic; others are too where values differ widely.
     """
     figure = Figure(figsize=(9.2, 1.2 + 2.2 * len(panels)))
-    title = title or _finding(key, values, panels, condition=condition)
+    title = title or _best_value_title(key, values, panels, condition=condition)
     figure.suptitle(fill(title, int(LETTERS * figure.get_figwidth())))
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    words = [value_text(value) for value in values if isinstance(value, list | tuple)]
+    words = [format_value(value) for value in values if isinstance(value, list | tuple)]
     x = np.arange(len(values)) if words else np.asarray(values, dtype=float)
     for axes, (name, lines) in zip(grid, panels.items(), strict=True):
         if expected:
             axes.axhspan(*expected.band, color=GREY, alpha=0.25, linewidth=0)
             axes.axhline(expected.value, color=GREY, linestyle="--", label=expected.name)
-        every = [e for estimates in lines.values() for e in estimates]
-        if log or _is_wide(every):
+        all_estimates = [e for estimates in lines.values() for e in estimates]
+        if log or _needs_log_axis(all_estimates):
             axes.set_yscale("log")
-            decades = np.ptp(np.log10([e.value for e in every if 0 < e.value < np.inf] or [1.0]))
+            decades = np.ptp(
+                np.log10([e.value for e in all_estimates if 0 < e.value < np.inf] or [1.0])
+            )
             axes.yaxis.set_major_locator(
                 LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2 else (1.0,))
             )
             axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
             axes.yaxis.set_minor_formatter(NullFormatter())
         for i, (line, estimates) in enumerate(lines.items()):
-            value, spread = _bars(estimates)
-            style = {"color": colour(i), "label": line, "capsize": 2.5, "markersize": 5}
+            value, spread = _values_and_bars(estimates)
+            style = {"color": line_colour(i), "label": line, "capsize": 2.5, "markersize": 5}
             beside = x + _DODGE * np.ptp(x) * (i - (len(lines) - 1) / 2)
             mark = _MARKS[i % len(_MARKS)] + ("" if words else "-")  # lists have no distance
             axes.errorbar(beside, value, yerr=spread, fmt=mark, **style)
@@ -222,47 +243,50 @@ def along_axis(
             if never.size:
                 height = np.full(never.size, 0.97)  # of the axes: their upper edge
                 edge = axes.get_xaxis_transform()
-                axes.plot(never, height, "x", color=colour(i), transform=edge)
+                axes.plot(never, height, "x", color=line_colour(i), transform=edge)
         if "(%)" in name:
             axes.set_ylim(-4, 104)
         elif axes.get_yscale() == "linear":
-            _follow(axes, every, expected)
+            _clip_axis_to_typical_bars(axes, all_estimates, expected)
         axes.set_title(name, loc="left", size="medium")
-        if not any(np.isfinite(e.value) for e in every):
+        if not any(np.isfinite(e.value) for e in all_estimates):
             axes.set_yticks([])
     if words:
         turned = {"rotation": 20, "ha": "right"} if max(map(len, words)) > _WIDE else {}
         grid[-1].set_xticks(x, words, **turned)
     elif np.diff(np.sort(x)).min(initial=np.inf) > _APART * np.ptp(x):
         grid[-1].set_xticks(x, [f"{value:g}" for value in x])
-    grid[-1].set_xlabel(label(key))
+    grid[-1].set_xlabel(axis_label(key))
     if any(np.isposinf(e.value) for p in panels.values() for line in p.values() for e in line):
         grid[0].plot([], [], "x", color=GREY, label="never (median)")
     for axes, lines in zip(grid, panels.values(), strict=True):
-        ends = [(name, some[-1].value, colour(i)) for i, (name, some) in enumerate(lines.items())]
-        if not words and label_lines(axes, ends):
+        ends = [
+            (name, estimates_of_line[-1].value, line_colour(i))
+            for i, (name, estimates_of_line) in enumerate(lines.items())
+        ]
+        if not words and label_line_ends(axes, ends):
             break
     else:
         ends = []
-    legend_outside(figure, grid[0], {name for name, *_ in ends})
+    add_legend_below(figure, grid[0], {name for name, *_ in ends})
     return figure
 
 
-def _is_wide(estimates: Sequence[Estimate]) -> bool:
-    """Whether values differ so much that a linear axis would hide the small ones."""
+def _needs_log_axis(estimates: Sequence[Estimate]) -> bool:
+    """Return whether values differ so much that a linear axis would hide the small ones."""
     values = np.array([e.value for e in estimates])
     values = values[np.isfinite(values)]
     return bool(values.size and values.min() > 0 and values.max() > _RANGE * values.min())
 
 
-def _finding(
+def _best_value_title(
     key: str,
     values: Sequence[Any],
     panels: Mapping[str, Mapping[str, Sequence[Estimate]]],
     *,
     condition: bool,
 ) -> str:
-    """What is best in the first panel, in words."""
+    """Return a title that names the best of the first panel."""
     name, lines = next(iter(panels.items()))
     quantity, _, unit = name.partition(" (")
     unit = unit.partition(")")[0]
@@ -279,7 +303,7 @@ def _finding(
     order = np.where(known, sign * table, np.inf)
     if not condition:
         line, place = np.unravel_index(np.argmin(order), table.shape)
-        words = point_text({key: values[int(place)]})
+        words = describe_axis_point({key: values[int(place)]})
         words += f", {names[line]}" if len(lines) > 1 else ""
         return f"{best} {quantity}: {words} ({table[line, place]:.3g} {unit})"
     counts = known.sum(axis=1)
@@ -291,7 +315,7 @@ def _finding(
     return f"{best} {quantity}: {names[line]} ({means[line]:.3g} {unit} on average{missing})"
 
 
-def _bars(estimates: Sequence[Estimate]) -> tuple[NDArray, NDArray]:
+def _values_and_bars(estimates: Sequence[Estimate]) -> tuple[NDArray, NDArray]:
     """(n,) finite values, others NaN, and the lengths (2, n) of their bars down and up."""
     value, low, high = np.array([e[:3] for e in estimates], dtype=float).T
     value[~np.isfinite(value)] = np.nan
@@ -299,9 +323,11 @@ def _bars(estimates: Sequence[Estimate]) -> tuple[NDArray, NDArray]:
     return value, np.maximum(spread, 0.0)
 
 
-def _follow(axes: Axes, estimates: Sequence[Estimate], expected: Expected | None) -> None:
+def _clip_axis_to_typical_bars(
+    axes: Axes, estimates: Sequence[Estimate], expected: ExpectedValue | None
+) -> None:
     """Let a bar that is far longer than the others leave the panel, instead of squashing it."""
-    value, bars = _bars(estimates)
+    value, bars = _values_and_bars(estimates)
     known = np.isfinite(value)
     value, bars = value[known], bars[:, known]
     if not bars.any():
@@ -314,12 +340,12 @@ def _follow(axes: Axes, estimates: Sequence[Estimate], expected: Expected | None
         axes.set_ylim(min(ends) - margin, max(ends) + margin)
 
 
-def tells(panel: Mapping[str, Sequence[Estimate]]) -> bool:
-    """Whether a panel of `along_axis` has anything but *never*, unknown and zeros."""
+def is_informative(panel: Mapping[str, Sequence[Estimate]]) -> bool:
+    """Return whether a panel of `draw_along_axis` has anything but *never*, unknown and zeros."""
     return any(e.value and np.isfinite(e.value) for line in panel.values() for e in line)
 
 
-def steps(values: NDArray) -> tuple[NDArray, NDArray]:
+def cumulative_distribution_steps(values: NDArray) -> tuple[NDArray, NDArray]:
     """The cumulative distribution of some values as points of a step function.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 from sinsjax.messages import escape_controls
 from sinsjax.units import split_unit
 
-WORDS = {
+KEY_NAMES = {
     "phi_e0": "initial level error about east",
     "phi_n0": "initial level error about north",
     "phi_u0": "initial heading error",
@@ -54,39 +54,39 @@ WORDS = {
 _MOST_TIMES = 4  # reset times listed in a phrase
 
 
-def label(column: str) -> str:
+def axis_label(column: str) -> str:
     """A key or column as an axis label: ``phi_u0_deg`` becomes ``initial heading error (deg)``."""
-    name, unit = words_and_unit(column)
+    name, unit = name_and_unit(column)
     return f"{name} ({unit})" if unit else name
 
 
-def setting(key: str, value: str) -> str:
+def format_setting(key: str, value: str) -> str:
     """A key with its value: ``phi_u0_deg`` at 30 becomes ``initial heading error 30 deg``."""
-    name, unit = words_and_unit(key)
+    name, unit = name_and_unit(key)
     return f"{name} {value} {unit}" if unit and value[-1:].isdigit() else f"{name} {value}"
 
 
-def name_of(key: Mapping[str, Any]) -> str:
+def describe_point(point: Mapping[str, Any]) -> str:
     """A variant in words: ``number of resets 3, q scale 4``; a case by its label alone."""
-    return ", ".join(_setting_text(k, v) for k, v in key.items()) or "all runs"
+    return ", ".join(_describe_setting(k, v) for k, v in point.items()) or "all runs"
 
 
-def _setting_text(key: str, value: Any) -> str:
+def _describe_setting(key: str, value: Any) -> str:
     if key == "reset_times_s" and value is not None:
-        return schedule_words(value)
-    return value_text(value) if key == "case" else setting(key, value_text(value))
+        return describe_schedule(value)
+    return format_value(value) if key == "case" else format_setting(key, format_value(value))
 
 
-def point_text(point: Mapping[str, Any]) -> str:
-    """A point of some axes in words; of its schedule only the times, if it has them."""
+def describe_axis_point(point: Mapping[str, Any]) -> str:
+    """Describe a point of some axes; of its schedule only the times, if it has them."""
     if point.get("reset_times_s") is None:
-        return name_of(point)
+        return describe_point(point)
     others = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
     left = {key: value for key, value in point.items() if key not in others}
-    return name_of({"reset_times_s": point["reset_times_s"]} | left)
+    return describe_point({"reset_times_s": point["reset_times_s"]} | left)
 
 
-def schedule_words(times_s: Sequence[float]) -> str:
+def describe_schedule(times_s: Sequence[float]) -> str:
     """A reset schedule in words: ``3 resets, every 50 s``."""
     if not times_s:
         return "no reset"
@@ -100,16 +100,16 @@ def schedule_words(times_s: Sequence[float]) -> str:
     return f"{len(times_s)} resets from {times_s[0]:g} to {times_s[-1]:g} s"
 
 
-def value_text(value: Any) -> str:
+def format_value(value: Any) -> str:
     """A key's value as a reader wants it: 50 for 50.0, ``none`` for an empty list."""
     if isinstance(value, list | tuple):
-        return ", ".join(map(value_text, value)) or "none"
+        return ", ".join(map(format_value, value)) or "none"
     if isinstance(value, float):
         return f"{value:g}"
     return "-" if value is None else escape_controls(str(value))
 
 
-def words_and_unit(column: str) -> tuple[str, str]:
+def name_and_unit(column: str) -> tuple[str, str]:
     """Plain-English name of a column, and its unit as printed."""
     name, unit = split_unit(column)
-    return WORDS.get(name, name.replace("_", " ")), unit.replace("ug", "µg")
+    return KEY_NAMES.get(name, name.replace("_", " ")), unit.replace("ug", "µg")

@@ -12,17 +12,17 @@ from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 from sinsjax.methods.filters.config import estimates_biases
 from sinsjax.methods.registry import METHODS
-from sinsjax.plots.words import name_of
+from sinsjax.plots.labels import describe_point
 from sinsjax.records.means import EARTH_RATE
-from sinsjax.report.base import MOST_ROWS, Fact, Table, Verdict, table_of
-from sinsjax.report.markup import said
+from sinsjax.report.base import MAX_ROWS, Fact, Table, Verdict, build_table
+from sinsjax.report.markup import render_sentence
 from sinsjax.report.verdict import (
-    Outcome,
-    answer,
-    doubts_of,
-    per_condition,
-    title_of,
-    warnings_of,
+    SweepOutcome,
+    answer_facts,
+    caution_facts,
+    condition_table,
+    study_title,
+    warning_facts,
 )
 from sinsjax.units import ARCMIN, DEG_PER_H, MICRO
 
@@ -31,29 +31,29 @@ _COLUMNS = (*(f"{angle}_deg" for angle in _ANGLES), "sigma_u_arcmin", "phi_u_arc
 _EXAMPLES = (0.01, 100.0)  # deg/h and ug, whose effect is stated if the biases are unknown
 
 
-def attitude_verdict(source: Source, *, warned: bool = False) -> Verdict:
-    """Return the attitude of each start, what may be wrong with it, and what is best.
+def attitude_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict:
+    """Return the attitude of each start, its cautions, and the best option.
 
     Args:
         source: results on a record, or of a study without truth.
-        warned: whether the user has seen the study's warnings.
+        warnings_shown: whether the user has seen the study's warnings.
     """
     study = source.study
     names = ["draw_id", "variant_id", "start_s", *study.keys_shown, *_COLUMNS]
     rows = source.rows(names).to_pylist()
     last, judged, table = rows[-1], [], None
     if any(row["phi_u_arcmin"] is not None for row in rows) and study.n_variants > 1:
-        outcome = Outcome.from_source(source)
+        outcome = SweepOutcome.from_source(source)
         last = next(row for row in reversed(rows) if row["variant_id"] == outcome.best_variant)
-        judged, table = [*answer(outcome), *doubts_of(outcome)], per_condition(outcome)
+        judged, table = [*answer_facts(outcome), *caution_facts(outcome)], condition_table(outcome)
     elif len(rows) > 1:
-        table = _table(source, rows)
-    facts = [_attitude(source, last, len(rows)), *_floor(source), *judged]
-    doubts = [*warnings_of(source, warned=warned), *_doubts(source)]
-    return Verdict(title_of(source), facts + doubts, table)
+        table = _final_attitude_table(source, rows)
+    facts = [_attitude_fact(source, last, len(rows)), *_bias_floor_fact(source), *judged]
+    doubts = [*warning_facts(source, warnings_shown=warnings_shown), *_caution_facts(source)]
+    return Verdict(study_title(source), facts + doubts, table)
 
 
-def _attitude(source: Source, row: Mapping[str, Any], runs: int) -> Fact:
+def _attitude_fact(source: Source, row: Mapping[str, Any], n_runs: int) -> Fact:
     """The attitude that a run ends with, and which run it is if there are several."""
     heading, pitch, roll, sigma, error = (row[name] for name in _COLUMNS)
     if heading is None:
@@ -62,13 +62,13 @@ def _attitude(source: Source, row: Mapping[str, Any], runs: int) -> Fact:
     text += "" if sigma is None else f" (1 sigma {sigma:.1f}')"
     text += f", pitch {pitch:.3f}, roll {roll:.3f} deg"
     text += "" if error is None else f"; {error:+.1f}' from the reference"
-    if runs > 1:
+    if n_runs > 1:
         start = f"start at {row['start_s']:g} s" if source.study.is_recorded else "last draw"
         text += f" ({start})"
     return Fact("Attitude", text)
 
 
-def _floor(source: Source) -> Iterator[Fact]:
+def _bias_floor_fact(source: Source) -> Iterator[Fact]:
     """The heading error that biases leave on a parked vehicle, if its latitude is known."""
     latitude_deg, record = source.study.values("latitude_deg")[0], source.study.record
     if latitude_deg is None:
@@ -85,82 +85,87 @@ def _floor(source: Source) -> Iterator[Fact]:
     yield Fact("Floor", text)
 
 
-def _doubts(source: Source) -> Iterator[Fact]:
+def _caution_facts(source: Source) -> Iterator[Fact]:
     filters = [METHODS[name] for name in source.study.methods if METHODS[name].has_covariance]
     if filters and not all(map(estimates_biases, filters)):
-        yield Fact("Caution", "1 sigma is the filter's own and leaves constant biases out", True)
-    found = _above_band(source)
-    if found:
-        yield Fact("Caution", f"the innovations of {found:,} runs contradict their 1 sigma", True)
+        yield Fact("Caution", "1 sigma is the filter's own and excludes constant biases", True)
+    count = _count_runs_above_band(source)
+    if count:
+        yield Fact("Caution", f"the innovations of {count:,} runs contradict their 1 sigma", True)
 
 
-def _table(source: Source, rows: list[dict[str, Any]]) -> Table:
+def _final_attitude_table(source: Source, rows: list[dict[str, Any]]) -> Table:
     """Final heading, pitch and roll of each start, or of each variant at the last start."""
     one_variant = source.study.n_variants == 1
     keys = source.study.keys_shown
     words = {"sigma_u_arcmin": "1 sigma (')", "phi_u_arcmin": "error (')"}
     words |= {f"{angle}_deg": f"{angle} (deg)" for angle in _ANGLES}
     digits = dict(zip(_COLUMNS, (3, 3, 3, 1, 1), strict=True))
-    shown = [name for name in digits if any(row[name] is not None for row in rows)]
-    wanted = rows if one_variant else rows[-source.study.n_variants :]
+    columns = [name for name in digits if any(row[name] is not None for row in rows)]
+    listed = rows if one_variant else rows[-source.study.n_variants :]
     if one_variant:
         first, key = ("start (s)", "start_s") if source.study.is_recorded else ("draw", "draw_id")
         names = [f"{row[key]:g}" for row in rows]
     else:
-        first, names = "variant", [name_of({key: row[key] for key in keys}) for row in wanted]
+        first, names = (
+            "variant",
+            [describe_point({key: row[key] for key in keys}) for row in listed],
+        )
     cells = [
-        [name, *(analysis.format_number(row[one], digits[one]) for one in shown)]
-        for name, row in zip(names, wanted, strict=True)
+        [name, *(analysis.format_number(row[column], digits[column]) for column in columns)]
+        for name, row in zip(names, listed, strict=True)
     ]
-    return Table("Attitude at the end", [first, *(words[name] for name in shown)], cells)
+    return Table("Attitude at the end", [first, *(words[name] for name in columns)], cells)
 
 
-def attitudes(source: Source) -> Table:
-    """Final attitude with the filter's own 1 sigma, run by run: what `align` is asked for."""
+def attitude_table(source: Source) -> Table:
+    """Return the table of the final attitudes, run by run, with the filter's own 1 sigma."""
     keys = ["start_s", *source.study.keys_shown]
     digits = dict.fromkeys([f"{angle}_deg" for angle in ("pitch", "roll", "yaw")], 4)
     digits |= dict.fromkeys([f"sigma_{axis}_arcmin" for axis in "enu"], 2)
     variants = source.study.n_variants
-    shown = MOST_ROWS // variants * variants or MOST_ROWS  # whole start times, where they fit
-    rows = source.rows([*keys, *digits]).slice(0, shown).to_pylist()
+    n_rows = MAX_ROWS // variants * variants or MAX_ROWS  # whole start times, where they fit
+    rows = source.rows([*keys, *digits]).slice(0, n_rows).to_pylist()
     cells = [
         (name, lambda row, n=name: analysis.format_number(row[n], digits[n])) for name in digits
     ]
     notes = [f"{left} more runs are in `summary/`."] if (left := source.runs - len(rows)) else []
-    notes += [innovations(source)] if source.study.is_recorded else []
+    notes += [describe_innovations(source)] if source.study.is_recorded else []
     title = "Attitude at the end, with the filter's own 1 sigma"
-    return table_of(title, keys, rows, cells, " ".join(notes))
+    return build_table(title, keys, rows, cells, " ".join(notes))
 
 
-def innovations(source: Source) -> str:
-    """What the filters' innovations on a record say of their beliefs, and what they cannot say.
+def describe_innovations(source: Source) -> str:
+    """Describe how the filters' innovations on a record agree with their covariance.
 
-    Only values above the chi-square band contradict a belief. One below it tells of an R that is
-    larger than the noise: the heading then shows in no innovation.
+    Only values above the chi-square band contradict the covariance. Values below it mean that R is
+    larger than the noise, so that innovations do not show the heading error.
     """
-    found = _innovations(source)
-    if found is None:
+    statistics = _innovation_statistics(source)
+    if statistics is None:
         return "Innovations: none are recorded."
-    mean, low, high = found
+    mean, low, high = statistics
     if not mean.size:
         return "No method here has innovations."
     above, below = int((mean > high).sum()), int((mean < low).sum())
-    return said("innovations", mean=mean, low=low.min(), high=high.max(), above=above, below=below)
+    return render_sentence(
+        "innovations", mean=mean, low=low.min(), high=high.max(), above=above, below=below
+    )
 
 
-def _above_band(source: Source) -> int:
-    """How many runs have innovations above the chi-square band."""
-    found = _innovations(source)
-    return 0 if found is None else int((found[0] > found[2]).sum())
+def _count_runs_above_band(source: Source) -> int:
+    """Return the number of runs with innovations above the chi-square band."""
+    statistics = _innovation_statistics(source)
+    return 0 if statistics is None else int((statistics[0] > statistics[2]).sum())
 
 
-def _innovations(source: Source) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _innovation_statistics(source: Source) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """The mean of r' S^-1 r of each run with a filter, and its 95 % chi-square band."""
     try:
         rows = source.rows(["innovation_nis", "innovation_freedom"])
     except InputError:
         return None
-    mean, freedom = (analysis.numbers(rows, name) for name in rows.column_names)
+    mean, freedom = (analysis.numeric_column(rows, name) for name in rows.column_names)
     mean, freedom = mean[freedom > 0], freedom[freedom > 0]
     tail = (1 - analysis.CONFIDENCE) / 2
     low, high = (2 * special.chdtri(freedom, p) / freedom for p in (1 - tail, tail))

@@ -9,13 +9,13 @@ import typer
 
 from sinsjax.cli import options
 from sinsjax.cli.options import Changes, Config
-from sinsjax.console import plain_console, say
+from sinsjax.console import plain_console, print_line
 from sinsjax.errors import InputError
-from sinsjax.messages import near
-from sinsjax.platform.files import replacing
+from sinsjax.messages import suggest_closest
+from sinsjax.platform.files import atomic_write
 
 
-def _names(incomplete: str) -> list[str]:
+def _complete_name(incomplete: str) -> list[str]:
     from sinsjax.study import files
 
     known = {**files.template_files(), **files.shipped_studies(), **files.GROUPS}
@@ -29,7 +29,7 @@ def init(
             help="Template or shipped study; with --list also a group of studies.",
             show_default=False,
             metavar="NAME",
-            autocompletion=_names,
+            autocompletion=_complete_name,
         ),
     ] = None,
     out: Annotated[
@@ -57,13 +57,13 @@ def init(
 
     console = plain_console()
     if list_:
-        for line in _listed(name, console.width):
-            say(console, line)
+        for line in _list_studies(name, console.width):
+            print_line(console, line)
         return
     if name is None:
         raise InputError("NAME: required (`sinsjax init --list` shows the names)")
     if from_ is not None and name != "record":
-        raise InputError(f"--from: goes with `init record`, not with `init {name}`")
+        raise InputError(f"--from: requires `init record`, not `init {name}`")
     path = out or Path(f"{(from_ or Path(name)).stem}.toml")
     if from_ is None:
         text = files.shipped_text(name)
@@ -72,50 +72,64 @@ def init(
 
         text = make_study_text(from_, path)
     if os.path.lexists(path):
-        raise InputError(f"{path}: exists, and is left as it is (give another with --out)")
-    with replacing(path) as file:
+        raise InputError(f"{path}: exists, and is not overwritten (give another file with --out)")
+    with atomic_write(path) as file:
         file.write(text.encode())
-    say(console, f"{path} written; `sinsjax validate {path}` checks it.")
+    print_line(console, f"{path} written; `sinsjax validate {path}` checks it.")
     if from_ is not None:
         doubts = text.count(files.DOUBT)
-        say(console, f"What {from_} cannot tell: {doubts} lines of {path} begin with # DOUBT.")
-        say(console, f"`sinsjax align {from_} {path} -o out` runs it.")
+        print_line(
+            console,
+            f"{doubts} lines of {path} begin with # DOUBT: {from_} does not determine them.",
+        )
+        print_line(console, f"`sinsjax align {from_} {path} -o out` runs it.")
 
 
-def _listed(name: str | None, width: int) -> list[str]:
+def _list_studies(name: str | None, width: int) -> list[str]:
     """Return the names of templates, first studies and groups, or the purposes of some studies."""
     from sinsjax.study import files
 
     groups, templates = files.studies_by_group(), files.template_files()
     if name is not None:
-        each = {one: {one: path} for one, path in (files.shipped_studies() | templates).items()}
-        known = groups | each
+        by_name = {
+            study: {study: path} for study, path in (files.shipped_studies() | templates).items()
+        }
+        known = groups | by_name
         if name not in known:
-            raise InputError(f"{name}: no study or group of this name{near(name, known)}")
-        return _table({one: files.read_purpose(path) for one, path in known[name].items()}, width)
+            raise InputError(
+                f"{name}: no study or group of this name{suggest_closest(name, known)}"
+            )
+        return _format_two_columns(
+            {study: files.read_purpose(path) for study, path in known[name].items()}, width
+        )
     first = groups.pop("first")
     begin = {
-        title: {each: files.read_purpose(path) for each, path in some.items()}
-        for title, some in (("Templates", templates), (files.GROUPS["first"].capitalize(), first))
+        title: {by_name: files.read_purpose(path) for by_name, path in members_of_title.items()}
+        for title, members_of_title in (
+            ("Templates", templates),
+            (files.GROUPS["first"].capitalize(), first),
+        )
     }
-    column = max(len(each) for some in begin.values() for each in some)
+    column = max(
+        len(by_name) for members_of_title in begin.values() for by_name in members_of_title
+    )
     lines = []
-    for title, some in begin.items():
-        lines += [f"{title}:", *_table(some, width, column)]
+    for title, members_of_title in begin.items():
+        lines += [f"{title}:", *_format_two_columns(members_of_title, width, column)]
     lines.append("More studies, by group (`sinsjax init --list GROUP` describes them):")
     for group, members in groups.items():
-        lines += _table({group: f"{files.GROUPS[group]}:"}, width, column)
-        lines += _table({"": "  ".join(members)}, width, column)
+        lines += _format_two_columns({group: f"{files.GROUPS[group]}:"}, width, column)
+        lines += _format_two_columns({"": "  ".join(members)}, width, column)
     return lines
 
 
-def _table(rows: dict[str, str], width: int, column: int = 0) -> list[str]:
+def _format_two_columns(rows: dict[str, str], width: int, column_width: int = 0) -> list[str]:
     """Return lines of a terminal with a name in the first column and a text in the second."""
-    column = column or max(map(len, rows))
-    space = " " * (column + 4)
+    column_width = column_width or max(map(len, rows))
+    space = " " * (column_width + 4)
     lines = []
     for name, text in rows.items():
-        begun = f"  {name:<{column}}  "
+        begun = f"  {name:<{column_width}}  "
         lines += textwrap.wrap(
             text, width, initial_indent=begun, subsequent_indent=space, break_on_hyphens=False
         )
@@ -123,44 +137,44 @@ def _table(rows: dict[str, str], width: int, column: int = 0) -> list[str]:
 
 
 def validate(config: Config, changes: Changes = None) -> None:
-    """Check a study without running it: all of its errors, or what it would run.
+    """Check a study without running it: report every error, or the planned runs and their cost.
 
     Example: sinsjax validate reset_sweep --set study.draws=64
     """
-    from sinsjax.cli.study import describe_plan
+    from sinsjax.cli.running import describe_plan
 
     for line in describe_plan(config, changes):
-        say(plain_console(), line)
+        print_line(plain_console(), line)
 
 
 def keys(
-    wanted: Annotated[
+    name: Annotated[
         str | None,
         typer.Argument(
             help="Section, key or method; all keys without one.",
             show_default=False,
             metavar="SECTION|KEY|METHOD",
-            autocompletion=options.sections_and_keys,
+            autocompletion=options.complete_section_or_key,
         ),
     ] = None,
 ) -> None:
     """Explain the keys of a study: name, unit, default, meaning, and the methods that read them.
 
-    A method is explained by its source, the package that brings it, and the keys of its own.
+    For a method: its source, the package that provides it, and its own keys.
 
     Example: sinsjax keys reset_cycle_s
     """
     from sinsjax.study import key_table
 
     console = plain_console()
-    for line in key_table.describe_method(wanted):
-        say(console, line, wrap=True)
-    for key in key_table.find_keys(wanted):
+    for line in key_table.describe_method(name):
+        print_line(console, line, wrap=True)
+    for key in key_table.find_keys(name):
         default = key.default if key.default in ("", "required") else f"default {key.default}"
         about = filter(None, (key.unit, default, f"methods: {key.readers_text}"))
-        say(console, f"[{key.section}] {key.name}: {'; '.join(about)}")
+        print_line(console, f"[{key.section}] {key.name}: {'; '.join(about)}")
         if key.meaning:
-            say(console, f"    {key.meaning}", wrap=True)
+            print_line(console, f"    {key.meaning}", wrap=True)
 
 
 COMMANDS = (init, validate, keys)

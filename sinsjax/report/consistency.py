@@ -1,4 +1,4 @@
-"""What a method's covariance is worth: its error in units of what it believes, over the runs."""
+"""Consistency of a method's covariance: its error in units of its own sigma, over the runs."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -10,10 +10,10 @@ from sinsjax import analysis, plots
 from sinsjax.execution.source import Source
 from sinsjax.methods.filters.config import estimates_biases
 from sinsjax.methods.registry import METHODS
-from sinsjax.plots.beliefs import SHARES
+from sinsjax.plots.consistency import SHARE_COLUMNS
 from sinsjax.report.base import Picture, Text
-from sinsjax.report.groupings import keys_of_lines
-from sinsjax.report.markup import said
+from sinsjax.report.grouping import choose_line_keys
+from sinsjax.report.markup import render_sentence
 from sinsjax.study.schema import BIAS_KEYS
 from sinsjax.units import ARCMIN, MICRO
 
@@ -21,23 +21,23 @@ _YAW, _FREEDOM = "phi_u_arcmin", analysis.NEES_FREEDOM
 _FAR = 2.0  # times the upper end of its band: a mean NEES beyond it is explained
 
 
-def spreads(source: Source) -> Iterator[Picture | Text]:
+def consistency_blocks(source: Source) -> Iterator[Picture | Text]:
     """Consistency where the method has a covariance, or why none is to be expected.
 
     A line a variant; of many variants, a line a value of the first key that has few.
     """
-    keys, note = keys_of_lines(source)
-    table = source.distinct_rows((*keys, "nees", *SHARES.values(), "draw_id", "start_s"))
-    if not np.isfinite(analysis.numbers(table, "nees")).any():
+    keys, note = choose_line_keys(source)
+    table = source.distinct_rows((*keys, "nees", *SHARE_COLUMNS.values(), "draw_id", "start_s"))
+    if not np.isfinite(analysis.numeric_column(table, "nees")).any():
         return
-    told, swamped = _biases_unknown(source)
-    yield from told
-    if not swamped:
-        yield consistency(plots.plot_belief(table, by=keys), note)
+    explanation, biases_dominate = _explain_unmodelled_biases(source)
+    yield from explanation
+    if not biases_dominate:
+        yield consistency_picture(plots.plot_belief(table, by=keys), note)
 
 
-def _biases_unknown(source: Source) -> tuple[list[Text], bool]:
-    """Why filters without bias states have no NEES of 3 where the sensors have constant biases.
+def _explain_unmodelled_biases(source: Source) -> tuple[list[Text], bool]:
+    """Explain why filters without bias states have no NEES of 3 with constant sensor biases.
 
     Returns:
         Sentences, and whether the biases exceed the filters' own sigma, so that a figure of their
@@ -52,21 +52,22 @@ def _biases_unknown(source: Source) -> tuple[list[Text], bool]:
         return [], False
     names = [*(f"sigma_{axis}_arcmin" for axis in "enu"), "floor_arcmin", _YAW, "nees"]
     rows = source.distinct_rows(names)
-    *sigmas, limit, yaw, nees = (analysis.numbers(rows, name) for name in names)
+    *sigmas, floor, yaw, nees = (analysis.numeric_column(rows, name) for name in names)
     east, north, up = np.nanmedian(sigmas, axis=1)
     tilt = accel * MICRO / ARCMIN
-    told: dict[str, Any] = {"gyro": gyro, "accel": accel, "tilt": tilt, "sigmas": (east, north)}
-    found = [Text(said("biases_unknown", nees=_FREEDOM, **told))]
+    values: dict[str, Any] = {"gyro": gyro, "accel": accel, "tilt": tilt, "sigmas": (east, north)}
+    sentences = [Text(render_sentence("unmodelled_biases", nees=_FREEDOM, **values))]
     mean, most = analysis.mean(nees).value, analysis.chi2_mean_band(_FREEDOM, source.draws)[1]
-    left, errors = (analysis.rms(one).value for one in (limit, yaw))
-    if mean > _FAR * most and left > up:
-        told = {"mean": mean, "most": most, "sigma": up, "limit": left, "found": errors}
-        found.append(Text(said("overconfident", **told)))
-    return found, bool(left > up or tilt > max(east, north))
+    floor_rms, error_rms = (analysis.rms(errors_arcmin).value for errors_arcmin in (floor, yaw))
+    if mean > _FAR * most and floor_rms > up:
+        values = {"mean": mean, "band_end": most, "sigma": up}
+        values |= {"floor": floor_rms, "error": error_rms}
+        sentences.append(Text(render_sentence("overconfident", **values)))
+    return sentences, bool(floor_rms > up or tilt > max(east, north))
 
 
-def consistency(figure: Figure, note: str = "") -> Picture:
-    """The figure of what filters believe of their error, with its caption."""
+def consistency_picture(figure: Figure, note: str = "") -> Picture:
+    """Return the figure of the filters' consistency, with its caption."""
     return Picture(
         "consistency",
         "Left: NEES, the squared attitude error at the end in units of the filter's own covariance;"

@@ -13,13 +13,16 @@ from scipy import special
 
 from sinsjax import analysis
 from sinsjax.analysis import NEES_FREEDOM, Estimate
-from sinsjax.analysis.tables import as_keys, as_table
+from sinsjax.analysis.tables import to_arrow_table, to_key_list
 from sinsjax.errors import InputError
-from sinsjax.plots.spreads import steps
-from sinsjax.plots.style import GREY, colour, legend_outside, styled
-from sinsjax.plots.words import name_of
+from sinsjax.plots.comparison import cumulative_distribution_steps
+from sinsjax.plots.labels import describe_point
+from sinsjax.plots.style import GREY, add_legend_below, line_colour, with_style
 
-SHARES = {"from truth": "p_above_error_share", "from the bias floor": "p_above_floor_error_share"}
+SHARE_COLUMNS = {
+    "from truth": "p_above_error_share",
+    "from the bias floor": "p_above_floor_error_share",
+}
 """Columns of the shares of records with P above the squared error."""
 
 _WITHIN_SIGMA = float(special.erf(0.5**0.5))  # share of a normal variable within 1 sigma
@@ -29,7 +32,7 @@ _WIDTH, _THINNER = 3.2, 0.35
 _BELOW = 0.2  # distance of name and marks from the middle of their line, in lines
 
 
-class BeliefPanel(NamedTuple):
+class ConsistencyLine(NamedTuple):
     """Runs of one line.
 
     Attributes:
@@ -43,14 +46,14 @@ class BeliefPanel(NamedTuple):
     shares: Mapping[str, Estimate]
 
     @classmethod
-    def of(cls, label: str, rows: pa.Table) -> "BeliefPanel":
-        """NEES and shares of some runs of a summary, with ``nees``, `SHARES` and the clusters."""
+    def from_runs(cls, label: str, rows: pa.Table) -> "ConsistencyLine":
+        """Return the line of some runs of a summary with ``nees`` and `SHARE_COLUMNS`."""
         shares = {}
-        for of, column in SHARES.items():
-            found = analysis.mean(analysis.numbers(rows, column), analysis.clusters_of(rows))
+        for of, column in SHARE_COLUMNS.items():
+            found = analysis.mean(analysis.numeric_column(rows, column), analysis.cluster_ids(rows))
             low, high = np.clip(found[1:3], 0.0, 1.0).tolist()
             shares[of] = found._replace(low=low, high=high)
-        return cls(label, analysis.numbers(rows, "nees"), shares)
+        return cls(label, analysis.numeric_column(rows, "nees"), shares)
 
 
 def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> Figure:
@@ -81,54 +84,54 @@ def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> 
         >>> sinsjax.plot_belief(runs).get_suptitle()
         'Mean NEES 3, where a consistent filter has 3'
     """
-    keys = as_keys(by)
-    groups = analysis.groups(as_table(runs), keys)
-    shown = [BeliefPanel.of(name_of(point), rows) for point, rows in groups]
-    shown = [one for one in shown if np.isfinite(one.nees).any()]
-    if not shown:
+    keys = to_key_list(by)
+    groups = analysis.group_rows(to_arrow_table(runs), keys)
+    lines = [ConsistencyLine.from_runs(describe_point(point), rows) for point, rows in groups]
+    lines = [line for line in lines if np.isfinite(line.nees).any()]
+    if not lines:
         raise InputError("plot_belief: no run has a finite nees (only filters have a covariance)")
-    return beliefs(shown, title or _finding(shown))
+    return draw_consistency(lines, title or _mean_nees_title(lines))
 
 
-def _finding(shown: Sequence[BeliefPanel]) -> str:
+def _mean_nees_title(lines: Sequence[ConsistencyLine]) -> str:
     """The mean NEES of the lines, in words."""
-    means = [float(np.mean(one.nees[np.isfinite(one.nees)])) for one in shown]
+    means = [float(np.mean(line.nees[np.isfinite(line.nees)])) for line in lines]
     ends = dict.fromkeys(
         f"{mean:,.0f}" if mean >= 10 else f"{mean:.2g}" for mean in (min(means), max(means))
     )
     return f"Mean NEES {' to '.join(ends)}, where a consistent filter has {NEES_FREEDOM}"
 
 
-@styled
-def beliefs(shown: Sequence[BeliefPanel], title: str) -> Figure:
-    """Distribution of NEES against chi-square, and how often P exceeds the squared error.
+@with_style
+def draw_consistency(lines: Sequence[ConsistencyLine], title: str) -> Figure:
+    """Draw the distribution of NEES against chi-square, and how often P exceeds the squared error.
 
     Args:
-        shown: one line each; all with shares of the same names.
+        lines: one line each; all with shares of the same names.
         title: title of the figure.
     """
-    figure = Figure(figsize=(9.2, 4.4 + 0.3 * max(len(shown) - 3, 0)))
+    figure = Figure(figsize=(9.2, 4.4 + 0.3 * max(len(lines) - 3, 0)))
     figure.suptitle(title)
     left, right = figure.subplots(1, 2, width_ratios=[3, 2])
-    _nees(left, shown)
-    _shares(right, shown)
-    legend_outside(figure, left, {one.label for one in shown})  # named on the right
+    _draw_nees(left, lines)
+    _draw_shares(right, lines)
+    add_legend_below(figure, left, {line.label for line in lines})  # named on the right
     return figure
 
 
-def _nees(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
-    for i, belief in enumerate(shown):
-        x, share = steps(belief.nees)
+def _draw_nees(axes: Axes, lines: Sequence[ConsistencyLine]) -> None:
+    for i, belief in enumerate(lines):
+        x, share = cumulative_distribution_steps(belief.nees)
         width = _WIDTH - _THINNER * i  # so that a line under another one remains visible
-        line: Any = {"color": colour(i), "linewidth": width, "label": belief.label}
+        line: Any = {"color": line_colour(i), "linewidth": width, "label": belief.label}
         axes.plot(x, share[: x.size], drawstyle="steps-post", **line)
-    known = np.concatenate([b.nees[np.isfinite(b.nees) & (b.nees > 0)] for b in shown])
+    known = np.concatenate([b.nees[np.isfinite(b.nees) & (b.nees > 0)] for b in lines])
     low, high = np.quantile(known, [0.002, 0.998]) if known.size else (1.0, 1.0)
     low, high = max(min(low, 0.05), _FAR[0]), min(max(high, 30.0), _FAR[1])
     at = np.geomspace(low, high, 400)
     name = f"chi-square, {NEES_FREEDOM} degrees of freedom"
     axes.plot(at, special.chdtr(NEES_FREEDOM, at), "--", color="black", label=name)
-    for mark, of in zip(_MARKS, shown[0].shares if shown else (), strict=False):
+    for mark, of in zip(_MARKS, lines[0].shares if lines else (), strict=False):
         axes.plot([], [], mark, color=GREY, label=f"share {of}")
     axes.set_xscale("log")
     axes.set_xlim(low, high)
@@ -140,8 +143,8 @@ def _nees(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
     axes.set_ylabel("share of runs")
 
 
-def _shares(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
-    for i, belief in enumerate(shown):
+def _draw_shares(axes: Axes, lines: Sequence[ConsistencyLine]) -> None:
+    for i, belief in enumerate(lines):
         for j, (value, low, high, _) in enumerate(belief.shares.values()):
             spread = [[np.nan_to_num(value - low)], [np.nan_to_num(high - value)]]
             place = i + _BELOW + 0.12 * (2 * j - len(belief.shares) + 1)
@@ -150,13 +153,13 @@ def _shares(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
                 [place],
                 xerr=np.maximum(spread, 0.0),
                 fmt=_MARKS[j],
-                color=colour(i),
+                color=line_colour(i),
                 capsize=2.5,
                 markersize=6,
             )
-        axes.text(0.0, i - _BELOW, belief.label, color=colour(i), fontsize=8.5, va="center")
+        axes.text(0.0, i - _BELOW, belief.label, color=line_colour(i), fontsize=8.5, va="center")
     axes.axvline(_WITHIN_SIGMA, color="black", linestyle="--")
     axes.set_xlim(-0.03, 1.03)
-    axes.set_ylim(len(shown) - 0.4, -0.6)  # room for the marks of the last, the name of the first
+    axes.set_ylim(len(lines) - 0.4, -0.6)  # room for the marks of the last, the name of the first
     axes.set_yticks([])
     axes.set_xlabel("share of records with the variance\nabove the squared heading error")

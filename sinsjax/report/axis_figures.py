@@ -1,0 +1,194 @@
+"""Tables and figures over a study's swept numbers: heat maps, and curves with intervals."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from sinsjax import analysis, plots
+from sinsjax.analysis.grids import split_into_panels
+from sinsjax.analysis.summaries import REQUIRED_COLUMNS
+from sinsjax.execution.source import Source
+from sinsjax.messages import format_count
+from sinsjax.plots.comparison import build_comparison_panels, has_significant_effect
+from sinsjax.plots.maps import MAX_PANELS
+from sinsjax.report.base import Block, Picture, Text, describe_intervals
+from sinsjax.report.grouping import BINS_NOTE, bin_drawn_keys, describe_undrawn_lines
+from sinsjax.report.markup import render_sentence
+from sinsjax.study.keys import is_condition_key, is_method_setting
+from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure, success_columns
+
+_NOT_CONVERGED = "not converged"
+_FLAG = "flagged"
+
+
+def build_axis_figures(source: Source) -> list[Block]:
+    """Return the figures over the swept numbers and the drawn numbers.
+
+    With two numeric axes or more, heat maps over the first two in the order of the study, a panel
+    for each point of all other keys; with one, or one whose values are lists, curves with
+    intervals; with none, nothing. Then curves over each drawn number.
+    """
+    axes, line_keys = source.study.figure_axes
+    blocks: list[Block]
+    if len(axes) == 2:
+        blocks = [
+            block for yard in source.success_measures for block in _heat_map_figures(source, yard)
+        ]
+    else:
+        blocks = [
+            figure for axis in axes if (figure := _axis_curve_figure(source, axis, line_keys))
+        ]
+    insignificant = []
+    for key, (binned_source, _) in bin_drawn_keys(source).items():
+        drawn = _axis_curve_figure(
+            binned_source, key, source.study.keys_shown, only_if_significant=True
+        )
+        if drawn is None:
+            insignificant.append(key)
+            continue
+        blocks.append(
+            drawn._replace(name=f"over_{key}", caption=f"{drawn.caption} {key}: {BINS_NOTE}")
+        )
+    if insignificant:
+        blocks.append(
+            Text(f"No figure over {', '.join(insignificant)}: no effect beyond the intervals.")
+        )
+    return blocks
+
+
+def repeated_variants_note(source: Source) -> Iterator[Text]:
+    """Return a note on how tables count duplicate variants, if there are any."""
+    if keys := source.study.idle_keys():
+        variants, kept = source.study.n_variants, len({*source.study.duplicate_of})
+        yield Text(
+            render_sentence(
+                "repeated_variants", source=source, variants=variants, kept=kept, keys=keys
+            )
+        )
+
+
+class HeatMaps:
+    """Heat maps over the first two swept numbers, a panel for each point of all other keys.
+
+    Attributes:
+        axes: the two numbers with their values, rows first.
+        panels: all panels, including those that do not fit a figure.
+    """
+
+    def __init__(self, source: Source, columns: Sequence[str]) -> None:
+        axes, self._by = source.study.figure_axes
+        row_key, column_key = axes
+        self._keys = (row_key, column_key)
+        times = [name for name in ("reset_times_s",) if "reset_count" in axes]
+        self._table = source.rows([*self._by, *axes, *columns, *times])
+        self.axes, self.panels = split_into_panels(self._table, row_key, column_key, self._by)
+        self._repeats = (source.study.duplicate_of != np.arange(source.study.n_variants)).any()
+
+    def draw_figure(
+        self,
+        name: str,
+        caption: str,
+        column: str,
+        hatched: NDArray | None = None,
+        hatch_meaning: str = "",
+    ) -> Picture:
+        """The figure of a column; cells are hatched in which most runs have a flag, (runs,)."""
+        if len(self.panels) > MAX_PANELS:
+            caption += f" The first {MAX_PANELS} of {len(self.panels)} panels."
+        if self._repeats:
+            caption += " Cells that share a number have the same runs: there a key does not act."
+        table = self._table
+        if hatched is not None:
+            table = table.append_column(_FLAG, pa.array(hatched))
+        figure = plots.plot_map(
+            table,
+            self._keys[0],
+            self._keys[1],
+            column,
+            by=self._by,
+            pooled=[key for key in self._by if is_condition_key(key)],
+            hatched=_FLAG if hatched is not None else "",
+            hatch_name=hatch_meaning,
+        )
+        return Picture(name, f"{caption} Framed: the best of each panel.", figure)
+
+    def column_values(self, column: str) -> NDArray:
+        """A column of all runs as numbers, (runs,); null is NaN."""
+        return analysis.numeric_column(self._table, column)
+
+
+def _heat_map_figures(source: Source, criterion: SuccessMeasure) -> Iterator[Block]:
+    """Yield the maps by one criterion of success, without those that show nothing."""
+    maps = HeatMaps(
+        source, (criterion.settle_column, criterion.ok_column, *FLOOR_COLUMNS, "draw_id", "start_s")
+    )
+    panels = maps.panels[: 2 * MAX_PANELS]
+    outcomes = [
+        one.cell_outcomes(
+            criterion.ok_column,
+            criterion.settle_column,
+            criterion.outside_floor_band(one.column_values),
+        )
+        for one in panels
+    ]
+    cells, end = outcomes[:MAX_PANELS], criterion.figure_suffix(source.success_measures[0])
+    if not any((np.isfinite(one.median_s) & ~one.not_converged).any() for one in cells):
+        return  # no cell is within the band, or cells only pass through it
+    off_floor = np.where(
+        maps.column_values(criterion.ok_column) > 0,
+        criterion.outside_floor_band(maps.column_values),
+        np.nan,
+    )
+    hatched = np.any([one.not_converged for one in cells])
+    mark = (
+        f" Cross-hatched: {render_sentence('not_converged', criterion=criterion)}"
+        if hatched
+        else ""
+    )
+    yield maps.draw_figure(
+        f"settling_time{end}",
+        f"Median time over {format_count(source.draws, 'draw')} until the heading stays"
+        f" {criterion.description}; grey where at least half of the runs never do.{mark}",
+        criterion.settle_column,
+        off_floor,
+        _NOT_CONVERGED,
+    )
+    shares = np.array([one.success_share for one in cells])
+    if not np.isin(shares, (0.0, 1.0)).all():  # else the settling times show the same
+        yield maps.draw_figure(
+            f"success_rate{end}",
+            f"Share of {format_count(source.draws, 'draw')} ok,"
+            f" {criterion.plural_description}.{mark}",
+            criterion.ok_column,
+            off_floor,
+            _NOT_CONVERGED,
+        )
+
+
+def _axis_curve_figure(
+    source: Source, axis: str, line_keys: Sequence[str], *, only_if_significant: bool = False
+) -> Picture | None:
+    titles = {
+        f"{y.settle_column}_median": f"median time (s) to {y.description}"
+        for y in source.success_measures
+    }
+    titles |= {
+        y.rate_column: f"share of runs that are ok, {y.plural_description} (%)"
+        for y in source.success_measures
+    }
+    titles["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
+    table = source.rows([*line_keys, axis, *success_columns(source.study), *REQUIRED_COLUMNS])
+    values, panels = build_comparison_panels(table, axis, line_keys, titles)
+    if only_if_significant and not has_significant_effect(panels):
+        return None
+    left = "; ".join(words for words in titles.values() if words not in panels)
+    return Picture(
+        "along_axis",
+        "How soon their heading enters the band for good, how many runs are ok, and how large the"
+        f" heading error is. {describe_intervals(source, quantity='Estimate')}"
+        f"{describe_undrawn_lines(table, line_keys)}"
+        + (f" Left out, since it shows nothing more: {left}." if left else ""),
+        plots.draw_along_axis(axis, values, panels, condition=not is_method_setting(axis)),
+    )
