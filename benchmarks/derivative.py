@@ -22,7 +22,7 @@ import numpy as np
 
 from sinsjax.bench.cases import TILES, default_group, engine_workload, remove_noise, shorten_runs
 from sinsjax.bench.timing import Row, Workload, measure_relative_to_base
-from sinsjax.engine.batch import compiled, plan
+from sinsjax.engine.batch import compile_program, plan
 from sinsjax.engine.build import parts
 from sinsjax.engine.lanes import LANES, Group, Tiles, tiles_of
 from sinsjax.engine.run import RunParams, run_tile
@@ -212,7 +212,7 @@ def tuning(seconds: float, repeats: int) -> list[Row]:
     gradient = Workload(f"tune_gradient_p{len(box[0])}", base.runs, base.steps, compile_s, call)
     first, row = measure_relative_to_base(base, [gradient], repeats)
     tiles = tiles_of(part.group, plan(part.group, tiles_per_chunk=TILES)[0])
-    plain = compiled(part.group, tiles)
+    plain = compile_program(part.group, tiles)
     row |= {
         "operations_ratio": round(
             operations(program) / operations(plain, loops_of(part.group, tiles)), 3

@@ -11,7 +11,7 @@ import common
 
 from sinsjax.bench.cases import default_group, shorten_runs
 from sinsjax.bench.timing import Row
-from sinsjax.engine.batch import compiled, plan
+from sinsjax.engine.batch import compile_program, plan
 from sinsjax.engine.lanes import tiles_of
 from sinsjax.errors import InputError
 from sinsjax.platform.assets import asset_path
@@ -66,7 +66,7 @@ def of_call(tiles: int, records: int, *, curves: bool) -> Row:
     group = shorten_runs(default_group(), records)
     group = group._replace(static=group.static._replace(curves=curves))
     places = plan(group, tiles_per_chunk=tiles)[0]
-    found = compiled(group, tiles_of(group, places)).memory_analysis()
+    found = compile_program(group, tiles_of(group, places)).memory_analysis()
     runs = places.draw.size
     total = found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
     return {

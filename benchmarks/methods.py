@@ -20,7 +20,7 @@ from sinsjax.bench.cases import (
     trigger_group,
 )
 from sinsjax.bench.timing import Row, measure_relative_to_base
-from sinsjax.engine.batch import compiled, plan
+from sinsjax.engine.batch import compile_program, plan
 from sinsjax.engine.lanes import Group, tiles_of
 from sinsjax.methods.registry import METHODS
 
@@ -72,7 +72,7 @@ def arithmetic(group: Group) -> float:
     What is done once a run is left out; what is done once a record is spread over its steps.
     """
     tiles = tiles_of(group, plan(group, tiles_per_chunk=TILES)[0])
-    program, loops = compiled(group, tiles), loops_of(group, tiles)
+    program, loops = compile_program(group, tiles), loops_of(group, tiles)
     records = group.static.records
     over_records = operations(program, loops) - operations(program, loops, without=records)
     steps = records * group.static.record_every

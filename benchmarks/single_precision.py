@@ -16,7 +16,7 @@ import numpy as np
 
 from sinsjax.bench.cases import default_group, engine_workload, remove_noise, shorten_runs
 from sinsjax.bench.timing import Row, measure_relative_to_base
-from sinsjax.engine.batch import chunks
+from sinsjax.engine.batch import run_chunks
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.success import FLOOR
@@ -76,7 +76,7 @@ def build(model: LinearModel, options: Options) -> Method:
     def turn(
         params: zero_velocity.FilterParams, site: Site, state: zero_velocity.FilterState
     ) -> zero_velocity.FilterState:
-        turned = passes.turn(params, site, state._replace(belief=double(state.belief)))
+        turned = passes.reverse(params, site, state._replace(belief=double(state.belief)))
         return turned._replace(belief=single(turned.belief))
 
     def widened(f: Callable) -> Callable:
@@ -132,7 +132,7 @@ def in_single(group: Group) -> Group:
 
 def outcome(group: Group) -> Outcome:
     """Outcomes of all runs."""
-    parts = [chunk.outcome for chunk in chunks(group)]
+    parts = [chunk.outcome for chunk in run_chunks(group)]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from sinsjax.bench.baseline import AlignmentSettings, align_with_numpy_loop
 from sinsjax.bench.timing import Workload
-from sinsjax.engine.batch import compiled, map_in_threads, plan
+from sinsjax.engine.batch import compile_program, map_in_threads, plan
 from sinsjax.engine.build import parts
 from sinsjax.engine.environment import Draw, Environment, RunParams
 from sinsjax.engine.lanes import LANES, STACKED_TILES, Group, Tiles, tiles_of
@@ -217,7 +217,7 @@ def engine_workload(
     runs = sum(int(np.sum((p.draw < draws) & (p.variant < variants))) for p in places)
     arguments = [(group.environment, tiles_of(group, p)) for p in places]
     since = time.perf_counter()
-    program = compiled(group, arguments[0][1])
+    program = compile_program(group, arguments[0][1])
     compile_s = time.perf_counter() - since
     placed = jax.device_put(arguments)
 

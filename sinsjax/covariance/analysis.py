@@ -22,21 +22,21 @@ from sinsjax.covariance.error_growth import (
     advance_growth,
     initial_growth,
 )
-from sinsjax.covariance.sensitivity import Sensitivity, floor_by_states, sensitivity
+from sinsjax.covariance.sensitivity import Sensitivity, derive_sensitivity, floor_by_states
 from sinsjax.engine import metrics, run
-from sinsjax.engine.environment import DrawnNormally, Environment, Static
+from sinsjax.engine.environment import Environment, NormalDistributions, Static
 from sinsjax.engine.lanes import Group, Tiles
 from sinsjax.engine.metrics import Criteria, Observation, Outcome
 from sinsjax.engine.run import Run, TileRuns
 from sinsjax.engine.samples import SensorState
 from sinsjax.engine.stepping import WithCompanion, advance_interval, with_companion
 from sinsjax.maths.algebra import Triangle, cholesky, triangle_index
-from sinsjax.methods.schedules import mix
+from sinsjax.methods.schedules import interpolate
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.types import Array, Count, Quat, Sample, Scalar, Vec3
 
 SAMPLES_PER_BLOCK = 256
-"""Sampled errors of a run computed at once; more are computed block by block."""
+"""Sampled errors of a block; a larger multiple is computed block by block, else all at once."""
 
 
 class ErrorCovariance(NamedTuple):
@@ -92,7 +92,7 @@ class AnalysisEnvironment(NamedTuple):
     runs: Environment
     report_at: Array | None
     coloured: ColouredInputs
-    drawn: DrawnNormally | None
+    drawn: NormalDistributions | None
 
 
 class Interval(NamedTuple):
@@ -115,7 +115,7 @@ class Interval(NamedTuple):
     cross: tuple[tuple[Scalar, ...], ...]
 
 
-def analysis_program(static: Static) -> Static:
+def analysis_static(static: Static) -> Static:
     """Return the program of the noise-free runs."""
     return static._replace(sensors=static.sensors._replace(noisy=False), curves=True, stacks=False)
 
@@ -135,14 +135,16 @@ def analysis_group(group: Group, samples: int, records: np.ndarray | None = None
     zeros = np.zeros_like(group.variants.ve)
     drawn = group.drawn
     sigmas = () if drawn is None else (drawn.gyro_bias_sigma, drawn.accel_bias_sigma)
-    coloured = coloured_noise.increment_errors(model.disturbances, group.static.options.dt, *sigmas)
+    coloured = coloured_noise.increment_error_processes(
+        model.disturbances, group.static.options.dt, *sigmas
+    )
     inputs = ErrorInputs(
         jax.tree.map(lambda a: a + zeros, noise),
         jax.tree.map(lambda a: np.broadcast_to(a, (len(zeros), *np.shape(a))), coloured),
     )
     undisturbed = group.environment._replace(sensors=model._replace(disturbances=Disturbances()))
     return group._replace(
-        static=analysis_program(group.static),
+        static=analysis_static(group.static),
         environment=AnalysisEnvironment(undisturbed, records, coloured, drawn),
         draws=group.draws if drawn is None else drawn.mean_draw(group.draws),
         variants=group.variants._replace(method=AnalysisParams(group.variants.method, inputs)),
@@ -169,28 +171,23 @@ class AnalysisRun(NamedTuple):
         static: Static,
         environment: AnalysisEnvironment,
         tile: Tiles,
-        shown: int | None = None,
+        curve_lanes: int | None = None,
     ) -> tuple[Outcome, ErrorCovariance]:
         """Return the outcomes of the noise-free runs of a tile, and their error covariance."""
         params: AnalysisParams = tile.params.method
         plain = tile._replace(params=tile.params._replace(method=params.method))
         runs = run.set_up(static, environment.runs, plain)
         start = runs.start()
-        n = len(jax.eval_shape(jax.vmap(_error_model(runs).angles), start.state)[0])
+        n = runs.count_error_states(start.state)
         over_record = partial(_over_record, runs, params, n)
         carry = start, runs.sensors.initial_state()
         (last, _), rows = jax.lax.scan(over_record, carry, runs.records())
         outcome = runs.finish(last)
-        derivatives = sensitivity(runs, plain.params, environment.drawn)
-        covariance = propagate_errors(
+        derivatives = derive_sensitivity(runs, plain.params, environment.drawn)
+        covariance = propagate_over_records(
             static, environment, rows, outcome.floor.phi.z, self.samples, n, derivatives
         )
         return outcome, covariance.select_records(environment.report_at)
-
-
-def _error_model(runs: TileRuns) -> Any:
-    assert runs.method.error_model is not None
-    return runs.method.error_model
 
 
 def _over_record(
@@ -206,7 +203,7 @@ def _over_record(
         The runs and the sensors after it, and the numbers of `Interval`, (fields, lanes).
     """
     (runs_before, sensor_state), (number, q_true) = carry, record
-    reading, model = runs.read(number), _error_model(runs)
+    reading, model = runs.read(number), runs.error_model
     growth = jax.vmap(lambda inputs, nav: initial_growth(inputs, n, nav.ve))(
         params.inputs, runs_before.state.nav
     )
@@ -226,7 +223,7 @@ def _growth_steps(runs: TileRuns, params: AnalysisParams, number: Count) -> Any:
     """Return the function that advances the growth of all runs' errors by a sample."""
     done = number * runs.static.record_every
     advance = jax.vmap(
-        partial(advance_growth, _error_model(runs)),
+        partial(advance_growth, runs.error_model),
         in_axes=(0, 0, runs.site_axis, 0, 0, runs.draw_axis, None),
     )
 
@@ -285,7 +282,7 @@ class _Errors(NamedTuple):
     outside: Array
 
 
-def propagate_errors(
+def propagate_over_records(
     static: Static,
     environment: AnalysisEnvironment,
     rows: Array,
@@ -333,7 +330,7 @@ def _propagate_block(
     samples: int,
     key: Array,
 ) -> ErrorCovariance:
-    """Return `propagate_errors` with samples from one key."""
+    """Return `propagate_over_records` with samples from one key."""
     m, criteria = coloured_noise.count_states(environment.coloured), environment.runs.criteria
     lanes, half = len(floor), samples // 2
     normals = jax.random.normal(key, (len(rows), n + m, half), float)
@@ -420,7 +417,7 @@ def _over_interval(
     outside = _outside_bands(criteria, observation.phi.z, heading, heading, floor)
     sigma = (jnp.sqrt(_variance(row, s)) for row in angles)
     reported = (*observation.phi, *sigma, *observation.sigma)
-    return _Errors(s, e, mix(outside, time, errors.outside)), reported
+    return _Errors(s, e, interpolate(outside, time, errors.outside)), reported
 
 
 def _over_coloured_interval(
@@ -441,7 +438,7 @@ def _over_coloured_interval(
     n = len(f)
     at = triangle_index(n)
     w = jnp.stack([interval.noise[at[i, j]] for i in range(n) for j in range(n)]).reshape(n, n)
-    f_all, w_all = coloured_noise.join(f, w, response, cross, inputs)
+    f_all, w_all = coloured_noise.join_with_processes(f, w, response, cross, inputs)
     s = f_all @ errors.s @ f_all.T + w_all
     e = f_all @ errors.e + coloured_noise.semidefinite_factor(w_all) @ jnp.stack(normal)
     from_truth = from_floor = rows[2] @ e[:n]
@@ -453,7 +450,7 @@ def _over_coloured_interval(
     observation = interval.observation
     outside = _outside_bands(criteria, observation.phi.z, from_floor, from_truth, floor)
     reported = (*observation.phi, *sigma[:3], *observation.sigma, *sigma[3:])
-    return _Errors(s, e, mix(outside, time, errors.outside)), reported
+    return _Errors(s, e, interpolate(outside, time, errors.outside)), reported
 
 
 def _outside_bands(

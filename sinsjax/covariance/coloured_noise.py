@@ -17,7 +17,7 @@ from jax.scipy.linalg import block_diag
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Minus, Triangle, times_plus_identity
-from sinsjax.methods.base import ErrorStep, apply_gain
+from sinsjax.methods.base import ErrorStep
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.processes import Process, constant_process
 from sinsjax.types import Array, Quat, Scalar
@@ -49,7 +49,7 @@ class ColouredInputs(NamedTuple):
     accel_bias: Any = None
 
 
-ENTRIES = ColouredInputs(
+PROCESS_INPUTS = ColouredInputs(
     surge=(VELOCITY, IN_N),
     gyro_instability=(ANGLE, IN_B),
     accel_instability=(VELOCITY, IN_B),
@@ -82,7 +82,7 @@ class ProcessGrowth(NamedTuple):
     cross: tuple[Array, ...]
 
 
-def increment_errors(
+def increment_error_processes(
     disturbances: Disturbances,
     dt: float,
     gyro_bias: np.ndarray | None = None,
@@ -115,19 +115,19 @@ def increment_errors(
 
 def present_processes(coloured: ColouredInputs) -> Iterator[tuple[Process, tuple[int, str]]]:
     """Yield the processes that are present, with the increments and axes in which they enter."""
-    for process, entry in zip(coloured, ENTRIES, strict=True):
+    for process, entry in zip(coloured, PROCESS_INPUTS, strict=True):
         if process is not None:
             yield process, entry
 
 
-def initial_growth(process: Process, n: int, zero: Scalar) -> ProcessGrowth:
+def initial_process_growth(process: Process, n: int, zero: Scalar) -> ProcessGrowth:
     """Return the growth at the beginning of an interval for n states of d."""
     p = process.output.shape[0]
     none = (jnp.zeros((p, 3)) + zero,) * n
     return ProcessGrowth(process.output + zero, jnp.zeros((p, p)) + zero, none, none)
 
 
-def advance(
+def advance_process_growth(
     growth: ProcessGrowth,
     process: Process,
     step: ErrorStep,
@@ -138,7 +138,7 @@ def advance(
 
     Args:
         growth: so far.
-        process: an error of increments, see `increment_errors`.
+        process: an error of increments, see `increment_error_processes`.
         step: of the sample, whose gains are applied.
         effect: n arrays (3,), change of d by a unit error on each axis.
         covariance: of d without the process, before the gains.
@@ -146,7 +146,7 @@ def advance(
     a, b, c = process.transition, process.drive, process.output
     scale, shared = process.scale, growth.variance @ c
     unmeasured = jax.vmap(partial(times_plus_identity, step.transition))
-    propagate = jax.vmap(jax.vmap(partial(_propagate, step)), in_axes=(0, None, 0))
+    propagate = jax.vmap(jax.vmap(partial(_propagate_with_process, step)), in_axes=(0, None, 0))
     along = unmeasured(tuple(scale * jnp.sum(c[:, None] * x, axis=0) for x in growth.cross))
     variance = scale**2 * (c @ shared + process.direct**2)
     n = len(effect)
@@ -166,15 +166,12 @@ def advance(
     return later, tuple(x + y for x, y in zip(covariance, added, strict=True))
 
 
-def _propagate(
+def _propagate_with_process(
     step: ErrorStep, d: tuple[Scalar, ...], effect: tuple[Scalar, ...], size: Scalar
 ) -> tuple[Scalar, ...]:
     """Return the error d one sample later, with an error of an increment of a given size."""
     out = times_plus_identity(step.transition, d)
-    out = tuple(x + h * size for x, h in zip(out, effect, strict=True))
-    for k, m in zip(step.gains, step.measured, strict=True):
-        out = apply_gain(out, k, m)
-    return out
+    return step.apply_gains(tuple(x + h * size for x, h in zip(out, effect, strict=True)))
 
 
 def unit_effect(step: ErrorStep, q: Quat, n: int, first: int, axes: str) -> tuple[Array, ...]:
@@ -236,6 +233,7 @@ def propagate_processes(coloured: ColouredInputs, samples: int) -> IntervalInput
 
 
 def _propagate_process(process: Process, samples: int) -> tuple[Array, Array, Array]:
+    """Return transition, noise and initial factor of one process on three axes."""
     a, b = jnp.asarray(process.transition), jnp.asarray(process.drive)
 
     def over_sample(_: Array, moments: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -248,7 +246,7 @@ def _propagate_process(process: Process, samples: int) -> tuple[Array, Array, Ar
     return jnp.kron(power, axes), jnp.kron(noise, axes), jnp.kron(process.begin, axes)
 
 
-def join(
+def join_with_processes(
     f: Array, w: Array, response: Array, cross: Array, inputs: IntervalInputs
 ) -> tuple[Array, Array]:
     """Return F and W of d and the states of the processes together, (n + m, n + m) each.

@@ -22,7 +22,7 @@ from sinsjax.maths.algebra import (
     times_plus_identity,
     triangle_index,
 )
-from sinsjax.methods.base import ErrorModel, ErrorStep, Site, apply_gain
+from sinsjax.methods.base import ErrorModel, ErrorStep, Site
 from sinsjax.types import Increments, Quat, Sample, Scalar
 
 
@@ -80,7 +80,9 @@ def initial_growth(inputs: ErrorInputs, n: int, like: Scalar) -> ErrorGrowth:
     zero = _to_single(zero) if inputs.are_white else zero
     columns = tuple(tuple(zero + float(i == j) for i in range(n)) for j in range(n))
     processes = coloured_noise.present_processes(inputs.coloured)
-    by_process = (coloured_noise.initial_growth(process, n, zero) for process, _ in processes)
+    by_process = (
+        coloured_noise.initial_process_growth(process, n, zero) for process, _ in processes
+    )
     return ErrorGrowth(columns, (zero,) * (n * (n + 1) // 2), tuple(by_process))
 
 
@@ -109,10 +111,10 @@ def advance_growth(
     step = model.step(params, site, state, sample, n), state.nav.q, inputs.noise
     if inputs.are_white:
         step = _to_single(step)
-    return grow(growth, *step, inputs.coloured)
+    return apply_step(growth, *step, inputs.coloured)
 
 
-def grow(
+def apply_step(
     growth: ErrorGrowth,
     step: ErrorStep,
     q: Quat,
@@ -136,10 +138,10 @@ def grow(
     processes = coloured_noise.present_processes(coloured)
     for before, (process, where) in zip(growth.coloured, processes, strict=True):
         effect = coloured_noise.unit_effect(step, q, n, *where)
-        after, w = coloured_noise.advance(before, process, step, effect, w)
+        after, w = coloured_noise.advance_process_growth(before, process, step, effect, w)
         later.append(after)
+    columns = tuple(step.apply_gains(column) for column in columns)
     for k, m in zip(step.gains, step.measured, strict=True):
-        columns = tuple(apply_gain(column, k, m) for column in columns)
         w = _apply_gain_to_covariance(w, k, m)
     return ErrorGrowth(columns, w, tuple(later))
 
@@ -161,10 +163,7 @@ def propagate_error(
     for (i, axis), by in step.inputs.items():
         entry = in_n[axis]
         out[i] = out[i] - by.of * entry if isinstance(by, Minus) else out[i] + by * entry
-    d = tuple(out)
-    for k, m in zip(step.gains, step.measured, strict=True):
-        d = apply_gain(d, k, m)
-    return d
+    return step.apply_gains(tuple(out))
 
 
 def _covariance_in_n(q: Quat, noise: IncrementNoise) -> dict[tuple[int, int], Scalar]:

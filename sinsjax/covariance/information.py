@@ -44,7 +44,7 @@ from sinsjax.covariance.coloured_noise import (
     ANGLE,
     IN_N,
     VELOCITY,
-    increment_errors,
+    increment_error_processes,
     present_processes,
 )
 from sinsjax.maths.algebra import entries_as_numbers
@@ -138,7 +138,7 @@ def sample_model(
     place: Place, errors: SensorErrors, disturbances: Disturbances, dt: float, to_n: np.ndarray
 ) -> SampleModel:
     """Return the model of a base at rest, whose velocity has the disturbances."""
-    coloured = list(present_processes(increment_errors(disturbances, dt)))
+    coloured = list(present_processes(increment_error_processes(disturbances, dt)))
     n = PHI_U + 1 + sum(3 * len(process.drive) for process, _ in coloured)
     f, noise, initial = np.eye(n), np.zeros((n, n)), np.zeros((n, n))
     still = Navigation(Quat(1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)

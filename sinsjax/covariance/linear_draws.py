@@ -14,17 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.covariance.error_growth import propagate_error
-from sinsjax.covariance.sensitivity import sensitivity, start_deviations
+from sinsjax.covariance.sensitivity import derive_sensitivity, start_deviations
 from sinsjax.engine import run
 from sinsjax.engine.batch import MOST_PROGRAMS, Program
-from sinsjax.engine.environment import Draw, DrawnNormally, Environment, Static
+from sinsjax.engine.environment import Draw, Environment, NormalDistributions, Static
 from sinsjax.engine.lanes import Group, Tiles
 from sinsjax.engine.run import Run, TileRuns
 from sinsjax.engine.samples import (
     DrawSensors,
     SensorState,
     block_size,
-    draw_sensors,
+    build_sensors,
     previous_increments,
 )
 from sinsjax.engine.stepping import Blocks, WithCompanion, advance_interval, with_companion
@@ -48,7 +48,7 @@ class _Inputs(NamedTuple):
     environment: Environment
     tile: Tiles
     draws: Draw
-    drawn: DrawnNormally | None
+    drawn: NormalDistributions | None
     records: np.ndarray | None
 
 
@@ -97,13 +97,13 @@ def _run_linear_draws(static: Static, inputs: _Inputs) -> Array:
     noise_free = static._replace(sensors=static.sensors._replace(noisy=False))
     runs = run.set_up(noise_free, _undisturbed(environment), inputs.tile)
     start = runs.start()
-    states = len(jax.eval_shape(jax.vmap(_error_model(runs).angles), start.state)[0])
+    states = runs.count_error_states(start.state)
     errors = (jnp.zeros((runs.row.size, draws.draw_id.size)),) * states
-    derivatives = sensitivity(runs, inputs.tile.params, inputs.drawn)
+    derivatives = derive_sensitivity(runs, inputs.tile.params, inputs.drawn)
     if derivatives is not None and inputs.drawn is not None:
         deviations = derivatives.start @ start_deviations(inputs.drawn, draws)
         errors = tuple(jnp.moveaxis(deviations, 1, 0))
-    noisy = draw_sensors(static, environment, draws)
+    noisy = build_sensors(static, environment, draws)
     first = start._replace(state=WithCompanion(start.state, errors))
     sensor_states = runs.sensors.initial_state(), noisy.initial_state()
     _, phi = jax.lax.scan(
@@ -111,11 +111,6 @@ def _run_linear_draws(static: Static, inputs: _Inputs) -> Array:
     )
     phi = jnp.moveaxis(phi, 0, 1)
     return phi if inputs.records is None else phi[:, inputs.records]
-
-
-def _error_model(runs: TileRuns) -> ErrorModel:
-    assert runs.method.error_model is not None
-    return runs.method.error_model
 
 
 def _over_record(
@@ -128,9 +123,9 @@ def _over_record(
     now, sensor_states = carry
     reading, every = runs.read(number), runs.static.record_every
     size = block_size(every, noisy.draws)
-    make = _block_maker(runs.sensors, noisy, reading.samples, size)
+    make = _make_block_function(runs.sensors, noisy, reading.samples, size)
     over_lanes = jax.vmap(
-        partial(_propagate_errors_of_lane, _error_model(runs)),
+        partial(_propagate_errors_of_lane, runs.error_model),
         in_axes=(0, runs.site_axis, 0, 0, None, None, None),
     )
 
@@ -147,7 +142,7 @@ def _over_record(
         steps, now.state, sensor_states, Blocks(every, size, make)
     )
     observed = runs.observe(Run(state.runs, now.metrics), number, None)
-    angles = jax.vmap(_error_model(runs).angles)(observed.state)
+    angles = jax.vmap(runs.error_model.angles)(observed.state)
     phi = jnp.stack(
         [
             mean[:, None] + sum(a[:, None] * d for a, d in zip(row, state.companion, strict=True))
@@ -175,9 +170,11 @@ def _propagate_errors_of_lane(
     return later
 
 
-def _block_maker(noise_free: DrawSensors, noisy: DrawSensors, samples: Array, size: int) -> Any:
+def _make_block_function(
+    noise_free: DrawSensors, noisy: DrawSensors, samples: Array, size: int
+) -> Any:
     """Return `Blocks.make`: noise-free samples, and the excess of each draw's increments."""
-    measure, measure_noisy = noise_free.measurer(samples), noisy.measurer(samples)
+    measure, measure_noisy = noise_free.make_sampler(samples), noisy.make_sampler(samples)
     compensate = jax.vmap(partial(passes.compensate, backward=None))
 
     def make(states: tuple[SensorState, SensorState], number: Count) -> Any:

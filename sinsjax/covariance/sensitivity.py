@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.engine.environment import Draw, DrawnNormally, InitialErrors, RunParams
+from sinsjax.engine.environment import Draw, InitialErrors, NormalDistributions, RunParams
 from sinsjax.engine.run import TileRuns, end_of_run, initial_solution, with_initial_errors
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import scale
@@ -24,7 +24,7 @@ class Sensitivity(NamedTuple):
 
     Attributes:
         start: (lanes, n, 5) of d before the first sample by the initial errors, see
-            `DrawnNormally.initial_sigma`.
+            `NormalDistributions.initial_sigma`.
         floor: (lanes, 6) of the bias floor of phi_u by the biases of gyros and accelerometers in b,
             rad/(rad/s) and rad/(m/s^2); None if no bias is drawn.
     """
@@ -33,8 +33,8 @@ class Sensitivity(NamedTuple):
     floor: Array | None
 
 
-def sensitivity(
-    runs: TileRuns, params: RunParams, drawn: DrawnNormally | None
+def derive_sensitivity(
+    runs: TileRuns, params: RunParams, drawn: NormalDistributions | None
 ) -> Sensitivity | None:
     """Return the derivatives if numbers are drawn, else None.
 
@@ -53,7 +53,9 @@ def sensitivity(
     return Sensitivity(start, jax.vmap(by_biases, in_axes=(0, runs.site_axis))(params, runs.site))
 
 
-def _derive_by_start(method: Method, drawn: DrawnNormally, params: RunParams, site: Site) -> Array:
+def _derive_by_start(
+    method: Method, drawn: NormalDistributions, params: RunParams, site: Site
+) -> Array:
     """Return the derivative of d by the initial errors of one run, (n, 5)."""
     numbers = _initial_numbers(drawn.initial, params)
 
@@ -87,7 +89,7 @@ def _initial_numbers(initial: InitialErrors, params: RunParams) -> tuple[Scalar,
 
 
 def _derive_floor_by_biases(
-    runs: TileRuns, drawn: DrawnNormally, params: RunParams, site: Site
+    runs: TileRuns, drawn: NormalDistributions, params: RunParams, site: Site
 ) -> Array:
     """Return the derivative of the bias floor of one run by its biases, (6,)."""
     errors, motion = drawn.errors, runs.environment.sensors.motion
@@ -102,7 +104,7 @@ def _derive_floor_by_biases(
     return jax.jacfwd(floor_of)(jnp.concatenate([errors.gyro_bias, errors.accel_bias]))
 
 
-def start_deviations(drawn: DrawnNormally, draws: Draw) -> Array:
+def start_deviations(drawn: NormalDistributions, draws: Draw) -> Array:
     """Return the deviations of the draws' initial errors from their means, (5, draws)."""
     means = (*drawn.initial.phi, *drawn.initial[1:])
     values = (*draws.initial.phi, *draws.initial[1:])
@@ -115,7 +117,9 @@ def start_deviations(drawn: DrawnNormally, draws: Draw) -> Array:
     )
 
 
-def floor_by_states(derivatives: Sensitivity, drawn: DrawnNormally, states: int) -> Array | None:
+def floor_by_states(
+    derivatives: Sensitivity, drawn: NormalDistributions, states: int
+) -> Array | None:
     """Return the derivative of the bias floor by the states of coloured inputs, (lanes, states).
 
     The drawn biases are the last of these states; None if no bias is drawn.

@@ -55,8 +55,9 @@ class Chunk(NamedTuple):
         draw: (runs,) number of each run's draw in the study.
         variant: (runs,) place of each run's variant in the group.
         outcome: `Outcome` with leaves (runs, ...).
-        curves: what the group's function of a tile returns beside the outcome, leaves (runs, ...):
-            `Observation` with leaves (runs, records), or None without curves.
+        curves: second result of the group's function of a tile, leaves (runs, ...): `Observation`
+            with leaves (runs, records), `ErrorCovariance` of a covariance analysis, None without
+            curves.
     """
 
     draw: np.ndarray
@@ -180,7 +181,7 @@ class Program:
             return self._compiled
 
 
-def program(group: Group, tiles: Tiles, device: jax.Device | None = None) -> Program:
+def trace_program(group: Group, tiles: Tiles, device: jax.Device | None = None) -> Program:
     """Return the program of a group for arguments of these shapes, whatever their values.
 
     Args:
@@ -196,17 +197,19 @@ def program(group: Group, tiles: Tiles, device: jax.Device | None = None) -> Pro
     return _trace(group.run or run_tile, group.static, curve_lanes(group), structure, shapes)
 
 
-def compiled(group: Group, tiles: Tiles, device: jax.Device | None = None) -> jax.stages.Compiled:
-    """Return `program`, compiled."""
-    return program(group, tiles, device).compiled()
+def compile_program(
+    group: Group, tiles: Tiles, device: jax.Device | None = None
+) -> jax.stages.Compiled:
+    """Return `trace_program`, compiled."""
+    return trace_program(group, tiles, device).compiled()
 
 
 @lru_cache(maxsize=MOST_PROGRAMS)
 def _trace(
-    run: Callable[..., Any], static: Static, shown: int | None, structure: Any, shapes: tuple
+    run: Callable[..., Any], static: Static, kept_lanes: int | None, structure: Any, shapes: tuple
 ) -> Program:
     def run_tiles(environment: Any, tiles: Tiles) -> Any:
-        one = partial(run, static, environment, shown=shown)
+        one = partial(run, static, environment, curve_lanes=kept_lanes)
         return jax.lax.map(map_stacked_tiles(static, one, tiles), tiles)
 
     return Program(jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)))
@@ -251,7 +254,7 @@ class Calls:
         self._group = group
         self.plan = plan(group, tiles_per_chunk=tiles_per_chunk)
         tiles = tiles_of(group, self.plan[0])
-        self._programs = [program(group, tiles, device) for device in target_devices()]
+        self._programs = [trace_program(group, tiles, device) for device in target_devices()]
         # Once, and not with every call.
         self._environments = [
             jax.device_put(group.environment, device) for device in target_devices()
@@ -294,7 +297,7 @@ class Calls:
         )
 
 
-def chunks(
+def run_chunks(
     group: Group, *, devices: int = 1, tiles_per_chunk: int | None = None
 ) -> Iterator[Chunk]:
     """Run a group, chunk by chunk.

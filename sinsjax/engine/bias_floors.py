@@ -26,7 +26,7 @@ LEAST_PERIODS = 10
 MOST_SHARED = 5 * ARCMIN
 """Largest part of one sigma of heading taken for gyro bias with which the floor holds, rad."""
 
-_LOOKED_AT = 4096  # draws, of a study with more
+_MOST_DRAWS = 4096  # draws, of a study with more
 _BLOCK = 256  # draws averaged at a time: some 10 MB
 _ANGLES = ("pitch", "roll", "yaw")
 _BIASES = ("gyro_bias_deg_per_h", "accel_bias_ug")
@@ -120,7 +120,7 @@ def require_floor(study: Study) -> None:
     """
     if success_criteria(study).from_truth:
         return
-    draws = np.arange(min(study.n_draws, 1 + _LOOKED_AT // study.n_variants))
+    draws = np.arange(min(study.n_draws, 1 + _MOST_DRAWS // study.n_variants))
     variants = np.tile(np.arange(study.n_variants), len(draws))
     last_s = last_scheduled_reset_s(study)[variants]
     floors = has_floor(study, np.repeat(draws, study.n_variants), variants, last_s)
@@ -212,9 +212,9 @@ def hidden_north(study: Study) -> HiddenNorth | None:
     if study.is_recorded:
         return None
     keys = ("gyro_bias_deg_per_h", *MotionSection.model_fields, *_EARTH)
-    drawn = sampling.drawn_values(study, min(study.n_draws, _LOOKED_AT))
+    drawn = sampling.drawn_values(study, min(study.n_draws, _MOST_DRAWS))
     drawn = {key: values for key, values in drawn.items() if key in keys}
-    draws = min(study.n_draws, _LOOKED_AT)
+    draws = min(study.n_draws, _MOST_DRAWS)
     swept = [key for key in study.axis_keys if key in keys]
     variants = Counter(zip(*map(study.values, swept), strict=True)) if swept else Counter([()])
     variants_per_point = 1 if swept else study.n_variants

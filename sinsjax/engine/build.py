@@ -23,11 +23,11 @@ from sinsjax.engine.environment import (
     SensorProgram,
     Static,
     derive_inputs,
-    draw_site,
+    select_site,
 )
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.samples import draw_sensors
+from sinsjax.engine.samples import build_sensors
 from sinsjax.engine.sensor_inputs import AMPLITUDE_KEYS, DISTORTION_KEYS, NOISE_KEYS
 from sinsjax.engine.truth import (
     normal_distributions,
@@ -119,8 +119,8 @@ class Scenario:
         return self.stored is None or self.stored.reference is not None
 
     @cached_property
-    def programs(self) -> list[Static]:
-        """The program of each part."""
+    def statics(self) -> list[Static]:
+        """What is fixed when each part is compiled."""
         variants = (Variants(self.study, ids) for ids in self.variant_ids)
         return [_program(self.study, part, self.curves) for part in variants]
 
@@ -158,7 +158,7 @@ class Scenario:
             environment, drawn, q = record_environment(study, columns, span, criteria, self.stored)
             normal = None
         params = _run_params(study, columns, site, ug)
-        return Part(Group(self.programs[number], environment, drawn, q, params, normal), ids)
+        return Part(Group(self.statics[number], environment, drawn, q, params, normal), ids)
 
 
 def parts(
@@ -178,7 +178,7 @@ def simulated_record(study: Study | str | Path, draw_id: int = 0, variant_id: in
         variant_id: variant of Earth, motion and sensors, if these are swept.
 
     Raises:
-        InputError: the study has no such variant, or reads a record itself.
+        InputError: the study has no such variant or draw, or reads a record itself.
 
     Examples:
         >>> record = sinsjax.simulated_record("paper1_resets")
@@ -189,6 +189,8 @@ def simulated_record(study: Study | str | Path, draw_id: int = 0, variant_id: in
     study = load_study(study)
     if study.is_recorded or not 0 <= variant_id < study.n_variants:
         raise InputError(f"{study.name}: has no simulated variant {variant_id}")
+    if draw_id < 0:
+        raise InputError(f"{study.name}: has no draw {draw_id}")
     scenario = Scenario(study, curves=False)
     number = next(i for i, ids in enumerate(scenario.variant_ids) if variant_id in ids)
     part = scenario.part(number, range(draw_id, draw_id + 1))
@@ -201,14 +203,14 @@ def simulated_record(study: Study | str | Path, draw_id: int = 0, variant_id: in
         model = model._replace(increments=whole[:, :6], axes=whole[:, 6:])
         environment = environment._replace(sensors=model)
     draws = jax.tree.map(lambda a: a if np.ndim(a) else np.full(1, a), part.group.draws)
-    derived_site = draw_site(environment.site, _with_derived_inputs(static, environment, draws))
+    derived_site = select_site(environment.site, _with_derived_inputs(static, environment, draws))
     site = jax.tree.map(lambda a: np.ravel(a)[0], derived_site)
 
     @jax.jit
     def measure(environment: Environment, draws: Draw, numbers: Array) -> Increments:
         draws = _with_derived_inputs(static, environment, draws)
-        sensors = draw_sensors(static, environment, draws)
-        return sensors.measurer(numbers)(sensors.initial_state(), jnp.arange(samples))[0]
+        sensors = build_sensors(static, environment, draws)
+        return sensors.make_sampler(numbers)(sensors.initial_state(), jnp.arange(samples))[0]
 
     out = measure(environment, draws, np.arange(samples))
     return Record(

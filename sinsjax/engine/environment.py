@@ -98,7 +98,7 @@ def build_method(static: Static) -> Method:
     return METHODS[static.method](static.options)
 
 
-def coarse_program(static: Static) -> Static:
+def coarse_static(static: Static) -> Static:
     """Return the program of the coarse stage, which lies within one pass."""
     assert static.coarse is not None
     options = Options(static.options.dt)
@@ -255,7 +255,7 @@ class RunParams(NamedTuple):
     euler: Flag | None = None
 
 
-class DrawnNormally(NamedTuple):
+class NormalDistributions(NamedTuple):
     """Means and standard deviations of drawn numbers that are all normal.
 
     Attributes:
@@ -314,17 +314,17 @@ def has_quantisation(model: SensorModel, draw: Draw) -> bool:
     return sensor_errors(model, draw).gyro_quantum is not None
 
 
-def draw_disturbances(model: SensorModel, draw: Draw) -> Disturbances:
+def select_disturbances(model: SensorModel, draw: Draw) -> Disturbances:
     """Return the random processes that disturb a draw."""
     return model.disturbances if draw.disturbances is None else draw.disturbances
 
 
-def draw_site(site: Site, draw: Draw) -> Site:
+def select_site(site: Site, draw: Draw) -> Site:
     """Return Earth and place of a draw."""
     return site if draw.derived.site is None else draw.derived.site
 
 
-def draw_biases(biases: MeanBiases, draw: Draw) -> MeanBiases:
+def select_biases(biases: MeanBiases, draw: Draw) -> MeanBiases:
     """Return the mean sensor biases of a draw."""
     return biases if draw.derived.biases is None else draw.derived.biases
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from sinsjax.engine.environment import Draw, DrawnNormally, RunParams, Static
+from sinsjax.engine.environment import Draw, NormalDistributions, RunParams, Static
 
 LANES = 64
 """Runs per tile. Results are bit-equal for any chunk and device count only at one lane count."""
@@ -30,7 +30,7 @@ class Group(NamedTuple):
         q: (draws, 4) attitude of each draw before the misalignment.
         variants: `RunParams` with leaves (variants, ...); its ``q`` is ignored.
         drawn: distributions of the drawn numbers if all are normal; else None.
-        run: (static, environment, one of `Tiles`, shown) -> results of a tile, hashable; None for
+        run: (static, environment, `Tiles`, curve_lanes) -> results of a tile, hashable; None for
             `run.run_tile`.
     """
 
@@ -39,7 +39,7 @@ class Group(NamedTuple):
     draws: Draw
     q: np.ndarray
     variants: RunParams
-    drawn: DrawnNormally | None = None
+    drawn: NormalDistributions | None = None
     run: Any = None
 
     @property

@@ -13,7 +13,7 @@ from sinsjax.maths.algebra import dot, solve3
 from sinsjax.maths.rotations import misalignment, to_euler
 from sinsjax.methods.base import AttitudeCovariance
 from sinsjax.methods.floors import BiasFloor
-from sinsjax.methods.schedules import mix
+from sinsjax.methods.schedules import interpolate
 from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
 
 
@@ -27,7 +27,7 @@ class Observation(NamedTuple):
     yaw: Scalar
 
 
-FIELDS = 9
+OBSERVATION_FIELDS = 9
 """Numbers of an `Observation`."""
 
 
@@ -129,7 +129,7 @@ def observe(q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance) -> Observ
     return Observation(misalignment(q_true, q_hat), sigma, *to_euler(q_hat))
 
 
-def as_row(now: Observation) -> Array:
+def pack_observation(now: Observation) -> Array:
     """Return an observation as one array (fields, ...), to be stacked record by record.
 
     XLA:CPU would copy several stacked arrays whole at every record.
@@ -137,9 +137,9 @@ def as_row(now: Observation) -> Array:
     return jnp.stack(jax.tree.leaves(now))
 
 
-def from_rows(rows: Array) -> Observation:
+def unpack_observations(rows: Array) -> Observation:
     """Return observations with leaves (records, ...) from rows (records, fields, ...)."""
-    e, n, u, *sigma, pitch, roll, yaw = (rows[:, i] for i in range(FIELDS))
+    e, n, u, *sigma, pitch, roll, yaw = (rows[:, i] for i in range(OBSERVATION_FIELDS))
     return Observation(Vec3(e, n, u), Vec3(*sigma), pitch, roll, yaw)
 
 
@@ -176,7 +176,7 @@ def accumulate(
     judged = jnp.stack([after, after, known & (time > criteria.steady_after)])
     above = variance > jnp.stack([now.phi.z, error, now.phi.z]) ** 2
     return Metrics(
-        outside_until=mix(
+        outside_until=interpolate(
             jnp.stack([outside(criteria, error), outside(criteria, now.phi.z)]),
             time,
             metrics.outside_until,
@@ -193,7 +193,7 @@ def accumulate(
     )
 
 
-def report(
+def store_reported_times(
     metrics: Metrics, criteria: Criteria, covariance: AttitudeCovariance, n: Scalar
 ) -> Metrics:
     """Store the latest observation if its time is one of those reported.
@@ -228,6 +228,7 @@ def outside(criteria: Criteria, error: Scalar) -> Array:
 
 
 def _add_to_window(window: Window, now: Observation, inside: Flag) -> Window:
+    """Return the window with an observation added, if it is inside."""
     opening = inside & (window.count == 0)
     values = jnp.stack([*now.phi, now.pitch, now.roll, now.yaw])
     first = jnp.where(opening, values, window.first)

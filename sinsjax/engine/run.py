@@ -5,8 +5,9 @@ compensated, the method steps sample by sample, and its loop is closed whenever 
 is due; at the record time the corrected attitude is compared with the truth. After the last record
 interval the run has its outcome.
 
-`run_tile` is the only driver: a run alone is a tile of one lane. The functions at the end are those
-of one run; `TileRuns` maps them over the lanes of a tile, whose samples are made once per draw.
+`run_tile` drives ordinary runs, and a run alone is a tile of one lane; covariance analysis drives
+`TileRuns` itself. The functions at the end are those of one run; `TileRuns` maps them over the
+lanes of a tile, whose samples are made once per draw.
 """
 
 from collections.abc import Callable
@@ -24,12 +25,12 @@ from sinsjax.engine.environment import (
     RunParams,
     Static,
     build_method,
-    coarse_program,
+    coarse_static,
     computed_attitudes,
     derive_inputs,
-    draw_biases,
-    draw_site,
     initial_true_attitude,
+    select_biases,
+    select_site,
     stored_attitude,
 )
 from sinsjax.engine.lanes import Tiles
@@ -38,14 +39,14 @@ from sinsjax.engine.samples import (
     DrawSensors,
     SensorState,
     block_size,
-    draw_axes,
-    draw_sensors,
+    build_sensors,
+    leaf_axes,
     sample_blocks,
 )
 from sinsjax.engine.stepping import Blocks, Steps, advance_interval
 from sinsjax.maths import rotations
 from sinsjax.methods import passes
-from sinsjax.methods.base import Method, RunEnd, Site
+from sinsjax.methods.base import ErrorModel, Method, RunEnd, Site
 from sinsjax.methods.floors import BiasFloor
 from sinsjax.methods.passes import BodyRotation, PassReading
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
@@ -62,7 +63,7 @@ def run_tile(
     static: Static,
     environment: Environment,
     tile: Tiles,
-    shown: int | None = None,
+    curve_lanes: int | None = None,
     *,
     by_event: bool = True,
 ) -> tuple[Outcome, Observation | None]:
@@ -72,22 +73,22 @@ def run_tile(
         static: program.
         environment: shared by all runs.
         tile: its draws and params.
-        shown: lanes whose observations are returned, the first ones; None for all.
+        curve_lanes: lanes whose observations are returned, the first ones; None for all.
         by_event: see `advance_interval`; False to differentiate in reverse mode.
 
     Returns:
         Outcomes with leaves (lanes, ...), and if ``static.curves`` observations (records, lanes).
     """
-    runs = set_up(static, environment, tile)._replace(shown=shown, by_event=by_event)
+    runs = set_up(static, environment, tile)._replace(curve_lanes=curve_lanes, by_event=by_event)
     start = runs.start(), runs.sensors.initial_state()
     if static.coarse is None:
-        (run, _), rows = jax.lax.scan(partial(over_record, runs), start, runs.records())
+        (run, _), rows = jax.lax.scan(partial(advance_record, runs), start, runs.records())
     else:
         run, rows = _coarse_then_fine(runs, start)
-    return runs.finish(run), None if rows is None else metrics.from_rows(rows)
+    return runs.finish(run), None if rows is None else metrics.unpack_observations(rows)
 
 
-def over_record(
+def advance_record(
     runs: "TileRuns", carry: tuple[Run, SensorState], record: tuple[Count, Quat | None]
 ) -> tuple[tuple[Run, SensorState], Array | None]:
     """Advance all runs of a tile by one record interval.
@@ -127,17 +128,21 @@ def _coarse_then_fine(runs: "TileRuns", start: tuple[Run, SensorState]) -> tuple
         jax.tree.map(lambda a, part=part: a[part], records)
         for part in (slice(None, count), slice(count, None))
     )
-    coarse_runs = runs.with_program(coarse_program(runs.static))
+    coarse_runs = runs.with_program(coarse_static(runs.static))
     coarse_start = coarse_runs.start(), start[1]
-    (run, sensor_state), rows = jax.lax.scan(partial(over_record, coarse_runs), coarse_start, first)
+    (run, sensor_state), rows = jax.lax.scan(
+        partial(advance_record, coarse_runs), coarse_start, first
+    )
     run = run._replace(state=runs.state_after_coarse(run.state, sensor_state.rotation))
     if not coarse.replays:
-        (run, _), fine_rows = jax.lax.scan(partial(over_record, runs), (run, sensor_state), later)
+        (run, _), fine_rows = jax.lax.scan(
+            partial(advance_record, runs), (run, sensor_state), later
+        )
         return run, None if rows is None else jnp.concatenate([rows, fine_rows])
 
     def replay(carry: Any, record: Any) -> Any:
         """A record interval whose observation counts only after the coarse stage."""
-        (run, sensor_state), row = over_record(runs, carry, record)
+        (run, sensor_state), row = advance_record(runs, carry, record)
         counted = passes.where(record[0] >= count, run.metrics, carry[0].metrics)
         return (run._replace(metrics=counted), sensor_state), row
 
@@ -159,7 +164,7 @@ class TileRuns(NamedTuple):
         floor: bias floor of each run, leaves (lanes,).
         sensors: of the draws.
         record: kept increments of the draws, leaves (samples, draws); None to measure.
-        shown: lanes whose observations are kept, the first ones; None for all.
+        curve_lanes: lanes whose observations are kept, the first ones; None for all.
         by_event: see `advance_interval`.
     """
 
@@ -173,7 +178,7 @@ class TileRuns(NamedTuple):
     floor: BiasFloor
     sensors: DrawSensors
     record: Increments | None = None
-    shown: int | None = None
+    curve_lanes: int | None = None
     by_event: bool = True
 
     @property
@@ -185,6 +190,16 @@ class TileRuns(NamedTuple):
     def site_axis(self) -> int | None:
         """Axis of the site; None if all runs share it."""
         return None if self.draws.derived.site is None else self.draw_axis
+
+    @property
+    def error_model(self) -> ErrorModel:
+        """Linear model of the true error of the method, which must have one."""
+        assert self.method.error_model is not None
+        return self.method.error_model
+
+    def count_error_states(self, state: Any) -> int:
+        """Return the number of states of the error model, given states of the runs."""
+        return len(jax.eval_shape(jax.vmap(self.error_model.angles), state)[0])
 
     def with_program(self, static: Static) -> "TileRuns":
         """Return the same runs with another method and way of reading the record."""
@@ -200,7 +215,7 @@ class TileRuns(NamedTuple):
             truth, count = self.environment.truth, self.static.records
             q_true = jax.vmap(
                 lambda draw: computed_attitudes(truth, draw, count),
-                in_axes=(draw_axes(self.draws),),
+                in_axes=(leaf_axes(self.draws),),
                 out_axes=1,
             )(self.draws)
         return jnp.arange(self.static.records), q_true
@@ -228,7 +243,9 @@ class TileRuns(NamedTuple):
         if reading.opens_pass is None or self.method.passes is None:  # such a method has one pass
             return state, sensor_state
         if reading.backward is not None:
-            turn = jax.vmap(partial(turn_state, self.method), in_axes=(0, self.site_axis, 0, None))
+            turn = jax.vmap(
+                partial(reverse_state, self.method), in_axes=(0, self.site_axis, 0, None)
+            )
             turned = turn(self.params, self.site, state, reading.backward)
             return passes.where(reading.opens_pass, turned, state), sensor_state
         record_s = self.static.record_every * self.static.options.dt
@@ -245,7 +262,7 @@ class TileRuns(NamedTuple):
     def state_after_coarse(self, coarse_state: Any, rotation: BodyRotation | None) -> Any:
         """Return the state of the method after the coarse stage."""
         assert self.static.coarse is not None
-        attitude = build_method(coarse_program(self.static)).attitude
+        attitude = build_method(coarse_static(self.static)).attitude
         after_coarse = jax.vmap(
             partial(
                 start_after_coarse,
@@ -276,7 +293,9 @@ class TileRuns(NamedTuple):
             return Steps(take, lambda state, place: state)
         close = jax.vmap(method.feedback.close, in_axes=(0, 0, None))
         next_event = jax.vmap(method.feedback.next_event, in_axes=(0, 0, None))
-        called = method.feedback.called and jax.vmap(method.feedback.called, in_axes=(0, None))
+        triggered = method.feedback.triggered and jax.vmap(
+            method.feedback.triggered, in_axes=(0, None)
+        )
 
         def first_event(state: Any, place: Count) -> Scalar | None:
             events = next_event(params, state, n(place))
@@ -284,15 +303,15 @@ class TileRuns(NamedTuple):
                 return None
             return jnp.min(events) - done.astype(self.environment.dtype)
 
-        def any_called(state: Any, place: Count) -> Flag:
-            assert called is not None
-            return jnp.any(called(state, n(place)))
+        def any_triggered(state: Any, place: Count) -> Flag:
+            assert triggered is not None
+            return jnp.any(triggered(state, n(place)))
 
         return Steps(
             take,
             lambda state, place: close(params, state, n(place)),
             first_event,
-            any_called if called else None,
+            any_triggered if triggered else None,
         )
 
     def blocks(self, reading: PassReading) -> Blocks:
@@ -316,7 +335,7 @@ class TileRuns(NamedTuple):
         """Return the latest observations as (fields, lanes) if the program keeps curves."""
         if not self.static.curves:
             return None
-        return metrics.as_row(run.metrics.last)[:, : self.shown]
+        return metrics.pack_observation(run.metrics.last)[:, : self.curve_lanes]
 
     def finish(self, run: Run) -> Outcome:
         """Return the outcomes of the runs after their last record interval."""
@@ -331,24 +350,27 @@ class TileRuns(NamedTuple):
 def set_up(static: Static, environment: Environment, tile: Tiles) -> TileRuns:
     """Return the runs of a tile with all that follows from environment, draws and params."""
     draws, method = tile.draws, build_method(static)
-    derived = jax.vmap(partial(derive_inputs, static, environment), in_axes=(draw_axes(draws),))(
+    derived = jax.vmap(partial(derive_inputs, static, environment), in_axes=(leaf_axes(draws),))(
         draws
     )
     draws = draws._replace(derived=derived)
     to_runs = partial(broadcast_to_runs, tile.row)
     axis = _draw_axis(draws)
-    q_true = to_runs(jax.vmap(initial_true_attitude, in_axes=(draw_axes(draws),))(draws))
+    q_true = to_runs(jax.vmap(initial_true_attitude, in_axes=(leaf_axes(draws),))(draws))
     params = jax.vmap(with_initial_errors, in_axes=(0, axis, axis))(
         tile.params, to_runs(draws.initial), q_true
     )
     of_runs = draws._replace(derived=to_runs(derived))
-    site, biases = draw_site(environment.site, of_runs), draw_biases(environment.biases, of_runs)
+    site, biases = (
+        select_site(environment.site, of_runs),
+        select_biases(environment.biases, of_runs),
+    )
     end = end_of_run(static, environment.pass_records)
     floor = jax.vmap(
         lambda params, site, biases: method.floor(params.method, site.place, biases, end),
         in_axes=(0, *(None if a is None else axis for a in (derived.site, derived.biases))),
     )(params, site, biases)
-    sensors = draw_sensors(static, environment, draws)
+    sensors = build_sensors(static, environment, draws)
     record = None
     if static.sensors.kept:
         record = sensors.make_record(block_size(static.record_every, draws))
@@ -468,10 +490,10 @@ def start_after_coarse(
     return method.init(params.method, initial_solution(site, q, zero, zero))
 
 
-def turn_state(method: Method, params: RunParams, site: Site, state: Any, backward: Flag) -> Any:
+def reverse_state(method: Method, params: RunParams, site: Site, state: Any, backward: Flag) -> Any:
     """Return the state of a method after a direction reversal that opens a pass."""
     assert method.passes is not None
-    return method.passes.turn(params.method, passes.site_of_pass(site, ~backward), state)
+    return method.passes.reverse(params.method, passes.site_of_pass(site, ~backward), state)
 
 
 def rewind_state(
@@ -516,7 +538,7 @@ def observe_run(
     attitude, covariance = method.attitude(state), method.covariance(state)
     now = metrics.observe(q_true, attitude, covariance)
     so_far = metrics.accumulate(run.metrics, criteria, now, floor=floor, time=n * dt)
-    return Run(state, metrics.report(so_far, criteria, covariance, n))
+    return Run(state, metrics.store_reported_times(so_far, criteria, covariance, n))
 
 
 def finish_run(method: Method, site: Site, run: Run, floor: BiasFloor) -> Outcome:

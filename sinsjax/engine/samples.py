@@ -20,9 +20,9 @@ from sinsjax.engine.environment import (
     SensorProgram,
     Static,
     build_method,
-    draw_disturbances,
-    draw_site,
     has_quantisation,
+    select_disturbances,
+    select_site,
     sensor_errors,
 )
 from sinsjax.methods import passes
@@ -99,7 +99,7 @@ class DrawSensors(NamedTuple):
         """Return the state before the first sample, leaves (draws,)."""
         return self._map_draws(DrawSensors._initial_state_of_one)
 
-    def measurer(self, samples: Array) -> Callable[[SensorState, Array], Any]:
+    def make_sampler(self, samples: Array) -> Callable[[SensorState, Array], Any]:
         """Return the function that measures some of the given samples for all draws.
 
         Args:
@@ -113,7 +113,7 @@ class DrawSensors(NamedTuple):
         exact_axis = None if self.draws.derived.nodes is None else 0
         step = jax.vmap(
             lambda draw, *inputs: self._replace(draws=draw).next_sample(*inputs),
-            in_axes=(draw_axes(self.draws), 0, None, 0, exact_axis, 0),
+            in_axes=(leaf_axes(self.draws), 0, None, 0, exact_axis, 0),
         )
 
         def measure(state: SensorState, places: Array) -> tuple[Increments, SensorState]:
@@ -126,7 +126,7 @@ class DrawSensors(NamedTuple):
                 self.normal_numbers(numbers),
                 exact,
                 disturbances.driving_noise(
-                    draw_disturbances(self.model, self.draws),
+                    select_disturbances(self.model, self.draws),
                     self.model.seed,
                     self.draws.draw_id,
                     numbers,
@@ -145,7 +145,7 @@ class DrawSensors(NamedTuple):
     def make_record(self, block: int) -> Increments:
         """Return the kept records of all draws, made block by block, leaves (samples, draws)."""
         kept = self.program.kept
-        measure = self.measurer(jnp.arange(kept))
+        measure = self.make_sampler(jnp.arange(kept))
 
         def over_block(state: SensorState, number: Count) -> tuple[SensorState, Array]:
             now, state = measure(state, number * block + jnp.arange(block))
@@ -188,10 +188,10 @@ class DrawSensors(NamedTuple):
         errors, dt = sensor_errors(self.model, self.draws), self.dt
         exact = self._ideal_sample(n) if exact is None else exact
         processes, disturbed = disturbances.advance_processes(
-            draw_disturbances(self.model, self.draws), state.processes, driving, dt
+            select_disturbances(self.model, self.draws), state.processes, driving, dt
         )
         moved = disturbances.disturb_motion(
-            exact, disturbed, draw_site(self.site, self.draws).place, dt
+            exact, disturbed, select_site(self.site, self.draws).place, dt
         )
         now = sensors.measure_increments(
             moved, errors, normal, dt, distorted=self.program.distorted
@@ -206,7 +206,7 @@ class DrawSensors(NamedTuple):
         zero = jnp.zeros((), self.dtype)
         zeros = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
         processes = disturbances.initial_states(
-            draw_disturbances(self.model, self.draws), self.model.seed, self.draws.draw_id
+            select_disturbances(self.model, self.draws), self.model.seed, self.draws.draw_id
         )
         remainder = zeros if has_quantisation(self.model, self.draws) else None
         return SensorState(zeros, processes, remainder, self.rotation)
@@ -226,7 +226,7 @@ class DrawSensors(NamedTuple):
                 stored, base_motion.Axes(*(Vec3(*row[3 * i :][:3]) for i in range(3)))
             )
         assert draw.derived.nodes is not None
-        here = draw_site(self.site, draw).place
+        here = select_site(self.site, draw).place
         k = jnp.asarray(n, self.dtype)
         return base_motion.ideal_sample(draw.motion, draw.derived.nodes, here, 1 / self.dt, k)
 
@@ -239,7 +239,7 @@ class DrawSensors(NamedTuple):
 
     def _map_draws(self, function: Callable[["DrawSensors"], Any]) -> Any:
         return jax.vmap(
-            lambda draw: function(self._replace(draws=draw)), in_axes=(draw_axes(self.draws),)
+            lambda draw: function(self._replace(draws=draw)), in_axes=(leaf_axes(self.draws),)
         )(self.draws)
 
     def _integrate_shared_motion(self, numbers: Array) -> IdealSample | None:
@@ -272,7 +272,7 @@ class DrawSensors(NamedTuple):
 
         row = jax.vmap(
             lambda draw, n: self._replace(draws=draw)._ideal_sample(n),
-            in_axes=(draw_axes(self.draws), 0),
+            in_axes=(leaf_axes(self.draws), 0),
         )(jax.tree.map(tile, self.draws), jnp.repeat(numbers, shape[1]))
         return jax.tree.map(lambda a: a.reshape(shape), row)
 
@@ -289,7 +289,7 @@ class DrawSensors(NamedTuple):
             state: before the block.
             inputs: of its samples.
         """
-        disturbed = jax.tree.leaves(draw_disturbances(self.model, self.draws))
+        disturbed = jax.tree.leaves(select_disturbances(self.model, self.draws))
         if not disturbed and not has_quantisation(self.model, self.draws):
             return jax.vmap(lambda *sample: step(state, *sample)[1])(*inputs), state
         if inputs.numbers.size == 1:  # of many draws, which fill the vectors by themselves
@@ -304,7 +304,7 @@ class DrawSensors(NamedTuple):
         return _increments_from_rows(rows), state
 
 
-def draw_sensors(static: Static, environment: Environment, draws: Draw) -> DrawSensors:
+def build_sensors(static: Static, environment: Environment, draws: Draw) -> DrawSensors:
     """Return the sensors of some draws; these have their derived inputs."""
     rotation = None
     if static.rewinds_attitude:
@@ -347,7 +347,7 @@ def sample_blocks(
         (state before a block, its number) -> compensated samples with leaves (samples, draws), and
         the state after it.
     """
-    measure = source.measurer(reading.samples)
+    measure = source.make_sampler(reading.samples)
     compensate = jax.vmap(jax.vmap(partial(passes.compensate, backward=reading.backward)))
 
     def make(state: SensorState, number: Count) -> tuple[Sample, SensorState]:
@@ -377,7 +377,7 @@ def previous_increments(now: Increments, last: Increments) -> tuple[Increments, 
     return shifted, jax.tree.map(lambda a: a[-1], now)
 
 
-def draw_axes(draws: Draw) -> Any:
+def leaf_axes(draws: Draw) -> Any:
     """Return the axis of draws in each leaf, for `jax.vmap`; None for what all share."""
     return jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
 

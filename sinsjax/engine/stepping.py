@@ -24,14 +24,14 @@ class Steps(NamedTuple):
         close: (state, samples taken) -> state after what is due.
         next_event: (state, samples taken) -> their number at the next event. It is None, or
             returns None, if every sample may be an event.
-        called: (state, samples taken) -> whether the last of them is itself an event; None if
+        triggered: (state, samples taken) -> whether the last of them is itself an event; None if
             `next_event` finds all events.
     """
 
     step: Callable[[Any, Count, Any], Any]
     close: Callable[[Any, Count], Any]
     next_event: Callable[[Any, Count], Scalar | None] | None = None
-    called: Callable[[Any, Count], Flag] | None = None
+    triggered: Callable[[Any, Count], Flag] | None = None
 
 
 class Blocks(NamedTuple):
@@ -71,7 +71,7 @@ def with_companion(
         advance: (companion, runs before the sample, place, sample) -> companion after it.
         sample_of: sample -> the part of it that the runs take.
     """
-    next_event, called = steps.next_event, steps.called
+    next_event, triggered = steps.next_event, steps.triggered
 
     def step(state: WithCompanion, place: Count, sample: Any) -> WithCompanion:
         companion = advance(state.companion, state.runs, place, sample)
@@ -81,7 +81,7 @@ def with_companion(
         step,
         lambda state, place: state._replace(runs=steps.close(state.runs, place)),
         next_event and (lambda state, place: next_event(state.runs, place)),
-        called and (lambda state, place: called(state.runs, place)),
+        triggered and (lambda state, place: triggered(state.runs, place)),
     )
 
 
@@ -129,37 +129,38 @@ def sample_by_sample(
 def event_by_event(steps: Steps, state: Any, sensor_state: Any, blocks: Blocks) -> tuple[Any, Any]:
     """Close at events and at the end of the interval; arguments as of `advance_interval`."""
     count, size, make = blocks
-    next_event, called = steps.next_event, steps.called
+    next_event, triggered = steps.next_event, steps.triggered
     assert next_event is not None
     shapes = jax.eval_shape(make, sensor_state, jnp.asarray(0))[0]
     block = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes) if size > 1 else None
 
-    def take_until(
-        place: Count, end: Count, take: Callable[[Count, Any], Any], carry: Any
+    def step_until(
+        place: Count, end: Count, step: Callable[[Count, Any], Any], carry: Any
     ) -> tuple[Count, Any, Flag]:
-        """Take samples up to ``end``, or up to the first that is itself an event, and whether."""
-        if called is None:
-            return end, jax.lax.fori_loop(place, end, take, carry), jnp.asarray(False)
+        """Step up to ``end`` or the first sample that is itself an event; also whether one was."""
+        if triggered is None:
+            return end, jax.lax.fori_loop(place, end, step, carry), jnp.asarray(False)
 
         def unfinished(progress: tuple[Count, Any, Flag]) -> Flag:
             place, _, stopped = progress
             return (place < end) & ~stopped
 
-        def take_next(progress: tuple[Count, Any, Flag]) -> tuple[Count, Any, Flag]:
+        def step_next(progress: tuple[Count, Any, Flag]) -> tuple[Count, Any, Flag]:
             place, carry, _ = progress
-            carry = take(place, carry)
-            return place + 1, carry, called(carry[0], place + 1)
+            carry = step(place, carry)
+            return place + 1, carry, triggered(carry[0], place + 1)
 
-        return jax.lax.while_loop(unfinished, take_next, (place, carry, jnp.asarray(False)))
+        return jax.lax.while_loop(unfinished, step_next, (place, carry, jnp.asarray(False)))
 
-    def take_made(place: Count, carry: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Make one sample and take it."""
+    def make_and_step(place: Count, carry: tuple[Any, Any]) -> tuple[Any, Any]:
+        """Make one sample and step over it."""
         state, sensor_state = carry
         samples, sensor_state = make(sensor_state, place)
         sample = jax.tree.map(lambda a: a[0], samples)
         return steps.step(state, place, sample), sensor_state
 
     def over_block(stop: Count, progress: tuple) -> tuple:
+        """Step up to an event or the end of a block, whose samples are made when it begins."""
         place, (state, sensor_state), block, _ = progress
         number = place // size
         # An event may cut a block in two: its second part takes the samples already made.
@@ -169,17 +170,18 @@ def event_by_event(steps: Steps, state: Any, sensor_state: Any, blocks: Blocks) 
         )
         end = jnp.minimum(stop, (number + 1) * size)
 
-        def take(place: Count, carry: tuple[Any]) -> tuple[Any]:
+        def step_made(place: Count, carry: tuple[Any]) -> tuple[Any]:
             at = place - number * size
             sample = jax.tree.map(
                 lambda a: jax.lax.dynamic_index_in_dim(a, at, keepdims=False), block
             )
             return (steps.step(carry[0], place, sample),)
 
-        place, (state,), stopped = take_until(place, end, take, (state,))
+        place, (state,), stopped = step_until(place, end, step_made, (state,))
         return place, (state, sensor_state), block, stopped
 
     def to_next_event(progress: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
+        """Step up to the next event and close the loop there."""
         place, carry, block = progress
         # Compared as a float, since it is infinite when nothing is due any more.
         stop = jnp.minimum(next_event(carry[0], place), count).astype(place.dtype)
@@ -190,7 +192,7 @@ def event_by_event(steps: Steps, state: Any, sensor_state: Any, blocks: Blocks) 
                 (place, carry, block, jnp.asarray(False)),
             )
         else:
-            place, carry, _ = take_until(place, stop, take_made, carry)
+            place, carry, _ = step_until(place, stop, make_and_step, carry)
         state, sensor_state = carry
         return place, (steps.close(state, place), sensor_state), block
 

@@ -69,6 +69,7 @@ class SuccessEvaluator:
     def _status(
         self, outcome: Outcome, has_floor: NDArray, no_north: NDArray, ok: NDArray
     ) -> pa.Array:
+        """Return why each run is ok or not; of several reasons the first one listed counts."""
         last = outcome.last
         broken = ~np.isfinite(np.stack([last.pitch, last.roll, last.yaw])).all(axis=0)
         if not self._has_truth:

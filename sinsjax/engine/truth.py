@@ -10,9 +10,9 @@ import numpy as np
 from sinsjax import units
 from sinsjax.engine.environment import (
     Draw,
-    DrawnNormally,
     Environment,
     InitialErrors,
+    NormalDistributions,
     SensorModel,
     Truth,
     aligned_record,
@@ -111,7 +111,7 @@ def simulate_environment(
     errors, motion, disturbances = _base_and_sensors(variants, ug)
     times = np.concatenate([[0.0], study.stored_times(span)])
     increments, axes = None, None
-    draws_motion = draws_keys_of(study, EarthSection, MotionSection)
+    draws_motion = draws_any_key(study, EarthSection, MotionSection)
     if draws_motion:
         # Each draw makes its own as it proceeds.
         increments, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
@@ -153,7 +153,7 @@ def simulate_environment(
     )
 
 
-def draws_keys_of(study: Study, *sections: type[Section]) -> bool:
+def draws_any_key(study: Study, *sections: type[Section]) -> bool:
     """Return whether a study draws a key of some sections."""
     return any(key in section.model_fields for key in study.drawn_keys for section in sections)
 
@@ -173,18 +173,18 @@ def _drawn_fields(
         lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, nominal
     )
     fields: dict[str, Any] = {"initial": _initial_errors(values)}
-    if draws_keys_of(study, SensorsSection):
+    if draws_any_key(study, SensorsSection):
         fields["errors"] = errors
-    if draws_keys_of(study, MotionSection, EarthSection):
+    if draws_any_key(study, MotionSection, EarthSection):
         fields["motion"] = motion
-    if draws_keys_of(study, EarthSection):
+    if draws_any_key(study, EarthSection):
         fields["latitude"] = values["latitude_deg"] * DEG
     if any(key in study.drawn_keys for key in DISTURBANCE_KEYS):
         fields["disturbances"] = disturbances
     return fields
 
 
-def normal_distributions(study: Study, ids: np.ndarray, ug: float) -> DrawnNormally | None:
+def normal_distributions(study: Study, ids: np.ndarray, ug: float) -> NormalDistributions | None:
     """Return means and standard deviations of the drawn numbers if all are normal, else None.
 
     Args:
@@ -210,7 +210,7 @@ def normal_distributions(study: Study, ids: np.ndarray, ug: float) -> DrawnNorma
         np.reshape(np.broadcast_to(a, (1, 3)), 3) for a in (errors.gyro_bias, errors.accel_bias)
     ]
     mean = errors._replace(gyro_bias=biases[0], accel_bias=biases[1])
-    return DrawnNormally(
+    return NormalDistributions(
         initial,
         mean if gyro or accel else None,
         np.array([a or 0.0 for a in (*sigma.phi, *sigma[1:])]),

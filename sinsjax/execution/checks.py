@@ -62,7 +62,7 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
     if not plugins:
         return
     scenario = Scenario(study, stored, curves=False)
-    for number, static in enumerate(scenario.programs):
+    for number, static in enumerate(scenario.statics):
         if static.method not in plugins:
             continue
         group = scenario.part(number, range(1), blank=stored is None).group

@@ -215,7 +215,7 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
         Its entries, as JSON values.
 
     Raises:
-        InputError: there is no manifest, it has changed since it was written (`Damaged`), or
+        InputError: there is no manifest, it has changed since it was written (`DamagedError`), or
             another version wrote it (`OtherVersionError`).
 
     Examples:

@@ -18,7 +18,7 @@ from sinsjax.covariance.analysis import (
     SAMPLES_PER_BLOCK,
     ErrorCovariance,
     analysis_group,
-    analysis_program,
+    analysis_static,
 )
 from sinsjax.engine import batch
 from sinsjax.engine.batch import Calls, Chunk, Plan
@@ -74,7 +74,7 @@ class EstimateOutput:
 
     def adapt_program(self, static: Static) -> Static:
         """Return the program of a part."""
-        return analysis_program(static)
+        return analysis_static(static)
 
     def adapt_group(self, group: Group) -> Group:
         """Return the runs of a part for the engine."""
@@ -226,7 +226,7 @@ def estimated_curves(study: Study | str | Path) -> pa.Table:
     for number, ids in enumerate(scenario.variant_ids):
         group = analysis_group(scenario.part(number, range(1)).group, _CURVE_SAMPLES)
         tables += [
-            _make_curve_table(study, chunk, ids[chunk.variant]) for chunk in batch.chunks(group)
+            _make_curve_table(study, chunk, ids[chunk.variant]) for chunk in batch.run_chunks(group)
         ]
     order = [("variant_id", "ascending"), ("time_s", "ascending")]
     return pa.concat_tables(tables).sort_by(order)

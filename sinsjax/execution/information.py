@@ -74,7 +74,8 @@ def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]
     """Return the bound of 1 sigma of the heading at some times, arcmin."""
     study = scenario.study
     environment = scenario.part(part, range(1), blank=True).group.environment
-    if not np.all(environment.errors.accel_noise):
+    sensors = environment.sensors
+    if not np.all(sensors.errors.accel_noise):
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
     motion = read_motion(Variants(study, scenario.variant_ids[part]).common)
     pitch, roll, yaw = (s._replace(amplitude=0.0 * s.amplitude) for s in motion.angles)
@@ -82,8 +83,8 @@ def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]
     sigma = heading_bound(
         times_s,
         place=environment.site.place,
-        errors=environment.errors,
-        disturbances=environment.disturbances,
+        errors=sensors.errors,
+        disturbances=sensors.disturbances,
         dt=1 / study.rate_hz,
         to_n=np.asarray(mean_attitude(still_motion)),
     )

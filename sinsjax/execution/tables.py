@@ -196,7 +196,7 @@ class TableBuilder:
     def _floor_flags(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
         """Return whether each run has a bias floor, given its last scheduled or triggered reset."""
         method = self._chunk_method(variant)
-        last_event = method.last_called(chunk.outcome.results)
+        last_event = method.last_triggered_sample(chunk.outcome.results)
         if last_event is None and not self._study.drawn_keys:
             return self._has_floor_by_variant[variant]
         last_s = self._last_reset_s[variant]

@@ -166,7 +166,7 @@ class TaskRunner:
         self.scenario = Scenario(job.study, job.stored, curves=job.curves)
         self._output = make_output(self.scenario)
         self.schemas = self._output.schemas
-        self._programs = [self._output.adapt_program(static) for static in self.scenario.programs]
+        self._programs = [self._output.adapt_program(static) for static in self.scenario.statics]
         self._linearity = LinearityCheck(self.scenario) if job.study.checks_linearity else None
         self._tiles_per_call = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity

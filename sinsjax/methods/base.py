@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from sinsjax.maths.algebra import Entries
 from sinsjax.methods.description import StudyView
 from sinsjax.methods.floors import BiasFloor, MeanBiases
+from sinsjax.strapdown import earth
 from sinsjax.strapdown.earth import Earth, Place
 from sinsjax.types import Array, Flag, Navigation, Quat, Sample, Scalar, Vec3
 
@@ -48,6 +49,12 @@ class Options(NamedTuple):
     trigger: str = "none"
     innovations: bool = False
 
+    def place(self, site: Site, nav: Navigation) -> Place:
+        """Return the Earth where a run starts, or at the latitude of its solution."""
+        if self.position == "integrated":
+            return earth.place(site.earth, nav.latitude)
+        return site.place
+
 
 class TriggerCounts(NamedTuple):
     """Resets by a trigger in a run.
@@ -76,7 +83,7 @@ class FilterResults(NamedTuple):
     Attributes:
         trigger_counts: resets by its trigger; None without one.
         innovations: sum of its innovations; None if they are not summed.
-        extra: basis of the columns of this filter alone; None of a filter without.
+        extra: basis of the columns of this filter alone; None if the filter has none.
     """
 
     trigger_counts: TriggerCounts | None
@@ -148,6 +155,12 @@ class ErrorStep(NamedTuple):
         """Return the rotation from b to the axes of the inputs, given the solution's attitude q."""
         return q if self.axes is None else self.axes
 
+    def apply_gains(self, d: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        """Return d after the updates by the sample's measurements."""
+        for gain, m in zip(self.gains, self.measured, strict=True):
+            d = apply_gain(d, gain, m)
+        return d
+
 
 def apply_gain(d: tuple[Scalar, ...], gain: tuple[Scalar, ...], m: int) -> tuple[Scalar, ...]:
     """Return (I - k h) d for the gain k of a measurement of state m."""
@@ -183,11 +196,10 @@ class Relaxation(NamedTuple):
     Attributes:
         changes: effect of each key on the params; a key without one has no gradient.
         follows: keys whose value another key takes if that is left out.
-        times: the key of times that are smoothed; None of a method without.
+        times: the key of times that are smoothed; None if the method has none.
         moves: the keys of ``changes`` that move resets, too.
         smooth_resets: (params, times in samples or None, half width in samples) -> params with each
-            reset spread over a smooth window, at these times if given; None of a method without
-            resets.
+            reset spread over a smooth window, at these times if given; None if the method has none.
         find_unsupported: (study, whether resets are smoothed) -> first key without a gradient, as
             ``[section] key``; None if there is none.
     """
@@ -208,31 +220,31 @@ class Feedback(NamedTuple):
             sample. If nothing is due, the state is unchanged to the bit.
         next_event: (params, state, n) -> number of the first sample after the n-th at which
             anything is due; None if that is known only as the run proceeds.
-        called: (state, n) -> whether the n-th sample itself called for the loop to be closed,
-            which `next_event` could not foresee; None of a method without such calls.
+        triggered: (state, n) -> whether the n-th sample itself called for the loop to be closed,
+            which `next_event` could not foresee; None if the method has none.
     """
 
     close: Callable[[Any, Any, Scalar], Any]
     next_event: Callable[[Any, Any, Scalar], Scalar | None]
-    called: Callable[[Any, Scalar], Flag] | None = None
+    triggered: Callable[[Any, Scalar], Flag] | None = None
 
 
 class Passes(NamedTuple):
     """Repeated passes over a stored record.
 
     Attributes:
-        turn: (params, site, state) -> state after a direction reversal; the site is that of the
+        reverse: (params, site, state) -> state after a direction reversal; the site is that of the
             pass that ends.
         rewind: (params, navigation, state) -> state that starts the record again, from its first
-            solution, propagated back from the state at its end; None of a method that reads a
+            solution, propagated back from the state at its end; None if the method reads a
             record once.
-        begin_after: (first state, n) -> the same with sample n + 1 as its first; None of a method
-            whose state does not count samples.
+        begin_after: (first state, n) -> the same with sample n + 1 as its first; None if
+            the state does not count samples.
         gyro_bias: state -> estimated gyro bias in b, rad/s, which is removed from the stored
-            samples as the attitude is propagated back; None of a method that estimates none.
+            samples as the attitude is propagated back; None if the method estimates none.
     """
 
-    turn: Callable[[Any, Site, Any], Any]
+    reverse: Callable[[Any, Site, Any], Any]
     rewind: Callable[[Any, Navigation, Any], Any] | None = None
     begin_after: Callable[[Any, Scalar], Any] | None = None
     gyro_bias: Callable[[Any], Vec3] | None = None
@@ -250,7 +262,6 @@ class ErrorModel(NamedTuple):
     step: Callable[[Any, Site, Any, Sample, Scalar], ErrorStep]
     angles: Callable[[Any], tuple[tuple[Scalar, ...], ...]]
     start: Callable[[Any, StartChange], tuple[Scalar, ...]]
-    per_record: Callable[[Any], tuple[Any, tuple[Scalar, ...]]] | None = None
 
 
 class Method(NamedTuple):
@@ -267,12 +278,12 @@ class Method(NamedTuple):
             place is that of a forward pass. `floors.bias_floor` also of a method that finds no
             heading, whose level part counts.
         results: (site, state) -> basis of the method's own result columns at the end of a run, see
-            `description.OwnColumn`; None of a method without.
+            `description.OwnColumn`; None if the method has none.
         shares_covariance: whether the covariance depends on params and n alone, so that runs that
             differ in their draw can share it.
-        feedback: how the loop is closed; None of a method that closes it within ``step``.
-        passes: how passes over a stored record begin; None of a method that reads it once.
-        error_model: linear model of its true error; None of a method without.
+        feedback: how the loop is closed; None if the method closes it within ``step``.
+        passes: how passes over a stored record begin; None if the method reads it once.
+        error_model: linear model of its true error; None if the method has none.
     """
 
     init: Callable[[Any, Navigation], Any]

@@ -98,8 +98,7 @@ class Implementation(NamedTuple):
         parameters: (columns of a study, ``Site``, a micro-g in m/s^2) -> the method's numbers,
             leaves (variants, ...).
         check: (columns, ``Site``): refuses numbers that cannot be run, by `InputError`.
-        relaxation: ``Relaxation``, dependence of its params on keys; None of a method without
-            gradients.
+        relaxation: ``Relaxation``, dependence of its params on keys; None if the method has none.
     """
 
     build: Callable[[Any], Any]
@@ -124,15 +123,15 @@ class Description:
             a change to it drops them.
         has_covariance: whether it has a covariance P.
         has_floor: whether constant sensor biases leave its heading a bias floor that is known.
-        gyro_bias_keys: pairs of keys, the sigma of gyro bias states and that of heading beside
-            them: such a filter tells gyro biases from heading once the base moves. Empty for a
-            method without these states.
+        gyro_bias_keys: pairs of keys, the sigma of the gyro bias states and the sigma of heading.
+            Such a filter distinguishes gyro biases from heading once the base moves. Empty if the
+            method has no such states.
         has_error_model: whether its `Method` has an error model, so that the covariance of its true
             error can be computed without draws.
         rules: check the rules between its keys.
         columns: its own result columns.
-        last_called: (`Method.results` of runs) -> sample of the last reset that a run itself called
-            for, 0 for none; None where none can.
+        last_triggered_sample: (`Method.results` of runs) -> sample of the last reset by a trigger,
+            0 for none; None where there is no trigger.
         step_s: time of a sample of one run on one core, s, roughly; see `docs/performance.md`.
         estimate_runs: plain runs that one without noise takes as long as, with the covariance of
             its error and 64 sampled errors, roughly.
@@ -152,7 +151,7 @@ class Description:
     has_error_model: bool = False
     rules: tuple[Callable[[CheckedStudy], None], ...] = ()
     columns: tuple[OwnColumn, ...] = ()
-    last_called: Callable[[Any], NDArray | None] = lambda results: None
+    last_triggered_sample: Callable[[Any], NDArray | None] = lambda results: None
     step_s: float = 20e-9
     estimate_runs: float = 3.0
 

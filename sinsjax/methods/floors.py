@@ -66,10 +66,10 @@ def mean_biases(errors: SensorErrors, motion: Motion) -> MeanBiases:
             others count as independent, which is exact but for periods in a small whole ratio.
 
     Returns:
-        Leaves ``(...)``. NumPy's where nothing given is JAX's: that compiles nothing.
+        Leaves ``(...)``. NumPy arrays if no input is a JAX array, so that nothing is compiled.
     """
-    turned = mean_attitude(motion)
-    in_n = [(turned @ b[..., None])[..., 0] for b in (errors.gyro_bias, errors.accel_bias)]
+    mean_c_bn = mean_attitude(motion)
+    in_n = [(mean_c_bn @ b[..., None])[..., 0] for b in (errors.gyro_bias, errors.accel_bias)]
     eps, nabla = (Vec3(b[..., 0], b[..., 1], b[..., 2]) for b in in_n)
     return MeanBiases(eps, nabla, abs(errors.accel_bias).max(-1))
 
@@ -85,37 +85,36 @@ def mean_attitude(motion: Motion) -> Array:
     modes: Any = 1.0
     for phase in range(3):
         swing: Any = 0.0
-        for axis, (sway, own) in enumerate(zip(motion.angles, phase_of, strict=True)):
+        for axis, (sway, phase_number) in enumerate(zip(motion.angles, phase_of, strict=True)):
             angle = sway.amplitude[..., None] * xp.sin(_PHASES + sway.phase[..., None])
-            angle = xp.where((own == phase)[..., None], angle, 0.0)
-            swing = swing + _along(axis)[..., None] * angle[..., None, None, None, :]
+            angle = xp.where((phase_number == phase)[..., None], angle, 0.0)
+            swing = swing + _mode_signs(axis)[..., None] * angle[..., None, None, None, :]
         modes = modes * xp.exp(1j * swing.astype(complex)).mean(-1)
     center: Any = 0.0
     for axis, sway in enumerate(motion.angles):
-        center = center + _along(axis) * sway.center[..., None, None, None]
+        center = center + _mode_signs(axis) * sway.center[..., None, None, None]
     modes = modes * xp.exp(1j * center.astype(complex))
-    to = _FROM_MODES
-    mean = xp.einsum("pa,rb,yc,...abc->...pry", to, to, to, modes).real
+    mean = xp.einsum("pa,rb,yc,...abc->...pry", *[_FROM_MODES] * 3, modes).real
 
-    def of(pitch: int, roll: int, yaw: int) -> Array:
+    def mean_product(pitch: int, roll: int, yaw: int) -> Array:
         return mean[..., pitch, roll, yaw]
 
     rows = [
-        of(_ONE, _COS, _COS) - of(_SIN, _SIN, _SIN),
-        -of(_COS, _ONE, _SIN),
-        of(_ONE, _SIN, _COS) + of(_SIN, _COS, _SIN),
-        of(_ONE, _COS, _SIN) + of(_SIN, _SIN, _COS),
-        of(_COS, _ONE, _COS),
-        of(_ONE, _SIN, _SIN) - of(_SIN, _COS, _COS),
-        -of(_COS, _SIN, _ONE),
-        of(_SIN, _ONE, _ONE),
-        of(_COS, _COS, _ONE),
+        mean_product(_ONE, _COS, _COS) - mean_product(_SIN, _SIN, _SIN),
+        -mean_product(_COS, _ONE, _SIN),
+        mean_product(_ONE, _SIN, _COS) + mean_product(_SIN, _COS, _SIN),
+        mean_product(_ONE, _COS, _SIN) + mean_product(_SIN, _SIN, _COS),
+        mean_product(_COS, _ONE, _COS),
+        mean_product(_ONE, _SIN, _SIN) - mean_product(_SIN, _COS, _COS),
+        -mean_product(_COS, _SIN, _ONE),
+        mean_product(_SIN, _ONE, _ONE),
+        mean_product(_COS, _COS, _ONE),
     ]
     return xp.stack(rows, -1).reshape(*mean.shape[:-3], 3, 3)
 
 
-def _along(axis: int) -> np.ndarray:
-    """The sign with which one of three angles enters each mode, (3, 3, 3) but for ones."""
+def _mode_signs(axis: int) -> np.ndarray:
+    """Return the signs with which one angle enters the modes, broadcast over (3, 3, 3)."""
     shape = [1, 1, 1]
     shape[axis] = 3
     return _SIGNS.reshape(shape)

@@ -129,7 +129,7 @@ def innovation(
     )
 
 
-def normalised(value: Sequence[Scalar], variance: Sequence[Scalar]) -> Scalar:
+def normalised_innovation_squared(value: Sequence[Scalar], variance: Sequence[Scalar]) -> Scalar:
     """Return the normalised innovation squared r' S^-1 r of two measurements; see `Innovation`."""
     (e, n), (ee, en, nn) = value, variance
     return (nn * e * e - 2 * en * e * n + ee * n * n) / (ee * nn - en * en)

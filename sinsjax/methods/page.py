@@ -1,18 +1,18 @@
-"""What methods say of themselves: ``python -m sinsjax.methods.page > docs/methods.md``."""
+"""Render docs/methods.md: ``python -m sinsjax.methods.page > docs/methods.md``."""
 
 from sinsjax.methods.description import Description
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.triggers.config import TRIGGERS
 
 _RESETS_AND_FEEDBACK = (
-    "At a reset all of the estimate is fed back, then P is set anew. What comes of it depends on"
+    "At a reset all of the estimate is fed back, then P is set anew. The effect depends on"
     " how soon after the reset the next feedback is due, which is whatever part of"
-    " `feedback_interval_s` the schedule happens to leave. Two keys of [resets] settle it, for"
+    " `feedback_interval_s` the schedule happens to leave. Two keys of [resets] define it, for"
     " schedules and triggers alike. With `reset_restarts_feedback = true` the next feedback comes"
     " a whole interval after a reset, and the following ones an interval apart from there, over"
     " the ends of passes too. With `reset_at_feedback = true` a reset waits for the next feedback."
-    " Two that wait for the same one are one reset; the columns of the schedule tell its times as"
-    " written. A reset that a trigger called for is counted when it comes, and forgotten if a pass"
+    " Two that wait for the same one are one reset; the columns of the schedule give its times as"
+    " written. A reset by a trigger is counted when it takes place, and forgotten if a pass"
     " ends before. A reset that has waited restarts nothing, so that both keys together do what"
     " the second does alone; with feedback after every sample neither does anything. Neither has"
     " a gradient, as a reset spread over a window has no phase. After coarse alignment that hands"
@@ -63,8 +63,8 @@ def _describe_keys(method: Description) -> list[str]:
         read = ", ".join(f"`{key}`" for key in its_keys if key not in method.silent)
         lines.append(f"- `[{name}]`: {read or 'none'}.")
     if method.columns:
-        told = (f"`{own.column.name}` ({own.column.meaning})" for own in method.columns)
-        lines.append(f"- Own columns: {', '.join(told)}.")
+        columns = (f"`{own.column.name}` ({own.column.meaning})" for own in method.columns)
+        lines.append(f"- Own columns: {', '.join(columns)}.")
     if relaxed:
         keys = {*relaxed.changes, *filter(None, [relaxed.times])}
         with_gradient = sorted(keys.difference(method.silent))

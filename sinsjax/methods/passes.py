@@ -3,7 +3,7 @@
 A backward pass, [P2] section 2.3, is navigation in an environment where time is reversed: the
 samples are read last to first and reversed (`sensors.reverse_sample`), the Earth rotates the other
 way, and velocity has the opposite sign. Method and mechanisation are the same in both directions;
-the method decides what becomes of its state at a direction reversal (`Passes.turn`).
+the method decides what becomes of its state at a direction reversal (`Passes.reverse`).
 
 To read the record forward again, the attitude is propagated back to its beginning, by the rotation
 that the gyros measured and that of the Earth; the method decides what it keeps (`Passes.rewind`).

@@ -161,7 +161,7 @@ def _window_share(windows: Windows, n: Scalar) -> Scalar:
     return 1 - left
 
 
-def mix(share: Array, one: Array | float, other: Array | float) -> Array:
+def interpolate(share: Array, one: Array | float, other: Array | float) -> Array:
     """Return ``one`` if a flag is set, else ``other``; for a share, the weighted mean of both."""
     if jnp.issubdtype(jnp.result_type(share), bool):
         return jnp.where(share, one, other)
@@ -196,7 +196,7 @@ def reset_covariance(
 def reset_if_due(due: Flag | Scalar, covariance_reset: CovarianceReset) -> CovarianceReset:
     """Return the reset if it is due, else the one that leaves P unchanged; or between them."""
     return CovarianceReset(
-        *(mix(due, a, b) for a, b in zip(covariance_reset, UNCHANGED, strict=True))
+        *(interpolate(due, a, b) for a, b in zip(covariance_reset, UNCHANGED, strict=True))
     )
 
 

@@ -50,7 +50,7 @@ class Variants:
         return len(self.ids) == self._study.n_variants and bool(np.all(np.diff(self.ids) == 1))
 
     def coded(self, *keys: str) -> CodedColumn:
-        """Return a column for these variants, see `Resolved.column`."""
+        """Return a column for these variants, see `ResolvedColumns.column`."""
         whole = self._study.resolved.column(*keys)
         return whole if self._are_all else whole._replace(codes=whole.codes[self.ids])
 

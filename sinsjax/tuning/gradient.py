@@ -279,7 +279,7 @@ class Slope:
         self._from_truth, self._rate_hz = success_criteria(study).from_truth, study.rate_hz
         derived = search.derive_study(study, {"base": parameters.point}, name=study.name)
         scenario = Scenario(derived, stored, curves=False)
-        groups = [self._group(scenario, number) for number in range(len(scenario.programs))]
+        groups = [self._group(scenario, number) for number in range(len(scenario.statics))]
         self.n_draws = len(groups[0].draws.draw_id)
         self.draws = min(draws, self.n_draws)
         self._programs = [self._program(group) for group in groups]

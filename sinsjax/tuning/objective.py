@@ -87,7 +87,7 @@ def estimate_values(tune: TuneSection, study: Study) -> NDArray:
     end = study.spans_s[:, 0]
     for number, ids in enumerate(scenario.variant_ids):
         group = analysis_group(scenario.part(number, range(1)).group, SAMPLES)
-        for chunk in batch.chunks(group, devices=2):
+        for chunk in batch.run_chunks(group, devices=2):
             variants = ids[chunk.variant]
             out[variants] = _chunk_values(tune, chunk, reference, band, end[variants])
     return out

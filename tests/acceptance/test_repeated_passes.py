@@ -219,7 +219,7 @@ def test_batched_runs_with_passes_match_single_runs(tables: dict[str, Any]) -> N
     """Tiles of runs, and filters that share P, reverse as a single run does."""
     (part,) = build.parts(study_from_dict(merged({"passes": {"stored_s": 3.0}}, tables)))
     group = part.group
-    pieces = [(c.outcome, c.curves) for c in batch.chunks(group)]
+    pieces = [(c.outcome, c.curves) for c in batch.run_chunks(group)]
     many = jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
     alone = jax.jit(lambda draw, params: run_alone(group.static, group.environment, draw, params))
     for run_id in range(4):
@@ -388,7 +388,9 @@ def test_pass_longer_than_record_is_refused() -> None:
     line = "has 20 s, but 17 s from start_s = 4 need 21 s"
     assert str(caught.value) == f"{record().source}: {line}"
     (part,) = build.parts(study_from_dict(recorded(stored_s=6.0)), StoredRecord(record(), None))
-    assert len(part.group.environment.increments) == 800  # of the 1000 of the record, what is read
+    assert (
+        len(part.group.environment.sensors.increments) == 800
+    )  # of the 1000 of the record, what is read
 
 
 def test_only_needed_part_of_record_is_loaded() -> None:
@@ -397,9 +399,11 @@ def test_only_needed_part_of_record_is_loaded() -> None:
     data["record"] = data["record"] | {"start_s": 4.0}
     (part,) = build.parts(study_from_dict(data), StoredRecord(record(), None))
     np.testing.assert_array_equal(
-        part.group.environment.increments[:, :3], record().dtheta[200:800]
+        part.group.environment.sensors.increments[:, :3], record().dtheta[200:800]
     )
-    np.testing.assert_array_equal(part.group.environment.increments[:, 3:], record().dv[200:800])
+    np.testing.assert_array_equal(
+        part.group.environment.sensors.increments[:, 3:], record().dv[200:800]
+    )
     np.testing.assert_array_equal(part.group.draws.start, [300])
 
 

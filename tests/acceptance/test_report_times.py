@@ -119,7 +119,7 @@ def test_single_run_matches_batch_at_report_times() -> None:
     draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, group.draws)
     params = jax.tree.map(lambda a: a[0], group.variants)._replace(q=Quat(*group.q[0]))
     one, _ = jax.jit(run_alone, static_argnums=0)(group.static, group.environment, draw, params)
-    (chunk,) = batch.chunks(group)
+    (chunk,) = batch.run_chunks(group)
     np.testing.assert_allclose(one.at_times, chunk.outcome.at_times[0], rtol=1e-9)
     assert abs(one.at_times[1, 0] - one.last.phi.z) == 0
 
@@ -129,7 +129,7 @@ def test_equally_many_report_times_share_one_program() -> None:
         (part,) = build.parts(small_study(study={"report_times_s": times}))
         group = part.group
         tiles = tiles_of(group, batch.plan(group)[0])
-        return batch.program(group, tiles)
+        return batch.trace_program(group, tiles)
 
     assert program([1.0, 2.0]) is program([3.0, 6.0])
     assert program([1.0, 2.0]) is not program([3.0])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sinsjax.covariance import coloured_noise
-from sinsjax.covariance.error_growth import ErrorInputs, IncrementNoise, grow, initial_growth
+from sinsjax.covariance.error_growth import ErrorInputs, IncrementNoise, apply_step, initial_growth
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Minus
 from sinsjax.methods.base import ErrorStep
@@ -89,10 +89,10 @@ def dense(disturbances: Disturbances) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("name", [*(n for n, p in ALL._asdict().items() if p is not None), "all"])
 def test_coloured_growth_matches_dense_matrices(name: str) -> None:
     own = ALL if name == "all" else Disturbances(**{name: getattr(ALL, name)})
-    coloured = coloured_noise.increment_errors(own, DT)
+    coloured = coloured_noise.increment_error_processes(own, DT)
     quiet = IncrementNoise((jnp.asarray(0.0),), (jnp.asarray(0.0),))
     growth = reduce(
-        lambda so_far, _: grow(so_far, STEP, Q, quiet, coloured),
+        lambda so_far, _: apply_step(so_far, STEP, Q, quiet, coloured),
         range(SAMPLES),
         initial_growth(ErrorInputs(quiet, coloured), N, jnp.asarray(0.0)),
     )

@@ -56,7 +56,7 @@ def test_covariance_analysis_sigma_matches_tangents(case: tuple[Group, tangents.
     """Where errors are small: blocks of noise tell 0.3 %, and the rest is what P makes of them."""
     group, expected = case
     one = group._replace(draws=jax.tree.map(lambda a: a[:1] if np.ndim(a) else a, group.draws))
-    (chunk,) = batch.chunks(analysis.analysis_group(one, 2))
+    (chunk,) = batch.run_chunks(analysis.analysis_group(one, 2))
     phi, sigma = (np.moveaxis(a, 1, 2) for a in chunk.curves[:2])
     np.testing.assert_allclose(phi, expected.phi, rtol=0, atol=1e-10)
     np.testing.assert_allclose(sigma[:, TIMES], expected.sigma[:, TIMES], rtol=0.01)
@@ -67,7 +67,7 @@ def test_tangent_sigma_matches_variance_of_draws(case: tuple[Group, tangents.Spr
     """Variances within the chi-square interval of each, at 99.9 % over all that is compared."""
     group, expected = case
     curves = np.zeros((*group.sizes, group.static.records, 3))
-    for chunk in batch.chunks(group):
+    for chunk in batch.run_chunks(group):
         place = np.searchsorted(group.draws.draw_id, chunk.draw)
         curves[place, chunk.variant] = np.stack(chunk.curves.phi, axis=-1)
     ratio = curves[:, :, TIMES].var(0, ddof=1) / expected.sigma[:, TIMES] ** 2

@@ -62,13 +62,13 @@ def first_draw_of(group: Group) -> Group:
 
 def spread_of(group: Group, samples: int = 512) -> tuple[ErrorCovariance, Any]:
     """The spread of each variant, and outcomes of the noise-free runs."""
-    (chunk,) = batch.chunks(analysis.analysis_group(first_draw_of(group), samples))
+    (chunk,) = batch.run_chunks(analysis.analysis_group(first_draw_of(group), samples))
     return chunk.curves, chunk.outcome
 
 
 def runs_of(group: Group) -> np.ndarray:
     """(variants, draws, 3, records) misalignments."""
-    chunks = list(batch.chunks(group))
+    chunks = list(batch.run_chunks(group))
     out = np.zeros((*group.sizes[::-1], 3, group.static.records))
     for chunk in chunks:
         place = np.searchsorted(group.draws.draw_id, chunk.draw)
@@ -127,7 +127,7 @@ def test_variance_of_companions_matches_covariance_analysis(name: str) -> None:
 def test_settling_times_of_sampled_errors_match_companions(name: str) -> None:
     """Means of settling times within four standard errors of both."""
     spread, group, phi_u = told(name), made(name).group, made(name).phi[:, :, 2]
-    (outcome,) = (chunk.outcome for chunk in batch.chunks(first_draw_of(group)))
+    (outcome,) = (chunk.outcome for chunk in batch.run_chunks(first_draw_of(group)))
     floor = np.asarray(outcome.floor.phi.z)[:, None, None]
     bands = np.asarray(group.environment.criteria.bands)[:, None]
     errors = np.stack([phi_u - floor, phi_u], axis=2)[:, :, :, None]
@@ -145,7 +145,7 @@ def test_noise_free_run_equals_run_of_study_without_noise() -> None:
     plain = group_of(study_of("kalman5", sensors=SMALL | QUIET))
     spread, outcome = spread_of(group)
     np.testing.assert_allclose(spread.phi, runs_of(plain)[:, 0], rtol=0, atol=1e-9 * ARCMIN)
-    first = next(iter(batch.chunks(plain))).outcome
+    first = next(iter(batch.run_chunks(plain))).outcome
     np.testing.assert_array_equal(outcome.outside_until, first.outside_until[:2])
 
 

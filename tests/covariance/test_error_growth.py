@@ -67,7 +67,7 @@ def test_error_growth_matches_dense_matrices(seed: int, n: int, alike: bool) -> 
         noise = error_growth.IncrementNoise(velocity, angle)
         excess = rng.normal(size=6)
         increments = Increments(dtheta=Vec3(*excess[3:]), dv=Vec3(*excess[:3]))
-        growth = error_growth.grow(growth, step, q, noise, ColouredInputs())
+        growth = error_growth.apply_step(growth, step, q, noise, ColouredInputs())
         errors = error_growth.propagate_error(step, q, increments, errors)
 
         phi = np.eye(n) + matrix(step.transition, (n, n))

@@ -21,7 +21,7 @@ from sinsjax.types import Quat
 
 def all_runs(group: lane_layout.Group, **options: int) -> tuple:
     """Outcome and curves of all runs of a group, in their order."""
-    pieces = list(batch.chunks(group, **options))
+    pieces = list(batch.run_chunks(group, **options))
     whole = jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
     order = np.lexsort((whole.variant, whole.draw))
     return jax.tree.map(lambda a: a[order], (whole.outcome, whole.curves))
@@ -80,7 +80,7 @@ def test_program_per_device_runs_each_thread_on_separate_device(
     monkeypatch.setattr(batch, "target_devices", lambda: devices[:1])
     reference = all_runs(group, devices=1, tiles_per_chunk=2)
     monkeypatch.setattr(batch, "target_devices", lambda: devices)
-    program, used = batch.program, []
+    program, used = batch.trace_program, []
 
     class Watched(NamedTuple):
         program: batch.Program

@@ -58,7 +58,7 @@ def group_of(study: Study):
 
 
 def all_runs(group, **options):
-    pieces = list(batch.chunks(group, **options))
+    pieces = list(batch.run_chunks(group, **options))
     whole = jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
     order = np.lexsort((whole.variant, whole.draw))
     return jax.tree.map(lambda a: a[order], (whole.outcome, whole.curves))

@@ -35,7 +35,7 @@ def outcome(criteria, values, sigma, p, floor):
         time, value, s = xs
         now = observation(value, s)
         so_far = metrics.accumulate(so_far, criteria, now, floor=floor, time=time)
-        return metrics.report(so_far, criteria, covariance, time / STEP), None
+        return metrics.store_reported_times(so_far, criteria, covariance, time / STEP), None
 
     start = metrics.start(criteria, np.float64(0.0))
     so_far, _ = jax.lax.scan(record, start, (TIMES, values, sigma))

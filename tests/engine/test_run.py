@@ -41,7 +41,7 @@ from sinsjax.engine.environment import (
     Truth,
 )
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.samples import SAMPLES_PER_BLOCK, block_size, draw_sensors
+from sinsjax.engine.samples import SAMPLES_PER_BLOCK, block_size, build_sensors
 from sinsjax.methods.base import Options
 from sinsjax.methods.floors import MeanBiases
 from sinsjax.strapdown import sensors
@@ -252,7 +252,7 @@ def test_record_interval_is_split_into_equal_pieces(draws, every):
 
 def test_noiseless_sensors_draw_no_noise():
     program, here = static(100, 9)._replace(sensors=SensorProgram()), environment(100, 9)
-    assert draw_sensors(program, here, draw()).normal_numbers(np.arange(9)) is None
+    assert build_sensors(program, here, draw()).normal_numbers(np.arange(9)) is None
     now = measure_alone(program, here, draw(), [3])
     expected = ideal()[2 + 3] + BIAS / RATE
     np.testing.assert_allclose([*now.dtheta, *now.dv], expected[:, None], rtol=0, atol=1e-17)

@@ -188,7 +188,7 @@ def test_forecast_describes_run_count_time_and_cores(draws: int, cores: int, tex
 )
 def test_forecast_program_count_matches_engine(tables: Any, programs: int):
     study = small_study(**tables)
-    assert forecast.forecast_sweep(study).programs == programs == len(set(Scenario(study).programs))
+    assert forecast.forecast_sweep(study).programs == programs == len(set(Scenario(study).statics))
     line = forecast.forecast_sweep(study).describe(2)
     seconds = 3 + 6 * programs
     several = "s" if programs > 1 else ""

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.optimised(False)
 
 ONCE = (
     "prepare.prepare_job",
-    "checks.check_plugin_methods",
+    "checks.check_plugins",
     "checks.study_warnings",
     "forecast.forecast_sweep",
     "forecast.check_resources",

@@ -34,7 +34,7 @@ from sinsjax import run as run_study
 from sinsjax.maths.algebra import entries_as_numbers, triangle_index
 from sinsjax.methods.azimuth import method as model
 from sinsjax.methods.azimuth.method import AzimuthParams
-from sinsjax.methods.invariant.method import left_jacobian
+from sinsjax.methods.invariant.method import apply_left_jacobian
 from sinsjax.methods.kalman import Belief
 from sinsjax.types import Vec3
 
@@ -87,7 +87,7 @@ def test_error_model_matches_navigator_at_any_azimuth(planet, a, seed):
 
     def engine(x):
         errors = tuple(map(jnp.asarray, (*x, a)))
-        return np.array(model.propagate_errors(errors, here, 1.0)) - np.array(errors)
+        return np.array(model.predict_errors(errors, here, 1.0)) - np.array(errors)
 
     def navigator(x):
         return attitude_rates(a, x[2:], x[:2], planet, LATITUDE)
@@ -103,7 +103,7 @@ def test_error_model_matches_navigator_at_any_azimuth(planet, a, seed):
 @settings(max_examples=50, deadline=None)
 def test_model_derivative_matches_automatic_differentiation(level, azimuth):
     x, here = (*map(jnp.asarray, level), jnp.asarray(azimuth)), place(PAPER, LATITUDE)
-    slope = np.array(jax.jacfwd(lambda x: jnp.stack(model.propagate_errors(x, here, DT)))(x)).T
+    slope = np.array(jax.jacfwd(lambda x: jnp.stack(model.predict_errors(x, here, DT)))(x)).T
     entries = np.eye(5)
     for at, value in entries_as_numbers(model.jacobian(x, here, DT)).items():
         entries[at] += value
@@ -119,7 +119,7 @@ def test_unscented_prediction_matches_textbook_transform(seed, alpha):
     p = root @ root.T + 1e-6 * np.eye(5)
 
     def after(x):
-        return np.array(model.propagate_errors(tuple(map(jnp.asarray, x)), here, 1.0))
+        return np.array(model.predict_errors(tuple(map(jnp.asarray, x)), here, 1.0))
 
     belief = Belief(tuple(map(jnp.asarray, x)), tuple(map(jnp.asarray, p[np.triu_indices(5)])))
     found = model.predict_unscented(belief, here, 1.0, alpha)
@@ -133,7 +133,7 @@ def test_unscented_prediction_matches_textbook_transform(seed, alpha):
 @settings(max_examples=50, deadline=None)
 def test_left_jacobian_matches_mean_of_rotations(numbers):
     phi, v = np.array(numbers[:3]), np.array(numbers[3:])
-    found = left_jacobian(Vec3(*map(jnp.asarray, phi)), Vec3(*map(jnp.asarray, v)))
+    found = apply_left_jacobian(Vec3(*map(jnp.asarray, phi)), Vec3(*map(jnp.asarray, v)))
     np.testing.assert_allclose(found, jacobian(phi) @ v, rtol=0, atol=1e-13)
 
 

@@ -122,24 +122,24 @@ def test_gain_design_under_jit_keeps_sigma_precision():
 
 @given(sigmas, dampings, st.floats(0.1, 10))
 def test_at_pace_scales_sigma(sigma, damping, pace):
-    gains = loops.at_pace(loops.azimuth_gains(sigma, damping, **EARTH), pace)
+    gains = loops.scale_azimuth_gains(loops.azimuth_gains(sigma, damping, **EARTH), pace)
     expected = loops.azimuth_gains(pace * sigma, damping, **EARTH)
     np.testing.assert_allclose(gains, expected, rtol=1e-11)
 
 
 @given(st.floats(10, 1000), st.floats(0.05, 0.95))
 def test_adjustment_time_is_one_damped_period(time, damping):
-    sigma = loops.sigma_of_period(time, damping)
+    sigma = loops.sigma_from_period(time, damping)
     wd = designed_roots(sigma, damping)[0].imag
     assert wd * time == pytest.approx(2 * math.pi)
 
 
 def test_paper_adjustment_times_give_expected_sigma():
-    assert loops.sigma_of_period(150, PAPER_DAMPING) == pytest.approx(0.041888, abs=5e-7)
-    assert loops.sigma_of_period(450, PAPER_DAMPING) == pytest.approx(0.013963, abs=5e-7)
-    assert loops.sigma_of_settling(150, math.exp(-3)) == pytest.approx(0.02)
-    assert loops.sigma_of_settling(450, math.exp(-4.5)) == pytest.approx(0.01)
-    assert math.exp(-150 * loops.sigma_of_settling(150, 0.05)) == pytest.approx(0.05)
+    assert loops.sigma_from_period(150, PAPER_DAMPING) == pytest.approx(0.041888, abs=5e-7)
+    assert loops.sigma_from_period(450, PAPER_DAMPING) == pytest.approx(0.013963, abs=5e-7)
+    assert loops.sigma_from_settling(150, math.exp(-3)) == pytest.approx(0.02)
+    assert loops.sigma_from_settling(450, math.exp(-4.5)) == pytest.approx(0.01)
+    assert math.exp(-150 * loops.sigma_from_settling(150, 0.05)) == pytest.approx(0.05)
 
 
 gains3 = st.builds(LevelGains, st.floats(0, 1), st.floats(0, 1e4), st.floats(1e-8, 1e-2))
@@ -349,7 +349,7 @@ def test_cycle_radius_matches_integrated_differential_equations():
 def test_schedule_matrix_of_changing_gains_matches_matrix_exponentials():
     turn = loops.turn_matrix(*VELOCITY_ONLY)
     paces = [(5.0, 80.0), (3.0, 80.0), (2.0, 40.0)]
-    passes = [(loops.at_pace(AZIMUTH, pace), seconds) for pace, seconds in paces]
+    passes = [(loops.scale_azimuth_gains(AZIMUTH, pace), seconds) for pace, seconds in paces]
     expected = np.eye(4)
     for n, (gains, seconds) in enumerate(passes):
         matrix = loops.azimuth_matrix(gains, **EARTH, rate_n=RATE_N * (-1) ** n)

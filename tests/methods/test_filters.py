@@ -83,7 +83,7 @@ def numbers():
         feedback=FeedbackSchedule(np.float64(EVERY), np.float64(GAIN)),
         resets=Resets(np.array(RESETS), number(HALF)),
         reset_to=number(P0),
-        turn=number(INFLATED),
+        reversal=number(INFLATED),
         trigger=number(TriggerParams(THRESHOLD, 1.0, float(REFRACTORY), 100.0, np.inf)),
     )
 
@@ -104,7 +104,7 @@ def engine(trigger, reversals):
     def run(samples):
         def step(state, xs):
             sample, n, reversal = xs
-            turned = method.passes.turn(filt, here, state)
+            turned = method.passes.reverse(filt, here, state)
             state = jax.tree.map(partial(jnp.where, reversal), turned, state)
             state = step_and_close(method, filt, here, state, sample, n)
             return state, (state.nav.ve, state.nav.vn, *state.belief.x, *state.belief.p)

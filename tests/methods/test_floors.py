@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from support.studies import STILL, small_study, with_paper_values
 
 from sinsjax.engine import build
-from sinsjax.engine.batch import chunks
+from sinsjax.engine.batch import run_chunks
 from sinsjax.engine.bias_floors import has_floor, hidden_north
 from sinsjax.engine.environment import build_method
 from sinsjax.engine.run import end_of_run
@@ -133,7 +133,7 @@ def ends(study: Study) -> dict[int, tuple[np.ndarray, Any]]:
     """Last phi (3,) and limit of each variant, rad."""
     found = {}
     for part in build.parts(study):
-        for chunk in chunks(part.group):
+        for chunk in run_chunks(part.group):
             phi, limit = np.array(chunk.outcome.last.phi), chunk.outcome.floor
             for i, place in enumerate(chunk.variant):
                 one = jax.tree.map(lambda a, i=i: a[i], limit)

@@ -125,7 +125,7 @@ def test_compass_turn_rules_set_signs_and_smoothing() -> None:
     }
     passes = {"stored_s": 4.0, "turn_smoothing_s": 0.5}
     made = numbers(passes=passes, axes={"turn": list(rules)})
-    np.testing.assert_array_equal(all_of(made.turn), list(rules.values()))
+    np.testing.assert_array_equal(all_of(made.reversal), list(rules.values()))
     # Two stages of half the delay each: a force that grows steadily is seen 0.5 s late.
     np.testing.assert_allclose(made.smoothing, 1 - np.exp(-0.01 / 0.25))
     late = 2 * 0.01 * (1 - made.smoothing) / made.smoothing
@@ -139,7 +139,7 @@ def test_turn_covariance_rules_set_filter_turn_factors() -> None:
         axes={"turn_covariance": ["carried", "inflated", "reset"]},
     )
     # keep, keep_yaw, renew, renew_yaw
-    np.testing.assert_array_equal(all_of(made.turn), [[1, 1, 0, 0], [3, 3, 0, 0], [0, 0, 1, 1]])
+    np.testing.assert_array_equal(all_of(made.reversal), [[1, 1, 0, 0], [3, 3, 0, 0], [0, 0, 1, 1]])
 
 
 # Filters

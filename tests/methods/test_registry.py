@@ -265,8 +265,8 @@ def test_only_some_methods_have_passes(name):
 @reversing
 def test_two_turns_at_one_place_cancel(name):
     method, given, here, state = under_way(name, 2)
-    once = method.passes.turn(given, here, state)
-    twice = method.passes.turn(given, passes.site_of_pass(here, jnp.asarray(True)), once)
+    once = method.passes.reverse(given, here, state)
+    twice = method.passes.reverse(given, passes.site_of_pass(here, jnp.asarray(True)), once)
     for a, b in zip(jax.tree.leaves(twice), jax.tree.leaves(state), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-15)
     assert once.nav.ve == -state.nav.ve != 0 and once.nav.vn == -state.nav.vn != 0
@@ -277,7 +277,7 @@ def test_two_turns_at_one_place_cancel(name):
 def test_turn_does_not_change_heading(name):
     """It runs time the other way: the platform is not turned about the vertical."""
     method, given, here, state = under_way(name, 2)
-    once = method.passes.turn(given, here, state)
+    once = method.passes.reverse(given, here, state)
     turned = rotations.misalignment(method.attitude(once), method.attitude(state))
     assert abs(turned.z) < 1e-15
     # A filter does not touch its attitude, a compass levels by the specific force.

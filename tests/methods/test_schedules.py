@@ -26,7 +26,7 @@ from sinsjax.methods.schedules import (
     CovarianceReset,
     Resets,
     Windows,
-    mix,
+    interpolate,
     reset_covariance,
     reset_due,
     reset_if_due,
@@ -86,7 +86,7 @@ def test_overlapping_reset_windows_act_in_succession(time, apart, width):
     np.testing.assert_allclose(1 - shares(pair, width), one * other, rtol=1e-12, atol=1e-15)
 
 
-mixed = jax.jit(mix)
+mixed = jax.jit(interpolate)
 
 
 # XLA on a CPU takes subnormal numbers for zero, so that an end that is one does not come back.

@@ -51,7 +51,7 @@ NOISE = np.array([2e-4, 3e-4, 1e-4, 2e-4, 3e-4]), 0.04
 
 def test_every_trigger_has_study_name_and_naive_score():
     assert {*TRIGGERS, "none"} == {*get_args(TriggerName)}
-    assert all(t.fades == (t.trigger.look is None) for t in TRIGGERS.values())
+    assert all(t.fades == (t.trigger.score is None) for t in TRIGGERS.values())
     assert {*SCORES, "strong_tracking", "fading"} == {*TRIGGERS}
 
 
@@ -168,14 +168,16 @@ def driven(name):
                 DT,
             )
             score = jnp.zeros_like(n)
-            if trigger.look:
-                score = trigger.look(trigger_params, noise, state.trigger_state.memory, snapshot)[1]
-            state = triggers.watch(trigger, filter_params, state, snapshot, n)
+            if trigger.score:
+                score = trigger.score(trigger_params, noise, state.trigger_state.memory, snapshot)[
+                    1
+                ]
+            state = triggers.update_trigger(trigger, filter_params, state, snapshot, n)
             fires = triggers.fired(state.trigger_state, n)
             reset = due | fires
             p = tuple(jnp.where(reset, a, b) for a, b in zip(after_reset, updated, strict=True))
             closed = state._replace(belief=Belief(x, p))
-            closed = triggers.after_closing(
+            closed = triggers.update_after_closing(
                 trigger, filter_params, closed, reset=reset, correction=Vec3(*fed), n=n
             )
             return closed.trigger_state, (score, factor, fires, faded.p[-1] / propagated[-1])
@@ -329,7 +331,7 @@ def test_linearisation_score_is_one_at_rest_and_grows_with_corrections(seed, tur
             place(PAPER, LATITUDE),
             DT,
         )
-        look = TRIGGERS["linearisation"].trigger.look
+        look = TRIGGERS["linearisation"].trigger.score
         honest, found = look(engine_numbers(Numbers(1.0)), AssumedNoise(q, r), before, snapshot)
         np.testing.assert_allclose(honest, p, rtol=1e-13)
         return float(found)
@@ -358,7 +360,7 @@ def program(name, trigger, force):
     def run(filt, here, nav, read):
         def step(state, xs):
             sample, n, backward, turns = xs
-            turned = method.passes.turn(filt, passes.site_of_pass(here, ~backward), state)
+            turned = method.passes.reverse(filt, passes.site_of_pass(here, ~backward), state)
             state = passes.where(turns, turned, state)
             state = step_and_close(
                 method, filt, passes.site_of_pass(here, backward), state, sample, n
@@ -389,7 +391,7 @@ def measured(planet):
 
 
 def engine_run(name, trigger, trigger_params, filt, stored=None):
-    """State, corrected attitude and `Fired` after every update."""
+    """State, corrected attitude and the trigger's result after every update."""
     planet = FILTERS[name][1]
     all_read = list(updates(measured(planet), stored, SAMPLES))
     q = np.array([quaternion(u.turn) for u in all_read])

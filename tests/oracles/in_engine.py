@@ -12,7 +12,7 @@ from support.alone import set_up_alone
 from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
 from sinsjax.engine.environment import Draw, Environment, RunParams, SensorModel, Static, Truth
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.run import over_record
+from sinsjax.engine.run import advance_record
 from sinsjax.methods.base import Options, Site
 from sinsjax.methods.compass import method as compass
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains
@@ -128,7 +128,7 @@ def filter_params(filt: Filter) -> FilterParams:
             CovarianceReset(*map(np.float64, _KINDS.get(filt.kind, scale))),
         ),
         reset_to=p0,
-        turn=CovarianceReset(*map(np.float64, _turn(filt))),
+        reversal=CovarianceReset(*map(np.float64, _turn(filt))),
     )
 
 
@@ -169,7 +169,7 @@ def loops(given: Loops, turn: Sequence[float]) -> compass.LoopParams:
         pace=PiecewiseConstant(np.array([]), np.array([1.0])),
         azimuth_from=np.float64(begin),
         smoothing=np.float64(given.smoothing),
-        turn=compass.Reversal(*map(np.float64, turn)),
+        reversal=compass.Reversal(*map(np.float64, turn)),
     )
 
 
@@ -203,7 +203,7 @@ def trail(static: Static, environment: Environment, params: RunParams) -> Any:
     unknown = Quat(*(jnp.full(1, jnp.nan) for _ in range(4)))
 
     def record(carry: Any, number: Any) -> tuple[Any, Any]:
-        carry, _ = over_record(runs, carry, (number, unknown))
+        carry, _ = advance_record(runs, carry, (number, unknown))
         return carry, jax.tree.map(lambda a: a[0], carry[0].state)
 
     start = runs.start(), runs.sensors.initial_state()

@@ -95,7 +95,7 @@ def _one(static, environment, draw, params: RunParams, block: int) -> Spread:
         (vector, s), before = carry
         number, q_true = record
         places = number * static.record_every + jnp.arange(static.record_every)
-        measure = runs.sensors.measurer(places)
+        measure = runs.sensors.make_sampler(places)
         increments, before = measure(before, jnp.arange(static.record_every))
         increments = jax.tree.map(lambda a: a[:, 0], increments)
         earlier, last = previous_increments(increments, jax.tree.map(_only, before.last))

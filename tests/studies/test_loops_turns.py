@@ -130,9 +130,9 @@ def test_one_variant_of_zipped_axes_keeps_its_values():
 
 @pytest.mark.parametrize("turn", ["velocity", "velocity_drop_rate"])
 def test_cycle_radius_without_reflection_matches_loop_design(turn):
-    made = REVERSALS[turn]
+    *_, rate, _ = REVERSALS[turn]
     sigma, stored_s = np.array([[0.01], [0.03]]), np.array([40.0, 80.0, 200.0])
-    expected = loops.cycle_radius(sigma, stored_s, loops.turn_matrix(-1, 1, made.rate))
+    expected = loops.cycle_radius(sigma, stored_s, loops.turn_matrix(-1, 1, rate))
     found = cycle_radius(compass_study(), turn, sigma, stored_s, 10.0)
     np.testing.assert_allclose(found, expected, atol=1e-9)
 

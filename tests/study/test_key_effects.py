@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.studies import small_study
 
-from sinsjax.engine.batch import chunks
+from sinsjax.engine.batch import run_chunks
 from sinsjax.engine.build import Scenario
 from sinsjax.methods.description import COMMON_KEYS
 from sinsjax.methods.registry import METHODS
@@ -100,7 +100,7 @@ def outcomes(tables: dict[str, Any], key: str, values: list[Any]) -> list[Any]:
     found: dict[int, Any] = {}
     scenario = Scenario(study, curves=False)
     for number, ids in enumerate(scenario.variant_ids):
-        for chunk in chunks(scenario.part(number, range(1)).group):
+        for chunk in run_chunks(scenario.part(number, range(1)).group):
             for row, place in enumerate(chunk.variant):
                 found[int(ids[place])] = [
                     np.asarray(a)[row] for a in jax.tree.leaves(chunk.outcome)

@@ -13,7 +13,7 @@ import tomli_w
 from support.studies import BASE, small_study, small_tables
 
 from sinsjax import InputError, StudyWarning, load_study
-from sinsjax.engine.batch import chunks
+from sinsjax.engine.batch import run_chunks
 from sinsjax.engine.build import Scenario
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.execution.run import run
@@ -295,7 +295,7 @@ def outcomes(method: str, keys: list[str]) -> list[list[np.ndarray]]:
     found: dict[int, list[np.ndarray]] = {}
     scenario = Scenario(study, curves=True)
     for number, ids in enumerate(scenario.variant_ids):
-        for chunk in chunks(scenario.part(number, range(1)).group):
+        for chunk in run_chunks(scenario.part(number, range(1)).group):
             for row, place in enumerate(chunk.variant):
                 leaves = jax.tree.leaves(chunk.outcome)
                 found[int(ids[place])] = [np.asarray(leaf)[row] for leaf in leaves]

@@ -10,7 +10,7 @@ from sinsjax.engine.environment import Draw, Environment, RunParams, Static, der
 from sinsjax.engine.lanes import Tiles
 from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.run import TileRuns, run_tile, set_up
-from sinsjax.engine.samples import draw_sensors
+from sinsjax.engine.samples import build_sensors
 from sinsjax.types import Increments
 
 
@@ -43,8 +43,8 @@ def measure_alone(static: Static, environment: Environment, draw: Draw, numbers:
     """Measured increments of one draw from its first sample, leaves (n,)."""
     draws = first_lane(draw)
     derived = jax.vmap(lambda draw: derive_inputs(static, environment, draw))(draws)
-    sensors = draw_sensors(static, environment, draws._replace(derived=derived))
+    sensors = build_sensors(static, environment, draws._replace(derived=derived))
     numbers = jnp.asarray(numbers)
-    measure = sensors.measurer(numbers)
+    measure = sensors.make_sampler(numbers)
     increments, _ = measure(sensors.initial_state(), jnp.arange(numbers.size))
     return jax.tree.map(lambda a: a[:, 0], increments)

@@ -40,7 +40,6 @@ from sinsjax.methods.filters.closed_loop import (
     closed_loop,
     initial_state,
     mechanise_function,
-    place_function,
     reverse_time,
     subtract_fed_back,
     update_with_velocity,
@@ -60,7 +59,7 @@ Errors = tuple[Scalar, ...]
 """Values of the `STATES`: m/s and rad."""
 
 
-def propagate_errors(x: Errors, place: Place, dt: Scalar) -> Errors:
+def predict_errors(x: Errors, place: Place, dt: Scalar) -> Errors:
     """Return the errors one step later, to first order in dt (s)."""
     sine, cosine = sin_cos(x[AZIMUTH])
     wn, wu, g = place.rate_n * dt, place.rate_u * dt, place.gravity * dt
@@ -77,7 +76,7 @@ def propagate_errors(x: Errors, place: Place, dt: Scalar) -> Errors:
 
 
 def jacobian(x: Errors, place: Place, dt: Scalar) -> Entries:
-    """Return the non-zero entries of the derivative of `propagate_errors`, less the identity."""
+    """Return the non-zero entries of the derivative of `predict_errors`, less the identity."""
     sine, cosine = sin_cos(x[AZIMUTH])
     wn, wu, g = place.rate_n * dt, place.rate_u * dt, place.gravity * dt
     ce, cn = place.curvature_e * dt, place.curvature_n * dt
@@ -107,7 +106,7 @@ BETA = 2.0
 def predict_linearised(belief: Belief, place: Place, dt: Scalar, alpha: Scalar) -> Belief:
     """Predict as an extended Kalman filter: mean by the model, P by its Jacobian at the mean."""
     x, p = belief
-    return Belief(propagate_errors(x, place, dt), congruence(jacobian(x, place, dt), p, len(x)))
+    return Belief(predict_errors(x, place, dt), congruence(jacobian(x, place, dt), p, len(x)))
 
 
 def predict_unscented(belief: Belief, place: Place, dt: Scalar, alpha: Scalar) -> Belief:
@@ -121,12 +120,12 @@ def predict_unscented(belief: Belief, place: Place, dt: Scalar, alpha: Scalar) -
     n = len(x)
     h = alpha * n**0.5
     weight = 1 / (2 * h * h)
-    middle = propagate_errors(x, place, dt)
+    middle = predict_errors(x, place, dt)
     differences: list[Errors] = []
     for column in _cholesky_columns(p, n):
         for side in (1.0, -1.0):
             point = tuple(a + side * h * b for a, b in zip(x, column, strict=True))
-            moved = propagate_errors(point, place, dt)
+            moved = predict_errors(point, place, dt)
             differences.append(tuple(a - b for a, b in zip(moved, middle, strict=True)))
     shift = [weight * sum(d[i] for d in differences) for i in range(n)]
     spread = tuple(
@@ -160,7 +159,7 @@ class AzimuthParams(NamedTuple):
 
     Attributes:
         by_angles: 1 if the attitude is fed back as small angles, else 0.
-        alpha: spread of the sigma points; 1 without sigma points.
+        alpha: distance of the sigma points from the mean; the extended filter ignores it.
     """
 
     by_angles: Scalar
@@ -202,7 +201,7 @@ def build_filter(predict: Prediction, options: Options) -> Filter:
         feed_back=_feed_back,
         reset=partial(reset_covariance, heading=(AZIMUTH,)),
         reverse=partial(reverse_time, REVERSAL),
-        place=place_function(options.position),
+        place=options.place,
         at_rest=at_rest,
         misalignment=_misalignment,
         attitude=_attitude,
@@ -234,6 +233,7 @@ def _start_error(state: FilterState, change: StartChange) -> tuple[Scalar, ...]:
 
 
 def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
+    """Return the state with a share of the estimate fed back, and the correction phi."""
     fed_back = tuple(share * estimate for estimate in state.belief.x)
     nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
     phi = Vec3(fed_back[TILT_E], fed_back[TILT_N], fed_back[AZIMUTH])

@@ -222,7 +222,7 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
             columns.each(level_s, "level_time_s", "level_passes", *stored) * rate
         ),
         smoothing=-np.expm1(-2 / (rate * smoothing)),  # two stages share the delay
-        turn=Reversal(*turn),
+        reversal=Reversal(*turn),
     )
 
 
@@ -255,7 +255,7 @@ def check(columns: Columns, site: Any) -> None:
     fastest = columns.each(max, "sigma_factors")
     with np.errstate(over="ignore", invalid="ignore"):
         level, azimuth = gains(columns, site)
-        azimuth = loops.at_pace(azimuth, fastest)
+        azimuth = loops.scale_azimuth_gains(azimuth, fastest)
     for loop, found in (("level", level), ("azimuth", azimuth)):
         for row in np.flatnonzero(~np.isfinite(np.stack(found)).all(axis=0)):
             raise _unusable_loop(columns, loop, int(row), "gives a gain that is no finite number")
@@ -324,8 +324,8 @@ def _sigma_and_damping(columns: Columns, loop: str) -> tuple[np.ndarray, np.ndar
         if time is None:
             return 1.0
         if reading == "period":
-            return loops.sigma_of_period(time, damping)
-        return loops.sigma_of_settling(time, remainder)
+            return loops.sigma_from_period(time, damping)
+        return loops.sigma_from_settling(time, remainder)
 
     keys = (f"{loop}_sigma_per_s", f"{loop}_adjustment_s", f"{loop}_damping")
     sigmas = columns.each(sigma_of, *keys, "adjustment_reading", "adjustment_remainder")
@@ -338,11 +338,11 @@ def _change_pace(params: Any, entry: int | None, value: Any, base: Any) -> Any:
 
 
 def _change_azimuth_sigma(params: Any, _: int | None, value: Any, base: Any) -> Any:
-    return params._replace(azimuth=loops.at_pace(params.azimuth, value / base))
+    return params._replace(azimuth=loops.scale_azimuth_gains(params.azimuth, value / base))
 
 
 def _change_level_sigma(params: Any, _: int | None, value: Any, base: Any) -> Any:
-    return params._replace(level=loops.level_at_pace(params.level, value / base))
+    return params._replace(level=loops.scale_level_gains(params.level, value / base))
 
 
 def _change_smoothing(params: Any, _: int | None, value: Any, base: Any) -> Any:

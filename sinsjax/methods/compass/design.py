@@ -2,7 +2,7 @@
 
 Gains are designed from a decay rate sigma (1/s) and a damping ratio xi: the complex roots are
 -sigma +- j omega_d with xi = sigma / sqrt(sigma^2 + omega_d^2). The transport rate belongs to the
-mechanisation, so the platform is turned by K2/R dV and the loop sees (1 + K2)/R dV.
+mechanisation, so the platform is rotated by K2/R dV and the loop sees (1 + K2)/R dV.
 
 The states are errors: velocity (m/s), tilt and heading (rad), rate of the azimuth control (rad/s).
 In the north channel the tilt is phi_E, dV_N' = g phi_E - K1 dV_N. The east channel has the same
@@ -91,7 +91,7 @@ def azimuth_gains(
     )
 
 
-def at_pace(gains: AzimuthGains, pace: Number) -> AzimuthGains:
+def scale_azimuth_gains(gains: AzimuthGains, pace: Number) -> AzimuthGains:
     """Azimuth gains whose roots lie a factor further out: sigma times the pace, xi kept.
 
     Args:
@@ -102,7 +102,7 @@ def at_pace(gains: AzimuthGains, pace: Number) -> AzimuthGains:
     return AzimuthGains(pace * k1, pace**2 * (1 + k2) - 1, pace**4 * k3, pace * k4)
 
 
-def level_at_pace(gains: LevelGains, pace: Number) -> LevelGains:
+def scale_level_gains(gains: LevelGains, pace: Number) -> LevelGains:
     """Levelling gains whose roots lie a factor further out: sigma times the pace, xi kept.
 
     Args:
@@ -113,7 +113,7 @@ def level_at_pace(gains: LevelGains, pace: Number) -> LevelGains:
     return LevelGains(pace * k1, pace**2 * (1 + k2) - 1, pace**3 * k3)
 
 
-def sigma_of_period(time: Number, damping: Number) -> Number:
+def sigma_from_period(time: Number, damping: Number) -> Number:
     """Decay rate (1/s) of which the adjustment time is one damped period, [P2] eq. (18).
 
     sigma = 2 pi xi / (T sqrt(1 - xi^2)), that is T = 2 pi / omega_d.
@@ -125,7 +125,7 @@ def sigma_of_period(time: Number, damping: Number) -> Number:
     return 2 * math.pi * damping / (time * (1 - damping**2) ** 0.5)
 
 
-def sigma_of_settling(time: Number, remainder: float) -> Number:
+def sigma_from_settling(time: Number, remainder: float) -> Number:
     """Decay rate (1/s) of which the envelope exp(-sigma t) has a remainder after the time.
 
     This is the reading that the printed gains of [P2] have: exp(-3) after 150 s and exp(-4.5)
@@ -149,7 +149,7 @@ def level_polynomial(gains: LevelGains, *, gravity: Number, radius: Number) -> n
         radius: R, m.
     """
     k1, k2, k3 = gains
-    return _stacked([1.0, k1, (1 + k2) * gravity / radius, gravity * k3])
+    return _stack_entries([1.0, k1, (1 + k2) * gravity / radius, gravity * k3])
 
 
 def azimuth_polynomial(gains: AzimuthGains, *, gravity: Number, radius: Number) -> np.ndarray:
@@ -165,7 +165,7 @@ def azimuth_polynomial(gains: AzimuthGains, *, gravity: Number, radius: Number) 
     """
     k1, k2, k3, k4 = gains
     stiffness = (1 + k2) * gravity / radius
-    return _stacked([1.0, k1 + k4, k1 * k4 + stiffness, k4 * stiffness, gravity * k3])
+    return _stack_entries([1.0, k1 + k4, k1 * k4 + stiffness, k4 * stiffness, gravity * k3])
 
 
 def roots(polynomial: np.ndarray) -> np.ndarray:
@@ -196,7 +196,7 @@ def level_matrix(gains: LevelGains, *, gravity: Number, radius: Number) -> np.nd
         radius: R, m.
     """
     k1, k2, k3 = gains
-    return _stacked(
+    return _stack_entries(
         [-k1, gravity, 0.0],
         [-(1 + k2) / radius, 0.0, -1.0],
         [k3, 0.0, 0.0],
@@ -213,7 +213,7 @@ def azimuth_matrix(
 ) -> np.ndarray:
     """North channel as d/dt x = A x, x = [dV_N, phi_E, phi_U, w_cU], [P2] Fig. 2.
 
-    The reversed pass sees an Earth that turns the other way: omega_N is negative, in the coupling
+    The backward pass sees an Earth that turns the other way: omega_N is negative, in the coupling
     and in K(s) alike. omega_N phi_E in phi_U' is dropped, as in [P2] eq. (21), so that the
     characteristic polynomial is `azimuth_polynomial`.
 
@@ -229,7 +229,7 @@ def azimuth_matrix(
     """
     k1, k2, k3, k4 = gains
     turning = direction * rate_n
-    return _stacked(
+    return _stack_entries(
         [-k1, gravity, 0.0, 0.0],
         [-(1 + k2) / radius, 0.0, -turning, 0.0],
         [0.0, 0.0, 0.0, 1.0],
@@ -260,7 +260,7 @@ def is_stable(matrix: np.ndarray, dt: Number) -> np.ndarray:
 def turn_matrix(velocity: Number, tilt: Number, rate: Number) -> np.ndarray:
     """What a turn between passes makes of [dV_N, phi_E, phi_U, w_cU], shape ``(4, 4)``.
 
-    The paper's turn, V -> -V, is (-1, 1, 1). With D = (-1, -1, 1) a reversed pass goes on exactly
+    The paper's turn, V -> -V, is (-1, 1, 1). With D = (-1, -1, 1) a backward pass goes on exactly
     where the forward one stopped, since A_reversed = D A_forward D.
 
     Args:
@@ -306,7 +306,7 @@ def schedule_matrix(
 def cycle_radius(
     sigma: Number, stored_s: Number, turn: np.ndarray, *, damping: Number = PAPER_DAMPING
 ) -> np.ndarray:
-    """Spectral radius of the azimuth loop over one forward and one reversed pass, shape ``(...)``.
+    """Spectral radius of the azimuth loop over one forward and one backward pass, shape ``(...)``.
 
     Of T exp(A_reversed T_p) T exp(A_forward T_p) with the gains of [P2] eq. (23). Below 1 the
     heading converges from cycle to cycle. It depends on sigma T_p and the damping only: gravity,
@@ -324,7 +324,7 @@ def cycle_radius(
     return np.asarray(np.abs(np.linalg.eigvals(cycle)).max(-1))
 
 
-def _stacked(*rows: Sequence[Number]) -> np.ndarray:
+def _stack_entries(*rows: Sequence[Number]) -> np.ndarray:
     """Entries that broadcast, as a vector (one row) or a matrix on the last axes."""
     entries = np.broadcast_arrays(*(entry for row in rows for entry in row))
     shape = (len(rows[0]),) if len(rows) == 1 else (len(rows), len(rows[0]))

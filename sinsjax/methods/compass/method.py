@@ -25,7 +25,7 @@ from sinsjax.methods.base import (
     StartChange,
     unknown_covariance,
 )
-from sinsjax.methods.compass.design import AzimuthGains, LevelGains, at_pace
+from sinsjax.methods.compass.design import AzimuthGains, LevelGains, scale_azimuth_gains
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.methods.schedules import PiecewiseConstant, value_at
 from sinsjax.strapdown import earth, mechanisation
@@ -69,7 +69,7 @@ class LoopParams(NamedTuple):
         pace: factor on the sigma of the azimuth loop, with gains that move its roots by it.
         azimuth_from: samples before the azimuth loop takes over the north channel.
         smoothing: share of each new sample in each stage of the low-passed specific force.
-        turn: effect of a direction reversal.
+        reversal: effect of a direction reversal.
     """
 
     level: LevelGains
@@ -77,7 +77,7 @@ class LoopParams(NamedTuple):
     pace: PiecewiseConstant
     azimuth_from: Scalar
     smoothing: Scalar
-    turn: Reversal
+    reversal: Reversal
 
 
 class LowPassed(NamedTuple):
@@ -117,23 +117,19 @@ def build(options: Options) -> Method:
         options: choices that decide the program; ``specific_force`` concerns filters only.
     """
     dt = options.dt
-    integrated = options.position == "integrated"
 
     def init(params: LoopParams, nav: Navigation) -> LoopState:
         zero = jnp.zeros_like(nav.ve)
         return LoopState(nav, zero, zero, zero, LowPassed(zero, zero), LowPassed(zero, zero))
 
-    def place_of(site: Site, nav: Navigation) -> earth.Place:
-        return earth.place(site.earth, nav.latitude) if integrated else site.place
-
     def step(
         params: LoopParams, site: Site, state: LoopState, sample: Sample, n: Scalar
     ) -> LoopState:
-        before, place, gains = state.nav, place_of(site, state.nav), gains_at(params, n)
+        before, place, gains = state.nav, options.place(site, state.nav), gains_at(params, n)
         level, azimuth, levelling = params.level, gains.azimuth, gains.levelling
         control = platform_control(gains, state, place)
         nav, f_dt = mechanisation.advance_navigation(before, sample, place, dt, control)
-        if integrated:
+        if options.position == "integrated":
             nav = mechanisation.advance_position(nav, place, dt)
         spin = azimuth.k3 / place.rate_n * before.vn - azimuth.k4 * state.rate_u
         return LoopState(
@@ -150,7 +146,7 @@ def build(options: Options) -> Method:
     def error_step(
         params: LoopParams, site: Site, state: LoopState, sample: Sample, n: Scalar
     ) -> ErrorStep:
-        place, gains = place_of(site, state.nav), gains_at(params, n)
+        place, gains = options.place(site, state.nav), gains_at(params, n)
         control = platform_control(gains, state, place)
         _, f_dt = mechanisation.advance_navigation(state.nav, sample, place, dt, control)
         transition = error_transition(gains, state.nav, control, place, f_dt, dt)
@@ -169,7 +165,7 @@ def build(options: Options) -> Method:
         covariance=lambda state: unknown_covariance(state.rate_u),
         normalise=_normalise,
         floor=_bias_floor,
-        passes=Passes(turn=_reverse, rewind=rewind),
+        passes=Passes(reverse=_reverse, rewind=rewind),
         error_model=ErrorModel(error_step, _error_angles, _start_error),
     )
 
@@ -194,7 +190,7 @@ class Gains(NamedTuple):
 
 def gains_at(params: LoopParams, n: Scalar) -> Gains:
     """Return the gains at the n-th sample."""
-    level, azimuth = params.level, at_pace(params.azimuth, value_at(params.pace, n))
+    level, azimuth = params.level, scale_azimuth_gains(params.azimuth, value_at(params.pace, n))
     levelling = n <= params.azimuth_from
     k1 = jnp.where(levelling, level.k1, azimuth.k1)
     k2 = jnp.where(levelling, level.k2, azimuth.k2)
@@ -263,23 +259,24 @@ def _low_pass(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
 
 
 def _reverse(params: LoopParams, site: Site, state: LoopState) -> LoopState:
-    turn = params.turn
+    """Return the state at the start of a pass in the other direction, [P2] section 3."""
+    reversal = params.reversal
     # f = (-g phi_N + nabla_E, g phi_E + nabla_N): g times the tilts from their equilibria.
-    angle = 2 * turn.reflection / site.place.gravity
+    angle = 2 * reversal.reflection / site.place.gravity
     tilt = Vec3(angle * state.force_n.twice, -angle * state.force_e.twice, jnp.zeros_like(angle))
     nav = state.nav
-    left = 1 - 2 * turn.reflection
+    kept = 1 - 2 * reversal.reflection
     return LoopState(
         nav=nav._replace(
             q=rotations.correct(tilt, nav.q),
-            ve=turn.velocity * nav.ve,
-            vn=turn.velocity * nav.vn,
+            ve=reversal.velocity * nav.ve,
+            vn=reversal.velocity * nav.vn,
         ),
-        integral_e=turn.integral * state.integral_e,
-        integral_n=turn.integral * state.integral_n,
-        rate_u=turn.rate * state.rate_u,
-        force_e=LowPassed(*(left * stage for stage in state.force_e)),
-        force_n=LowPassed(*(left * stage for stage in state.force_n)),
+        integral_e=reversal.integral * state.integral_e,
+        integral_n=reversal.integral * state.integral_n,
+        rate_u=reversal.rate * state.rate_u,
+        force_e=LowPassed(*(kept * stage for stage in state.force_e)),
+        force_n=LowPassed(*(kept * stage for stage in state.force_n)),
     )
 
 
@@ -292,7 +289,7 @@ def _bias_floor(
     the effect of the level rate of a heading error: (1 + K2) K4 eps_U / (R K3) of omega_N, which is
     2 eps_U/sigma for the gains of [P2] eq. (23). Its sign changes in a backward pass.
     """
-    gains = at_pace(params.azimuth, value_at(params.pace, end.n))
+    gains = scale_azimuth_gains(params.azimuth, value_at(params.pace, end.n))
     eps = biases.eps
     lag = (1 + gains.k2) * gains.k4 * place.curvature_n * eps.z / gains.k3
     felt = jnp.hypot(eps.x, place.rate_n + eps.y)

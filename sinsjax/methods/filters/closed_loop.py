@@ -37,7 +37,7 @@ from sinsjax.methods.schedules import (
     FeedbackSchedule,
     Resets,
     Windows,
-    mix,
+    interpolate,
     next_due,
     next_feedback,
     reset_due,
@@ -46,7 +46,7 @@ from sinsjax.methods.schedules import (
 from sinsjax.methods.triggers import trigger as triggers
 from sinsjax.methods.triggers.config import TRIGGERS
 from sinsjax.methods.triggers.trigger import Trigger
-from sinsjax.strapdown import earth, mechanisation
+from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
@@ -62,9 +62,9 @@ class FilterParams(NamedTuple):
         feedback: when and how much is fed back.
         resets: when and how P is reset.
         reset_to: variances that a full reset sets, SI squared.
-        turn: effect of a direction reversal on P.
+        reversal: effect of a direction reversal on P.
         trigger: `triggers.trigger.TriggerParams`; None without a trigger.
-        extra: numbers of this filter alone; None of a filter without.
+        extra: numbers of this filter alone; None if the filter has none.
     """
 
     p0: tuple[Scalar, ...]
@@ -73,7 +73,7 @@ class FilterParams(NamedTuple):
     feedback: FeedbackSchedule
     resets: Resets | Windows
     reset_to: tuple[Scalar, ...]
-    turn: CovarianceReset
+    reversal: CovarianceReset
     trigger: Any = None
     extra: Any = None
 
@@ -88,7 +88,7 @@ class FilterState(NamedTuple):
         feedback_at: sample of the next feedback.
         trigger_state: `triggers.trigger.TriggerState`; None without a trigger.
         innovations: their sum so far; None if they are not summed.
-        extra: state of this filter alone; None of a filter without.
+        extra: state of this filter alone; None if the filter has none.
     """
 
     nav: Navigation
@@ -123,11 +123,11 @@ class Filter(NamedTuple):
         attitude: state -> best attitude.
         covariance: state -> covariance of that attitude.
         inputs: state -> `ErrorStep.inputs`.
-        start_error: see `ErrorModel.start`; None of a filter without an error model.
-        extra_results: (site, state) -> `FilterResults.extra`; None of a filter without.
+        start_error: see `ErrorModel.start`; None if the filter has none.
+        extra_results: (site, state) -> `FilterResults.extra`; None if the filter has none.
         shares_covariance: see `Method.shares_covariance`.
         keep: (first state of a record, state at its end) -> the first with all that is no error of
-            the navigation solution; None of a filter that keeps nothing.
+            the navigation solution; None if the filter keeps nothing.
         gyro_bias: see `Passes.gyro_bias`.
     """
 
@@ -169,10 +169,10 @@ def closed_loop(filter_: Filter, options: Options) -> Method:
         feedback=Feedback(
             close=loop.close,
             next_event=_next_event,
-            called=_fired if trigger is not None and trigger.look else None,
+            triggered=_fired if trigger is not None and trigger.score else None,
         ),
         passes=Passes(
-            turn=loop.turn,
+            reverse=loop.reverse,
             rewind=loop.rewind,
             begin_after=_begin_after,
             gyro_bias=filter_.gyro_bias,
@@ -203,7 +203,7 @@ class _ClosedLoop(NamedTuple):
             state = triggers.fade(self.trigger, params, state)
         state, innovation = self.filter.update(params, add_process_noise(params, state))
         if self.trigger is not None:
-            state = self._watch(params, site, before, state, innovation, n)
+            state = self._update_trigger(params, site, before, state, innovation, n)
         return state
 
     def close(self, params: Any, state: Any, n: Scalar) -> Any:
@@ -212,15 +212,15 @@ class _ClosedLoop(NamedTuple):
             due = due._replace(reset=due.reset | _fired(state, n))
         closed, correction = self._feed_back_and_reset(params, state, due, n)
         if self.trigger is not None:
-            closed = triggers.after_closing(
+            closed = triggers.update_after_closing(
                 self.trigger, params, closed, reset=due.reset, correction=correction, n=n
             )
         return _where_due(due, closed, state)
 
-    def turn(self, params: Any, site: Site, state: Any) -> Any:
+    def reverse(self, params: Any, site: Site, state: Any) -> Any:
         # x stays even if P is reset: its part of the attitude is the filter's best either way.
         state = self.filter.reverse(state)
-        p = self.filter.reset(params.turn, state.belief.p, params.p0)
+        p = self.filter.reset(params.reversal, state.belief.p, params.p0)
         return self._begin_pass(params, state._replace(belief=state.belief._replace(p=p)))
 
     def rewind(self, params: Any, nav: Navigation, state: Any) -> Any:
@@ -270,7 +270,7 @@ class _ClosedLoop(NamedTuple):
         self, params: Any, state: Any, due: Due, n: Scalar
     ) -> tuple[Any, Vec3]:
         """Feed back, all of the estimate before a reset, and reset; also the correction, rad."""
-        share = mix(due.reset, 1.0, jnp.where(due.feedback, params.feedback.gain, 0.0))
+        share = interpolate(due.reset, 1.0, jnp.where(due.feedback, params.feedback.gain, 0.0))
         corrected, correction = self.filter.feed_back(state, share)
         covariance_reset = reset_if_due(due.reset, params.resets.covariance_reset)
         p = self.filter.reset(covariance_reset, state.belief.p, params.reset_to)
@@ -278,7 +278,7 @@ class _ClosedLoop(NamedTuple):
         belief = corrected.belief._replace(p=p)
         return corrected._replace(belief=belief, feedback_at=feedback_at), correction
 
-    def _watch(
+    def _update_trigger(
         self, params: Any, site: Site, before: Any, state: Any, innovation: Innovation, n: Scalar
     ) -> Any:
         """Return the state with the sample taken into account by the trigger."""
@@ -296,7 +296,7 @@ class _ClosedLoop(NamedTuple):
             place=place,
             dt=self.filter.dt,
         )
-        return triggers.watch(self.trigger, params, state, snapshot, n)
+        return triggers.update_trigger(self.trigger, params, state, snapshot, n)
 
     def _begin_pass(self, params: Any, state: Any) -> Any:
         """Return the first state of a pass, with the trigger's memory of the last one cleared."""
@@ -317,7 +317,7 @@ def sum_innovations(filter_: Filter) -> Filter:
     def update(params: Any, state: Any) -> tuple[Any, Innovation]:
         updated, innovation = filter_.update(params, state)
         total, count = state.innovations
-        total = total + kalman.normalised(*innovation)
+        total = total + kalman.normalised_innovation_squared(*innovation)
         return updated._replace(innovations=InnovationSum(total, count + 1)), innovation
 
     return filter_._replace(init=init, update=update)
@@ -365,18 +365,11 @@ def _normalise(state: Any) -> Any:
 
 
 def _bias_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
-    """Return the floor of a filter that does not tell sensor biases from misalignment."""
+    """Return the bias floor of a filter that does not distinguish biases from misalignment."""
     return floors.bias_floor(place, biases)
 
 
 # Stages that filters share
-
-
-def place_function(position: str) -> Callable[[Site, Navigation], Place]:
-    """Return `Filter.place` for `Options.position`: fixed, or at the latitude of the solution."""
-    if position == "integrated":
-        return lambda site, nav: earth.place(site.earth, nav.latitude)
-    return lambda site, nav: site.place
 
 
 def mechanise_function(
@@ -388,10 +381,9 @@ def mechanise_function(
         A function that returns the solution at the end of the sample, the specific force in n times
         dt, m/s, and the Earth at the beginning of the sample, by `Options.position`.
     """
-    place = place_function(options.position)
 
     def mechanise(site: Site, nav: Navigation, sample: Sample) -> tuple[Navigation, Vec3, Place]:
-        here = place(site, nav)
+        here = options.place(site, nav)
         later, f_dt = mechanisation.advance_navigation(nav, sample, here, options.dt)
         if options.position == "integrated":
             later = mechanisation.advance_position(later, here, options.dt)

@@ -15,7 +15,7 @@ from sinsjax.methods.description import INITIAL_KEYS, Description, OwnColumn, St
 from sinsjax.methods.filters.section import FilterSection, ResetsSection, check_resets
 from sinsjax.methods.triggers.config import TRIGGER_COUNTS, check_trigger, last_triggered_sample
 
-READS = (
+FILTER_KEYS = (
     *INITIAL_KEYS,
     *("feedback_interval_s", "feedback_time_constant_s"),
     *("turn_covariance", "turn_inflation"),
@@ -62,17 +62,17 @@ INNOVATIONS = (
 )
 """Columns of a filter's innovations in a recorded study; 2 is expected of a consistent filter."""
 
-COLUMNS = (*TRIGGER_COUNTS, *INNOVATIONS)
+FILTER_COLUMNS = (*TRIGGER_COUNTS, *INNOVATIONS)
 
 describe_filter = partial(
     Description,
     sections={"filter": FilterSection, "resets": ResetsSection},
-    reads=READS,
+    reads=FILTER_KEYS,
     silent=BIAS_KEYS,
     has_error_model=True,
     rules=(check_trigger, check_resets),
-    columns=COLUMNS,
-    last_called=last_triggered_sample,
+    columns=FILTER_COLUMNS,
+    last_triggered_sample=last_triggered_sample,
 )
 """Return the `Description` of a filter without sensor bias states; the arguments add the rest."""
 

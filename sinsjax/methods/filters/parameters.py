@@ -35,7 +35,7 @@ class StateKind(NamedTuple):
         p0: key of its initial standard deviation; None if ``variance`` gives that.
         reset_to: key of its standard deviation after a reset.
         unit: of both keys in SI; None for a micro-g.
-        q: key of its process noise; None of a constant.
+        q: key of its process noise; None of a constant state.
         variance: its variance at the start and after a reset, if no key gives them.
     """
 
@@ -102,7 +102,7 @@ def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -
         reset_to=tuple(
             _reset_variance(columns, kind, start, ug) for kind, start in zip(kinds, p0, strict=True)
         ),
-        turn=_covariance_reset(columns, "turn_covariance", "turn_inflation")
+        reversal=_covariance_reset(columns, "turn_covariance", "turn_inflation")
         if columns.has("passes")
         else CovarianceReset(*(np.broadcast_to(k, zero.shape) for k in UNCHANGED)),
         trigger=_trigger_params(columns),
@@ -166,6 +166,7 @@ def _reset_variance(columns: Columns, kind: StateKind, p0: np.ndarray, ug: float
 
 
 def _trigger_params(columns: Columns) -> TriggerParams | None:
+    """Return the params of the triggers; None without one."""
     if columns.common("reset_trigger") in (None, "none"):
         return None
     rate_hz = columns.rate_hz
@@ -180,6 +181,7 @@ def _trigger_params(columns: Columns) -> TriggerParams | None:
 
 
 def _feedback_schedule(columns: Columns) -> FeedbackSchedule:
+    """Return intervals in samples and gains 1 - exp(-interval/time constant)."""
     rate_hz = columns.rate_hz
 
     def samples_and_gain(interval_s: float, constant_s: float) -> tuple[float, float]:
@@ -277,6 +279,7 @@ _CHANGES: dict[str, Change] = {
 
 
 def _state_changes(states: Sequence[str]) -> dict[str, Change]:
+    """Return the effects of the keys of P0, resets and Q on a filter with these states."""
     kinds = [STATES[state] for state in states]
 
     def places(key_of: Callable[[StateKind], str | None], key: str) -> list[int]:
@@ -305,6 +308,7 @@ def _smooth_resets(params: FilterParams, times: Array | None, width: Scalar) -> 
 
 
 def _first_without_gradient(study: StudyView, smoothed: bool) -> str | None:
+    """Return the first key of a study that has no gradient, see `Relaxation`."""
     if not study.has("resets"):
         return None
     if any_trigger(study):

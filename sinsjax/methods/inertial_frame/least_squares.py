@@ -80,7 +80,7 @@ def reaction_velocity(place: Place, t: Scalar) -> Vec3:
 
 
 def fit_velocities(sums: VelocitySums, count: Scalar) -> Quat:
-    """Return C_{b0}^{n0} after ``count`` samples."""
+    """Return C_{b0}^{n0}; unlike `fit_positions`, it does not depend on ``count``."""
     return _solve_wahba(sums.profile, sums.weight)
 
 
@@ -182,9 +182,9 @@ def dominant_eigenvector(k: Triangle, bound: Scalar) -> Quat:
     factors = _ldl_factors(shifted)
     one, other = ([jnp.full_like(bound, v) for v in start] for start in _STARTS)
     for _ in range(2):
-        one = _unit(_solve(factors, one))
+        one = _unit(_solve_factored(factors, one))
         # Twice, since the vectors are nearly parallel and the first leaves rounding errors.
-        other = _orthogonal_unit(one, _orthogonal_unit(one, _solve(factors, other)))
+        other = _orthogonal_unit(one, _orthogonal_unit(one, _solve_factored(factors, other)))
     by_one, by_other = _times(k, one), _times(k, other)
     a, b, c = _dot(one, by_one), _dot(one, by_other), _dot(other, by_other)
     # The larger eigenvalue's eigenvector of [[a, b], [b, c]], by half the angle of (a - c, 2b).
@@ -235,15 +235,16 @@ def _ldl_factors(m: Triangle) -> tuple[dict[tuple[int, int], Scalar], list[Scala
     return below, [1 / one for one in d]
 
 
-def _solve(
+def _solve_factored(
     factors: tuple[dict[tuple[int, int], Scalar], list[Scalar]], b: list[Scalar]
 ) -> list[Scalar]:
+    """Return x of L D L' x = b, given L and the inverse of D."""
     below, inverse = factors
     x = list(b)
     for i in range(4):
         for k in range(i):
             x[i] = x[i] - below[i, k] * x[k]
-    x = [one * by for one, by in zip(x, inverse, strict=True)]
+    x = [value * factor for value, factor in zip(x, inverse, strict=True)]
     for i in reversed(range(4)):
         for k in range(i + 1, 4):
             x[i] = x[i] - below[k, i] * x[k]

@@ -214,6 +214,7 @@ def _no_forces(zero: Scalar) -> ForceSums:
 
 
 def _add_force(sums: ForceSums, force: Vec3, place: Place, n: Scalar, dt: float) -> ForceSums:
+    """Return the sums with a sample's increment in i0, and the one that gravity leads to."""
     middle = n - 0.5
     up = Vec3(jnp.zeros_like(place.gravity), jnp.zeros_like(place.gravity), place.gravity * dt)
     turn = rotations.exp(scale(middle * dt, earth_rate(place)))
@@ -228,11 +229,11 @@ def _add_force(sums: ForceSums, force: Vec3, place: Place, n: Scalar, dt: float)
 
 def _fit_mean_and_slope(sums: ForceSums, count: Scalar) -> Quat:
     """Return the TRIAD of the means with weights 1 - tau^2 and (1 - tau^2) tau, tau = 2 m/n - 1."""
-    half = 2 / jnp.maximum(count, 1.0)
+    h = 2 / jnp.maximum(count, 1.0)
 
     def weighted(totals: tuple[Vec3, ...]) -> Any:
-        # With h = 2/n: 1 - tau^2 = 2 hm - (hm)^2, times tau = -2 hm + 3 (hm)^2 - (hm)^3.
-        scaled = [scale(half**k, total) for k, total in enumerate(totals)]
+        # 1 - tau^2 = 2 hm - (hm)^2, times tau = -2 hm + 3 (hm)^2 - (hm)^3.
+        scaled = [scale(h**k, total) for k, total in enumerate(totals)]
         mean = add(scale(2.0, scaled[1]), scale(-1.0, scaled[2]))
         slope = add(scale(-2.0, scaled[1]), scale(3.0, scaled[2]))
         slope = add(slope, scale(-1.0, scaled[3]))

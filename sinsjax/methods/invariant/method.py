@@ -27,7 +27,6 @@ from sinsjax.methods.filters.closed_loop import (
     closed_loop,
     initial_state,
     mechanise_function,
-    place_function,
     reverse_time,
     subtract_fed_back,
     update_with_velocity,
@@ -76,7 +75,7 @@ def build_filter(options: Options) -> Filter:
         feed_back=_feed_back,
         reset=partial(reset_covariance, heading=(PHI_U,)),
         reverse=_reverse,
-        place=place_function(options.position),
+        place=options.place,
         at_rest=lambda state, here: transition(state.nav, here),
         misalignment=attitude.estimated_misalignment,
         attitude=attitude.corrected_attitude,
@@ -94,11 +93,12 @@ def _coriolis_up(nav: Navigation, place: Place) -> Scalar:
 
 
 def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
+    """Return the state with a share of the estimate fed back, and the rotation that was."""
     fed_back = tuple(share * estimate for estimate in state.belief.x)
     phi = Vec3(fed_back[PHI_E], fed_back[PHI_N], fed_back[PHI_U])
     turn = rotations.exp(phi)
     velocity = rotations.rotate(turn, Vec3(state.nav.ve, state.nav.vn, state.extra))
-    error = left_jacobian(phi, Vec3(fed_back[VE], fed_back[VN], jnp.zeros_like(fed_back[VE])))
+    error = apply_left_jacobian(phi, Vec3(fed_back[VE], fed_back[VN], jnp.zeros_like(fed_back[VE])))
     corrected = state._replace(
         nav=state.nav._replace(
             q=rotations.multiply(turn, state.nav.q),
@@ -111,7 +111,7 @@ def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
     return corrected, phi
 
 
-def left_jacobian(phi: Vec3, v: Vec3) -> Vec3:
+def apply_left_jacobian(phi: Vec3, v: Vec3) -> Vec3:
     """Return J v for the left Jacobian J of the rotation group.
 
     J = I + (1 - cos th)/th^2 (phi x) + (th - sin th)/th^3 (phi x)^2, th = |phi| <= 2 pi.

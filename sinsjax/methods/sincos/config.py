@@ -13,7 +13,7 @@ from pydantic import Field
 
 from sinsjax.columns import Column
 from sinsjax.methods.description import CheckedStudy, Implementation, OwnColumn
-from sinsjax.methods.filters.config import BIAS_KEYS, COLUMNS, describe_filter
+from sinsjax.methods.filters.config import BIAS_KEYS, FILTER_COLUMNS, describe_filter
 from sinsjax.methods.filters.section import FilterSection, ResetsSection, check_resets
 from sinsjax.methods.parameters import Columns
 from sinsjax.methods.triggers.config import TriggerKeys, check_trigger, has_trigger
@@ -108,7 +108,7 @@ SINCOS = describe_filter(
     source="Dmitriyev, Stepanov and Shepel (1997), Rogers (1997)",
     load=_load,
     silent=(*BIAS_KEYS, "p0_yaw_deg", "reset_yaw_deg"),
-    columns=(*COLUMNS, *NORTH_DRIFT),
+    columns=(*FILTER_COLUMNS, *NORTH_DRIFT),
     step_s=15e-9,
     estimate_runs=5.0,
 )
@@ -122,7 +122,7 @@ SURGE = describe_filter(
     silent=(*BIAS_KEYS, "p0_yaw_deg", "reset_yaw_deg"),
     refuses=tuple(TriggerKeys.model_fields),
     rules=(check_no_trigger, check_trigger, check_resets),
-    columns=(*COLUMNS, *NORTH_DRIFT),
+    columns=(*FILTER_COLUMNS, *NORTH_DRIFT),
     has_error_model=False,
     step_s=25e-9,
 )

@@ -49,7 +49,6 @@ from sinsjax.methods.filters.closed_loop import (
     closed_loop,
     initial_state,
     mechanise_function,
-    place_function,
     reverse_time,
     update_with_velocity,
 )
@@ -57,7 +56,7 @@ from sinsjax.methods.kalman import Innovation
 from sinsjax.methods.schedules import reset_covariance
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
-from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 STATES = ("dve", "dvn", "tilt_e", "tilt_n", "heading_sine", "heading_versine")
 VE, VN, TILT_E, TILT_N, SINE, VERSINE = range(6)
@@ -81,7 +80,7 @@ class Direction(NamedTuple):
         amplitude: sqrt(s^2 + cos^2 a); 1 without gyro drift, and 1 where it is not known.
     """
 
-    known: Scalar
+    known: Flag
     sine: Scalar
     cosine: Scalar
     amplitude: Scalar
@@ -111,13 +110,13 @@ def build_filter(options: Options) -> Filter:
         feed_back=_feed_back,
         reset=partial(reset_covariance, heading=(SINE, VERSINE)),
         reverse=partial(reverse_time, REVERSAL),
-        place=place_function(options.position),
+        place=options.place,
         at_rest=lambda state, here: transition(here, dt),
         misalignment=_misalignment,
         attitude=_attitude,
         covariance=_covariance,
         inputs=_inputs,
-        start_error=start_error,
+        start_error=_start_error,
         extra_results=_north_drift,
         shares_covariance=options.position == "fixed",
         keep=_keep_amplitude,
@@ -175,6 +174,7 @@ def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
 
 
 def _direction(state: Any) -> Direction:
+    """Return sine and cosine of the azimuth by the estimate, normalised."""
     s, c = state.belief.x[SINE], 1 - state.belief.x[VERSINE]
     square = s * s + c * c
     known = square >= LEAST_AMPLITUDE**2
@@ -197,7 +197,7 @@ def _inputs(state: FilterState) -> Entries:
     }
 
 
-def start_error(state: FilterState, change: StartChange) -> tuple[Scalar, ...]:
+def _start_error(state: FilterState, change: StartChange) -> tuple[Scalar, ...]:
     """Return `Filter.start_error`: sine and versine change by those of the unknown heading."""
     tilt_e, tilt_n, sine, cosine = tilt_and_azimuth_change(change)
     zeros = (jnp.zeros_like(change.ve),) * len(state.belief.x[VERSINE + 1 :])
@@ -266,7 +266,6 @@ def _north_drift(site: Site, state: FilterState) -> NorthDrift:
     return NorthDrift(*(jnp.where(d.known, number, jnp.nan) for number in (value, sigma)))
 
 
-SURGE_STATES = (*STATES, "place_e", "place_n", "surge_e", "surge_n")
 PLACE_E, PLACE_N, SURGE_E, SURGE_N = range(6, 10)
 SURGE_REVERSAL = (*REVERSAL, 1.0, 1.0, -1.0, -1.0)
 

@@ -79,12 +79,12 @@ _NUMBERS = (
 
 
 def has_trigger(name: str | None) -> bool:
-    """Whether a value of ``reset_trigger`` names a trigger."""
+    """Return whether a value of ``reset_trigger`` names a trigger."""
     return name not in (None, "none")
 
 
 def any_trigger(study: StudyView) -> bool:
-    """Whether some variant of a study has a trigger."""
+    """Return whether some variant of a study has a trigger."""
     points = study.combinations("reset_trigger") if study.has("resets") else ()
     return any(has_trigger(point["reset_trigger"]) for point in points)
 
@@ -144,7 +144,10 @@ class TriggerKeys(Section):
     )
     trigger_most: Annotated[
         Annotated[Count, Field(ge=1)] | None, KeyInfo(default=10, beside="reset_trigger")
-    ] = Field(None, description="largest number of resets by the trigger in a run; default 10")
+    ] = Field(
+        None,
+        description="largest number of resets by the trigger in a run; default 10",
+    )
     trigger_until_s: Annotated[Seconds | None, KeyInfo(time="s")] = Field(
         None,
         description="time after which the trigger does not reset any more, s; default: no limit",
@@ -167,7 +170,7 @@ def _triggered_last_s(results: Any, rate_hz: float) -> NDArray:
 
 
 def _time_s(sample: Any, rate_hz: float) -> NDArray:
-    """Time of a sample, s; NaN for 0, that of no reset."""
+    """Return the time of a sample, s; NaN for 0, which stands for no reset."""
     sample = np.asarray(sample)
     return np.where(sample > 0, sample / rate_hz, np.nan)
 
@@ -194,6 +197,6 @@ TRIGGER_COUNTS = (
 
 
 def last_triggered_sample(results: Any) -> NDArray | None:
-    """Sample of the last reset that a trigger called for, (runs,); 0 for none. None without one."""
+    """Return the sample of the last reset by a trigger, (runs,), 0 for none; None without one."""
     counts = results.trigger_counts
     return None if counts is None else np.asarray(counts.last)

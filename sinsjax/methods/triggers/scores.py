@@ -9,7 +9,7 @@ import numpy as np
 
 from sinsjax.maths.algebra import Triangle, triangle_index
 from sinsjax.methods import kalman
-from sinsjax.methods.kalman import Belief, normalised
+from sinsjax.methods.kalman import Belief, normalised_innovation_squared
 from sinsjax.methods.triggers.trigger import (
     AssumedNoise,
     FilterSnapshot,
@@ -40,7 +40,7 @@ def _start_block(terms: int) -> Callable[[TriggerParams, Triangle], _Block]:
 def _add_to_block(
     trigger_params: TriggerParams, block: _Block, terms: tuple[Scalar, ...]
 ) -> tuple[_Block, Flag]:
-    """Add one sample to the window, which begins anew where it was full; and whether it is now."""
+    """Return the window with one sample added, and whether it is full; a full one starts again."""
     again = block.count >= trigger_params.window
     sums = tuple(jnp.where(again, 0.0, s) + t for s, t in zip(block.sums, terms, strict=True))
     count = jnp.where(again, 0.0, block.count) + 1
@@ -50,23 +50,23 @@ def _add_to_block(
 def _score_innovation(
     trigger_params: TriggerParams, noise: AssumedNoise, block: _Block, snapshot: FilterSnapshot
 ) -> Any:
-    """Innovation windowed over time: (sum r)' (sum S)^-1 (sum r), chi-square with 2 degrees."""
+    """Return (sum r)' (sum S)^-1 (sum r) over a window, chi-square with 2 degrees of freedom."""
     block, full = _add_to_block(trigger_params, block, (*snapshot.innovation, *snapshot.variance))
     e, n, *s = block.sums
-    return block, jnp.where(full, normalised((e, n), s), 0.0)
+    return block, jnp.where(full, normalised_innovation_squared((e, n), s), 0.0)
 
 
 def _score_nis(
     trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, snapshot: FilterSnapshot
 ) -> Any:
-    """Normalised innovation squared of a sample, r' S^-1 r, chi-square with 2 degrees."""
-    return memory, normalised(snapshot.innovation, snapshot.variance)
+    """Return the normalised innovation squared r' S^-1 r, chi-square with 2 degrees."""
+    return memory, normalised_innovation_squared(snapshot.innovation, snapshot.variance)
 
 
 def _score_whiteness(
     trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, snapshot: FilterSnapshot
 ) -> Any:
-    """sqrt(N) |rho|, rho the innovations' correlation over one sample in a window of N."""
+    """Return sqrt(N) |rho|, rho the lag-one correlation of the innovations in a window of N."""
     block, before = memory
     e, n = snapshot.innovation
     block, full = _add_to_block(
@@ -98,7 +98,7 @@ def _start_levels(trigger_params: TriggerParams, p: Triangle) -> _Levels:
 def _level_correction_rates(
     trigger_params: TriggerParams, levels: _Levels, snapshot: FilterSnapshot
 ) -> tuple[_Levels, Flag, Pair]:
-    """Rates at which the level was corrected over a window, rad/s, and whether it is full."""
+    """Return the window, whether it is full, and the rates of level correction over it, rad/s."""
     count = levels.count + 1
     full, span = count >= trigger_params.window, count * snapshot.dt
     e, n, _ = snapshot.correction
@@ -113,10 +113,10 @@ def _level_correction_rates(
 def _score_tilt_drift(
     trigger_params: TriggerParams, noise: AssumedNoise, levels: _Levels, snapshot: FilterSnapshot
 ) -> Any:
-    """Measured tilt drift about east over the predicted one: (drift / omega_N)^2 / P_UU.
+    """Return the measured tilt drift about east over the predicted one: (drift / omega_N)^2 / P_UU.
 
-    A heading error phi_U tilts the platform at omega_N phi_U, which the filter corrects; what it
-    goes on correcting is more than its belief allows where that is false.
+    A heading error phi_U tilts the platform at omega_N phi_U, which the filter corrects. A larger
+    correction than P allows shows that P is too small.
     """
     levels, full, (east, _) = _level_correction_rates(trigger_params, levels, snapshot)
     p_uu = snapshot.covariance(snapshot.belief).uu
@@ -131,12 +131,12 @@ STILL = 9.21
 def _score_levelled(
     trigger_params: TriggerParams, noise: AssumedNoise, levels: _Levels, snapshot: FilterSnapshot
 ) -> Any:
-    """Levelled now: omega_N over the rate at which the level is corrected, where velocity is still.
+    """Return omega_N over the rate of level correction while the velocity is still, else 0.
 
     Once it exceeds 1, what is left of the drift can be the work of heading alone.
     """
     levels, full, (east, north) = _level_correction_rates(trigger_params, levels, snapshot)
-    still = normalised(snapshot.innovation, snapshot.variance) < STILL
+    still = normalised_innovation_squared(snapshot.innovation, snapshot.variance) < STILL
     # The Earth of a backward pass turns the other way.
     score = jnp.abs(snapshot.place.rate_n) / jnp.sqrt(east**2 + north**2)
     return levels, jnp.where(full & still, score, 0.0)
@@ -149,19 +149,20 @@ _SMALL_LEVEL, _SMALL_HEADING = 0.1 * DEG, 4 * DEG
 def _score_linearisation(
     trigger_params: TriggerParams, noise: AssumedNoise, p: Triangle, snapshot: FilterSnapshot
 ) -> Any:
-    """How much more the filter knows of heading, or is about to, than its linear model can tell.
+    """Return how far the knowledge of heading in P exceeds that of an honest linear model.
 
     While the level is wrong, the horizontal specific force enters A(t), and heading seems to show
     in velocity. The honest covariance P* of a base at rest (f = (0, 0, g)) does without. Three
     shares of variance make up the score, the root of 1 and their sum:
 
-    * P*_UU / P_UU - 1: what is known already that there was not to know; as far as the level was
+    * P*_UU / P_UU - 1: knowledge of heading without basis; as far as the level was
       corrected since the last reset, in full from 0.1 deg: where it was not, the base moves, and
       heading does show;
-    * P*_UU (phi_E^2 / P*_EE + phi_N^2 / P*_NN) / 4: what will be, when the level phi that is not
-      yet fed back (in units of 2 sigma) is, and the specific force jumps; likewise from 0.1 deg;
+    * P*_UU (phi_E^2 / P*_EE + phi_N^2 / P*_NN) / 4: the expected jump when the level phi that is
+      not yet fed back (in units of 2 sigma) is, as the specific force changes; likewise from
+      0.1 deg;
     * (d - sin d)^2 / (P_UU + (4 deg)^2): what a heading correction d since the last reset left
-      out, as the tilt it was told by goes with sin d; corrections up to 30 deg count little.
+      out, since the tilt that reveals heading goes with sin d; up to 30 deg it is little.
     """
     zeros = tuple(jnp.zeros_like(v) for v in snapshot.belief.x)
     honest = kalman.predict(Belief(zeros, p), snapshot.at_rest, noise.q)
@@ -177,7 +178,7 @@ def _score_linearisation(
 
 
 def _sine(angle: Scalar) -> Scalar:
-    """Sine to some 1e-15 in arithmetic alone: XLA:CPU calls the library's for one lane at a time.
+    """Return the sine to some 1e-15 by arithmetic alone: XLA:CPU calls the library lane by lane.
 
     Args:
         angle: rad, of no more than some turns, which it is reduced by.
@@ -191,7 +192,7 @@ def _sine(angle: Scalar) -> Scalar:
 
 
 def _weight_of_level(east: Scalar, north: Scalar) -> Scalar:
-    """The share to which a level angle counts: its square, in full from `_SMALL_LEVEL`."""
+    """Return the weight of a level angle: its square over `_SMALL_LEVEL` squared, at most 1."""
     return jnp.minimum(1.0, (east**2 + north**2) / _SMALL_LEVEL**2)
 
 
@@ -202,14 +203,14 @@ def _start_with_covariance(trigger_params: TriggerParams, p: Triangle) -> Triang
 def _fade_constantly(
     trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, p: Triangle, r: Pair
 ) -> Any:
-    """Fading memory: P is multiplied by the threshold at each sample, such as 1.0001."""
+    """Return the threshold as the factor on P at each sample, such as 1.0001: fading memory."""
     return memory, trigger_params.threshold
 
 
 def _fade_strong_tracking(
     trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, p: Triangle, r: Pair
 ) -> Any:
-    """Strong tracking (Zhou and Frank 1996), one factor; the threshold is its beta, from 0 to 1.
+    """Return the factor on P of strong tracking (Zhou and Frank 1996); the threshold is its beta.
 
     V <- (rho V + r r') / (1 + rho), rho = 0.95; N = V - H Q H' - beta R; M = H Phi P Phi' H';
     the factor is max(1, tr N / tr M).

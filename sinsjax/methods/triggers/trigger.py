@@ -100,12 +100,12 @@ class Trigger(NamedTuple):
 
     Attributes:
         start: (params, P) -> memory at the start and after a reset that leaves P.
-        look: (params, noise, memory, snapshot) -> memory and score.
+        score: (params, noise, memory, snapshot) -> memory and score.
         fade: (params, noise, memory, propagated P, innovation) -> memory and factor on P.
     """
 
     start: Callable[[TriggerParams, Triangle], Any]
-    look: (
+    score: (
         Callable[[TriggerParams, AssumedNoise, Any, FilterSnapshot], tuple[Any, Scalar]] | None
     ) = None
     fade: (
@@ -136,18 +136,20 @@ def fade(trigger: Trigger, params: Any, state: Any) -> Any:
     """
     if trigger.fade is None:
         return state
-    belief, watching = state.belief, state.trigger_state
+    belief, trigger_state = state.belief, state.trigger_state
     innovation = (state.nav.ve - belief.x[VE], state.nav.vn - belief.x[VN])
     memory, factor = trigger.fade(
-        params.trigger, AssumedNoise(params.q, params.r), watching.memory, belief.p, innovation
+        params.trigger, AssumedNoise(params.q, params.r), trigger_state.memory, belief.p, innovation
     )
     return state._replace(
-        trigger_state=watching._replace(memory=memory),
+        trigger_state=trigger_state._replace(memory=memory),
         belief=Belief(belief.x, tuple(factor * v for v in belief.p)),
     )
 
 
-def watch(trigger: Trigger, params: Any, state: Any, snapshot: FilterSnapshot, n: Scalar) -> Any:
+def update_trigger(
+    trigger: Trigger, params: Any, state: Any, snapshot: FilterSnapshot, n: Scalar
+) -> Any:
     """Score one sample and record whether P is to be reset after it, see `fired`.
 
     Args:
@@ -157,19 +159,19 @@ def watch(trigger: Trigger, params: Any, state: Any, snapshot: FilterSnapshot, n
         snapshot: of that state.
         n: number of the sample.
     """
-    if trigger.look is None:
+    if trigger.score is None:
         return state
-    watching, limits = state.trigger_state, params.trigger
+    trigger_state, limits = state.trigger_state, params.trigger
     noise = AssumedNoise(params.q, params.r)
-    memory, score = trigger.look(limits, noise, watching.memory, snapshot)
-    counts = watching.trigger_counts
+    memory, score = trigger.score(limits, noise, trigger_state.memory, snapshot)
+    counts = trigger_state.trigger_counts
     fires = (
         (score > limits.threshold)
-        & (n - watching.last_reset >= limits.refractory)
+        & (n - trigger_state.last_reset >= limits.refractory)
         & (counts.count < limits.most)
         & (n <= limits.until)
     )
-    pending = watching.pending
+    pending = trigger_state.pending
     if pending is not None:
         wanted = fires | pending
         fires = wanted & ((n >= state.feedback_at) | (limits.at_feedback == 0))
@@ -179,8 +181,8 @@ def watch(trigger: Trigger, params: Any, state: Any, snapshot: FilterSnapshot, n
         first=jnp.where(fires & (counts.count == 0), n, counts.first),
         last=jnp.where(fires, n, counts.last),
     )
-    watching = watching._replace(memory=memory, trigger_counts=counts, pending=pending)
-    return state._replace(trigger_state=watching)
+    trigger_state = trigger_state._replace(memory=memory, trigger_counts=counts, pending=pending)
+    return state._replace(trigger_state=trigger_state)
 
 
 def fired(trigger_state: TriggerState, n: Scalar) -> Flag:
@@ -188,7 +190,7 @@ def fired(trigger_state: TriggerState, n: Scalar) -> Flag:
     return trigger_state.trigger_counts.last == n
 
 
-def after_closing(
+def update_after_closing(
     trigger: Trigger, params: Any, state: Any, *, reset: Flag, correction: Vec3, n: Scalar
 ) -> Any:
     """Return a filter's state with its trigger's after a sample's feedback, and reset if any.
@@ -201,17 +203,20 @@ def after_closing(
         correction: attitude correction that was fed back, rad.
         n: number of the sample.
     """
-    watching = state.trigger_state
+    trigger_state = state.trigger_state
     cleared = trigger.start(params.trigger, state.belief.p)
     fed_back = Vec3(
-        *(jnp.where(reset, 0.0, a + b) for a, b in zip(watching.fed_back, correction, strict=True))
+        *(
+            jnp.where(reset, 0.0, a + b)
+            for a, b in zip(trigger_state.fed_back, correction, strict=True)
+        )
     )
-    watching = watching._replace(
-        memory=jax.tree.map(lambda a, b: jnp.where(reset, a, b), cleared, watching.memory),
+    trigger_state = trigger_state._replace(
+        memory=jax.tree.map(lambda a, b: jnp.where(reset, a, b), cleared, trigger_state.memory),
         fed_back=fed_back,
-        last_reset=jnp.where(reset, n, watching.last_reset),
+        last_reset=jnp.where(reset, n, trigger_state.last_reset),
     )
-    return state._replace(trigger_state=watching)
+    return state._replace(trigger_state=trigger_state)
 
 
 def begin_pass(trigger: Trigger, params: Any, state: Any, *, misalignment: Vec3) -> Any:
@@ -226,11 +231,11 @@ def begin_pass(trigger: Trigger, params: Any, state: Any, *, misalignment: Vec3)
         state: `FilterState` at the beginning of the pass.
         misalignment: estimated and not yet fed back, rad: no correction of this pass.
     """
-    watching = state.trigger_state
-    pending = None if watching.pending is None else jnp.zeros_like(watching.pending)
-    watching = watching._replace(
+    trigger_state = state.trigger_state
+    pending = None if trigger_state.pending is None else jnp.zeros_like(trigger_state.pending)
+    trigger_state = trigger_state._replace(
         memory=trigger.start(params.trigger, state.belief.p),
         fed_back=Vec3(*(-angle for angle in misalignment)),
         pending=pending,
     )
-    return state._replace(trigger_state=watching)
+    return state._replace(trigger_state=trigger_state)

@@ -3,7 +3,7 @@
 from functools import partial
 
 from sinsjax.methods.description import Implementation
-from sinsjax.methods.filters.config import READS, describe_filter
+from sinsjax.methods.filters.config import FILTER_KEYS, describe_filter
 
 
 def _load(model: str) -> Implementation:
@@ -23,7 +23,7 @@ KALMAN5 = describe_filter(
     name="kalman5",
     summary="Kalman filter of velocity and attitude errors, zero velocity measured",
     source="[P1] eq. (1)",
-    reads=(*READS, "specific_force"),
+    reads=(*FILTER_KEYS, "specific_force"),
     load=partial(_load, "kalman5"),
 )
 
@@ -31,7 +31,7 @@ KALMAN10 = describe_filter(
     name="kalman10",
     summary="the same with states of gyro and level accelerometer biases",
     source="[P1] eq. (1), biases as states",
-    reads=(*READS, "specific_force"),
+    reads=(*FILTER_KEYS, "specific_force"),
     load=partial(_load, "kalman10"),
     silent=(),
     gyro_bias_keys=(
