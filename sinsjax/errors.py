@@ -34,7 +34,7 @@ class InputError(ValueError):
         """Keep the lines apart in other processes."""
         return type(self), self.lines
 
-    def named(self, source: str) -> "InputError":
+    def with_source(self, source: str) -> "InputError":
         """Return the same error with a source before each line."""
         return InputError(*(f"{source}: {line}" for line in self.lines))
 

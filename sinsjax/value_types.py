@@ -40,7 +40,7 @@ class KeyInfo(NamedTuple):
     counts.
 
     Attributes:
-        usual: lowest and highest usual value, in the unit of the key; `rules` questions others.
+        usual_range: lowest and highest usual value in the unit of the key; `rules` refuses others.
         default: value of a key that a study omits although one of its methods reads it. Not filled
             in if the study gives an alternative key, see `Section.exclusive`.
         beside: a key that must be given, not as 'none', for the default to be filled in.
@@ -53,7 +53,7 @@ class KeyInfo(NamedTuple):
             number of passes.
     """
 
-    usual: tuple[float, float] | None = None
+    usual_range: tuple[float, float] | None = None
     default: Any = None
     beside: str | None = None
     same_as: str | float | None = None
@@ -155,23 +155,23 @@ Angle = Annotated[float, Field(ge=-360, le=360)]
 HalfTurn = Annotated[float, Field(ge=-180, le=180)]
 Elevation = Annotated[float, Field(gt=-90, lt=90)]
 # The usual ranges are generous: a number outside is most likely in another unit.
-Seconds = Annotated[Positive, KeyInfo(usual=(1e-9, 1e8))]
-SecondsOrZero = Annotated[NonNegative, KeyInfo(usual=(0, 1e8))]
-Period = Annotated[Positive, KeyInfo(usual=(1e-4, 1e7))]
-Band = Annotated[Positive, KeyInfo(usual=(1e-6, 180 * 60))]
-Amplitude = Annotated[NonNegative, KeyInfo(usual=(0, 360))]
-Speed = Annotated[Finite, KeyInfo(usual=(-1e4, 1e4))]
-SpeedSigma = Annotated[Positive, KeyInfo(usual=(1e-12, 1e4))]
-AngleSigma = Annotated[Positive, KeyInfo(usual=(1e-9, 360))]
+Seconds = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e8))]
+SecondsOrZero = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e8))]
+Period = Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e7))]
+Band = Annotated[Positive, KeyInfo(usual_range=(1e-6, 180 * 60))]
+Amplitude = Annotated[NonNegative, KeyInfo(usual_range=(0, 360))]
+Speed = Annotated[Finite, KeyInfo(usual_range=(-1e4, 1e4))]
+SpeedSigma = Annotated[Positive, KeyInfo(usual_range=(1e-12, 1e4))]
+AngleSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 360))]
 # Beyond a turn, next to nothing is known.
-HeadingSigma = Annotated[Positive, KeyInfo(usual=(1e-9, 1e4))]
-GyroSigma = Annotated[Positive, KeyInfo(usual=(1e-9, 1e6))]
-AccelSigma = Annotated[Positive, KeyInfo(usual=(1e-6, 1e7))]
-GyroNoise = Annotated[NonNegative, KeyInfo(usual=(0, 1e6))]
-AccelNoise = Annotated[NonNegative, KeyInfo(usual=(0, 1e7))]
-GyroWalk = Annotated[NonNegative, KeyInfo(usual=(0, 1e4))]
-Bandwidth = Annotated[Positive, KeyInfo(usual=(1e-6, 1e4))]
-Factor = Annotated[Positive, KeyInfo(usual=(1e-9, 1e9))]
+HeadingSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e4))]
+GyroSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e6))]
+AccelSigma = Annotated[Positive, KeyInfo(usual_range=(1e-6, 1e7))]
+GyroNoise = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))]
+AccelNoise = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e7))]
+GyroWalk = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e4))]
+Bandwidth = Annotated[Positive, KeyInfo(usual_range=(1e-6, 1e4))]
+Factor = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e9))]
 IncreasingPair = Annotated[tuple[Finite, Finite], AfterValidator(_require_ordered)]
 Normal = tuple[Finite, NonNegative]
 Name = Annotated[str, Field(min_length=1), AfterValidator(_require_printable)]

@@ -67,7 +67,7 @@ def method_group(method: str) -> Group:
             "truth"  # the method estimates the biases that set a bias floor
         )
     data["alignment"]["method"] = method
-    unread = unread_keys([method]) | {*METHODS[method].silent}
+    unread = unread_keys([method]) | {*METHODS[method].without_effect}
     data = {
         section: {key: value for key, value in table.items() if key not in unread}
         for section, table in data.items()

@@ -79,8 +79,8 @@ def run_study(
                 terminal, job, job.forecast.describe(threads, done, threads=True)
             )
         stop = stack.enter_context(stop_on_signal(terminal))
-        tell = stack.enter_context(show_progress(terminal, job.study.name))
-        run_job(job, executor=executor, on_progress=tell, stop=stop)
+        on_progress = stack.enter_context(show_progress(terminal, job.study.name))
+        run_job(job, executor=executor, on_progress=on_progress, stop=stop)
     import_module("sinsjax.report").print_reports(
         [job.directory], terminal, full=full, warnings_shown=True
     )

@@ -101,7 +101,7 @@ def last_scheduled_reset_s(study: Study) -> np.ndarray:
     if not study.has("resets"):
         return np.zeros(study.n_variants)
     values = study.resolved.column(*OF_RESETS)
-    return values.each(lambda keys: max(acting_reset_times(study.rate_hz, *keys), default=0.0))
+    return values.compute(lambda keys: max(acting_reset_times(study.rate_hz, *keys), default=0.0))
 
 
 def variants_with_floor(study: Study) -> np.ndarray:
@@ -153,7 +153,7 @@ def _sigma_shared_with_bias(
         pairs: keys of the sigmas of gyro bias and heading: at the start, then at a reset.
     """
     models = study.resolved.column("earth", "earth_rate_deg_per_h")
-    rates = models.each(lambda values: _earth_rate(*values))
+    rates = models.compute(lambda values: _earth_rate(*values))
     rate_n = rates[runs.variant_ids] * np.cos(runs.numbers("latitude_deg") * DEG)
     most = np.zeros(len(rate_n))
     start: list[np.ndarray] = []
@@ -197,7 +197,7 @@ class _RunKeys:
         if key in self._drawn:
             return self._drawn[key][self._draws]
         column = self._study.resolved.column(key)
-        return column.each(lambda value: np.broadcast_to(value, 3))[self.variant_ids]
+        return column.compute(lambda value: np.broadcast_to(value, 3))[self.variant_ids]
 
 
 def hidden_north(study: Study) -> HiddenNorth | None:

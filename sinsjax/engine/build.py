@@ -308,7 +308,7 @@ def _run_params(study: Study, variants: Variants, site: Site, ug: float) -> RunP
     zero = np.zeros(len(variants.ids))
     start = [f"phi_{axis}0_deg" for axis in "enu"]
     drawn = any(key in study.drawn_keys for key in start)
-    euler = variants.coded("misalignment").each(lambda meaning: meaning == "euler", bool)
+    euler = variants.coded("misalignment").compute(lambda meaning: meaning == "euler", bool)
     phi = Vec3(*(variants.column(key, DEG) for key in start))
     if euler.any() and not drawn:
         phi = _rotation_vectors(variants.coded("misalignment", *start))

@@ -54,7 +54,7 @@ def run(
     *,
     curves: bool | None = None,
     chunk_runs: int | None = None,
-    tell: ProgressCallback | None = None,
+    on_progress: ProgressCallback | None = None,
 ) -> Results:
     """Run a study in memory.
 
@@ -63,7 +63,7 @@ def run(
         record: the record of a recorded study.
         curves: whether to keep curves; None follows the study.
         chunk_runs: runs per chunk; does not affect the rows.
-        tell: called with the progress after every chunk.
+        on_progress: called with the progress after every chunk.
 
     Returns:
         Tables of all runs.
@@ -83,7 +83,9 @@ def run(
         text = "covariance estimates have no runs (use sinsjax.estimate)"
         raise InputError(f"{study.name}: [study] estimate: {text}")
     options = RunOptions(curves=curves, chunk_runs=chunk_runs)
-    return _run_to_results(issue_warnings(prepare_job(study, None, record, None, options)), tell)
+    return _run_to_results(
+        issue_warnings(prepare_job(study, None, record, None, options)), on_progress
+    )
 
 
 def align(
@@ -93,7 +95,7 @@ def align(
     *,
     overrides: Mapping[str, Any] | None = None,
     curves: bool | None = None,
-    tell: ProgressCallback | None = None,
+    on_progress: ProgressCallback | None = None,
 ) -> Results:
     """Align recorded data in memory, from every start time of the study.
 
@@ -103,7 +105,7 @@ def align(
         reference: file of a reference attitude to compare with, if the record is a file.
         overrides: values of the study by ``section.key`` to change, see `Study.replace`.
         curves: whether to keep curves; None keeps them for up to 1,024 runs.
-        tell: called with the progress after every chunk.
+        on_progress: called with the progress after every chunk.
 
     Returns:
         Tables with one row per start time and variant, and per record time: attitude, 1 sigma, and
@@ -135,7 +137,7 @@ def align(
     options = RunOptions(curves=curves, max_curve_runs=max_curve_runs)
     study = load_study(study, overrides)  # here, to warn about keys that a change drops
     return _run_to_results(
-        issue_warnings(prepare_job(study, None, record, reference, options)), tell
+        issue_warnings(prepare_job(study, None, record, reference, options)), on_progress
     )
 
 
@@ -143,14 +145,14 @@ def estimate(
     study: Study | str | Path,
     *,
     chunk_runs: int | None = None,
-    tell: ProgressCallback | None = None,
+    on_progress: ProgressCallback | None = None,
 ) -> pa.Table:
     """Estimate the errors of a study's variants in memory, by covariance analysis.
 
     Args:
         study: study with ``estimate = "covariance"``, its file, or the name of a shipped study.
         chunk_runs: variants per chunk; does not affect the rows.
-        tell: called with the progress after every chunk.
+        on_progress: called with the progress after every chunk.
 
     Returns:
         One row per variant, ordered by variant_id; the schema has units and meanings.
@@ -170,7 +172,7 @@ def estimate(
     if not study.is_estimated:
         raise InputError(f"{study.name}: [study] estimate: is 'draws' (use sinsjax.run)")
     job = issue_warnings(prepare_job(study, options=RunOptions(chunk_runs=chunk_runs)))
-    return run_in_memory(job, tell)["estimates"].sort_by("variant_id")
+    return run_in_memory(job, on_progress)["estimates"].sort_by("variant_id")
 
 
 def run_into(
@@ -183,7 +185,7 @@ def run_into(
     overwrite: bool = False,
     resume: bool = False,
     executor: Executor | None = None,
-    tell: ProgressCallback | None = None,
+    on_progress: ProgressCallback | None = None,
     stop: threading.Event | None = None,
     source: Path | str | None = None,
 ) -> Results:
@@ -198,7 +200,7 @@ def run_into(
         overwrite: whether to remove existing results.
         resume: whether to keep complete parts of the same study and compute only the others.
         executor: runs the tasks; None for all devices of this process.
-        tell: called with the progress before the first chunk and after every one.
+        on_progress: called with the progress before the first chunk and after every one.
         stop: event that ends the study after the running chunks.
         source: label of the study in the manifest; None for its file.
 
@@ -223,7 +225,7 @@ def run_into(
     )
     began = time.monotonic()
     job = issue_warnings(prepare_job(study, None, record, None, options))
-    run_job(job, executor=executor, on_progress=tell, stop=stop)
+    run_job(job, executor=executor, on_progress=on_progress, stop=stop)
     return Results(job.study, time.monotonic() - began, directory=job.directory)
 
 

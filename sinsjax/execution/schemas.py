@@ -108,7 +108,7 @@ def method_columns(study: Study) -> dict[str, OwnColumn]:
     return {
         method_column.column.name: method_column
         for method in methods
-        for method_column in method.columns_of(study)
+        for method_column in method.own_columns(study)
     }
 
 

@@ -142,7 +142,7 @@ class TableBuilder:
     def _method_values(self, chunk: Chunk, variant: np.ndarray) -> dict[str, pa.Array]:
         """Return the columns specific to methods; all runs of a chunk have the same method."""
         method = self._chunk_method(variant)
-        method_names = {column.column.name for column in method.columns_of(self._study)}
+        method_names = {column.column.name for column in method.own_columns(self._study)}
         values = {}
         for name, (column, value, missing, _) in self._method_columns.items():
             column_values = (
@@ -215,7 +215,7 @@ def _data_before_start_s(study: Study) -> np.ndarray:
     if not study.counts_before:
         return np.zeros(study.n_variants)
     column = study.resolved.column(*COARSE_KEYS)
-    return column.each(lambda keys: study.samples_before(study.rate_hz, *keys)) / study.rate_hz
+    return column.compute(lambda keys: study.samples_before(study.rate_hz, *keys)) / study.rate_hz
 
 
 def _zip_axes(vector: Any) -> Any:

@@ -21,7 +21,7 @@ INITIAL_KEYS = (
 """The keys of [alignment] for a method that starts from an attitude and a velocity."""
 
 COMMON_KEYS = ("position",)
-"""The keys of [alignment] that act on every method, except those that list them as silent."""
+"""The keys of [alignment] that act on all methods but those with them in `without_effect`."""
 
 
 @runtime_checkable
@@ -77,13 +77,13 @@ class OwnColumn(NamedTuple):
         column: name, type, unit and meaning.
         value: (`Method.results` of runs, samples a second) -> values, (runs,), NaN for none.
         missing: value of runs whose method has no such column; NaN for none.
-        where: study -> whether it has the column.
+        applies_to: study -> whether it has the column.
     """
 
     column: Column
     value: Callable[[Any, float], NDArray]
     missing: float = float("nan")
-    where: Callable[[StudyView], bool] = lambda study: True
+    applies_to: Callable[[StudyView], bool] = lambda study: True
 
 
 def no_check(columns: Columns, site: Any) -> None:
@@ -118,7 +118,7 @@ class Description:
         sections: its sections of a study file, by name; methods may share one.
         reads: keys of [alignment] and [passes] that act on it, but for those that act on all.
         load: makes its `Implementation`, importing JAX.
-        silent: keys of its sections, of ``reads`` and of `COMMON_KEYS` without effect on it.
+        without_effect: keys of its sections, of ``reads`` and of `COMMON_KEYS` that change nothing.
         refuses: keys of its sections, and of [coarse] in a simulated study, that its rules refuse;
             a change to it drops them.
         has_covariance: whether it has a covariance P.
@@ -143,7 +143,7 @@ class Description:
     sections: Mapping[str, type[Section]]
     reads: tuple[str, ...]
     load: Callable[[], Implementation]
-    silent: tuple[str, ...] = ()
+    without_effect: tuple[str, ...] = ()
     refuses: tuple[str, ...] = ()
     has_covariance: bool = True
     has_floor: bool = True
@@ -161,9 +161,9 @@ class Description:
         own = (key for section in self.sections.values() for key in section.model_fields)
         return frozenset([*own, *self.reads])
 
-    def columns_of(self, study: StudyView) -> tuple[OwnColumn, ...]:
+    def own_columns(self, study: StudyView) -> tuple[OwnColumn, ...]:
         """Return its own result columns in a study."""
-        return tuple(own for own in self.columns if own.where(study))
+        return tuple(own for own in self.columns if own.applies_to(study))
 
     @cached_property
     def implementation(self) -> Implementation:

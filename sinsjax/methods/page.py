@@ -60,14 +60,14 @@ def _describe_keys(method: Description) -> list[str]:
     relaxed = method.implementation.relaxation
     lines = []
     for name, its_keys in own.items():
-        read = ", ".join(f"`{key}`" for key in its_keys if key not in method.silent)
+        read = ", ".join(f"`{key}`" for key in its_keys if key not in method.without_effect)
         lines.append(f"- `[{name}]`: {read or 'none'}.")
     if method.columns:
         columns = (f"`{own.column.name}` ({own.column.meaning})" for own in method.columns)
         lines.append(f"- Own columns: {', '.join(columns)}.")
     if relaxed:
         keys = {*relaxed.changes, *filter(None, [relaxed.times])}
-        with_gradient = sorted(keys.difference(method.silent))
+        with_gradient = sorted(keys.difference(method.without_effect))
         lines.append(f"- With a gradient: {', '.join(f'`{key}`' for key in with_gradient)}.")
     return lines
 

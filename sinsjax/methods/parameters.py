@@ -41,22 +41,22 @@ class Columns(Protocol):
         """Return numbers times a factor, (variants,); NaN if the key is left out."""
         ...
 
-    def each(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
+    def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
         """Return a function of the values of some keys, (variants, ...)."""
         ...
 
-    def lists(self, function: Callable[..., Any], *keys: str, rest: float) -> np.ndarray:
-        """Return lists of a function of some keys, (variants, longest), padded with ``rest``."""
+    def padded_lists(self, function: Callable[..., Any], *keys: str, padding: float) -> np.ndarray:
+        """Return lists of a function of some keys, (variants, longest), padded with ``padding``."""
         ...
 
-    def refused(self, key: str, why: str) -> InputError:
+    def input_error(self, key: str, reason: str) -> InputError:
         """Return the error of a value that cannot be run, with study and place of the key."""
         ...
 
 
 def column_with_default(columns: Columns, key: str, default: float) -> np.ndarray:
     """Return a numeric key, (variants,); the default if a variant leaves it out."""
-    return columns.each(lambda value: default if value is None else value, key)
+    return columns.compute(lambda value: default if value is None else value, key)
 
 
 def times_in_samples(
@@ -64,6 +64,8 @@ def times_in_samples(
 ) -> np.ndarray:
     """Return times in samples from a function of keys, (variants, longest); inf for none."""
     rate = columns.rate_hz
-    return columns.lists(
-        lambda *values: np.round(np.asarray(times_s(*values)) * rate).tolist(), *keys, rest=np.inf
+    return columns.padded_lists(
+        lambda *values: np.round(np.asarray(times_s(*values)) * rate).tolist(),
+        *keys,
+        padding=np.inf,
     )

@@ -54,13 +54,17 @@ def describe_method(method_name: str | None) -> list[str]:
     method = METHODS[method_name]
     package, version = PACKAGES.get(method_name, ("", ""))
     sections = ", ".join(f"[{name}]" for name in method.sections) or "none"
-    reads = ", ".join(key for key in method.reads if key not in method.silent) or "nothing"
+    reads = ", ".join(key for key in method.reads if key not in method.without_effect) or "nothing"
     return [
         f"{method_name}: {method.summary}",
         f"    source: {method.source}",
         *([f"    package: {package} {version}"] if package else []),
         f"    sections: {sections}; keys of [alignment] and [passes]: {reads}",
-        *([f"    keys without effect: {', '.join(method.silent)}"] if method.silent else []),
+        *(
+            [f"    keys without effect: {', '.join(method.without_effect)}"]
+            if method.without_effect
+            else []
+        ),
     ]
 
 

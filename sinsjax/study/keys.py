@@ -194,7 +194,9 @@ def reading_methods(key: str) -> tuple[str, ...]:
     """Return the methods on which a key has an effect: those that read it, or all if none does."""
     methods = METHODS.values()
     is_read = any(key in method.keys for method in methods)
-    return tuple(m.name for m in methods if (key in m.keys or not is_read) and key not in m.silent)
+    return tuple(
+        m.name for m in methods if (key in m.keys or not is_read) and key not in m.without_effect
+    )
 
 
 def has_effect(key: str, values: Mapping[str, Any]) -> bool:

@@ -138,7 +138,7 @@ def change_tables(
     try:
         changed = changing.apply_changes(data, changes)
     except InputError as error:
-        raise error.named(source) from None
+        raise error.with_source(source) from None
     files.check_nesting(changed, source)
     return unused_keys.drop_unread_keys(data, changed, changes, source)
 
@@ -171,7 +171,7 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
     try:
         return _build_checked_study(data, escape_controls(Path(source).stem))
     except InputError as error:
-        raise error.named(source) from None
+        raise error.with_source(source) from None
     except RecursionError:
         raise InputError(f"{source}: {files.TOO_DEEP}") from None
 

@@ -24,7 +24,7 @@ class CodedColumn(NamedTuple):
     codes: np.ndarray
     choices: tuple[Any, ...]
 
-    def each(self, function: Callable[[Any], Any], dtype: Any = float) -> np.ndarray:
+    def compute(self, function: Callable[[Any], Any], dtype: Any = float) -> np.ndarray:
         """Return a function of the values, called once per distinct value; (variants, ...)."""
         results = np.asarray([function(value) for value in self.choices], dtype)
         if len(results) == 1:  # most columns

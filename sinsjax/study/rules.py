@@ -463,7 +463,7 @@ def describe_implausible(key: str, value: Any) -> str | None:
 
 
 def _check_value(place: str, section: str, key: str, value: Any) -> None:
-    if value is None or KEYS[section, key].info.usual is None:
+    if value is None or KEYS[section, key].info.usual_range is None:
         return
     for index, number in _iter_numbers(value):
         if text := _describe_out_of_range(section, key, number):
@@ -471,7 +471,7 @@ def _check_value(place: str, section: str, key: str, value: Any) -> None:
 
 
 def _describe_out_of_range(section: str, key: str, number: float) -> str | None:
-    low, high = KEYS[section, key].info.usual or (-math.inf, math.inf)
+    low, high = KEYS[section, key].info.usual_range or (-math.inf, math.inf)
     if low <= number <= high:
         return None
     return f"{number:.12g} is outside the usual range of {low:g} to {high:g} ({ACCEPT_HINT})"

@@ -59,7 +59,7 @@ class StudySection(Section):
         " coarse alignment, except one that hands over a record"
     )
     # None only in a recorded study before its record is read, see `load.with_rate`.
-    rate_hz: Annotated[Positive, KeyInfo(usual=(1e-3, 1e6))] = Field(
+    rate_hz: Annotated[Positive, KeyInfo(usual_range=(1e-3, 1e6))] = Field(
         cast(float, None),
         description="sample rate of the sensors, Hz. Required in a simulation and for a record"
         " without time stamps; otherwise it must agree with the rate of the record",
@@ -102,7 +102,7 @@ class StudySection(Section):
         description="half-widths of the heading error bands into which settling times are"
         " reported, arcmin",
     )
-    window_s: Annotated[tuple[NonNegative, Positive], KeyInfo(usual=(0, 1e8))] = Field(
+    window_s: Annotated[tuple[NonNegative, Positive], KeyInfo(usual_range=(0, 1e8))] = Field(
         # A pydantic below 2.14 calls it even if the duration is missing or wrong.
         default_factory=lambda given: (
             given.get("duration_s", 1.0) / 1.5,
@@ -207,13 +207,13 @@ class EarthSection(Section):
         " three keys. 'wgs84': the WGS-84 ellipsoid with normal gravity at the latitude and"
         " height",
     )
-    gravity_m_per_s2: Annotated[Positive, KeyInfo(usual=(9, 10.5))] | None = Field(
+    gravity_m_per_s2: Annotated[Positive, KeyInfo(usual_range=(9, 10.5))] | None = Field(
         None, description="gravity, m/s^2; only with earth = 'constants'; default 9.8"
     )
-    radius_m: Annotated[Positive, KeyInfo(usual=(6e6, 7e6))] | None = Field(
+    radius_m: Annotated[Positive, KeyInfo(usual_range=(6e6, 7e6))] | None = Field(
         None, description="radius of the sphere, m; only with earth = 'constants'; default 6378137"
     )
-    earth_rate_deg_per_h: Annotated[Positive, KeyInfo(usual=(10, 20))] | None = Field(
+    earth_rate_deg_per_h: Annotated[Positive, KeyInfo(usual_range=(10, 20))] | None = Field(
         None,
         description="rotation rate of the Earth, deg/h; only with earth = 'constants'; default"
         " 15.041067",
@@ -223,7 +223,7 @@ class EarthSection(Section):
         description="latitude, positive north, deg. Required in a simulation; a recorded study"
         " may leave it out if the header of its record gives it",
     )
-    height_m: Annotated[Finite, KeyInfo(usual=(-12e3, 1e6))] | None = Field(
+    height_m: Annotated[Finite, KeyInfo(usual_range=(-12e3, 1e6))] | None = Field(
         None,
         description="height above the ellipsoid or the sphere, m; default: the height in the"
         " header of the record, or 0",
@@ -302,12 +302,12 @@ class MotionSection(Section):
         description="period of the yaw motion, s. It must be given if the amplitude is not zero",
     )
     yaw_phase_deg: Angle = Field(0.0, description="phase of the yaw motion at t = 0, deg")
-    lever_arm_m: Annotated[Vector, KeyInfo(usual=(-1e3, 1e3))] = Field(
+    lever_arm_m: Annotated[Vector, KeyInfo(usual_range=(-1e3, 1e3))] = Field(
         0.0,
         description="vector from the centre of the sway to the sensors along the body axes right,"
         " front, up, m",
     )
-    surge_m_per_s: Annotated[NoisePerAxis, KeyInfo(usual=(0, 100))] = Field(
+    surge_m_per_s: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 100))] = Field(
         0.0,
         description="rms velocity of the surge, a random motion about a fixed place, along east,"
         " north, up, m/s",
@@ -324,12 +324,12 @@ class MotionSection(Section):
         " acceleration have finite variances. 'gauss_markov': the velocity is a first-order"
         " Gauss-Markov process, whose acceleration grows with the sample rate",
     )
-    vibration_ug_rms: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e8))] = Field(
+    vibration_ug_rms: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e8))] = Field(
         0.0,
         description="specific force of the sensor housing's vibration along the body axes right,"
         " front, up, ug rms",
     )
-    vibration_deg_per_h_rms: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e8))] = Field(
+    vibration_deg_per_h_rms: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e8))] = Field(
         0.0,
         description="angular rate of the sensor housing's vibration about the body axes right,"
         " front, up, deg/h rms",
@@ -352,21 +352,21 @@ class SensorsSection(Section):
         KeyCondition(("accel_instability_time_s",), ("accel_instability_ug",), _any_nonzero),
     )
 
-    gyro_bias_deg_per_h: Annotated[Vector, KeyInfo(usual=(-1e5, 1e5))] = Field(
+    gyro_bias_deg_per_h: Annotated[Vector, KeyInfo(usual_range=(-1e5, 1e5))] = Field(
         0.0, description="constant gyro bias, measured minus true rate, deg/h"
     )
-    gyro_noise_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e6))] | None = Field(
+    gyro_noise_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] | None = Field(
         None,
         description="white noise of the gyros as the standard deviation of one sample of the"
         " rate, deg/h; an alternative to gyro_arw_deg_per_sqrt_h; default: no noise if both are"
         " left out",
     )
-    gyro_arw_deg_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e4))] | None = Field(
+    gyro_arw_deg_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] | None = Field(
         None,
         description="white noise of the gyros as the angle random walk of a data sheet,"
         " deg/sqrt(h); an alternative to gyro_noise_deg_per_h",
     )
-    gyro_instability_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e4))] = Field(
+    gyro_instability_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
         0.0,
         description="gyro bias instability as the rms of a first-order Gauss-Markov process,"
         " deg/h. The Allan deviation of this process is at most 0.617 of its rms",
@@ -374,38 +374,38 @@ class SensorsSection(Section):
     gyro_instability_time_s: Period = Field(
         300.0, description="correlation time of the gyro bias instability, s"
     )
-    gyro_rrw_deg_per_h_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e4))] = Field(
+    gyro_rrw_deg_per_h_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
         0.0,
         description="rate random walk of the gyros, deg/h/sqrt(h). It starts from zero at the"
         " first sample",
     )
-    gyro_quantisation_arcsec: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e4))] = Field(
+    gyro_quantisation_arcsec: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
         0.0,
         description="resolution of the gyros' angle output, arcsec. What is rounded off is"
         " carried over to the next sample",
     )
-    gyro_scale_ppm: Annotated[Vector, KeyInfo(usual=(-1e6, 1e6))] = Field(
+    gyro_scale_ppm: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
         0.0, description="scale factor error of the gyros, ppm"
     )
-    gyro_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual=(-1e5, 1e5))] = Field(
+    gyro_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual_range=(-1e5, 1e5))] = Field(
         0.0,
         description="small misalignment angles of the gyro axes xy, xz, yx, yz, zx, zy, arcsec:"
         " with xy, gyro x also measures that fraction of the rate about y",
     )
-    accel_bias_ug: Annotated[Vector, KeyInfo(usual=(-1e6, 1e6))] = Field(
+    accel_bias_ug: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
         0.0, description="constant accelerometer bias, measured minus true specific force, ug"
     )
-    accel_noise_ug: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e7))] | None = Field(
+    accel_noise_ug: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None = Field(
         None,
         description="white noise of the accelerometers as the standard deviation of one sample,"
         " ug; an alternative to accel_vrw_ug_per_sqrt_hz; default: no noise if both are left out",
     )
-    accel_vrw_ug_per_sqrt_hz: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e7))] | None = Field(
+    accel_vrw_ug_per_sqrt_hz: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None = Field(
         None,
         description="white noise of the accelerometers as the velocity random walk of a data"
         " sheet, ug/sqrt(Hz); an alternative to accel_noise_ug",
     )
-    accel_instability_ug: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e6))] = Field(
+    accel_instability_ug: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
         0.0,
         description="accelerometer bias instability as the rms of a first-order Gauss-Markov"
         " process, ug",
@@ -413,20 +413,20 @@ class SensorsSection(Section):
     accel_instability_time_s: Period = Field(
         300.0, description="correlation time of the accelerometer bias instability, s"
     )
-    accel_rrw_ug_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e6))] = Field(
+    accel_rrw_ug_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
         0.0,
         description="acceleration random walk of the accelerometers, ug/sqrt(h). It starts from"
         " zero at the first sample",
     )
-    accel_quantisation_um_per_s: Annotated[NoisePerAxis, KeyInfo(usual=(0, 1e6))] = Field(
+    accel_quantisation_um_per_s: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
         0.0,
         description="resolution of the accelerometers' velocity output, um/s. What is rounded off"
         " is carried over to the next sample",
     )
-    accel_scale_ppm: Annotated[Vector, KeyInfo(usual=(-1e6, 1e6))] = Field(
+    accel_scale_ppm: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
         0.0, description="scale factor error of the accelerometers, ppm"
     )
-    accel_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual=(-1e5, 1e5))] = Field(
+    accel_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual_range=(-1e5, 1e5))] = Field(
         0.0,
         description="small misalignment angles of the accelerometer axes xy, xz, yx, yz, zx, zy,"
         " arcsec: with xy, accelerometer x also measures that fraction of the specific force"

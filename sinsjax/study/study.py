@@ -326,7 +326,7 @@ class Study(_SectionsOfMethods):
     @property
     def spans_s(self) -> np.ndarray:
         """Length of each variant's runs and of a pass over its stored record, s; (variants, 2)."""
-        lengths = self.lengths.each(lambda span: (span.records, span.pass_records), int)
+        lengths = self.lengths.compute(lambda span: (span.records, span.pass_records), int)
         return lengths * self.record_every / self.rate_hz
 
     def update_times(self, span: Span) -> np.ndarray:
@@ -507,7 +507,7 @@ class Study(_SectionsOfMethods):
 
     def without_effect(self, key: str) -> np.ndarray:
         """Return whether a swept key has no effect on each variant; (variants,)."""
-        return self._effective_column(key).each(lambda value: not value, bool)
+        return self._effective_column(key).compute(lambda value: not value, bool)
 
     @property
     def duplicate_of(self) -> np.ndarray:

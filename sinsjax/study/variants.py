@@ -67,25 +67,25 @@ class Variants:
         """Return the values of a numeric key times a factor, (variants,); zeros for a drawn key."""
         if key in self._study.drawn_keys:
             return np.zeros(len(self.ids))
-        return self.each(lambda value: math.nan if value is None else value * factor, key)
+        return self.compute(lambda value: math.nan if value is None else value * factor, key)
 
-    def each(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
+    def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
         """Return a function of the values of some keys, called once per combination."""
         column = self.coded(*keys)
         if len(keys) == 1:
-            return column.each(function, dtype)
-        return column.each(lambda values: function(*values), dtype)
+            return column.compute(function, dtype)
+        return column.compute(lambda values: function(*values), dtype)
 
-    def lists(self, function: Callable[..., Any], *keys: str, rest: float) -> np.ndarray:
-        """Return a function that gives lists, (variants, longest), padded with ``rest``."""
+    def padded_lists(self, function: Callable[..., Any], *keys: str, padding: float) -> np.ndarray:
+        """Return a function that gives lists, (variants, longest), padded with ``padding``."""
         column = self.coded(*keys)
         lists_column = column.map(function if len(keys) == 1 else lambda values: function(*values))
         present = np.flatnonzero(
             np.bincount(lists_column.codes, minlength=len(lists_column.choices))
         )
         longest = max(len(lists_column.choices[code]) for code in present)
-        return lists_column.each(
-            lambda entries: [*entries, *([rest] * (longest - len(entries)))][:longest]
+        return lists_column.compute(
+            lambda entries: [*entries, *([padding] * (longest - len(entries)))][:longest]
         )
 
     def common(self, key: str) -> Any:
@@ -100,7 +100,7 @@ class Variants:
         drawn = self._study.drawn_keys
         return any(key in drawn or np.any(self.value(key, 0) or 0) for key in keys)
 
-    def refused(self, key: str, reason: str) -> InputError:
+    def input_error(self, key: str, reason: str) -> InputError:
         """Return the error of a value that cannot be run, with study and table of the key."""
         study = self._study
         zipped = (f"[axes.{name}]" for name, keys in study.zips.items() if key in keys)

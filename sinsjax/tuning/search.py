@@ -271,7 +271,7 @@ def point_values(study: Study, derived: Study, table: pa.Table) -> NDArray:
 
 def total_steps(study: Study) -> int:
     """Return the total number of steps of a study's runs."""
-    records = study.lengths.each(lambda span: span.records, int)
+    records = study.lengths.compute(lambda span: span.records, int)
     return int(records.sum()) * study.record_every * study.n_draws
 
 

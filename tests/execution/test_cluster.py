@@ -155,14 +155,14 @@ class TestTwoWorkers:
     ) -> None:
         killed: list[psutil.Process] = []
 
-        def tell(progress: run.RunProgress) -> None:
+        def on_progress(progress: run.RunProgress) -> None:
             if progress.done >= 3 * CHUNK and not killed:
                 killed.append(worker_processes()[0])
                 # Stopped with tasks in hand, it takes them with it a second later.
                 killed[0].suspend()
                 threading.Timer(1.0, killed[0].kill).start()
 
-        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two, tell=tell)
+        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two, on_progress=on_progress)
         assert killed and not killed[0].is_running()
         assert parts(tmp_path) == local_parts
         assert rows(tmp_path)["run_id"].to_pylist() == list(range(2400))
@@ -174,20 +174,20 @@ def test_job_survives_loss_of_every_worker(
     """The replacement of the only worker reads the job again."""
     killed: list[psutil.Process] = []
 
-    def tell(progress: run.RunProgress) -> None:
+    def on_progress(progress: run.RunProgress) -> None:
         if progress.done >= 3 * CHUNK and not killed:
             killed.append(worker_processes()[0])
             killed[0].kill()
 
     with cluster.executor(workers=1) as executor:
-        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, on_progress=on_progress)
     assert killed and parts(tmp_path) == local_parts
 
 
 def test_task_that_kills_workers_is_named_in_error(
     study: Study, local_parts: Parts, tmp_path: Path
 ) -> None:
-    def tell(progress: run.RunProgress) -> None:
+    def on_progress(progress: run.RunProgress) -> None:
         if progress.done == 2 * CHUNK:
             worker_processes()[0].kill()
 
@@ -196,7 +196,7 @@ def test_task_that_kills_workers_is_named_in_error(
         cluster.executor(workers=1) as executor,
         pytest.raises(InputError, match=r"^part-0000-\d{6}: 1 workers died while running it"),
     ):
-        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, on_progress=on_progress)
     there = parts(tmp_path)
     assert len(there) >= 2 and there.items() <= local_parts.items()
 
@@ -292,12 +292,14 @@ class TestOneScheduler:
         """The executor waits for late workers and uses them."""
         joined = []
 
-        def tell(progress: run.RunProgress) -> None:
+        def on_progress(progress: run.RunProgress) -> None:
             if progress.done and not joined:
                 joined.append(start_command("worker", scheduler, "--nthreads", "1"))
 
         with cluster.executor(scheduler=scheduler) as executor:
-            run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+            run.run_into(
+                study, tmp_path, chunk_runs=CHUNK, executor=executor, on_progress=on_progress
+            )
         assert parts(tmp_path) == local_parts
         (session,) = read_manifest(tmp_path)["sessions"]
         assert (session["workers"], session["scheduler"]) == (1, scheduler)
@@ -311,7 +313,7 @@ class TestOneScheduler:
             if p.cmdline()[1:4] == ["-m", "dask", "scheduler"]
         )
 
-        def tell(progress: run.RunProgress) -> None:
+        def on_progress(progress: run.RunProgress) -> None:
             if progress.done == 3 * CHUNK:
                 process.kill()
 
@@ -321,7 +323,9 @@ class TestOneScheduler:
                 InputError, match=rf"^{scheduler}: lost the scheduler \(results so far are"
             ),
         ):
-            run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+            run.run_into(
+                study, tmp_path, chunk_runs=CHUNK, executor=executor, on_progress=on_progress
+            )
         there = parts(tmp_path)
         assert len(there) >= 3 and there.items() <= local_parts.items()
 
@@ -343,7 +347,7 @@ def test_killed_worker_of_external_scheduler_loses_no_row(
         addresses = {pid: address for address, pid in client.run(os.getpid).items()}
     killed = []
 
-    def tell(progress: run.RunProgress) -> None:
+    def on_progress(progress: run.RunProgress) -> None:
         if progress.done >= 3 * CHUNK and not killed:
             killed.append(addresses[victim.pid])
             # Suspended with tasks in hand, it loses them a second later.
@@ -352,7 +356,9 @@ def test_killed_worker_of_external_scheduler_loses_no_row(
 
     with cluster.executor(scheduler=scheduler) as executor:
         assert executor.facts["workers"] == 2
-        run.run_into(study, tmp_path / "out", chunk_runs=CHUNK, executor=executor, tell=tell)
+        run.run_into(
+            study, tmp_path / "out", chunk_runs=CHUNK, executor=executor, on_progress=on_progress
+        )
     assert victim.wait(60) == -signal.SIGKILL
     assert parts(tmp_path / "out") == local_parts
     lost = f"Warning: {killed[0]}: worker lost, its tasks run again (1 left)\n"

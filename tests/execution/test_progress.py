@@ -36,11 +36,11 @@ def plain() -> tuple[Console, io.StringIO]:
 
 def test_plain_progress_prints_every_tenth_with_pace_and_failures(clock: Clock) -> None:
     screen, file = plain()
-    with progress.show_progress(screen, "swing") as tell:
-        tell(RunProgress(0, 20_000, 0, 0))
+    with progress.show_progress(screen, "swing") as on_progress:
+        on_progress(RunProgress(0, 20_000, 0, 0))
         for done in range(100, 20_001, 100):
             clock.now += 0.1
-            tell(RunProgress(done, 20_000, done // 1000, 0))
+            on_progress(RunProgress(done, 20_000, done // 1000, 0))
     lines = file.getvalue().splitlines()
     assert lines == [
         # The pace is that since the first chunk: what is before it is compiling.
@@ -54,11 +54,11 @@ def test_plain_progress_prints_every_tenth_with_pace_and_failures(clock: Clock) 
 
 def test_plain_progress_prints_every_ten_seconds_if_slow(clock: Clock) -> None:
     screen, file = plain()
-    with progress.show_progress(screen, "swing") as tell:
-        tell(RunProgress(0, 1_000_000, 0, 0))
+    with progress.show_progress(screen, "swing") as on_progress:
+        on_progress(RunProgress(0, 1_000_000, 0, 0))
         for i in range(1, 61):
             clock.now += 1.0
-            tell(RunProgress(i, 1_000_000, 0, 0))
+            on_progress(RunProgress(i, 1_000_000, 0, 0))
     lines = file.getvalue().splitlines()
     assert [line.split()[1] for line in lines] == ["1", "11", "21", "31", "41", "51"]
     assert lines[-1] == "swing: 51 of 1,000,000 runs, 1 runs/s, 277:45:49 left, 0 failed"
@@ -67,10 +67,10 @@ def test_plain_progress_prints_every_ten_seconds_if_slow(clock: Clock) -> None:
 def test_pace_is_printed_only_once_measured(clock: Clock) -> None:
     """The threads end their first chunks at almost the same time."""
     screen, file = plain()
-    with progress.show_progress(screen, "swing") as tell:
+    with progress.show_progress(screen, "swing") as on_progress:
         for later, done in ((5.0, 448), (0.001, 896), (1.2, 1792)):
             clock.now += later
-            tell(RunProgress(done, 7168, 0, 0))
+            on_progress(RunProgress(done, 7168, 0, 0))
     assert file.getvalue().splitlines() == [
         "swing: 448 of 7,168 runs, 0 failed",
         "swing: 896 of 7,168 runs, 0 failed",
@@ -80,12 +80,12 @@ def test_pace_is_printed_only_once_measured(clock: Clock) -> None:
 
 def test_stored_runs_are_reported_and_excluded_from_pace(clock: Clock) -> None:
     screen, file = plain()
-    with progress.show_progress(screen, "swing") as tell:
-        tell(RunProgress(900, 1000, 0, 900))
+    with progress.show_progress(screen, "swing") as on_progress:
+        on_progress(RunProgress(900, 1000, 0, 900))
         clock.now += 5.0
-        tell(RunProgress(950, 1000, 0, 900))
+        on_progress(RunProgress(950, 1000, 0, 900))
         clock.now += 5.0
-        tell(RunProgress(1000, 1000, 2, 900))
+        on_progress(RunProgress(1000, 1000, 2, 900))
     assert file.getvalue().splitlines() == [
         "swing: 900 of 1,000 runs already done",
         "swing: 1,000 of 1,000 runs, 10 runs/s, 0:00 left, 2 failed",
@@ -94,11 +94,11 @@ def test_stored_runs_are_reported_and_excluded_from_pace(clock: Clock) -> None:
 
 def test_progress_names_its_unit(clock: Clock) -> None:
     screen, file = plain()
-    with progress.show_progress(screen, "swing") as tell:
-        tell(RunProgress(0, 20, 0, 0, "estimates"))
+    with progress.show_progress(screen, "swing") as on_progress:
+        on_progress(RunProgress(0, 20, 0, 0, "estimates"))
         for done in (10, 15, 20):
             clock.now += 1.0
-            tell(RunProgress(done, 20, 0, 0, "estimates"))
+            on_progress(RunProgress(done, 20, 0, 0, "estimates"))
     assert file.getvalue().splitlines() == [
         "swing: 10 of 20 estimates, 0 failed",
         "swing: 15 of 20 estimates, 5 estimates/s, 0:01 left, 0 failed",
@@ -108,20 +108,20 @@ def test_progress_names_its_unit(clock: Clock) -> None:
 
 def test_complete_study_prints_one_progress_line(clock: Clock) -> None:
     screen, file = plain()
-    with progress.show_progress(screen, "swing") as tell:
-        tell(RunProgress(1000, 1000, 0, 1000))
+    with progress.show_progress(screen, "swing") as on_progress:
+        on_progress(RunProgress(1000, 1000, 0, 1000))
     assert file.getvalue() == "swing: 1,000 of 1,000 runs already done\n"
 
 
 def test_terminal_shows_progress_bar_with_pace_and_failures(clock: Clock) -> None:
     file = io.StringIO()
     screen = Console(file=file, force_terminal=True, width=120)
-    with progress.show_progress(screen, "swing [tune]") as tell:
-        tell(RunProgress(0, 1000, 0, 0))
+    with progress.show_progress(screen, "swing [tune]") as on_progress:
+        on_progress(RunProgress(0, 1000, 0, 0))
         clock.now += 4.0
-        tell(RunProgress(250, 1000, 1, 0))
+        on_progress(RunProgress(250, 1000, 1, 0))
         clock.now += 2.0
-        tell(RunProgress(500, 1000, 3, 0))
+        on_progress(RunProgress(500, 1000, 3, 0))
     told = file.getvalue()
     assert "swing [tune] (compiling)" in told
     assert "500/1000" in told and "125 runs/s, 0:04 left, 3 failed" in told

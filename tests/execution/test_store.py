@@ -634,7 +634,7 @@ def test_stopped_sweep_keeps_finished_chunks_and_resumes(
 ) -> None:
     stop, seen = threading.Event(), []
 
-    def tell(now: study_run.RunProgress) -> None:
+    def on_progress(now: study_run.RunProgress) -> None:
         seen.append(now)
         if now.done >= chunks * CHUNK_RUNS:
             stop.set()
@@ -643,7 +643,12 @@ def test_stopped_sweep_keeps_finished_chunks_and_resumes(
     with pytest.raises(StudyInterrupted, match=f"of 1,536 runs are in {out}"):
         made = TaskRecorder()
         study_run.run_into(
-            STUDY, out, chunk_runs=CHUNK_RUNS, tell=tell, stop=stop, executor=made.executor
+            STUDY,
+            out,
+            chunk_runs=CHUNK_RUNS,
+            on_progress=on_progress,
+            stop=stop,
+            executor=made.executor,
         )
     told = read_manifest_entries(out)
     assert told["state"] == "interrupted"
@@ -665,11 +670,11 @@ def test_stopped_sweep_keeps_finished_chunks_and_resumes(
 def test_stop_after_last_chunk_is_ignored(uninterrupted: Path, tmp_path: Path) -> None:
     stop = threading.Event()
 
-    def tell(now: study_run.RunProgress) -> None:
+    def on_progress(now: study_run.RunProgress) -> None:
         if now.done == now.total:
             stop.set()
 
-    sweep(tmp_path / "out", tell=tell, stop=stop)
+    sweep(tmp_path / "out", on_progress=on_progress, stop=stop)
     assert stop.is_set()
     assert_complete(tmp_path / "out", uninterrupted)
 

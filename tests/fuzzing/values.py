@@ -146,8 +146,8 @@ def _bounds(metadata: tuple[Any, ...], low: float, high: float) -> tuple[float, 
         elif isinstance(rule, Lt):
             most = float(rule.lt)  # type: ignore[arg-type]
             high = min(high, most - _CLOSED * max(1.0, abs(most)))
-        elif isinstance(rule, KeyInfo) and rule.usual:
-            low, high = max(low, rule.usual[0]), min(high, rule.usual[1])
+        elif isinstance(rule, KeyInfo) and rule.usual_range:
+            low, high = max(low, rule.usual_range[0]), min(high, rule.usual_range[1])
     return low, high
 
 

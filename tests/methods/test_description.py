@@ -26,7 +26,7 @@ def test_methods_page_is_up_to_date():
 @methods
 def test_methods_name_only_existing_keys(method):
     known = {key for name in TUNABLE for key in SECTIONS[name].model_fields}
-    assert {*method.reads} <= known and {*method.silent} <= {*method.keys, *COMMON_KEYS}
+    assert {*method.reads} <= known and {*method.without_effect} <= {*method.keys, *COMMON_KEYS}
     assert {*method.refuses} <= {*method.keys, *COARSE_KEYS}
     for pair in method.gyro_bias_keys:
         assert {*pair} <= method.keys
@@ -38,7 +38,7 @@ def test_methods_name_only_existing_keys(method):
 @methods
 def test_method_columns_are_in_summary_layout(method):
     study = small_study(alignment={"method": method.name})
-    names = [own.column.name for own in method.columns_of(study)]
+    names = [own.column.name for own in method.own_columns(study)]
     assert len({*names}) == len(names)
     assert {*names} <= {column.name for column in schemas.summary_columns(study)}
 

@@ -238,8 +238,8 @@ def test_console_output_shows_markup_in_names_literally() -> None:
     file = io.StringIO()
     shown = Console(file=file, width=40)
     screen.print_line(shown, "[/b] reset [fast] :smile:")
-    with progress.show_progress(shown, "[/b] :smile:") as tell:
-        tell(RunProgress(5, 5, 0, 0))
+    with progress.show_progress(shown, "[/b] :smile:") as on_progress:
+        on_progress(RunProgress(5, 5, 0, 0))
     assert file.getvalue().splitlines() == [
         "[/b] reset [fast] :smile:",
         "[/b] :smile:: 5 of 5 runs, 0 failed",

@@ -24,12 +24,18 @@ def store_interrupted(out: Path, **tables: Any) -> Path:
     """Results of a study that was stopped while its first chunk ran."""
     stop = threading.Event()
 
-    def tell(progress: RunProgress) -> None:
+    def on_progress(progress: RunProgress) -> None:
         if progress.done:
             stop.set()
 
     with pytest.raises(StudyInterrupted):
-        run.run_into(small_study(study=SHORT, **tables), out, chunk_runs=128, tell=tell, stop=stop)
+        run.run_into(
+            small_study(study=SHORT, **tables),
+            out,
+            chunk_runs=128,
+            on_progress=on_progress,
+            stop=stop,
+        )
     return out
 
 

@@ -149,4 +149,4 @@ def test_level_damping_acts_only_for_compass_without_level_gains() -> None:
 
 def test_silent_keys_belong_to_their_method() -> None:
     for method in METHODS.values():
-        assert {*method.silent} <= {*method.keys, *COMMON_KEYS}
+        assert {*method.without_effect} <= {*method.keys, *COMMON_KEYS}

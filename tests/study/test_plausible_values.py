@@ -52,13 +52,13 @@ def test_every_key_with_unit_has_usual_range():
     for section, model in SECTIONS.items():
         for key in model.model_fields:
             if columns.split_unit(key)[1] and key not in BOUNDED:
-                assert KEYS[section, key].info.usual, f"[{section}] {key}"
+                assert KEYS[section, key].info.usual_range, f"[{section}] {key}"
 
 
 def test_defaults_lie_in_usual_range():
     for section, model in SECTIONS.items():
         for key, field in model.model_fields.items():
-            if KEYS[section, key].info.usual:
+            if KEYS[section, key].info.usual_range:
                 assert rules.describe_implausible(key, field.default) is None
 
 
@@ -78,7 +78,7 @@ def test_defaults_lie_in_usual_range():
     ],
 )
 def test_unusual_value_is_refused_unless_unchecked(section: str, key: str, value: float):
-    low, high = KEYS[section, key].info.usual
+    low, high = KEYS[section, key].info.usual_range
     line = f"[{section}] {key}: {value:.12g} is outside the usual range of {low:g} to {high:g}"
     line += " ([study] unchecked = true accepts it)"
     assert refusal_line(**{section: {key: value}}) == line

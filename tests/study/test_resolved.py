@@ -69,9 +69,9 @@ def test_joint_column_handles_millions_of_possible_combinations():
 def test_column_function_is_called_once_per_value():
     called = []
     column = CodedColumn(np.array([1, 0, 1, 1]), ("a", "b"))
-    made = column.each(lambda value: called.append(value) or len(called))
+    made = column.compute(lambda value: called.append(value) or len(called))
     assert (made.tolist(), called) == ([2.0, 1.0, 2.0, 2.0], ["a", "b"])
-    lists = CodedColumn(np.zeros(3, int), ((1.0, 2.0),)).each(list)
+    lists = CodedColumn(np.zeros(3, int), ((1.0, 2.0),)).compute(list)
     assert lists.tolist() == 3 * [[1.0, 2.0]]
 
 

@@ -308,11 +308,13 @@ def are_equal(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
 
 @pytest.mark.representative("kalman5", "kalman_sincos", "inertial")
 @pytest.mark.optimised(False)
-@pytest.mark.parametrize("method", [name for name in METHODS if METHODS[name].silent])
+@pytest.mark.parametrize("method", [name for name in METHODS if METHODS[name].without_effect])
 def test_silent_keys_change_no_bit_of_a_run(method: str) -> None:
-    assert {*METHODS[method].silent} <= OTHER.keys()
-    first, *others = outcomes(method, list(METHODS[method].silent))
-    assert [are_equal(first, other) for other in others] == [True] * len(METHODS[method].silent)
+    assert {*METHODS[method].without_effect} <= OTHER.keys()
+    first, *others = outcomes(method, list(METHODS[method].without_effect))
+    assert [are_equal(first, other) for other in others] == [True] * len(
+        METHODS[method].without_effect
+    )
 
 
 @pytest.mark.representative("kalman10")
@@ -332,7 +334,7 @@ def test_line_names_every_given_key_that_is_silent(method: str, tmp_path: Path) 
     if "resets" in METHODS[method].sections:
         tables["resets"]["reset_times_s"] = [2.0]
     _, notes = change_study({}, tables, tmp_path)
-    silent = {*METHODS[method].silent}
+    silent = {*METHODS[method].without_effect}
     assert len(notes) == bool(silent)
     for line in notes:
         assert line.endswith(f"have no effect with method {method}.")

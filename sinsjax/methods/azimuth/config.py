@@ -32,7 +32,7 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
     from sinsjax.methods.azimuth.method import STATES, AzimuthParams
     from sinsjax.methods.filters.parameters import parameters as filter_parameters
 
-    by_angles = columns.each(lambda form: float(form == "angles"), "azimuth_feedback")
+    by_angles = columns.compute(lambda form: float(form == "angles"), "azimuth_feedback")
     alpha = np.full(columns.count, SIGMA_POINT_ALPHA)
     params = filter_parameters(STATES, columns, site, ug)
     return params._replace(extra=AzimuthParams(by_angles, alpha))

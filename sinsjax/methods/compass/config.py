@@ -70,13 +70,13 @@ class CompassSection(Section):
         description="adjustment time of the levelling loop, s, defined by adjustment_reading; an"
         " alternative to its sigma",
     )
-    level_gains: Annotated[tuple[Finite, Finite, Finite], KeyInfo(usual=(-1e11, 1e11))] | None = (
-        Field(
-            None,
-            description="gains of the levelling loop, an alternative to its sigma: K1 of the"
-            " velocity damping in 1/s, K2 of the platform rate in units of the transport rate, K3"
-            " of the velocity integral in rad/(m s)",
-        )
+    level_gains: (
+        Annotated[tuple[Finite, Finite, Finite], KeyInfo(usual_range=(-1e11, 1e11))] | None
+    ) = Field(
+        None,
+        description="gains of the levelling loop, an alternative to its sigma: K1 of the"
+        " velocity damping in 1/s, K2 of the platform rate in units of the transport rate, K3"
+        " of the velocity integral in rad/(m s)",
     )
     level_damping: Damping = Field(_DAMPING, description="damping ratio of the levelling loop")
     level_time_s: Annotated[SecondsOrZero | None, KeyInfo(default=150.0, time="s")] = Field(
@@ -98,7 +98,7 @@ class CompassSection(Section):
         " alternative to its sigma",
     )
     azimuth_gains: (
-        Annotated[tuple[Finite, Finite, Finite, Finite], KeyInfo(usual=(-1e11, 1e11))] | None
+        Annotated[tuple[Finite, Finite, Finite, Finite], KeyInfo(usual_range=(-1e11, 1e11))] | None
     ) = Field(
         None,
         description="gains of the azimuth loop, an alternative to its sigma: K1 of the velocity"
@@ -207,7 +207,7 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
     level_gains, azimuth_gains = gains(columns, site)
     smoothing = columns.column("turn_smoothing_s") if passes else np.ones(columns.count)
     turn = (
-        columns.each(REVERSALS.__getitem__, "turn").T
+        columns.compute(REVERSALS.__getitem__, "turn").T
         if passes
         else np.tile(np.reshape(REVERSALS["keep"], (-1, 1)), columns.count)
     )
@@ -216,10 +216,10 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
         azimuth=azimuth_gains,
         pace=PiecewiseConstant(
             times_in_samples(columns, change_times_s, "sigma_times_s", "sigma_passes", *stored),
-            columns.lists(list, "sigma_factors", rest=1.0),
+            columns.padded_lists(list, "sigma_factors", padding=1.0),
         ),
         azimuth_from=np.round(
-            columns.each(level_s, "level_time_s", "level_passes", *stored) * rate
+            columns.compute(level_s, "level_time_s", "level_passes", *stored) * rate
         ),
         smoothing=-np.expm1(-2 / (rate * smoothing)),  # two stages share the delay
         reversal=Reversal(*turn),
@@ -250,9 +250,9 @@ def check(columns: Columns, site: Any) -> None:
     Raises:
         InputError: names the roots; not if ``allow_unstable`` is set.
     """
-    refused = ~columns.each(bool, "allow_unstable", dtype=bool)
+    refused = ~columns.compute(bool, "allow_unstable", dtype=bool)
     earth = earth_numbers(site)
-    fastest = columns.each(max, "sigma_factors")
+    fastest = columns.compute(max, "sigma_factors")
     with np.errstate(over="ignore", invalid="ignore"):
         level, azimuth = gains(columns, site)
         azimuth = loops.scale_azimuth_gains(azimuth, fastest)
@@ -293,7 +293,7 @@ def _unusable_loop(columns: Columns, loop: str, row: int, text: str) -> InputErr
     factor = max(columns.value("sigma_factors", row))
     if loop == "azimuth" and factor != 1:
         shown = f"{shown} with a sigma factor of {factor:g}"
-    return columns.refused(key, f"{shown} {text}")
+    return columns.input_error(key, f"{shown} {text}")
 
 
 def earth_numbers(site: Any) -> dict[str, Any]:
@@ -309,7 +309,7 @@ def _format_roots(found: np.ndarray) -> str:
 def _replace_given(columns: Columns, key: str, designed: Any) -> Any:
     """Return designed gains, replaced for variants that give gains."""
     rows, count = np.stack(designed, axis=-1), len(designed)
-    given = columns.each(lambda v: [math.nan] * count if v is None else v, key)
+    given = columns.compute(lambda v: [math.nan] * count if v is None else v, key)
     return type(designed)(*np.where(np.isnan(given), rows, given).T)
 
 
@@ -328,7 +328,7 @@ def _sigma_and_damping(columns: Columns, loop: str) -> tuple[np.ndarray, np.ndar
         return loops.sigma_from_settling(time, remainder)
 
     keys = (f"{loop}_sigma_per_s", f"{loop}_adjustment_s", f"{loop}_damping")
-    sigmas = columns.each(sigma_of, *keys, "adjustment_reading", "adjustment_remainder")
+    sigmas = columns.compute(sigma_of, *keys, "adjustment_reading", "adjustment_remainder")
     return sigmas, columns.column(f"{loop}_damping")
 
 

@@ -50,14 +50,14 @@ INNOVATIONS = (
             "mean r' S^-1 r of the filter's velocity innovations r; null of methods without",
         ),
         _mean_nis,
-        where=_is_recorded,
+        applies_to=_is_recorded,
     ),
     OwnColumn(
         Column(
             "innovation_freedom", pa.float64(), "", "degrees of freedom of their sum: 2 an update"
         ),
         _degrees_of_freedom,
-        where=_is_recorded,
+        applies_to=_is_recorded,
     ),
 )
 """Columns of a filter's innovations in a recorded study; 2 is expected of a consistent filter."""
@@ -68,7 +68,7 @@ describe_filter = partial(
     Description,
     sections={"filter": FilterSection, "resets": ResetsSection},
     reads=FILTER_KEYS,
-    silent=BIAS_KEYS,
+    without_effect=BIAS_KEYS,
     has_error_model=True,
     rules=(check_trigger, check_resets),
     columns=FILTER_COLUMNS,
@@ -79,4 +79,4 @@ describe_filter = partial(
 
 def estimates_biases(method: Description) -> bool:
     """Return whether a filter has states of sensor biases."""
-    return not {*BIAS_KEYS} <= {*method.silent}
+    return not {*BIAS_KEYS} <= {*method.without_effect}

@@ -90,7 +90,7 @@ def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -
     q_scale, r_scale = (column_with_default(columns, key, 1.0) for key in ("q_scale", "r_scale"))
     units = {"q_accel_ug": ug, "q_gyro_deg_per_h": DEG_PER_H}
     q = {key: _process_noise(columns, key, unit) * q_scale for key, unit in units.items()}
-    r_unit = columns.each(lambda name: 1.0 if name == "per_update" else dt, "r_reading")
+    r_unit = columns.compute(lambda name: 1.0 if name == "per_update" else dt, "r_reading")
     kinds = [STATES[state] for state in states]
     p0 = [_initial_variance(columns, kind, ug) for kind in kinds]
     return FilterParams(
@@ -151,8 +151,8 @@ def _process_noise(columns: Columns, key: str, unit: float) -> np.ndarray:
     given = next((form for form in forms if columns.common(form) is not None), None)
     if given is None:
         white = partial(sensor_noise_density, key, columns.rate_hz)
-        return (columns.each(white, *WHITE_NOISE[key][:2]) * unit) ** 2 * readings["psd"]
-    reading = columns.each(readings.__getitem__, "q_reading")
+        return (columns.compute(white, *WHITE_NOISE[key][:2]) * unit) ** 2 * readings["psd"]
+    reading = columns.compute(readings.__getitem__, "q_reading")
     return (columns.column(given, forms[given]) * unit) ** 2 * reading
 
 
@@ -161,7 +161,7 @@ def _reset_variance(columns: Columns, kind: StateKind, p0: np.ndarray, ug: float
     if kind.reset_to is None:
         return p0
     unit = ug if kind.unit is None else kind.unit
-    given = columns.each(lambda v: math.nan if v is None else (v * unit) ** 2, kind.reset_to)
+    given = columns.compute(lambda v: math.nan if v is None else (v * unit) ** 2, kind.reset_to)
     return np.where(np.isnan(given), p0, given)
 
 
@@ -188,7 +188,7 @@ def _feedback_schedule(columns: Columns) -> FeedbackSchedule:
         samples = np.round(interval_s * rate_hz)
         return samples, -np.expm1(-samples / rate_hz / constant_s) if constant_s > 0 else 1.0
 
-    every, gain = columns.each(
+    every, gain = columns.compute(
         samples_and_gain, "feedback_interval_s", "feedback_time_constant_s"
     ).T
     return FeedbackSchedule(every, gain, _flags_or_none(columns, "reset_restarts_feedback"))
@@ -201,7 +201,7 @@ def _reset_schedule(columns: Columns) -> Resets:
 
 def _flags_or_none(columns: Columns, key: str) -> np.ndarray | None:
     """Return 1 where a flag is set, else 0, (variants,); None if it is set in no variant."""
-    flags = columns.each(float, key)
+    flags = columns.compute(float, key)
     return flags if flags.any() else None
 
 
@@ -209,7 +209,7 @@ def _covariance_reset(columns: Columns, kind: str, factor: str) -> CovarianceRes
     def numbers(name: str, given: float) -> list[float]:
         return [given if number is None else number for number in _COVARIANCE_RESETS[name]]
 
-    return CovarianceReset(*columns.each(numbers, kind, factor).T)
+    return CovarianceReset(*columns.compute(numbers, kind, factor).T)
 
 
 _NEVER = 1e15

@@ -47,7 +47,7 @@ _describe = partial(
     Description,
     sections={},
     reads=INITIAL_KEYS,
-    silent=(*INITIAL_KEYS, *COMMON_KEYS),
+    without_effect=(*INITIAL_KEYS, *COMMON_KEYS),
     refuses=("coarse_method", "coarse_duration_s", "coarse_then"),
     has_covariance=False,
     rules=(check_passes, check_coarse),

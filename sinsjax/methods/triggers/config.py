@@ -185,12 +185,12 @@ TRIGGER_COUNTS = (
     OwnColumn(
         Column("triggered_first_s", pa.float64(), "s", "time of the first of them; null for none"),
         _triggered_first_s,
-        where=any_trigger,
+        applies_to=any_trigger,
     ),
     OwnColumn(
         Column("triggered_last_s", pa.float64(), "s", "time of the last of them; null for none"),
         _triggered_last_s,
-        where=any_trigger,
+        applies_to=any_trigger,
     ),
 )
 """Result columns of a trigger."""

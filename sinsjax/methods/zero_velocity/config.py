@@ -33,7 +33,7 @@ KALMAN10 = describe_filter(
     source="[P1] eq. (1), biases as states",
     reads=(*FILTER_KEYS, "specific_force"),
     load=partial(_load, "kalman10"),
-    silent=(),
+    without_effect=(),
     gyro_bias_keys=(
         ("p0_gyro_bias_deg_per_h", "p0_yaw_deg"),
         ("reset_gyro_bias_deg_per_h", "reset_yaw_deg"),

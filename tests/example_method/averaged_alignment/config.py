@@ -24,7 +24,7 @@ AVERAGED = Description(
     source="TRIAD; Britting (1971)",
     sections={"averaged": AveragedSection},
     reads=INITIAL_KEYS,
-    silent=(*INITIAL_KEYS, *COMMON_KEYS),
+    without_effect=(*INITIAL_KEYS, *COMMON_KEYS),
     load=_load,
     has_covariance=False,
 )
