@@ -115,7 +115,7 @@ def test_complete_study_prints_one_progress_line(clock: Clock) -> None:
 
 def test_terminal_shows_progress_bar_with_pace_and_failures(clock: Clock) -> None:
     file = io.StringIO()
-    screen = Console(file=file, force_terminal=True, width=120)
+    screen = Console(file=file, force_terminal=True, width=120, _environ={})  # no TERM=dumb
     with progress.show_progress(screen, "swing [tune]") as on_progress:
         on_progress(RunProgress(0, 1000, 0, 0))
         clock.now += 4.0
