@@ -73,7 +73,7 @@ def build(model: LinearModel, options: Options) -> Method:
         closed = feedback.close(params, state._replace(belief=double(state.belief)), n)
         return closed._replace(belief=single(closed.belief))
 
-    def turn(
+    def reverse(
         params: zero_velocity.FilterParams, site: Site, state: zero_velocity.FilterState
     ) -> zero_velocity.FilterState:
         turned = passes.reverse(params, site, state._replace(belief=double(state.belief)))
@@ -88,7 +88,7 @@ def build(model: LinearModel, options: Options) -> Method:
         attitude=widened(whole.attitude),
         covariance=widened(whole.covariance),
         feedback=feedback._replace(close=close),
-        passes=passes._replace(turn=turn),
+        passes=passes._replace(reverse=reverse),
         results=None,
         error_model=None,
     )

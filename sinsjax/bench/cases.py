@@ -16,7 +16,7 @@ from sinsjax.bench.baseline import AlignmentSettings, align_with_numpy_loop
 from sinsjax.bench.timing import Workload
 from sinsjax.engine.batch import compile_program, map_in_threads, plan
 from sinsjax.engine.build import parts
-from sinsjax.engine.environment import Draw, Environment, RunParams
+from sinsjax.engine.environment import Draw, RunParams
 from sinsjax.engine.lanes import LANES, STACKED_TILES, Group, Tiles, tiles_of
 from sinsjax.engine.run import run_tile
 from sinsjax.maths.rotations import matrix, misalign
@@ -221,7 +221,7 @@ def engine_workload(
     compile_s = time.perf_counter() - since
     placed = jax.device_put(arguments)
 
-    def one(arguments: tuple[Environment, Tiles]) -> None:
+    def one(arguments: tuple[Any, Tiles]) -> None:
         jax.block_until_ready(program(*arguments))
 
     # One device is timed in CPU time, which excludes other processes on the machine.

@@ -94,7 +94,7 @@ def test_program_per_device_runs_each_thread_on_separate_device(
             used.append((self.home, *{leaf.device for leaf in jax.tree.leaves(out)}))
             return out
 
-    monkeypatch.setattr(batch, "program", lambda *given: Watched(program(*given), given[-1]))
+    monkeypatch.setattr(batch, "trace_program", lambda *given: Watched(program(*given), given[-1]))
     got = all_runs(group, devices=2, tiles_per_chunk=2)
     assert_same_bits(got, reference)
     assert used and all(home == on for home, on in used)

@@ -320,7 +320,7 @@ class TestOneScheduler:
         with (
             cluster.executor(scheduler=scheduler) as executor,
             pytest.raises(
-                InputError, match=rf"^{scheduler}: lost the scheduler \(results so far are"
+                InputError, match=rf"^{scheduler}: lost the scheduler \(completed chunks are stored"
             ),
         ):
             run.run_into(
