@@ -430,7 +430,7 @@ def _over_coloured_interval(
     floor: Scalar,
     floor_slope: Array | None,
 ) -> tuple[_Errors, tuple[Scalar, ...]]:
-    """As `_over_interval`, with the states of coloured inputs, which may also move the floor."""
+    """Propagate errors over an interval with coloured inputs, which may also move the floor."""
     f, response, cross, rows = (
         jnp.stack([jnp.stack(row) for row in matrix])
         for matrix in (interval.transition, interval.response, interval.cross, interval.angles)

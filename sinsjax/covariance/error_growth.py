@@ -51,7 +51,7 @@ class ErrorInputs(NamedTuple):
 
     @property
     def are_white(self) -> bool:
-        """Whether all inputs are white."""
+        """Return whether all inputs are white."""
         return self.coloured == ColouredInputs()
 
 

@@ -120,7 +120,7 @@ class Scenario:
 
     @cached_property
     def statics(self) -> list[Static]:
-        """What is fixed when each part is compiled."""
+        """The options that are fixed when each part is compiled."""
         variants = (Variants(self.study, ids) for ids in self.variant_ids)
         return [_program(self.study, part, self.curves) for part in variants]
 

@@ -84,12 +84,12 @@ class Static(NamedTuple):
 
     @property
     def rewinds_attitude(self) -> bool:
-        """Whether an attitude is propagated back to the beginning of the record."""
+        """Return whether an attitude is propagated back to the beginning of the record."""
         return self.passes == "rewind" or (self.coarse is not None and self.coarse.replays)
 
     @property
     def shares_covariance(self) -> bool:
-        """Whether stacked tiles share one covariance."""
+        """Return whether stacked tiles share one covariance."""
         return self.stacks and build_method(self).shares_covariance
 
 

@@ -66,7 +66,7 @@ class FileState(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether any later change will alter the modification time."""
+        """Return whether any later change will alter the modification time."""
         return time.time_ns() - self.mtime_ns > _CLOCK_TICK_NS
 
 
@@ -201,7 +201,7 @@ def list_parts(directory: Path, dataset: str) -> list[Path]:
 
 
 def is_part_name(path: Path) -> bool:
-    """Whether a file name is that of a part."""
+    """Return whether a file name is that of a part."""
     return re.fullmatch(r"part-\d{4,}-\d{6,}\.parquet", path.name) is not None
 
 

@@ -172,7 +172,7 @@ def _missing_packages(directory: Path) -> list[tuple[str, str]]:
 
 
 def has_dataset(directory: str | Path, name: str, *, verify: bool = True) -> bool:
-    """Whether a dataset has any parts.
+    """Return whether a dataset has any parts.
 
     Args:
         directory: results directory.

@@ -115,7 +115,7 @@ def continue_job(job: Job) -> Job:
 
 
 def _has_same_study(job: Job, manifest: Manifest) -> bool:
-    """Whether results are certainly of a job's study, with the same number of draws."""
+    """Return whether results are certainly of a job's study, with the same number of draws."""
     same_study = manifest.fingerprint == fingerprint(job.study)
     return same_study or (not manifest.extended_at and manifest.identity == job.identity)
 

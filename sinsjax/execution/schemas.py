@@ -29,7 +29,7 @@ def summary_columns(study: Study) -> tuple[Column, ...]:
 
 
 def has_drawn_biases(study: Study) -> bool:
-    """Whether sensor biases, and with them bias floors, differ between draws."""
+    """Return whether sensor biases, and with them bias floors, differ between draws."""
     return any(key in study.drawn_keys for key in BIAS_KEYS)
 
 
@@ -118,7 +118,7 @@ def curve_columns(study: Study) -> tuple[Column, ...]:
 
 
 def has_data_columns(study: Study) -> bool:
-    """Whether there are columns for the length of data used until heading settles."""
+    """Return whether there are columns for the length of data used until heading settles."""
     return bool(study.passes or study.coarse_stages)
 
 

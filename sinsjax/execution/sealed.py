@@ -87,7 +87,7 @@ def read_sealed_parquet(path: Path) -> pa.Table:
 
 
 def is_intact(content: bytes) -> bool:
-    """Whether a file's content matches its seal; False without one."""
+    """Return whether a file's content matches its seal; False without one."""
     seal = _find_seal(content)
     return seal is not None and seal[1].decode() == _digest(content, seal)
 

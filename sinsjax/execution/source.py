@@ -230,7 +230,7 @@ class Source:
 
     @property
     def has_curves(self) -> bool:
-        """Whether curves of any run were stored."""
+        """Return whether curves of any run were stored."""
         return (self.directory / "curves").is_dir()
 
     def curves(self, run_ids: Iterable[int] | None = None) -> pa.Table:

@@ -223,7 +223,7 @@ class DirectoryStore:
         return entry | {"files": files}
 
     def _is_stored(self, task: Task) -> bool:
-        """Whether all parts of a task are complete and intact."""
+        """Return whether all parts of a task are complete and intact."""
         for dataset, _ in task.rows:
             try:
                 content = read_regular_file(self._part_path(dataset, task))

@@ -35,7 +35,7 @@ class StudyView(Protocol):
 
     @property
     def is_recorded(self) -> bool:
-        """Whether its sensors come from a record."""
+        """Return whether its sensors come from a record."""
         ...
 
     @property
@@ -167,7 +167,7 @@ class Description:
 
     @cached_property
     def implementation(self) -> Implementation:
-        """Its code; imports JAX."""
+        """The code of the method; imports JAX."""
         return self.load()
 
     def __call__(self, options: Any) -> Any:

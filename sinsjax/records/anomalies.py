@@ -159,7 +159,7 @@ def find_dead_channels(channels: NDArray[Any]) -> list[bool]:
 
 
 def _is_constant(values: NDArray[Any]) -> bool:
-    """Whether a channel (T,) never changes."""
+    """Return whether a channel (T,) never changes."""
     return bool(values[0] == values[-1] and (values == values[0]).all())
 
 

@@ -179,7 +179,7 @@ def _to_cells(values: Any) -> NDArray[Any] | None:
 
 
 def _is_missing(cell: Any) -> bool:
-    """Whether a cell is None, NA or NaT, which pandas neither compares nor converts."""
+    """Return whether a cell is None, NA or NaT, which pandas neither compares nor converts."""
     return cell is None or type(cell).__name__ in ("NAType", "NaTType")
 
 

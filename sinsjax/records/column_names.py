@@ -159,13 +159,13 @@ def find_axes_order(texts: Iterable[str]) -> str:
 
 
 def is_counter(name: str) -> bool:
-    """Whether a column counts samples."""
+    """Return whether a column counts samples."""
     words = set(_normalise_name(name).split("_"))
     return bool(words & {"index", "idx", "count", "counter", "sample", "seq", "n", "no", "packet"})
 
 
 def _is_sensor_name(sensor: str, stem: str) -> bool:
-    """Whether the words of a name before its axis denote the sensor."""
+    """Return whether the words of a name before its axis denote the sensor."""
     other_sensor = "accel" if sensor == "gyro" else "gyro"
     if _SENSOR_WORDS[sensor].search(stem):
         return not (sensor == "accel" and _SENSOR_WORDS[other_sensor].search(stem))

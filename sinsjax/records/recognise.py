@@ -84,7 +84,7 @@ class _Samples(NamedTuple):
 
 
 def shows_earth_rate(means: Means) -> bool:
-    """Whether the mean rate is close to Earth rate, as with gyros that can find north."""
+    """Return whether the mean rate is close to Earth rate, as with gyros that can find north."""
     low, high = _NEAR_EARTH_RATE
     return low < float(np.linalg.norm(means.rate)) / EARTH_RATE < high
 

@@ -47,7 +47,7 @@ def choose_line_keys(source: Source) -> tuple[Sequence[str], str]:
 
 
 def bin_drawn_keys(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]]:
-    """For each drawn number of a study, its runs in bins of about as many draws.
+    """Return the runs of each drawn number of a study in bins of about as many draws.
 
     Returns:
         By key: the runs with the median of their bin as the value of the key, draws in that order

@@ -230,7 +230,7 @@ def integration_nodes(motion: Motion, rate_hz: Scalar) -> Nodes:
 
 
 class IdealSample(NamedTuple):
-    """What ideal sensors measure over a sample, and where n is meanwhile.
+    """Increments of ideal sensors over a sample, and the axes of n meanwhile.
 
     Attributes:
         increments: rad and m/s, in b.

@@ -103,7 +103,7 @@ def make_study_text(record_path: Path, study_path: Path) -> str:
 
 
 def _is_psins(path: Path) -> bool:
-    """Whether the first line that is not a comment has six numbers between blanks."""
+    """Return whether the first line that is not a comment has six numbers between blanks."""
     try:
         lines = next(read_line_batches(path, 2**16)).lines
     except InputError:
@@ -175,7 +175,7 @@ def _sample_range(record: Record, part: _AlignedPart) -> tuple[int, int]:
 
 
 def _shows_latitude(record: Record, means: Means) -> bool:
-    """Whether its mean rate is the Earth rate, without a dead channel."""
+    """Return whether its mean rate is the Earth rate, without a dead channel."""
     return shows_earth_rate(means) and not any(find_dead_channels(record.dtheta.T))
 
 

@@ -171,7 +171,7 @@ def is_condition_key(key: str) -> bool:
 
 
 def is_method_setting(key: str) -> bool:
-    """Whether a key is a setting of a method, which a user may choose."""
+    """Return whether a key is a setting of a method, which a user may choose."""
     return SECTION_OF.get(key) in SECTIONS_OF_METHODS
 
 
@@ -200,7 +200,7 @@ def reading_methods(key: str) -> tuple[str, ...]:
 
 
 def has_effect(key: str, values: Mapping[str, Any]) -> bool:
-    """Whether a key has an effect on a run.
+    """Return whether a key has an effect on a run.
 
     Args:
         key: leaf key.

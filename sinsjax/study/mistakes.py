@@ -79,7 +79,7 @@ def _parse_place(line: str) -> Place:
 
 
 def _is_consequence(place: Place, left_out: set[str]) -> bool:
-    """Whether an error may be a consequence of earlier ones, whose keys are left out."""
+    """Return whether an error may be a consequence of earlier ones, whose keys are left out."""
     related = {place.key, place.table, *alternative_keys(place.key)}
     related |= {key for key in SECTION_OF if place.key in deciding_keys(key)}
     if place.key in WHITE_NOISE:  # the default of Q

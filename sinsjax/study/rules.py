@@ -523,7 +523,7 @@ def require_covariance_model(study: Study) -> None:
 
 
 def has_covariance_model(study: Study) -> bool:
-    """Whether covariance analysis models a study."""
+    """Return whether covariance analysis models a study."""
     return next(_unmodelled_parts(study, {}), None) is None
 
 

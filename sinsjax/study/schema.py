@@ -231,7 +231,7 @@ class EarthSection(Section):
 
 
 def _any_nonzero(*values: Any) -> bool:
-    """Whether any of some numbers, or lists of numbers, is not zero; a drawn one is None."""
+    """Return whether any of some numbers, or lists of numbers, is not zero; a drawn one is None."""
     return any(value is None or np.any(value) for value in values)
 
 
@@ -618,7 +618,7 @@ class Distribution(Section):
 
 
 def is_normal(key: str, law: Distribution) -> bool:
-    """Whether a key draws initial errors or constant biases from a normal distribution."""
+    """Return whether a key draws initial errors or constant biases from a normal distribution."""
     return law.normal is not None and key in (*INITIAL_NUMBERS, *BIAS_KEYS)
 
 
@@ -698,7 +698,7 @@ class Range(Section):
 
     @property
     def is_free(self) -> bool:
-        """Whether it is an interval to be searched."""
+        """Return whether it is an interval to be searched."""
         return self.low is not None
 
 

@@ -237,17 +237,17 @@ class Study(_SectionsOfMethods):
 
     @property
     def is_estimated(self) -> bool:
-        """Whether its results are estimates per variant instead of runs."""
+        """Return whether its results are estimates per variant instead of runs."""
         return self.study.estimate == "covariance"
 
     @property
     def checks_linearity(self) -> bool:
-        """Whether draws check its estimates."""
+        """Return whether draws check its estimates."""
         return self.is_estimated and bool(self.study.check_linearity)
 
     @property
     def is_recorded(self) -> bool:
-        """Whether the sensor data are from a record instead of a simulation."""
+        """Return whether the sensor data are from a record instead of a simulation."""
         return self.record is not None
 
     @property
@@ -378,7 +378,7 @@ class Study(_SectionsOfMethods):
         return np.round(samples / self.record_every) * self.record_every
 
     def has_coarse_stage(self, coarse_method: str, coarse_then: str | None) -> bool:
-        """Whether coarse alignment is a stage of runs with these values.
+        """Return whether coarse alignment is a stage of runs with these values.
 
         Coarse alignment that hands over a record precedes the runs.
         """
@@ -404,7 +404,7 @@ class Study(_SectionsOfMethods):
         return remainder_s if remainder_s > ROUNDING * self.duration_s else 0.0
 
     def has(self, section: str) -> bool:
-        """Whether it has a section; otherwise the keys of the section must not be read."""
+        """Return whether it has a section; otherwise the keys of the section must not be read."""
         return getattr(self, section) is not None
 
     @property
@@ -452,7 +452,7 @@ class Study(_SectionsOfMethods):
 
     @property
     def requires_sequential(self) -> bool:
-        """Whether samples of some variant depend on earlier samples."""
+        """Return whether samples of some variant depend on earlier samples."""
         return bool(self.sequential_keys)
 
     @property

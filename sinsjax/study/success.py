@@ -38,7 +38,7 @@ class SuccessCriteria(NamedTuple):
 
     @property
     def from_truth(self) -> bool:
-        """Whether it is judged from the truth."""
+        """Return whether it is judged from the truth."""
         return self.judged_from == "truth"
 
     def dwell(self, run_s: ArrayLike) -> NDArray:

@@ -208,12 +208,12 @@ def _drop_keys(tables: TomlTable, unread: set[str]) -> tuple[list[str], list[str
 
 
 def _has_keys(case: Any) -> bool:
-    """Whether a case has keys in addition to its label."""
+    """Return whether a case has keys in addition to its label."""
     return not isinstance(case, dict) or bool(case.keys() - {"case"})
 
 
 def _is_missing(tables: TomlTable, place: str) -> bool:
-    """Whether a table does not exist any more."""
+    """Return whether a table does not exist any more."""
     name, _, below = place[1:-1].partition(".")
     return name not in tables or bool(below) and below not in tables[name]
 

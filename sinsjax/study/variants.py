@@ -42,7 +42,7 @@ class Variants:
         return self._study.rate_hz
 
     def has(self, section: str) -> bool:
-        """Whether the study has a section."""
+        """Return whether the study has a section."""
         return getattr(self._study, section) is not None
 
     @cached_property
@@ -96,7 +96,7 @@ class Variants:
         return self._drawn[key] if key in self._drawn else self.value(key, 0)
 
     def is_active(self, *keys: str) -> bool:
-        """Whether one of some keys, which all variants share, is drawn or not zero."""
+        """Return whether one of some keys, which all variants share, is drawn or not zero."""
         drawn = self._study.drawn_keys
         return any(key in drawn or np.any(self.value(key, 0) or 0) for key in keys)
 

@@ -258,7 +258,7 @@ def is_stable(matrix: np.ndarray, dt: Number) -> np.ndarray:
 
 
 def turn_matrix(velocity: Number, tilt: Number, rate: Number) -> np.ndarray:
-    """What a turn between passes makes of [dV_N, phi_E, phi_U, w_cU], shape ``(4, 4)``.
+    """Return the effect of a direction reversal on [dV_N, phi_E, phi_U, w_cU], shape ``(4, 4)``.
 
     The paper's turn, V -> -V, is (-1, 1, 1). With D = (-1, -1, 1) a backward pass goes on exactly
     where the forward one stopped, since A_reversed = D A_forward D.

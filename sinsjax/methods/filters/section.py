@@ -124,7 +124,7 @@ class FilterSection(Section):
 
 
 def q_unit_factors(dt: float) -> dict[str, float]:
-    """What makes Q of a step of dt s from the square of its key, by the words of ``q_reading``."""
+    """Return the factor from a squared q_ key to Q of a step of dt s, per word of ``q_reading``."""
     return {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
 
 
