@@ -45,6 +45,7 @@ from sinsjax.engine.samples import (
 )
 from sinsjax.engine.stepping import Blocks, Steps, advance_interval
 from sinsjax.maths import rotations
+from sinsjax.maths.algebra import select_tree
 from sinsjax.methods import passes
 from sinsjax.methods.base import ErrorModel, Method, RunEnd, Site
 from sinsjax.methods.floors import BiasFloor
@@ -143,7 +144,7 @@ def _coarse_then_fine(runs: "TileRuns", start: tuple[Run, SensorState]) -> tuple
     def replay(carry: Any, record: Any) -> Any:
         """A record interval whose observation counts only after the coarse stage."""
         (run, sensor_state), row = advance_record(runs, carry, record)
-        counted = passes.where(record[0] >= count, run.metrics, carry[0].metrics)
+        counted = select_tree(record[0] >= count, run.metrics, carry[0].metrics)
         return (run._replace(metrics=counted), sensor_state), row
 
     (run, _), fine_rows = jax.lax.scan(replay, (run, start[1]), records)
@@ -247,7 +248,7 @@ class TileRuns(NamedTuple):
                 partial(reverse_state, self.method), in_axes=(0, self.site_axis, 0, None)
             )
             turned = turn(self.params, self.site, state, reading.backward)
-            return passes.where(reading.opens_pass, turned, state), sensor_state
+            return select_tree(reading.opens_pass, turned, state), sensor_state
         record_s = self.static.record_every * self.static.options.dt
         rewind = jax.vmap(
             partial(rewind_state, self.method, record_s),
@@ -255,9 +256,9 @@ class TileRuns(NamedTuple):
         )
         rotation, pass_records = self.to_runs(sensor_state.rotation), self.environment.pass_records
         rewound = rewind(pass_records, self.params, self.site, state, rotation)
-        state = passes.where(reading.opens_pass, rewound, state)
+        state = select_tree(reading.opens_pass, rewound, state)
         first = self.sensors.initial_state()
-        return state, passes.where(reading.opens_pass, first, sensor_state)
+        return state, select_tree(reading.opens_pass, first, sensor_state)
 
     def state_after_coarse(self, coarse_state: Any, rotation: BodyRotation | None) -> Any:
         """Return the state of the method after the coarse stage."""

@@ -25,6 +25,7 @@ from sinsjax.engine.environment import (
     select_site,
     sensor_errors,
 )
+from sinsjax.maths.algebra import select_tree
 from sinsjax.methods import passes
 from sinsjax.methods.base import Site
 from sinsjax.methods.passes import BodyRotation, PassReading
@@ -233,7 +234,7 @@ class DrawSensors(NamedTuple):
     def _zero_before_record(self, n: Count, increments: Increments) -> Increments:
         if not self.starts_with_zeros:
             return increments
-        return passes.where(n < 0, jax.tree.map(jnp.zeros_like, increments), increments)
+        return select_tree(n < 0, jax.tree.map(jnp.zeros_like, increments), increments)
 
     # The sensors of many draws
 

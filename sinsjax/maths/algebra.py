@@ -7,11 +7,12 @@ triangle, and products are unrolled while tracing, skipping structural zeros.
 
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
-from sinsjax.types import Scalar, Vec3
+from sinsjax.types import Flag, Scalar, Vec3
 
 _LEAST_SHARE = 1e-12
 """Least remaining share of a variance; less is rounding."""
@@ -124,3 +125,8 @@ def solve3(p: Triangle, b: Vec3) -> Vec3:
     inverse_determinant = 1 / (a * ca + h * ch + g * cg)
     rows = (Vec3(ca, ch, cg), Vec3(ch, cd, cf), Vec3(cg, cf, cc))
     return scale(inverse_determinant, Vec3(*(dot(row, b) for row in rows)))
+
+
+def select_tree(flag: Flag, if_set: Any, otherwise: Any) -> Any:
+    """Return one of two trees of the same structure, leaf by leaf."""
+    return jax.tree.map(lambda a, b: jnp.where(flag, a, b), if_set, otherwise)

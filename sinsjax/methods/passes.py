@@ -9,13 +9,13 @@ To read the record forward again, the attitude is propagated back to its beginni
 that the gyros measured and that of the Earth; the method decides what it keeps (`Passes.rewind`).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import add, scale
+from sinsjax.maths.algebra import add, scale, select_tree
 from sinsjax.methods.base import Method, Site
 from sinsjax.strapdown import earth, sensors
 from sinsjax.strapdown.earth import Place
@@ -79,10 +79,10 @@ def compensate(now: Increments, before: Increments, backward: Flag | None) -> Sa
     """Return the compensated sample in the direction of the pass: ``now``, backward ``before``."""
     if backward is None:
         return sensors.compensate_sample(now, before)
-    later = where(backward, before, now)
-    earlier = where(backward, now, before)
+    later = select_tree(backward, before, now)
+    earlier = select_tree(backward, now, before)
     sample = sensors.compensate_sample(later, earlier)
-    return where(backward, sensors.reverse_sample(sample), sample)
+    return select_tree(backward, sensors.reverse_sample(sample), sample)
 
 
 def estimates_gyro_bias(method: Method) -> bool:
@@ -155,8 +155,3 @@ def rewind_attitude(
         x, y, z = (scale(rate, axis) for rate, axis in zip(bias, rotation.axes_s, strict=True))
         q = rotations.multiply(q, rotations.exp(add(add(x, y), z)))
     return rotations.normalise(q)
-
-
-def where(flag: Flag, if_set: Any, otherwise: Any) -> Any:
-    """Return one of two trees of the same structure."""
-    return jax.tree.map(lambda a, b: jnp.where(flag, a, b), if_set, otherwise)

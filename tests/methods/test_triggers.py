@@ -28,7 +28,7 @@ from support.studies import small_study
 
 from sinsjax.execution import run as study_run
 from sinsjax.execution import tables as result_tables
-from sinsjax.maths.algebra import triangle_index
+from sinsjax.maths.algebra import select_tree, triangle_index
 from sinsjax.methods import passes
 from sinsjax.methods.base import AttitudeCovariance, Options
 from sinsjax.methods.filters.closed_loop import FilterState
@@ -361,7 +361,7 @@ def program(name, trigger, force):
         def step(state, xs):
             sample, n, backward, turns = xs
             turned = method.passes.reverse(filt, passes.site_of_pass(here, ~backward), state)
-            state = passes.where(turns, turned, state)
+            state = select_tree(turns, turned, state)
             state = step_and_close(
                 method, filt, passes.site_of_pass(here, backward), state, sample, n
             )

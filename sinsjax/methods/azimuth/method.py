@@ -20,14 +20,16 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, Minus, Triangle, congruence, triangle_index
+from sinsjax.maths.algebra import Entries, Minus, Triangle, congruence, select_tree, triangle_index
 from sinsjax.maths.rotations import sin_cos
 from sinsjax.methods.base import AttitudeCovariance, Method, Options, Site, StartChange
 from sinsjax.methods.filters.attitude import (
+    estimated_misalignment,
+    misalignment_covariance,
+    misalignment_inputs,
     rotate_covariance,
     rotation_from_tilt,
     tilt_and_azimuth,
@@ -203,10 +205,10 @@ def build_filter(predict: Prediction, options: Options) -> Filter:
         reverse=partial(reverse_time, REVERSAL),
         place=options.place,
         at_rest=at_rest,
-        misalignment=_misalignment,
+        misalignment=estimated_misalignment,
         attitude=_attitude,
         covariance=_covariance,
-        inputs=_inputs,
+        inputs=misalignment_inputs,
         start_error=_start_error,
     )
 
@@ -216,14 +218,7 @@ def _correction(state: FilterState, phi: Vec3) -> Quat:
     by_angles = rotations.exp(phi)
     sine, cosine = rotations.sin_cos(phi.z)
     by_vector = rotation_from_tilt(phi.x, phi.y, sine, cosine)
-    return jax.tree.map(
-        lambda a, b: jnp.where(state.extra.by_angles > 0, a, b), by_angles, by_vector
-    )
-
-
-def _inputs(state: FilterState) -> Entries:
-    angles = {(i, 3 + k): Minus(1.0) for k, i in enumerate((TILT_E, TILT_N, AZIMUTH))}
-    return {(VE, 0): 1.0, (VN, 1): 1.0, **angles}
+    return select_tree(state.extra.by_angles > 0, by_angles, by_vector)
 
 
 def _start_error(state: FilterState, change: StartChange) -> tuple[Scalar, ...]:
@@ -244,19 +239,11 @@ def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
     return corrected, phi
 
 
-def _misalignment(state: FilterState) -> Vec3:
-    x = state.belief.x
-    return Vec3(x[TILT_E], x[TILT_N], x[AZIMUTH])
-
-
 def _attitude(state: FilterState) -> Quat:
-    return rotations.multiply(_correction(state, _misalignment(state)), state.nav.q)
+    return rotations.multiply(_correction(state, estimated_misalignment(state)), state.nav.q)
 
 
 def _covariance(state: FilterState) -> AttitudeCovariance:
-    at = triangle_index(len(STATES))
-    angles = (TILT_E, TILT_N, AZIMUTH)
-    tilt_covariance = AttitudeCovariance(
-        *(state.belief.p[at[i, j]] for i in angles for j in angles if i <= j)
+    return rotate_covariance(
+        misalignment_covariance(state), *rotations.sin_cos(state.belief.x[AZIMUTH])
     )
-    return rotate_covariance(tilt_covariance, *rotations.sin_cos(state.belief.x[AZIMUTH]))

@@ -26,6 +26,7 @@ from sinsjax.methods.base import (
     unknown_covariance,
 )
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains, scale_azimuth_gains
+from sinsjax.methods.filters.attitude import misalignment_inputs
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.methods.schedules import PiecewiseConstant, value_at
 from sinsjax.strapdown import earth, mechanisation
@@ -34,12 +35,6 @@ from sinsjax.types import Flag, Navigation, Sample, Scalar, Vec3
 
 INTEGRAL_E, INTEGRAL_N, RATE_U = range(5, 8)
 """Error states in addition to those of `error_model.five_state_transition`."""
-
-_INPUTS: Entries = {
-    **{(VE, 0): 1.0, (VN, 1): 1.0},
-    **{(angle, 3 + axis): Minus(1.0) for axis, angle in enumerate((PHI_E, PHI_N, PHI_U))},
-}
-"""`ErrorStep.inputs`: velocity increments add to velocity, angles subtract from phi."""
 
 
 class Reversal(NamedTuple):
@@ -150,7 +145,7 @@ def build(options: Options) -> Method:
         control = platform_control(gains, state, place)
         _, f_dt = mechanisation.advance_navigation(state.nav, sample, place, dt, control)
         transition = error_transition(gains, state.nav, control, place, f_dt, dt)
-        return ErrorStep(transition, _INPUTS, (), ())
+        return ErrorStep(transition, misalignment_inputs(state), (), ())
 
     def rewind(params: LoopParams, nav: Navigation, state: LoopState) -> LoopState:
         """Start again, but keep levelling integrals and azimuth rate, which balance gyro drift."""

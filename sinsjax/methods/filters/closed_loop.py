@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, Triangle, add, change_signs
+from sinsjax.maths.algebra import Entries, Triangle, add, change_signs, select_tree
 from sinsjax.methods import floors, kalman
 from sinsjax.methods.base import (
     AttitudeCovariance,
@@ -349,7 +349,7 @@ def _where_due(due: Due, closed: Any, state: Any) -> Any:
         return closed  # a share of a reset is due at every sample
     # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
     either = due.feedback | due.reset
-    return jax.tree.map(lambda new, old: jnp.where(either, new, old), closed, state)
+    return select_tree(either, closed, state)
 
 
 def _begin_after(state: Any, n: Scalar) -> Any:

@@ -37,7 +37,7 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, Minus, add, cross, dot, scale
+from sinsjax.maths.algebra import Entries, Minus, add, cross, dot, scale, select_tree
 from sinsjax.methods.base import (
     ErrorModel,
     ErrorStep,
@@ -124,8 +124,7 @@ def _build_from_sums(options: Options, start: Any, add_sample: Any, fit: Any) ->
         frames = state.frames
         q = rotations.multiply(fit(state.sums, state.count), frames.body)
         q = rotations.multiply(frames.earth, q)
-        has_sample = state.count > 0
-        return jax.tree.map(lambda a, b: jnp.where(has_sample, a, b), q, state.nav.q)
+        return select_tree(state.count > 0, q, state.nav.q)
 
     return Method(
         init=init,

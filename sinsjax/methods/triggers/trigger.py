@@ -8,10 +8,9 @@ propagated P before the process noise is added. `config.TRIGGERS` lists them.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 
-from sinsjax.maths.algebra import Entries, Triangle
+from sinsjax.maths.algebra import Entries, Triangle, select_tree
 from sinsjax.methods.base import AttitudeCovariance, TriggerCounts
 from sinsjax.methods.kalman import Belief
 from sinsjax.strapdown.earth import Place
@@ -212,7 +211,7 @@ def update_after_closing(
         )
     )
     trigger_state = trigger_state._replace(
-        memory=jax.tree.map(lambda a, b: jnp.where(reset, a, b), cleared, trigger_state.memory),
+        memory=select_tree(reset, cleared, trigger_state.memory),
         fed_back=fed_back,
         last_reset=jnp.where(reset, n, trigger_state.last_reset),
     )
