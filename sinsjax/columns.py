@@ -20,9 +20,10 @@ STATUSES = ("ok", "not_settled", "diverged", "nonfinite", "no_north")
 """Outcomes of a run: the first that applies; null if there is no truth or bias floor.
 
 nonfinite: the last attitude is not finite (detected even without truth). no_north: the run's level
-gyro bias exceeds the level component of Earth rate, which shows north. ok: ``ok_truth`` or
-``ok_floor``, according to the study's `judged_from`. diverged: the last phi_u is further than the
-study's `diverged_deg` from its bias floor (from the truth if there is none). not_settled: the rest.
+gyro bias exceeds the level component of Earth rate, which shows north, or its method finds no
+heading. ok: ``ok_truth`` or ``ok_floor``, according to the study's `judged_from`. diverged: the
+last phi_u is further than the study's `diverged_deg` from its bias floor (from the truth if there
+is none). not_settled: the rest.
 """
 
 FAILED = ("diverged", "nonfinite")
@@ -47,17 +48,28 @@ class Column(NamedTuple):
 _F, _I, _S = pa.float64(), pa.int64(), pa.string()
 _AXES = {"e": "east", "n": "north", "u": "up"}
 _ANGLES = ("pitch", "roll", "yaw")
+_NO_HEADING = "; null for a method that finds no heading"
 
 
-def _misalignment_columns(prefix: str, meaning: str, suffix: str = "") -> tuple[Column, ...]:
+def _misalignment_columns(
+    prefix: str, meaning: str, suffix: str = "", *, up: str = ""
+) -> tuple[Column, ...]:
     return tuple(
-        Column(f"{prefix}_{a}{suffix}_arcmin", _F, "arcmin", f"{meaning} about {name}")
+        Column(
+            f"{prefix}_{a}{suffix}_arcmin",
+            _F,
+            "arcmin",
+            f"{meaning} about {name}{up if a == 'u' else ''}",
+        )
         for a, name in _AXES.items()
     )
 
 
 def _euler_angle_columns(meaning: str, suffix: str = "") -> tuple[Column, ...]:
-    return tuple(Column(f"{a}{suffix}_deg", _F, "deg", f"{meaning} {a}") for a in _ANGLES)
+    return tuple(
+        Column(f"{a}{suffix}_deg", _F, "deg", f"{meaning} {a}{_NO_HEADING if a == 'yaw' else ''}")
+        for a in _ANGLES
+    )
 
 
 RUN_ID = Column("run_id", _I, "", "draw_id * variants + variant_id")
@@ -78,10 +90,15 @@ IDENTITY = (
 """Columns that identify the run of a row."""
 
 OBSERVED = (
-    *_misalignment_columns("phi", "misalignment of the corrected attitude"),
-    *_misalignment_columns("sigma", "the filter's own 1 sigma of the misalignment"),
+    *_misalignment_columns("phi", "misalignment of the corrected attitude", up=_NO_HEADING),
+    *_misalignment_columns("sigma", "the filter's own 1 sigma of the misalignment", up=_NO_HEADING),
     *_euler_angle_columns("corrected"),
-    Column("heading_deg", _F, "deg", "corrected heading, clockwise from north, 0 to 360: -yaw"),
+    Column(
+        "heading_deg",
+        _F,
+        "deg",
+        f"corrected heading, clockwise from north, 0 to 360: -yaw{_NO_HEADING}",
+    ),
 )
 """Columns of one observation: the summary has the last observation, the curves have all of them."""
 
@@ -97,8 +114,10 @@ FLOOR = (
 """Columns of the bias floor, from which a heading may be judged."""
 
 JUDGED = (
-    *_misalignment_columns("phi", "window mean of the misalignment", "_mean"),
-    *_misalignment_columns("phi", "window standard deviation of the misalignment", "_std"),
+    *_misalignment_columns("phi", "window mean of the misalignment", "_mean", up=_NO_HEADING),
+    *_misalignment_columns(
+        "phi", "window standard deviation of the misalignment", "_std", up=_NO_HEADING
+    ),
     *_euler_angle_columns("window mean of", "_mean"),
     *_euler_angle_columns("window standard deviation of", "_std"),
     *FLOOR,

@@ -176,6 +176,7 @@ IncreasingPair = Annotated[tuple[Finite, Finite], AfterValidator(_require_ordere
 Normal = tuple[Finite, NonNegative]
 Name = Annotated[str, Field(min_length=1), AfterValidator(_require_printable)]
 Triad = tuple[Name, Name, Name]
+Columns = Annotated[tuple[Name, ...], Field(min_length=6), AfterValidator(require_unique)]
 Times = Annotated[tuple[Seconds, ...], AfterValidator(_require_increasing)]
 ReportTimes = Annotated[
     tuple[Seconds, ...],

@@ -34,13 +34,14 @@ def status_mask(table: pa.Table, status: str) -> NDArray:
 def has_truth(table: pa.Table) -> bool:
     """Return whether the runs have a truth or a reference.
 
-    Without one every misalignment is null; it also is if no run is finite.
+    Without one every misalignment is null. That of the heading also is if no run is finite, or if
+    the method finds no heading.
 
     Raises:
         InputError: a column is missing.
     """
     known = bool(np.isfinite(numeric_column(table, "phi_u_arcmin")).any())
-    return known or bool(status_mask(table, "nonfinite").any())
+    return known or any(status_mask(table, name).any() for name in ("nonfinite", "no_north"))
 
 
 def select_runs_with_floor(table: pa.Table) -> pa.Table:

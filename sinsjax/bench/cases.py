@@ -62,10 +62,8 @@ def method_group(method: str) -> Group:
     A method that no swept key acts on has a single variant a draw, and draws enough for a call.
     """
     data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
-    if METHODS[method].gyro_bias_keys:
-        data["study"]["judged_from"] = (
-            "truth"  # the method estimates the biases that set a bias floor
-        )
+    if METHODS[method].gyro_bias_keys or not METHODS[method].has_floor:
+        data["study"]["judged_from"] = "truth"  # the method has no bias floor on a moving base
     data["alignment"]["method"] = method
     unread = unread_keys([method]) | {*METHODS[method].without_effect}
     data = {

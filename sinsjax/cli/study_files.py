@@ -1,7 +1,9 @@
 """Commands about studies themselves: beginning one, and checking one before it runs."""
 
 import os
+import re
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -40,9 +42,19 @@ def init(
         Path | None,
         typer.Option(
             "--from",
-            help="With `init record`: a record, which the study is to describe (CSV, Parquet, PSINS"
-            " text).",
+            help="With `init record`: a record, which the study is to describe (delimited text,"
+            " Parquet, PSINS text).",
             metavar="LOG",
+        ),
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="With --from: what is known of the record, as in record.gyro_unit=rad_per_s; the"
+            " rest is examined. May be repeated.",
+            metavar="SECTION.KEY=VALUE",
+            autocompletion=options.complete_override_key,
         ),
     ] = None,
     list_: Annotated[
@@ -54,6 +66,7 @@ def init(
     Example: sinsjax init sweep -o mine.toml; sinsjax init record --from log.csv
     """
     from sinsjax.study import files
+    from sinsjax.study.changes import parse_changes
 
     console = plain_console()
     if list_:
@@ -64,25 +77,36 @@ def init(
         raise InputError("NAME: required (`sinsjax init --list` shows the names)")
     if from_ is not None and name != "record":
         raise InputError(f"--from: requires `init record`, not `init {name}`")
+    if changes and from_ is None:
+        raise InputError("--set: requires `init record --from LOG` (or edit the study)")
     path = out or Path(f"{(from_ or Path(name)).stem}.toml")
     if from_ is None:
         text = files.shipped_text(name)
     else:
         from sinsjax.study.from_record import make_study_text
 
-        text = make_study_text(from_, path)
+        text = make_study_text(from_, path, parse_changes(changes or ()))
     if os.path.lexists(path):
         raise InputError(f"{path}: exists, and is not overwritten (give another file with --out)")
     with atomic_write(path) as file:
         file.write(text.encode())
     print_line(console, f"{path} written; `sinsjax validate {path}` checks it.")
     if from_ is not None:
-        doubts = text.count(files.DOUBT)
-        print_line(
-            console,
-            f"{doubts} lines of {path} begin with # DOUBT: {from_} does not determine them.",
-        )
-        print_line(console, f"`sinsjax align {from_} {path} -o out` runs it.")
+        for line in _describe_gaps(text, path, from_):
+            print_line(console, line)
+
+
+def _describe_gaps(text: str, path: Path, log: Path) -> Iterator[str]:
+    """Yield what the log of a new study does not determine, and how to align it."""
+    from sinsjax.study import files
+
+    if doubts := text.count(files.DOUBT):
+        lines = "line" if doubts == 1 else "lines"
+        yield f"{doubts} {lines} with # DOUBT: {log} does not determine them."
+    if keys := re.findall(r'^(\w+) = "\?"', text, re.MULTILINE):
+        noun = "question" if len(keys) == 1 else "questions"
+        yield f"{len(keys)} open {noun}: {', '.join(keys)}. Answer in {path}, or by --set; then"
+    yield f"`sinsjax align {log} {path} -o out` runs it."
 
 
 def _list_studies(name: str | None, width: int) -> list[str]:

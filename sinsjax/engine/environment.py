@@ -92,6 +92,11 @@ class Static(NamedTuple):
         """Return whether stacked tiles share one covariance."""
         return self.stacks and build_method(self).shares_covariance
 
+    @property
+    def finds_heading(self) -> bool:
+        """Return whether the method finds a heading."""
+        return METHODS[self.method].finds_heading
+
 
 def build_method(static: Static) -> Method:
     """Return the method of a program."""

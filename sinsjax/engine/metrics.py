@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.maths.algebra import dot, solve3
-from sinsjax.maths.rotations import misalignment, to_euler
+from sinsjax.maths.rotations import misalignment, tilt, to_euler
 from sinsjax.methods.base import AttitudeCovariance
 from sinsjax.methods.floors import BiasFloor
 from sinsjax.methods.schedules import interpolate
@@ -18,7 +18,10 @@ from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
 
 
 class Observation(NamedTuple):
-    """One run at one record time: misalignment (rad, n), its 1 sigma, and Euler angles (rad)."""
+    """One run at one record time: misalignment (rad, n), its 1 sigma, and Euler angles (rad).
+
+    What belongs to the heading is NaN if the method finds none, and phi is then the tilt alone.
+    """
 
     phi: Vec3
     sigma: Vec3
@@ -123,10 +126,23 @@ class Outcome(NamedTuple):
     at_times: Array | None = None
 
 
-def observe(q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance) -> Observation:
-    """Return the observation of a corrected attitude against the truth."""
+def observe(
+    q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance, *, finds_heading: bool = True
+) -> Observation:
+    """Return the observation of a corrected attitude against the truth.
+
+    Args:
+        q_true: true or reference attitude, NaN if unknown.
+        q_hat: corrected attitude.
+        covariance: of its misalignment.
+        finds_heading: whether its heading is found; otherwise any heading gives the same.
+    """
     sigma = Vec3(*(jnp.sqrt(v) for v in (covariance.ee, covariance.nn, covariance.uu)))
-    return Observation(misalignment(q_true, q_hat), sigma, *to_euler(q_hat))
+    pitch, roll, yaw = to_euler(q_hat)
+    if finds_heading:
+        return Observation(misalignment(q_true, q_hat), sigma, pitch, roll, yaw)
+    phi, unknown = tilt(q_true, q_hat), jnp.full_like(yaw, jnp.nan)
+    return Observation(phi._replace(z=unknown), sigma._replace(z=unknown), pitch, roll, unknown)
 
 
 def pack_observation(now: Observation) -> Array:

@@ -325,10 +325,14 @@ class TileRuns(NamedTuple):
         """Return the runs after their observation at the end of a record interval."""
         if q_true is None:
             q_true = stored_attitude(self.environment.truth, self.draws, number)
-        over_runs = jax.vmap(
-            partial(observe_run, self.method, self.environment.criteria, self.static.options.dt),
-            in_axes=(0, self.draw_axis, 0, None),
+        observe = partial(
+            observe_run,
+            self.method,
+            self.environment.criteria,
+            self.static.options.dt,
+            self.static.finds_heading,
         )
+        over_runs = jax.vmap(observe, in_axes=(0, self.draw_axis, 0, None))
         n = ((number + 1) * self.static.record_every).astype(self.environment.dtype)
         return over_runs(run, self.to_runs(q_true), self.floor.phi.z, n)
 
@@ -519,6 +523,7 @@ def observe_run(
     method: Method,
     criteria: Criteria,
     dt: float,
+    finds_heading: bool,
     run: Run,
     q_true: Quat,
     floor: Scalar,
@@ -530,6 +535,7 @@ def observe_run(
         method: of the run.
         criteria: by which it is judged.
         dt: sample time, s.
+        finds_heading: whether the method finds a heading.
         run: at the record time.
         q_true: true or reference attitude, NaN if unknown.
         floor: bias floor of phi_u, rad.
@@ -537,7 +543,7 @@ def observe_run(
     """
     state = method.normalise(run.state)
     attitude, covariance = method.attitude(state), method.covariance(state)
-    now = metrics.observe(q_true, attitude, covariance)
+    now = metrics.observe(q_true, attitude, covariance, finds_heading=finds_heading)
     so_far = metrics.accumulate(run.metrics, criteria, now, floor=floor, time=n * dt)
     return Run(state, metrics.store_reported_times(so_far, criteria, covariance, n))
 

@@ -41,22 +41,31 @@ class SuccessEvaluator:
         self._band = settling_bands(study).index(self._success.band_arcmin)
         self._has_truth = has_truth
 
-    def __call__(self, outcome: Outcome, has_floor: NDArray, end_s: NDArray) -> RunSuccess:
+    def __call__(
+        self,
+        outcome: Outcome,
+        has_floor: NDArray,
+        end_s: NDArray,
+        *,
+        finds_heading: bool = True,
+    ) -> RunSuccess:
         """Return the success of some runs.
 
         Args:
             outcome: of the engine, leaves (runs, ...).
             has_floor: (runs,) whether a run has a bias floor.
             end_s: (runs,) lengths, s.
+            finds_heading: whether their method finds a heading; otherwise none is a success.
         """
         outside_until = np.moveaxis(np.asarray(outcome.outside_until), 0, -1)
         settled_s = np.where(outside_until >= end_s * (1 - 1e-12), np.nan, outside_until)
         settled_s[FLOOR, :, ~has_floor] = np.nan
-        no_north = has_floor & np.asarray(outcome.floor.no_north)
+        no_north = (has_floor & np.asarray(outcome.floor.no_north)) | (not finds_heading)
         latest_s = (end_s - self._success.dwell(end_s)) * (1 + 1e-12)
         long_enough = settled_s[:, self._band] <= latest_s
         ok = long_enough & self._is_level(outcome) & ~no_north
-        return RunSuccess(has_floor, settled_s, ok, self._status(outcome, has_floor, no_north, ok))
+        status = self._status(outcome, has_floor, no_north, ok, finds_heading=finds_heading)
+        return RunSuccess(has_floor, settled_s, ok, status)
 
     def _is_level(self, outcome: Outcome) -> NDArray:
         """Return whether both level errors end in their band about floor and truth, (2, runs)."""
@@ -67,11 +76,18 @@ class SuccessEvaluator:
         return np.stack([from_floor, from_truth])
 
     def _status(
-        self, outcome: Outcome, has_floor: NDArray, no_north: NDArray, ok: NDArray
+        self,
+        outcome: Outcome,
+        has_floor: NDArray,
+        no_north: NDArray,
+        ok: NDArray,
+        *,
+        finds_heading: bool,
     ) -> pa.Array:
         """Return why each run is ok or not; of several reasons the first one listed counts."""
         last = outcome.last
-        broken = ~np.isfinite(np.stack([last.pitch, last.roll, last.yaw])).all(axis=0)
+        angles = (last.pitch, last.roll, last.yaw) if finds_heading else (last.pitch, last.roll)
+        broken = ~np.isfinite(np.stack(angles)).all(axis=0)
         if not self._has_truth:
             return pa.array(["nonfinite" if b else None for b in broken], pa.string())
         from_truth = self._success.from_truth

@@ -1,6 +1,8 @@
 """Warnings about a study before it runs, from its record or its sample rate."""
 
+import warnings
 from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -9,12 +11,13 @@ from sinsjax.engine.bias_floors import hidden_north
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.environment import build_method
 from sinsjax.engine.truth import read_site, start_samples
-from sinsjax.errors import InputError
+from sinsjax.errors import InputError, StudyWarning
 from sinsjax.messages import format_seconds
 from sinsjax.methods.filters.parameters import level_settling_s
+from sinsjax.methods.level.config import LEVEL
 from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
-from sinsjax.records import Layout, Record, require_span
+from sinsjax.records import Record, RecordLayout, require_span
 from sinsjax.records.anomalies import report_anomalies
 from sinsjax.records.plausibility import StationaryValues, check_stationary
 from sinsjax.records.reference import StoredRecord
@@ -30,22 +33,11 @@ _TRUST_HINT = "[record] trust = true aligns it anyway"
 _CHECKED_DRAWS = 1024  # draws in which a drawn period is checked
 
 
-def study_warnings(study: Study, stored: StoredRecord | None = None) -> list[str]:
-    """Return warnings for the user before a study runs, one line each.
-
-    Args:
-        study: checked study, at the rate of its record.
-        stored: the record of a recorded study.
-
-    Raises:
-        InputError: the record is certainly wrong and the study does not trust it, or it does not
-            cover the span that the study reads.
-    """
-    if stored is None:
-        hidden_north_warning = hidden_north(study)
-        lines = [*_sway_warnings(study), *_surge_warnings(study)]
-        return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
-    return list(_record_warnings(study, stored))
+def study_warnings(study: Study) -> list[str]:
+    """Return warnings for the user before a simulated study runs, one line each."""
+    hidden_north_warning = hidden_north(study)
+    lines = [*_sway_warnings(study), *_surge_warnings(study)]
+    return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
 
 
 def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
@@ -139,19 +131,42 @@ def describe_feedback_interval(study: Study) -> str | None:
     )
 
 
-def record_layout(study: Study) -> Layout:
+def record_layout(study: Study) -> RecordLayout:
     """Return the layout of a study's record."""
     assert study.record is not None
     return study.record.layout(study.study.rate_hz)
 
 
-def _record_warnings(study: Study, stored: StoredRecord) -> Iterator[str]:
+class RecordCheck(NamedTuple):
+    """What a check of a record finds.
+
+    Attributes:
+        warnings: for the user, one line each.
+        hides_north: the line that says why its gyros cannot find north; "" if they may.
+    """
+
+    warnings: list[str]
+    hides_north: str
+
+
+def check_record(study: Study, stored: StoredRecord) -> RecordCheck:
+    """Check the record of a study in the spans that the study reads.
+
+    Args:
+        study: checked study, at the rate of its record.
+        stored: its record.
+
+    Raises:
+        InputError: the record is certainly wrong and the study does not trust it, or it does not
+            cover the span that the study reads.
+    """
     section, record = study.record, stored.record
     assert section is not None
     layout = record.layout or record_layout(study)
+    lines = [f"{record.source}: {remark}" for remark in record.remarks]
     if record.filled:
         key = "max_gap_s" if record.layout else "[record] max_gap_s"
-        yield (
+        lines.append(
             f"{record.source}: {record.filled} missing samples are interpolated (gaps up to"
             f" {key} = {layout.max_gap_s:g} s)"
         )
@@ -167,11 +182,11 @@ def _record_warnings(study: Study, stored: StoredRecord) -> Iterator[str]:
         gyro_bias=bias["gyro_bias_deg_per_h"] * DEG_PER_H,
         accel_bias=bias["accel_bias_ug"] * micro_g(),
     )
-    used = _used_spans(study, record)
+    used, hides_north = _used_spans(study, record), ""
     for anomaly in report_anomalies(record.anomalies, used):
         if anomaly.is_certain and not section.trust:
             raise InputError(f"{record.source}: {anomaly.text} ({_TRUST_HINT})")
-        yield f"{record.source}: {anomaly.text}"
+        lines.append(f"{record.source}: {anomaly.text}")
     constant_channels = [
         anomaly.text
         for anomaly in record.anomalies
@@ -181,11 +196,56 @@ def _record_warnings(study: Study, stored: StoredRecord) -> Iterator[str]:
         begin_s, end_s = (format_seconds(sample / record.rate_hz) for sample in (begin, end))
         where = f"{record.source}: {begin_s} to {end_s} s"
         for finding in check_stationary(record, (begin, end), layout, expected):
-            if finding.is_certain and not section.trust:
+            if finding.hides_north:
+                hides_north = f"{where}: {finding.text}"
+            elif finding.is_certain and not section.trust:
                 # A constant channel may be the cause, and only this error is shown.
                 text = "; ".join([finding.text, *constant_channels])
                 raise InputError(f"{where}: {text} ({_TRUST_HINT})")
-            yield f"{where}: {finding.text}"
+            else:
+                lines.append(f"{where}: {finding.text}")
+    return RecordCheck(lines, hides_north)
+
+
+def level_only(study: Study, check: RecordCheck) -> tuple[Study, list[str]]:
+    """Return a study that finds pitch and roll alone if the gyros of its record hide north.
+
+    Args:
+        study: checked study with a record.
+        check: check of the record.
+
+    Returns:
+        The study, and the warning that says so; the same study if its methods may find north.
+    """
+    if not check.hides_north or not any(METHODS[name].finds_heading for name in study.methods):
+        return study, [check.hides_north] if check.hides_north else []
+    changes: dict[str, Any] = {"alignment.method": LEVEL.name}
+    if study.passes:
+        changes["passes"] = {}
+    accel_bias_ug = study.record.accel_bias_ug if study.record else None
+    if accel_bias_ug is not None:
+        changes["level.level_accel_bias_ug"] = accel_bias_ug
+    replaced = " and ".join(study.methods)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", StudyWarning)  # about keys of the other methods
+            level_study = study.replace(changes)
+    except InputError as error:  # such as sweeps that have no meaning without these methods
+        text = f"method {LEVEL.name} finds pitch and roll, but not in this study: {error.lines[0]}"
+        raise InputError(f"{check.hides_north}; {text}") from None
+    text = (
+        f"pitch and roll are those of the mean specific force (method {LEVEL.name}, not {replaced})"
+    )
+    return level_study, [f"{check.hides_north}; {text}"]
+
+
+def require_north(study: Study, check: RecordCheck) -> tuple[Study, list[str]]:
+    """Refuse a record whose gyros hide north, unless the study trusts it; as `level_only`."""
+    if not check.hides_north:
+        return study, []
+    if study.record and study.record.trust:
+        return study, [check.hides_north]
+    raise InputError(f"{check.hides_north}, so nothing can be tuned ({_TRUST_HINT})")
 
 
 def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:

@@ -55,19 +55,28 @@ class JobKind(NamedTuple):
         make_forecast: returns the forecast of a study, with or without curves.
         continue_job: returns the job as a continuation of the results in its directory.
         check_study: rejects a study, before the directory is checked.
+        level_only: returns the study to run on a record whose gyros hide north, as
+            `checks.level_only`.
     """
 
     check_available: Callable[..., None]
     make_forecast: Callable[[Study, bool | None], Forecast]
     continue_job: Callable[[Job], Job]
     check_study: Callable[[Study], Any]
+    level_only: Callable[[Study, checks.RecordCheck], tuple[Study, list[str]]]
 
 
 def _accept_any(study: Study) -> None:
     """Accept any study."""
 
 
-SWEEP = JobKind(resume.check_available, forecast.forecast_sweep, resume.continue_job, _accept_any)
+SWEEP = JobKind(
+    resume.check_available,
+    forecast.forecast_sweep,
+    resume.continue_job,
+    _accept_any,
+    checks.level_only,
+)
 
 
 def prepare_job(
@@ -111,8 +120,12 @@ def prepare_job(
     curves, notes = _resolve_curves(study, name, options)
     notes = [*unused_notes, *notes]
     stored = _resolve_record(study, record, reference)
+    study_doubts = list[str]()
     if stored is not None:
         study = with_rate(study, stored.record.rate_hz)
+        found = checks.check_record(study, stored)
+        study, level_warnings = kind.level_only(study, found)
+        study_doubts = [*found.warnings, *level_warnings]
     job = Job(
         study,
         stored,
@@ -135,12 +148,13 @@ def prepare_job(
         study, expected_cost, results_directory, overwrite=options.overwrite, resume=options.resume
     )
     checks.check_plugins(study, stored)
-    study_doubts = tuple(checks.study_warnings(study, stored))
+    if stored is None:
+        study_doubts = checks.study_warnings(study)
     if dropped_s := study.dropped_s:
         notes.append(f"The last {dropped_s:g} s do not fill a record interval and are not run.")
     if study.run_s <= study.study.window_s[0]:
         notes.append(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
-    return job._replace(warnings=study_doubts, notes=tuple(notes), forecast=expected_cost)
+    return job._replace(warnings=tuple(study_doubts), notes=tuple(notes), forecast=expected_cost)
 
 
 def issue_warnings(job: Job) -> Job:

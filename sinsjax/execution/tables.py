@@ -79,7 +79,12 @@ class TableBuilder:
             drawn_values = column[chunk.draw - first]
             values[name] = drawn_values if drawn_values.ndim == 1 else list(drawn_values)
         values |= self._angle_columns(outcome.last)
-        verdict = self._judge(outcome, self._floor_flags(chunk, variant), self._end_s[variant])
+        verdict = self._judge(
+            outcome,
+            self._floor_flags(chunk, variant),
+            self._end_s[variant],
+            finds_heading=self._chunk_method(variant).finds_heading,
+        )
         values |= self._settling_columns(
             verdict, self._pass_s[variant], self._data_before_start_s[variant]
         )

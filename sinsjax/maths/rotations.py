@@ -141,6 +141,13 @@ def misalignment(q_true: Quat, q_hat: Quat) -> Vec3:
     return log(multiply(q_true, conjugate(q_hat)))
 
 
+def tilt(q_true: Quat, q_hat: Quat) -> Vec3:
+    """Horizontal phi (rad, n) for which C_hat = Rz exp(-phi x) C_true, with a heading error Rz."""
+    error = multiply(q_true, conjugate(q_hat))
+    zero = jnp.zeros_like(error.w)
+    return log(normalise(multiply(error, Quat(error.w, zero, zero, -error.z))))
+
+
 def euler_vector(pitch: Scalar, roll: Scalar, yaw: Scalar) -> Vec3:
     """Rotation vector of Euler angles, rad.
 

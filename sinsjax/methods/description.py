@@ -123,6 +123,8 @@ class Description:
             a change to it drops them.
         has_covariance: whether it has a covariance P.
         has_floor: whether constant sensor biases leave its heading a bias floor that is known.
+        finds_heading: whether it finds a heading. If not, only its pitch and roll are observed, and
+            its runs have the status ``no_north``.
         gyro_bias_keys: pairs of keys, the sigma of the gyro bias states and the sigma of heading.
             Such a filter distinguishes gyro biases from heading once the base moves. Empty if the
             method has no such states.
@@ -147,6 +149,7 @@ class Description:
     refuses: tuple[str, ...] = ()
     has_covariance: bool = True
     has_floor: bool = True
+    finds_heading: bool = True
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()
     has_error_model: bool = False
     rules: tuple[Callable[[CheckedStudy], None], ...] = ()

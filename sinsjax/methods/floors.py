@@ -40,7 +40,7 @@ class BiasFloor(NamedTuple):
         phi: rotation vector in n, rad.
         tilt: the most that the accelerometer biases can leave of a level error, max |nabla|/g, rad.
         no_north: whether the level gyro bias exceeds the north component of the Earth rate, so
-            that the measured rate may point anywhere.
+            that the measured rate may point anywhere, or the method finds no heading.
     """
 
     phi: Vec3

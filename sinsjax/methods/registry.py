@@ -14,6 +14,7 @@ from sinsjax.methods.inertial_frame.config import (
     OPTIMISATION_POSITION,
 )
 from sinsjax.methods.invariant.config import INVARIANT
+from sinsjax.methods.level.config import LEVEL
 from sinsjax.methods.plugins import load_plugins
 from sinsjax.methods.sincos.config import SINCOS, SURGE
 from sinsjax.methods.zero_velocity.config import KALMAN5, KALMAN10
@@ -32,6 +33,7 @@ REGISTRY = load_plugins(
         OPTIMISATION_POSITION,
         INERTIAL,
         COMPASS,
+        LEVEL,
     )
 )
 """All methods with their sections, and the state of the plug-ins."""

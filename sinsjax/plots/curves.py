@@ -175,7 +175,7 @@ def plot_curves(
     if not lines:
         raise InputError("plot_curves: there are no curves of these runs")
     ensembles = group_curves(table, lines)
-    sigmas = [ensemble.columns.get("sigma_u_arcmin") for ensemble in ensembles]
+    sigmas = [ensemble.columns.get("sigma_e_arcmin") for ensemble in ensembles]
     with_sigma = any(sigma is not None and np.isfinite(sigma).any() for sigma in sigmas)
     if not has_truth:
         return draw_attitude(ensembles, title or _attitude_title(ensembles))
@@ -223,8 +223,11 @@ def _reset_times_to_mark(summary: pa.Table) -> list[float]:
 
 
 def _attitude_title(ensembles: Sequence[Ensemble]) -> str:
-    """The yaw at the end of each line, in words."""
+    """The yaw at the end of each line that has one, in words."""
     last = [float(ensemble.columns["yaw_deg"][:, -1].mean()) for ensemble in ensembles]
+    last = [yaw for yaw in last if np.isfinite(yaw)]
+    if not last:
+        return f"Pitch and roll over {ensembles[0].time_s[-1]:g} s"
     ends = dict.fromkeys(f"{yaw:.2f}" for yaw in (min(last), max(last)))
     return f"Yaw after {ensembles[0].time_s[-1]:g} s: {' to '.join(ends)} deg"
 
@@ -257,6 +260,8 @@ def draw_misalignment(
 ) -> Figure:
     """Misalignment about east, north and up: the whole run, and its end enlarged.
 
+    An axis about which no run has a misalignment is left out.
+
     Args:
         ensembles: one line each, with the phi columns (and sigma, if drawn).
         title: title of the figure.
@@ -265,11 +270,12 @@ def draw_misalignment(
         zoom_s: time span to enlarge, s; None for no enlargement.
         with_sigma: whether to draw the filter's 1 sigma, dashed on both sides of 0.
     """
-    figure = Figure(figsize=(9.2, 8.4))
+    shown = "".join(axis for axis in "enu" if _has_values(ensembles, f"phi_{axis}_arcmin")) or "enu"
+    figure = Figure(figsize=(9.2, 8.4 * len(shown) / 3))
     figure.suptitle(title)
-    grid = figure.subplots(3, 2 if zoom_s else 1, sharex="col", squeeze=False)
-    notes = {""}
-    for row, axis in zip(grid, "enu", strict=True):
+    grid = figure.subplots(len(shown), 2 if zoom_s else 1, sharex="col", squeeze=False)
+    notes, end_s = {""}, max(ensemble.time_s[-1] for ensemble in ensembles)
+    for row, axis in zip(grid, shown, strict=True):
         for axes in row:
             extents = _draw_misalignment_panel(axes, axis, ensembles, with_sigma=with_sigma)
             if floors and axis in floors:
@@ -278,7 +284,7 @@ def draw_misalignment(
                     floors[axis], color="black", ls="-.", lw=0.9, zorder=3, label="bias floor"
                 )
             _mark_resets(axes, resets_s)
-        row[0].set_xlim(0, max(extent.time_s[-1] for extent in extents))
+        row[0].set_xlim(0, end_s)
         notes.add(use_asinh_if_wide(row[0], extents).replace("\n", ", "))
         row[0].set_ylabel(f"{_NAMES[axis]}\n(arcmin)")
         if zoom_s:
@@ -288,13 +294,17 @@ def draw_misalignment(
         grid[0, 1].set_title(f"Enlarged: {zoom_s[0]:g} to {zoom_s[1]:g} s")
     for axes in grid[-1]:
         axes.set_xlabel("time (s)")
-    add_legend_below(figure, grid[-1, 0], _label_line_ends(grid[:, -1], ensembles))
+    add_legend_below(figure, grid[-1, 0], _label_line_ends(grid[:, -1], shown, ensembles))
     return figure
 
 
-def _label_line_ends(panels: NDArray, ensembles: Sequence[Ensemble]) -> set[str]:
-    """Write the names of the lines next to the first panel that has room, and return them."""
-    for axes, axis in reversed(list(zip(panels, "enu", strict=True))):
+def _has_values(ensembles: Sequence[Ensemble], column: str) -> bool:
+    return any(np.isfinite(ensemble.columns[column]).any() for ensemble in ensembles)
+
+
+def _label_line_ends(panels: NDArray, shown: str, ensembles: Sequence[Ensemble]) -> set[str]:
+    """Write the names of the lines next to the last panel that has room, and return them."""
+    for axes, axis in reversed(list(zip(panels, shown, strict=True))):
         last = [float(e.columns[f"phi_{axis}_arcmin"][:, -1].mean()) for e in ensembles]
         ends = [
             (e.label, value, line_colour(i))
@@ -325,7 +335,7 @@ def _draw_misalignment_panel(
             extents.append(Extent(time, -sigma, sigma, is_sigma=True))
     if any(len(ensemble.columns[f"phi_{axis}_arcmin"]) > 1 for ensemble in ensembles):
         axes.fill_between([], [], color=GREY, alpha=_FAINT, linewidth=0, label="95 % of the runs")
-    if len(extents) > len(ensembles):
+    if with_sigma:
         axes.plot([], [], "--", color=GREY, linewidth=0.9, label="±1 sigma of the filter")
     return extents
 
@@ -373,12 +383,13 @@ def draw_attitude(ensembles: Sequence[Ensemble], title: str) -> Figure:
         ensembles: one line each: the mean over its runs, and their mean sigma.
         title: title of the figure.
     """
-    figure = Figure(figsize=(9.2, 7.2))
+    angles = {"pitch": "e", "roll": "n", "yaw": "u"}
+    if not _has_values(ensembles, "yaw_deg"):
+        del angles["yaw"]
+    figure = Figure(figsize=(9.2, 7.2 * len(angles) / 3))
     figure.suptitle(title)
-    panels = figure.subplots(3, 1, sharex=True)
-    for axes, (angle, axis) in zip(
-        panels, {"pitch": "e", "roll": "n", "yaw": "u"}.items(), strict=True
-    ):
+    panels = figure.subplots(len(angles), 1, sharex=True)
+    for axes, (angle, axis) in zip(panels, angles.items(), strict=True):
         edges = []
         for i, ensemble in enumerate(ensembles):
             values = ensemble.columns[f"{angle}_deg"].mean(axis=0)

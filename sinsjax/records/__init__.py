@@ -12,8 +12,8 @@ from sinsjax.records.layout import (
     GYRO_UNITS,
     PSINS_LAYOUT,
     TIME_UNITS,
-    Layout,
     Record,
+    RecordLayout,
     check_layout,
     require_span,
 )
@@ -26,7 +26,7 @@ __all__ = [
     "GYRO_UNITS",
     "PSINS_LAYOUT",
     "TIME_UNITS",
-    "Layout",
+    "RecordLayout",
     "Record",
     "Reference",
     "check_layout",
@@ -45,7 +45,7 @@ __all__ = [
 _READERS = {"psins": read_psins, "csv": read_csv, "parquet": read_parquet}
 
 
-def read_record(path: str | Path, layout: Layout) -> Record:
+def read_record(path: str | Path, layout: RecordLayout) -> Record:
     """Read a record in the layout's format.
 
     Args:

@@ -12,10 +12,8 @@ from sinsjax.errors import InputError
 from sinsjax.messages import first_error_line, shorten
 from sinsjax.records.files import MAX_MAGNITUDE
 from sinsjax.records.layout import (
-    ACCEL_UNITS,
-    GYRO_UNITS,
     FloatArray,
-    Layout,
+    RecordLayout,
     find_fault,
     message_key,
 )
@@ -23,7 +21,7 @@ from sinsjax.records.reference import Reference, StoredRecord, reference_from_ta
 from sinsjax.records.tables import MISSING_TEXT, ColumnTable, find_columns
 from sinsjax.records.tabular import record_from_table
 
-_ARRAY_LAYOUT = Layout("arrays")
+_ARRAY_LAYOUT = RecordLayout("arrays")
 _AXIS_SUFFIXES = tuple(f"[:, {axis}]" for axis in range(3))
 
 
@@ -36,6 +34,7 @@ def record_from_arrays(
     accel_unit: str = "m_per_s2",
     time_unit: str = "s",
     axes: str = "rfu",
+    mounting_deg: Sequence[float] = (0.0, 0.0, 0.0),
     rate_hz: float | None = None,
     max_gap_s: float = 0.0,
     latitude_deg: float | None = None,
@@ -58,6 +57,8 @@ def record_from_arrays(
         time_unit: "s", "ms", "us" or "ns".
         axes: directions of x, y and z of both arrays: "rfu" (right, front, up), "frd" or "flu"; or
             the axes that point right, front and up as a signed permutation, such as "y-xz".
+        mounting_deg: attitude of these axes in the vehicle: pitch, roll and yaw
+            (counter-clockwise), deg.
         rate_hz: sample rate, Hz; None takes it from the times.
         max_gap_s: longest time between two good samples across which missing ones are interpolated.
         latitude_deg: geodetic latitude, which a study's [earth] may then omit.
@@ -80,15 +81,15 @@ def record_from_arrays(
         >>> float(stored.record.dv[0, 2])  # m/s per sample
         0.098
     """
-    layout = Layout(
+    layout = RecordLayout(
         format="csv",  # with the fields of any table
-        quantity=_common_quantity(source, gyro_unit, accel_unit),
         time_column="" if time is None else "time",
         gyro_columns=tuple(f"gyro{suffix}" for suffix in _AXIS_SUFFIXES),
         accel_columns=tuple(f"accel{suffix}" for suffix in _AXIS_SUFFIXES),
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
         axes_order=axes,
+        mounting_deg=tuple(mounting_deg),
         rate_hz=rate_hz,
         time_unit=time_unit,
         max_gap_s=max_gap_s,
@@ -122,27 +123,6 @@ def record_from_arrays(
     record = record_from_table(source, layout, _make_table(source, columns))
     record = record._replace(latitude_deg=latitude_deg, height_m=height_m, layout=layout)
     return StoredRecord.from_record(record, _make_reference(f"{source}: reference", reference))
-
-
-def _common_quantity(source: str, gyro_unit: str, accel_unit: str) -> str:
-    """Return the quantity of both arrays according to their units: rates or increments."""
-    quantity_by_argument = {}
-    for name, unit, known in (
-        ("gyro_unit", gyro_unit, GYRO_UNITS),
-        ("accel_unit", accel_unit, ACCEL_UNITS),
-    ):
-        quantity = next((quantity for quantity, units in known.items() if unit in units), None)
-        if quantity is None:
-            all_units = ", ".join(unit for units in known.values() for unit in units)
-            raise InputError(f"{source}: {name}: {unit!r} is not one of {all_units}")
-        quantity_by_argument[name] = quantity
-    if len(set(quantity_by_argument.values())) > 1:
-        raise InputError(
-            f"{source}: accel_unit: {accel_unit!r} is of {quantity_by_argument['accel_unit']},"
-            f" gyro_unit {gyro_unit!r} of {quantity_by_argument['gyro_unit']}: both arrays"
-            " must have the same quantity"
-        )
-    return quantity_by_argument["gyro_unit"]
 
 
 def _to_floats(source: str, name: str, values: Any) -> FloatArray:
@@ -243,7 +223,7 @@ def _make_table(source: str, columns: dict[str, FloatArray]) -> ColumnTable:
             result.append(values)
         return result
 
-    return ColumnTable(list(columns), read, lambda k: k)
+    return ColumnTable(list(columns), read, lambda k: k, "arrays")
 
 
 def _make_reference(source: str, reference: Any) -> Reference | None:

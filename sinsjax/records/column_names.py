@@ -4,7 +4,7 @@ Names are compared in lower case, word by word: ``GyroX [deg/s]`` is gyro, x and
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 _SENSOR_WORDS = {
@@ -15,22 +15,28 @@ _SENSOR_WORDS = {
 }
 _SENSOR_LETTERS = {"gyro": ("w", "g", "om", "rate"), "accel": ("a", "f")}
 _EXCLUDED_WORDS = re.compile(r"cov|accuracy|bias|std|sigma|temp|mag|var$|status|valid|raw_?count")
-_TIME = re.compile(r"time|stamp|epoch|clock|^(t|tow|sow|utc|date|secs?|seconds)$")
+_MINUS = re.compile(r"^\s*(-|(minus|neg(ative)?)[-_ ])\s*", re.IGNORECASE)
+_INCREMENT_WORDS = re.compile(r"delta|^d_?(v|theta|ang)|_d(v|theta)|incr")
+_TIME = re.compile(
+    r"time|stamp|epoch|clock|^(t|tow|sow|utc|date|[mun]?secs?|(milli|micro|nano)?sec(ond)?s?)$"
+)
 _AXES = {
     **{letter: number for number, letter in enumerate("xyz")},
-    **{letter: number for number, letter in enumerate("123")},
+    **{letter: number for number, letter in enumerate("0123")},
 }
 _DIRECTIONS = {
     "right": "r", "left": "l", "front": "f", "forward": "f", "fwd": "f", "up": "u", "down": "d",
-    "rgt": "r", "lft": "l", "frt": "f", "dn": "d", "dwn": "d",
+    "rgt": "r", "lft": "l", "frt": "f", "dn": "d", "dwn": "d", "back": "b", "rear": "b", "aft": "b",
     "r": "r", "l": "l", "f": "f", "u": "u", "d": "d",
 }  # fmt: skip
-_TURN_AXES = {"roll": "x", "pitch": "y", "yaw": "z", "p": "x", "q": "y", "r": "z"}
-"""Axes of an aircraft's rotations, such as roll_rate, or p alone."""
+TURNS = {"roll": 1, "pitch": 0, "yaw": 2, "heading": 2, "p": 1, "q": 0, "r": 2}
+"""Body axis, right, front or up, of a turn's name, such as roll_rate, or p alone."""
 _TURN_STEM = "turn_rate"
-_DIRECTION_GROUPS = ("rl", "f", "ud")
+_DIRECTION_GROUPS = ("rl", "fb", "ud")
 """Directions of three axes; of a pair, either one."""
-_DIRECTION_NAMES = {"r": "right", "l": "left", "f": "front", "u": "up", "d": "down"}
+_DIRECTION_NAMES = {
+    "r": "right", "l": "left", "f": "front", "b": "back", "u": "up", "d": "down",
+}  # fmt: skip
 _ORDERS = ("rfu", "frd", "flu")
 _ORDERS_IN_WORDS = {
     "right-front-up": "rfu",
@@ -42,31 +48,42 @@ _ORDERS_IN_WORDS = {
 }
 _UNIT_SPELLINGS = {
     "gyro": {
-        "rad_per_s": ("rad/s", "rads", "rad_s", "rps", "rad_per_s", "rad/sec", "rad_sec"),
-        "deg_per_s": ("deg/s", "degs", "deg_s", "dps", "deg_per_s", "°/s", "deg/sec", "deg_sec"),
-        "deg_per_h": ("deg/h", "deg/hr", "deg_h", "dph", "deg_per_h", "°/h", "deg_hr"),
-        "rad": ("rad",),
-        "deg": ("deg", "°"),
-        "arcsec": ("arcsec", "as", '"'),
+        ("rad_per_s", 1.0): ("rad/s", "rads", "rad_s", "rps", "x8005"),
+        ("rad_per_s", 1e-3): ("mrad/s", "mrads", "mrad_s"),
+        ("deg_per_s", 1.0): ("deg/s", "degs", "deg_s", "dps"),
+        ("deg_per_s", 1e-3): ("mdeg/s", "mdegs", "mdeg_s", "mdps"),
+        ("deg_per_h", 1.0): ("deg/h", "deg_h", "dph"),
+        ("rad", 1.0): ("rad", "x8007"),
+        ("rad", 1e-3): ("mrad",),
+        ("rad", 1e-6): ("urad",),
+        ("deg", 1.0): ("deg",),
+        ("arcsec", 1.0): ("arcsec", "as", '"'),
     },
     "accel": {
-        "m_per_s2": (
-            "m/s^2", "m/s2", "m/s²", "m/s/s", "mps2", "ms2", "m_s2", "m_per_s2", "ms-2", "m/s**2",
-        ),
-        "g": ("g",),
-        "mg": ("mg",),
-        "ug": ("ug", "µg", "μg"),
-        "m_per_s": ("m/s", "mps", "m_s", "m_per_s"),
-        "g_s": ("g_s", "g*s", "gs", "g·s", "g.s"),
-        "ug_s": ("ug_s", "ug*s", "ugs"),
+        ("m_per_s2", 1.0): ("m/s2", "mps2", "ms2", "m_s2", "mss"),
+        ("m_per_s2", 1e-2): ("cm/s2", "cm_s2", "gal"),
+        ("m_per_s2", 1e-3): ("mm/s2", "mm_s2"),
+        ("g", 1.0): ("g", "gs", "x8004"),
+        ("mg", 1.0): ("mg",),
+        ("ug", 1.0): ("ug",),
+        ("m_per_s", 1.0): ("m/s", "mps", "m_s"),
+        ("g_s", 1.0): ("g_s", "g.s", "x8008"),
+        ("ug_s", 1.0): ("ug_s", "ugs"),
     },
     "time": {
-        "s": ("s", "sec", "secs", "second", "seconds"),
-        "ms": ("ms", "msec", "msecs", "millis", "milliseconds"),
-        "us": ("us", "µs", "μs", "usec", "usecs", "micros", "microseconds"),
-        "ns": ("ns", "nsec", "nsecs", "nanos", "nanoseconds"),
+        ("s", 1.0): ("s",),
+        ("ms", 1.0): ("ms", "millis", "milliseconds"),
+        ("us", 1.0): ("us", "micros", "microseconds"),
+        ("ns", 1.0): ("ns", "nanos", "nanoseconds"),
+        ("s", 1e-4): ("sampletimefine",),
     },
 }  # fmt: skip
+"""Spellings of units and their multiples, as `_spell` returns them; x8004 is MicroStrain's code."""
+
+Unit = tuple[str, float]
+"""A unit of `layout.GYRO_UNITS`, `ACCEL_UNITS` or `TIME_UNITS`, and a multiplier."""
+
+NO_UNIT: Unit = ("", 1.0)
 
 
 class Triad(NamedTuple):
@@ -74,81 +91,117 @@ class Triad(NamedTuple):
 
     Attributes:
         names: columns in the order of the record's x, y, z.
-        unit: unit in the names, a key of `layout.GYRO_UNITS` or `ACCEL_UNITS`; "" if none.
+        unit: unit in the names with its multiplier; "" if none.
+        signs: sign of each column.
         directions: directions of x, y and z in the names, such as "frd"; "" if none.
         are_increments: whether the names indicate increments.
+        turns: body axis, right, front or up, of each column if they are named roll, pitch, yaw.
     """
 
     names: tuple[str, str, str]
-    unit: str
-    directions: str
-    are_increments: bool
+    unit: Unit
+    signs: tuple[float, float, float]
+    directions: str = ""
+    are_increments: bool = False
+    turns: tuple[int, ...] = ()
 
 
 class Clock(NamedTuple):
-    """A possible time column, and the unit in its name; "" if none."""
+    """A possible time column, its unit with a multiplier, "" if none, and the fraction's column."""
 
     name: str
-    unit: str
+    unit: Unit
+    fraction: str = ""
+    fraction_unit: str = "ns"
 
 
-def find_triads(names: Sequence[str], sensor: str) -> list[Triad]:
-    """Return the triads of ``"gyro"`` or ``"accel"`` among a file's columns, in its order."""
-    columns_by_axis = _columns_by_axis(names, sensor).items()
-    candidates = [_make_triad(stem, unit, columns) for (stem, unit), columns in columns_by_axis]
+class _Name(NamedTuple):
+    """A column's name: stem, axis, unit, and sign."""
+
+    stem: str
+    axis: str
+    unit: Unit
+    sign: float
+
+
+_Group = dict[str, tuple[str, float]]
+"""Column and sign by axis."""
+
+
+def find_triads(
+    names: Sequence[str], sensor: str, units: Mapping[str, str] | None = None
+) -> list[Triad]:
+    """Return the triads of ``"gyro"`` or ``"accel"`` among a file's columns, in its order.
+
+    Args:
+        names: of the columns.
+        sensor: of the triads.
+        units: in words by name, from a row of units.
+    """
+    groups = _group_columns(names, sensor, units or {}).items()
+    candidates = [_make_triad(stem, unit, columns) for (stem, unit), columns in groups]
     return [triad for triad in candidates if triad is not None]
 
 
 def find_incomplete_triad(names: Sequence[str], sensor: str) -> tuple[list[str], str] | None:
     """Return two columns of a triad, and the missing ending of the third one's name, if any."""
-    for (stem, _), columns in _columns_by_axis(names, sensor).items():
+    for (stem, _), columns in _group_columns(names, sensor, {}).items():
         by_direction = {
             _DIRECTIONS[axis]: name for axis, name in columns.items() if axis in _DIRECTIONS
         }
-        turn_names = (
-            dict(zip("xyz", ("roll", "pitch", "yaw"), strict=True)) if stem == _TURN_STEM else {}
-        )
-        for present, axes in (
+        axes_sets: tuple[tuple[Mapping[str, object], tuple[str, ...]], ...] = (
             (columns, ("x", "y", "z")),
-            (columns, ("1", "2", "3")),
+            (columns, ("0", "1", "2") if "0" in columns else ("1", "2", "3")),
             (by_direction, _DIRECTION_GROUPS),
-        ):
-            missing = [axis for axis in axes if not any(letter in present for letter in axis)]
+        )
+        if stem == _TURN_STEM:
+            axes_sets = ((columns, ("roll", "pitch", "yaw")),)
+        for present, axes in axes_sets:
+            missing = [
+                axis for axis in axes
+                if not (axis in present or (axes is _DIRECTION_GROUPS and {*axis} & {*present}))
+            ]  # fmt: skip
             if len(present) == 2 and len(missing) == 1:
-                wanted = " or ".join(
-                    _DIRECTION_NAMES.get(letter, turn_names.get(letter, letter))
-                    for letter in missing[0]
-                )
-                return list(present.values()), wanted
+                letters = missing[0] if axes is _DIRECTION_GROUPS else [missing[0]]
+                wanted = " or ".join(_DIRECTION_NAMES.get(letter, letter) for letter in letters)
+                return [name for name, _ in columns.values()], wanted
     return None
 
 
-def _columns_by_axis(names: Sequence[str], sensor: str) -> dict[tuple[str, str], dict[str, str]]:
-    """Return the columns of ``"gyro"`` or ``"accel"`` by stem and unit, and by axis."""
-    groups: dict[tuple[str, str], dict[str, str]] = {}
-    for name in names:
-        parts = _split_axis(name, sensor)
-        if parts is None:
-            continue
-        stem, axis, unit = parts
-        if _is_sensor_name(sensor, stem) and not _EXCLUDED_WORDS.search(stem):
-            groups.setdefault((stem, unit), {})[axis] = name
-    return groups
-
-
-def find_clocks(names: Sequence[str]) -> list[Clock]:
-    """Return the columns whose names indicate time, in the file's order."""
-    clocks_found = []
+def find_clocks(names: Sequence[str], units: Mapping[str, str] | None = None) -> list[Clock]:
+    """Return the columns whose names indicate time, in the file's order, see `find_triads`."""
+    clocks = []
     for name in names:
         stem, unit = _split_unit(name, "time")
-        if any(_TIME.search(part) for part in (stem, *stem.split("_"))):
-            clocks_found.append(
-                Clock(name, unit or ("s" if re.search(r"sec|tow|sow", stem) else ""))
-            )
-    return clocks_found
+        if found := parse_unit((units or {}).get(name, ""), "time"):
+            unit = found
+        if stem.replace("_", "") == "sampletimefine":
+            unit = ("s", 1e-4)
+        words = _normalise_name(name)
+        if any(_TIME.search(part) for part in (stem, *stem.split("_"), *words.split("_"))):
+            guess = ("s", 1.0) if re.search(r"sec|tow|sow", stem) else NO_UNIT
+            clocks.append(Clock(name, unit if unit[0] else guess))
+    return [_with_fraction(clock, clocks) for clock in clocks]
 
 
-def find_axes_order(texts: Iterable[str]) -> str:
+def _with_fraction(clock: Clock, clocks: list[Clock]) -> Clock:
+    """Return a clock of seconds with the column of their fraction, as of ROS's secs and nsecs."""
+    if clock.unit != ("s", 1.0):
+        return clock
+    stem = _fraction_stem(clock.name)
+    for other in clocks:
+        if other.unit[0] in ("ns", "us", "ms") and stem and _fraction_stem(other.name) == stem:
+            return clock._replace(fraction=other.name, fraction_unit=other.unit[0])
+    return clock
+
+
+def _fraction_stem(name: str) -> str:
+    """Return what the names of seconds and their fraction share; "" for another name."""
+    stem, count = re.subn(r"(nano|micro|milli|[num])?_?s(ec(ond)?s?)?$", "", _normalise_name(name))
+    return f"{stem.rstrip('_')}." if count else ""
+
+
+def find_named_order(texts: Iterable[str]) -> str:
     """Return the axes that texts name, one of `layout.NAMED_AXES`; "" if none or several."""
     orders = set()
     for text in texts:
@@ -161,17 +214,62 @@ def find_axes_order(texts: Iterable[str]) -> str:
 def is_counter(name: str) -> bool:
     """Return whether a column counts samples."""
     words = set(_normalise_name(name).split("_"))
-    return bool(words & {"index", "idx", "count", "counter", "sample", "seq", "n", "no", "packet"})
+    return not words & {"time", "stamp"} and bool(
+        words & {"index", "idx", "count", "counter", "sample", "seq", "n", "no", "packet"}
+    )
 
 
-def _is_sensor_name(sensor: str, stem: str) -> bool:
-    """Return whether the words of a name before its axis denote the sensor."""
+def parse_unit(text: str, kind: str) -> Unit | None:
+    """Return the unit of a ``"gyro"``, ``"accel"`` or ``"time"`` that a text spells, or None."""
+    spelling = _spell(text)
+    return next((unit for unit, forms in _UNIT_SPELLINGS[kind].items() if spelling in forms), None)
+
+
+def _spell(text: str) -> str:
+    """Return a unit in one spelling: rad/s for rad s^-1, RAD/SEC or rad_per_sec."""
+    text = re.sub(r"[\s^·*()\[\]]+", "", text.lower()).replace("²", "2")
+    text = text.replace("µ", "u").replace("μ", "u").replace("°", "deg").replace("_per_", "/")
+    for pattern, word in (
+        (r"degrees?", "deg"),
+        (r"radians?", "rad"),
+        (r"(milli|micro|nano)seconds?", r"\1seconds"),
+        (r"(?<!milli)(?<!micro)(?<!nano)sec(ond)?s?", "s"),
+        (r"h(ou)?rs?$", "h"),
+        (r"^(.*[a-z])s-([12])$", r"\1/s\2"),
+        (r"/s1$", "/s"),
+        (r"/s/s$", "/s2"),
+    ):
+        text = re.sub(pattern, word, text)
+    return text
+
+
+def _group_columns(
+    names: Sequence[str], sensor: str, units: Mapping[str, str]
+) -> dict[tuple[str, Unit], _Group]:
+    """Return the columns of ``"gyro"`` or ``"accel"`` by stem and unit, and by axis."""
+    groups: dict[tuple[str, Unit], _Group] = {}
+    for name in names:
+        found = _parse_name(name, sensor)
+        if found is None or _EXCLUDED_WORDS.search(found.stem):
+            continue
+        unit = parse_unit(units.get(name, ""), sensor) or found.unit
+        if _is_sensor_name(sensor, found.stem, unit):
+            groups.setdefault((found.stem, unit), {}).setdefault(found.axis, (name, found.sign))
+    return groups
+
+
+def _is_sensor_name(sensor: str, stem: str, unit: Unit) -> bool:
+    """Return whether the words of a name without its axis denote the sensor."""
     other_sensor = "accel" if sensor == "gyro" else "gyro"
+    if stem == _TURN_STEM:
+        return sensor == "gyro"
     if _SENSOR_WORDS[sensor].search(stem):
         return not (sensor == "accel" and _SENSOR_WORDS[other_sensor].search(stem))
-    return stem.rpartition("_")[2] in _SENSOR_LETTERS[sensor] and not _SENSOR_WORDS[
-        other_sensor
-    ].search(stem)
+    if _SENSOR_WORDS[other_sensor].search(stem):
+        return False
+    first = stem.partition("_")[0]
+    letters = _SENSOR_LETTERS[sensor]
+    return stem.rpartition("_")[2] in letters or (bool(unit[0]) and first in letters)
 
 
 def _normalise_name(name: str) -> str:
@@ -180,52 +278,80 @@ def _normalise_name(name: str) -> str:
     return re.sub(r"[^a-z0-9/°^²*µμ\"]+", "_", separated.lower()).strip("_")
 
 
-def _split_unit(name: str, kind: str) -> tuple[str, str]:
+def _split_unit(name: str, kind: str) -> tuple[str, Unit]:
     """Return the words of a name without its unit, and the unit; "" without one."""
     bracket = re.search(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$", name)
-    if bracket and (unit := _parse_unit(bracket[1], kind)):
+    if bracket and (unit := parse_unit(bracket[1], kind)):
         return _normalise_name(name[: bracket.start()]), unit
-    parts = _normalise_name(name).split("_")
+    return _split_unit_words(_normalise_name(name), kind)
+
+
+def _split_unit_words(words: str, kind: str) -> tuple[str, Unit]:
+    parts = words.split("_")
     for count in (3, 2, 1):
-        if len(parts) > count and (unit := _parse_unit("_".join(parts[-count:]), kind)):
+        if len(parts) > count and (unit := parse_unit("_".join(parts[-count:]), kind)):
             return "_".join(parts[:-count]), unit
-    return "_".join(parts), ""
+    return words, NO_UNIT
 
 
-def _parse_unit(text: str, kind: str) -> str:
-    spelling = text.lower().replace(" ", "")
-    return next((unit for unit, forms in _UNIT_SPELLINGS[kind].items() if spelling in forms), "")
-
-
-def _split_axis(name: str, kind: str) -> tuple[str, str, str] | None:
-    """Return the stem, the axis and the unit of a name; None without an axis."""
-    for stem_and_axis, unit in (_split_unit(name, kind), (_normalise_name(name), "")):
-        turn = re.sub(r"_?(rate|vel(ocity)?)$", "", stem_and_axis)
-        if kind == "gyro" and turn in _TURN_AXES and (len(turn) == 1) == (turn == stem_and_axis):
-            return _TURN_STEM, _TURN_AXES[turn], unit
-        *stem, last = stem_and_axis.split("_")
-        if stem and (last in _AXES or last in _DIRECTIONS):
-            return "_".join(stem), last, unit
-        if match := re.fullmatch(r"(.*[a-z])([xyz123])", last):
-            return "_".join([*stem, match[1]]), match[2], unit
-        if len(stem) > 1 and (stem[-1] in _AXES or stem[-1] in _DIRECTIONS):  # as in acc_x_raw
-            return "_".join([*stem[:-1], last]), stem[-1], unit
+def _parse_name(name: str, kind: str) -> _Name | None:
+    """Return the parts of a name; None without an axis."""
+    positive = _MINUS.sub("", name)
+    sign, name = 1.0 if positive == name else -1.0, positive
+    for words, unit in (_split_unit(name, kind), (_normalise_name(name), NO_UNIT)):
+        turn = re.sub(r"_?(rate|vel(ocity)?)$", "", words)
+        if kind == "gyro" and turn in TURNS and (len(turn) == 1) == (turn == words):
+            return _Name(_TURN_STEM, turn, unit, sign)
+        if (split := _split_axis(words)) is not None:
+            stem, axis = split
+            if not unit[0]:
+                stem, unit = _split_unit_words(stem, kind)  # as in gyro_rad[0]
+            return _Name(stem, axis, unit, sign)
     return None
 
 
-def _make_triad(stem: str, unit: str, columns: dict[str, str]) -> Triad | None:
+def _split_axis(words: str) -> tuple[str, str] | None:
+    """Return the stem and the axis of a name; None without an axis."""
+    first, *rest = words.split("_")
+    if not rest:
+        match = re.fullmatch(r"(.*[a-z])([xyz0-3])", words)
+        return (match[1], match[2]) if match else None
+    *stem, last = first, *rest
+    if last in _AXES or last in _DIRECTIONS:
+        return "_".join(stem), last
+    if match := re.fullmatch(r"(.*[a-z])([xyz0-3])", last):
+        return "_".join([*stem, match[1]]), match[2]
+    if len(stem) > 1 and (stem[-1] in _AXES or stem[-1] in _DIRECTIONS):  # as in acc_x_raw
+        return "_".join([*stem[:-1], last]), stem[-1]
+    if first in ("x", "y", "z") or (len(first) > 1 and first in _DIRECTIONS):  # as in X Accel
+        return "_".join(rest), first
+    return None
+
+
+def _make_triad(stem: str, unit: Unit, columns: _Group) -> Triad | None:
     """Return the triad of columns by axis; None if one is missing."""
-    increments = bool(re.search(r"delta|^d_?(v|theta|ang)|_d(v|theta)", stem))
+    increments = bool(_INCREMENT_WORDS.search(stem))
+
+    def triad(axes: Sequence[str], by_axis: _Group, directions: str, turns: Sequence[int]) -> Triad:
+        (x, sx), (y, sy), (z, sz) = (by_axis[axis] for axis in axes)
+        return Triad((x, y, z), unit, (sx, sy, sz), directions, increments, tuple(turns))
+
+    if stem == _TURN_STEM:
+        for axes in (("roll", "pitch", "yaw"), ("roll", "pitch", "heading"), ("p", "q", "r")):
+            if set(axes) <= set(columns):
+                return triad(axes, columns, "", [TURNS[axis] for axis in axes])
+        return None
     by_direction = {
-        _DIRECTIONS[axis]: name for axis, name in columns.items() if axis in _DIRECTIONS
+        _DIRECTIONS[axis]: column for axis, column in columns.items() if axis in _DIRECTIONS
     }
     for order in _ORDERS:
         if set(by_direction) == set(order):
-            x, y, z = (by_direction[direction] for direction in order)
-            return Triad((x, y, z), unit, order, increments)
-    letters = {letter: columns[letter] for letter in "xyz123" if letter in columns}
-    for axes in ("xyz", "123"):
-        if set(axes) <= set(letters):
-            x, y, z = (letters[axis] for axis in axes)
-            return Triad((x, y, z), unit, find_axes_order([stem]), increments)
-    return None
+            return triad(order, by_direction, order, ())
+    groups = [[d for d in group if d in by_direction] for group in _DIRECTION_GROUPS]
+    if all(len(group) == 1 for group in groups) and len(by_direction) == 3:
+        signed = {
+            d: (name, -sign if d in "lbd" else sign) for d, (name, sign) in by_direction.items()
+        }
+        return triad([group[0] for group in groups], signed, "rfu", ())
+    numbered = next((axes for axes in ("xyz", "012", "123") if set(axes) <= set(columns)), None)
+    return triad(numbered, columns, find_named_order([stem]), ()) if numbered else None

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,15 +14,17 @@ from sinsjax.units import ARCSEC, DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 
 FloatArray = NDArray[np.float64]
 
+INCREMENTS, RATES = "increments", "rates"
+
 GYRO_UNITS = {
-    "increments": {"rad": 1.0, "deg": DEG, "arcsec": ARCSEC},
-    "rates": {"rad_per_s": 1.0, "deg_per_s": DEG, "deg_per_h": DEG_PER_H},
+    INCREMENTS: {"rad": 1.0, "deg": DEG, "arcsec": ARCSEC},
+    RATES: {"rad_per_s": 1.0, "deg_per_s": DEG, "deg_per_h": DEG_PER_H},
 }
 """Factors to rad or rad/s, by quantity and unit name."""
 
 ACCEL_UNITS = {
-    "increments": {"m_per_s": 1.0, "g_s": STANDARD_GRAVITY, "ug_s": micro_g()},
-    "rates": {"m_per_s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e3 * micro_g(), "ug": micro_g()},
+    INCREMENTS: {"m_per_s": 1.0, "g_s": STANDARD_GRAVITY, "ug_s": micro_g()},
+    RATES: {"m_per_s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e3 * micro_g(), "ug": micro_g()},
 }
 """Factors to m/s or m/s^2, by quantity and unit name; g is the standard gravity."""
 
@@ -77,6 +79,7 @@ class Record(NamedTuple):
         layout: layout of arrays, for messages about their units and axes; None for a file, whose
             layout is in the study.
         anomalies: samples that are impossible for a base at rest.
+        remarks: what was left out or assumed while the file was read, one line each.
     """
 
     dtheta: FloatArray
@@ -90,47 +93,73 @@ class Record(NamedTuple):
     source: str = "record"
     flaws: tuple[Flaw, ...] = ()
     filled: int = 0
-    layout: "Layout | None" = None
+    layout: "RecordLayout | None" = None
     anomalies: tuple[Anomaly, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
-class Layout(NamedTuple):
-    """Layout of a record in a file; the fields are the keys of a study's ``[record]`` section.
+class RecordLayout(NamedTuple):
+    """Which column of a file is what, in which unit, on which axis, and at what time.
+
+    The fields are keys of a study's ``[record]`` section.
 
     Attributes:
-        format: "psins", "csv" or "parquet". PSINS text otherwise uses only axes_order and rate_hz.
-            "arrays" for arrays in memory.
-        quantity: "increments" over each sample, or "rates" averaged over each sample.
+        format: "psins", "csv" or "parquet". PSINS text otherwise uses only axes_order,
+            mounting_deg and rate_hz. "arrays" for arrays in memory.
+        columns: names of all columns of a text file that does not name them; () if it does.
+        skip_rows: lines of a text file before its names, or before its samples.
         time_column: time at the end of each sample; "" if the file has no time.
+        time_unit: unit of the time column: "s", "ms", "us", "ns", or "iso" for dates or times of
+            day.
+        time_scale: multiplier of the time column, in its unit.
+        time_fraction_column: column with the fraction of a second that time_column lacks; "" if
+            none.
+        time_fraction_unit: unit of the fraction.
         gyro_columns: three names, in the record's own x, y, z.
         accel_columns: three names, in the record's own x, y, z.
-        gyro_unit: a key of `GYRO_UNITS` for the quantity.
-        accel_unit: a key of `ACCEL_UNITS` for the quantity.
+        gyro_unit: a unit of `GYRO_UNITS`; that of an increment for increments over each sample,
+            that of a rate for rates averaged over each sample.
+        accel_unit: a unit of `ACCEL_UNITS`, likewise.
+        gyro_scale: multiplier of each gyro column, in its unit: that of one count, or -1.
+        accel_scale: multiplier of each accelerometer column, likewise.
         axes_order: the record's axes that point right, front and up: "y-xz" means that right is +y
             of the record, front is -x and up is +z; or a name of `NAMED_AXES`.
+        mounting_deg: attitude of these axes in the vehicle: pitch, roll and yaw
+            (counter-clockwise), deg.
         rate_hz: sample rate, Hz; None takes it from the header or the time column.
-        time_unit: unit of the time column: "s", "ms", "us", "ns", or "iso" for dates with time.
         max_gap_s: longest time between two good samples across which missing ones are
             interpolated.
     """
 
     format: str
-    quantity: str = "increments"
+    columns: tuple[str, ...] = ()
+    skip_rows: int = 0
     time_column: str = ""
+    time_unit: str = "s"
+    time_scale: float = 1.0
+    time_fraction_column: str = ""
+    time_fraction_unit: str = "ns"
     gyro_columns: tuple[str, ...] = ()
     accel_columns: tuple[str, ...] = ()
     gyro_unit: str = "rad"
     accel_unit: str = "m_per_s"
+    gyro_scale: tuple[float, ...] = (1.0, 1.0, 1.0)
+    accel_scale: tuple[float, ...] = (1.0, 1.0, 1.0)
     axes_order: str = "xyz"
+    mounting_deg: tuple[float, ...] = (0.0, 0.0, 0.0)
     rate_hz: float | None = None
-    time_unit: str = "s"
     max_gap_s: float = 0.0
+
+    @property
+    def time_columns(self) -> tuple[str, ...]:
+        """The columns of time: none, one, or seconds and their fraction."""
+        return tuple(filter(None, (self.time_column, self.time_fraction_column)))
 
 
 _ARGUMENTS = {"time_column": "time", "axes_order": "axes"}
 
 
-def message_key(layout: Layout, key: str) -> str:
+def message_key(layout: RecordLayout, key: str) -> str:
     """Return the name of a layout's key in messages: the key, or the argument for arrays."""
     return _ARGUMENTS.get(key, key) if layout.format == "arrays" else key
 
@@ -142,17 +171,24 @@ def find_spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 class Note(NamedTuple):
-    """Reason for the value of a layout's key, and the doubt about it; "" for none."""
+    """Reason for the value of a layout's key.
+
+    Attributes:
+        reason: the reason; "" for none.
+        doubt: the doubt about it; "" for none.
+        question: why the key is open, with the evidence for each candidate; "" if it is not.
+    """
 
     reason: str
     doubt: str = ""
+    question: str = ""
 
 
-PSINS_LAYOUT = Layout("psins")
+PSINS_LAYOUT = RecordLayout("psins")
 """PSINS text with right-front-up axes, at the header's rate."""
 
 
-def check_layout(layout: Layout, source: str) -> None:
+def check_layout(layout: RecordLayout, source: str) -> None:
     """Reject an invalid layout.
 
     Args:
@@ -173,39 +209,42 @@ class Fault(NamedTuple):
     text: str
 
 
-def find_fault(layout: Layout) -> Fault | None:
+def find_fault(layout: RecordLayout) -> Fault | None:
     """Return the first fault of a layout; None if it is valid."""
     return next((Fault(*entry) for entry in _iter_layout_faults(layout)), None)
 
 
-def _iter_layout_faults(layout: Layout) -> Iterator[tuple[str, str]]:
+def _iter_layout_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
     # Only the first fault is read, so later checks may rely on earlier ones.
     if layout.format not in _FORMATS:
         yield "format", _not_one_of_text(layout.format, _FORMATS)
-    if layout.quantity not in GYRO_UNITS:
-        yield "quantity", _not_one_of_text(layout.quantity, GYRO_UNITS)
     if layout.rate_hz is not None and not 0 < layout.rate_hz < math.inf:
         yield "rate_hz", f"must be positive, not {layout.rate_hz!r}"
     try:
         parse_axes_order(layout.axes_order)
     except ValueError as error:
         yield "axes_order", str(error)
-    if layout.format == "psins":
-        if layout.quantity != "increments":
-            yield "quantity", "PSINS text has increments, not rates"
-        return
-    yield from _iter_column_faults(layout)
+    if len(layout.mounting_deg) != 3 or not all(map(math.isfinite, layout.mounting_deg)):
+        yield "mounting_deg", "must have a finite pitch, roll and yaw"
+    if layout.format != "psins":
+        yield from _iter_column_faults(layout)
 
 
-def _iter_column_faults(layout: Layout) -> Iterator[tuple[str, str]]:
-    units = (
+def _iter_column_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
+    for key, unit, known in (
         ("gyro_unit", layout.gyro_unit, GYRO_UNITS),
         ("accel_unit", layout.accel_unit, ACCEL_UNITS),
-    )
-    for key, unit, known in units:
-        if unit not in known[layout.quantity]:
-            yield key, f"{_not_one_of_text(unit, known[layout.quantity])} for {layout.quantity}"
+    ):
+        all_units = [name for units in known.values() for name in units]
+        if unit not in all_units:
+            yield key, _not_one_of_text(unit, all_units)
     key_by_column = {layout.time_column: "time_column"}
+    if layout.time_fraction_column:
+        if not layout.time_column:
+            yield "time_fraction_column", "requires a time_column"
+        if layout.time_fraction_column == layout.time_column:
+            yield "time_fraction_column", "is the time_column already"
+        key_by_column[layout.time_fraction_column] = "time_fraction_column"
     for key, names in (
         ("gyro_columns", layout.gyro_columns),
         ("accel_columns", layout.accel_columns),
@@ -218,12 +257,47 @@ def _iter_column_faults(layout: Layout) -> Iterator[tuple[str, str]]:
             if name in key_by_column:
                 yield key, f"column {name!r} is already used in {key_by_column[name]}"
             key_by_column[name] = key
-    if layout.time_unit not in TIME_UNITS:
-        yield "time_unit", _not_one_of_text(layout.time_unit, TIME_UNITS)
+    for key, scale in (
+        ("gyro_scale", layout.gyro_scale),
+        ("accel_scale", layout.accel_scale),
+        ("time_scale", (layout.time_scale,)),
+    ):
+        if not all(math.isfinite(factor) and factor for factor in scale):
+            yield key, "must be finite and not 0"
+    for key, unit in (
+        ("time_unit", layout.time_unit),
+        ("time_fraction_unit", layout.time_fraction_unit),
+    ):
+        if unit not in TIME_UNITS:
+            yield key, _not_one_of_text(unit, TIME_UNITS)
+    if layout.columns:
+        for name in sorted(key_by_column.keys() - {""} - {*layout.columns}):
+            yield key_by_column[name], f"column {name!r} is not in columns"
     if not 0 <= layout.max_gap_s < math.inf:
         yield "max_gap_s", f"must not be negative, not {layout.max_gap_s!r}"
     if not layout.time_column and layout.rate_hz is None:
         yield "rate_hz", "required without a time_column"
+
+
+def quantity_of(unit: str) -> str:
+    """Return the quantity of a unit of gyros or accelerometers: increments or rates."""
+    units = {**GYRO_UNITS[INCREMENTS], **ACCEL_UNITS[INCREMENTS]}
+    return INCREMENTS if unit in units else RATES
+
+
+def unit_factor(unit: str) -> float:
+    """Return the factor of a unit of gyros or accelerometers to SI."""
+    return next(
+        units[unit]
+        for known in (GYRO_UNITS, ACCEL_UNITS)
+        for units in known.values()
+        if unit in units
+    )
+
+
+def increment_factor(unit: str, rate_hz: float) -> float:
+    """Return the factor from a unit of gyros or accelerometers to SI increments over a sample."""
+    return unit_factor(unit) / (rate_hz if quantity_of(unit) == RATES else 1.0)
 
 
 def _not_one_of_text(value: str, known: Iterable[str]) -> str:
@@ -258,6 +332,25 @@ def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
     return index, signs
 
 
+def mounting_matrix(mounting_deg: Sequence[float]) -> FloatArray:
+    """Return the rotation (3, 3) from the axes of the box to those of the vehicle.
+
+    Args:
+        mounting_deg: attitude of the box in the vehicle: pitch, roll and yaw, deg, in the order of
+            `Record.attitude_deg`, C = Rz(yaw) Rx(pitch) Ry(roll).
+    """
+    (cp, cr, cy), (sp, sr, sy) = (f(np.multiply(mounting_deg, DEG)) for f in (np.cos, np.sin))
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
+    about_y = np.array([[cr, 0, sr], [0, 1, 0], [-sr, 0, cr]])
+    return np.asarray(about_z @ about_x @ about_y)
+
+
+def to_vehicle_axes(increments: FloatArray, mounting_deg: Sequence[float]) -> FloatArray:
+    """Transform (T, 3) vectors from the axes of the box to those of the vehicle."""
+    return increments @ mounting_matrix(mounting_deg).T if any(mounting_deg) else increments
+
+
 def to_body_axes(values: FloatArray, order: str) -> FloatArray:
     """Transform (T, 3) vectors from the record's axes to right-front-up; exact."""
     index, signs = parse_axes_order(order)
@@ -270,7 +363,7 @@ def from_body_axes(values: FloatArray, order: str) -> FloatArray:
     return (values * signs)[:, np.argsort(index)]
 
 
-def resolve_rate(file_hz: float, layout: Layout, uncertainty: float, source: str) -> float:
+def resolve_rate(file_hz: float, layout: RecordLayout, uncertainty: float, source: str) -> float:
     """Determine the sample rate from those of the file and of the layout.
 
     Args:

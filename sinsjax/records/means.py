@@ -15,6 +15,7 @@ EARTH_RATE = 15.041 * DEG_PER_H
 MAX_PARKED_TURN = 1.0 * DEG
 """Largest rotation of a parked vehicle, rad."""
 
+_DRIFT_BLOCKS = 12
 _MAX_STEPS = 2**19  # analysed steps of a span; in a longer one, samples are summed
 
 
@@ -26,11 +27,16 @@ class Means(NamedTuple):
         rate_uncertainty: uncertainty of the mean rate from sways and noise.
         is_steady: whether the rate is nearly constant.
         turn_angle: angle by which the base rotated in addition to the mean rate, rad.
+        largest_turn: largest angle between the attitude and that at the middle, apart from the
+            mean rate, rad.
         rate_change: least change of the mean rate from the first to the last third, rad/s.
         force: (3,) mean specific force.
         force_magnitude: mean magnitude of the specific force.
         resolved_force_ratio: magnitude of the mean force resolved by the gyros, over the mean
             magnitude.
+        vertical_drift: rate at which the vertical turns in the frame carried by the gyros, rad/s:
+            the horizontal Earth rate, however the base moves, but for the level part of their bias.
+        drift_uncertainty: uncertainty of the drift from accelerations of the base, rad/s.
         vertical_shift: angle by which the vertical moved from the first to the last third, rad.
         length_s: length of the span.
     """
@@ -39,10 +45,13 @@ class Means(NamedTuple):
     rate_uncertainty: float
     is_steady: bool
     turn_angle: float
+    largest_turn: float
     rate_change: float
     force: FloatArray
     force_magnitude: float
     resolved_force_ratio: float
+    vertical_drift: float
+    drift_uncertainty: float
     vertical_shift: float
     length_s: float
 
@@ -91,16 +100,20 @@ def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Mean
         / dt
     )
     force_magnitudes = _norm(_weighted_mean(force)), float(np.linalg.norm(blocks, axis=1).mean())
+    drift, drift_uncertainty = _vertical_drift(force, n * dt)
     return Means(
         rate=rate,
         rate_uncertainty=rate_uncertainty,
         is_steady=typical < 0.15 * _norm(rate) or rate_uncertainty < 0.1 * _norm(rate),
         turn_angle=turn_angle,
+        largest_turn=_largest_turn(q, float(np.linalg.norm(rate)) * dt),
         rate_change=rate_change / dt,
         force=dv.mean(axis=0) / dt,
         # Fast sways shorten the block means, wrong gyros the resolved mean: use the better one.
         force_magnitude=min(force_magnitudes, key=lambda size: abs(size - gravity)),
         resolved_force_ratio=force_magnitudes[0] / force_magnitudes[1],
+        vertical_drift=drift,
+        drift_uncertainty=drift_uncertainty,
         vertical_shift=math.acos(max(-1.0, min(1.0, cosine))),
         length_s=n * dt,
     )
@@ -146,6 +159,70 @@ def _rotation_steps(q: FloatArray, dtheta: FloatArray) -> FloatArray:
     return np.diff(vector, axis=0)
 
 
+def _largest_turn(q: FloatArray, mean_step: float) -> float:
+    """Return the largest angle of attitudes (n + 1, 4) relative to the middle one, rad.
+
+    Apart from what a rotation by ``mean_step``, rad, over each sample explains.
+    """
+    angle = 2 * np.arctan2(np.linalg.norm(q[:, 1:], axis=1), np.abs(q[:, 0]))
+    samples = np.abs(np.arange(len(q)) - len(q) // 2)
+    return float(np.max(np.maximum(angle - mean_step * samples, 0.0)))
+
+
+def _vertical_drift(force: FloatArray, length_s: float) -> tuple[float, float]:
+    """Return the drift of the direction of specific forces (n, 3), rad/s, and its 3 sigma."""
+    blocks = np.array_split(force, _DRIFT_BLOCKS)
+    up = np.array([block.mean(axis=0) for block in blocks if len(block)])
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    time_s = (np.arange(len(up)) - (len(up) - 1) / 2) * length_s / len(up)
+    sum_of_squares = float(time_s @ time_s)
+    slope = time_s @ up / sum_of_squares
+    scatter = up - up.mean(axis=0) - np.outer(time_s, slope)
+    sigma = math.sqrt(float((scatter**2).sum()) / max(1, len(up) - 2) / sum_of_squares)
+    return _norm(slope), 3 * sigma
+
+
 def vertical_rate(means: Means) -> float:
     """Return the mean rate about the vertical, rad/s."""
     return float(means.rate @ means.force) / float(np.linalg.norm(means.force))
+
+
+_SCALE_BLOCKS_S = 0.25, 1.0, 3.0
+_MIN_BLOCKS = 16
+_MIN_CORRELATION = 0.9
+
+
+def measure_gyro_scale(gyro: FloatArray, dv: FloatArray, rate_hz: float) -> float:
+    """Return the angle of one unit of the gyros over one sample by the sways of the vertical, rad.
+
+    The direction u of the specific force in the body turns as the gyros sense, du = -w x u. The
+    result is negative if it turns the other way, and 0 if the base sways too little to tell.
+
+    Args:
+        gyro: (T, 3) gyro samples, in any unit.
+        dv: (T, 3) specific-force increments.
+        rate_hz: sample rate, Hz.
+    """
+    for block_s in _SCALE_BLOCKS_S:
+        size = max(1, round(block_s * rate_hz))
+        blocks = len(dv) // size
+        if blocks < _MIN_BLOCKS:
+            break
+        force, turn = (
+            rows[: blocks * size].reshape(blocks, size, 3).sum(axis=1) for rows in (dv, gyro)
+        )
+        up = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-12)
+        middle = (turn[1:] + turn[:-1]) / 2
+        expected = -np.cross(middle, (up[1:] + up[:-1]) / 2)
+        expected -= expected.mean(axis=0)
+        seen = np.diff(up, axis=0)
+        seen -= seen.mean(axis=0)
+        power = (expected**2).sum(axis=0)
+        used = power > 0.1 * power.max()  # a dead gyro shows no sway about its axis
+        if not used.any():
+            continue
+        product = float((seen * expected)[:, used].sum())
+        norms = [float(np.sqrt((part[:, used] ** 2).sum())) for part in (seen, expected)]
+        if norms[0] and abs(product) > _MIN_CORRELATION * norms[0] * norms[1]:
+            return math.copysign(norms[0] / norms[1], product)
+    return 0.0

@@ -11,8 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sinsjax.records.layout import ACCEL_UNITS, GYRO_UNITS, Layout, Record, message_key
-from sinsjax.records.means import MAX_PARKED_TURN, Means, compute_means, vertical_rate
+from sinsjax.records.layout import (
+    ACCEL_UNITS,
+    GYRO_UNITS,
+    Record,
+    RecordLayout,
+    increment_factor,
+    message_key,
+)
+from sinsjax.records.means import (
+    MAX_PARKED_TURN,
+    Means,
+    compute_means,
+    vertical_rate,
+)
 from sinsjax.units import DEG, DEG_PER_H, micro_g
 
 _CERTAIN_FACTOR = 9.5
@@ -23,6 +35,8 @@ _SHORT_S = 20.0  # contains few sways
 _LONG_S = 180.0  # a third of it contains several sways of most bases
 _MIN_RESOLVED_RATIO = 0.99  # of gravity, when the gyros follow the sways
 _MAX_TILT = 45 * DEG
+_MAX_SWAY = 5 * DEG  # of a base that sways on the spot, and is not turned
+_SAME_DIRECTION = 0.02  # share of a rate that is vertical
 UNIT_NAMES = {
     "rad_per_s": "rad/s",
     "deg_per_s": "deg/s",
@@ -59,14 +73,22 @@ class StationaryValues(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """Something implausible; ``is_certain`` if it is certainly wrong. The text names no file."""
+    """Something implausible.
+
+    Attributes:
+        is_certain: whether it is certainly wrong.
+        text: in words, without the file.
+        hides_north: whether a level gyro bias hides Earth rate, so that no method finds a heading,
+            whereas pitch and roll can be found.
+    """
 
     is_certain: bool
     text: str
+    hides_north: bool = False
 
 
 def check_stationary(
-    record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues
+    record: Record, span: tuple[int, int], layout: RecordLayout, expected: StationaryValues
 ) -> list[Finding]:
     """Return what is implausible for a stationary base in a span of a record.
 
@@ -88,7 +110,7 @@ def check_stationary(
 
 
 def _check_mean_force(
-    means: Means, layout: Layout, rate_hz: float, expected: StationaryValues
+    means: Means, layout: RecordLayout, rate_hz: float, expected: StationaryValues
 ) -> Iterator[Finding]:
     magnitude, gravity = means.force_magnitude, expected.gravity
     if abs(magnitude - gravity) <= expected.accel_bias:
@@ -111,7 +133,7 @@ def _check_mean_force(
     yield Finding(False, f"{text}: an accelerometer bias of {bias:.2g} ug or more would explain it")
 
 
-def _check_up_axis(means: Means, layout: Layout) -> Iterator[Finding]:
+def _check_up_axis(means: Means, layout: RecordLayout) -> Iterator[Finding]:
     magnitude = float(np.linalg.norm(means.force)) or 1.0  # zero in a record that is trusted anyway
     tilt = math.acos(max(-1.0, min(1.0, means.force[2] / magnitude)))
     key = message_key(layout, "axes_order")
@@ -129,7 +151,11 @@ def _check_up_axis(means: Means, layout: Layout) -> Iterator[Finding]:
 
 
 def _check_mean_rate(
-    record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues, means: Means
+    record: Record,
+    span: tuple[int, int],
+    layout: RecordLayout,
+    expected: StationaryValues,
+    means: Means,
 ) -> Iterator[Finding]:
     magnitude, earth = float(np.linalg.norm(means.rate)), expected.earth_rate
     allowed, bias = expected.gyro_bias + means.rate_uncertainty, abs(magnitude - earth)
@@ -140,12 +166,18 @@ def _check_mean_rate(
     is_high = (magnitude - means.rate_uncertainty) / earth >= _CERTAIN_FACTOR
     is_low = (magnitude + means.rate_uncertainty) / earth <= 1 / _CERTAIN_FACTOR
     measured, vertical = vertical_rate(means), earth * math.sin(expected.latitude)
-    if means.length_s < _SHORT_S and not means.is_steady:
-        return
+    horizontal = earth * math.cos(expected.latitude)
+    hides_north = abs(means.vertical_drift - horizontal) - means.drift_uncertainty >= horizontal
     is_unresolved = (
         means.resolved_force_ratio
         < _MIN_RESOLVED_RATIO - ((earth + expected.gyro_bias) * means.length_s) ** 2 / 8
     )
+    if not means.is_steady and (means.length_s < _SHORT_S or not is_unresolved):
+        if undetermined := _describe_undetermined_north(means, expected):
+            yield Finding(False, undetermined)
+            return
+        if means.length_s < _SHORT_S:
+            return
     is_suspect = is_unresolved or (bias > allowed and (is_low or (is_high and means.is_steady)))
     likely = _suggest_gyro_unit(record, span, layout, expected) if is_suspect else ""
     if bias > allowed and (is_low or (likely and is_high and means.is_steady)):
@@ -154,17 +186,21 @@ def _check_mean_rate(
         # A wrong scale keeps the direction of Earth rate; a bias would do so only by chance.
         keeps_direction = (
             abs(measured / magnitude - math.sin(expected.latitude))
-            < 0.2 + means.rate_uncertainty / magnitude
+            < _SAME_DIRECTION + means.rate_uncertainty / magnitude
         )
-        question = "is the gyro scale right?" if keeps_direction else _hidden_earth_rate_text(bias)
-        yield Finding(True, f"{text}: {question}")
+        if keeps_direction:
+            yield Finding(True, f"{text}: is the gyro scale right?")
+        elif hides_north:
+            yield Finding(True, f"{text}: {_hidden_earth_rate_text(bias)}", hides_north=True)
+        else:
+            yield Finding(False, f"{text}: does the base turn about the vertical?")
     elif is_unresolved:
         text += ", and the gyros do not follow the vertical"
         yield Finding(bool(likely), f"{text}: {likely or 'are their unit, axes and signs right?'}")
     elif bias > allowed and not means.is_steady:
         yield Finding(False, f"{text}, and it varies: the base turns or sways slowly")
-    elif bias - means.rate_uncertainty >= earth * math.cos(expected.latitude):
-        yield Finding(False, f"{text}: {_hidden_earth_rate_text(bias)}")
+    elif hides_north:
+        yield Finding(False, f"{text}: {_hidden_earth_rate_text(bias)}", hides_north=True)
     elif bias > allowed:
         bias_deg_per_h = bias / DEG_PER_H
         text += f": a gyro bias of {bias_deg_per_h:.3g} deg/h or more would explain it"
@@ -179,6 +215,23 @@ def _check_mean_rate(
             f" is {vertical / DEG_PER_H:.3g}: do gyros and accelerometers share their axes, and is"
             f" the latitude right{removed_hint}?",
         )
+
+
+def _describe_undetermined_north(means: Means, expected: StationaryValues) -> str:
+    """Return why a base that moves does not show whether its gyros find north; "" if it does."""
+    drift, uncertainty = means.vertical_drift, means.drift_uncertainty
+    plausible = expected.earth_rate + expected.gyro_bias
+    is_sway = means.largest_turn < _MAX_SWAY
+    if drift + (-uncertainty if is_sway else uncertainty) <= plausible:
+        return ""
+    text = (
+        f"the base turned by {means.largest_turn / DEG:.3g} deg; whether these gyros find north"
+        " cannot be determined: in their frame the vertical drifts by"
+        f" {drift / DEG_PER_H:.3g} deg/h"
+    )
+    if drift - uncertainty > plausible:
+        return f"{text}, which is more than Earth rate"
+    return f"{text}, give or take {uncertainty / DEG_PER_H:.3g}"
 
 
 def _hidden_earth_rate_text(bias: float) -> str:
@@ -214,7 +267,7 @@ def _check_rotation(means: Means, expected: StationaryValues) -> Iterator[Findin
 
 
 def _other_unit_factors(
-    units: dict[str, dict[str, float]], key: str, layout: Layout, rate_hz: float
+    units: dict[str, dict[str, float]], key: str, layout: RecordLayout, rate_hz: float
 ) -> dict[str, float]:
     """Return the factors that convert a mean to other possible units of its columns.
 
@@ -222,20 +275,18 @@ def _other_unit_factors(
     """
     if layout.format == "psins":
         return {}
-    current_factor = units[layout.quantity][getattr(layout, key)]
-    rate_factor = {"increments": rate_hz, "rates": 1 / rate_hz}
+    current = getattr(layout, key)
+    factor = increment_factor(current, rate_hz)
     return {
-        unit: factor
-        / current_factor
-        * (1.0 if quantity == layout.quantity else rate_factor[quantity])
-        for quantity, names in units.items()
-        for unit, factor in names.items()
-        if unit != getattr(layout, key)
+        unit: increment_factor(unit, rate_hz) / factor
+        for known in units.values()
+        for unit in known
+        if unit != current
     }
 
 
 def _suggest_gyro_unit(
-    record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues
+    record: Record, span: tuple[int, int], layout: RecordLayout, expected: StationaryValues
 ) -> str:
     """Return a question about a unit that would make the rate plausible; "" without one."""
     part = record._replace(dtheta=record.dtheta[slice(*span)], dv=record.dv[slice(*span)])

@@ -18,16 +18,24 @@ from numpy.typing import NDArray
 from sinsjax.errors import InputError
 from sinsjax.platform.files import atomic_write
 from sinsjax.records.anomalies import find_anomalies
-from sinsjax.records.files import CUT_OFF_HINT, Lines, parse_number, read_line_batches
+from sinsjax.records.files import (
+    CUT_OFF_HINT,
+    Lines,
+    cut_row_text,
+    is_cut_short,
+    parse_number,
+    read_line_batches,
+)
 from sinsjax.records.layout import (
     PSINS_LAYOUT,
     Anomaly,
     FloatArray,
-    Layout,
     Record,
+    RecordLayout,
     check_layout,
     resolve_rate,
     to_body_axes,
+    to_vehicle_axes,
 )
 from sinsjax.units import ARCSEC, STANDARD_GRAVITY, micro_g
 
@@ -45,7 +53,7 @@ class _Header(NamedTuple):
     scale: Sequence[float]  # gyro x, y, z arcsec; accelerometer x, y, z ug*s
 
 
-def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
+def read_psins(path: str | Path, layout: RecordLayout = PSINS_LAYOUT) -> Record:
     """Read a PSINS SIMU log.
 
     The header's g scales the accelerometer counts to m/s. An attitude, latitude or height of nan in
@@ -53,8 +61,8 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
 
     Args:
         path: the file.
-        layout: only its axes_order and rate_hz are used; rate_hz must agree with the header's
-            interval.
+        layout: only its axes_order, mounting_deg and rate_hz are used; rate_hz must agree with the
+            header's interval.
 
     Returns:
         The record with the header's position, attitude and g.
@@ -67,25 +75,31 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
     batches = map(_data_lines, read_line_batches(path))
     head = next(batches)
     while len(head.lines) <= 3 and (next_lines := next(batches, None)):
-        head = _DataLines(
-            head.lines + next_lines.lines, head.rows + next_lines.rows, next_lines.is_last
+        head = next_lines._replace(
+            lines=head.lines + next_lines.lines, rows=head.rows + next_lines.rows
         )
     header = _read_header(path, head)
     if len(head.rows) == 3:
         raise InputError(f"{path}: no samples after the header")
-    first = _DataLines(head.lines[3:], head.rows[3:], head.is_last)
+    first = head._replace(lines=head.lines[3:], rows=head.rows[3:])
+    remarks: list[str] = []
     counts_and_rows = [
         (_read_counts(path, batch), np.asarray(batch.rows, np.int64))
-        for batch in chain([first], batches)
+        for batch in (_drop_cut_row(batch, remarks) for batch in chain([first], batches))
     ]
     counts, rows = (np.concatenate(parts) for parts in zip(*counts_and_rows, strict=True))
     scale = np.array(header.scale)
     latitude, _, height, t0, interval_ms, gravity = header.place
     attitude = (header.pose[0], header.pose[1], header.pose[2])
     rate = resolve_rate(1e3 / interval_ms, layout, 0.0, f"{path}: row {head.rows[1]}: the header")
+
+    def to_axes(increments: FloatArray) -> FloatArray:
+        in_box = to_body_axes(increments, layout.axes_order)
+        return to_vehicle_axes(in_box, layout.mounting_deg)
+
     return Record(
-        dtheta=to_body_axes(counts[:, :3] * (scale[:3] * ARCSEC), layout.axes_order),
-        dv=to_body_axes(counts[:, 3:] * (scale[3:] * micro_g(gravity)), layout.axes_order),
+        dtheta=to_axes(counts[:, :3] * (scale[:3] * ARCSEC)),
+        dv=to_axes(counts[:, 3:] * (scale[3:] * micro_g(gravity))),
         rate_hz=rate,
         t0_s=t0,
         latitude_deg=None if math.isnan(latitude) else latitude,
@@ -94,6 +108,7 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
         gravity_m_per_s2=gravity,
         source=str(path),
         anomalies=_find_anomalies(counts, scale, rate, gravity, rows),
+        remarks=tuple(remarks),
     )
 
 
@@ -112,17 +127,38 @@ def _find_anomalies(
 
 
 class _DataLines(NamedTuple):
-    """Lines that are not comments, their rows, and whether the file ends with them."""
+    """Lines that are not comments.
+
+    Attributes:
+        lines: the lines.
+        rows: row of each line in the file, from 1.
+        is_last: whether the file ends with them.
+        is_unterminated: whether the last of them has no line ending.
+    """
 
     lines: list[bytes]
     rows: list[int]
     is_last: bool
+    is_unterminated: bool
 
 
 def _data_lines(batch: Lines) -> _DataLines:
     numbered = enumerate(batch.lines, start=batch.first)
     data = [(line, row) for row, line in numbered if _is_data(line)]
-    return _DataLines([line for line, _ in data], [row for _, row in data], batch.is_last)
+    return _DataLines(
+        [line for line, _ in data], [row for _, row in data], batch.is_last, batch.is_unterminated
+    )
+
+
+def _drop_cut_row(data: _DataLines, remarks: list[str]) -> _DataLines:
+    """Return samples without the last row if the file is cut off within its last number."""
+    if not (data.is_unterminated and len(data.lines) > 2):
+        return data
+    *earlier, last = (line.decode("latin-1").split() for line in data.lines[-500:])
+    if len(last) != 6 or not is_cut_short(last[-1], [words[-1] for words in earlier if words]):
+        return data
+    remarks.append(cut_row_text(data.rows[-1]))
+    return data._replace(lines=data.lines[:-1], rows=data.rows[:-1])
 
 
 def _is_data(line: bytes) -> bool:

@@ -7,8 +7,9 @@ import numpy as np
 
 from sinsjax.errors import InputError
 from sinsjax.messages import shorten
-from sinsjax.records.layout import TIME_UNITS, FloatArray, Layout, Record
-from sinsjax.records.tables import ColumnTable, open_csv, open_parquet
+from sinsjax.records.layout import TIME_UNITS, FloatArray, Record, RecordLayout
+from sinsjax.records.tables import ColumnTable, open_parquet
+from sinsjax.records.text import open_csv
 
 _SIGMAS = ("sigma_e_deg", "sigma_n_deg", "sigma_u_deg")
 
@@ -29,7 +30,7 @@ class Reference(NamedTuple):
     source: str = "reference"
 
 
-def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
+def read_reference(path: str | Path, layout: RecordLayout | None = None) -> Reference:
     r"""Read a reference attitude from a Parquet file (suffix .parquet) or comma-separated text.
 
     Columns: time_s, pitch_deg, roll_deg, one of yaw_deg, yaw_ccw_deg (both counter-clockwise from
@@ -59,7 +60,7 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
 
 
 def reference_from_table(
-    path: str | Path, table: ColumnTable, layout: Layout | None = None
+    path: str | Path, table: ColumnTable, layout: RecordLayout | None = None
 ) -> Reference:
     """Return the reference in an opened table, see `read_reference`."""
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]

@@ -7,14 +7,15 @@ numbered by the means of many, see `fit_stamp_line`.
 
 import math
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime, time
 from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.records.layout import FloatArray, Layout, find_spans, message_key, resolve_rate
+from sinsjax.records.files import is_number
+from sinsjax.records.layout import FloatArray, RecordLayout, find_spans, message_key, resolve_rate
 
 _MAX_LATE_S = 0.02  # largest delay of a busy logger
 _MAX_CATCH_UP_S = 0.1  # longest time to catch up
@@ -41,16 +42,42 @@ class Sampling(NamedTuple):
 
 
 def parse_iso(text: str) -> float:
-    """Return the seconds since 1970 of an ISO date and time, in UTC unless it has a zone."""
+    """Return the seconds since 1970 of an ISO date and time, in UTC unless it has a zone.
+
+    Those since midnight of a time of day, such as 12:00:00.040.
+    """
+    text = text.strip()
     try:
-        moment = datetime.fromisoformat(text.strip())
+        moment = datetime.fromisoformat(text)
     except ValueError:
-        raise ValueError(f"{text.strip()[:32]!r} is not an ISO 8601 date and time") from None
+        try:
+            clock = time.fromisoformat(text if ":" in text else "")
+        except ValueError:
+            raise ValueError(f"{text[:32]!r} is not an ISO 8601 date and time") from None
+        moment = datetime.combine(date(1970, 1, 1), clock)
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
+def is_date(cell: str) -> bool:
+    """Return whether a cell is a date with time or a time of day, and not a number."""
+    try:
+        parse_iso(cell)
+    except ValueError:
+        return False
+    return not is_number(cell)
+
+
+def unwrap_midnight(time_s: FloatArray) -> FloatArray:
+    """Return times of day (T,) that increase beyond midnight; dates are left as they are."""
+    day_s = 86400.0
+    if np.nanmax(time_s) >= day_s or np.nanmin(time_s) < 0:
+        return time_s
+    wraps = np.diff(np.nan_to_num(time_s), prepend=time_s[:1]) < -day_s / 2
+    return np.asarray(time_s + day_s * np.cumsum(wraps))
+
+
 def find_sampling(
-    source: str, layout: Layout, time_s: FloatArray, row_number: Callable[[int], int]
+    source: str, layout: RecordLayout, time_s: FloatArray, row_number: Callable[[int], int]
 ) -> Sampling:
     """Return the sample rate and sample numbers from the stamps at the ends of the samples.
 
@@ -96,7 +123,7 @@ def _find_clock_setback(time_s: FloatArray) -> int | None:
 
 
 def _sampling_from_steps(
-    place: str, layout: Layout, time_s: FloatArray, row_number: Callable[[int], int]
+    place: str, layout: RecordLayout, time_s: FloatArray, row_number: Callable[[int], int]
 ) -> Sampling:
     """Return the sampling of two or more stamps that are on time, except for a few late ones."""
     step_s = np.diff(time_s)
@@ -123,7 +150,7 @@ def _sampling_from_steps(
 
 def _raise_step_error(
     place: str,
-    layout: Layout,
+    layout: RecordLayout,
     time_s: FloatArray,
     k: int,
     row_number: Callable[[int], int],
@@ -145,12 +172,16 @@ def _raise_step_error(
 
 
 def _round_rate(rate_hz: float, time_s: FloatArray, uncertainty: float = 0.0) -> float:
-    """Return a whole rate if it is within the resolution of the stamps, 0.2 us since 1970."""
+    """Return a whole rate, or one of four digits, within the resolution of the stamps.
+
+    The resolution is 0.2 us for seconds since 1970.
+    """
     rounding_s = float(np.spacing(np.abs(time_s).max()))
-    tolerance = 2 * rounding_s / float(np.ptp(time_s)) + uncertainty
-    return (
-        float(round(rate_hz)) if abs(round(rate_hz) - rate_hz) <= tolerance * rate_hz else rate_hz
-    )
+    tolerance_hz = rate_hz * (2 * rounding_s / float(np.ptp(time_s)) + uncertainty)
+    for rounded in (float(round(rate_hz)), float(f"{rate_hz:.4g}")):
+        if abs(rounded - rate_hz) <= tolerance_hz:
+            return rounded
+    return rate_hz
 
 
 def format_step(time_s: FloatArray, k: int) -> str:

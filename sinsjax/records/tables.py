@@ -1,39 +1,34 @@
-"""Numeric columns of CSV and Parquet files, with the row of every number.
+"""Files with named columns of numbers: CSV and other text, see `text`, and Parquet.
 
-Rows are counted from 1: in CSV as lines of the file, including the header; in Parquet as rows of
+Rows are counted from 1: in text as lines of the file, including the header; in Parquet as rows of
 the table.
 """
 
-import csv
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute
-import pyarrow.csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.messages import shorten
-from sinsjax.records.files import (
-    CUT_OFF_HINT,
-    MAX_MAGNITUDE,
-    Lines,
-    parse_number,
-    parse_number_or_nan,
-    read_bytes,
-    read_line_batches,
-)
+from sinsjax.records.files import MAX_MAGNITUDE, read_bytes
 from sinsjax.records.layout import FloatArray
 from sinsjax.records.stamps import parse_iso
 
 MISSING_TEXT = "empty or not finite"
+
+MIN_COLUMNS = 6
+"""Columns of an inertial record."""
+
+_BATCH_ROWS = 2**17
 
 
 class ColumnTable(NamedTuple):
@@ -45,13 +40,29 @@ class ColumnTable(NamedTuple):
             Missing values are nan with ``blanks`` and otherwise rejected; ``dates`` names columns
             of dates with time, which become seconds. A table can be read only once.
         row_number: function of sample k that returns its row, for messages.
-        schema: types of the columns, for Parquet only.
+        format: "csv" or "parquet"; "arrays" for columns in memory.
+        numbers: names of the numeric columns, as far as its first rows show.
+        dates: names of the columns of dates or times of day.
+        non_numbers: first cell that is not a number, by name: row and text.
+        units: units in words by name, from a row of units.
+        comments: lines before the samples.
+        description: description of the file in words.
+        types: types of the columns by name, for Parquet only.
+        remarks: what was left out while the file was read, one line each.
     """
 
     names: list[str]
     read: Callable[..., list[FloatArray]]
     row_number: Callable[[int], int]
-    schema: pa.Schema | None = None
+    format: str
+    numbers: Collection[str] = ()
+    dates: Collection[str] = ()
+    non_numbers: Mapping[str, tuple[int, str]] = MappingProxyType({})
+    units: Mapping[str, str] = MappingProxyType({})
+    comments: Sequence[str] = ()
+    description: str = ""
+    types: Mapping[str, pa.DataType] = MappingProxyType({})
+    remarks: Sequence[str] = ()
 
 
 def find_columns(path: str | Path, names: list[str], wanted: Sequence[str]) -> list[int]:
@@ -71,109 +82,7 @@ def _format_names(names: list[str]) -> str:
     return f"the file has {text}{', ...' if len(names) > 12 else ''}"
 
 
-COMMENTS = (b"#", b"%")
-"""Beginnings of comment lines."""
-
-DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
-"""Possible delimiters of columns, with their names."""
-
-_BLANK_CELLS = ["", "nan", "NaN", "NAN"]
-_BATCH_ROWS = 2**17
-
-
-class _TextRows(NamedTuple):
-    """Consecutive samples of a delimited text file.
-
-    Attributes:
-        path: the file.
-        delimiter: delimiter of the columns.
-        lines: one per sample.
-        rows: row of each line in the file, from 1.
-        is_last: whether these are the last lines of the file.
-    """
-
-    path: str | Path
-    delimiter: str
-    lines: list[bytes]
-    rows: list[int]
-    is_last: bool
-
-    def split_cells(self, k: int) -> list[str]:
-        line = self.lines[k].decode(errors="replace")
-        try:
-            return next(csv.reader([line], delimiter=self.delimiter, strict=True))
-        except csv.Error:
-            kind = DELIMITERS[self.delimiter]
-            raise InputError(
-                f"{self.path}: row {self.rows[k]}: not {kind}-separated text"
-            ) from None
-
-
-def open_csv(path: str | Path) -> ColumnTable:
-    """Open comma-, semicolon- or tab-separated text.
-
-    The first line that is not blank names the columns and determines the delimiter. Lines that
-    begin with # or % are comments.
-    """
-    batches = read_line_batches(path)
-    for batch in batches:
-        head = next((k for k, line in enumerate(batch.lines) if _is_header(line)), None)
-        if head is not None:
-            break
-    else:
-        raise InputError(f"{path}: the file has only blank lines")
-    header, row = batch.lines[head], batch.first + head
-    delimiter = find_delimiter(header)
-    names = [
-        n.strip() for n in _TextRows(path, delimiter, [header], [row], batch.is_last).split_cells(0)
-    ]
-    remaining = chain([Lines(row + 1, batch.lines[head + 1 :], batch.is_last)], batches)
-    rows: list[NDArray[np.int64]] = []
-
-    def read(
-        wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
-    ) -> list[FloatArray]:
-        columns = _WantedColumns(
-            names, find_columns(path, names, wanted), blanks, [name in dates for name in wanted]
-        )
-
-        def values() -> Iterator[list[NDArray[Any]]]:
-            for batch in remaining:
-                text = _select_samples(path, delimiter, batch)
-                if text.rows:
-                    rows.append(np.asarray(text.rows))
-                    yield _read_batch(text, columns)
-
-        whole = _join_batches(values(), len(wanted))
-        if not rows:
-            raise InputError(f"{path}: no samples after the header")
-        rows[:] = [np.concatenate(rows)]
-        return whole
-
-    return ColumnTable(names, read, lambda k: int(rows[0][k]))
-
-
-def find_delimiter(header: bytes) -> str:
-    """Return the delimiter of a text's columns, from its first line of data."""
-    return max(DELIMITERS, key=lambda delimiter: header.count(delimiter.encode()))
-
-
-def _is_header(line: bytes) -> bool:
-    return bool(line.strip()) and _is_data(line)
-
-
-def _is_data(line: bytes) -> bool:
-    return not line.lstrip().startswith(COMMENTS)
-
-
-def _select_samples(path: str | Path, delimiter: str, batch: Lines) -> _TextRows:
-    numbered = enumerate(batch.lines, start=batch.first)
-    rows = [row for row, line in numbered if line and _is_data(line)]
-    lines = [batch.lines[row - batch.first] for row in rows]
-    return _TextRows(path, delimiter, lines, rows, batch.is_last)
-
-
-def _join_batches(batches: Iterable[Sequence[NDArray[Any]]], width: int) -> list[FloatArray]:
+def join_batches(batches: Iterable[Sequence[NDArray[Any]]], width: int) -> list[FloatArray]:
     """Join the columns of all batches without a second copy of a long record in memory."""
     whole = [np.empty(0) for _ in range(width)]
     for batch in batches:
@@ -182,81 +91,6 @@ def _join_batches(batches: Iterable[Sequence[NDArray[Any]]], width: int) -> list
             column.resize(column.size + part.size, refcheck=False)
             column[column.size - part.size :] = part
     return whole
-
-
-class _WantedColumns(NamedTuple):
-    """The columns to read from a text file.
-
-    Attributes:
-        names: all columns of the file.
-        places: positions of the wanted columns among them.
-        blanks: whether cells may be empty.
-        dates: for each wanted column, whether it contains dates with time.
-    """
-
-    names: list[str]
-    places: list[int]
-    blanks: bool
-    dates: list[bool]
-
-
-def _read_batch(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]]:
-    values = _read_fast(text, columns)
-    if values is None or not (columns.blanks or all(np.isfinite(v).all() for v in values)):
-        return _read_row_by_row(text, columns)
-    if any((np.abs(v) > MAX_MAGNITUDE).any() for v in values):  # the slower path names the row
-        return _read_row_by_row(text, columns)
-    return values
-
-
-def _read_fast(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]] | None:
-    keys = [str(column) for column in range(len(columns.names))]
-    wanted = [keys[column] for column in columns.places]
-    kinds = [pa.string() if is_date else pa.float64() for is_date in columns.dates]
-    try:
-        table = pa.csv.read_csv(
-            pa.BufferReader(b"\n".join(text.lines)),
-            read_options=pa.csv.ReadOptions(column_names=keys),
-            parse_options=pa.csv.ParseOptions(delimiter=text.delimiter),
-            convert_options=pa.csv.ConvertOptions(
-                column_types=dict(zip(wanted, kinds, strict=True)),
-                include_columns=wanted,
-                null_values=_BLANK_CELLS if columns.blanks else [],
-            ),
-        )
-        pairs = zip(table.columns, columns.dates, strict=True)
-        return [
-            _iso_to_seconds(column) if is_date else column.to_numpy() for column, is_date in pairs
-        ]
-    except ValueError:  # including pyarrow's
-        return None
-
-
-def _iso_to_seconds(dates: pa.ChunkedArray) -> FloatArray:
-    return np.array([parse_iso(date) for date in dates.to_pylist()])
-
-
-def _read_row_by_row(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]]:
-    """Read rows slowly, to name the first invalid one."""
-    parse_plain = parse_number_or_nan if columns.blanks else parse_number
-    parsers = [parse_iso if is_date else parse_plain for is_date in columns.dates]
-    values, names = [], columns.names
-    for k, row in enumerate(text.rows):
-        cells = text.split_cells(k)
-        if len(cells) != len(names):
-            at_end = text.is_last and row == text.rows[-1]
-            hint = CUT_OFF_HINT if at_end and len(cells) < len(names) else ""
-            raise InputError(
-                f"{text.path}: row {row}: the header has {len(names)} columns, this row has "
-                f"{len(cells)}{hint}"
-            )
-        for column, parse in zip(columns.places, parsers, strict=True):
-            try:
-                values.append(parse(cells[column]))
-            except ValueError as error:
-                place = f"{text.path}: row {row}: column {names[column]!r}"
-                raise InputError(f"{place}: {error}") from None
-    return list(np.array(values).reshape(len(text.rows), len(columns.places)).T)
 
 
 def open_parquet(path: str | Path) -> ColumnTable:
@@ -296,11 +130,21 @@ def open_parquet(path: str | Path) -> ColumnTable:
                 rows_before += part.num_rows
 
         try:
-            return _join_batches(values(), len(wanted))
+            return join_batches(values(), len(wanted))
         except (pa.ArrowException, OSError):
             raise InputError(f"{path}: damaged: its columns cannot be read") from None
 
-    return ColumnTable(schema.names, read, lambda k: k + 1, schema)
+    types = {field.name: field.type for field in schema}
+    return ColumnTable(
+        schema.names,
+        read,
+        lambda k: k + 1,
+        "parquet",
+        numbers={n for n, t in types.items() if pa.types.is_floating(t) or pa.types.is_integer(t)},
+        dates={name for name, type_ in types.items() if pa.types.is_timestamp(type_)},
+        description=f"Parquet, {len(types)} columns",
+        types=types,
+    )
 
 
 def _to_floats(

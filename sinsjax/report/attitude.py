@@ -13,6 +13,7 @@ from sinsjax.execution.source import Source
 from sinsjax.methods.filters.config import estimates_biases
 from sinsjax.methods.registry import METHODS
 from sinsjax.plots.labels import describe_point
+from sinsjax.records.layout import parse_axes_order
 from sinsjax.records.means import EARTH_RATE
 from sinsjax.report.base import MAX_ROWS, Fact, Table, Verdict, build_table
 from sinsjax.report.markup import render_sentence
@@ -56,9 +57,11 @@ def attitude_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict
 def _attitude_fact(source: Source, row: Mapping[str, Any], n_runs: int) -> Fact:
     """The attitude that a run ends with, and which run it is if there are several."""
     heading, pitch, roll, sigma, error = (row[name] for name in _COLUMNS)
+    if heading is None and pitch is not None:
+        return Fact("Attitude", f"no heading, pitch {pitch:.3f}, roll {roll:.3f} deg")
     if heading is None:
         return Fact("Attitude", "unknown, the run is not finite", True)
-    text = f"heading {heading:.3f} deg"
+    text = f"heading {heading:.3f} deg{_front_text(source)}"
     text += "" if sigma is None else f" (1 sigma {sigma:.1f}')"
     text += f", pitch {pitch:.3f}, roll {roll:.3f} deg"
     text += "" if error is None else f"; {error:+.1f}' from the reference"
@@ -66,6 +69,17 @@ def _attitude_fact(source: Source, row: Mapping[str, Any], n_runs: int) -> Fact:
         start = f"start at {row['start_s']:g} s" if source.study.is_recorded else "last draw"
         text += f" ({start})"
     return Fact("Attitude", text)
+
+
+def _front_text(source: Source) -> str:
+    """What a heading is that of, if the axes of the record are a choice of the study."""
+    record = source.study.record
+    if record is None or record.format not in ("csv", "parquet"):
+        return ""
+    if record.mounting_deg is not None:
+        return " of the vehicle"
+    (_, front, _), (_, sign, _) = parse_axes_order(record.axes_order)
+    return f" of {'-' if sign < 0 else '+'}{'xyz'[front]}"
 
 
 def _bias_floor_fact(source: Source) -> Iterator[Fact]:

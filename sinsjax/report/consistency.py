@@ -44,7 +44,8 @@ def _explain_unmodelled_biases(source: Source) -> tuple[list[Text], bool]:
         consistency shows the biases alone.
     """
     study = source.study
-    filters = [METHODS[name] for name in study.methods if METHODS[name].has_covariance]
+    methods = [METHODS[name] for name in study.methods]
+    filters = [method for method in methods if method.has_covariance and method.finds_heading]
     if study.is_recorded or any(map(estimates_biases, filters)):
         return [], False
     gyro, accel = (source.largest_magnitude(key) for key in BIAS_KEYS)

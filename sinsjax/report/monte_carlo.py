@@ -13,6 +13,7 @@ from sinsjax.analysis.references import compare_with_first_group
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS, read_estimate
 from sinsjax.columns import report_time_columns
 from sinsjax.execution.source import Source
+from sinsjax.methods.registry import METHODS
 from sinsjax.plots.curves import select_runs_by_line
 from sinsjax.plots.labels import describe_point
 from sinsjax.report.attitude import attitude_table, attitude_verdict
@@ -30,6 +31,7 @@ from sinsjax.report.base import (
 )
 from sinsjax.report.consistency import consistency_blocks
 from sinsjax.report.grouping import BINS_NOTE, bin_drawn_keys
+from sinsjax.report.level import level_verdict
 from sinsjax.report.markup import render_sentence
 from sinsjax.report.verdict import sweep_verdict
 from sinsjax.study.keys import is_condition_key
@@ -61,6 +63,8 @@ def build_report(
         tables = [*repeated_variants_note(source), *_all_tables(source)] if has_truth else []
         parts["Tables"] = [attitude_table(source), *tables] if needs_attitude else tables
     build_verdict = attitude_verdict if needs_attitude else sweep_verdict
+    if not any(METHODS[name].finds_heading for name in source.study.methods):
+        build_verdict = level_verdict
     return Report.from_parts(build_verdict(source, warnings_shown=warnings_shown), parts)
 
 
@@ -249,8 +253,8 @@ def _curve_figures(source: Source) -> Iterator[Block]:
     if left := sum(1 for _ in analysis.group_rows(table.select(keys), keys)) - len(runs):
         caption += f" (the first {len(runs)} variants; {left} more are not drawn)"
     figure = plots.plot_curves(curves, table, by=keys, zoom_s=source.study.study.window_s)
-    has_sigma = bool(np.isfinite(analysis.numeric_column(curves, "sigma_u_arcmin")).any())
-    if not np.isfinite(analysis.numeric_column(curves, "phi_u_arcmin")).any():
+    has_sigma = bool(np.isfinite(analysis.numeric_column(curves, "sigma_e_arcmin")).any())
+    if not np.isfinite(analysis.numeric_column(curves, "phi_e_arcmin")).any():
         shading = "; shading: the filter's own 1 sigma" if has_sigma else ""
         yield Picture("attitude", f"{caption}{shading}.", figure)
         return

@@ -13,8 +13,12 @@ from sinsjax.platform.assets import asset_path
 
 _FOLDER = "configs"
 _SCHEMA, _GROUP = "#:schema", "#:group "
-DOUBT = "# DOUBT: "
-"""Start of a comment about an uncertain value in a study that is written for a record."""
+DOUBT, QUESTION = "# DOUBT: ", "# QUESTION: "
+"""Start of a comment about an uncertain or an open value in a study that is written for a record.
+"""
+
+OPEN = "?"
+"""Value of an open key, which the study must answer."""
 
 _STUDY, _PAGE = re.compile(r"\bconfigs/(\w+)\.toml"), re.compile(r"\bdocs/(\w+)\.md")
 

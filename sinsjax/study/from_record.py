@@ -6,55 +6,76 @@ Every key has a comment with its reason, and with a doubt if the file does not d
 import json
 import math
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+from pydantic import ValidationError, create_model
+
 from sinsjax.errors import InputError
-from sinsjax.messages import CONTROL, escape_controls
+from sinsjax.messages import CONTROL, escape_controls, explain_error, suggest_closest
 from sinsjax.records import read_psins, read_record
 from sinsjax.records.anomalies import find_dead_channels, report_anomalies
+from sinsjax.records.evidence import shows_earth_rate
 from sinsjax.records.files import parse_number_or_nan, read_line_batches
-from sinsjax.records.head import read_head
-from sinsjax.records.layout import PSINS_LAYOUT, Anomaly, Layout, Note, Record
+from sinsjax.records.layout import PSINS_LAYOUT, Anomaly, Note, Record, RecordLayout
 from sinsjax.records.means import EARTH_RATE, Means, compute_means, vertical_rate
 from sinsjax.records.plausibility import Finding, StationaryValues, check_stationary
-from sinsjax.records.recognise import recognise_layout, shows_earth_rate
-from sinsjax.study.files import DOUBT, schema_line
+from sinsjax.records.propose import propose_layout
+from sinsjax.records.tables import ColumnTable, open_parquet
+from sinsjax.records.text import open_csv
+from sinsjax.study.files import DOUBT, OPEN, QUESTION, schema_line
+from sinsjax.study.keys import SECTIONS
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
+from sinsjax.value_types import Section
 
 _SHORT_GAP_S = 0.1
 """Longest gap that is interpolated by default: a base at rest hardly moves in this time."""
 
 _LONGEST_S, _COARSE_S, _SHORTEST_S = 900.0, 10.0, 10.0
 _RATE_TOLERANCE = 1e-4  # relative deviation of clocks from the nominal rate
+_OTHER_ANSWERS = ("study.rate_hz", "earth.latitude_deg")
 _WIDTH = 100
-_LATITUDE = 45.0
 _NO_NOTE = Note("")
+_LATITUDE = 45.0
+_CERTAIN_LATITUDE = 0.02  # relative deviation of the mean rate from Earth rate
 _LATITUDE_DOUBT = "estimated from the Earth rate that the gyros measure: put the true latitude here"
 _ALIGNMENT = """\
 # for a covariance: "kalman_sincos" with the noise of the sensors in [filter] (sinsjax keys filter)
 [alignment]
 method = "inertial"               # needs no numbers of the sensors
 """
+_ALWAYS_WRITTEN = {"gyro_unit", "accel_unit", "axes_order", "time_unit"}
+_LEVELLING = """\
+[alignment]
+method = "level"                  # pitch and roll only: the gyros cannot find north
+"""
 
 
-class _RecognisedFile(NamedTuple):
-    """A file with its recognised layout.
+class _ProposedFile(NamedTuple):
+    """A file with its proposed layout.
 
     Attributes:
-        layout: layout of the record in the file.
-        notes: reasons and doubts by key of [record].
-        record: record that is read with the layout.
+        layout: layout of the record in the file; open keys have values to read it with.
+        notes: reasons, doubts and questions by key of [record], and of rate_hz.
+        record: record that is read with the layout; None if the columns are open.
         kind: description of the kind of file.
-        gives_rate: whether the file gives its rate.
     """
 
-    layout: Layout
-    notes: dict[str, Note]
-    record: Record
+    layout: RecordLayout
+    notes: Mapping[str, Note]
+    record: Record | None
     kind: str
-    gives_rate: bool = True
+
+    def is_open(self, *keys: str) -> bool:
+        """Return whether one of some keys is an open question."""
+        return any(self.notes.get(key, _NO_NOTE).question for key in keys)
+
+    @property
+    def is_gyro_known(self) -> bool:
+        """Whether the unit of the gyros is known."""
+        return self.record is not None and not self.is_open("gyro_unit", "gyro_scale")
 
 
 class _AlignedPart(NamedTuple):
@@ -75,59 +96,127 @@ class _AlignedPart(NamedTuple):
     fine_s: float
 
 
-def make_study_text(record_path: Path, study_path: Path) -> str:
-    """Return the text of a study that aligns a record, with reasons and doubts.
+def make_study_text(
+    record_path: Path, study_path: Path, answers: Mapping[str, Any] | None = None
+) -> str:
+    """Return the text of a study that aligns a record, with reasons, doubts and open questions.
 
     Args:
-        record_path: CSV with a header, Parquet, or PSINS text.
+        record_path: delimited text, Parquet, or PSINS text.
         study_path: file of the study.
+        answers: values by ``section.key``, which are taken as given.
 
     Raises:
-        InputError: the file does not contain a record.
+        InputError: the file cannot contain a record, or an answer does not fit it.
     """
-    recognised = (
-        _recognise_psins(record_path) if _is_psins(record_path) else _recognise_table(record_path)
-    )
-    part, part_note = _longest_part(record_path, recognised.record)
-    span = _sample_range(recognised.record, part)
-    means = compute_means(recognised.record, span, STANDARD_GRAVITY)
+    given = _check_answers(answers or {})
+    is_psins = _is_psins(record_path) and "columns" not in given
+    proposed = _propose_psins(record_path) if is_psins else _propose_table(record_path, given)
+    latitude = given.pop("latitude_deg", None)
+    if proposed.record is None:
+        sections = [
+            _title_section(record_path, study_path),
+            _open_study_section(record_path, proposed),
+            _earth_section(None, None, latitude),
+            _record_section(proposed, None),
+            _ALIGNMENT,
+        ]
+        return "\n".join(sections)
+    shortest_s = 0.0 if proposed.is_open("rate_hz", "time_unit") else _SHORTEST_S
+    part, part_note = _longest_part(record_path, proposed.record, shortest_s)
+    span = _sample_range(proposed.record, part)
+    means = compute_means(proposed.record, span, STANDARD_GRAVITY)
+    used_latitude = _estimate_latitude_deg(proposed, means) if latitude is None else latitude
+    findings = _find_doubts(proposed, span, used_latitude)
+    level_only = any(getattr(finding, "hides_north", False) for finding in findings)
     sections = [
         _title_section(record_path, study_path),
-        _study_section(record_path, recognised, part, part_note),
-        _earth_section(recognised.record, means),
-        _record_section(recognised, part, span, _estimate_latitude_deg(recognised.record, means)),
+        _study_section(record_path, proposed, part, part_note),
+        _earth_section(proposed, means, latitude),
+        _record_section(proposed, part, findings),
         _coarse_section(part),
-        _ALIGNMENT,
+        _LEVELLING if level_only else _ALIGNMENT,
     ]
     return "\n".join(sections)
 
 
+def _check_answers(answers: Mapping[str, Any]) -> dict[str, Any]:
+    """Return valid answers about a record by key; refuses others."""
+    known = [f"record.{key}" for key in RecordLayout._fields if key not in ("format", "rate_hz")]
+    fields: dict[str, Any] = {}
+    for place in answers:
+        if place not in (*known, *_OTHER_ANSWERS):
+            text = "not examined by `init record --from` (give it to `sinsjax align`)"
+            raise InputError(f"--set {place}: {text}{suggest_closest(place, known)}")
+        section, _, key = place.partition(".")
+        field = SECTIONS[section].model_fields[key]
+        fields[key] = (field.annotation, field)
+    keys = {place.rpartition(".")[2]: place for place in answers}
+    model = create_model("Answers", __base__=Section, **fields)
+    try:
+        content = model.model_validate(
+            {
+                key: tuple(value) if isinstance(value := answers[place], list) else value
+                for key, place in keys.items()
+            }
+        )
+    except ValidationError as error:
+        found = error.errors()[0]
+        place = keys.get(str(found["loc"][0]) if found["loc"] else "", "")
+        raise InputError(f"--set {place}: {explain_error(found)}") from None
+    checked = {key: getattr(content, key) for key in keys}
+    for key in {"gyro_scale", "accel_scale"} & checked.keys():
+        if not isinstance(checked[key], tuple):
+            checked[key] = (checked[key],) * 3
+    return checked
+
+
 def _is_psins(path: Path) -> bool:
-    """Return whether the first line that is not a comment has six numbers between blanks."""
+    """Return whether a file is PSINS text.
+
+    Its first line that is not a comment has six numbers between blanks, and so have all, but no
+    columns of a record without names: the third is scale factors, which are positive.
+    """
     try:
         lines = next(read_line_batches(path, 2**16)).lines
     except InputError:
         return False  # reading it in another format reports the error
-    data = (line for line in lines if line.strip() and not line.lstrip().startswith(b"%"))
-    words = next(data, b"").decode(errors="replace").split()
+    data = [line for line in lines if line.strip() and not line.lstrip().startswith(b"%")]
     try:
-        return len([parse_number_or_nan(word) for word in words]) == 6
+        rows = [[parse_number_or_nan(w) for w in line.decode().split()] for line in data[:3]]
     except ValueError:
         return False
+    if not rows or any(len(row) != 6 for row in rows):
+        return False
+    is_named = any(b"PSINS" in line for line in lines[:20]) or path.suffix == ".imu"
+    return is_named or (len(rows) == 3 and 9 < rows[1][5] < 11 and min(rows[2]) > 0)
 
 
-def _recognise_psins(path: Path) -> _RecognisedFile:
-    note = Note("right, front and up, as in PSINS", "the file does not state its axes")
-    return _RecognisedFile(PSINS_LAYOUT, {"axes_order": note}, read_psins(path), "PSINS text")
+def _propose_psins(path: Path) -> _ProposedFile:
+    note = Note("right, front and up, as in PSINS")
+    return _ProposedFile(PSINS_LAYOUT, {"axes_order": note}, read_psins(path), "PSINS text")
 
 
-def _recognise_table(path: Path) -> _RecognisedFile:
-    head = read_head(path)
-    found = recognise_layout(path, head)
+def _open_table(path: Path, answers: Mapping[str, Any]) -> ColumnTable:
+    try:
+        with path.open("rb") as file:
+            is_parquet = file.read(4) == b"PAR1"
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if is_parquet:
+        return open_parquet(path)
+    return open_csv(path, answers.get("columns", ()), answers.get("skip_rows", 0))
+
+
+def _propose_table(path: Path, answers: Mapping[str, Any]) -> _ProposedFile:
+    table = _open_table(path, answers)
+    found = propose_layout(path, table, answers)
     layout, notes = found.layout, dict(found.notes)
-    for name in (layout.time_column, *layout.gyro_columns, *layout.accel_columns):
+    for name in (*layout.time_columns, *layout.gyro_columns, *layout.accel_columns):
         if CONTROL.search(name):
             raise InputError(f"{path}: column {name!r}: control characters in its name (rename it)")
+    if found.means is None:
+        return _ProposedFile(layout, notes, None, table.description)
     record = read_record(path, layout)
     gaps = [(flaw.end - flaw.begin + 1) / record.rate_hz for flaw in record.flaws]
     short = [gap for gap in gaps if gap <= _SHORT_GAP_S]
@@ -136,10 +225,10 @@ def _recognise_table(path: Path) -> _RecognisedFile:
         record = read_record(path, layout)
         doubt = "if the base moves in these gaps, leave this out: the study then refuses them"
         notes["max_gap_s"] = Note(f"{record.filled} samples in {len(short)} gaps", doubt)
-    return _RecognisedFile(layout, notes, record, head.description, found.has_rate)
+    return _ProposedFile(layout, notes, record, table.description)
 
 
-def _longest_part(path: Path, record: Record) -> tuple[_AlignedPart, Note]:
+def _longest_part(path: Path, record: Record, shortest_s: float) -> tuple[_AlignedPart, Note]:
     """Return the part of a record that can be aligned, the longest one without a gap."""
     rate = record.rate_hz
     nominal = float(round(rate)) if round(rate) else rate
@@ -150,7 +239,7 @@ def _longest_part(path: Path, record: Record) -> tuple[_AlignedPart, Note]:
     begin, end = max(parts, key=lambda part: part[1] - part[0])
     start_s = math.ceil(begin / rate)
     intervals = math.floor(((end / rate) - start_s) / interval_s + 1e-6)
-    if intervals * interval_s < _SHORTEST_S:
+    if intervals < 2 or intervals * interval_s < shortest_s:
         raise InputError(
             f"{path}: has only {intervals * interval_s:.3g} s without a gap (an alignment needs"
             f" {_SHORTEST_S:g} s)"
@@ -163,7 +252,10 @@ def _longest_part(path: Path, record: Record) -> tuple[_AlignedPart, Note]:
         longest = f"{begin / rate:.4g} to {end / rate:.4g} s is the longest part without a gap"
         note = Note(f"{note.reason}, of which {longest}", record.flaws[0].text)
     return _AlignedPart(
-        rate, interval_s, float(start_s), coarse * interval_s, fine * interval_s
+        rate,
+        interval_s,
+        float(start_s),
+        *(float(f"{count * interval_s:.12g}") for count in (coarse, fine)),
     ), note
 
 
@@ -174,25 +266,28 @@ def _sample_range(record: Record, part: _AlignedPart) -> tuple[int, int]:
     return begin, min(end, len(record.dv))
 
 
-def _shows_latitude(record: Record, means: Means) -> bool:
+def _shows_latitude(proposed: _ProposedFile, means: Means) -> bool:
     """Return whether its mean rate is the Earth rate, without a dead channel."""
-    return shows_earth_rate(means) and not any(find_dead_channels(record.dtheta.T))
+    assert proposed.record is not None
+    dead = find_dead_channels(proposed.record.dtheta.T)
+    return proposed.is_gyro_known and shows_earth_rate(means) and not any(dead)
 
 
-def _estimate_latitude_deg(record: Record, means: Means) -> float:
+def _estimate_latitude_deg(proposed: _ProposedFile, means: Means) -> float:
     """Return the geodetic latitude of the header, or an estimate from the Earth rate, deg."""
-    if record.latitude_deg is not None:
-        return record.latitude_deg
-    if not _shows_latitude(record, means):
+    assert proposed.record is not None
+    if proposed.record.latitude_deg is not None:
+        return proposed.record.latitude_deg
+    if not _shows_latitude(proposed, means):
         return _LATITUDE
-    sine = max(-0.99, min(0.99, vertical_rate(means) / EARTH_RATE))
+    sine = max(-0.99, min(0.99, vertical_rate(means) / float(np.linalg.norm(means.rate))))
     return round(math.asin(sine) / DEG, 1)
 
 
 def _title_section(record_path: Path, study_path: Path) -> str:
     log, name = escape_controls(record_path.name), escape_controls(study_path.name)
     purpose = f"Alignment of {log}, written by `sinsjax init record`."
-    advice = f"Lines with {DOUBT.strip('# :')} list what the file does not show: check them first."
+    advice = "Put an answer in place of each ? (QUESTION), and check what a DOUBT says."
     return "\n".join(
         [
             schema_line(),
@@ -208,19 +303,28 @@ def _title_section(record_path: Path, study_path: Path) -> str:
     )
 
 
+def _open_study_section(record_path: Path, proposed: _ProposedFile) -> str:
+    """Return the [study] of a file whose columns are open, so that its length is unknown."""
+    lines = [
+        "[study]",
+        *_format_key_lines("name", escape_controls(record_path.stem)),
+        *_format_key_lines("duration_s", 60.0, Note("s, the alignment", "the length is unknown")),
+        *_rate_lines(proposed, proposed.layout.rate_hz, Note("Hz, of the record")),
+        *_format_key_lines("record_interval_s", 1.0, Note("s, between recorded values")),
+    ]
+    return "\n".join([*lines, ""])
+
+
 def _study_section(
-    record_path: Path, recognised: _RecognisedFile, part: _AlignedPart, note: Note
+    record_path: Path, proposed: _ProposedFile, part: _AlignedPart, note: Note
 ) -> str:
-    rate = [*_format_key_lines("rate_hz", part.rate_hz, _rate_note(recognised, part))]
-    if not recognised.gives_rate:  # the study is refused until it is given
-        rate[-1] = "# rate_hz ="
     lines = [
         "[study]",
         *_format_key_lines("name", escape_controls(record_path.stem)),
         *_format_key_lines(
             "duration_s", part.fine_s, Note(f"s, the alignment; {note.reason}", note.doubt)
         ),
-        *rate,
+        *_rate_lines(proposed, part.rate_hz, _rate_note(proposed, part)),
         *_format_key_lines(
             "record_interval_s", part.interval_s, Note("s, between recorded values")
         ),
@@ -229,49 +333,60 @@ def _study_section(
     return "\n".join([*lines, ""])
 
 
-def _rate_note(recognised: _RecognisedFile, part: _AlignedPart) -> Note:
-    measured = f"{recognised.record.rate_hz:.6g}"
+def _rate_lines(proposed: _ProposedFile, rate_hz: float | None, note: Note) -> Iterator[str]:
+    """Yield the lines of rate_hz; nothing if the stamps give it and it is not known yet."""
+    note = proposed.notes.get("rate_hz", note)
+    time_unit = proposed.notes.get("time_unit", _NO_NOTE)
+    if time_unit.question or (rate_hz is None and not note.question):
+        return  # the stamps give it
+    yield from _format_key_lines("rate_hz", rate_hz, note)
+
+
+def _rate_note(proposed: _ProposedFile, part: _AlignedPart) -> Note:
+    assert proposed.record is not None
+    measured = f"{proposed.record.rate_hz:.6g}"
     if measured == f"{part.rate_hz:.6g}":
-        return recognised.notes.get("rate_hz", Note("Hz, of the record"))
+        return Note("Hz, of the record")
     return Note(f"Hz, the nominal rate; that of the stamps is {measured}")
 
 
-def _earth_section(record: Record, means: Means) -> str:
-    if record.latitude_deg is not None:
-        return "\n".join(
-            [
-                "[earth]",
-                *_format_key_lines("earth", "wgs84", Note("the header gives the place")),
-                "",
-            ]
-        )
-    if _shows_latitude(record, means):
-        note = Note("deg, from the vertical part of the mean rate", _LATITUDE_DOUBT)
-    else:
-        note = Note("deg", "the gyros do not show the latitude: put the true one here")
-    latitude = _format_key_lines("latitude_deg", _estimate_latitude_deg(record, means), note)
-    return "\n".join(["[earth]", *_format_key_lines("earth", "wgs84"), *latitude, ""])
-
-
-def _record_section(
-    recognised: _RecognisedFile, part: _AlignedPart, span: tuple[int, int], latitude_deg: float
+def _earth_section(
+    proposed: _ProposedFile | None, means: Means | None, given_deg: float | None
 ) -> str:
-    layout, notes = recognised.layout, recognised.notes
-    lines = [
-        "[record]",
-        _wrap_comment(f"{recognised.kind}."),
-        *_format_key_lines("format", layout.format),
-    ]
-    for key in Layout._fields:
-        value = getattr(layout, key)
-        if key in ("format", "rate_hz") or value in ("", 0.0, ()):
-            continue
-        elif layout.format != "psins" or key == "axes_order":
-            if key != "time_unit" or layout.time_column:
-                lines += _format_key_lines(key, value, notes.get(key, Note("")))
-    lines += _format_key_lines(
-        "start_s", [part.start_s], Note("s, start of coarse alignment; may be a list")
-    )
+    record = None if proposed is None else proposed.record
+    latitude, note = _LATITUDE, Note("deg", "the latitude is unknown: put the true one here")
+    if given_deg is not None:
+        latitude, note = given_deg, Note("deg, given")
+    elif record is not None and record.latitude_deg is not None:
+        lines = _format_key_lines("earth", "wgs84", Note("the header gives the place"))
+        return "\n".join(["[earth]", *lines, ""])
+    elif proposed is not None and means is not None:
+        latitude = _estimate_latitude_deg(proposed, means)
+        ratio = float(np.linalg.norm(means.rate)) / EARTH_RATE
+        if not proposed.is_gyro_known:
+            doubt = (
+                "the unit of the gyros is open, so the latitude is unknown: put the true one here"
+            )
+            note = Note("deg", doubt)
+        elif not _shows_latitude(proposed, means):
+            note = Note("deg", "the gyros do not show the latitude: put the true one here")
+        elif abs(ratio - 1) < _CERTAIN_LATITUDE:
+            note = Note("deg, estimated from the Earth rate of the gyros: put the true one here")
+        else:
+            note = Note("deg, from the vertical part of the mean rate", _LATITUDE_DOUBT)
+    lines = _format_key_lines("latitude_deg", latitude, note)
+    return "\n".join(["[earth]", *_format_key_lines("earth", "wgs84"), *lines, ""])
+
+
+def _find_doubts(
+    proposed: _ProposedFile, span: tuple[int, int], latitude_deg: float
+) -> list[Anomaly | Finding]:
+    """Return what is implausible in a span of a record."""
+    assert proposed.record is not None
+    doubts: list[Anomaly | Finding] = [*report_anomalies(proposed.record.anomalies, [span])]
+    certain = any(anomaly.is_certain for anomaly in doubts)
+    if certain or not proposed.is_gyro_known or proposed.is_open("accel_scale", "axes_order"):
+        return doubts
     expected = StationaryValues(
         earth_rate=EARTH_RATE,
         latitude=latitude_deg * DEG,
@@ -279,12 +394,36 @@ def _record_section(
         gyro_bias=10 * DEG_PER_H,
         accel_bias=5000 * micro_g(),
     )
-    doubtful: list[Anomaly | Finding] = [*report_anomalies(recognised.record.anomalies, [span])]
-    if not any(anomaly.is_certain for anomaly in doubtful):  # otherwise they spoil the means
-        doubtful += check_stationary(recognised.record, span, layout, expected)
-    for doubt in doubtful:
-        refused = " (the study is refused)" if doubt.is_certain else ""
-        lines.append(_wrap_comment(f"{doubt.text}{refused}", DOUBT))
+    return [*doubts, *check_stationary(proposed.record, span, proposed.layout, expected)]
+
+
+def _record_section(
+    proposed: _ProposedFile, part: _AlignedPart | None, findings: Sequence[Anomaly | Finding] = ()
+) -> str:
+    layout, notes = proposed.layout, proposed.notes
+    lines = [
+        "[record]",
+        _wrap_comment(f"{proposed.kind}."),
+        *_format_key_lines("format", layout.format),
+    ]
+    always = {"axes_order"} if layout.format == "psins" else _ALWAYS_WRITTEN
+    for key in RecordLayout._fields:
+        value, note = getattr(layout, key), notes.get(key, _NO_NOTE)
+        is_default = value == RecordLayout._field_defaults.get(key)
+        if key in ("format", "rate_hz") or (not note.question and is_default and key not in always):
+            continue
+        if key == "time_unit" and not layout.time_column:
+            continue
+        lines += _format_key_lines(key, value, note)
+    if part is not None:
+        note = Note("s, start of coarse alignment; may be a list")
+        lines += _format_key_lines("start_s", [part.start_s], note)
+    remarks = [] if proposed.record is None else proposed.record.remarks
+    lines += [_wrap_comment(remark, DOUBT) for remark in remarks]
+    for finding in findings:
+        is_refused = finding.is_certain and not getattr(finding, "hides_north", False)
+        refused = " (the study is refused)" if is_refused else ""
+        lines.append(_wrap_comment(f"{finding.text}{refused}", DOUBT))
     return "\n".join([*lines, ""])
 
 
@@ -302,7 +441,11 @@ def _coarse_section(part: _AlignedPart) -> str:
 
 
 def _format_key_lines(key: str, value: Any, note: Note = _NO_NOTE) -> Iterator[str]:
-    """Yield the lines of a key with its reason, above it if long, and its doubt above it."""
+    """Yield the lines of a key: its doubt or question above it, its reason beside or above it."""
+    if note.question:
+        yield _wrap_comment(note.question, QUESTION)
+        yield f"{key} = {json.dumps(OPEN)}"
+        return
     if note.doubt:
         yield _wrap_comment(note.doubt, DOUBT)
     value_to_show = list(value) if isinstance(value, tuple) else value

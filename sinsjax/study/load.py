@@ -38,6 +38,7 @@ from sinsjax.study.keys import (
     unknown_key_error,
 )
 from sinsjax.study.mistakes import build_or_report
+from sinsjax.study.questions import reject_open_questions
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import Sweep, correctable_errors, read_sweep, read_tune_section
 
@@ -121,6 +122,10 @@ def _load_with_tables(
     data, dropped = files.read_tables(path), list[str]()
     if changes:
         data, dropped = change_tables(data, changes, name)
+    try:
+        reject_open_questions(data, path)
+    except InputError as error:
+        raise error.with_source(name) from None
     return study_from_dict(data, name), data, dropped
 
 
@@ -169,6 +174,7 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
           length  60 s at 100 Hz
     """
     try:
+        reject_open_questions(data)
         return _build_checked_study(data, escape_controls(Path(source).stem))
     except InputError as error:
         raise error.with_source(source) from None

@@ -11,7 +11,13 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
 from sinsjax.messages import shorten
-from sinsjax.records.layout import Layout, find_fault, parse_axes_order
+from sinsjax.records.layout import (
+    ACCEL_UNITS,
+    GYRO_UNITS,
+    RecordLayout,
+    find_fault,
+    parse_axes_order,
+)
 from sinsjax.value_types import (
     AccelNoise,
     Amplitude,
@@ -20,10 +26,12 @@ from sinsjax.value_types import (
     Band,
     Bands,
     Bandwidth,
+    Columns,
     Count,
     CrossAxis,
     Damping,
     Elevation,
+    Factor,
     Finite,
     GyroNoise,
     HalfTurn,
@@ -443,6 +451,14 @@ def _check_axes_order(order: str) -> str:
     return order
 
 
+_COLUMN_KEYS = (
+    *("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit", "time_column"),
+    *("max_gap_s", "columns", "skip_rows", "time_fraction_column", "time_fraction_unit"),
+    *("gyro_scale", "accel_scale", "time_scale"),
+)
+"""Keys of [record] that describe columns."""
+
+
 class RecordSection(Section):
     """[record]: format, units and axes of an IMU record, and the start times of the alignments."""
 
@@ -460,15 +476,33 @@ class RecordSection(Section):
         description="end of the part of the record that is used, s from its beginning; default:"
         " its end",
     )
+    columns: Columns | None = Field(
+        None,
+        description="names of all columns of a text file that does not name them (csv); default:"
+        " the names in the file, or column_1, column_2 and so on",
+    )
+    skip_rows: Count | None = Field(
+        None,
+        description="lines of a text file before the names of its columns, or before its samples"
+        " (csv); default: 0",
+    )
     quantity: Literal["increments", "rates"] | None = Field(
         None,
-        description="quantity in the columns (csv, parquet). 'increments': integrals over each"
-        " sample. 'rates': means over each sample",
+        description="quantity in the columns of both sensors (csv, parquet). 'increments':"
+        " integrals over each sample. 'rates': means over each sample. Default: as the units say",
     )
     time_column: str | None = Field(
         None,
         description="column of the time stamps, which mark the end of each sample (csv, parquet)."
         " Without it the sample times follow from rate_hz",
+    )
+    time_fraction_column: Name | None = Field(
+        None,
+        description="column of the fraction of a second that time_column lacks, such as nsecs (csv,"
+        " parquet)",
+    )
+    time_fraction_unit: Literal["ms", "us", "ns"] | None = Field(
+        None, description="unit of time_fraction_column; default: 'ns'"
     )
     gyro_columns: Triad | None = Field(
         None, description="columns of the x, y and z gyro (csv, parquet)"
@@ -488,14 +522,35 @@ class RecordSection(Section):
         description="unit of the accelerometer columns (csv, parquet): 'm_per_s', 'g_s' and"
         " 'ug_s' for increments, the others for rates",
     )
+    gyro_scale: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = Field(
+        None,
+        description="multiplier of the gyro columns in gyro_unit, or one per column (csv, parquet):"
+        " the value of one count, or -1; default: 1",
+    )
+    accel_scale: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = Field(
+        None,
+        description="multiplier of the accelerometer columns in accel_unit, or one per column (csv,"
+        " parquet): the value of one count, or -1; default: 1",
+    )
     axes_order: Annotated[str, AfterValidator(_check_axes_order)] = Field(
         "xyz",
         description="axes of the record that point right, front and up. 'y-xz': right is +y of"
         " the record, front is -x, up is +z. Or the directions of its x, y and z axes by name:"
         " 'rfu', 'frd' or 'flu'",
     )
+    mounting_deg: tuple[Angle, Angle, Angle] | None = Field(
+        None,
+        description="attitude of the IMU, with the axes of axes_order, in the vehicle: pitch, roll"
+        " and yaw (counter-clockwise), deg. Attitudes are those of the vehicle then; default: 0,"
+        " 0, 0",
+    )
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
-        None, description="unit of the time stamps, or 'iso' for dates with time; default: 's'"
+        None,
+        description="unit of the time stamps, or 'iso' for dates with time or times of day;"
+        " default: 's'",
+    )
+    time_scale: Factor | None = Field(
+        None, description="multiplier of the time stamps in time_unit; default: 1"
     )
     start_s: Starts = Field(
         default_factory=lambda given: (given.get("from_s") or 0.0,),
@@ -526,15 +581,12 @@ class RecordSection(Section):
     @model_validator(mode="after")
     def _check_columns(self) -> "RecordSection":
         self._check_times()
-        needed = ("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
+        needed = ("gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
         if self.format in ("psins", "arrays"):
-            given = [
-                key
-                for key in (*needed, "time_column", "max_gap_s")
-                if getattr(self, key) is not None
-            ]
-            if self.format == "arrays" and self.axes_order != "xyz":
-                given.append("axes_order")
+            given = [key for key in _COLUMN_KEYS if getattr(self, key) is not None]
+            if self.format == "arrays":
+                given += ["axes_order"] if self.axes_order != "xyz" else []
+                given += ["mounting_deg"] if self.mounting_deg is not None else []
             why = "fixes it" if self.format == "psins" else "has it already"
             for key in given:
                 text = f"does not apply to format '{self.format}', which {why} (drop it)"
@@ -543,19 +595,35 @@ class RecordSection(Section):
         for key in needed:
             if getattr(self, key) is None:
                 raise rule_error(f"required with format '{self.format}'", key=key)
+        for key, known in (("gyro_unit", GYRO_UNITS), ("accel_unit", ACCEL_UNITS)):
+            if self.quantity is not None and getattr(self, key) not in known[self.quantity]:
+                units = ", ".join(known[self.quantity])
+                text = f"{getattr(self, key)!r} is not one of {units} for {self.quantity}"
+                raise rule_error(f"{text} (drop quantity if the sensors differ)", key=key)
+        for key in ("columns", "skip_rows"):
+            if self.format == "parquet" and getattr(self, key) is not None:
+                raise rule_error("applies to text only (drop it with format 'parquet')", key=key)
         # `rules` checks whether a rate is needed.
         if found := find_fault(self.layout(rate_hz=1.0)):
             raise rule_error(found.text, key=found.key)
         return self
 
-    def layout(self, rate_hz: float | None) -> Layout:
+    def layout(self, rate_hz: float | None) -> RecordLayout:
         """Return the layout of the record in its file, with the rate of the study, if any."""
-        given = {key: getattr(self, key, None) for key in Layout._fields} | {"rate_hz": rate_hz}
-        return Layout(**{key: value for key, value in given.items() if value is not None})
+        given = {key: getattr(self, key, None) for key in RecordLayout._fields}
+        for key in ("gyro_scale", "accel_scale"):
+            if isinstance(given[key], float | int):
+                given[key] = (given[key],) * 3
+        given["rate_hz"] = rate_hz
+        return RecordLayout(**{key: value for key, value in given.items() if value is not None})
 
     def _check_times(self) -> None:
-        if self.time_unit is not None and self.time_column is None:
-            raise rule_error("requires a time_column (give it, or drop this)", key="time_unit")
+        for key in ("time_unit", "time_scale", "time_fraction_column"):
+            if getattr(self, key) is not None and self.time_column is None:
+                raise rule_error("requires a time_column (give it, or drop this)", key=key)
+        if self.time_fraction_unit is not None and self.time_fraction_column is None:
+            text = "requires a time_fraction_column (give it, or drop this)"
+            raise rule_error(text, key="time_fraction_unit")
         begin, end = self.from_s or 0.0, self.to_s
         if end is not None and end <= begin:
             raise rule_error(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.execution import checks, forecast
 from sinsjax.execution import directory as places
-from sinsjax.execution import forecast
 from sinsjax.execution.directory import STUDY
 from sinsjax.execution.prepare import JobKind, RunOptions, prepare_job
 from sinsjax.execution.run import RunProgress
@@ -49,7 +49,13 @@ def prepare_tuning(
     Raises:
         InputError: as `from_python.tune`.
     """
-    kind = JobKind(check_directory, forecast.forecast_tuning, _check_same_study, require_tune)
+    kind = JobKind(
+        check_directory,
+        forecast.forecast_tuning,
+        _check_same_study,
+        require_tune,
+        checks.require_north,
+    )
     job = prepare_job(source, overrides, record, reference, options, kind=kind)
     if job.stored is not None and job.stored.reference is None:
         text = "tuning on a record needs a reference (give it with --reference)"

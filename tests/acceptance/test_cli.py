@@ -21,7 +21,14 @@ from support.sweep_directories import read_files_and_times
 from sinsjax import cli
 from sinsjax.engine import build
 from sinsjax.execution.results import read_curves, read_summary
-from sinsjax.records import PSINS_LAYOUT, Layout, read_psins, write_csv, write_parquet, write_psins
+from sinsjax.records import (
+    PSINS_LAYOUT,
+    RecordLayout,
+    read_psins,
+    write_csv,
+    write_parquet,
+    write_psins,
+)
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
@@ -312,8 +319,8 @@ def test_record_gives_same_heading_in_every_format(
         "gyro_columns": ["gx", "gy", "gz"],
         "accel_columns": ["ax", "ay", "az"],
     }
-    increments = {"quantity": "increments", "gyro_unit": "rad", "accel_unit": "m_per_s"}
-    rates = {"quantity": "rates", "gyro_unit": "deg_per_h", "accel_unit": "ug"}
+    increments = {"gyro_unit": "rad", "accel_unit": "m_per_s"}
+    rates = {"gyro_unit": "deg_per_h", "accel_unit": "ug"}
     yaw = {}
     for name, kind, units in (
         ("a", "parquet", increments),
@@ -328,7 +335,7 @@ def test_record_gives_same_heading_in_every_format(
             write_psins(record, path, gyro_scale_arcsec=0.001, accel_scale_ug_s=1.0)
         else:
             section |= columns | units
-            layout = Layout(kind, **(columns | units))
+            layout = RecordLayout(kind, **(columns | units))
             (write_csv if kind == "csv" else write_parquet)(record, path, layout)
         changes = RECORDED | {"record": section, "earth": {"latitude_deg": 32.0}}
         config = write_study(tmp_path, **changes)
@@ -442,7 +449,9 @@ def test_irregular_record_times_are_refused_in_one_line(
     change: Callable[[np.ndarray], np.ndarray],
 ) -> None:
     names = ("t", "gx", "gy", "gz", "ax", "ay", "az")
-    layout = Layout("parquet", time_column="t", gyro_columns=names[1:4], accel_columns=names[4:])
+    layout = RecordLayout(
+        "parquet", time_column="t", gyro_columns=names[1:4], accel_columns=names[4:]
+    )
     path = tmp_path / "swing.parquet"
     write_parquet(record, path, layout)
     table = pq.read_table(path)

@@ -193,14 +193,15 @@ def test_summarise_without_truth_returns_nulls():
     assert {value for name, value in row.items() if name.endswith("_n")} == {0}
 
 
-def test_summarise_counts_nonfinite_runs_as_failed_and_unsettled():
+@pytest.mark.parametrize(("status", "nonfinite"), [("nonfinite", 12), ("no_north", 0)])
+def test_summarise_counts_runs_without_heading_as_failed_and_unsettled(status, nonfinite):
     nothing = np.full(12, math.nan)
     table = summary_table(
-        status=["nonfinite"] * 12, phi_u_arcmin=nothing, phi_u_mean_arcmin=nothing,
+        status=[status] * 12, phi_u_arcmin=nothing, phi_u_mean_arcmin=nothing,
         settle_10_s=nothing, nees=nothing, nis_u=nothing,
     )  # fmt: skip
     (row,) = analysis.summarise(table, []).to_pylist()
-    assert (row["nonfinite"], row["success_rate"]) == (12, 0.0)
+    assert (row["nonfinite"], row["success_rate"]) == (nonfinite, 0.0)
     assert row["settle_10_s_median"] == NEVER
     assert row["phi_u_mean_arcmin_mean"] is None and row["never_settled_10"] == 12
     assert row["nees_mean_chi2_low"] is row["nees_mean"] is None

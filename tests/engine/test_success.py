@@ -91,6 +91,17 @@ def test_no_north_run_fails_with_status_no_north() -> None:
     assert found["ok_floor"] == found["ok_truth"] == [False, False]
 
 
+def test_method_without_heading_has_no_success() -> None:
+    """Even with errors as small as these, and on a base without a bias floor."""
+    study = small_study(
+        motion=STILL, alignment={"method": "level"}, axes={"yaw_center_deg": [0, 1]}
+    )
+    table = tables.TableBuilder(study).summary_table(
+        chunk([0.0, 1.0], [[0.0] * 3] * 2), np.arange(2)
+    )
+    assert table["status"].to_pylist() == ["no_north"] * 2
+
+
 @pytest.mark.parametrize(("diverged_deg", "status"), [(None, "diverged"), (12.0, "not_settled")])
 def test_run_beyond_diverged_deg_is_diverged(diverged_deg: float | None, status: str) -> None:
     off = AT_THE_FLOOR | {"phi_u_arcmin": [-20.0 + 11 * 60, 0.0]}

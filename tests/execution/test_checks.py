@@ -21,7 +21,7 @@ from sinsjax.execution import checks, prepare, run
 from sinsjax.execution.checks import describe_process_noise, study_warnings
 from sinsjax.execution.directory import read_manifest
 from sinsjax.platform.assets import asset_path
-from sinsjax.records import Layout, Record, Reference, means, write_csv
+from sinsjax.records import Record, RecordLayout, Reference, means, write_csv
 from sinsjax.records.plausibility import Finding, StationaryValues, check_stationary
 from sinsjax.records.quaternions import integrate_attitudes
 from sinsjax.records.reference import StoredRecord
@@ -31,8 +31,8 @@ from sinsjax.units import DEG, DEG_PER_H, micro_g
 
 pytestmark = pytest.mark.optimised(False)
 
-RATES = {"quantity": "rates", "gyro_unit": "rad_per_s", "accel_unit": "m_per_s2"}
-LAYOUT = Layout("csv", gyro_columns=("a", "b", "c"), accel_columns=("d", "e", "f"), **RATES)
+RATES = {"gyro_unit": "rad_per_s", "accel_unit": "m_per_s2"}
+LAYOUT = RecordLayout("csv", gyro_columns=("a", "b", "c"), accel_columns=("d", "e", "f"), **RATES)
 SPAN = (0, 20_000)
 STILL = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
 LARGE = {f"{angle}_amplitude_deg": 20.0 for angle in ("pitch", "roll", "yaw")}
@@ -261,8 +261,8 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
     )
     some = some._replace(t0_s=1000.0)
     section = {"time_column": "t", "gyro_columns": tuple("abc"), "accel_columns": tuple("def")}
-    section |= {"quantity": "increments", "gyro_unit": "rad", "accel_unit": "m_per_s"}
-    write_csv(some, tmp_path / "drive.csv", Layout("csv", **section))
+    section |= {"gyro_unit": "rad", "accel_unit": "m_per_s"}
+    write_csv(some, tmp_path / "drive.csv", RecordLayout("csv", **section))
     rows = "".join(f"{1000 + t},0,0,350\n" for t in range(21))
     (tmp_path / "r.csv").write_text("time_s,pitch_deg,roll_deg,heading_deg\n" + rows)
     study = recorded(

@@ -93,9 +93,10 @@ def test_align_analyses_its_record_once(
 ) -> None:
     log, config, _ = recorded
     calls = count_calls(lambda: run_command("align", log, config, "-o", tmp_path / "out"))
-    assert {name: calls[name] for name in ONCE} == dict.fromkeys(ONCE, 1)
+    expected = dict.fromkeys(ONCE, 1) | {"checks.study_warnings": 0}
+    assert {name: calls[name] for name in ONCE} == expected
     assert calls["psins.read_psins"] == 1
-    assert calls["plausibility.check_stationary"] == 1
+    assert calls["checks.check_record"] == calls["plausibility.check_stationary"] == 1
 
 
 def test_python_align_gives_rows_of_command(

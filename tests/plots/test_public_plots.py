@@ -267,6 +267,32 @@ def test_curves_without_truth_show_attitude():
     assert [axes.get_ylabel() for axes in figure.axes] == ["pitch (deg)", "roll (deg)", "yaw (deg)"]
 
 
+def without_heading(table, run_ids):
+    """The curves of a table with nulls for the heading of some runs."""
+    for name in ("phi_u_arcmin", "sigma_u_arcmin", "yaw_deg"):
+        known = np.isin(table["run_id"].to_numpy(), run_ids, invert=True)
+        values = np.where(known, table[name].to_numpy(), np.nan)
+        table = table.set_column(table.column_names.index(name), name, pa.array(values))
+    return table
+
+
+def test_panel_of_heading_has_only_the_lines_that_have_one():
+    figure = sinsjax.plot_curves(without_heading(curve_table([0, 1]), [1]))
+    lines = [
+        {line.get_label() for line in axes.get_lines() if line.get_xdata().size}
+        for axes in figure.axes
+    ]
+    assert [{"run id 0", "run id 1"} <= found for found in lines] == [True, True, False]
+    assert figure.axes[0].get_xlim() == figure.axes[2].get_xlim() == (0, 3)
+    assert figure.get_suptitle() == "Heading error after 3 s: 3 arcmin"
+
+
+@pytest.mark.parametrize(("truth", "title"), [(True, "Misalignment"), (False, "Pitch and roll")])
+def test_figure_without_any_heading_has_two_panels(truth, title):
+    figure = sinsjax.plot_curves(without_heading(curve_table([0, 1], truth=truth), [0, 1]))
+    assert len(figure.axes) == 2 and figure.get_suptitle().startswith(title)
+
+
 def test_spike_of_sigma_at_reset_does_not_flatten_attitude():
     table = curve_table([0], truth=False)
     time = np.arange(1.0, 101.0)

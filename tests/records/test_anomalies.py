@@ -9,7 +9,7 @@ import pytest
 import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.execution.prepare import prepare_job
-from sinsjax.records import Layout, Record, read_csv, read_psins, write_csv, write_psins
+from sinsjax.records import Record, RecordLayout, read_csv, read_psins, write_csv, write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
 
@@ -18,7 +18,14 @@ RNG = np.random.default_rng(0)
 GYRO = RNG.normal(scale=1e-5, size=(T, 3)) + [0, 5e-5, 5e-5]  # rad/s, right-front-up
 ACCEL = RNG.normal(scale=1e-3, size=(T, 3)) + [0, 0, 9.8]  # m/s^2
 NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
-LAYOUT = Layout("csv", "rates", "", NAMES[:3], NAMES[3:], "rad_per_s", "g", "xyz", RATE)
+LAYOUT = RecordLayout(
+    "csv",
+    gyro_columns=NAMES[:3],
+    accel_columns=NAMES[3:],
+    gyro_unit="rad_per_s",
+    accel_unit="g",
+    rate_hz=RATE,
+)
 
 
 def make_record(gyro: Any = GYRO, accel: Any = ACCEL, **more: Any) -> StoredRecord:
@@ -86,14 +93,20 @@ def test_dead_and_stuck_channels_are_reported() -> None:
     assert warning.startswith("arrays: rows 1000 to 1099: all six")
 
 
+def test_dead_gyro_that_hides_north_is_named_and_leaves_level() -> None:
+    job = prepare_job(study(), record=make_record(change_rows(GYRO, slice(None), 0, 0.1)))
+    dead, hidden = job.warnings
+    assert "column 'gyro[:, 0]' is 0.1 in every row: is that sensor dead?" in dead
+    assert "hides Earth rate: no heading can be found; pitch and roll are those of" in hidden
+    assert job.study.methods == ("level",)
+
+
 def test_refusal_names_dead_channel_as_possible_cause() -> None:
-    stored = make_record(change_rows(GYRO, slice(None), 0, 0.1))
-    with pytest.raises(InputError) as caught:
+    stored = make_record(change_rows(GYRO / 1000, slice(None), 0, 0.0))
+    with pytest.raises(
+        InputError, match=r"0.* is 0 in every row: is that sensor dead\? \(\[record\]"
+    ):
         prepare_job(study(), record=stored)
-    assert str(caught.value).endswith(
-        "hides Earth rate: no heading can be found; column 'gyro[:, 0]' is 0.1 in every row: is"
-        " that sensor dead? ([record] trust = true aligns it anyway)"
-    )
 
 
 @pytest.mark.parametrize("unit", ["rad_per_s", "deg_per_h"])

@@ -240,10 +240,7 @@ def test_reference_times_become_relative_to_record_start() -> None:
         ({"time": np.ones(T)}, "time repeats, from 1.0 to 1.0 s (drop time and give rate_hz if"),
         ({"rate_hz": 50.0}, "arrays: column 'time' gives 100 Hz, but rate_hz is 50"),
         ({"gyro_unit": "dps"}, "gyro_unit: 'dps' is not one of rad, deg, arcsec, rad_per_s"),
-        (
-            {"gyro_unit": "rad"},
-            "accel_unit: 'm_per_s2' is of rates, gyro_unit 'rad' of increments: both arrays",
-        ),
+        ({"mounting_deg": (1.0, 2.0)}, "arrays: mounting_deg: must have a finite pitch, roll and"),
         ({"axes": "ned"}, "arrays: axes: 'ned' is not a signed permutation of xyz"),
         ({"axes": "yxz"}, "arrays: axes: 'yxz' is left-handed"),
         ({"time_unit": "iso"}, "time_unit: 'iso' is for files"),

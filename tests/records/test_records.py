@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as hnp
 
 from sinsjax import records
 from sinsjax.errors import InputError
-from sinsjax.records import Layout, Record, files, tables
+from sinsjax.records import Record, RecordLayout, files, tables
 
 DATA = Path(os.environ.get("SINSJAX_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
 REAL = DATA / "lasergyro_0_900.imu"
@@ -25,7 +25,9 @@ needs_data = pytest.mark.skipif(
 )
 
 GYRO, ACCEL = ("gx", "gy", "gz"), ("ax", "ay", "az")
-CSV = Layout("csv", time_column="time_s", gyro_columns=GYRO, accel_columns=ACCEL, rate_hz=100.0)
+CSV = RecordLayout(
+    "csv", time_column="time_s", gyro_columns=GYRO, accel_columns=ACCEL, rate_hz=100.0
+)
 NO_TIME = CSV._replace(time_column="")
 ARCSEC = np.pi / 180 / 3600
 AXES = ["xyz", "y-xz", "-yxz", "-x-yz", "zxy", "yzx", "-zy+x", "x-zy"]
@@ -62,7 +64,7 @@ def refusal_line(call, *args) -> str:
     return line
 
 
-def read_whole(path: Path, layout: Layout) -> Record:
+def read_whole(path: Path, layout: RecordLayout) -> Record:
     """Read a record and require its whole span, so missing samples are refused."""
     record = records.read_record(path, layout)
     records.require_span(record, 0.0, len(record.dtheta) / record.rate_hz)
@@ -96,14 +98,13 @@ def test_increments_survive_round_trip_bit_for_bit(folder, record, kind, order, 
 @quick
 @given(
     record=some_records(),
-    quantity=st.sampled_from(["increments", "rates"]),
-    pick=st.tuples(st.integers(0, 2), st.integers(0, 2)),
+    gyro_unit=st.sampled_from([u for units in records.GYRO_UNITS.values() for u in units]),
+    accel_unit=st.sampled_from([u for units in records.ACCEL_UNITS.values() for u in units]),
+    scale=st.tuples(*[st.sampled_from([1.0, -1.0, 0.25])] * 3),
 )
-def test_every_unit_survives_csv_round_trip(folder, record, quantity, pick):
-    gyro_unit = list(records.GYRO_UNITS[quantity])[pick[0]]
-    accel_unit = list(records.ACCEL_UNITS[quantity])[pick[1]]
+def test_every_unit_and_scale_survives_csv_round_trip(folder, record, gyro_unit, accel_unit, scale):
     layout = NO_TIME._replace(
-        quantity=quantity, gyro_unit=gyro_unit, accel_unit=accel_unit, rate_hz=record.rate_hz
+        gyro_unit=gyro_unit, accel_unit=accel_unit, rate_hz=record.rate_hz, gyro_scale=scale
     )
     records.write_csv(record, folder / "units.csv", layout)
     back = records.read_csv(folder / "units.csv", layout)
@@ -149,25 +150,25 @@ def test_psins_reader_applies_scale_header_and_axes_order(tmp_path):
     np.testing.assert_allclose(record.dtheta, np.array([[-3, 0, 4], [1, -1, 1]]) * scale, 1e-14)
     np.testing.assert_allclose(record.dv, np.array([[0, 2, 83], [10, 20, 30]]) * ug_s, 1e-14)
     assert record[2:8] == (100.0, 5.0, 34.2, 380.0, (1.0, 2.0, -90.6), 9.780327)
-    turned = records.read_psins(path, Layout("psins", axes_order="y-xz", rate_hz=100.0))
+    turned = records.read_psins(path, RecordLayout("psins", axes_order="y-xz", rate_hz=100.0))
     right, front, up = turned.dv.T
     assert same_bits(right, record.dv[:, 1].copy()) and same_bits(up, record.dv[:, 2].copy())
     assert same_bits(front, -record.dv[:, 0])
 
 
 @pytest.mark.parametrize(
-    ("quantity", "gyro_unit", "accel_unit", "dtheta", "dv"),
+    ("gyro_unit", "accel_unit", "dtheta", "dv"),
     [
-        ("increments", "arcsec", "ug_s", ARCSEC, 9.80665e-6),
-        ("increments", "deg", "g_s", np.pi / 180, 9.80665),
-        ("rates", "deg_per_h", "mg", ARCSEC / 100, 9.80665e-5),
-        ("rates", "rad_per_s", "m_per_s2", 0.01, 0.01),
+        ("arcsec", "ug_s", ARCSEC, 9.80665e-6),
+        ("deg", "g_s", np.pi / 180, 9.80665),
+        ("deg_per_h", "mg", ARCSEC / 100, 9.80665e-5),
+        ("rad_per_s", "m_per_s2", 0.01, 0.01),
+        ("rad_per_s", "m_per_s", 0.01, 1.0),
+        ("deg", "g", np.pi / 180, 0.0980665),
     ],
 )
-def test_units_are_converted_to_si_increments(
-    tmp_path, quantity, gyro_unit, accel_unit, dtheta, dv
-):
-    layout = NO_TIME._replace(quantity=quantity, gyro_unit=gyro_unit, accel_unit=accel_unit)
+def test_units_are_converted_to_si_increments(tmp_path, gyro_unit, accel_unit, dtheta, dv):
+    layout = NO_TIME._replace(gyro_unit=gyro_unit, accel_unit=accel_unit)
     (tmp_path / "a.csv").write_text("az,extra, ay,ax,gz,gy,gx\n3,text,2,+1,3,2,1\n")
     record = records.read_csv(tmp_path / "a.csv", layout)
     np.testing.assert_allclose(record.dtheta, dtheta * np.array([[1, 2, 3]]), 1e-12)
@@ -186,7 +187,7 @@ def test_time_column_gives_rate_and_start(tmp_path, rate_hz):
 
 
 def table_csv(folder: Path, time_s) -> Path:
-    rows = [f"{float(t)!r},1,2,3,4,5,6" for t in time_s]
+    rows = [f"{float(t)!r},{k},2,3,4,5,6" for k, t in enumerate(time_s)]
     path = folder / "timed.csv"
     path.write_text("\n".join(["time_s,gx,gy,gz,ax,ay,az", *rows]))
     return path
@@ -229,7 +230,8 @@ def small_batches(request, monkeypatch) -> None:
             "a,b\n1,2\n",
             r"row 1: a header line must have 6 values, not 1 \(not PSINS text\? `sinsjax",
         ),
-        ("PK\x03\x04\n\0\0", "row 2: not a text file"),
+        ("PX\x03\x04\n\0\0", "row 2: not a text file"),
+        ("PK\x03\x04\n\0\0", "a damaged or incomplete archive"),
     ],
 )
 def test_invalid_psins_file_is_refused(tmp_path, text, says):
@@ -268,7 +270,7 @@ ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
         (HEAD + ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: not comma-separated text"),
         (HEAD + ROWS + "0.07,1,2,3,4,5,6\n", "row 6: a gap at 100 Hz, from 0.04 to 0.07 s"),
         (HEAD + ROWS + "0.044,1,2,3,4,5,6\n", "row 6: a short step at 100 Hz"),
-        (HEAD + ROWS + "0.04,1,2,3,4,5,6\n", "row 6: time repeats, from 0.04 to 0.04 s"),
+        (HEAD + ROWS + "0.04,1,2,3,4,5,7\n", "row 6: time repeats, from 0.04 to 0.04 s"),
         (HEAD + ROWS + "0.02,1,2,3,4,5,6\n", "row 6: time runs backward, from 0.04 to 0.02 s"),
         ("\x89PNG\r\n\x1a\n\0\0", "row 3: not a text file"),
     ],
@@ -344,7 +346,7 @@ def test_rate_mismatch_is_refused(tmp_path):
     path = table_csv(tmp_path, np.arange(1, 100) / 50)
     assert "gives 50 Hz, but rate_hz is 100" in refusal_line(records.read_csv, path, CSV)
     (tmp_path / "a.imu").write_text(HEADER + SAMPLE)
-    line = refusal_line(records.read_psins, tmp_path / "a.imu", Layout("psins", rate_hz=50.0))
+    line = refusal_line(records.read_psins, tmp_path / "a.imu", RecordLayout("psins", rate_hz=50.0))
     assert "row 3: the header gives 100 Hz, but rate_hz is 50" in line
 
 
@@ -373,10 +375,15 @@ def test_invalid_parquet_file_is_refused(tmp_path):
     ("change", "says"),
     [
         ({"format": "cvs"}, "format: 'cvs' is not one of psins, csv, parquet"),
-        ({"quantity": "rate"}, "quantity: 'rate' is not one of increments, rates"),
-        ({"gyro_unit": "deg_per_h"}, "gyro_unit: 'deg_per_h' is not one of rad, deg, arcsec for"),
-        ({"quantity": "rates"}, "gyro_unit: 'rad' is not one of rad_per_s"),
-        ({"accel_unit": "g"}, "accel_unit: 'g' is not one of m_per_s, g_s, ug_s for increments"),
+        ({"gyro_unit": "dps"}, "gyro_unit: 'dps' is not one of rad, deg, arcsec, rad_per_s"),
+        ({"accel_unit": "rad"}, "accel_unit: 'rad' is not one of m_per_s, g_s, ug_s, m_per_s2"),
+        ({"gyro_scale": (1.0, 0.0, 1.0)}, "gyro_scale: must be finite and not 0"),
+        ({"time_fraction_column": "time_s"}, "time_fraction_column: is the time_column already"),
+        (
+            {"columns": ("time_s", *GYRO, "ax", "ay")},
+            "accel_columns: column 'az' is not in columns",
+        ),
+        ({"mounting_deg": (0.0, 1.0)}, "mounting_deg: must have a finite pitch, roll and yaw"),
         ({"gyro_columns": ("a", "b")}, "gyro_columns: must name three columns, not 2"),
         ({"accel_columns": ("ax", "ay", "gx")}, "accel_columns: column 'gx' is already used in"),
         ({"time_column": "", "rate_hz": None}, "rate_hz: required without a time_column"),
@@ -385,7 +392,6 @@ def test_invalid_parquet_file_is_refused(tmp_path):
         ({"axes_order": "xy"}, "axes_order: 'xy' is not a signed permutation"),
         ({"axes_order": "x y z"}, "axes_order: 'x y z' is not a signed permutation"),
         ({"axes_order": "yxz"}, "axes_order: 'yxz' is left-handed"),
-        ({"format": "psins", "quantity": "rates"}, "quantity: PSINS text has increments"),
     ],
 )
 def test_invalid_layout_is_refused(change, says):
@@ -635,7 +641,7 @@ def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch, kind):
     record = Record(random.normal(size=(999, 3)), random.normal(size=(999, 3)), 100.0)
     layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz")
     if kind == "psins":
-        layout = Layout("psins", axes_order="y-xz")
+        layout = RecordLayout("psins", axes_order="y-xz")
         records.write_psins(record, path)
     elif kind == "parquet":
         layout = layout._replace(format="parquet")
@@ -664,12 +670,12 @@ def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch, kind):
 
 _PEAK = """
 import re, sys
-from sinsjax.records import Layout, read_record
+from sinsjax.records import RecordLayout, read_record
 def peak():
     return int(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1]) * 1024
 names = dict(gyro_columns=("gx", "gy", "gz"), accel_columns=("ax", "ay", "az"))
 before = peak()
-record = read_record(sys.argv[1], Layout("csv", time_column="time_s", **names))
+record = read_record(sys.argv[1], RecordLayout("csv", time_column="time_s", **names))
 print((peak() - before) / len(record.dv))
 """
 

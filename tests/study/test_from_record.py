@@ -87,7 +87,6 @@ def align_written_study(sinsjax: Command, path: Path, *more: str) -> dict[str, A
     """The row of the study that is written for a file: it validates and runs with more options."""
     code, told, error = sinsjax("init", "record", "--from", path.name, "-o", "its.toml")
     assert (code, error) == (0, ""), error
-    assert re.search(r"\d+ lines of its.toml begin with # DOUBT: ", told)
     code, told, error = sinsjax("validate", "its.toml", *more)
     assert (code, error) == (0, ""), error
     code, told, error = sinsjax("align", path.name, "its.toml", "-o", "out", *more)
@@ -124,7 +123,7 @@ LOGS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
             ("stamp", *(f"dtheta_{a}_rfu" for a in "xyz"), *(f"dv_{a}_rfu" for a in "xyz")),
             mark="\t",
         ),
-        {"axes_order": "rfu", "quantity": "increments", "gyro_unit": "rad", "time_unit": "ms"},
+        {"axes_order": "rfu", "gyro_unit": "rad", "time_unit": "ms"},
     ),
     "increments in arcsec and ug s, ns": (
         lambda path, rates: write(
@@ -135,7 +134,6 @@ LOGS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         ),
         {
             "axes_order": "flu",
-            "quantity": "increments",
             "gyro_unit": "arcsec",
             "accel_unit": "ug_s",
             "time_unit": "ns",
@@ -176,12 +174,10 @@ def test_log_becomes_study_that_runs(
     found = {key: study["record"].get(key) for key in expected}
     assert found == expected
     untimed = name == "no time"
-    assert study["study"].get("rate_hz") == (None if untimed else RATE)
+    assert study["study"].get("rate_hz") == ("?" if untimed else RATE)
     assert study["earth"]["latitude_deg"] == pytest.approx(45.0, abs=0.3)
-    told = " ".join(doubts)
-    assert "put the true latitude here" in told
+    assert not doubts or untimed or name == "x up"
     assert study["alignment"] == {"method": "inertial"} and "filter" not in study
-    assert ("the rate is unknown" in told) == untimed
     row = align_written_study(sinsjax, path, *(["--set", "study.rate_hz=100"] if untimed else []))
     assert abs(row["roll_deg"]) < 1 and abs(row["pitch_deg"]) < 1
     # Of a box whose front is not told the yaw is off by right angles, as the doubt says.
@@ -202,7 +198,7 @@ def test_reasons_and_doubts_are_written_next_to_their_keys(
     assert unit.startswith('gyro_unit = "deg_per_s"')
     assert unit.endswith("# the mean rate is 1 times Earth rate in deg/s")
     assert "times gravity in g" in lines[at["accel_unit"]]
-    assert lines[at["axes_order"] - 1].startswith("# DOUBT: x may point front ('flu') or y ('rfu')")
+    assert lines[at["axes_order"] - 1].startswith("# z reads +1.00 g; x is taken for the front")
     assert "steps of 0.01 s: 100 Hz" in lines[at["time_unit"]]
     assert all(len(line) <= 100 for line in lines)
 
@@ -301,10 +297,9 @@ def test_log_with_odd_rate_or_text_dates_is_read(
 @pytest.mark.parametrize(
     ("make", "doubt"),
     [
-        (lambda t: (t * [1, 400, 400, 400, 1, 1, 1], NAMES), "no unit gives Earth rate"),
         (
             lambda t: (t, tuple(f"{n} [deg/s]" if "gyro" in n else n for n in NAMES)),
-            "the names state this unit; in rad/s it would be 1",
+            "the names state this unit, but the mean rate is 1 times Earth rate in rad/s",
         ),
         (
             lambda t: (t, tuple(f"{n}_g" if "acc" in n else n for n in NAMES)),
@@ -319,10 +314,6 @@ def test_log_with_odd_rate_or_text_dates_is_read(
             "only gravity indicates increments",
         ),
         (lambda t: (t * [1, 1, 1, 1, -1, -1, -1], NAMES), "southern hemisphere, or gyros and"),
-        (
-            lambda t: (t, ("t", *(f"frd_{n}" for n in NAMES[1:]))),
-            "the names state 'frd', but z reads +1.00 g",
-        ),
         (
             lambda t: (np.hstack([t, t[:, 1:4]]), (*NAMES, *(f"raw_{n}" for n in NAMES[1:4]))),
             "or raw_gyro_x, raw_gyro_y, raw_gyro_z?",
@@ -366,28 +357,6 @@ def test_missing_sample_marks_give_one_doubt_with_remedy(
     ("make", "line"),
     [
         (
-            lambda t: (t * [1, 1, 1, 1, 1671, 1671, 1671], NAMES),
-            "gravity in no unit: are these counts?",
-        ),
-        (lambda t: (t - [0, 0, 0, 0, 0, 0, 9.8], NAMES), "no unit: has gravity been removed?"),
-        (
-            lambda t: (t, tuple("abcdefg")),
-            "no columns of gyros among a, b, c, d, e, f, g: name them",
-        ),
-        (
-            lambda t: (t, ("t", "roll_rate", "pitch_rate", "spare", *NAMES[4:])),
-            "there are 'roll_rate' and 'pitch_rate', but no column of the gyros named yaw among t,",
-        ),
-        (
-            lambda t: (t, (*NAMES[:4], "acc_y", "acc_z", "spare")),
-            "there are 'acc_y' and 'acc_z', but no column of the accelerometers named x among",
-        ),
-        (
-            lambda t: (t, ("t", "gyro_F", "gyro_R", "spare", *NAMES[4:])),
-            "but no column of the gyros named up or down among t, gyro_F",
-        ),
-        (lambda t: (t, ("1", "2", "3", "4", "5", "6", "7")), "row 1: numbers instead of column"),
-        (
             lambda t: (t, ("t", "gyro_x\u202e", *NAMES[2:])),
             r"column 'gyro_x\u202e': control characters in its name (rename it)",
         ),
@@ -396,7 +365,7 @@ def test_missing_sample_marks_give_one_doubt_with_remedy(
             r"column 'accel_z\x7f': control characters in its name (rename it)",
         ),
         (lambda t: (t[:500], NAMES), "has only 5 s without a gap (an alignment needs 10 s)"),
-        (lambda t: (t[:, :5], NAMES[:5]), "row 1: 5 columns between commas"),
+        (lambda t: (t[:, :5], NAMES[:5]), "its 5 names in row 1: 5 columns, but an IMU has six"),
     ],
 )
 def test_unusable_log_is_refused_in_one_line(
@@ -449,7 +418,7 @@ def test_backward_time_stamps_are_refused_with_row(
     write(tmp_path / "log.csv", table[::-1], ("Tstamp", *NAMES[1:]))
     code, told, error = sinsjax("init", "record", "--from", "log.csv")
     assert (code, told, error.count("\n")) == (2, "", 1)
-    assert "column 'Tstamp': row 3: time runs backward, from 100.0 to 99.99 (sort" in error
+    assert "column 'Tstamp': row 3: time runs backward, from 100.0 to 99.99 s (sort" in error
     # A column that no name calls a time may decrease, and one that can be read comes first.
     load_with_doubts(write(tmp_path / "log.csv", table[::-1], ("other", *NAMES[1:])))
     both = np.column_stack([table[::-1, 0], table])
@@ -475,7 +444,7 @@ def test_coarse_time_stamps_give_mean_rate(
         )
         assert "time_column" not in study["record"]
         (doubt,) = [doubt for doubt in doubts if "coarse" in doubt]
-        assert re.match(r"'t' repeats itself at row [34]: its stamps are too coarse, so", doubt)
+        assert doubt.startswith("the stamps of 't' are too coarse to be read one by one, so they")
     align_written_study(sinsjax, path)
 
 
@@ -486,12 +455,12 @@ def test_study_without_known_rate_is_refused(
     table[:, 0] = (1.763e15 + table[:, 0]).astype(np.float32)
     path = write(tmp_path / "log.csv", table, ("Tstamp[us]", *NAMES[1:]))
     study, doubts = load_with_doubts(path)
-    told = "'Tstamp[us]' repeats itself at row 3, so the rate is unknown: write it here"
-    assert "rate_hz" not in study["study"] and any(told in doubt for doubt in doubts)
+    assert study["study"]["rate_hz"] == "?" and not doubts
     assert sinsjax("init", "record", "--from", "log.csv")[0] == 0
     for command in (("validate", "log.toml"), ("align", "log.csv", "log.toml", "-o", "out")):
         code, _, error = sinsjax(*command)
-        assert code == 2 and error.startswith("error: log.toml: [study] rate_hz: required")
+        assert code == 2 and error.startswith("error: log.toml: [study] rate_hz: an open question:")
+        assert "column 'Tstamp[us]': its stamps do not change: give the true rate" in error
         assert error.count("\n") == 1
 
 
@@ -509,7 +478,7 @@ def test_gyro_column_names_give_unit_and_axes(
     names: tuple[str, str, str], unit: str, ways: str
 ) -> None:
     (found,) = find_triads(["roll", "pitch", "yaw", *names], "gyro")
-    assert (found.names, found.unit, found.directions) == (names, unit, ways)
+    assert (found.names, found.unit[0], found.directions) == (names, unit, ways)
     assert not find_triads(names, "accel")
 
 
@@ -535,16 +504,6 @@ def test_text_column_in_parquet_is_refused_by_name(
         make_study_text(path, Path("x.toml"))
 
 
-def test_column_names_in_comment_are_refused_with_hint(
-    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
-    table = columns(rates, "rfu", 1.0, 1.0, 0.01)
-    path = tmp_path / "log.csv"
-    np.savetxt(path, table, delimiter=",", header=",".join(NAMES))
-    with pytest.raises(InputError, match="its names are in a comment: remove the"):
-        make_study_text(path, Path("x.toml"))
-
-
 def test_first_row_may_have_empty_cells_but_no_text(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
@@ -554,7 +513,10 @@ def test_first_row_may_have_empty_cells_but_no_text(
     path.write_text("\n".join([header, ",".join([cells[0], "", "", "", *cells[4:]]), *rest]))
     assert load_with_doubts(path)[0]["record"]["gyro_unit"] == "rad_per_s"
     for row, hint in (
-        ("s,rad/s,rad/s,rad/s,g,g,g", "'rad/s' is not a number (begin a row of units"),
+        (
+            "-,x,x,x,y,y,y",
+            "'x' is not a number (begin other rows with #, or give [record] skip_rows",
+        ),
         ('0,"0,1","0,1","0,1","1,2",3,4', "'0,1' is not a number (decimal commas"),
     ):
         path.write_text("\n".join([header, row, first, *rest]))

@@ -91,6 +91,11 @@ ACTING: dict[str, tuple[dict[str, Any], str, list[Any]]] = {
     "reading of angles": ({}, "misalignment", ["vector", "euler"]),
     "smoothing of a reflection": ({**COMPASS, **PASSES}, "turn_smoothing_s", [1.0, 2.0]),
     "period of a sway": ({}, "yaw_period_s", [3.0, 4.0]),
+    "assumed bias of a level": (
+        {"alignment": {"method": "level"}},
+        "level_accel_bias_ug",
+        [1000.0, 5000.0],
+    ),
 }
 
 

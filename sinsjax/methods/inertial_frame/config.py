@@ -2,13 +2,8 @@
 
 from functools import partial
 
-from sinsjax.methods.description import (
-    COMMON_KEYS,
-    INITIAL_KEYS,
-    CheckedStudy,
-    Description,
-    Implementation,
-)
+from sinsjax.methods.description import Implementation
+from sinsjax.methods.without_start import describe_without_start
 
 
 def _load(build: str) -> Implementation:
@@ -18,40 +13,7 @@ def _load(build: str) -> Implementation:
     return Implementation(getattr(method, build), lambda columns, site, ug: ())
 
 
-_NAMES = ("optimisation", "optimisation_position", "inertial")
-
-
-def check_passes(study: CheckedStudy) -> None:
-    """Refuse repeated passes, which add no information."""
-    if not study.has("passes"):
-        return
-    for point in study.combinations("method", "stored_s"):
-        if point["method"] in _NAMES and point["stored_s"] is not None:
-            text = (
-                f"does not apply to method {point['method']}, which reads a record once (drop it)"
-            )
-            study.refuse("stored_s", text)
-
-
-def check_coarse(study: CheckedStudy) -> None:
-    """Refuse coarse alignment before a method that needs no initial attitude."""
-    if study.is_recorded or not study.has("coarse"):
-        return
-    for point in study.combinations("method", "coarse_method"):
-        if point["method"] in _NAMES and point["coarse_method"] != "none":
-            text = f"method {point['method']} needs no coarse alignment (give 'none')"
-            study.refuse("coarse_method", text)
-
-
-_describe = partial(
-    Description,
-    sections={},
-    reads=INITIAL_KEYS,
-    without_effect=(*INITIAL_KEYS, *COMMON_KEYS),
-    refuses=("coarse_method", "coarse_duration_s", "coarse_then"),
-    has_covariance=False,
-    rules=(check_passes, check_coarse),
-)
+_describe = partial(describe_without_start, sections={}, has_covariance=False)
 
 OPTIMISATION = _describe(
     name="optimisation",

@@ -1,0 +1,1 @@
+"""Level of a base at rest from its accelerometers alone."""

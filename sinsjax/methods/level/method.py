@@ -1,0 +1,110 @@
+"""Accelerometer levelling: pitch and roll of a base at rest from its mean specific force.
+
+On a base at rest the specific force is the reaction to gravity, and its mean f in b points up:
+
+    pitch = atan2(f_front, sqrt(f_right^2 + f_up^2)),    roll = atan2(-f_right, f_up).
+
+The gyros do not enter, so that biases far above the Earth rate leave the level as it is; nothing
+shows the heading, and yaw is set to zero. On a base that sways, the result is the mean level.
+
+Constant accelerometer biases b tilt the result by b/g. Noise and vibration add the variance v of
+the specific force about its mean, summed over three axes, as if correlated over `CORRELATION_S`:
+
+    sigma^2 = (b/g)^2 + (v/g^2) CORRELATION_S / T    about east and about north, after the time T.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from sinsjax.maths.algebra import add, cross, dot, scale, select_tree
+from sinsjax.maths.rotations import from_euler, normalise
+from sinsjax.methods.base import AttitudeCovariance, Method, Options, RunEnd, Site
+from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
+from sinsjax.strapdown.earth import Place
+from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+
+CORRELATION_S = 1.0
+"""Time over which noise and vibration count as correlated, far above that of white noise, s."""
+
+UNKNOWN_ANGLE = jnp.pi**2 / 3
+"""Variance of an angle that may be any, rad^2."""
+
+
+class LevelState(NamedTuple):
+    """A run between two samples.
+
+    Attributes:
+        nav: initial solution, whose attitude is the result before the first sample.
+        bias_tilt: tilt by the assumed accelerometer bias, rad.
+        sum: of the velocity increments in b, m/s.
+        squares: sum of their squared magnitudes, (m/s)^2.
+        count: samples so far.
+    """
+
+    nav: Navigation
+    bias_tilt: Scalar
+    sum: Vec3
+    squares: Scalar
+    count: Scalar
+
+
+def build(options: Options) -> Method:
+    """Return the method, whose params are `LevelState.bias_tilt`."""
+
+    def covariance(state: LevelState) -> AttitudeCovariance:
+        n = jnp.maximum(state.count, 1.0)
+        mean = scale(1 / n, state.sum)
+        gravity = jnp.where(state.count > 0, dot(mean, mean), 1.0)  # squared, of one sample
+        scatter = jnp.maximum(state.squares / n - dot(mean, mean), 0.0) / gravity
+        level = state.bias_tilt**2 + scatter * CORRELATION_S / (n * options.dt)
+        zero = jnp.zeros_like(level)
+        unknown = zero + UNKNOWN_ANGLE
+        level = jnp.where(state.count > 0, level, unknown)
+        return AttitudeCovariance(level, zero, zero, level, zero, unknown)
+
+    return Method(
+        init=_init,
+        step=_step,
+        attitude=_attitude,
+        covariance=covariance,
+        normalise=lambda state: state._replace(nav=state.nav._replace(q=normalise(state.nav.q))),
+        floor=_bias_floor,
+    )
+
+
+def _init(bias_tilt: Scalar, nav: Navigation) -> LevelState:
+    zero = jnp.zeros_like(nav.ve)
+    return LevelState(nav, bias_tilt + zero, Vec3(zero, zero, zero), zero, zero)
+
+
+def _step(params: Any, site: Site, state: LevelState, sample: Sample, n: Scalar) -> LevelState:
+    dv = _at_middle(sample)
+    return state._replace(
+        sum=add(state.sum, dv), squares=state.squares + dot(dv, dv), count=state.count + 1
+    )
+
+
+def _at_middle(sample: Sample) -> Vec3:
+    """Return a velocity increment in b at the middle of its sample, as it was measured, m/s.
+
+    `Sample.dv` is in b at the start, carried there over half the rotation that the gyros measured.
+    The same half carries it back, so that a gyro bias cancels.
+    """
+    half = Vec3(*sample.turn[1:])  # the vector part of the quaternion, to first order
+    return add(sample.dv, scale(-1.0, cross(half, sample.dv)))
+
+
+def _attitude(state: LevelState) -> Quat:
+    right, front, up = state.sum
+    seen = state.count > 0
+    across = jnp.sqrt(jnp.where(seen, right**2 + up**2, 1.0))
+    pitch = jnp.arctan2(front, across)
+    roll = jnp.arctan2(-right, jnp.where(seen, up, 1.0))
+    return select_tree(seen, from_euler(pitch, roll, jnp.zeros_like(pitch)), state.nav.q)
+
+
+def _bias_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
+    """Return the floor of the level; north is found by no run."""
+    floor = bias_floor(place, biases)
+    return floor._replace(no_north=jnp.ones_like(floor.no_north))

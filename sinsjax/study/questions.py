@@ -1,0 +1,52 @@
+"""Open questions of a study: keys with "?" in place of a value, as `init record` writes them."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from sinsjax.errors import InputError
+from sinsjax.study.files import OPEN, QUESTION, find_study_file
+
+
+def reject_open_questions(tables: Mapping[str, Any], path: str | Path | None = None) -> None:
+    """Refuse a study with open questions.
+
+    Args:
+        tables: sections by name.
+        path: its file, whose comments have the evidence; None without one.
+
+    Raises:
+        InputError: a line for each open question, with its evidence and the way to answer it.
+    """
+    places = list(_open_places(tables))
+    if not places:
+        return
+    evidence = {} if path is None else _read_evidence(path)
+    lines = []
+    for section, key in places:
+        text = evidence.get(key, "it has no value")
+        way = f"answer it there, or by --set {section}.{key}=VALUE"
+        lines.append(f"[{section}] {key}: an open question: {text} ({way})")
+    raise InputError(*lines)
+
+
+def _open_places(tables: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    for section, table in tables.items():
+        if isinstance(table, Mapping):
+            yield from ((section, key) for key, value in table.items() if value == OPEN)
+
+
+def _read_evidence(path: str | Path) -> dict[str, str]:
+    """Return the comment about each open key of a study file, in one line."""
+    evidence, comment = dict[str, str](), list[str]()
+    for line in find_study_file(path).read_text("utf-8-sig").splitlines():
+        if line.startswith(QUESTION):
+            comment = [line.removeprefix(QUESTION).strip()]
+        elif line.startswith("#") and comment:
+            comment.append(line.lstrip("# "))
+        else:
+            key, equals, _ = line.partition("=")
+            if comment and equals:
+                evidence[key.strip()] = " ".join(comment)
+            comment = []
+    return evidence

@@ -1,0 +1,174 @@
+"""Accelerometer levelling against plain NumPy, and a study of it that has no heading."""
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from oracles.in_engine import ARCMIN, DEG_PER_H, UG, navigation, place, runner, site
+from oracles.naive import DEG, WGS84, exp, of_quaternion
+from scipy.spatial.transform import Rotation
+from support.studies import STILL, refusal_line, small_study
+
+import sinsjax
+from sinsjax.maths import rotations
+from sinsjax.methods.registry import METHODS
+from sinsjax.types import Quat
+
+RATE, SECONDS, LATITUDE = 100, 20, 45 * DEG
+PITCH, ROLL = 1.0, -2.0  # deg
+TILT = np.float64(5e-3)  # rad, by the assumed accelerometer bias
+GRAVITY = place(WGS84, LATITUDE).gravity
+
+
+def noisy_record(gyro_bias: float = 0.0) -> np.ndarray:
+    """Increments (n, 6) of a base at rest: rad, m/s; the bias is in deg/h."""
+    c = Rotation.from_euler("ZXY", [130.0, PITCH, ROLL], degrees=True).as_matrix()
+    rate_n, rate_u = WGS84.rates(LATITUDE, (0.0, 0.0))[0][1:]
+    rng = np.random.default_rng(3)
+    n = RATE * SECONDS
+    force = c.T @ [0.0, 0.0, GRAVITY] + 2000 * UG * rng.normal(size=(n, 3))
+    rate = c.T @ [0.0, rate_n, rate_u] + gyro_bias * DEG_PER_H
+    return np.hstack([np.broadcast_to(rate, (n, 3)), force]) / RATE
+
+
+def attitudes(rows: np.ndarray, start: Any = (1.0, -2.0, 3.0)) -> tuple[np.ndarray, np.ndarray]:
+    """C_b^n (n, 3, 3) and the covariance (n, 6) after every sample."""
+    nav = navigation(exp(start), np.array([0.3, -0.4]), LATITUDE)
+    _, q, covariance = runner("level")(TILT, site(WGS84, LATITUDE), nav, rows)
+    return of_quaternion(np.stack(q, axis=1)), np.stack(covariance, axis=1)
+
+
+@pytest.mark.parametrize("gyro_bias", [0.0, 1000.0])
+def test_level_is_that_of_mean_force_whatever_the_gyros(gyro_bias: float) -> None:
+    rows = noisy_record(gyro_bias)
+    c, _ = attitudes(rows)
+    for n in (1, 100, len(rows)):
+        right, front, up = rows[:n, 3:].mean(axis=0)
+        pitch = np.arcsin(front / np.linalg.norm([right, front, up]))
+        roll = -np.arctan2(right, up)
+        found = Rotation.from_matrix(c[n - 1]).as_euler("ZXY")
+        # Coning and sculling terms are of second order in the rotation of a sample.
+        np.testing.assert_allclose(found, [0.0, pitch, roll], rtol=0, atol=1e-4 * ARCMIN)
+    assert abs(pitch - PITCH * DEG) < 0.3 * ARCMIN and abs(roll - ROLL * DEG) < 0.3 * ARCMIN
+
+
+def test_sigma_is_that_of_assumed_bias_and_scatter_of_force() -> None:
+    rows = noisy_record()
+    _, covariance = attitudes(rows)
+    for n in (1, 100, len(rows)):
+        force = rows[:n, 3:] * RATE
+        scatter = force.var(axis=0).sum() / np.sum(force.mean(axis=0) ** 2)
+        level = TILT**2 + scatter * 1.0 / (n / RATE)
+        expected = [level, 0, 0, level, 0, np.pi**2 / 3]
+        np.testing.assert_allclose(covariance[n - 1], expected, rtol=1e-7)
+    noise = np.sqrt(3) * 2000 * UG / GRAVITY / np.sqrt(SECONDS)
+    assert np.sqrt(level - TILT**2) == pytest.approx(noise, rel=0.05)
+
+
+def test_force_along_any_axis_gives_finite_level() -> None:
+    rows = np.zeros((1, 6))
+    for axis, (pitch, roll) in {3: (0.0, -90.0), 4: (90.0, 0.0), 5: (0.0, 0.0)}.items():
+        upright = rows.copy()
+        upright[0, axis] = GRAVITY / RATE
+        c, covariance = attitudes(upright)
+        expected = Rotation.from_euler("ZXY", [0.0, pitch, roll], degrees=True).as_matrix()
+        np.testing.assert_allclose(c[0], expected, atol=1e-12)
+        assert np.isfinite(covariance).all()
+
+
+def test_tilt_is_misalignment_whatever_the_heading() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        true = Rotation.random(rng=rng)
+        phi = np.array([*rng.normal(scale=0.3, size=2), 0.0])
+        heading = Rotation.from_euler("Z", rng.uniform(-180, 180), degrees=True)
+        hat = heading * Rotation.from_rotvec(-phi) * true
+        found = rotations.tilt(*(Quat(*np.roll(c.as_quat(), 1)) for c in (true, hat)))
+        np.testing.assert_allclose(found, phi, rtol=0, atol=1e-12)
+
+
+NULL = (
+    *("yaw_deg", "heading_deg", "phi_u_arcmin", "sigma_u_arcmin", "yaw_mean_deg", "yaw_std_deg"),
+    *("phi_u_mean_arcmin", "phi_u_std_arcmin", "nees", "nis_u", "floor_arcmin", "settle_10_s"),
+    *(
+        "settle_10_truth_s",
+        "phi_u_at_3_arcmin",
+        "sigma_u_at_3_arcmin",
+        "nees_at_3",
+        "p_above_error_share",
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def results() -> Any:
+    """Two methods from two headings, on biases of 1000 deg/h."""
+    study = small_study(
+        study={"curves": True, "report_times_s": [3.0]},
+        motion={**STILL, "pitch_center_deg": PITCH, "roll_center_deg": ROLL},
+        sensors={"gyro_bias_deg_per_h": 1000.0},
+        axes={"method": ["inertial", "level"], "phi_u0_deg": [0.0, 90.0]},
+    )
+    with pytest.warns(sinsjax.StudyWarning):
+        return sinsjax.run(study)
+
+
+def rows_of_method(table: pa.Table, results: Any, name: str) -> pa.Table:
+    runs = results.summary.filter(pa.compute.field("method") == name)["run_id"]
+    return table.filter(pa.compute.is_in(table["run_id"], runs.combine_chunks()))
+
+
+def test_results_have_no_heading(results: Any) -> None:
+    summary = rows_of_method(results.summary, results, "level")
+    curves = rows_of_method(results.curves, results, "level")
+    assert {summary[name].null_count for name in NULL} == {summary.num_rows} == {6}
+    for table in (summary, curves):
+        for name in NULL[:4]:
+            assert table[name].null_count == table.num_rows, name
+        for name in ("pitch_deg", "roll_deg", "phi_e_arcmin", "phi_n_arcmin", "sigma_e_arcmin"):
+            assert table[name].null_count == 0, name
+    assert {*summary["status"].to_pylist()} == {"no_north"}
+    assert {*summary["ok_truth"].to_pylist()} == {False}
+    assert {*summary["has_floor"].to_pylist()} == {False}
+    other = rows_of_method(results.summary, results, "inertial")
+    assert {other[name].null_count for name in NULL[:3]} == {0}
+
+
+def test_results_have_level_within_sigma(results: Any) -> None:
+    summary = rows_of_method(results.summary, results, "level")
+    errors = np.stack([summary[f"phi_{axis}_arcmin"].to_numpy() for axis in "en"])
+    assert np.abs(errors).max() < 3  # 500 ug are 1.7'
+    assert np.all(summary["sigma_e_arcmin"].to_numpy() > 5000 * UG / GRAVITY / ARCMIN * 0.99)
+    np.testing.assert_allclose(summary["pitch_deg"].to_numpy(), PITCH, atol=0.05)
+    np.testing.assert_allclose(summary["roll_deg"].to_numpy(), ROLL, atol=0.05)
+    phi = np.hypot(*errors) * ARCMIN
+    pitch, roll = (summary[f"{angle}_deg"].to_numpy() for angle in ("pitch", "roll"))
+    up = Rotation.from_euler("XY", np.stack([pitch, roll], 1), degrees=True).as_matrix()[:, 2]
+    true_up = Rotation.from_euler("XY", [PITCH, ROLL], degrees=True).as_matrix()[2]
+    np.testing.assert_allclose(np.arccos(up @ true_up), phi, rtol=1e-6)
+
+
+def test_run_alone_has_the_bits_of_the_study(results: Any) -> None:
+    row = rows_of_method(results.summary, results, "level").to_pylist()[-1]
+    run = sinsjax.one_run(results.study, variant_id=row["variant_id"])
+    last = run(run.params, run.draw(row["draw_id"])).last
+    assert [last.phi.x / ARCMIN, last.phi.y / ARCMIN, last.sigma.x / ARCMIN] == [
+        row[name] for name in ("phi_e_arcmin", "phi_n_arcmin", "sigma_e_arcmin")
+    ]
+    assert np.isnan([last.phi.z, last.sigma.z, last.yaw]).all()
+
+
+def test_level_refuses_passes_and_judging_from_floor() -> None:
+    line = refusal_line(alignment={"method": "level"}, passes={"stored_s": 2.0})
+    assert line == (
+        "[passes] stored_s: does not apply to method level, which reads a record once (drop it)"
+    )
+    study = small_study(study={"judged_from": "floor"}, alignment={"method": "level"})
+    with pytest.raises(sinsjax.InputError, match="method 'level' has no bias floor"):
+        sinsjax.run(study)
+
+
+def test_only_level_finds_no_heading() -> None:
+    """By name, so that reports are thought of."""
+    assert {name for name, method in METHODS.items() if not method.finds_heading} == {"level"}

@@ -1,0 +1,70 @@
+"""Reports on methods that find no heading, alone and next to others."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pytest
+from support.studies import STILL, small_study
+
+from sinsjax.execution import run
+from sinsjax.execution.results import read_summary
+from sinsjax.execution.source import Source
+from sinsjax.execution.tables import replace_column
+from sinsjax.report import level, monte_carlo
+from sinsjax.report.base import Picture, Table
+
+pytestmark = pytest.mark.optimised(False)
+
+
+def run_methods(out: Path, methods: list[str], **tables: Any) -> Source:
+    study = small_study(
+        study={"curves": True, "report_times_s": [3.0]},
+        motion=STILL,
+        axes={"method": methods},
+        **tables,
+    )
+    run.run_into(study, out)
+    return Source.read(out)
+
+
+def test_study_of_level_alone_reports_pitch_and_roll(tmp_path: Path) -> None:
+    source = run_methods(tmp_path / "out", ["level"])
+    report = monte_carlo.build_report(source)
+    facts = {fact.label: fact.text for fact in report.verdict.facts}
+    assert facts["Attitude"].startswith("pitch ") and "(1 sigma 17." in facts["Attitude"]
+    assert facts["Attitude"].endswith("(last draw)")
+    assert facts["Heading"] == "none: level finds pitch and roll alone"
+    assert facts["Accuracy"].endswith("' rms from the truth per angle")
+    table = report.verdict.table
+    assert table is not None and len(table.rows) == 3
+    assert "unknown" not in str(table.rows)
+    (picture,) = (b for part in report.sections for b in part.blocks if isinstance(b, Picture))
+    assert [axes.get_ylabel() for axes in picture.figure.axes[::2]] == [
+        "level error, east\n(arcmin)",
+        "level error, north\n(arcmin)",
+    ]
+
+
+def test_level_next_to_a_filter_never_settles(tmp_path: Path) -> None:
+    source = run_methods(tmp_path / "out", ["kalman5", "level"])
+    report = monte_carlo.build_report(source)
+    facts = {fact.label: fact.text for fact in report.verdict.facts}
+    assert "kalman5" in facts["Best"] and facts["Others"] == "level: never"
+    blocks = [block for part in report.sections for block in part.blocks]
+    tables = [block for block in blocks if isinstance(block, Table)]
+    (every,) = (table for table in tables if table.title == "Every variant")
+    row = next(row for row in every.rows if row[0] == "level")
+    assert row[2].startswith("0") and {"no bias floor", "never", "unknown"} <= {*row}
+    # The filter without bias states is explained, whatever `level` assumes.
+    assert any("A NEES of 3 cannot be expected here" in str(block) for block in blocks)
+
+
+def test_run_that_is_not_finite_has_no_level(tmp_path: Path) -> None:
+    source = run_methods(tmp_path / "out", ["level"])
+    table = read_summary(tmp_path / "out")
+    for name in ("pitch_deg", "roll_deg"):
+        table = replace_column(table, name, pa.nulls(table.num_rows))
+    (fact, *_) = level.level_verdict(replace(source, table=table)).facts
+    assert fact.is_caution and fact.text == "unknown, the run is not finite"

@@ -1,0 +1,608 @@
+"""Logs as people write them, with their dirt: each becomes a study, or a line that says why not.
+
+All are of one body at rest: heading 35, pitch 1 and roll -2 deg at 48 deg of latitude.
+"""
+
+import bz2
+import gzip
+import io
+import lzma
+import re
+import tomllib
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.commands import Command, command_line
+from support.studies import STILL, small_study
+
+import sinsjax as package
+from sinsjax.errors import InputError
+from sinsjax.records.layout import NAMED_AXES, from_body_axes
+from sinsjax.study.from_record import make_study_text
+
+pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
+
+RATE = 25.0
+DEG = np.pi / 180
+G = 9.80665
+TIME = np.arange(1, 751) / RATE
+XYZ = tuple("xyz")
+NAMES = ("time_s", *(f"gyro_{a}" for a in XYZ), *(f"accel_{a}" for a in XYZ))
+TRUTH = (35.0, 1.0, -2.0)
+
+
+@pytest.fixture
+def sinsjax(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Command:
+    monkeypatch.chdir(tmp_path)
+    return command_line(monkeypatch, capsys)
+
+
+@pytest.fixture(scope="module")
+def body() -> tuple[np.ndarray, np.ndarray]:
+    """Rates (rad/s) and specific forces (m/s^2) of 30 s, right-front-up, good gyros."""
+    study = small_study(
+        study={"duration_s": 30.0, "rate_hz": RATE, "window_s": [15, 30]},
+        earth={"earth": "wgs84", "latitude_deg": 48.0},
+        motion=STILL | {"yaw_center_deg": -35.0, "pitch_center_deg": 1.0, "roll_center_deg": -2.0},
+        sensors={
+            "gyro_bias_deg_per_h": 0.01,
+            "gyro_noise_deg_per_h": 0.05,
+            "accel_bias_ug": 20.0,
+            "accel_noise_ug": 20.0,
+        },
+    )
+    record = package.simulated_record(study)
+    return record.dtheta * RATE, record.dv * RATE
+
+
+def mems(body: tuple[np.ndarray, np.ndarray], bias_deg_per_s: float) -> np.ndarray:
+    """Rates of the same body by gyros that cannot find north, rad/s."""
+    rng = np.random.default_rng(3)
+    bias = bias_deg_per_s * DEG * np.array([0.78, -0.52, 0.35])
+    return body[0] + bias + 0.02 * DEG * rng.normal(size=body[0].shape)
+
+
+def in_axes(body: tuple[np.ndarray, np.ndarray], axes: str) -> tuple[np.ndarray, np.ndarray]:
+    order = NAMED_AXES[axes]
+    return from_body_axes(body[0], order), from_body_axes(body[1], order)
+
+
+def write(
+    path: Path,
+    columns: Sequence[np.ndarray],
+    names: Sequence[str] = NAMES,
+    *,
+    mark: str = ",",
+    before: str = "",
+) -> Path:
+    table = np.column_stack(columns)
+    lines = [mark.join(f"{value:.15g}" for value in row) for row in table.tolist()]
+    header = [mark.join(names)] if names else []
+    path.write_text(before + "\n".join([*header, *lines]) + "\n")
+    return path
+
+
+def read_study(path: Path, **answers: Any) -> tuple[dict[str, Any], dict[str, str], list[str]]:
+    """Return the study of a log, its open questions with their evidence, and its doubts."""
+    given = {place.replace("__", "."): value for place, value in answers.items()}
+    text = make_study_text(path, Path("its.toml"), given)
+    found = re.findall(r"^# (DOUBT|QUESTION): (.*(?:\n#   .*)*)\n(\w*)", text, re.MULTILINE)
+    said = [(kind, " ".join(words.replace("\n#  ", "").split()), key) for kind, words, key in found]
+    questions = {key: words for kind, words, key in said if kind == "QUESTION"}
+    return tomllib.loads(text), questions, [words for kind, words, _ in said if kind == "DOUBT"]
+
+
+def align(path: Path, tmp_path: Path, **overrides: Any) -> dict[str, Any]:
+    """Return the row of the study that is written for a log."""
+    config = tmp_path / "its.toml"
+    config.write_text(make_study_text(path, config))
+    changes = {place.replace("__", "."): value for place, value in overrides.items()}
+    (row,) = package.align(path, config, overrides=changes, curves=False).summary.to_pylist()
+    return row
+
+
+def assert_truth(row: dict[str, Any], *, heading_deg: float = 1.5, level_deg: float = 0.01) -> None:
+    assert (row["heading_deg"] - TRUTH[0] + 180) % 360 - 180 == pytest.approx(0, abs=heading_deg)
+    assert (row["pitch_deg"], row["roll_deg"]) == pytest.approx(TRUTH[1:], abs=level_deg)
+
+
+# --- clean logs
+
+MILLI = 1e-3
+CLEAN = {
+    "VectorNav": ("frd", "Time [s]", 1, "AngularRate_@ [rad/s]", 1, "Accel_@ [m/s^2]", 1),
+    "ArduPilot": ("frd", "TimeUS", 1e6, "Gyr@", 1, "Acc@", 1),
+    "Bosch": ("flu", "t[ms]", 1e3, "gyro_@[mdeg/s]", MILLI * DEG, "acc_@[mg]", MILLI * G),
+    "EuRoC": ("flu", "timestamp [ns]", 1e9, "w_RS_S_@ [rad s^-1]", 1, "a_RS_S_@ [m s^-2]", 1),
+    "m/sec2": ("flu", "Time", 1, "Gyro@[deg/s]", DEG, "Acc@[m/sec2]", 1),
+    "MicroStrain": ("frd", "GPS TOW", 1, "@ Gyro [x8005]", 1, "@ Accel [x8004]", G),
+    "Xsens": ("flu", "SampleTimeFine", 1e4, "Gyr_@", 1, "Acc_@", 1),
+    "ROS": ("flu", "header.stamp", 1e9, "angular_velocity.@", 1, "linear_acceleration.@", 1),
+    "deg/h and ug": ("flu", "t", 1e3, "w@ [deg/h]", DEG / 3600, "f@ [ug]", 1e-6 * G),
+    "increments": ("flu", "time_s", 1, "dtheta_@ [deg]", DEG * RATE, "dv_@ [m/s]", RATE),
+    "rates beside increments": ("flu", "time_s", 1, "gyro_@", 1, "dv_@", RATE),
+    "no units": ("flu", "time", 1e6, "g@", 1, "a@", 1),
+}
+"""Axes, and the name and unit of time, gyros and accelerometers."""
+
+
+def clean_logs(body: tuple[np.ndarray, np.ndarray], folder: Path) -> dict[str, Path]:
+    """Write logs in the usual names and units, of which none needs a question."""
+    logs: dict[str, tuple[list[np.ndarray], Sequence[str]]] = {}
+    for name, (axes, time, to_time, gyro, rad_per_s, accel, m_per_s2) in CLEAN.items():
+        g, a = in_axes(body, axes)
+        names = [pattern.replace("@", axis) for pattern in (gyro, accel) for axis in "xyz"]
+        logs[name] = [TIME * to_time, g / rad_per_s, a / m_per_s2], [time, *names]
+    (gyro, accel), (frd, _), (flu, flu_accel) = body, in_axes(body, "frd"), in_axes(body, "flu")
+    turns = [f"{turn}Rate (deg/s)" for turn in ("Roll", "Pitch", "Yaw")]
+    ways = [f"acc_{way}" for way in ("right", "front", "up")]
+    logs["roll rate"] = [TIME, gyro[:, [1, 0, 2]] / DEG, accel], ["time", *turns, *ways]
+    frd_names = [f"gyro_{way}" for way in ("front", "right", "down")]
+    logs["two orders"] = [TIME, frd, accel], ["time", *frd_names, *ways]
+    logs["1 Hz"] = [np.arange(30) + 1.0, flu[::25], flu_accel[::25]], NAMES
+    paths = {name: write(folder / f"{k}.csv", *log) for k, (name, log) in enumerate(logs.items())}
+    plain = [TIME, flu, flu_accel]
+    paths["commented"] = write(folder / "commented.csv", plain, (f"%{NAMES[0]}", *NAMES[1:]))
+    paths["blanks"] = write(folder / "blanks.txt", plain, mark="   ")
+    paths["slashes"] = write(folder / "tabs.txt", plain, mark="\t", before="// sensor: 3, ENU\n")
+    paths["preamble"] = write(folder / "preamble.csv", plain, before="INFO\nMark=comma\n\nDATA\n")
+    paths["units below"] = write(folder / "units.csv", [TIME, flu / DEG, flu_accel / G])
+    first, *rows = paths["units below"].read_text().splitlines()
+    paths["units below"].write_text("\n".join([first, "s,deg/s,deg/s,deg/s,g,g,g", *rows, ""]))
+    return paths
+
+
+def test_clean_logs_give_attitude_without_question_or_doubt(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    logs = clean_logs(body, tmp_path)
+    assert len(logs) == 20
+    said = {name: read_study(path)[1:] for name, path in logs.items()}
+    assert said == dict.fromkeys(logs, ({}, []))
+    rows = {name: align(path, tmp_path) for name, path in logs.items()}
+    for name, row in rows.items():
+        assert_truth(row, heading_deg=3.0 if name == "1 Hz" else 1.5)
+
+
+# --- units
+
+
+@pytest.mark.parametrize("unit", [1.0, DEG])
+@pytest.mark.parametrize("accel_unit", [1.0, G])
+def test_unit_of_mems_gyros_without_name_is_a_question(
+    unit: float, accel_unit: float, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    for bias_deg_per_s in 0.31 * np.geomspace(0.1, 10, 6):
+        gyro = mems(body, bias_deg_per_s)
+        path = write(tmp_path / "log.csv", [TIME, gyro / unit, body[1] / accel_unit])
+        study, questions, doubts = read_study(path)
+        assert study["record"]["gyro_unit"] == "?"
+        assert [*questions] == ["gyro_unit"]
+        for name in ("rad_per_s", "deg_per_s", "deg_per_h"):
+            assert re.search(rf'"{name}": mean rate \S+ deg/h, \S+ times', questions["gyro_unit"])
+        assert study["earth"]["latitude_deg"] == 45.0
+        assert doubts == [
+            "the unit of the gyros is open, so the latitude is unknown: put the true one here"
+        ]
+
+
+def test_open_question_is_refused_with_its_evidence_until_answered(
+    body: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
+) -> None:
+    write(tmp_path / "log.csv", [TIME, mems(body, 0.31), body[1]])
+    code, told, error = sinsjax("init", "record", "--from", "log.csv")
+    assert (code, error) == (0, "")
+    assert "1 open question: gyro_unit. Answer in log.toml, or by --set; then\n" in told
+    for command in (("validate", "log.toml"), ("align", "log.csv", "log.toml", "-o", "out")):
+        code, _, error = sinsjax(*command)
+        assert code == 2 and error.count("\n") == 1
+        assert error.startswith(
+            "error: log.toml: [record] gyro_unit: an open question: neither names"
+        )
+        assert "goes with the unit of the accelerometers" in error
+        assert error.endswith(" (answer it there, or by --set record.gyro_unit=VALUE)\n")
+    answer = ("--set", "record.gyro_unit=rad_per_s")
+    code, told, error = sinsjax("align", "log.csv", "log.toml", "-o", "out", *answer)
+    assert code == 0 and "hides Earth rate" in error
+    assert sinsjax("init", "record", "--from", "log.csv", "-o", "two.toml", *answer)[0] == 0
+    study = tomllib.loads(Path("two.toml").read_text())
+    assert study["record"]["gyro_unit"] == "rad_per_s"
+    assert study["alignment"] == {"method": "level"}
+
+
+def test_sways_settle_unit_of_gyros_that_cannot_find_north(tmp_path: Path) -> None:
+    study = small_study(
+        study={"duration_s": 40.0, "rate_hz": RATE, "window_s": [15, 30]},
+        motion={"pitch_amplitude_deg": 2.0, "roll_amplitude_deg": 2.0},
+        sensors={"gyro_bias_deg_per_h": 2000.0},
+    )
+    record = package.simulated_record(study)
+    for factor, unit in ((1.0, "rad_per_s"), (DEG, "deg_per_s")):
+        gyro, time = record.dtheta * RATE / factor, np.arange(1, 1001) / RATE
+        path = write(tmp_path / "log.csv", [time, gyro, record.dv * RATE])
+        assert read_study(path)[0]["record"]["gyro_unit"] == unit
+
+
+def test_counts_are_questions_about_their_scale(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    counts = [np.round(body[0] / DEG * 131 * 1e3), np.round(body[1] / G * 16384)]
+    path = write(tmp_path / "log.csv", [TIME, *counts])
+    study, questions, _ = read_study(path)
+    assert [*questions] == ["gyro_scale", "accel_scale"]
+    assert study["record"]["gyro_scale"] == study["record"]["accel_scale"] == "?"
+    assert "As rates, 6.1" in questions["accel_scale"] and "131" in questions["gyro_scale"]
+    row = align(
+        path,
+        tmp_path,
+        record__gyro_scale=1 / 131e3,
+        record__accel_scale=1 / 16384,
+        record__gyro_unit="deg_per_s",
+        record__axes_order="rfu",
+        earth__latitude_deg=48.0,
+    )
+    assert_truth(row, level_deg=0.05)
+
+
+NOVATEL = "%RAWIMUSXA,2000,{t:.3f};00,26,2000,{t:.9f},00801503,{az},{ay},{ax},{gz},{gy},{gx}*0f\n"
+
+
+def test_novatel_counts_are_read_in_axes_of_their_names(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    """Accelerometers first, in the order z, -y, x."""
+    gyro, accel = np.round(body[0] / RATE / 1e-10), np.round(body[1] / RATE / 2e-8)
+    fields = [
+        NOVATEL.format(
+            t=3e5 + t, az=f"{a[2]:.0f}", ay=f"{-a[1]:.0f}", ax=f"{a[0]:.0f}",
+            gz=f"{g[2]:.0f}", gy=f"{-g[1]:.0f}", gx=f"{g[0]:.0f}",
+        )
+        for t, g, a in zip(TIME, gyro, accel, strict=True)
+    ]  # fmt: skip
+    path = tmp_path / "raw.txt"
+    path.write_text("".join(fields))
+    _, questions, _ = read_study(path)
+    assert [*questions] == ["gyro_scale", "accel_scale"]
+    count = re.search(r"As increments, (\S+) m/s per sample a count", questions["accel_scale"])
+    assert count and float(count[1]) == pytest.approx(2e-8, rel=1e-3)
+    scales = {"record__gyro_scale": 1e-10, "record__accel_scale": 2e-8}
+    row = align(path, tmp_path, **scales, record__axes_order="rfu", earth__latitude_deg=48.0)
+    assert_truth(row)
+
+
+# --- columns and axes
+
+
+def test_accelerometers_with_gravity_are_chosen_among_several(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    gyro, accel = in_axes(body, "flu")
+    names = [
+        f"{sensor}_{axis}" for sensor in ("Accelerometer", "Gyroscope", "Total") for axis in XYZ
+    ]
+    names = ["seconds_elapsed", *(n.replace("Total", "TotalAcceleration") for n in names)]
+    path = write(tmp_path / "log.csv", [TIME, accel - accel.mean(axis=0), gyro, accel], names)
+    assert read_study(path)[1:] == ({}, [])
+    assert_truth(align(path, tmp_path))
+    path = write(tmp_path / "log.csv", [TIME, gyro, accel - accel.mean(axis=0)])
+    study, questions, _ = read_study(path)
+    assert study["record"]["accel_columns"] == "?"
+    assert "has gravity been removed?" in questions["accel_columns"]
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        (tuple("abcdefg"), "no names of gyros among the columns. Their means: a 15.02, b "),
+        (("t", "roll_rate", "pitch_rate", "spare", *NAMES[4:]), "no column of the gyros named yaw"),
+        (("t", "gyro_F", "gyro_R", "spare", *NAMES[4:]), "of the gyros named up or down"),
+        ((), "no names of gyros among the columns. Their means: column_1 15.02, column_2"),
+    ],
+)
+def test_unknown_columns_are_a_question_and_can_be_named(
+    names: Sequence[str],
+    says: str,
+    body: tuple[np.ndarray, np.ndarray],
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")], names)
+    study, questions, _ = read_study(path)
+    assert study["record"]["gyro_columns"] == study["record"]["gyro_unit"] == "?"
+    assert says in questions["gyro_columns"]
+    used = list(names) or [f"column_{k}" for k in range(1, 8)]
+    answers = {"record__gyro_columns": used[1:4], "record__accel_columns": used[4:]}
+    study, questions, _ = read_study(path, **answers)
+    assert not questions and study["record"]["gyro_unit"] == "rad_per_s"
+    assert study["record"]["gyro_columns"] == used[1:4]
+
+
+def test_file_without_names_takes_those_of_the_study(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    before = "a,b\n3,4,5,6,7,8,9\n"
+    path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")], (), before=before)
+    shape = {"record__columns": list(NAMES), "record__skip_rows": 2}
+    study, questions, doubts = read_study(path, **shape)
+    assert (questions, doubts) == ({}, [])
+    assert (study["record"]["columns"], study["record"]["skip_rows"]) == ([*NAMES], 2)
+    config = tmp_path / "its.toml"
+    answers = {place.replace("__", "."): value for place, value in shape.items()}
+    config.write_text(make_study_text(path, config, answers))
+    (row,) = package.align(path, config).summary.to_pylist()
+    assert_truth(row)
+
+
+def test_names_that_contradict_gravity_are_a_question(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    names = ("t", *(f"frd_{n}" for n in NAMES[1:]))
+    study, questions, doubts = read_study(write(tmp_path / "log.csv", [TIME, *body], names))
+    assert study["record"]["axes_order"] == "?" and not doubts
+    assert questions["axes_order"] == (
+        "the names state 'frd', but z reads +1.00 g: a sign or an axis is wrong"
+    )
+
+
+def test_mounting_gives_attitude_of_the_vehicle(
+    body: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
+) -> None:
+    """A box that is turned by yaw 90 deg in the vehicle: its front points left."""
+    turned = [v @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) for v in body]
+    path = write(tmp_path / "log.csv", [TIME, *turned], [f"rfu_{n}" for n in NAMES])
+    row = align(path, tmp_path, record__mounting_deg=(0.0, 0.0, 90.0))
+    assert_truth(row)
+    set_mounting = ("--set", "record.mounting_deg=[0, 0, 90]")
+    code, told, _ = sinsjax("align", "log.csv", "its.toml", "-o", "out", *set_mounting)
+    assert code == 0 and re.search(r"heading 3[456]\.\d+ deg of the vehicle, ", told)
+    code, told, _ = sinsjax("align", "log.csv", "its.toml", "-o", "box")
+    assert code == 0 and re.search(r"heading 30[456]\.\d+ deg of \+y, ", told)
+
+
+# --- clocks
+
+
+def test_clocks_of_all_kinds_give_the_rate(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    seconds = np.floor(TIME) + 1.6e9
+    nanoseconds = np.round((TIME - np.floor(TIME)) * 1e9)
+    bursts = 1.6e9 + np.ceil(TIME / 0.2) * 0.2 + np.arange(len(TIME)) % 5 * 1e-4
+    stamps: dict[str, tuple[list[np.ndarray], list[str]]] = {
+        "joined": ([seconds, nanoseconds], ["stamp.secs", "stamp.nsecs"]),
+        "joined, of another name": ([seconds, nanoseconds / 1e3], ["tv_sec", "tv_usec"]),
+        "best of two": ([bursts * 1e9, (1.6e9 + TIME) * 1e9], ["time", "header.stamp"]),
+    }
+    for name, (columns, names) in stamps.items():
+        path = write(tmp_path / "log.csv", [*columns, *in_axes(body, "flu")], [*names, *NAMES[1:]])
+        study, questions, doubts = read_study(path)
+        assert (study["study"]["rate_hz"], questions, doubts) == (RATE, {}, []), name
+        assert study["record"].get("time_fraction_column") == (
+            names[1] if "joined" in name else None
+        )
+        assert_truth(align(path, tmp_path))
+    assert study["record"]["time_column"] == "header.stamp"
+
+
+def test_times_of_day_may_pass_midnight(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    clock = np.datetime64("2020-01-01T23:59:50", "ms") + (TIME * 1e3).astype("timedelta64[ms]")
+    path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")], ("UTC time", *NAMES[1:]))
+    header, *rows = path.read_text().splitlines()
+    rows = [f"{str(t)[11:]},{row.partition(',')[2]}" for t, row in zip(clock, rows, strict=True)]
+    path.write_text("\n".join([header, *rows, ""]))
+    study, questions, doubts = read_study(path)
+    assert (study["record"]["time_unit"], questions, doubts) == ("iso", {}, [])
+    assert_truth(align(path, tmp_path))
+
+
+@pytest.mark.parametrize("kind", ["bursts", "every second stamp late"])
+def test_stamps_that_cannot_be_read_give_mean_rate_with_doubt(
+    kind: str, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    late = 0.64 / RATE * (np.arange(len(TIME)) % 2)
+    if kind == "bursts":
+        late = np.ceil(TIME / 0.2) * 0.2 + np.arange(len(TIME)) % 5 * 1e-4 - TIME
+    path = write(tmp_path / "log.csv", [1.6e9 + TIME + late, *in_axes(body, "flu")])
+    study, questions, (doubt,) = read_study(path)
+    assert study["study"]["rate_hz"] == RATE and not questions
+    assert "too uneven to be read one by one" in doubt and "time_column" not in study["record"]
+    assert_truth(align(path, tmp_path))
+
+
+def test_stamps_with_missing_samples_among_bad_ones_leave_rate_open(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    late = np.ceil(TIME / 0.2) * 0.2 + np.arange(len(TIME)) % 5 * 1e-4 - TIME
+    table = np.column_stack([1.6e9 + TIME + late, *in_axes(body, "flu")])
+    path = write(tmp_path / "log.csv", [np.delete(table, slice(600, 700), axis=0)])
+    study, questions, _ = read_study(path)
+    assert study["study"]["rate_hz"] == "?"
+    assert "the mean step would give 21.7782 Hz" in questions["rate_hz"]
+
+
+@pytest.mark.parametrize("repeated", [[300], list(range(10, 700, 20))])
+def test_repeated_rows_are_left_out_and_counted(
+    repeated: list[int], body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    table = np.column_stack([TIME, *in_axes(body, "flu")])
+    path = write(tmp_path / "log.csv", [np.insert(table, repeated, table[repeated], axis=0)])
+    study, questions, (doubt,) = read_study(path)
+    assert study["study"]["rate_hz"] == RATE and not questions
+    first = repeated[0] + 3
+    assert doubt == (
+        f"row {first} repeats the one before it and is left out"
+        if len(repeated) == 1
+        else f"35 rows that repeat the one before them are left out, row {first} and others"
+    )
+    assert_truth(align(path, tmp_path))
+
+
+# --- containers and damage
+
+
+def pack(path: Path, kind: str) -> Path:
+    data, packed = path.read_bytes(), path.with_name(f"log.{kind}")
+    if kind == "zip":
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w") as archive:
+            archive.writestr("folder/log.csv", data)
+        packed.write_bytes(buffer.getvalue())
+    else:
+        compress = {"gz": gzip.compress, "bz2": bz2.compress, "xz": lzma.compress}
+        encode = {"utf16": lambda b: b.decode().encode("utf-16")} | compress
+        packed.write_bytes(encode[kind](data))
+    return packed
+
+
+@pytest.mark.parametrize("kind", ["gz", "bz2", "xz", "zip", "utf16"])
+def test_packed_and_utf16_logs_are_read(
+    kind: str, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    path = pack(write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")]), kind)
+    assert read_study(path)[1:] == ({}, [])
+    assert_truth(align(path, tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"MATLAB 5.0 MAT-file, Platform", "a MATLAB file: in Python table = scipy.io.loadmat("),
+        (b"\x93NUMPY\x01\x00", "a NumPy file: in Python table = numpy.load('log.npy'); numpy.sav"),
+        (b"#ROSBAG V2.0\n", "a ROS bag: export it by `rostopic echo"),
+        (b"PK\x03\x04", "a damaged or incomplete archive"),
+        (gzip.compress(b"t,gx,gy\n" * 999)[:40], "a damaged or incomplete archive"),
+    ],
+)
+def test_other_formats_are_named_with_their_conversion(
+    content: bytes, says: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "log.bin"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        make_study_text(path, Path("x.toml"))
+    assert str(caught.value).startswith(f"{path}: {says}") and "\n" not in str(caught.value)
+
+
+def test_archive_of_several_files_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "log.zip", "w") as archive:
+        archive.writestr("a.csv", "1")
+        archive.writestr("b.csv", "2")
+    with pytest.raises(InputError, match=r"an archive of 2 files \(unpack it, and give the log\)"):
+        make_study_text(tmp_path / "log.zip", Path("x.toml"))
+
+
+def test_digits_of_other_scripts_are_no_numbers(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")])
+    lines = path.read_text().splitlines()
+    lines[400] = lines[400][:-1] + "\uff15"
+    path.write_text("\n".join([*lines, ""]))
+    with pytest.raises(InputError, match=r"row 401: column 'accel_z': '9\.\S+' is not a number"):
+        make_study_text(path, Path("x.toml"))
+
+
+@pytest.mark.parametrize("cut", [8, 12, 60])
+def test_row_that_is_cut_off_is_left_out(
+    cut: int, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "log.csv", [TIME, *(np.round(v, 9) for v in in_axes(body, "flu"))])
+    path.write_bytes(path.read_bytes()[:-cut])
+    _, questions, doubts = read_study(path)
+    assert (questions, doubts) == ({}, ["row 751, the last one, is cut off and left out"])
+    record = package.load_increments(make_study(path, tmp_path), path).record
+    assert len(record.dv) == len(TIME) - 1
+
+
+def make_study(path: Path, tmp_path: Path) -> Path:
+    config = tmp_path / "its.toml"
+    config.write_text(make_study_text(path, config))
+    return config
+
+
+def test_decimal_commas_and_delimiters_at_line_ends_are_read(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")], mark=";")
+    header, *rows = path.read_text().splitlines()
+    for text in (
+        "\n".join([header, *(row.replace(".", ",") for row in rows), ""]),
+        "\r\n".join([header, *(f"{row};" for row in rows), ""]),
+        "\n".join([f"{header};", *(f"{row.replace('.', ',')};" for row in rows), ""]),
+    ):
+        path.write_text(text, newline="")
+        assert read_study(path)[1:] == ({}, [])
+        assert_truth(align(path, tmp_path))
+
+
+def test_interleaved_rows_of_two_sensors_are_refused(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    gyro, accel = in_axes(body, "frd")
+    both = np.column_stack([TIME * 1e6, np.zeros(len(TIME)), gyro, accel]).repeat(2, axis=0)
+    both[1::2, 1], both[1::2, 2:] = 1, both[1::2, 2:] + 1e-3
+    names = ["TimeUS", "I", *(f"Gyr{a}" for a in "XYZ"), *(f"Acc{a}" for a in "XYZ")]
+    path = write(tmp_path / "log.csv", [both], names)
+    with pytest.raises(InputError, match=r"column 'I' is 0, 1: rows of several sensors \(keep"):
+        make_study_text(path, Path("x.toml"))
+
+
+def test_gyros_that_turn_opposite_to_the_vertical_are_a_question(tmp_path: Path) -> None:
+    study = small_study(study={"duration_s": 40.0, "rate_hz": RATE, "window_s": [15, 30]})
+    record = package.simulated_record(study)
+    time = np.arange(1, len(record.dv) + 1) / RATE
+    path = write(tmp_path / "log.csv", [time, -record.dtheta * RATE, record.dv * RATE])
+    study, questions, _ = read_study(path)
+    assert [*questions] == ["gyro_scale"] and "turns opposite" in questions["gyro_scale"]
+    assert study["record"]["gyro_unit"] == "rad_per_s"
+
+
+# --- gyros that cannot find north
+
+
+@pytest.mark.parametrize("trust", [False, True])
+def test_hidden_north_leaves_level_with_honest_sigma(
+    trust: bool, body: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
+) -> None:
+    names = [f"rfu_{NAMES[0]}", *(f"rfu_{n} (rad/s)" for n in NAMES[1:4]), *NAMES[4:]]
+    write(tmp_path / "log.csv", [TIME, mems(body, 0.31), body[1]], names)
+    assert sinsjax("init", "record", "--from", "log.csv")[0] == 0
+    study = tomllib.loads(Path("log.toml").read_text())
+    assert study["alignment"] == {"method": "level"}
+    changes = [
+        *("--set", "alignment.method=kalman5", "--set", f"record.trust={str(trust).lower()}"),
+        *("--set", "filter.q_reading=psd", "--set", "filter.q_gyro_arw_deg_per_sqrt_h=0.3"),
+        *("--set", "filter.q_accel_ug_per_sqrt_hz=100"),
+    ]
+    code, told, error = sinsjax("align", "log.csv", "log.toml", "-o", "out", *changes)
+    assert code == 0 and error.count("Warning") == 1
+    assert (
+        "hides Earth rate: no heading can be found; pitch and roll are those of the mean" in error
+    )
+    assert "(method level, not kalman5)" in error and "heading" not in told.lower().split("none")[0]
+    (row,) = package.read_summary("out").to_pylist()
+    assert row["heading_deg"] is None and row["sigma_u_arcmin"] is None
+    assert row["sigma_e_arcmin"] == pytest.approx(17.2, abs=0.2)  # of 5,000 ug
+    sigma_deg = row["sigma_e_arcmin"] / 60
+    assert (row["pitch_deg"], row["roll_deg"]) == pytest.approx(TRUTH[1:], abs=sigma_deg)
+
+
+def test_base_turned_by_hand_is_reported(tmp_path: Path) -> None:
+    study = small_study(
+        study={"duration_s": 60.0, "rate_hz": RATE, "window_s": [15, 30]},
+        motion={f"{angle}_amplitude_deg": 40.0 for angle in ("pitch", "roll", "yaw")},
+        sensors={"gyro_bias_deg_per_h": 600.0},
+    )
+    record = package.simulated_record(study)
+    names = [f"rfu_{NAMES[0]}", *(f"rfu_{n} (rad/s)" for n in NAMES[1:4]), *NAMES[4:]]
+    columns = [np.arange(1, 1501) / RATE, record.dtheta * RATE, record.dv * RATE]
+    _, _, doubts = read_study(write(tmp_path / "log.csv", columns, names))
+    text = r"the base turned by \S+ deg; whether these gyros find north cannot be determined"
+    assert any(re.match(text, doubt) for doubt in doubts)
