@@ -90,24 +90,21 @@ def propose_layout(path: Path, table: ColumnTable, answers: Mapping[str, Any]) -
             shown = shorten(", ".join(f"{number:g}" for number in numbers), 24)
             text = f"column {name!r} is {shown}: rows of several sensors (keep those of one)"
             raise InputError(f"{path}: {text}")
-    samples = [values[name] for name in used]
-    timing = find_timing(path, clocks, values, samples, table.row_number)
-    rate_hz = answers.get("rate_hz", timing.rate_hz)
+    timing = find_timing(path, clocks, values, [values[n] for n in used], table.row_number)
+    file = _File(path, table, values, answers.get("rate_hz", timing.rate_hz), answers)
     layout, notes = timing.complete(RecordLayout(table.format)), {**timing.notes}
     gyro = triads["gyro"][0] if triads["gyro"] else None
-    accel = _choose_accel(triads["accel"], values, rate_hz)
+    accel = _choose_accel(triads["accel"], file)
     means = None
     if gyro and accel:
-        accel = evidence.share_directions(gyro, accel)
-        layout, means = _find_units_and_axes(
-            path, table, gyro, accel, values, rate_hz, layout, notes, answers
-        )
-        notes["gyro_columns"] = _columns_note(triads["gyro"][1:])
+        found = _find_units_and_axes(file, gyro, evidence.share_directions(gyro, accel))
+        layout, means = layout._replace(**found.values), found.means
+        notes |= found.notes | {"gyro_columns": _columns_note(triads["gyro"][1:])}
     else:
-        for sensor, found in (("gyro", gyro), ("accel", accel)):
+        for sensor, chosen in (("gyro", gyro), ("accel", accel)):
             key = f"{sensor}_columns"
-            if found:
-                given: dict[str, Any] = {key: found.names}
+            if chosen:
+                given: dict[str, Any] = {key: chosen.names}
                 layout, notes[key] = layout._replace(**given), Note("by their names")
             else:
                 notes[key] = Note("", "", _ask_for_columns(table, sensor, triads[sensor], values))
@@ -115,6 +112,36 @@ def propose_layout(path: Path, table: ColumnTable, answers: Mapping[str, Any]) -
     known = {key: value for key, value in answers.items() if key in RecordLayout._fields}
     notes |= dict.fromkeys(known, Note("given"))
     return Proposal(layout._replace(**known), notes, means)
+
+
+class _File(NamedTuple):
+    """A file that is examined.
+
+    Attributes:
+        path: the file, for messages.
+        table: its columns, which are read.
+        values: (T,) values of the columns that may be used, by name.
+        rate_hz: sample rate, Hz.
+        answers: keys of the layout that the user has given.
+    """
+
+    path: Path
+    table: ColumnTable
+    values: Mapping[str, FloatArray]
+    rate_hz: float
+    answers: Mapping[str, Any]
+
+    def rows(self, names: Sequence[str]) -> FloatArray:
+        """Return the values of some columns, (T, columns)."""
+        return np.column_stack([self.values[name] for name in names])
+
+
+class _Found(NamedTuple):
+    """Values and notes by key of the layout, and the means in the record's axes."""
+
+    values: dict[str, Any]
+    notes: dict[str, Note]
+    means: Means
 
 
 def _find_triads(
@@ -125,8 +152,7 @@ def _find_triads(
     names = answers.get(f"{sensor}_columns")
     if names is not None:
         known = find_triads(names, sensor, table.units)
-        triad = known[0] if known else Triad(names, NO_UNIT, (1.0, 1.0, 1.0))
-        triads = [triad._replace(names=names)]
+        triads = [Triad(names, known[0].unit if known else NO_UNIT, (1.0, 1.0, 1.0))]
     else:
         triads = find_triads([n for n in table.names if n in table.numbers], sensor, table.units)
         if not triads and (by_name := find_triads(table.names, sensor)):
@@ -169,53 +195,37 @@ def _find_clocks(
     return [clock._replace(unit=unit) if unit[0] else clock for clock in clocks]
 
 
-def _choose_accel(
-    triads: Sequence[Triad], values: Mapping[str, FloatArray], rate_hz: float
-) -> Triad | None:
+def _choose_accel(triads: Sequence[Triad], file: _File) -> Triad | None:
     """Return the accelerometers with gravity in them; None if it has been removed from all."""
-
-    def accel(triad: Triad) -> FloatArray:
-        return np.column_stack([values[name] for name in triad.names]) * triad.unit[1]
-
-    with_gravity = [t for t in triads if evidence.is_gravity(accel(t), t.unit[0], rate_hz)]
-    others = [t for t in triads if not evidence.lacks_gravity(accel(t), rate_hz)]
+    scaled = [(triad, file.rows(triad.names) * triad.unit[1]) for triad in triads]
+    with_gravity = [t for t, v in scaled if evidence.is_gravity(v, t.unit[0], file.rate_hz)]
+    others = [t for t, v in scaled if not evidence.lacks_gravity(v, file.rate_hz)]
     return next(iter([*with_gravity, *others]), None)
 
 
-def _find_units_and_axes(
-    path: Path,
-    table: ColumnTable,
-    gyro: Triad,
-    accel: Triad,
-    values: Mapping[str, FloatArray],
-    rate_hz: float,
-    layout: RecordLayout,
-    notes: dict[str, Note],
-    answers: Mapping[str, Any],
-) -> tuple[RecordLayout, Means]:
-    """Return a layout with columns, units, scales and axes, and the means; completes the notes."""
+def _find_units_and_axes(file: _File, gyro: Triad, accel: Triad) -> _Found:
+    """Find columns, units, scales and axes of chosen sensors."""
+    answers, notes = file.answers, {"accel_columns": Note("by their names")}
     gyro_scale, accel_scale = (
         answers.get(f"{sensor}_scale", tuple(sign * triad.unit[1] for sign in triad.signs))
         for sensor, triad in (("gyro", gyro), ("accel", accel))
     )
-    both = np.column_stack([values[name] for name in (*gyro.names, *accel.names)])
-    complete = both[np.isfinite(both).all(axis=1)]
-    if len(complete) < max(2, rate_hz):
-        raise InputError(f"{path}: has less than a second without missing samples")
-    force = complete[:, 3:] * accel_scale
-    order, notes["axes_order"] = evidence.find_axes_order(
-        force.mean(axis=0), [*table.comments, *table.names], gyro, accel
-    )
+    complete = np.isfinite(file.rows((*gyro.names, *accel.names))).all(axis=1)
+    if complete.sum() < max(2, file.rate_hz):
+        raise InputError(f"{file.path}: has less than a second without missing samples")
+    force = file.rows(accel.names)[complete] * accel_scale
+    texts = [*file.table.comments, *file.table.names]
+    order, notes["axes_order"] = evidence.find_axes_order(force.mean(axis=0), texts, gyro, accel)
     gyro = evidence.with_turns_in_order(gyro, answers.get("axes_order", order))
-    rates = np.column_stack([values[name] for name in gyro.names])[np.isfinite(both).all(axis=1)]
-    samples = evidence.Samples(rates * gyro_scale, force, rate_hz)
+    rates = file.rows(gyro.names)[complete] * gyro_scale
+    samples = evidence.Samples(rates, force, file.rate_hz)
     accel_unit = evidence.find_accel_unit(samples, gyro, accel)
-    notes["accel_unit"], notes["accel_columns"] = accel_unit.note, Note("by their names")
+    notes["accel_unit"] = accel_unit.note
     if accel_unit.question:
         notes["accel_scale"] = Note("", "", accel_unit.question)
         accel_scale = tuple(np.multiply(accel_scale, accel_unit.scale).tolist())
         samples = samples._replace(accel=force * accel_unit.scale)
-    logger = _find_logger(table.names) if not gyro.unit[0] else ""
+    logger = _find_logger(file.table.names) if not gyro.unit[0] else ""
     if logger:
         gyro = gyro._replace(unit=("rad_per_s", 1.0))
     gyro_unit = evidence.find_gyro_unit(samples, gyro, accel, accel_unit.unit)
@@ -223,23 +233,27 @@ def _find_units_and_axes(
     if logger:
         reason = f"as {logger} writes them; {gyro_unit.note.reason}"
         notes["gyro_unit"] = gyro_unit.note._replace(reason=reason)
-    if accel_unit.question and not gyro.unit[0]:  # they are counts, too
-        notes["gyro_unit"] = Note("of one count, see gyro_scale")
-        notes["gyro_scale"] = Note("", "", evidence.ask_for_gyro_scale(samples, gyro_unit.unit))
-    elif (question := evidence.ask_about_signs(samples)) and "gyro_scale" not in answers:
-        notes["gyro_scale"] = Note("", "", question)
+    if "gyro_scale" not in answers:
+        if accel_unit.question and not gyro.unit[0]:  # they are counts, too
+            notes["gyro_unit"] = Note("of one count, see gyro_scale")
+            question = evidence.ask_for_gyro_scale(samples, gyro_unit.unit)
+        else:
+            question = evidence.ask_about_signs(samples)
+        if question:
+            notes["gyro_scale"] = Note("", "", question)
     if doubt := evidence.doubt_of_signs(gyro_unit.means):
         note = notes["axes_order"]
         notes["axes_order"] = note._replace(doubt="; ".join(filter(None, (note.doubt, doubt))))
-    return layout._replace(
-        gyro_columns=gyro.names,
-        accel_columns=accel.names,
-        gyro_unit=gyro_unit.unit,
-        accel_unit=accel_unit.unit,
-        gyro_scale=gyro_scale,
-        accel_scale=accel_scale,
-        axes_order=order,
-    ), gyro_unit.means
+    found = {
+        "gyro_columns": gyro.names,
+        "accel_columns": accel.names,
+        "gyro_unit": gyro_unit.unit,
+        "accel_unit": accel_unit.unit,
+        "gyro_scale": gyro_scale,
+        "accel_scale": accel_scale,
+        "axes_order": order,
+    }
+    return _Found(found, notes, gyro_unit.means)
 
 
 def _find_logger(names: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ from sinsjax.study.study import Study
 BOUNDED = {
     f"{angle}_{what}_deg" for angle in ("pitch", "roll", "yaw") for what in ("center", "phase")
 }
-BOUNDED |= {"latitude_deg", "phi_e0_deg", "phi_n0_deg", "phi_u0_deg"}
+BOUNDED |= {"latitude_deg", "mounting_deg", "phi_e0_deg", "phi_n0_deg", "phi_u0_deg"}
 """Angles whose bounds say it all."""
 
 
