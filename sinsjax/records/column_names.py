@@ -253,6 +253,9 @@ def _group_columns(
         if found is None or _EXCLUDED_WORDS.search(found.stem):
             continue
         unit = parse_unit(units.get(name, ""), sensor) or found.unit
+        other_unit = _split_unit(name, "accel" if sensor == "gyro" else "gyro")[1]
+        if other_unit[0] and not unit[0] and not _SENSOR_WORDS[sensor].search(found.stem):
+            continue  # as f_x (g), whose g is a unit
         if _is_sensor_name(sensor, found.stem, unit):
             groups.setdefault((found.stem, unit), {}).setdefault(found.axis, (name, found.sign))
     return groups

@@ -57,6 +57,8 @@ _PARTNERS = {
 _COUNTS_PER_G = "16384, 8192, 4096 or 2048 counts per g"
 _COUNTS_PER_DEG_PER_S = "131, 65.5, 32.8 or 16.4 counts per deg/s"
 _LETTERS = "xyz"
+NAMED_AXES_REASON = "from names or comments"
+"""Beginning of the reason of axes that names tell, so that gravity confirms the signs."""
 
 
 class Samples(NamedTuple):
@@ -314,7 +316,7 @@ def find_axes_order(
         question = ""
         if float(to_body_axes(up[None], named)[0, 2]) < math.cos(60 * DEG):
             question = f"the names state {named!r}, but {pointing}: a sign or an axis is wrong"
-        return named, Note(f"from names or comments; {pointing}", "", question)
+        return named, Note(f"{NAMED_AXES_REASON}; {pointing}", "", question)
     order = _order_with_up(axis, is_positive=bool(up[axis] > 0))
     if abs(up[axis]) < math.cos(30 * DEG):
         question = f"no axis is near the vertical ({pointing}), and no name tells the axes"

@@ -241,7 +241,8 @@ def _find_units_and_axes(file: _File, gyro: Triad, accel: Triad) -> _Found:
             question = evidence.ask_about_signs(samples)
         if question:
             notes["gyro_scale"] = Note("", "", question)
-    if doubt := evidence.doubt_of_signs(gyro_unit.means):
+    is_sign_known = notes["axes_order"].reason.startswith(evidence.NAMED_AXES_REASON)
+    if not is_sign_known and (doubt := evidence.doubt_of_signs(gyro_unit.means)):
         note = notes["axes_order"]
         notes["axes_order"] = note._replace(doubt="; ".join(filter(None, (note.doubt, doubt))))
     found = {

@@ -39,7 +39,7 @@ _OTHER_ANSWERS = ("study.rate_hz", "earth.latitude_deg")
 _WIDTH = 100
 _NO_NOTE = Note("")
 _LATITUDE = 45.0
-_CERTAIN_LATITUDE = 0.02  # relative deviation of the mean rate from Earth rate
+_UNCERTAIN_LATITUDE = 0.1  # of Earth rate; an error of 10 deg turns the heading by 0.1 deg
 _LATITUDE_DOUBT = "estimated from the Earth rate that the gyros measure: put the true latitude here"
 _ALIGNMENT = """\
 # for a covariance: "kalman_sincos" with the noise of the sensors in [filter] (sinsjax keys filter)
@@ -280,8 +280,21 @@ def _estimate_latitude_deg(proposed: _ProposedFile, means: Means) -> float:
         return proposed.record.latitude_deg
     if not _shows_latitude(proposed, means):
         return _LATITUDE
-    sine = max(-0.99, min(0.99, vertical_rate(means) / float(np.linalg.norm(means.rate))))
-    return round(math.asin(sine) / DEG, 1)
+    rate = float(np.linalg.norm(means.rate))
+    angle = math.asin(max(-0.99, min(0.99, vertical_rate(means) / rate)))
+    if not means.is_steady:  # only the drift of the vertical shows the Earth rate, its level part
+        cosine = min(1.0, means.vertical_drift / EARTH_RATE)
+        angle = math.copysign(math.acos(cosine), vertical_rate(means))
+    return round(angle / DEG, 1)
+
+
+def _is_latitude_uncertain(means: Means) -> bool:
+    """Return whether a gyro bias, or accelerations of the base, hide the latitude."""
+    if means.is_steady:
+        error = abs(float(np.linalg.norm(means.rate)) - EARTH_RATE)
+    else:
+        error = means.drift_uncertainty
+    return error > _UNCERTAIN_LATITUDE * EARTH_RATE
 
 
 def _title_section(record_path: Path, study_path: Path) -> str:
@@ -362,7 +375,6 @@ def _earth_section(
         return "\n".join(["[earth]", *lines, ""])
     elif proposed is not None and means is not None:
         latitude = _estimate_latitude_deg(proposed, means)
-        ratio = float(np.linalg.norm(means.rate)) / EARTH_RATE
         if not proposed.is_gyro_known:
             doubt = (
                 "the unit of the gyros is open, so the latitude is unknown: put the true one here"
@@ -370,10 +382,10 @@ def _earth_section(
             note = Note("deg", doubt)
         elif not _shows_latitude(proposed, means):
             note = Note("deg", "the gyros do not show the latitude: put the true one here")
-        elif abs(ratio - 1) < _CERTAIN_LATITUDE:
-            note = Note("deg, estimated from the Earth rate of the gyros: put the true one here")
-        else:
+        elif _is_latitude_uncertain(means):
             note = Note("deg, from the vertical part of the mean rate", _LATITUDE_DOUBT)
+        else:
+            note = Note("deg, estimated from the Earth rate of the gyros: put the true one here")
     lines = _format_key_lines("latitude_deg", latitude, note)
     return "\n".join(["[earth]", *_format_key_lines("earth", "wgs84"), *lines, ""])
 
