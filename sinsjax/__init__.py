@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from sinsjax.plots import plot_belief, plot_compare, plot_curves, plot_map
     from sinsjax.records import read_record, read_reference, record_from_arrays
     from sinsjax.study.load import load_study, study_from_dict
+    from sinsjax.study.reset_plan import ResetPlan, reset_schedule
     from sinsjax.study.study import Study
     from sinsjax.tuning.from_python import TuningResults, tune
     from sinsjax.tuning.history import read_history
@@ -64,6 +65,7 @@ __version__ = runtime.package_version()
 
 __all__ = [
     "InputError",
+    "ResetPlan",
     "Results",
     "Study",
     "StudyWarning",
@@ -89,6 +91,7 @@ __all__ = [
     "read_reference",
     "read_summary",
     "record_from_arrays",
+    "reset_schedule",
     "run",
     "run_into",
     "simulated_record",
@@ -113,6 +116,7 @@ _HOMES = {
     "plots": ("plot_belief", "plot_compare", "plot_curves", "plot_map"),
     "records": ("read_record", "read_reference", "record_from_arrays"),
     "study.load": ("Study", "load_study", "study_from_dict"),
+    "study.reset_plan": ("ResetPlan", "reset_schedule"),
     "tuning.from_python": ("TuningResults", "tune"),
     "tuning.history": ("read_history",),
 }

@@ -201,4 +201,36 @@ def keys(
             print_line(console, f"    {key.meaning}", wrap=True)
 
 
-COMMANDS = (init, validate, keys)
+def schedule(
+    config: Config,
+    changes: Changes = None,
+    study_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--study",
+            help="Also write the study with this schedule there.",
+            metavar="FILE",
+        ),
+    ] = None,
+) -> None:
+    """Tell when a study's filter should be reset, by the law, and what that is worth.
+
+    Example: sinsjax schedule paper1_resets
+    """
+    from sinsjax.study import reset_plan
+    from sinsjax.study.changes import parse_changes
+    from sinsjax.study.load import load_study
+
+    study, console = load_study(config, parse_changes(changes or ())), plain_console()
+    for line in reset_plan.describe_plans(study):
+        print_line(console, line, wrap=True)
+    if study_file is None:
+        return
+    if os.path.lexists(study_file):
+        raise InputError(f"{study_file}: exists, and is not overwritten (give another file)")
+    with atomic_write(study_file) as file:
+        file.write(reset_plan.with_law(study).encode())
+    print_line(console, f"{study_file} written; `sinsjax sweep {study_file} -o out` runs it.")
+
+
+COMMANDS = (init, validate, keys, schedule)

@@ -234,6 +234,7 @@ def _split(study: Study) -> Iterator[np.ndarray]:
     """Yield the numbers of variants that share program and environment, by first appearance."""
     keys = {*PROGRAM_KEYS, *ENVIRONMENT_KEYS, *PASS_KEYS}
     swept = [key for key in study.axis_keys if key in keys]
+    swept += ["reset_trigger"] if study.names_schedules else []
     codes = study.resolved.column(*swept).codes if swept else np.zeros(study.n_variants, int)
     _, first, part = np.unique(codes, return_index=True, return_inverse=True)
     in_order = np.argsort(part, kind="stable")

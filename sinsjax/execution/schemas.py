@@ -71,6 +71,8 @@ def variant_columns(study: Study, schema: Iterable[Column]) -> dict[str, pa.Arra
         "reset_times_s": resets.map(list),
         **{(key := f"phi_{a}0_deg"): study.resolved.column(key) for a in "enu"},
     }
+    if study.names_schedules:
+        fixed[columns.PREDICTED.name] = study.predicted_settling
     swept = {key: study.resolved.column(key) for key in study.axis_keys}
     kinds = {c.name: c.dtype for c in schema}
     return {
@@ -93,6 +95,7 @@ def _key_columns(study: Study) -> list[Column]:
     known = {c.name for c in columns.IDENTITY}
     swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
     return [
+        *((columns.PREDICTED,) if study.names_schedules else ()),
         *(columns.axis_column(k, v, key_meaning(k)) for k, v in swept.items() if k not in known),
         *(
             columns.drawn_column(k, 1 if NUMBERS_DRAWN[k] == 1 else 2, key_meaning(k))

@@ -60,6 +60,29 @@ class ResolvedColumns:
         self._repeats = [math.prod(lengths[i + 1 :]) for i in range(len(lengths))]
         self.n_variants = math.prod(lengths)
         self._cache: dict[tuple[str, ...], CodedColumn] = {}
+        self._derived: dict[tuple[str, ...], CodedColumn] = {}
+
+    def derive(
+        self,
+        keys: Sequence[str],
+        inputs: Sequence[str],
+        function: Callable[[dict[str, Any]], dict[str, Any]],
+    ) -> None:
+        """Replace the columns of some keys by functions of others, and of themselves.
+
+        Args:
+            keys: keys to replace.
+            inputs: keys that they depend on.
+            function: values of the inputs by key -> values of the keys.
+        """
+        codes, choices = self.column(*inputs)
+        points = [function(dict(zip(inputs, values, strict=True))) for values in choices]
+        for key in keys:
+            values = [point[key] for point in points]
+            code_of = {value: code for code, value in enumerate(dict.fromkeys(values))}
+            places = np.array([code_of[value] for value in values], np.int32)
+            self._derived[(key,)] = CodedColumn(places[codes], tuple(code_of))
+        self._cache = {**self._derived}
 
     def column(self, *keys: str) -> CodedColumn:
         """Return the column of a key, or of the combinations of several keys, as tuples.

@@ -33,6 +33,7 @@ from sinsjax.study.keys import (
     key_summary,
 )
 from sinsjax.study.process_noise import check_process_noise
+from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, check_law
 from sinsjax.study.schema import (
     BIAS_KEYS,
     INITIAL_NUMBERS,
@@ -218,6 +219,14 @@ def _check_coarse_method(study: Study, key_tables: KeyTables) -> None:
         if method == "analytic" and study.has_coarse_stage(method, then):
             text = "'analytic' can only hand over a record (use 'inertial')"
             _refuse_key("coarse_method", key_tables, text)
+
+
+def _check_reset_law(study: Study, key_tables: KeyTables) -> None:
+    """Refuse a schedule by the law of resets for a band that noise exceeds."""
+    if study.has("resets") and study.names_schedules:
+        keys = [key for key in (*LAW_KEYS, *DERIVED) if study.is_readable(key)]
+        for point in study.given_combinations(*keys):
+            check_law(study.rate_hz, study.run_s, dict.fromkeys(LAW_KEYS) | point)
 
 
 def _check_coarse_times(study: Study, key_tables: KeyTables) -> None:
@@ -693,6 +702,7 @@ TIME_RULES: tuple[tuple[StudyRule, ...], ...] = (
     (
         _check_coarse_method,
         _check_coarse_times,
+        _check_reset_law,
         _check_statistics_window,
         _check_report_times,
         _check_success_criteria,

@@ -30,6 +30,13 @@ from sinsjax.study.keys import (
     deciding_keys,
     has_effect,
 )
+from sinsjax.study.reset_schedules import (
+    DERIVED,
+    LAW_KEYS,
+    START_KEYS,
+    derive_schedule,
+    predict_settling,
+)
 from sinsjax.study.resolved import (
     CodedColumn,
     Dimension,
@@ -421,6 +428,19 @@ class Study(_SectionsOfMethods):
             lambda values: scheduled_reset_times(*values)
         )
 
+    @property
+    def predicted_settling(self) -> CodedColumn:
+        """Settling time of each variant by the law of resets, s; None where it says nothing."""
+        keys = [k for k in (*LAW_KEYS, *DERIVED, *START_KEYS) if self.is_readable(k)]
+        missing = dict.fromkeys((*LAW_KEYS, *DERIVED))
+
+        def predict(values: tuple[Any, ...]) -> float | None:
+            point = missing | dict(zip(keys, values, strict=True))
+            time_s = predict_settling(self.rate_hz, point)
+            return None if math.isnan(time_s) else time_s
+
+        return self.resolved.column(*keys).map(predict)
+
     def reset_times(self) -> list[tuple[float, ...]]:
         """Return the reset times of each variant, s."""
         return self.schedules.to_list()
@@ -579,6 +599,13 @@ class Study(_SectionsOfMethods):
 
         The value of a drawn key is None.
         """
+        if self.names_schedules and {*keys} & {*DERIVED}:
+            yield from self._derived_combinations(keys)
+            return
+        yield from self.given_combinations(*keys)
+
+    def given_combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
+        """Yield the combinations of values as the file gives them, before `derive_schedule`."""
         points = []
         for dimension in self.dimensions:
             if present := [key for key in keys if key in dimension]:
@@ -588,6 +615,31 @@ class Study(_SectionsOfMethods):
         fixed = {key: self._constant(key) for key in keys if key not in swept}
         for parts in product(*points):
             yield fixed | {key: value for part in parts for key, value in part.items()}
+
+    @property
+    def names_schedules(self) -> bool:
+        """Whether `schedule` decides what the keys of some resets are."""
+        if not self.has("resets"):
+            return False
+        return any(point["schedule"] != "times" for point in self.given_combinations("schedule"))
+
+    def _derived_combinations(self, keys: tuple[str, ...]) -> Iterator[dict[str, Any]]:
+        inputs = [key for key in (*LAW_KEYS, *DERIVED) if self.is_readable(key)]
+        found: dict[tuple[Any, ...], None] = {}
+        for point in self.given_combinations(*dict.fromkeys((*keys, *inputs))):
+            values = point | self._derive(point)
+            found[tuple(values[key] for key in keys)] = None
+        yield from (dict(zip(keys, values, strict=True)) for values in found)
+
+    def is_readable(self, key: str) -> bool:
+        """Return whether this study has the section of a sweepable key."""
+        return SECTION_OF[key] in SWEEPABLE and getattr(self, SECTION_OF[key]) is not None
+
+    def _derive(self, point: Mapping[str, Any]) -> dict[str, Any]:
+        # The rate of a recorded study is known, and its schedule final, once its record is read.
+        return derive_schedule(
+            self.rate_hz or 100.0, dict.fromkeys((*LAW_KEYS, *DERIVED)) | dict(point)
+        )
 
     def _constant(self, key: str) -> Any:
         section = getattr(self, SECTION_OF[key])
@@ -611,7 +663,12 @@ class _IdentityKey:
 
 @lru_cache(maxsize=4)
 def _resolve_columns(key: _IdentityKey) -> ResolvedColumns:
-    return ResolvedColumns(key.study.dimensions, key.study._constant)
+    study = key.study
+    columns = ResolvedColumns(study.dimensions, study._constant)
+    if study.names_schedules:
+        inputs = [key for key in (*LAW_KEYS, *DERIVED) if study.is_readable(key)]
+        columns.derive(DERIVED, inputs, study._derive)
+    return columns
 
 
 def _dimension_length(dimension: Dimension) -> int:

@@ -13,6 +13,7 @@ from sinsjax.value_types import (
     AccelNoise,
     AccelSigma,
     AngleSigma,
+    Band,
     Count,
     Factor,
     GyroNoise,
@@ -21,6 +22,7 @@ from sinsjax.value_types import (
     HeadingSigma,
     KeyCondition,
     KeyInfo,
+    Positive,
     Seconds,
     Section,
     SpeedSigma,
@@ -189,6 +191,9 @@ class ResetsSection(TriggerKeys):
     exclusive = tuple(("reset_times_s", key) for key in OF_SCHEDULES[1:])
     conditions = (
         *TriggerKeys.conditions,
+        KeyCondition(
+            ("heading_bound_deg", "settle_band_arcmin"), ("schedule",), lambda name: name == "law"
+        ),
         KeyCondition(("reset_first_s",), ("reset_count",), bool),
         KeyCondition(("reset_cycle_s",), ("reset_count", "reset_first_s"), _needs_cycle),
         KeyCondition(("reset_kind", "reset_at_feedback"), _RESETS, _is_reset),
@@ -200,6 +205,19 @@ class ResetsSection(TriggerKeys):
         KeyCondition(_SET_BY_FULL, ("reset_kind", *_RESETS), _sets_all_variances),
     )
 
+    schedule: Literal["times", "none", "law", "trigger"] = Field(
+        "times",
+        description="what decides when P is reset. 'times': the keys of times, counts and triggers"
+        " below. 'none': no reset. 'law': times from Q, R, P0, latitude, feedback and sensors of"
+        " each variant, see docs/reset_law.md. 'trigger': reset_trigger alone, by default"
+        " 'linearisation' with a threshold of 1.2",
+    )
+    heading_bound_deg: Annotated[Positive, Field(lt=180), KeyInfo(usual_range=(1, 180))] = Field(
+        150.0, description="largest initial heading error that the schedule by 'law' settles, deg"
+    )
+    settle_band_arcmin: Band = Field(
+        10.0, description="heading error in which the schedule by 'law' lets it settle, arcmin"
+    )
     reset_count: Annotated[Count | None, KeyInfo(default=0)] = Field(
         None, description="number of scheduled resets, reset_cycle_s apart; default 0"
     )
@@ -302,10 +320,18 @@ def acting_reset_times(rate_hz: float, *values: Any) -> tuple[float, ...]:
 
 def check_resets(study: CheckedStudy) -> None:
     """Refuse resets after the end, at the start, or two at one sample."""
-    for point in study.combinations(*OF_RESETS) if study.has("resets") else ():
+    points = [*study.combinations(*OF_RESETS, "schedule")] if study.has("resets") else []
+    names = sorted({point["schedule"] for point in points})
+    for key in OF_SCHEDULES if names and "times" not in names else ():
+        if study.place(key):
+            shown = " and ".join(map(repr, names))
+            study.refuse(key, f"has no effect with schedule = {shown} (drop one of the two)")
+    for point in points:
         times, count, cycle, first = (point[key] for key in OF_SCHEDULES)
         if times is not None:
-            _check_reset_times(study, times)
+            _check_reset_times(
+                study, times, "schedule" if point["schedule"] == "law" else "reset_times_s"
+            )
         elif count:
             _check_counted_resets(study, count, cycle, first)
         if point["reset_at_feedback"]:

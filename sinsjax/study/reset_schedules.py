@@ -1,0 +1,206 @@
+"""Reset schedules that a study names: none, by the law, or by a trigger.
+
+``[resets] schedule`` decides, variant by variant, what the keys of scheduled and triggered resets
+are. By the law, times follow from the variant's own Q, R, P0, latitude, feedback and sensors.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+from sinsjax.errors import InputError
+from sinsjax.methods import reset_law
+from sinsjax.methods.filters.section import (
+    OF_SCHEDULES,
+    Q_DENSITIES,
+    WHITE_NOISE,
+    q_unit_factors,
+    scheduled_reset_times,
+    sensor_noise_density,
+)
+from sinsjax.methods.registry import METHODS
+from sinsjax.methods.reset_law import NoSchedule, ResetProblem, ResetSchedule
+from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
+
+LAW_METHODS = ("kalman5",)
+"""Methods for which cells of `docs/reset_law.md` show that the law holds."""
+
+_EARTH = ("earth", "gravity_m_per_s2", "earth_rate_deg_per_h", "latitude_deg")
+_NOISE = tuple(key for keys in WHITE_NOISE.values() for key in keys[:2])
+_FILTER = (
+    *(form for key, forms in Q_DENSITIES.items() for form in (key, *forms)),
+    *("q_reading", "q_scale", "r_velocity_m_per_s", "r_reading", "r_scale"),
+    *("p0_level_deg", "p0_yaw_deg", "reset_level_deg", "reset_yaw_deg"),
+)
+_LOOP = ("method", "specific_force", "feedback_interval_s")
+_BOUNDS = ("schedule", "heading_bound_deg", "settle_band_arcmin")
+LAW_KEYS = (*_EARTH, *_NOISE, *_FILTER, *_LOOP, *_BOUNDS)
+"""Keys that the times of the law follow from."""
+
+START_KEYS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
+
+_DEFAULT_TRIGGER = {
+    "reset_trigger": "linearisation",
+    "trigger_threshold": 1.2,
+    "trigger_window_s": 10.0,
+    "trigger_refractory_s": 2.0,
+    "trigger_most": 20,
+}
+"""The trigger of schedule = 'trigger' for keys that are left out."""
+
+DERIVED = (*OF_SCHEDULES, *_DEFAULT_TRIGGER)
+"""Keys whose values `schedule` decides."""
+
+_NO_TIMES = dict.fromkeys(OF_SCHEDULES)
+
+
+class Place(NamedTuple):
+    """Gravity, m/s^2, and Earth rate, rad/s, at a latitude, rad."""
+
+    gravity: float
+    rate: float
+    latitude: float
+
+
+def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of `DERIVED` at a point of a study.
+
+    Args:
+        rate_hz: samples per second.
+        point: values of `LAW_KEYS` and `DERIVED`, None for a key that does not apply.
+
+    Raises:
+        InputError: the law has no schedule there; the line begins ``[section] key``.
+    """
+    given = {key: point[key] for key in DERIVED}
+    no_trigger = given | {"reset_trigger": "none" if given["reset_trigger"] else None}
+    match point["schedule"]:
+        case "none":
+            return no_trigger | _NO_TIMES
+        case "law":
+            found = schedule_by_law(rate_hz, point)
+            times = () if found is None else found.times_s
+            times = tuple(round(time * rate_hz) / rate_hz for time in times)
+            return no_trigger | _NO_TIMES | {"reset_times_s": times or None}
+        case "trigger":
+            names = (None, "none")
+            default = _DEFAULT_TRIGGER if given["reset_trigger"] in names else {}
+            missing = {key: value for key, value in default.items() if given[key] in names}
+            return given | _NO_TIMES | missing
+        case _:
+            return given
+
+
+def schedule_by_law(rate_hz: float, point: Mapping[str, Any]) -> ResetSchedule | None:
+    """Return the schedule of a point by the law; None for a method without resets.
+
+    Raises:
+        InputError: see `derive_schedule`.
+    """
+    if "resets" not in METHODS[point["method"]].sections:
+        return None
+    if point["method"] not in LAW_METHODS:
+        text = f"'law' holds for {', '.join(LAW_METHODS)}, not {point['method']}"
+        raise InputError(f"[resets] schedule: {text} (give 'trigger' or reset_times_s)")
+    problem = reset_problem(rate_hz, point)
+    try:
+        return _cached_schedule(
+            problem, point["heading_bound_deg"] * DEG, point["settle_band_arcmin"] * ARCMIN
+        )
+    except NoSchedule as error:
+        raise InputError(f"[resets] schedule: {error}") from None
+
+
+_cached_schedule: Callable[..., ResetSchedule] = lru_cache(maxsize=4096)(reset_law.schedule)
+
+
+def predict_settling(rate_hz: float, point: Mapping[str, Any]) -> float:
+    """Return the settling time that the law predicts for a median run from a point's start, s.
+
+    NaN if the law does not hold for its method, if a trigger resets it, or if its start is drawn.
+    """
+    start = [point[f"phi_{axis}0_deg"] for axis in "enu"]
+    is_triggered = point["reset_trigger"] not in (None, "none")
+    if point["method"] not in LAW_METHODS or is_triggered or None in start:
+        return math.nan
+    problem = reset_problem(rate_hz, point)
+    if problem.velocity_noise <= 0:
+        return math.nan
+    times = scheduled_reset_times(*(point[key] for key in OF_SCHEDULES))
+    time_s = reset_law.predicted_settling_time(
+        problem,
+        times,
+        start[2] * DEG,
+        math.hypot(*start[:2]) * DEG,
+        point["settle_band_arcmin"] * ARCMIN,
+    )
+    return time_s if math.isfinite(time_s) else math.nan
+
+
+def check_law(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> None:
+    """Refuse a band that the noise of the sensors exceeds at the end of a run.
+
+    Raises:
+        InputError: the line begins ``[section] key`` and states the noise.
+    """
+    if point["schedule"] != "law" or point["method"] not in LAW_METHODS:
+        return
+    sigma_arcmin = reset_law.heading_sigma(run_s, reset_problem(rate_hz, point)) / ARCMIN
+    if 2 * sigma_arcmin >= point["settle_band_arcmin"]:
+        text = f"2 sigma of the sensors' noise are {2 * sigma_arcmin:.2g}' after {run_s:g} s"
+        raise InputError(f"[resets] settle_band_arcmin: {text} (give a wider band)")
+
+
+def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
+    """Return the filter of a point and its place, as the law sees them.
+
+    Raises:
+        InputError: a key that it needs is drawn or missing; the line begins ``[section] key``.
+    """
+    if point["latitude_deg"] is None:
+        raise InputError("[resets] schedule: 'law' needs one latitude_deg (give it in [earth])")
+    place = _read_place(point)
+    ug = micro_g(place.gravity) if point["earth"] == "constants" else micro_g()
+    r_density = point["r_velocity_m_per_s"] ** 2 * (point["r_scale"] or 1.0)
+    r_density *= 1 / rate_hz if point["r_reading"] == "per_update" else 1.0
+    density = partial(_sensor_density, rate_hz, point)
+    return ResetProblem(
+        velocity_noise=_velocity_noise(rate_hz, point, ug),
+        measurement_noise=r_density,
+        level=(point["reset_level_deg"] or point["p0_level_deg"]) * DEG,
+        heading=(point["reset_yaw_deg"] or point["p0_yaw_deg"]) * DEG,
+        north_rate=place.rate * math.cos(place.latitude),
+        gravity=place.gravity,
+        feedback_s=point["feedback_interval_s"],
+        is_force_measured=point["specific_force"] == "measured",
+        accel_noise=(density("q_accel_ug") * ug) ** 2,
+        gyro_noise=(density("q_gyro_deg_per_h") * DEG_PER_H) ** 2,
+    )
+
+
+def _read_place(point: Mapping[str, Any]) -> Place:
+    latitude = point["latitude_deg"] * DEG
+    if point["earth"] == "constants":
+        rate = (point["earth_rate_deg_per_h"] or 15.041067) * DEG_PER_H
+        return Place(point["gravity_m_per_s2"] or 9.8, rate, latitude)
+    normal = 9.780325 * (1 + 0.0053 * math.sin(latitude) ** 2)  # to 1e-5, far within the law's
+    return Place(normal, 7.292115e-5, latitude)
+
+
+def _velocity_noise(rate_hz: float, point: Mapping[str, Any], ug: float) -> float:
+    """Return the density of the velocity noise in Q, m^2/s^3."""
+    scale = point["q_scale"] or 1.0
+    for form, factor in {"q_accel_ug": 1.0, **Q_DENSITIES["q_accel_ug"]}.items():
+        if point[form] is not None:
+            per_step = (point[form] * factor * ug) ** 2 * q_unit_factors(1 / rate_hz)[
+                point["q_reading"]
+            ]
+            return float(per_step * rate_hz * scale)
+    return float((_sensor_density(rate_hz, point, "q_accel_ug") * ug) ** 2 * scale)
+
+
+def _sensor_density(rate_hz: float, point: Mapping[str, Any], key: str) -> float:
+    """Return the density of the sensors' white noise, 0 for none, in the unit of a key of Q."""
+    values = (point[name] for name in WHITE_NOISE[key][:2])
+    return float(sensor_noise_density(key, rate_hz, *values) or 0.0)

@@ -1,0 +1,277 @@
+"""The law of resets: its information against least squares and the filter, and its schedules."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from support.commands import Command, command_line
+from support.studies import STILL, refusal_line, small_study
+
+import sinsjax
+from sinsjax.errors import InputError
+from sinsjax.methods import reset_law
+from sinsjax.methods.reset_law import NoSchedule, ResetProblem
+from sinsjax.units import ARCMIN, DEG
+
+G, RATE = 9.8, 15.041067 * DEG / 3600
+PAPER = ResetProblem(
+    velocity_noise=(500e-6 * G) ** 2 / 0.01,
+    measurement_noise=0.01,
+    level=15 * DEG,
+    heading=80 * DEG,
+    north_rate=RATE * math.cos(32 * DEG),
+    gravity=G,
+    feedback_s=1.0,
+    is_force_measured=True,
+)
+"""Q per step and R as a density, as paper 1 prints them."""
+
+NOISY = PAPER._replace(
+    accel_noise=(500e-6 * G) ** 2 * 0.01, gyro_noise=(0.1 * DEG / 3600) ** 2 * 0.01
+)
+
+
+def dense_information(length_s: float, problem: ResetProblem, steps: int = 400) -> float:
+    """The information on heading of velocities with unknown start, tilt and heading, 1/rad^2."""
+    dt = length_s / steps
+    t = dt * np.arange(1, steps + 1)
+    noise = problem.velocity_noise * np.minimum.outer(t, t)
+    noise += problem.measurement_noise / dt * np.eye(steps)
+    design = np.column_stack([np.ones(steps), G * t, G * problem.north_rate * t**2 / 2])
+    information = design.T @ np.linalg.solve(noise, design)
+    return 1 / float(np.linalg.inv(information)[2, 2])
+
+
+@pytest.mark.parametrize("in_tau", [0.3, 0.69, 0.71, 2.0, 8.0, 40.0])
+def test_information_is_that_of_least_squares(in_tau: float) -> None:
+    length_s = in_tau * PAPER.tau
+    dense = dense_information(length_s, PAPER)
+    assert reset_law.heading_information(length_s, PAPER) == pytest.approx(dense, rel=0.02)
+
+
+def test_information_has_its_limits() -> None:
+    factor = (G * PAPER.north_rate) ** 2
+    q_limited = factor * 1e3**3 / (12 * PAPER.velocity_noise)
+    assert reset_law.heading_information(1e3, PAPER) == pytest.approx(q_limited, rel=0.02)
+    slow = PAPER._replace(velocity_noise=1e-9)
+    r_limited = factor * 30.0**5 / (720 * slow.measurement_noise)
+    assert reset_law.heading_information(30.0, slow) == pytest.approx(r_limited, rel=1e-3)
+
+
+@pytest.mark.parametrize("length_s", [40.0, 120.0])
+def test_contraction_is_that_of_the_filter(length_s: float) -> None:
+    """P_UU of a noise-free run that is linear throughout, without gyro noise in Q."""
+    study = small_study(
+        study={"duration_s": length_s, "draws": 1, "window_s": [0, length_s]},
+        motion=STILL,
+        sensors={f"{key}": 0.0 for key in ("gyro_noise_deg_per_h", "accel_noise_ug")}
+        | {"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0},
+        alignment={
+            "specific_force": "gravity", "phi_e0_deg": 0.0, "phi_n0_deg": 0.0, "phi_u0_deg": 0.0
+        },
+        filter={
+            "q_accel_ug": 500.0, "q_gyro_deg_per_h": 1e-6, "q_reading": "per_step",
+            "r_reading": "psd", "p0_velocity_m_per_s": 10.0,
+        },
+    )  # fmt: skip
+    (row,) = sinsjax.run(study, curves=False).summary.to_pylist()
+    measured = (PAPER.heading / (row["sigma_u_arcmin"] * ARCMIN)) ** 2
+    assert reset_law.contraction(length_s, PAPER) == pytest.approx(measured, rel=0.01)
+
+
+CELLS: dict[str, tuple[dict[str, Any], tuple[float, ...], float]] = {
+    "R1": ({"is_force_measured": False, "feedback_s": 0.1}, (1.9, 85.7, 169.5), 254),
+    "R2": (
+        {"is_force_measured": False, "latitude": 60, "q": 10}, (3.0, 249.0, 495.0), 742,
+    ),
+    "R3": (
+        {"is_force_measured": False, "latitude": 0, "q": 0.1, "feedback_s": 0.1}, (1.8, 66.4), 132
+    ),
+    "R4": ({"is_force_measured": False, "latitude": 75}, (2.0, 182.0, 362.0), 543),
+    "R5": (
+        {"is_force_measured": False, "q": 10, "feedback_s": 10.0}, (2.86, 179.23, 349.23), 524
+    ),
+    "R6": ({"noise": True}, (2.0, 4.0, 6.0, 120.0), 328),
+    "R8": ({"noise": True, "latitude": 60, "q": 0.1}, (2.0, 4.0, 6.0, 75.0), 320),
+    "R10": ({"noise": True, "feedback_s": 10.0}, (1.87, 3.74, 5.61, 117.55), 328),
+}  # fmt: skip
+"""Changes of `PAPER`, the resets of the theory's table, and the time that they promise."""
+
+
+def cell(changes: dict[str, Any]) -> ResetProblem:
+    given = dict(changes)
+    base = NOISY if given.pop("noise", False) else PAPER
+    q, latitude = given.pop("q", 1.0), given.pop("latitude", 32)
+    return base._replace(
+        velocity_noise=PAPER.velocity_noise * q,
+        north_rate=RATE * math.cos(latitude * DEG),
+        **given,
+    )
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_schedule_of_cells_is_at_their_optimum(name: str) -> None:
+    """The optimum is flat: times differ by two seconds, what they promise does not."""
+    changes, times_s, promised_s = CELLS[name]
+    problem = cell(changes)
+    found = reset_law.schedule(problem, 150 * DEG)
+    assert found.settling_s == pytest.approx(promised_s, rel=0.005)
+    assert len(found.times_s) == len(times_s)
+    assert found.times_s == pytest.approx(times_s, rel=0.03)
+    settling = [
+        reset_law.predicted_settling_time(problem, times, 150 * DEG, sigmas=2.0)
+        for times in (found.times_s, times_s)
+    ]
+    assert settling[0] <= settling[1] * 1.002
+
+
+def test_prediction_knows_standing_tilt_and_noise() -> None:
+    """Cells of the theory's table, in which levels are off by 5 or 20 deg about both axes."""
+
+    def predict(times: tuple[float, ...], heading: float, level: float) -> float:
+        tilt = math.sqrt(2) * level * DEG
+        return reset_law.predicted_settling_time(NOISY, times, heading * DEG, tilt)
+
+    assert predict((), 10, 5) == pytest.approx(933, rel=0.01)
+    assert predict((), 150, 20) == pytest.approx(8154, rel=0.01)
+    assert predict((10.0, 60.0), 150, 20) == pytest.approx(390, rel=0.01)
+    assert predict((2.0, 4.0, 6.0, 120.0), 90, 5) == pytest.approx(243, rel=0.01)
+    assert math.isinf(predict((2.0,), 10, 5)) is False
+    tight = reset_law.predicted_settling_time(NOISY, (), 1.0, band=0.0001 * ARCMIN)
+    assert math.isinf(tight)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"velocity_noise": 0.0}, "with a Q of zero no reset ever pays"),
+        ({"measurement_noise": 0.0}, "R of zero has no schedule"),
+        ({"north_rate": 1e-9}, "no heading can be found at a pole"),
+    ],
+)
+def test_filters_without_a_schedule_are_refused(change: dict[str, Any], says: str) -> None:
+    with pytest.raises(NoSchedule, match=says):
+        reset_law.schedule(NOISY._replace(**change), 150 * DEG)
+
+
+def test_band_below_noise_is_refused_with_its_sigma() -> None:
+    problem = NOISY._replace(gyro_noise=(100 * DEG / 3600) ** 2)
+    with pytest.raises(NoSchedule, match=r"a band of 10': 1 sigma is \d+' after 1000 s"):
+        reset_law.schedule(problem, 150 * DEG)
+
+
+# --- in a study
+
+LAW = {"schedule": "law"}
+PER_STEP = {
+    "filter": {
+        "q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step", "r_reading": "psd"
+    },
+    "study": {"duration_s": 400.0, "window_s": [200, 400]},
+}  # fmt: skip
+
+
+def test_sweep_carries_the_schedule_of_each_variant() -> None:
+    study = small_study(
+        **PER_STEP, resets=LAW, axes={"latitude_deg": [0.0, 32.0], "q_scale": [0.1, 1.0]}
+    )
+    times = study.reset_times()
+    assert len(set(times)) == 4
+    assert times[3] == reset_law.schedule(NOISY, 150 * DEG).times_s
+    assert study.values("reset_count") == [None] * 4
+
+
+def test_schedules_by_name_are_swept_beside_times() -> None:
+    policies = ["none", "times", "law", "trigger"]
+    axes = {"policy": {"schedule": policies, "reset_times_s": [[], [10.0, 60.0], [], []]}}
+    study = small_study(**PER_STEP, resets={}, axes=axes)
+    none, times, law, trigger = study.reset_times()
+    assert (none, times, trigger) == ((), (10.0, 60.0), ()) and law[:3] == (2.0, 4.0, 6.0)
+    assert study.values("reset_trigger") == [None, None, None, "linearisation"]
+    summary = sinsjax.run(study.replace({"study.draws": 2}), curves=False).summary
+    rows = {(row["schedule"], row["draw_id"]): row for row in summary.to_pylist()}
+    assert rows["trigger", 0]["triggered_count"] > 0 == rows["law", 0]["triggered_count"]
+    assert rows["law", 1]["reset_times_s"] == list(law)
+    assert rows["law", 0]["predicted_settle_s"] == pytest.approx(205, abs=15)
+    assert rows["none", 0]["predicted_settle_s"] > 900
+    assert rows["trigger", 0]["predicted_settle_s"] is None
+    given = study.replace({"axes.policy": {}, "resets.reset_times_s": list(law), "study.draws": 2})
+    same = sinsjax.run(given, curves=False).summary.to_pylist()
+    assert [row["phi_u_arcmin"] for row in same] == [
+        rows["law", draw]["phi_u_arcmin"] for draw in range(2)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("tables", "says"),
+    [
+        (
+            {"resets": LAW | {"reset_times_s": [10.0]}},
+            "[resets] reset_times_s: has no effect with schedule = 'law' (drop one of the two)",
+        ),
+        (
+            {
+                "resets": LAW,
+                "study": {"duration_s": 30.0, "window_s": [2, 30]},
+                "sensors": {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0},
+            },
+            "[resets] schedule: 114 s is after the end of the run",
+        ),
+        (
+            {"resets": LAW, "alignment": {"method": "kalman10"}},
+            "[resets] schedule: 'law' holds for kalman5, not kalman10 (give 'trigger' or",
+        ),
+        (
+            {"resets": LAW | {"settle_band_arcmin": 0.1}},
+            "[resets] settle_band_arcmin: 2 sigma of the sensors",
+        ),
+        (
+            {"resets": LAW, "filter": PER_STEP["filter"] | {"q_accel_ug": 0.0}},
+            "a Q of zero no reset",
+        ),
+        ({"resets": LAW | {"heading_bound_deg": 180.0}}, "[resets] heading_bound_deg: must be"),
+    ],
+)
+def test_schedule_that_cannot_be_made_is_refused_in_one_line(
+    tables: dict[str, Any], says: str
+) -> None:
+    assert says in refusal_line(**PER_STEP | tables)
+
+
+# --- the command
+
+
+@pytest.fixture
+def run_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Any
+) -> Command:
+    monkeypatch.chdir(tmp_path)
+    return command_line(monkeypatch, capsys)
+
+
+def test_schedule_command_tells_times_and_worth_and_writes_study(run_command: Command) -> None:
+    code, told, error = run_command("schedule", "paper1_resets", "--study", "law.toml")
+    assert (code, error) == (0, "")
+    assert "resets    2, 4, 6, 118 s" in told
+    assert "settles   within 10' from 150 deg: 289 s for a median run, 328 s with 2 sigma" in told
+    assert "filter    limited by its Q (tau 2.04 s): a segment of 112 s contracts" in told
+    assert "worth     yes: 0.089 of the time without resets" in told
+    study = sinsjax.load_study("law.toml")
+    assert study.resets.schedule == "law"  # type: ignore[attr-defined]
+    assert set(study.reset_times()) == {(2.0, 4.0, 6.0, 118.0)}
+    assert run_command("schedule", "paper1_resets", "--study", "law.toml")[0] == 2
+    code, told, _ = run_command("schedule", "which_alignment_latitude")
+    assert code == 0 and 'latitude_deg 75, specific_force "gravity": 2, ' in told
+
+
+def test_python_plan_has_the_fields_of_the_command() -> None:
+    plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=20.0)
+    assert plan.times_s == (2.0, 4.0, 6.0) and plan.limited_by == "Q"
+    assert any("trigger settles as fast" in text for text in plan.warnings)
+    with pytest.raises(InputError, match="8 filters or places"):
+        sinsjax.reset_schedule("which_alignment_latitude")
+    with pytest.raises(InputError, match="the law of resets holds for kalman5, not inertial"):
+        sinsjax.reset_schedule(
+            sinsjax.load_study("paper1_resets").replace({"alignment.method": "inertial"})
+        )
