@@ -216,7 +216,7 @@ def test_schedules_by_name_are_swept_beside_times() -> None:
                 "study": {"duration_s": 30.0, "window_s": [2, 30]},
                 "sensors": {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0},
             },
-            "[resets] schedule: 114 s is after the end of the run",
+            "[resets] schedule: 90 s is after the end of the run",
         ),
         (
             {"resets": LAW, "alignment": {"method": "kalman10"}},
