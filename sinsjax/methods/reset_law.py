@@ -24,9 +24,10 @@ All in SI units; free of JAX.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sinsjax.units import ARCMIN, DEG
 
@@ -60,6 +61,7 @@ class ResetProblem(NamedTuple):
     Attributes:
         velocity_noise: q, density of the velocity noise that Q states, m^2/s^3.
         measurement_noise: r, variance R of an update times its interval, m^2/s.
+        velocity: standard deviation of velocity after a reset, m/s.
         level: standard deviation of level after a reset, rad.
         heading: s0, standard deviation of heading after a reset, rad.
         north_rate: wN, horizontal Earth rate, rad/s.
@@ -68,10 +70,12 @@ class ResetProblem(NamedTuple):
         is_force_measured: whether A(t) has the measured specific force, not that of gravity.
         accel_noise: density of the accelerometers' own noise, m^2/s^3.
         gyro_noise: density of the gyros' own noise, rad^2/s.
+        tilt_noise: density of the tilt noise that Q states, rad^2/s.
     """
 
     velocity_noise: float
     measurement_noise: float
+    velocity: float
     level: float
     heading: float
     north_rate: float
@@ -80,6 +84,7 @@ class ResetProblem(NamedTuple):
     is_force_measured: bool
     accel_noise: float = 0.0
     gyro_noise: float = 0.0
+    tilt_noise: float = 0.0
 
     @property
     def tau(self) -> float:
@@ -92,19 +97,18 @@ class ResetProblem(NamedTuple):
         return _first_time(lambda t: self.heading**2 * heading_information(t, self) - 1)
 
 
-def heading_information(time_s: float, problem: ResetProblem) -> float:
+def heading_information(time_s: Any, problem: ResetProblem) -> Any:
     """Return the information J on the heading error after a time since a reset, 1/rad^2.
 
     Args:
-        time_s: time, s.
+        time_s: time, s, or an array of times.
         problem: the filter and its place.
     """
     tau = problem.tau
-    x = time_s / tau
-    if x < 0.7:  # the difference below loses its digits
-        bracket = x**5 / 720 * (1 - x**2 / 42 + x**4 / 1680)
-    else:
-        bracket = x**3 / 12 + x - x**2 / 2 / math.tanh(x / 2)
+    x = np.asarray(time_s) / tau
+    early = x**5 / 720 * (1 - x**2 / 42 + x**4 / 1680)  # the difference below loses its digits
+    late = np.maximum(x, 0.7)
+    bracket = np.where(x < 0.7, early, late**3 / 12 + late - late**2 / 2 / np.tanh(late / 2))
     scale = (problem.gravity * problem.north_rate) ** 2 * tau**5 / problem.measurement_noise
     return scale * bracket
 
@@ -126,11 +130,11 @@ def feigned_information(tilt: float, problem: ResetProblem) -> float:
     return (g * time_s * tilt) ** 2 / (q * time_s + 2 * math.sqrt(q * r))
 
 
-def contraction(time_s: float, problem: ResetProblem, tilt: float = 0.0) -> float:
+def contraction(time_s: Any, problem: ResetProblem, tilt: float = 0.0) -> Any:
     """Return the factor by which a segment contracts 2 tan(phi/2).
 
     Args:
-        time_s: its length, s.
+        time_s: its length, s, or an array of lengths.
         problem: the filter and its place.
         tilt: length of the level error that stands in the segment, rad.
     """
@@ -147,15 +151,15 @@ def levelling_time(problem: ResetProblem) -> float:
     return time_s
 
 
-def heading_sigma(time_s: float, problem: ResetProblem) -> float:
+def heading_sigma(time_s: Any, problem: ResetProblem) -> Any:
     """Return the standard deviation of heading by the sensors' own noise, rad.
 
     Args:
-        time_s: since the last reset, s.
+        time_s: since the last reset, s, or an array of times.
         problem: the filter and its place.
     """
     by_force = 12 * problem.accel_noise / (problem.gravity**2 * time_s**3)
-    return math.sqrt(by_force + 1.2 * problem.gyro_noise / time_s) / problem.north_rate
+    return np.sqrt(by_force + 1.2 * problem.gyro_noise / time_s) / problem.north_rate
 
 
 def angle_ratio(heading: float, band: float) -> float:
@@ -253,30 +257,24 @@ def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) ->
     """Return n - 1 equal segments and a last one, of which the sum is least."""
     if n == 1:
         return (_last_segment(problem, ratio, band),)
-
-    def total(log_s: float) -> float:
-        length_s = math.exp(log_s)
-        rest = ratio / contraction(length_s, problem) ** (n - 1)
-        return (n - 1) * length_s + _last_segment(problem, rest, band)
-
-    lengths = np.linspace(math.log(1e-2 * problem.ell), math.log(1e2 * problem.ell), 200)
-    place = int(np.argmin([total(length) for length in lengths]))
-    low, high = lengths[max(place - 1, 0)], lengths[min(place + 1, len(lengths) - 1)]
-    length_s = math.exp(_least(total, float(low), float(high)))
-    rest = ratio / contraction(length_s, problem) ** (n - 1)
-    return (*([length_s] * (n - 1)), _last_segment(problem, rest, band))
+    lengths_s = problem.ell * np.geomspace(1e-2, 1e2, 2000)
+    rests = ratio / contraction(lengths_s, problem) ** (n - 1)
+    place = int(np.argmin((n - 1) * lengths_s + _last_segments(problem, rests, band)))
+    last_s = _last_segment(problem, float(rests[place]), band)
+    return (*([float(lengths_s[place])] * (n - 1)), last_s)
 
 
-def _last_segment(
-    problem: ResetProblem, ratio: float, band: float, sigmas: float = _SAFE_SIGMAS
-) -> float:
+def _last_segment(problem: ResetProblem, ratio: float, band: float) -> float:
     """Return the length of a segment that contracts ``ratio`` to a band, apart from noise, s."""
+    return float(_last_segments(problem, np.array([ratio]), band)[0])
 
-    def excess(time_s: float) -> float:
-        left = band - sigmas * heading_sigma(time_s, problem)
-        return -1.0 if left <= 0 else contraction(time_s, problem) * left / ratio - 1
 
-    return _first_time(excess)
+def _last_segments(problem: ResetProblem, ratios: NDArray, band: float) -> NDArray:
+    """Return the lengths of last segments by the ratio that they contract, s; inf for none."""
+    times_s = np.geomspace(1e-6, _LONGEST_S, 4000)
+    left = np.maximum(band - _SAFE_SIGMAS * heading_sigma(times_s, problem), 1e-300)
+    reached = np.log(np.maximum.accumulate(contraction(times_s, problem) * left))
+    return np.exp(np.interp(np.log(ratios), reached, np.log(times_s), right=math.inf))
 
 
 def predicted_settling_time(
@@ -325,20 +323,3 @@ def _first_time(excess: Callable[[float], float]) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if excess(middle) < 0 else (low, middle)
     return high
-
-
-def _least(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return the place of the least value between two places, by the golden section."""
-    golden = (math.sqrt(5) - 1) / 2
-    a, b = high - golden * (high - low), low + golden * (high - low)
-    value_a, value_b = function(a), function(b)
-    for _ in range(40):
-        if value_a < value_b:
-            high, b, value_b = b, a, value_a
-            a = high - golden * (high - low)
-            value_a = function(a)
-        else:
-            low, a, value_a = a, b, value_b
-            b = low + golden * (high - low)
-            value_b = function(b)
-    return 0.5 * (low + high)

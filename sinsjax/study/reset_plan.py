@@ -9,7 +9,8 @@ import tomli_w
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
 from sinsjax.methods.filters.section import OF_SCHEDULES
-from sinsjax.methods.reset_law import ResetProblem, ResetSchedule, predicted_settling_time
+from sinsjax.methods.reset_law import ResetProblem, ResetSchedule
+from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.study import display
 from sinsjax.study.keys import format_toml
 from sinsjax.study.load import load_study
@@ -26,6 +27,8 @@ from sinsjax.units import ARCMIN, DEG
 _LIMITED_BY_R, _LIMITED_BY_Q = 1.0, 10.0  # segments in tau
 _MOVED = 0.2  # share by which the last reset is moved, to tell how flat the optimum is
 _NOT_WORTH = 0.9  # of the time without resets
+_OPEN_VELOCITY, _HELPS = 1.0, 0.9  # m/s after a reset, and the share of the time that is worth it
+_TILT = 5 * (1 + 1j) * DEG  # of the start
 _LARGE_BOUND, _KNOWN_BOUND, _LARGE_LEVEL = 165 * DEG, 25 * DEG, 30 * DEG
 _SLOW_FEEDBACK_S = 20.0
 _MAX_PLANS = 15
@@ -34,15 +37,20 @@ _MAX_PLANS = 15
 class ResetPlan(NamedTuple):
     """The schedule of a filter by the law, and what it is worth; times in s.
 
+    Settling times are those of a median run from the heading bound and 5 deg of level about both
+    axes, predicted by `sinsjax.methods.reset_prediction`; inf if it does not settle.
+
     Attributes:
         problem: the filter and its place.
-        heading_bound_deg: largest initial heading error that it settles, deg.
+        heading_bound_deg: largest initial heading error that the schedule settles, deg.
         band_arcmin: heading error within which a run is settled, arcmin.
         times_s: times of the resets.
-        settling_s: time within which the bound settles, with two sigma of noise.
-        median_s: settling time of a median run from the bound.
-        without_s: the same without resets and with levels of 5 deg; inf if never.
+        segments_s: lengths of the segments after the early resets.
+        settling_s: settling time with these resets.
+        without_s: settling time without resets.
         by_segments: settling times with one to four segments after the early resets.
+        moved: settling times with the last reset a fifth earlier and later.
+        open_velocity_s: settling time with reset_velocity_m_per_s = 1.
         warnings: where the law is known to fail.
     """
 
@@ -50,53 +58,41 @@ class ResetPlan(NamedTuple):
     heading_bound_deg: float
     band_arcmin: float
     times_s: tuple[float, ...]
+    segments_s: tuple[float, ...]
     settling_s: float
-    median_s: float
     without_s: float
     by_segments: tuple[float, ...]
-    warnings: tuple[str, ...]
-
-    @property
-    def segment_s(self) -> float:
-        """Length of the segment before the last reset, or of the only one, s."""
-        times = (*self.times_s, self.settling_s)
-        return times[-2] - times[-3] if len(times) > 4 or len(times) == 3 else times[-1] - times[-2]
+    moved: tuple[float, float]
+    open_velocity_s: float
+    warnings: tuple[str, ...] = ()
 
     @property
     def limited_by(self) -> str:
         """What limits the information of a segment: "Q", "R" or "Q and R"."""
-        x = self.segment_s / self.problem.tau
+        x = self.segments_s[0] / self.problem.tau
         return "R" if x < _LIMITED_BY_R else "Q" if x > _LIMITED_BY_Q else "Q and R"
-
-    def moved_last_reset_s(self, factor: float) -> float:
-        """Return the settling time of a median run with the last reset moved by a factor, s."""
-        *early, last = self.times_s
-        begin = early[-1] if early else 0.0
-        times = (*early, begin + (last - begin) * factor)
-        return _median_time(self.problem, times, self.heading_bound_deg, self.band_arcmin)
 
     @property
     def facts(self) -> dict[str, str]:
         """The plan in words, by heading."""
-        bound, band = f"{self.heading_bound_deg:g} deg", f"{self.band_arcmin:g}'"
-        share = self.median_s / self.without_s
-        worth = f"{share:.2g} of the time without resets" if math.isfinite(self.without_s) else (
-            "without resets it never settles"
-        )  # fmt: skip
+        share, segment_s = self.settling_s / self.without_s, self.segments_s[0]
+        worth = f"{share:.2g} of the time without resets"
+        if math.isinf(self.without_s):
+            worth = "without resets it does not settle"
         counts = ", ".join(
             f"{n}: {_format_time(time)}" for n, time in enumerate(self.by_segments, start=1)
         )
-        factor = reset_law.contraction(self.segment_s, self.problem)
-        moved = [self.moved_last_reset_s(1 + sign * _MOVED) / self.median_s - 1 for sign in (-1, 1)]
+        factor = reset_law.contraction(segment_s, self.problem)
+        earlier, later = (_format_change(time, self.settling_s) for time in self.moved)
         return {
             "resets": f"{', '.join(f'{time:g}' for time in self.times_s)} s",
-            "settles": f"within {band} from {bound}: {_format_time(self.median_s)} for a median"
-            f" run, {_format_time(self.settling_s)} with 2 sigma of noise",
+            "settles": f"within {self.band_arcmin:g}' from {self.heading_bound_deg:g} deg:"
+            f" {_format_time(self.settling_s)} (median run, predicted)",
             "without": _format_time(self.without_s),
-            "segments": f"after the early resets, with 2 sigma: {counts}",
+            "segments": f"after the early resets: {counts}",
             "filter": f"limited by its {self.limited_by} (tau {self.problem.tau:.3g} s): a segment"
-            f" of {self.segment_s:.3g} s contracts the heading error {factor:.3g} times",
-            "flat": f"the last reset {_MOVED:.0%} earlier {moved[0]:+.0%}, later {moved[1]:+.0%}",
+            f" of {segment_s:.3g} s contracts the heading error {factor:.3g} times",
+            "flat": f"the last reset {_MOVED:.0%} earlier {earlier}, later {later}",
             "worth": f"{'yes' if share < _NOT_WORTH else 'hardly'}: {worth}",
         }
 
@@ -147,7 +143,7 @@ def iter_plans(study: Study, **bounds: float) -> Iterator[tuple[dict[str, Any], 
     for point in points:
         whole = dict.fromkeys((*LAW_KEYS, *DERIVED)) | defaults | point | bounds
         try:
-            plan = _make_plan(study.rate_hz or 100.0, whole)
+            plan = _make_plan(study.rate_hz or 100.0, study.run_s, whole)
         except InputError as error:
             raise error.with_source(study.name) from None
         yield {key: point[key] for key in varying}, plan
@@ -171,7 +167,7 @@ def describe_plans(study: Study) -> list[str]:
         what = ", ".join(f"{key} {format_toml(value)}" for key, value in point.items())
         times = ", ".join(f"{time:g}" for time in plan.times_s)
         without = _format_time(plan.without_s)
-        lines.append(f"  {what}: {times} s; {_format_time(plan.median_s)} (without: {without})")
+        lines.append(f"  {what}: {times} s; {_format_time(plan.settling_s)} (without: {without})")
     if left := len(plans) - _MAX_PLANS:
         lines += [f"  and {left} more"] if left > 0 else []
     warnings = dict.fromkeys(text for _, plan in plans for text in plan.warnings)
@@ -194,42 +190,48 @@ def _describe_filter(plan: ResetPlan) -> str:
     return f"kalman5 with {force} in A(t), feedback every {plan.problem.feedback_s:g} s"
 
 
-def _make_plan(rate_hz: float, point: Mapping[str, Any]) -> ResetPlan:
+def _make_plan(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> ResetPlan:
     found = schedule_by_law(rate_hz, point)
     assert isinstance(found, ResetSchedule)
     problem = reset_problem(rate_hz, point)
-    bound_deg, band = point["heading_bound_deg"], point["settle_band_arcmin"]
-    by_segments = (
-        reset_law.schedule(problem, bound_deg * DEG, band * ARCMIN, n).settling_s
-        for n in range(1, 5)
-    )
-    tilt = math.sqrt(2) * 5 * DEG
-    without = predicted_settling_time(problem, (), bound_deg * DEG, tilt, band * ARCMIN)
+    bound, band = point["heading_bound_deg"] * DEG, point["settle_band_arcmin"] * ARCMIN
+    counted = (reset_law.schedule(problem, bound, band, n).times_s for n in range(1, 5))
+    last_s = found.times_s[-1] - (found.times_s[-2] if len(found.times_s) > 1 else 0.0)
+    moved = ((*found.times_s[:-1], found.times_s[-1] + k * _MOVED * last_s) for k in (-1, 1))
+    times = (found.times_s, (), *moved, *counted)
+    open_velocity = problem._replace(velocity=max(_OPEN_VELOCITY, problem.velocity))
+    settling = predict_settling_times(
+        [
+            *(Lane(problem, one, bound, _TILT) for one in times),
+            Lane(open_velocity, found.times_s, bound, _TILT),
+        ],
+        max(run_s, 3 * found.settling_s),
+        band,
+    ).tolist()
     plan = ResetPlan(
         problem,
-        bound_deg,
-        band,
+        point["heading_bound_deg"],
+        point["settle_band_arcmin"],
         found.times_s,
-        found.settling_s,
-        _median_time(problem, found.times_s, bound_deg, band),
-        without,
-        tuple(by_segments),
-        (),
+        found.segments,
+        settling_s=settling[0],
+        without_s=settling[1],
+        moved=(settling[2], settling[3]),
+        by_segments=tuple(settling[4:8]),
+        open_velocity_s=settling[8],
     )
     return plan._replace(warnings=tuple(_warnings(plan)))
 
 
-def _median_time(
-    problem: ResetProblem, times: tuple[float, ...], bound_deg: float, band_arcmin: float
-) -> float:
-    return predicted_settling_time(problem, times, bound_deg * DEG, 0.0, band_arcmin * ARCMIN)
-
-
 def _warnings(plan: ResetPlan) -> Iterator[str]:
-    """Yield where the law is known to fail."""
+    """Yield where the law is known to fail, and what would help."""
     problem, bound = plan.problem, plan.heading_bound_deg * DEG
-    if plan.limited_by != "Q" and bound > 2.0:
-        yield "limited by R, a heading error of 150 deg takes 1.5 to 2.1 times as long as predicted"
+    if plan.open_velocity_s < _HELPS * plan.settling_s:
+        yield (
+            f"P0 of velocity, {problem.velocity:g} m/s, lets P shrink too soon: with"
+            f" reset_velocity_m_per_s = {_OPEN_VELOCITY:g} it settles in"
+            f" {_format_time(plan.open_velocity_s)}"
+        )
     if problem.feedback_s >= _SLOW_FEEDBACK_S:
         yield f"feedback every {problem.feedback_s:g} s decides: some runs may never settle"
     elif problem.feedback_s > reset_law.levelling_time(problem):
@@ -240,8 +242,16 @@ def _warnings(plan: ResetPlan) -> Iterator[str]:
         yield "of a heading known to 20 deg the trigger settles as fast, and need not reset"
     if problem.level > _LARGE_LEVEL:
         yield "P0 of level above 30 deg is beyond the cells that were measured"
-    if plan.median_s > _NOT_WORTH * plan.without_s:
+    if plan.settling_s > _NOT_WORTH * plan.without_s:
         yield "resets hardly pay: the filter settles as fast without them"
+
+
+def _format_change(time_s: float, from_s: float) -> str:
+    """Return a change in whole percent, such as ``+3%``; ``0%`` without a sign."""
+    if not math.isfinite(time_s):
+        return "does not settle"
+    percent = round(100 * (time_s / from_s - 1))
+    return f"{percent:+d}%" if percent else "0%"
 
 
 def _format_time(time_s: float) -> str:

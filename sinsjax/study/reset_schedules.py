@@ -5,7 +5,7 @@ are. By the law, times follow from the variant's own Q, R, P0, latitude, feedbac
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from sinsjax.methods.filters.section import (
 )
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.reset_law import NoSchedule, ResetProblem, ResetSchedule
+from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
 
 LAW_METHODS = ("kalman5",)
@@ -31,7 +32,8 @@ _NOISE = tuple(key for keys in WHITE_NOISE.values() for key in keys[:2])
 _FILTER = (
     *(form for key, forms in Q_DENSITIES.items() for form in (key, *forms)),
     *("q_reading", "q_scale", "r_velocity_m_per_s", "r_reading", "r_scale"),
-    *("p0_level_deg", "p0_yaw_deg", "reset_level_deg", "reset_yaw_deg"),
+    *("p0_velocity_m_per_s", "p0_level_deg", "p0_yaw_deg", "reset_kind"),
+    *("reset_velocity_m_per_s", "reset_level_deg", "reset_yaw_deg"),
 )
 _LOOP = ("method", "specific_force", "feedback_interval_s")
 _BOUNDS = ("schedule", "heading_bound_deg", "settle_band_arcmin")
@@ -103,11 +105,11 @@ def schedule_by_law(rate_hz: float, point: Mapping[str, Any]) -> ResetSchedule |
     if point["method"] not in LAW_METHODS:
         text = f"'law' holds for {', '.join(LAW_METHODS)}, not {point['method']}"
         raise InputError(f"[resets] schedule: {text} (give 'trigger' or reset_times_s)")
-    problem = reset_problem(rate_hz, point)
+    if point["reset_kind"] not in (None, "full"):
+        raise InputError("[resets] reset_kind: schedule = 'law' needs 'full' resets (drop it)")
+    bound, band = point["heading_bound_deg"] * DEG, point["settle_band_arcmin"] * ARCMIN
     try:
-        return _cached_schedule(
-            problem, point["heading_bound_deg"] * DEG, point["settle_band_arcmin"] * ARCMIN
-        )
+        return _cached_schedule(reset_problem(rate_hz, point), bound, band)
     except NoSchedule as error:
         raise InputError(f"[resets] schedule: {error}") from None
 
@@ -115,27 +117,42 @@ def schedule_by_law(rate_hz: float, point: Mapping[str, Any]) -> ResetSchedule |
 _cached_schedule: Callable[..., ResetSchedule] = lru_cache(maxsize=4096)(reset_law.schedule)
 
 
-def predict_settling(rate_hz: float, point: Mapping[str, Any]) -> float:
-    """Return the settling time that the law predicts for a median run from a point's start, s.
+def predict_settling(
+    rate_hz: float, run_s: float, points: Sequence[Mapping[str, Any]]
+) -> list[float | None]:
+    """Return the predicted settling time of a median run from the start of each point, s.
 
-    NaN if the law does not hold for its method, if a trigger resets it, or if its start is drawn.
+    None where it does not settle within the run, where the law does not hold for its method, where
+    a trigger resets it, or if its start is drawn.
+
+    Args:
+        rate_hz: samples per second.
+        run_s: duration of the runs, s.
+        points: values of `LAW_KEYS`, `DERIVED` and `START_KEYS`.
     """
-    start = [point[f"phi_{axis}0_deg"] for axis in "enu"]
+    found: list[float | None] = [None] * len(points)
+    by_band: dict[float, dict[int, Lane]] = {}
+    for number, point in enumerate(points):
+        if (lane := _lane(rate_hz, point)) is not None:
+            by_band.setdefault(point["settle_band_arcmin"], {})[number] = lane
+    for band_arcmin, lanes in by_band.items():
+        times = predict_settling_times([*lanes.values()], run_s, band_arcmin * ARCMIN)
+        for number, time_s in zip(lanes, times.tolist(), strict=True):
+            found[number] = time_s if math.isfinite(time_s) else None
+    return found
+
+
+def _lane(rate_hz: float, point: Mapping[str, Any]) -> Lane | None:
+    start = [point[key] for key in START_KEYS]
     is_triggered = point["reset_trigger"] not in (None, "none")
     if point["method"] not in LAW_METHODS or is_triggered or None in start:
-        return math.nan
+        return None
     problem = reset_problem(rate_hz, point)
-    if problem.velocity_noise <= 0:
-        return math.nan
+    if problem.velocity_noise <= 0 or point["reset_kind"] not in (None, "full"):
+        return None
+    east, north, heading = (angle * DEG for angle in start)
     times = scheduled_reset_times(*(point[key] for key in OF_SCHEDULES))
-    time_s = reset_law.predicted_settling_time(
-        problem,
-        times,
-        start[2] * DEG,
-        math.hypot(*start[:2]) * DEG,
-        point["settle_band_arcmin"] * ARCMIN,
-    )
-    return time_s if math.isfinite(time_s) else math.nan
+    return Lane(problem, times, heading, complex(east, north))
 
 
 def check_law(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> None:
@@ -166,8 +183,9 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
     r_density *= 1 / rate_hz if point["r_reading"] == "per_update" else 1.0
     density = partial(_sensor_density, rate_hz, point)
     return ResetProblem(
-        velocity_noise=_velocity_noise(rate_hz, point, ug),
+        velocity_noise=_q_density(rate_hz, point, "q_accel_ug", ug),
         measurement_noise=r_density,
+        velocity=point["reset_velocity_m_per_s"] or point["p0_velocity_m_per_s"],
         level=(point["reset_level_deg"] or point["p0_level_deg"]) * DEG,
         heading=(point["reset_yaw_deg"] or point["p0_yaw_deg"]) * DEG,
         north_rate=place.rate * math.cos(place.latitude),
@@ -176,6 +194,7 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         is_force_measured=point["specific_force"] == "measured",
         accel_noise=(density("q_accel_ug") * ug) ** 2,
         gyro_noise=(density("q_gyro_deg_per_h") * DEG_PER_H) ** 2,
+        tilt_noise=_q_density(rate_hz, point, "q_gyro_deg_per_h", DEG_PER_H),
     )
 
 
@@ -188,16 +207,15 @@ def _read_place(point: Mapping[str, Any]) -> Place:
     return Place(normal, 7.292115e-5, latitude)
 
 
-def _velocity_noise(rate_hz: float, point: Mapping[str, Any], ug: float) -> float:
-    """Return the density of the velocity noise in Q, m^2/s^3."""
+def _q_density(rate_hz: float, point: Mapping[str, Any], key: str, unit: float) -> float:
+    """Return the density of the noise that a key of Q states, by default the sensors' own; SI."""
     scale = point["q_scale"] or 1.0
-    for form, factor in {"q_accel_ug": 1.0, **Q_DENSITIES["q_accel_ug"]}.items():
+    for form, factor in {key: 1.0, **Q_DENSITIES[key]}.items():
         if point[form] is not None:
-            per_step = (point[form] * factor * ug) ** 2 * q_unit_factors(1 / rate_hz)[
-                point["q_reading"]
-            ]
+            per_step = (point[form] * factor * unit) ** 2
+            per_step *= q_unit_factors(1 / rate_hz)[point["q_reading"]]
             return float(per_step * rate_hz * scale)
-    return float((_sensor_density(rate_hz, point, "q_accel_ug") * ug) ** 2 * scale)
+    return float((_sensor_density(rate_hz, point, key) * unit) ** 2 * scale)
 
 
 def _sensor_density(rate_hz: float, point: Mapping[str, Any], key: str) -> float:

@@ -430,16 +430,12 @@ class Study(_SectionsOfMethods):
 
     @property
     def predicted_settling(self) -> CodedColumn:
-        """Settling time of each variant by the law of resets, s; None where it says nothing."""
+        """Predicted settling time of each variant, s; None where nothing is predicted."""
         keys = [k for k in (*LAW_KEYS, *DERIVED, *START_KEYS) if self.is_readable(k)]
         missing = dict.fromkeys((*LAW_KEYS, *DERIVED))
-
-        def predict(values: tuple[Any, ...]) -> float | None:
-            point = missing | dict(zip(keys, values, strict=True))
-            time_s = predict_settling(self.rate_hz, point)
-            return None if math.isnan(time_s) else time_s
-
-        return self.resolved.column(*keys).map(predict)
+        codes, choices = self.resolved.column(*keys)
+        points = [missing | dict(zip(keys, values, strict=True)) for values in choices]
+        return CodedColumn(codes, tuple(predict_settling(self.rate_hz, self.run_s, points)))
 
     def reset_times(self) -> list[tuple[float, ...]]:
         """Return the reset times of each variant, s."""

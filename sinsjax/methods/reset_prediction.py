@@ -1,0 +1,200 @@
+"""Settling times of a filter with resets, predicted by an alignment reduced to three errors.
+
+The law of `reset_law` takes a segment for linear and its estimate for current. Here the filter
+runs, without noise, on the errors that matter: the horizontal velocity v and the tilt l, complex
+numbers with east as the real part, and the heading phi, of any size. In the computed frame
+
+    dv/dt = g l,    dl/dt = i wN (exp(-i phi) - 1).
+
+The filter's own model is linear: dl/dt = wN phi, and, with the measured force in A(t), whose
+horizontal part is g l, dv/dt = g l - i g l phi: a tilt feigns information on the heading. Feeding
+back a heading turns the computed frame, and the tilt with it.
+
+So it knows what the law does not: P shrinks before a large heading error has turned, the more so if
+P0 of velocity is small; a standing tilt can keep a run from ever settling. Tilts are small angles
+here: from 20 deg on, or with feedback slower than levelling, it is a guide only.
+
+In SI units; free of JAX.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem, levelling_time
+from sinsjax.units import ARCMIN
+
+_GROWTH = 0.02  # length of a step, of the time since the last reset
+_LAG_STEP, _LAG_REACH = 0.5, 3.0  # no step is longer than tau/2 up to 3 ell, while P shrinks
+_MOST_STEPS = 5000  # of such steps in a run
+_SIDE_BY_SIDE = 256  # runs of similar length that step together
+
+
+class Lane(NamedTuple):
+    """A run to predict.
+
+    Attributes:
+        problem: the filter and its place.
+        times_s: times of its resets, s.
+        heading: initial heading error, rad.
+        tilt: initial level error, east and north as a complex number, rad.
+    """
+
+    problem: ResetProblem
+    times_s: tuple[float, ...]
+    heading: float
+    tilt: complex = 0j
+
+
+def predict_settling_times(
+    lanes: Sequence[Lane],
+    run_s: float,
+    band: float = 10 * ARCMIN,
+    sigmas: float = MEDIAN_SIGMAS,
+) -> NDArray:
+    """Return the settling times of runs, s; inf for one that does not settle within the run.
+
+    All runs step side by side, so that a thousand cost little more than one.
+
+    Args:
+        lanes: the runs.
+        run_s: duration of the runs, s.
+        band: heading error within which a run is settled, rad.
+        sigmas: 1 sigma of the sensors' noise that narrow the band: 0.75 for a median run.
+    """
+    problems = {(lane.problem, lane.times_s) for lane in lanes}
+    steps = {key: _steps(*key, run_s) for key in problems}
+    by_lane = [steps[lane.problem, lane.times_s] for lane in lanes]
+    order = np.argsort([len(one.lengths) for one in by_lane], kind="stable")
+    settled = np.empty(len(lanes))
+    for begin in range(0, len(lanes), _SIDE_BY_SIDE):
+        block = order[begin : begin + _SIDE_BY_SIDE]
+        settled[block] = _settle(
+            [lanes[k] for k in block], [by_lane[k] for k in block], band, sigmas
+        )
+    return settled
+
+
+class _Steps(NamedTuple):
+    """Steps of a run: lengths in s, and whether feedback or a reset ends them."""
+
+    lengths: list[float]
+    feeds: list[bool]
+    resets: list[bool]
+
+
+def _settle(lanes: Sequence[Lane], steps: Sequence[_Steps], band: float, sigmas: float) -> NDArray:
+    """Return the times from which headings and noise stay within a band, s; inf for never."""
+    g, north, accel_noise, gyro_noise = _fields(
+        lanes, "gravity", "north_rate", "accel_noise", "gyro_noise"
+    )
+    now, settled = np.zeros(len(lanes)), np.full(len(lanes), math.inf)
+    before = np.full(len(lanes), math.inf)
+    for dt, since, heading in _headings(lanes, steps):
+        noise = np.sqrt(12 * accel_noise / (g**2 * since**3) + 1.2 * gyro_noise / since) / north
+        outside = np.abs(heading) + sigmas * noise - band
+        now = now + dt
+        is_entry = (outside <= 0) & (before > 0)
+        crossing = now - dt * outside / np.where(is_entry, outside - before, -1.0)
+        settled = np.where(outside > 0, math.inf, np.where(is_entry, crossing, settled))
+        before = np.where(dt > 0, outside, before)
+    return settled
+
+
+def _headings(
+    lanes: Sequence[Lane], steps: Sequence[_Steps]
+) -> Iterator[tuple[NDArray, NDArray, NDArray]]:
+    """Yield length, time since the last reset, s, and heading error, rad, after each step."""
+    g, north, q, q_tilt, r, is_measured = _fields(
+        lanes,
+        *("gravity", "north_rate", "velocity_noise", "tilt_noise"),
+        *("measurement_noise", "is_force_measured"),
+    )
+    start = _start_covariance(lanes)
+    p, x = start.copy(), np.zeros((5, len(lanes)))  # velocity and tilt, east and north; heading
+    v = np.zeros(len(lanes), complex)
+    tilt = np.array([lane.tilt for lane in lanes], complex)
+    heading = np.array([lane.heading for lane in lanes], float)
+    since = np.zeros(len(lanes))
+    for dt, is_fed, is_reset in zip(*_side_by_side(steps), strict=True):
+        rate = 1j * north * (np.exp(-1j * heading) - 1)
+        force_dt = g * dt * (tilt + rate * dt / 2)
+        v, tilt = v + force_dt, tilt + rate * dt
+        tilt_dt, heading_dt = g * dt, north * dt
+        feigned_dt = -1j * is_measured * force_dt + tilt_dt * heading_dt / 2
+        for m in (p, p.transpose(1, 0, 2), x):
+            m[0] += tilt_dt * m[2] + feigned_dt.real * m[4]
+            m[1] += tilt_dt * m[3] + feigned_dt.imag * m[4]
+            m[2] += heading_dt * m[4]
+        for state, density in enumerate((q, q, q_tilt, q_tilt)):
+            p[state, state] += density * dt
+        for axis, velocity in enumerate((v.real, v.imag)):
+            gain = p[axis] * (dt / (p[axis, axis] * dt + r))
+            x += gain * (velocity - x[axis])
+            p -= gain[:, None] * p[axis]
+        fed = np.where(is_fed, x, 0.0)
+        x -= fed
+        v = v - fed[0] - 1j * fed[1]
+        tilt = (tilt - fed[2] - 1j * fed[3]) * np.exp(1j * fed[4])
+        heading = np.remainder(heading - fed[4] + math.pi, 2 * math.pi) - math.pi
+        since = since + dt
+        yield dt, since, heading
+        if is_reset.any():
+            p = np.where(is_reset, start, p)
+            since = np.where(is_reset, 0.0, since)
+
+
+def _fields(lanes: Sequence[Lane], *names: str) -> list[NDArray]:
+    """Return fields of the problems, each (lanes,)."""
+    return [np.array([getattr(lane.problem, name) for lane in lanes], float) for name in names]
+
+
+def _start_covariance(lanes: Sequence[Lane]) -> NDArray:
+    """Return P after a reset, (5, 5, lanes)."""
+    start = np.zeros((5, 5, len(lanes)))
+    for states, sigma in zip(
+        ((0, 1), (2, 3), (4,)), _fields(lanes, "velocity", "level", "heading"), strict=True
+    ):
+        for state in states:
+            start[state, state] = sigma**2
+    return start
+
+
+def _steps(problem: ResetProblem, times_s: Sequence[float], run_s: float) -> _Steps:
+    """Return steps that are short after each reset and grow, up to a feedback or a reset."""
+    steps = _Steps([], [], [])
+    feedback_s, reach_s = problem.feedback_s, _LAG_REACH * problem.ell
+    shortest = max(min(problem.tau / 4, levelling_time(problem) / 20), run_s / 1e5)
+    longest = max(_LAG_STEP * problem.tau, shortest, run_s / _MOST_STEPS)
+    for begin, end in zip((0.0, *times_s), (*times_s, run_s), strict=True):
+        now = begin
+        while now < end:
+            since = now - begin
+            step = max(shortest, _GROWTH * since)
+            step = min(step, longest) if since < reach_s else step
+            is_fed = step >= feedback_s
+            later = now + step
+            if not is_fed:
+                feedback = (math.floor(now / feedback_s + 1e-6) + 1) * feedback_s
+                is_fed = later >= feedback - 0.1 * step
+                later = feedback if is_fed else later
+            is_last = later >= end - 0.1 * step
+            later = end if is_last else later
+            steps.lengths.append(later - now)
+            steps.feeds.append(is_fed or is_last)
+            steps.resets.append(is_last and end != run_s)
+            now = later
+    return steps
+
+
+def _side_by_side(runs: Sequence[_Steps]) -> tuple[NDArray, NDArray, NDArray]:
+    """Return lengths, feedbacks and resets (steps, lanes); a lane ends with steps of no length."""
+    shape = (max(len(run.lengths) for run in runs), len(runs))
+    lengths, feeds, resets = np.zeros(shape), np.zeros(shape, bool), np.zeros(shape, bool)
+    for lane, run in enumerate(runs):
+        count = len(run.lengths)
+        lengths[:count, lane], feeds[:count, lane], resets[:count, lane] = run
+    return lengths, feeds, resets
