@@ -222,11 +222,14 @@ def _check_coarse_method(study: Study, key_tables: KeyTables) -> None:
 
 
 def _check_reset_law(study: Study, key_tables: KeyTables) -> None:
-    """Refuse a schedule by the law of resets for a band that noise exceeds."""
+    """Refuse a law of resets for a band that noise exceeds, and policies that look the same."""
     if study.has("resets") and study.names_schedules:
         keys = [key for key in (*LAW_KEYS, *DERIVED) if study.is_readable(key)]
         for point in study.given_combinations(*keys):
             check_law(study.rate_hz, study.run_s, dict.fromkeys(LAW_KEYS) | point)
+        if any(len(set(points)) < len(points) for points in study.axes_shown.values()):
+            text = "a name is there twice, and its times differ from run to run"
+            _refuse_key("schedule", key_tables, f"{text} (list it in [[cases]], with a case each)")
 
 
 def _check_coarse_times(study: Study, key_tables: KeyTables) -> None:

@@ -485,7 +485,8 @@ class Study(_SectionsOfMethods):
             if len(set(values)) == len(values):
                 axes[(first,)] = tuple(values)
             else:
-                axes[tuple(dimension)] = tuple(zip(*dimension.values(), strict=True))
+                given = {k: v for k, v in dimension.items() if k not in self.derived_keys}
+                axes[tuple(given)] = tuple(zip(*given.values(), strict=True))
         return axes
 
     @property
@@ -618,6 +619,11 @@ class Study(_SectionsOfMethods):
         if not self.has("resets"):
             return False
         return any(point["schedule"] != "times" for point in self.given_combinations("schedule"))
+
+    @property
+    def derived_keys(self) -> tuple[str, ...]:
+        """Keys of resets whose values follow from `schedule` where it is not 'times'."""
+        return DERIVED if self.names_schedules else ()
 
     def _derived_combinations(self, keys: tuple[str, ...]) -> Iterator[dict[str, Any]]:
         inputs = [key for key in (*LAW_KEYS, *DERIVED) if self.is_readable(key)]

@@ -234,6 +234,22 @@ def test_schedules_by_name_are_swept_beside_times() -> None:
             "a Q of zero no reset",
         ),
         ({"resets": LAW | {"heading_bound_deg": 180.0}}, "[resets] heading_bound_deg: must be"),
+        (
+            {"resets": LAW | {"reset_kind": "yaw"}},
+            "[resets] reset_kind: schedule = 'law' needs 'full' resets (drop it)",
+        ),
+        (
+            {
+                "axes": {
+                    "policy": {
+                        "schedule": ["times", "times", "law"],
+                        "reset_times_s": [[10.0], [20.0], []],
+                    }
+                }
+            },
+            "[axes.policy] schedule: a name is there twice, and its times differ from run to run"
+            " (list it in [[cases]], with a case each)",
+        ),
     ],
 )
 def test_schedule_that_cannot_be_made_is_refused_in_one_line(
