@@ -61,6 +61,10 @@ class CheckedStudy(StudyView, Protocol):
         """End of its shortest run, in words."""
         ...
 
+    def given_combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
+        """Yield combinations of keys as the file gives them, before others decide their values."""
+        ...
+
     def place(self, key: str) -> str | None:
         """Return the table, in brackets, that gives a key; None if it is left out."""
         ...

@@ -85,6 +85,7 @@ class _RuleView:
         self.rate_hz, self.run_s = study.rate_hz, study.run_s
         self.is_recorded, self.end = study.is_recorded, _describe_end(study)
         self.has, self.combinations, self.place = study.has, study.combinations, key_tables.get
+        self.given_combinations = study.given_combinations
 
     def refuse(self, key: str, text: str) -> NoReturn:
         """Raise the error of a key."""

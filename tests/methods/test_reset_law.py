@@ -12,6 +12,7 @@ import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
 from sinsjax.methods.reset_law import NoSchedule, ResetProblem
+from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.units import ARCMIN, DEG
 
 G, RATE = 9.8, 15.041067 * DEG / 3600
@@ -181,6 +182,13 @@ def test_sweep_carries_the_schedule_of_each_variant() -> None:
     assert len(set(times)) == 4
     assert times[3] == reset_law.schedule(NOISY, 150 * DEG).times_s
     assert study.values("reset_count") == [None] * 4
+
+
+@pytest.mark.parametrize("axes", [{}, {"schedule": ["law", "none"]}])
+def test_study_stored_with_every_value_loads_again(axes: dict[str, Any]) -> None:
+    resets = {} if axes else LAW
+    study = small_study(**PER_STEP, resets=resets, axes=axes)
+    assert study_from_dict(study_to_tables(study)).reset_times() == study.reset_times()
 
 
 def test_schedules_by_name_are_swept_beside_times() -> None:

@@ -323,7 +323,7 @@ def check_resets(study: CheckedStudy) -> None:
     points = [*study.combinations(*OF_RESETS, "schedule")] if study.has("resets") else []
     names = sorted({point["schedule"] for point in points})
     for key in OF_SCHEDULES if names and "times" not in names else ():
-        if study.place(key):
+        if any(point[key] for point in study.given_combinations(key)):
             shown = " and ".join(map(repr, names))
             study.refuse(key, f"has no effect with schedule = {shown} (drop one of the two)")
     for point in points:
