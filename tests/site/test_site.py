@@ -154,7 +154,7 @@ def test_extending_page_describes_names_imported_by_example(
 @pytest.mark.parametrize(
     ("words", "page"),
     [
-        ("covariance reset", "reset_cycle.html"),
+        ("covariance reset", "reset_law.html"),
         ("R", "keys.html"),
         ("heading_deg", "own_record.html"),
         ("averaging_time_s", "own_method.html"),

@@ -51,7 +51,10 @@ PAGES = {
     "consistency": ("consistency",),
     "kalman_passes": ("kalman_passes",),
     "paper1": ("paper1_conditions", "paper1_resets", "paper1_readings"),
-    "reset_cycle": ("reset_cycle_study", "reset_phase"),
+    "reset_law": (
+        *("reset_law", "reset_law_map", "reset_own_noise"),
+        *("reset_cycle_study", "reset_phase"),
+    ),
     "which_alignment": (
         "which_alignment",
         "which_alignment_tuned",

@@ -10,11 +10,11 @@ from ..adaptive import page as adaptive
 from ..compass_map import page as compass_map
 from ..consistency import page as consistency
 from ..kalman_passes import page as kalman_passes
-from ..reset_cycle import page as reset_cycle
+from ..reset_law import listed
 from ..tuning import page as tuning
 
 SCRIPTS = {
-    "reset_cycle": reset_cycle,
+    "reset_cycle": listed,
     "adaptive": adaptive,
     "tuning": tuning,
     "compass_map": compass_map,

@@ -1,4 +1,4 @@
-"""Numbers of the page on how many resets to make, and when."""
+"""Times of resets from a list, tried in one filter at one latitude: 184,320 runs."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ def page(sources: Sources) -> Page:
         Page({"study": {"runs": f"{source.runs:,}", "draws": grid.draws}}),
         _answer(source, grid),
         _counts(grid),
-        _single(source, grid),
+        _single(grid),
         _phase(sources["reset_phase"]),
         _failure(grid),
     )
@@ -160,7 +160,7 @@ def _counts(grid: Grid) -> Page:
     return Page({"contest": values}, claims=claims)
 
 
-def _single(source: Source, grid: Grid) -> Page:
+def _single(grid: Grid) -> Page:
     times = schedules(grid, 1, 1)
     settles = converges(grid.at(SETTLE, force=MEASURED, schedule=times))
     here = grid.at(SETTLE, schedule=times, **POINT)
@@ -179,20 +179,7 @@ def _single(source: Source, grid: Grid) -> Page:
         ),
         "one reset at the right time is nearly always enough": enough > 0.9 * points,
     }
-    panels = {
-        f"heading error {yaw:g} deg": grid.at(SETTLE, schedule=times, yaw=yaw, **HERE)
-        for yaw in grid.axes["yaw"]
-    }
-    picture = settling_maps(
-        source,
-        "single_reset",
-        panels,
-        "As above, against the time of the only reset.",
-        rows=GridAxis("initial level error_deg", grid.axes["level"]),
-        columns=GridAxis("time of the reset_s", [time for (time,) in times]),
-        title="When must a single reset come? Heading within 10' of its limit",
-    )
-    return Page({"single": values}, figures={"single": picture}, claims=claims)
+    return Page({"single": values}, claims=claims)
 
 
 def _failure(grid: Grid) -> Page:
@@ -202,7 +189,9 @@ def _failure(grid: Grid) -> Page:
     everywhere, ablated = shared(measured), shared(gravity)
     values = {"failure": {"measured": share(everywhere), "gravity": share(ablated)}}
     claims = {
-        "gravity in A(t) prevents most failures": ablated.high < everywhere.low / 2,
+        "gravity in A(t) prevents most failures": (
+            ablated.value < everywhere.value / 2 and ablated.high < everywhere.low
+        ),
         "with gravity only feedback every 10 s fails": (
             not gravity[:, :2].any() and gravity[:, 2].any()
         ),
