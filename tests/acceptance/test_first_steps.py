@@ -171,7 +171,9 @@ def test_help_lists_commands_in_panels_and_shows_brackets(sinsjax: Command) -> N
     assert code == 0 and [*found] == ["Run", "Look", "Set up"]
     assert found["Run"] == ["run", "sweep", "align", "tune"]
     assert {"report", "rerun"} <= set(found["Look"])
-    assert {"init", "validate", "keys", "info", "gains", "bench"} == set(found["Set up"])
+    assert {"init", "validate", "keys", "info", "gains", "bench", "schedule"} == set(
+        found["Set up"]
+    )
     assert "Search the variables of a study's [tune]" in told
     listed = typer.main.get_command(app)
     assert sorted(name for names in found.values() for name in names) == sorted(listed.commands)
@@ -546,7 +548,10 @@ def test_version_and_command_help_are_printed(sinsjax: Command) -> None:
 def test_shell_completion_offers_studies_and_keys(sinsjax: Command, tmp_path: Path) -> None:
     (tmp_path / "reset_mine.toml").write_text(tomli_w.dumps({}))
     names = options.complete_study("reset_")
-    assert names == ["reset_mine.toml", "reset_cycle_study", "reset_phase", "reset_sweep"]
+    assert names == [
+        "reset_mine.toml",
+        *sorted(path.stem for path in (ROOT / "configs").glob("reset_*.toml")),
+    ]
     assert options.complete_section_or_key("reset_r") == ["reset_restarts_feedback"]
     assert options.complete_override_key("alignment.phi_u") == ["alignment.phi_u0_deg="]
 
