@@ -52,6 +52,11 @@ class ResetPlan(NamedTuple):
         moved: settling times with the last reset a fifth earlier and later.
         open_velocity_s: settling time with reset_velocity_m_per_s = 1.
         warnings: where the law is known to fail.
+
+    Examples:
+        >>> plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=60)
+        >>> plan.limited_by, len(plan.times_s), plan.settling_s < plan.without_s
+        ('Q', 4, True)
     """
 
     problem: ResetProblem
