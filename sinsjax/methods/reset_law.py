@@ -38,7 +38,7 @@ _LEVELLING = 300.0
 _EARLY_RESETS = 3
 """Early resets with the measured force; a single one with the force of gravity.
 
-Two are enough once P0 of velocity is open (1 m/s), see `reset_prediction`; the third repairs 0.1 m/s.
+Two are enough once P0 of velocity is open, 1 m/s, see `reset_prediction`.
 """
 
 _LAG_SHARE, _LAG_TAUS = 0.45, 1.2
@@ -51,7 +51,7 @@ _LARGE_ERROR = 1.0
 """Heading bound above which a second segment is worth having even if the sum says no, rad."""
 
 _SECOND_SEGMENT = 2.5
-"""Length of the first of these two segments, in ell; 2.2 is as good in cell L5."""
+"""Length of the first of these two segments, in ell; with 2.1 cell L5 is as soon."""
 
 _MOST_SEGMENTS = 4
 _MIN_GAIN = 0.02  # of the time, for one more segment
