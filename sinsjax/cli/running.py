@@ -134,8 +134,12 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     steps = expected.length_s * study.rate_hz
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
     lines.append(f"Up to {steps:,.0f} steps per run, {steps * expected.runs:,.0f} in total.")
-    compared = (checks.describe_process_noise(study), checks.describe_feedback_interval(study))
-    lines += [f"{line}." for line in compared if line]
+    describe = (
+        checks.describe_process_noise,
+        checks.describe_measurement_noise,
+        checks.describe_feedback_interval,
+    )
+    lines += [f"{line}." for line in (text(study) for text in describe) if line]
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 
 

@@ -14,6 +14,7 @@ from sinsjax.engine.truth import read_site, start_samples
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.messages import format_seconds
 from sinsjax.methods.filters.parameters import level_settling_s
+from sinsjax.methods.filters.section import update_variance
 from sinsjax.methods.level.config import LEVEL
 from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
@@ -23,6 +24,7 @@ from sinsjax.records.plausibility import StationaryValues, check_stationary
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
+from sinsjax.study.measurement_noise import surge_noise_ratios, update_variance_keys
 from sinsjax.study.process_noise import noise_ratios_by_sensor
 from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
@@ -100,6 +102,22 @@ def _format_range(numbers: set[float]) -> str:
     return " to ".join(f"{number:,g}" for number in sorted({min(numbers), max(numbers)}))
 
 
+def describe_measurement_noise(study: Study) -> str | None:
+    """Compare R with the density of the surge, as variances, in one sentence.
+
+    The larger axis of east and north counts. None without a surge or without a filter that takes it
+    for measurement noise.
+
+    Args:
+        study: checked study with a simulated base.
+    """
+    ratios = surge_noise_ratios(study)
+    if not ratios:
+        return None
+    text = _format_range({float(f"{ratio:.2g}") for ratio in ratios})
+    return f"The filter's R is {text} times the density of the surge, in variance"
+
+
 def describe_feedback_interval(study: Study) -> str | None:
     """Compare the time between feedbacks with the settling time of the filter's level.
 
@@ -112,16 +130,16 @@ def describe_feedback_interval(study: Study) -> str | None:
         return None
     intervals_s: set[float] = set()
     settling_s: set[float] = set()
-    level_keys = ("p0_velocity_m_per_s", "p0_level_deg", "r_velocity_m_per_s")
-    noise_keys = ("r_reading", "r_scale")
-    for point in study.combinations("method", "feedback_interval_s", *level_keys, *noise_keys):
+    level_keys = ("p0_velocity_m_per_s", "p0_level_deg")
+    r_keys = update_variance_keys(study)
+    for point in study.combinations("method", "feedback_interval_s", *level_keys, *r_keys):
         method = METHODS[point["method"]]
         if "filter" not in method.sections or "surge" in method.sections:
             continue
         intervals_s.add(point["feedback_interval_s"])
-        time_s = level_settling_s(
-            study.rate_hz, *(point[key] for key in (*level_keys, *noise_keys))
-        )
+        r = update_variance(study.rate_hz, *(point[key] for key in r_keys))
+        p0_velocity, p0_level = (point[key] for key in level_keys)
+        time_s = level_settling_s(study.rate_hz, p0_velocity, p0_level, r)
         settling_s.add(float(f"{time_s:.2g}"))
     if not intervals_s:
         return None

@@ -17,7 +17,8 @@ once
 Their least sum has equal segments: limited by Q (J ~ T^3) each contracts 17 times, limited by R
 (J ~ T^5) 143 times. With the measured force in A(t), a standing tilt l feigns the information
 K l^2 on the heading, which adds to 1/s0^2 and which early resets remove. The noise of the sensors
-restarts with each segment, too.
+restarts with each segment, too. So does that of a surge of density rs, which leaves the heading of
+a least squares over T seconds at sqrt(720 rs/T^5)/(g wN).
 
 All in SI units; free of JAX.
 """
@@ -50,6 +51,10 @@ _SAFE_SIGMAS, MEDIAN_SIGMAS = 2.0, 0.75
 _LARGE_ERROR = 1.0
 """Heading bound above which a second segment is worth having even if the sum says no, rad."""
 
+_SURGE_SIGMA = 2 * DEG
+"""Heading that the surge may leave at the last reset, 1 sigma. Fitted to `configs/reset_surge.toml`
+with seeds 47 and 48."""
+
 _SECOND_SEGMENT = 2.5
 """Length of the first of these two segments, in ell; with 2.1 cell L5 is as soon."""
 
@@ -74,6 +79,7 @@ class ResetProblem(NamedTuple):
         accel_noise: density of the accelerometers' own noise, m^2/s^3.
         gyro_noise: density of the gyros' own noise, rad^2/s.
         tilt_noise: density of the tilt noise that Q states, rad^2/s.
+        surge: density of the velocity of the base, m^2/s.
     """
 
     velocity_noise: float
@@ -88,6 +94,7 @@ class ResetProblem(NamedTuple):
     accel_noise: float = 0.0
     gyro_noise: float = 0.0
     tilt_noise: float = 0.0
+    surge: float = 0.0
 
     @property
     def tau(self) -> float:
@@ -155,13 +162,14 @@ def levelling_time(problem: ResetProblem) -> float:
 
 
 def heading_sigma(time_s: Any, problem: ResetProblem) -> Any:
-    """Return the standard deviation of heading by the sensors' own noise, rad.
+    """Return the standard deviation of heading by the sensors' own noise and the surge, rad.
 
     Args:
         time_s: since the last reset, s, or an array of times.
         problem: the filter and its place.
     """
     by_force = 12 * problem.accel_noise / (problem.gravity**2 * time_s**3)
+    by_force = by_force + 720 * problem.surge / (problem.gravity**2 * time_s**5)
     return np.sqrt(by_force + 1.2 * problem.gyro_noise / time_s) / problem.north_rate
 
 
@@ -215,6 +223,8 @@ def schedule(
         first_s = _SECOND_SEGMENT * problem.ell
         rest = angle_ratio(heading_bound, 1.0) / contraction(first_s, problem)
         found = (first_s, _last_segment(problem, rest, band))
+    if len(found) > 1:
+        found = _outlast_surge(problem, heading_bound, band, found)
     lag_s = 0.0
     if problem.feedback_s > early_s:
         lag_s = min(_LAG_SHARE * problem.feedback_s, _LAG_TAUS * problem.tau)
@@ -254,6 +264,25 @@ def _best_segments(
         if not best or sum(segments) < (1 - _MIN_GAIN) * sum(best):
             best = segments
     return best
+
+
+def _outlast_surge(
+    problem: ResetProblem, heading_bound: float, band: float, segments: tuple[float, ...]
+) -> tuple[float, ...]:
+    """Return the segments with a longer one before the last reset, if the surge requires it.
+
+    A surge throws the heading of a filter that is reset too early so far that it may never settle.
+    """
+    scale = problem.gravity * problem.north_rate * _SURGE_SIGMA
+    shortest_s = (720 * problem.surge / scale**2) ** 0.2
+    *before, _ = segments
+    if before[-1] >= shortest_s:
+        return segments
+    before[-1] = shortest_s
+    rest = angle_ratio(heading_bound, 1.0)
+    for length_s in before:
+        rest /= contraction(length_s, problem)
+    return (*before, _last_segment(problem, rest, band))
 
 
 def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) -> tuple[float, ...]:

@@ -88,13 +88,14 @@ class _Steps(NamedTuple):
 
 def _settle(lanes: Sequence[Lane], steps: Sequence[_Steps], band: float, sigmas: float) -> NDArray:
     """Return the times from which headings and noise stay within a band, s; inf for never."""
-    g, north, accel_noise, gyro_noise = _fields(
-        lanes, "gravity", "north_rate", "accel_noise", "gyro_noise"
+    g, north, accel_noise, gyro_noise, surge = _fields(
+        lanes, "gravity", "north_rate", "accel_noise", "gyro_noise", "surge"
     )
     now, settled = np.zeros(len(lanes)), np.full(len(lanes), math.inf)
     before = np.full(len(lanes), math.inf)
     for dt, since, heading in _headings(lanes, steps):
-        noise = np.sqrt(12 * accel_noise / (g**2 * since**3) + 1.2 * gyro_noise / since) / north
+        by_force = (12 * accel_noise / since**3 + 720 * surge / since**5) / g**2
+        noise = np.sqrt(by_force + 1.2 * gyro_noise / since) / north  # as heading_sigma has it
         outside = np.abs(heading) + sigmas * noise - band
         now = now + dt
         is_entry = (outside <= 0) & (before > 0)

@@ -1,5 +1,6 @@
 """Figures of statistics over the draws: along one swept key, and whole distributions."""
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from textwrap import fill
@@ -100,6 +101,9 @@ def plot_compare(
     return draw_along_axis(key, values, panels, title=title, condition=condition)
 
 
+_NO_ESTIMATE = Estimate(math.nan, math.nan, math.nan, 0)
+
+
 def build_comparison_panels(
     runs: Any, key: str, by: Sequence[str], statistics: Mapping[str, str] | None = None
 ) -> tuple[list[Any], dict[str, Mapping[str, Sequence[Estimate]]]]:
@@ -113,14 +117,19 @@ def build_comparison_panels(
         name: summarise(line_rows, [key], list(titles)).to_pylist()
         for name, line_rows in lines.items()
     }
+    values: list[Any] = []
+    for line_rows in sorted(rows.values(), key=lambda line_rows: -len(line_rows)):
+        values += [row[key] for row in line_rows if row[key] not in values]
+
+    def estimates(line_rows: list[dict[str, Any]], statistic: str) -> list[Estimate]:
+        at = {values.index(row[key]): _read_estimate(row, statistic) for row in line_rows}
+        # A schedule by the law of resets has other times at each value, and so a line for each.
+        return [at.get(place, _NO_ESTIMATE) for place in range(len(values))]
+
     panels = {
-        words: {
-            name: [_read_estimate(row, statistic) for row in line_rows]
-            for name, line_rows in rows.items()
-        }
+        words: {name: estimates(line_rows, statistic) for name, line_rows in rows.items()}
         for statistic, words in titles.items()
     }
-    values = [row[key] for row in max(rows.values(), key=len)]
     return values, drop_uninformative_panels(panels) or dict(list(panels.items())[-1:])
 
 

@@ -1,7 +1,8 @@
 """Reset schedules that a study names: none, by the law, or by a trigger.
 
 ``[resets] schedule`` decides, variant by variant, what the keys of scheduled and triggered resets
-are. By the law, times follow from the variant's own Q, R, P0, latitude, feedback and sensors.
+are. By the law, times follow from the variant's own Q, R, P0, latitude, feedback, sensors and
+surge.
 """
 
 import math
@@ -12,12 +13,16 @@ from typing import Any, NamedTuple
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
 from sinsjax.methods.filters.section import (
+    OF_R,
     OF_SCHEDULES,
+    OF_SURGE,
     Q_DENSITIES,
     WHITE_NOISE,
     q_unit_factors,
     scheduled_reset_times,
     sensor_noise_density,
+    surge_density,
+    update_variance,
 )
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.reset_law import NoSchedule, ResetProblem, ResetSchedule
@@ -31,7 +36,7 @@ _EARTH = ("earth", "gravity_m_per_s2", "earth_rate_deg_per_h", "latitude_deg")
 _NOISE = tuple(key for keys in WHITE_NOISE.values() for key in keys[:2])
 _FILTER = (
     *(form for key, forms in Q_DENSITIES.items() for form in (key, *forms)),
-    *("q_reading", "q_scale", "r_velocity_m_per_s", "r_reading", "r_scale"),
+    *("q_reading", "q_scale", *OF_R, *OF_SURGE),
     *("p0_velocity_m_per_s", "p0_level_deg", "p0_yaw_deg", "reset_kind"),
     *("reset_velocity_m_per_s", "reset_level_deg", "reset_yaw_deg"),
 )
@@ -156,16 +161,18 @@ def _lane(rate_hz: float, point: Mapping[str, Any]) -> Lane | None:
 
 
 def check_law(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> None:
-    """Refuse a band that the noise of the sensors exceeds at the end of a run.
+    """Refuse a band that the noise of sensors and surge exceeds at the end of a run.
 
     Raises:
         InputError: the line begins ``[section] key`` and states the noise.
     """
     if point["schedule"] != "law" or point["method"] not in LAW_METHODS:
         return
-    sigma_arcmin = reset_law.heading_sigma(run_s, reset_problem(rate_hz, point)) / ARCMIN
+    problem = reset_problem(rate_hz, point)
+    sigma_arcmin = reset_law.heading_sigma(run_s, problem) / ARCMIN
     if 2 * sigma_arcmin >= point["settle_band_arcmin"]:
-        text = f"2 sigma of the sensors' noise are {2 * sigma_arcmin:.2g}' after {run_s:g} s"
+        noise = f"the sensors' noise{' and the surge' if problem.surge else ''}"
+        text = f"2 sigma of {noise} are {2 * sigma_arcmin:.2g}' after {run_s:g} s"
         raise InputError(f"[resets] settle_band_arcmin: {text} (give a wider band)")
 
 
@@ -179,12 +186,11 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         raise InputError("[resets] schedule: 'law' needs one latitude_deg (give it in [earth])")
     place = _read_place(point)
     ug = micro_g(place.gravity) if point["earth"] == "constants" else micro_g()
-    r_density = point["r_velocity_m_per_s"] ** 2 * (point["r_scale"] or 1.0)
-    r_density *= 1 / rate_hz if point["r_reading"] == "per_update" else 1.0
+    r = update_variance(rate_hz, *(point[key] for key in (*OF_R, *OF_SURGE)))
     density = partial(_sensor_density, rate_hz, point)
     return ResetProblem(
         velocity_noise=_q_density(rate_hz, point, "q_accel_ug", ug),
-        measurement_noise=r_density,
+        measurement_noise=r / rate_hz,
         velocity=point["reset_velocity_m_per_s"] or point["p0_velocity_m_per_s"],
         level=(point["reset_level_deg"] or point["p0_level_deg"]) * DEG,
         heading=(point["reset_yaw_deg"] or point["p0_yaw_deg"]) * DEG,
@@ -195,6 +201,7 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         accel_noise=(density("q_accel_ug") * ug) ** 2,
         gyro_noise=(density("q_gyro_deg_per_h") * DEG_PER_H) ** 2,
         tilt_noise=_q_density(rate_hz, point, "q_gyro_deg_per_h", DEG_PER_H),
+        surge=surge_density(*(point[key] for key in OF_SURGE)),
     )
 
 

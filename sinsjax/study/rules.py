@@ -32,6 +32,7 @@ from sinsjax.study.keys import (
     has_effect,
     key_summary,
 )
+from sinsjax.study.measurement_noise import check_measurement_noise
 from sinsjax.study.process_noise import check_process_noise
 from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, check_law
 from sinsjax.study.schema import (
@@ -696,6 +697,7 @@ StudyRule = Callable[[Study, KeyTables], None]
 PRESENCE_RULES: tuple[StudyRule, ...] = (
     _check_keys_of_methods,
     check_process_noise,
+    check_measurement_noise,
     _check_covariance_analysis,
 )
 """Rules for the presence of keys."""

@@ -49,7 +49,8 @@ def disturbed(**changes: Any) -> Study:
         {key: value for key, value in ALL[name].items() if key not in changes.get("drawn", {})}
         for name in ("motion", "sensors")
     )
-    return small_study(**{"motion": motion, "sensors": sensors} | changes)
+    filter_ = {"r_velocity_m_per_s": 0.1}  # required if the surge is drawn
+    return small_study(**{"motion": motion, "sensors": sensors, "filter": filter_} | changes)
 
 
 def group_of(study: Study):

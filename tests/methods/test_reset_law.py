@@ -12,6 +12,7 @@ import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
 from sinsjax.methods.reset_law import NoSchedule, ResetProblem
+from sinsjax.plots.comparison import build_comparison_panels
 from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.units import ARCMIN, DEG
 
@@ -50,6 +51,29 @@ def test_information_is_that_of_least_squares(in_tau: float) -> None:
     length_s = in_tau * PAPER.tau
     dense = dense_information(length_s, PAPER)
     assert reset_law.heading_information(length_s, PAPER) == pytest.approx(dense, rel=0.02)
+
+
+@pytest.mark.parametrize("length_s", [30.0, 120.0])
+def test_heading_sigma_of_surge_is_that_of_least_squares(length_s: float) -> None:
+    surging = PAPER._replace(surge=0.004)
+    white = PAPER._replace(measurement_noise=0.004, velocity_noise=1e-15)
+    sigma = dense_information(length_s, white) ** -0.5
+    assert reset_law.heading_sigma(length_s, surging) == pytest.approx(sigma, rel=0.02)
+
+
+def test_last_reset_waits_until_surge_leaves_two_degrees() -> None:
+    problem = NOISY._replace(velocity_noise=NOISY.accel_noise, measurement_noise=0.004)
+    times = reset_law.schedule(problem, 150 * DEG).times_s
+    surging = problem._replace(surge=0.004)
+    later = reset_law.schedule(surging, 150 * DEG)
+    assert later.times_s[:3] == times[:3] and later.times_s[3] > times[3]
+    length_s = later.segments[0]
+    surge_alone = PAPER._replace(surge=0.004)
+    assert reset_law.heading_sigma(length_s, surge_alone) == pytest.approx(2 * DEG)
+    assert later.settling_s > reset_law.schedule(problem, 150 * DEG).settling_s
+    # A weak surge does not move it.
+    weak = reset_law.schedule(problem._replace(surge=1e-6), 150 * DEG)
+    assert weak.times_s == times
 
 
 def test_information_has_its_limits() -> None:
@@ -266,6 +290,18 @@ def test_schedule_that_cannot_be_made_is_refused_in_one_line(
     assert says in refusal_line(**PER_STEP | tables)
 
 
+def test_comparison_has_a_line_for_each_schedule_by_the_law() -> None:
+    axes = {"latitude_deg": [0.0, 32.0], "schedule": ["none", "law"]}
+    study = small_study(**PER_STEP, resets={}, axes=axes).replace({"study.draws": 2})
+    summary = sinsjax.run(study, curves=False).summary
+    values, panels = build_comparison_panels(summary, "latitude_deg", ["reset_times_s"])
+    assert values == [0.0, 32.0]
+    for lines in panels.values():
+        known = [[estimate.n > 0 for estimate in line] for line in lines.values()]
+        assert sorted(known) == [[False, True], [True, False], [True, True]]
+    assert sinsjax.plot_compare(summary, "latitude_deg", by=["reset_times_s"]).axes
+
+
 # --- the command
 
 
@@ -290,14 +326,14 @@ def test_schedule_command_tells_times_and_worth_and_writes_study(run_command: Co
     assert set(study.reset_times()) == {(2.0, 4.0, 6.0, 118.0)}
     assert run_command("schedule", "paper1_resets", "--study", "law.toml")[0] == 2
     code, told, _ = run_command("schedule", "which_alignment_latitude")
-    assert code == 0 and 'latitude_deg 75, specific_force "gravity": 2, ' in told
+    assert code == 0 and 'latitude_deg 75, surge_m_per_s 0, specific_force "gravity": 2, ' in told
 
 
 def test_python_plan_has_the_fields_of_the_command() -> None:
     plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=20.0)
     assert plan.times_s == (2.0, 4.0, 6.0) and plan.limited_by == "Q"
     assert any("trigger settles as fast" in text for text in plan.warnings)
-    with pytest.raises(InputError, match="8 filters or places"):
+    with pytest.raises(InputError, match="16 filters or places"):
         sinsjax.reset_schedule("which_alignment_latitude")
     with pytest.raises(InputError, match="the law of resets holds for kalman5, not inertial"):
         sinsjax.reset_schedule(

@@ -85,7 +85,9 @@ def test_drawn_keys_need_as_many_numbers_as_their_section():
 
 
 def periods(key: str) -> dict[str, Any]:
-    """The period that a drawn amplitude needs."""
+    """The period that a drawn amplitude needs, and the R of a drawn surge."""
+    if key == "surge_m_per_s":
+        return {"filter": {"r_velocity_m_per_s": 0.1}}
     swung = key.endswith("_amplitude_deg")
     return {"motion": {f"{key.partition('_')[0]}_period_s": 5.0}} if swung else {}
 

@@ -13,12 +13,15 @@ from sinsjax.methods.base import Change, Relaxation, Site
 from sinsjax.methods.description import StudyView
 from sinsjax.methods.filters.closed_loop import FilterParams
 from sinsjax.methods.filters.section import (
+    OF_R,
     OF_RESETS,
+    OF_SURGE,
     Q_DENSITIES,
     WHITE_NOISE,
     acting_reset_times,
     q_unit_factors,
     sensor_noise_density,
+    update_variance,
 )
 from sinsjax.methods.parameters import Columns, column_with_default, times_in_samples
 from sinsjax.methods.schedules import UNCHANGED, CovarianceReset, FeedbackSchedule, Resets, Windows
@@ -76,7 +79,9 @@ _COVARIANCE_RESETS: dict[str, tuple[float | None, ...]] = {
 """Effect on P by the names of ``reset_kind`` and ``turn_covariance``."""
 
 
-def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -> FilterParams:
+def parameters(
+    states: Sequence[str], columns: Columns, site: Site, ug: float, *, models_surge: bool = False
+) -> FilterParams:
     """Return the params of a filter, leaves (variants,).
 
     Args:
@@ -84,19 +89,19 @@ def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -
         columns: keys of variants with one method.
         site: Earth and place, which a filter does not need.
         ug: micro-g in m/s^2.
+        models_surge: whether other states model the surge, so that R does not follow it.
     """
-    dt = 1 / columns.rate_hz
     zero = np.zeros(columns.count)
-    q_scale, r_scale = (column_with_default(columns, key, 1.0) for key in ("q_scale", "r_scale"))
+    q_scale = column_with_default(columns, "q_scale", 1.0)
     units = {"q_accel_ug": ug, "q_gyro_deg_per_h": DEG_PER_H}
     q = {key: _process_noise(columns, key, unit) * q_scale for key, unit in units.items()}
-    r_unit = columns.compute(lambda name: 1.0 if name == "per_update" else dt, "r_reading")
+    of_r = (*OF_R, *(OF_SURGE if columns.has("motion") and not models_surge else ()))
     kinds = [STATES[state] for state in states]
     p0 = [_initial_variance(columns, kind, ug) for kind in kinds]
     return FilterParams(
         p0=tuple(p0),
         q=tuple(zero if kind.q is None else q[kind.q] for kind in kinds),
-        r=columns.column("r_velocity_m_per_s") ** 2 / r_unit * r_scale,
+        r=columns.compute(partial(update_variance, columns.rate_hz), *of_r),
         feedback=_feedback_schedule(columns),
         resets=_reset_schedule(columns),
         reset_to=tuple(
@@ -110,12 +115,7 @@ def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -
 
 
 def level_settling_s(
-    rate_hz: float,
-    p0_velocity_m_per_s: float,
-    p0_level_deg: float,
-    r_velocity_m_per_s: float,
-    r_reading: str,
-    r_scale: float | None,
+    rate_hz: float, p0_velocity_m_per_s: float, p0_level_deg: float, r: float
 ) -> float:
     """Return the time in which the standard deviation of level falls to a tenth of its P0, s.
 
@@ -123,10 +123,14 @@ def level_settling_s(
     The information on it after n samples is 1/p0^2 + S2/R - (S1/R)^2 / (1/p_v^2 + n/R), with S1 and
     S2 the sums of g t and (g t)^2: from a large p_v it grows as g^2 t^3 / (12 R dt). Q is left out,
     since its effect comes later.
+
+    Args:
+        rate_hz: samples per second.
+        p0_velocity_m_per_s: initial standard deviation of the velocity errors, m/s.
+        p0_level_deg: initial standard deviation of level, deg.
+        r: variance R of an update, (m/s)^2.
     """
     dt = 1 / rate_hz
-    r = r_velocity_m_per_s**2 * (1.0 if r_scale is None else r_scale)
-    r /= dt if r_reading == "psd" else 1.0
     step = STANDARD_GRAVITY * dt
     information_at_start = (p0_level_deg * DEG) ** -2
 

@@ -42,11 +42,19 @@ WHITE_NOISE = {
 """Keys of [sensors] for omitted keys of Q: white noise as the standard deviation of a sample and as
 a density, and the factor of the density to the unit of Q."""
 
+OF_R = ("r_velocity_m_per_s", "r_reading", "r_scale")
+OF_SURGE = ("surge_m_per_s", "surge_time_s")
+"""Keys of R, and of the surge that an omitted R follows, in the order of `update_variance`."""
+
 OF_SCHEDULES = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
 """Keys of the times of scheduled resets, in the order of `scheduled_reset_times`."""
 
 OF_RESETS = (*OF_SCHEDULES, "reset_at_feedback", "feedback_interval_s")
 """Keys of the times at which resets act, in the order of `acting_reset_times`."""
+
+
+_DEFAULT_R = 0.1
+"""r_velocity_m_per_s on a base without surge."""
 
 
 class FilterSection(Section):
@@ -107,10 +115,12 @@ class FilterSection(Section):
         " deviation of one sample. 'per_step': standard deviation added per filter step, as paper"
         " 1 prints it; at 100 Hz a hundred times the noise of 'per_sample'",
     )
-    r_velocity_m_per_s: SpeedSigma = Field(
-        0.1,
+    r_velocity_m_per_s: Annotated[SpeedSigma | None, KeyInfo(same_as=_DEFAULT_R)] = Field(
+        None,
         description="standard deviation r of the velocity measurement, which takes the velocity"
-        " of the base for zero, m/s, or m/s/sqrt(Hz) with r_reading = 'psd'",
+        " of the base for zero, m/s, or m/s/sqrt(Hz) with r_reading = 'psd'. If it is left out,"
+        " the density 2 s^2 T of the surge is added, s the larger of surge_m_per_s along east"
+        " and north and T surge_time_s, but not for a method with [surge]; default: 0.1",
     )
     r_reading: Literal["per_update", "psd"] = Field(
         "per_update",
@@ -148,6 +158,50 @@ def sensor_noise_density(q_key: str, rate_hz: float, per_sample: Any, density: A
 
 def _noisiest_axis(noise: float | tuple[float, ...]) -> float:
     return max(noise) if isinstance(noise, tuple) else noise
+
+
+def surge_density(surge: Any, time_s: float | None) -> float:
+    """Return the largest spectral density of the surge velocity, two-sided, m^2/s.
+
+    2 s^2 T: that of a first-order Gauss-Markov velocity at zero frequency, and of a 'third_order'
+    one at 1/(2 pi T) Hz. The latter falls to zero at both ends, since its position is bounded; a
+    bandwidth B raises it by a factor of 1 + b/(1 + b^2), b = 2 pi B T, which is left out.
+
+    Args:
+        surge: rms velocity s of all axes or along east, north, up, m/s; the larger one along east
+            and north counts. None for a base of unknown surge, which has 0.
+        time_s: correlation time T, s; None as for ``surge``.
+    """
+    if surge is None or time_s is None:
+        return 0.0
+    rms = max(surge[:2]) if isinstance(surge, tuple) else surge
+    return 2 * rms * rms * time_s
+
+
+def update_variance(
+    rate_hz: float,
+    velocity: float | None,
+    reading: str,
+    scale: float | None,
+    surge: Any = None,
+    time_s: float | None = None,
+) -> float:
+    """Return the variance R of an update, (m/s)^2, from the keys of `OF_R` and `OF_SURGE`.
+
+    Args:
+        rate_hz: samples per second.
+        velocity: r_velocity_m_per_s; None for the default, which follows the surge.
+        reading: r_reading.
+        scale: r_scale; None for 1.
+        surge: see `surge_density`.
+        time_s: see `surge_density`.
+    """
+    dt = 1 / rate_hz
+    sigma = _DEFAULT_R if velocity is None else velocity
+    variance = sigma * sigma / (dt if reading == "psd" else 1.0)
+    if velocity is None:
+        variance += surge_density(surge, time_s) / dt
+    return variance * (1.0 if scale is None else scale)
 
 
 _RESETS = ("reset_times_s", "reset_count", "reset_trigger")
@@ -208,8 +262,8 @@ class ResetsSection(TriggerKeys):
     schedule: Literal["times", "none", "law", "trigger"] = Field(
         "times",
         description="what decides when P is reset. 'times': the keys of times, counts and triggers"
-        " below. 'none': no reset. 'law': times from Q, R, P0, latitude, feedback and sensors of"
-        " each variant, see docs/reset_law.md. 'trigger': reset_trigger alone, by default"
+        " below. 'none': no reset. 'law': times from Q, R, P0, latitude, feedback, sensors and"
+        " surge of each variant, see docs/reset_law.md. 'trigger': reset_trigger alone, by default"
         " 'linearisation' with a threshold of 1.2",
     )
     heading_bound_deg: Annotated[Positive, Field(lt=180), KeyInfo(usual_range=(1, 180))] = Field(

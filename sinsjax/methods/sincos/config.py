@@ -49,7 +49,7 @@ def surge_parameters(columns: Columns, site: Any, ug: float) -> Any:
     from sinsjax.methods.filters.parameters import parameters
     from sinsjax.methods.sincos.method import STATES, SurgeParams
 
-    params = parameters(STATES, columns, site, ug)
+    params = parameters(STATES, columns, site, ug, models_surge=True)
     variance = columns.column("r_surge_m_per_s") ** 2
     time = columns.column("r_surge_time_s")
     p0 = (*(variance * time**2,) * 2, *(variance,) * 2)
