@@ -200,23 +200,65 @@ def schedule(
         NoSchedule: no reset pays, no heading can be found, or noise exceeds the band.
     """
     _check(problem, heading_bound, band)
-    early_s = levelling_time(problem)
-    count = _EARLY_RESETS if problem.is_force_measured else 1
-    early = [early_s * k for k in range(1, count + 1)]
     found = _best_segments(problem, heading_bound, band, segments)
     if len(found) == 1 and heading_bound > _LARGE_ERROR and segments is None:
         first_s = _SECOND_SEGMENT * problem.ell
         rest = angle_ratio(heading_bound, 1.0) / contraction(first_s, problem)
         found = (first_s, _last_segment(problem, rest, band))
-    lag_s = 0.0
+    return _place_resets(problem, _early_resets(problem), found)
+
+
+def schedule_with(
+    problem: ResetProblem,
+    heading_bound: float,
+    band: float,
+    resets: int,
+    most_early: int | None = None,
+) -> ResetSchedule:
+    """Return the best schedule by the law that has a given number of resets.
+
+    With few resets, early ones are left out; with many, there are more segments.
+
+    Args:
+        problem: the filter and its place.
+        heading_bound: largest initial heading error, rad.
+        band: heading error within which a run is settled, rad.
+        resets: number of resets, at least 1.
+        most_early: largest number of early resets; None for that of the law.
+
+    Raises:
+        NoSchedule: see `schedule`.
+    """
+    _check(problem, heading_bound, band)
+    fewest_segments = 2 if heading_bound > _LARGE_ERROR and resets > 1 else 1
+    most = min(most_early or _early_resets(problem), resets + 1 - fewest_segments)
+    schedules = (
+        _place_resets(
+            problem, early, _best_segments(problem, heading_bound, band, resets + 1 - early)
+        )
+        for early in range(1, most + 1)
+    )
+    return min(schedules, key=lambda found: found.settling_s)
+
+
+def _early_resets(problem: ResetProblem) -> int:
+    return _EARLY_RESETS if problem.is_force_measured else 1
+
+
+def _place_resets(
+    problem: ResetProblem, early_resets: int, segments: tuple[float, ...]
+) -> ResetSchedule:
+    """Return the schedule of some early resets and segments, its resets at feedbacks."""
+    early_s, lag_s = levelling_time(problem), 0.0
     if problem.feedback_s > early_s:
         lag_s = min(_LAG_SHARE * problem.feedback_s, _LAG_TAUS * problem.tau)
-    times, begin = early, early[-1]
-    for length_s in found[:-1]:
+    times = [early_s * k for k in range(1, early_resets + 1)]
+    begin = times[-1]
+    for length_s in segments[:-1]:
         later = round((times[-1] + length_s) / problem.feedback_s) * problem.feedback_s
         times = [*times, max(later - lag_s, times[-1] + problem.feedback_s)]
     return ResetSchedule(
-        tuple(float(f"{time:.9g}") for time in times), begin + sum(found), tuple(found)
+        tuple(float(f"{time:.9g}") for time in times), begin + sum(segments), segments
     )
 
 

@@ -27,7 +27,7 @@ from sinsjax.plots.style import (
 )
 
 _COLOURS = "viridis_r"  # light where the objective is small
-_MARKERS = ("*", "D", "^", "s", "o", "P", "X")
+_MARKERS = ("*", "D", "^", "s", "o", "P", "X", "v")
 _EDGE: Any = [withStroke(linewidth=3.0, foreground="black")]
 _LETTERS = 44  # characters per line of an axis label
 _MOST_PANELS = 10  # pairs of variables; more would not be legible

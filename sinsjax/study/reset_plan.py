@@ -134,6 +134,22 @@ def iter_plans(study: Study, **bounds: float) -> Iterator[tuple[dict[str, Any], 
     Raises:
         InputError: no method of the study has the law, or it has no schedule for one of them.
     """
+    for varying, point in iter_filters(study, **bounds):
+        try:
+            plan = _make_plan(study.rate_hz or 100.0, point)
+        except InputError as error:
+            raise error.with_source(study.name) from None
+        yield varying, plan
+
+
+def iter_filters(
+    study: Study, **bounds: float
+) -> Iterator[tuple[dict[str, Any], Mapping[str, Any]]]:
+    """Yield what distinguishes each filter and place of a study, and its values of `LAW_KEYS`.
+
+    Raises:
+        InputError: no method of the study has the law.
+    """
     keys = [key for key in (*LAW_KEYS, *DERIVED) if study.is_readable(key) and key not in bounds]
     keys = [key for key in keys if key not in (*DERIVED, "schedule")]
     points = [p for p in study.given_combinations(*keys) if p["method"] in LAW_METHODS]
@@ -146,11 +162,7 @@ def iter_plans(study: Study, **bounds: float) -> Iterator[tuple[dict[str, Any], 
     defaults = {"heading_bound_deg": 150.0, "settle_band_arcmin": 10.0, "schedule": "law"}
     for point in points:
         whole = dict.fromkeys((*LAW_KEYS, *DERIVED)) | defaults | point | bounds
-        try:
-            plan = _make_plan(study.rate_hz or 100.0, whole)
-        except InputError as error:
-            raise error.with_source(study.name) from None
-        yield {key: point[key] for key in varying}, plan
+        yield {key: point[key] for key in varying}, whole
 
 
 def describe_plans(study: Study) -> list[str]:
