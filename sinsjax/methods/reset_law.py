@@ -202,43 +202,46 @@ def schedule(
     _check(problem, heading_bound, band)
     found = _best_segments(problem, heading_bound, band, segments)
     if len(found) == 1 and heading_bound > _LARGE_ERROR and segments is None:
-        first_s = _SECOND_SEGMENT * problem.ell
-        rest = angle_ratio(heading_bound, 1.0) / contraction(first_s, problem)
-        found = (first_s, _last_segment(problem, rest, band))
+        found = _two_segments(problem, heading_bound, band)
     return _place_resets(problem, _early_resets(problem), found)
 
 
 def schedule_with(
-    problem: ResetProblem,
-    heading_bound: float,
-    band: float,
-    resets: int,
-    most_early: int | None = None,
+    problem: ResetProblem, heading_bound: float, band: float, resets: int
 ) -> ResetSchedule:
     """Return the best schedule by the law that has a given number of resets.
 
-    With few resets, early ones are left out; with many, there are more segments.
+    With few resets early ones are left out; with many there are more segments, or more early ones.
 
     Args:
         problem: the filter and its place.
         heading_bound: largest initial heading error, rad.
         band: heading error within which a run is settled, rad.
         resets: number of resets, at least 1.
-        most_early: largest number of early resets; None for that of the law.
 
     Raises:
         NoSchedule: see `schedule`.
     """
     _check(problem, heading_bound, band)
-    fewest_segments = 2 if heading_bound > _LARGE_ERROR and resets > 1 else 1
-    most = min(most_early or _early_resets(problem), resets + 1 - fewest_segments)
-    schedules = (
-        _place_resets(
-            problem, early, _best_segments(problem, heading_bound, band, resets + 1 - early)
-        )
-        for early in range(1, most + 1)
-    )
-    return min(schedules, key=lambda found: found.settling_s)
+    early_s = levelling_time(problem)
+    found = {}
+    for early in range(1, min(_early_resets(problem), resets - 1) + 1):
+        segments = _best_segments(problem, heading_bound, band, resets + 1 - early)
+        if segments[0] > early_s:  # otherwise the sum favours fewer segments
+            found[early] = segments
+    if resets == 1 or heading_bound <= _LARGE_ERROR:
+        found[resets] = _best_segments(problem, heading_bound, band, 1)
+    elif not found:
+        found[resets - 1] = _two_segments(problem, heading_bound, band)
+    schedules = (_place_resets(problem, *option) for option in found.items())
+    return min(schedules, key=lambda schedule: schedule.settling_s)
+
+
+def _two_segments(problem: ResetProblem, heading_bound: float, band: float) -> tuple[float, float]:
+    """Return two segments that settle a large heading error, though the sum favours one."""
+    first_s = _SECOND_SEGMENT * problem.ell
+    rest = angle_ratio(heading_bound, 1.0) / contraction(first_s, problem)
+    return first_s, _last_segment(problem, rest, band)
 
 
 def _early_resets(problem: ResetProblem) -> int:

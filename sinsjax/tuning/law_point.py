@@ -80,9 +80,9 @@ def _schedule_by_law(study: Study, point: Study, combination: TomlTable) -> Toml
     keys, band = study.tune.variables, study.tune.objective_band_arcmin * ARCMIN
     times = keys.get(TIMES)
     if isinstance(times, tuple):
-        resets, most_early = min(len(times), combination.get(COUNT, len(times))), None
-    else:  # equally spaced
-        resets, most_early = point.single_value(COUNT) or 0, 1
+        resets = min(len(times), combination.get(COUNT, len(times)))
+    else:
+        resets = point.single_value(COUNT) or 0
     if not resets:
         raise NoSchedule("no reset is counted")
     bound_deg = _largest_heading_deg(study)
@@ -93,13 +93,12 @@ def _schedule_by_law(study: Study, point: Study, combination: TomlTable) -> Toml
             values["heading_bound_deg"] * DEG,
             band,
             resets,
-            most_early,
         )
         for _, values in iter_filters(point, **bounds)
     ]
     times_s = max(schedules, key=lambda found: found.settling_s).times_s
     if resets > 1 and (_FIRST in keys or point.single_value(_FIRST) is not None):
-        cycle_s = times_s[1] - times_s[0]
+        cycle_s = (times_s[-1] - times_s[0]) / (resets - 1)
     else:  # the first reset is after a cycle
         cycle_s = times_s[-1] / resets
     return {TIMES: times_s, _FIRST: times_s[0], _CYCLE: cycle_s}

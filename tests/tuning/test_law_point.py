@@ -23,7 +23,7 @@ pytestmark = pytest.mark.optimised(False)
 
 TIMES = [{"low": 1.0, "high": 100.0}, {"low": 1.0, "high": 200.0}]
 CYCLE = {"low": 1.0, "high": 100.0}
-COUNTED = {"reset_count": 2, "reset_cycle_s": 5.0}
+COUNTED = {"reset_count": 3, "reset_cycle_s": 5.0}
 
 
 def tuned(variables: dict[str, Any], **changes: Any) -> Study:
@@ -76,17 +76,17 @@ def test_law_point_has_as_many_resets_as_the_candidates_count() -> None:
 
 def test_law_point_of_counted_resets_is_at_their_first_time_and_cycle() -> None:
     large = {"alignment": {"phi_u0_deg": 150.0}}
-    first, last = law_times(tuned({"p0_yaw_deg": CYCLE}, **large), 150.0, 2)
+    first, _, last = law_times(tuned({"p0_yaw_deg": CYCLE}, **large), 150.0, 3)
     first_key = {"reset_first_s": {"low": 0.01, "high": 10.0}}
-    cycle = {"reset_cycle_s": {"low": 1.0, "high": 140.0}}
+    cycle = {"reset_cycle_s": {"low": 1.0, "high": 90.0}}
     given = COUNTED | {"reset_first_s": 2.0}
     both = value_at(tuned(cycle | first_key, resets=given, **large))
-    assert both == pytest.approx({"reset_first_s": first, "reset_cycle_s": last - first})
+    assert both == pytest.approx({"reset_first_s": first, "reset_cycle_s": (last - first) / 2})
     assert value_at(tuned(cycle, resets=given, **large)) == pytest.approx(
-        {"reset_cycle_s": last - first}
+        {"reset_cycle_s": (last - first) / 2}
     )
     without_first = value_at(tuned(cycle, resets=COUNTED, **large))
-    assert without_first == pytest.approx({"reset_cycle_s": last / 2})
+    assert without_first == pytest.approx({"reset_cycle_s": last / 3})
 
 
 def test_law_point_is_that_of_the_slowest_filter_and_of_the_baseline() -> None:
