@@ -278,7 +278,7 @@ def _set_axis_scale(axis: Axis, variable: VariableAxis) -> None:
 
 
 def _point_colour(style_index: int) -> str:
-    return COLOURS[(1, 3, 6, 4, 5, 0)[style_index % 6]]
+    return COLOURS[(1, 3, 6, 4, 5, 0, 1, 2)[style_index % len(_MARKERS)]]
 
 
 def _point_style(style_index: int) -> dict[str, Any]:
