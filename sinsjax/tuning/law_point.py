@@ -45,8 +45,8 @@ def law_point(study: Study, number: int = 0) -> NDArray | None:
     baseline = with_point(study, study.tune.baseline)
     values = space.to_values([0.5] * len(space.variables))
     _set_values(space, values, effective_values(baseline, keys.difference(OF_SCHEDULES)))
-    point = with_point(study, space.make_point(values, combination))
     try:
+        point = with_point(study, space.make_point(values, combination))
         _set_values(space, values, _schedule_by_law(study, point, combination))
     except (InputError, NoSchedule):
         return None
