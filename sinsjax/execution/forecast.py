@@ -27,6 +27,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import schemas, stopping
 from sinsjax.execution.directory import find_manifest
 from sinsjax.messages import format_count
+from sinsjax.methods.filters.section import OF_SCHEDULES
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import machine, runtime
 from sinsjax.study.schema import NUMBERS_DRAWN
@@ -160,10 +161,12 @@ def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
         draws, evaluation_draws = tune.tune_draws or 1, tune.evaluation_draws or 1
     space, variants = SearchSpace.from_study(study), study.n_variants
     free_keys = [len(space.used_variables(combination)) for combination in space.combinations]
+    # The schedule by the law is one more point of each, if it exists.
+    laws = len(free_keys) * any(v.key in OF_SCHEDULES for v in space.variables)
     points = {
-        "grid": sum(tune.grid_points**count for count in free_keys),
-        "sobol": tune.sobol_points * len(free_keys),
-        "random": tune.sobol_points * len(free_keys),
+        "grid": sum(tune.grid_points**count for count in free_keys) + laws,
+        "sobol": tune.sobol_points * len(free_keys) + laws,
+        "random": tune.sobol_points * len(free_keys) + laws,
         "gradient": tune.descent_starts * tune.descent_steps * (2 + max(free_keys)),
     }
     # A search by covariance analysis stores only its history.
@@ -174,7 +177,8 @@ def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
         Batch(name, n * variants * draws, n * variants * draws, n * variants, n)
         for name, n in points_by_name.items()
     ]
-    candidates = (len(points_by_name) + 1 + (len(stored) < len(tune.searches))) * variants
+    others = 1 + bool(laws) + (len(stored) < len(tune.searches))
+    candidates = (len(points_by_name) + others) * variants
     batches.append(
         Batch(
             "evaluation", candidates * evaluation_draws, candidates * evaluation_draws, candidates

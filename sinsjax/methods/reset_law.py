@@ -215,25 +215,72 @@ def schedule(
         NoSchedule: no reset pays, no heading can be found, or noise exceeds the band.
     """
     _check(problem, heading_bound, band)
-    early_s = levelling_time(problem)
-    count = _EARLY_RESETS if problem.is_force_measured else 1
-    early = [early_s * k for k in range(1, count + 1)]
     found = _best_segments(problem, heading_bound, band, segments)
     if len(found) == 1 and heading_bound > _LARGE_ERROR and segments is None:
-        first_s = _SECOND_SEGMENT * problem.ell
-        rest = angle_ratio(heading_bound, 1.0) / contraction(first_s, problem)
-        found = (first_s, _last_segment(problem, rest, band))
-    if len(found) > 1:
-        found = _outlast_surge(problem, heading_bound, band, found)
-    lag_s = 0.0
+        found = _two_segments(problem, heading_bound, band)
+    found = _outlast_surge(problem, heading_bound, band, found)
+    return _place_resets(problem, _early_resets(problem), found)
+
+
+def schedule_with(
+    problem: ResetProblem, heading_bound: float, band: float, resets: int
+) -> ResetSchedule:
+    """Return the best schedule by the law that has a given number of resets.
+
+    With few resets early ones are left out; with many there are more segments, or more early ones.
+
+    Args:
+        problem: the filter and its place.
+        heading_bound: largest initial heading error, rad.
+        band: heading error within which a run is settled, rad.
+        resets: number of resets, at least 1.
+
+    Raises:
+        NoSchedule: see `schedule`.
+    """
+    _check(problem, heading_bound, band)
+    early_s = levelling_time(problem)
+    found = {}
+    for early in range(1, min(_early_resets(problem), resets - 1) + 1):
+        segments = _best_segments(problem, heading_bound, band, resets + 1 - early)
+        if segments[0] > early_s:  # otherwise the sum favours fewer segments
+            found[early] = segments
+    if resets == 1 or heading_bound <= _LARGE_ERROR:
+        found[resets] = _best_segments(problem, heading_bound, band, 1)
+    elif not found:
+        found[resets - 1] = _two_segments(problem, heading_bound, band)
+    schedules = (
+        _place_resets(problem, early, _outlast_surge(problem, heading_bound, band, segments))
+        for early, segments in found.items()
+    )
+    return min(schedules, key=lambda schedule: schedule.settling_s)
+
+
+def _two_segments(problem: ResetProblem, heading_bound: float, band: float) -> tuple[float, float]:
+    """Return two segments that settle a large heading error, though the sum favours one."""
+    first_s = _SECOND_SEGMENT * problem.ell
+    rest = angle_ratio(heading_bound, 1.0) / contraction(first_s, problem)
+    return first_s, _last_segment(problem, rest, band)
+
+
+def _early_resets(problem: ResetProblem) -> int:
+    return _EARLY_RESETS if problem.is_force_measured else 1
+
+
+def _place_resets(
+    problem: ResetProblem, early_resets: int, segments: tuple[float, ...]
+) -> ResetSchedule:
+    """Return the schedule of some early resets and segments, its resets at feedbacks."""
+    early_s, lag_s = levelling_time(problem), 0.0
     if problem.feedback_s > early_s:
         lag_s = min(_LAG_SHARE * problem.feedback_s, _LAG_TAUS * problem.tau)
-    times, begin = early, early[-1]
-    for length_s in found[:-1]:
+    times = [early_s * k for k in range(1, early_resets + 1)]
+    begin = times[-1]
+    for length_s in segments[:-1]:
         later = round((times[-1] + length_s) / problem.feedback_s) * problem.feedback_s
         times = [*times, max(later - lag_s, times[-1] + problem.feedback_s)]
     return ResetSchedule(
-        tuple(float(f"{time:.9g}") for time in times), begin + sum(found), tuple(found)
+        tuple(float(f"{time:.9g}") for time in times), begin + sum(segments), segments
     )
 
 
@@ -276,7 +323,7 @@ def _outlast_surge(
     scale = problem.gravity * problem.north_rate * _SURGE_SIGMA
     shortest_s = (720 * problem.surge / scale**2) ** 0.2
     *before, _ = segments
-    if before[-1] >= shortest_s:
+    if not before or before[-1] >= shortest_s:
         return segments
     before[-1] = shortest_s
     rest = angle_ratio(heading_bound, 1.0)

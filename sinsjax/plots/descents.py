@@ -27,7 +27,7 @@ from sinsjax.plots.style import (
 )
 
 _COLOURS = "viridis_r"  # light where the objective is small
-_MARKERS = ("*", "D", "^", "s", "o", "P", "X")
+_MARKERS = ("*", "D", "^", "s", "o", "P", "X", "v")
 _EDGE: Any = [withStroke(linewidth=3.0, foreground="black")]
 _LETTERS = 44  # characters per line of an axis label
 _MOST_PANELS = 10  # pairs of variables; more would not be legible
@@ -278,7 +278,7 @@ def _set_axis_scale(axis: Axis, variable: VariableAxis) -> None:
 
 
 def _point_colour(style_index: int) -> str:
-    return COLOURS[(1, 3, 6, 4, 5, 0)[style_index % 6]]
+    return COLOURS[(1, 3, 6, 4, 5, 0, 1, 2)[style_index % len(_MARKERS)]]
 
 
 def _point_style(style_index: int) -> dict[str, Any]:

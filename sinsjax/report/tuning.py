@@ -17,7 +17,7 @@ from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import objective
 from sinsjax.tuning.results import SEARCH_LABELS, Tuning, describe_objective
-from sinsjax.tuning.run_tuning import GRADIENT
+from sinsjax.tuning.run_tuning import GRADIENT, LAW
 
 DOUBLE_RESET_S = 1.0
 """Resets closer than this are printed as a double reset, s."""
@@ -56,14 +56,14 @@ def _tuning_verdict(tuning: Tuning) -> Verdict:
     name, in_unit = describe_objective(study)[0], partial(_format_objective, tuning)
     fresh = format_count(tuning.run_values.shape[2], f"unused {unit}")
     gain = tuning.difference(best, "baseline")
-    verb = "worse" if gain.value > 0 else "better"
-    size = gain if gain.value > 0 else Estimate(-gain.value, -gain.high, -gain.low, gain.n)
     facts = [
         Fact("Best", _describe_candidate(tuning, best)),
         Fact(
             "Gain",
-            f"{in_unit(tuning.score(best))}, {in_unit(size)} {verb} than the start, on {fresh}",
+            f"{in_unit(tuning.score(best))}, {_describe_gain(tuning, gain)} than the start,"
+            f" on {fresh}",
         ),
+        *_law_fact(tuning),
         Fact("Measure", name + _describe_aggregation(tuning)),
         Fact(
             "Why",
@@ -78,6 +78,24 @@ def _tuning_verdict(tuning: Tuning) -> Verdict:
         [*facts, *_gradient_fact(tuning), *_caution_facts(tuning, gain)],
         _candidate_summary_table(tuning),
     )
+
+
+def _describe_gain(tuning: Tuning, gain: Estimate) -> str:
+    """Return a difference of two candidates as a gain: ``3.2 [2.1, 4.3] s better``."""
+    verb = "worse" if gain.value > 0 else "better"
+    size = gain if gain.value > 0 else Estimate(-gain.value, -gain.high, -gain.low, gain.n)
+    return f"{_format_objective(tuning, size)} {verb}"
+
+
+def _law_fact(tuning: Tuning) -> Iterator[Fact]:
+    """The best point compared with the reset schedule by the law, on unused draws."""
+    if LAW in tuning.case_numbers:
+        what = _describe_candidate(tuning, LAW)
+        if tuning.case_numbers[LAW] == tuning.case_numbers[tuning.best]:
+            yield Fact("Law", "the best point is the law's schedule")
+        else:
+            gain = _describe_gain(tuning, tuning.difference(tuning.best, LAW))
+            yield Fact("Law", f"{gain} than the law of resets ({what})")
 
 
 def _describe_candidate(tuning: Tuning, name: str) -> str:

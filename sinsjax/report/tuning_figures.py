@@ -18,6 +18,7 @@ from sinsjax.report.markup import render_sentence
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning.results import MARKER_ORDER, SEARCH_LABELS, Tuning, objective_label
+from sinsjax.tuning.run_tuning import LAW
 
 
 def landscape_pictures(tuning: Tuning) -> list[Picture]:
@@ -31,6 +32,8 @@ def landscape_pictures(tuning: Tuning) -> list[Picture]:
     name = next(name for name in ("grid", *tuning.searches) if name in tuning.searches)
     evaluations = [e for e in tuning.searches[name].evaluations if e.candidate == number]
     points = tuning.tune.grid_points
+    if name == "grid":  # without the law's schedule, which is not on the grid
+        evaluations = evaluations[-(points ** len(used)) :]
     seen = ObjectiveLandscape(
         [_variable_axis(space.variables[i]) for i in used],
         np.array([e.values for e in evaluations])[:, used],
@@ -40,11 +43,11 @@ def landscape_pictures(tuning: Tuning) -> list[Picture]:
     )
     ways = [DescentPath(values[:, used], found) for values, found in tuning.descents(number)]
     spots = _best_points(tuning, number, used)
-    case = tuning.evaluation_study.cases[tuning.case_numbers["baseline"]]
-    if (values := space.locate(case, combination)) is not None:
-        spots.insert(
-            0, MarkedPoint("baseline", np.array(values), None, MARKER_ORDER.index("baseline"))
-        )
+    for other in (name for name in (LAW, "baseline") if name in tuning.case_numbers):
+        case = tuning.evaluation_study.cases[tuning.case_numbers[other]]
+        if (values := space.locate(case, combination)) is not None:
+            style = MARKER_ORDER.index(other)
+            spots.insert(0, MarkedPoint(SEARCH_LABELS[other], np.array(values), None, style))
     chosen = ", ".join(f"{key} = {format_value(v)}" for key, v in combination.items())
     caption = render_sentence(
         "landscape",

@@ -18,6 +18,7 @@ from sinsjax.study.reset_schedules import (
     DERIVED,
     LAW_KEYS,
     LAW_METHODS,
+    OPEN_VELOCITY,
     reset_problem,
     schedule_by_law,
 )
@@ -27,7 +28,7 @@ from sinsjax.units import ARCMIN, DEG
 _LIMITED_BY_R, _LIMITED_BY_Q = 1.0, 10.0  # segments in tau
 _MOVED = 0.2  # share by which the last reset is moved, to tell how flat the optimum is
 _NOT_WORTH = 0.9  # of the time without resets
-_OPEN_VELOCITY, _HELPS = 1.0, 0.9  # m/s after a reset, and the share of the time that is worth it
+_HELPS = 0.9  # share of the time that is worth another P0 of velocity
 _TILT = 5 * (1 + 1j) * DEG  # of the start
 _LARGE_BOUND, _KNOWN_BOUND, _LARGE_LEVEL = 165 * DEG, 25 * DEG, 30 * DEG
 _SLOW_FEEDBACK_S = 20.0
@@ -50,7 +51,7 @@ class ResetPlan(NamedTuple):
         without_s: settling time without resets.
         by_segments: settling times with one to four segments after the early resets.
         moved: settling times with the last reset a fifth earlier and later.
-        open_velocity_s: settling time with reset_velocity_m_per_s = 1.
+        open_velocity_s: settling time with a velocity of at least 1 m/s after a reset.
         warnings: where the law is known to fail.
 
     Examples:
@@ -135,8 +136,23 @@ def iter_plans(study: Study, **bounds: float) -> Iterator[tuple[dict[str, Any], 
     Raises:
         InputError: no method of the study has the law, or it has no schedule for one of them.
     """
-    keys = [key for key in (*LAW_KEYS, *DERIVED) if study.is_readable(key) and key not in bounds]
-    keys = [key for key in keys if key not in (*DERIVED, "schedule")]
+    for varying, point in iter_filters(study, **bounds):
+        try:
+            plan = _make_plan(study.rate_hz or 100.0, study.run_s, point)
+        except InputError as error:
+            raise error.with_source(study.name) from None
+        yield varying, plan
+
+
+def iter_filters(
+    study: Study, **bounds: float
+) -> Iterator[tuple[dict[str, Any], Mapping[str, Any]]]:
+    """Yield what distinguishes each filter and place of a study, and its values of `LAW_KEYS`.
+
+    Raises:
+        InputError: no method of the study has the law.
+    """
+    keys = [key for key in LAW_KEYS if study.is_readable(key) and key not in (*bounds, "schedule")]
     points = [p for p in study.given_combinations(*keys) if p["method"] in LAW_METHODS]
     if not points:
         text = (
@@ -147,11 +163,7 @@ def iter_plans(study: Study, **bounds: float) -> Iterator[tuple[dict[str, Any], 
     defaults = {"heading_bound_deg": 150.0, "settle_band_arcmin": 10.0, "schedule": "law"}
     for point in points:
         whole = dict.fromkeys((*LAW_KEYS, *DERIVED)) | defaults | point | bounds
-        try:
-            plan = _make_plan(study.rate_hz or 100.0, study.run_s, whole)
-        except InputError as error:
-            raise error.with_source(study.name) from None
-        yield {key: point[key] for key in varying}, plan
+        yield {key: point[key] for key in varying}, whole
 
 
 def describe_plans(study: Study) -> list[str]:
@@ -204,7 +216,7 @@ def _make_plan(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> ResetP
     last_s = found.times_s[-1] - (found.times_s[-2] if len(found.times_s) > 1 else 0.0)
     moved = ((*found.times_s[:-1], found.times_s[-1] + k * _MOVED * last_s) for k in (-1, 1))
     times = (found.times_s, (), *moved, *counted)
-    open_velocity = problem._replace(velocity=max(_OPEN_VELOCITY, problem.velocity))
+    open_velocity = problem._replace(velocity=max(OPEN_VELOCITY, problem.velocity))
     settling = predict_settling_times(
         [
             *(Lane(problem, one, bound, _TILT) for one in times),
@@ -231,11 +243,10 @@ def _make_plan(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> ResetP
 def _warnings(plan: ResetPlan) -> Iterator[str]:
     """Yield where the law is known to fail, and what would help."""
     problem, bound = plan.problem, plan.heading_bound_deg * DEG
-    if plan.open_velocity_s < _HELPS * plan.settling_s:
+    if problem.velocity < OPEN_VELOCITY and plan.open_velocity_s < _HELPS * plan.settling_s:
         yield (
-            f"P0 of velocity, {problem.velocity:g} m/s, lets P shrink too soon: with"
-            f" reset_velocity_m_per_s = {_OPEN_VELOCITY:g} it settles in"
-            f" {_format_time(plan.open_velocity_s)}"
+            f"P0 of velocity after a reset, {problem.velocity:g} m/s, lets P shrink too soon:"
+            f" with {OPEN_VELOCITY:g} m/s it settles in {_format_time(plan.open_velocity_s)}"
         )
     if problem.feedback_s >= _SLOW_FEEDBACK_S:
         yield f"feedback every {problem.feedback_s:g} s decides: some runs may never settle"

@@ -45,6 +45,11 @@ _BOUNDS = ("schedule", "heading_bound_deg", "settle_band_arcmin")
 LAW_KEYS = (*_EARTH, *_NOISE, *_FILTER, *_LOOP, *_BOUNDS)
 """Keys that the times of the law follow from."""
 
+_ONE_VALUE = {"latitude_deg": "earth"} | dict.fromkeys(
+    ("p0_velocity_m_per_s", "p0_level_deg", "p0_yaw_deg"), "filter"
+)
+"""Keys that the law cannot do without, and that are None if they are drawn or in a record."""
+
 START_KEYS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
 
 _DEFAULT_TRIGGER = {
@@ -56,7 +61,13 @@ _DEFAULT_TRIGGER = {
 }
 """The trigger of schedule = 'trigger' for keys that are left out."""
 
-DERIVED = (*OF_SCHEDULES, *_DEFAULT_TRIGGER)
+OPEN_VELOCITY = 1.0
+"""Standard deviation of velocity after a reset by the law, unless it is given, m/s: with less, P
+shrinks before a large heading error has turned (`methods.reset_prediction`)."""
+
+_VELOCITY = "reset_velocity_m_per_s"
+
+DERIVED = (*OF_SCHEDULES, *_DEFAULT_TRIGGER, _VELOCITY)
 """Keys whose values `schedule` decides."""
 
 _NO_TIMES = dict.fromkeys(OF_SCHEDULES)
@@ -88,8 +99,8 @@ def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
         case "law":
             found = schedule_by_law(rate_hz, point)
             times = () if found is None else found.times_s
-            times = tuple(round(time * rate_hz) / rate_hz for time in times)
-            return no_trigger | _NO_TIMES | {"reset_times_s": times or None}
+            opened = {"reset_times_s": times or None, _VELOCITY: _reset_velocity(point)}
+            return no_trigger | _NO_TIMES | opened
         case "trigger":
             names = (None, "none")
             default = _DEFAULT_TRIGGER if given["reset_trigger"] in names else {}
@@ -114,9 +125,11 @@ def schedule_by_law(rate_hz: float, point: Mapping[str, Any]) -> ResetSchedule |
         raise InputError("[resets] reset_kind: schedule = 'law' needs 'full' resets (drop it)")
     bound, band = point["heading_bound_deg"] * DEG, point["settle_band_arcmin"] * ARCMIN
     try:
-        return _cached_schedule(reset_problem(rate_hz, point), bound, band)
+        found = _cached_schedule(reset_problem(rate_hz, point), bound, band)
     except NoSchedule as error:
         raise InputError(f"[resets] schedule: {error}") from None
+    times = tuple(round(time * rate_hz) / rate_hz for time in found.times_s)
+    return found._replace(times_s=times)
 
 
 _cached_schedule: Callable[..., ResetSchedule] = lru_cache(maxsize=4096)(reset_law.schedule)
@@ -150,7 +163,8 @@ def predict_settling(
 def _lane(rate_hz: float, point: Mapping[str, Any]) -> Lane | None:
     start = [point[key] for key in START_KEYS]
     is_triggered = point["reset_trigger"] not in (None, "none")
-    if point["method"] not in LAW_METHODS or is_triggered or None in start:
+    is_foreseen = point["method"] in LAW_METHODS and not is_triggered and None not in start
+    if not is_foreseen or any(point[key] is None for key in _ONE_VALUE):
         return None
     problem = reset_problem(rate_hz, point)
     if problem.velocity_noise <= 0 or point["reset_kind"] not in (None, "full"):
@@ -182,8 +196,9 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
     Raises:
         InputError: a key that it needs is drawn or missing; the line begins ``[section] key``.
     """
-    if point["latitude_deg"] is None:
-        raise InputError("[resets] schedule: 'law' needs one latitude_deg (give it in [earth])")
+    for key, section in _ONE_VALUE.items():
+        if point[key] is None:
+            raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")
     place = _read_place(point)
     ug = micro_g(place.gravity) if point["earth"] == "constants" else micro_g()
     r = update_variance(rate_hz, *(point[key] for key in (*OF_R, *OF_SURGE)))
@@ -191,7 +206,7 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
     return ResetProblem(
         velocity_noise=_q_density(rate_hz, point, "q_accel_ug", ug),
         measurement_noise=r / rate_hz,
-        velocity=point["reset_velocity_m_per_s"] or point["p0_velocity_m_per_s"],
+        velocity=_reset_velocity(point),
         level=(point["reset_level_deg"] or point["p0_level_deg"]) * DEG,
         heading=(point["reset_yaw_deg"] or point["p0_yaw_deg"]) * DEG,
         north_rate=place.rate * math.cos(place.latitude),
@@ -203,6 +218,14 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         tilt_noise=_q_density(rate_hz, point, "q_gyro_deg_per_h", DEG_PER_H),
         surge=surge_density(*(point[key] for key in OF_SURGE)),
     )
+
+
+def _reset_velocity(point: Mapping[str, Any]) -> float:
+    """Return the standard deviation of velocity after a reset, m/s."""
+    given, initial = point[_VELOCITY], point["p0_velocity_m_per_s"]
+    if given is None and point["schedule"] == "law":
+        return max(OPEN_VELOCITY, initial)
+    return given or initial
 
 
 def _read_place(point: Mapping[str, Any]) -> Place:

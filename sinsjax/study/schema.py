@@ -795,7 +795,8 @@ class TuneSection(Section):
         ("grid", "gradient"),
         description="searches, in this order. 'grid': all points of a grid. 'sobol' and 'random':"
         " points in the ranges. 'gradient': descents along the derivatives. 'covariance': an"
-        " evolution strategy on linear covariance analysis",
+        " evolution strategy on linear covariance analysis. If reset times are tuned, each also"
+        " evaluates the schedule by the law of resets",
     )
     tune_draws: Some | None = Field(
         None,

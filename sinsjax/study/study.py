@@ -623,7 +623,7 @@ class Study(_SectionsOfMethods):
     @property
     def derived_keys(self) -> tuple[str, ...]:
         """Keys of resets whose values follow from `schedule` where it is not 'times'."""
-        return DERIVED if self.names_schedules else ()
+        return tuple(key for key in DERIVED if key not in LAW_KEYS) if self.names_schedules else ()
 
     def _derived_combinations(self, keys: tuple[str, ...]) -> Iterator[dict[str, Any]]:
         inputs = [key for key in (*LAW_KEYS, *DERIVED) if self.is_readable(key)]

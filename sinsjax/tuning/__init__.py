@@ -2,6 +2,7 @@
 
 `run_tuning` runs all that a study's [tune] specifies, into a directory; `from_python` is `tune` of
 the public names. `search` scores points: a grid, Sobol points, and those of covariance analysis;
-`gradient` descends. `objective` is the quantity to minimise, `history` stores the evaluations, and
-`results` reads a complete tuning run.
+`gradient` descends. `law_point` is the reset schedule by the law, a point of every search.
+`objective` is the quantity to minimise, `history` stores the evaluations, and `results` reads a
+complete tuning run.
 """

@@ -15,7 +15,7 @@ from sinsjax.study.load import load_study
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import results
-from sinsjax.tuning.run_tuning import TUNED, prepare_tuning, run_tuning
+from sinsjax.tuning.run_tuning import LAW, TUNED, prepare_tuning, run_tuning
 from sinsjax.tuning.search import Watch
 
 
@@ -70,6 +70,12 @@ class TuningResults:
         return self._tuning.score("baseline")
 
     @cached_property
+    def law(self) -> Estimate | None:
+        """The objective of the reset schedule by the law on the same draws; None without one."""
+        tuning = self._tuning
+        return tuning.score(LAW) if LAW in tuning.case_numbers else None
+
+    @cached_property
     def _tuning(self) -> results.Tuning:
         return results.Tuning.from_source(results.read_evaluation(self.directory))
 
@@ -83,7 +89,7 @@ class TuningResults:
 
     def __dir__(self) -> list[str]:
         """Return the names that a user needs, for the completion of interactive sessions."""
-        return ["baseline", "best", "directory", "objective", "score", "search", "study"]
+        return ["baseline", "best", "directory", "law", "objective", "score", "search", "study"]
 
     def _facts(self) -> dict[str, str]:
         point = ", ".join(f"{key} = {_value_text(value)}" for key, value in self.best.items())

@@ -1,11 +1,11 @@
 """Gradient search: several descents in parallel lanes, differentiated in forward mode.
 
-Descents start at the best of some points, and the edge of the band is soft; it sharpens from step
-to step. If no variable moves a reset and covariance analysis holds, points are scored and descended
-from without noise: one noise-free run of each variant, with errors sampled from the covariance of
-the true error. Otherwise each step uses the next few draws, and resets that move are smooth
-windows, which sharpen too. The final points are scored like any other point, with hard resets on
-all tuning draws.
+Descents start at the best of some points, one of them the reset schedule by the law, and the edge
+of the band is soft; it sharpens from step to step. If no variable moves a reset and covariance
+analysis holds, points are scored and descended from without noise: one noise-free run of each
+variant, with errors sampled from the covariance of the true error. Otherwise each step uses the
+next few draws, and resets that move are smooth windows, which sharpen too. The final points are
+scored like any other point, with hard resets on all tuning draws, and so is the law's schedule.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,6 +40,7 @@ from sinsjax.study.success import success_criteria
 from sinsjax.study.sweep import COUNT, TIMES
 from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult
+from sinsjax.tuning.law_point import law_point
 from sinsjax.types import Array, Count, Scalar
 
 NAME = "gradient"
@@ -70,7 +71,7 @@ def descend(
 
     Returns:
         Every step of every descent with its relaxed objective, and the final points with their
-        unrelaxed objective on all tuning draws.
+        unrelaxed objective on all tuning draws, the law's schedule among them.
 
     Raises:
         InputError: a variable has no gradient, or the record does not fit.
@@ -93,6 +94,8 @@ class _Descents:
         self._parameters = ParameterMap(study, self._combination)
         self._used = self._space.used_variables(self._combination)
         self._samples = objective.SAMPLES if self._parameters.by_covariance else 0
+        law = law_point(study, number)
+        self._laws = np.empty((0, len(self._used))) if law is None else law[None, self._used]
 
     def run(self, on_progress: ProgressCallback | None) -> list[Evaluation]:
         """Run the descents; return all evaluations in order."""
@@ -131,25 +134,32 @@ class _Descents:
         return [*evaluations, *self._evaluate_ends(box)]
 
     def _choose_starts(self, draws: int) -> NDArray:
-        """Return the initial positions of the descents, (starts, p): the best of some points."""
+        """Return the initial positions of the descents, (starts, p): the best of some points.
+
+        The reset schedule by the law is one of them.
+        """
         count = max(self._tune.descent_screen, self._tune.descent_starts)
         counts = [count] * len(self._space.combinations)
         design = search.sobol_design(self._space, counts, search.search_seed(self._study, NAME))
         box = design.box[design.candidate == self._number][:, self._used]
+        box = np.concatenate([self._laws, box])
         if count == self._tune.descent_starts:
-            return box
+            return box[:count]
         values = self._values(box)
         scores = self._estimate(values) if self._samples else self._score(values, draws)
         return box[np.argsort(scores, kind="stable")[: self._tune.descent_starts]]
 
     def _evaluate_ends(self, box: NDArray) -> list[Evaluation]:
-        """Evaluate the final points of the descents on all tuning draws."""
-        values = self._values(box)
+        """Evaluate the final points and the law's on all tuning draws, the latter without a start.
+
+        The relaxed objective may lead a descent from the law's point to a worse one.
+        """
+        values = self._values(np.concatenate([box, self._laws]))
         scores = self._score(values, None)
-        step = self._tune.descent_steps
+        step, starts = self._tune.descent_steps, [*range(len(box)), *[None] * len(self._laws)]
         return [
             Evaluation(step, self._number, point, score, self._cost, start)
-            for start, (point, score) in enumerate(zip(values, scores, strict=True))
+            for start, point, score in zip(starts, values, scores, strict=True)
         ]
 
     def _values(self, box: NDArray) -> list[list[float]]:

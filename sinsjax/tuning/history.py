@@ -180,7 +180,7 @@ def read_history(directory: str | Path) -> pa.Table:
         >>> changes |= {"tune.tune_draws": 2, "tune.evaluation_draws": 4}
         >>> _ = sinsjax.tune(sinsjax.load_study("tune_condition5", changes), "tuned")
         >>> sinsjax.read_history("tuned").select(["search", "reset_times_s[0]"]).num_rows
-        4
+        5
     """
     table = _read_table(Path(directory))
     return table.replace_schema_metadata({"sinsjax.schema": SCHEMA_VERSION})

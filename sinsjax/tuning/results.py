@@ -23,6 +23,7 @@ from sinsjax.tuning.run_tuning import (
     COVARIANCE,
     EVALUATION,
     GRADIENT,
+    LAW,
     require_tune,
 )
 
@@ -34,8 +35,9 @@ SEARCH_LABELS = {
     "equal cost": "Sobol points at the gradient's cost",
     "random": "random points",
     COVARIANCE: "covariance analysis",
+    LAW: "law of resets",
 }
-"""Names of searches in words."""
+"""Names of searches, of the baseline and of the law's reset schedule, in words."""
 
 MARKER_ORDER = list(SEARCH_LABELS)
 """Searches in the order of their markers."""
@@ -69,7 +71,7 @@ class Tuning:
     Attributes:
         study: study with [tune].
         evaluation_study: study of the evaluation; its cases are the candidates, that is the best
-            point of each search and the baseline.
+            point of each search, the baseline and, where resets are tuned, the law's schedule.
         source: results of the evaluation.
         searches: result of each search, by its name.
     """
@@ -90,7 +92,7 @@ class Tuning:
         searches = history.read_searches(source.directory, SearchSpace.from_study(study))
         by_name = {result.search.replace("_", " "): result for result in searches}
         tuning = cls(study, source.study, source, by_name)
-        if not by_name or tuning.case_numbers.keys() - {"baseline", *by_name}:
+        if not by_name or tuning.case_numbers.keys() - {"baseline", LAW, *by_name}:
             raise _incomplete_error(source.directory)
         return tuning
 

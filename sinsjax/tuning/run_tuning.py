@@ -1,8 +1,9 @@
 """A complete tuning run: the searches of [tune], their evaluation on other draws, the tuned study.
 
 In order: the searches; after a gradient search, a Sobol search of equal cost; the evaluation of all
-best points and the baseline on draws not used for tuning; ``tuned.toml`` with the best point on the
-tuning draws. Complete stages are kept when a tuning run is resumed.
+best points, the baseline and the reset schedule by the law on draws not used for tuning;
+``tuned.toml`` with the best point on the tuning draws. Complete stages are kept when a tuning run
+is resumed.
 """
 
 import threading
@@ -10,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import checks, forecast
@@ -29,9 +32,13 @@ from sinsjax.study.search_space import SearchSpace, comparable_points
 from sinsjax.study.study import Study
 from sinsjax.tuning import gradient, history, search
 from sinsjax.tuning.history import SearchResult, is_tuning, load_stored_study
+from sinsjax.tuning.law_point import law_point
 from sinsjax.tuning.search import SearchSession, Watch
 
 TUNED, EVALUATION = "tuned.toml", "evaluation"
+LAW = "law"
+"""Name of the reset schedule by the law among the evaluated points."""
+
 GRADIENT, EQUAL_COST, COVARIANCE = gradient.NAME, "equal_cost", search.COVARIANCE
 _SEARCHES = ("grid", "sobol", "random", EQUAL_COST, EVALUATION)
 _NAMES = (STUDY, TUNED, history.FILE, "figures", *_SEARCHES)
@@ -99,10 +106,11 @@ def _search_and_evaluate(study: Study, session: SearchSession) -> None:
         if name == GRADIENT:
             counts = _equal_cost_counts(study, space, results[-1].cost)
             design = search.sobol_design(space, counts, search.search_seed(study, EQUAL_COST))
+            design = search.add_law_points(study, design)
             results.append(search.evaluate_design(study, EQUAL_COST, design, session))
             history.write_history(directory, study, results)
-    _evaluate_best_points(study, space, results, session)
     best = min(results, key=lambda result: result.best.objective)
+    _evaluate_best_points(study, space, results, best.best.candidate, session)
     tuned = study_to_toml(with_point(study, best.point(space)))
     with atomic_write(directory / TUNED) as file:
         file.write(tuned.encode())
@@ -193,13 +201,12 @@ def _run_search(
         done = [result for result in known if result.search == name]
         return done[0] if done else _run_in_memory(name, study, session)
     if name == "grid":
-        return search.evaluate_design(
-            study, name, search.grid_design(space, settings.grid_points), session
-        )
-    draw = {"sobol": search.sobol_design, "random": search.random_design}[name]
-    count = settings.sobol_points
-    design = draw(space, [count] * len(space.combinations), search.search_seed(study, name))
-    return search.evaluate_design(study, name, design, session)
+        design = search.grid_design(space, settings.grid_points)
+    else:
+        draw = {"sobol": search.sobol_design, "random": search.random_design}[name]
+        counts = [settings.sobol_points] * len(space.combinations)
+        design = draw(space, counts, search.search_seed(study, name))
+    return search.evaluate_design(study, name, search.add_law_points(study, design), session)
 
 
 def _run_in_memory(name: str, study: Study, session: SearchSession) -> SearchResult:
@@ -227,11 +234,21 @@ def _equal_cost_counts(study: Study, space: SearchSpace, cost: int) -> list[int]
 
 
 def _evaluate_best_points(
-    study: Study, space: SearchSpace, results: Sequence[SearchResult], session: SearchSession
+    study: Study,
+    space: SearchSpace,
+    results: Sequence[SearchResult],
+    candidate: int,
+    session: SearchSession,
 ) -> None:
-    """Run the best points and the baseline on draws not used for tuning."""
+    """Run the best points, the baseline and the law's schedule on draws not used for tuning.
+
+    The law's schedule is that of a combination of candidates.
+    """
     baseline = with_point(study, require_tune(study).baseline)
     points = {result.search.replace("_", " "): result.point(space) for result in results}
+    if (box := law_point(study, candidate)) is not None:
+        values = space.to_values(np.nan_to_num(box))
+        points[LAW] = space.make_point(values, space.combinations[candidate])
     cases: dict[tuple[object, ...], tuple[list[str], TomlTable]] = {}
     for name, point in comparable_points(study, baseline, points).items():
         cases.setdefault(tuple(point.values()), ([], point))[0].append(name)

@@ -1,6 +1,7 @@
 """Searches that score points of the search space: grid, Sobol points, and covariance analysis.
 
-The points are the cases of a study whose draws are the tuning draws. A grid, Sobol and random
+The points are the cases of a study whose draws are the tuning draws. If reset times are tuned, the
+first point is the reset schedule by the law (`law_point`). A grid, Sobol and random
 points are swept into an ordinary results directory. The search by covariance analysis needs no
 noise: it scores points by errors that are sampled from linear covariance analysis
 (`engine.covariance`), goes on from the best of some Sobol points with an evolution strategy
@@ -32,6 +33,7 @@ from sinsjax.study.study import Study
 from sinsjax.study.sweep import TIMES, sweep_dimensions
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, SearchResult
+from sinsjax.tuning.law_point import law_point
 
 Watch = Callable[[str], AbstractContextManager[ProgressCallback | None]]
 """(name of a search) -> context with its progress callback, if any."""
@@ -143,6 +145,19 @@ def _design(space: SearchSpace, draw_points: Callable[[int, int], NDArray]) -> D
         boxes.append(box)
         candidates.append(np.full(len(points), number))
     return Design(np.concatenate(candidates), np.concatenate(boxes))
+
+
+def add_law_points(study: Study, design: Design) -> Design:
+    """Return a design that begins with the points of the law's reset schedules.
+
+    Args:
+        study: study with [tune].
+        design: points of a search.
+    """
+    points = {number: law_point(study, number) for number in np.unique(design.candidate).tolist()}
+    found = {number: box for number, box in points.items() if box is not None}
+    candidate = np.array([*found, *design.candidate], design.candidate.dtype)
+    return Design(candidate, np.array([*found.values(), *design.box]))
 
 
 def search_seed(study: Study, name: str) -> np.random.SeedSequence:
@@ -375,6 +390,8 @@ class _CovarianceSearch:
         tune, space = self._tune, self._space
         counts = [tune.evolution_screen] * len(space.combinations)
         design = sobol_design(space, counts, search_seed(self._study, COVARIANCE))
+        design = add_law_points(self._study, design)
+        self._total += len(design.box) - sum(counts)
         for candidate in range(len(space.combinations)):
             self._estimate(design.box[design.candidate == candidate], candidate)
         first = min(self._evaluations, key=lambda evaluation: evaluation.objective)

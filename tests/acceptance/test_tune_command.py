@@ -119,14 +119,15 @@ def test_tuning_writes_study_history_and_evaluation(made: Path) -> None:
         "gradient",
         "equal_cost",
     ]
-    assert [e.candidate for e in grid.evaluations] == [0] * 3 + [1] * 9
-    assert grid.cost == 12 * COST and equal.cost == gradient.cost == 5 * COST
-    np.testing.assert_array_equal([e.candidate for e in equal.evaluations], [0, 0, 0, 1, 1])
+    # The law's points of one reset and of two come first; both lie on this grid.
+    assert [e.candidate for e in grid.evaluations] == [0, 1] + [0] * 3 + [1] * 9
+    assert grid.cost == 12 * COST and gradient.cost == 5 * COST and equal.cost == 7 * COST
+    np.testing.assert_array_equal([e.candidate for e in equal.evaluations], [0, 1, 0, 0, 0, 1, 1])
     evaluation = read_summary(made / "evaluation")
     evaluated = load_study(made / "evaluation" / "study.toml")
     assert (evaluated.study.seed, evaluated.n_draws, evaluated.tune) == (2, 4, None)
     times = {row["case"]: row["reset_times_s"] for row in evaluation.to_pylist()}
-    assert list(times) == ["baseline", "grid", "gradient", "equal cost"]
+    assert list(times) == ["baseline", "grid, equal cost, law", "gradient"]
     assert times["baseline"] == [5.0, 10.0]
     assert times["gradient"] == [6.0, 12.0]
     assert read_manifest(made / "grid")["config"] == "swing.toml"
@@ -203,7 +204,7 @@ def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path)
         report_text(out)
     write_part(part, shorter, read_manifest(out / "evaluation")["identity"])
     with pytest.raises(
-        InputError, match=r"evaluation: has 31 runs, but the study has 32 .continue"
+        InputError, match=r"evaluation: has 23 runs, but the study has 24 .continue"
     ):
         report_text(out)
 
@@ -240,7 +241,7 @@ def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, f
 
         patch.setattr(search, "run_job", counted)
         from_python.tune(study, out, resume=True)
-    assert runs == {"grid": 0, "equal_cost": 5 * 6, "evaluation": 0}
+    assert runs == {"grid": 0, "equal_cost": 7 * 6, "evaluation": 0}
     assert {name: read_files_and_times(out / name / "summary") for name in whole} == whole
     assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
 

@@ -152,6 +152,24 @@ def test_schedule_of_cells_is_at_their_optimum(name: str) -> None:
     assert settling[0] <= settling[1] * 1.002
 
 
+@pytest.mark.parametrize("heading_deg", [30.0, 120.0, 150.0])
+@pytest.mark.parametrize("q", [1.0, 1e-2])
+def test_schedule_with_a_number_of_resets(heading_deg: float, q: float) -> None:
+    """With as many as the law it is the law's; with fewer it settles later, early ones left out."""
+    problem = NOISY._replace(velocity_noise=q * PAPER.velocity_noise)
+    bound, band = heading_deg * DEG, 10 * ARCMIN
+    law = reset_law.schedule(problem, bound, band)
+    if len(law.times_s) > 3:
+        assert reset_law.schedule_with(problem, bound, band, len(law.times_s)) == law
+    first_s = reset_law.levelling_time(problem)
+    for resets in range(1, 6):
+        found = reset_law.schedule_with(problem, bound, band, resets)
+        assert len(found.times_s) == resets and found.times_s[0] == pytest.approx(first_s)
+        assert list(found.times_s) == sorted(set(found.times_s))
+        if heading_deg > 60 and resets > 1:  # one segment alone takes a large error too long
+            assert found.times_s[-1] > 0.9 * problem.ell
+
+
 def test_prediction_knows_standing_tilt_and_noise() -> None:
     """Cells of the theory's table, in which levels are off by 5 or 20 deg about both axes."""
 

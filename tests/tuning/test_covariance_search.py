@@ -99,7 +99,7 @@ def test_finalists_are_evaluated_with_tuning_draws(found: history.SearchResult) 
     assert study.tune is not None
     space = SearchSpace.from_study(study)
     finalists = [e for e in found.evaluations if not e.estimated]
-    assert (len(found.evaluations), len(finalists)) == (4 + 2 * 4 + 3, 3)
+    assert (len(found.evaluations), len(finalists)) == (1 + 4 + 2 * 4 + 3, 3)
     best = sorted(e.objective for e in found.evaluations if e.estimated)
     assert best[0] <= best[1]
     phases = {

@@ -608,7 +608,10 @@ def test_resumed_tuning_takes_each_search_from_its_own_points() -> None:
 
 @pytest.mark.slow
 def test_descent_runs_each_candidate_in_turn() -> None:
-    """Unused variables have no value; a candidate without variables is scored once."""
+    """Unused variables have no value; a candidate without variables is scored once.
+
+    The descent begins at the law's point, on a bound, and stays there: both are scored as one.
+    """
     variables = {
         "reset_times_s": [linear(5.0, 15.0), linear(18.0, 30.0)],
         "reset_count": {"candidates": [0, 1]},
@@ -626,19 +629,20 @@ def test_descent_runs_each_candidate_in_turn() -> None:
     seen: list[tuple[int, int]] = []
     found = gradient.descend(study, on_progress=lambda p: seen.append((p.done, p.total)))
     assert seen == [(2, 4), (4, 4)]
-    assert [e.candidate for e in found.evaluations] == [0, 1, 1, 1]
+    assert [e.candidate for e in found.evaluations] == [0, 1, 1, 1, 1]
+    assert [e.start for e in found.evaluations] == [0, 0, 0, 0, None]
     np.testing.assert_array_equal(
-        [np.isnan(e.values) for e in found.evaluations], [[True, True], *[[False, True]] * 3]
+        [np.isnan(e.values) for e in found.evaluations], [[True, True], *[[False, True]] * 4]
     )
     draw = 600  # steps
-    costs = [3 * draw, 2 * draw * 3, 2 * draw * 3, 3 * draw]
+    costs = [3 * draw, 2 * draw * 3, 2 * draw * 3, 3 * draw, 0]
     assert [e.cost for e in found.evaluations] == list(np.cumsum(costs))
-    assert [e.window_s for e in found.evaluations] == [None, 4.0, 1.0, None]
+    assert [e.window_s for e in found.evaluations] == [None, 4.0, 1.0, None, None]
     space, hard = (
         SearchSpace.from_study(study),
         [e for e in found.evaluations if e.sharpness is None],
     )
-    assert [e.step for e in hard] == [2, 2]
+    assert [e.step for e in hard] == [2, 2, 2]
     assert study.tune is not None
     for e in hard:
         point = space.make_point(list(np.nan_to_num(e.values)), space.combinations[e.candidate])

@@ -305,7 +305,7 @@ class ResetsSection(TriggerKeys):
         Field(
             None,
             description="standard deviation of the velocity errors after a reset, m/s; default:"
-            " as at the start",
+            " as at the start, and at least 1 m/s with schedule = 'law'",
         )
     )
     reset_level_deg: Annotated[AngleSigma | None, KeyInfo(same_as="p0_level_deg")] = Field(

@@ -1,0 +1,245 @@
+"""The reset schedule by the law: a point of every search, and what tuning gains over it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optax
+import pytest
+from numpy.typing import NDArray
+from support.studies import STILL, small_study
+
+import sinsjax
+from sinsjax.methods import reset_law
+from sinsjax.report import tuning as tuning_report
+from sinsjax.study.load import load_study, with_point
+from sinsjax.study.search_space import SearchSpace
+from sinsjax.study.study import Study
+from sinsjax.tuning import gradient, history, results, search
+from sinsjax.tuning.law_point import law_point
+from sinsjax.units import ARCMIN, DEG
+
+pytestmark = pytest.mark.optimised(False)
+
+TIMES = [{"low": 1.0, "high": 100.0}, {"low": 1.0, "high": 200.0}]
+CYCLE = {"low": 1.0, "high": 100.0}
+COUNTED = {"reset_count": 3, "reset_cycle_s": 5.0}
+
+
+def tuned(variables: dict[str, Any], **changes: Any) -> Study:
+    tune = {"searches": ["sobol"], "variables": variables} | changes.pop("tune", {})
+    length = {"study": {"duration_s": 300.0, "window_s": [200, 300]}}
+    return small_study(tune=tune, **(length | changes))
+
+
+def value_at(study: Study, number: int = 0) -> dict[str, Any] | None:
+    """Return the keys of the law's point, or None."""
+    space, box = SearchSpace.from_study(study), law_point(study, number)
+    if box is None:
+        return None
+    used = space.used_variables(space.combinations[number])
+    assert np.flatnonzero(np.isfinite(box)).tolist() == used
+    assert (box[used] >= 0).all() and (box[used] <= 1).all()
+    return space.make_point(space.to_values(np.nan_to_num(box)), space.combinations[number])
+
+
+def law_times(study: Study, heading_deg: float, resets: int) -> tuple[float, ...]:
+    problem = sinsjax.reset_schedule(study, heading_bound_deg=heading_deg).problem
+    found = reset_law.schedule_with(problem, heading_deg * DEG, 10 * ARCMIN, resets)
+    return found.times_s
+
+
+@pytest.mark.parametrize("name", ["tune_condition5", "tune_large", "tune_robust"])
+def test_shipped_tunings_have_the_law_within_their_ranges(name: str) -> None:
+    study = load_study(name)
+    assert study.tune is not None
+    found = value_at(study)
+    assert found is not None
+    heading_deg = max(study.values("phi_u0_deg"))
+    filters = with_point(study, study.tune.baseline)
+    times = law_times(filters, heading_deg, len(found["reset_times_s"]))
+    ranges = study.tune.variables["reset_times_s"]
+    assert isinstance(ranges, tuple)
+    clipped = [np.clip(t, r.low, r.high) for t, r in zip(times, ranges, strict=True)]
+    assert found["reset_times_s"] == pytest.approx(clipped)
+    assert found.get("q_scale", 1.0) == pytest.approx(1.0)
+
+
+def test_law_point_has_as_many_resets_as_the_candidates_count() -> None:
+    study = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]}})
+    assert value_at(study, 0) is None
+    for number in (1, 2):
+        times = law_times(with_point(study, {"reset_times_s": ()}), 30.0, number)
+        rounded = pytest.approx(np.maximum(times, 1.0), abs=0.005)  # to samples
+        assert value_at(study, number) == {"reset_times_s": rounded}
+
+
+def test_law_point_of_counted_resets_is_at_their_first_time_and_cycle() -> None:
+    large = {"alignment": {"phi_u0_deg": 150.0}}
+    first, _, last = law_times(tuned({"p0_yaw_deg": CYCLE}, **large), 150.0, 3)
+    first_key = {"reset_first_s": {"low": 0.01, "high": 10.0}}
+    cycle = {"reset_cycle_s": {"low": 1.0, "high": 90.0}}
+    given = COUNTED | {"reset_first_s": 2.0}
+    both = value_at(tuned(cycle | first_key, resets=given, **large))
+    assert both == pytest.approx({"reset_first_s": first, "reset_cycle_s": (last - first) / 2})
+    assert value_at(tuned(cycle, resets=given, **large)) == pytest.approx(
+        {"reset_cycle_s": (last - first) / 2}
+    )
+    without_first = value_at(tuned(cycle, resets=COUNTED, **large))
+    assert without_first == pytest.approx({"reset_cycle_s": last / 3})
+
+
+def test_law_point_is_that_of_the_slowest_filter_and_of_the_baseline() -> None:
+    q_scale = {"q_scale": {"low": 0.1, "high": 0.5}}
+    variables = {"reset_times_s": TIMES} | q_scale
+    tune = {"tune": {"baseline": {"q_scale": 0.3, "reset_times_s": [5.0]}}}
+    found = value_at(tuned(variables, axes={"latitude_deg": [60.0, 0.0]}, **tune))
+    slow = tuned(variables, earth={"latitude_deg": 60.0}, **tune)
+    assert found == value_at(slow) and found is not None and found["q_scale"] == 0.3
+    # With the study's own Q, which lies above the range, it is at the bound.
+    again = value_at(tuned(variables))
+    assert again is not None and again["q_scale"] == 0.5
+
+
+def test_heading_bound_is_150_deg_if_starts_are_drawn() -> None:
+    drawn = {"drawn": {"phi_u0_deg": {"uniform": [0.0, 20.0]}}, "alignment": {"phi_u0_deg": None}}
+    known = {"alignment": {"phi_u0_deg": 150.0}}
+    assert value_at(tuned({"reset_times_s": TIMES}, **drawn)) == value_at(
+        tuned({"reset_times_s": TIMES}, **known)
+    )
+
+
+@pytest.mark.parametrize(
+    ("variables", "changes"),
+    [
+        ({"p0_yaw_deg": CYCLE}, {}),
+        ({"reset_times_s": TIMES}, {"alignment": {"method": "kalman10"}}),
+        ({"reset_times_s": TIMES}, {"alignment": {"phi_u0_deg": 180.0}}),
+        ({"reset_times_s": TIMES}, {"sensors": {"gyro_noise_deg_per_h": 1e5}}),
+        (
+            {"reset_cycle_s": CYCLE},
+            {"axes": {"reset_count": [1, 2]}, "resets": {"reset_cycle_s": 5.0}},
+        ),
+    ],
+)
+def test_no_law_point_without_a_schedule(variables: Any, changes: dict[str, Any]) -> None:
+    study = tuned(variables, **changes)
+    assert law_point(study) is None
+    design = search.grid_design(SearchSpace.from_study(study), 2)
+    np.testing.assert_array_equal(search.add_law_points(study, design).box, design.box)
+
+
+def test_designs_begin_with_the_law() -> None:
+    study = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]}})
+    design = search.grid_design(SearchSpace.from_study(study), 3)
+    found = search.add_law_points(study, design)
+    assert found.candidate.tolist() == [1, 2, *design.candidate]
+    np.testing.assert_array_equal(found.box[:2], [law_point(study, 1), law_point(study, 2)])
+    np.testing.assert_array_equal(found.box[2:], design.box)
+
+
+SHORT: dict[str, Any] = {
+    "study": {
+        **{"duration_s": 20.0, "rate_hz": 20.0, "window_s": [10, 20]},
+        "settle_bands_arcmin": [600.0],
+    },
+    "motion": STILL,
+    "alignment": {"phi_u0_deg": 30.0},
+    "tune": {
+        **{"objective_band_arcmin": 600.0, "tune_draws": 2, "evaluation_draws": 4},
+        **{"grid_points": 2, "descent_screen": 4, "descent_starts": 2, "descent_steps": 1},
+        **{"evolution_screen": 2, "evolution_steps": 1, "feedback_phases": 1},
+        "objective": "final_error",
+    },
+}
+"""A study whose searches are quick."""
+
+RANGES = {"reset_times_s": [{"low": 0.3, "high": 5.0}, {"low": 2.0, "high": 19.0}]}
+
+
+@pytest.fixture(scope="module")
+def law_values() -> list[float]:
+    study = tuned(RANGES, **SHORT)
+    box = law_point(study)
+    assert box is not None
+    return SearchSpace.from_study(study).to_values(box)
+
+
+def test_descents_screen_the_law_and_evaluate_it(
+    monkeypatch: pytest.MonkeyPatch, law_values: list[float]
+) -> None:
+    """If it is the best of the screen a descent starts there; it is scored on all draws anyway."""
+
+    def slope(self: Any, box: NDArray, draws: Any, softness: Any) -> tuple[NDArray, NDArray]:
+        return np.zeros(len(box)), np.ones(box.shape)
+
+    def score(self: Any, values: list[list[float]], draws: int | None) -> list[float]:
+        return [abs(np.subtract(point, law_values)).sum() for point in values]
+
+    monkeypatch.setattr(optax, "adam", lambda rate: optax.scale(0.1))
+    monkeypatch.setattr(gradient.Slope, "__call__", slope)
+    monkeypatch.setattr(gradient._Descents, "_score", score)
+    found = gradient.descend(tuned(RANGES, **SHORT))
+    starts = [e for e in found.evaluations if e.step == 0]
+    assert starts[0].values == pytest.approx(law_values) and len(starts) == 2
+    ends = [e for e in found.evaluations if e.sharpness is None]
+    assert [e.start for e in ends] == [0, 1, None]
+    assert ends[-1].values == pytest.approx(law_values) and found.best == ends[-1]
+    all_start = SHORT["tune"] | {"descent_screen": 2}
+    unscreened = gradient.descend(tuned(RANGES, **SHORT | {"tune": all_start}))
+    assert unscreened.evaluations[0].values == pytest.approx(law_values)
+
+
+def test_covariance_search_estimates_the_law_first(
+    monkeypatch: pytest.MonkeyPatch, law_values: list[float]
+) -> None:
+    monkeypatch.setattr(
+        search,
+        "score_points",
+        lambda study, _, points, *__: search.PointScores([1.0] * len(points), study, None),
+    )
+    progress: list[Any] = []
+    found = search.search_by_covariance(tuned(RANGES, **SHORT), on_progress=progress.append)
+    assert found.evaluations[0].values == pytest.approx(law_values)
+    assert progress[-1].done == progress[-1].total == len(found.evaluations) == 1 + 2 + 8 + 3
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("law") / "out"
+    tune = SHORT["tune"] | {"searches": ["grid"], "baseline": {"reset_times_s": [1.0, 15.0]}}
+    sinsjax.tune(tuned(RANGES, **SHORT | {"tune": tune}), out)
+    return out
+
+
+def test_grid_evaluates_the_law_first(directory: Path, law_values: list[float]) -> None:
+    (grid,) = history.read_searches(
+        directory, SearchSpace.from_study(history.load_tuned_study(directory))
+    )
+    assert len(grid.evaluations) == 1 + 4
+    assert grid.evaluations[0].values == pytest.approx(law_values)
+
+
+def test_report_states_gain_over_the_law(directory: Path) -> None:
+    """The difference of both on the unused draws, with its interval; a mark in the figure."""
+    tuning = results.Tuning.from_source(results.read_evaluation(directory))
+    assert "law" in tuning.case_numbers
+    made = sinsjax.TuningResults(directory)
+    gain = tuning.difference(tuning.best, "law")
+    assert made.law is not None and gain.value == pytest.approx(made.score.value - made.law.value)
+    report = tuning_report.build_report(results.read_evaluation(directory))
+    (text,) = (fact.text for fact in report.verdict.facts if fact.label == "Law")
+    if tuning.case_numbers[tuning.best] == tuning.case_numbers["law"]:
+        assert text == "the best point is the law's schedule"
+    else:
+        assert f"{-gain.value:.2f}" in text and "better than the law of resets (" in text
+        assert f"[{-gain.high:.2f}, {-gain.low:.2f}]" in text
+    (figure,) = (b.figure for s in report.sections for b in s.blocks if hasattr(b, "figure"))
+    (legend,) = figure.legends
+    assert "law of resets" in {text.get_text() for text in legend.get_texts()}
+
+
+def test_tuning_with_the_law_is_resumed(directory: Path) -> None:
+    before = history.read_history(directory)
+    sinsjax.tune(history.load_tuned_study(directory), directory, resume=True)
+    assert history.read_history(directory).equals(before)
