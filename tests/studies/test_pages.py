@@ -52,7 +52,7 @@ PAGES = {
     "kalman_passes": ("kalman_passes",),
     "paper1": ("paper1_conditions", "paper1_resets", "paper1_readings"),
     "reset_law": (
-        *("reset_law", "reset_law_map", "reset_own_noise"),
+        *("reset_law", "reset_law_map", "reset_own_noise", "reset_surge"),
         *("reset_cycle_study", "reset_phase"),
     ),
     "which_alignment": (

@@ -20,16 +20,17 @@ from ..common.settling import mean_time
 from ..common.words import seconds, share
 from . import listed
 from .figures import MapPanel, PredictionPanel, draw_map, draw_predictions
+from .surge import surge
 
 SETTLE = "settle_10_s"
-NONE, LISTED, LAW, TRIGGER, OPEN = (
+NONE, LISTED, LAW, TRIGGER, KEPT = (
     "no reset",
     "10 and 60 s",
     "law",
     "trigger",
-    "law, velocity open",
+    "law, velocity as P0",
 )
-POLICIES = (LAW, OPEN, TRIGGER, LISTED, NONE)
+POLICIES = (LAW, KEPT, TRIGGER, LISTED, NONE)
 SLOW = 2.0
 """Feedback interval below which levelling is done in time, s."""
 
@@ -52,6 +53,7 @@ def page(sources: Sources) -> Page:
         _cells(sources["reset_law"]),
         _map(sources["reset_law_map"]),
         _own_noise(sources["reset_own_noise"]),
+        surge(sources["reset_surge"]),
         _appendix(sources),
     )
 
@@ -66,7 +68,7 @@ def _cells(source: Source) -> Page:
     ratios = {
         policy: _cell_means(finite[LAW]) / _cell_means(runs) for policy, runs in finite.items()
     }
-    opened = _cell_means(finite[OPEN]) / _cell_means(finite[LAW])
+    opened = _cell_means(finite[LAW]) / _cell_means(finite[KEPT])
     panels, told = _predictions(source, grid, times, run_s)
     values: dict[str, Any] = {
         "filters": ratios[LAW].size,
@@ -78,7 +80,7 @@ def _cells(source: Source) -> Page:
         },
         "without": {"never": share(shared(np.isinf(times[NONE])))},
         "opened": {
-            "saved": share(_saved(finite[OPEN], finite[LAW])),
+            "saved": share(_saved(finite[LAW], finite[KEPT])),
             "most": f"{100 * (1 - opened.min()):.0f}",
             "least": f"{100 * (opened.max() - 1):.0f}",
         },
@@ -86,8 +88,8 @@ def _cells(source: Source) -> Page:
     }
     claims = {
         "every run of the law settles": bool(np.isfinite(times[LAW]).all()),
-        "every run of the law settles with velocity open": bool(np.isfinite(times[OPEN]).all()),
-        "opening velocity is sooner on average": _saved(finite[OPEN], finite[LAW]).low > 0,
+        "every run of the law settles with velocity as P0": bool(np.isfinite(times[KEPT]).all()),
+        "opening velocity is sooner on average": _saved(finite[LAW], finite[KEPT]).low > 0,
         "10 and 60 s fails in some filters": shared(np.isinf(times[LISTED])).low > 0.02,
     }
     rows = [
@@ -133,7 +135,7 @@ def _predictions(
     keys = ("case", "phi_e0_deg", "phi_u0_deg", *CELL.values())
     points = zip(*(study.values(key) for key in keys), strict=True)
     by_point = dict(zip(points, predicted, strict=True))
-    names = {LAW: "law", OPEN: "open", LISTED: "listed", NONE: "without"}
+    names = {LAW: "law", KEPT: "kept", LISTED: "listed", NONE: "without"}
     is_slow = np.array(grid.axes["feedback"]) > SLOW
     is_slow = np.broadcast_to(is_slow[:, None], times[LAW].shape[:-1])
     panels, told = [], {}
@@ -156,8 +158,7 @@ def _predictions(
         }
     caption = (
         "A point per start and filter: medians of the draws. Orange: feedback every 10 s, slower"
-        " than levelling, where the prediction is a guide only. Nothing but the 0.75 sigma of noise"
-        " that narrow the band is fitted."
+        " than levelling. Nothing but the 0.75 sigma of noise that narrow the band is fitted."
     )
     return Picture(
         "predicted", caption, draw_predictions(panels, run_s), source.sample_size_text
