@@ -126,6 +126,12 @@ def test_schedule_of_cells_is_at_their_optimum(name: str) -> None:
     assert settling[0] <= settling[1] * 1.002
 
 
+def test_prediction_from_true_heading_waits_for_noise_alone() -> None:
+    from_truth = reset_law.predicted_settling_time(NOISY, (), 0.0)
+    noise = reset_law.heading_sigma(from_truth, NOISY)
+    assert reset_law.MEDIAN_SIGMAS * noise == pytest.approx(10 * ARCMIN)
+
+
 def test_prediction_knows_standing_tilt_and_noise() -> None:
     """Cells of the theory's table, in which levels are off by 5 or 20 deg about both axes."""
 
