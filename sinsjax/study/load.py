@@ -188,6 +188,8 @@ def study_to_tables(study: Study) -> TomlTable:
     for key in study.drawn_keys:
         content[SECTION_OF[key]].pop(key, None)
     content["axes"] |= content.pop("zips")
+    if study.names_schedules and not content["resets"].get("reset_count"):
+        content["resets"].pop("reset_count", None)  # a default that no named schedule reads
     names = (*SECTIONS, *_SWEEP_TABLES)
     return {name: content[name] for name in names if content.get(name)}
 

@@ -1,6 +1,7 @@
 """The law of resets: its information against least squares and the filter, and its schedules."""
 
 import math
+import tomllib
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
 from sinsjax.methods.reset_law import NoSchedule, ResetProblem
+from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.units import ARCMIN, DEG
 
 G, RATE = 9.8, 15.041067 * DEG / 3600
@@ -186,6 +188,11 @@ def test_sweep_carries_the_schedule_of_each_variant() -> None:
     assert len(set(times)) == 4
     assert times[3] == reset_law.schedule(NOISY, 150 * DEG).times_s
     assert study.values("reset_count") == [None] * 4
+
+
+def test_resolved_study_without_schedule_in_times_loads_again() -> None:
+    study = small_study(**PER_STEP, resets={}, axes={"schedule": ["none", "law"]})
+    assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
 
 
 def test_schedules_by_name_are_swept_beside_times() -> None:
