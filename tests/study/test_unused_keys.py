@@ -22,6 +22,7 @@ from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
 from sinsjax.study.keys import SECTION_OF, effect_conditions, reading_methods
 from sinsjax.study.load import load_with_notes, study_to_tables
+from sinsjax.study.reset_schedules import LAW_METHODS
 from sinsjax.study.study import Study
 from sinsjax.study.unused_keys import drop_unread_keys, list_idle_keys
 
@@ -62,6 +63,9 @@ def expected_refusal(study: Study, method: str) -> str | None:
         return "covariance analysis has no linear model of"  # draws take far longer
     if study.is_recorded and "filter" in new.sections and not study.has("filter"):
         return "a record does not give the noise of its"  # nor does the study
+    if study.has("resets") and "resets" in new.sections and method not in LAW_METHODS:
+        if "law" in study.values("schedule"):
+            return "'law' holds for"
     if "coarse_method" in new.refuses and study.passes:
         return "reads a record once"  # without passes it would read more data than the others
     return None
