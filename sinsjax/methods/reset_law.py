@@ -384,7 +384,7 @@ def predicted_settling_time(
             left = band - sigmas * heading_sigma(time_s, problem)
             if left <= 0:
                 return -1.0
-            return contraction(time_s, problem, standing) * left / ratio - 1
+            return contraction(time_s, problem, standing) * left - ratio
 
         length_s = _first_time(excess)
         if begin + length_s <= end:

@@ -175,18 +175,17 @@ def _lane(rate_hz: float, point: Mapping[str, Any]) -> Lane | None:
 
 
 def check_law(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> None:
-    """Refuse a band that the noise of sensors and surge exceeds at the end of a run.
+    """Refuse a band that the noise of the sensors exceeds at the end of a run.
 
     Raises:
         InputError: the line begins ``[section] key`` and states the noise.
     """
     if point["schedule"] != "law" or point["method"] not in LAW_METHODS:
         return
-    problem = reset_problem(rate_hz, point)
+    problem = reset_problem(rate_hz, point)._replace(surge=0.0)
     sigma_arcmin = reset_law.heading_sigma(run_s, problem) / ARCMIN
     if 2 * sigma_arcmin >= point["settle_band_arcmin"]:
-        noise = f"the sensors' noise{' and the surge' if problem.surge else ''}"
-        text = f"2 sigma of {noise} are {2 * sigma_arcmin:.2g}' after {run_s:g} s"
+        text = f"2 sigma of the sensors' noise are {2 * sigma_arcmin:.2g}' after {run_s:g} s"
         raise InputError(f"[resets] settle_band_arcmin: {text} (give a wider band)")
 
 

@@ -17,7 +17,6 @@ from oracles.naive import DEG, PAPER, Filter, exp, of_quaternion
 from oracles.naive_filters import EXTENDED, INVARIANT, SINCOS, closed_loop, surging
 
 from sinsjax.engine.environment import Static
-from sinsjax.methods.azimuth.method import AzimuthParams
 from sinsjax.methods.base import Options
 from sinsjax.methods.sincos.method import SurgeParams
 
@@ -55,7 +54,7 @@ def test_three_passes_match_naive_filter_loop(name, turn):
     )
     params = filter_params(filt)
     if name == "ekf_azimuth":
-        params = params._replace(extra=AzimuthParams(np.float64(0.0), np.float64(1.0)))
+        params = params._replace(extra=np.float64(1.0))
     if name == "kalman_surge":
         params = params._replace(extra=SurgeParams(np.float64(0.5)))
     records = 3 * SAMPLES // EVERY

@@ -25,7 +25,6 @@ from support.studies import small_study
 from sinsjax import run as run_study
 from sinsjax.engine.environment import Static
 from sinsjax.methods import passes
-from sinsjax.methods.azimuth.method import AzimuthParams
 from sinsjax.methods.base import Options
 from sinsjax.methods.compass.config import REVERSALS
 from sinsjax.methods.registry import METHODS
@@ -63,7 +62,7 @@ def some_filter(name):
     p0 = np.array([0.1, 0.1, 15 * DEG, 15 * DEG, 80 * DEG]) ** 2
     q = (np.array([500 * UG] * 2 + [0.1 * DEG_PER_H] * 3) / RATE) ** 2
     params = filter_params(Filter(p0, q, 0.01**2, every=100))
-    own = None if name in ("kalman5", "invariant") else AzimuthParams(np.float64(0), np.float64(1))
+    own = None if name in ("kalman5", "invariant") else np.float64(1)
     return params._replace(extra=own)
 
 

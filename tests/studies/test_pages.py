@@ -65,6 +65,7 @@ PAGES = {
         "which_alignment_car",
         "which_alignment_psins",
         "which_alignment_surge",
+        "which_alignment_fair",
         "which_surge",
     ),
 }

@@ -61,7 +61,7 @@ def bounded(source: Source) -> Page:
         f"Rms heading error from its limit after {TIME_S} s over the bound [95 % interval], two"
         f" misalignments, {grid.draws} draws, no biases."
     )
-    table = Table("Against the information bound", ["method", *bases], rows, note)
+    table = Table("Against the information bound", ["method", *bases], rows, note, folded=True)
     worst = {case: max(ratios[case].values()) for case in cases}
     values = {
         "sincos": format_estimate(worst[SINCOS], digits=2),

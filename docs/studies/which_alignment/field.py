@@ -139,6 +139,21 @@ def reach(errors: NDArray, share: float = MOST) -> Estimate:
     return quantile(errors.ravel(), share, cluster.ravel())
 
 
+def worst_start(errors: NDArray, share: float = MOST) -> Estimate:
+    """Error that a share of the draws stays below from the worst start, arcmin.
+
+    Args:
+        errors: shape (starts, draws), arcmin; the starts are a list and no distribution.
+        share: share of the draws.
+
+    Returns:
+        The largest value, and the largest ends, of the starts.
+    """
+    of_starts = [quantile(row, share) for row in errors]
+    value, low, high = np.max([one[:3] for one in of_starts], axis=0)
+    return Estimate(float(value), float(low), float(high), errors.shape[-1])
+
+
 def angle(error: Estimate) -> str:
     """An angle, arcmin, in degrees where it is large."""
     if error.value < 100:

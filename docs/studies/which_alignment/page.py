@@ -8,7 +8,7 @@ from sinsjax.analysis import Estimate
 from sinsjax.report.base import Picture
 from sinsjax.report.study_page import Page, Sources
 
-from . import better, cost, evidence, why
+from . import better, cost, evidence, fair, why
 from .field import TIMES_S, Cell, Field, Start, angle, reach
 from .figure import reached
 
@@ -147,6 +147,7 @@ def _experiments(sources: Sources, field: Field) -> Page:
         why.car(sources["which_alignment_car"]),
         why.psins(sources["which_alignment_psins"]),
         better.bounded(sources["which_surge"]),
+        fair.at_their_best(sources["which_alignment_fair"]),
     )
 
 

@@ -1,10 +1,9 @@
-"""The filters with a large azimuth as studies know them: [azimuth], params, descriptions."""
+"""The filters with a large azimuth as studies know them: params and descriptions."""
 
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from sinsjax.methods.description import Implementation
 from sinsjax.methods.filters.config import describe_filter
@@ -16,26 +15,13 @@ SIGMA_POINT_ALPHA = 0.5
 """Spread of the unscented filter's sigma points: alpha sqrt(5) standard deviations."""
 
 
-class AzimuthSection(Section):
-    """[azimuth]: feedback of the filters whose model is nonlinear in the azimuth."""
-
-    azimuth_feedback: Literal["vector", "angles"] = Field(
-        "vector",
-        description="form in which the estimated attitude error is fed back. 'vector': rotation"
-        " by the azimuth error and the shortest rotation of the vertical. 'angles': rotation by"
-        " three small angles",
-    )
-
-
 def parameters(columns: Columns, site: Any, ug: float) -> Any:
     """Return the params of these filters, leaves (variants,); see `filters.parameters`."""
-    from sinsjax.methods.azimuth.method import STATES, AzimuthParams
+    from sinsjax.methods.azimuth.method import STATES
     from sinsjax.methods.filters.parameters import parameters as filter_parameters
 
-    by_angles = columns.compute(lambda form: float(form == "angles"), "azimuth_feedback")
-    alpha = np.full(columns.count, SIGMA_POINT_ALPHA)
     params = filter_parameters(STATES, columns, site, ug)
-    return params._replace(extra=AzimuthParams(by_angles, alpha))
+    return params._replace(extra=np.full(columns.count, SIGMA_POINT_ALPHA))
 
 
 def _load(prediction: str) -> Implementation:
@@ -46,11 +32,7 @@ def _load(prediction: str) -> Implementation:
     return Implementation(build, parameters, relaxation=filter_relaxation(method.STATES))
 
 
-_SECTIONS: dict[str, type[Section]] = {
-    "filter": FilterSection,
-    "resets": ResetsSection,
-    "azimuth": AzimuthSection,
-}
+_SECTIONS: dict[str, type[Section]] = {"filter": FilterSection, "resets": ResetsSection}
 
 EKF_AZIMUTH = describe_filter(
     name="ekf_azimuth",

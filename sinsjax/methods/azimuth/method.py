@@ -12,18 +12,18 @@ shortest rotation e itself rotates as the tilt grows at w_N (-sin a, 1 - cos a),
 it. The tests differentiate the navigator.
 
 The loop is that of [P1]. The belief is predicted by the linearised model (extended Kalman filter)
-or by an unscented transform, and the attitude is fed back as small angles, or as the azimuth and
-the shortest rotation of the vertical.
+or by an unscented transform. The correction fed back is Rz(a) e itself, since Euler angles of the
+same numbers would differ from it by t_E t_N / 2 about the vertical: 3.5 deg of heading at tilts of
+20 deg, towards north or away from it depending on the signs of the tilts.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, Minus, Triangle, congruence, select_tree, triangle_index
+from sinsjax.maths.algebra import Entries, Minus, Triangle, congruence, triangle_index
 from sinsjax.maths.rotations import sin_cos
 from sinsjax.methods.base import AttitudeCovariance, Method, Options, Site, StartChange
 from sinsjax.methods.filters.attitude import (
@@ -50,7 +50,7 @@ from sinsjax.methods.kalman import Belief
 from sinsjax.methods.schedules import reset_covariance
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
-from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Quat, Sample, Scalar, Vec3
 
 STATES = ("dve", "dvn", "tilt_e", "tilt_n", "heading")
 VE, VN, TILT_E, TILT_N, AZIMUTH = range(5)
@@ -156,18 +156,6 @@ Prediction = Callable[[Belief, Place, Scalar, Scalar], Belief]
 """(belief, place, dt, alpha) -> belief one sample later, before the process noise is added."""
 
 
-class AzimuthParams(NamedTuple):
-    """`FilterParams.extra`, which is `FilterState.extra` too.
-
-    Attributes:
-        by_angles: 1 if the attitude is fed back as small angles, else 0.
-        alpha: distance of the sigma points from the mean; the extended filter ignores it.
-    """
-
-    by_angles: Scalar
-    alpha: Scalar
-
-
 def build(predict: Prediction, options: Options) -> Method:
     """Return the method; `Options.specific_force` is always that of a base at rest.
 
@@ -179,17 +167,14 @@ def build(predict: Prediction, options: Options) -> Method:
 
 
 def build_filter(predict: Prediction, options: Options) -> Filter:
-    """Return its filter; arguments as of `build`."""
+    """Return its filter; `FilterParams.extra` is alpha. Arguments as of `build`."""
     dt, mechanise = options.dt, mechanise_function(options)
-
-    def init(params: FilterParams, nav: Navigation) -> FilterState:
-        return initial_state(params, nav)._replace(extra=params.extra)
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
     ) -> tuple[FilterState, Entries]:
         nav, _, here = mechanise(site, state.nav, sample)
-        belief = predict(state.belief, here, dt, params.extra.alpha)
+        belief = predict(state.belief, here, dt, params.extra)
         return state._replace(nav=nav, belief=belief), at_rest(state, here)
 
     def at_rest(state: FilterState, here: Place) -> Entries:
@@ -197,7 +182,7 @@ def build_filter(predict: Prediction, options: Options) -> Filter:
 
     return Filter(
         dt=dt,
-        init=init,
+        init=initial_state,
         propagate=propagate,
         update=update_with_velocity,
         feed_back=_feed_back,
@@ -213,12 +198,9 @@ def build_filter(predict: Prediction, options: Options) -> Filter:
     )
 
 
-def _correction(state: FilterState, phi: Vec3) -> Quat:
+def _correction(phi: Vec3) -> Quat:
     """Return the rotation that corrects the attitude by tilt and azimuth, rad."""
-    by_angles = rotations.exp(phi)
-    sine, cosine = rotations.sin_cos(phi.z)
-    by_vector = rotation_from_tilt(phi.x, phi.y, sine, cosine)
-    return select_tree(state.extra.by_angles > 0, by_angles, by_vector)
+    return rotation_from_tilt(phi.x, phi.y, *sin_cos(phi.z))
 
 
 def _start_error(state: FilterState, change: StartChange) -> tuple[Scalar, ...]:
@@ -233,14 +215,14 @@ def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
     nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
     phi = Vec3(fed_back[TILT_E], fed_back[TILT_N], fed_back[AZIMUTH])
     corrected = state._replace(
-        nav=nav._replace(q=rotations.multiply(_correction(state, phi), nav.q)),
+        nav=nav._replace(q=rotations.multiply(_correction(phi), nav.q)),
         belief=subtract_fed_back(state.belief, fed_back),
     )
     return corrected, phi
 
 
 def _attitude(state: FilterState) -> Quat:
-    return rotations.multiply(_correction(state, estimated_misalignment(state)), state.nav.q)
+    return rotations.multiply(_correction(estimated_misalignment(state)), state.nav.q)
 
 
 def _covariance(state: FilterState) -> AttitudeCovariance:
