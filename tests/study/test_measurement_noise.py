@@ -202,7 +202,3 @@ def test_reset_law_follows_surge_and_r() -> None:
     for times, before in zip(given, (still, slow, fast), strict=True):
         assert times[:3] == still[:3]
         assert times[3] - times[2] == pytest.approx(before[3] - before[2], abs=0.3)
-    tables["study"] = {"duration_s": 300.0, "window_s": [200, 300]}
-    assert refusal_line(**tables, axes=axes).startswith(
-        "[resets] settle_band_arcmin: 2 sigma of the sensors' noise and the surge are"
-    )
