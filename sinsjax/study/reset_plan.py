@@ -55,7 +55,7 @@ class ResetPlan(NamedTuple):
         warnings: where the law is known to fail.
 
     Examples:
-        >>> plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=60)
+        >>> plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=60.0)
         >>> plan.limited_by, len(plan.times_s), plan.settling_s < plan.without_s
         ('Q', 4, True)
     """

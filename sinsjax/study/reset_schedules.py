@@ -119,8 +119,10 @@ def schedule_by_law(rate_hz: float, point: Mapping[str, Any]) -> ResetSchedule |
     if "resets" not in METHODS[point["method"]].sections:
         return None
     if point["method"] not in LAW_METHODS:
-        text = f"'law' holds for {', '.join(LAW_METHODS)}, not {point['method']}"
-        raise InputError(f"[resets] schedule: {text} (give 'trigger' or reset_times_s)")
+        raise InputError(
+            f"[resets] schedule: 'law' holds for {', '.join(LAW_METHODS)}, not {point['method']} "
+            "(give 'trigger' or reset_times_s)"
+        )
     if point["reset_kind"] not in (None, "full"):
         raise InputError("[resets] reset_kind: schedule = 'law' needs 'full' resets (drop it)")
     bound, band = point["heading_bound_deg"] * DEG, point["settle_band_arcmin"] * ARCMIN
