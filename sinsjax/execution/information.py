@@ -115,7 +115,7 @@ def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
     variants = Variants(study, scenario.variant_ids[part])
     motion = read_motion(variants.common)
-    if motion.turns or any(key in _CONSTANT_KEYS for key in study.drawn_keys):
+    if getattr(motion, "turns", False) or any(key in _CONSTANT_KEYS for key in study.drawn_keys):
         return _sigma_with_priors(study, variants, environment, motion, times_s) / ARCMIN
     pitch, roll, yaw = (s._replace(amplitude=0.0 * s.amplitude) for s in motion.angles)
     still_motion = Motion(pitch, roll, yaw)
@@ -148,7 +148,7 @@ def _sigma_with_priors(
         value = variants.common(key)
         if key not in _CONSTANT_KEYS:
             return value
-        return np.abs(value) if motion.turns else 0.0
+        return np.abs(value) if getattr(motion, "turns", False) else 0.0
 
     def increment_errors(step: float) -> IncrementErrors:
         processes = read_disturbances(variants, ug, 1 / step)
