@@ -22,7 +22,9 @@ from sinsjax.strapdown.earth import Place
 from sinsjax.study import display
 from sinsjax.units import ARCMIN, ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM, micro_g
 
-_RATE_DEG_PER_S, _CAROUSEL_DEG_PER_S, _RAMP_S = 10.0, 12.0, 1.0
+_RATE_DEG_PER_S, _RAMP_S = 10.0, 1.0
+_TICK_S = 0.1  # of turns' times
+_CAROUSEL_DEG_PER_S, _FASTEST_DEG_PER_S = 12.0, 30.0
 _AXES = np.ones(3)
 
 
@@ -99,10 +101,11 @@ def plan_turns(
     """Return the heading errors that sensors allow if they are parked or turned in usual ways.
 
     The options are a parked base; a half turn in the middle; four positions, by turns of 90 deg
-    after each quarter; six positions, by half turns to and fro; and a carousel of 12 deg/s that
-    begins with a half turn and then reverses after every 360 deg. The turns are about the vertical
-    of a level base, the others at 10 deg/s, with ramps of 1 s. Those for which the time is too
-    short are left out.
+    after each quarter; six positions, by half turns to and fro; and a reversing carousel, by turns
+    of 180, -360 and 180 deg again and again, at about 12 deg/s so that the data end after the last
+    of them, in the mean direction, where the scale factor costs least. The turns are about the
+    vertical of a level base, the others at 10 deg/s, with ramps of 1 s. Those for which the time is
+    too short are left out.
 
     The heading is that of the body at the end of the data, and the error is the information bound
     of `sinsjax.covariance.turning_information`, on the WGS-84 ellipsoid.
@@ -137,7 +140,7 @@ def plan_turns(
         ...     gyro_misalignment_arcsec=206.0,
         ... )
         >>> choice.pays, choice.best.name, round(choice.best.sigma_arcmin, 1)
-        (True, 'reversing carousel', 6.6)
+        (True, 'reversing carousel', 6.5)
         >>> choice.options[1].motion["turn_times_s"]
         [140.5]
     """
@@ -193,7 +196,10 @@ def _check_numbers(values: dict[str, float], latitude_deg: float) -> None:
 
 
 def _iter_motions(duration_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield name and keys of [motion] of each option that fits into the time."""
+    """Yield name and keys of [motion] of each option that fits into the time.
+
+    Times are multiples of 0.1 s, which are samples at most rates, with a gap between turns.
+    """
     yield "parked", {}
     for name, positions, angles in (
         ("half turn", 2, [180.0]),
@@ -201,18 +207,21 @@ def _iter_motions(duration_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
         ("six positions", 6, [180.0, -180.0] * 2 + [180.0]),
     ):
         length = abs(angles[0]) / _RATE_DEG_PER_S + _RAMP_S
-        if length <= duration_s / positions:
+        if length + 2 * _TICK_S <= duration_s / positions:
             middles = duration_s / positions * np.arange(1, positions)
-            times = [round(float(middle - length / 2), 2) for middle in middles]
+            times = [round(float(middle - length / 2), 1) for middle in middles]
             yield name, _turn_keys(times, angles, _RATE_DEG_PER_S)
-    half = 180 / _CAROUSEL_DEG_PER_S + _RAMP_S
-    whole = half + 180 / _CAROUSEL_DEG_PER_S
-    if half <= duration_s:
-        times = [time for time in (0.0, half, half + whole) if time < duration_s]
-        motion = _turn_keys(times, [180.0, -360.0, 180.0][: len(times)], _CAROUSEL_DEG_PER_S)
-        if len(times) == 3:
-            motion["turn_repeat_s"] = 2 * half + whole
-        yield "reversing carousel", motion
+    nominal = 720 / _CAROUSEL_DEG_PER_S + 3 * _RAMP_S
+    count = max(1, round(duration_s / nominal))
+    ticks = math.floor(duration_s / count / _TICK_S)  # of a repetition
+    quarter = (ticks - round(3 * (_RAMP_S + _TICK_S) / _TICK_S)) // 4 * _TICK_S
+    if quarter >= 180 / _FASTEST_DEG_PER_S:
+        stop = _RAMP_S + _TICK_S
+        first = duration_s - count * ticks * _TICK_S  # so that the last repetition ends in time
+        times = [first, first + quarter + stop, first + 3 * quarter + 2 * stop]
+        times = [math.floor(time / _TICK_S + 1e-6) / 10 for time in times]
+        motion = _turn_keys(times, [180.0, -360.0, 180.0], 180 / quarter)
+        yield "reversing carousel", motion | {"turn_repeat_s": ticks / 10}
 
 
 def _turn_keys(times_s: list[float], angles_deg: list[float], rate: float) -> dict[str, Any]:

@@ -24,9 +24,10 @@ from sinsjax.engine.build import ENVIRONMENT_KEYS, Scenario
 from sinsjax.engine.environment import Environment
 from sinsjax.engine.sensor_inputs import (
     DISTORTION_KEYS,
+    add_turns,
     read_disturbances,
     read_errors,
-    read_motion,
+    read_sways,
 )
 from sinsjax.engine.truth import read_site
 from sinsjax.errors import InputError
@@ -114,8 +115,8 @@ def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]
     if not np.all(sensors.errors.accel_noise):
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
     variants = Variants(study, scenario.variant_ids[part])
-    motion = read_motion(variants.common)
-    if getattr(motion, "turns", False) or any(key in _CONSTANT_KEYS for key in study.drawn_keys):
+    motion = add_turns(read_sways(variants.common), variants)
+    if motion.turns or any(key in _CONSTANT_KEYS for key in study.drawn_keys):
         return _sigma_with_priors(study, variants, environment, motion, times_s) / ARCMIN
     pitch, roll, yaw = (s._replace(amplitude=0.0 * s.amplitude) for s in motion.angles)
     still_motion = Motion(pitch, roll, yaw)
@@ -148,7 +149,7 @@ def _sigma_with_priors(
         value = variants.common(key)
         if key not in _CONSTANT_KEYS:
             return value
-        return np.abs(value) if getattr(motion, "turns", False) else 0.0
+        return np.abs(value) if motion.turns else 0.0
 
     def increment_errors(step: float) -> IncrementErrors:
         processes = read_disturbances(variants, ug, 1 / step)

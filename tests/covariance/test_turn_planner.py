@@ -62,8 +62,28 @@ def test_turn_of_good_laser_does_not_pay_within_a_minute():
 
 def test_turns_that_do_not_fit_are_left_out():
     assert list(sigmas(MEMS, 10.0)) == ["parked"]
-    assert list(sigmas(MEMS, 30.0)) == ["parked", "reversing carousel"]
+    assert list(sigmas(MEMS, 32.0)) == ["parked", "reversing carousel"]
     assert "six positions" not in sigmas(MEMS, 100.0)
+
+
+@pytest.mark.parametrize("duration_s", [45.0, 123.4, 300.0])
+def test_study_with_motion_of_option_has_its_bound(duration_s):
+    choice = sinsjax.plan_turns(**FOG, **WITH_SCALE, latitude_deg=45.0, duration_s=duration_s)
+    drawn = (*FOG, *WITH_SCALE)
+    laws = {key: {"normal": [0.0, (FOG | WITH_SCALE)[key]]} for key in drawn if "rw" not in key}
+    noise = {key: FOG[key] for key in FOG if "rw" in key}
+    for option in choice.options:
+        study = sinsjax.study_from_dict(
+            {
+                "study": {"duration_s": duration_s, "rate_hz": 20.0, "record_interval_s": 0.1},
+                "earth": {"latitude_deg": 45.0},
+                "motion": {"yaw_center_deg": 0.0} | option.motion,
+                "sensors": noise,
+                "drawn": laws,
+            }
+        )
+        found = sinsjax.information_bound(study)["bound_u_arcmin"].to_pylist()
+        assert found == pytest.approx([option.sigma_arcmin], rel=1e-3), option.name
 
 
 def test_drifts_raise_every_option():

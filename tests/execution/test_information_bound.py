@@ -115,17 +115,44 @@ def test_drawn_scale_and_cross_axis_errors_act_on_earth_rate_as_biases():
 def test_surge_raises_bound_with_drawn_biases():
     drawn = {"gyro_bias_deg_per_h": {"normal": [0.0, 0.1]}}
     study = make_study(
-        study={"duration_s": 30.0, "report_times_s": None, "window_s": [10, 30]},
         motion={"surge_time_s": 2.0},
         sensors={"gyro_bias_deg_per_h": None},
         drawn=drawn,
         axes={"surge_m_per_s": [0.0, 0.1]},
     )
-    at_rest, surging = information_bound(study)["bound_u_arcmin"].to_pylist()
-    assert surging > 2 * at_rest
+    at_rest, surging = information_bound(study)["bound_u_arcmin"].to_numpy().reshape(2, 2)
+    assert np.all(surging > 1.5 * at_rest)
 
 
 def test_drawn_biases_with_fixed_ones_swept():
     study = drawn_study({"accel_noise_ug": [100.0, 500.0]}, gyro_bias_deg_per_h=0.01)
     found = information_bound(study)["bound_u_arcmin"].to_numpy().reshape(2, 2)
     assert np.all(found[0] < found[1])
+
+
+def test_fixed_errors_of_turning_base_count_as_sigmas():
+    turning = {"turn_times_s": [20.0]}
+    fixed = make_study(motion=turning, sensors={"gyro_scale_ppm": -100.0, "accel_bias_ug": 0.0})
+    drawn = make_study(
+        motion=turning,
+        sensors={"gyro_bias_deg_per_h": None, "accel_bias_ug": 0.0},
+        drawn={
+            "gyro_bias_deg_per_h": {"normal": [3.0, 1.0]},
+            "gyro_scale_ppm": {"normal": [0.0, 100.0]},
+        },
+    )
+    found, expected = (information_bound(s)["bound_u_arcmin"].to_pylist() for s in (fixed, drawn))
+    assert found == expected
+
+
+def test_turn_gets_under_bias_floor_and_swept_turns_have_their_own_bounds():
+    study = make_study(
+        motion={"turn_angles_deg": 180.0, "turn_rate_deg_per_s": 30.0},
+        sensors={"gyro_noise_deg_per_h": 0.01, "accel_noise_ug": 50.0},
+        axes={"turn_times_s": [[5.0], [27.0]]},
+    )
+    (_, early), (before, late) = information_bound(study)["bound_u_arcmin"].to_numpy().reshape(2, 2)
+    floor = DEG_PER_H / earth.place(earth.wgs84(), 50 * DEG).rate_n / ARCMIN
+    assert before > 0.95 * floor
+    assert late < 0.3 * floor
+    assert late < early
