@@ -57,6 +57,11 @@ class CheckedStudy(StudyView, Protocol):
     """A study whose rules between keys are being checked."""
 
     @property
+    def record_interval_s(self) -> float:
+        """Time between two record times, s."""
+        ...
+
+    @property
     def end(self) -> str:
         """End of its shortest run, in words."""
         ...
@@ -134,6 +139,7 @@ class Description:
             method has no such states.
         has_error_model: whether its `Method` has an error model, so that the covariance of its true
             error can be computed without draws.
+        stores_blocks: whether it stores blocks of samples, see `methods.base.BlockFit`.
         rules: check the rules between its keys.
         columns: its own result columns.
         last_triggered_sample: (`Method.results` of runs) -> sample of the last reset by a trigger,
@@ -156,6 +162,7 @@ class Description:
     finds_heading: bool = True
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()
     has_error_model: bool = False
+    stores_blocks: bool = False
     rules: tuple[Callable[[CheckedStudy], None], ...] = ()
     columns: tuple[OwnColumn, ...] = ()
     last_triggered_sample: Callable[[Any], NDArray | None] = lambda results: None
