@@ -36,7 +36,7 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Triangle, add, cross, scale, triangle_index
+from sinsjax.maths.algebra import add, cross, scale
 from sinsjax.methods.base import AttitudeCovariance
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Quat, Scalar, Vec3
@@ -72,6 +72,46 @@ class FitParams(NamedTuple):
     accel_bias: Scalar
     scale_factor: Scalar | None = None
     cross_axis: Scalar | None = None
+
+
+class Block(NamedTuple):
+    """The samples of about a second.
+
+    Attributes:
+        turn: rotation of the body.
+        half: rotation by half the angle about the same axis.
+        angle: rotation vector of ``turn``, rad.
+        dv: velocity increment in b at the start, m/s.
+    """
+
+    turn: Quat
+    half: Quat
+    angle: Vec3
+    dv: Vec3
+
+    @classmethod
+    def of_turn(cls, turn: Quat, dv: Vec3) -> "Block":
+        """Return the block of a rotation and a velocity increment."""
+        angle = rotations.log(turn)
+        return cls(turn, rotations.exp(scale(0.5, angle)), angle, dv)
+
+    @classmethod
+    def of_row(cls, row: Array) -> "Block":
+        """Return the block of its 14 numbers."""
+        return cls(Quat(*row[:4]), Quat(*row[4:8]), Vec3(*row[8:11]), Vec3(*row[11:14]))
+
+    def row(self) -> Array:
+        """Return its 14 numbers."""
+        return jnp.stack(jax.tree.leaves(self))
+
+    def without_errors(self, gyro: tuple[Vec3, ...], length_s: float) -> Quat:
+        """Return the rotation of the body without gyro errors, see `Solution.gyro`."""
+        total = scale(length_s, gyro[0])
+        for factor, triad in zip(self.angle, gyro[1:], strict=False):
+            total = add(total, scale(factor, triad))
+        middle = scale(4.0, rotations.rotate(self.half, total))
+        mean = scale(1 / 6, add(add(total, middle), rotations.rotate(self.turn, total)))
+        return rotations.multiply(rotations.exp(scale(-1.0, mean)), self.turn)
 
 
 class Solution(NamedTuple):
@@ -119,16 +159,16 @@ class _Sums(NamedTuple):
     Attributes:
         body: C_b^l at the end of the block.
         turned: P, columns of how far each gyro error has rotated l, Vec3 by unknown.
-        walk: whitened estimate of w for each column, and last for the measurements.
+        walk: (unknowns + 1, 2) estimate of w for each column, and last for the measurements.
         variance: of w, per axis.
-        normal: N, upper triangle, with the measurements as last column.
+        normal: (unknowns + 1, unknowns + 1) N, with the measurements as last column.
     """
 
     body: Quat
     turned: tuple[Vec3, ...]
-    walk: tuple[Scalar, ...]
+    walk: Array
     variance: Scalar
-    normal: Triangle
+    normal: Array
 
 
 def solve(
@@ -139,12 +179,11 @@ def solve(
     Args:
         params: beliefs about the sensors.
         place: Earth rates and gravity.
-        blocks: (most, 7): rotation of the body over each block (a quaternion), and its velocity
-            increment in b at the block's start, m/s.
+        blocks: (most, 14), see `Block`.
         count: number of blocks so far, at least 2.
         length_s: length of a block, s.
     """
-    first = Vec3(*blocks[0, 4:7])
+    first = Block.of_row(blocks[0]).dv
     zero = jnp.zeros_like(first.x)
     none = Vec3(zero, zero, zero)
     triads = 1 if params.scale_factor is None else 4
@@ -180,10 +219,8 @@ def _run_pass(
     r_accel = params.accel_noise**2 * length_s
 
     def over_block(j: Count, sums: _Sums) -> _Sums:
-        block = jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False)
-        turn, dv = Quat(*block[:4]), Vec3(*block[4:7])
-        angle = rotations.log(turn)
-        half = rotations.exp(scale(0.5, angle))
+        block = Block.of_row(jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False))
+        turn, half, angle, dv = block
         # Mean of the body's axes over the block, of the angle turned (Simpson's rule).
         c0, c1 = rotations.matrix(half), rotations.matrix(turn)
         mean = tuple(
@@ -229,25 +266,18 @@ def _run_pass(
         # Whitening: w before the block, its mean over the block in the measurement
         s = gh**2 * (sums.variance + q_gyro / 3) + r_accel
         covariance = gh * (sums.variance + q_gyro / 2)
-        gain, weight = covariance / s, 1 / s
-        residual = [
-            (a - gh * b[0], c - gh * b[1])
-            for (a, c), b in zip(x, _pairs(sums.walk), strict=True)
-        ]
-        walk = [
-            part
-            for b, r in zip(_pairs(sums.walk), residual, strict=True)
-            for part in (b[0] + gain * r[0], b[1] + gain * r[1])
-        ]
+        gain = covariance / s
+        residual = jnp.stack([jnp.stack(row) for row in x]) - gh * sums.walk
+        # Row by row: what a row needs stays in the registers.
         normal = tuple(
-            old + weight * (residual[i][0] * residual[k][0] + residual[i][1] * residual[k][1])
-            for old, (i, k) in zip(sums.normal, _upper(n + 1), strict=True)
+            old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s
+            for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
         )
         corrected = rotations.multiply(rotations.exp(scale(-1.0, estimate)), turn)
         return _Sums(
             rotations.multiply(sums.body, corrected),
             tuple(add(a, b) for a, b in zip(sums.turned, in_l, strict=True)),
-            tuple(walk),
+            sums.walk + gain * residual,
             sums.variance + q_gyro - covariance * gain,
             normal,
         )
@@ -256,17 +286,17 @@ def _run_pass(
     start = _Sums(
         guess.level,
         (none,) * gyros,
-        (zero,) * (2 * (n + 1)),
+        jnp.zeros((n + 1, 2)) + zero,
         zero,
-        (zero,) * len(_upper(n + 1)),
+        tuple(jnp.zeros(n + 1 - i) + zero for i in range(n + 1)),
     )
     end = jax.lax.fori_loop(0, count, over_block, start)
 
     sigmas = _prior(params, guess, is_first)
     prior_mean = jnp.stack([zero, zero, zero, zero, *(v for t in guess.gyro for v in t), *guess.accel])
-    at = triangle_index(n + 1)
-    matrix = jnp.stack([jnp.stack([end.normal[at[i, k]] for k in range(n)]) for i in range(n)])
-    right = jnp.stack([end.normal[at[i, n]] for i in range(n)])
+    upper = jnp.stack([jnp.pad(row, (i, 0)) for i, row in enumerate(end.normal)])
+    whole = upper + jnp.triu(upper, 1).T
+    matrix, right = whole[:n, :n], whole[:n, n]
     # A known unknown, of sigma 0, is left out. The others differ by ten powers of ten: they are
     # scaled to the same information, without which the inverse would lose the small variances.
     belief = jnp.where(sigmas > 0, 1 / jnp.where(sigmas > 0, sigmas, 1.0) ** 2, 0.0)
@@ -281,19 +311,14 @@ def _run_pass(
     moved = [unknown[GYRO + i] for i in range(gyros)]
     accel_change = Vec3(*unknown[n - 3 :])
     # The misalignment of the attitude at the end, in l: rows over the unknowns
-    walk = _pairs(end.walk)
     level_x = [zero, zero, zero + 1, zero] + [p.x for p in end.turned] + [zero] * 3
     level_y = [zero, zero, zero, zero + 1] + [p.y for p in end.turned] + [zero] * 3
     about_up = [zero, zero, zero, zero] + [p.z for p in end.turned] + [zero] * 3
-    # w = p_y - i p_x of the white noise
-    rows = jnp.stack(
-        [
-            jnp.stack([a + w[1] for a, w in zip(level_x, walk, strict=False)]),
-            jnp.stack([a - w[0] for a, w in zip(level_y, walk, strict=False)]),
-            jnp.stack(about_up),
-        ]
-    )
-    rotation = rows @ unknown + jnp.stack([-walk[n][1], walk[n][0], zero])
+    rows = jnp.stack([jnp.stack(row) for row in (level_x, level_y, about_up)])
+    # w = p_y - i p_x of the white noise: what the last blocks say of it
+    of_walk = jnp.stack([-end.walk[:, 1], end.walk[:, 0], jnp.zeros(n + 1) + zero])
+    rows = rows - of_walk[:, :n]
+    rotation = rows @ unknown + of_walk[:, n]
     with_heading = rows.at[2, HEADING].add(1.0)
     in_l = with_heading @ covariance @ with_heading.T
     walked = params.gyro_noise**2 * count * length_s
@@ -315,11 +340,11 @@ def _run_pass(
     to_n0 = _about_up(ce, -cn)
     body = rotations.multiply(rotations.exp(Vec3(*(-rotation))), end.body)
     last = rotations.multiply(to_n0, body)
-    turned = _carry(blocks, count, later.gyro, length_s)
-    attitude = rotations.multiply(last, rotations.conjugate(turned))
+    carried = rotations.multiply(rotations.conjugate(guess.level), end.body)
+    attitude = rotations.multiply(last, rotations.conjugate(carried))
     c = jnp.stack([jnp.stack(row) for row in rotations.matrix(to_n0)])
     in_n0 = c @ in_l @ c.T
-    residual = end.normal[at[n, n]] - unknown @ right
+    residual = whole[n, n] - unknown @ right
     misfit = jnp.sqrt(jnp.maximum(residual, 0.0) / (2 * count - 4))
     variance = jnp.diagonal(covariance)[GYRO : GYRO + 3]
     solution = Solution(
@@ -330,30 +355,7 @@ def _run_pass(
         AttitudeCovariance(*(in_n0[i, k] for i in range(3) for k in range(i, 3))),
         misfit,
     )
-    return later, (solution, turned)
-
-
-def _carry(blocks: Array, count: Count, gyro: tuple[Vec3, ...], length_s: float) -> Quat:
-    """Return C_b^{b0} at the end of the blocks, without the gyro errors."""
-
-    def over_block(j: Count, q: Quat) -> Quat:
-        block = jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False)
-        return rotations.multiply(q, correct_turn(Quat(*block[:4]), gyro, length_s))
-
-    zero = jnp.zeros_like(blocks[0, 0])
-    return jax.lax.fori_loop(0, count, over_block, Quat(zero + 1, zero, zero, zero))
-
-
-def correct_turn(turn: Quat, gyro: tuple[Vec3, ...], length_s: float) -> Quat:
-    """Return the rotation of the body over a block without the gyro errors."""
-    angle = rotations.log(turn)
-    half = rotations.exp(scale(0.5, angle))
-    rate = gyro[0]
-    total = scale(length_s, rate)
-    for factor, triad in zip(angle, gyro[1:], strict=False):
-        total = add(total, scale(factor, triad))
-    mean = scale(1 / 6, add(total, add(scale(4.0, rotations.rotate(half, total)), rotations.rotate(turn, total))))
-    return rotations.multiply(rotations.exp(scale(-1.0, mean)), turn)
+    return later, (solution, carried)
 
 
 def _prior(params: FitParams, guess: _Guess, is_first: Any) -> Array:
@@ -369,14 +371,6 @@ def _prior(params: FitParams, guess: _Guess, is_first: Any) -> Array:
         ]
     sigmas += [params.accel_bias + zero] * 3
     return jnp.stack(sigmas)
-
-
-def _pairs(flat: tuple[Scalar, ...]) -> list[tuple[Scalar, Scalar]]:
-    return list(zip(flat[::2], flat[1::2], strict=True))
-
-
-def _upper(n: int) -> list[tuple[int, int]]:
-    return [(i, k) for i in range(n) for k in range(i, n)]
 
 
 def _about_up(cos: Scalar, sin: Scalar) -> Quat:

@@ -22,14 +22,14 @@ from sinsjax.methods.base import (
     unknown_covariance,
 )
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
-from sinsjax.methods.gravity_fit.fit import FitParams, Solution, correct_turn, solve
+from sinsjax.methods.gravity_fit.fit import Block, FitParams, Solution, solve
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 BLOCK_S = 1.0
 LEAST_BLOCKS = 4
-GROWTH = 1.5
-"""A fit is made after 4, 6, 9, 13, ... blocks."""
+GROWTH = 2
+"""A fit is made after 4, 8, 16, ... blocks: all of them cost as much as the last."""
 
 
 class FitState(NamedTuple):
@@ -42,7 +42,7 @@ class FitState(NamedTuple):
         carried: C_b^{b0} as the block began, without the gyro errors found so far.
         earth: rotation rate of the Earth in n, rad/s.
         count: samples so far.
-        blocks: (most, 7) ended blocks: their ``turn`` and ``dv``.
+        blocks: (most, 14) ended blocks, each a `fit.Block`.
         solution: of the last fit; NaN before the first.
     """
 
@@ -75,7 +75,7 @@ def build(options: Options) -> Method:
         zero = jnp.zeros_like(nav.ve)
         one = Quat(zero + 1, zero, zero, zero)
         still = Vec3(zero, zero, zero)
-        blank = jnp.zeros((most, 7)) + zero
+        blank = jnp.zeros((most, 14)) + zero
         gyro = (still,) * (1 if params.scale_factor is None else 4)
         unknown = jax.tree.map(
             lambda a: a + jnp.nan,
@@ -92,11 +92,10 @@ def build(options: Options) -> Method:
 
     def store(state: FitState, number: Count) -> FitState:
         ends = (number + 1) % records == 0
-        row = jnp.stack([*rotations.normalise(state.turn), *state.dv])
-        blocks = jax.lax.dynamic_update_index_in_dim(
-            state.blocks, row, jnp.minimum(number // records, most - 1), 0
-        )
-        corrected = correct_turn(state.turn, state.solution.gyro, length_s)
+        block = Block.of_turn(rotations.normalise(state.turn), state.dv)
+        place = jnp.minimum(number // records, most - 1)
+        blocks = jax.lax.dynamic_update_index_in_dim(state.blocks, block.row(), place, 0)
+        corrected = block.without_errors(state.solution.gyro, length_s)
         zero = jnp.zeros_like(state.count)
         begun = (
             Quat(zero + 1, zero, zero, zero),
