@@ -28,7 +28,7 @@ from sinsjax.engine.environment import (
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.samples import build_sensors
-from sinsjax.engine.sensor_inputs import AMPLITUDE_KEYS, DISTORTION_KEYS, NOISE_KEYS
+from sinsjax.engine.sensor_inputs import DISTORTION_KEYS, NOISE_KEYS, moves
 from sinsjax.engine.truth import (
     normal_distributions,
     read_site,
@@ -289,7 +289,7 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
         sensors=SensorProgram(
             noisy=simulated and variants.is_active(*NOISE_KEYS),
             distorted=simulated and variants.is_active(*DISTORTION_KEYS),
-            sways=simulated and variants.is_active(*AMPLITUDE_KEYS),
+            sways=simulated and moves(variants),
             kept=kept,
         ),
         passes="rewind" if span.rewinds else "alternate" if study.passes is not None else "once",

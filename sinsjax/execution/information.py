@@ -9,7 +9,7 @@ import pyarrow as pa
 from sinsjax import columns
 from sinsjax.covariance.information import heading_bound
 from sinsjax.engine.build import ENVIRONMENT_KEYS, Scenario
-from sinsjax.engine.sensor_inputs import read_motion
+from sinsjax.engine.sensor_inputs import read_sways
 from sinsjax.errors import InputError
 from sinsjax.execution.tables import make_table
 from sinsjax.methods.floors import mean_attitude
@@ -77,7 +77,7 @@ def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]
     sensors = environment.sensors
     if not np.all(sensors.errors.accel_noise):
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
-    motion = read_motion(Variants(study, scenario.variant_ids[part]).common)
+    motion = read_sways(Variants(study, scenario.variant_ids[part]).common)
     pitch, roll, yaw = (s._replace(amplitude=0.0 * s.amplitude) for s in motion.angles)
     still_motion = Motion(pitch, roll, yaw)
     sigma = heading_bound(

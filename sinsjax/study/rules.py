@@ -44,6 +44,7 @@ from sinsjax.study.schema import (
 )
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
+from sinsjax.study.turns import check_turn_keys, check_turns
 from sinsjax.value_types import ROUNDING, KeyCondition
 
 KeyTables = Mapping[str, str]
@@ -699,6 +700,7 @@ PRESENCE_RULES: tuple[StudyRule, ...] = (
     _check_keys_of_methods,
     check_process_noise,
     check_measurement_noise,
+    check_turn_keys,
     _check_covariance_analysis,
 )
 """Rules for the presence of keys."""
@@ -709,6 +711,7 @@ TIME_RULES: tuple[tuple[StudyRule, ...], ...] = (
     (
         _check_coarse_method,
         _check_coarse_times,
+        check_turns,
         _check_reset_law,
         _check_statistics_window,
         _check_report_times,

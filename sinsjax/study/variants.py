@@ -11,6 +11,7 @@ from sinsjax.errors import InputError
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.study import Study
+from sinsjax.study.turns import data_end_s
 
 Lookup = Callable[[str], Any]
 """Function of a key that returns its common value in all variants of a part, or its draws."""
@@ -40,6 +41,11 @@ class Variants:
     def rate_hz(self) -> float:
         """Sample rate of the study, Hz."""
         return self._study.rate_hz
+
+    @property
+    def data_end_s(self) -> float:
+        """Length of the data that the longest run of the study reads, s."""
+        return data_end_s(self._study)
 
     def has(self, section: str) -> bool:
         """Return whether the study has a section."""
