@@ -53,6 +53,28 @@ _LEVEL_SIGMA = 1.0
 """Standard deviation of tilt and heading before the data, rad: none."""
 
 
+class Drift(NamedTuple):
+    """A slow error of each axis of a triad, or the surge: a first-order process.
+
+    Attributes:
+        variance: at the first sample; that of a stationary process if ``rate`` is not zero.
+        rate: 1 over its correlation time, 1/s; 0 for a random walk.
+        density: variance that a random walk gains per second.
+    """
+
+    variance: Scalar
+    rate: Scalar
+    density: Scalar
+
+    def kept(self, length_s: float) -> Scalar:
+        """Return the share of it that is left after a time."""
+        return jnp.exp(-self.rate * length_s)
+
+    def driven(self, length_s: float) -> Scalar:
+        """Return the variance that it gains in a time."""
+        return self.variance * -jnp.expm1(-2 * self.rate * length_s) + self.density * length_s
+
+
 class FitParams(NamedTuple):
     """What the fit believes of the sensors, SI units.
 
@@ -64,6 +86,9 @@ class FitParams(NamedTuple):
         scale_factor: 1 sigma of the gyros' scale factors; None leaves them, and the cross-axis
             errors, out.
         cross_axis: 1 sigma of their cross-axis errors, rad.
+        gyro_drifts: of each gyro, rad/s.
+        accel_drifts: of each accelerometer, m/s^2.
+        surge: velocity of the base along east and north, m/s; None for a base in place.
     """
 
     gyro_noise: Scalar
@@ -72,6 +97,9 @@ class FitParams(NamedTuple):
     accel_bias: Scalar
     scale_factor: Scalar | None = None
     cross_axis: Scalar | None = None
+    gyro_drifts: tuple[Drift, ...] = ()
+    accel_drifts: tuple[Drift, ...] = ()
+    surge: Drift | None = None
 
 
 class Block(NamedTuple):
@@ -159,16 +187,17 @@ class _Sums(NamedTuple):
     Attributes:
         body: C_b^l at the end of the block.
         turned: P, columns of how far each gyro error has rotated l, Vec3 by unknown.
-        walk: (unknowns + 1, 2) estimate of w for each column, and last for the measurements.
-        variance: of w, per axis.
-        normal: (unknowns + 1, unknowns + 1) N, with the measurements as last column.
+        walk: (unknowns + 1, 2) estimates of w, of the drifts and of the surge for each column, and
+            last for the measurements.
+        variance: their covariance, per axis, by pairs i <= k.
+        normal: rows of the upper triangle of N, with the measurements as last column.
     """
 
     body: Quat
     turned: tuple[Vec3, ...]
-    walk: Array
-    variance: Scalar
-    normal: Array
+    walk: tuple[Array, ...]
+    variance: dict[tuple[int, int], Scalar]
+    normal: tuple[Array, ...]
 
 
 def solve(
@@ -215,8 +244,7 @@ def _run_pass(
     rate_ie = jnp.hypot(place.rate_n, place.rate_u)
     cos_l, sin_l = place.rate_n / rate_ie, place.rate_u / rate_ie
     gh = place.gravity * length_s
-    q_gyro = params.gyro_noise**2 * length_s
-    r_accel = params.accel_noise**2 * length_s
+    noise = _noise_model(params, gh, length_s)
 
     def over_block(j: Count, sums: _Sums) -> _Sums:
         block = Block.of_row(jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False))
@@ -263,22 +291,27 @@ def _run_pass(
         x += [(a.x, a.y) for a in (rotations.rotate(sums.body, error) for error in accel)]
         x += [(force.x - gh * mx, force.y - gh * my)]
 
-        # Whitening: w before the block, its mean over the block in the measurement
-        s = gh**2 * (sums.variance + q_gyro / 3) + r_accel
-        covariance = gh * (sums.variance + q_gyro / 2)
-        gain = covariance / s
-        residual = jnp.stack([jnp.stack(row) for row in x]) - gh * sums.walk
+        corrected = rotations.multiply(rotations.exp(scale(-1.0, estimate)), turn)
+        turned_up = rotations.rotate(sums.body, angle).z
+        step, gain, s, variance = _predict(noise, sums.variance, turned_up)
+        residual = jnp.stack([jnp.stack(row) for row in x])
+        for h, estimates in zip(noise.seen, sums.walk, strict=True):
+            residual = residual - h * estimates
+        walk = tuple(
+            sum(_times(f, estimates) for f, estimates in zip(row, sums.walk, strict=True) if f is not None)
+            + _times(k, residual)
+            for row, k in zip(step, gain, strict=True)
+        )
         # Row by row: what a row needs stays in the registers.
         normal = tuple(
             old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s
             for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
         )
-        corrected = rotations.multiply(rotations.exp(scale(-1.0, estimate)), turn)
         return _Sums(
             rotations.multiply(sums.body, corrected),
             tuple(add(a, b) for a, b in zip(sums.turned, in_l, strict=True)),
-            sums.walk + gain * residual,
-            sums.variance + q_gyro - covariance * gain,
+            walk,
+            variance,
             normal,
         )
 
@@ -286,8 +319,8 @@ def _run_pass(
     start = _Sums(
         guess.level,
         (none,) * gyros,
-        jnp.zeros((n + 1, 2)) + zero,
-        zero,
+        (jnp.zeros((n + 1, 2)) + zero,) * len(noise.seen),
+        {at: v + 0j if at[0] != at[1] else v for at, v in noise.initial.items()},
         tuple(jnp.zeros(n + 1 - i) + zero for i in range(n + 1)),
     )
     end = jax.lax.fori_loop(0, count, over_block, start)
@@ -316,13 +349,14 @@ def _run_pass(
     about_up = [zero, zero, zero, zero] + [p.z for p in end.turned] + [zero] * 3
     rows = jnp.stack([jnp.stack(row) for row in (level_x, level_y, about_up)])
     # w = p_y - i p_x of the white noise: what the last blocks say of it
-    of_walk = jnp.stack([-end.walk[:, 1], end.walk[:, 0], jnp.zeros(n + 1) + zero])
+    of_walk = jnp.stack([-end.walk[0][:, 1], end.walk[0][:, 0], jnp.zeros(n + 1) + zero])
     rows = rows - of_walk[:, :n]
     rotation = rows @ unknown + of_walk[:, n]
     with_heading = rows.at[2, HEADING].add(1.0)
     in_l = with_heading @ covariance @ with_heading.T
-    walked = params.gyro_noise**2 * count * length_s
-    in_l = in_l + jnp.diag(jnp.stack([end.variance, end.variance, walked]))
+    of_level = end.variance[0, 0]
+    of_heading = _heading_variance(params, count * length_s)
+    in_l = in_l + jnp.diag(jnp.stack([of_level, of_level, of_heading]))
 
     ce, cn = guess.heading
     real, imaginary = known + amplitude, heading
@@ -356,6 +390,120 @@ def _run_pass(
         misfit,
     )
     return later, (solution, carried)
+
+
+class _NoiseModel(NamedTuple):
+    """Noise of the blocks as complex states of the level axes: w, then drifts, then the surge.
+
+    Attributes:
+        seen: factor of each state in a measurement.
+        kept: share of each state that is left after a block.
+        turns: whether a state turns with the body, whose axes it belongs to.
+        to_walk: factor with which each state adds to w.
+        driven: variance that each gains in a block.
+        shared: covariance of that with the noise of the measurement.
+        measured: variance of that noise.
+        initial: covariance of the states before the first block, by pairs i <= k.
+    """
+
+    seen: tuple[Scalar, ...]
+    kept: tuple[Scalar, ...]
+    turns: tuple[bool, ...]
+    to_walk: tuple[Scalar, ...]
+    driven: tuple[Scalar, ...]
+    shared: tuple[Scalar, ...]
+    measured: Scalar
+    initial: dict[tuple[int, int], Scalar]
+
+
+def _noise_model(params: FitParams, gh: Scalar, length_s: float) -> _NoiseModel:
+    """Return the model of blocks of a length, given g h."""
+    h, zero = length_s, jnp.zeros_like(params.gyro_noise)
+    q = params.gyro_noise**2 * h
+    # The measurement sees the mean of w over the block, of which half and a third are new.
+    states = [(gh, zero + 1, False, zero, q, gh * q / 2, zero)]
+    for drift in params.gyro_drifts:
+        kept, driven = drift.kept(h), drift.driven(h)
+        states.append((gh * h / 2, kept, True, zero + h, driven, zero, drift.variance))
+    for drift in params.accel_drifts:
+        kept, driven = drift.kept(h), drift.driven(h)
+        states.append((zero + h, kept, True, zero, driven, zero, drift.variance))
+    measured = gh**2 * q / 3 + params.accel_noise**2 * h
+    if params.surge is not None:
+        kept, driven = params.surge.kept(h), params.surge.driven(h)
+        states.append((kept - 1, kept, False, zero, driven, driven, params.surge.variance))
+        measured = measured + driven
+    *columns, variances = zip(*states, strict=True)
+    n = len(states)
+    initial = {(i, k): variances[i] if i == k else zero for i in range(n) for k in range(i, n)}
+    return _NoiseModel(*columns, measured, initial)
+
+
+def _predict(
+    noise: _NoiseModel, variance: dict[tuple[int, int], Scalar], turned: Scalar
+) -> tuple[list[list[Scalar | None]], list[Scalar], Scalar, dict[tuple[int, int], Scalar]]:
+    """Return transition, gain, innovation variance and the covariance after a block.
+
+    Args:
+        noise: model of the blocks.
+        variance: covariance before the block.
+        turned: angle by which the body turned about the vertical, rad.
+    """
+    states = range(len(noise.seen))
+
+    def p(i: int, k: int) -> Scalar:
+        return variance[i, k] if i <= k else jnp.conj(variance[k, i])
+
+    phase = jnp.exp(1j * turned) if any(noise.turns) else None
+    step: list[list[Scalar | None]] = [[None for _ in states] for _ in states]
+    for i in states:
+        step[i][i] = noise.kept[i] * phase if noise.turns[i] else noise.kept[i]
+        if i and noise.turns[i]:
+            step[0][i] = noise.to_walk[i]
+    seen = [sum(p(i, k) * noise.seen[k] for k in states) for i in states]
+    s = noise.measured + sum(jnp.real(noise.seen[i] * seen[i]) for i in states)
+    moved = [
+        sum(f * seen[k] for k, f in enumerate(row) if f is not None) + noise.shared[i]
+        for i, row in enumerate(step)
+    ]
+    half = [
+        [sum(f * p(j, k) for j, f in enumerate(row) if f is not None) for k in states]
+        for row in step
+    ]
+    after = {}
+    for i in states:
+        for k in states[i:]:
+            value = sum(
+                half[i][j] * jnp.conj(f) for j, f in enumerate(step[k]) if f is not None
+            ) - moved[i] * jnp.conj(moved[k]) / s
+            after[i, k] = jnp.real(value) + noise.driven[i] if i == k else value + 0j
+    return step, [m / s for m in moved], s, after
+
+
+def _times(factor: Scalar, pairs: Array) -> Array:
+    """Return a number, maybe complex, times complex numbers in pairs, (n, 2)."""
+    if not jnp.iscomplexobj(factor):
+        return factor * pairs
+    real, imaginary = jnp.real(factor), jnp.imag(factor)
+    return jnp.stack(
+        [
+            real * pairs[:, 0] - imaginary * pairs[:, 1],
+            imaginary * pairs[:, 0] + real * pairs[:, 1],
+        ],
+        axis=-1,
+    )
+
+
+def _heading_variance(params: FitParams, time_s: Scalar) -> Scalar:
+    """Return the variance by which noise and drift of the vertical gyro turn the heading."""
+    total = params.gyro_noise**2 * time_s
+    for drift in params.gyro_drifts:
+        x = drift.rate * time_s
+        small = x < 1e-2
+        large = jnp.where(small, 1.0, x)
+        share = jnp.where(small, 1 - x / 3, 2 * (large + jnp.expm1(-large)) / large**2)
+        total = total + drift.variance * time_s**2 * share + drift.density * time_s**3 / 3
+    return total
 
 
 def _prior(params: FitParams, guess: _Guess, is_first: Any) -> Array:
