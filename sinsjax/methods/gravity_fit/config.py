@@ -40,6 +40,11 @@ class GravityFitSection(Section):
         description="1 sigma of the gyros' cross-axis errors, arcsec; default: that of [sensors]"
         " or [drawn]",
     )
+    fit_lever_arm_m: NonNegative | None = Field(
+        None,
+        description="1 sigma of each part of the lever arm from the turn axis to the sensors, m; 0"
+        " for sensors in it; default: that of [motion]",
+    )
     fit_accel_bias_ug: AccelSigma | None = Field(
         None, description="1 sigma of the accelerometer biases, ug; default: that of [sensors] or"
         " [drawn]",
@@ -54,8 +59,9 @@ _DEFAULTS = {
     "fit_gyro_scale_ppm": "gyro_scale_ppm",
     "fit_gyro_misalignment_arcsec": "gyro_misalignment_arcsec",
     "fit_accel_bias_ug": "accel_bias_ug",
+    "fit_lever_arm_m": "lever_arm_m",
 }
-"""Keys of [sensors] that a belief follows if it is left out."""
+"""Keys of [sensors] and [motion] that a belief follows if it is left out."""
 
 _NOISE = {
     "fit_gyro_arw_deg_per_sqrt_h": "q_gyro_deg_per_h",
@@ -66,7 +72,7 @@ _NOISE = {
 
 def parameters(columns: Columns, site: Any, ug: float) -> Any:
     """Return `fit.FitParams`, leaves (variants,)."""
-    from sinsjax.methods.gravity_fit.fit import FitParams
+    from sinsjax.methods.gravity_fit.fit import Drift, FitParams
 
     def sigma(key: str, unit: float) -> NDArray:
         given = columns.column(key, unit)
@@ -82,17 +88,57 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
         sensors = columns.compute(white, *WHITE_NOISE[q_key][:2]) * default_unit
         return np.where(np.isnan(given), sensors, given)
 
+    def drift(rms: str, time: str, walk: str, unit: float) -> tuple[Any, ...]:
+        if not columns.has("sensors"):
+            return ()
+        zero = np.zeros(columns.count)
+        variance, density = (columns.rms(rms) * unit) ** 2, (columns.rms(walk) * unit) ** 2 / 3600
+        drifts = []
+        if variance.any():
+            drifts.append(Drift(variance, 1 / columns.column(time), zero))
+        if density.any():
+            drifts.append(Drift(zero, zero, density))
+        return tuple(drifts)
+
     scale = sigma("fit_gyro_scale_ppm", PPM)
     cross = sigma("fit_gyro_misalignment_arcsec", ARCSEC)
+    lever = sigma("fit_lever_arm_m", 1.0)
+    accel = sigma("fit_accel_bias_ug", ug)
     has_scale = bool(np.any(scale) or np.any(cross))
+    surge = None
+    if columns.has("sensors"):  # of a simulation, which has [motion] as well
+        # On a level base the reaction to gravity makes a bias of the axes' errors.
+        tilted = columns.rms("accel_misalignment_arcsec") * ARCSEC * site.place.gravity
+        accel = np.hypot(accel, tilted)
+        rms = columns.compute(_level_surge, "surge_m_per_s")
+        if rms.any():
+            zero = np.zeros(columns.count)
+            surge = Drift(rms**2, 1 / columns.column("surge_time_s"), zero)
     return FitParams(
         gyro_noise=noise("fit_gyro_arw_deg_per_sqrt_h", DEG_PER_SQRT_H, DEG_PER_H),
         accel_noise=noise("fit_accel_vrw_ug_per_sqrt_hz", ug, ug),
         gyro_bias=sigma("fit_gyro_bias_deg_per_h", DEG_PER_H),
-        accel_bias=sigma("fit_accel_bias_ug", ug),
+        accel_bias=accel,
         scale_factor=scale if has_scale else None,
         cross_axis=cross if has_scale else None,
+        lever_arm=lever if np.any(lever) else None,
+        gyro_drifts=drift(*_GYRO_DRIFTS, DEG_PER_H),
+        accel_drifts=drift(*_ACCEL_DRIFTS, ug),
+        surge=surge,
     )
+
+
+_GYRO_DRIFTS = (
+    "gyro_instability_deg_per_h",
+    "gyro_instability_time_s",
+    "gyro_rrw_deg_per_h_per_sqrt_h",
+)
+_ACCEL_DRIFTS = ("accel_instability_ug", "accel_instability_time_s", "accel_rrw_ug_per_sqrt_h")
+
+
+def _level_surge(surge: Any) -> float:
+    """Return the larger rms velocity of the surge along east and north, m/s."""
+    return float(np.max(np.abs(np.broadcast_to(surge or 0.0, 3)[:2])))
 
 
 def _load() -> Implementation:

@@ -44,13 +44,19 @@ from sinsjax.types import Array, Count, Quat, Scalar, Vec3
 PASSES = 3
 """Two passes suffice up to a gyro bias of 10 deg/h, three up to 50."""
 
-AMPLITUDE, HEADING, TILT, GYRO, ACCEL, SCALE = 0, 1, 2, 4, 7, 10
-"""Places of the unknowns: of |c|, heading, two tilts, two triads of biases, nine scale factors."""
+NUMBERS = 17
+"""Numbers of a block."""
+
+HEADING, GYRO = 1, 4
+"""Places of unknowns: |c|, heading, two tilts, the gyro errors, accelerometer biases, lever arm."""
 
 _KNOWN = 1e-9
 """Standard deviation of |c| after the first pass."""
 _LEVEL_SIGMA = 1.0
 """Standard deviation of tilt and heading before the data, rad: none."""
+
+
+_AXES = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
 
 
 class Drift(NamedTuple):
@@ -86,6 +92,8 @@ class FitParams(NamedTuple):
         scale_factor: 1 sigma of the gyros' scale factors; None leaves them, and the cross-axis
             errors, out.
         cross_axis: 1 sigma of their cross-axis errors, rad.
+        lever_arm: 1 sigma of each part of the lever arm from the turn axis to the sensors, m; None
+            for sensors in it.
         gyro_drifts: of each gyro, rad/s.
         accel_drifts: of each accelerometer, m/s^2.
         surge: velocity of the base along east and north, m/s; None for a base in place.
@@ -97,6 +105,7 @@ class FitParams(NamedTuple):
     accel_bias: Scalar
     scale_factor: Scalar | None = None
     cross_axis: Scalar | None = None
+    lever_arm: Scalar | None = None
     gyro_drifts: tuple[Drift, ...] = ()
     accel_drifts: tuple[Drift, ...] = ()
     surge: Drift | None = None
@@ -110,26 +119,29 @@ class Block(NamedTuple):
         half: rotation by half the angle about the same axis.
         angle: rotation vector of ``turn``, rad.
         dv: velocity increment in b at the start, m/s.
+        rate: angular rate in b at the end, rad/s.
     """
 
     turn: Quat
     half: Quat
     angle: Vec3
     dv: Vec3
+    rate: Vec3
 
     @classmethod
-    def of_turn(cls, turn: Quat, dv: Vec3) -> "Block":
-        """Return the block of a rotation and a velocity increment."""
+    def of_turn(cls, turn: Quat, dv: Vec3, rate: Vec3) -> "Block":
+        """Return the block of a rotation, a velocity increment and the rate at its end."""
         angle = rotations.log(turn)
-        return cls(turn, rotations.exp(scale(0.5, angle)), angle, dv)
+        return cls(turn, rotations.exp(scale(0.5, angle)), angle, dv, rate)
 
     @classmethod
     def of_row(cls, row: Array) -> "Block":
-        """Return the block of its 14 numbers."""
-        return cls(Quat(*row[:4]), Quat(*row[4:8]), Vec3(*row[8:11]), Vec3(*row[11:14]))
+        """Return the block of its numbers."""
+        vectors = (Vec3(*row[i : i + 3]) for i in (8, 11, 14))
+        return cls(Quat(*row[:4]), Quat(*row[4:8]), *vectors)
 
     def row(self) -> Array:
-        """Return its 14 numbers."""
+        """Return its `NUMBERS`."""
         return jnp.stack(jax.tree.leaves(self))
 
     def without_errors(self, gyro: tuple[Vec3, ...], length_s: float) -> Quat:
@@ -173,12 +185,14 @@ class _Guess(NamedTuple):
         gyro: triads by which the rotation of a block is wrong: bias, then columns of the matrix of
             scale factors and cross-axis errors.
         accel: accelerometer bias.
+        lever: lever arm in b; None if it is no unknown.
     """
 
     level: Quat
     heading: tuple[Scalar, Scalar]
     gyro: tuple[Vec3, ...]
     accel: Vec3
+    lever: Vec3 | None = None
 
 
 class _Sums(NamedTuple):
@@ -187,6 +201,7 @@ class _Sums(NamedTuple):
     Attributes:
         body: C_b^l at the end of the block.
         turned: P, columns of how far each gyro error has rotated l, Vec3 by unknown.
+        swung: velocity in l per lever arm along each axis of b.
         walk: (unknowns + 1, 2) estimates of w, of the drifts and of the surge for each column, and
             last for the measurements.
         variance: their covariance, per axis, by pairs i <= k.
@@ -195,6 +210,7 @@ class _Sums(NamedTuple):
 
     body: Quat
     turned: tuple[Vec3, ...]
+    swung: tuple[Vec3, ...]
     walk: tuple[Array, ...]
     variance: dict[tuple[int, int], Scalar]
     normal: tuple[Array, ...]
@@ -208,7 +224,7 @@ def solve(
     Args:
         params: beliefs about the sensors.
         place: Earth rates and gravity.
-        blocks: (most, 14), see `Block`.
+        blocks: (most, `NUMBERS`), see `Block`.
         count: number of blocks so far, at least 2.
         length_s: length of a block, s.
     """
@@ -216,7 +232,8 @@ def solve(
     zero = jnp.zeros_like(first.x)
     none = Vec3(zero, zero, zero)
     triads = 1 if params.scale_factor is None else 4
-    guess = _Guess(_level(first), (zero + 1, zero), (none,) * triads, none)
+    lever = None if params.lever_arm is None else none
+    guess = _Guess(_level(first), (zero + 1, zero), (none,) * triads, none, lever)
 
     def over_pass(number: Count, carry: tuple[_Guess, Any]) -> tuple[_Guess, Any]:
         guess, _ = carry
@@ -239,7 +256,8 @@ def _run_pass(
     """Return the next guess; and its solution, with C_b^{b0} at the end."""
     zero = jnp.zeros_like(guess.accel.x)
     gyros = 3 * len(guess.gyro)
-    n = GYRO + gyros + 3  # gyro unknowns after one another; then those of the accelerometers
+    accels = GYRO + gyros
+    n = accels + (3 if guess.lever is None else 6)
     known = jnp.where(is_first, 0.0, 1.0)
     rate_ie = jnp.hypot(place.rate_n, place.rate_u)
     cos_l, sin_l = place.rate_n / rate_ie, place.rate_u / rate_ie
@@ -248,7 +266,7 @@ def _run_pass(
 
     def over_block(j: Count, sums: _Sums) -> _Sums:
         block = Block.of_row(jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False))
-        turn, half, angle, dv = block
+        turn, half, angle, dv, rate = block
         # Mean of the body's axes over the block, of the angle turned (Simpson's rule).
         c0, c1 = rotations.matrix(half), rotations.matrix(turn)
         mean = tuple(
@@ -267,6 +285,8 @@ def _run_pass(
         for value, error in zip(guess.accel, accel, strict=True):
             dv = add(dv, scale(-value, error))
         force = rotations.rotate(sums.body, dv)
+        corrected = rotations.multiply(rotations.exp(scale(-1.0, estimate)), turn)
+        body = rotations.multiply(sums.body, corrected)
 
         # The Earth at mid-block
         t = (j + 0.5) * length_s
@@ -289,9 +309,16 @@ def _run_pass(
         ]
         x += [(gh * (up * p.y - my * p.z), gh * (mx * p.z - up * p.x)) for p in middle]
         x += [(a.x, a.y) for a in (rotations.rotate(sums.body, error) for error in accel)]
+        swung: tuple[Vec3, ...] = ()
+        if guess.lever is not None:
+            spin = tuple(rotations.rotate(body, cross(rate, axis)) for axis in _AXES)
+            gained = [add(a, scale(-1.0, b)) for a, b in zip(spin, sums.swung, strict=True)]
+            x += [(a.x, a.y) for a in gained]
+            for value, a in zip(guess.lever, gained, strict=True):
+                force = add(force, scale(-value, a))
+            swung = spin
         x += [(force.x - gh * mx, force.y - gh * my)]
 
-        corrected = rotations.multiply(rotations.exp(scale(-1.0, estimate)), turn)
         turned_up = rotations.rotate(sums.body, angle).z
         step, gain, s, variance = _predict(noise, sums.variance, turned_up)
         residual = jnp.stack([jnp.stack(row) for row in x])
@@ -308,8 +335,9 @@ def _run_pass(
             for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
         )
         return _Sums(
-            rotations.multiply(sums.body, corrected),
+            body,
             tuple(add(a, b) for a, b in zip(sums.turned, in_l, strict=True)),
+            swung,
             walk,
             variance,
             normal,
@@ -319,6 +347,7 @@ def _run_pass(
     start = _Sums(
         guess.level,
         (none,) * gyros,
+        () if guess.lever is None else (none,) * 3,
         (jnp.zeros((n + 1, 2)) + zero,) * len(noise.seen),
         {at: v + 0j if at[0] != at[1] else v for at, v in noise.initial.items()},
         tuple(jnp.zeros(n + 1 - i) + zero for i in range(n + 1)),
@@ -326,7 +355,8 @@ def _run_pass(
     end = jax.lax.fori_loop(0, count, over_block, start)
 
     sigmas = _prior(params, guess, is_first)
-    prior_mean = jnp.stack([zero, zero, zero, zero, *(v for t in guess.gyro for v in t), *guess.accel])
+    found = [*(v for triad in guess.gyro for v in triad), *guess.accel, *(guess.lever or ())]
+    prior_mean = jnp.stack([zero, zero, zero, zero, *found])
     upper = jnp.stack([jnp.pad(row, (i, 0)) for i, row in enumerate(end.normal)])
     whole = upper + jnp.triu(upper, 1).T
     matrix, right = whole[:n, :n], whole[:n, n]
@@ -341,12 +371,11 @@ def _run_pass(
     unknown = covariance @ (right - belief * prior_mean)
 
     amplitude, heading, kx, ky = unknown[:4]
-    moved = [unknown[GYRO + i] for i in range(gyros)]
-    accel_change = Vec3(*unknown[n - 3 :])
+    moved = unknown[GYRO:accels]
     # The misalignment of the attitude at the end, in l: rows over the unknowns
-    level_x = [zero, zero, zero + 1, zero] + [p.x for p in end.turned] + [zero] * 3
-    level_y = [zero, zero, zero, zero + 1] + [p.y for p in end.turned] + [zero] * 3
-    about_up = [zero, zero, zero, zero] + [p.z for p in end.turned] + [zero] * 3
+    level_x = [zero, zero, zero + 1, zero] + [p.x for p in end.turned] + [zero] * (n - accels)
+    level_y = [zero, zero, zero, zero + 1] + [p.y for p in end.turned] + [zero] * (n - accels)
+    about_up = [zero, zero, zero, zero] + [p.z for p in end.turned] + [zero] * (n - accels)
     rows = jnp.stack([jnp.stack(row) for row in (level_x, level_y, about_up)])
     # w = p_y - i p_x of the white noise: what the last blocks say of it
     of_walk = jnp.stack([-end.walk[0][:, 1], end.walk[0][:, 0], jnp.zeros(n + 1) + zero])
@@ -369,7 +398,8 @@ def _run_pass(
         tuple(
             add(triad, Vec3(*moved[3 * i : 3 * i + 3])) for i, triad in enumerate(guess.gyro)
         ),
-        add(guess.accel, accel_change),
+        add(guess.accel, Vec3(*unknown[accels : accels + 3])),
+        None if guess.lever is None else add(guess.lever, Vec3(*unknown[accels + 3 :])),
     )
     to_n0 = _about_up(ce, -cn)
     body = rotations.multiply(rotations.exp(Vec3(*(-rotation))), end.body)
@@ -518,6 +548,8 @@ def _prior(params: FitParams, guess: _Guess, is_first: Any) -> Array:
             for i in range(3)
         ]
     sigmas += [params.accel_bias + zero] * 3
+    if params.lever_arm is not None:
+        sigmas += [params.lever_arm + zero] * 3
     return jnp.stack(sigmas)
 
 

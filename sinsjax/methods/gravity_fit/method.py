@@ -22,7 +22,7 @@ from sinsjax.methods.base import (
     unknown_covariance,
 )
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
-from sinsjax.methods.gravity_fit.fit import Block, FitParams, Solution, solve
+from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, solve
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
 
@@ -39,16 +39,18 @@ class FitState(NamedTuple):
         nav: initial solution; nothing of it is used.
         turn: rotation of the body since the block began.
         dv: velocity increment since then, in b at that time, m/s.
+        rate: half the rotation of the last sample, rad.
         carried: C_b^{b0} as the block began, without the gyro errors found so far.
         earth: rotation rate of the Earth in n, rad/s.
         count: samples so far.
-        blocks: (most, 14) ended blocks, each a `fit.Block`.
+        blocks: (most, `NUMBERS`) ended blocks, each a `fit.Block`.
         solution: of the last fit; NaN before the first.
     """
 
     nav: Navigation
     turn: Quat
     dv: Vec3
+    rate: Vec3
     carried: Quat
     earth: Vec3
     count: Scalar
@@ -75,24 +77,26 @@ def build(options: Options) -> Method:
         zero = jnp.zeros_like(nav.ve)
         one = Quat(zero + 1, zero, zero, zero)
         still = Vec3(zero, zero, zero)
-        blank = jnp.zeros((most, 14)) + zero
+        blank = jnp.zeros((most, NUMBERS)) + zero
         gyro = (still,) * (1 if params.scale_factor is None else 4)
         unknown = jax.tree.map(
             lambda a: a + jnp.nan,
             Solution(one, gyro, still, still, unknown_covariance(zero), zero),
         )
-        return FitState(nav, one, still, one, still, zero, blank, unknown._replace(gyro=gyro))
+        return FitState(nav, one, still, still, one, still, zero, blank, unknown._replace(gyro=gyro))
 
     def step(params: Any, site: Site, state: FitState, sample: Sample, n: Scalar) -> FitState:
         dv = add(state.dv, rotations.rotate(state.turn, sample.dv))
         turn = rotations.multiply(state.turn, sample.turn)
         zero = jnp.zeros_like(n)
         rate = Vec3(zero, zero + site.place.rate_n, zero + site.place.rate_u)
-        return state._replace(turn=turn, dv=dv, earth=rate, count=n)
+        last = Vec3(*sample.turn[1:])
+        return state._replace(turn=turn, dv=dv, rate=last, earth=rate, count=n)
 
     def store(state: FitState, number: Count) -> FitState:
         ends = (number + 1) % records == 0
-        block = Block.of_turn(rotations.normalise(state.turn), state.dv)
+        rate = scale(2 / options.dt, state.rate)
+        block = Block.of_turn(rotations.normalise(state.turn), state.dv, rate)
         place = jnp.minimum(number // records, most - 1)
         blocks = jax.lax.dynamic_update_index_in_dim(state.blocks, block.row(), place, 0)
         corrected = block.without_errors(state.solution.gyro, length_s)
