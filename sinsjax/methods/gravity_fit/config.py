@@ -1,4 +1,4 @@
-"""The fit to the turn of gravity as studies know it: [gravity_fit], params, columns, description."""
+"""The gravity fit as studies know it: [gravity_fit], params, columns, description."""
 
 from collections.abc import Callable
 from functools import partial
@@ -46,7 +46,8 @@ class GravityFitSection(Section):
         " for sensors in it; default: that of [motion]",
     )
     fit_accel_bias_ug: AccelSigma | None = Field(
-        None, description="1 sigma of the accelerometer biases, ug; default: that of [sensors] or"
+        None,
+        description="1 sigma of the accelerometer biases, ug; default: that of [sensors] or"
         " [drawn]",
     )
     fit_accel_vrw_ug_per_sqrt_hz: NonNegative | None = Field(
@@ -72,7 +73,8 @@ _NOISE = {
 
 def parameters(columns: Columns, site: Any, ug: float) -> Any:
     """Return `fit.FitParams`, leaves (variants,)."""
-    from sinsjax.methods.gravity_fit.fit import Drift, FitParams
+    from sinsjax.methods.gravity_fit.fit import FitParams
+    from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
 
     def sigma(key: str, unit: float) -> NDArray:
         given = columns.column(key, unit)
@@ -115,16 +117,18 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
             zero = np.zeros(columns.count)
             surge = Drift(rms**2, 1 / columns.column("surge_time_s"), zero)
     return FitParams(
-        gyro_noise=noise("fit_gyro_arw_deg_per_sqrt_h", DEG_PER_SQRT_H, DEG_PER_H),
-        accel_noise=noise("fit_accel_vrw_ug_per_sqrt_hz", ug, ug),
+        noise=SensorNoise(
+            gyro=noise("fit_gyro_arw_deg_per_sqrt_h", DEG_PER_SQRT_H, DEG_PER_H),
+            accel=noise("fit_accel_vrw_ug_per_sqrt_hz", ug, ug),
+            gyro_drifts=drift(*_GYRO_DRIFTS, DEG_PER_H),
+            accel_drifts=drift(*_ACCEL_DRIFTS, ug),
+            surge=surge,
+        ),
         gyro_bias=sigma("fit_gyro_bias_deg_per_h", DEG_PER_H),
         accel_bias=accel,
         scale_factor=scale if has_scale else None,
         cross_axis=cross if has_scale else None,
         lever_arm=lever if np.any(lever) else None,
-        gyro_drifts=drift(*_GYRO_DRIFTS, DEG_PER_H),
-        accel_drifts=drift(*_ACCEL_DRIFTS, ug),
-        surge=surge,
     )
 
 
@@ -188,9 +192,7 @@ COLUMNS = (
     ),
     *(
         OwnColumn(
-            Column(
-                f"fit_gyro_bias_{name}_sigma_deg_per_h", pa.float64(), "deg/h", "1 sigma of it"
-            ),
+            Column(f"fit_gyro_bias_{name}_sigma_deg_per_h", pa.float64(), "deg/h", "1 sigma of it"),
             _gyro_bias_sigma(axis),
         )
         for axis, name in enumerate(_AXES)

@@ -1,7 +1,7 @@
 """Least squares of the turn of gravity in inertial space, with the sensor biases as unknowns.
 
 The gyros carry the specific force to an inertial frame l, level at the first sample and of unknown
-heading. There gravity's reaction turns with the Earth. Blocks j of about a second, of length h, give
+heading. There gravity's reaction turns with the Earth. Blocks j of length h, about a second, give
 level velocity increments; with a complex number for the two level axes,
 
     y_j = g h c G_j + g h U_j (k_y - i k_x) + sum over the errors e of X_j e + noise,
@@ -38,6 +38,13 @@ import jax.numpy as jnp
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, cross, scale
 from sinsjax.methods.base import AttitudeCovariance
+from sinsjax.methods.gravity_fit.noise import (
+    SensorNoise,
+    heading_variance,
+    noise_model,
+    predict,
+    times,
+)
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Quat, Scalar, Vec3
 
@@ -59,34 +66,11 @@ _LEVEL_SIGMA = 1.0
 _AXES = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
 
 
-class Drift(NamedTuple):
-    """A slow error of each axis of a triad, or the surge: a first-order process.
-
-    Attributes:
-        variance: at the first sample; that of a stationary process if ``rate`` is not zero.
-        rate: 1 over its correlation time, 1/s; 0 for a random walk.
-        density: variance that a random walk gains per second.
-    """
-
-    variance: Scalar
-    rate: Scalar
-    density: Scalar
-
-    def kept(self, length_s: float) -> Scalar:
-        """Return the share of it that is left after a time."""
-        return jnp.exp(-self.rate * length_s)
-
-    def driven(self, length_s: float) -> Scalar:
-        """Return the variance that it gains in a time."""
-        return self.variance * -jnp.expm1(-2 * self.rate * length_s) + self.density * length_s
-
-
 class FitParams(NamedTuple):
-    """What the fit believes of the sensors, SI units.
+    """Beliefs about sensors and base, SI units.
 
     Attributes:
-        gyro_noise: density of the gyros' white noise, rad/s^0.5.
-        accel_noise: density of the accelerometers' white noise, m/s^1.5.
+        noise: random errors.
         gyro_bias: 1 sigma of each gyro's bias, rad/s.
         accel_bias: 1 sigma of each accelerometer's bias, m/s^2.
         scale_factor: 1 sigma of the gyros' scale factors; None leaves them, and the cross-axis
@@ -94,21 +78,14 @@ class FitParams(NamedTuple):
         cross_axis: 1 sigma of their cross-axis errors, rad.
         lever_arm: 1 sigma of each part of the lever arm from the turn axis to the sensors, m; None
             for sensors in it.
-        gyro_drifts: of each gyro, rad/s.
-        accel_drifts: of each accelerometer, m/s^2.
-        surge: velocity of the base along east and north, m/s; None for a base in place.
     """
 
-    gyro_noise: Scalar
-    accel_noise: Scalar
+    noise: SensorNoise
     gyro_bias: Scalar
     accel_bias: Scalar
     scale_factor: Scalar | None = None
     cross_axis: Scalar | None = None
     lever_arm: Scalar | None = None
-    gyro_drifts: tuple[Drift, ...] = ()
-    accel_drifts: tuple[Drift, ...] = ()
-    surge: Drift | None = None
 
 
 class Block(NamedTuple):
@@ -160,8 +137,8 @@ class Solution(NamedTuple):
     Attributes:
         attitude: C_{b0}^{n0} that carries the body frame at the first sample to n at that time,
             such that the attitude at the fit is that of the last block.
-        gyro: triads of gyro errors in b: the bias, rad/s; then, if they are unknowns, the columns of
-            the matrix of scale factors and cross-axis errors.
+        gyro: triads of gyro errors in b: the bias, rad/s; then, if they are unknowns, the columns
+            of the matrix of scale factors and cross-axis errors.
         accel_bias: m/s^2, in b.
         gyro_bias_variance: of each axis, (rad/s)^2.
         covariance: of the misalignment at the last block, in n0.
@@ -262,7 +239,7 @@ def _run_pass(
     rate_ie = jnp.hypot(place.rate_n, place.rate_u)
     cos_l, sin_l = place.rate_n / rate_ie, place.rate_u / rate_ie
     gh = place.gravity * length_s
-    noise = _noise_model(params, gh, length_s)
+    noise = noise_model(params.noise, place.gravity, length_s)
 
     def over_block(j: Count, sums: _Sums) -> _Sums:
         block = Block.of_row(jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False))
@@ -270,7 +247,9 @@ def _run_pass(
         # Mean of the body's axes over the block, of the angle turned (Simpson's rule).
         c0, c1 = rotations.matrix(half), rotations.matrix(turn)
         mean = tuple(
-            Vec3(*((i == k) / 6 + (4 * a + b) / 6 for k, (a, b) in enumerate(zip(u, v, strict=True))))
+            Vec3(
+                *((i == k) / 6 + (4 * a + b) / 6 for k, (a, b) in enumerate(zip(u, v, strict=True)))
+            )
             for i, (u, v) in enumerate(zip(c0, c1, strict=True))
         )
         columns = tuple(Vec3(*column) for column in zip(*mean, strict=True))
@@ -320,15 +299,14 @@ def _run_pass(
         x += [(force.x - gh * mx, force.y - gh * my)]
 
         turned_up = rotations.rotate(sums.body, angle).z
-        step, gain, s, variance = _predict(noise, sums.variance, turned_up)
+        step, gain, s, variance = predict(noise, sums.variance, turned_up)
         residual = jnp.stack([jnp.stack(row) for row in x])
         for h, estimates in zip(noise.seen, sums.walk, strict=True):
             residual = residual - h * estimates
-        walk = tuple(
-            sum(_times(f, estimates) for f, estimates in zip(row, sums.walk, strict=True) if f is not None)
-            + _times(k, residual)
-            for row, k in zip(step, gain, strict=True)
-        )
+        walk = []
+        for row, k in zip(step, gain, strict=True):
+            parts = [times(f, w) for f, w in zip(row, sums.walk, strict=True) if f is not None]
+            walk.append(sum(parts) + times(k, residual))
         # Row by row: what a row needs stays in the registers.
         normal = tuple(
             old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s
@@ -338,7 +316,7 @@ def _run_pass(
             body,
             tuple(add(a, b) for a, b in zip(sums.turned, in_l, strict=True)),
             swung,
-            walk,
+            tuple(walk),
             variance,
             normal,
         )
@@ -349,7 +327,7 @@ def _run_pass(
         (none,) * gyros,
         () if guess.lever is None else (none,) * 3,
         (jnp.zeros((n + 1, 2)) + zero,) * len(noise.seen),
-        {at: v + 0j if at[0] != at[1] else v for at, v in noise.initial.items()},
+        noise.initial,
         tuple(jnp.zeros(n + 1 - i) + zero for i in range(n + 1)),
     )
     end = jax.lax.fori_loop(0, count, over_block, start)
@@ -384,7 +362,7 @@ def _run_pass(
     with_heading = rows.at[2, HEADING].add(1.0)
     in_l = with_heading @ covariance @ with_heading.T
     of_level = end.variance[0, 0]
-    of_heading = _heading_variance(params, count * length_s)
+    of_heading = heading_variance(params.noise, count * length_s)
     in_l = in_l + jnp.diag(jnp.stack([of_level, of_level, of_heading]))
 
     ce, cn = guess.heading
@@ -395,9 +373,7 @@ def _run_pass(
     later = _Guess(
         rotations.multiply(rotations.exp(Vec3(-kx, -ky, zero)), guess.level),
         (ce, cn),
-        tuple(
-            add(triad, Vec3(*moved[3 * i : 3 * i + 3])) for i, triad in enumerate(guess.gyro)
-        ),
+        tuple(add(triad, Vec3(*moved[3 * i : 3 * i + 3])) for i, triad in enumerate(guess.gyro)),
         add(guess.accel, Vec3(*unknown[accels : accels + 3])),
         None if guess.lever is None else add(guess.lever, Vec3(*unknown[accels + 3 :])),
     )
@@ -420,120 +396,6 @@ def _run_pass(
         misfit,
     )
     return later, (solution, carried)
-
-
-class _NoiseModel(NamedTuple):
-    """Noise of the blocks as complex states of the level axes: w, then drifts, then the surge.
-
-    Attributes:
-        seen: factor of each state in a measurement.
-        kept: share of each state that is left after a block.
-        turns: whether a state turns with the body, whose axes it belongs to.
-        to_walk: factor with which each state adds to w.
-        driven: variance that each gains in a block.
-        shared: covariance of that with the noise of the measurement.
-        measured: variance of that noise.
-        initial: covariance of the states before the first block, by pairs i <= k.
-    """
-
-    seen: tuple[Scalar, ...]
-    kept: tuple[Scalar, ...]
-    turns: tuple[bool, ...]
-    to_walk: tuple[Scalar, ...]
-    driven: tuple[Scalar, ...]
-    shared: tuple[Scalar, ...]
-    measured: Scalar
-    initial: dict[tuple[int, int], Scalar]
-
-
-def _noise_model(params: FitParams, gh: Scalar, length_s: float) -> _NoiseModel:
-    """Return the model of blocks of a length, given g h."""
-    h, zero = length_s, jnp.zeros_like(params.gyro_noise)
-    q = params.gyro_noise**2 * h
-    # The measurement sees the mean of w over the block, of which half and a third are new.
-    states = [(gh, zero + 1, False, zero, q, gh * q / 2, zero)]
-    for drift in params.gyro_drifts:
-        kept, driven = drift.kept(h), drift.driven(h)
-        states.append((gh * h / 2, kept, True, zero + h, driven, zero, drift.variance))
-    for drift in params.accel_drifts:
-        kept, driven = drift.kept(h), drift.driven(h)
-        states.append((zero + h, kept, True, zero, driven, zero, drift.variance))
-    measured = gh**2 * q / 3 + params.accel_noise**2 * h
-    if params.surge is not None:
-        kept, driven = params.surge.kept(h), params.surge.driven(h)
-        states.append((kept - 1, kept, False, zero, driven, driven, params.surge.variance))
-        measured = measured + driven
-    *columns, variances = zip(*states, strict=True)
-    n = len(states)
-    initial = {(i, k): variances[i] if i == k else zero for i in range(n) for k in range(i, n)}
-    return _NoiseModel(*columns, measured, initial)
-
-
-def _predict(
-    noise: _NoiseModel, variance: dict[tuple[int, int], Scalar], turned: Scalar
-) -> tuple[list[list[Scalar | None]], list[Scalar], Scalar, dict[tuple[int, int], Scalar]]:
-    """Return transition, gain, innovation variance and the covariance after a block.
-
-    Args:
-        noise: model of the blocks.
-        variance: covariance before the block.
-        turned: angle by which the body turned about the vertical, rad.
-    """
-    states = range(len(noise.seen))
-
-    def p(i: int, k: int) -> Scalar:
-        return variance[i, k] if i <= k else jnp.conj(variance[k, i])
-
-    phase = jnp.exp(1j * turned) if any(noise.turns) else None
-    step: list[list[Scalar | None]] = [[None for _ in states] for _ in states]
-    for i in states:
-        step[i][i] = noise.kept[i] * phase if noise.turns[i] else noise.kept[i]
-        if i and noise.turns[i]:
-            step[0][i] = noise.to_walk[i]
-    seen = [sum(p(i, k) * noise.seen[k] for k in states) for i in states]
-    s = noise.measured + sum(jnp.real(noise.seen[i] * seen[i]) for i in states)
-    moved = [
-        sum(f * seen[k] for k, f in enumerate(row) if f is not None) + noise.shared[i]
-        for i, row in enumerate(step)
-    ]
-    half = [
-        [sum(f * p(j, k) for j, f in enumerate(row) if f is not None) for k in states]
-        for row in step
-    ]
-    after = {}
-    for i in states:
-        for k in states[i:]:
-            value = sum(
-                half[i][j] * jnp.conj(f) for j, f in enumerate(step[k]) if f is not None
-            ) - moved[i] * jnp.conj(moved[k]) / s
-            after[i, k] = jnp.real(value) + noise.driven[i] if i == k else value + 0j
-    return step, [m / s for m in moved], s, after
-
-
-def _times(factor: Scalar, pairs: Array) -> Array:
-    """Return a number, maybe complex, times complex numbers in pairs, (n, 2)."""
-    if not jnp.iscomplexobj(factor):
-        return factor * pairs
-    real, imaginary = jnp.real(factor), jnp.imag(factor)
-    return jnp.stack(
-        [
-            real * pairs[:, 0] - imaginary * pairs[:, 1],
-            imaginary * pairs[:, 0] + real * pairs[:, 1],
-        ],
-        axis=-1,
-    )
-
-
-def _heading_variance(params: FitParams, time_s: Scalar) -> Scalar:
-    """Return the variance by which noise and drift of the vertical gyro turn the heading."""
-    total = params.gyro_noise**2 * time_s
-    for drift in params.gyro_drifts:
-        x = drift.rate * time_s
-        small = x < 1e-2
-        large = jnp.where(small, 1.0, x)
-        share = jnp.where(small, 1 - x / 3, 2 * (large + jnp.expm1(-large)) / large**2)
-        total = total + drift.variance * time_s**2 * share + drift.density * time_s**3 / 3
-    return total
 
 
 def _prior(params: FitParams, guess: _Guess, is_first: Any) -> Array:
