@@ -85,6 +85,7 @@ class _RuleView:
     def __init__(self, study: Study, key_tables: KeyTables) -> None:
         self._study, self._key_tables = study, key_tables
         self.rate_hz, self.run_s = study.rate_hz, study.run_s
+        self.record_interval_s = study.study.record_interval_s
         self.is_recorded, self.end = study.is_recorded, _describe_end(study)
         self.has, self.combinations, self.place = study.has, study.combinations, key_tables.get
         self.given_combinations = study.given_combinations

@@ -729,6 +729,18 @@ class Distribution(Section):
         " the last key fastest",
     )
 
+    @property
+    def rms(self) -> float:
+        """Root mean square of its numbers, about zero; of the largest axis of lists."""
+        if self.normal is not None:
+            return float(np.hypot(*self.normal))
+        if self.uniform is not None:
+            low, high = self.uniform
+            return float(np.sqrt((low * low + low * high + high * high) / 3))
+        entries = self.values if self.values is not None else self.grid
+        assert entries is not None
+        return float(np.sqrt(np.mean([np.max(np.square(entry)) for entry in entries])))
+
 
 def is_normal(key: str, law: Distribution) -> bool:
     """Return whether a key draws initial errors or constant biases from a normal distribution."""

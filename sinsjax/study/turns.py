@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.schema import TURN_KEYS
 from sinsjax.study.study import Study
 from sinsjax.units import DEG
@@ -15,6 +16,9 @@ MOST_TURN_PER_SAMPLE = 0.1
 
 DEFAULTS = {"turn_angles_deg": 180.0, "turn_rate_deg_per_s": 10.0, "turn_ramp_s": 1.0}
 """Defaults of a study with turns."""
+
+
+_MANY_TURNS_DEG = 720.0
 
 
 class Turn(NamedTuple):
@@ -45,6 +49,10 @@ class TurnPlan(NamedTuple):
     turns: tuple[Turn, ...]
     ramp: int
     changes: tuple[str, ...]
+
+    def turned_deg(self, end: int) -> float:
+        """Return the sum of the magnitudes of all angles turned by a sample."""
+        return sum(min(1.0, (end - t.begin) / t.length) * abs(t.angle_deg) for t in self.turns)
 
 
 class TurnError(ValueError):
@@ -183,6 +191,25 @@ def turns_base(study: Study) -> bool:
     if study.is_recorded:
         return False
     return any(point["turn_times_s"] for point in study.combinations("turn_times_s"))
+
+
+def useless_methods(study: Study) -> Iterator[str]:
+    """Yield one line per method of the study that cannot use its turns."""
+    good = ", ".join(name for name, method in METHODS.items() if method.turning == "any")
+    seen = set[str]()
+    for point in study.combinations("method", *TURN_KEYS) if not study.is_recorded else ():
+        name, turning = point["method"], METHODS[point["method"]].turning
+        if name in seen or not point["turn_times_s"] or turning in (None, "any"):
+            continue
+        plan, end = plan_turns(study.rate_hz, data_end_s(study), point), data_end_s(study)
+        if turning == "many" and plan.turned_deg(round(end * study.rate_hz)) >= _MANY_TURNS_DEG:
+            continue
+        seen.add(name)
+        few = " unless it makes many" if turning == "many" else ""
+        yield (
+            f"[alignment] method: {name} does not average gyro biases over the turns of a base"
+            f"{few} (use {good})"
+        )
 
 
 def describe_rounding(study: Study) -> Iterator[str]:

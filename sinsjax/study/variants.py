@@ -75,6 +75,13 @@ class Variants:
             return np.zeros(len(self.ids))
         return self.compute(lambda value: math.nan if value is None else value * factor, key)
 
+    def rms(self, key: str) -> np.ndarray:
+        """Return the size of a numeric key, (variants,): rms over draws of the largest axis."""
+        law = None if self._study.drawn is None else self._study.drawn.laws.get(key)
+        if law is not None:
+            return np.full(len(self.ids), law.rms)
+        return self.compute(lambda value: float(np.abs(value or 0.0).max()), key)
+
     def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
         """Return a function of the values of some keys, called once per combination."""
         column = self.coded(*keys)
