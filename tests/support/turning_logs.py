@@ -38,7 +38,11 @@ def turn_angle(
     return psi, rate
 
 
-MOTIONS: dict[str, tuple[list[float], list[float], float]] = {
+Turning = tuple[list[float], list[float], float]
+"""Begin of the turns, s, their angles, deg, and the rate, deg/s."""
+
+PARKED: Turning = ([], [], 1.0)
+TURNS: dict[str, Turning] = {
     "one turn by 180": ([145.0], [180.0], 10.0),
     "one turn by 90": ([145.0], [90.0], 10.0),
     "four positions": ([70.0, 145.0, 220.0], [90.0, 90.0, 90.0], 10.0),
@@ -49,11 +53,10 @@ MOTIONS: dict[str, tuple[list[float], list[float], float]] = {
         6.0,
     ),
 }
-"""Begin of the turns, s, their angles, deg, and the rate, deg/s."""
 
 
 def turned_record(
-    motion: str,
+    motion: str | Turning,
     *,
     length_s: float = 300.0,
     rate_hz: float = 25.0,
@@ -64,10 +67,14 @@ def turned_record(
     vrw_ug_per_sqrt_hz: float = 50.0,
     seed: int = 1,
 ) -> Turned:
-    """Return the record of a body with pitch 1 and roll -2 deg, heading 35 deg before the turns."""
+    """Return the record of a body with pitch 1 and roll -2 deg, heading 35 deg before the turns.
+
+    Its motion is one of `TURNS`, "parked", or begin, angle and rate of its turns.
+    """
+    turns = (TURNS | {"parked": PARKED})[motion] if isinstance(motion, str) else motion
     dt = 1 / rate_hz / SUBSTEPS
     time_s = (np.arange(round(length_s * rate_hz) * SUBSTEPS) + 0.5) * dt
-    psi, psi_rate = turn_angle(time_s, *MOTIONS[motion])
+    psi, psi_rate = turn_angle(time_s, *turns)
     yaw = psi - 35 * DEG
     attitude = Rotation.from_euler(
         "ZXY", np.column_stack([yaw, *([a * DEG] * len(yaw) for a in (1.0, -2.0))])
