@@ -191,7 +191,10 @@ def _check_turning_base(
     expected: StationaryValues,
     means: Means,
 ) -> list[Finding] | None:
-    """Return what is implausible for a base that turns; None if it shows no turn."""
+    """Return the findings about a base that turns.
+
+    None if its gyros sense no Earth rate while it turns, and no other unit or sign would let them.
+    """
     turns = means.turns
     if turns is not None and finds_north_by_turns(means, expected):
         if turns.gyro_bias <= expected.gyro_bias:

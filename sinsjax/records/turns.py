@@ -5,7 +5,6 @@ turns. What the sensor biases add turns with the base, so that turns separate it
 the mean rate in the body axes shows nothing.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,9 +15,12 @@ from sinsjax.records.quaternions import integrate_attitudes, rotate_vectors
 from sinsjax.units import DEG
 
 _MIN_TURN = 20 * DEG  # a smaller turn does not separate biases from Earth rate
-_MAX_LEVEL_SWAY = 5 * DEG  # rms; a base that tilts by more is not turned about the vertical
+_MAX_LEVEL_SWAY = 5 * DEG  # median; a base that sways by more is not turned on the spot
 _WINDOWS = 30
 _UNKNOWNS = 4
+_ITERATIONS = 20
+_MAX_RESIDUAL = 6.0  # times the median
+_MAX_DROPPED = 6
 
 
 class Turns(NamedTuple):
@@ -67,11 +69,11 @@ def measure_turns(dtheta: FloatArray, dv: FloatArray, dt: float) -> Turns | None
         [_window_means(values) for values in (np.ones(len(psi)), time_s, phasor, integral)]
     )
     y = _level_part(rotate_vectors(integrate_attitudes(dtheta)[:-1], dv))
-    scale = np.linalg.norm(columns, axis=0)
-    inverse = np.linalg.pinv(columns / scale, rcond=1e-9) / scale[:, None]
-    solution = inverse @ y
-    residual = y - columns @ solution
-    variance = float((np.abs(residual) ** 2).sum()) / (_WINDOWS - _UNKNOWNS)
+    used = _steady_windows(columns, y)
+    inverse = _inverse(columns[used])
+    solution = inverse @ y[used]
+    residual = y[used] - columns[used] @ solution
+    variance = float((np.abs(residual) ** 2).sum()) / (int(used.sum()) - _UNKNOWNS)
     uncertainty = 3 * np.sqrt(variance * (np.abs(inverse) ** 2).sum(axis=1))
     least = np.maximum(np.abs(solution) - uncertainty, 0.0)
     return Turns(
@@ -83,13 +85,31 @@ def measure_turns(dtheta: FloatArray, dv: FloatArray, dt: float) -> Turns | None
     )
 
 
+def _steady_windows(columns: NDArray[Any], y: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which windows have no strong accelerations, as those of a turn by hand have."""
+    weight = np.ones(len(y))
+    for _ in range(_ITERATIONS):
+        solution = _inverse(columns * weight[:, None]) @ (y * weight)
+        size = np.abs(y - columns @ solution)
+        typical = float(np.median(size)) or 1.0
+        weight = 1 / np.sqrt(np.maximum(size / typical, 1.0))
+    used = size <= _MAX_RESIDUAL * typical
+    return used if int((~used).sum()) <= _MAX_DROPPED else np.ones(len(y), bool)
+
+
+def _inverse(columns: NDArray[Any]) -> NDArray[Any]:
+    """Return the pseudo-inverse of columns of different units."""
+    scale = np.linalg.norm(columns, axis=0)
+    return np.asarray(np.linalg.pinv(columns / scale, rcond=1e-9) / scale[:, None])
+
+
 def _level_sway(dv: FloatArray, up: FloatArray, dt: float) -> float:
-    """Return the rms angle between specific forces of 1 s and their mean direction, rad."""
+    """Return the median angle between specific forces of 1 s and their mean direction, rad."""
     steps = max(1, round(1 / dt))
     blocks = dv[: max(1, len(dv) // steps) * steps].reshape(-1, min(steps, len(dv)), 3).sum(axis=1)
     along = blocks @ up
     across = np.linalg.norm(blocks - along[:, None] * up, axis=1)
-    return math.sqrt(float((np.arctan2(across, along) ** 2).mean()))
+    return float(np.median(np.arctan2(across, along)))
 
 
 def _window_means(values: NDArray[Any]) -> NDArray[Any]:

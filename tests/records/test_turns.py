@@ -125,6 +125,17 @@ def test_turns_that_accelerations_hide_are_reported_as_before() -> None:
     assert "does the base turn about the vertical?" in one.text
 
 
+def test_jerks_of_a_turn_by_hand_are_accepted() -> None:
+    """Of 1 m/s^2 while it turns, 145 to 164 s."""
+    some = simulated("one turn by 180")
+    jerks = np.zeros_like(some.accel)
+    begin, end = (round(time_s * some.rate_hz) for time_s in (145, 164))
+    jerks[begin:end] = (
+        np.random.default_rng(3).normal(size=(38, 3)).repeat(13, axis=0)[: end - begin]
+    )
+    assert not found(some._replace(accel=some.accel + jerks))
+
+
 @pytest.mark.parametrize("factor", [1.0, -1.0, 1 / DEG])
 def test_biases_of_parked_gyros_are_not_taken_for_turns(factor: float) -> None:
     """A bias about the vertical looks like a turntable to the gyros alone."""
