@@ -69,6 +69,8 @@ def measure_turns(dtheta: FloatArray, dv: FloatArray, dt: float) -> Turns | None
         [_window_means(values) for values in (np.ones(len(psi)), time_s, phasor, integral)]
     )
     y = _level_part(rotate_vectors(integrate_attitudes(dtheta)[:-1], dv))
+    if not (np.isfinite(columns).all() and np.isfinite(y).all()):
+        return None
     used = _steady_windows(columns, y)
     inverse = _inverse(columns[used])
     solution = inverse @ y[used]
@@ -99,7 +101,7 @@ def _steady_windows(columns: NDArray[Any], y: NDArray[Any]) -> NDArray[np.bool_]
 
 def _inverse(columns: NDArray[Any]) -> NDArray[Any]:
     """Return the pseudo-inverse of columns of different units."""
-    scale = np.linalg.norm(columns, axis=0)
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)  # zero with whole turns a window
     return np.asarray(np.linalg.pinv(columns / scale, rcond=1e-9) / scale[:, None])
 
 

@@ -146,3 +146,13 @@ def test_biases_of_parked_gyros_are_not_taken_for_turns(factor: float) -> None:
         noise = 0.05 * DEG * rng.normal(size=parked.gyro.shape)
         findings = found(parked._replace(gyro=parked.gyro + bias + noise), factor=(factor,) * 3)
         assert findings and not any("the base turns, but" in one.text for one in findings)
+
+
+@pytest.mark.parametrize("rate", [1e300, np.nan, 2 * np.pi])
+def test_absurd_rates_of_turning_gyros_raise_nothing(rate: float) -> None:
+    """Values of a trusted record, and windows of whole turns without noise."""
+    dtheta, dv = np.zeros((3000, 3)), np.tile([0.0, 0.0, G / 10], (3000, 1))
+    dtheta[:, 2] = rate / 10
+    with np.errstate(all="ignore"):
+        turns = measure_turns(dtheta, dv, 0.1)
+    assert turns is None or turns.drift < 1e-9
