@@ -12,7 +12,7 @@ from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.processes import Process
 from sinsjax.strapdown.turns import Turns
 from sinsjax.study.schema import TURN_KEYS, MotionSection, SensorsSection
-from sinsjax.study.turns import TurnPlan, plan_turns
+from sinsjax.study.turns import SampledTurns, turns_in_samples
 from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Vec3
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, HOUR, PPM
@@ -92,13 +92,15 @@ def add_turns(motion: base_motion.Motion, variants: Variants) -> base_motion.Mot
     values = {key: variants.common(key) for key in TURN_KEYS}
     if not values["turn_times_s"]:
         return motion
-    turns = _turns(plan_turns(variants.rate_hz, variants.data_end_s, values), variants.rate_hz)
+    turns = _turns(
+        turns_in_samples(variants.rate_hz, variants.data_end_s, values), variants.rate_hz
+    )
     if values["turn_axis"] == "body":
         return motion._replace(table=turns)
     return motion._replace(vertical=turns)
 
 
-def _turns(plan: TurnPlan, rate_hz: float) -> Turns:
+def _turns(plan: SampledTurns, rate_hz: float) -> Turns:
     """Return turns in SI units, with turns that never begin so that few programs are compiled."""
     count = len(plan.turns)
     angles = np.array([turn.angle_deg for turn in plan.turns])

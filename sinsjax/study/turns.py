@@ -37,7 +37,7 @@ class Turn(NamedTuple):
     rate_deg_per_s: float
 
 
-class TurnPlan(NamedTuple):
+class SampledTurns(NamedTuple):
     """The turns of a run.
 
     Attributes:
@@ -68,7 +68,7 @@ class TurnError(ValueError):
         self.key = key
 
 
-def plan_turns(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> TurnPlan:
+def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> SampledTurns:
     """Return the turns of a run in whole samples.
 
     Begin, length and ramp of a turn are rounded to samples, and its rate is adjusted for its exact
@@ -114,7 +114,7 @@ def plan_turns(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> TurnP
         repeated = (t._replace(begin=t.begin + n * period) for n in repeats for t in turns)
         turns = [turn for turn in repeated if turn.begin < end]
     _check_overlap(rate_hz, turns, ramp)
-    return TurnPlan(tuple(turns), ramp, tuple(dict.fromkeys(changes)))
+    return SampledTurns(tuple(turns), ramp, tuple(dict.fromkeys(changes)))
 
 
 def _check_values(
@@ -180,7 +180,7 @@ def check_turns(study: Study, key_tables: Mapping[str, str]) -> None:
     for point in study.combinations(*TURN_KEYS):
         if point["turn_times_s"]:
             try:
-                plan_turns(study.rate_hz, data_end_s(study), point)
+                turns_in_samples(study.rate_hz, data_end_s(study), point)
             except TurnError as error:
                 place = key_tables.get(error.key, "[motion]")
                 raise InputError(f"{place} {error.key}: {error}") from None
@@ -201,7 +201,7 @@ def useless_methods(study: Study) -> Iterator[str]:
         name, turning = point["method"], METHODS[point["method"]].turning
         if name in seen or not point["turn_times_s"] or turning in (None, "any"):
             continue
-        plan, end = plan_turns(study.rate_hz, data_end_s(study), point), data_end_s(study)
+        plan, end = turns_in_samples(study.rate_hz, data_end_s(study), point), data_end_s(study)
         if turning == "many" and plan.turned_deg(round(end * study.rate_hz)) >= _MANY_TURNS_DEG:
             continue
         seen.add(name)
@@ -217,7 +217,9 @@ def describe_rounding(study: Study) -> Iterator[str]:
     if not turns_base(study):
         return
     points = study.combinations(*TURN_KEYS)
-    plans = [plan_turns(study.rate_hz, data_end_s(study), p) for p in points if p["turn_times_s"]]
+    plans = [
+        turns_in_samples(study.rate_hz, data_end_s(study), p) for p in points if p["turn_times_s"]
+    ]
     changes = list(dict.fromkeys(change for plan in plans for change in plan.changes))
     if changes:
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
