@@ -227,6 +227,7 @@ GRAVITY_FIT = describe_without_start(
     sections={"gravity_fit": GravityFitSection},
     load=_load,
     has_floor=False,
+    turning="any",
     stores_blocks=True,
     columns=COLUMNS,
     step_s=10e-9,

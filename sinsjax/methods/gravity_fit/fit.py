@@ -340,10 +340,12 @@ def _run_pass(
     matrix, right = whole[:n, :n], whole[:n, n]
     # A known unknown, of sigma 0, is left out. The others differ by ten powers of ten: they are
     # scaled to the same information, without which the inverse would lose the small variances.
-    belief = jnp.where(sigmas > 0, 1 / jnp.where(sigmas > 0, sigmas, 1.0) ** 2, 0.0)
-    size = jnp.where(sigmas > 0, 1 / jnp.sqrt(jnp.diagonal(matrix) + belief + (sigmas <= 0)), 0.0)
+    is_free = sigmas > 0
+    belief = jnp.where(is_free, 1 / jnp.where(is_free, sigmas, 1.0) ** 2, 0.0)
+    information = jnp.where(is_free, jnp.diagonal(matrix) + belief, 1.0)
+    size = jnp.where(is_free, 1 / jnp.sqrt(information), 0.0)
     scaled = matrix * size[:, None] * size[None, :]
-    scaled = scaled + jnp.diag(jnp.where(sigmas > 0, belief * size**2, 1.0))
+    scaled = scaled + jnp.diag(jnp.where(is_free, belief * size**2, 1.0))
     covariance = jnp.linalg.inv(scaled) * size[:, None] * size[None, :]
     # The belief is about the whole bias, of which the guess has a part.
     unknown = covariance @ (right - belief * prior_mean)
