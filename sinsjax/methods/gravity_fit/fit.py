@@ -236,6 +236,7 @@ def _run_pass(
     accels = GYRO + gyros
     n = accels + (3 if guess.lever is None else 6)
     known = jnp.where(is_first, 0.0, 1.0)
+    data_s = jnp.asarray(count, zero.dtype) * length_s
     rate_ie = jnp.hypot(place.rate_n, place.rate_u)
     cos_l, sin_l = place.rate_n / rate_ie, place.rate_u / rate_ie
     gh = place.gravity * length_s
@@ -268,8 +269,7 @@ def _run_pass(
         body = rotations.multiply(sums.body, corrected)
 
         # The Earth at mid-block
-        t = (j + 0.5) * length_s
-        wt = rate_ie * t
+        wt = rate_ie * (jnp.asarray(j, zero.dtype) + 0.5) * length_s
         versed = 2 * jnp.sin(0.5 * wt) ** 2
         east, north = cos_l * jnp.sin(wt), cos_l * sin_l * versed
         up = 1 - cos_l**2 * versed
@@ -364,7 +364,7 @@ def _run_pass(
     with_heading = rows.at[2, HEADING].add(1.0)
     in_l = with_heading @ covariance @ with_heading.T
     of_level = end.variance[0, 0]
-    of_heading = heading_variance(params.noise, count * length_s)
+    of_heading = heading_variance(params.noise, data_s)
     in_l = in_l + jnp.diag(jnp.stack([of_level, of_level, of_heading]))
 
     ce, cn = guess.heading
@@ -387,7 +387,7 @@ def _run_pass(
     c = jnp.stack([jnp.stack(row) for row in rotations.matrix(to_n0)])
     in_n0 = c @ in_l @ c.T
     residual = whole[n, n] - unknown @ right
-    misfit = jnp.sqrt(jnp.maximum(residual, 0.0) / (2 * count - 4))
+    misfit = jnp.sqrt(jnp.maximum(residual, 0.0) / (2 * data_s / length_s - 4))
     variance = jnp.diagonal(covariance)[GYRO : GYRO + 3]
     solution = Solution(
         attitude,
