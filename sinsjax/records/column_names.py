@@ -32,7 +32,10 @@ _DIRECTIONS = {
 TURNS = {"roll": 1, "pitch": 0, "yaw": 2, "heading": 2, "p": 1, "q": 0, "r": 2}
 """Body axis, right, front or up, of a turn's name, such as roll_rate, or p alone."""
 _TURN_STEM = "turn_rate"
-_NAVIGATION_WORDS = {"n", "ned", "enu", "nwu", "nav", "navigation", "world", "earth", "global"}
+_NAVIGATION_WORDS = {
+    *("n", "ned", "enu", "nwu", "nav", "navigation", "world", "earth", "global", "local", "ecef"),
+    *("level", "leveled", "levelled"),
+}
 _BODY_WORDS = {"b", "body"}
 _DIRECTION_GROUPS = ("rl", "fb", "ud")
 """Directions of three axes; of a pair, either one."""
@@ -374,7 +377,8 @@ def _make_triad(stem: str, unit: Unit, columns: _Group) -> Triad | None:
     if stem == _TURN_STEM:
         for axes in (("roll", "pitch", "yaw"), ("roll", "pitch", "heading"), ("p", "q", "r")):
             if set(axes) <= set(columns):
-                return triad(axes, columns, "", [TURNS[axis] for axis in axes])
+                turns = [TURNS[axis] for axis in axes]
+                return triad(axes, columns, "", turns)._replace(words=frozenset(axes))
         return None
     by_direction = {
         _DIRECTIONS[axis]: column for axis, column in columns.items() if axis in _DIRECTIONS

@@ -44,12 +44,13 @@ def find_several_sensors(
                 f"{place}, and the mean {quantity} jumps with it: rows of several sensors (keep"
                 " those of one)"
             )
-    in_turn = np.arange(len(gyro), dtype=np.float64) % 2
-    if quantity := _find_jumping_mean(in_turn, gyro, accel):
-        return (
-            f"the mean {quantity} jumps from each row to the next and back: rows of two sensors in"
-            " turn (keep those of one)"
-        )
+    for count in (2, 3, 4):
+        in_turn = np.arange(len(gyro), dtype=np.float64) % count
+        if quantity := _find_jumping_mean(in_turn, gyro, accel):
+            return (
+                f"the mean {quantity} jumps from each row to the next and is back after {count}:"
+                f" rows of {count} sensors in turn (keep those of one)"
+            )
     return ""
 
 

@@ -300,7 +300,8 @@ def _find_units_and_axes(file: _File, gyro: Triad, accel: Triad) -> _Found:
     texts = [*file.table.comments, *file.table.names]
     order, notes["axes_order"] = evidence.find_axes_order(force.mean(axis=0), texts, gyro, accel)
     is_named = notes["axes_order"].reason.startswith(evidence.NAMED_AXES_REASON)
-    if gyro.turns and not is_named and not notes["axes_order"].question:
+    has_question = bool(notes["axes_order"].question)
+    if "roll" in gyro.words and not is_named and not has_question:  # p is about x by definition
         turns = file.rows(gyro.names)[complete]
         order, notes["axes_order"] = evidence.find_front_of_turns(
             turns, force, file.rate_hz, gyro, order

@@ -598,7 +598,7 @@ def test_rows_of_two_sensors_by_any_label_are_refused(
         make_study_text(tmp_path / "log.parquet", Path("x.toml"))
     if block == 1:
         path = write(tmp_path / "log.csv", columns, UNITS)
-        with pytest.raises(InputError, match="from each row to the next and back: rows of two sen"):
+        with pytest.raises(InputError, match="next and is back after 2: rows of 2 sensors in turn"):
             make_study_text(path, Path("x.toml"))
 
 
@@ -692,6 +692,8 @@ def test_front_of_roll_rates_is_a_question_that_names_and_sways_settle(
         align(path, tmp_path, record__axes_order="rfu")
     study, questions, _ = read_study(path, record__axes_order="rfu")
     assert not questions and study["record"]["gyro_columns"][0] == "pitch_rate"
+    pqr = write(tmp_path / "pqr.csv", [TIME, *in_axes(body, "flu")], ["time", *"pqr", *names[4:]])
+    assert read_study(pqr)[1:] == ({}, [])  # p is about x by definition
     swaying = small_study(study={"duration_s": 40.0, "rate_hz": RATE, "window_s": [15, 30]})
     record = package.simulated_record(swaying)
     time = np.arange(1, len(record.dv) + 1) / RATE
