@@ -42,6 +42,7 @@ from sinsjax.platform import runtime
 
 if TYPE_CHECKING:
     from sinsjax.analysis import summarise
+    from sinsjax.covariance.turn_planner import TurnChoice, plan_turns
     from sinsjax.engine.build import simulated_record
     from sinsjax.engine.one_run import one_run
     from sinsjax.errors import InputError, StudyWarning
@@ -70,6 +71,7 @@ __all__ = [
     "Study",
     "StudyWarning",
     "TuningResults",
+    "TurnChoice",
     "align",
     "configure",
     "estimate",
@@ -79,6 +81,7 @@ __all__ = [
     "load_study",
     "load_increments",
     "one_run",
+    "plan_turns",
     "plot_belief",
     "plot_compare",
     "plot_curves",
@@ -102,6 +105,7 @@ __all__ = [
 
 _HOMES = {
     "analysis": ("summarise",),
+    "covariance.turn_planner": ("TurnChoice", "plan_turns"),
     "engine.build": ("simulated_record",),
     "engine.one_run": ("one_run",),
     "errors": ("InputError", "StudyWarning"),

@@ -193,6 +193,11 @@ Starts = Annotated[
     BeforeValidator(lambda value: value if isinstance(value, tuple) else (value,)),
     AfterValidator(require_unique),
 ]
+EventTimes = Annotated[tuple[SecondsOrZero, ...], AfterValidator(_require_increasing)]
+Numbers = Annotated[
+    Annotated[Finite, Tag("number")] | Annotated[tuple[Finite, ...], Tag("list")],
+    Discriminator(_vector_tag),
+]
 Vector = Annotated[
     Annotated[Finite, Tag("number")] | Annotated[tuple[Finite, Finite, Finite], Tag("list")],
     Discriminator(_vector_tag),

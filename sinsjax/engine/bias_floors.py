@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from sinsjax.engine.sensor_inputs import read_errors, read_motion
+from sinsjax.engine.sensor_inputs import read_errors, read_sways
 from sinsjax.errors import InputError
 from sinsjax.methods.filters.section import OF_RESETS, acting_reset_times
 from sinsjax.methods.floors import mean_attitude
@@ -66,7 +66,8 @@ def has_floor(
     record, if passes repeat). A filter with gyro bias states distinguishes them from the heading
     once the base moves. On a still base it cannot, and has the bias floor of a filter without them
     if P0, and the P of a reset, attribute the east bias to the heading: see `MOST_SHARED`. Some
-    methods have no floor. Runs of a recorded study, whose reference is their floor, all have one.
+    methods have no floor, and no run has one whose base is turned. Runs of a recorded study, whose
+    reference is their floor, all have one.
 
     Args:
         study: checked study.
@@ -93,7 +94,7 @@ def has_floor(
             shared = _sigma_shared_with_bias(study, runs, method.gyro_bias_keys)
             floors = np.where(names == name, still & (shared <= MOST_SHARED), floors)
         floors &= method.has_floor | (names != name)
-    return floors
+    return floors & ~runs.turned
 
 
 def last_scheduled_reset_s(study: Study) -> np.ndarray:
@@ -129,7 +130,9 @@ def require_floor(study: Study) -> None:
     variant = int(variants[~floors][0])
     method = study.values("method")[variant]
     why = "has no bias floor on this base"
-    if METHODS[method].has_floor and not METHODS[method].gyro_bias_keys:
+    if study.values("turn_times_s")[variant] or study.values("attitude_file")[variant]:
+        why = "has no bias floor on a base that is turned"
+    elif METHODS[method].has_floor and not METHODS[method].gyro_bias_keys:
         why = (
             "has no bias floor where a sway period exceeds a tenth of the time since the last reset"
         )
@@ -192,6 +195,12 @@ class _RunKeys:
             return self._drawn[key][self._draws]
         return np.asarray(self.raw(key), dtype=float)
 
+    @property
+    def turned(self) -> np.ndarray:
+        """Whether the base is turned, or its attitude is that of a file, (runs,)."""
+        column = self._study.resolved.column("turn_times_s", "attitude_file")
+        return column.compute(any, bool)[self.variant_ids]
+
     def vectors(self, key: str) -> np.ndarray:
         """Return a key with a number per axis, or one for all, (runs, 3)."""
         if key in self._drawn:
@@ -220,6 +229,8 @@ def hidden_north(study: Study) -> HiddenNorth | None:
     variants_per_point = 1 if swept else study.n_variants
     worst, runs = None, 0
     for point in study.combinations(*keys):
+        if point["turn_times_s"] or point["attitude_file"]:
+            continue  # turns average the bias out
         count = variants_per_point * variants[tuple(point[key] for key in swept)]
         biases, rates = _level_bias({**point, **drawn}, draws if drawn else 1)
         hidden = biases > rates
@@ -247,7 +258,7 @@ def _level_bias(values: Mapping[str, Any], draws: int) -> tuple[np.ndarray, np.n
     level = level.copy()
     doubtful = np.flatnonzero(level > rate_n)
     bias = np.broadcast_to(bias, (*shape, 3))
-    motion = jax.tree.map(lambda a: np.broadcast_to(a, shape), read_motion(values.get))
+    motion = jax.tree.map(lambda a: np.broadcast_to(a, shape), read_sways(values.get))
     for block in np.split(doubtful, range(_BLOCK, len(doubtful), _BLOCK)):
         here = jax.tree.map(lambda a, block=block: a[block], motion)
         turned = (mean_attitude(here) @ bias[block][..., None])[..., 0]

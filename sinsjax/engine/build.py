@@ -28,7 +28,7 @@ from sinsjax.engine.environment import (
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.samples import build_sensors
-from sinsjax.engine.sensor_inputs import AMPLITUDE_KEYS, DISTORTION_KEYS, NOISE_KEYS
+from sinsjax.engine.sensor_inputs import DISTORTION_KEYS, NOISE_KEYS, moves
 from sinsjax.engine.truth import (
     normal_distributions,
     read_site,
@@ -266,18 +266,22 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
     """Return the program of some variants."""
     simulated = not study.is_recorded
     span, kept = _span(study, variants), 0
+    method = variants.common("method")
+    blocks = (study.record_every, span.records) if METHODS[method].stores_blocks else (0, 0)
     reverses = study.passes is not None and not span.rewinds
     if simulated and reverses and variants.is_active(*SEQUENTIAL_KEYS):
         # Of one length for all parts, so that they share a program.
         kept = max(span.records_read for span in study.distinct_spans) * study.record_every
     return Static(
-        variants.common("method"),
+        method,
         Options(
             dt=1 / study.rate_hz,
             specific_force=variants.common("specific_force") or "measured",
             position=variants.common("position"),
             trigger=(study.has("resets") and variants.common("reset_trigger")) or "none",
             innovations=study.is_recorded,  # a simulation has the truth to be judged by
+            record_every=blocks[0],
+            records=blocks[1],
         ),
         study.record_every,
         span.records,
@@ -285,7 +289,7 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
         sensors=SensorProgram(
             noisy=simulated and variants.is_active(*NOISE_KEYS),
             distorted=simulated and variants.is_active(*DISTORTION_KEYS),
-            sways=simulated and variants.is_active(*AMPLITUDE_KEYS),
+            sways=simulated and moves(variants),
             kept=kept,
         ),
         passes="rewind" if span.rewinds else "alternate" if study.passes is not None else "once",

@@ -44,7 +44,7 @@ class SensorProgram(NamedTuple):
     Attributes:
         noisy: whether the sensors have white noise.
         distorted: whether they have scale factor errors or misaligned axes.
-        sways: whether a base drawn for each draw sways; a still one is measured once.
+        sways: whether a base drawn for each draw sways or is turned; a still one is measured once.
         kept: samples per draw that are made once and kept, when passes read them in both
             directions and each sample depends on those before it; 0 to make samples as they are
             read.

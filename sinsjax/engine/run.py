@@ -323,6 +323,7 @@ class TileRuns(NamedTuple):
 
     def observe(self, run: Run, number: Count, q_true: Quat | None) -> Run:
         """Return the runs after their observation at the end of a record interval."""
+        run = run._replace(state=self.fit_blocks(run.state, number))
         if q_true is None:
             q_true = stored_attitude(self.environment.truth, self.draws, number)
         observe = partial(
@@ -335,6 +336,24 @@ class TileRuns(NamedTuple):
         over_runs = jax.vmap(observe, in_axes=(0, self.draw_axis, 0, None))
         n = ((number + 1) * self.static.record_every).astype(self.environment.dtype)
         return over_runs(run, self.to_runs(q_true), self.floor.phi.z, n)
+
+    def fit_blocks(self, state: Any, number: Count) -> Any:
+        """Return the state of a method after its fit at the end of a record interval, if it has."""
+        blocks = self.method.block_fit
+        if blocks is None:
+            return state
+        end = (number + 1) * self.static.record_every
+        times = self.environment.criteria.report_samples
+        reported = jnp.asarray(False) if times is None else jnp.any(times == end)
+        state = jax.vmap(blocks.store, in_axes=(0, None))(state, number)
+        fit = jax.vmap(blocks.fit, in_axes=(0, self.site_axis, 0, None))
+        # Of one predicate for all runs: a fit takes as long as hundreds of samples.
+        fitted = jax.lax.cond(
+            blocks.is_due(number, reported),
+            lambda: fit(self.params.method, self.site, state, number),
+            lambda: blocks.previous(state),
+        )
+        return blocks.merge(state, fitted)
 
     def curve_row(self, run: Run) -> Array | None:
         """Return the latest observations as (fields, lanes) if the program keeps curves."""

@@ -7,9 +7,12 @@ from typing import Any
 import numpy as np
 
 from sinsjax.strapdown import base_motion, processes, sensors
+from sinsjax.strapdown.attitude_path import attitude_path
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.processes import Process
-from sinsjax.study.schema import MotionSection, SensorsSection
+from sinsjax.strapdown.turns import Turns
+from sinsjax.study.schema import TURN_KEYS, MotionSection, SensorsSection
+from sinsjax.study.turns import SampledTurns, turns_in_samples
 from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Vec3
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, HOUR, PPM
@@ -35,6 +38,9 @@ DISTURBANCE_KEYS = tuple(
 )
 """The keys of random processes of base and sensors."""
 
+_NEVER_S = 1e12
+"""Beginning of a turn after every run, s."""
+
 
 def _read_number(common: Lookup, key: str, factor: float = 1.0) -> np.ndarray:
     """Return a key's number (...,); the default, or zero, in place of a drawn value."""
@@ -52,8 +58,16 @@ def _read_vector(common: Lookup, key: str, factor: float = 1.0, count: int = 3) 
     return np.broadcast_to(given, np.broadcast_shapes(given.shape, (count,)))
 
 
-def read_motion(common: Lookup) -> base_motion.Motion:
-    """Return the motion of the base of a part, from `Variants.common`."""
+def base_motion_of(variants: Variants) -> base_motion.Motion:
+    """Return the whole motion of the base of a part: sways, turns and the sensors' lever arm."""
+    motion = add_turns(read_sways(variants.common), variants)
+    if (given := variants.attitude) is not None:
+        motion = motion._replace(path=attitude_path(given.time_s, given.attitude_deg))
+    return add_lever_arm(motion, variants)
+
+
+def read_sways(common: Lookup) -> base_motion.Motion:
+    """Return the sways of the base of a part, from `Variants.common`."""
     number = partial(_read_number, common)
 
     def sway(angle: str) -> base_motion.Sway:
@@ -67,9 +81,44 @@ def read_motion(common: Lookup) -> base_motion.Motion:
     return base_motion.Motion(sway("pitch"), sway("roll"), sway("yaw"))
 
 
+def moves(variants: Variants) -> bool:
+    """Return whether the base of a part sways or is turned."""
+    given = any(variants.common(key) for key in ("turn_times_s", "attitude_file"))
+    return given or variants.is_active(*AMPLITUDE_KEYS)
+
+
+def add_turns(motion: base_motion.Motion, variants: Variants) -> base_motion.Motion:
+    """Return the motion of the base with the turns of a part, if it has any."""
+    values = {key: variants.common(key) for key in TURN_KEYS}
+    if not values["turn_times_s"]:
+        return motion
+    turns = _turns(
+        turns_in_samples(variants.rate_hz, variants.data_end_s, values), variants.rate_hz
+    )
+    if values["turn_axis"] == "body":
+        return motion._replace(table=turns)
+    return motion._replace(vertical=turns)
+
+
+def _turns(plan: SampledTurns, rate_hz: float) -> Turns:
+    """Return turns in SI units, with turns that never begin so that few programs are compiled."""
+    count = len(plan.turns)
+    angles = np.array([turn.angle_deg for turn in plan.turns])
+    turns = Turns(
+        begin=np.array([turn.begin for turn in plan.turns]) / rate_hz,
+        length=np.array([turn.length for turn in plan.turns]) / rate_hz,
+        ramp=np.full(count, plan.ramp / rate_hz),
+        rate=np.array([turn.rate_deg_per_s for turn in plan.turns]) * DEG,
+        before=np.remainder(np.cumsum(angles) - angles, 360.0) * DEG,
+    )
+    unused = (0, 2 ** (count - 1).bit_length() - count)
+    begin = np.pad(turns.begin, unused, constant_values=_NEVER_S)
+    return Turns(*(np.pad(a, unused, mode="edge") for a in turns))._replace(begin=begin)
+
+
 def add_lever_arm(motion: base_motion.Motion, variants: Variants) -> base_motion.Motion:
     """Return the motion of the base with the lever arm of the sensors, if that has an effect."""
-    if not (variants.is_active(*AMPLITUDE_KEYS) and variants.is_active("lever_arm_m")):
+    if not (moves(variants) and variants.is_active("lever_arm_m")):
         return motion
     x, y, z = np.moveaxis(_read_vector(variants.common, "lever_arm_m"), -1, 0)
     return motion._replace(lever=Vec3(x, y, z))

@@ -20,11 +20,10 @@ from sinsjax.engine.environment import (
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.sensor_inputs import (
     DISTURBANCE_KEYS,
-    add_lever_arm,
     add_quantisation,
+    base_motion_of,
     read_disturbances,
     read_errors,
-    read_motion,
 )
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds
@@ -226,7 +225,7 @@ def _base_and_sensors(
     rate, common = variants.rate_hz, variants.common
     return (
         add_quantisation(read_errors(common, ug, rate), variants),
-        add_lever_arm(read_motion(common), variants),
+        base_motion_of(variants),
         read_disturbances(variants, ug, rate),
     )
 

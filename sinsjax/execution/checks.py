@@ -27,6 +27,7 @@ from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.measurement_noise import surge_noise_ratios, update_variance_keys
 from sinsjax.study.process_noise import noise_ratios_by_sensor
 from sinsjax.study.study import Study
+from sinsjax.study.turns import useless_methods
 from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
 
@@ -38,7 +39,7 @@ _CHECKED_DRAWS = 1024  # draws in which a drawn period is checked
 def study_warnings(study: Study) -> list[str]:
     """Return warnings for the user before a simulated study runs, one line each."""
     hidden_north_warning = hidden_north(study)
-    lines = [*_sway_warnings(study), *_surge_warnings(study)]
+    lines = [*_sway_warnings(study), *_surge_warnings(study), *useless_methods(study)]
     return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
 
 

@@ -58,6 +58,8 @@ _LINEARITY_CHECK_RUNS = 12.0
 
 _MEASUREMENT_BYTES = 48  # bytes, of the stored samples of a call's draws
 
+_BLOCK_BYTES = 8 * 17  # bytes, of a second that a run keeps for a fit
+
 _POINT_BYTES = 2000  # bytes for each point of a search
 
 
@@ -251,6 +253,9 @@ def _forecast_batches(study: Study, batches: Sequence[Batch], curves: bool) -> F
         read_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
         draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
         memory += _MEASUREMENT_BYTES * read_samples * draws
+    if any(METHODS[name].stores_blocks for name in study.methods):
+        blocks = study.run_s * LANES * runtime.usable_cores()  # one per second or less
+        memory += _BLOCK_BYTES * blocks
     counts = study.combinations("reset_count") if study.has("resets") else ()
     resets = [point["reset_count"] or 0 for point in counts]
     variant_bytes = _VARIANT_BYTES + _RESET_BYTES * max(resets, default=0)

@@ -16,9 +16,11 @@ from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
+from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.files import find_study_file, source_name
 from sinsjax.study.load import load_study, load_with_notes, study_to_tables, with_rate
 from sinsjax.study.study import Study
+from sinsjax.study.turns import describe_rounding
 from sinsjax.study.unused_keys import list_idle_keys
 
 
@@ -143,6 +145,7 @@ def prepare_job(
             notes.append(f"{results_directory}: no results to resume, all runs are new.")
         if options.resume:
             job = kind.continue_job(job)
+    read_attitude(study)
     expected_cost = kind.make_forecast(study, curves)
     forecast.check_resources(
         study, expected_cost, results_directory, overwrite=options.overwrite, resume=options.resume
@@ -152,6 +155,7 @@ def prepare_job(
         study_doubts = checks.study_warnings(study)
     if dropped_s := study.dropped_s:
         notes.append(f"The last {dropped_s:g} s do not fill a record interval and are not run.")
+    notes += describe_rounding(study)
     if study.run_s <= study.study.window_s[0]:
         notes.append(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
     return job._replace(warnings=tuple(study_doubts), notes=tuple(notes), forecast=expected_cost)

@@ -14,7 +14,7 @@ from sinsjax.methods.description import StudyView
 from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.strapdown import earth
 from sinsjax.strapdown.earth import Earth, Place
-from sinsjax.types import Array, Flag, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 
 class Site(NamedTuple):
@@ -41,6 +41,8 @@ class Options(NamedTuple):
         position: "fixed" or "integrated".
         trigger: name of a trigger, or "none".
         innovations: whether a filter sums its normalised innovations.
+        record_every: samples per record interval, for a method that stores blocks; 0 for others.
+        records: record intervals of a run, likewise.
     """
 
     dt: float
@@ -48,6 +50,8 @@ class Options(NamedTuple):
     position: str = "fixed"
     trigger: str = "none"
     innovations: bool = False
+    record_every: int = 0
+    records: int = 0
 
     def place(self, site: Site, nav: Navigation) -> Place:
         """Return the Earth where a run starts, or at the latitude of its solution."""
@@ -264,6 +268,25 @@ class ErrorModel(NamedTuple):
     start: Callable[[Any, StartChange], tuple[Scalar, ...]]
 
 
+class BlockFit(NamedTuple):
+    """A method that stores blocks of samples, and fits all of them at some record times.
+
+    Attributes:
+        store: (state, number of the record interval) -> state after its end.
+        is_due: (number, whether its end is reported) -> whether a fit is due, for all runs.
+        fit: (params, site, state, number) -> what a fit replaces of the state. Not the blocks,
+            which would be copied.
+        previous: state -> the same parts of it, unchanged.
+        merge: (state, result of ``fit``) -> state.
+    """
+
+    store: Callable[[Any, Count], Any]
+    is_due: Callable[[Count, Flag], Flag]
+    fit: Callable[[Any, Site, Any, Count], Any]
+    previous: Callable[[Any], Any]
+    merge: Callable[[Any, Any], Any]
+
+
 class Method(NamedTuple):
     """An alignment method. Its state has the navigation solution as ``nav``.
 
@@ -284,6 +307,7 @@ class Method(NamedTuple):
         feedback: how the loop is closed; None if the method closes it within ``step``.
         passes: how passes over a stored record begin; None if the method reads it once.
         error_model: linear model of its true error; None if the method has none.
+        block_fit: fits at record times; None for a method whose steps are all there is.
     """
 
     init: Callable[[Any, Navigation], Any]
@@ -297,3 +321,4 @@ class Method(NamedTuple):
     feedback: Feedback | None = None
     passes: Passes | None = None
     error_model: ErrorModel | None = None
+    block_fit: BlockFit | None = None

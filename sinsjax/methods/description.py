@@ -6,7 +6,7 @@ Studies are read, checked and reported with it alone; the code that computes is 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, NoReturn, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, NoReturn, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
@@ -55,6 +55,11 @@ class StudyView(Protocol):
 @runtime_checkable
 class CheckedStudy(StudyView, Protocol):
     """A study whose rules between keys are being checked."""
+
+    @property
+    def record_interval_s(self) -> float:
+        """Time between two record times, s."""
+        ...
 
     @property
     def end(self) -> str:
@@ -132,8 +137,11 @@ class Description:
         gyro_bias_keys: pairs of keys, the sigma of the gyro bias states and the sigma of heading.
             Such a filter distinguishes gyro biases from heading once the base moves. Empty if the
             method has no such states.
+        turning: the turns of a base over which its heading averages constant gyro biases: "any", if
+            a single turn is enough, "many", as of a carousel, or "none"; None if that is unknown.
         has_error_model: whether its `Method` has an error model, so that the covariance of its true
             error can be computed without draws.
+        stores_blocks: whether it stores blocks of samples, see `methods.base.BlockFit`.
         rules: check the rules between its keys.
         columns: its own result columns.
         last_triggered_sample: (`Method.results` of runs) -> sample of the last reset by a trigger,
@@ -155,7 +163,9 @@ class Description:
     has_floor: bool = True
     finds_heading: bool = True
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()
+    turning: Literal["any", "many", "none"] | None = None
     has_error_model: bool = False
+    stores_blocks: bool = False
     rules: tuple[Callable[[CheckedStudy], None], ...] = ()
     columns: tuple[OwnColumn, ...] = ()
     last_triggered_sample: Callable[[Any], NDArray | None] = lambda results: None

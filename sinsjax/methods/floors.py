@@ -67,7 +67,12 @@ def mean_biases(errors: SensorErrors, motion: Motion) -> MeanBiases:
 
     Returns:
         Leaves ``(...)``. NumPy arrays if no input is a JAX array, so that nothing is compiled.
+        Zero in n on a base that is turned, where no floor is known.
     """
+    if motion.turns:
+        zero = 0.0 * errors.gyro_bias[..., 0]
+        none = Vec3(zero, zero, zero)
+        return MeanBiases(none, none, abs(errors.accel_bias).max(-1))
     mean_c_bn = mean_attitude(motion)
     in_n = [(mean_c_bn @ b[..., None])[..., 0] for b in (errors.gyro_bias, errors.accel_bias)]
     eps, nabla = (Vec3(b[..., 0], b[..., 1], b[..., 2]) for b in in_n)

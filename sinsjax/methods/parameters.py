@@ -41,6 +41,10 @@ class Columns(Protocol):
         """Return numbers times a factor, (variants,); NaN if the key is left out."""
         ...
 
+    def rms(self, key: str) -> np.ndarray:
+        """Return the size of a numeric key, (variants,): rms over draws of the largest axis."""
+        ...
+
     def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
         """Return a function of the values of some keys, (variants, ...)."""
         ...

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from sinsjax.methods.azimuth.config import EKF_AZIMUTH, UNSCENTED
 from sinsjax.methods.compass.config import COMPASS
 from sinsjax.methods.description import Description
+from sinsjax.methods.gravity_fit.config import GRAVITY_FIT
 from sinsjax.methods.inertial_frame.config import (
     INERTIAL,
     OPTIMISATION,
@@ -32,6 +33,7 @@ REGISTRY = load_plugins(
         OPTIMISATION,
         OPTIMISATION_POSITION,
         INERTIAL,
+        GRAVITY_FIT,
         COMPASS,
         LEVEL,
     )

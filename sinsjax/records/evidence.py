@@ -34,6 +34,7 @@ from sinsjax.records.means import (
     vertical_rate,
 )
 from sinsjax.records.plausibility import UNIT_NAMES
+from sinsjax.records.turns import Turns
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY
 
 _EXAMINED_S = 300.0
@@ -41,6 +42,9 @@ _NEAR_GRAVITY = 0.1  # relative: accelerometers are better
 _REMOVED_GRAVITY = 0.05  # of the smallest gravity, 1 g in g
 _REFUSED_FACTOR = 9.5  # times gravity, or its inverse, beyond which no study accepts a record
 _NEAR_EARTH_RATE = 0.5, 2.0  # ratios: gyros that can find north are better
+_TURNING_EARTH_RATE = 0.15, 1.05  # ratios of the horizontal part, up to 81 deg of latitude
+_MAX_TURNING_ERROR = 0.1  # relative to Earth rate
+_MAX_TURNING_TILT = 5e-3  # by accelerometer biases: in wrong units the vertical moves further
 _SETTLED = 0.01  # relative to Earth rate: MEMS gyros in a wrong unit rarely come so near
 _SETTLED_PARTNER = 0.05  # the same for the unit that goes with that of the accelerometers
 _MAX_BIAS = 10 * DEG  # rad/s, of the worst MEMS gyros
@@ -212,7 +216,9 @@ def find_gyro_unit(samples: Samples, gyro: Triad, accel: Triad, accel_unit: str)
         means[unit] = compute_means(record, (0, len(dv)), STANDARD_GRAVITY)
         ratio[unit] = float(np.linalg.norm(means[unit].rate)) / EARTH_RATE
     named = gyro.unit[0]
-    settled = _settled_by_physics(live, dv, ratio, partner, has_dead=any(dead), rate_hz=rate_hz)
+    settled = _settled_by_turns(means, partner) or _settled_by_physics(
+        live, dv, ratio, partner, has_dead=any(dead), rate_hz=rate_hz
+    )
     unit = named or settled.unit
     reason = settled.reason if unit == settled.unit else ""
     if named in ("rad", "deg") and not gyro.are_increments and quantity_of(partner) == RATES:
@@ -233,6 +239,18 @@ class _Settled(NamedTuple):
 
     unit: str
     reason: str
+
+
+def _settled_by_turns(means: dict[str, Means], partner: str) -> _Settled | None:
+    """Return the unit in which a turning base senses the horizontal Earth rate; None for none."""
+    for unit in (partner, *means):
+        if turns := find_turning_earth_rate(means[unit]):
+            drift = turns.drift / DEG_PER_H
+            text = (
+                f"the base turns, and in the frame of its gyros the vertical drifts by {drift:.3g}"
+            )
+            return _Settled(unit, f"{text} deg/h in {UNIT_NAMES[unit]}, as Earth rate does")
+    return None
 
 
 def _settled_by_physics(
@@ -350,6 +368,18 @@ def shows_earth_rate(means: Means) -> bool:
     """Return whether the mean rate is close to Earth rate, as with gyros that can find north."""
     low, high = _NEAR_EARTH_RATE
     return low < float(np.linalg.norm(means.rate)) / EARTH_RATE < high
+
+
+def find_turning_earth_rate(means: Means) -> Turns | None:
+    """Return the turns of a base that senses a horizontal Earth rate while it turns, or None."""
+    turns, (low, high) = means.turns, _TURNING_EARTH_RATE
+    if (
+        turns is None
+        or turns.drift_uncertainty > _MAX_TURNING_ERROR * EARTH_RATE
+        or turns.accel_bias > _MAX_TURNING_TILT
+    ):
+        return None
+    return turns if low < turns.drift / EARTH_RATE < high else None
 
 
 def _order_with_up(axis: int, *, is_positive: bool) -> str:

@@ -7,6 +7,7 @@ import numpy as np
 
 from sinsjax.records.layout import FloatArray, Record
 from sinsjax.records.quaternions import integrate_attitudes, multiply, rotate_vectors
+from sinsjax.records.turns import Turns, measure_turns
 from sinsjax.units import DEG, DEG_PER_H
 
 EARTH_RATE = 15.041 * DEG_PER_H
@@ -39,6 +40,7 @@ class Means(NamedTuple):
         drift_uncertainty: uncertainty of the drift from accelerations of the base, rad/s.
         vertical_shift: angle by which the vertical moved from the first to the last third, rad.
         length_s: length of the span.
+        turns: turns about the vertical; None if the base does not turn.
     """
 
     rate: FloatArray
@@ -54,6 +56,7 @@ class Means(NamedTuple):
     drift_uncertainty: float
     vertical_shift: float
     length_s: float
+    turns: Turns | None
 
 
 def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Means:
@@ -116,7 +119,15 @@ def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Mean
         drift_uncertainty=drift_uncertainty,
         vertical_shift=math.acos(max(-1.0, min(1.0, cosine))),
         length_s=n * dt,
+        turns=measure_turns(dtheta, dv, dt),
     )
+
+
+def merge_samples(record: Record, span: tuple[int, int], rate_hz: float) -> Record:
+    """Return a span of a record with samples summed to a rate not much below ``rate_hz``."""
+    count = max(1, int(record.rate_hz / rate_hz))
+    dtheta, dv = (_sum_increments(rows[slice(*span)], count) for rows in (record.dtheta, record.dv))
+    return record._replace(dtheta=dtheta, dv=dv, rate_hz=record.rate_hz / count)
 
 
 def _sum_increments(rows: FloatArray, count: int) -> FloatArray:

@@ -2,7 +2,8 @@
 
 Apart from sensor biases, the mean specific force of a stationary base is gravity and its mean rate
 is Earth rate, even if it sways. Wrong units, axes or signs, or a turning vehicle, affect one of the
-two.
+two. A base that is turned about the vertical shows the horizontal Earth rate alone, as the drift of
+the vertical in the frame carried by the gyros.
 """
 
 import math
@@ -23,8 +24,10 @@ from sinsjax.records.means import (
     MAX_PARKED_TURN,
     Means,
     compute_means,
+    merge_samples,
     vertical_rate,
 )
+from sinsjax.records.turns import Turns, measure_turns
 from sinsjax.units import DEG, DEG_PER_H, micro_g
 
 _CERTAIN_FACTOR = 9.5
@@ -36,6 +39,8 @@ _LONG_S = 180.0  # a third of it contains several sways of most bases
 _MIN_RESOLVED_RATIO = 0.99  # of gravity, when the gyros follow the sways
 _MAX_TILT = 45 * DEG
 _MAX_SWAY = 5 * DEG  # of a base that sways on the spot, and is not turned
+_TURN_RATE_HZ = 25.0  # resolves turns, and saves the time of many samples
+_BIAS_SHARE = 0.3  # of the largest bias, which may change between turns
 _SAME_DIRECTION = 0.02  # share of a rate that is vertical
 UNIT_NAMES = {
     "rad_per_s": "rad/s",
@@ -103,10 +108,15 @@ def check_stationary(
         *_check_mean_force(means, layout, record.rate_hz, expected),
         *_check_up_axis(means, layout),
     ]
-    rate_findings = list(_check_mean_rate(record, span, layout, expected, means))
-    if rate_findings:  # wrong gyros cannot show a rotation of the base
-        return results + rate_findings
-    return results + rate_findings + list(_check_rotation(means, expected))
+    # Wrong gyros cannot show a rotation of the base.
+    parked_findings = list(_check_mean_rate(record, span, layout, expected, means)) or list(
+        _check_rotation(means, expected)
+    )
+    if parked_findings or _lacks_earth_rate(means, expected):
+        turn_findings = _check_turning_base(record, span, layout, expected, means)
+        if turn_findings is not None:
+            return results + turn_findings
+    return results + parked_findings
 
 
 def _check_mean_force(
@@ -148,6 +158,86 @@ def _check_up_axis(means: Means, layout: RecordLayout) -> Iterator[Finding]:
     elif tilt > _MAX_TILT:
         text = f"the up axis is tilted by {tilt / DEG:.3g} deg: is {key} right?"
         yield Finding(False, text)
+
+
+def _lacks_earth_rate(means: Means, expected: StationaryValues) -> bool:
+    """Return whether the vertical drifts by far less than the horizontal Earth rate."""
+    drift = means.vertical_drift + means.drift_uncertainty
+    return drift < 0.5 * expected.earth_rate * math.cos(expected.latitude)
+
+
+def finds_north_by_turns(means: Means, expected: StationaryValues) -> bool:
+    """Return whether the gyros of a turning base sense the horizontal Earth rate."""
+    return _north_error(means.turns, expected) is not None
+
+
+def _north_error(turns: Turns | None, expected: StationaryValues) -> float | None:
+    """Return the difference of the drift from the horizontal Earth rate, rad/s.
+
+    None without turns, or if plausible biases do not explain the difference.
+    """
+    horizontal = expected.earth_rate * math.cos(expected.latitude)
+    if turns is None or turns.accel_bias * expected.gravity > expected.accel_bias:
+        return None
+    error, uncertainty = abs(turns.drift - horizontal), turns.drift_uncertainty
+    allowed = _BIAS_SHARE * expected.gyro_bias + uncertainty
+    return error + uncertainty if error <= allowed and uncertainty <= horizontal / 5 else None
+
+
+def _check_turning_base(
+    record: Record,
+    span: tuple[int, int],
+    layout: RecordLayout,
+    expected: StationaryValues,
+    means: Means,
+) -> list[Finding] | None:
+    """Return the findings about a base that turns.
+
+    None if its gyros sense no Earth rate while it turns, and no other unit or sign would let them.
+    """
+    turns = means.turns
+    if turns is not None and finds_north_by_turns(means, expected):
+        if turns.gyro_bias <= expected.gyro_bias:
+            return []
+        text = (
+            f"the base turns by {turns.angle / DEG:.3g} deg, and a gyro bias of"
+            f" {turns.gyro_bias / DEG_PER_H:.3g} deg/h or more would explain the record: are the"
+            " signs and axes of the gyros right?"
+        )
+        return [Finding(False, text)]
+    likely = _suggest_for_turns(record, span, layout, expected)
+    if not likely:
+        return None
+    if turns is not None and turns.accel_bias * expected.gravity > expected.accel_bias:
+        text = "its gyros do not follow the vertical"
+    else:
+        drift = means.vertical_drift if turns is None else turns.drift
+        text = (
+            f"in the frame of its gyros the vertical drifts by {drift / DEG_PER_H:.3g} deg/h and"
+            " not by the horizontal Earth rate of"
+            f" {expected.earth_rate * math.cos(expected.latitude) / DEG_PER_H:.3g}"
+        )
+    return [Finding(True, f"the base turns, but {text}: {likely}")]
+
+
+def _suggest_for_turns(
+    record: Record, span: tuple[int, int], layout: RecordLayout, expected: StationaryValues
+) -> str:
+    """Return a question about the unit or sign with which a turning base is plausible, or ""."""
+    units = _other_unit_factors(GYRO_UNITS, "gyro_unit", layout, record.rate_hz)
+    causes = {f"are these {UNIT_NAMES[unit]}?": np.full(3, f) for unit, f in units.items()}
+    causes["is the sign of the gyros right?"] = np.full(3, -1.0)
+    for axis, name in enumerate(("right", "front", "up")):
+        question = f"is the sign of the gyro of the {name} axis right?"
+        causes[question] = np.where(np.arange(3) == axis, -1.0, 1.0)
+    part = merge_samples(record, span, _TURN_RATE_HZ)
+    errors: dict[str, float] = {}
+    for question, factor in causes.items():
+        turns = measure_turns(part.dtheta * factor, part.dv, 1 / part.rate_hz)
+        error = _north_error(turns, expected)
+        if error is not None and turns and turns.gyro_bias <= expected.gyro_bias:
+            errors[question] = error + turns.gyro_bias
+    return min(errors, key=lambda question: errors[question]) if errors else ""
 
 
 def _check_mean_rate(

@@ -1,21 +1,24 @@
 """True motion of the base, and the increments that ideal sensors would measure.
 
-The base stays in place and sways about a mean attitude, the sensors at a lever arm from the centre
-of the sway. Angular rate and specific force are known in closed form at any time and are integrated
-over each sample by Gauss quadrature, so the increments are independent of the mechanisation under
-test.
+The base stays in place, sways about a mean attitude and may be turned, the sensors at a lever arm
+from the centre of the sway, which the axis of the turns passes through. Angular rate and specific
+force are known in closed form at any time and are integrated over each sample by Gauss quadrature,
+so the increments are independent of the mechanisation under test.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.maths.algebra import add, cross, dot, scale
-from sinsjax.maths.rotations import from_euler, sin_cos, sin_cos_near_zero
+from sinsjax.maths.rotations import from_euler, multiply, sin_cos, sin_cos_near_zero
+from sinsjax.strapdown.attitude_path import AttitudePath
 from sinsjax.strapdown.earth import Place
+from sinsjax.strapdown.turns import AngleRates, SampleTurn, Turns
 from sinsjax.types import Array, Increments, Quat, Scalar, Vec3
 
 _COUNT = 6
@@ -64,29 +67,56 @@ class Sway(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Attitude of the base over time, C_b^n = Rz(yaw) Rx(pitch) Ry(roll).
+    """Attitude over time, C_b^n = Rz(yaw + vertical) Rx(pitch) Ry(roll) Rz(table).
 
     Attributes:
         pitch: angle over time.
         roll: likewise.
         yaw: likewise.
         lever: from the centre of the sway to the sensors, in b, m; None where they are in it.
+        vertical: turns about the vertical; None without any.
+        table: turns about the z axis of b, of a turntable that sways with the base; None without.
+        path: angles in addition to those of the sways; None without a given attitude.
     """
 
     pitch: Sway
     roll: Sway
     yaw: Sway
     lever: Vec3 | None = None
+    vertical: Turns | None = None
+    table: Turns | None = None
+    path: AttitudePath | None = None
 
     @property
     def angles(self) -> tuple[Sway, Sway, Sway]:
         """Pitch, roll and yaw."""
         return self.pitch, self.roll, self.yaw
 
+    @property
+    def turns(self) -> bool:
+        """Return whether the base does not only sway, so that its motion has no mean attitude."""
+        return any(part is not None for part in (self.vertical, self.table, self.path))
+
+    def added_angles(self, t: Scalar) -> tuple[AngleRates | None, ...]:
+        """Return what is added to pitch, roll and yaw of the sways at a time (s); None: nothing."""
+        return _add_yaw(
+            (None,) * 3 if self.path is None else self.path.at(t),
+            None if self.vertical is None else self.vertical.at(t),
+        )
+
 
 def attitude(motion: Motion, t: Scalar) -> Quat:
     """Return the true attitude, body to navigation frame, at time t (s)."""
-    return from_euler(motion.pitch.angle(t), motion.roll.angle(t), motion.yaw.angle(t))
+    angles = [sway.angle(t) for sway in motion.angles]
+    for axis, added in enumerate(motion.added_angles(t)):
+        if added is not None:
+            angles[axis] = angles[axis] + added.angle
+    q = from_euler(*angles)
+    if motion.table is None:
+        return q
+    half = 0.5 * motion.table.at(t).angle
+    zero = jnp.zeros_like(half)
+    return multiply(q, Quat(jnp.cos(half), zero, zero, jnp.sin(half)))
 
 
 def rate_and_force(motion: Motion, place: Place, t: Scalar) -> tuple[Vec3, Vec3]:
@@ -95,10 +125,28 @@ def rate_and_force(motion: Motion, place: Place, t: Scalar) -> tuple[Vec3, Vec3]
     w_nb^b follows from the Euler rates: the yaw rate resolved through pitch and roll, the pitch
     rate through roll. The centre of the sway has no velocity.
     """
-    now = Sines(*(sin_cos(sway.angle(t)) for sway in motion.angles))
-    rates = EulerRates(*(sway.rate(t) for sway in motion.angles))
-    bends = EulerRates(*(sway.acceleration(t) for sway in motion.angles))
-    return _rate_and_force_in_body(place, _motion_in_body(place, motion.lever, now, rates, bends))
+    angles = [sway.angle(t) for sway in motion.angles]
+    rates = [sway.rate(t) for sway in motion.angles]
+    bends = [sway.acceleration(t) for sway in motion.angles]
+    for axis, added in enumerate(motion.added_angles(t)):
+        if added is not None:
+            angles[axis] = angles[axis] + added.angle
+            rates[axis] = rates[axis] + added.rate
+            bends[axis] = bends[axis] + added.acceleration
+    now = Sines(*map(sin_cos, angles))
+    table = None if motion.table is None else motion.table.at(t)
+    body = _motion_in_body(place, motion.lever, now, EulerRates(*rates), EulerRates(*bends), table)
+    return _rate_and_force_in_body(place, body)
+
+
+def _add_yaw(
+    angles: tuple[AngleRates | None, ...], turn: AngleRates | None
+) -> tuple[AngleRates | None, ...]:
+    """Return pitch, roll and yaw with a turn about the vertical."""
+    pitch, roll, yaw = angles
+    if turn is None or yaw is None:
+        return pitch, roll, turn if yaw is None else yaw
+    return pitch, roll, AngleRates(*map(jnp.add, yaw, turn))
 
 
 class Sines(NamedTuple):
@@ -140,21 +188,49 @@ class InBody(NamedTuple):
 
 
 def _motion_in_body(
-    place: Place, lever: Vec3 | None, now: Sines, rates: EulerRates, bends: EulerRates
+    place: Place,
+    lever: Vec3 | None,
+    now: Sines,
+    rates: EulerRates,
+    bends: EulerRates,
+    table: AngleRates | None = None,
 ) -> InBody:
-    """Return the motion at an attitude from the first two derivatives of its Euler angles."""
+    """Return the motion at an attitude from the first two derivatives of its Euler angles.
+
+    Args:
+        place: Earth rates.
+        lever: from the centre of the sway to the sensors, in b, m; None where they are in it.
+        now: Euler angles of the vehicle.
+        rates: their first derivatives.
+        bends: their second derivatives.
+        table: angle of b in the vehicle, about the z axis of both; None without a turntable.
+    """
     axes, rate = axes_in_body(now), _rate_in_body(now, rates)
+    swing = rate
+    if table is not None:
+        sines = sin_cos(table.angle)
+        axes, swing = Axes(*(_on_table(sines, axis) for axis in axes)), _on_table(sines, rate)
+        rate = swing._replace(z=swing.z + table.rate)
     if lever is None:
         return InBody(axes, rate, None)
     turning = Sines(
         *((cos * w, -sin * w) for (sin, cos), w in zip(now, rates, strict=True))
     )  # derivatives of the sines
     _, bend = jax.jvp(_rate_in_body, (now, rates), (turning, bends))
+    if table is not None:
+        across = Vec3(table.rate * swing.y, -table.rate * swing.x, table.acceleration)
+        bend = add(_on_table(sines, bend), across)
     velocity = cross(rate, lever)
     earth = add(scale(2 * place.rate_n, axes.north), scale(2 * place.rate_u, axes.up))
     force = add(cross(bend, lever), cross(add(rate, earth), velocity))
     east, north = dot(axes.east, velocity), dot(axes.north, velocity)
     return InBody(axes, add(rate, transport_rate(place, axes, east, north)), force)
+
+
+def _on_table(sines: tuple[Scalar, Scalar], a: Vec3) -> Vec3:
+    """Return a vector of the vehicle in the axes of a body turned about its z axis."""
+    sin, cos = sines
+    return Vec3(cos * a.x + sin * a.y, cos * a.y - sin * a.x, a.z)
 
 
 def _rate_in_body(now: Sines, rates: EulerRates) -> Vec3:
@@ -258,36 +334,70 @@ def ideal_sample(
         k: number of the sample, which spans k/rate to (k+1)/rate.
     """
     middle = (k + 0.5) / rate_hz
+    added_at, table = _added_in_sample(motion, rate_hz, k)
     waves = []
-    for sway in motion.angles:
+    for sway, turn in zip(motion.angles, added_at(0.0), strict=True):
         sin, cos = (sway.amplitude * part for part in sway.phase_at(middle))
-        waves.append((sin, cos, 2 * jnp.pi / sway.period, sin_cos(sway.center + sin)))
+        angle = sway.center + sin if turn is None else sway.center + sin + turn.angle
+        waves.append((sin, cos, 2 * jnp.pi / sway.period, sin_cos(angle), turn))
 
-    def at_pair(ahead: Nodes) -> InBody:
+    def at_pair(ahead: Nodes, node: Any) -> InBody:
         sides = []
         for side in (-1.0, 1.0):
             sines, rates, bends = [], [], []
-            for (sin, cos, omega, here), advance in zip(waves, ahead, strict=True):
+            added = added_at(side * node) if motion.turns else (None,) * 3
+            for (sin, cos, omega, here, turn), advance, there in zip(
+                waves, ahead, added, strict=True
+            ):
                 later, versed = side * advance.sin, advance.versed
                 change = sin * versed + cos * later
+                rate = omega * (cos + (cos * versed - sin * later))
+                bend = -omega * omega * (sin + change)
+                if turn is not None and there is not None:
+                    change = change + (there.angle - turn.angle)
+                    rate, bend = rate + there.rate, bend + there.acceleration
                 sines.append(_sin_cos_of_sum(here, sin_cos_near_zero(change)))
-                rates.append(omega * (cos + (cos * versed - sin * later)))
-                bends.append(-omega * omega * (sin + change))
+                rates.append(rate)
+                bends.append(bend)
             sides.append(
                 _motion_in_body(
-                    place, motion.lever, Sines(*sines), EulerRates(*rates), EulerRates(*bends)
+                    place,
+                    motion.lever,
+                    Sines(*sines),
+                    EulerRates(*rates),
+                    EulerRates(*bends),
+                    None if table is None else table.at(side * node, rate_hz),
                 )
             )
         return jax.tree.map(jnp.add, *sides)
 
     # Mapped rather than unrolled: half the code to compile.
-    pairs = jax.vmap(at_pair)(ahead)
+    pairs = jax.vmap(at_pair)(ahead, jnp.asarray(_NODES) if motion.turns else None)
     # A matrix product or a sum over an axis would become a loop that is not vectorised.
     mean = jax.tree.map(lambda a: sum(w * a[i] for i, w in enumerate(_WEIGHTS)), pairs)
     increments = Increments(
         *(scale(1 / rate_hz, part) for part in _rate_and_force_in_body(place, mean))
     )
     return IdealSample(increments, mean.axes)
+
+
+def _added_in_sample(
+    motion: Motion, rate_hz: Scalar, k: Scalar
+) -> tuple[Callable[[Scalar], tuple[AngleRates | None, ...]], SampleTurn | None]:
+    """Return `Motion.added_angles` of a node of sample k, and the turn of the table during it."""
+    vertical, table = (
+        None if turns is None else turns.of_sample(rate_hz, k)
+        for turns in (motion.vertical, motion.table)
+    )
+
+    def added(node: Scalar) -> tuple[AngleRates | None, ...]:
+        time = (k + (0.5 + 0.5 * node)) / rate_hz
+        return _add_yaw(
+            (None,) * 3 if motion.path is None else motion.path.at(time),
+            None if vertical is None else vertical.at(node, rate_hz),
+        )
+
+    return added, table
 
 
 def increment(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scalar) -> Increments:

@@ -15,25 +15,32 @@ from pydantic import ValidationError, create_model
 
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL, escape_controls, explain_error, suggest_closest
+from sinsjax.methods.registry import METHODS
 from sinsjax.records import read_psins, read_record
 from sinsjax.records.anomalies import find_dead_channels, report_anomalies
-from sinsjax.records.evidence import shows_earth_rate
+from sinsjax.records.evidence import find_turning_earth_rate, shows_earth_rate
 from sinsjax.records.files import parse_number_or_nan, read_line_batches
 from sinsjax.records.layout import PSINS_LAYOUT, Anomaly, Note, Record, RecordLayout
 from sinsjax.records.means import EARTH_RATE, Means, compute_means, vertical_rate
-from sinsjax.records.plausibility import Finding, StationaryValues, check_stationary
+from sinsjax.records.plausibility import (
+    Finding,
+    StationaryValues,
+    check_stationary,
+    finds_north_by_turns,
+)
 from sinsjax.records.propose import propose_layout
 from sinsjax.records.tables import ColumnTable, open_parquet
 from sinsjax.records.text import open_csv
 from sinsjax.study.files import DOUBT, OPEN, QUESTION, schema_line
 from sinsjax.study.keys import SECTIONS
-from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
+from sinsjax.units import DEG, DEG_PER_H, DEG_PER_SQRT_H, STANDARD_GRAVITY, micro_g
 from sinsjax.value_types import Section
 
 _SHORT_GAP_S = 0.1
 """Longest gap that is interpolated by default: a base at rest hardly moves in this time."""
 
 _LONGEST_S, _COARSE_S, _SHORTEST_S = 900.0, 10.0, 10.0
+_LONGEST_TURNING_S = 3600.0  # so that no position is cut off
 _RATE_TOLERANCE = 1e-4  # relative deviation of clocks from the nominal rate
 _OTHER_ANSWERS = ("study.rate_hz", "earth.latitude_deg")
 _WIDTH = 100
@@ -41,11 +48,31 @@ _NO_NOTE = Note("")
 _LATITUDE = 45.0
 _UNCERTAIN_LATITUDE = 0.1  # of Earth rate; an error of 10 deg turns the heading by 0.1 deg
 _LATITUDE_DOUBT = "estimated from the Earth rate that the gyros measure: put the true latitude here"
+_TURNING_LATITUDE_DOUBT = (
+    "estimated from the horizontal Earth rate, which is that of both hemispheres: put the true"
+    " latitude here, negative in the south"
+)
 _ALIGNMENT = """\
 # for a covariance: "kalman_sincos" with the noise of the sensors in [filter] (sinsjax keys filter)
 [alignment]
 method = "inertial"               # needs no numbers of the sensors
 """
+TURNING_METHOD = "gravity_fit"
+"""Method for a base that turns, if this version has it."""
+
+_TURNING = """\
+[alignment]
+method = "{method}"          # the turns separate the sensor biases from the heading
+
+# Scatter of the samples, and the largest usual biases: put those of the data sheet here.
+[gravity_fit]
+fit_gyro_bias_deg_per_h = {gyro_bias:g}
+fit_gyro_arw_deg_per_sqrt_h = {gyro_noise:.2g}
+fit_accel_bias_ug = {accel_bias:g}
+fit_accel_vrw_ug_per_sqrt_hz = {accel_noise:.2g}
+"""
+_TURNS_UNUSED = "# The base turns; this method does not use the turns, so the gyro biases remain.\n"
+_GYRO_BIAS_DEG_PER_H, _ACCEL_BIAS_UG = 10.0, 5000.0  # the largest that raise no doubt
 _ALWAYS_WRITTEN = {"gyro_unit", "accel_unit", "axes_order", "time_unit"}
 _LEVELLING = """\
 [alignment]
@@ -123,11 +150,14 @@ def make_study_text(
         ]
         return "\n".join(sections)
     shortest_s = 0.0 if proposed.is_open("rate_hz", "time_unit") else _SHORTEST_S
-    part, part_note = _longest_part(record_path, proposed.record, shortest_s)
-    span = _sample_range(proposed.record, part)
-    means = compute_means(proposed.record, span, STANDARD_GRAVITY)
+    part, part_note = _longest_part(record_path, proposed.record, shortest_s, _LONGEST_TURNING_S)
+    means = _compute_part_means(proposed.record, part)
+    if not find_turning_earth_rate(means):
+        part, part_note = _longest_part(record_path, proposed.record, shortest_s, _LONGEST_S)
+        means = _compute_part_means(proposed.record, part)
     used_latitude = _estimate_latitude_deg(proposed, means) if latitude is None else latitude
-    findings = _find_doubts(proposed, span, used_latitude)
+    expected = _expected_values(used_latitude)
+    findings = _find_doubts(proposed, _sample_range(proposed.record, part), expected)
     level_only = any(getattr(finding, "hides_north", False) for finding in findings)
     sections = [
         _title_section(record_path, study_path),
@@ -135,9 +165,34 @@ def make_study_text(
         _earth_section(proposed, means, latitude),
         _record_section(proposed, part, findings),
         _coarse_section(part),
-        _LEVELLING if level_only else _ALIGNMENT,
+        _LEVELLING if level_only else _alignment_section(proposed, part, means, expected),
     ]
     return "\n".join(sections)
+
+
+def _alignment_section(
+    proposed: _ProposedFile, part: _AlignedPart, means: Means, expected: StationaryValues
+) -> str:
+    """Return the [alignment] of a record whose gyros find north, with the section of its method."""
+    record = proposed.record
+    assert record is not None
+    if not (proposed.is_gyro_known and finds_north_by_turns(means, expected)):
+        return _ALIGNMENT
+    if TURNING_METHOD not in METHODS:
+        return _ALIGNMENT + _TURNS_UNUSED
+    span = slice(*_sample_range(record, part))
+    gyro_noise, accel_noise = (
+        float(np.median(np.abs(np.diff(rows[span], n=2, axis=0))) / 0.6745 / math.sqrt(6))
+        * math.sqrt(record.rate_hz)
+        for rows in (record.dtheta, record.dv)
+    )  # second differences of white noise have six times its variance
+    return _TURNING.format(
+        method=TURNING_METHOD,
+        gyro_bias=_GYRO_BIAS_DEG_PER_H,
+        accel_bias=_ACCEL_BIAS_UG,
+        gyro_noise=gyro_noise / DEG_PER_SQRT_H,
+        accel_noise=accel_noise / micro_g(),
+    )
 
 
 def _check_answers(answers: Mapping[str, Any]) -> dict[str, Any]:
@@ -228,7 +283,9 @@ def _propose_table(path: Path, answers: Mapping[str, Any]) -> _ProposedFile:
     return _ProposedFile(layout, notes, record, table.description)
 
 
-def _longest_part(path: Path, record: Record, shortest_s: float) -> tuple[_AlignedPart, Note]:
+def _longest_part(
+    path: Path, record: Record, shortest_s: float, longest_s: float
+) -> tuple[_AlignedPart, Note]:
     """Return the part of a record that can be aligned, the longest one without a gap."""
     rate = record.rate_hz
     nominal = float(round(rate)) if round(rate) else rate
@@ -246,7 +303,7 @@ def _longest_part(path: Path, record: Record, shortest_s: float) -> tuple[_Align
         )
     coarse = min(round(_COARSE_S / interval_s), intervals // 4)
     # A reference usually ends a little earlier than its record.
-    fine = min(intervals - coarse - 1, round(_LONGEST_S / interval_s))
+    fine = min(intervals - coarse - 1, round(longest_s / interval_s))
     note = Note(f"of {len(record.dv) / rate:.4g} s in the file")
     if record.flaws:
         longest = f"{begin / rate:.4g} to {end / rate:.4g} s is the longest part without a gap"
@@ -266,11 +323,16 @@ def _sample_range(record: Record, part: _AlignedPart) -> tuple[int, int]:
     return begin, min(end, len(record.dv))
 
 
+def _compute_part_means(record: Record, part: _AlignedPart) -> Means:
+    return compute_means(record, _sample_range(record, part), STANDARD_GRAVITY)
+
+
 def _shows_latitude(proposed: _ProposedFile, means: Means) -> bool:
     """Return whether its mean rate is the Earth rate, without a dead channel."""
     assert proposed.record is not None
     dead = find_dead_channels(proposed.record.dtheta.T)
-    return proposed.is_gyro_known and shows_earth_rate(means) and not any(dead)
+    shows = shows_earth_rate(means) or find_turning_earth_rate(means) is not None
+    return proposed.is_gyro_known and shows and not any(dead)
 
 
 def _estimate_latitude_deg(proposed: _ProposedFile, means: Means) -> float:
@@ -280,6 +342,8 @@ def _estimate_latitude_deg(proposed: _ProposedFile, means: Means) -> float:
         return proposed.record.latitude_deg
     if not _shows_latitude(proposed, means):
         return _LATITUDE
+    if turns := find_turning_earth_rate(means):
+        return round(math.acos(min(1.0, turns.drift / EARTH_RATE)) / DEG, 1)
     rate = float(np.linalg.norm(means.rate))
     angle = math.asin(max(-0.99, min(0.99, vertical_rate(means) / rate)))
     if not means.is_steady:  # only the drift of the vertical shows the Earth rate, its level part
@@ -382,6 +446,8 @@ def _earth_section(
             note = Note("deg", doubt)
         elif not _shows_latitude(proposed, means):
             note = Note("deg", "the gyros do not show the latitude: put the true one here")
+        elif find_turning_earth_rate(means):
+            note = Note("deg", _TURNING_LATITUDE_DOUBT)
         elif _is_latitude_uncertain(means):
             note = Note("deg, from the vertical part of the mean rate", _LATITUDE_DOUBT)
         else:
@@ -390,8 +456,18 @@ def _earth_section(
     return "\n".join(["[earth]", *_format_key_lines("earth", "wgs84"), *lines, ""])
 
 
+def _expected_values(latitude_deg: float) -> StationaryValues:
+    return StationaryValues(
+        earth_rate=EARTH_RATE,
+        latitude=latitude_deg * DEG,
+        gravity=STANDARD_GRAVITY,
+        gyro_bias=_GYRO_BIAS_DEG_PER_H * DEG_PER_H,
+        accel_bias=_ACCEL_BIAS_UG * micro_g(),
+    )
+
+
 def _find_doubts(
-    proposed: _ProposedFile, span: tuple[int, int], latitude_deg: float
+    proposed: _ProposedFile, span: tuple[int, int], expected: StationaryValues
 ) -> list[Anomaly | Finding]:
     """Return what is implausible in a span of a record."""
     assert proposed.record is not None
@@ -399,13 +475,6 @@ def _find_doubts(
     certain = any(anomaly.is_certain for anomaly in doubts)
     if certain or not proposed.is_gyro_known or proposed.is_open("accel_scale", "axes_order"):
         return doubts
-    expected = StationaryValues(
-        earth_rate=EARTH_RATE,
-        latitude=latitude_deg * DEG,
-        gravity=STANDARD_GRAVITY,
-        gyro_bias=10 * DEG_PER_H,
-        accel_bias=5000 * micro_g(),
-    )
     return [*doubts, *check_stationary(proposed.record, span, proposed.layout, expected)]
 
 

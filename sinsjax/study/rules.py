@@ -22,6 +22,7 @@ from sinsjax.methods.filters.section import OF_RESETS, OF_SCHEDULES, scheduled_r
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.methods.triggers.config import any_trigger
 from sinsjax.study import sampling, search_space, success
+from sinsjax.study.attitude_file import check_attitude_key
 from sinsjax.study.keys import (
     COARSE_KEYS,
     EARTH_CONSTANTS,
@@ -44,6 +45,7 @@ from sinsjax.study.schema import (
 )
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
+from sinsjax.study.turns import check_turn_keys, check_turns
 from sinsjax.value_types import ROUNDING, KeyCondition
 
 KeyTables = Mapping[str, str]
@@ -84,6 +86,7 @@ class _RuleView:
     def __init__(self, study: Study, key_tables: KeyTables) -> None:
         self._study, self._key_tables = study, key_tables
         self.rate_hz, self.run_s = study.rate_hz, study.run_s
+        self.record_interval_s = study.study.record_interval_s
         self.is_recorded, self.end = study.is_recorded, _describe_end(study)
         self.has, self.combinations, self.place = study.has, study.combinations, key_tables.get
         self.given_combinations = study.given_combinations
@@ -111,7 +114,8 @@ def _check_required_keys(study: Study, key_tables: KeyTables) -> None:
         reason = "without a time_column in [record]" if untimed else key_summary("study", "rate_hz")
         _refuse_key("rate_hz", key_tables, f"required ({reason})")
     for key in ("latitude_deg", "yaw_center_deg") if simulated else ():
-        if key not in key_tables:
+        from_file = key == "yaw_center_deg" and "attitude_file" in key_tables
+        if key not in key_tables and not from_file:
             _refuse_key(key, key_tables, f"required ({key_summary(SECTION_OF[key], key)})")
     for angle in ("pitch", "roll", "yaw") if simulated else ():
         amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"
@@ -698,6 +702,8 @@ PRESENCE_RULES: tuple[StudyRule, ...] = (
     _check_keys_of_methods,
     check_process_noise,
     check_measurement_noise,
+    check_turn_keys,
+    check_attitude_key,
     _check_covariance_analysis,
 )
 """Rules for the presence of keys."""
@@ -708,6 +714,7 @@ TIME_RULES: tuple[tuple[StudyRule, ...], ...] = (
     (
         _check_coarse_method,
         _check_coarse_times,
+        check_turns,
         _check_reset_law,
         _check_statistics_window,
         _check_report_times,

@@ -31,6 +31,7 @@ from sinsjax.value_types import (
     CrossAxis,
     Damping,
     Elevation,
+    EventTimes,
     Factor,
     Finite,
     GyroNoise,
@@ -42,6 +43,7 @@ from sinsjax.value_types import (
     NoisePerAxis,
     NonNegative,
     Normal,
+    Numbers,
     Period,
     Positive,
     ReportTimes,
@@ -243,11 +245,22 @@ def _any_nonzero(*values: Any) -> bool:
     return any(value is None or np.any(value) for value in values)
 
 
+TURN_KEYS = (
+    *("turn_times_s", "turn_angles_deg", "turn_rate_deg_per_s", "turn_ramp_s"),
+    *("turn_repeat_s", "turn_axis"),
+)
+"""Keys of turns of the base."""
+
+
+def _moves(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
+    return bool(turn_times_s or attitude_file) or _any_nonzero(*amplitudes)
+
+
 class MotionSection(Section):
     """[motion]: simulated motion; angles are center + amplitude sin(2 pi t / period + phase).
 
-    The base sways about a point that may be a lever arm away from the sensors. Surge moves that
-    point, vibration the sensor housing.
+    The base sways about a point that may be a lever arm away from the sensors, and may be turned
+    about an axis through it. Surge moves that point, vibration the sensor housing.
     """
 
     conditions = (
@@ -259,10 +272,14 @@ class MotionSection(Section):
             )
             for angle in ("pitch", "roll", "yaw")
         ),
+        KeyCondition(TURN_KEYS[1:], TURN_KEYS[:1], bool),
         KeyCondition(
             ("lever_arm_m",),
-            tuple(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw")),
-            _any_nonzero,
+            (
+                *(TURN_KEYS[0], "attitude_file"),
+                *(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw")),
+            ),
+            _moves,
         ),
         KeyCondition(("surge_time_s", "surge_model"), ("surge_m_per_s",), _any_nonzero),
         KeyCondition(
@@ -313,7 +330,45 @@ class MotionSection(Section):
     lever_arm_m: Annotated[Vector, KeyInfo(usual_range=(-1e3, 1e3))] = Field(
         0.0,
         description="vector from the centre of the sway to the sensors along the body axes right,"
-        " front, up, m",
+        " front, up, m. The axis of turns passes through that centre",
+    )
+    turn_times_s: EventTimes | None = Field(
+        None,
+        description="beginning of each turn of the base, s from the first sample, rounded to whole"
+        " samples; default: no turns",
+    )
+    turn_angles_deg: Annotated[Numbers, KeyInfo(usual_range=(-1e8, 1e8))] | None = Field(
+        None,
+        description="signed angle of the turns, counter-clockwise from above, deg: one for all, or"
+        " one per turn. A turn that is not finished goes on to the end: 1e6 for a carousel;"
+        " default: 180",
+    )
+    turn_rate_deg_per_s: Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e5))] | None = Field(
+        None,
+        description="rate of the turns, deg/s. It is adjusted so that a turn of the exact angle"
+        " lasts a whole number of samples; default: 10",
+    )
+    turn_ramp_s: Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e4))] | None = Field(
+        None,
+        description="time in which a turn reaches its rate, and in which it stops, s; default: 1",
+    )
+    turn_repeat_s: Seconds | None = Field(
+        None,
+        description="time after which the turns are repeated, until the end, s; default: they are"
+        " not repeated",
+    )
+    turn_axis: Literal["vertical", "body"] | None = Field(
+        None,
+        description="axis of the turns. 'vertical': the vehicle turns about the vertical, its"
+        " pitch and roll axes with it. 'body': a turntable on the vehicle, which sways along, turns"
+        " the sensors about their z axis; default: 'vertical'",
+    )
+    attitude_file: Name | None = Field(
+        None,
+        description="file of the attitude of the base, text or Parquet with the columns time_s,"
+        " pitch_deg, roll_deg and yaw_deg (or heading_deg), in place of all angles and turns. Cubic"
+        " splines lead from row to row; smooth a noisy file first. It cannot be swept; default:"
+        " none",
     )
     surge_m_per_s: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 100))] = Field(
         0.0,
@@ -654,7 +709,8 @@ NUMBERS_DRAWN = {
         key: numbers
         for section in (MotionSection, SensorsSection)
         for key, field in section.model_fields.items()
-        if (numbers := _max_list_length(field.annotation))
+        if key not in (*TURN_KEYS, "attitude_file")
+        and (numbers := _max_list_length(field.annotation))
     },
     **dict.fromkeys(INITIAL_NUMBERS, 1),
 }
@@ -683,6 +739,18 @@ class Distribution(Section):
         description="list of grid values. The draws are the points of the product of all grids,"
         " the last key fastest",
     )
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of its numbers, about zero; of the largest axis of lists."""
+        if self.normal is not None:
+            return float(np.hypot(*self.normal))
+        if self.uniform is not None:
+            low, high = self.uniform
+            return float(np.sqrt((low * low + low * high + high * high) / 3))
+        entries = self.values if self.values is not None else self.grid
+        assert entries is not None
+        return float(np.sqrt(np.mean([np.max(np.square(entry)) for entry in entries])))
 
 
 def is_normal(key: str, law: Distribution) -> bool:

@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 
 from sinsjax.errors import InputError
+from sinsjax.records.reference import Reference
+from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.study import Study
+from sinsjax.study.turns import data_end_s
 
 Lookup = Callable[[str], Any]
 """Function of a key that returns its common value in all variants of a part, or its draws."""
@@ -41,6 +44,16 @@ class Variants:
         """Sample rate of the study, Hz."""
         return self._study.rate_hz
 
+    @property
+    def data_end_s(self) -> float:
+        """Length of the data that the longest run of the study reads, s."""
+        return data_end_s(self._study)
+
+    @property
+    def attitude(self) -> Reference | None:
+        """Attitude of the base over time, if the study has a file of it."""
+        return read_attitude(self._study)
+
     def has(self, section: str) -> bool:
         """Return whether the study has a section."""
         return getattr(self._study, section) is not None
@@ -68,6 +81,13 @@ class Variants:
         if key in self._study.drawn_keys:
             return np.zeros(len(self.ids))
         return self.compute(lambda value: math.nan if value is None else value * factor, key)
+
+    def rms(self, key: str) -> np.ndarray:
+        """Return the size of a numeric key, (variants,): rms over draws of the largest axis."""
+        law = None if self._study.drawn is None else self._study.drawn.laws.get(key)
+        if law is not None:
+            return np.full(len(self.ids), law.rms)
+        return self.compute(lambda value: float(np.abs(value or 0.0).max()), key)
 
     def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
         """Return a function of the values of some keys, called once per combination."""

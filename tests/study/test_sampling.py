@@ -15,7 +15,13 @@ from sinsjax.errors import InputError
 from sinsjax.study import sampling
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.load import study_from_dict
-from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, MotionSection, SensorsSection
+from sinsjax.study.schema import (
+    INITIAL_NUMBERS,
+    NUMBERS_DRAWN,
+    TURN_KEYS,
+    MotionSection,
+    SensorsSection,
+)
 from sinsjax.study.study import Study
 
 MANY = 1 << 14
@@ -78,7 +84,7 @@ def test_drawn_keys_need_as_many_numbers_as_their_section():
             make_study({key: {"values": [[0.5, 0.6]]}}, **periods(key))
     assert NUMBERS_DRAWN.keys() == {
         "latitude_deg",
-        *MotionSection.model_fields.keys() - {"surge_model"},
+        *MotionSection.model_fields.keys() - {"surge_model", "attitude_file", *TURN_KEYS},
         *SensorsSection.model_fields,
         *INITIAL_NUMBERS,
     }

@@ -375,6 +375,7 @@ COMPASS = Description(
     reads=(*INITIAL_KEYS, "turn", "turn_smoothing_s"),
     load=_load,
     has_covariance=False,
+    turning="none",
     has_error_model=True,
     rules=(check_sigma_factors,),
     step_s=5e-9,

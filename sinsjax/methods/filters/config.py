@@ -69,6 +69,7 @@ describe_filter = partial(
     sections={"filter": FilterSection, "resets": ResetsSection},
     reads=FILTER_KEYS,
     without_effect=BIAS_KEYS,
+    turning="none",
     has_error_model=True,
     rules=(check_trigger, check_resets),
     columns=FILTER_COLUMNS,

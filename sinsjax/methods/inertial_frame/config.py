@@ -13,7 +13,7 @@ def _load(build: str) -> Implementation:
     return Implementation(getattr(method, build), lambda columns, site, ug: ())
 
 
-_describe = partial(describe_without_start, sections={}, has_covariance=False)
+_describe = partial(describe_without_start, sections={}, turning="many", has_covariance=False)
 
 OPTIMISATION = _describe(
     name="optimisation",

@@ -123,6 +123,7 @@ SURGE = describe_filter(
     refuses=tuple(TriggerKeys.model_fields),
     rules=(check_no_trigger, check_trigger, check_resets),
     columns=(*FILTER_COLUMNS, *NORTH_DRIFT),
+    turning="many",
     has_error_model=False,
     step_s=25e-9,
 )

@@ -34,6 +34,7 @@ KALMAN10 = describe_filter(
     reads=(*FILTER_KEYS, "specific_force"),
     load=partial(_load, "kalman10"),
     without_effect=(),
+    turning="any",
     gyro_bias_keys=(
         ("p0_gyro_bias_deg_per_h", "p0_yaw_deg"),
         ("reset_gyro_bias_deg_per_h", "reset_yaw_deg"),

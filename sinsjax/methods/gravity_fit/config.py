@@ -1,0 +1,233 @@
+"""The gravity fit as studies know it: [gravity_fit], params, columns, description."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from pydantic import Field
+
+from sinsjax.columns import Column
+from sinsjax.methods.description import CheckedStudy, Implementation, OwnColumn
+from sinsjax.methods.filters.section import WHITE_NOISE, sensor_noise_density
+from sinsjax.methods.parameters import Columns
+from sinsjax.methods.without_start import describe_without_start
+from sinsjax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, PPM
+from sinsjax.value_types import AccelSigma, GyroSigma, NonNegative, Section
+
+LONGEST_BLOCK_S = 2.0
+
+
+class GravityFitSection(Section):
+    """[gravity_fit]: what the fit believes of the sensors; left out, it is what [sensors] says."""
+
+    fit_gyro_bias_deg_per_h: GyroSigma | None = Field(
+        None,
+        description="1 sigma of the gyro biases, deg/h; default: that of [sensors] or [drawn]",
+    )
+    fit_gyro_arw_deg_per_sqrt_h: NonNegative | None = Field(
+        None, description="angle random walk, deg/sqrt(h); default: that of [sensors]"
+    )
+    fit_gyro_scale_ppm: NonNegative | None = Field(
+        None,
+        description="1 sigma of the gyros' scale factors, ppm; default: that of [sensors] or"
+        " [drawn]",
+    )
+    fit_gyro_misalignment_arcsec: NonNegative | None = Field(
+        None,
+        description="1 sigma of the gyros' cross-axis errors, arcsec; default: that of [sensors]"
+        " or [drawn]",
+    )
+    fit_lever_arm_m: NonNegative | None = Field(
+        None,
+        description="1 sigma of each part of the lever arm from the turn axis to the sensors, m; 0"
+        " for sensors in it; default: that of [motion]",
+    )
+    fit_accel_bias_ug: AccelSigma | None = Field(
+        None,
+        description="1 sigma of the accelerometer biases, ug; default: that of [sensors] or"
+        " [drawn]",
+    )
+    fit_accel_vrw_ug_per_sqrt_hz: NonNegative | None = Field(
+        None, description="velocity random walk, ug/sqrt(Hz); default: that of [sensors]"
+    )
+
+
+_DEFAULTS = {
+    "fit_gyro_bias_deg_per_h": "gyro_bias_deg_per_h",
+    "fit_gyro_scale_ppm": "gyro_scale_ppm",
+    "fit_gyro_misalignment_arcsec": "gyro_misalignment_arcsec",
+    "fit_accel_bias_ug": "accel_bias_ug",
+    "fit_lever_arm_m": "lever_arm_m",
+}
+"""Keys of [sensors] and [motion] that a belief follows if it is left out."""
+
+_NOISE = {
+    "fit_gyro_arw_deg_per_sqrt_h": "q_gyro_deg_per_h",
+    "fit_accel_vrw_ug_per_sqrt_hz": "q_accel_ug",
+}
+"""Keys of Q whose white noise a density follows if it is left out."""
+
+
+def parameters(columns: Columns, site: Any, ug: float) -> Any:
+    """Return `fit.FitParams`, leaves (variants,)."""
+    from sinsjax.methods.gravity_fit.fit import FitParams
+    from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
+
+    def sigma(key: str, unit: float) -> NDArray:
+        given = columns.column(key, unit)
+        if not np.isnan(given).any():
+            return given
+        return np.where(np.isnan(given), columns.rms(_DEFAULTS[key]) * unit, given)
+
+    def noise(key: str, unit: float, default_unit: float) -> NDArray:
+        given, q_key = columns.column(key, unit), _NOISE[key]
+        if not np.isnan(given).any():
+            return given
+        white = partial(sensor_noise_density, q_key, columns.rate_hz)
+        sensors = columns.compute(white, *WHITE_NOISE[q_key][:2]) * default_unit
+        return np.where(np.isnan(given), sensors, given)
+
+    def drift(rms: str, time: str, walk: str, unit: float) -> tuple[Any, ...]:
+        if not columns.has("sensors"):
+            return ()
+        zero = np.zeros(columns.count)
+        variance, density = (columns.rms(rms) * unit) ** 2, (columns.rms(walk) * unit) ** 2 / 3600
+        drifts = []
+        if variance.any():
+            drifts.append(Drift(variance, 1 / columns.column(time), zero))
+        if density.any():
+            drifts.append(Drift(zero, zero, density))
+        return tuple(drifts)
+
+    scale = sigma("fit_gyro_scale_ppm", PPM)
+    cross = sigma("fit_gyro_misalignment_arcsec", ARCSEC)
+    lever = sigma("fit_lever_arm_m", 1.0)
+    accel = sigma("fit_accel_bias_ug", ug)
+    has_scale = bool(np.any(scale) or np.any(cross))
+    surge = None
+    if columns.has("sensors"):  # of a simulation, which has [motion] as well
+        # On a level base the reaction to gravity makes a bias of the axes' errors.
+        tilted = columns.rms("accel_misalignment_arcsec") * ARCSEC * site.place.gravity
+        accel = np.hypot(accel, tilted)
+        rms = columns.compute(_level_surge, "surge_m_per_s")
+        if rms.any():
+            zero = np.zeros(columns.count)
+            surge = Drift(rms**2, 1 / columns.column("surge_time_s"), zero)
+    return FitParams(
+        noise=SensorNoise(
+            gyro=noise("fit_gyro_arw_deg_per_sqrt_h", DEG_PER_SQRT_H, DEG_PER_H),
+            accel=noise("fit_accel_vrw_ug_per_sqrt_hz", ug, ug),
+            gyro_drifts=drift(*_GYRO_DRIFTS, DEG_PER_H),
+            accel_drifts=drift(*_ACCEL_DRIFTS, ug),
+            surge=surge,
+        ),
+        gyro_bias=sigma("fit_gyro_bias_deg_per_h", DEG_PER_H),
+        accel_bias=accel,
+        scale_factor=scale if has_scale else None,
+        cross_axis=cross if has_scale else None,
+        lever_arm=lever if np.any(lever) else None,
+    )
+
+
+_GYRO_DRIFTS = (
+    "gyro_instability_deg_per_h",
+    "gyro_instability_time_s",
+    "gyro_rrw_deg_per_h_per_sqrt_h",
+)
+_ACCEL_DRIFTS = ("accel_instability_ug", "accel_instability_time_s", "accel_rrw_ug_per_sqrt_h")
+
+
+def _level_surge(surge: Any) -> float:
+    """Return the larger rms velocity of the surge along east and north, m/s."""
+    return float(np.max(np.abs(np.broadcast_to(surge or 0.0, 3)[:2])))
+
+
+def _load() -> Implementation:
+    from sinsjax.methods.gravity_fit.method import build
+
+    return Implementation(build, parameters)
+
+
+def _gyro_bias(axis: int) -> Callable[[Any, float], NDArray]:
+    def value(results: Any, rate_hz: float) -> NDArray:
+        return np.asarray(results.gyro[0][axis]) / DEG_PER_H
+
+    return value
+
+
+def _gyro_bias_sigma(axis: int) -> Callable[[Any, float], NDArray]:
+    def value(results: Any, rate_hz: float) -> NDArray:
+        return np.sqrt(np.asarray(results.gyro_bias_variance[axis])) / DEG_PER_H
+
+    return value
+
+
+_AXES = ("right", "front", "up")
+
+COLUMNS = (
+    OwnColumn(
+        Column(
+            "fit_misfit",
+            pa.float64(),
+            "",
+            "root mean square of the fit's residuals over their sigma; 1 is expected, more than 3"
+            " is a doubt",
+        ),
+        lambda results, rate_hz: np.asarray(results.misfit),
+    ),
+    *(
+        OwnColumn(
+            Column(
+                f"fit_gyro_bias_{name}_deg_per_h",
+                pa.float64(),
+                "deg/h",
+                f"gyro bias of the {name} axis by the fit",
+            ),
+            _gyro_bias(axis),
+        )
+        for axis, name in enumerate(_AXES)
+    ),
+    *(
+        OwnColumn(
+            Column(f"fit_gyro_bias_{name}_sigma_deg_per_h", pa.float64(), "deg/h", "1 sigma of it"),
+            _gyro_bias_sigma(axis),
+        )
+        for axis, name in enumerate(_AXES)
+    ),
+)
+
+
+def _check_record_interval(study: CheckedStudy) -> None:
+    """Refuse record intervals beyond the length of a block."""
+    for point in study.combinations("method"):
+        if point["method"] == "gravity_fit" and study.record_interval_s > LONGEST_BLOCK_S:
+            text = f"gravity_fit needs at most {LONGEST_BLOCK_S:g} s (its blocks are as long)"
+            study.refuse("record_interval_s", text)
+
+
+def _check_beliefs(study: CheckedStudy) -> None:
+    """Require what a record cannot say of its sensors, and what the sensors do not have."""
+    if not study.is_recorded:
+        return
+    keys = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug", *_NOISE)
+    for point in study.combinations("method", *keys):
+        missing = [key for key in keys if point[key] is None]
+        if point["method"] == "gravity_fit" and missing:
+            study.refuse(missing[0], "required with a record (from the sensors' data sheet)")
+
+
+GRAVITY_FIT = describe_without_start(
+    name="gravity_fit",
+    summary="least squares of the turn of gravity with the sensor biases as unknowns: for a base"
+    " that is turned",
+    source="`methods.gravity_fit.fit`",
+    sections={"gravity_fit": GravityFitSection},
+    load=_load,
+    has_floor=False,
+    stores_blocks=True,
+    columns=COLUMNS,
+    step_s=10e-9,
+)

@@ -1,0 +1,432 @@
+"""Least squares of the turn of gravity in inertial space, with the sensor biases as unknowns.
+
+The gyros carry the specific force to an inertial frame l, level at the first sample and of unknown
+heading. There gravity's reaction turns with the Earth. Blocks j of length h, about a second, give
+level velocity increments; with a complex number for the two level axes,
+
+    y_j = g h c G_j + g h U_j (k_y - i k_x) + sum over the errors e of X_j e + noise,
+    G = cos L sin Wt + i cos L sin L (1 - cos Wt),    U = 1 - cos^2 L (1 - cos Wt).
+
+c = e^{i heading of l} turns east and north to the axes of l, k is the tilt of l. Gyro errors rotate
+l by p(t) = sum of C d(angle), which for a constant bias b is P(t) b:
+
+    X_j b = g h [U (p_y - i p_x) + i c G p_z],
+
+and accelerometer errors enter as the level part of C a h. White noise of the gyros adds a random
+walk w to p, so that the sums over the blocks need a whitening filter: a Kalman filter of w, whose
+innovations are independent. It filters every column alike. Then
+
+    N = Re sum of x x^*,    N e = Re sum of x z^*
+
+has the prior of the biases on its diagonal.
+
+The first pass takes c for an arbitrary complex number, which makes it linear from any heading. Each
+further pass carries the blocks again without the biases found, levels l, and solves for a small
+change of the heading: Gauss-Newton. X follows from the modelled force; the measured one would make
+the sigma several per cent too small.
+
+The attitude at the end is C = Rz(-heading) exp(-(P b + k + w)) C_b^l, so its misalignment is linear
+in the errors as well: a gyro bias along the vertical, which nothing shows on a base that does not
+tilt, leaves P_z b.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from sinsjax.maths import rotations
+from sinsjax.maths.algebra import add, cross, scale
+from sinsjax.methods.base import AttitudeCovariance
+from sinsjax.methods.gravity_fit.noise import (
+    SensorNoise,
+    heading_variance,
+    noise_model,
+    predict,
+    times,
+)
+from sinsjax.strapdown.earth import Place
+from sinsjax.types import Array, Count, Quat, Scalar, Vec3
+
+PASSES = 3
+"""Two passes suffice up to a gyro bias of 10 deg/h, three up to 50."""
+
+NUMBERS = 17
+"""Numbers of a block."""
+
+HEADING, GYRO = 1, 4
+"""Places of unknowns: |c|, heading, two tilts, the gyro errors, accelerometer biases, lever arm."""
+
+_KNOWN = 1e-9
+"""Standard deviation of |c| after the first pass."""
+_LEVEL_SIGMA = 1.0
+"""Standard deviation of tilt and heading before the data, rad: none."""
+
+
+_AXES = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
+
+
+class FitParams(NamedTuple):
+    """Beliefs about sensors and base, SI units.
+
+    Attributes:
+        noise: random errors.
+        gyro_bias: 1 sigma of each gyro's bias, rad/s.
+        accel_bias: 1 sigma of each accelerometer's bias, m/s^2.
+        scale_factor: 1 sigma of the gyros' scale factors; None leaves them, and the cross-axis
+            errors, out.
+        cross_axis: 1 sigma of their cross-axis errors, rad.
+        lever_arm: 1 sigma of each part of the lever arm from the turn axis to the sensors, m; None
+            for sensors in it.
+    """
+
+    noise: SensorNoise
+    gyro_bias: Scalar
+    accel_bias: Scalar
+    scale_factor: Scalar | None = None
+    cross_axis: Scalar | None = None
+    lever_arm: Scalar | None = None
+
+
+class Block(NamedTuple):
+    """The samples of about a second.
+
+    Attributes:
+        turn: rotation of the body.
+        half: rotation by half the angle about the same axis.
+        angle: rotation vector of ``turn``, rad.
+        dv: velocity increment in b at the start, m/s.
+        rate: angular rate in b at the end, rad/s.
+    """
+
+    turn: Quat
+    half: Quat
+    angle: Vec3
+    dv: Vec3
+    rate: Vec3
+
+    @classmethod
+    def of_turn(cls, turn: Quat, dv: Vec3, rate: Vec3) -> "Block":
+        """Return the block of a rotation, a velocity increment and the rate at its end."""
+        angle = rotations.log(turn)
+        return cls(turn, rotations.exp(scale(0.5, angle)), angle, dv, rate)
+
+    @classmethod
+    def of_row(cls, row: Array) -> "Block":
+        """Return the block of its numbers."""
+        vectors = (Vec3(*row[i : i + 3]) for i in (8, 11, 14))
+        return cls(Quat(*row[:4]), Quat(*row[4:8]), *vectors)
+
+    def row(self) -> Array:
+        """Return its `NUMBERS`."""
+        return jnp.stack(jax.tree.leaves(self))
+
+    def without_errors(self, gyro: tuple[Vec3, ...], length_s: float) -> Quat:
+        """Return the rotation of the body without gyro errors, see `Solution.gyro`."""
+        total = scale(length_s, gyro[0])
+        for factor, triad in zip(self.angle, gyro[1:], strict=False):
+            total = add(total, scale(factor, triad))
+        middle = scale(4.0, rotations.rotate(self.half, total))
+        mean = scale(1 / 6, add(add(total, middle), rotations.rotate(self.turn, total)))
+        return rotations.multiply(rotations.exp(scale(-1.0, mean)), self.turn)
+
+
+class Solution(NamedTuple):
+    """The result of a fit.
+
+    Attributes:
+        attitude: C_{b0}^{n0} that carries the body frame at the first sample to n at that time,
+            such that the attitude at the fit is that of the last block.
+        gyro: triads of gyro errors in b: the bias, rad/s; then, if they are unknowns, the columns
+            of the matrix of scale factors and cross-axis errors.
+        accel_bias: m/s^2, in b.
+        gyro_bias_variance: of each axis, (rad/s)^2.
+        covariance: of the misalignment at the last block, in n0.
+        misfit: root mean square of the whitened residuals, 1 if the noise is as believed.
+    """
+
+    attitude: Quat
+    gyro: tuple[Vec3, ...]
+    accel_bias: Vec3
+    gyro_bias_variance: Vec3
+    covariance: AttitudeCovariance
+    misfit: Scalar
+
+
+class _Guess(NamedTuple):
+    """The point of linearisation.
+
+    Attributes:
+        level: C_{b0}^l.
+        heading: c of unit length, real and imaginary part.
+        gyro: triads by which the rotation of a block is wrong: bias, then columns of the matrix of
+            scale factors and cross-axis errors.
+        accel: accelerometer bias.
+        lever: lever arm in b; None if it is no unknown.
+    """
+
+    level: Quat
+    heading: tuple[Scalar, Scalar]
+    gyro: tuple[Vec3, ...]
+    accel: Vec3
+    lever: Vec3 | None = None
+
+
+class _Sums(NamedTuple):
+    """A pass up to a block; complex numbers stand for the level axes of l.
+
+    Attributes:
+        body: C_b^l at the end of the block.
+        turned: P, columns of how far each gyro error has rotated l, Vec3 by unknown.
+        swung: velocity in l per lever arm along each axis of b.
+        walk: (unknowns + 1, 2) estimates of w, of the drifts and of the surge for each column, and
+            last for the measurements.
+        variance: their covariance, per axis, by pairs i <= k.
+        normal: rows of the upper triangle of N, with the measurements as last column.
+    """
+
+    body: Quat
+    turned: tuple[Vec3, ...]
+    swung: tuple[Vec3, ...]
+    walk: tuple[Array, ...]
+    variance: dict[tuple[int, int], Scalar]
+    normal: tuple[Array, ...]
+
+
+def solve(
+    params: FitParams, place: Place, blocks: Array, count: Count, length_s: float
+) -> tuple[Solution, Quat]:
+    """Fit attitude and biases to the blocks so far; also return C_b^{b0} at their end.
+
+    Args:
+        params: beliefs about the sensors.
+        place: Earth rates and gravity.
+        blocks: (most, `NUMBERS`), see `Block`.
+        count: number of blocks so far, at least 2.
+        length_s: length of a block, s.
+    """
+    first = Block.of_row(blocks[0]).dv
+    zero = jnp.zeros_like(first.x)
+    none = Vec3(zero, zero, zero)
+    triads = 1 if params.scale_factor is None else 4
+    lever = None if params.lever_arm is None else none
+    guess = _Guess(_level(first), (zero + 1, zero), (none,) * triads, none, lever)
+
+    def over_pass(number: Count, carry: tuple[_Guess, Any]) -> tuple[_Guess, Any]:
+        guess, _ = carry
+        return _run_pass(params, place, blocks, count, length_s, guess, number == 0)
+
+    covariance = AttitudeCovariance(*(zero,) * 6)
+    start = Solution(guess.level, guess.gyro, none, none, covariance, zero), guess.level
+    return jax.lax.fori_loop(0, PASSES, over_pass, (guess, start))[1]
+
+
+def _run_pass(
+    params: FitParams,
+    place: Place,
+    blocks: Array,
+    count: Count,
+    length_s: float,
+    guess: _Guess,
+    is_first: Any,
+) -> tuple[_Guess, tuple[Solution, Quat]]:
+    """Return the next guess; and its solution, with C_b^{b0} at the end."""
+    zero = jnp.zeros_like(guess.accel.x)
+    gyros = 3 * len(guess.gyro)
+    accels = GYRO + gyros
+    n = accels + (3 if guess.lever is None else 6)
+    known = jnp.where(is_first, 0.0, 1.0)
+    rate_ie = jnp.hypot(place.rate_n, place.rate_u)
+    cos_l, sin_l = place.rate_n / rate_ie, place.rate_u / rate_ie
+    gh = place.gravity * length_s
+    noise = noise_model(params.noise, place.gravity, length_s)
+
+    def over_block(j: Count, sums: _Sums) -> _Sums:
+        block = Block.of_row(jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False))
+        turn, half, angle, dv, rate = block
+        # Mean of the body's axes over the block, of the angle turned (Simpson's rule).
+        c0, c1 = rotations.matrix(half), rotations.matrix(turn)
+        mean = tuple(
+            Vec3(
+                *((i == k) / 6 + (4 * a + b) / 6 for k, (a, b) in enumerate(zip(u, v, strict=True)))
+            )
+            for i, (u, v) in enumerate(zip(c0, c1, strict=True))
+        )
+        columns = tuple(Vec3(*column) for column in zip(*mean, strict=True))
+        # Rotation of the block by each gyro error, in b at its start.
+        factors = (length_s, *angle)[: len(guess.gyro)]
+        errors = [scale(f, column) for f in factors for column in columns]
+        estimate = Vec3(zero, zero, zero)
+        for value, error in zip((v for triad in guess.gyro for v in triad), errors, strict=True):
+            estimate = add(estimate, scale(value, error))
+        dv = add(dv, scale(-0.5, cross(estimate, dv)))
+        accel = [scale(length_s, column) for column in columns]
+        for value, error in zip(guess.accel, accel, strict=True):
+            dv = add(dv, scale(-value, error))
+        force = rotations.rotate(sums.body, dv)
+        corrected = rotations.multiply(rotations.exp(scale(-1.0, estimate)), turn)
+        body = rotations.multiply(sums.body, corrected)
+
+        # The Earth at mid-block
+        t = (j + 0.5) * length_s
+        wt = rate_ie * t
+        versed = 2 * jnp.sin(0.5 * wt) ** 2
+        east, north = cos_l * jnp.sin(wt), cos_l * sin_l * versed
+        up = 1 - cos_l**2 * versed
+        ce, cn = guess.heading
+        gx, gy = ce * east - cn * north, cn * east + ce * north  # c G
+        # In the first pass c is unknown, and the amplitude is that of c itself.
+        mx, my = known * gx, known * gy
+
+        in_l = [rotations.rotate(sums.body, error) for error in errors]
+        middle = [add(a, scale(0.5, b)) for a, b in zip(sums.turned, in_l, strict=True)]
+        x: list[tuple[Scalar, Scalar]] = [
+            (gh * gx, gh * gy),
+            (-gh * gy, gh * gx),
+            (zero, -gh * up),
+            (gh * up, zero),
+        ]
+        x += [(gh * (up * p.y - my * p.z), gh * (mx * p.z - up * p.x)) for p in middle]
+        x += [(a.x, a.y) for a in (rotations.rotate(sums.body, error) for error in accel)]
+        swung: tuple[Vec3, ...] = ()
+        if guess.lever is not None:
+            spin = tuple(rotations.rotate(body, cross(rate, axis)) for axis in _AXES)
+            gained = [add(a, scale(-1.0, b)) for a, b in zip(spin, sums.swung, strict=True)]
+            x += [(a.x, a.y) for a in gained]
+            for value, a in zip(guess.lever, gained, strict=True):
+                force = add(force, scale(-value, a))
+            swung = spin
+        x += [(force.x - gh * mx, force.y - gh * my)]
+
+        turned_up = rotations.rotate(sums.body, angle).z
+        step, gain, s, variance = predict(noise, sums.variance, turned_up)
+        residual = jnp.stack([jnp.stack(row) for row in x])
+        for h, estimates in zip(noise.seen, sums.walk, strict=True):
+            residual = residual - h * estimates
+        walk = []
+        for row, k in zip(step, gain, strict=True):
+            parts = [times(f, w) for f, w in zip(row, sums.walk, strict=True) if f is not None]
+            walk.append(sum(parts) + times(k, residual))
+        # Row by row: what a row needs stays in the registers.
+        normal = tuple(
+            old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s
+            for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
+        )
+        return _Sums(
+            body,
+            tuple(add(a, b) for a, b in zip(sums.turned, in_l, strict=True)),
+            swung,
+            tuple(walk),
+            variance,
+            normal,
+        )
+
+    none = Vec3(zero, zero, zero)
+    start = _Sums(
+        guess.level,
+        (none,) * gyros,
+        () if guess.lever is None else (none,) * 3,
+        (jnp.zeros((n + 1, 2)) + zero,) * len(noise.seen),
+        noise.initial,
+        tuple(jnp.zeros(n + 1 - i) + zero for i in range(n + 1)),
+    )
+    end = jax.lax.fori_loop(0, count, over_block, start)
+
+    sigmas = _prior(params, guess, is_first)
+    found = [*(v for triad in guess.gyro for v in triad), *guess.accel, *(guess.lever or ())]
+    prior_mean = jnp.stack([zero, zero, zero, zero, *found])
+    upper = jnp.stack([jnp.pad(row, (i, 0)) for i, row in enumerate(end.normal)])
+    whole = upper + jnp.triu(upper, 1).T
+    matrix, right = whole[:n, :n], whole[:n, n]
+    # A known unknown, of sigma 0, is left out. The others differ by ten powers of ten: they are
+    # scaled to the same information, without which the inverse would lose the small variances.
+    belief = jnp.where(sigmas > 0, 1 / jnp.where(sigmas > 0, sigmas, 1.0) ** 2, 0.0)
+    size = jnp.where(sigmas > 0, 1 / jnp.sqrt(jnp.diagonal(matrix) + belief + (sigmas <= 0)), 0.0)
+    scaled = matrix * size[:, None] * size[None, :]
+    scaled = scaled + jnp.diag(jnp.where(sigmas > 0, belief * size**2, 1.0))
+    covariance = jnp.linalg.inv(scaled) * size[:, None] * size[None, :]
+    # The belief is about the whole bias, of which the guess has a part.
+    unknown = covariance @ (right - belief * prior_mean)
+
+    amplitude, heading, kx, ky = unknown[:4]
+    moved = unknown[GYRO:accels]
+    # The misalignment of the attitude at the end, in l: rows over the unknowns
+    level_x = [zero, zero, zero + 1, zero] + [p.x for p in end.turned] + [zero] * (n - accels)
+    level_y = [zero, zero, zero, zero + 1] + [p.y for p in end.turned] + [zero] * (n - accels)
+    about_up = [zero, zero, zero, zero] + [p.z for p in end.turned] + [zero] * (n - accels)
+    rows = jnp.stack([jnp.stack(row) for row in (level_x, level_y, about_up)])
+    # w = p_y - i p_x of the white noise: what the last blocks say of it
+    of_walk = jnp.stack([-end.walk[0][:, 1], end.walk[0][:, 0], jnp.zeros(n + 1) + zero])
+    rows = rows - of_walk[:, :n]
+    rotation = rows @ unknown + of_walk[:, n]
+    with_heading = rows.at[2, HEADING].add(1.0)
+    in_l = with_heading @ covariance @ with_heading.T
+    of_level = end.variance[0, 0]
+    of_heading = heading_variance(params.noise, count * length_s)
+    in_l = in_l + jnp.diag(jnp.stack([of_level, of_level, of_heading]))
+
+    ce, cn = guess.heading
+    real, imaginary = known + amplitude, heading
+    ce, cn = ce * real - cn * imaginary, cn * real + ce * imaginary
+    norm = jnp.hypot(ce, cn)
+    ce, cn = ce / norm, cn / norm
+    later = _Guess(
+        rotations.multiply(rotations.exp(Vec3(-kx, -ky, zero)), guess.level),
+        (ce, cn),
+        tuple(add(triad, Vec3(*moved[3 * i : 3 * i + 3])) for i, triad in enumerate(guess.gyro)),
+        add(guess.accel, Vec3(*unknown[accels : accels + 3])),
+        None if guess.lever is None else add(guess.lever, Vec3(*unknown[accels + 3 :])),
+    )
+    to_n0 = _about_up(ce, -cn)
+    body = rotations.multiply(rotations.exp(Vec3(*(-rotation))), end.body)
+    last = rotations.multiply(to_n0, body)
+    carried = rotations.multiply(rotations.conjugate(guess.level), end.body)
+    attitude = rotations.multiply(last, rotations.conjugate(carried))
+    c = jnp.stack([jnp.stack(row) for row in rotations.matrix(to_n0)])
+    in_n0 = c @ in_l @ c.T
+    residual = whole[n, n] - unknown @ right
+    misfit = jnp.sqrt(jnp.maximum(residual, 0.0) / (2 * count - 4))
+    variance = jnp.diagonal(covariance)[GYRO : GYRO + 3]
+    solution = Solution(
+        attitude,
+        later.gyro,
+        later.accel,
+        Vec3(*variance),
+        AttitudeCovariance(*(in_n0[i, k] for i in range(3) for k in range(i, 3))),
+        misfit,
+    )
+    return later, (solution, carried)
+
+
+def _prior(params: FitParams, guess: _Guess, is_first: Any) -> Array:
+    zero = jnp.zeros_like(guess.accel.x)
+    level = zero + _LEVEL_SIGMA
+    sigmas = [jnp.where(is_first, 1e3, _KNOWN) + zero, 1e3 * level, level, level]
+    sigmas += [params.gyro_bias + zero] * 3
+    if params.scale_factor is not None:
+        sigmas += [
+            (params.scale_factor if i == k else params.cross_axis) + zero
+            for k in range(3)
+            for i in range(3)
+        ]
+    sigmas += [params.accel_bias + zero] * 3
+    if params.lever_arm is not None:
+        sigmas += [params.lever_arm + zero] * 3
+    return jnp.stack(sigmas)
+
+
+def _about_up(cos: Scalar, sin: Scalar) -> Quat:
+    """Return the rotation about z by an angle of known cosine and sine."""
+    angle = jnp.arctan2(sin, cos)
+    zero = jnp.zeros_like(angle)
+    return Quat(jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2))
+
+
+def _level(force: Vec3) -> Quat:
+    """Return the least rotation that turns a specific force upwards."""
+    length = jnp.sqrt(force.x**2 + force.y**2 + force.z**2)
+    x, y, z = force.x / length, force.y / length, force.z / length
+    # Axis force x up = (y, -x, 0); half angle from 1 + cos
+    w = 1 + z
+    norm = jnp.sqrt(w * w + x * x + y * y)
+    return Quat(w / norm, y / norm, -x / norm, jnp.zeros_like(w))

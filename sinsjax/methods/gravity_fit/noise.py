@@ -1,0 +1,168 @@
+"""Noise of the blocks that `fit` whitens: a Kalman filter of its slow parts.
+
+A complex number stands for the two level axes of l. White noise of the gyros makes a random walk w
+of the tilt, p_y - i p_x; drifts of the gyros add to it, drifts of the accelerometers and the surge
+of the base to the measurement. Drifts belong to axes of the body, and turn in l as the body turns,
+by a phase. The noise of both axes is alike, so each covariance is that of one axis.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from sinsjax.types import Array, Scalar
+
+
+class Drift(NamedTuple):
+    """A slow error of each axis of a triad, or the surge: a first-order process.
+
+    Attributes:
+        variance: at the first sample; that of a stationary process if ``rate`` is not zero.
+        rate: 1 over its correlation time, 1/s; 0 for a random walk.
+        density: variance that a random walk gains per second.
+    """
+
+    variance: Scalar
+    rate: Scalar
+    density: Scalar
+
+    def kept(self, length_s: float) -> Scalar:
+        """Return the share of it that is left after a time."""
+        return jnp.exp(-self.rate * length_s)
+
+    def driven(self, length_s: float) -> Scalar:
+        """Return the variance that it gains in a time."""
+        return self.variance * -jnp.expm1(-2 * self.rate * length_s) + self.density * length_s
+
+
+class SensorNoise(NamedTuple):
+    """The noise of the sensors and of the base, SI units.
+
+    Attributes:
+        gyro: density of the gyros' white noise, rad/s^0.5.
+        accel: density of the accelerometers' white noise, m/s^1.5.
+        gyro_drifts: of each gyro, rad/s.
+        accel_drifts: of each accelerometer, m/s^2.
+        surge: velocity of the base along east and north, m/s; None for a base in place.
+    """
+
+    gyro: Scalar
+    accel: Scalar
+    gyro_drifts: tuple[Drift, ...] = ()
+    accel_drifts: tuple[Drift, ...] = ()
+    surge: Drift | None = None
+
+
+class NoiseModel(NamedTuple):
+    """Noise of the blocks as complex states of the level axes: w, then drifts, then the surge.
+
+    Attributes:
+        seen: factor of each state in a measurement.
+        kept: share of each state that is left after a block.
+        turns: whether a state turns with the body, whose axes it belongs to.
+        to_walk: factor with which each state adds to w.
+        driven: variance that each gains in a block.
+        shared: covariance of that with the noise of the measurement.
+        measured: variance of that noise.
+        initial: covariance of the states before the first block, by pairs i <= k.
+    """
+
+    seen: tuple[Scalar, ...]
+    kept: tuple[Scalar, ...]
+    turns: tuple[bool, ...]
+    to_walk: tuple[Scalar, ...]
+    driven: tuple[Scalar, ...]
+    shared: tuple[Scalar, ...]
+    measured: Scalar
+    initial: dict[tuple[int, int], Scalar]
+
+
+def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseModel:
+    """Return the model of blocks of a length."""
+    h, zero = length_s, jnp.zeros_like(noise.gyro)
+    gh, q = gravity * h, noise.gyro**2 * h
+    # The measurement sees the mean of w over the block, of which half and a third are new.
+    states = [(gh, zero + 1, False, zero, q, gh * q / 2, zero)]
+    for drift in noise.gyro_drifts:
+        kept, driven = drift.kept(h), drift.driven(h)
+        states.append((gh * h / 2, kept, True, zero + h, driven, zero, drift.variance))
+    for drift in noise.accel_drifts:
+        kept, driven = drift.kept(h), drift.driven(h)
+        states.append((zero + h, kept, True, zero, driven, zero, drift.variance))
+    measured = gh**2 * q / 3 + noise.accel**2 * h
+    if noise.surge is not None:
+        kept, driven = noise.surge.kept(h), noise.surge.driven(h)
+        states.append((kept - 1, kept, False, zero, driven, driven, noise.surge.variance))
+        measured = measured + driven
+    seen, kept, turns, to_walk, driven, shared, variances = zip(*states, strict=True)
+    n = len(states)
+    initial = {(i, k): variances[i] if i == k else zero + 0j for i in range(n) for k in range(i, n)}
+    return NoiseModel(seen, kept, turns, to_walk, driven, shared, measured, initial)
+
+
+def predict(
+    noise: NoiseModel, variance: dict[tuple[int, int], Scalar], turned: Scalar
+) -> tuple[list[list[Scalar | None]], list[Scalar], Scalar, dict[tuple[int, int], Scalar]]:
+    """Return transition, gain, innovation variance and the covariance after a block.
+
+    Args:
+        noise: model of the blocks.
+        variance: covariance before the block.
+        turned: angle by which the body turned about the vertical, rad.
+    """
+    states = range(len(noise.seen))
+
+    def p(i: int, k: int) -> Scalar:
+        return variance[i, k] if i <= k else jnp.conj(variance[k, i])
+
+    phase = jnp.exp(1j * turned) if any(noise.turns) else None
+    step: list[list[Scalar | None]] = [[None for _ in states] for _ in states]
+    for i in states:
+        step[i][i] = noise.kept[i] * phase if noise.turns[i] else noise.kept[i]
+        if i and noise.turns[i]:
+            step[0][i] = noise.to_walk[i]
+    seen = [sum(p(i, k) * noise.seen[k] for k in states) for i in states]
+    s = noise.measured + sum(jnp.real(noise.seen[i] * seen[i]) for i in states)
+    moved = [
+        sum(f * seen[k] for k, f in enumerate(row) if f is not None) + noise.shared[i]
+        for i, row in enumerate(step)
+    ]
+    half = [
+        [sum(f * p(j, k) for j, f in enumerate(row) if f is not None) for k in states]
+        for row in step
+    ]
+    after = {}
+    for i in states:
+        for k in states[i:]:
+            value = (
+                sum(half[i][j] * jnp.conj(f) for j, f in enumerate(step[k]) if f is not None)
+                - moved[i] * jnp.conj(moved[k]) / s
+            )
+            after[i, k] = jnp.real(value) + noise.driven[i] if i == k else value + 0j
+    return step, [m / s for m in moved], s, after
+
+
+def times(factor: Scalar, pairs: Array) -> Array:
+    """Return a number, maybe complex, times complex numbers in pairs, (n, 2)."""
+    if not jnp.iscomplexobj(factor):
+        return factor * pairs
+    real, imaginary = jnp.real(factor), jnp.imag(factor)
+    return jnp.stack(
+        [
+            real * pairs[:, 0] - imaginary * pairs[:, 1],
+            imaginary * pairs[:, 0] + real * pairs[:, 1],
+        ],
+        axis=-1,
+    )
+
+
+def heading_variance(noise: SensorNoise, time_s: Scalar) -> Scalar:
+    """Return the variance by which noise and drift of the vertical gyro turn the heading."""
+    total = noise.gyro**2 * time_s
+    for drift in noise.gyro_drifts:
+        x = drift.rate * time_s
+        small = x < 1e-2
+        large = jnp.where(small, 1.0, x)
+        share = jnp.where(small, 1 - x / 3, 2 * (large + jnp.expm1(-large)) / large**2)
+        total = total + drift.variance * time_s**2 * share + drift.density * time_s**3 / 3
+    return total

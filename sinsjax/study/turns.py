@@ -1,0 +1,226 @@
+"""Turns of the base in whole samples, from their keys in [motion], and the rules between these."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from sinsjax.errors import InputError
+from sinsjax.methods.registry import METHODS
+from sinsjax.study.schema import TURN_KEYS
+from sinsjax.study.study import Study
+from sinsjax.units import DEG
+from sinsjax.value_types import ROUNDING
+
+MOST_TURN_PER_SAMPLE = 0.1
+"""Fastest turn, rad per sample: coning and sculling compensation leave little of such a turn."""
+
+DEFAULTS = {"turn_angles_deg": 180.0, "turn_rate_deg_per_s": 10.0, "turn_ramp_s": 1.0}
+"""Defaults of a study with turns."""
+
+
+_MANY_TURNS_DEG = 720.0
+
+
+class Turn(NamedTuple):
+    """One turn in whole samples.
+
+    Attributes:
+        begin: sample at which the ramp up begins.
+        length: samples from there to the beginning of the ramp down.
+        angle_deg: signed angle.
+        rate_deg_per_s: signed rate after the ramp.
+    """
+
+    begin: int
+    length: int
+    angle_deg: float
+    rate_deg_per_s: float
+
+
+class SampledTurns(NamedTuple):
+    """The turns of a run.
+
+    Attributes:
+        turns: by time; none begins after the end.
+        ramp: samples of a ramp.
+        changes: text for each value that whole samples have changed.
+    """
+
+    turns: tuple[Turn, ...]
+    ramp: int
+    changes: tuple[str, ...]
+
+    def turned_deg(self, end: int) -> float:
+        """Return the sum of the magnitudes of all angles turned by a sample."""
+        return sum(min(1.0, (end - t.begin) / t.length) * abs(t.angle_deg) for t in self.turns)
+
+
+class TurnError(ValueError):
+    """Turns that no base can make, or that samples do not resolve.
+
+    Attributes:
+        key: the key to change.
+    """
+
+    def __init__(self, key: str, text: str) -> None:
+        """Take the key and the reason."""
+        super().__init__(text)
+        self.key = key
+
+
+def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> SampledTurns:
+    """Return the turns of a run in whole samples.
+
+    Begin, length and ramp of a turn are rounded to samples, and its rate is adjusted for its exact
+    angle, unless the run ends within the turn.
+
+    Args:
+        rate_hz: sample rate, Hz.
+        end_s: length of the data, s.
+        values: values of `TURN_KEYS`; None for a key that is left out.
+
+    Raises:
+        TurnError: turns that overlap, begin after the end or are too fast for the samples.
+    """
+    times_s = values["turn_times_s"] or ()
+    angle, rate, ramp_s = (
+        values[key] if values[key] is not None else default for key, default in DEFAULTS.items()
+    )
+    angles = angle if isinstance(angle, tuple) else (angle,) * len(times_s)
+    _check_values(rate_hz, end_s, times_s, angles, rate, ramp_s)
+    changes: list[str] = []
+
+    def samples(name: str, time_s: float, least: int = 0) -> int:
+        count = max(least, round(time_s * rate_hz))
+        if abs(count - time_s * rate_hz) > ROUNDING * max(1.0, count):
+            changes.append(f"{name} {time_s:.12g} s to {count / rate_hz:.12g} s")
+        return count
+
+    end, ramp = math.ceil(end_s * rate_hz * (1 - ROUNDING)), samples("ramp", ramp_s, 1)
+    turns = []
+    for time_s, angle_deg in zip(times_s, angles, strict=True):
+        begin, whole = samples("begin", time_s), abs(angle_deg) / rate * rate_hz
+        length, exact = math.ceil(whole), math.copysign(rate, angle_deg)
+        if begin + whole < end:
+            length = max(1, round(whole))
+            exact = angle_deg * rate_hz / length
+            if abs(whole - length) > ROUNDING * length:
+                changes.append(f"rate {rate:.12g} deg/s to {abs(exact):.12g} deg/s")
+        turns.append(Turn(begin, length, angle_deg, exact))
+    if values["turn_repeat_s"] is not None and turns:
+        period = samples("repetition", values["turn_repeat_s"], 1)
+        repeats = range(1 + max(0, end - 1 - turns[0].begin) // period)
+        _check_overlap(rate_hz, [*turns, turns[0]._replace(begin=turns[0].begin + period)], ramp)
+        repeated = (t._replace(begin=t.begin + n * period) for n in repeats for t in turns)
+        turns = [turn for turn in repeated if turn.begin < end]
+    _check_overlap(rate_hz, turns, ramp)
+    return SampledTurns(tuple(turns), ramp, tuple(dict.fromkeys(changes)))
+
+
+def _check_values(
+    rate_hz: float,
+    end_s: float,
+    times_s: tuple[float, ...],
+    angles: tuple[float, ...],
+    rate: float,
+    ramp_s: float,
+) -> None:
+    if len(angles) != len(times_s):
+        text = f"has {len(angles)} angles for {len(times_s)} turns (give one for all, or one each)"
+        raise TurnError("turn_angles_deg", text)
+    if 0 in angles:
+        raise TurnError("turn_angles_deg", "0 is no turn (drop it, and its time)")
+    if rate * DEG / rate_hz > MOST_TURN_PER_SAMPLE * (1 + ROUNDING):
+        most = math.floor(MOST_TURN_PER_SAMPLE * rate_hz / DEG * 10) / 10
+        text = f"{rate:.12g} deg/s is faster than the samples resolve"
+        raise TurnError(
+            "turn_rate_deg_per_s", f"{text} (at most {most:g} deg/s at rate_hz = {rate_hz:.12g})"
+        )
+    if ramp_s * rate_hz < 1 - ROUNDING:
+        text = f"{ramp_s:.12g} s is shorter than a sample of {1 / rate_hz:.12g} s (give a longer)"
+        raise TurnError("turn_ramp_s", text)
+    if times_s and times_s[-1] >= end_s * (1 - ROUNDING):
+        late_s = next(time_s for time_s in times_s if time_s >= end_s * (1 - ROUNDING))
+        text = f"the turn at {late_s:.12g} s begins after the end of the data, at {end_s:.12g} s"
+        raise TurnError("turn_times_s", f"{text} (turn earlier, or give longer runs)")
+
+
+def _check_overlap(rate_hz: float, turns: list[Turn], ramp: int) -> None:
+    for turn, following in zip(turns, turns[1:], strict=False):
+        end = turn.begin + turn.length + ramp
+        if end > following.begin:
+            text = f"the turn at {turn.begin / rate_hz:.12g} s ends at {end / rate_hz:.12g} s"
+            text += f", after the next one begins, at {following.begin / rate_hz:.12g} s"
+            raise TurnError("turn_times_s", f"{text} (leave more time, or turn faster)")
+
+
+def data_end_s(study: Study) -> float:
+    """Return the length of the data that the longest run reads, s."""
+    return max(s.records_read for s in study.distinct_spans) * study.record_every / study.rate_hz
+
+
+def check_turn_keys(study: Study, key_tables: Mapping[str, str]) -> None:
+    """Refuse keys of turns in a study without turns."""
+    if "turn_times_s" in key_tables:
+        return
+    for key in TURN_KEYS:
+        if key in key_tables:
+            text = "requires turn_times_s (give it, or drop this)"
+            raise InputError(f"{key_tables[key]} {key}: {text}")
+
+
+def check_turns(study: Study, key_tables: Mapping[str, str]) -> None:
+    """Refuse turns that overlap, begin after the end of the data or are too fast for the samples.
+
+    Raises:
+        InputError: ``[section] key: what is wrong (hint)``.
+    """
+    if study.is_recorded:
+        return
+    for point in study.combinations(*TURN_KEYS):
+        if point["turn_times_s"]:
+            try:
+                turns_in_samples(study.rate_hz, data_end_s(study), point)
+            except TurnError as error:
+                place = key_tables.get(error.key, "[motion]")
+                raise InputError(f"{place} {error.key}: {error}") from None
+
+
+def turns_base(study: Study) -> bool:
+    """Return whether the base is turned in some variant."""
+    if study.is_recorded:
+        return False
+    return any(point["turn_times_s"] for point in study.combinations("turn_times_s"))
+
+
+def useless_methods(study: Study) -> Iterator[str]:
+    """Yield one line per method of the study that cannot use its turns."""
+    good = ", ".join(name for name, method in METHODS.items() if method.turning == "any")
+    seen = set[str]()
+    for point in study.combinations("method", *TURN_KEYS) if not study.is_recorded else ():
+        name, turning = point["method"], METHODS[point["method"]].turning
+        if name in seen or not point["turn_times_s"] or turning in (None, "any"):
+            continue
+        plan, end = turns_in_samples(study.rate_hz, data_end_s(study), point), data_end_s(study)
+        if turning == "many" and plan.turned_deg(round(end * study.rate_hz)) >= _MANY_TURNS_DEG:
+            continue
+        seen.add(name)
+        few = " unless it makes many" if turning == "many" else ""
+        yield (
+            f"[alignment] method: {name} does not average gyro biases over the turns of a base"
+            f"{few} (use {good})"
+        )
+
+
+def describe_rounding(study: Study) -> Iterator[str]:
+    """Yield one line if whole samples change the times or rates of turns."""
+    if not turns_base(study):
+        return
+    points = study.combinations(*TURN_KEYS)
+    plans = [
+        turns_in_samples(study.rate_hz, data_end_s(study), p) for p in points if p["turn_times_s"]
+    ]
+    changes = list(dict.fromkeys(change for plan in plans for change in plan.changes))
+    if changes:
+        more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
+        yield f"Turns are rounded to whole samples: {', '.join(changes[:3])}{more}."
