@@ -149,9 +149,12 @@ def _check_overlap(rate_hz: float, turns: list[Turn], ramp: int) -> None:
     for turn, following in zip(turns, turns[1:], strict=False):
         end = turn.begin + turn.length + ramp
         if end > following.begin:
-            text = f"the turn at {turn.begin / rate_hz:.12g} s ends at {end / rate_hz:.12g} s"
-            text += f", after the next one begins, at {following.begin / rate_hz:.12g} s"
-            raise TurnError("turn_times_s", f"{text} (leave more time, or turn faster)")
+            raise TurnError(
+                "turn_times_s",
+                f"the turn at {turn.begin / rate_hz:.12g} s ends at {end / rate_hz:.12g} s, after"
+                f" the next one begins, at {following.begin / rate_hz:.12g} s (leave more time, or"
+                " turn faster)",
+            )
 
 
 def data_end_s(study: Study) -> float:

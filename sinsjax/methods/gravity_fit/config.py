@@ -231,6 +231,7 @@ GRAVITY_FIT = describe_without_start(
     has_floor=False,
     turning="any",
     stores_blocks=True,
+    rules=(_check_record_interval, _check_beliefs),
     columns=COLUMNS,
     step_s=10e-9,
 )

@@ -189,7 +189,7 @@ class _Sums(NamedTuple):
     turned: tuple[Vec3, ...]
     swung: tuple[Vec3, ...]
     walk: tuple[Array, ...]
-    variance: dict[tuple[int, int], Scalar]
+    variance: dict[tuple[int, int], Any]
     normal: tuple[Array, ...]
 
 

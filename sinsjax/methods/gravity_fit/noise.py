@@ -6,11 +6,15 @@ of the base to the measurement. Drifts belong to axes of the body, and turn in l
 by a phase. The noise of both axes is alike, so each covariance is that of one axis.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
 from sinsjax.types import Array, Scalar
+
+
+Number: TypeAlias = Any
+"""A scalar, real or complex."""
 
 
 class Drift(NamedTuple):
@@ -74,7 +78,7 @@ class NoiseModel(NamedTuple):
     driven: tuple[Scalar, ...]
     shared: tuple[Scalar, ...]
     measured: Scalar
-    initial: dict[tuple[int, int], Scalar]
+    initial: dict[tuple[int, int], Number]
 
 
 def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseModel:
@@ -102,8 +106,8 @@ def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseMo
 
 
 def predict(
-    noise: NoiseModel, variance: dict[tuple[int, int], Scalar], turned: Scalar
-) -> tuple[list[list[Scalar | None]], list[Scalar], Scalar, dict[tuple[int, int], Scalar]]:
+    noise: NoiseModel, variance: dict[tuple[int, int], Number], turned: Scalar
+) -> tuple[list[list[Number | None]], list[Number], Scalar, dict[tuple[int, int], Number]]:
     """Return transition, gain, innovation variance and the covariance after a block.
 
     Args:
@@ -116,10 +120,10 @@ def predict(
     cast = _as_complex if any(noise.turns) else jnp.asarray
     phase = jnp.exp(_as_complex(turned) * 1j) if any(noise.turns) else None
 
-    def p(i: int, k: int) -> Scalar:
+    def p(i: int, k: int) -> Number:
         return cast(variance[i, k]) if i <= k else jnp.conj(cast(variance[k, i]))
 
-    step: list[list[Scalar | None]] = [[None for _ in states] for _ in states]
+    step: list[list[Number | None]] = [[None for _ in states] for _ in states]
     for i in states:
         step[i][i] = cast(noise.kept[i])
         if noise.turns[i]:
@@ -144,11 +148,11 @@ def predict(
     return step, [m / cast(s) for m in moved], s, after
 
 
-def _as_complex(number: Scalar) -> Scalar:
+def _as_complex(number: Number) -> Number:
     return jnp.asarray(number).astype(complex)
 
 
-def times(factor: Scalar, pairs: Array) -> Array:
+def times(factor: Number, pairs: Array) -> Array:
     """Return a number, maybe complex, times complex numbers in pairs, (n, 2)."""
     if not jnp.iscomplexobj(factor):
         return factor * pairs
