@@ -115,6 +115,10 @@ class AttitudeCovariance(NamedTuple):
     uu: Scalar
 
 
+UNKNOWN_ANGLE = jnp.pi**2 / 3
+"""Variance of an angle that may be any, rad^2."""
+
+
 def unknown_covariance(like: Scalar) -> AttitudeCovariance:
     """Return NaN of the given number's type and shape, for a method without a covariance."""
     unknown = jnp.full_like(like, jnp.nan)
