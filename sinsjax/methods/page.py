@@ -20,6 +20,8 @@ _RESETS_AND_FEEDBACK = (
     " the coarse alignment lasts whole feedback intervals."
 )
 
+_TURNING = "PLACEHOLDER"
+
 
 def render_methods_page() -> str:
     """Return the keys, columns and gradients of every method as Markdown."""
@@ -39,6 +41,7 @@ def render_methods_page() -> str:
     ]
     for method in METHODS.values():
         lines += ["", f"## `{method.name}`", "", *_describe_keys(method)]
+    lines += ["", "## `kalman10` on a base that is turned", "", _TURNING]
     lines += ["", "## Resets between two feedbacks", "", _RESETS_AND_FEEDBACK]
     lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]
     lines += ["| trigger | calls for a reset at |", "| --- | --- |"]
@@ -55,8 +58,9 @@ def _yes_or_no(flag: bool) -> str:
 
 def _describe_keys(method: Description) -> list[str]:
     """Return the keys that a method reads, and those with a gradient in `[tune]`."""
-    own = {name: list(section.model_fields) for name, section in method.sections.items()}
-    own = {"alignment, passes": sorted(method.reads)} | own
+    own = {"alignment, passes": sorted(method.reads)}
+    for name, section in method.sections.items():
+        own[name] = [key for key in section.model_fields if key in method.keys]
     relaxed = method.implementation.relaxation
     lines = []
     for name, its_keys in own.items():

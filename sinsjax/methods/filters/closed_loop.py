@@ -51,7 +51,6 @@ from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
 
-
 Gains = tuple[tuple[Scalar, ...], ...]
 """Gain of each measurement, one entry per state."""
 
