@@ -2,15 +2,16 @@
 
 import numpy as np
 import pytest
-from oracles.in_engine import navigation
-from oracles.naive import DEG
+from oracles.in_engine import navigation, paper_filter, params, site
+from oracles.naive import DEG, PAPER
 from scipy.spatial.transform import Rotation
 from support.studies import STILL, refusal_line, small_study
 
 from sinsjax.engine import build
 from sinsjax.execution.checks import study_warnings
-from sinsjax.execution.run import estimate, run
+from sinsjax.methods.base import Options
 from sinsjax.methods.filters.turning import is_turning, reopen
+from sinsjax.methods.registry import METHODS
 from sinsjax.types import Quat, Sample, Vec3
 
 RATE = 100
@@ -58,29 +59,36 @@ def test_study_without_the_option_has_neither_option_nor_number():
 
 
 def test_kalman5_in_the_same_sweep_ignores_the_option():
-    axes = {"method": ["kalman5", "kalman10"], "turning": ["update", "reopen"]}
-    table = run(turned_study(alignment={}, axes=axes)).summary.to_pandas()
-    heading = table.groupby(["method", "turning"], sort=False)["phi_u_arcmin"].first()
-    assert heading["kalman5", "update"] == heading["kalman5", "reopen"]
-    assert heading["kalman10", "update"] != heading["kalman10", "reopen"]
+    axes = {"method": ["kalman5", "kalman10"]}
+    parts = build.parts(turned_study(alignment={}, filter=REOPEN, axes=axes))
+    rates = {p.group.static.method: p.group.variants.method.turning_rate for p in parts}
+    assert rates["kalman5"] is None and rates["kalman10"] is not None
+    state = METHODS["kalman5"](Options(1 / RATE, turning="reopen")).init(
+        params(paper_filter(5)), navigation(np.eye(3), (0.0, 0.0), 0.5)
+    )
+    assert state.turning is None
 
 
-def test_covariance_analysis_models_skipped_updates_and_the_restart():
-    tables = {
-        "sensors": {"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0, "gyro_noise_deg_per_h": 30.0},
-        "alignment": {
-            "method": "kalman10",
-            "phi_e0_deg": 0.0,
-            "phi_n0_deg": 0.0,
-            "phi_u0_deg": 0.0,
-        },
-        "filter": REOPEN | {"p0_level_deg": 0.1, "p0_yaw_deg": 1.0},
-    }
-    drawn = run(turned_study(study={"draws": 400}, **tables)).summary.to_pandas()
-    table = estimate(turned_study(study={"estimate": "covariance"}, **tables)).to_pandas()
-    for angle in "enu":
-        rms = np.sqrt(np.mean(drawn[f"phi_{angle}_arcmin"] ** 2))
-        assert rms == pytest.approx(table[f"true_sigma_{angle}_arcmin"][0], rel=0.12), angle
+def test_error_model_has_the_gains_of_skipped_updates_and_of_the_restart():
+    """No gain in a turn, all of the velocity after it, then those of the filter."""
+    filt, here = params(paper_filter(10, turning_rate=1.0 * DEG)), site(PAPER, 0.5)
+    options = Options(1 / RATE)
+    plain, reopens = (
+        METHODS["kalman10"](options._replace(turning=word)) for word in ("update", "reopen")
+    )
+    state = reopens.init(filt, navigation(np.eye(3), (0.3, -0.2), 0.5))
+    dv = Vec3(0.0, 0.0, PAPER.gravity / RATE)
+    zero, ones = np.zeros((2, 10)), np.eye(2, 10)
+    for n, (rate, expected) in enumerate([(0, None), (5, zero), (5, zero), (0, ones), (0, None)]):
+        half = 0.5 * rate * DEG / RATE
+        sample = Sample(Quat(np.cos(half), 0.0, 0.0, np.sin(half)), dv)
+        if expected is None:
+            expected = plain.error_model.step(filt, here, state, sample, n).gains
+        made = reopens.error_model.step(filt, here, state, sample, n).gains
+        np.testing.assert_array_equal(np.asarray(made), np.asarray(expected))
+        velocity, state = state.nav.ve, reopens.step(filt, here, state, sample, n)
+        assert (state.nav.ve == 0.0) == (n == 3)
+        assert n == 3 or abs(state.nav.ve - velocity) < 1e-3
 
 
 TRIGGER = {"reset_trigger": "nis", "trigger_threshold": 9.0}

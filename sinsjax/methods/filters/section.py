@@ -146,9 +146,10 @@ class FilterSection(Section):
     turning: Literal["update", "reopen"] | None = Field(
         None,
         description="what a filter with states of gyro biases does while the base is turned."
-        " 'update': it goes on. 'reopen': no update while the base turns, then P of velocity,"
-        " level and accelerometer biases is set to P0 again, and that of heading and gyro biases"
-        " kept; default 'update'",
+        " 'update': no difference. 'reopen': no update during a turn; after it the velocity"
+        " restarts from zero, and P of velocity, level and accelerometer biases from P0, while P"
+        " of heading and gyro biases is kept. It is for one turn or a few, and gyros with errors"
+        " of scale factor or cross-axis: docs/methods.md compares both; default 'update'",
     )
     turning_rate_deg_per_s: Annotated[
         Annotated[Positive, KeyInfo(usual_range=(1e-3, 1e4))] | None,
