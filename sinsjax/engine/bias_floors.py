@@ -130,7 +130,7 @@ def require_floor(study: Study) -> None:
     variant = int(variants[~floors][0])
     method = study.values("method")[variant]
     why = "has no bias floor on this base"
-    if study.values("turn_times_s")[variant]:
+    if study.values("turn_times_s")[variant] or study.values("attitude_file")[variant]:
         why = "has no bias floor on a base that is turned"
     elif METHODS[method].has_floor and not METHODS[method].gyro_bias_keys:
         why = (
@@ -197,8 +197,9 @@ class _RunKeys:
 
     @property
     def turned(self) -> np.ndarray:
-        """Whether the base is turned, (runs,)."""
-        return self._study.resolved.column("turn_times_s").compute(bool, bool)[self.variant_ids]
+        """Whether the base is turned, or its attitude is that of a file, (runs,)."""
+        column = self._study.resolved.column("turn_times_s", "attitude_file")
+        return column.compute(any, bool)[self.variant_ids]
 
     def vectors(self, key: str) -> np.ndarray:
         """Return a key with a number per axis, or one for all, (runs, 3)."""
@@ -228,7 +229,7 @@ def hidden_north(study: Study) -> HiddenNorth | None:
     variants_per_point = 1 if swept else study.n_variants
     worst, runs = None, 0
     for point in study.combinations(*keys):
-        if point["turn_times_s"]:
+        if point["turn_times_s"] or point["attitude_file"]:
             continue  # turns average the bias out
         count = variants_per_point * variants[tuple(point[key] for key in swept)]
         biases, rates = _level_bias({**point, **drawn}, draws if drawn else 1)

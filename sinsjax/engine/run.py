@@ -342,7 +342,7 @@ class TileRuns(NamedTuple):
         blocks = self.method.block_fit
         if blocks is None:
             return state
-        end = (number + 1) * self.static.record_every
+        end = ((number + 1) * self.static.record_every).astype(self.environment.dtype)
         times = self.environment.criteria.report_samples
         reported = jnp.asarray(False) if times is None else jnp.any(times == end)
         state = jax.vmap(blocks.store, in_axes=(0, None))(state, number)

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from sinsjax.strapdown import base_motion, processes, sensors
+from sinsjax.strapdown.attitude_path import attitude_path
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.processes import Process
 from sinsjax.strapdown.turns import Turns
 from sinsjax.study.schema import TURN_KEYS, MotionSection, SensorsSection
-from sinsjax.study.turns import TurnPlan, plan_turns
+from sinsjax.study.turns import SampledTurns, turns_in_samples
 from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Vec3
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, HOUR, PPM
@@ -59,7 +60,10 @@ def _read_vector(common: Lookup, key: str, factor: float = 1.0, count: int = 3) 
 
 def base_motion_of(variants: Variants) -> base_motion.Motion:
     """Return the whole motion of the base of a part: sways, turns and the sensors' lever arm."""
-    return add_lever_arm(add_turns(read_sways(variants.common), variants), variants)
+    motion = add_turns(read_sways(variants.common), variants)
+    if (given := variants.attitude) is not None:
+        motion = motion._replace(path=attitude_path(given.time_s, given.attitude_deg))
+    return add_lever_arm(motion, variants)
 
 
 def read_sways(common: Lookup) -> base_motion.Motion:
@@ -79,7 +83,8 @@ def read_sways(common: Lookup) -> base_motion.Motion:
 
 def moves(variants: Variants) -> bool:
     """Return whether the base of a part sways or is turned."""
-    return variants.is_active(*AMPLITUDE_KEYS) or bool(variants.common("turn_times_s"))
+    given = any(variants.common(key) for key in ("turn_times_s", "attitude_file"))
+    return given or variants.is_active(*AMPLITUDE_KEYS)
 
 
 def add_turns(motion: base_motion.Motion, variants: Variants) -> base_motion.Motion:
@@ -87,13 +92,15 @@ def add_turns(motion: base_motion.Motion, variants: Variants) -> base_motion.Mot
     values = {key: variants.common(key) for key in TURN_KEYS}
     if not values["turn_times_s"]:
         return motion
-    turns = _turns(plan_turns(variants.rate_hz, variants.data_end_s, values), variants.rate_hz)
+    turns = _turns(
+        turns_in_samples(variants.rate_hz, variants.data_end_s, values), variants.rate_hz
+    )
     if values["turn_axis"] == "body":
         return motion._replace(table=turns)
     return motion._replace(vertical=turns)
 
 
-def _turns(plan: TurnPlan, rate_hz: float) -> Turns:
+def _turns(plan: SampledTurns, rate_hz: float) -> Turns:
     """Return turns in SI units, with turns that never begin so that few programs are compiled."""
     count = len(plan.turns)
     angles = np.array([turn.angle_deg for turn in plan.turns])

@@ -16,6 +16,7 @@ from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
+from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.files import find_study_file, source_name
 from sinsjax.study.load import load_study, load_with_notes, study_to_tables, with_rate
 from sinsjax.study.study import Study
@@ -144,6 +145,7 @@ def prepare_job(
             notes.append(f"{results_directory}: no results to resume, all runs are new.")
         if options.resume:
             job = kind.continue_job(job)
+    read_attitude(study)
     expected_cost = kind.make_forecast(study, curves)
     forecast.check_resources(
         study, expected_cost, results_directory, overwrite=options.overwrite, resume=options.resume

@@ -16,6 +16,7 @@ from sinsjax.execution import sealed
 from sinsjax.execution.directory import (
     STUDY,
     FileState,
+    Manifest,
     check_directory,
     find_manifest,
     list_parts,
@@ -24,7 +25,8 @@ from sinsjax.execution.directory import (
 from sinsjax.messages import first_error_line, to_one_line
 from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular_file
-from sinsjax.study.identity import describe_differences, fingerprint
+from sinsjax.study.attitude_file import attitude_file
+from sinsjax.study.identity import describe_differences, fingerprint, sections_to_json
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
@@ -151,7 +153,7 @@ def load_stored_study(directory: Path) -> Study:
             f" {error}"
         ) from error
     manifest = find_manifest(directory)
-    if manifest is not None and manifest.fingerprint != fingerprint(study):
+    if manifest is not None and not _is_study_of(manifest, study):
         differing = describe_differences(manifest.study, study, ("in the results", "in the file"))
         text = to_one_line("; ".join(differing))
         raise InputError(
@@ -159,6 +161,13 @@ def load_stored_study(directory: Path) -> Study:
             " (restore it, or delete it: `--resume` writes it again)"
         )
     return study
+
+
+def _is_study_of(manifest: Manifest, study: Study) -> bool:
+    """Return whether a manifest is of a study, whose attitude_file may be gone."""
+    if attitude_file(study) is not None:
+        return manifest.study == sections_to_json(study)
+    return manifest.fingerprint == fingerprint(study)
 
 
 def _missing_packages(directory: Path) -> list[tuple[str, str]]:

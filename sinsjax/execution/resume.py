@@ -24,6 +24,7 @@ from sinsjax.messages import shorten, to_one_line
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular_file
+from sinsjax.study.attitude_file import attitude_file
 from sinsjax.study.identity import describe_differences, fingerprint, with_draws
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
@@ -110,6 +111,8 @@ def continue_job(job: Job) -> Job:
     _check_versions(directory, manifest, packages_of(job.study.methods))
     if manifest.identity != job.identity:
         kind = "record or reference" if is_same or stored else "study"
+        if stored and attitude_file(job.study):
+            kind = "attitude_file"
         raise InputError(f"{directory}: contains results of another {kind}")
     return job
 

@@ -129,7 +129,12 @@ def find_timing(
     ]
     readable = [trial for trial in trials if trial.sampling is not None]
     if readable:
-        best = min(readable, key=lambda trial: trial.rank)
+        named = {clock.name for clock in clocks if clock.unit[0]}
+
+        def rank(trial: _Trial) -> tuple[object, ...]:  # a T that rises evenly may be a temperature
+            return *trial.rank, trial.clock.name not in named, len(trial.clock.name) == 1
+
+        best = min(readable, key=rank)
         return _readable_timing(best, [trial for trial in trials if trial is not best])
     for trial in trials:
         if trial.is_even and not trial.note.question:

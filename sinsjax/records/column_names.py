@@ -32,6 +32,11 @@ _DIRECTIONS = {
 TURNS = {"roll": 1, "pitch": 0, "yaw": 2, "heading": 2, "p": 1, "q": 0, "r": 2}
 """Body axis, right, front or up, of a turn's name, such as roll_rate, or p alone."""
 _TURN_STEM = "turn_rate"
+_NAVIGATION_WORDS = {
+    *("n", "ned", "enu", "nwu", "nav", "navigation", "world", "earth", "global", "local", "ecef"),
+    *("level", "leveled", "levelled"),
+}
+_BODY_WORDS = {"b", "body"}
 _DIRECTION_GROUPS = ("rl", "fb", "ud")
 """Directions of three axes; of a pair, either one."""
 _DIRECTION_NAMES = {
@@ -96,6 +101,7 @@ class Triad(NamedTuple):
         directions: directions of x, y and z in the names, such as "frd"; "" if none.
         are_increments: whether the names indicate increments.
         turns: body axis, right, front or up, of each column if they are named roll, pitch, yaw.
+        words: of the names, without axes and units.
     """
 
     names: tuple[str, str, str]
@@ -104,6 +110,7 @@ class Triad(NamedTuple):
     directions: str = ""
     are_increments: bool = False
     turns: tuple[int, ...] = ()
+    words: frozenset[str] = frozenset()
 
 
 class Clock(NamedTuple):
@@ -166,6 +173,31 @@ def find_incomplete_triad(names: Sequence[str], sensor: str) -> tuple[list[str],
                 wanted = " or ".join(_DIRECTION_NAMES.get(letter, letter) for letter in letters)
                 return [name for name, _ in columns.values()], wanted
     return None
+
+
+def named_turns(names: Sequence[str]) -> tuple[int, ...]:
+    """Return the body axis of each gyro column if all are named roll, pitch, yaw; () if not."""
+    parsed = [_parse_name(name, "gyro") for name in names]
+    turns = [TURNS[name.axis] for name in parsed if name and name.stem == _TURN_STEM]
+    return tuple(turns) if sorted(turns) == [0, 1, 2] else ()
+
+
+def navigation_words(gyro: Triad, accel: Triad) -> frozenset[str]:
+    """Return the words by which one of two triads is named as in a navigation frame."""
+    return (gyro.words ^ accel.words) & _NAVIGATION_WORDS
+
+
+def rank_pair(gyro: Triad, accel: Triad) -> tuple[int, int, int]:
+    """Return how ill the names of two triads fit one sensor, from the most important on.
+
+    Words of a navigation frame in one of them, words that they do not share, and words of a
+    navigation frame in both.
+    """
+    return (
+        len(navigation_words(gyro, accel)),
+        len(gyro.words ^ accel.words),
+        len(gyro.words & accel.words & _NAVIGATION_WORDS),
+    )
 
 
 def find_clocks(names: Sequence[str], units: Mapping[str, str] | None = None) -> list[Clock]:
@@ -320,11 +352,13 @@ def _split_axis(words: str) -> tuple[str, str] | None:
         match = re.fullmatch(r"(.*[a-z])([xyz0-3])", words)
         return (match[1], match[2]) if match else None
     *stem, last = first, *rest
+    if len(stem) > 1 and stem[-1] in ("x", "y", "z") and last not in ("x", "y", "z"):
+        return "_".join([*stem[:-1], last]), stem[-1]  # as in acc_x_raw or acc_x_0
     if last in _AXES or last in _DIRECTIONS:
         return "_".join(stem), last
     if match := re.fullmatch(r"(.*[a-z])([xyz0-3])", last):
         return "_".join([*stem, match[1]]), match[2]
-    if len(stem) > 1 and (stem[-1] in _AXES or stem[-1] in _DIRECTIONS):  # as in acc_x_raw
+    if len(stem) > 1 and (stem[-1] in _AXES or stem[-1] in _DIRECTIONS):  # as in acc_up_raw
         return "_".join([*stem[:-1], last]), stem[-1]
     if first in ("x", "y", "z") or (len(first) > 1 and first in _DIRECTIONS):  # as in X Accel
         return "_".join(rest), first
@@ -337,12 +371,14 @@ def _make_triad(stem: str, unit: Unit, columns: _Group) -> Triad | None:
 
     def triad(axes: Sequence[str], by_axis: _Group, directions: str, turns: Sequence[int]) -> Triad:
         (x, sx), (y, sy), (z, sz) = (by_axis[axis] for axis in axes)
-        return Triad((x, y, z), unit, (sx, sy, sz), directions, increments, tuple(turns))
+        words = frozenset(stem.split("_")) - _BODY_WORDS
+        return Triad((x, y, z), unit, (sx, sy, sz), directions, increments, tuple(turns), words)
 
     if stem == _TURN_STEM:
         for axes in (("roll", "pitch", "yaw"), ("roll", "pitch", "heading"), ("p", "q", "r")):
             if set(axes) <= set(columns):
-                return triad(axes, columns, "", [TURNS[axis] for axis in axes])
+                turns = [TURNS[axis] for axis in axes]
+                return triad(axes, columns, "", turns)._replace(words=frozenset(axes))
         return None
     by_direction = {
         _DIRECTIONS[axis]: column for axis, column in columns.items() if axis in _DIRECTIONS

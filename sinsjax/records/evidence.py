@@ -47,6 +47,8 @@ _MAX_TURNING_ERROR = 0.1  # relative to Earth rate
 _MAX_TURNING_TILT = 5e-3  # by accelerometer biases: in wrong units the vertical moves further
 _SETTLED = 0.01  # relative to Earth rate: MEMS gyros in a wrong unit rarely come so near
 _SETTLED_PARTNER = 0.05  # the same for the unit that goes with that of the accelerometers
+_MAX_BIAS = 10 * DEG  # rad/s, of the worst MEMS gyros
+_MEMS_ARW = 0.1, 0.2  # deg/sqrt(h): the best of those with such a bias; beside their usual partner
 _MIN_LIVE_RATIO = 0.14  # ratio of two live gyros with a dead third, far from that in another unit
 _MAX_SCALE_FACTOR = 2.0  # of a scale by sways: far below the factor between two units
 _PARTNERS = {
@@ -271,8 +273,17 @@ def _settled_by_physics(
             sways = f"in {UNIT_NAMES[best]} the gyros follow the sways of the vertical"
             return _Settled(best, earth if low < ratio[best] < high else sways)
     low = _MIN_LIVE_RATIO if has_dead else 1.0
+    step = np.diff(gyro, axis=0)
+    noise = float(np.sqrt((step**2).mean() / 2)) / math.sqrt(rate_hz)
     for unit, limit in [(partner, _SETTLED_PARTNER), *((unit, _SETTLED) for unit in ratio)]:
-        if low - limit < ratio[unit] < 1 + limit:
+        arw = _MEMS_ARW[unit == partner] * DEG / 60
+        is_coincidence = any(  # such a rate may be the bias of gyros with such noise
+            2 * EARTH_RATE < ratio[other] * EARTH_RATE < _MAX_BIAS
+            and noise * increment_factor(other, rate_hz) * rate_hz > arw
+            for other in ratio
+            if quantity_of(other) == quantity_of(unit)
+        )
+        if low - limit < ratio[unit] < 1 + limit and not is_coincidence:
             return _Settled(unit, _earth_rate_text(ratio[unit], unit))
     return _Settled("", "")
 
@@ -373,8 +384,11 @@ def find_turning_earth_rate(means: Means) -> Turns | None:
 
 def _order_with_up(axis: int, *, is_positive: bool) -> str:
     """Return an order of axes with an axis of the record, or its opposite, up."""
-    if axis == 2:
-        return "flu" if is_positive else "frd"
+    return _orders_with_up(axis, is_positive=is_positive)[0]
+
+
+def _orders_with_up(axis: int, *, is_positive: bool) -> list[str]:
+    """Return the orders of axes with an axis of the record, or its opposite, up."""
     up = _LETTERS[axis] if is_positive else f"-{_LETTERS[axis]}"
     rest = [letter for letter in "zxy" if letter != _LETTERS[axis]]
     orders = (
@@ -383,7 +397,8 @@ def _order_with_up(axis: int, *, is_positive: bool) -> str:
         for other in ("", "-")
         for sign in ("", "-")
     )
-    return next(order for order in orders if _is_right_handed(order))
+    usual = ["flu" if is_positive else "frd"] if axis == 2 else []
+    return [*usual, *(order for order in orders if _is_right_handed(order))]
 
 
 def _is_right_handed(order: str) -> bool:
@@ -405,6 +420,36 @@ def with_turns_in_order(gyro: Triad, order: str) -> Triad:
     place = {index[body]: gyro.turns.index(body) for body in range(3)}
     x, y, z = (gyro.names[place[axis]] for axis in range(3))
     return gyro._replace(names=(x, y, z), turns=())
+
+
+def find_front_of_turns(
+    turns: FloatArray, force: FloatArray, rate_hz: float, gyro: Triad, order: str
+) -> tuple[str, Note]:
+    """Return the order of axes by gyros named roll, pitch, yaw, which do not name the axes.
+
+    Sways of the vertical show which axis of the accelerometers points front; at rest none does.
+
+    Args:
+        turns: (T, 3) samples of the gyros in the order of their names.
+        force: (T, 3) specific force in the axes of the record, in any unit.
+        rate_hz: sample rate, Hz.
+        gyro: columns of the gyros.
+        order: the order of axes by gravity.
+    """
+    axis = parse_axes_order(order)[0][2]
+    is_positive = float(to_body_axes(force.mean(axis=0)[None], order)[0, 2]) > 0
+    for candidate in _orders_with_up(axis, is_positive=is_positive):
+        sorted_gyro = with_turns_in_order(gyro, candidate)
+        places = [gyro.names.index(name) for name in sorted_gyro.names]
+        if measure_gyro_scale(turns[:, places], force, rate_hz) > 0:
+            front = parse_axes_order(candidate)[0][1]
+            reason = f"roll follows the sways about {_LETTERS[front]}, which is the front"
+            return candidate, Note(reason)
+    question = (
+        "roll, pitch and yaw do not tell which axis of the accelerometers points front, on which"
+        " heading and level depend: 'flu', 'frd', 'rfu' or another order"
+    )
+    return order, Note("", "", question)
 
 
 _OPPOSITES = {"r": "l", "l": "r", "f": "b", "b": "f", "u": "d", "d": "u"}

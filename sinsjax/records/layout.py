@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds
+from sinsjax.records.column_names import named_turns
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 
 FloatArray = NDArray[np.float64]
@@ -257,6 +258,15 @@ def _iter_column_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
             if name in key_by_column:
                 yield key, f"column {name!r} is already used in {key_by_column[name]}"
             key_by_column[name] = key
+    turns = named_turns(layout.gyro_columns)
+    index, _ = parse_axes_order(layout.axes_order)
+    if turns and tuple(index[body] for body in turns) != (0, 1, 2):
+        ordered = [layout.gyro_columns[turns.index(index.index(axis))] for axis in range(3)]
+        text = (
+            "must be in the order of x, y, z, where roll is about the front: with axes_order ="
+            f" {layout.axes_order!r} these are {', '.join(map(repr, ordered))}"
+        )
+        yield "gyro_columns", text
     for key, scale in (
         ("gyro_scale", layout.gyro_scale),
         ("accel_scale", layout.accel_scale),

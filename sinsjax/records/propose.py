@@ -22,7 +22,10 @@ from sinsjax.records.column_names import (
     find_clocks,
     find_incomplete_triad,
     find_triads,
+    navigation_words,
+    rank_pair,
 )
+from sinsjax.records.interleaved import find_several_sensors
 from sinsjax.records.layout import FloatArray, Note, RecordLayout
 from sinsjax.records.means import Means
 from sinsjax.records.tables import MIN_COLUMNS, ColumnTable
@@ -34,7 +37,7 @@ _LOGGERS = {
 }
 """Loggers whose gyros are in rad/s, by what some names end with."""
 
-_INSTANCE = re.compile(r"i|instance|(imu|sensor|device)_?(id|no|number)?", re.IGNORECASE)
+_SAME_DIRECTION = 2e-3  # rad, of two triads that differ in their range or filter only
 _SENSORS = {"gyro": "gyros", "accel": "accelerometers"}
 _EXAMINED_LATER = Note(
     "", "", "open until the columns are known (`sinsjax init record --from LOG --set"
@@ -73,39 +76,36 @@ def propose_layout(path: Path, table: ColumnTable, answers: Mapping[str, Any]) -
             f"{path}: {table.description}: {len(table.names)} columns, but an IMU has six (give"
             " [record] skip_rows if other lines come first)"
         )
-    instances = [
-        name for name in table.names if _INSTANCE.fullmatch(name) and name in table.numbers
-    ]
     triads = {sensor: _find_triads(path, table, sensor, answers) for sensor in _SENSORS}
     used = list(dict.fromkeys(n for found in triads.values() for t in found for n in t.names))
     if not all(triads.values()):
         used = [name for name in table.names if name in table.numbers]
     clocks = _find_clocks(table, answers, used if all(triads.values()) else [])
     clock_names = [name for clock in clocks for name in (clock.name, clock.fraction) if name]
-    names = list(dict.fromkeys([*used, *clock_names, *instances]))
+    labels: dict[str, dict[str, float]] = {
+        name: {} for name in table.repetitive if name not in {*used, *clock_names}
+    }
+    names = list(dict.fromkeys([*used, *clock_names, *labels]))
     dates = [name for name in clock_names if name in table.dates]
-    values = dict(zip(names, table.read(names, blanks=True, dates=dates), strict=True))
-    for name in instances:
-        if len(numbers := np.unique(values[name][np.isfinite(values[name])])) > 1:
-            shown = shorten(", ".join(f"{number:g}" for number in numbers), 24)
-            text = f"column {name!r} is {shown}: rows of several sensors (keep those of one)"
-            raise InputError(f"{path}: {text}")
+    columns = table.read(names, blanks=True, dates=dates, labels=labels)
+    values = dict(zip(names, columns, strict=True))
+    _refuse_several_sensors(path, triads, values, labels)
     timing = find_timing(path, clocks, values, [values[n] for n in used], table.row_number)
     file = _File(path, table, values, answers.get("rate_hz", timing.rate_hz), answers)
     layout, notes = timing.complete(RecordLayout(table.format)), {**timing.notes}
-    gyro = triads["gyro"][0] if triads["gyro"] else None
-    accel = _choose_accel(triads["accel"], file)
+    chosen = _choose_triads(triads["gyro"], triads["accel"], file)
     means = None
-    if gyro and accel:
-        found = _find_units_and_axes(file, gyro, evidence.share_directions(gyro, accel))
+    if chosen.gyro and chosen.accel and not any(note.question for note in chosen.notes.values()):
+        accel = evidence.share_directions(chosen.gyro, chosen.accel)
+        found = _find_units_and_axes(file, chosen.gyro, accel)
         layout, means = layout._replace(**found.values), found.means
-        notes |= found.notes | {"gyro_columns": _columns_note(triads["gyro"][1:])}
+        notes |= found.notes | chosen.notes
     else:
-        for sensor, chosen in (("gyro", gyro), ("accel", accel)):
+        for sensor, triad in (("gyro", chosen.gyro), ("accel", chosen.accel)):
             key = f"{sensor}_columns"
-            if chosen:
-                given: dict[str, Any] = {key: chosen.names}
-                layout, notes[key] = layout._replace(**given), Note("by their names")
+            if triad:
+                given: dict[str, Any] = {key: triad.names}
+                layout, notes[key] = layout._replace(**given), chosen.notes[key]
             else:
                 notes[key] = Note("", "", _ask_for_columns(table, sensor, triads[sensor], values))
         notes |= dict.fromkeys(("gyro_unit", "accel_unit", "axes_order"), _EXAMINED_LATER)
@@ -195,17 +195,100 @@ def _find_clocks(
     return [clock._replace(unit=unit) if unit[0] else clock for clock in clocks]
 
 
-def _choose_accel(triads: Sequence[Triad], file: _File) -> Triad | None:
-    """Return the accelerometers with gravity in them; None if it has been removed from all."""
-    scaled = [(triad, file.rows(triad.names) * triad.unit[1]) for triad in triads]
-    with_gravity = [t for t, v in scaled if evidence.is_gravity(v, t.unit[0], file.rate_hz)]
-    others = [t for t, v in scaled if not evidence.lacks_gravity(v, file.rate_hz)]
-    return next(iter([*with_gravity, *others]), None)
+def _refuse_several_sensors(
+    path: Path,
+    triads: Mapping[str, Sequence[Triad]],
+    values: Mapping[str, FloatArray],
+    labels: Mapping[str, dict[str, float]],
+) -> None:
+    """Refuse a file whose rows are of several sensors."""
+    if not all(triads.values()):
+        return
+    samples = {
+        sensor: [np.column_stack([values[name] for name in triad.names]) for triad in found]
+        for sensor, found in triads.items()
+    }
+    # Of several triads of accelerometers, some may lack gravity.
+    gyro, accel = samples["gyro"][0], max(samples["accel"], key=lambda v: abs(np.nansum(v)))
+    numbered = {name: (values[name], [*texts]) for name, texts in labels.items()}
+    if text := find_several_sensors(numbered, gyro, accel):
+        raise InputError(f"{path}: {text}")
+
+
+class _Choice(NamedTuple):
+    """Chosen triads, None for an unknown one, and the notes about their columns by key."""
+
+    gyro: Triad | None
+    accel: Triad | None
+    notes: dict[str, Note]
+
+
+def _choose_triads(gyros: Sequence[Triad], accels: Sequence[Triad], file: _File) -> _Choice:
+    """Choose the gyros and the accelerometers of one sensor, with gravity in them."""
+    forces = {triad: file.rows(triad.names) * triad.unit[1] for triad in accels}
+    by_gravity = [t for t in accels if evidence.is_gravity(forces[t], t.unit[0], file.rate_hz)] or [
+        t for t in accels if not evidence.lacks_gravity(forces[t], file.rate_hz)
+    ]
+    by_name = Note("by their names")
+    notes = {"gyro_columns": by_name, "accel_columns": by_name}
+    if not gyros or not by_gravity:
+        gyro, accel = next(iter(gyros), None), next(iter(by_gravity), None)
+        return _Choice(gyro, accel, notes)
+    pairs = [(gyro, accel) for gyro in gyros for accel in by_gravity]
+    gyro, accel = min(pairs, key=lambda pair: rank_pair(*pair))
+    best = rank_pair(gyro, accel)
+    instances = [
+        f"or {_list(g)} with {_list(a)}?" for g, a in pairs
+        if g != gyro and a != accel and rank_pair(g, a) == best
+    ]  # fmt: skip
+    if instances:
+        doubt = f"{' '.join(instances)} Give gyro_columns and accel_columns together"
+        notes["gyro_columns"] = by_name._replace(doubt=doubt)
+    elif len(gyros) > 1:
+        names = "; or ".join(_list(other) for other in gyros if other != gyro)
+        notes["gyro_columns"] = by_name._replace(doubt=f"or {names}?")
+    if words := navigation_words(gyro, accel):
+        question = (
+            f"{_list(accel)} are named as in a navigation frame ({', '.join(sorted(words))}), but"
+            " an IMU measures along its own axes"
+        )
+        notes["accel_columns"] = Note("", "", question)
+        return _Choice(gyro, accel, notes)
+    others = [
+        other for other in by_gravity
+        if other != accel
+        and not navigation_words(gyro, other)
+        and min(rank_pair(g, other) for g in gyros) == rank_pair(gyro, other)
+    ]  # fmt: skip
+    rivals = [other for other in others if rank_pair(gyro, other) == best]
+    turned = [t for t in rivals if _angle_between(forces[t], forces[accel]) > _SAME_DIRECTION]
+    if turned:
+        means = "; ".join(f"{_list(t)}: {_mean_text(forces[t])}" for t in (accel, *turned))
+        question = f"their names do not tell which of these belong to the gyros. Means: {means}"
+        notes["accel_columns"] = Note("", "", question)
+    elif others:
+        names = "; or ".join(_list(t) for t in others)
+        notes["accel_columns"] = by_name._replace(doubt=f"or {names}?")
+    return _Choice(gyro, accel, notes)
+
+
+def _list(triad: Triad) -> str:
+    return ", ".join(triad.names)
+
+
+def _mean_text(values: FloatArray) -> str:
+    return " ".join(f"{mean:.4g}" for mean in np.nanmean(values, axis=0))
+
+
+def _angle_between(first: FloatArray, second: FloatArray) -> float:
+    """Return the angle between the means of two triads (T, 3), rad."""
+    a, b = (np.nanmean(values, axis=0) for values in (first, second))
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
 def _find_units_and_axes(file: _File, gyro: Triad, accel: Triad) -> _Found:
     """Find columns, units, scales and axes of chosen sensors."""
-    answers, notes = file.answers, {"accel_columns": Note("by their names")}
+    answers, notes = file.answers, dict[str, Note]()
     gyro_scale, accel_scale = (
         answers.get(f"{sensor}_scale", tuple(sign * triad.unit[1] for sign in triad.signs))
         for sensor, triad in (("gyro", gyro), ("accel", accel))
@@ -216,6 +299,13 @@ def _find_units_and_axes(file: _File, gyro: Triad, accel: Triad) -> _Found:
     force = file.rows(accel.names)[complete] * accel_scale
     texts = [*file.table.comments, *file.table.names]
     order, notes["axes_order"] = evidence.find_axes_order(force.mean(axis=0), texts, gyro, accel)
+    is_named = notes["axes_order"].reason.startswith(evidence.NAMED_AXES_REASON)
+    has_question = bool(notes["axes_order"].question)
+    if "roll" in gyro.words and not is_named and not has_question:  # p is about x by definition
+        turns = file.rows(gyro.names)[complete]
+        order, notes["axes_order"] = evidence.find_front_of_turns(
+            turns, force, file.rate_hz, gyro, order
+        )
     gyro = evidence.with_turns_in_order(gyro, answers.get("axes_order", order))
     rates = file.rows(gyro.names)[complete] * gyro_scale
     samples = evidence.Samples(rates, force, file.rate_hz)
@@ -241,8 +331,7 @@ def _find_units_and_axes(file: _File, gyro: Triad, accel: Triad) -> _Found:
             question = evidence.ask_about_signs(samples)
         if question:
             notes["gyro_scale"] = Note("", "", question)
-    is_sign_known = notes["axes_order"].reason.startswith(evidence.NAMED_AXES_REASON)
-    if not is_sign_known and (doubt := evidence.doubt_of_signs(gyro_unit.means)):
+    if not is_named and (doubt := evidence.doubt_of_signs(gyro_unit.means)):
         note = notes["axes_order"]
         notes["axes_order"] = note._replace(doubt="; ".join(filter(None, (note.doubt, doubt))))
     found = {
@@ -263,11 +352,6 @@ def _find_logger(names: Sequence[str]) -> str:
         if all(any(name.endswith(ending) for name in names) for ending in endings):
             return logger
     return ""
-
-
-def _columns_note(others: Sequence[Triad]) -> Note:
-    names = "; or ".join(", ".join(triad.names) for triad in others)
-    return Note("by their names", f"or {names}?" if others else "")
 
 
 def _ask_for_columns(

@@ -28,6 +28,12 @@ MISSING_TEXT = "empty or not finite"
 MIN_COLUMNS = 6
 """Columns of an inertial record."""
 
+MAX_LABELS = 8
+"""Largest number of different texts in a column that may label rows."""
+
+HEAD_ROWS = 20
+"""Rows that show what a column contains."""
+
 _BATCH_ROWS = 2**17
 
 
@@ -36,9 +42,11 @@ class ColumnTable(NamedTuple):
 
     Attributes:
         names: all columns of the file, in order.
-        read: (names, blanks=False, dates=()) returns the named columns, each (T,) float64, T > 0.
-            Missing values are nan with ``blanks`` and otherwise rejected; ``dates`` names columns
-            of dates with time, which become seconds. A table can be read only once.
+        read: (names, blanks=False, dates=(), labels={}) returns the named columns, each (T,)
+            float64, T > 0. Missing values are nan with ``blanks`` and otherwise rejected; ``dates``
+            names columns of dates with time, which become seconds; the texts of columns in
+            ``labels`` become numbers, which are added to the mapping by text. A table can be read
+            only once.
         row_number: function of sample k that returns its row, for messages.
         format: "csv" or "parquet"; "arrays" for columns in memory.
         numbers: names of the numeric columns, as far as its first rows show.
@@ -49,6 +57,8 @@ class ColumnTable(NamedTuple):
         description: description of the file in words.
         types: types of the columns by name, for Parquet only.
         remarks: what was left out while the file was read, one line each.
+        repetitive: names of the columns with at most `MAX_LABELS` different cells in the first
+            rows.
     """
 
     names: list[str]
@@ -63,6 +73,24 @@ class ColumnTable(NamedTuple):
     description: str = ""
     types: Mapping[str, pa.DataType] = MappingProxyType({})
     remarks: Sequence[str] = ()
+    repetitive: Sequence[str] = ()
+
+
+Labels = Mapping[str, dict[str, float]]
+"""Numbers of the texts in some columns, by column and text."""
+
+NO_LABELS: Labels = MappingProxyType({})
+
+
+def number_texts(texts: pa.ChunkedArray, numbers: dict[str, float]) -> NDArray[np.float64]:
+    """Return the numbers of texts, adding those of new ones, but for more than are labels."""
+    if len(numbers) > MAX_LABELS:
+        return np.zeros(len(texts))
+    texts = pa.compute.fill_null(pa.compute.utf8_trim_whitespace(texts), "")
+    for text in pa.compute.unique(texts).to_pylist():
+        numbers.setdefault(text, float(len(numbers)))
+    index = pa.compute.index_in(texts, value_set=pa.array(list(numbers), texts.type))
+    return np.asarray(index.to_numpy(), np.float64)
 
 
 def find_columns(path: str | Path, names: list[str], wanted: Sequence[str]) -> list[int]:
@@ -109,11 +137,17 @@ def open_parquet(path: str | Path) -> ColumnTable:
     schema = file.schema_arrow
 
     def read(
-        wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
+        wanted: Sequence[str],
+        *,
+        blanks: bool = False,
+        dates: Collection[str] = (),
+        labels: Labels = NO_LABELS,
     ) -> list[FloatArray]:
         index = find_columns(path, schema.names, wanted)
         for name, column in zip(wanted, index, strict=True):
             kind = schema.field(column).type
+            if name in labels:
+                continue
             is_date = pa.types.is_timestamp(kind) or pa.types.is_string(kind)
             if name in dates and not is_date:
                 raise InputError(f"{path}: column {name!r} contains {kind}, not dates with time")
@@ -126,6 +160,10 @@ def open_parquet(path: str | Path) -> ColumnTable:
             rows_before = 0
             for batch in file.iter_batches(_BATCH_ROWS, columns=list(wanted)):
                 part = pa.Table.from_batches([batch])
+                for name, numbers in labels.items():
+                    place = part.column_names.index(name)
+                    texts = part[name].cast(pa.string())
+                    part = part.set_column(place, name, [number_texts(texts, numbers)])
                 yield _to_floats(path, part, wanted, dates, blanks=blanks, rows_before=rows_before)
                 rows_before += part.num_rows
 
@@ -144,7 +182,26 @@ def open_parquet(path: str | Path) -> ColumnTable:
         dates={name for name, type_ in types.items() if pa.types.is_timestamp(type_)},
         description=f"Parquet, {len(types)} columns",
         types=types,
+        repetitive=_find_repetitive(file, types),
     )
+
+
+def _find_repetitive(file: pq.ParquetFile, types: Mapping[str, pa.DataType]) -> list[str]:
+    """Return the columns of numbers or texts that may label rows, by the first ones."""
+    names = [
+        name for name, kind in types.items()
+        if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_string(kind)
+    ]  # fmt: skip
+    try:
+        head = next(file.iter_batches(HEAD_ROWS, columns=names), None)
+    except (pa.ArrowException, OSError):
+        return []  # reading the columns reports the error
+    if head is None:
+        return []
+    return [
+        name for name in names
+        if list(types).count(name) == 1 and len(set(head[name].to_pylist())) <= MAX_LABELS
+    ]  # fmt: skip
 
 
 def _to_floats(

@@ -9,7 +9,8 @@ Rows are counted from 1 as lines of the file.
 import csv
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
-from itertools import chain
+from functools import partial
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,12 +34,21 @@ from sinsjax.records.files import (
 )
 from sinsjax.records.layout import FloatArray
 from sinsjax.records.stamps import is_date, parse_iso
-from sinsjax.records.tables import MIN_COLUMNS, ColumnTable, find_columns, join_batches
+from sinsjax.records.tables import (
+    HEAD_ROWS,
+    MAX_LABELS,
+    MIN_COLUMNS,
+    NO_LABELS,
+    ColumnTable,
+    Labels,
+    find_columns,
+    join_batches,
+    number_texts,
+)
 
 _COMMENTS = (b"#", b"%", b"//")
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "blank"}
 _BLANK_CELLS = ["", "nan", "NaN", "NAN"]
-_EXAMINED_ROWS = 20
 
 _NOVATEL = re.compile(rb"[#%]RAWIMUS?(X?)A,")
 _NOVATEL_NAMES = (
@@ -121,13 +131,18 @@ def open_csv(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0) 
     remarks: list[str] = []
 
     def read(
-        wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
+        wanted: Sequence[str],
+        *,
+        blanks: bool = False,
+        dates: Collection[str] = (),
+        labels: Labels = NO_LABELS,
     ) -> list[FloatArray]:
         wanted_columns = _WantedColumns(
             shape.names,
             find_columns(path, shape.names, wanted),
             blanks,
             [name in dates for name in wanted],
+            [labels.get(name) for name in wanted],
         )
 
         def values() -> Iterator[list[NDArray[Any]]]:
@@ -145,7 +160,8 @@ def open_csv(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0) 
         rows[:] = [np.concatenate(rows)]
         return whole
 
-    non_numbers = _find_non_numbers(start, shape.names)
+    head_cells = _read_head(start, shape.names)
+    non_numbers = _find_non_numbers(start, head_cells)
     return ColumnTable(
         shape.names,
         read,
@@ -158,7 +174,11 @@ def open_csv(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0) 
         comments=[line.decode(errors="replace") for line in head.lines[: shape.begin]],
         description=shape.description,
         remarks=remarks,
-    )
+        repetitive=[
+            name for name, cells in head_cells.items()
+            if shape.names.count(name) == 1 and len(set(cells)) <= MAX_LABELS
+        ],
+    )  # fmt: skip
 
 
 def _is_data(line: bytes) -> bool:
@@ -315,17 +335,26 @@ def _select_samples(path: str | Path, shape: _Shape, batch: Lines) -> _TextRows:
     )
 
 
-def _find_non_numbers(text: _TextRows, names: list[str]) -> dict[str, tuple[int, str]]:
+def _read_head(text: _TextRows, names: list[str]) -> dict[str, list[str]]:
+    """Return the cells of the first rows by column; a row that cannot be split has empty ones."""
+    cells: dict[str, list[str]] = {name: [] for name in names}
+    for k in range(min(HEAD_ROWS, len(text.rows))):
+        try:
+            row = text.split_cells(k)
+        except InputError:
+            row = []
+        for name, cell in zip_longest(names, row[: len(names)], fillvalue=""):
+            cells[name].append(cell.strip())
+    return cells
+
+
+def _find_non_numbers(text: _TextRows, head: dict[str, list[str]]) -> dict[str, tuple[int, str]]:
     """Return the row and the text of the first cell of each column that is not a number."""
     found: dict[str, tuple[int, str]] = {}
-    for k in range(min(_EXAMINED_ROWS, len(text.rows))):
-        try:
-            cells = text.split_cells(k)
-        except InputError:
-            continue
-        for name, cell in zip(names, cells, strict=False):
-            if cell.strip() and not is_number(cell):
-                found.setdefault(name, (text.rows[k], cell.strip()))
+    for name, cells in head.items():
+        for row, cell in zip(text.rows, cells, strict=False):
+            if cell and not is_number(cell):
+                found.setdefault(name, (row, cell))
     return found
 
 
@@ -351,12 +380,14 @@ class _WantedColumns(NamedTuple):
         places: positions of the wanted columns among them.
         blanks: whether cells may be empty.
         dates: for each wanted column, whether it contains dates with time.
+        labels: for each wanted column, the numbers of its texts; None if it has numbers.
     """
 
     names: list[str]
     places: list[int]
     blanks: bool
     dates: list[bool]
+    labels: list[dict[str, float] | None]
 
 
 def _read_batch(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]]:
@@ -371,7 +402,10 @@ def _read_batch(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]]:
 def _read_fast(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]] | None:
     keys = [str(column) for column in range(len(columns.names))]
     wanted = [keys[column] for column in columns.places]
-    kinds = [pa.string() if is_date else pa.float64() for is_date in columns.dates]
+    has_text = zip(columns.dates, columns.labels, strict=True)
+    kinds = [
+        pa.string() if is_date or texts is not None else pa.float64() for is_date, texts in has_text
+    ]
     try:
         table = pa.csv.read_csv(
             pa.BufferReader(b"\n".join(text.lines)),
@@ -383,9 +417,14 @@ def _read_fast(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]] |
                 null_values=_BLANK_CELLS if columns.blanks else [],
             ),
         )
-        pairs = zip(table.columns, columns.dates, strict=True)
+        entries = zip(table.columns, columns.dates, columns.labels, strict=True)
         return [
-            _iso_to_seconds(column) if is_date else column.to_numpy() for column, is_date in pairs
+            number_texts(column, texts)
+            if texts is not None
+            else _iso_to_seconds(column)
+            if is_date
+            else column.to_numpy()
+            for column, is_date, texts in entries
         ]
     except ValueError:  # including pyarrow's
         return None
@@ -395,10 +434,19 @@ def _iso_to_seconds(dates: pa.ChunkedArray) -> FloatArray:
     return np.array([parse_iso(date) for date in dates.to_pylist()])
 
 
+def _number_text(numbers: dict[str, float], text: str) -> float:
+    return numbers.setdefault(text.strip(), float(len(numbers)))
+
+
 def _read_row_by_row(text: _TextRows, columns: _WantedColumns) -> list[NDArray[Any]]:
     """Read rows slowly, to name the first invalid one."""
     parse_plain = parse_number_or_nan if columns.blanks else parse_number
-    parsers = [parse_iso if is_date else parse_plain for is_date in columns.dates]
+    parsers: list[Callable[[str], float]] = [
+        parse_iso if is_date else parse_plain for is_date in columns.dates
+    ]
+    for number, texts in enumerate(columns.labels):
+        if texts is not None:
+            parsers[number] = partial(_number_text, texts)
     values, names = [], columns.names
     for k, row in enumerate(text.rows):
         cells = text.split_cells(k)

@@ -6,6 +6,7 @@ force are known in closed form at any time and are integrated over each sample b
 so the increments are independent of the mechanisation under test.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,8 +16,9 @@ import numpy as np
 
 from sinsjax.maths.algebra import add, cross, dot, scale
 from sinsjax.maths.rotations import from_euler, multiply, sin_cos, sin_cos_near_zero
+from sinsjax.strapdown.attitude_path import AttitudePath
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.turns import AngleRates, Turns
+from sinsjax.strapdown.turns import AngleRates, SampleTurn, Turns
 from sinsjax.types import Array, Increments, Quat, Scalar, Vec3
 
 _COUNT = 6
@@ -74,6 +76,7 @@ class Motion(NamedTuple):
         lever: from the centre of the sway to the sensors, in b, m; None where they are in it.
         vertical: turns about the vertical; None without any.
         table: turns about the z axis of b, of a turntable that sways with the base; None without.
+        path: angles in addition to those of the sways; None without a given attitude.
     """
 
     pitch: Sway
@@ -82,6 +85,7 @@ class Motion(NamedTuple):
     lever: Vec3 | None = None
     vertical: Turns | None = None
     table: Turns | None = None
+    path: AttitudePath | None = None
 
     @property
     def angles(self) -> tuple[Sway, Sway, Sway]:
@@ -90,16 +94,24 @@ class Motion(NamedTuple):
 
     @property
     def turns(self) -> bool:
-        """Return whether the base is turned, so that its motion has no mean attitude."""
-        return self.vertical is not None or self.table is not None
+        """Return whether the base does not only sway, so that its motion has no mean attitude."""
+        return any(part is not None for part in (self.vertical, self.table, self.path))
+
+    def added_angles(self, t: Scalar) -> tuple[AngleRates | None, ...]:
+        """Return what is added to pitch, roll and yaw of the sways at a time (s); None: nothing."""
+        return _add_yaw(
+            (None,) * 3 if self.path is None else self.path.at(t),
+            None if self.vertical is None else self.vertical.at(t),
+        )
 
 
 def attitude(motion: Motion, t: Scalar) -> Quat:
     """Return the true attitude, body to navigation frame, at time t (s)."""
-    yaw = motion.yaw.angle(t)
-    if motion.vertical is not None:
-        yaw = yaw + motion.vertical.at(t).angle
-    q = from_euler(motion.pitch.angle(t), motion.roll.angle(t), yaw)
+    angles = [sway.angle(t) for sway in motion.angles]
+    for axis, added in enumerate(motion.added_angles(t)):
+        if added is not None:
+            angles[axis] = angles[axis] + added.angle
+    q = from_euler(*angles)
     if motion.table is None:
         return q
     half = 0.5 * motion.table.at(t).angle
@@ -114,17 +126,27 @@ def rate_and_force(motion: Motion, place: Place, t: Scalar) -> tuple[Vec3, Vec3]
     rate through roll. The centre of the sway has no velocity.
     """
     angles = [sway.angle(t) for sway in motion.angles]
-    rates = EulerRates(*(sway.rate(t) for sway in motion.angles))
-    bends = EulerRates(*(sway.acceleration(t) for sway in motion.angles))
-    if motion.vertical is not None:
-        turn = motion.vertical.at(t)
-        angles[2] = angles[2] + turn.angle
-        rates = rates._replace(yaw=rates.yaw + turn.rate)
-        bends = bends._replace(yaw=bends.yaw + turn.acceleration)
+    rates = [sway.rate(t) for sway in motion.angles]
+    bends = [sway.acceleration(t) for sway in motion.angles]
+    for axis, added in enumerate(motion.added_angles(t)):
+        if added is not None:
+            angles[axis] = angles[axis] + added.angle
+            rates[axis] = rates[axis] + added.rate
+            bends[axis] = bends[axis] + added.acceleration
     now = Sines(*map(sin_cos, angles))
     table = None if motion.table is None else motion.table.at(t)
-    body = _motion_in_body(place, motion.lever, now, rates, bends, table)
+    body = _motion_in_body(place, motion.lever, now, EulerRates(*rates), EulerRates(*bends), table)
     return _rate_and_force_in_body(place, body)
+
+
+def _add_yaw(
+    angles: tuple[AngleRates | None, ...], turn: AngleRates | None
+) -> tuple[AngleRates | None, ...]:
+    """Return pitch, roll and yaw with a turn about the vertical."""
+    pitch, roll, yaw = angles
+    if turn is None or yaw is None:
+        return pitch, roll, turn if yaw is None else yaw
+    return pitch, roll, AngleRates(*map(jnp.add, yaw, turn))
 
 
 class Sines(NamedTuple):
@@ -312,13 +334,9 @@ def ideal_sample(
         k: number of the sample, which spans k/rate to (k+1)/rate.
     """
     middle = (k + 0.5) / rate_hz
-    vertical, table = (
-        None if turns is None else turns.of_sample(rate_hz, k)
-        for turns in (motion.vertical, motion.table)
-    )
-    turned = (None, None, None if vertical is None else vertical.at(0.0, rate_hz))
+    added_at, table = _added_in_sample(motion, rate_hz, k)
     waves = []
-    for sway, turn in zip(motion.angles, turned, strict=True):
+    for sway, turn in zip(motion.angles, added_at(0.0), strict=True):
         sin, cos = (sway.amplitude * part for part in sway.phase_at(middle))
         angle = sway.center + sin if turn is None else sway.center + sin + turn.angle
         waves.append((sin, cos, 2 * jnp.pi / sway.period, sin_cos(angle), turn))
@@ -327,13 +345,15 @@ def ideal_sample(
         sides = []
         for side in (-1.0, 1.0):
             sines, rates, bends = [], [], []
-            for (sin, cos, omega, here, turn), advance in zip(waves, ahead, strict=True):
+            added = added_at(side * node) if motion.turns else (None,) * 3
+            for (sin, cos, omega, here, turn), advance, there in zip(
+                waves, ahead, added, strict=True
+            ):
                 later, versed = side * advance.sin, advance.versed
                 change = sin * versed + cos * later
                 rate = omega * (cos + (cos * versed - sin * later))
                 bend = -omega * omega * (sin + change)
-                if turn is not None and vertical is not None:
-                    there = vertical.at(side * node, rate_hz)
+                if turn is not None and there is not None:
                     change = change + (there.angle - turn.angle)
                     rate, bend = rate + there.rate, bend + there.acceleration
                 sines.append(_sin_cos_of_sum(here, sin_cos_near_zero(change)))
@@ -359,6 +379,25 @@ def ideal_sample(
         *(scale(1 / rate_hz, part) for part in _rate_and_force_in_body(place, mean))
     )
     return IdealSample(increments, mean.axes)
+
+
+def _added_in_sample(
+    motion: Motion, rate_hz: Scalar, k: Scalar
+) -> tuple[Callable[[Scalar], tuple[AngleRates | None, ...]], SampleTurn | None]:
+    """Return `Motion.added_angles` of a node of sample k, and the turn of the table during it."""
+    vertical, table = (
+        None if turns is None else turns.of_sample(rate_hz, k)
+        for turns in (motion.vertical, motion.table)
+    )
+
+    def added(node: Scalar) -> tuple[AngleRates | None, ...]:
+        time = (k + (0.5 + 0.5 * node)) / rate_hz
+        return _add_yaw(
+            (None,) * 3 if motion.path is None else motion.path.at(time),
+            None if vertical is None else vertical.at(node, rate_hz),
+        )
+
+    return added, table
 
 
 def increment(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scalar) -> Increments:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from sinsjax.messages import shorten
+from sinsjax.study.attitude_file import digest
 from sinsjax.study.study import Study
 
 NOT_COMPUTED: Any = {"tune": True, "study": {"name", "unchecked"}}
@@ -15,12 +16,15 @@ NOT_COMPUTED: Any = {"tune": True, "study": {"name", "unchecked"}}
 def fingerprint(study: Study) -> str:
     """Return 16 hex digits that identify the results of a study.
 
-    The name and the order of keys in a section have no effect. The order of the axes, of the zips
+    The content of a file of the base's attitude counts, its name too. The name of the study and the
+    order of keys in a section have no effect. The order of the axes, of the zips
     and of the drawn keys has: it numbers the variants and the points of a design.
     """
     content = study.model_dump(mode="json", exclude=NOT_COMPUTED, exclude_none=True)
     for name in ("axes", "zips", "drawn"):
         content[name] = list(content.get(name, {}).items())
+    if attitude := digest(study):
+        content["attitude"] = attitude
     content["zips"] = [keys for _, keys in content["zips"]]  # names have no effect
     text = json.dumps(content, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -55,6 +59,8 @@ def describe_differences(
         for key in dict.fromkeys((*old_values, *new_values))
         if old_values.get(key) != new_values.get(key)
     ]
+    if not changed and any(key.endswith("attitude_file") for key in new_values):
+        return ["the content of [motion] attitude_file, or the order of its keys"]
     return changed or ["its keys are in another order"]
 
 

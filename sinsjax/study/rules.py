@@ -22,6 +22,7 @@ from sinsjax.methods.filters.section import OF_RESETS, OF_SCHEDULES, scheduled_r
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.methods.triggers.config import any_trigger
 from sinsjax.study import sampling, search_space, success
+from sinsjax.study.attitude_file import check_attitude_key
 from sinsjax.study.keys import (
     COARSE_KEYS,
     EARTH_CONSTANTS,
@@ -113,7 +114,8 @@ def _check_required_keys(study: Study, key_tables: KeyTables) -> None:
         reason = "without a time_column in [record]" if untimed else key_summary("study", "rate_hz")
         _refuse_key("rate_hz", key_tables, f"required ({reason})")
     for key in ("latitude_deg", "yaw_center_deg") if simulated else ():
-        if key not in key_tables:
+        from_file = key == "yaw_center_deg" and "attitude_file" in key_tables
+        if key not in key_tables and not from_file:
             _refuse_key(key, key_tables, f"required ({key_summary(SECTION_OF[key], key)})")
     for angle in ("pitch", "roll", "yaw") if simulated else ():
         amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"
@@ -701,6 +703,7 @@ PRESENCE_RULES: tuple[StudyRule, ...] = (
     check_process_noise,
     check_measurement_noise,
     check_turn_keys,
+    check_attitude_key,
     _check_covariance_analysis,
 )
 """Rules for the presence of keys."""

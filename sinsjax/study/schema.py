@@ -252,8 +252,8 @@ TURN_KEYS = (
 """Keys of turns of the base."""
 
 
-def _sways_or_turns(turn_times_s: Any, *amplitudes: Any) -> bool:
-    return bool(turn_times_s) or _any_nonzero(*amplitudes)
+def _moves(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
+    return bool(turn_times_s or attitude_file) or _any_nonzero(*amplitudes)
 
 
 class MotionSection(Section):
@@ -275,8 +275,11 @@ class MotionSection(Section):
         KeyCondition(TURN_KEYS[1:], TURN_KEYS[:1], bool),
         KeyCondition(
             ("lever_arm_m",),
-            (*TURN_KEYS[:1], *(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw"))),
-            _sways_or_turns,
+            (
+                *(TURN_KEYS[0], "attitude_file"),
+                *(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw")),
+            ),
+            _moves,
         ),
         KeyCondition(("surge_time_s", "surge_model"), ("surge_m_per_s",), _any_nonzero),
         KeyCondition(
@@ -359,6 +362,13 @@ class MotionSection(Section):
         description="axis of the turns. 'vertical': the vehicle turns about the vertical, its"
         " pitch and roll axes with it. 'body': a turntable on the vehicle, which sways along, turns"
         " the sensors about their z axis; default: 'vertical'",
+    )
+    attitude_file: Name | None = Field(
+        None,
+        description="file of the attitude of the base, text or Parquet with the columns time_s,"
+        " pitch_deg, roll_deg and yaw_deg (or heading_deg), in place of all angles and turns. Cubic"
+        " splines lead from row to row; smooth a noisy file first. It cannot be swept; default:"
+        " none",
     )
     surge_m_per_s: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 100))] = Field(
         0.0,
@@ -699,7 +709,8 @@ NUMBERS_DRAWN = {
         key: numbers
         for section in (MotionSection, SensorsSection)
         for key, field in section.model_fields.items()
-        if key not in TURN_KEYS and (numbers := _max_list_length(field.annotation))
+        if key not in (*TURN_KEYS, "attitude_file")
+        and (numbers := _max_list_length(field.annotation))
     },
     **dict.fromkeys(INITIAL_NUMBERS, 1),
 }

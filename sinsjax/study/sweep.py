@@ -321,6 +321,8 @@ def _check_sweepable(table: str, key: str, recorded: bool) -> None:
     section = SECTION_OF.get(key)
     if key == "start_s":
         reason = "cannot be swept (list the start times in [record], one draw each)"
+    elif key == "attitude_file":
+        reason = "cannot be swept (use one study per file)"
     elif section is None:
         sweepable = [name for name, home in SECTION_OF.items() if home in SWEEPABLE]
         reason = unknown_key_error(key, sweepable)

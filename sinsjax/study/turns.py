@@ -43,7 +43,7 @@ class Turn(NamedTuple):
     rate_deg_per_s: float
 
 
-class TurnPlan(NamedTuple):
+class SampledTurns(NamedTuple):
     """The turns of a run.
 
     Attributes:
@@ -78,7 +78,7 @@ class TurnError(ValueError):
         self.key = key
 
 
-def plan_turns(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> TurnPlan:
+def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> SampledTurns:
     """Return the turns of a run in whole samples.
 
     Begin, length and ramp of a turn are rounded to samples, and its rate is adjusted for its exact
@@ -124,7 +124,7 @@ def plan_turns(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> TurnP
         repeated = (t._replace(begin=t.begin + n * period) for n in repeats for t in turns)
         turns = [turn for turn in repeated if turn.begin < end]
     _check_overlap(rate_hz, turns, ramp)
-    return TurnPlan(tuple(turns), ramp, tuple(dict.fromkeys(changes)))
+    return SampledTurns(tuple(turns), ramp, tuple(dict.fromkeys(changes)))
 
 
 def _check_values(
@@ -159,9 +159,12 @@ def _check_overlap(rate_hz: float, turns: list[Turn], ramp: int) -> None:
     for turn, following in zip(turns, turns[1:], strict=False):
         end = turn.begin + turn.length + ramp
         if end > following.begin:
-            text = f"the turn at {turn.begin / rate_hz:.12g} s ends at {end / rate_hz:.12g} s"
-            text += f", after the next one begins, at {following.begin / rate_hz:.12g} s"
-            raise TurnError("turn_times_s", f"{text} (leave more time, or turn faster)")
+            raise TurnError(
+                "turn_times_s",
+                f"the turn at {turn.begin / rate_hz:.12g} s ends at {end / rate_hz:.12g} s, after"
+                f" the next one begins, at {following.begin / rate_hz:.12g} s (leave more time, or"
+                " turn faster)",
+            )
 
 
 def data_end_s(study: Study) -> float:
@@ -190,7 +193,7 @@ def check_turns(study: Study, key_tables: Mapping[str, str]) -> None:
     for point in study.combinations(*TURN_KEYS):
         if point["turn_times_s"]:
             try:
-                plan_turns(study.rate_hz, data_end_s(study), point)
+                turns_in_samples(study.rate_hz, data_end_s(study), point)
             except TurnError as error:
                 place = key_tables.get(error.key, "[motion]")
                 raise InputError(f"{place} {error.key}: {error}") from None
@@ -211,7 +214,7 @@ def useless_methods(study: Study) -> Iterator[str]:
         name, turning = point["method"], METHODS[point["method"]].turning
         if name in seen or not point["turn_times_s"] or turning in (None, "any"):
             continue
-        plan, end = plan_turns(study.rate_hz, data_end_s(study), point), data_end_s(study)
+        plan, end = turns_in_samples(study.rate_hz, data_end_s(study), point), data_end_s(study)
         if turning == "many" and plan.turned_deg(round(end * study.rate_hz)) >= _MANY_TURNS_DEG:
             continue
         seen.add(name)
@@ -232,7 +235,9 @@ def warn_of_resets(study: Study) -> Iterator[str]:
         if not uses_turns or not point["turn_times_s"] or point["reset_kind"] == "scale":
             continue
         resets_s = acting_reset_times(study.rate_hz, *(point[key] for key in OF_RESETS))
-        first = plan_turns(study.rate_hz, data_end_s(study), point).turns[0].begin / study.rate_hz
+        first = (
+            turns_in_samples(study.rate_hz, data_end_s(study), point).turns[0].begin / study.rate_hz
+        )
         for reset_s in resets_s:
             if reset_s > first:
                 yield (
@@ -258,7 +263,7 @@ def warn_of_turning_rate(study: Study) -> Iterator[str]:
             yield f"{place} not below the rate of the turns, {turn_rate:.12g} deg/s (give less)"
             return
         end_s = data_end_s(study)
-        plan = plan_turns(study.rate_hz, end_s, point)
+        plan = turns_in_samples(study.rate_hz, end_s, point)
         turning_s = plan.turning_samples(round(end_s * study.rate_hz)) / study.rate_hz
         if turning_s > _MOSTLY * end_s:
             text = f"there is no update in turns, which take {turning_s:.3g} of {end_s:.3g} s"
@@ -275,7 +280,9 @@ def describe_rounding(study: Study) -> Iterator[str]:
     if not turns_base(study):
         return
     points = study.combinations(*TURN_KEYS)
-    plans = [plan_turns(study.rate_hz, data_end_s(study), p) for p in points if p["turn_times_s"]]
+    plans = [
+        turns_in_samples(study.rate_hz, data_end_s(study), p) for p in points if p["turn_times_s"]
+    ]
     changes = list(dict.fromkeys(change for plan in plans for change in plan.changes))
     if changes:
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""

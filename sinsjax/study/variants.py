@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from sinsjax.errors import InputError
+from sinsjax.records.reference import Reference
+from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.study import Study
@@ -46,6 +48,11 @@ class Variants:
     def data_end_s(self) -> float:
         """Length of the data that the longest run of the study reads, s."""
         return data_end_s(self._study)
+
+    @property
+    def attitude(self) -> Reference | None:
+        """Attitude of the base over time, if the study has a file of it."""
+        return read_attitude(self._study)
 
     def has(self, section: str) -> bool:
         """Return whether the study has a section."""

@@ -83,10 +83,10 @@ def test_error_model_has_the_gains_of_skipped_updates_and_of_the_restart():
         half = 0.5 * rate * DEG / RATE
         sample = Sample(Quat(np.cos(half), 0.0, 0.0, np.sin(half)), dv)
         if expected is None:
-            expected = plain.error_model.step(filt, here, state, sample, n).gains
-        made = reopens.error_model.step(filt, here, state, sample, n).gains
+            expected = plain.error_model.step(filt, here, state, sample, float(n)).gains
+        made = reopens.error_model.step(filt, here, state, sample, float(n)).gains
         np.testing.assert_array_equal(np.asarray(made), np.asarray(expected))
-        velocity, state = state.nav.ve, reopens.step(filt, here, state, sample, n)
+        velocity, state = state.nav.ve, reopens.step(filt, here, state, sample, float(n))
         assert (state.nav.ve == 0.0) == (n == 3)
         assert n == 3 or abs(state.nav.ve - velocity) < 1e-3
 

@@ -1,5 +1,6 @@
 """Turns of the base against an attitude written down anew and differentiated by JAX."""
 
+import itertools
 from functools import partial
 
 import jax
@@ -8,8 +9,10 @@ import numpy as np
 import pytest
 from oracles.in_engine import motion, place
 from oracles.naive import DEG, WGS84, Swing, of_quaternion
+from scipy.interpolate import CubicSpline
 
 from sinsjax.strapdown import base_motion
+from sinsjax.strapdown.attitude_path import attitude_path
 from sinsjax.strapdown.turns import Turns
 from sinsjax.types import Vec3
 from sinsjax.units import DEG_PER_H
@@ -87,10 +90,14 @@ def vee(skew):
 
 @partial(jax.jit, static_argnums=0)
 def rate_and_force(axis, k, tau):
+    return from_matrix(partial(matrix, axis, k), tau)
+
+
+def from_matrix(matrix, tau):
     """Rate and force in b from the matrix alone: its derivatives, and the lever arm's path in n."""
     here = place(WGS84, LATITUDE)
-    c, rate = jax.jvp(partial(matrix, axis, k), (tau,), (1.0,))
-    path = lambda tau: matrix(axis, k, tau) @ LEVER  # noqa: E731
+    c, rate = jax.jvp(matrix, (tau,), (1.0,))
+    path = lambda tau: matrix(tau) @ LEVER  # noqa: E731
     speed = lambda tau: jax.jvp(path, (tau,), (1.0,))[1]  # noqa: E731
     v, acceleration = jax.jvp(speed, (tau,), (1.0,))
     earth = jnp.array([0.0, here.rate_n, here.rate_u])
@@ -155,3 +162,36 @@ def test_lever_arm_from_axis_gives_centripetal_and_tangential_force():
     _, middle = base_motion.rate_and_force(turning, here, 0.7)  # of the ramp: half the rate
     peak = 30 / 16 * rate  # largest angular acceleration of a ramp of 1 s
     np.testing.assert_allclose(middle[:2], [-0.2 * rate**2 / 4, 0.2 * peak], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("step_s", "limit_deg_per_h"), [(0.05, 1e-8), (0.033, 1e-6)])
+def test_path_through_given_attitudes_matches_exact_integration(step_s, limit_deg_per_h):
+    times = np.arange(0, 400 * step_s, step_s)
+    angles = np.column_stack([3 * np.cos(times), 2 * np.sin(2 * times), 60 * np.sin(times)])
+    spline = CubicSpline(times, np.radians(angles))
+    still = Swing(np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
+    moving = motion(still)._replace(lever=Vec3(*LEVER), path=attitude_path(times, angles))
+    sense = jax.jit(partial(base_motion.increment, moving))
+    ahead = base_motion.integration_nodes(moving, RATE_HZ)
+
+    @jax.jit
+    def values(coefficients, s):
+        def c(s):
+            pitch, roll, yaw = jnp.polyval(coefficients, s)
+            return about("z", yaw) @ about("x", pitch) @ about("y", roll)
+
+        return from_matrix(c, s)
+
+    for k in (0, 3, 10, 33, 66, 502, 1001):
+        ends = np.array([k, k + 1]) / RATE_HZ
+        inside = [t for t in times if ends[0] + 1e-12 < t < ends[1] - 1e-12]
+        exact = np.zeros(6)
+        for a, b in itertools.pairwise([ends[0], *inside, ends[1]]):
+            knot = np.searchsorted(times, 0.5 * (a + b)) - 1
+            for node, weight in zip(NODES, WEIGHTS, strict=True):
+                s = 0.5 * (a + b) + 0.5 * (b - a) * node - times[knot]
+                exact += 0.5 * (b - a) * weight * np.array(values(spline.c[:, knot], s))
+        made = sense(ahead, place(WGS84, LATITUDE), RATE_HZ, float(k))
+        error = np.abs(np.array(made.dtheta) - exact[:3]).max() * RATE_HZ / DEG_PER_H
+        assert error < limit_deg_per_h, (k, error)
+        np.testing.assert_allclose(np.array(made.dv), exact[3:], rtol=0, atol=1e-8)

@@ -15,6 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
 import pytest
 from support.commands import Command, command_line
 from support.studies import STILL, small_study
@@ -553,6 +556,179 @@ def test_interleaved_rows_of_two_sensors_are_refused(
     path = write(tmp_path / "log.csv", [both], names)
     with pytest.raises(InputError, match=r"column 'I' is 0, 1: rows of several sensors \(keep"):
         make_study_text(path, Path("x.toml"))
+
+
+TURN_BY_90 = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+UNITS = (NAMES[0], *(f"{n} [rad/s]" for n in NAMES[1:4]), *(f"{n} [m/s^2]" for n in NAMES[4:]))
+
+
+def two_sensors(
+    body: tuple[np.ndarray, np.ndarray], block: int, turn: np.ndarray = TURN_BY_90
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return columns at twice the rate with blocks of rows of one sensor and of another."""
+    is_second = np.arange(2 * len(TIME)) // block % 2 == 1
+    both = [np.repeat(v, 2, axis=0) for v in in_axes(body, "flu")]
+    time = np.arange(1, 2 * len(TIME) + 1) / (2 * RATE)
+    return [time, *(np.where(is_second[:, None], v @ turn, v) for v in both)], is_second
+
+
+@pytest.mark.parametrize("block", [1, 10])
+@pytest.mark.parametrize(("name", "texts"), [("unit", ("left", "right")), ("node", ("7", "9"))])
+def test_rows_of_two_sensors_by_any_label_are_refused(
+    name: str,
+    texts: tuple[str, str],
+    block: int,
+    body: tuple[np.ndarray, np.ndarray],
+    tmp_path: Path,
+) -> None:
+    columns, is_second = two_sensors(body, block)
+    path = write(tmp_path / "log.csv", columns, UNITS)
+    header, *rows = path.read_text().splitlines()
+    rows = [f"{texts[k]},{row}" for k, row in zip(is_second.astype(int), rows, strict=True)]
+    path.write_text("\n".join([f"{name},{header}", *rows, ""]))
+    says = (
+        f"column '{name}' is {', '.join(texts)}, and the mean specific force jumps with it: rows of"
+        " several sensors (keep those of one)"
+    )
+    with pytest.raises(InputError, match=re.escape(says)):
+        make_study_text(path, Path("x.toml"))
+    table = pa.csv.read_csv(path)
+    pq.write_table(table, tmp_path / "log.parquet")
+    with pytest.raises(InputError, match=re.escape(says)):
+        make_study_text(tmp_path / "log.parquet", Path("x.toml"))
+    if block == 1:
+        path = write(tmp_path / "log.csv", columns, UNITS)
+        with pytest.raises(InputError, match="next and is back after 2: rows of 2 sensors in turn"):
+            make_study_text(path, Path("x.toml"))
+
+
+def test_labels_without_another_mean_stay_silent(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    columns, is_second = two_sensors(body, 1, np.eye(3))
+    rng = np.random.default_rng(1)
+    labels = {
+        "node": is_second * 1.0,
+        "fix": rng.integers(0, 4, len(is_second)) * 1.0,
+        "moving": (columns[1][:, 0] > columns[1][:, 0].mean() - 1.0) * 1.0,
+        "seq": np.arange(len(is_second)) % 8.0,
+        "temperature": 20 + 0.1 * np.floor(columns[0] / 9),
+    }
+    names = [UNITS[0], *labels, *UNITS[1:]]
+    path = write(tmp_path / "log.csv", [columns[0], *labels.values(), *columns[1:]], names)
+    assert read_study(path)[1:] == ({}, [])
+    study = small_study(study={"duration_s": 60.0, "rate_hz": RATE, "window_s": [15, 30]})
+    record = package.simulated_record(study)  # which sways
+    time = np.arange(1, len(record.dv) + 1) / RATE
+    side = (record.dv[:, 0] > np.median(record.dv[:, 0])) * 1.0
+    columns = [time, side, record.dtheta * RATE, record.dv * RATE]
+    path = write(tmp_path / "log.csv", columns, (UNITS[0], "side", *UNITS[1:]))
+    assert not read_study(path)[1]
+
+
+@pytest.mark.parametrize("frame", ["n", "world"])
+def test_accelerations_in_a_navigation_frame_are_passed_over(
+    frame: str, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    gyro, accel = in_axes(body, "flu")
+    level = np.array([0.0, 0.0, 9.81]) + 1e-3 * np.random.default_rng(2).normal(size=accel.shape)
+    of_body = [f"accel_{'b_' if frame == 'n' else ''}{a}" for a in XYZ]
+    names = [*UNITS[:4], *(f"accel_{frame}_{a}" for a in XYZ), *of_body]
+    path = write(tmp_path / "log.csv", [TIME, gyro, level, accel], names)
+    assert read_study(path)[1:] == ({}, [])
+    assert_truth(align(path, tmp_path))
+    path = write(tmp_path / "log.csv", [TIME, gyro, level], names[:7])
+    _, questions, _ = read_study(path)
+    assert f"are named as in a navigation frame ({frame})" in questions["accel_columns"]
+
+
+def test_accelerometers_that_differ_without_a_hint_are_a_question(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    gyro, accel = in_axes(body, "flu")
+    names = [*UNITS[:4], *(f"accel_{k}_{a}" for k in ("low", "high") for a in XYZ)]
+    path = write(tmp_path / "log.csv", [TIME, gyro, accel @ TURN_BY_90, accel], names)
+    study, questions, _ = read_study(path)
+    assert study["record"]["accel_columns"] == "?"
+    assert "their names do not tell which of these belong" in questions["accel_columns"]
+    study, questions, _ = read_study(path, record__accel_columns=names[-3:])
+    assert not questions
+    path = write(tmp_path / "log.csv", [TIME, gyro, accel, accel * 1.001], names)
+    assert read_study(path)[1:] == ({}, ["or accel_high_x, accel_high_y, accel_high_z?"])
+
+
+@pytest.mark.parametrize("pattern", ["imu{k}_{s}_{a}", "{s}_{a}_{k}", "{s}_{a}_imu{k}"])
+def test_gyros_and_accelerometers_of_one_instance_are_paired(
+    pattern: str, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    gyro, accel = in_axes(body, "flu")
+
+    def names(sensor: str, instance: int) -> list[str]:
+        return [pattern.format(s=sensor, k=instance, a=axis) for axis in XYZ]
+
+    order = [("gyro", 0), ("gyro", 1), ("accel", 1), ("accel", 0)]
+    columns = [TIME, gyro, gyro @ TURN_BY_90, accel @ TURN_BY_90, accel]
+    path = write(tmp_path / "log.csv", columns, ["t", *(n for o in order for n in names(*o))])
+    study, questions, (doubt,) = read_study(path)
+    assert study["record"]["gyro_columns"] == names("gyro", 0)
+    assert study["record"]["accel_columns"] == names("accel", 0) and not questions
+    assert doubt == (
+        f"or {', '.join(names('gyro', 1))} with {', '.join(names('accel', 1))}? Give gyro_columns"
+        " and accel_columns together"
+    )
+    assert_truth(align(path, tmp_path))
+
+
+def test_front_of_roll_rates_is_a_question_that_names_and_sways_settle(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    names = ["time", "roll_rate", "pitch_rate", "yaw_rate", "ax", "ay", "az"]
+    path = write(tmp_path / "log.csv", [TIME, body[0][:, [1, 0, 2]], body[1]], names)
+    _, questions, _ = read_study(path)
+    assert [*questions] == ["axes_order"]
+    assert "which axis of the accelerometers points front" in questions["axes_order"]
+    says = "with axes_order = 'rfu' these are 'pitch_rate', 'roll_rate', 'yaw_rate'"
+    with pytest.raises(InputError, match=says):
+        align(path, tmp_path, record__axes_order="rfu")
+    study, questions, _ = read_study(path, record__axes_order="rfu")
+    assert not questions and study["record"]["gyro_columns"][0] == "pitch_rate"
+    pqr = write(tmp_path / "pqr.csv", [TIME, *in_axes(body, "flu")], ["time", *"pqr", *names[4:]])
+    assert read_study(pqr)[1:] == ({}, [])  # p is about x by definition
+    swaying = small_study(study={"duration_s": 40.0, "rate_hz": RATE, "window_s": [15, 30]})
+    record = package.simulated_record(swaying)
+    time = np.arange(1, len(record.dv) + 1) / RATE
+    columns = [time, record.dtheta[:, [1, 0, 2]] * RATE, record.dv * RATE]
+    study, questions, _ = read_study(write(tmp_path / "log.csv", columns, names))
+    assert not questions and study["record"]["gyro_columns"][0] == "pitch_rate"
+    assert study["record"]["axes_order"] == "xyz"
+
+
+@pytest.mark.parametrize("accel_unit", [1.0, G])
+@pytest.mark.parametrize("ratio", [0.97, 1.0])
+def test_mems_bias_that_looks_like_earth_rate_is_a_question(
+    ratio: float, accel_unit: float, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    gyro, accel = in_axes(body, "flu")
+    rng = np.random.default_rng(4)
+    earth_rate = 15.041 / 3600  # deg/s, of gyros in rad/s
+    bias = ratio * earth_rate * np.array([0.5, -0.4, 0.768])
+    noisy = gyro - gyro.mean(axis=0) + bias + 0.02 * DEG * rng.normal(size=gyro.shape)
+    path = write(tmp_path / "log.csv", [TIME, noisy, accel / accel_unit])
+    study, questions, _ = read_study(path)
+    assert [*questions] == ["gyro_unit"] and study["earth"]["latitude_deg"] == 45.0
+    path = write(tmp_path / "log.csv", [TIME, gyro / DEG, accel / accel_unit])
+    study, questions, _ = read_study(path)  # gyros with so little noise have no such bias
+    assert not questions and study["record"]["gyro_unit"] == "deg_per_s"
+
+
+def test_clock_with_a_unit_is_preferred_to_a_column_that_rises_as_evenly(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    temperature = 20 + 0.01 * np.arange(len(TIME))
+    names = ("T", *NAMES[:1], *NAMES[1:])
+    path = write(tmp_path / "log.csv", [temperature, TIME, *in_axes(body, "flu")], names)
+    study, questions, doubts = read_study(path)
+    assert (study["record"]["time_column"], questions, doubts) == ("time_s", {}, [])
 
 
 def test_gyros_that_turn_opposite_to_the_vertical_are_a_question(tmp_path: Path) -> None:

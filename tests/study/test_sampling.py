@@ -84,7 +84,7 @@ def test_drawn_keys_need_as_many_numbers_as_their_section():
             make_study({key: {"values": [[0.5, 0.6]]}}, **periods(key))
     assert NUMBERS_DRAWN.keys() == {
         "latitude_deg",
-        *MotionSection.model_fields.keys() - {"surge_model", *TURN_KEYS},
+        *MotionSection.model_fields.keys() - {"surge_model", "attitude_file", *TURN_KEYS},
         *SensorsSection.model_fields,
         *INITIAL_NUMBERS,
     }

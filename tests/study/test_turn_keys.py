@@ -14,7 +14,7 @@ from sinsjax.execution.prepare import prepare_job
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.schema import TURN_KEYS
-from sinsjax.study.turns import describe_rounding, plan_turns
+from sinsjax.study.turns import describe_rounding, turns_in_samples
 from sinsjax.study.variants import Variants
 
 pytestmark = pytest.mark.optimised(False)
@@ -24,7 +24,7 @@ FAST = {"turn_times_s": [1.0], "turn_rate_deg_per_s": 90.0, "turn_ramp_s": 0.5}
 
 def plan(rate_hz=100.0, end_s=60.0, **given):
     values = dict.fromkeys(TURN_KEYS) | {f"turn_{key}": value for key, value in given.items()}
-    return plan_turns(rate_hz, end_s, values)
+    return turns_in_samples(rate_hz, end_s, values)
 
 
 def test_turn_has_exact_angle_in_whole_samples():

@@ -80,7 +80,9 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
         given = columns.column(key, unit)
         if not np.isnan(given).any():
             return given
-        return np.where(np.isnan(given), columns.rms(_DEFAULTS[key]) * unit, given)
+        # A record has no [sensors]: the rules require what it must give itself.
+        default = columns.rms(_DEFAULTS[key]) * unit if columns.has("sensors") else 0.0
+        return np.where(np.isnan(given), default, given)
 
     def noise(key: str, unit: float, default_unit: float) -> NDArray:
         given, q_key = columns.column(key, unit), _NOISE[key]
@@ -227,7 +229,9 @@ GRAVITY_FIT = describe_without_start(
     sections={"gravity_fit": GravityFitSection},
     load=_load,
     has_floor=False,
+    turning="any",
     stores_blocks=True,
+    rules=(_check_record_interval, _check_beliefs),
     columns=COLUMNS,
     step_s=10e-9,
 )

@@ -6,11 +6,14 @@ of the base to the measurement. Drifts belong to axes of the body, and turn in l
 by a phase. The noise of both axes is alike, so each covariance is that of one axis.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
 from sinsjax.types import Array, Scalar
+
+Number: TypeAlias = Any
+"""A scalar, real or complex."""
 
 
 class Drift(NamedTuple):
@@ -74,7 +77,7 @@ class NoiseModel(NamedTuple):
     driven: tuple[Scalar, ...]
     shared: tuple[Scalar, ...]
     measured: Scalar
-    initial: dict[tuple[int, int], Scalar]
+    initial: dict[tuple[int, int], Number]
 
 
 def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseModel:
@@ -96,13 +99,14 @@ def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseMo
         measured = measured + driven
     seen, kept, turns, to_walk, driven, shared, variances = zip(*states, strict=True)
     n = len(states)
-    initial = {(i, k): variances[i] if i == k else zero + 0j for i in range(n) for k in range(i, n)}
+    off = _as_complex(zero) if any(turns) else zero
+    initial = {(i, k): variances[i] if i == k else off for i in range(n) for k in range(i, n)}
     return NoiseModel(seen, kept, turns, to_walk, driven, shared, measured, initial)
 
 
 def predict(
-    noise: NoiseModel, variance: dict[tuple[int, int], Scalar], turned: Scalar
-) -> tuple[list[list[Scalar | None]], list[Scalar], Scalar, dict[tuple[int, int], Scalar]]:
+    noise: NoiseModel, variance: dict[tuple[int, int], Number], turned: Scalar
+) -> tuple[list[list[Number | None]], list[Number], Scalar, dict[tuple[int, int], Number]]:
     """Return transition, gain, innovation variance and the covariance after a block.
 
     Args:
@@ -111,20 +115,23 @@ def predict(
         turned: angle by which the body turned about the vertical, rad.
     """
     states = range(len(noise.seen))
+    # Real numbers do as long as no state turns.
+    cast = _as_complex if any(noise.turns) else jnp.asarray
+    phase = jnp.exp(_as_complex(turned) * 1j) if any(noise.turns) else None
 
-    def p(i: int, k: int) -> Scalar:
-        return variance[i, k] if i <= k else jnp.conj(variance[k, i])
+    def p(i: int, k: int) -> Number:
+        return cast(variance[i, k]) if i <= k else jnp.conj(cast(variance[k, i]))
 
-    phase = jnp.exp(1j * turned) if any(noise.turns) else None
-    step: list[list[Scalar | None]] = [[None for _ in states] for _ in states]
+    step: list[list[Number | None]] = [[None for _ in states] for _ in states]
     for i in states:
-        step[i][i] = noise.kept[i] * phase if noise.turns[i] else noise.kept[i]
-        if i and noise.turns[i]:
-            step[0][i] = noise.to_walk[i]
-    seen = [sum(p(i, k) * noise.seen[k] for k in states) for i in states]
-    s = noise.measured + sum(jnp.real(noise.seen[i] * seen[i]) for i in states)
+        step[i][i] = cast(noise.kept[i])
+        if noise.turns[i]:
+            step[i][i] = cast(noise.kept[i]) * phase
+            step[0][i] = cast(noise.to_walk[i])
+    seen = [sum(p(i, k) * cast(noise.seen[k]) for k in states) for i in states]
+    s = noise.measured + sum(noise.seen[i] * jnp.real(seen[i]) for i in states)
     moved = [
-        sum(f * seen[k] for k, f in enumerate(row) if f is not None) + noise.shared[i]
+        sum(f * seen[k] for k, f in enumerate(row) if f is not None) + cast(noise.shared[i])
         for i, row in enumerate(step)
     ]
     half = [
@@ -134,15 +141,17 @@ def predict(
     after = {}
     for i in states:
         for k in states[i:]:
-            value = (
-                sum(half[i][j] * jnp.conj(f) for j, f in enumerate(step[k]) if f is not None)
-                - moved[i] * jnp.conj(moved[k]) / s
-            )
-            after[i, k] = jnp.real(value) + noise.driven[i] if i == k else value + 0j
-    return step, [m / s for m in moved], s, after
+            terms = (half[i][j] * jnp.conj(f) for j, f in enumerate(step[k]) if f is not None)
+            value = sum(terms) - moved[i] * jnp.conj(moved[k]) / cast(s)
+            after[i, k] = jnp.real(value) + noise.driven[i] if i == k else value
+    return step, [m / cast(s) for m in moved], s, after
 
 
-def times(factor: Scalar, pairs: Array) -> Array:
+def _as_complex(number: Number) -> Number:
+    return jnp.asarray(number).astype(complex)
+
+
+def times(factor: Number, pairs: Array) -> Array:
     """Return a number, maybe complex, times complex numbers in pairs, (n, 2)."""
     if not jnp.iscomplexobj(factor):
         return factor * pairs

@@ -1,0 +1,103 @@
+"""The file of a simulated base's attitude: reading, identity, and the rules of its key."""
+
+import hashlib
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sinsjax.errors import InputError
+from sinsjax.records.reference import Reference, read_reference
+from sinsjax.study.schema import TURN_KEYS, EarthSection, MotionSection
+from sinsjax.study.study import Study
+from sinsjax.study.turns import data_end_s
+
+KEY = "attitude_file"
+_ANGLE_KEYS = tuple(
+    key for key in MotionSection.model_fields if key.endswith(("_center_deg", "_amplitude_deg"))
+)
+_LONGEST_STEP = 5.0
+"""Longest step of time without a gap, in medians of all steps."""
+_LEAST_MOTION_DEG = 0.5
+"""Range of yaw from which a file within two radian turns is taken to be in radians."""
+
+
+def attitude_file(study: Study) -> str | None:
+    """Return the file of the base's attitude, if the study has one."""
+    return None if study.motion is None else study.motion.attitude_file
+
+
+def read_attitude(study: Study) -> Reference | None:
+    """Return the attitude of the base over time, if the study has a file of it.
+
+    Raises:
+        InputError: the file cannot be read, is unsorted, has gaps, does not cover the data or
+            seems to be in radians.
+    """
+    name = attitude_file(study)
+    if name is None:
+        return None
+    attitude = _read(name, *_state(name))
+    time_s, angles = attitude.time_s, attitude.attitude_deg
+    end_s, steps = data_end_s(study), np.diff(time_s)
+    if time_s[0] > 0 or time_s[-1] < end_s * (1 - 1e-9):
+        raise InputError(
+            f"{name}: covers {time_s[0]:.12g} to {time_s[-1]:.12g} s, but the study needs 0 to"
+            f" {end_s:.12g} s (shorten the runs, or give a longer file)"
+        )
+    if steps.max() > _LONGEST_STEP * np.median(steps):
+        at = int(steps.argmax())
+        raise InputError(
+            f"{name}: has a gap of {steps[at]:.6g} s after {time_s[at]:.12g} s (fill it in; other"
+            f" steps are {np.median(steps):.6g} s)"
+        )
+    small = np.abs(angles).max() <= 2 * np.pi
+    if small and np.ptp(angles[:, 2]) >= _LEAST_MOTION_DEG and not study.study.unchecked:
+        raise InputError(
+            f"{name}: all angles are within 2 pi, are they in radians? (give degrees;"
+            " [study] unchecked = true accepts them)"
+        )
+    return attitude
+
+
+def digest(study: Study) -> str | None:
+    """Return a digest of the file's content, which is part of the study's identity."""
+    name = attitude_file(study)
+    return None if name is None else _digest(name, *_state(name))
+
+
+def _state(name: str) -> tuple[int, int]:
+    """Return what changes with a file: time and size."""
+    try:
+        state = Path(name).stat()
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read: {error.strerror}") from None
+    return state.st_mtime_ns, state.st_size
+
+
+@lru_cache(maxsize=4)
+def _read(name: str, time_ns: int, size: int) -> Reference:
+    return read_reference(name)
+
+
+@lru_cache(maxsize=16)
+def _digest(name: str, time_ns: int, size: int) -> str:
+    return hashlib.sha256(Path(name).read_bytes()).hexdigest()[:16]
+
+
+def check_attitude_key(study: Study, key_tables: Mapping[str, str]) -> None:
+    """Refuse angles, turns and drawn motion together with a file of the attitude."""
+    if attitude_file(study) is None:
+        return
+    fields: dict[str, Any] = MotionSection.model_fields
+    for key in (*_ANGLE_KEYS, *TURN_KEYS):
+        drawn = key in study.drawn_keys
+        if drawn or any(point[key] != fields[key].default for point in study.combinations(key)):
+            text = f"conflicts with {KEY} in [motion], which gives all angles (drop one of them)"
+            raise InputError(f"{key_tables.get(key, '[motion]')} {key}: {text}")
+    for key in study.drawn_keys:
+        if key in EarthSection.model_fields or key in fields:
+            text = f"cannot be drawn with {KEY} in [motion] (give it one value, or sweep it)"
+            raise InputError(f"[drawn] {key}: {text}")

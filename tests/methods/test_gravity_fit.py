@@ -1,0 +1,214 @@
+"""The gravity fit against the information bound, a dense least squares, and the truth."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+import sinsjax
+from sinsjax.methods.gravity_fit.fit import Block, FitParams, solve
+from sinsjax.methods.gravity_fit.noise import SensorNoise
+from sinsjax.strapdown import earth
+from sinsjax.types import Quat, Vec3
+
+pytestmark = pytest.mark.optimised(False)
+
+DEG, ARCMIN = np.pi / 180, np.pi / 180 / 60
+TURN = {"turn_times_s": [50.5], "turn_angles_deg": [180.0], "turn_rate_deg_per_s": 10.0}
+NOISE = {"gyro_arw_deg_per_sqrt_h": 0.02, "accel_vrw_ug_per_sqrt_hz": 50.0}
+DRAWN = {
+    "gyro_bias_deg_per_h": {"normal": [0.0, 1.0]},
+    "accel_bias_ug": {"normal": [0.0, 500.0]},
+}
+
+
+def study(
+    draws: int,
+    motion: dict[str, Any] | None = None,
+    sensors: dict[str, Any] | None = None,
+    drawn: dict[str, Any] | None = None,
+    **tables: Any,
+) -> sinsjax.Study:
+    settings = {"duration_s": 120.0, "rate_hz": 10.0, "draws": draws, "seed": 3}
+    made = {
+        "study": settings | tables.pop("study", {}),
+        "earth": {"earth": "wgs84", "latitude_deg": 45.0},
+        "motion": {"yaw_center_deg": 70.0} | (TURN if motion is None else motion),
+        "sensors": NOISE if sensors is None else sensors,
+        "alignment": {"method": "gravity_fit"},
+        **tables,
+    }
+    if drawn is None or drawn:
+        made["drawn"] = DRAWN if drawn is None else drawn
+    return sinsjax.study_from_dict(made)
+
+
+def columns(study: sinsjax.Study, *names: str) -> tuple[np.ndarray, ...]:
+    table = sinsjax.run(study).summary
+    return tuple(np.asarray(table[name], float) for name in names)
+
+
+CASES = {
+    "turned": {},
+    "parked": {"motion": {}},
+    "swaying": {
+        "motion": TURN
+        | {"pitch_amplitude_deg": 2.0, "pitch_period_s": 6.0}
+        | {"roll_amplitude_deg": 3.0, "roll_period_s": 8.0}
+    },
+    "carousel": {
+        "motion": {"turn_times_s": [0.0], "turn_angles_deg": [1e6], "turn_rate_deg_per_s": 6.0}
+    },
+    "scale": {
+        "drawn": DRAWN
+        | {"gyro_scale_ppm": {"normal": [0.0, 300.0]}}
+        | {"gyro_misalignment_arcsec": {"normal": [0.0, 206.0]}}
+    },
+    "drift": {
+        "sensors": NOISE | {"gyro_instability_deg_per_h": 0.3, "gyro_instability_time_s": 60.0}
+    },
+}
+
+
+@pytest.mark.parametrize(
+    "case", ["turned", *(pytest.param(name, marks=pytest.mark.slow) for name in [*CASES][1:])]
+)
+def test_errors_and_sigma_are_those_of_information_bound(case: str) -> None:
+    given = study(64, **CASES[case])
+    bound = sinsjax.information_bound(given)["bound_u_arcmin"].to_pylist()[-1]
+    error, sigma, nees, misfit = columns(
+        given, "phi_u_arcmin", "sigma_u_arcmin", "nees", "fit_misfit"
+    )
+    np.testing.assert_allclose(sigma, bound, rtol=0.02)
+    low, high = stats.chi2.ppf([0.001, 0.999], 64)
+    assert low < np.sum((error / bound) ** 2) < high
+    low, high = stats.chi2.ppf([0.001, 0.999], 3 * 64)
+    assert low < np.sum(nees) < high
+    assert abs(misfit.mean() - 1) < 0.05
+
+
+@pytest.mark.slow
+def test_biases_of_any_size_and_any_heading_are_found() -> None:
+    given = study(
+        16,
+        sensors=NOISE | {"gyro_arw_deg_per_sqrt_h": 0.2},
+        drawn={"gyro_bias_deg_per_h": {"normal": [0.0, 50.0]}},
+        axes={"yaw_center_deg": [-170.0, -80.0, 10.0, 100.0]},
+    )
+    error, sigma = columns(given, "phi_u_arcmin", "sigma_u_arcmin")
+    mean_square = np.mean((error / sigma) ** 2)
+    low, high = stats.chi2.ppf([0.001, 0.999], 64) / 64
+    assert low < mean_square < high
+
+
+def test_gyro_biases_and_their_sigma_are_results() -> None:
+    given = study(32)
+    truth = np.asarray(sinsjax.run(given).summary["gyro_bias_deg_per_h"].to_pylist())
+    for axis, name in enumerate(("right", "front", "up")):
+        found, sigma = columns(
+            given, f"fit_gyro_bias_{name}_deg_per_h", f"fit_gyro_bias_{name}_sigma_deg_per_h"
+        )
+        low, high = stats.chi2.ppf([0.001, 0.999], 32)
+        assert low < np.sum(((found - truth[:, axis]) / sigma) ** 2) < high
+
+
+@pytest.mark.slow
+def test_lever_arm_is_an_unknown_that_costs_little() -> None:
+    arm = {"lever_arm_m": [0.05, 0.06, 0.02]}
+    given = study(32, motion=TURN | arm)
+    error, sigma = columns(given, "phi_u_arcmin", "sigma_u_arcmin")
+    low, high = stats.chi2.ppf([0.001, 0.999], 32) / 32
+    assert low < np.mean((error / sigma) ** 2) < high
+    bound = sinsjax.information_bound(given)["bound_u_arcmin"].to_pylist()[-1]
+    assert 1 < sigma.mean() / bound < 1.15
+    ignored = study(32, motion=TURN | arm, gravity_fit={"fit_lever_arm_m": 0.0})
+    assert np.mean(columns(ignored, "fit_misfit")) > 2
+
+
+@pytest.mark.slow
+def test_known_biases_leave_the_error_of_optimisation() -> None:
+    table = sinsjax.run(
+        study(16, motion={}, drawn={}, axes={"method": ["gravity_fit", "inertial"]})
+    )
+    error = np.asarray(table.summary["phi_u_arcmin"], float).reshape(16, 2)
+    sigma = np.asarray(table.summary["sigma_u_arcmin"], float).reshape(16, 2)[:, 0]
+    assert abs(np.mean(error[:, 0] * error[:, 1])) > 0.8 * np.mean(error[:, 0] ** 2)
+    assert np.mean(error[:, 0] ** 2) < 1.1 * np.mean(error[:, 1] ** 2)
+    assert stats.chi2.ppf(0.001, 16) < np.sum((error[:, 0] / sigma) ** 2)
+
+
+def test_reported_heading_is_that_of_a_run_of_that_length() -> None:
+    whole = study(4, study={"report_times_s": [90.0]})
+    short = study(4, study={"duration_s": 90.0})
+    at, sigma_at = columns(whole, "phi_u_at_90_arcmin", "sigma_u_at_90_arcmin")
+    end, sigma = columns(short, "phi_u_arcmin", "sigma_u_arcmin")
+    np.testing.assert_allclose(at, end, rtol=1e-6)
+    np.testing.assert_allclose(sigma_at, sigma, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_records_shorter_than_a_second_are_joined_to_blocks() -> None:
+    coarse = columns(study(4), "phi_u_arcmin", "sigma_u_arcmin")
+    fine = columns(study(4, study={"record_interval_s": 0.5}), "phi_u_arcmin", "sigma_u_arcmin")
+    np.testing.assert_allclose(fine, coarse, rtol=1e-6)
+
+
+def test_linear_pass_is_dense_least_squares() -> None:
+    """One pass over blocks at rest, with the covariance of all of them written out."""
+    gyro, accel, length, count = 6e-6, 5e-4, 1.0, 40
+    place = earth.place(earth.wgs84(), 45 * DEG)
+    rate = np.hypot(place.rate_n, place.rate_u)
+    biases = np.array([4e-6, -3e-6, 2e-6])
+    pole = np.array([0.0, place.rate_n, place.rate_u])
+    times = np.arange(count + 1) * length
+    c = Rotation.from_rotvec(np.outer(times, pole)) * Rotation.from_euler("Z", 0.7)
+    turns = c[:-1].inv() * c[1:]
+    middle = Rotation.from_rotvec(np.outer((times[:-1] + times[1:]) / 2, pole))
+    force = c[:-1].inv().apply(middle.apply([0.0, 0.0, place.gravity * length]))
+    turn = Rotation.from_rotvec(turns.as_rotvec() + biases * length).as_quat(scalar_first=True)
+    still = Vec3(0.0, 0.0, 0.0)
+    pairs = zip(turn, force, strict=True)
+    rows = np.stack([Block.of_turn(Quat(*q), Vec3(*f), still).row() for q, f in pairs])
+    sigma_b, sigma_a = 5e-6, 5e-3
+    params = FitParams(SensorNoise(np.float64(gyro), np.float64(accel)), sigma_b, sigma_a)
+    solution, _ = solve(params, place, rows, np.asarray(count), length)
+
+    j = np.arange(count) + 0.5
+    t = j * length
+    gh, (cos, sin) = place.gravity * length, (place.rate_n / rate, place.rate_u / rate)
+    level = cos * np.sin(rate * t) + 1j * cos * sin * (1 - np.cos(rate * t))
+    up = 1 - cos**2 * (1 - np.cos(rate * t))
+    # l: level at the first sample, along the axes of the body; c = e^{-0.7 i}
+    along = np.exp(-0.7j) * level
+    p = t[:, None] * np.eye(3)[:, None]  # (axis, block, component)
+    x = [1j * gh * along, -1j * gh * up, gh * up]
+    x += [gh * (up * (q[:, 1] - 1j * q[:, 0]) + 1j * along * q[:, 2]) for q in p]
+    x += [length + 0 * along, 1j * length + 0 * along, 0 * along]
+    walk = np.minimum.outer(t, t) - np.eye(count) * length / 6
+    noise = (gh * gyro) ** 2 * walk + accel**2 * length * np.eye(count)
+    x = np.stack(x, axis=1)
+    information = (x.conj().T @ np.linalg.solve(noise, x)).real
+    information += np.diag([0, 1, 1, *[sigma_b**-2] * 3, *[sigma_a**-2] * 3])
+    covariance = np.linalg.inv(information)
+    heading = np.array([1, 0, 0, 0, 0, times[-1], 0, 0, 0])
+    expected = heading @ covariance @ heading + gyro**2 * times[-1]
+    np.testing.assert_allclose(solution.covariance.uu, expected, rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("tables", "line"),
+    [
+        (
+            {"study": {"record_interval_s": 5.0}},
+            "[study] record_interval_s: gravity_fit needs at most 2 s",
+        ),
+        ({"gravity_fit": {"fit_gyro_bias_deg_per_h": 0.0}}, "fit_gyro_bias_deg_per_h"),
+        ({"passes": {"stored_s": 60.0}}, "stored_s: does not apply to method gravity_fit"),
+    ],
+)
+def test_what_it_cannot_do_is_refused(tables: dict[str, Any], line: str) -> None:
+    with pytest.raises(sinsjax.InputError) as caught:
+        study(2, **tables)
+    assert line in str(caught.value) and "\n" not in str(caught.value)
