@@ -32,7 +32,7 @@ _TURNING = (
     " times for four positions, 1.2 instead of 1.4 for one turn in 120 s), and a carousel needs"
     " them, since it never rests; with such errors some runs on a carousel diverge. Beyond 1 deg/h"
     " the heading of the first position is too bad for a linear filter: at 10 deg/h it is 2 to 3"
-    " times the bound from a heading known to 1 deg, and 8 times or more from one 45 deg off. A"
+    " times the bound from a heading known to 1 deg, and 7.5 times or more from one 45 deg off. A"
     " reset of P after"
     " the beginning of a turn forgets the first position."
 )
