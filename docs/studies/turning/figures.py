@@ -1,6 +1,6 @@
 """The figure of the page: heading error over time, parked and turned, for three grades of gyros."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from matplotlib.axes import Axes
@@ -30,14 +30,14 @@ class Curve(NamedTuple):
 
 
 @with_style
-def draw_errors(times_s: NDArray, panels: dict[str, Sequence[Curve]]) -> Figure:
+def draw_errors(times_s: NDArray, panels: Mapping[str, Sequence[Curve]]) -> Figure:
     """Draw bounds as lines and measured errors as points, in a panel per grade."""
     figure = Figure(figsize=(9.5, 4.0))
-    figure.suptitle("Turned by 180 deg, the gyros lose their bias")
+    figure.suptitle("One half turn breaks the bias floor, a carousel never meets it")
     grid = figure.subplots(1, len(panels), sharex=True, sharey=True)
     for axes, (title, curves) in zip(grid, panels.items(), strict=True):
         for number, curve in enumerate(curves):
-            _draw_curve(axes, times_s, curve, COLOURS[number], 1 + 0.04 * (number - 1))
+            _draw_curve(axes, times_s, curve, COLOURS[number])
         axes.set(xscale="log", yscale="log", xlabel="time (s)", title=title)
         for axis, ticks in ((axes.xaxis, TIME_TICKS_S), (axes.yaxis, ERROR_TICKS_ARCMIN)):
             axis.set_major_locator(FixedLocator(ticks))
@@ -49,11 +49,9 @@ def draw_errors(times_s: NDArray, panels: dict[str, Sequence[Curve]]) -> Figure:
     return figure
 
 
-def _draw_curve(axes: Axes, times_s: NDArray, curve: Curve, colour: str, shift: float) -> None:
-    """Draw a curve; its points are shifted along the time so that none hides another."""
+def _draw_curve(axes: Axes, times_s: NDArray, curve: Curve, colour: str) -> None:
+    """Draw the bound as a line and the measured errors as points with their intervals."""
     axes.plot(times_s, curve.bound, color=colour, label=curve.name)
     for time, rms in curve.measured.items():
         reach = [[rms.value - rms.low], [rms.high - rms.value]]
-        axes.errorbar(
-            time * shift, rms.value, reach, fmt="o", color=colour, markersize=4, linewidth=1.2
-        )
+        axes.errorbar(time, rms.value, reach, fmt="o", color=colour, markersize=4, linewidth=1.2)
