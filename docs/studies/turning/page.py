@@ -222,7 +222,7 @@ def _pays_from(sensors: Sensors) -> float:
     """Return the time from which a half turn is better than a parked base, s, to 10 s."""
     low, high = SHORTEST_S, 1000.0
     while high - low > 10:
-        middle = 10 * round((low + high) / 20)
+        middle = 10.0 * round((low + high) / 20)
         parked, half = _plan(sensors, middle).options[:2]
         low, high = (low, middle) if half.sigma_arcmin < parked.sigma_arcmin else (middle, high)
     return high
