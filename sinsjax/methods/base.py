@@ -40,6 +40,8 @@ class Options(NamedTuple):
             "gravity" (the constant (0, 0, g) and zero velocity: A(t) of a base at rest).
         position: "fixed" or "integrated".
         trigger: name of a trigger, or "none".
+        turning: what a filter with states of gyro biases does while the base turns: "update", or
+            "reopen" for no update, and P partly reopened after the turn.
         innovations: whether a filter sums its normalised innovations.
         record_every: samples per record interval, for a method that stores blocks; 0 for others.
         records: record intervals of a run, likewise.
@@ -49,6 +51,7 @@ class Options(NamedTuple):
     specific_force: str = "measured"
     position: str = "fixed"
     trigger: str = "none"
+    turning: str = "update"
     innovations: bool = False
     record_every: int = 0
     records: int = 0
@@ -113,6 +116,10 @@ class AttitudeCovariance(NamedTuple):
     nn: Scalar
     nu: Scalar
     uu: Scalar
+
+
+UNKNOWN_ANGLE = jnp.pi**2 / 3
+"""Variance of an angle that may be any, rad^2."""
 
 
 def unknown_covariance(like: Scalar) -> AttitudeCovariance:

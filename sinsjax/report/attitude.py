@@ -29,6 +29,7 @@ from sinsjax.units import ARCMIN, DEG_PER_H, MICRO
 
 _ANGLES = ("heading", "pitch", "roll")
 _COLUMNS = (*(f"{angle}_deg" for angle in _ANGLES), "sigma_u_arcmin", "phi_u_arcmin")
+_MISFIT, _BIAS_SIGMAS = 3.0, 3.0  # beyond which a fit is doubted
 _EXAMPLES = (0.01, 100.0)  # deg/h and ug, whose effect is stated if the biases are unknown
 
 
@@ -84,6 +85,8 @@ def _front_text(source: Source) -> str:
 
 def _bias_floor_fact(source: Source) -> Iterator[Fact]:
     """The heading error that biases leave on a parked vehicle, if its latitude is known."""
+    if not any(METHODS[name].has_floor for name in source.study.methods):
+        return
     latitude_deg, record = source.study.values("latitude_deg")[0], source.study.record
     if latitude_deg is None:
         latitude_deg = source.record_latitude_deg
@@ -106,6 +109,27 @@ def _caution_facts(source: Source) -> Iterator[Fact]:
     count = _count_runs_above_band(source)
     if count:
         yield Fact("Caution", f"the innovations of {count:,} runs contradict their 1 sigma", True)
+    if "gravity_fit" in source.study.methods:
+        yield from _fit_cautions(source)
+
+
+def _fit_cautions(source: Source) -> Iterator[Fact]:
+    """Doubts about fits whose residuals or gyro biases are larger than believed."""
+    names = [f"fit_gyro_bias_{axis}_deg_per_h" for axis in ("right", "front", "up")]
+    rows = source.rows(["fit_misfit", *names])
+    misfit, *biases = (analysis.numeric_column(rows, name) for name in rows.column_names)
+    largest = float(np.nanmax(misfit, initial=0.0))
+    if largest > _MISFIT:
+        text = f"the fit's residuals are {largest:.1f} times their sigma: do units, signs and"
+        yield Fact("Caution", f"{text} [gravity_fit] describe these sensors?", True)
+    record, beliefs = source.study.record, source.study.values("fit_gyro_bias_deg_per_h")
+    limit = record.gyro_bias_deg_per_h if record is not None else None
+    if limit is None and None not in beliefs:
+        limit = _BIAS_SIGMAS * max(beliefs)
+    bias = float(np.nanmax(np.abs(biases), initial=0.0))
+    if limit is not None and bias > limit:
+        text = f"the fit finds a gyro bias of {bias:.3g} deg/h, beyond {limit:.3g}"
+        yield Fact("Caution", f"{text} (fit_gyro_bias_deg_per_h): is a sign wrong?", True)
 
 
 def _final_attitude_table(source: Source, rows: list[dict[str, Any]]) -> Table:

@@ -15,7 +15,6 @@ from pydantic import ValidationError, create_model
 
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL, escape_controls, explain_error, suggest_closest
-from sinsjax.methods.registry import METHODS
 from sinsjax.records import read_psins, read_record
 from sinsjax.records.anomalies import find_dead_channels, report_anomalies
 from sinsjax.records.evidence import find_turning_earth_rate, shows_earth_rate
@@ -57,12 +56,9 @@ _ALIGNMENT = """\
 [alignment]
 method = "inertial"               # needs no numbers of the sensors
 """
-TURNING_METHOD = "gravity_fit"
-"""Method for a base that turns, if this version has it."""
-
 _TURNING = """\
 [alignment]
-method = "{method}"          # the turns separate the sensor biases from the heading
+method = "gravity_fit"            # the turns separate the sensor biases from the heading
 
 # Scatter of the samples, and the largest usual biases: put those of the data sheet here.
 [gravity_fit]
@@ -71,7 +67,6 @@ fit_gyro_arw_deg_per_sqrt_h = {gyro_noise:.2g}
 fit_accel_bias_ug = {accel_bias:g}
 fit_accel_vrw_ug_per_sqrt_hz = {accel_noise:.2g}
 """
-_TURNS_UNUSED = "# The base turns; this method does not use the turns, so the gyro biases remain.\n"
 _GYRO_BIAS_DEG_PER_H, _ACCEL_BIAS_UG = 10.0, 5000.0  # the largest that raise no doubt
 _ALWAYS_WRITTEN = {"gyro_unit", "accel_unit", "axes_order", "time_unit"}
 _LEVELLING = """\
@@ -178,8 +173,6 @@ def _alignment_section(
     assert record is not None
     if not (proposed.is_gyro_known and finds_north_by_turns(means, expected)):
         return _ALIGNMENT
-    if TURNING_METHOD not in METHODS:
-        return _ALIGNMENT + _TURNS_UNUSED
     span = slice(*_sample_range(record, part))
     gyro_noise, accel_noise = (
         float(np.median(np.abs(np.diff(rows[span], n=2, axis=0))) / 0.6745 / math.sqrt(6))
@@ -187,7 +180,6 @@ def _alignment_section(
         for rows in (record.dtheta, record.dv)
     )  # second differences of white noise have six times its variance
     return _TURNING.format(
-        method=TURNING_METHOD,
         gyro_bias=_GYRO_BIAS_DEG_PER_H,
         accel_bias=_ACCEL_BIAS_UG,
         gyro_noise=gyro_noise / DEG_PER_SQRT_H,

@@ -72,7 +72,9 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", ["turned", *(pytest.param(name, marks=pytest.mark.slow) for name in [*CASES][1:])]
+)
 def test_errors_and_sigma_are_those_of_information_bound(case: str) -> None:
     given = study(64, **CASES[case])
     bound = sinsjax.information_bound(given)["bound_u_arcmin"].to_pylist()[-1]
@@ -87,6 +89,7 @@ def test_errors_and_sigma_are_those_of_information_bound(case: str) -> None:
     assert abs(misfit.mean() - 1) < 0.05
 
 
+@pytest.mark.slow
 def test_biases_of_any_size_and_any_heading_are_found() -> None:
     given = study(
         16,
@@ -111,6 +114,7 @@ def test_gyro_biases_and_their_sigma_are_results() -> None:
         assert low < np.sum(((found - truth[:, axis]) / sigma) ** 2) < high
 
 
+@pytest.mark.slow
 def test_lever_arm_is_an_unknown_that_costs_little() -> None:
     arm = {"lever_arm_m": [0.05, 0.06, 0.02]}
     given = study(32, motion=TURN | arm)
@@ -123,6 +127,7 @@ def test_lever_arm_is_an_unknown_that_costs_little() -> None:
     assert np.mean(columns(ignored, "fit_misfit")) > 2
 
 
+@pytest.mark.slow
 def test_known_biases_leave_the_error_of_optimisation() -> None:
     table = sinsjax.run(
         study(16, motion={}, drawn={}, axes={"method": ["gravity_fit", "inertial"]})
@@ -143,6 +148,7 @@ def test_reported_heading_is_that_of_a_run_of_that_length() -> None:
     np.testing.assert_allclose(sigma_at, sigma, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_records_shorter_than_a_second_are_joined_to_blocks() -> None:
     coarse = columns(study(4), "phi_u_arcmin", "sigma_u_arcmin")
     fine = columns(study(4, study={"record_interval_s": 0.5}), "phi_u_arcmin", "sigma_u_arcmin")

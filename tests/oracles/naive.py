@@ -168,6 +168,7 @@ class Filter(NamedTuple):
     turn_factor: float = 10.0
     restarts: bool = False
     at_feedback: bool = False
+    turning_rate: float | None = None
 
 
 class Clock:
@@ -213,6 +214,9 @@ class Unwatched:
     def look(self, seen, x, p):
         """Whether P is to be reset after an update that gave x and P."""
         return False
+
+    def skip(self):
+        """Take in that a sample has no update."""
 
     def feed(self, phi):
         """Take an attitude correction in that is fed back."""
@@ -292,6 +296,13 @@ def update(x, p, h, z, r):
     return x + gain @ (z - h @ x), (np.eye(len(x)) - gain @ h) @ p
 
 
+def opened(p, filt, kept=(4, 7, 8, 9)):
+    """P after a turn: P0, but for heading and gyro biases, which stay."""
+    out = np.diag(filt.p0)
+    out[np.ix_(kept, kept)] = p[np.ix_(kept, kept)]
+    return out
+
+
 def reset(p, filt, heading=(4,)):
     """P after a reset; that of yaw touches the states of heading."""
     p0 = np.diag(filt.p0)
@@ -333,6 +344,7 @@ def closed_loop(
     x, p, bias = np.zeros(n), np.diag(filt.p0), np.zeros(n - 5)
     h = np.eye(n)[:2]
     longitude, fixed, history, rewind = 0.0, latitude, [], filt.turn == "rewind"
+    was_turning = turning = False
     for k, turn, dv, way, turns in updates(increments, stored, count, rewind=rewind):
         if k < first:
             continue
@@ -345,6 +357,9 @@ def closed_loop(
         elif turns:
             v, (x, p, bias) = -v, turned(x, p, bias, filt)
             watcher.turn(x, p)
+        if filt.turning_rate is not None:
+            rate = (c @ Rotation.from_matrix(turn).as_rotvec())[2] / dt
+            was_turning, turning = turning, abs(rate) > filt.turning_rate
         earth = planet._replace(rate=way * planet.rate)
         at = latitude if filt.position == "integrated" else fixed
         # The gravity reading linearises about a base at rest.
@@ -361,9 +376,16 @@ def closed_loop(
         phi = np.eye(n) + a * dt
         x, p = phi @ x, phi @ p @ phi.T
         p = watcher.factor(p, v - x[:2]) * p + np.diag(filt.q)
-        seen = Innovation(k, v - x[:2], p[:2, :2] + filt.r * np.eye(2), earth, at, c0)
-        x, p = update(x, p, h, v, filt.r)
-        feedback, due = clock.look(k, watcher.look(seen, x, p))
+        called = False
+        if turning or was_turning:
+            watcher.skip()
+            if not turning:
+                v, x, p = np.zeros(2), np.array([0.0, 0.0, *x[2:]]), opened(p, filt)
+        else:
+            seen = Innovation(k, v - x[:2], p[:2, :2] + filt.r * np.eye(2), earth, at, c0)
+            x, p = update(x, p, h, v, filt.r)
+            called = watcher.look(seen, x, p)
+        feedback, due = clock.look(k, called)
         share = 1.0 if due else filt.gain if feedback else 0.0
         watcher.feed(share * x[2:5])
         if share:

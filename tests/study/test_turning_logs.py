@@ -4,15 +4,15 @@ import re
 import tomllib
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from support.commands import command_line
 from support.turning_logs import DEG, DEG_PER_H, PARKED, TURNS, G, turned_record
 
 import sinsjax as package
-from sinsjax.methods.registry import METHODS
 from sinsjax.records.layout import NAMED_AXES, from_body_axes
-from sinsjax.study import from_record
 from sinsjax.study.from_record import make_study_text
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
@@ -31,8 +31,8 @@ UNITS = {
 simulated = cache(turned_record)
 
 
-def write_log(path: Path, motion: str, units: str = "rad/s and m/s^2", gyro: float = 1.0) -> Path:
-    """Write a log in axes front, left, up; its gyros multiplied by a number."""
+def write_log(path: Path, motion: str, units: str = "rad/s and m/s^2", gyro: Any = 1.0) -> Path:
+    """Write a log in axes front, left, up; its gyros multiplied by a number, or one per axis."""
     some = simulated(motion)
     gyro_name, gyro_unit, accel_name, accel_unit, _ = UNITS[units]
     order = NAMED_AXES["flu"]
@@ -76,16 +76,10 @@ def test_wrong_unit_or_sign_of_turning_log_is_a_doubt(
     assert any(mark.endswith(f"{asks} (the study is refused)") for mark in marks(text))
 
 
-def test_turning_log_is_aligned_by_the_method_for_turns_if_there_is_one(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_turning_log_is_aligned_by_gravity_fit_with_the_noise_of_its_samples(
+    tmp_path: Path,
 ) -> None:
     path = write_log(tmp_path / "log.csv", "one turn by 180")
-    monkeypatch.setattr(from_record, "TURNING_METHOD", "not in this version")
-    text = make_study_text(path, Path("its.toml"))
-    assert tomllib.loads(text)["alignment"] == {"method": "inertial"}
-    assert "\n# The base turns; this method does not use the turns" in text
-    monkeypatch.setattr(from_record, "TURNING_METHOD", "gravity_fit")
-    monkeypatch.setitem(METHODS, "gravity_fit", METHODS["inertial"])
     study = tomllib.loads(make_study_text(path, Path("its.toml")))
     assert study["alignment"] == {"method": "gravity_fit"}
     section = study["gravity_fit"]
@@ -111,10 +105,41 @@ def test_all_of_a_long_turning_log_is_aligned(tmp_path: Path) -> None:
         assert tomllib.loads(text)["study"]["duration_s"] == fine_s
 
 
-def test_turning_log_is_aligned_without_warning(tmp_path: Path) -> None:
-    path, config = write_log(tmp_path / "log.csv", "four positions"), tmp_path / "its.toml"
-    config.write_text(make_study_text(path, config))
-    results = package.align(path, config, curves=False)
-    (row,) = results.summary.to_pylist()
+def aligned(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    folder: Path,
+    motion: str,
+    gyro: Any = 1.0,
+    *options: str,
+) -> tuple[str, dict[str, Any]]:
+    """Return what `sinsjax align` prints by the study of a right log, and its row."""
+    monkeypatch.chdir(folder)
+    text = make_study_text(write_log(Path("log.csv"), motion), Path("its.toml"))
+    Path("its.toml").write_text(text)
+    write_log(Path("log.csv"), motion, gyro=gyro)
+    sinsjax = command_line(monkeypatch, capsys)
+    code, printed, _ = sinsjax("align", "log.csv", "its.toml", "-o", "out", *options)
+    assert code == 0
+    (row,) = package.read_summary("out").to_pylist()
+    return printed, row
+
+
+def test_turning_log_is_aligned_without_warning(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    printed, row = aligned(monkeypatch, capsys, tmp_path, "four positions")
     error_deg = (row["heading_deg"] - simulated("four positions").heading_deg + 180) % 360 - 180
-    assert abs(error_deg) < 5
+    assert abs(error_deg) < 4 * row["sigma_u_arcmin"] / 60 < 3
+    assert row["fit_misfit"] == pytest.approx(1.0, abs=0.2)
+    assert "Caution" not in printed and "Floor" not in printed
+
+
+def test_fit_that_contradicts_its_sensors_is_a_caution(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    signs = np.array([1.0, 1.0, -1.0])  # refused, unless the user insists
+    trust = ("--set", "record.trust=true")
+    printed, row = aligned(monkeypatch, capsys, tmp_path, "four positions", signs, *trust)
+    assert row["fit_misfit"] > 3
+    assert "the fit's residuals are" in " ".join(printed.split())

@@ -63,6 +63,8 @@ def expected_refusal(study: Study, method: str) -> str | None:
         return "covariance analysis has no linear model of"  # draws take far longer
     if study.is_recorded and "filter" in new.sections and not study.has("filter"):
         return "a record does not give the noise of its"  # nor does the study
+    if study.is_recorded and "gravity_fit" in new.sections and not study.has("gravity_fit"):
+        return "required with a record"  # for the same reason
     if study.has("resets") and "resets" in new.sections and method not in LAW_METHODS:
         if "law" in study.values("schedule"):
             return "'law' holds for"

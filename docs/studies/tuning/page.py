@@ -15,7 +15,7 @@ from sinsjax.report.study_page import Page, Sources
 from sinsjax.study.study import Study
 from sinsjax.tuning import results
 from sinsjax.tuning.results import Tuning
-from sinsjax.tuning.run_tuning import COVARIANCE, GRADIENT
+from sinsjax.tuning.run_tuning import COVARIANCE, GRADIENT, LAW
 
 from ..common.grids import grid_of, pooled_mean
 from ..common.words import seconds
@@ -239,7 +239,10 @@ def _expected(tunings: Mapping[str, Tuning], plain: Mapping[str, Estimate]) -> T
     rows = []
     for name, tuning in tunings.items():
         found = {}
-        for label, candidate in (("the paper's", BASELINE), ("tuned", tuning.best)):
+        candidates = {"the paper's": BASELINE, "the law": LAW, "tuned": tuning.best}
+        for label, candidate in candidates.items():
+            if candidate not in tuning.case_numbers:
+                continue  # the law has no times where none are tuned
             case = tuning.evaluation_study.cases[tuning.case_numbers[candidate]]
             settings = (
                 f"`{key} = {_shown(value)}`" for key, value in case.items() if key != "case"

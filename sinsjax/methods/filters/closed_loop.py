@@ -51,6 +51,9 @@ from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
 
+Gains = tuple[tuple[Scalar, ...], ...]
+"""Gain of each measurement, one entry per state."""
+
 
 class FilterParams(NamedTuple):
     """Numbers of a filter: its belief and its schedules.
@@ -64,6 +67,8 @@ class FilterParams(NamedTuple):
         reset_to: variances that a full reset sets, SI squared.
         reversal: effect of a direction reversal on P.
         trigger: `triggers.trigger.TriggerParams`; None without a trigger.
+        turning_rate: rate about the vertical above which the base turns, rad/s; None for a filter
+            that updates during turns.
         extra: numbers of this filter alone; None if the filter has none.
     """
 
@@ -75,6 +80,7 @@ class FilterParams(NamedTuple):
     reset_to: tuple[Scalar, ...]
     reversal: CovarianceReset
     trigger: Any = None
+    turning_rate: Scalar | None = None
     extra: Any = None
 
 
@@ -88,6 +94,8 @@ class FilterState(NamedTuple):
         feedback_at: sample of the next feedback.
         trigger_state: `triggers.trigger.TriggerState`; None without a trigger.
         innovations: their sum so far; None if they are not summed.
+        turning: 1 if the base turned during the last sample, 2 if it no longer did, 0 if it was at
+            rest before; None for a filter that updates during turns.
         extra: state of this filter alone; None if the filter has none.
     """
 
@@ -97,6 +105,7 @@ class FilterState(NamedTuple):
     feedback_at: Scalar
     trigger_state: Any = None
     innovations: InnovationSum | None = None
+    turning: Scalar | None = None
     extra: Any = None
 
 
@@ -129,6 +138,9 @@ class Filter(NamedTuple):
         keep: (first state of a record, state at its end) -> the first with all that is no error of
             the navigation solution; None if the filter keeps nothing.
         gyro_bias: see `Passes.gyro_bias`.
+        adapt_gains: (propagated state, gains of velocity east and north) -> gains of this sample;
+            None if all samples have the same update.
+        has_update: propagated state -> whether the sample has an update; None if all have.
     """
 
     dt: float
@@ -149,6 +161,8 @@ class Filter(NamedTuple):
     shares_covariance: bool = False
     keep: Callable[[Any, Any], Any] | None = None
     gyro_bias: Callable[[Any], Vec3] | None = None
+    adapt_gains: Callable[[Any, Gains], Gains] | None = None
+    has_update: Callable[[Any], Flag] | None = None
 
 
 def closed_loop(filter_: Filter, options: Options) -> Method:
@@ -248,6 +262,8 @@ class _ClosedLoop(NamedTuple):
         propagated, transition = self.filter.propagate(params, site, state, sample)
         predicted = add_process_noise(params, propagated).belief
         gains = kalman.gains(predicted.p, (VE, VN), params.r, len(predicted.x))
+        if self.filter.adapt_gains is not None:
+            gains = self.filter.adapt_gains(propagated, gains)
         return ErrorStep(transition, self.filter.inputs(state), gains, (VE, VN))
 
     def error_angles(self, state: Any) -> tuple[tuple[Scalar, ...], ...]:
@@ -318,7 +334,10 @@ def sum_innovations(filter_: Filter) -> Filter:
         updated, innovation = filter_.update(params, state)
         total, count = state.innovations
         total = total + kalman.normalised_innovation_squared(*innovation)
-        return updated._replace(innovations=InnovationSum(total, count + 1)), innovation
+        summed = InnovationSum(total, count + 1)
+        if filter_.has_update is not None:
+            summed = select_tree(filter_.has_update(state), summed, state.innovations)
+        return updated._replace(innovations=summed), innovation
 
     return filter_._replace(init=init, update=update)
 

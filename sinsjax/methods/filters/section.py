@@ -53,6 +53,13 @@ OF_RESETS = (*OF_SCHEDULES, "reset_at_feedback", "feedback_interval_s")
 """Keys of the times at which resets act, in the order of `acting_reset_times`."""
 
 
+TURNING_RATE_DEG_PER_S = 1.0
+"""turning_rate_deg_per_s that is left out."""
+
+OF_TURNING = ("turning", "turning_rate_deg_per_s")
+"""The keys of a filter with states of gyro biases on a base that is turned."""
+
+
 _DEFAULT_R = 0.1
 """r_velocity_m_per_s on a base without surge."""
 
@@ -62,6 +69,9 @@ class FilterSection(Section):
 
     exclusive = tuple(
         pair for key, forms in Q_DENSITIES.items() for pair in combinations((key, *forms), 2)
+    )
+    conditions = (
+        KeyCondition(("turning_rate_deg_per_s",), ("turning",), lambda word: word == "reopen"),
     )
 
     p0_velocity_m_per_s: SpeedSigma = Field(
@@ -132,6 +142,23 @@ class FilterSection(Section):
     )
     r_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
         None, description="factor on R, a variance; default 1"
+    )
+    turning: Literal["update", "reopen"] | None = Field(
+        None,
+        description="what a filter with states of gyro biases does while the base is turned."
+        " 'update': no difference. 'reopen': no update during a turn; after it the velocity"
+        " restarts from zero, and P of velocity, level and accelerometer biases from P0, while P"
+        " of heading and gyro biases is kept. It is for one turn or a few, and gyros with errors"
+        " of scale factor or cross-axis: docs/methods.md compares both; default 'update'",
+    )
+    turning_rate_deg_per_s: Annotated[
+        Annotated[Positive, KeyInfo(usual_range=(1e-3, 1e4))] | None,
+        KeyInfo(same_as=TURNING_RATE_DEG_PER_S),
+    ] = Field(
+        None,
+        description="rate about the vertical, as the gyros sense it in a sample, above which the"
+        " base turns for turning = 'reopen', deg/s: above that of sways in yaw, and below that of"
+        " the turns; default: 1",
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,7 +15,15 @@ from sinsjax.methods.filters.section import WHITE_NOISE, sensor_noise_density
 from sinsjax.methods.parameters import Columns
 from sinsjax.methods.without_start import describe_without_start
 from sinsjax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, PPM
-from sinsjax.value_types import AccelSigma, GyroSigma, NonNegative, Section
+from sinsjax.value_types import (
+    AccelNoise,
+    AccelSigma,
+    GyroSigma,
+    GyroWalk,
+    KeyInfo,
+    NonNegative,
+    Section,
+)
 
 LONGEST_BLOCK_S = 2.0
 
@@ -27,20 +35,20 @@ class GravityFitSection(Section):
         None,
         description="1 sigma of the gyro biases, deg/h; default: that of [sensors] or [drawn]",
     )
-    fit_gyro_arw_deg_per_sqrt_h: NonNegative | None = Field(
+    fit_gyro_arw_deg_per_sqrt_h: GyroWalk | None = Field(
         None, description="angle random walk, deg/sqrt(h); default: that of [sensors]"
     )
-    fit_gyro_scale_ppm: NonNegative | None = Field(
+    fit_gyro_scale_ppm: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))] | None = Field(
         None,
         description="1 sigma of the gyros' scale factors, ppm; default: that of [sensors] or"
         " [drawn]",
     )
-    fit_gyro_misalignment_arcsec: NonNegative | None = Field(
+    fit_gyro_misalignment_arcsec: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e5))] | None = Field(
         None,
         description="1 sigma of the gyros' cross-axis errors, arcsec; default: that of [sensors]"
         " or [drawn]",
     )
-    fit_lever_arm_m: NonNegative | None = Field(
+    fit_lever_arm_m: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e3))] | None = Field(
         None,
         description="1 sigma of each part of the lever arm from the turn axis to the sensors, m; 0"
         " for sensors in it; default: that of [motion]",
@@ -50,7 +58,7 @@ class GravityFitSection(Section):
         description="1 sigma of the accelerometer biases, ug; default: that of [sensors] or"
         " [drawn]",
     )
-    fit_accel_vrw_ug_per_sqrt_hz: NonNegative | None = Field(
+    fit_accel_vrw_ug_per_sqrt_hz: AccelNoise | None = Field(
         None, description="velocity random walk, ug/sqrt(Hz); default: that of [sensors]"
     )
 

@@ -30,6 +30,7 @@ in the errors as well: a gyro bias along the vertical, which nothing shows on a 
 tilt, leaves P_z b.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -39,6 +40,7 @@ from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, cross, scale
 from sinsjax.methods.base import AttitudeCovariance
 from sinsjax.methods.gravity_fit.noise import (
+    NoiseModel,
     SensorNoise,
     heading_variance,
     noise_model,
@@ -120,6 +122,22 @@ class Block(NamedTuple):
     def row(self) -> Array:
         """Return its `NUMBERS`."""
         return jnp.stack(jax.tree.leaves(self))
+
+    def mean_axes(self) -> tuple[Vec3, ...]:
+        """Return the mean of each axis of b over the block, in b at its start.
+
+        Over the angle turned, by Simpson's rule: exact for turns about one axis at any rate.
+        """
+        halfway, end = rotations.matrix(self.half), rotations.matrix(self.turn)
+        return tuple(
+            Vec3(
+                *(
+                    (float(i == k) + 4 * middle[k] + last[k]) / 6
+                    for i, (middle, last) in enumerate(zip(halfway, end, strict=True))
+                )
+            )
+            for k in range(3)
+        )
 
     def without_errors(self, gyro: tuple[Vec3, ...], length_s: float) -> Quat:
         """Return the rotation of the body without gyro errors, see `Solution.gyro`."""
@@ -221,6 +239,61 @@ def solve(
     return jax.lax.fori_loop(0, PASSES, over_pass, (guess, start))[1]
 
 
+class _Layout(NamedTuple):
+    """Places of the unknowns: |c|, heading and two tilts come first.
+
+    Attributes:
+        accel: place of the accelerometer biases, after the gyro errors.
+        end: number of unknowns; a lever arm comes last.
+    """
+
+    accel: int
+    end: int
+
+
+class _Pass(NamedTuple):
+    """All that the blocks of a pass share.
+
+    Attributes:
+        place: Earth rates and gravity.
+        noise: model of the noise of the blocks.
+        guess: point of linearisation.
+        is_known: 0 in the first pass, where c is a free number, else 1.
+        length_s: length of a block, s.
+    """
+
+    place: Place
+    noise: NoiseModel
+    guess: _Guess
+    is_known: Scalar
+    length_s: float
+
+    @property
+    def layout(self) -> _Layout:
+        """Places of the unknowns."""
+        accel = GYRO + 3 * len(self.guess.gyro)
+        return _Layout(accel, accel + (3 if self.guess.lever is None else 6))
+
+    @property
+    def reaction(self) -> Scalar:
+        """Velocity that the reaction to gravity adds in a block, m/s."""
+        return self.place.gravity * self.length_s
+
+    def gravity_turn(self, j: Count) -> tuple[Scalar, Scalar, Scalar]:
+        """Return c G and U at the middle of a block."""
+        rate = jnp.hypot(self.place.rate_n, self.place.rate_u)
+        cos, sin = self.place.rate_n / rate, self.place.rate_u / rate
+        angle = rate * (jnp.asarray(j, rate.dtype) + 0.5) * self.length_s
+        versed = 2 * jnp.sin(0.5 * angle) ** 2
+        east, north = cos * jnp.sin(angle), cos * sin * versed
+        real, imaginary = self.guess.heading
+        return (
+            real * east - imaginary * north,
+            imaginary * east + real * north,
+            1 - cos**2 * versed,
+        )
+
+
 def _run_pass(
     params: FitParams,
     place: Place,
@@ -232,110 +305,125 @@ def _run_pass(
 ) -> tuple[_Guess, tuple[Solution, Quat]]:
     """Return the next guess; and its solution, with C_b^{b0} at the end."""
     zero = jnp.zeros_like(guess.accel.x)
-    gyros = 3 * len(guess.gyro)
-    accels = GYRO + gyros
-    n = accels + (3 if guess.lever is None else 6)
-    known = jnp.where(is_first, 0.0, 1.0)
-    data_s = jnp.asarray(count, zero.dtype) * length_s
-    rate_ie = jnp.hypot(place.rate_n, place.rate_u)
-    cos_l, sin_l = place.rate_n / rate_ie, place.rate_u / rate_ie
-    gh = place.gravity * length_s
     noise = noise_model(params.noise, place.gravity, length_s)
-
-    def over_block(j: Count, sums: _Sums) -> _Sums:
-        block = Block.of_row(jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False))
-        turn, half, angle, dv, rate = block
-        # Mean of the body's axes over the block, of the angle turned (Simpson's rule).
-        c0, c1 = rotations.matrix(half), rotations.matrix(turn)
-        mean = tuple(
-            Vec3(
-                *((i == k) / 6 + (4 * a + b) / 6 for k, (a, b) in enumerate(zip(u, v, strict=True)))
-            )
-            for i, (u, v) in enumerate(zip(c0, c1, strict=True))
-        )
-        columns = tuple(Vec3(*column) for column in zip(*mean, strict=True))
-        # Rotation of the block by each gyro error, in b at its start.
-        factors = (length_s, *angle)[: len(guess.gyro)]
-        errors = [scale(f, column) for f in factors for column in columns]
-        estimate = Vec3(zero, zero, zero)
-        for value, error in zip((v for triad in guess.gyro for v in triad), errors, strict=True):
-            estimate = add(estimate, scale(value, error))
-        dv = add(dv, scale(-0.5, cross(estimate, dv)))
-        accel = [scale(length_s, column) for column in columns]
-        for value, error in zip(guess.accel, accel, strict=True):
-            dv = add(dv, scale(-value, error))
-        force = rotations.rotate(sums.body, dv)
-        corrected = rotations.multiply(rotations.exp(scale(-1.0, estimate)), turn)
-        body = rotations.multiply(sums.body, corrected)
-
-        # The Earth at mid-block
-        wt = rate_ie * (jnp.asarray(j, zero.dtype) + 0.5) * length_s
-        versed = 2 * jnp.sin(0.5 * wt) ** 2
-        east, north = cos_l * jnp.sin(wt), cos_l * sin_l * versed
-        up = 1 - cos_l**2 * versed
-        ce, cn = guess.heading
-        gx, gy = ce * east - cn * north, cn * east + ce * north  # c G
-        # In the first pass c is unknown, and the amplitude is that of c itself.
-        mx, my = known * gx, known * gy
-
-        in_l = [rotations.rotate(sums.body, error) for error in errors]
-        middle = [add(a, scale(0.5, b)) for a, b in zip(sums.turned, in_l, strict=True)]
-        x: list[tuple[Scalar, Scalar]] = [
-            (gh * gx, gh * gy),
-            (-gh * gy, gh * gx),
-            (zero, -gh * up),
-            (gh * up, zero),
-        ]
-        x += [(gh * (up * p.y - my * p.z), gh * (mx * p.z - up * p.x)) for p in middle]
-        x += [(a.x, a.y) for a in (rotations.rotate(sums.body, error) for error in accel)]
-        swung: tuple[Vec3, ...] = ()
-        if guess.lever is not None:
-            spin = tuple(rotations.rotate(body, cross(rate, axis)) for axis in _AXES)
-            gained = [add(a, scale(-1.0, b)) for a, b in zip(spin, sums.swung, strict=True)]
-            x += [(a.x, a.y) for a in gained]
-            for value, a in zip(guess.lever, gained, strict=True):
-                force = add(force, scale(-value, a))
-            swung = spin
-        x += [(force.x - gh * mx, force.y - gh * my)]
-
-        turned_up = rotations.rotate(sums.body, angle).z
-        step, gain, s, variance = predict(noise, sums.variance, turned_up)
-        residual = jnp.stack([jnp.stack(row) for row in x])
-        for h, estimates in zip(noise.seen, sums.walk, strict=True):
-            residual = residual - h * estimates
-        walk = []
-        for row, k in zip(step, gain, strict=True):
-            parts = [times(f, w) for f, w in zip(row, sums.walk, strict=True) if f is not None]
-            walk.append(sum(parts) + times(k, residual))
-        # Row by row: what a row needs stays in the registers.
-        normal = tuple(
-            old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s
-            for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
-        )
-        return _Sums(
-            body,
-            tuple(add(a, b) for a, b in zip(sums.turned, in_l, strict=True)),
-            swung,
-            tuple(walk),
-            variance,
-            normal,
-        )
-
+    here = _Pass(place, noise, guess, jnp.where(is_first, zero, zero + 1), length_s)
+    n = here.layout.end
     none = Vec3(zero, zero, zero)
     start = _Sums(
         guess.level,
-        (none,) * gyros,
+        (none,) * (here.layout.accel - GYRO),
         () if guess.lever is None else (none,) * 3,
         (jnp.zeros((n + 1, 2)) + zero,) * len(noise.seen),
         noise.initial,
         tuple(jnp.zeros(n + 1 - i) + zero for i in range(n + 1)),
     )
-    end = jax.lax.fori_loop(0, count, over_block, start)
 
-    sigmas = _prior(params, guess, is_first)
-    found = [*(v for triad in guess.gyro for v in triad), *guess.accel, *(guess.lever or ())]
-    prior_mean = jnp.stack([zero, zero, zero, zero, *found])
-    upper = jnp.stack([jnp.pad(row, (i, 0)) for i, row in enumerate(end.normal)])
+    def over_block(j: Count, sums: _Sums) -> _Sums:
+        row = jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False)
+        return _add_block(here, sums, Block.of_row(row), here.gravity_turn(j))
+
+    end = jax.lax.fori_loop(0, count, over_block, start)
+    unknown, covariance, square = _solve_normal(end.normal, guess, _prior(params, guess, is_first))
+    later = _next_guess(here, unknown)
+
+    rotation, in_l = _end_error(here, end, unknown, covariance)
+    data_s = jnp.asarray(count, zero.dtype) * length_s
+    level, heading = end.variance[0, 0], heading_variance(params.noise, data_s)
+    in_l = in_l + jnp.diag(jnp.stack([level, level, heading]))
+    to_n0 = _rotation_about_up(later.heading[0], -later.heading[1])
+    rows = jnp.stack([jnp.stack(row) for row in rotations.matrix(to_n0)])
+    in_n0 = rows @ in_l @ rows.T
+    body = rotations.multiply(rotations.exp(scale(-1.0, rotation)), end.body)
+    carried = rotations.multiply(rotations.conjugate(guess.level), end.body)
+    in_n0_now = rotations.multiply(to_n0, body)
+    solution = Solution(
+        attitude=rotations.multiply(in_n0_now, rotations.conjugate(carried)),
+        gyro=later.gyro,
+        accel_bias=later.accel,
+        gyro_bias_variance=Vec3(*jnp.diagonal(covariance)[GYRO : GYRO + 3]),
+        covariance=AttitudeCovariance(*(in_n0[i, k] for i in range(3) for k in range(i, 3))),
+        misfit=jnp.sqrt(jnp.maximum(square, 0.0) / (2 * data_s / length_s - 4)),
+    )
+    return later, (solution, carried)
+
+
+def _add_block(
+    here: _Pass, sums: _Sums, block: Block, gravity_turn: tuple[Scalar, Scalar, Scalar]
+) -> _Sums:
+    """Return the sums with one more block."""
+    guess, h = here.guess, here.length_s
+    axes = block.mean_axes()
+    # Rotation of the block by each gyro error, in b at its start.
+    factors = (h, *block.angle)[: len(guess.gyro)]
+    errors = [scale(f, axis) for f in factors for axis in axes]
+    estimate = _combine(errors, [value for triad in guess.gyro for value in triad])
+    accel = [scale(h, axis) for axis in axes]
+    dv = add(block.dv, scale(-0.5, cross(estimate, block.dv)))
+    dv = add(dv, scale(-1.0, _combine(accel, guess.accel)))
+    measured = rotations.rotate(sums.body, dv)
+    turn = rotations.multiply(rotations.exp(scale(-1.0, estimate)), block.turn)
+    body = rotations.multiply(sums.body, turn)
+
+    gx, gy, up = gravity_turn
+    gh, zero = here.reaction, jnp.zeros_like(up)
+    # In the first pass c is unknown, and the amplitude is that of c itself.
+    mx, my = here.is_known * gx, here.is_known * gy
+    rotated = [rotations.rotate(sums.body, error) for error in errors]
+    middle = [add(a, scale(0.5, b)) for a, b in zip(sums.turned, rotated, strict=True)]
+    x = [
+        (gh * gx, gh * gy),
+        (-gh * gy, gh * gx),
+        (zero, -gh * up),
+        (gh * up, zero),
+        *((gh * (up * p.y - my * p.z), gh * (mx * p.z - up * p.x)) for p in middle),
+        *((a.x, a.y) for a in (rotations.rotate(sums.body, error) for error in accel)),
+    ]
+    swung: tuple[Vec3, ...] = ()
+    if guess.lever is not None:
+        swung = tuple(rotations.rotate(body, cross(block.rate, axis)) for axis in _AXES)
+        gained = [add(a, scale(-1.0, b)) for a, b in zip(swung, sums.swung, strict=True)]
+        x += [(a.x, a.y) for a in gained]
+        measured = add(measured, scale(-1.0, _combine(gained, guess.lever)))
+    x += [(measured.x - gh * mx, measured.y - gh * my)]
+
+    about_up = rotations.rotate(sums.body, block.angle).z
+    step, gain, s, variance = predict(here.noise, sums.variance, about_up)
+    residual = jnp.stack([jnp.stack(row) for row in x])
+    for seen, estimates in zip(here.noise.seen, sums.walk, strict=True):
+        residual = residual - seen * estimates
+    walk = []
+    for row, k in zip(step, gain, strict=True):
+        parts = [times(f, w) for f, w in zip(row, sums.walk, strict=True) if f is not None]
+        walk.append(sum(parts) + times(k, residual))
+    # Row by row: what a row needs stays in the registers.
+    normal = tuple(
+        old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s
+        for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
+    )
+    turned = tuple(add(a, b) for a, b in zip(sums.turned, rotated, strict=True))
+    return _Sums(body, turned, swung, tuple(walk), variance, normal)
+
+
+def _combine(vectors: Sequence[Vec3], factors: Sequence[Scalar]) -> Vec3:
+    """Return a linear combination of vectors."""
+    total = scale(factors[0], vectors[0])
+    for factor, vector in zip(factors[1:], vectors[1:], strict=True):
+        total = add(total, scale(factor, vector))
+    return total
+
+
+def _solve_normal(
+    normal: tuple[Array, ...], guess: _Guess, sigmas: Array
+) -> tuple[Array, Array, Scalar]:
+    """Return the changes of the unknowns, their covariance and the sum of squared residuals.
+
+    Args:
+        normal: rows of the upper triangle of N, with the measurements as last column.
+        guess: point of linearisation.
+        sigmas: belief about the unknowns.
+    """
+    zero, n = jnp.zeros_like(guess.accel.x), len(sigmas)
+    upper = jnp.stack([jnp.pad(row, (i, 0)) for i, row in enumerate(normal)])
     whole = upper + jnp.triu(upper, 1).T
     matrix, right = whole[:n, :n], whole[:n, n]
     # A known unknown, of sigma 0, is left out. The others differ by ten powers of ten: they are
@@ -347,57 +435,50 @@ def _run_pass(
     scaled = matrix * size[:, None] * size[None, :]
     scaled = scaled + jnp.diag(jnp.where(is_free, belief * size**2, 1.0))
     covariance = jnp.linalg.inv(scaled) * size[:, None] * size[None, :]
-    # The belief is about the whole bias, of which the guess has a part.
-    unknown = covariance @ (right - belief * prior_mean)
+    # The belief is about the whole error, of which the guess has a part.
+    found = [*(v for triad in guess.gyro for v in triad), *guess.accel, *(guess.lever or ())]
+    mean = jnp.stack([zero, zero, zero, zero, *found])
+    unknown = covariance @ (right - belief * mean)
+    return unknown, covariance, whole[n, n] - unknown @ right
 
+
+def _next_guess(here: _Pass, unknown: Array) -> _Guess:
+    """Return the guess with the changes that a pass finds."""
+    guess, accel = here.guess, here.layout.accel
     amplitude, heading, kx, ky = unknown[:4]
-    moved = unknown[GYRO:accels]
-    # The misalignment of the attitude at the end, in l: rows over the unknowns
-    level_x = [zero, zero, zero + 1, zero] + [p.x for p in end.turned] + [zero] * (n - accels)
-    level_y = [zero, zero, zero, zero + 1] + [p.y for p in end.turned] + [zero] * (n - accels)
-    about_up = [zero, zero, zero, zero] + [p.z for p in end.turned] + [zero] * (n - accels)
-    rows = jnp.stack([jnp.stack(row) for row in (level_x, level_y, about_up)])
-    # w = p_y - i p_x of the white noise: what the last blocks say of it
-    of_walk = jnp.stack([-end.walk[0][:, 1], end.walk[0][:, 0], jnp.zeros(n + 1) + zero])
-    rows = rows - of_walk[:, :n]
-    rotation = rows @ unknown + of_walk[:, n]
-    with_heading = rows.at[2, HEADING].add(1.0)
-    in_l = with_heading @ covariance @ with_heading.T
-    of_level = end.variance[0, 0]
-    of_heading = heading_variance(params.noise, data_s)
-    in_l = in_l + jnp.diag(jnp.stack([of_level, of_level, of_heading]))
+    real, imaginary = here.is_known + amplitude, heading
+    cos, sin = guess.heading
+    cos, sin = cos * real - sin * imaginary, sin * real + cos * imaginary
+    norm = jnp.hypot(cos, sin)
+    triads = (Vec3(*unknown[i : i + 3]) for i in range(GYRO, accel, 3))
+    return _Guess(
+        level=rotations.multiply(rotations.exp(Vec3(-kx, -ky, 0.0 * kx)), guess.level),
+        heading=(cos / norm, sin / norm),
+        gyro=tuple(add(a, b) for a, b in zip(guess.gyro, triads, strict=True)),
+        accel=add(guess.accel, Vec3(*unknown[accel : accel + 3])),
+        lever=None if guess.lever is None else add(guess.lever, Vec3(*unknown[accel + 3 :])),
+    )
 
-    ce, cn = guess.heading
-    real, imaginary = known + amplitude, heading
-    ce, cn = ce * real - cn * imaginary, cn * real + ce * imaginary
-    norm = jnp.hypot(ce, cn)
-    ce, cn = ce / norm, cn / norm
-    later = _Guess(
-        rotations.multiply(rotations.exp(Vec3(-kx, -ky, zero)), guess.level),
-        (ce, cn),
-        tuple(add(triad, Vec3(*moved[3 * i : 3 * i + 3])) for i, triad in enumerate(guess.gyro)),
-        add(guess.accel, Vec3(*unknown[accels : accels + 3])),
-        None if guess.lever is None else add(guess.lever, Vec3(*unknown[accels + 3 :])),
+
+def _end_error(here: _Pass, end: _Sums, unknown: Array, covariance: Array) -> tuple[Vec3, Array]:
+    """Return the rotation in l by which the carried attitude is off, and the error's covariance.
+
+    That of the noise which nothing shows is left out.
+    """
+    n, rest = here.layout.end, here.layout.end - here.layout.accel
+    zero = jnp.zeros_like(unknown[0])
+    rows = (
+        [zero, zero, zero + 1, zero] + [p.x for p in end.turned] + [zero] * rest,
+        [zero, zero, zero, zero + 1] + [p.y for p in end.turned] + [zero] * rest,
+        [zero, zero, zero, zero] + [p.z for p in end.turned] + [zero] * rest,
     )
-    to_n0 = _about_up(ce, -cn)
-    body = rotations.multiply(rotations.exp(Vec3(*(-rotation))), end.body)
-    last = rotations.multiply(to_n0, body)
-    carried = rotations.multiply(rotations.conjugate(guess.level), end.body)
-    attitude = rotations.multiply(last, rotations.conjugate(carried))
-    c = jnp.stack([jnp.stack(row) for row in rotations.matrix(to_n0)])
-    in_n0 = c @ in_l @ c.T
-    residual = whole[n, n] - unknown @ right
-    misfit = jnp.sqrt(jnp.maximum(residual, 0.0) / (2 * data_s / length_s - 4))
-    variance = jnp.diagonal(covariance)[GYRO : GYRO + 3]
-    solution = Solution(
-        attitude,
-        later.gyro,
-        later.accel,
-        Vec3(*variance),
-        AttitudeCovariance(*(in_n0[i, k] for i in range(3) for k in range(i, 3))),
-        misfit,
-    )
-    return later, (solution, carried)
+    # w = p_y - i p_x of the white noise, as the last blocks show it
+    walk = end.walk[0]
+    of_walk = jnp.stack([-walk[:, 1], walk[:, 0], jnp.zeros(n + 1) + zero])
+    effect = jnp.stack([jnp.stack(row) for row in rows]) - of_walk[:, :n]
+    rotation = effect @ unknown + of_walk[:, n]
+    with_heading = effect.at[2, HEADING].add(1.0)
+    return Vec3(*rotation), with_heading @ covariance @ with_heading.T
 
 
 def _prior(params: FitParams, guess: _Guess, is_first: Any) -> Array:
@@ -417,7 +498,7 @@ def _prior(params: FitParams, guess: _Guess, is_first: Any) -> Array:
     return jnp.stack(sigmas)
 
 
-def _about_up(cos: Scalar, sin: Scalar) -> Quat:
+def _rotation_about_up(cos: Scalar, sin: Scalar) -> Quat:
     """Return the rotation about z by an angle of known cosine and sine."""
     angle = jnp.arctan2(sin, cos)
     zero = jnp.zeros_like(angle)

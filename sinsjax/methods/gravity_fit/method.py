@@ -14,13 +14,13 @@ import jax.numpy as jnp
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, dot, scale, select_tree
 from sinsjax.methods.base import (
+    UNKNOWN_ANGLE,
     AttitudeCovariance,
     BlockFit,
     Method,
     Options,
     RunEnd,
     Site,
-    unknown_covariance,
 )
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, solve
@@ -80,13 +80,14 @@ def build(options: Options) -> Method:
         still = Vec3(zero, zero, zero)
         blank = jnp.zeros((most, NUMBERS)) + zero
         gyro = (still,) * (1 if params.scale_factor is None else 4)
-        unknown = jax.tree.map(
-            lambda a: a + jnp.nan,
-            Solution(one, gyro, still, still, unknown_covariance(zero), zero),
+        covariance = AttitudeCovariance(
+            *(UNKNOWN_ANGLE * (i == k) + zero for i in range(3) for k in range(i, 3))
         )
-        return FitState(
-            nav, one, still, still, one, still, zero, blank, unknown._replace(gyro=gyro)
+        nothing = Solution(one, gyro, still, still, covariance, zero)
+        unknown = jax.tree.map(lambda a: a + jnp.nan, nothing)._replace(
+            gyro=gyro, covariance=covariance
         )
+        return FitState(nav, one, still, still, one, still, zero, blank, unknown)
 
     def step(params: Any, site: Site, state: FitState, sample: Sample, n: Scalar) -> FitState:
         dv = add(state.dv, rotations.rotate(state.turn, sample.dv))

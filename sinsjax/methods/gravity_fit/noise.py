@@ -12,7 +12,6 @@ import jax.numpy as jnp
 
 from sinsjax.types import Array, Scalar
 
-
 Number: TypeAlias = Any
 """A scalar, real or complex."""
 

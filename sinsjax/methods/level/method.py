@@ -19,16 +19,20 @@ import jax.numpy as jnp
 
 from sinsjax.maths.algebra import add, cross, dot, scale, select_tree
 from sinsjax.maths.rotations import from_euler, normalise
-from sinsjax.methods.base import AttitudeCovariance, Method, Options, RunEnd, Site
+from sinsjax.methods.base import (
+    UNKNOWN_ANGLE,
+    AttitudeCovariance,
+    Method,
+    Options,
+    RunEnd,
+    Site,
+)
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
 CORRELATION_S = 1.0
 """Time over which noise and vibration count as correlated, far above that of white noise, s."""
-
-UNKNOWN_ANGLE = jnp.pi**2 / 3
-"""Variance of an angle that may be any, rad^2."""
 
 
 class LevelState(NamedTuple):
