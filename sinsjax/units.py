@@ -24,6 +24,7 @@ SUFFIXES = {
     "deg_per_h": "deg/h",
     "deg_per_h_per_sqrt_h": "deg/h/sqrt(h)",
     "deg_per_h_rms": "deg/h rms",
+    "deg_per_s": "deg/s",
     "deg_per_h_per_sqrt_hz": "deg/h/sqrt(Hz)",
     "deg_per_sqrt_h": "deg/sqrt(h)",
     "hz": "Hz",

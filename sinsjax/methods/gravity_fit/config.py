@@ -46,8 +46,8 @@ class GravityFitSection(Section):
     fit_gyro_misalignment_arcsec: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e5))] | None = (
         Field(
             None,
-            description="1 sigma of the gyros' cross-axis errors, arcsec; default: that of [sensors]"
-            " or [drawn]",
+            description="1 sigma of the gyros' cross-axis errors, arcsec; default: that of"
+            " [sensors] or [drawn]",
         )
     )
     fit_lever_arm_m: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e3))] | None = Field(

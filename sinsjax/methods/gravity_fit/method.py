@@ -37,7 +37,7 @@ class FitState(NamedTuple):
     """A run between two samples.
 
     Attributes:
-        nav: initial solution; nothing of it is used.
+        nav: initial solution, whose attitude is the result before the first sample.
         turn: rotation of the body since the block began.
         dv: velocity increment since then, in b at that time, m/s.
         rate: half the rotation of the last sample, rad.
@@ -126,7 +126,8 @@ def build(options: Options) -> Method:
     def attitude(state: FitState) -> Quat:
         body = rotations.multiply(state.carried, state.turn)
         in_n0 = rotations.multiply(state.solution.attitude, body)
-        return rotations.multiply(_earth_rotation(state), in_n0)
+        q = rotations.multiply(_earth_rotation(state), in_n0)
+        return select_tree(state.count > 0, q, state.nav.q)
 
     def covariance(state: FitState) -> AttitudeCovariance:
         ee, en, eu, nn, nu, uu = state.solution.covariance
@@ -146,7 +147,7 @@ def build(options: Options) -> Method:
         step=step,
         attitude=attitude,
         covariance=covariance,
-        normalise=lambda state: state._replace(turn=rotations.normalise(state.turn)),
+        normalise=_normalise,
         floor=_no_floor,
         results=lambda site, state: state.solution,
         block_fit=BlockFit(
@@ -157,6 +158,11 @@ def build(options: Options) -> Method:
             merge=lambda state, fitted: state._replace(**fitted._asdict()),
         ),
     )
+
+
+def _normalise(state: FitState) -> FitState:
+    nav = state.nav._replace(q=rotations.normalise(state.nav.q))
+    return state._replace(nav=nav, turn=rotations.normalise(state.turn))
 
 
 def _fit_counts(most: int) -> list[int]:
