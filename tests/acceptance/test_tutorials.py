@@ -144,6 +144,16 @@ def test_own_record_tutorial_finds_expected_heading(
     assert all(abs(one["yaw_deg"] + 35) < 0.5 for one in starts)
 
 
+def test_two_position_tutorial_finds_documented_heading(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = typed("two_positions.md", command, capsys, progress=True)
+    assert "two_positions.toml written" in told[1] and "two_positions.toml: valid" in told[2]
+    assert told[-1].splitlines() == ["214.9 26 1.0", "[1.0, 1.0]"]
+    page = (ROOT / "docs" / "two_positions.md").read_text(encoding="utf-8")
+    assert "214.9 deg with a 1 sigma of 26 arcmin" in page
+
+
 def test_one_run_tutorial_prints_shown_output(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -155,7 +165,8 @@ def test_one_run_tutorial_prints_shown_output(
 def test_tutorial_pages_use_distinct_result_folders() -> None:
     """A reader of the README and these pages in one folder meets no results of another page."""
     taken: list[str] = []
-    for page in ("../README.md", "start.md", "own_imu.md", "reading_results.md"):
+    pages = ("start.md", "own_imu.md", "reading_results.md", "two_positions.md")
+    for page in ("../README.md", *pages):
         text = "".join(text for _, text in blocks(page))
         taken += re.findall(r" -o (\S+)", text) + re.findall(r'run_into\(study, "(\w+)"', text)
     assert len(taken) > 8 and len(taken) == len(set(taken))

@@ -55,6 +55,10 @@ PAGES = {
         *("reset_law", "reset_law_map", "reset_own_noise", "reset_surge"),
         *("reset_cycle_study", "reset_phase"),
     ),
+    "turning": (
+        *("turning_0_01", "turning_0_1", "turning_1"),
+        *("turning_scale", "turning_kalman10", "turning_psins"),
+    ),
     "which_alignment": (
         "which_alignment",
         "which_alignment_tuned",

@@ -72,6 +72,7 @@ def synthetic_summary(study, *, truth=True, all_columns=False, **given_columns):
         default = noise if column.dtype == pa.float64() and truth else None
         default = abs(noise).astype(int) if column in extra_columns and default is None else default
         default = noise if column.name.startswith(("pitch", "roll", "yaw", "sigma")) else default
+        default = None if pa.types.is_list(column.dtype) else default
         cells = values.get(column.name, [None] * (v * d) if default is None else default)
         arrays.append(pa.array(cells, column.dtype, from_pandas=True))
     return pa.Table.from_arrays(arrays, schema=columns.arrow_schema((*layout, *extra_columns)))
