@@ -24,7 +24,12 @@ def test_json_schema_is_up_to_date():
 @pytest.mark.parametrize(
     ("key", "unit", "default", "read_by"),
     [
-        ("phi_u0_deg", "deg", "0", "all but optimisation, optimisation_position, inertial, level"),
+        (
+            "phi_u0_deg",
+            "deg",
+            "0",
+            "all but optimisation, optimisation_position, inertial, gravity_fit, level",
+        ),
         ("gravity_m_per_s2", "m/s^2", "9.8", "all"),
         ("feedback_interval_s", "s", "one sample", None),
         ("window_s", "s", "the last third of the duration", "all"),
