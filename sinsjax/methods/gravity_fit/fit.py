@@ -434,12 +434,30 @@ def _solve_normal(
     size = jnp.where(is_free, 1 / jnp.sqrt(information), 0.0)
     scaled = matrix * size[:, None] * size[None, :]
     scaled = scaled + jnp.diag(jnp.where(is_free, belief * size**2, 1.0))
-    covariance = jnp.linalg.inv(scaled) * size[:, None] * size[None, :]
+    covariance = _inverse(scaled) * size[:, None] * size[None, :]
     # The belief is about the whole error, of which the guess has a part.
     found = [*(v for triad in guess.gyro for v in triad), *guess.accel, *(guess.lever or ())]
     mean = jnp.stack([zero, zero, zero, zero, *found])
     unknown = covariance @ (right - belief * mean)
     return unknown, covariance, whole[n, n] - unknown @ right
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of a symmetric positive definite matrix of unit diagonal.
+
+    By Gauss and Jordan, which needs no pivots here. For `jnp.linalg.inv` XLA calls LAPACK, from
+    the threads of several devices at once, and has been seen to wait for ever.
+    """
+    places = jnp.arange(len(matrix))
+
+    def eliminate(k: Count, a: Array) -> Array:
+        is_pivot = places == k
+        row = jnp.where(is_pivot, 1.0, a[k]) / a[k, k]
+        column = jnp.where(is_pivot, 0.0, a[:, k])
+        rest = jnp.where(is_pivot[None, :], 0.0, a) - column[:, None] * row[None, :]
+        return jnp.where(is_pivot[:, None], row[None, :], rest)
+
+    return jax.lax.fori_loop(0, len(matrix), eliminate, matrix)
 
 
 def _next_guess(here: _Pass, unknown: Array) -> _Guess:
