@@ -205,6 +205,10 @@ def test_linear_pass_is_dense_least_squares() -> None:
             "[study] record_interval_s: gravity_fit needs at most 2 s",
         ),
         ({"gravity_fit": {"fit_gyro_bias_deg_per_h": 0.0}}, "fit_gyro_bias_deg_per_h"),
+        (
+            {"sensors": {"accel_vrw_ug_per_sqrt_hz": 50.0}},
+            "fit_gyro_arw_deg_per_sqrt_h: must be above 0: gravity_fit weights its data",
+        ),
         ({"passes": {"stored_s": 60.0}}, "stored_s: does not apply to method gravity_fit"),
     ],
 )

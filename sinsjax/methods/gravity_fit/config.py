@@ -221,14 +221,26 @@ def _check_record_interval(study: CheckedStudy) -> None:
 
 
 def _check_beliefs(study: CheckedStudy) -> None:
-    """Require what a record cannot say of its sensors, and what the sensors do not have."""
-    if not study.is_recorded:
-        return
-    keys = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug", *_NOISE)
-    for point in study.combinations("method", *keys):
-        missing = [key for key in keys if point[key] is None]
-        if point["method"] == "gravity_fit" and missing:
-            study.refuse(missing[0], "required with a record (from the sensors' data sheet)")
+    """Require what a record cannot say of its sensors, and white noise of simulated ones."""
+    biases = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug") if study.is_recorded else ()
+    white = [key for q_key in _NOISE.values() for key in WHITE_NOISE[q_key][:2]]
+    sensors = () if study.is_recorded else white
+    for point in study.combinations("method", *biases, *_NOISE, *sensors):
+        if point["method"] != "gravity_fit":
+            continue
+        for key in biases:
+            if point[key] is None:
+                study.refuse(key, "required with a record (from the sensors' data sheet)")
+        for key, q_key in _NOISE.items():
+            noise = point[key]
+            if noise is None and study.is_recorded:
+                study.refuse(key, "required with a record (from the sensors' data sheet)")
+            if noise is None:
+                given = (point[name] for name in WHITE_NOISE[q_key][:2])
+                noise = sensor_noise_density(q_key, study.rate_hz, *given)
+            if not noise:
+                text = "must be above 0: gravity_fit weights its data by the noise"
+                study.refuse(key, f"{text} (give it, or white noise in [sensors])")
 
 
 GRAVITY_FIT = describe_without_start(
