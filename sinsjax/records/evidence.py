@@ -243,7 +243,8 @@ class _Settled(NamedTuple):
 
 def _settled_by_turns(means: dict[str, Means], partner: str) -> _Settled | None:
     """Return the unit in which a turning base senses the horizontal Earth rate; None for none."""
-    for unit in (partner, *means):
+    first = [partner] if partner in means else []
+    for unit in (*first, *means):
         if turns := find_turning_earth_rate(means[unit]):
             drift = turns.drift / DEG_PER_H
             text = (
