@@ -139,6 +139,7 @@ def test_known_biases_leave_the_error_of_optimisation() -> None:
     assert stats.chi2.ppf(0.001, 16) < np.sum((error[:, 0] / sigma) ** 2)
 
 
+@pytest.mark.slow
 def test_reported_heading_is_that_of_a_run_of_that_length() -> None:
     whole = study(4, study={"report_times_s": [90.0]})
     short = study(4, study={"duration_s": 90.0})

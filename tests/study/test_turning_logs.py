@@ -135,6 +135,7 @@ def test_turning_log_is_aligned_without_warning(
     assert "Caution" not in printed and "Floor" not in printed
 
 
+@pytest.mark.slow
 def test_fit_that_contradicts_its_sensors_is_a_caution(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
