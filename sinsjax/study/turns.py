@@ -172,6 +172,11 @@ def data_end_s(study: Study) -> float:
     return max(s.records_read for s in study.distinct_spans) * study.record_every / study.rate_hz
 
 
+def _turns_of(study: Study, point: Mapping[str, Any]) -> SampledTurns:
+    """Return the turns of a combination of the values of `TURN_KEYS` in whole samples."""
+    return turns_in_samples(study.rate_hz, data_end_s(study), point)
+
+
 def check_turn_keys(study: Study, key_tables: Mapping[str, str]) -> None:
     """Refuse keys of turns in a study without turns."""
     if "turn_times_s" in key_tables:
@@ -193,7 +198,7 @@ def check_turns(study: Study, key_tables: Mapping[str, str]) -> None:
     for point in study.combinations(*TURN_KEYS):
         if point["turn_times_s"]:
             try:
-                turns_in_samples(study.rate_hz, data_end_s(study), point)
+                _turns_of(study, point)
             except TurnError as error:
                 place = key_tables.get(error.key, "[motion]")
                 raise InputError(f"{place} {error.key}: {error}") from None
@@ -214,8 +219,8 @@ def useless_methods(study: Study) -> Iterator[str]:
         name, turning = point["method"], METHODS[point["method"]].turning
         if name in seen or not point["turn_times_s"] or turning in (None, "any"):
             continue
-        plan, end = turns_in_samples(study.rate_hz, data_end_s(study), point), data_end_s(study)
-        if turning == "many" and plan.turned_deg(round(end * study.rate_hz)) >= _MANY_TURNS_DEG:
+        end = round(data_end_s(study) * study.rate_hz)
+        if turning == "many" and _turns_of(study, point).turned_deg(end) >= _MANY_TURNS_DEG:
             continue
         seen.add(name)
         few = " unless it makes many" if turning == "many" else ""
@@ -235,9 +240,7 @@ def warn_of_resets(study: Study) -> Iterator[str]:
         if not uses_turns or not point["turn_times_s"] or point["reset_kind"] == "scale":
             continue
         resets_s = acting_reset_times(study.rate_hz, *(point[key] for key in OF_RESETS))
-        first = (
-            turns_in_samples(study.rate_hz, data_end_s(study), point).turns[0].begin / study.rate_hz
-        )
+        first = _turns_of(study, point).turns[0].begin / study.rate_hz
         for reset_s in resets_s:
             if reset_s > first:
                 yield (
@@ -263,8 +266,8 @@ def warn_of_turning_rate(study: Study) -> Iterator[str]:
             yield f"{place} not below the rate of the turns, {turn_rate:.12g} deg/s (give less)"
             return
         end_s = data_end_s(study)
-        plan = turns_in_samples(study.rate_hz, end_s, point)
-        turning_s = plan.turning_samples(round(end_s * study.rate_hz)) / study.rate_hz
+        samples = _turns_of(study, point).turning_samples(round(end_s * study.rate_hz))
+        turning_s = samples / study.rate_hz
         if turning_s > _MOSTLY * end_s:
             text = f"there is no update in turns, which take {turning_s:.3g} of {end_s:.3g} s"
             yield f"[filter] turning: {text} (use 'update')"
@@ -280,9 +283,7 @@ def describe_rounding(study: Study) -> Iterator[str]:
     if not turns_base(study):
         return
     points = study.combinations(*TURN_KEYS)
-    plans = [
-        turns_in_samples(study.rate_hz, data_end_s(study), p) for p in points if p["turn_times_s"]
-    ]
+    plans = [_turns_of(study, point) for point in points if point["turn_times_s"]]
     changes = list(dict.fromkeys(change for plan in plans for change in plan.changes))
     if changes:
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
