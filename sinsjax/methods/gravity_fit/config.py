@@ -86,21 +86,23 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
     from sinsjax.methods.gravity_fit.fit import FitParams
     from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
 
-    def sigma(key: str, unit: float) -> NDArray:
+    def given_or(key: str, unit: float, default: Callable[[], Any]) -> NDArray:
         given = columns.column(key, unit)
-        if not np.isnan(given).any():
-            return given
+        return np.where(np.isnan(given), default(), given) if np.isnan(given).any() else given
+
+    def sigma(key: str, unit: float) -> NDArray:
         # A record has no [sensors]: the rules require what it must give itself.
-        default = columns.rms(_DEFAULTS[key]) * unit if columns.has("sensors") else 0.0
-        return np.where(np.isnan(given), default, given)
+        has_default = columns.has("sensors")
+        return given_or(
+            key, unit, lambda: columns.rms(_DEFAULTS[key]) * unit if has_default else 0.0
+        )
 
     def noise(key: str, unit: float, default_unit: float) -> NDArray:
-        given, q_key = columns.column(key, unit), _NOISE[key]
-        if not np.isnan(given).any():
-            return given
+        q_key = _NOISE[key]
         white = partial(sensor_noise_density, q_key, columns.rate_hz)
-        sensors = columns.compute(white, *WHITE_NOISE[q_key][:2]) * default_unit
-        return np.where(np.isnan(given), sensors, given)
+        return given_or(
+            key, unit, lambda: columns.compute(white, *WHITE_NOISE[q_key][:2]) * default_unit
+        )
 
     def drift(rms: str, time: str, walk: str, unit: float) -> tuple[Any, ...]:
         if not columns.has("sensors"):
