@@ -127,6 +127,17 @@ def test_lever_arm_is_an_unknown_that_costs_little() -> None:
     assert np.mean(columns(ignored, "fit_misfit")) > 2
 
 
+def test_lever_arm_on_a_swaying_base_costs_little() -> None:
+    sway = {"pitch_amplitude_deg": 2.0, "pitch_period_s": 6.0, "pitch_phase_deg": 40.0}
+    given = study(32, motion=sway | {"lever_arm_m": [2.0, 1.0, 0.5]}, study={"rate_hz": 50.0})
+    error, sigma, misfit = columns(given, "phi_u_arcmin", "sigma_u_arcmin", "fit_misfit")
+    low, high = stats.chi2.ppf([0.001, 0.999], 32) / 32
+    assert low < np.mean((error / sigma) ** 2) < high
+    bound = sinsjax.information_bound(given)["bound_u_arcmin"].to_pylist()[-1]
+    assert 0.97 < sigma.mean() / bound < 1.15
+    assert abs(misfit.mean() - 1) < 0.1
+
+
 @pytest.mark.slow
 def test_known_biases_leave_the_error_of_optimisation() -> None:
     table = sinsjax.run(

@@ -320,7 +320,7 @@ def _run_pass(
 
     def over_block(j: Count, sums: _Sums) -> _Sums:
         row = jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False)
-        return _add_block(here, sums, Block.of_row(row), here.gravity_turn(j))
+        return _add_block(here, sums, Block.of_row(row), j)
 
     end = jax.lax.fori_loop(0, count, over_block, start)
     unknown, covariance, square = _solve_normal(end.normal, guess, _prior(params, guess, is_first))
@@ -347,9 +347,7 @@ def _run_pass(
     return later, (solution, carried)
 
 
-def _add_block(
-    here: _Pass, sums: _Sums, block: Block, gravity_turn: tuple[Scalar, Scalar, Scalar]
-) -> _Sums:
+def _add_block(here: _Pass, sums: _Sums, block: Block, number: Count) -> _Sums:
     """Return the sums with one more block."""
     guess, h = here.guess, here.length_s
     axes = block.mean_axes()
@@ -364,7 +362,7 @@ def _add_block(
     turn = rotations.multiply(rotations.exp(scale(-1.0, estimate)), block.turn)
     body = rotations.multiply(sums.body, turn)
 
-    gx, gy, up = gravity_turn
+    gx, gy, up = here.gravity_turn(number)
     gh, zero = here.reaction, jnp.zeros_like(up)
     # In the first pass c is unknown, and the amplitude is that of c itself.
     mx, my = here.is_known * gx, here.is_known * gy
@@ -389,6 +387,8 @@ def _add_block(
     about_up = rotations.rotate(sums.body, block.angle).z
     step, gain, s, variance = predict(here.noise, sums.variance, about_up)
     residual = jnp.stack([jnp.stack(row) for row in x])
+    if guess.lever is not None:  # the velocity at the first sample, which it has swung to, is unknown
+        residual = jnp.where(jnp.asarray(number) > 0, residual, 0.0 * residual)
     for seen, estimates in zip(here.noise.seen, sums.walk, strict=True):
         residual = residual - seen * estimates
     walk = []

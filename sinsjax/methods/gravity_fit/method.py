@@ -40,7 +40,9 @@ class FitState(NamedTuple):
         nav: initial solution, whose attitude is the result before the first sample.
         turn: rotation of the body since the block began.
         dv: velocity increment since then, in b at that time, m/s.
-        rate: half the rotation of the last sample, rad.
+        last: half the rotation of the last sample, rad.
+        rate: half the rotation of a sample at the rate at its end, rad: extrapolated, since a lag
+            of half a sample shows in the velocity of a long lever arm.
         carried: C_b^{b0} as the block began, without the gyro errors found so far.
         earth: rotation rate of the Earth in n, rad/s.
         count: samples so far.
@@ -51,6 +53,7 @@ class FitState(NamedTuple):
     nav: Navigation
     turn: Quat
     dv: Vec3
+    last: Vec3
     rate: Vec3
     carried: Quat
     earth: Vec3
@@ -87,15 +90,16 @@ def build(options: Options) -> Method:
         unknown = jax.tree.map(lambda a: a + jnp.nan, nothing)._replace(
             gyro=gyro, covariance=covariance
         )
-        return FitState(nav, one, still, still, one, still, zero, blank, unknown)
+        return FitState(nav, one, still, still, still, one, still, zero, blank, unknown)
 
     def step(params: Any, site: Site, state: FitState, sample: Sample, n: Scalar) -> FitState:
         dv = add(state.dv, rotations.rotate(state.turn, sample.dv))
         turn = rotations.multiply(state.turn, sample.turn)
         zero = jnp.zeros_like(n)
-        rate = Vec3(zero, zero + site.place.rate_n, zero + site.place.rate_u)
+        earth = Vec3(zero, zero + site.place.rate_n, zero + site.place.rate_u)
         last = Vec3(*sample.turn[1:])
-        return state._replace(turn=turn, dv=dv, rate=last, earth=rate, count=n)
+        rate = add(scale(1.5, last), scale(-0.5, state.last))
+        return state._replace(turn=turn, dv=dv, last=last, rate=rate, earth=earth, count=n)
 
     def store(state: FitState, number: Count) -> FitState:
         ends = (number + 1) % records == 0
