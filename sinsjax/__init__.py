@@ -41,6 +41,7 @@ from typing import TYPE_CHECKING, Any
 from sinsjax.platform import runtime
 
 if TYPE_CHECKING:
+    from sinsjax.advice.advise import Advice, advise
     from sinsjax.analysis import summarise
     from sinsjax.covariance.turn_planner import TurnChoice, plan_turns
     from sinsjax.engine.build import simulated_record
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
 __version__ = runtime.package_version()
 
 __all__ = [
+    "Advice",
     "InputError",
     "ResetPlan",
     "Results",
@@ -72,6 +74,7 @@ __all__ = [
     "StudyWarning",
     "TuningResults",
     "TurnChoice",
+    "advise",
     "align",
     "configure",
     "estimate",
@@ -104,6 +107,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "advice.advise": ("Advice", "advise"),
     "analysis": ("summarise",),
     "covariance.turn_planner": ("TurnChoice", "plan_turns"),
     "engine.build": ("simulated_record",),

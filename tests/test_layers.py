@@ -17,7 +17,7 @@ FLOORS = (
     {"engine"},
     {"covariance"},
     {"bench", "execution"},
-    {"tuning"},
+    {"advice", "tuning"},
     {"report"},
     {"__main__", "cli"},
 )
@@ -35,7 +35,7 @@ WITHOUT_JAX = {"columns", "errors", "messages", "records", "study", "units", "va
 SAYS_KEYS = {"config", "description", "registry", "section", "sections"}
 """Modules of `methods` that studies are read with."""
 FOR_PEOPLE = {"matplotlib", "rich", "typer"}
-MEETS_PEOPLE = {"bench", "cli", "console", "execution", "plots", "report", "tuning"}
+MEETS_PEOPLE = {"advice", "bench", "cli", "console", "execution", "plots", "report", "tuning"}
 JAX = {"jax", "jaxlib", "optax"}
 
 Sources = dict[str, str]

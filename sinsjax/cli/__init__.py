@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from sinsjax.cli import machine, study_files
+from sinsjax.cli import advice, machine, study_files
 from sinsjax.cli.help import (
     LOOK,
     RUN,
@@ -73,6 +73,9 @@ def _common_options(
     ] = False,
 ) -> None:
     """Initial alignment of strapdown inertial navigators, thousands of runs at a time."""
+
+
+command(rich_help_panel=RUN)(advice.advise)
 
 
 @command(rich_help_panel=RUN)

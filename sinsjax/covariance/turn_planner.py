@@ -11,6 +11,7 @@ from sinsjax.covariance.coloured_noise import increment_error_processes, present
 from sinsjax.covariance.turning_information import (
     LONGEST_STEP_S,
     ConstantErrors,
+    HeadingProblem,
     IncrementErrors,
     WhiteNoise,
     turning_heading_bound,
@@ -164,8 +165,7 @@ def plan_turns(
 
     options = []
     for name, motion in _iter_motions(duration_s):
-        (sigma,) = turning_heading_bound(
-            [duration_s],
+        problem = HeadingProblem(
             partial(_attitude_and_rate, motion, place, duration_s),
             place=place,
             dt=duration_s / math.ceil(duration_s / LONGEST_STEP_S),
@@ -181,6 +181,7 @@ def plan_turns(
             ),
             increment_errors=increment_errors,
         )
+        (sigma,) = turning_heading_bound([duration_s], problem)
         options.append(TurnOption(name, float(sigma / ARCMIN), motion))
     return TurnChoice(tuple(options))
 

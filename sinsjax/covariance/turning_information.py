@@ -36,10 +36,10 @@ order; the noise of the gyros adds to u within the step.
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from sinsjax.covariance.coloured_noise import IN_N, VELOCITY
 from sinsjax.strapdown.earth import Place
@@ -89,23 +89,17 @@ class ConstantErrors(NamedTuple):
     gyro_matrix: np.ndarray
     accel_matrix: np.ndarray
 
+    @property
+    def sigmas(self) -> np.ndarray:
+        """All of them, (24,), row by row."""
+        return np.concatenate([np.ravel(part) for part in self])
 
-def turning_heading_bound(
-    times_s: Sequence[float],
-    motion: AttitudeAndRate,
-    *,
-    place: Place,
-    dt: float,
-    noise: WhiteNoise,
-    constant: ConstantErrors,
-    increment_errors: Callable[[float], IncrementErrors] = lambda step: (),
-    longest_step_s: float = LONGEST_STEP_S,
-    nodes: int = MOTION_NODES,
-) -> np.ndarray:
-    """Return the least 1 sigma of phi_u at the end of the data of any unbiased estimator, rad.
 
-    Args:
-        times_s: lengths of the data, s, ascending, of whole samples.
+@dataclass(frozen=True)
+class HeadingProblem:
+    """A base and its sensors, whose heading is bounded.
+
+    Attributes:
         motion: true attitude and rate of the base.
         place: Earth rates and gravity; not a pole.
         dt: sample time, s. Steps are of whole samples and have one length.
@@ -114,37 +108,115 @@ def turning_heading_bound(
         increment_errors: function of a step, s, that returns drifts, surge and vibration.
         longest_step_s: longest step, s, unless a sample is longer.
         nodes: points per step at which the motion is read.
+    """
+
+    motion: AttitudeAndRate
+    place: Place
+    dt: float
+    noise: WhiteNoise
+    constant: ConstantErrors
+    increment_errors: Callable[[float], IncrementErrors] = lambda step: ()
+    longest_step_s: float = LONGEST_STEP_S
+    nodes: int = MOTION_NODES
+
+    def count_noise_sources(self) -> int:
+        """Return the number of white noises, drifts and motions."""
+        return 2 + len(self.increment_errors(self.dt))
+
+
+def turning_heading_bound(times_s: Sequence[float], problem: "HeadingProblem") -> np.ndarray:
+    """Return the least 1 sigma of phi_u at the end of the data of any unbiased estimator, rad.
+
+    Args:
+        times_s: lengths of the data, s, ascending, of whole samples.
+        problem: base and sensors.
 
     Returns:
         (times,); infinite while the heading is not observable.
     """
+    one = np.ones((1, problem.count_noise_sources()))
+    return np.sqrt(_heading_variances(times_s, problem, one)[0][:, 0])
+
+
+def heading_budget(times_s: Sequence[float], problem: "HeadingProblem") -> np.ndarray:
+    """Return what each source of errors adds to the variance of the bound.
+
+    The estimator of least variance is linear in the data and best for the sum of all sources, so
+    to first order a change of one source changes that sum as if the estimator stayed as it is: the
+    share of a source is the derivative of the variance by the logarithm of its own variance.
+    The shares add up to the variance.
+
+    Args:
+        times_s: see `turning_heading_bound`; the heading is observable at all of them.
+        problem: base and sensors.
+
+    Returns:
+        (times, sources), rad^2: white noise of gyros and accelerometers, `increment_errors` in
+        their order, then bias of the gyros, bias of the accelerometers, scale factors and
+        cross-axis errors of the gyros, and those of the accelerometers.
+    """
+    count, small = problem.count_noise_sources(), 1e-3
+    scales = np.concatenate([np.ones((1, count)), 1 + small * np.eye(count)])
+    variance, priors = _heading_variances(times_s, problem, scales)
+    noise = (variance[:, 1:] - variance[:, :1]) / small
+    constant = np.zeros((len(priors), 24))
+    constant[:, problem.constant.sigmas > 0] = priors
+    matrices = constant[:, 6:].reshape(-1, 2, 3, 3)
+    scale = np.trace(matrices, axis1=2, axis2=3)
+    cross = matrices.sum(axis=(2, 3)) - scale
+    biases = constant[:, :6].reshape(-1, 2, 3).sum(axis=2)
+    parts = np.concatenate([noise, biases, np.stack([scale, cross], 2).reshape(-1, 4)], axis=1)
+    return parts * (variance[:, 0] / parts.sum(axis=1))[:, None]
+
+
+def _heading_variances(
+    times_s: Sequence[float], problem: "HeadingProblem", scales: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the variance of phi_u with noise of other strengths, rad^2.
+
+    Args:
+        times_s: lengths of the data, s.
+        problem: base and sensors.
+        scales: (cases, noise sources) factors on the variance of each source.
+
+    Returns:
+        The variances (times, cases), and what the unknown constant errors add to those of the first
+        case (times, unknown).
+    """
+    dt = problem.dt
     samples = [round(time / dt) for time in times_s]
-    per_step = _samples_per_step(math.gcd(*samples), longest_step_s / dt)
-    step, present = per_step * dt, increment_errors(per_step * dt)
-    sigmas = np.concatenate([np.ravel(part) for part in constant])
+    per_step = _samples_per_step(math.gcd(*samples), problem.longest_step_s / dt)
+    step, present = per_step * dt, problem.increment_errors(per_step * dt)
+    sigmas = problem.constant.sigmas
     unknown = sigmas > 0
-    information = np.diag(np.concatenate([np.zeros(3), 1 / np.square(sigmas[unknown])]))
-    p = _initial_covariance(present)
-    response = np.eye(len(p), len(information))
-    response[3:] = 0.0
-    steps = _iter_steps(samples[-1] // per_step, step, motion, place, noise, present, nodes)
-    done, out = 0, []
+    prior = np.diag(np.concatenate([np.zeros(3), 1 / np.square(sigmas[unknown])]))
+    information = np.broadcast_to(prior, (len(scales), *prior.shape))
+    p = np.einsum("bs,sij->bij", scales, _initial_covariances(present))
+    response = np.zeros((len(scales), p.shape[-1], len(prior)))
+    response[:, :3, :3] = np.eye(3)
+    steps = _iter_steps(samples[-1] // per_step, step, problem, present)
+    done, variances, priors = 0, [], []
     for count in samples:
-        rows = [np.zeros((0, len(information)))]
-        for f, g, q in itertools.islice(steps, count // per_step - done):
-            p = f @ p @ f.T + q
+        rows = [np.zeros((len(scales), 0, len(prior)))]
+        for f, g, noise in itertools.islice(steps, count // per_step - done):
+            p = f @ p @ f.T + np.tensordot(scales, noise, 1)
             response = f @ response
-            response[:5, 3:] += g[:, unknown]
-            root = _inverse_root(p[_LEVEL, _LEVEL])
-            gain, innovation = p[2:, _LEVEL] @ root.T, root @ response[_LEVEL]
+            response[:, :5, 3:] += g[:, unknown]
+            root = _inverse_root(p[:, _LEVEL, _LEVEL])
+            gain, innovation = (
+                p[:, 2:, _LEVEL] @ np.swapaxes(root, 1, 2),
+                root @ response[:, _LEVEL],
+            )
             rows.append(innovation)
-            response = response[2:] - gain @ innovation
-            p = p[2:, 2:] - gain @ gain.T
-        whitened = np.concatenate(rows)
-        information = information + whitened.T @ whitened
+            response = response[:, 2:] - gain @ innovation
+            p = p[:, 2:, 2:] - gain @ np.swapaxes(gain, 1, 2)
+        whitened = np.concatenate(rows, axis=1)
+        information = information + np.swapaxes(whitened, 1, 2) @ whitened
         done = count // per_step
-        out.append(_heading_sigma(p, response, information))
-    return np.array(out)
+        cases = [_heading_variance(*case) for case in zip(p, response, information, strict=True)]
+        variances.append([variance for variance, _ in cases])
+        priors.append(np.square(cases[0][1][3:] / sigmas[unknown]))
+    return np.array(variances), np.array(priors)
 
 
 def _samples_per_step(samples: int, longest: float) -> int:
@@ -153,29 +225,26 @@ def _samples_per_step(samples: int, longest: float) -> int:
     return next(count for count in range(min(most, samples), 0, -1) if samples % count == 0)
 
 
-def _initial_covariance(present: IncrementErrors) -> np.ndarray:
-    """Return the covariance of phi and of the states of the processes, given phi."""
-    factors = [np.kron(np.eye(3), process.begin) for process, _ in present]
-    root = block_diag(np.zeros((3, 3)), *factors)
-    return root @ root.T
+def _initial_covariances(present: IncrementErrors) -> np.ndarray:
+    """Return the covariance that each noise source gives phi and the processes, given phi."""
+    out, at = [], 3
+    size = 3 + sum(3 * len(process.drive) for process, _ in present)
+    for process, _ in present:
+        root = np.zeros((size, size))
+        states = slice(at, at + 3 * len(process.drive))
+        root[states, states] = np.kron(np.eye(3), process.begin)
+        out.append(root @ root.T)
+        at = states.stop
+    return np.stack([np.zeros((size, size))] * 2 + out)
 
 
 def _iter_steps(
-    count: int,
-    step: float,
-    motion: AttitudeAndRate,
-    place: Place,
-    noise: WhiteNoise,
-    present: IncrementErrors,
-    nodes: int,
+    count: int, step: float, problem: HeadingProblem, present: IncrementErrors
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield F, G and the covariance of the noise of steps from the beginning on."""
+    """Yield F, G and the covariances of the noise of steps from the beginning on."""
     for first in range(0, count, _CHUNK):
         number = min(_CHUNK, count - first)
-        yield from zip(
-            *_integrate_steps(motion, first * step, step, number, place, noise, present, nodes),
-            strict=True,
-        )
+        yield from zip(*_integrate_steps(problem, first * step, step, number, present), strict=True)
 
 
 class Steps(NamedTuple):
@@ -184,7 +253,7 @@ class Steps(NamedTuple):
     Attributes:
         transition: (steps, n, n - 2) F, without the columns of u, which is known.
         constant: (steps, 5, 24) G of the constant errors, as `ConstantErrors` lists them.
-        noise: (steps, n, n) covariance of the noise.
+        noise: (steps, sources, n, n) covariance of the noise of each source.
     """
 
     transition: np.ndarray
@@ -193,41 +262,41 @@ class Steps(NamedTuple):
 
 
 def _inverse_root(s: np.ndarray) -> np.ndarray:
-    """Return the lower triangular L of a covariance (2, 2) with L S L' = I."""
-    first = float(s[0, 0]) ** 0.5
-    across = float(s[1, 0]) / first
-    second = (float(s[1, 1]) - across * across) ** 0.5
-    return np.array([[1 / first, 0.0], [-across / (first * second), 1 / second]])
+    """Return the lower triangular L of covariances (cases, 2, 2) with L S L' = I."""
+    out = np.zeros_like(s)
+    first = np.sqrt(s[:, 0, 0])
+    across = s[:, 1, 0] / first
+    second = np.sqrt(s[:, 1, 1] - across * across)
+    out[:, 0, 0], out[:, 1, 0], out[:, 1, 1] = 1 / first, -across / (first * second), 1 / second
+    return out
 
 
-def _heading_sigma(p: np.ndarray, response: np.ndarray, information: np.ndarray) -> float:
-    """Return 1 sigma of phi_u at the present; infinite without information on it."""
+def _heading_variance(
+    p: np.ndarray, response: np.ndarray, information: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Return the variance of phi_u at the present, and J^-1 R_U'; infinite if unobservable."""
+    unobservable = np.inf, np.full(len(information), np.inf)
     scale = np.sqrt(np.diag(information))
     if not scale.all():
-        return np.inf
+        return unobservable
     # Scaled, since tilts are known a thousand times better than the heading.
     try:
         root = np.linalg.cholesky(information / np.outer(scale, scale))
     except np.linalg.LinAlgError:
-        return np.inf
+        return unobservable
     part = np.linalg.solve(root, response[_PHI_U - 2] / scale)
-    return float(np.sqrt(p[_PHI_U - 2, _PHI_U - 2] + part @ part))
+    weights = np.linalg.solve(root.T, part) / scale
+    return float(p[_PHI_U - 2, _PHI_U - 2] + part @ part), weights
 
 
 def _integrate_steps(
-    motion: AttitudeAndRate,
-    begin: float,
-    step: float,
-    count: int,
-    place: Place,
-    noise: WhiteNoise,
-    present: IncrementErrors,
-    nodes: int,
+    problem: HeadingProblem, begin: float, step: float, count: int, present: IncrementErrors
 ) -> Steps:
     """Return the steps from a time on."""
+    nodes, place = problem.nodes, problem.place
     into = (np.arange(nodes) + 0.5) / nodes * step
     times = begin + step * np.arange(count)[:, None] + into
-    c, w = motion(times.ravel())
+    c, w = problem.motion(times.ravel())
     c, w = c.reshape(count, nodes, 3, 3), w.reshape(count, nodes, 3)
     weights = np.full(nodes, step / nodes)
     left = weights * (step - into)  # an error of the rate tilts the platform for what is left
@@ -245,20 +314,21 @@ def _integrate_steps(
     constant[:, _LEVEL, 15:24] = matrix.reshape(count, 2, 9)
 
     n = 5 + sum(3 * len(process.drive) for process, _ in present)
-    transition, covariance = np.zeros((count, n, n - 2)), np.zeros((count, n, n))
+    transition = np.zeros((count, n, n - 2))
+    covariance = np.zeros((count, 2 + len(present), n, n))
     wn, wu = place.rate_n, place.rate_u
     turn = np.array([[0.0, wu, -wn], [-wu, 0.0, 0.0], [wn, 0.0, 0.0]])
     transition[:, _PHI, 0:3] = np.eye(3) + turn * step + turn @ turn * step**2 / 2
     transition[:, _LEVEL, 0:3] = lean @ (np.eye(3) * step + turn * step**2 / 2)
-    gyro, accel = (c * np.square(density) @ np.swapaxes(c, -1, -2) for density in noise)
+    gyro, accel = (c * np.square(density) @ np.swapaxes(c, -1, -2) for density in problem.noise)
     moments = [np.einsum("m,kmij->kij", weights * (step - into) ** k, gyro) for k in range(3)]
-    covariance[:, _PHI, _PHI] = moments[0]
-    covariance[:, _LEVEL, _PHI] = lean @ moments[1]
-    covariance[:, _PHI, _LEVEL] = np.swapaxes(lean @ moments[1], -1, -2)
-    covariance[:, _LEVEL, _LEVEL] = lean @ moments[2] @ lean.T
-    covariance[:, _LEVEL, _LEVEL] += np.einsum("m,kmij->kij", weights, accel[:, :, :2, :2])
+    covariance[:, 0, _PHI, _PHI] = moments[0]
+    covariance[:, 0, _LEVEL, _PHI] = lean @ moments[1]
+    covariance[:, 0, _PHI, _LEVEL] = np.swapaxes(lean @ moments[1], -1, -2)
+    covariance[:, 0, _LEVEL, _LEVEL] = lean @ moments[2] @ lean.T
+    covariance[:, 1, _LEVEL, _LEVEL] = np.einsum("m,kmij->kij", weights, accel[:, :, :2, :2])
     at = 5
-    for process, (first, axes) in present:
+    for source, (process, (first, axes)) in enumerate(present, start=2):
         effect = np.zeros((count, 5, 3))
         if first == VELOCITY:
             effect[:, _LEVEL] = np.eye(3)[:2] if axes == IN_N else integral[:, :2] / step
@@ -271,6 +341,6 @@ def _integrate_steps(
         driven = np.zeros((count, n, 3))
         driven[:, :5] = effect * process.direct
         driven[:, states] = np.kron(np.eye(3), process.drive[:, None])
-        covariance += driven @ np.swapaxes(driven, -1, -2)
+        covariance[:, source] = driven @ np.swapaxes(driven, -1, -2)
         at = states.stop
     return Steps(transition, constant, covariance)

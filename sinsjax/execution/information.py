@@ -1,21 +1,29 @@
 """Lower bound of the heading error of any method on the data of a study, in memory."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.covariance.coloured_noise import increment_error_processes, present_processes
+from sinsjax.covariance.coloured_noise import (
+    ANGLE,
+    IN_B,
+    VELOCITY,
+    increment_error_processes,
+    present_processes,
+)
 from sinsjax.covariance.information import heading_bound
 from sinsjax.covariance.turning_information import (
     LONGEST_STEP_S,
     MOTION_NODES,
     ConstantErrors,
+    HeadingProblem,
     IncrementErrors,
     WhiteNoise,
     turning_heading_bound,
@@ -37,6 +45,8 @@ from sinsjax.methods.floors import mean_attitude
 from sinsjax.platform import runtime
 from sinsjax.strapdown.base_motion import Motion, attitude, rate_and_force
 from sinsjax.strapdown.earth import Place
+from sinsjax.strapdown.processes import Process, rounding_process
+from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.load import load_study
 from sinsjax.study.schema import BIAS_KEYS
@@ -110,35 +120,96 @@ def information_bound(study: Study | str | Path) -> pa.Table:
 def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]) -> np.ndarray:
     """Return the bound of 1 sigma of the heading at some times, arcmin."""
     study = scenario.study
-    environment = scenario.part(part, range(1), blank=True).group.environment
+    environment = _environment(scenario, part)
     sensors = environment.sensors
-    if not np.all(sensors.errors.accel_noise):
-        raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
     variants = Variants(study, scenario.variant_ids[part])
     motion = add_turns(read_sways(variants.common), variants)
     if motion.turns or any(key in _CONSTANT_KEYS for key in study.drawn_keys):
-        return _sigma_with_priors(study, variants, environment, motion, times_s) / ARCMIN
-    pitch, roll, yaw = (s._replace(amplitude=0.0 * s.amplitude) for s in motion.angles)
-    still_motion = Motion(pitch, roll, yaw)
+        problem = _problem_with_priors(study, variants, environment, motion)
+        return turning_heading_bound(times_s, problem) / ARCMIN
     sigma = heading_bound(
         times_s,
         place=environment.site.place,
         errors=sensors.errors,
         disturbances=sensors.disturbances,
         dt=1 / study.rate_hz,
-        to_n=np.asarray(mean_attitude(still_motion)),
+        to_n=np.asarray(mean_attitude(still(motion))),
     )
     return sigma / ARCMIN
 
 
-def _sigma_with_priors(
-    study: Study,
-    variants: Variants,
-    environment: Environment,
-    motion: Motion,
-    times_s: Sequence[float],
-) -> np.ndarray:
-    """Return the bound on a base that turns, or with drawn errors of the sensors, rad."""
+class ErrorSources(NamedTuple):
+    """A problem of the bound, and the names of the sources that `heading_budget` lists."""
+
+    problem: HeadingProblem
+    names: tuple[str, ...]
+
+
+def error_sources(study: Study) -> ErrorSources:
+    """Return what limits the heading of a study of one variant.
+
+    Of the motion only turns are taken: sways do not matter to the bound.
+
+    Raises:
+        InputError: see `information_bound`.
+    """
+    runtime.ensure_configured()
+    _check_bound_applies(study)
+    scenario = Scenario(study)
+    variants, environment = Variants(study, scenario.variant_ids[0]), _environment(scenario, 0)
+    motion = add_turns(still(read_sways(variants.common)), variants)
+    problem = _problem_with_priors(study, variants, environment, motion)
+    if not motion.turns:
+        pose = np.asarray(mean_attitude(motion)), environment.site.place
+        problem = replace(problem, motion=partial(_parked, *pose))
+    processes = increment_error_processes(environment.sensors.disturbances, problem.dt)._asdict()
+    drifts = [name for name, process in processes.items() if process is not None]
+    quantised = [name for name, _ in _iter_quantisation(environment.sensors.errors)]
+    names = ("gyro_noise", "accel_noise", *drifts, *quantised, *CONSTANT_SOURCES)
+    return ErrorSources(replace(problem, longest_step_s=LONGEST_STEP_S), names)
+
+
+CONSTANT_SOURCES = (
+    *("gyro_bias", "accel_bias"),
+    *("gyro_scale", "gyro_misalignment", "accel_scale", "accel_misalignment"),
+)
+"""The constant errors, in the order of `heading_budget`."""
+
+
+def _parked(c: np.ndarray, place: Place, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return C_b^n (n, 3, 3) and w_ib in b (n, 3), rad/s, of a base at rest."""
+    rate = np.array([0.0, place.rate_n, place.rate_u]) @ c
+    count = len(times_s)
+    return np.broadcast_to(c, (count, 3, 3)), np.broadcast_to(rate, (count, 3))
+
+
+def still(motion: Motion) -> Motion:
+    """Return the mean angles of a motion, without sways."""
+    pitch, roll, yaw = (s._replace(amplitude=0.0 * s.amplitude) for s in motion.angles)
+    return Motion(pitch, roll, yaw)
+
+
+def _environment(scenario: Scenario, part: int) -> Environment:
+    environment = scenario.part(part, range(1), blank=True).group.environment
+    if not np.all(environment.sensors.errors.accel_noise):
+        raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
+    return environment
+
+
+def _iter_quantisation(errors: SensorErrors) -> Iterator[tuple[str, tuple[Process, Any]]]:
+    """Yield the processes of quantised increments: what the digits leave is carried on."""
+    for name, quantum, entry in (
+        ("gyro_quantisation", errors.gyro_quantum, (ANGLE, IN_B)),
+        ("accel_quantisation", errors.accel_quantum, (VELOCITY, IN_B)),
+    ):
+        if quantum is not None and np.any(quantum):
+            yield name, (rounding_process(np.asarray(quantum)), entry)
+
+
+def _problem_with_priors(
+    study: Study, variants: Variants, environment: Environment, motion: Motion
+) -> HeadingProblem:
+    """Return a base that turns, or sensors with drawn errors."""
     dt, ug = 1 / study.rate_hz, read_site(study, variants, None)[1]
     errors, disturbances = environment.sensors.errors, environment.sensors.disturbances
     laws = {} if study.drawn is None else study.drawn.laws
@@ -153,15 +224,15 @@ def _sigma_with_priors(
 
     def increment_errors(step: float) -> IncrementErrors:
         processes = read_disturbances(variants, ug, 1 / step)
-        return tuple(present_processes(increment_error_processes(processes, step)))
+        present = present_processes(increment_error_processes(processes, step))
+        return (*present, *(process for _, process in _iter_quantisation(errors)))
 
     moves = (disturbances.surge, disturbances.shaking, disturbances.rocking)
     longest_step = dt if any(process is not None for process in moves) else LONGEST_STEP_S
     sigmas = read_errors(sigma_of, ug, study.rate_hz)
     periods = [float(sway.period) for sway in motion.angles if np.any(sway.amplitude)]
     per_period = max((longest_step / period for period in periods), default=0.0)
-    return turning_heading_bound(
-        times_s,
+    return HeadingProblem(
         partial(_attitude_and_rate, motion, environment.site.place),
         place=environment.site.place,
         dt=dt,

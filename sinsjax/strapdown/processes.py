@@ -111,6 +111,17 @@ def sampled_mean_of_random_walk(density: Numbers, dt: float) -> Process:
     )
 
 
+def rounding_process(quantum: Numbers) -> Process:
+    """Return the error of rounded increments if each carries on what the last has left.
+
+    Args:
+        quantum: (..., 3) of each axis.
+    """
+    one = np.ones(np.shape(quantum)[:-1])
+    process = _first_order_process(0.0 * one, one, one, one, np.asarray(quantum) / np.sqrt(12))
+    return process._replace(output=-process.output)
+
+
 def bounded_velocity_process(
     rms: Numbers, time: Numbers, bandwidth_hz: Numbers, dt: float
 ) -> Process:

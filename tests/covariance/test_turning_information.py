@@ -9,6 +9,7 @@ from sinsjax.covariance.coloured_noise import ANGLE, IN_B, IN_N, VELOCITY
 from sinsjax.covariance.information import heading_bound
 from sinsjax.covariance.turning_information import (
     ConstantErrors,
+    HeadingProblem,
     WhiteNoise,
     turning_heading_bound,
 )
@@ -93,14 +94,16 @@ def bound(end, moving, sensors, ppm=0.0, mrad=0.0, **changes):
     return (
         turning_heading_bound(
             np.atleast_1d(np.asarray(end, float)).tolist(),
-            moving,
-            **{
-                "place": PLACE,
-                "dt": 0.01,
-                "noise": WhiteNoise(arw * DEG_PER_SQRT_H * AXES, vrw * UG * AXES),
-                "constant": constant_errors(gyro_bias, accel_bias, ppm, mrad),
-            }
-            | changes,
+            HeadingProblem(
+                moving,
+                **{
+                    "place": PLACE,
+                    "dt": 0.01,
+                    "noise": WhiteNoise(arw * DEG_PER_SQRT_H * AXES, vrw * UG * AXES),
+                    "constant": constant_errors(gyro_bias, accel_bias, ppm, mrad),
+                }
+                | changes,
+            ),
         )
         / ARCMIN
     )
@@ -243,15 +246,10 @@ def test_bound_matches_dense_least_squares(sway, drift):
         process = processes.sampled_mean_of_gauss_markov(drift[0] * AXES, drift[1], step)
         return ((process._replace(scale=process.scale * step), (ANGLE, IN_B)),)
 
-    (found,) = turning_heading_bound(
-        [20.0],
-        moving,
-        place=PLACE,
-        dt=0.01,
-        noise=noise,
-        constant=constant,
-        increment_errors=errors,
+    problem = HeadingProblem(
+        moving, place=PLACE, dt=0.01, noise=noise, constant=constant, increment_errors=errors
     )
+    (found,) = turning_heading_bound([20.0], problem)
     expected = dense_sigma(20.0, 0.5, 0.05, moving, noise, constant, drift)
     assert found == pytest.approx(expected, rel=2e-3)
 

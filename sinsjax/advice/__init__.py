@@ -1,0 +1,1 @@
+"""Advice for an inertial measurement unit, from its data sheet, without a Monte Carlo run."""

@@ -1,0 +1,392 @@
+"""Advice: the heading to expect, the error budget, the method with its settings, and doubts."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import tomli_w
+
+from sinsjax.advice import method as methods
+from sinsjax.advice.heading import (
+    KEYS,
+    SOURCES,
+    Budget,
+    share_beyond,
+    sheet_budget,
+    wrapped_quantile,
+    wrapped_rms,
+)
+from sinsjax.advice.method import Choice, choose_method
+from sinsjax.advice.sheet import Sheet, read_sheet
+from sinsjax.covariance.turn_planner import TurnChoice, plan_turns
+from sinsjax.errors import InputError
+from sinsjax.study import display
+from sinsjax.study.reset_plan import ResetPlan, reset_schedule
+from sinsjax.units import ARCMIN, DEG
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_SHARE = 0.95
+_BANDS_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+_MOST_TIMES = 60
+_SHORTEST_S = 10.0
+_NOT_FOUND, _FAR = 0.2, 30 * DEG
+_HIGH_LATITUDE_DEG = 75.0
+_COARSE = 0.1  # rad, above which errors are no longer small
+
+
+class Heading(NamedTuple):
+    """The heading error to expect after a time.
+
+    Attributes:
+        time_s: length of the data, s.
+        rms_arcmin: root mean square, from true north.
+        within_95_arcmin: what 95 % of the alignments stay within.
+        bound_arcmin: information bound of 1 sigma, in linear theory.
+    """
+
+    time_s: float
+    rms_arcmin: float
+    within_95_arcmin: float
+    bound_arcmin: float
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Advice for an IMU; made by `sinsjax.advise`.
+
+    Attributes:
+        sheet: what was asked.
+        headings: errors to expect, by time.
+        choice: the method and its settings.
+        turns: the base parked, and turned in usual ways, by information bound; None if the sheet
+            turns the base itself.
+        resets: the law's schedule of a five-state filter with the same noise; None without one.
+        budget: variance of the heading by source.
+    """
+
+    sheet: Sheet
+    headings: tuple[Heading, ...]
+    choice: Choice
+    turns: TurnChoice | None
+    resets: ResetPlan | None
+    budget: Budget
+
+    @property
+    def time_s(self) -> float:
+        """Time that there is to align, s."""
+        return self.sheet.asked.time_s
+
+    @property
+    def heading(self) -> Heading:
+        """The heading error to expect at the time asked for."""
+        return next(one for one in self.headings if one.time_s == self.time_s)
+
+    @property
+    def latitude_deg(self) -> float:
+        """Latitude, deg."""
+        return float(self.sheet.tables["earth"]["latitude_deg"])
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Part of each source in the variance at the time asked for, the largest first."""
+        return self.budget.shares(self.time_s)
+
+    @property
+    def dominant(self) -> str:
+        """The largest source, by its name in `SOURCES`."""
+        return next(iter(self.shares))
+
+    @cached_property
+    def halved_rms_arcmin(self) -> float:
+        """Rms heading error at the time asked for, arcmin, with half of the dominant source."""
+        half = scale_source(self.sheet, self.dominant, 0.5)
+        (sigma,) = sheet_budget(half, [self.time_s]).sigma
+        return wrapped_rms(sigma * self.choice.loss(sigma)) / ARCMIN
+
+    @property
+    def loss(self) -> float:
+        """Error of the method over the bound at the time asked for, where errors are small."""
+        return self.choice.loss(self.heading.bound_arcmin * ARCMIN)
+
+    @property
+    def settles(self) -> tuple[float, float | None]:
+        """A band, deg, and the time from which 95 % of the headings are within it, s, if any.
+
+        The band is the one wanted, or a round one that is reached well before the end.
+        """
+        within = {one.time_s: one.within_95_arcmin / 60 for one in self.headings}
+        band = self.sheet.asked.wanted_deg
+        if band is None:
+            reached = within[self.time_s]
+            band = next((one for one in _BANDS_DEG if one > 1.3 * reached), _BANDS_DEG[-1])
+        times = [time for time, error in within.items() if error <= band and time <= self.time_s]
+        return band, min(times, default=None)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What can go wrong, a line each."""
+        return tuple(_iter_warnings(self))
+
+    def study(self) -> str:
+        """Return the Monte Carlo study that confirms the advice, as TOML."""
+        settings = dict(self.sheet.tables["study"])
+        if not settings["report_times_s"]:
+            del settings["report_times_s"]
+        band = 60 * self.settles[0]
+        settings |= {"judged_from": "truth", "success_band_arcmin": band}
+        settings |= {"settle_bands_arcmin": [band]}
+        tables = {name: table for name, table in self.sheet.tables.items() if table}
+        sections = {name: dict(table) for name, table in self.choice.sections.items()}
+        if self.choice.method == methods.FILTER:
+            sections["alignment"] |= {"misalignment": "euler"}
+            known = self.sheet.asked.known_heading_deg
+            law = {"normal": [0.0, known]} if known else {"uniform": [-180.0, 180.0]}
+            tables["drawn"] = tables["drawn"] | {"phi_u0_deg": law}
+        comment = (
+            "# Written by sinsjax advise: the sheet with the method it names, to be confirmed by\n"
+            "#   sinsjax sweep FILE -o out\n\n"
+        )
+        return comment + tomli_w.dumps(tables | sections | {"study": settings})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers alone, as for JSON."""
+        here, shares = self.heading, self.shares
+        band, settled = self.settles
+        return {
+            "name": self.sheet.name,
+            "time_s": self.time_s,
+            "heading_rms_arcmin": here.rms_arcmin,
+            "heading_95_arcmin": here.within_95_arcmin,
+            "heading_rms_sec_latitude_arcmin": here.rms_arcmin * self._cos_latitude,
+            "bound_arcmin": here.bound_arcmin,
+            "headings": [one._asdict() for one in self.headings if one.time_s in self._reported],
+            "budget_percent": {SOURCES[key]: 100 * share for key, share in shares.items()},
+            "dominant": SOURCES[self.dominant],
+            "heading_rms_with_half_of_dominant_arcmin": self.halved_rms_arcmin,
+            "band_deg": band,
+            "settles_s": settled,
+            "method": self.choice.method,
+            "settings": self.choice.sections,
+            "loss": self.loss,
+            "resets_s": list(self.resets.times_s) if self.resets else None,
+            "turns_arcmin": (
+                {one.name: one.sigma_arcmin for one in self.turns.options} if self.turns else None
+            ),
+            "warnings": list(self.warnings),
+            "doubts": list(self.sheet.doubts),
+        }
+
+    def plot(self) -> "Figure":
+        """Return a figure of the heading error over time with the budget's parts as areas."""
+        from sinsjax.plots.budget import plot_budget
+
+        shares = self.budget.variance / self.budget.variance.sum(axis=1, keepdims=True)
+        names = [SOURCES[name] for name in self.budget.sources]
+        rms = np.array([one.rms_arcmin for one in self.headings])
+        title = f"{self.sheet.name}: {SOURCES[self.dominant]} is {self.shares[self.dominant]:.0%}"
+        title += f" of the variance at {self.time_s:g} s"
+        return plot_budget(self.budget.times_s, rms, shares, names, self.time_s, title)
+
+    def __repr__(self) -> str:
+        """Return the main numbers; `sinsjax.advice.text.describe_advice` has all of them."""
+        here, shares = self.heading, self.shares
+        facts = {
+            "heading": f"{here.rms_arcmin:.3g} arcmin rms after {self.time_s:g} s",
+            "95 %": f"within {here.within_95_arcmin:.3g} arcmin",
+            "budget": ", ".join(f"{SOURCES[key]} {part:.0%}" for key, part in shares.items()),
+            "method": self.choice.method,
+        }
+        facts |= {f"warning {k}": text for k, text in enumerate(self.warnings, start=1)}
+        return display.format_text(f"Advice for {self.sheet.name}", facts)
+
+    @property
+    def _reported(self) -> tuple[float, ...]:
+        return self.sheet.times_s
+
+    @property
+    def _cos_latitude(self) -> float:
+        return math.cos(self.latitude_deg * DEG)
+
+
+def advise(
+    sheet: str | Path | Mapping[str, Any] | None = None,
+    *,
+    imu: str | None = None,
+    latitude_deg: float | None = None,
+    time_s: float | None = None,
+    motion: str | None = None,
+    changes: Mapping[str, Any] | None = None,
+) -> Advice:
+    """Return what to expect of an IMU at rest, and what to do with it, without a Monte Carlo run.
+
+    Args:
+        sheet: file, or nested dictionaries: an ordinary study without an alignment. [sensors] has
+            the noise of the data sheet, [drawn] the turn-on biases as ``{normal = [0.0, SIGMA]}``,
+            [earth] the latitude, [motion] what moves, and [advise] ``time_s``, ``wanted_deg`` and
+            ``known_heading_deg``.
+        imu: name of a shipped sheet instead, such as "kvh1750".
+        latitude_deg: latitude, deg, in place of that of the sheet.
+        time_s: time that there is to align, s, likewise.
+        motion: "still", "sway" or "surge", likewise.
+        changes: values by ``section.key`` that replace those of the sheet.
+
+    Raises:
+        InputError: the sheet is not valid, or lacks the white noise of its sensors.
+
+    Examples:
+        >>> advice = sinsjax.advise(
+        ...     {
+        ...         "earth": {"latitude_deg": 48.0},
+        ...         "sensors": {"gyro_arw_deg_per_sqrt_h": 0.005, "accel_vrw_ug_per_sqrt_hz": 30.0},
+        ...         "drawn": {
+        ...             "gyro_bias_deg_per_h": {"normal": [0.0, 0.05]},
+        ...             "accel_bias_ug": {"normal": [0.0, 200.0]},
+        ...         },
+        ...     },
+        ...     time_s=300.0,
+        ... )
+        >>> round(advice.heading.rms_arcmin), advice.dominant, advice.choice.method
+        (18, 'gyro_bias', 'gravity_fit')
+    """
+    return advise_sheet(
+        read_sheet(
+            sheet, imu=imu, latitude_deg=latitude_deg, time_s=time_s, motion=motion, changes=changes
+        )
+    )
+
+
+def advise_sheet(given: Sheet) -> Advice:
+    """Return the advice for a sheet that was read."""
+    choice, budget = choose_method(given), sheet_budget(given, _times(given))
+    headings = [
+        expect_heading(choice, time, sigma)
+        for time, sigma in zip(budget.times_s, budget.sigma, strict=True)
+    ]
+    return Advice(given, tuple(headings), choice, _turns(given), _resets(given), budget)
+
+
+def _times(sheet: Sheet) -> list[float]:
+    """Return the times of the budget: those to report, and more for the curve, in whole steps."""
+    last = max(sheet.times_s)
+    curve = np.geomspace(min(_SHORTEST_S, sheet.asked.time_s), last, _MOST_TIMES)
+    return sorted({*sheet.times_s, *(float(round(time)) for time in curve)})
+
+
+def expect_heading(choice: Choice, time_s: float, sigma: float) -> Heading:
+    """Return the heading error that a method leaves where the bound has 1 sigma, rad."""
+    expected = choice.loss(sigma) * sigma
+    return Heading(
+        float(time_s),
+        wrapped_rms(expected) / ARCMIN,
+        wrapped_quantile(expected, _SHARE) / ARCMIN,
+        float(sigma / ARCMIN),
+    )
+
+
+def scale_source(sheet: Sheet, source: str, factor: float) -> Sheet:
+    """Return a sheet with another size of one source of errors, see `heading.KEYS`."""
+    tables = {name: dict(table) for name, table in sheet.tables.items()}
+    for key in KEYS[source]:
+        for name in ("sensors", "motion"):
+            if key in tables[name]:
+                tables[name][key] = (np.asarray(tables[name][key]) * factor).tolist()
+        if key in tables["drawn"]:
+            tables["drawn"][key] = {"normal": [0.0, factor * sheet.sigma(key)]}
+    return Sheet(sheet.name, tables, sheet.asked, sheet.doubts)
+
+
+def _turns(sheet: Sheet) -> TurnChoice | None:
+    """Compare usual ways to turn the IMU, on a base that is quiet otherwise."""
+    if sheet.tables["motion"].keys() & {"turn_times_s", "attitude_file"}:
+        return None
+    sensors, gyro, accel = sheet.tables["sensors"], methods.gyro_density, methods.accel_density
+    return plan_turns(
+        gyro_bias_deg_per_h=sheet.sigma("gyro_bias_deg_per_h"),
+        gyro_arw_deg_per_sqrt_h=gyro(sheet),
+        accel_bias_ug=sheet.sigma("accel_bias_ug"),
+        accel_vrw_ug_per_sqrt_hz=accel(sheet),
+        latitude_deg=float(sheet.tables["earth"]["latitude_deg"]),
+        duration_s=sheet.asked.time_s,
+        gyro_instability_deg_per_h=sheet.sigma("gyro_instability_deg_per_h"),
+        gyro_instability_time_s=float(sensors.get("gyro_instability_time_s", 300.0)),
+        accel_instability_ug=sheet.sigma("accel_instability_ug"),
+        accel_instability_time_s=float(sensors.get("accel_instability_time_s", 300.0)),
+        gyro_scale_ppm=sheet.sigma("gyro_scale_ppm"),
+        gyro_misalignment_arcsec=sheet.sigma("gyro_misalignment_arcsec"),
+    )
+
+
+def _resets(sheet: Sheet) -> ResetPlan | None:
+    """Return the law's resets of a five-state filter, if it has a schedule for it."""
+    for band_arcmin in (10.0, 60.0, 300.0):
+        try:
+            study = sheet.study(methods.five_state(sheet))
+            return reset_schedule(study, settle_band_arcmin=band_arcmin)
+        except InputError:  # the noise is beyond the band
+            continue
+    return None
+
+
+def _iter_warnings(advice: Advice) -> Iterator[str]:
+    """Yield what can go wrong."""
+    here, asked, shares = advice.heading, advice.sheet.asked, advice.shares
+    within_deg = here.within_95_arcmin / 60
+    if asked.wanted_deg is not None and within_deg > asked.wanted_deg:
+        last = advice.headings[-1]
+        text = f"95 % stay within {_degrees(within_deg)}, not {_degrees(asked.wanted_deg)}"
+        if last.within_95_arcmin / 60 > asked.wanted_deg:
+            text += f"; no method at rest gets under {_degrees(last.within_95_arcmin / 60)}"
+            text += f" in {last.time_s:g} s"
+        yield text
+    rate = earth_rate_level_deg_per_h(advice)
+    bias = advice.sheet.sigma("gyro_bias_deg_per_h")
+    sigma = advice.loss * here.bound_arcmin * ARCMIN
+    if sigma > _NOT_FOUND:
+        yield (
+            f"north is not found: {share_beyond(sigma, _FAR):.0%} of the headings are off by more"
+            f" than 30 deg (gyro bias {bias:.3g} deg/h, level part of the Earth rate"
+            f" {rate:.3g} deg/h)"
+        )
+    elif sigma > _COARSE:
+        yield "errors this large are beyond linear theory: 20 % more or less is possible"
+    if abs(advice.latitude_deg) > _HIGH_LATITUDE_DEG:
+        yield f"at this latitude every error is {1 / advice._cos_latitude:.1f} times the equator's"
+    if shares.get("surge", 0.0) > 0.2:
+        yield (
+            "the surge of the base is taken for a process of known rms and correlation time"
+            " (surge_m_per_s, surge_time_s); a gust or a step that is not like it costs more"
+        )
+    if vibrates(advice.sheet):
+        yield (
+            "vibration: the motion is linear within a sample, so coning above half the sample rate"
+            " is not included; with laser gyros the method loses up to 40 % against the bound"
+        )
+    known = asked.known_heading_deg
+    if known is not None and known * 60 < here.rms_arcmin:
+        yield (
+            f"the heading known before, {_degrees(known)}, is better than what these data give:"
+            " keep it"
+        )
+
+
+def vibrates(sheet: Sheet) -> bool:
+    """Return whether the base vibrates by more than the accelerometers' noise of a second."""
+    motion = sheet.tables["motion"]
+    rms = float(np.max(np.asarray(motion.get("vibration_ug_rms", 0.0), float)))
+    omega = 2 * math.pi * float(motion.get("vibration_hz", 30.0))
+    return rms / omega > 0.5 * methods.accel_density(sheet)
+
+
+def earth_rate_level_deg_per_h(advice: Advice) -> float:
+    """Return the level part of the Earth rate, deg/h."""
+    return float(15.041067 * advice._cos_latitude)
+
+
+def _degrees(value_deg: float) -> str:
+    return f"{60 * value_deg:.2g}'" if value_deg < 1 else f"{value_deg:.3g} deg"

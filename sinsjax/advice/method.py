@@ -1,0 +1,118 @@
+"""The method that advice names, its settings and its loss against the information bound."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import tomli_w
+
+from sinsjax.advice.sheet import Sheet
+from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
+
+FIT, FILTER = "gravity_fit", "kalman_surge"
+
+_LOSS = {FIT: 1.0, FILTER: 1.03}
+"""Error over the bound where the heading error is small, see docs/advise.md."""
+_MOST_LOSS, _LOSS_PER_RAD = 0.2, 0.5
+"""What large heading errors add to the loss of the filter."""
+
+
+class Choice(NamedTuple):
+    """A method for a sheet.
+
+    Attributes:
+        method: its name.
+        sections: sections of a study that choose and set it.
+        reason: why this one, in a clause.
+    """
+
+    method: str
+    sections: dict[str, Any]
+    reason: str
+
+    @property
+    def toml(self) -> str:
+        """The sections as TOML."""
+        return tomli_w.dumps(self.sections).strip()
+
+    def loss(self, sigma: float) -> float:
+        """Return the factor on the bound, of the bound's own 1 sigma, rad."""
+        more = min(_MOST_LOSS, _LOSS_PER_RAD * sigma) if self.method == FILTER else 0.0
+        return _LOSS[self.method] + more
+
+
+def choose_method(sheet: Sheet) -> Choice:
+    """Return the method with the least error for a sheet."""
+    motion = sheet.tables["motion"]
+    surge = level_surge(motion)
+    if surge:
+        time_s = float(motion.get("surge_time_s", 5.0))
+        sections = {
+            "alignment": {"method": FILTER},
+            "surge": {"r_surge_m_per_s": surge, "r_surge_time_s": time_s},
+            "filter": _noise_of(sheet),
+        }
+        return Choice(FILTER, sections, "it estimates the velocity of a surging base")
+    beliefs = {
+        "fit_gyro_bias_deg_per_h": sheet.sigma("gyro_bias_deg_per_h"),
+        "fit_gyro_arw_deg_per_sqrt_h": gyro_density(sheet),
+        "fit_accel_bias_ug": sheet.sigma("accel_bias_ug"),
+        "fit_accel_vrw_ug_per_sqrt_hz": accel_density(sheet),
+        "fit_gyro_scale_ppm": sheet.sigma("gyro_scale_ppm"),
+        "fit_gyro_misalignment_arcsec": sheet.sigma("gyro_misalignment_arcsec"),
+        "fit_lever_arm_m": lever_arm(motion),
+    }
+    sections = {
+        "alignment": {"method": FIT},
+        "gravity_fit": {key: round_off(value) for key, value in beliefs.items() if value},
+    }
+    return Choice(FIT, sections, "it fits all the data at once and needs no initial attitude")
+
+
+def five_state(sheet: Sheet) -> dict[str, Any]:
+    """Return the sections of a five-state filter with the sheet's noise, for the law of resets."""
+    return {"alignment": {"method": "kalman5"}, "filter": _noise_of(sheet)}
+
+
+def _noise_of(sheet: Sheet) -> dict[str, Any]:
+    """Return Q as the data sheet has it; R, which is left out, follows the motion."""
+    return {
+        "q_reading": "psd",
+        "q_gyro_arw_deg_per_sqrt_h": gyro_density(sheet),
+        "q_accel_ug_per_sqrt_hz": accel_density(sheet),
+    }
+
+
+def gyro_density(sheet: Sheet) -> float:
+    """Return the angle random walk, deg/sqrt(h)."""
+    if density := sheet.sigma("gyro_arw_deg_per_sqrt_h"):
+        return round_off(density)
+    per_sample = sheet.sigma("gyro_noise_deg_per_h") * DEG_PER_H
+    return round_off(per_sample / math.sqrt(sheet.tables["study"]["rate_hz"]) / DEG_PER_SQRT_H)
+
+
+def accel_density(sheet: Sheet) -> float:
+    """Return the velocity random walk, ug/sqrt(Hz)."""
+    if density := sheet.sigma("accel_vrw_ug_per_sqrt_hz"):
+        return round_off(density)
+    return round_off(sheet.sigma("accel_noise_ug") / math.sqrt(sheet.tables["study"]["rate_hz"]))
+
+
+def level_surge(motion: Mapping[str, Any]) -> float:
+    """Return the larger rms velocity of the surge along east and north, m/s."""
+    return float(np.max(np.broadcast_to(motion.get("surge_m_per_s", 0.0), 3)[:2]))
+
+
+def lever_arm(motion: Mapping[str, Any]) -> float:
+    """Return the rms of the parts of a lever arm that sways or turns, m."""
+    keys = ("pitch_amplitude_deg", "roll_amplitude_deg", "yaw_amplitude_deg", "turn_times_s")
+    if not any(motion.get(key) for key in (*keys, "attitude_file")):
+        return 0.0
+    arm = np.broadcast_to(motion.get("lever_arm_m", 0.0), 3)
+    return float(np.sqrt(np.mean(np.square(arm))))
+
+
+def round_off(value: float) -> float:
+    """Return a number with four digits."""
+    return float(f"{value:.4g}")

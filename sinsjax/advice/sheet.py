@@ -1,0 +1,280 @@
+"""The sheet of an IMU: a study without an alignment, read, checked and completed."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from sinsjax.errors import InputError
+from sinsjax.messages import describe_broken_rule, suggest_closest
+from sinsjax.platform.assets import asset_path
+from sinsjax.study import files
+from sinsjax.study.changes import apply_changes
+from sinsjax.study.keys import TomlTable
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
+from sinsjax.study.sweep import correctable_errors
+from sinsjax.value_types import AngleSigma, Seconds, Section
+
+_SHEETS = "configs/imu"
+_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
+TIMES_S = (60.0, 120.0, 300.0, 600.0, 1800.0)
+"""Times at which the heading is always given, s."""
+
+_DRAWS, _RATE_HZ, _SHORTEST_S = 1024, 100.0, 10.0
+_SWAY = {
+    **{"pitch_amplitude_deg": 1.8, "roll_amplitude_deg": 2.4, "yaw_amplitude_deg": 2.8},
+    **{"pitch_period_s": 6.0, "roll_period_s": 8.0, "yaw_period_s": 10.0},
+}
+MOTIONS: dict[str, dict[str, Any]] = {
+    "still": {},
+    "sway": _SWAY,
+    "surge": _SWAY | {"surge_m_per_s": 0.1, "surge_time_s": 5.0, "lever_arm_m": 1.0},
+}
+"""Motions by name: at rest, swaying as paper 1's base, the same surging with a lever arm."""
+
+CONSTANT_KEYS = (
+    *("gyro_bias_deg_per_h", "accel_bias_ug", "gyro_scale_ppm", "gyro_misalignment_arcsec"),
+    *("accel_scale_ppm", "accel_misalignment_arcsec"),
+)
+"""Keys of errors that stay constant; advice takes a fixed value for 1 sigma."""
+
+_USUAL = {
+    "gyro_arw_deg_per_sqrt_h": (1e-5, 5.0, "deg/sqrt(h); deg/h/sqrt(Hz) are divided by 60"),
+    "gyro_instability_deg_per_h": (1e-5, 500.0, "deg/h"),
+    "gyro_bias_deg_per_h": (1e-4, 2e4, "deg/h"),
+    "accel_vrw_ug_per_sqrt_hz": (0.1, 5e3, "ug/sqrt(Hz); m/s/sqrt(h) are multiplied by 1,700"),
+    "accel_instability_ug": (0.1, 2e4, "ug"),
+    "accel_bias_ug": (0.5, 2e5, "ug"),
+}
+"""Usual values from laser gyros to telephones, and their unit."""
+
+_NOISE = {
+    "gyro_arw_deg_per_sqrt_h": ("gyro_noise_deg_per_h", "the angle random walk of the data sheet"),
+    "accel_vrw_ug_per_sqrt_hz": ("accel_noise_ug", "the velocity random walk of the data sheet"),
+}
+
+
+class AdviseSection(Section):
+    """[advise]: what is asked."""
+
+    time_s: Seconds = Field(300.0, description="time that there is to align, s")
+    wanted_deg: AngleSigma | None = Field(
+        None, description="heading error that 95 % of the alignments are to stay within, deg"
+    )
+    known_heading_deg: AngleSigma | None = Field(
+        None, description="1 sigma of the heading known before, deg; default: nothing is known"
+    )
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """An IMU, its place and motion, and what is asked.
+
+    Attributes:
+        name: of the sheet.
+        tables: of a study, without a method; constant errors are drawn.
+        asked: what is asked.
+        doubts: values of the sheet that may be mistaken, a line each.
+    """
+
+    name: str
+    tables: TomlTable
+    asked: AdviseSection
+    doubts: tuple[str, ...]
+
+    @property
+    def times_s(self) -> tuple[float, ...]:
+        """Times to report, s, the time asked for among them."""
+        return tuple(sorted({*TIMES_S, self.asked.time_s}))
+
+    def study(self, sections: Mapping[str, Any], **settings: Any) -> Study:
+        """Return a study of the sheet with a method.
+
+        Args:
+            sections: further sections, by name.
+            settings: keys of [study] that replace those of the sheet.
+        """
+        tables = self.tables | dict(sections)
+        tables["study"] = self.tables["study"] | settings
+        if not tables["study"]["report_times_s"]:
+            del tables["study"]["report_times_s"]
+        return study_from_dict(tables, self.name)
+
+    def sigma(self, key: str) -> float:
+        """Return the size of a sensor error: 1 sigma if it is constant, else its density or rms."""
+        if key in (drawn := self.tables["drawn"]):
+            return float(drawn[key]["normal"][1])
+        return _rms(self.tables["sensors"].get(key, 0.0))
+
+
+def shipped_sheets() -> dict[str, Path]:
+    """Return the sheets that come with the package, by name."""
+    return {path.stem: path for path in sorted(asset_path(_SHEETS).glob("*.toml"))}
+
+
+def describe_sheets() -> list[str]:
+    """Return a line for each shipped sheet: its name and its first comment."""
+    lines = {}
+    for name, path in shipped_sheets().items():
+        lines[name] = path.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+    return [f"{name:<12} {words}" for name, words in lines.items()]
+
+
+def read_sheet(
+    source: str | Path | Mapping[str, Any] | None,
+    *,
+    imu: str | None = None,
+    latitude_deg: float | None = None,
+    time_s: float | None = None,
+    motion: str | None = None,
+    changes: Mapping[str, Any] | None = None,
+) -> Sheet:
+    """Read and check a sheet, see `sinsjax.advise`."""
+    name, data = _read_tables(source, imu)
+    try:
+        return _complete(name, _changed(data, latitude_deg, time_s, motion, changes or {}))
+    except InputError as error:
+        if error.lines[0].startswith(f"{name}: "):
+            raise
+        raise error.with_source(name) from None
+
+
+def _read_tables(source: str | Path | Mapping[str, Any] | None, imu: str | None) -> tuple[str, Any]:
+    if (source is None) == (imu is None):
+        raise InputError("give a sheet or --imu NAME, one of the two (`sinsjax advise --imu list`)")
+    if isinstance(source, Mapping):
+        return "sheet", source
+    if source is not None:
+        return files.source_name(source), files.read_tables(source)
+    sheets = shipped_sheets()
+    if imu not in sheets:
+        hint = suggest_closest(str(imu), sheets)
+        raise InputError(f"--imu {imu}: is none of {', '.join(sheets)}{hint}")
+    return str(imu), files.read_tables(sheets[str(imu)])
+
+
+def _changed(
+    data: Mapping[str, Any],
+    latitude_deg: float | None,
+    time_s: float | None,
+    motion: str | None,
+    changes: Mapping[str, Any],
+) -> TomlTable:
+    """Return the tables with what options replace."""
+    for name in data:
+        if name not in _TABLES:
+            text = (
+                "does not belong in a sheet (`sinsjax advise` chooses the method and its settings)"
+            )
+            raise InputError(f"[{name}]: {text}{suggest_closest(name, _TABLES, '[{}]')}")
+    options: dict[str, Any] = {}
+    if motion is not None:
+        if motion not in MOTIONS:
+            raise InputError(f"--motion {motion}: is none of {', '.join(MOTIONS)}")
+        data = {key: table for key, table in data.items() if key != "motion"}
+        options |= {f"motion.{key}": value for key, value in MOTIONS[motion].items()}
+    if latitude_deg is not None:
+        options["earth.latitude_deg"] = latitude_deg
+    if time_s is not None:
+        options["advise.time_s"] = time_s
+    return apply_changes(data, options | dict(changes))
+
+
+def _complete(name: str, data: TomlTable) -> Sheet:
+    """Check the tables and fill in what a study needs."""
+    asked = _read_asked(data.get("advise", {}))
+    if asked.time_s < _SHORTEST_S or asked.time_s % 1:
+        text = f"must be whole seconds, at least {_SHORTEST_S:g}, not {asked.time_s:g}"
+        raise InputError(f"[advise] time_s: {text}")
+    if not data.get("earth"):
+        raise InputError("[earth] latitude_deg: required, deg (--latitude)")
+    study = {"draws": _DRAWS, "rate_hz": _RATE_HZ} | data.get("study", {})
+    study |= {"duration_s": asked.time_s, "record_interval_s": 1.0}
+    study["report_times_s"] = [time for time in TIMES_S if time < asked.time_s]
+    study.setdefault("name", name.rpartition("/")[2].removesuffix(".toml"))
+    sensors, drawn = dict(data.get("sensors", {})), dict(data.get("drawn", {}))
+    motion = dict(data.get("motion", {}))
+    tables = {"study": study, "earth": data["earth"], "motion": motion, "sensors": sensors}
+    method = {"alignment": {"method": "inertial"}}
+    study_from_dict(tables | _with_heading(motion, drawn) | method, name)  # what is wrong, it says
+    for key in CONSTANT_KEYS:
+        if np.any(fixed := sensors.pop(key, 0.0)) and key not in drawn:
+            drawn[key] = {"normal": [0.0, _rms(fixed)]}
+        elif key in drawn and "normal" not in drawn[key]:
+            raise InputError(f"[drawn] {key}: must be normal = [0.0, SIGMA] in a sheet")
+    sheet = Sheet(name, tables | _with_heading(motion, drawn), asked, ())
+    _check_noise(sheet)
+    return Sheet(name, sheet.tables, asked, tuple(_iter_doubts(sheet)))
+
+
+def _with_heading(motion: TomlTable, drawn: TomlTable) -> TomlTable:
+    """Return [drawn] with headings all round unless the sheet has one."""
+    if "yaw_center_deg" in motion or "yaw_center_deg" in drawn or "attitude_file" in motion:
+        return {"drawn": drawn}
+    return {"drawn": drawn | {"yaw_center_deg": {"uniform": [-180.0, 180.0]}}}
+
+
+def _read_asked(table: Any) -> AdviseSection:
+    try:
+        return AdviseSection.model_validate(table)
+    except ValidationError as error:
+        lines = []
+        for one in correctable_errors(error):
+            key = str(one["loc"][0]) if one["loc"] else ""
+            hint = suggest_closest(key, AdviseSection.model_fields)
+            known = key in AdviseSection.model_fields
+            text = describe_broken_rule(one) if known else f"unknown key{hint}"
+            lines.append(f"[advise] {key}: {text}")
+        raise InputError(*lines) from None
+
+
+def _check_noise(sheet: Sheet) -> None:
+    """Refuse a sheet without white noise, and values far from those of any IMU."""
+    lines = []
+    for key, (other, words) in _NOISE.items():
+        if not sheet.sigma(key) and not sheet.sigma(other):
+            low, high, unit = _USUAL[key]
+            lines.append(f"[sensors] {key}: required, {words}, usually {low:g} to {high:g} {unit}")
+    for key, (low, high, unit) in _USUAL.items():
+        value = sheet.sigma(key)
+        if value and not low <= value <= high:
+            table = "drawn" if key in sheet.tables["drawn"] else "sensors"
+            lines.append(
+                f"[{table}] {key}: {value:g} is not in the usual {low:g} to {high:g} {unit}"
+            )
+    if lines:
+        raise InputError(*lines)
+
+
+def _iter_doubts(sheet: Sheet) -> Iterator[str]:
+    """Yield values that do not fit each other."""
+    bias = sheet.sigma("gyro_bias_deg_per_h")
+    drift = sheet.sigma("gyro_instability_deg_per_h")
+    walk = sheet.sigma("gyro_arw_deg_per_sqrt_h")
+    if not bias:
+        yield (
+            "no turn-on bias of the gyros (gyro_bias_deg_per_h in [drawn]): the heading is that of"
+            " perfectly calibrated ones"
+        )
+    elif bias < 0.5 * drift:
+        yield (
+            f"the turn-on bias of the gyros, {bias:g} deg/h, is below their instability, {drift:g}"
+            f" deg/h; it is usually 1 to 100 times as large ({bias:g} deg/s are {3600 * bias:g}"
+            " deg/h)"
+        )
+    if not sheet.sigma("accel_bias_ug"):
+        yield "no turn-on bias of the accelerometers (accel_bias_ug in [drawn])"
+    if walk > 3 * (scale := drift or bias) > 0:
+        yield (
+            f"the angle random walk, {walk:g} deg/sqrt(h), is {walk / scale:.3g} times the"
+            f" {'instability' if drift else 'bias'} of the gyros in deg/h, usually 0.02 to 1 times"
+            " (deg/h/sqrt(Hz) are divided by 60)"
+        )
+
+
+def _rms(value: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(np.asarray(value, float)))))

@@ -1,0 +1,104 @@
+"""The command that turns a data sheet into advice."""
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sinsjax.cli.options import Changes
+from sinsjax.console import plain_console, print_line
+from sinsjax.errors import InputError
+from sinsjax.platform.files import atomic_write
+
+
+def _complete_imu(incomplete: str) -> list[str]:
+    from sinsjax.advice.sheet import shipped_sheets
+
+    return [name for name in shipped_sheets() if name.startswith(incomplete)]
+
+
+def _complete_motion(incomplete: str) -> list[str]:
+    from sinsjax.advice.sheet import MOTIONS
+
+    return [name for name in MOTIONS if name.startswith(incomplete)]
+
+
+def advise(
+    sheet: Annotated[
+        Path | None,
+        typer.Argument(
+            help="Sheet of an IMU (TOML): a study without [alignment].",
+            show_default=False,
+            metavar="SHEET",
+        ),
+    ] = None,
+    imu: Annotated[
+        str | None,
+        typer.Option(
+            help="A shipped sheet instead; `list` shows them.",
+            metavar="NAME",
+            autocompletion=_complete_imu,
+        ),
+    ] = None,
+    latitude: Annotated[
+        float | None, typer.Option(help="Latitude, deg.", metavar="DEG", show_default=False)
+    ] = None,
+    time: Annotated[
+        float | None,
+        typer.Option(help="Time to align, s; 300 unless the sheet has it.", metavar="S"),
+    ] = None,
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            help="What moves, in place of [motion]: still, sway or surge.",
+            metavar="NAME",
+            autocompletion=_complete_motion,
+        ),
+    ] = None,
+    changes: Changes = None,
+    study_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--study", help="Also write the Monte Carlo study that confirms it.", metavar="FILE"
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
+) -> None:
+    """Tell from a data sheet how well an IMU finds north, what limits it, and what to set.
+
+    Example: sinsjax advise --imu kvh1750 --latitude 48 --time 300 --motion sway
+    """
+    from sinsjax.advice.advise import advise as advise_on
+    from sinsjax.advice.sheet import describe_sheets
+    from sinsjax.advice.text import describe_advice
+    from sinsjax.study.changes import parse_changes
+
+    console = plain_console()
+    if imu == "list":
+        for line in describe_sheets():
+            print_line(console, line)
+        return
+    if study_file is not None and os.path.lexists(study_file):
+        raise InputError(f"{study_file}: exists, and is not overwritten (give another file)")
+    found = advise_on(
+        sheet,
+        imu=imu,
+        latitude_deg=latitude,
+        time_s=time,
+        motion=motion,
+        changes=parse_changes(changes or ()),
+    )
+    if as_json:
+        typer.echo(json.dumps(found.to_dict(), indent=1))
+    else:
+        for line in describe_advice(found):
+            print_line(console, line, wrap=True)
+    if study_file is not None:
+        with atomic_write(study_file) as file:
+            file.write(found.study().encode())
+        if not as_json:
+            print_line(
+                console, f"{study_file} written; `sinsjax sweep {study_file} -o out` confirms it."
+            )
