@@ -21,7 +21,7 @@ from traitlets.config import Config
 
 TIMEOUT_S = 300
 AT_A_TIME = 2
-SHORT = {"own_record", "reset_law", "sweep_tables", "tuning", "why_p_lies"}
+SHORT = {"advise", "own_record", "reset_law", "sweep_tables", "tuning", "why_p_lies"}
 """Notebooks that compile longer than they compute, so that optimising compilation does not pay."""
 
 

@@ -242,7 +242,7 @@ def rows(folder: Path, given: list[Case]) -> list[Row]:
 
 
 def table(found: list[Row]) -> str:
-    """Return the rows and their count as Markdown."""
+    """Return how many cells are right, and the cells, as Markdown."""
     head = (
         *("sheet", "motion", "latitude (deg)", "time (s)", "advised", "rms by advice (')"),
         *("measured (')", "ratio", "best method", "advised over best"),
@@ -265,10 +265,11 @@ def table(found: list[Row]) -> str:
     good = sum(row.loss <= 1.1 for row in found)
     clear = [row for row in found if row.ratio > CLEAR and row.found]
     right = sum(row.is_right for row in clear)
-    return "\n".join(lines) + (
-        f"\n\nRms within 15 %: {close} of {len(found)} cells. Method within 10 % of the best:"
-        f" {good} of {len(found)}. Largest source right: {right} of {len(clear)} cells where it is"
-        " more than 1.2 times the second.\n"
+    return (
+        f"\nRms within 15 %: {close} of {len(found)} cells. Advised method within 10 % of the best"
+        f" one: {good} of {len(found)}.\nLargest source right: {right} of {len(clear)} cells where it is"
+        f" more than {CLEAR:g} times the second.\n\n<details>\n<summary>{len(found)} cells</summary>"
+        f"\n\n{chr(10).join(lines)}\n\n</details>\n\n"
     )
 
 

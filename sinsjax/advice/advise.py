@@ -78,6 +78,11 @@ class Advice:
     budget: Budget
 
     @property
+    def name(self) -> str:
+        """Name of the sheet."""
+        return str(self.sheet.tables["study"]["name"])
+
+    @property
     def time_s(self) -> float:
         """Time that there is to align, s."""
         return self.sheet.asked.time_s
@@ -159,7 +164,7 @@ class Advice:
         here, shares = self.heading, self.shares
         band, settled = self.settles
         return {
-            "name": self.sheet.name,
+            "name": self.name,
             "time_s": self.time_s,
             "heading_rms_arcmin": here.rms_arcmin,
             "heading_95_arcmin": here.within_95_arcmin,
@@ -189,7 +194,7 @@ class Advice:
         shares = self.budget.variance / self.budget.variance.sum(axis=1, keepdims=True)
         names = [SOURCES[name] for name in self.budget.sources]
         rms = np.array([one.rms_arcmin for one in self.headings])
-        title = f"{self.sheet.name}: {SOURCES[self.dominant]} is {self.shares[self.dominant]:.0%}"
+        title = f"{self.name}: {SOURCES[self.dominant]} is {self.shares[self.dominant]:.0%}"
         title += f" of the variance at {self.time_s:g} s"
         return plot_budget(self.budget.times_s, rms, shares, names, self.time_s, title)
 
@@ -203,7 +208,7 @@ class Advice:
             "method": self.choice.method,
         }
         facts |= {f"warning {k}": text for k, text in enumerate(self.warnings, start=1)}
-        return display.format_text(f"Advice for {self.sheet.name}", facts)
+        return display.format_text(f"Advice for {self.name}", facts)
 
     @property
     def _reported(self) -> tuple[float, ...]:

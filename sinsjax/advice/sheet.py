@@ -239,13 +239,13 @@ def _check_noise(sheet: Sheet) -> None:
         if not sheet.sigma(key) and not sheet.sigma(other):
             low, high, unit = _USUAL[key]
             lines.append(f"[sensors] {key}: required, {words}, usually {low:g} to {high:g} {unit}")
+    is_unchecked = sheet.tables["study"].get("unchecked", False)
     for key, (low, high, unit) in _USUAL.items():
         value = sheet.sigma(key)
-        if value and not low <= value <= high:
+        if value and not low <= value <= high and not is_unchecked:
             table = "drawn" if key in sheet.tables["drawn"] else "sensors"
-            lines.append(
-                f"[{table}] {key}: {value:g} is not in the usual {low:g} to {high:g} {unit}"
-            )
+            text = f"{value:g} is not in the usual {low:g} to {high:g} {unit}"
+            lines.append(f"[{table}] {key}: {text} (if it is right: [study] unchecked = true)")
     if lines:
         raise InputError(*lines)
 

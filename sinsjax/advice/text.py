@@ -22,7 +22,7 @@ def describe_advice(advice: Advice) -> Iterator[str]:
     if any(key.startswith("turn") for key in motion):
         moves = "turned"
     place = f"{advice.latitude_deg:g} deg of latitude"
-    yield f"{advice.sheet.name}, {moves}, {advice.time_s:g} s at {place}"
+    yield f"{advice.name}, {moves}, {advice.time_s:g} s at {place}"
     yield ""
     for doubt in advice.sheet.doubts:
         yield _fact("doubt", doubt)
@@ -52,7 +52,7 @@ def describe_advice(advice: Advice) -> Iterator[str]:
 def angle(arcmin: float) -> str:
     """Return an angle, arcmin, in degrees where it is large."""
     if arcmin < 100:
-        return f"{arcmin:.1f}'" if arcmin < 10 else f"{arcmin:.0f}'"
+        return f"{arcmin:.1f}'" if arcmin < 20 else f"{arcmin:.0f}'"
     return f"{arcmin / 60:.1f} deg" if arcmin < 600 else f"{arcmin / 60:.0f} deg"
 
 

@@ -40,11 +40,13 @@ def plot_budget(
     above.axvline(asked_s, color="0.5", linewidth=0.8)
     (asked,) = rms_arcmin[times_s == asked_s]
     unit = f"{asked:.3g} arcmin rms at {asked_s:g} s"
-    above.annotate(unit, (asked_s, asked), (6, 6), textcoords="offset points")
+    is_late = asked_s**2 > times_s[0] * times_s[-1]
+    side, offset = ("right", (-6, 24)) if is_late else ("left", (6, 6))
+    above.annotate(unit, (asked_s, asked), offset, textcoords="offset points", ha=side)
     above.set_ylabel("rms heading error (arcmin)")
     above.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     above.grid(visible=True, which="both", alpha=0.3)
-    order = np.argsort(-shares.max(axis=0))
+    order = np.argsort(-shares[times_s == asked_s][0])
     large = [k for k in order if shares[:, k].max() >= _LEAST_SHARE]
     rest = shares.sum(axis=1) - shares[:, large].sum(axis=1)
     areas, labels = [shares[:, k] for k in large], [names[k] for k in large]

@@ -1,0 +1,203 @@
+"""Advice: its numbers against draws, what it writes and refuses, and its doubts."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.commands import command_line
+
+import sinsjax
+from sinsjax.advice.sheet import MOTIONS, shipped_sheets
+from sinsjax.advice.text import describe_advice
+from sinsjax.errors import InputError
+
+FOG: dict[str, Any] = {
+    "earth": {"latitude_deg": 48.0},
+    "sensors": {
+        **{"gyro_arw_deg_per_sqrt_h": 0.005, "gyro_instability_deg_per_h": 0.02},
+        **{"accel_vrw_ug_per_sqrt_hz": 30.0, "accel_instability_ug": 20.0},
+    },
+    "drawn": {
+        "gyro_bias_deg_per_h": {"normal": [0.0, 0.05]},
+        "accel_bias_ug": {"normal": [0.0, 200.0]},
+    },
+}
+
+
+def advise(changes: dict[str, Any] | None = None, **options: Any) -> sinsjax.Advice:
+    return sinsjax.advise(FOG, changes=changes, **options)
+
+
+@pytest.mark.parametrize("motion", ["sway", pytest.param("surge", marks=pytest.mark.slow)], ids=str)
+@pytest.mark.optimised(False)
+def test_study_that_is_written_confirms_the_rms(motion: str) -> None:
+    advice = advise(motion=motion, time_s=200.0)
+    study = sinsjax.study_from_dict(tomllib.loads(advice.study())).replace(
+        {"study.rate_hz": 10.0, "study.draws": 128}
+    )
+    assert study.n_draws == 128
+    summary = sinsjax.run(study).summary
+    for time_s, column in ((120, "phi_u_at_120_arcmin"), (200, "phi_u_arcmin")):
+        (expected,) = (h.rms_arcmin for h in advice.headings if h.time_s == time_s)
+        errors = np.asarray(summary[column], float)
+        assert expected == pytest.approx(np.sqrt(np.mean(errors**2)), rel=0.2)
+
+
+def test_settings_are_those_of_the_sheet_and_its_motion() -> None:
+    still, surge = advise().choice, advise(motion="surge").choice
+    assert still.sections == {
+        "alignment": {"method": "gravity_fit"},
+        "gravity_fit": {
+            **{"fit_gyro_bias_deg_per_h": 0.05, "fit_gyro_arw_deg_per_sqrt_h": 0.005},
+            **{"fit_accel_bias_ug": 200.0, "fit_accel_vrw_ug_per_sqrt_hz": 30.0},
+        },
+    }
+    assert tomllib.loads(surge.toml) == surge.sections
+    assert surge.sections["surge"] == {"r_surge_m_per_s": 0.1, "r_surge_time_s": 5.0}
+    assert surge.sections["filter"] == {
+        **{"q_reading": "psd", "q_gyro_arw_deg_per_sqrt_h": 0.005},
+        **{"q_accel_ug_per_sqrt_hz": 30.0},
+    }
+    swaying = {"motion": MOTIONS["sway"] | {"lever_arm_m": [2.0, 0.0, 0.0]}}
+    arm = sinsjax.advise(FOG | swaying).choice.sections["gravity_fit"]["fit_lever_arm_m"]
+    assert arm == pytest.approx(2 / np.sqrt(3), rel=1e-3)
+
+
+def test_noise_of_a_sample_is_the_density_at_the_rate() -> None:
+    sensors = {"gyro_noise_deg_per_h": 0.005 * 60 * 5, "accel_noise_ug": 30.0 * 5}
+    rest = {key: v for key, v in FOG["sensors"].items() if "instability" in key}
+    given = FOG | {"sensors": sensors | rest, "study": {"rate_hz": 25.0}}
+    assert sinsjax.advise(given).choice.sections == advise().choice.sections
+    assert sinsjax.advise(given).heading.rms_arcmin == pytest.approx(
+        advise().heading.rms_arcmin, rel=1e-4
+    )
+
+
+def test_numbers_as_json_are_those_of_the_advice() -> None:
+    advice = advise({"advise.wanted_deg": 0.5})
+    numbers = json.loads(json.dumps(advice.to_dict()))
+    assert numbers["heading_rms_arcmin"] == advice.heading.rms_arcmin
+    assert [one["time_s"] for one in numbers["headings"]] == [60, 120, 300, 600, 1800]
+    assert sum(numbers["budget_percent"].values()) == pytest.approx(100)
+    assert numbers["dominant"] == "gyro turn-on bias"
+    half = advise({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 0.025]}})
+    assert numbers["heading_rms_with_half_of_dominant_arcmin"] == pytest.approx(
+        half.heading.rms_arcmin
+    )
+    cosine = np.cos(np.radians(48))
+    sec = numbers["heading_rms_sec_latitude_arcmin"]
+    assert sec == pytest.approx(numbers["heading_rms_arcmin"] * cosine)
+    assert numbers["settles_s"] is None and "no method at rest" in numbers["warnings"][0]
+
+
+def test_band_is_reached_when_95_percent_are_within_it() -> None:
+    advice = advise()
+    band, time_s = advice.settles
+    assert band == 1.0 and time_s is not None
+    for one in advice.headings:
+        if one.time_s <= 300:
+            assert (one.within_95_arcmin <= 60) == (one.time_s >= time_s)
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "words"),
+    [
+        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 10.0]}}, {}, "north is not found"),
+        ({}, {"latitude_deg": -80.0}, "5.8 times the equator's"),
+        ({}, {"motion": "surge", "time_s": 120.0}, "surge of the base is taken"),
+        ({"advise.known_heading_deg": 0.1}, {}, "keep it"),
+        ({"advise.wanted_deg": 0.1}, {}, "no method at rest gets under"),
+    ],
+)
+def test_what_can_go_wrong_is_a_warning(
+    changes: dict[str, Any], options: dict[str, Any], words: str
+) -> None:
+    assert any(words in line for line in advise(changes, **options).warnings)
+    assert advise().warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"sensors.gyro_arw_deg_per_sqrt_h": 0.5}, "usually 0.02 to 1 times"),
+        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 0.005]}}, "0.005 deg/s are 18 deg/h"),
+        ({"drawn.gyro_bias_deg_per_h": {}}, "no turn-on bias of the gyros"),
+        ({"drawn.accel_bias_ug": {}}, "no turn-on bias of the accelerometers"),
+    ],
+)
+def test_values_that_do_not_fit_are_doubts(changes: dict[str, Any], words: str) -> None:
+    advice = advise(changes)
+    assert any(words in line for line in advice.sheet.doubts)
+    assert any(words in line for line in describe_advice(advice))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"sensors": {}}, "[sensors] gyro_arw_deg_per_sqrt_h: required, the angle random walk"),
+        (
+            {"sensors.gyro_arw_deg_per_sqrt_h": 50.0},
+            "50 is not in the usual 1e-05 to 5 deg/sqrt(h)",
+        ),
+        ({"drawn.gyro_bias_deg_per_s": {"normal": [0.0, 1.0]}}, "did you mean gyro_bias_deg_per_h"),
+        ({"drawn.accel_bias_ug": {"uniform": [0.0, 1.0]}}, "must be normal = [0.0, SIGMA]"),
+        ({"advise.time_s": 3.0}, "[advise] time_s: must be whole seconds, at least 10, not 3"),
+        ({"advise.tim_s": 3.0}, "[advise] tim_s: unknown key (did you mean time_s?)"),
+        ({"alignment.method": "inertial"}, "[alignment]: does not belong in a sheet"),
+        ({"earth": {}}, "[earth] latitude_deg: required"),
+    ],
+)
+def test_bad_sheet_is_refused_in_a_line(changes: dict[str, Any], message: str) -> None:
+    tables = FOG | {"alignment": {}} if "alignment.method" in changes else FOG
+    with pytest.raises(InputError, match=".*") as refused:
+        sinsjax.advise(tables, changes=changes)
+    assert message in str(refused.value)
+
+
+@pytest.mark.parametrize("options", [{"imu": "kvh"}, {"imu": "kvh1775", "motion": "swim"}])
+def test_unknown_name_lists_the_known_ones(options: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="is none of .*(kvh1775|sway)"):
+        sinsjax.advise(**options, latitude_deg=48.0)
+    with pytest.raises(InputError, match="one of the two"):
+        sinsjax.advise(FOG, imu="kvh1775")
+
+
+@pytest.mark.parametrize("name", shipped_sheets())
+def test_shipped_sheet_names_its_source_and_has_no_doubt(name: str) -> None:
+    text = shipped_sheets()[name].read_text()
+    assert "# Source: " in text and "read 20" in text
+    assert sinsjax.advise(imu=name, latitude_deg=45.0).sheet.doubts == ()
+
+
+def test_figure_has_a_line_and_an_area_for_each_large_source() -> None:
+    figure = advise().plot()
+    above, below = figure.axes
+    assert "gyro turn-on bias is 73%" in above.get_title(loc="left")
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels[0] == "gyro turn-on bias" and "others" in labels
+    assert len(below.collections) == len(labels)
+
+
+def test_command_prints_one_screen_and_writes_a_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = command_line(monkeypatch, capsys)
+    sheet, study = tmp_path / "my.toml", tmp_path / "check.toml"
+    sheet.write_text(
+        "[earth]\nlatitude_deg = 48\n[sensors]\ngyro_arw_deg_per_sqrt_h = 0.005\n"
+        "accel_vrw_ug_per_sqrt_hz = 30\n[drawn]\ngyro_bias_deg_per_h = {normal = [0, 0.05]}\n"
+        "accel_bias_ug = {normal = [0, 200]}\n"
+    )
+    code, out, _ = command("advise", sheet, "--time", 200, "--motion", "sway", "--study", study)
+    assert code == 0 and len(out.splitlines()) <= 45
+    assert sinsjax.load_study(study).values("method") == ["gravity_fit"]
+    code, _, error = command("advise", sheet, "--study", study)
+    assert code == 2 and "exists, and is not overwritten" in error
+    _, out, _ = command("advise", sheet, "--json", "--time", 200)
+    rms = sinsjax.advise(sheet, time_s=200.0).heading.rms_arcmin
+    assert json.loads(out)["heading_rms_arcmin"] == rms
+    _, out, _ = command("advise", "--imu", "list")
+    assert all(name in out for name in shipped_sheets())
