@@ -75,9 +75,6 @@ def _common_options(
     """Initial alignment of strapdown inertial navigators, thousands of runs at a time."""
 
 
-command(rich_help_panel=RUN)(advice.advise)
-
-
 @command(rich_help_panel=RUN)
 def run(
     config: Config,
@@ -307,7 +304,7 @@ def terms() -> None:
     print_terms(plain_console())
 
 
-for _command in (*study_files.COMMANDS, *machine.COMMANDS):
+for _command in (advice.advise, *study_files.COMMANDS, *machine.COMMANDS):
     command(rich_help_panel=SET_UP)(_command)
 
 

@@ -171,7 +171,7 @@ def test_help_lists_commands_in_panels_and_shows_brackets(sinsjax: Command) -> N
     assert code == 0 and [*found] == ["Run", "Look", "Set up"]
     assert found["Run"] == ["run", "sweep", "align", "tune"]
     assert {"report", "rerun"} <= set(found["Look"])
-    assert {"init", "validate", "keys", "info", "gains", "bench", "schedule"} == set(
+    assert {"init", "validate", "keys", "info", "gains", "bench", "schedule", "advise"} == set(
         found["Set up"]
     )
     assert "Search the variables of a study's [tune]" in told
