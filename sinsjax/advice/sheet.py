@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
 from sinsjax.errors import InputError
 from sinsjax.messages import describe_broken_rule, suggest_closest
@@ -15,9 +15,9 @@ from sinsjax.study import files
 from sinsjax.study.changes import apply_changes
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict
+from sinsjax.study.schema import AdviseSection
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import correctable_errors
-from sinsjax.value_types import AngleSigma, Seconds, Section
 
 _SHEETS = "configs/imu"
 _TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
@@ -56,18 +56,6 @@ _NOISE = {
     "gyro_arw_deg_per_sqrt_h": ("gyro_noise_deg_per_h", "the angle random walk of the data sheet"),
     "accel_vrw_ug_per_sqrt_hz": ("accel_noise_ug", "the velocity random walk of the data sheet"),
 }
-
-
-class AdviseSection(Section):
-    """[advise]: what is asked."""
-
-    time_s: Seconds = Field(300.0, description="time that there is to align, s")
-    wanted_deg: AngleSigma | None = Field(
-        None, description="heading error that 95 % of the alignments are to stay within, deg"
-    )
-    known_heading_deg: AngleSigma | None = Field(
-        None, description="1 sigma of the heading known before, deg; default: nothing is known"
-    )
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,7 @@ def study_schema() -> Schema:
     )
     tables["drawn"] = _table_schema("drawn", definitions)
     tables["drawn"]["properties"] |= dict.fromkeys(NUMBERS_DRAWN, distribution)
+    tables["advise"] = _table_schema("advise", definitions)
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": "sinsjax study",

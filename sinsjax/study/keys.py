@@ -17,6 +17,7 @@ from sinsjax.methods.plugins import exclude_clashing
 from sinsjax.methods.registry import METHODS, REGISTRY, SECTIONS_OF_METHODS
 from sinsjax.methods.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.schema import (
+    AdviseSection,
     Distribution,
     DrawnSection,
     EarthSection,
@@ -98,6 +99,7 @@ TABLES: dict[str, type[Section]] = {
     "drawn": DrawnSection,
     "drawn.KEY": Distribution,
     "tune.variables.KEY": Range,
+    "advise": AdviseSection,
 }
 """Tables of a study file that have keys."""
 

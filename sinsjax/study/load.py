@@ -364,6 +364,8 @@ def _check_table(name: str, table: Any) -> None:
         raise InputError(f"{name}: a key of [{SECTION_OF[name]}] (move it there)")
     if name in _REMOVED_SECTIONS:
         raise InputError(f"[{name}]: was dropped, {_REMOVED_SECTIONS[name]} (remove the section)")
+    if name == "advise":
+        raise InputError("[advise]: is read by `sinsjax advise` alone (drop it from a study)")
     if name not in names:
         hint = suggest_closest(name, names, "[{}]") + hint_broken_plugins()
         hint = hint or " (is it of a method whose package is not installed?)"

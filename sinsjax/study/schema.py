@@ -776,6 +776,20 @@ class DrawnSection(Section):
         return self.__pydantic_extra__
 
 
+class AdviseSection(Section):
+    """[advise]: what `sinsjax advise` is asked of a data sheet; no other command reads it."""
+
+    time_s: Seconds = Field(
+        300.0, description="time that there is to align, s: whole seconds, at least 10"
+    )
+    wanted_deg: AngleSigma | None = Field(
+        None, description="heading error that 95 % of the alignments are to stay within, deg"
+    )
+    known_heading_deg: AngleSigma | None = Field(
+        None, description="1 sigma of the heading known before, deg; default: nothing is known"
+    )
+
+
 class StopWhenSection(Section):
     """[stop_when]: the precision of a statistic at which a study stops before its last draw."""
 
