@@ -265,11 +265,12 @@ def table(found: list[Row]) -> str:
     good = sum(row.loss <= 1.1 for row in found)
     clear = [row for row in found if row.ratio > CLEAR and row.found]
     right = sum(row.is_right for row in clear)
+    count, rows_text = len(found), "\n".join(lines)
     return (
-        f"\nRms within 15 %: {close} of {len(found)} cells. Advised method within 10 % of the best"
-        f" one: {good} of {len(found)}.\nLargest source right: {right} of {len(clear)} cells where it is"
-        f" more than {CLEAR:g} times the second.\n\n<details>\n<summary>{len(found)} cells</summary>"
-        f"\n\n{chr(10).join(lines)}\n\n</details>\n\n"
+        f"\nRms within 15 %: {close} of {count} cells. Advised method within 10 % of the best"
+        f" one: {good} of {count}.\nLargest source right: {right} of {len(clear)} cells where it"
+        f" is more than {CLEAR:g} times the second.\n\n<details>\n<summary>{count} cells"
+        f"</summary>\n\n{rows_text}\n\n</details>\n\n"
     )
 
 

@@ -21,7 +21,7 @@ from sinsjax.advice.heading import (
     wrapped_rms,
 )
 from sinsjax.advice.method import Choice, choose_method
-from sinsjax.advice.sheet import Sheet, read_sheet
+from sinsjax.advice.sheet import Sheet, read_sheet, without_empty
 from sinsjax.covariance.turn_planner import TurnChoice, plan_turns
 from sinsjax.errors import InputError
 from sinsjax.study import display
@@ -35,7 +35,8 @@ _SHARE = 0.95
 _BANDS_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _MOST_TIMES = 60
 _SHORTEST_S = 10.0
-_NOT_FOUND, _FAR = 0.2, 30 * DEG
+_NOT_FOUND, _FAR = 0.5, 30 * DEG
+_LARGE_SHARE = 0.2
 _HIGH_LATITUDE_DEG = 75.0
 _COARSE = 0.1  # rad, above which errors are no longer small
 
@@ -120,6 +121,11 @@ class Advice:
         return self.choice.loss(self.heading.bound_arcmin * ARCMIN)
 
     @property
+    def is_coarse(self) -> bool:
+        """Whether the error at the time asked for is beyond linear theory."""
+        return self.heading.bound_arcmin * ARCMIN > _COARSE
+
+    @property
     def settles(self) -> tuple[float, float | None]:
         """A band, deg, and the time from which 95 % of the headings are within it, s, if any.
 
@@ -130,8 +136,9 @@ class Advice:
         if band is None:
             reached = within[self.time_s]
             band = next((one for one in _BANDS_DEG if one > 1.3 * reached), _BANDS_DEG[-1])
-        times = [time for time, error in within.items() if error <= band and time <= self.time_s]
-        return band, min(times, default=None)
+        times = [time for time in within if time <= self.time_s]
+        late = [time for time in times if within[time] > band]
+        return band, min((time for time in times if time > max(late, default=0.0)), default=None)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -141,12 +148,10 @@ class Advice:
     def study(self) -> str:
         """Return the Monte Carlo study that confirms the advice, as TOML."""
         settings = dict(self.sheet.tables["study"])
-        if not settings["report_times_s"]:
-            del settings["report_times_s"]
         band = 60 * self.settles[0]
         settings |= {"judged_from": "truth", "success_band_arcmin": band}
         settings |= {"settle_bands_arcmin": [band]}
-        tables = {name: table for name, table in self.sheet.tables.items() if table}
+        tables = dict(self.sheet.tables)
         sections = {name: dict(table) for name, table in self.choice.sections.items()}
         if self.choice.method == methods.FILTER:
             sections["alignment"] |= {"misalignment": "euler"}
@@ -157,7 +162,7 @@ class Advice:
             "# Written by sinsjax advise: the sheet with the method it names, to be confirmed by\n"
             "#   sinsjax sweep FILE -o out\n\n"
         )
-        return comment + tomli_w.dumps(tables | sections | {"study": settings})
+        return comment + tomli_w.dumps(without_empty(tables | sections | {"study": settings}))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers alone, as for JSON."""
@@ -165,6 +170,8 @@ class Advice:
         band, settled = self.settles
         return {
             "name": self.name,
+            "latitude_deg": self.latitude_deg,
+            "motion": self.sheet.tables["motion"],
             "time_s": self.time_s,
             "heading_rms_arcmin": here.rms_arcmin,
             "heading_95_arcmin": here.within_95_arcmin,
@@ -179,10 +186,9 @@ class Advice:
             "method": self.choice.method,
             "settings": self.choice.sections,
             "loss": self.loss,
-            "resets_s": list(self.resets.times_s) if self.resets else None,
-            "turns_arcmin": (
-                {one.name: one.sigma_arcmin for one in self.turns.options} if self.turns else None
-            ),
+            "kalman5_resets_s": list(self.resets.times_s) if self.resets else None,
+            "kalman5_settles_s": finite_or_none(self.resets.settling_s) if self.resets else None,
+            "turns": [one._asdict() for one in self.turns.options] if self.turns else None,
             "warnings": list(self.warnings),
             "doubts": list(self.sheet.doubts),
         }
@@ -235,7 +241,7 @@ def advise(
             the noise of the data sheet, [drawn] the turn-on biases as ``{normal = [0.0, SIGMA]}``,
             [earth] the latitude, [motion] what moves, and [advise] ``time_s``, ``wanted_deg`` and
             ``known_heading_deg``.
-        imu: name of a shipped sheet instead, such as "kvh1750".
+        imu: name of a shipped sheet instead, such as "kvh1775".
         latitude_deg: latitude, deg, in place of that of the sheet.
         time_s: time that there is to align, s, likewise.
         motion: "still", "sway" or "surge", likewise.
@@ -345,32 +351,33 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
     if asked.wanted_deg is not None and within_deg > asked.wanted_deg:
         last = advice.headings[-1]
         text = f"95 % stay within {_degrees(within_deg)}, not {_degrees(asked.wanted_deg)}"
-        if last.within_95_arcmin / 60 > asked.wanted_deg:
+        if last.within_95_arcmin / 60 > asked.wanted_deg and advice.turns is not None:
             text += f"; no method at rest gets under {_degrees(last.within_95_arcmin / 60)}"
             text += f" in {last.time_s:g} s"
         yield text
-    rate = earth_rate_level_deg_per_h(advice)
-    bias = advice.sheet.sigma("gyro_bias_deg_per_h")
     sigma = advice.loss * here.bound_arcmin * ARCMIN
-    if sigma > _NOT_FOUND:
-        yield (
-            f"north is not found: {share_beyond(sigma, _FAR):.0%} of the headings are off by more"
-            f" than 30 deg (gyro bias {bias:.3g} deg/h, level part of the Earth rate"
-            f" {rate:.3g} deg/h)"
-        )
-    elif sigma > _COARSE:
-        yield "errors this large are beyond linear theory: 20 % more or less is possible"
-    if abs(advice.latitude_deg) > _HIGH_LATITUDE_DEG:
-        yield f"at this latitude every error is {1 / advice._cos_latitude:.1f} times the equator's"
-    if shares.get("surge", 0.0) > 0.2:
+    if sigma > _COARSE:
+        far = f"{share_beyond(sigma, _FAR):.0%} of the headings are off by more than 30 deg"
+        if sigma > _NOT_FOUND:
+            turns = advice.turns
+            found = turns is not None and turns.best.sigma_arcmin * ARCMIN < _COARSE
+            more = "; an IMU that is turned finds it" if found else ""
+            yield f"north is not found: {far}, for {_describe_dominant(advice)}{more}"
+        else:
+            yield f"beyond linear theory: 20 % more or less are possible, and {far}"
+    if abs(advice.latitude_deg) >= _HIGH_LATITUDE_DEG:
+        factor = f"{1 / advice._cos_latitude:.3g}"
+        yield f"errors grow with sec L, which is {factor} at this latitude"
+    if shares.get("surge", 0.0) > _LARGE_SHARE:
         yield (
             "the surge of the base is taken for a process of known rms and correlation time"
             " (surge_m_per_s, surge_time_s); a gust or a step that is not like it costs more"
         )
-    if vibrates(advice.sheet):
+    if vibrates(advice):
         yield (
-            "vibration: the motion is linear within a sample, so coning above half the sample rate"
-            " is not included; with laser gyros the method loses up to 40 % against the bound"
+            "vibration costs gravity_fit more than the numbers here say, up to 40 % with laser"
+            " gyros; and motion is linear within a sample, so coning above half the sample rate is"
+            " left out"
         )
     known = asked.known_heading_deg
     if known is not None and known * 60 < here.rms_arcmin:
@@ -380,17 +387,33 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
         )
 
 
-def vibrates(sheet: Sheet) -> bool:
-    """Return whether the base vibrates by more than the accelerometers' noise of a second."""
-    motion = sheet.tables["motion"]
-    rms = float(np.max(np.asarray(motion.get("vibration_ug_rms", 0.0), float)))
-    omega = 2 * math.pi * float(motion.get("vibration_hz", 30.0))
-    return rms / omega > 0.5 * methods.accel_density(sheet)
+def _describe_dominant(advice: Advice) -> str:
+    """Return the largest source, and how a gyro bias compares with the rate to be found."""
+    text = f"the {SOURCES[advice.dominant]}"
+    if advice.dominant != "gyro_bias":
+        return text
+    bias, rate = advice.sheet.sigma("gyro_bias_deg_per_h"), 15.041067 * advice._cos_latitude
+    return f"{text} of {bias:.3g} deg/h; the level part of the Earth rate is {rate:.3g} deg/h"
 
 
-def earth_rate_level_deg_per_h(advice: Advice) -> float:
-    """Return the level part of the Earth rate, deg/h."""
-    return float(15.041067 * advice._cos_latitude)
+def vibrates(advice: Advice) -> bool:
+    """Return whether vibration matters, or is faster than half the sample rate."""
+    motion, shares = advice.sheet.tables["motion"], advice.shares
+    force = float(np.max(np.asarray(motion.get("vibration_ug_rms", 0.0), float)))
+    rate = float(np.max(np.asarray(motion.get("vibration_deg_per_h_rms", 0.0), float)))
+    frequency_hz = float(motion.get("vibration_hz", 30.0))
+    if not (force or rate):
+        return False
+    is_fast = frequency_hz > 0.5 * advice.sheet.tables["study"]["rate_hz"]
+    velocity = force / (2 * math.pi * frequency_hz)  # of a second's noise of the accelerometers
+    is_strong = velocity > 0.5 * methods.accel_density(advice.sheet)
+    share = shares.get("shaking", 0.0) + shares.get("rocking", 0.0)
+    return is_fast or is_strong or share > _LARGE_SHARE
+
+
+def finite_or_none(value: float) -> float | None:
+    """Return a number that JSON has, or None."""
+    return value if math.isfinite(value) else None
 
 
 def _degrees(value_deg: float) -> str:

@@ -108,7 +108,7 @@ def sheet_budget(sheet: Sheet, times_s: Sequence[float]) -> Budget:
     study = sheet.study(sections | {"sensors": sensors}, **settings)
     problem, names = error_sources(study)
     variance = heading_budget(times_s, problem)
-    present = variance.max(axis=0) > _LEAST_SHARE * variance.sum(axis=1).max()
+    present = (variance > _LEAST_SHARE * variance.sum(axis=1, keepdims=True)).any(axis=0)
     sources = tuple(name for name, there in zip(names, present, strict=True) if there)
     return Budget(np.asarray(times_s), sources, variance[:, present])
 

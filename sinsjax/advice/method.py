@@ -8,6 +8,7 @@ import numpy as np
 import tomli_w
 
 from sinsjax.advice.sheet import Sheet
+from sinsjax.methods.filters.section import update_variance
 from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
 
 FIT, FILTER = "gravity_fit", "kalman_surge"
@@ -67,12 +68,23 @@ def choose_method(sheet: Sheet) -> Choice:
         "alignment": {"method": FIT},
         "gravity_fit": {key: round_off(value) for key, value in beliefs.items() if value},
     }
-    return Choice(FIT, sections, "it fits all the data at once and needs no initial attitude")
+    reason = "it fits all the data at once and needs no initial attitude"
+    if lever_arm(motion):
+        reason += ", and the lever arm is one of its unknowns"
+    return Choice(FIT, sections, reason)
 
 
 def five_state(sheet: Sheet) -> dict[str, Any]:
     """Return the sections of a five-state filter with the sheet's noise, for the law of resets."""
     return {"alignment": {"method": "kalman5"}, "filter": _noise_of(sheet)}
+
+
+def velocity_sigma(sheet: Sheet) -> float:
+    """Return the root of R of a filter that takes surge for noise, m/s per update."""
+    motion = sheet.tables["motion"]
+    surge, time_s = level_surge(motion), float(motion.get("surge_time_s", 5.0))
+    rate_hz = float(sheet.tables["study"]["rate_hz"])
+    return round_off(math.sqrt(update_variance(rate_hz, None, "per_update", None, surge, time_s)))
 
 
 def _noise_of(sheet: Sheet) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from sinsjax.messages import describe_broken_rule, suggest_closest
 from sinsjax.platform.assets import asset_path
 from sinsjax.study import files
 from sinsjax.study.changes import apply_changes
-from sinsjax.study.keys import TomlTable
+from sinsjax.study.keys import SECTION_OF, TomlTable
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.schema import AdviseSection
 from sinsjax.study.study import Study
@@ -24,7 +24,8 @@ _TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
 TIMES_S = (60.0, 120.0, 300.0, 600.0, 1800.0)
 """Times at which the heading is always given, s."""
 
-_DRAWS, _RATE_HZ, _SHORTEST_S = 1024, 100.0, 10.0
+_DRAWS, _RATE_HZ = 1024, 100.0
+_SHORTEST_S, _LONGEST_S = 10.0, 7200.0
 _SWAY = {
     **{"pitch_amplitude_deg": 1.8, "roll_amplitude_deg": 2.4, "yaw_amplitude_deg": 2.8},
     **{"pitch_period_s": 6.0, "roll_period_s": 8.0, "yaw_period_s": 10.0},
@@ -43,12 +44,12 @@ CONSTANT_KEYS = (
 """Keys of errors that stay constant; advice takes a fixed value for 1 sigma."""
 
 _USUAL = {
-    "gyro_arw_deg_per_sqrt_h": (1e-5, 5.0, "deg/sqrt(h); deg/h/sqrt(Hz) are divided by 60"),
-    "gyro_instability_deg_per_h": (1e-5, 500.0, "deg/h"),
-    "gyro_bias_deg_per_h": (1e-4, 2e4, "deg/h"),
-    "accel_vrw_ug_per_sqrt_hz": (0.1, 5e3, "ug/sqrt(Hz); m/s/sqrt(h) are multiplied by 1,700"),
-    "accel_instability_ug": (0.1, 2e4, "ug"),
-    "accel_bias_ug": (0.5, 2e5, "ug"),
+    "gyro_arw_deg_per_sqrt_h": (1e-4, 2.0, "deg/sqrt(h); deg/h/sqrt(Hz) are divided by 60"),
+    "gyro_instability_deg_per_h": (1e-4, 100.0, "deg/h; deg/s are multiplied by 3,600"),
+    "gyro_bias_deg_per_h": (5e-4, 2e4, "deg/h; deg/s are multiplied by 3,600"),
+    "accel_vrw_ug_per_sqrt_hz": (1.0, 1e3, "ug/sqrt(Hz); m/s/sqrt(h) are multiplied by 1,700"),
+    "accel_instability_ug": (0.5, 2e3, "ug; mg are multiplied by 1,000"),
+    "accel_bias_ug": (5.0, 1e5, "ug; mg are multiplied by 1,000"),
 }
 """Usual values from laser gyros to telephones, and their unit."""
 
@@ -76,8 +77,13 @@ class Sheet:
 
     @property
     def times_s(self) -> tuple[float, ...]:
-        """Times to report, s, the time asked for among them."""
-        return tuple(sorted({*TIMES_S, self.asked.time_s}))
+        """Times to report, s, the time asked for among them.
+
+        A file of the attitude ends them, and so do turns that come later than the time asked for.
+        """
+        asked, motion = self.asked.time_s, self.tables["motion"]
+        ends = "attitude_file" in motion or "turn_times_s" in motion
+        return tuple(sorted({asked, *(time for time in TIMES_S if time < asked or not ends)}))
 
     def study(self, sections: Mapping[str, Any], **settings: Any) -> Study:
         """Return a study of the sheet with a method.
@@ -88,15 +94,21 @@ class Sheet:
         """
         tables = self.tables | dict(sections)
         tables["study"] = self.tables["study"] | settings
-        if not tables["study"]["report_times_s"]:
-            del tables["study"]["report_times_s"]
-        return study_from_dict(tables, self.name)
+        return study_from_dict(without_empty(tables), self.name)
 
     def sigma(self, key: str) -> float:
         """Return the size of a sensor error: 1 sigma if it is constant, else its density or rms."""
         if key in (drawn := self.tables["drawn"]):
             return float(drawn[key]["normal"][1])
         return _rms(self.tables["sensors"].get(key, 0.0))
+
+
+def without_empty(tables: TomlTable) -> TomlTable:
+    """Return the tables of a study without empty ones, and without an empty list of times."""
+    out = {name: table for name, table in tables.items() if table}
+    if not out["study"].get("report_times_s", True):
+        out["study"] = {k: v for k, v in out["study"].items() if k != "report_times_s"}
+    return out
 
 
 def shipped_sheets() -> dict[str, Path]:
@@ -137,7 +149,8 @@ def _read_tables(source: str | Path | Mapping[str, Any] | None, imu: str | None)
     if isinstance(source, Mapping):
         return "sheet", source
     if source is not None:
-        return files.source_name(source), files.read_tables(source)
+        path = Path(source)
+        return files.source_name(path), files.read_tables(path)
     sheets = shipped_sheets()
     if imu not in sheets:
         hint = suggest_closest(str(imu), sheets)
@@ -153,12 +166,6 @@ def _changed(
     changes: Mapping[str, Any],
 ) -> TomlTable:
     """Return the tables with what options replace."""
-    for name in data:
-        if name not in _TABLES:
-            text = (
-                "does not belong in a sheet (`sinsjax advise` chooses the method and its settings)"
-            )
-            raise InputError(f"[{name}]: {text}{suggest_closest(name, _TABLES, '[{}]')}")
     options: dict[str, Any] = {}
     if motion is not None:
         if motion not in MOTIONS:
@@ -169,31 +176,59 @@ def _changed(
         options["earth.latitude_deg"] = latitude_deg
     if time_s is not None:
         options["advise.time_s"] = time_s
-    return apply_changes(data, options | dict(changes))
+    _check_tables(data)
+    changed = apply_changes(data, options | dict(changes))
+    _check_tables(changed)
+    return changed
+
+
+def _check_tables(data: Mapping[str, Any]) -> None:
+    """Refuse other sections than those of a sheet, and names without the unit of their key."""
+    for name, table in data.items():
+        if name not in _TABLES:
+            text = (
+                "does not belong in a sheet (`sinsjax advise` chooses the method and its settings)"
+            )
+            raise InputError(f"[{name}]: {text}{suggest_closest(name, _TABLES, '[{}]')}")
+        if not isinstance(table, Mapping):
+            raise InputError(f"[{name}]: must be a table of keys")
+    for name in ("sensors", "drawn"):
+        for key in data.get(name, {}):
+            for known, (low, high, unit) in _USUAL.items():
+                if key not in SECTION_OF and key.split("_")[:2] == known.split("_")[:2]:
+                    text = f"unknown key (did you mean {known}? usually {low:g} to {high:g} {unit})"
+                    raise InputError(f"[{name}] {key}: {text}")
 
 
 def _complete(name: str, data: TomlTable) -> Sheet:
     """Check the tables and fill in what a study needs."""
-    asked = _read_asked(data.get("advise", {}))
-    if asked.time_s < _SHORTEST_S or asked.time_s % 1:
-        text = f"must be whole seconds, at least {_SHORTEST_S:g}, not {asked.time_s:g}"
+    given = data.get("study", {})
+    asked = _read_asked({"time_s": given.get("duration_s", 300.0)} | data.get("advise", {}))
+    if not _SHORTEST_S <= asked.time_s <= _LONGEST_S or asked.time_s % 1:
+        text = f"must be whole seconds from {_SHORTEST_S:g} to {_LONGEST_S:g}, not {asked.time_s:g}"
         raise InputError(f"[advise] time_s: {text}")
     if not data.get("earth"):
         raise InputError("[earth] latitude_deg: required, deg (--latitude)")
-    study = {"draws": _DRAWS, "rate_hz": _RATE_HZ} | data.get("study", {})
+    study = {"draws": _DRAWS, "rate_hz": _RATE_HZ} | given
     study |= {"duration_s": asked.time_s, "record_interval_s": 1.0}
     study["report_times_s"] = [time for time in TIMES_S if time < asked.time_s]
     study.setdefault("name", name.rpartition("/")[2].removesuffix(".toml"))
+    if isinstance(study["rate_hz"], float) and study["rate_hz"] % 1:
+        text = f"must be whole in a sheet, not {study['rate_hz']:g} (no number depends on it)"
+        raise InputError(f"[study] rate_hz: {text}")
     sensors, drawn = dict(data.get("sensors", {})), dict(data.get("drawn", {}))
     motion = dict(data.get("motion", {}))
     tables = {"study": study, "earth": data["earth"], "motion": motion, "sensors": sensors}
-    method = {"alignment": {"method": "inertial"}}
-    study_from_dict(tables | _with_heading(motion, drawn) | method, name)  # what is wrong, it says
+    checked = tables | _with_heading(motion, drawn) | {"alignment": {"method": "inertial"}}
+    study_from_dict(without_empty(checked), name)
+    for key, law in drawn.items():
+        if key not in (*CONSTANT_KEYS, "yaw_center_deg"):
+            raise InputError(f"[drawn] {key}: must have a fixed value in a sheet")
+        if key in CONSTANT_KEYS and (law.get("normal") or [1.0])[0] != 0:
+            raise InputError(f"[drawn] {key}: must be normal = [0.0, SIGMA] in a sheet")
     for key in CONSTANT_KEYS:
         if np.any(fixed := sensors.pop(key, 0.0)) and key not in drawn:
             drawn[key] = {"normal": [0.0, _rms(fixed)]}
-        elif key in drawn and "normal" not in drawn[key]:
-            raise InputError(f"[drawn] {key}: must be normal = [0.0, SIGMA] in a sheet")
     sheet = Sheet(name, tables | _with_heading(motion, drawn), asked, ())
     _check_noise(sheet)
     return Sheet(name, sheet.tables, asked, tuple(_iter_doubts(sheet)))

@@ -6,10 +6,9 @@ from typing import Any
 
 from sinsjax.advice import method as methods
 from sinsjax.advice.advise import Advice
-from sinsjax.advice.heading import SOURCES
+from sinsjax.advice.heading import SOURCES, wrapped_rms
 from sinsjax.covariance.turn_planner import TurnOption
-from sinsjax.study.reset_plan import ResetPlan
-from sinsjax.units import DEG
+from sinsjax.units import ARCMIN, DEG
 
 _LEAST_SHARE = 0.005
 _PAYS = 0.8
@@ -17,12 +16,8 @@ _PAYS = 0.8
 
 def describe_advice(advice: Advice) -> Iterator[str]:
     """Yield the lines of an advice."""
-    motion = advice.sheet.tables["motion"]
-    moves = "surging" if methods.level_surge(motion) else "swaying" if motion else "at rest"
-    if any(key.startswith("turn") for key in motion):
-        moves = "turned"
     place = f"{advice.latitude_deg:g} deg of latitude"
-    yield f"{advice.name}, {moves}, {advice.time_s:g} s at {place}"
+    yield f"{advice.name}, {_describe_motion(advice)}, {advice.time_s:g} s at {place}"
     yield ""
     for doubt in advice.sheet.doubts:
         yield _fact("doubt", doubt)
@@ -31,20 +26,21 @@ def describe_advice(advice: Advice) -> Iterator[str]:
     here = advice.heading
     yield _fact(
         "dominant",
-        f"{SOURCES[advice.dominant]}: half of it gives {angle(advice.halved_rms_arcmin)} instead of"
+        f"{SOURCES[advice.dominant]}: halving it gives {angle(advice.halved_rms_arcmin)} instead of"
         f" {angle(here.rms_arcmin)}",
     )
     yield _fact(
         "method",
-        f"{advice.choice.method}: {advice.choice.reason}; {advice.loss:.2f} times the information"
-        f" bound, {angle(here.bound_arcmin)}",
+        f"{advice.choice.method}: {advice.choice.reason}; its error is {advice.loss:.2f} times the"
+        f" information bound{' of linear theory' * advice.is_coarse}, {angle(here.bound_arcmin)}",
     )
     yield ""
     yield from (f"    {line}".rstrip() for line in advice.choice.toml.splitlines())
     yield ""
-    yield _fact("resets", describe_resets(advice.resets, advice.choice.method))
+    yield _fact("filter", _describe_filter(advice))
+    yield _fact("resets", _describe_resets(advice))
     yield _fact("turning", _describe_turns(advice))
-    yield _fact("again", _describe_passes(advice))
+    yield _fact("passes", _describe_passes(advice))
     for warning in advice.warnings:
         yield _fact("warning", warning)
 
@@ -65,15 +61,17 @@ def _describe_heading(advice: Advice) -> Iterator[str]:
     reported = [one for one in advice.headings if one.time_s in advice.sheet.times_s]
     yield _fact(
         "heading",
-        f"{angle(here.rms_arcmin)} rms from true north, 95 % within {angle(here.within_95_arcmin)}"
-        f" ({angle(here.rms_arcmin * cosine)} sec L rms)",
+        f"{angle(here.rms_arcmin)} rms from true north"
+        f"{'' if advice.is_coarse else f' ({angle(here.rms_arcmin * cosine)} sec L)'},"
+        f" 95 % within {angle(here.within_95_arcmin)}",
     )
     columns: list[tuple[str, list[str]]] = [
         ("after", [f"{one.time_s:g} s" for one in reported]),
         ("rms", [angle(one.rms_arcmin) for one in reported]),
         ("95 %", [angle(one.within_95_arcmin) for one in reported]),
-        ("x sec L", [angle(one.rms_arcmin * cosine) for one in reported]),
     ]
+    if not advice.is_coarse:
+        columns.append(("/ sec L", [angle(one.rms_arcmin * cosine) for one in reported]))
     for name, cells in columns:
         yield _fact(name, " ".join(f"{cell:>9}" for cell in cells))
     band, settled = advice.settles
@@ -88,17 +86,46 @@ def _iter_shares(advice: Advice) -> Iterator[str]:
             yield f"{SOURCES[source]} {share:.0%}"
 
 
-def describe_resets(plan: ResetPlan | None, method: str) -> str:
+def _describe_motion(advice: Advice) -> str:
+    """Return what moves, in a word."""
+    motion = advice.sheet.tables["motion"]
+    words = {
+        "turned": "turn_times_s" in motion or "attitude_file" in motion,
+        "surging": methods.level_surge(motion) > 0,
+        "swaying": any(motion.get(f"{axis}_amplitude_deg") for axis in ("pitch", "roll", "yaw")),
+        "vibrating": any(motion.get(f"vibration_{key}") for key in ("ug_rms", "deg_per_h_rms")),
+    }
+    return next((word for word, is_so in words.items() if is_so), "at rest")
+
+
+def _describe_resets(advice: Advice) -> str:
     """Return whether resets are of use, and when."""
-    none = f"{method} needs none"
+    none, plan = f"none for {advice.choice.method}", advice.resets
     if plan is None:
         return f"{none}; the law has no schedule for a five-state filter with this noise"
     times = ", ".join(f"{time:g}" for time in plan.times_s)
     without = "never" if math.isinf(plan.without_s) else f"in {plan.without_s:.0f} s"
     return (
-        f"{none}; kalman5 with this noise, reset at {times} s, settles within"
-        f" {plan.band_arcmin:g}' of its floor from {plan.heading_bound_deg:g} deg in"
-        f" {plan.settling_s:.0f} s, without resets {without}"
+        f"{none}. A five-state filter (kalman5) with this noise, reset by the law at {times} s,"
+        f" settles within {plan.band_arcmin:g}' of its bias floor in {plan.settling_s:.0f} s from"
+        f" {plan.heading_bound_deg:g} deg; without resets {without}"
+    )
+
+
+def _describe_filter(advice: Advice) -> str:
+    """Return how to set a filter that goes on with a covariance after the alignment."""
+    sheet = advice.sheet
+    row = advice.budget.variance[advice.budget.times_s == advice.time_s][0]
+    biases = sum(
+        part
+        for source, part in zip(advice.budget.sources, row, strict=True)
+        if source in ("gyro_bias", "accel_bias")
+    )
+    gyro, accel = methods.gyro_density(sheet), methods.accel_density(sheet)
+    return (
+        f"to go on with a covariance: kalman_sincos, Q of {gyro:g} deg/sqrt(h) and {accel:g}"
+        f" ug/sqrt(Hz), R of {methods.velocity_sigma(sheet):g} m/s an update; its P lacks the"
+        f" turn-on biases: add {angle(math.sqrt(biases) / ARCMIN)} to sigma in quadrature"
     )
 
 
@@ -106,11 +133,21 @@ def _describe_turns(advice: Advice) -> str:
     turns = advice.turns
     if turns is None:
         return "the sheet turns the base, and the numbers above are with it"
-    if not turns.pays or turns.best.sigma_arcmin > _PAYS * turns.options[0].sigma_arcmin:
+    parked = turns.options[0].sigma_arcmin
+    if not turns.pays or turns.best.sigma_arcmin > _PAYS * parked:
         return "hardly pays: the noise and not the biases decide, or there is no time for it"
-    ways = [one for one in turns.options if one.name in ("half turn", turns.best.name)]
-    gains = ", ".join(f"{_way(one)} {angle(one.sigma_arcmin)}" for one in ways)
-    return f"gives, on a quiet base, {gains}; parked {angle(turns.options[0].sigma_arcmin)}"
+    ways = [
+        one
+        for one in turns.options
+        if one.name in ("half turn", turns.best.name) and one.sigma_arcmin < parked
+    ]
+    gains = ", ".join(f"{_way(one)} {_wrapped(one.sigma_arcmin)}" for one in ways)
+    return f"on a base that is quiet otherwise, {gains}, not turned {_wrapped(parked)}"
+
+
+def _wrapped(sigma_arcmin: float) -> str:
+    """Return a heading error of linear theory as the rms that comes of it."""
+    return angle(wrapped_rms(sigma_arcmin * ARCMIN) / ARCMIN)
 
 
 def _way(option: TurnOption) -> str:
@@ -123,5 +160,5 @@ def _way(option: TurnOption) -> str:
 
 def _describe_passes(advice: Advice) -> str:
     if advice.choice.method == methods.FIT:
-        return "a stored record need not be passed through again: the fit uses all of it at once"
-    return "a second pass over a stored record repairs a large initial error, and adds nothing else"
+        return "one over a stored record is enough: the fit uses all of the data at once"
+    return "a second one over a stored record repairs a large initial error, and adds nothing else"

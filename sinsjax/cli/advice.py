@@ -2,8 +2,9 @@
 
 import json
 import os
+import textwrap
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -11,6 +12,9 @@ from sinsjax.cli.options import Changes
 from sinsjax.console import plain_console, print_line
 from sinsjax.errors import InputError
 from sinsjax.platform.files import atomic_write
+
+_WIDEST = 100
+_WRAPPED: Any = {"subsequent_indent": " " * 12, "drop_whitespace": True, "break_on_hyphens": False}
 
 
 def _complete_imu(incomplete: str) -> list[str]:
@@ -68,7 +72,7 @@ def advise(
 ) -> None:
     """Tell from a data sheet how well an IMU finds north, what limits it, and what to set.
 
-    Example: sinsjax advise --imu kvh1750 --latitude 48 --time 300 --motion sway
+    Example: sinsjax advise --imu kvh1775 --latitude 48 --time 300 --motion sway
     """
     from sinsjax.advice.advise import advise as advise_on
     from sinsjax.advice.sheet import describe_sheets
@@ -93,8 +97,10 @@ def advise(
     if as_json:
         typer.echo(json.dumps(found.to_dict(), indent=1))
     else:
+        width = min(console.width, _WIDEST)
         for line in describe_advice(found):
-            print_line(console, line, wrap=True)
+            for part in textwrap.wrap(line, width, **_WRAPPED) or [""]:
+                print_line(console, part)
     if study_file is not None:
         with atomic_write(study_file) as file:
             file.write(found.study().encode())

@@ -1,16 +1,25 @@
 """The heading error of an IMU over time, and the sources of its variance as areas."""
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter, StrMethodFormatter
+from matplotlib.ticker import (
+    FixedLocator,
+    LogLocator,
+    NullFormatter,
+    NullLocator,
+    PercentFormatter,
+    StrMethodFormatter,
+)
 from numpy.typing import NDArray
 
 from sinsjax.plots.style import line_colour, with_style
 
 _LEAST_SHARE = 0.03  # at some time, of a source with an area of its own
 _WIDTH, _HEIGHT = 6.4, 6.0
+_LETTERS = 66  # of a line of the title
 _TICKS_S = (10, 20, 50, 100, 200, 500, 1000, 2000)
 
 
@@ -35,7 +44,7 @@ def plot_budget(
     """
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
-    above.set_title(title, loc="left")
+    above.set_title(fill(title, _LETTERS), loc="left")
     above.loglog(times_s, rms_arcmin, color=line_colour(0))
     above.axvline(asked_s, color="0.5", linewidth=0.8)
     (asked,) = rms_arcmin[times_s == asked_s]
@@ -44,7 +53,9 @@ def plot_budget(
     side, offset = ("right", (-6, 24)) if is_late else ("left", (6, 6))
     above.annotate(unit, (asked_s, asked), offset, textcoords="offset points", ha=side)
     above.set_ylabel("rms heading error (arcmin)")
+    above.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     above.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    above.yaxis.set_minor_formatter(NullFormatter())
     above.grid(visible=True, which="both", alpha=0.3)
     order = np.argsort(-shares[times_s == asked_s][0])
     large = [k for k in order if shares[:, k].max() >= _LEAST_SHARE]

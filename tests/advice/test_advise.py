@@ -93,6 +93,31 @@ def test_numbers_as_json_are_those_of_the_advice() -> None:
     assert numbers["settles_s"] is None and "no method at rest" in numbers["warnings"][0]
 
 
+@pytest.mark.parametrize("time_s", [10.0, 60.0, 1800.0])
+def test_any_time_can_be_asked_for(time_s: float) -> None:
+    found = advise({"motion.surge_m_per_s": 0.1, "motion.surge_time_s": 5.0}, time_s=time_s)
+    assert found.heading.time_s == time_s and found.choice.method == "kalman_surge"
+    assert found.halved_rms_arcmin < found.heading.rms_arcmin
+    floor = np.degrees(0.05 / (15.04 * np.cos(np.radians(48)))) * 60
+    assert found.headings[-1].rms_arcmin > floor
+
+
+def test_sheet_without_drawn_biases_is_noise_alone() -> None:
+    advice = sinsjax.advise({key: FOG[key] for key in ("earth", "sensors")})
+    assert {*advice.shares} <= {
+        f"{a}_{b}" for a in ("gyro", "accel") for b in ("noise", "instability")
+    }
+    assert len(advice.sheet.doubts) == 2
+
+
+def test_turned_sheet_is_advised_as_it_turns() -> None:
+    motion = {"turn_times_s": [140.5], "turn_angles_deg": [180.0], "turn_rate_deg_per_s": 10.0}
+    turned = sinsjax.advise(FOG | {"motion": motion | {"turn_ramp_s": 1.0}})
+    assert turned.turns is None and turned.headings[-1].time_s == 300
+    (half,) = (one for one in advise().turns.options if one.name == "half turn")
+    assert turned.heading.rms_arcmin == pytest.approx(half.sigma_arcmin, rel=0.02)
+
+
 def test_band_is_reached_when_95_percent_are_within_it() -> None:
     advice = advise()
     band, time_s = advice.settles
@@ -105,8 +130,10 @@ def test_band_is_reached_when_95_percent_are_within_it() -> None:
 @pytest.mark.parametrize(
     ("changes", "options", "words"),
     [
-        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 10.0]}}, {}, "north is not found"),
-        ({}, {"latitude_deg": -80.0}, "5.8 times the equator's"),
+        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 10.0]}}, {}, "turned finds it"),
+        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 2.0]}}, {}, "beyond linear theory"),
+        ({}, {"latitude_deg": -80.0}, "sec L, which is 5.76 at this latitude"),
+        ({"motion.vibration_ug_rms": 9000.0, "motion.vibration_hz": 30.0}, {}, "vibration costs"),
         ({}, {"motion": "surge", "time_s": 120.0}, "surge of the base is taken"),
         ({"advise.known_heading_deg": 0.1}, {}, "keep it"),
         ({"advise.wanted_deg": 0.1}, {}, "no method at rest gets under"),
@@ -140,21 +167,35 @@ def test_values_that_do_not_fit_are_doubts(changes: dict[str, Any], words: str) 
         ({"sensors": {}}, "[sensors] gyro_arw_deg_per_sqrt_h: required, the angle random walk"),
         (
             {"sensors.gyro_arw_deg_per_sqrt_h": 50.0},
-            "50 is not in the usual 1e-05 to 5 deg/sqrt(h)",
+            "50 is not in the usual 0.0001 to 2 deg/sqrt(h)",
         ),
-        ({"drawn.gyro_bias_deg_per_s": {"normal": [0.0, 1.0]}}, "did you mean gyro_bias_deg_per_h"),
+        (
+            {"drawn.gyro_bias_deg_per_s": {"normal": [0.0, 1.0]}},
+            "did you mean gyro_bias_deg_per_h? usually 0.0005 to 20000 deg/h; deg/s are multiplied",
+        ),
+        ({"sensors.gyro_arw": 0.01}, "did you mean gyro_arw_deg_per_sqrt_h? usually 0.0001 to 2"),
         ({"drawn.accel_bias_ug": {"uniform": [0.0, 1.0]}}, "must be normal = [0.0, SIGMA]"),
-        ({"advise.time_s": 3.0}, "[advise] time_s: must be whole seconds, at least 10, not 3"),
+        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.5, 1.0]}}, "must be normal = [0.0, SIGMA]"),
+        ({"drawn.accel_vrw_ug_per_sqrt_hz": {"uniform": [10.0, 20.0]}}, "must have a fixed value"),
+        ({"advise.time_s": 3.0}, "must be whole seconds from 10 to 7200, not 3"),
         ({"advise.tim_s": 3.0}, "[advise] tim_s: unknown key (did you mean time_s?)"),
+        ({"study.rate_hz": 102.4}, "[study] rate_hz: must be whole in a sheet, not 102.4"),
+        ({"axes.latitude_deg": [1.0]}, "[axes]: does not belong in a sheet"),
         ({"alignment.method": "inertial"}, "[alignment]: does not belong in a sheet"),
         ({"earth": {}}, "[earth] latitude_deg: required"),
     ],
 )
 def test_bad_sheet_is_refused_in_a_line(changes: dict[str, Any], message: str) -> None:
-    tables = FOG | {"alignment": {}} if "alignment.method" in changes else FOG
-    with pytest.raises(InputError, match=".*") as refused:
-        sinsjax.advise(tables, changes=changes)
-    assert message in str(refused.value)
+    with pytest.raises(InputError) as refused:
+        advise(changes)
+    assert message in str(refused.value) and str(refused.value).startswith("sheet: ")
+
+
+@pytest.mark.parametrize("table", [3, "x", [1, 2]])
+@pytest.mark.parametrize("name", ["sensors", "drawn", "study", "advise"])
+def test_section_that_is_no_table_is_refused(name: str, table: Any) -> None:
+    with pytest.raises(InputError, match=rf"sheet: \[{name}\]: must be a table of keys"):
+        sinsjax.advise(FOG | {name: table})
 
 
 @pytest.mark.parametrize("options", [{"imu": "kvh"}, {"imu": "kvh1775", "motion": "swim"}])
