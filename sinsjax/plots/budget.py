@@ -48,10 +48,9 @@ def plot_budget(
     above.loglog(times_s, rms_arcmin, color=line_colour(0))
     above.axvline(asked_s, color="0.5", linewidth=0.8)
     (asked,) = rms_arcmin[times_s == asked_s]
-    unit = f"{asked:.3g} arcmin rms at {asked_s:g} s"
-    is_late = asked_s**2 > times_s[0] * times_s[-1]
-    side, offset = ("right", (-6, 24)) if is_late else ("left", (6, 6))
-    above.annotate(unit, (asked_s, asked), offset, textcoords="offset points", ha=side)
+    above.plot(asked_s, asked, "o", color=line_colour(0))
+    text = f"{asked:.3g} arcmin rms at {asked_s:g} s"
+    above.text(0.98, 0.95, text, transform=above.transAxes, ha="right", va="top")
     above.set_ylabel("rms heading error (arcmin)")
     above.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     above.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
