@@ -69,6 +69,19 @@ class Advice:
             turns the base itself.
         resets: the law's schedule of a five-state filter with the same noise; None without one.
         budget: variance of the heading by source.
+
+    Examples:
+        >>> advice = sinsjax.advise(imu="kvh1775", latitude_deg=48.0, motion="sway")
+        >>> advice.heading.rms_arcmin < 2 * advice.heading.bound_arcmin
+        True
+        >>> print(advice.choice.toml.partition("fit_accel")[0])
+        [alignment]
+        method = "gravity_fit"
+        <BLANKLINE>
+        [gravity_fit]
+        fit_gyro_bias_deg_per_h = 0.167
+        fit_gyro_arw_deg_per_sqrt_h = 0.012
+        <BLANKLINE>
     """
 
     sheet: Sheet
