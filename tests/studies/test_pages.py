@@ -116,7 +116,7 @@ def tunings(monkeypatch):
                 name: SimpleNamespace(cost=cost, evaluations=evaluations)
                 for name, cost in (found | {"covariance": 1.0}).items()
             }
-            self.case_numbers = dict.fromkeys(["baseline", *found], 0)
+            self.case_numbers = dict.fromkeys(["baseline", "law", *found], 0)
             self.evaluation_study = SimpleNamespace(
                 cases=[{"case": "all", "reset_times_s": (1.0, 2.0)}]
             )
