@@ -222,8 +222,7 @@ def _claims(tunings: Mapping[str, Tuning]) -> dict[str, bool]:
             one.score(one.best).high < one.score(BASELINE).low for one in tunings.values()
         ),
         "no search beats the law with two reset times": (
-            tunings["small"].score(tunings["small"].best).value
-            >= tunings["small"].score(LAW).value
+            tunings["small"].score(tunings["small"].best).value >= tunings["small"].score(LAW).value
         ),
         "with more variables the gradient falls behind": (
             apart["large"].low > 0 and apart["compass"].low > 0
