@@ -24,15 +24,15 @@ import numpy as np
 import sinsjax
 from sinsjax.advice import advise as advising
 from sinsjax.advice.heading import SOURCES, sheet_budget
-from sinsjax.advice.method import choose_method, five_state, level_surge
+from sinsjax.advice.method import choose_method, five_state
 from sinsjax.advice.sheet import MOTIONS, Sheet, read_sheet, shipped_sheets
+from sinsjax.methods.filters.section import level_surge
 
 DRAWS, SEED, RATE_HZ = 1024, 11, 20.0
 PAGE = Path(__file__).parents[1] / "docs" / "advise.md"
 LATITUDES = (-60.0, -30.0, 0.0, 15.0, 32.0, 45.0, 48.0, 60.0, 70.0, 75.0)
 TIMES = ((60.0, 120.0, 300.0), (60.0, 300.0, 600.0), (120.0, 600.0, 1800.0))
 SURGE_TIMES = ((120.0, 300.0, 600.0), (300.0, 600.0, 900.0), (180.0, 600.0, 1800.0))
-RANDOM_SHEETS = 16
 METHODS = (
     *("unscented", "kalman_surge", "ekf_azimuth", "invariant", "kalman10", "kalman_sincos"),
     *("kalman5", "kalman5 by the law", "gravity_fit", "compass", "inertial"),
@@ -112,7 +112,7 @@ def sections(sheet: Sheet, method: str) -> dict[str, Any]:
             "p0_accel_bias_ug": sheet.sigma("accel_bias_ug"),
         }
     if method == "kalman_surge":
-        surge = level_surge(sheet.tables["motion"]) or 0.01
+        surge = level_surge(sheet.tables["motion"].get("surge_m_per_s")) or 0.01
         made["surge"] = {"r_surge_m_per_s": surge, "r_surge_time_s": 5.0}
     if method.endswith("law"):
         made["resets"] = {"schedule": "law", "settle_band_arcmin": 600.0}

@@ -21,7 +21,7 @@ from sinsjax.advice.heading import (
     wrapped_rms,
 )
 from sinsjax.advice.method import Choice, choose_method
-from sinsjax.advice.sheet import Sheet, read_sheet, without_empty
+from sinsjax.advice.sheet import SHORTEST_S, Sheet, read_sheet, without_empty
 from sinsjax.covariance.turn_planner import TurnChoice, plan_turns
 from sinsjax.errors import InputError
 from sinsjax.study import display
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 _SHARE = 0.95
 _BANDS_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _MOST_TIMES = 60
-_SHORTEST_S = 10.0
 _NOT_FOUND, _FAR = 0.5, 30 * DEG
 _LARGE_SHARE = 0.2
 _HIGH_LATITUDE_DEG = 75.0
@@ -190,7 +189,9 @@ class Advice:
             "heading_95_arcmin": here.within_95_arcmin,
             "heading_rms_sec_latitude_arcmin": here.rms_arcmin * self._cos_latitude,
             "bound_arcmin": here.bound_arcmin,
-            "headings": [one._asdict() for one in self.headings if one.time_s in self._reported],
+            "headings": [
+                one._asdict() for one in self.headings if one.time_s in self.sheet.times_s
+            ],
             "budget_percent": {SOURCES[key]: 100 * share for key, share in shares.items()},
             "dominant": SOURCES[self.dominant],
             "heading_rms_with_half_of_dominant_arcmin": self.halved_rms_arcmin,
@@ -228,10 +229,6 @@ class Advice:
         }
         facts |= {f"warning {k}": text for k, text in enumerate(self.warnings, start=1)}
         return display.format_text(f"Advice for {self.name}", facts)
-
-    @property
-    def _reported(self) -> tuple[float, ...]:
-        return self.sheet.times_s
 
     @property
     def _cos_latitude(self) -> float:
@@ -298,7 +295,7 @@ def advise_sheet(given: Sheet) -> Advice:
 def _times(sheet: Sheet) -> list[float]:
     """Return the times of the budget: those to report, and more for the curve, in whole steps."""
     last = max(sheet.times_s)
-    curve = np.geomspace(min(_SHORTEST_S, sheet.asked.time_s), last, _MOST_TIMES)
+    curve = np.geomspace(SHORTEST_S, last, _MOST_TIMES)
     return sorted({*sheet.times_s, *(float(round(time)) for time in curve)})
 
 

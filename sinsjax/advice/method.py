@@ -4,11 +4,10 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
 import tomli_w
 
-from sinsjax.advice.sheet import Sheet
-from sinsjax.methods.filters.section import update_variance
+from sinsjax.advice.sheet import Sheet, rms
+from sinsjax.methods.filters.section import level_surge, update_variance
 from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
 
 FIT, FILTER = "gravity_fit", "kalman_surge"
@@ -46,7 +45,7 @@ class Choice(NamedTuple):
 def choose_method(sheet: Sheet) -> Choice:
     """Return the method with the least error for a sheet."""
     motion = sheet.tables["motion"]
-    surge = level_surge(motion)
+    surge = level_surge(motion.get("surge_m_per_s"))
     if surge:
         time_s = float(motion.get("surge_time_s", 5.0))
         sections = {
@@ -82,7 +81,8 @@ def five_state(sheet: Sheet) -> dict[str, Any]:
 def velocity_sigma(sheet: Sheet) -> float:
     """Return the root of R of a filter that takes surge for noise, m/s per update."""
     motion = sheet.tables["motion"]
-    surge, time_s = level_surge(motion), float(motion.get("surge_time_s", 5.0))
+    surge = level_surge(motion.get("surge_m_per_s"))
+    time_s = float(motion.get("surge_time_s", 5.0))
     rate_hz = float(sheet.tables["study"]["rate_hz"])
     return round_off(math.sqrt(update_variance(rate_hz, None, "per_update", None, surge, time_s)))
 
@@ -111,18 +111,12 @@ def accel_density(sheet: Sheet) -> float:
     return round_off(sheet.sigma("accel_noise_ug") / math.sqrt(sheet.tables["study"]["rate_hz"]))
 
 
-def level_surge(motion: Mapping[str, Any]) -> float:
-    """Return the larger rms velocity of the surge along east and north, m/s."""
-    return float(np.max(np.broadcast_to(motion.get("surge_m_per_s", 0.0), 3)[:2]))
-
-
 def lever_arm(motion: Mapping[str, Any]) -> float:
     """Return the rms of the parts of a lever arm that sways or turns, m."""
     keys = ("pitch_amplitude_deg", "roll_amplitude_deg", "yaw_amplitude_deg", "turn_times_s")
     if not any(motion.get(key) for key in (*keys, "attitude_file")):
         return 0.0
-    arm = np.broadcast_to(motion.get("lever_arm_m", 0.0), 3)
-    return float(np.sqrt(np.mean(np.square(arm))))
+    return rms(motion.get("lever_arm_m", 0.0))
 
 
 def round_off(value: float) -> float:

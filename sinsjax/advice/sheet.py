@@ -25,7 +25,7 @@ TIMES_S = (60.0, 120.0, 300.0, 600.0, 1800.0)
 """Times at which the heading is always given, s."""
 
 _DRAWS, _RATE_HZ = 1024, 100.0
-_SHORTEST_S, _LONGEST_S = 10.0, 7200.0
+SHORTEST_S, _LONGEST_S = 10.0, 7200.0
 _SWAY = {
     **{"pitch_amplitude_deg": 1.8, "roll_amplitude_deg": 2.4, "yaw_amplitude_deg": 2.8},
     **{"pitch_period_s": 6.0, "roll_period_s": 8.0, "yaw_period_s": 10.0},
@@ -100,7 +100,7 @@ class Sheet:
         """Return the size of a sensor error: 1 sigma if it is constant, else its density or rms."""
         if key in (drawn := self.tables["drawn"]):
             return float(drawn[key]["normal"][1])
-        return _rms(self.tables["sensors"].get(key, 0.0))
+        return rms(self.tables["sensors"].get(key, 0.0))
 
 
 def without_empty(tables: TomlTable) -> TomlTable:
@@ -204,8 +204,8 @@ def _complete(name: str, data: TomlTable) -> Sheet:
     """Check the tables and fill in what a study needs."""
     given = data.get("study", {})
     asked = _read_asked({"time_s": given.get("duration_s", 300.0)} | data.get("advise", {}))
-    if not _SHORTEST_S <= asked.time_s <= _LONGEST_S or asked.time_s % 1:
-        text = f"must be whole seconds from {_SHORTEST_S:g} to {_LONGEST_S:g}, not {asked.time_s:g}"
+    if not SHORTEST_S <= asked.time_s <= _LONGEST_S or asked.time_s % 1:
+        text = f"must be whole seconds from {SHORTEST_S:g} to {_LONGEST_S:g}, not {asked.time_s:g}"
         raise InputError(f"[advise] time_s: {text}")
     if not data.get("earth"):
         raise InputError("[earth] latitude_deg: required, deg (--latitude)")
@@ -228,7 +228,7 @@ def _complete(name: str, data: TomlTable) -> Sheet:
             raise InputError(f"[drawn] {key}: must be normal = [0.0, SIGMA] in a sheet")
     for key in CONSTANT_KEYS:
         if np.any(fixed := sensors.pop(key, 0.0)) and key not in drawn:
-            drawn[key] = {"normal": [0.0, _rms(fixed)]}
+            drawn[key] = {"normal": [0.0, rms(fixed)]}
     sheet = Sheet(name, tables | _with_heading(motion, drawn), asked, ())
     _check_noise(sheet)
     return Sheet(name, sheet.tables, asked, tuple(_iter_doubts(sheet)))
@@ -299,5 +299,6 @@ def _iter_doubts(sheet: Sheet) -> Iterator[str]:
         )
 
 
-def _rms(value: Any) -> float:
+def rms(value: Any) -> float:
+    """Return the root mean square of a number, or of one per axis."""
     return float(np.sqrt(np.mean(np.square(np.asarray(value, float)))))

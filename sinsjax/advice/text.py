@@ -8,6 +8,7 @@ from sinsjax.advice import method as methods
 from sinsjax.advice.advise import Advice
 from sinsjax.advice.heading import SOURCES, wrapped_rms
 from sinsjax.covariance.turn_planner import TurnOption
+from sinsjax.methods.filters.section import level_surge
 from sinsjax.units import ARCMIN, DEG
 
 _LEAST_SHARE = 0.005
@@ -91,7 +92,7 @@ def _describe_motion(advice: Advice) -> str:
     motion = advice.sheet.tables["motion"]
     words = {
         "turned": "turn_times_s" in motion or "attitude_file" in motion,
-        "surging": methods.level_surge(motion) > 0,
+        "surging": level_surge(motion.get("surge_m_per_s")) > 0,
         "swaying": any(motion.get(f"{axis}_amplitude_deg") for axis in ("pitch", "roll", "yaw")),
         "vibrating": any(motion.get(f"vibration_{key}") for key in ("ug_rms", "deg_per_h_rms")),
     }
@@ -115,17 +116,13 @@ def _describe_resets(advice: Advice) -> str:
 def _describe_filter(advice: Advice) -> str:
     """Return how to set a filter that goes on with a covariance after the alignment."""
     sheet = advice.sheet
-    row = advice.budget.variance[advice.budget.times_s == advice.time_s][0]
-    biases = sum(
-        part
-        for source, part in zip(advice.budget.sources, row, strict=True)
-        if source in ("gyro_bias", "accel_bias")
-    )
+    share = sum(advice.shares.get(source, 0.0) for source in ("gyro_bias", "accel_bias"))
+    biases = angle(math.sqrt(share) * advice.heading.bound_arcmin)
     gyro, accel = methods.gyro_density(sheet), methods.accel_density(sheet)
     return (
         f"to go on with a covariance: kalman_sincos, Q of {gyro:g} deg/sqrt(h) and {accel:g}"
         f" ug/sqrt(Hz), R of {methods.velocity_sigma(sheet):g} m/s an update; its P lacks the"
-        f" turn-on biases: add {angle(math.sqrt(biases) / ARCMIN)} to sigma in quadrature"
+        f" turn-on biases: add {biases} to sigma in quadrature"
     )
 
 

@@ -1,7 +1,6 @@
 """The command that turns a data sheet into advice."""
 
 import json
-import os
 import textwrap
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,8 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from sinsjax.cli.options import Changes
+from sinsjax.cli.study_files import require_new
 from sinsjax.console import plain_console, print_line
-from sinsjax.errors import InputError
 from sinsjax.platform.files import atomic_write
 
 _WIDEST = 100
@@ -84,8 +83,8 @@ def advise(
         for line in describe_sheets():
             print_line(console, line)
         return
-    if study_file is not None and os.path.lexists(study_file):
-        raise InputError(f"{study_file}: exists, and is not overwritten (give another file)")
+    if study_file is not None:
+        require_new(study_file)
     found = advise_on(
         sheet,
         imu=imu,

@@ -226,11 +226,16 @@ def schedule(
         print_line(console, line, wrap=True)
     if study_file is None:
         return
-    if os.path.lexists(study_file):
-        raise InputError(f"{study_file}: exists, and is not overwritten (give another file)")
+    require_new(study_file)
     with atomic_write(study_file) as file:
         file.write(reset_plan.with_law(study).encode())
     print_line(console, f"{study_file} written; `sinsjax sweep {study_file} -o out` runs it.")
+
+
+def require_new(study_file: Path) -> None:
+    """Refuse a file of ``--study`` that exists."""
+    if os.path.lexists(study_file):
+        raise InputError(f"{study_file}: exists, and is not overwritten (give another file)")
 
 
 COMMANDS = (init, validate, keys, schedule)

@@ -124,7 +124,7 @@ class HeadingProblem:
         return 2 + len(self.increment_errors(self.dt))
 
 
-def turning_heading_bound(times_s: Sequence[float], problem: "HeadingProblem") -> np.ndarray:
+def turning_heading_bound(times_s: Sequence[float], problem: HeadingProblem) -> np.ndarray:
     """Return the least 1 sigma of phi_u at the end of the data of any unbiased estimator, rad.
 
     Args:
@@ -138,7 +138,7 @@ def turning_heading_bound(times_s: Sequence[float], problem: "HeadingProblem") -
     return np.sqrt(_heading_variances(times_s, problem, one)[0][:, 0])
 
 
-def heading_budget(times_s: Sequence[float], problem: "HeadingProblem") -> np.ndarray:
+def heading_budget(times_s: Sequence[float], problem: HeadingProblem) -> np.ndarray:
     """Return what each source of errors adds to the variance of the bound.
 
     The estimator of least variance is linear in the data and best for the sum of all sources, so
@@ -170,7 +170,7 @@ def heading_budget(times_s: Sequence[float], problem: "HeadingProblem") -> np.nd
 
 
 def _heading_variances(
-    times_s: Sequence[float], problem: "HeadingProblem", scales: np.ndarray
+    times_s: Sequence[float], problem: HeadingProblem, scales: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the variance of phi_u with noise of other strengths, rad^2.
 

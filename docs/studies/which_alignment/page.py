@@ -88,7 +88,7 @@ def page(sources: Sources) -> Page:
     )
 
 
-def format_count_of_none(count: int) -> str:
+def _in_words(count: int) -> str:
     """Return a small count in words."""
     return ("none", "one", "two", "three", "four")[count] if count < 5 else str(count)
 
@@ -120,7 +120,7 @@ def _told(field: Field) -> dict[str, Any]:
     arms = {"inertial": INERTIAL, "sincos": SAMPLE, "plain": "kalman5", "biases": "kalman10"}
     return {
         "costs": {name: f"{costs[arm].operations:.0f}" for name, arm in arms.items()},
-        "alone": format_count_of_none(_entries(field)[0]),
+        "alone": _in_words(_entries(field)[0]),
         "entries": _entries(field)[1],
         **{
             name: {base: error(arm, bases[base], 300) for base in on}

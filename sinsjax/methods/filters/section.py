@@ -187,6 +187,16 @@ def _noisiest_axis(noise: float | tuple[float, ...]) -> float:
     return max(noise) if isinstance(noise, tuple) else noise
 
 
+def level_surge(surge: Any) -> float:
+    """Return the larger rms velocity of the surge along east and north, m/s.
+
+    Args:
+        surge: value of surge_m_per_s, of all axes or along east, north, up; None for no surge.
+    """
+    axes = surge[:2] if isinstance(surge, tuple | list) else (surge or 0.0,)
+    return max(abs(float(value)) for value in axes)
+
+
 def surge_density(surge: Any, time_s: float | None) -> float:
     """Return the largest spectral density of the surge velocity, two-sided, m^2/s.
 
@@ -201,7 +211,7 @@ def surge_density(surge: Any, time_s: float | None) -> float:
     """
     if surge is None or time_s is None:
         return 0.0
-    rms = max(surge[:2]) if isinstance(surge, tuple) else surge
+    rms = level_surge(surge)
     return 2 * rms * rms * time_s
 
 

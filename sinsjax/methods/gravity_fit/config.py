@@ -11,7 +11,7 @@ from pydantic import Field
 
 from sinsjax.columns import Column
 from sinsjax.methods.description import CheckedStudy, Implementation, OwnColumn
-from sinsjax.methods.filters.section import WHITE_NOISE, sensor_noise_density
+from sinsjax.methods.filters.section import WHITE_NOISE, level_surge, sensor_noise_density
 from sinsjax.methods.parameters import Columns
 from sinsjax.methods.without_start import describe_without_start
 from sinsjax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, PPM
@@ -126,7 +126,7 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
         # On a level base the reaction to gravity makes a bias of the axes' errors.
         tilted = columns.rms("accel_misalignment_arcsec") * ARCSEC * site.place.gravity
         accel = np.hypot(accel, tilted)
-        rms = columns.compute(_level_surge, "surge_m_per_s")
+        rms = columns.compute(level_surge, "surge_m_per_s")
         if rms.any():
             zero = np.zeros(columns.count)
             surge = Drift(rms**2, 1 / columns.column("surge_time_s"), zero)
@@ -152,11 +152,6 @@ _GYRO_DRIFTS = (
     "gyro_rrw_deg_per_h_per_sqrt_h",
 )
 _ACCEL_DRIFTS = ("accel_instability_ug", "accel_instability_time_s", "accel_rrw_ug_per_sqrt_h")
-
-
-def _level_surge(surge: Any) -> float:
-    """Return the larger rms velocity of the surge along east and north, m/s."""
-    return float(np.max(np.abs(np.broadcast_to(surge or 0.0, 3)[:2])))
 
 
 def _load() -> Implementation:

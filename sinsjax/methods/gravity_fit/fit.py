@@ -387,9 +387,7 @@ def _add_block(here: _Pass, sums: _Sums, block: Block, number: Count) -> _Sums:
     about_up = rotations.rotate(sums.body, block.angle).z
     step, gain, s, variance = predict(here.noise, sums.variance, about_up)
     residual = jnp.stack([jnp.stack(row) for row in x])
-    if (
-        guess.lever is not None
-    ):  # the velocity at the first sample, which it has swung to, is unknown
+    if guess.lever is not None:  # its velocity at the first sample is unknown
         residual = jnp.where(jnp.asarray(number) > 0, residual, 0.0 * residual)
     for seen, estimates in zip(here.noise.seen, sums.walk, strict=True):
         residual = residual - seen * estimates
