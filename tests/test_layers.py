@@ -17,7 +17,7 @@ FLOORS = (
     {"engine"},
     {"covariance"},
     {"bench", "execution"},
-    {"advice", "tuning"},
+    {"advice", "arena", "tuning"},
     {"report"},
     {"__main__", "cli"},
 )

@@ -10,8 +10,9 @@ from typing import Annotated
 
 import typer
 
-from sinsjax.cli import advice, machine, study_files
+from sinsjax.cli import advice, arena, machine, study_files
 from sinsjax.cli.help import (
+    COMPARE,
     LOOK,
     RUN,
     SET_UP,
@@ -303,6 +304,9 @@ def terms() -> None:
 
     print_terms(plain_console())
 
+
+for _command in arena.COMMANDS:
+    command(rich_help_panel=COMPARE)(_command)
 
 for _command in (advice.advise, *study_files.COMMANDS, *machine.COMMANDS):
     command(rich_help_panel=SET_UP)(_command)

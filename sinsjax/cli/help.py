@@ -23,7 +23,7 @@ def format_usage_error(error: Any) -> str:
     return f"{text[:1].lower()}{text[1:]}{help_}"
 
 
-RUN, LOOK, SET_UP = PANELS = ("Run", "Look", "Set up")
+RUN, LOOK, COMPARE, SET_UP = PANELS = ("Run", "Look", "Compare", "Set up")
 """Panels of the list of commands: the ``rich_help_panel`` of each command."""
 
 

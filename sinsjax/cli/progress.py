@@ -89,11 +89,12 @@ class _RateMeter:
             return ""
         clock = time.monotonic()
         since, done = self._first = self._first or (clock, now.done)
+        failed = "" if now.failures is None else f", {now.failures:,} failed"
         if clock < since + _MEASURED_S or now.done == done:
-            return f", {now.failures:,} failed"
+            return failed
         rate = (now.done - done) / (clock - since)
         left = _format_duration((now.total - now.done) / rate)
-        return f", {rate:,.0f} {now.unit}/s, {left} left, {now.failures:,} failed"
+        return f", {rate:,.0f} {now.unit}/s, {left} left{failed}"
 
 
 def _format_duration(seconds: float) -> str:

@@ -197,7 +197,12 @@ def simulated_record(study: Study | str | Path, draw_id: int = 0, variant_id: in
     scenario = Scenario(study, curves=False)
     number = next(i for i, ids in enumerate(scenario.variant_ids) if variant_id in ids)
     part = scenario.part(number, range(draw_id, draw_id + 1))
-    static, environment = part.group.static, part.group.environment
+    return next(simulated_records(study, part.group))
+
+
+def simulated_records(study: Study, group: Group) -> Iterator[Record]:
+    """Yield the record of each draw of a group, see `simulated_record`; one program serves all."""
+    static, environment = group.static, group.environment
     model = environment.sensors
     samples = min(static.records, int(environment.pass_records)) * static.record_every
     if model.increments is None and model.motion is not None:
@@ -205,26 +210,33 @@ def simulated_record(study: Study | str | Path, draw_id: int = 0, variant_id: in
         whole = true_increments(model.motion, place, study.rate_hz, samples, axes=True)
         model = model._replace(increments=whole[:, :6], axes=whole[:, 6:])
         environment = environment._replace(sensors=model)
-    draws = jax.tree.map(lambda a: a if np.ndim(a) else np.full(1, a), part.group.draws)
-    derived_site = select_site(environment.site, _with_derived_inputs(static, environment, draws))
-    site = jax.tree.map(lambda a: np.ravel(a)[0], derived_site)
+    for number in range(group.sizes[0]):
+        draw = jax.tree.map(
+            lambda a, at=number: a[at : at + 1] if np.ndim(a) else np.full(1, a), group.draws
+        )
+        out, site = _measure(static, samples, environment, draw)
+        site = jax.tree.map(lambda a: np.ravel(a)[0], site)
+        yield Record(
+            dtheta=np.stack([np.asarray(axis)[:, 0] for axis in out.dtheta], axis=1),
+            dv=np.stack([np.asarray(axis)[:, 0] for axis in out.dv], axis=1),
+            rate_hz=study.rate_hz,
+            latitude_deg=float(site.latitude / DEG),
+            height_m=float(site.earth.height),
+            gravity_m_per_s2=float(site.place.gravity),
+            source=study.name,
+        )
 
-    @jax.jit
-    def measure(environment: Environment, draws: Draw, numbers: Array) -> Increments:
-        draws = _with_derived_inputs(static, environment, draws)
-        sensors = build_sensors(static, environment, draws)
-        return sensors.make_sampler(numbers)(sensors.initial_state(), jnp.arange(samples))[0]
 
-    out = measure(environment, draws, np.arange(samples))
-    return Record(
-        dtheta=np.stack([np.asarray(axis)[:, 0] for axis in out.dtheta], axis=1),
-        dv=np.stack([np.asarray(axis)[:, 0] for axis in out.dv], axis=1),
-        rate_hz=study.rate_hz,
-        latitude_deg=float(site.latitude / DEG),
-        height_m=float(site.earth.height),
-        gravity_m_per_s2=float(site.place.gravity),
-        source=study.name,
-    )
+@partial(jax.jit, static_argnums=(0, 1))
+def _measure(
+    static: Static, samples: int, environment: Environment, draw: Draw
+) -> tuple[Increments, Site]:
+    """Return the increments (samples, 1) of a single draw, leaves (1, ...), and its site."""
+    draw = _with_derived_inputs(static, environment, draw)
+    sensors = build_sensors(static, environment, draw)
+    measure = sensors.make_sampler(jnp.arange(samples))
+    increments, _ = measure(sensors.initial_state(), jnp.arange(samples))
+    return increments, select_site(environment.site, draw)
 
 
 def _with_derived_inputs(static: Static, environment: Environment, draws: Draw) -> Draw:

@@ -1,7 +1,8 @@
 """Warnings about a study before it runs, from its record or its sample rate."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -34,6 +35,23 @@ from sinsjax.units import DEG_PER_H, micro_g
 _EXPECTED_BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
 _TRUST_HINT = "[record] trust = true aligns it anyway"
 _CHECKED_DRAWS = 1024  # draws in which a drawn period is checked
+
+
+def refuse_external(programs: Sequence[str] | None, source: Path | str) -> None:
+    """Refuse to run a study with results of programs outside sinsjax.
+
+    Args:
+        programs: their names, [study] external.
+        source: file or directory of the study.
+
+    Raises:
+        InputError: names the programs.
+    """
+    if programs:
+        raise InputError(
+            f"{source}: its runs of {', '.join(programs)} were made elsewhere and cannot be run"
+            " here (`sinsjax score` compares the program again)"
+        )
 
 
 def study_warnings(study: Study) -> list[str]:

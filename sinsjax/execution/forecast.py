@@ -132,8 +132,8 @@ class Forecast(NamedTuple):
         return (
             f"{prefix}{runs}: roughly {duration} on {processors}, and"
             f" {_format_duration(_START_S)} to start ({first_time},"
-            f" which compiles {programs}), {_format_bytes(self.memory)} of memory,"
-            f" {_format_bytes(remaining * self.run_bytes)}{' more' if done else ''} on disk"
+            f" which compiles {programs}), {format_bytes(self.memory)} of memory,"
+            f" {format_bytes(remaining * self.run_bytes)}{' more' if done else ''} on disk"
         )
 
 
@@ -211,8 +211,8 @@ def check_resources(
     available = machine.available_memory_bytes()
     if forecast.memory > available:
         raise InputError(
-            f"{study.name}: {forecast.runs:,} runs need about {_format_bytes(forecast.memory)} of"
-            f" memory, but this machine has only {_format_bytes(available)}"
+            f"{study.name}: {forecast.runs:,} runs need about {format_bytes(forecast.memory)} of"
+            f" memory, but this machine has only {format_bytes(available)}"
         )
 
 
@@ -229,7 +229,7 @@ def _check_disk_space(
     if needed > available:
         raise InputError(
             f"{directory}: the results of {forecast.runs:,} runs need about"
-            f" {_format_bytes(needed)}, but the disk has only {_format_bytes(available)} free"
+            f" {format_bytes(needed)}, but the disk has only {format_bytes(available)} free"
         )
 
 
@@ -320,7 +320,7 @@ def _total_part_bytes(directories: Iterable[Path]) -> int:
     return sum(path.stat().st_size for path in parts)
 
 
-def _format_bytes(count: float) -> str:
+def format_bytes(count: float) -> str:
     """Return a number of bytes as text."""
     for unit in ("B", "kB", "MB", "GB"):
         if count < 999.5:

@@ -114,6 +114,7 @@ def prepare_job(
     )
     study, unused_notes = _load_source(source, overrides)
     name = study.name if isinstance(source, Study) else source_name(source)
+    checks.refuse_external(study.study.external, name)
     kind.check_study(study)
     _check_record_needed(study, name, record, reference)
     if results_directory is not None:

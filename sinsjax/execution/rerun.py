@@ -14,6 +14,7 @@ from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as results_directory
 from sinsjax.execution import results
+from sinsjax.execution.checks import refuse_external
 from sinsjax.execution.directory import RERUN_FILES
 from sinsjax.execution.outputs import make_output
 from sinsjax.execution.prepare import load_increments
@@ -96,6 +97,7 @@ def rerun_stored_run(
     """
     results_directory.check_directory(directory)
     study = results.load_stored_study(directory)
+    refuse_external(study.study.external, directory)
     if files[0] is None and files[1] is not None:
         raise InputError("--reference: requires --record")
     if study.is_recorded and files[0] is None:

@@ -6,6 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from sinsjax.errors import InputError
+from sinsjax.execution.checks import refuse_external
 from sinsjax.execution.directory import (
     DATASETS,
     MANIFEST,
@@ -90,6 +91,8 @@ def continue_job(job: Job) -> Job:
     directory = job.directory
     assert directory is not None
     manifest = _find_or_rebuild_manifest(directory)
+    if manifest is not None:
+        refuse_external(manifest.study.get("study", {}).get("external"), directory)
     is_same = manifest is not None and _has_same_study(job, manifest)
     # study.toml is written again for results of the same study, whatever it contains.
     stored = None if is_same else _check_same_study(directory, job.study)

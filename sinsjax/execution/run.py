@@ -29,14 +29,15 @@ class RunProgress(NamedTuple):
     Attributes:
         done: completed runs.
         total: number of runs; with [stop_when], at most.
-        failures: runs of this session that diverged or became non-finite.
+        failures: runs of this session that diverged or became non-finite; None if there are none
+            to count.
         done_before: runs completed before this session.
         unit: unit of the counts: runs or estimates.
     """
 
     done: int
     total: int
-    failures: int
+    failures: int | None
     done_before: int
     unit: str = "runs"
 
@@ -339,6 +340,9 @@ class _ProgressCounter:
         self._on_progress(self.progress)
 
     def add_task(self, task: Task, failures: int) -> None:
-        done, failures_so_far = self.progress.done + task.runs, self.progress.failures + failures
+        done, failures_so_far = (
+            self.progress.done + task.runs,
+            (self.progress.failures or 0) + failures,
+        )
         self.progress = self.progress._replace(done=done, failures=failures_so_far)
         self._on_progress(self.progress)

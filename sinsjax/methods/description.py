@@ -150,6 +150,7 @@ class Description:
         step_s: time of a sample of one run on one core, s, roughly; see `docs/performance.md`.
         estimate_runs: plain runs that one without noise takes as long as, with the covariance of
             its error and 64 sampled errors, roughly.
+        is_external: whether it is a program outside sinsjax, whose runs cannot be repeated here.
     """
 
     name: str
@@ -173,6 +174,7 @@ class Description:
     last_triggered_sample: Callable[[Any], NDArray | None] = lambda results: None
     step_s: float = 20e-9
     estimate_runs: float = 3.0
+    is_external: bool = False
 
     @cached_property
     def keys(self) -> frozenset[str]:

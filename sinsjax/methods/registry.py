@@ -5,9 +5,11 @@ Plug-in methods of other packages are found by their entry points, see `plugins`
 
 from collections.abc import Iterable
 
+from sinsjax.errors import InputError
 from sinsjax.methods.azimuth.config import EKF_AZIMUTH, UNSCENTED
 from sinsjax.methods.compass.config import COMPASS
 from sinsjax.methods.description import Description
+from sinsjax.methods.external.config import describe_external
 from sinsjax.methods.gravity_fit.config import GRAVITY_FIT
 from sinsjax.methods.inertial_frame.config import (
     INERTIAL,
@@ -54,6 +56,23 @@ BROKEN: dict[str, str] = REGISTRY.broken
 
 `METHODS` may have a usable method of the same name.
 """
+
+
+def register_external(names: Iterable[str]) -> None:
+    """Make programs outside sinsjax known as methods, as a study with their results needs.
+
+    Raises:
+        InputError: a name is that of a method of sinsjax.
+    """
+    for name in names:
+        if name in METHODS and not METHODS[name].is_external:
+            raise InputError(f"{name!r} is a method of sinsjax (give the program another name)")
+        METHODS.setdefault(name, describe_external(name))
+
+
+def external_names(names: Iterable[str]) -> list[str]:
+    """Return the names that are those of programs outside sinsjax."""
+    return [name for name in names if name in METHODS and METHODS[name].is_external]
 
 
 def packages_of(names: Iterable[str]) -> dict[str, str]:

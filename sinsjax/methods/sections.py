@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, ValidationError, WrapValidator
 
 from sinsjax.messages import explain_error
-from sinsjax.methods.registry import METHODS, hint_broken_plugins
+from sinsjax.methods.registry import METHODS, external_names, hint_broken_plugins
 from sinsjax.value_types import (
     Count,
     Factor,
@@ -24,6 +24,8 @@ _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
 
 def _check_method_name(name: Any, check: Any) -> Any:
     """Return the name of a method, or raise an error with the known names."""
+    if isinstance(name, str) and external_names([name]):
+        return name
     try:
         return check(name)
     except ValidationError as error:

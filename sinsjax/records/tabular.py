@@ -244,26 +244,34 @@ def _round_up_to_3_digits(gap_s: float) -> float:
     return float(math.ceil(gap_s / unit - 1e-9) * unit)
 
 
-def write_csv(record: Record, path: str | Path, layout: RecordLayout) -> None:
-    """Write a record as comma-separated text in the layout's columns, units and axes.
+def write_csv(
+    record: Record, path: str | Path, layout: RecordLayout, *, delimiter: str = ","
+) -> None:
+    """Write a record as delimited text in the layout's columns, units and axes.
 
     Increments in rad and m/s are read back bit for bit. The time column, if any, is the end of each
-    sample. The record's position, attitude and g are not written.
+    sample. The record's position, attitude and g are not written, and no names if the layout gives
+    them.
 
     Args:
         record: the record.
         path: the file to write; written atomically.
         layout: its rate_hz, if given, must be the record's.
+        delimiter: between the columns.
 
     Raises:
         InputError: the layout or the record cannot be written, or the target is not writable.
     """
     columns = _record_to_columns(record, path, layout)
     header = io.StringIO()
-    csv.writer(header, lineterminator="\n").writerow(columns)
+    if layout.columns:
+        columns = {name: columns[name] for name in layout.columns if name in columns}
+    else:
+        csv.writer(header, delimiter=delimiter, lineterminator="\n").writerow(columns)
+    options = pa.csv.WriteOptions(include_header=False, delimiter=delimiter)
     with atomic_write(path) as file:
         file.write(header.getvalue().encode())
-        pa.csv.write_csv(pa.table(columns), file, pa.csv.WriteOptions(include_header=False))
+        pa.csv.write_csv(pa.table(columns), file, options)
 
 
 def write_parquet(record: Record, path: str | Path, layout: RecordLayout) -> None:

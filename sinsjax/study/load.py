@@ -22,6 +22,7 @@ from sinsjax.methods.registry import (
     METHODS,
     SECTIONS_OF_METHODS,
     hint_broken_plugins,
+    register_external,
     unread_keys,
 )
 from sinsjax.study import changes as changing
@@ -273,6 +274,7 @@ def _build_study(data: TomlTable, name: str) -> Study:
     """Return the study of some tables with all rules checked, but not the points of [tune]."""
     tables = _lists_to_tuples(data)
     _check_tables(tables)
+    _register_external(tables)
     errors, sweep = ErrorCollector(), Sweep({}, {}, (), None)
     with errors.collect():
         sweep = read_sweep(tables)
@@ -295,6 +297,17 @@ def _build_study(data: TomlTable, name: str) -> Study:
     if lines := (*tuning_errors.lines, *rules.broken_rules(study, key_tables)):
         raise InputError(*lines)
     return study
+
+
+def _register_external(tables: TomlTable) -> None:
+    """Make the programs known whose results a study has, before its methods are checked."""
+    names = tables.get("study", {}).get("external", ())
+    if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
+        return  # refused with the other values
+    try:
+        register_external(names)
+    except InputError as error:
+        raise InputError(f"[study] external: {error}") from None
 
 
 def _check_tuning_points(study: Study) -> None:

@@ -172,6 +172,11 @@ class StudySection(Section):
     unchecked: bool | None = Field(
         None, description="whether values outside their usual range are accepted; default: false"
     )
+    external: Annotated[tuple[Name, ...], AfterValidator(require_unique)] | None = Field(
+        None,
+        description="programs outside sinsjax whose results the directory of the study has, written"
+        " by `sinsjax score`. They are methods of the study, but no runs of it; default: none",
+    )
 
     @field_validator("judged_from", mode="before")
     @classmethod

@@ -1,0 +1,251 @@
+"""A program against the best method of sinsjax on the same draws, with 95 % intervals.
+
+Errors are magnitudes of the heading error from the truth at the end of a run; one without a result
+counts as 180 deg. Which method and settings are best is decided by one half of the draws and judged
+by the other, since a choice would look too good on the runs that made it. One choice serves all
+conditions, unless some have settings that others lack: then each condition has its own.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from scipy import special
+
+from sinsjax import analysis
+from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis.differences import mean_difference, proportion_difference
+from sinsjax.analysis.estimates import TAIL
+from sinsjax.analysis.tables import numeric_column
+from sinsjax.arena.runs import condition_keys
+from sinsjax.methods.registry import external_names
+from sinsjax.plots.labels import describe_point
+from sinsjax.study.study import Study
+from sinsjax.study.success import success_measures
+
+FAILED_ARCMIN = 180 * 60.0
+"""Heading error that a run without a result counts."""
+
+_ROUNDING = 1e-6
+"""Difference below which two headings are equal, arcmin."""
+
+_LEAST_SPLIT = 8
+"""Fewest draws that are split into halves."""
+
+
+class ConditionResult(NamedTuple):
+    """Results under one condition, or over all of them.
+
+    Attributes:
+        point: values of `Comparison.keys`; None for all conditions.
+        program: mean heading error of the program, arcmin.
+        best: that of the best method of sinsjax, arcmin.
+        difference: program minus best, paired by draw, arcmin.
+        success: share of the program's runs that succeed.
+        success_best: that of the best method.
+        success_difference: program minus best.
+        nees: mean NEES of the program over its three angles; None without sigmas.
+    """
+
+    point: tuple[Any, ...] | None
+    program: Estimate
+    best: Estimate
+    difference: Estimate
+    success: Estimate
+    success_best: Estimate
+    success_difference: Estimate
+    nees: Estimate | None
+
+
+class Comparison(NamedTuple):
+    """A program against the best method of sinsjax.
+
+    Attributes:
+        name: of the program.
+        best: the best method with its settings, in words.
+        options: number of methods and settings that it is the best of.
+        keys: swept keys that are conditions.
+        overall: over all conditions.
+        conditions: each of them, if there are several.
+        enough_draws: draws from which on the difference would be sure, by its scatter; None if
+            the draws do not differ.
+        draws: number of draws.
+        criterion: of success, in words.
+        best_variants: variant of the best method by the variant of the program.
+    """
+
+    name: str
+    best: str
+    options: int
+    keys: list[str]
+    overall: ConditionResult
+    conditions: list[ConditionResult]
+    enough_draws: int | None
+    draws: int
+    criterion: str
+    best_variants: dict[int, int]
+
+    def best_variant(self, variant: int) -> int:
+        """Return the variant of the best method with the conditions of one of the program."""
+        return self.best_variants[variant]
+
+    @property
+    def is_sure(self) -> bool:
+        """Return whether the interval of the difference excludes zero."""
+        return self.overall.difference.low > 0 or self.overall.difference.high < 0
+
+    @property
+    def verdict(self) -> str:
+        """The result in one line."""
+        all_, difference = self.overall, self.overall.difference
+        verb = "does not differ for sure from"
+        if self.is_sure:
+            verb = "is better than" if difference.value < 0 else "is worse than"
+        best = f"the best of {self.options} methods of sinsjax, {self.best}"
+        if self.options == 1:
+            best = f"sinsjax's {self.best}"
+        text = (
+            f"{self.name} {verb} {best}: mean heading error"
+            f" {format_estimate(all_.program)} against {format_estimate(all_.best, 'arcmin')},"
+            f" paired difference {format_estimate(difference, 'arcmin')}"
+        )
+        if self.enough_draws is None:
+            return f"{text} on {self.draws} draws"
+        if self.is_sure:
+            return f"{text}; {self.enough_draws} of the {self.draws} draws would do"
+        return f"{text}; about {self.enough_draws:,} draws would decide it, not {self.draws}"
+
+
+def compare(study: Study, table: pa.Table, name: str) -> Comparison:
+    """Compare a program with the best method of sinsjax.
+
+    Args:
+        study: with the program as a method.
+        table: summary of all runs, by run_id.
+        name: of the program.
+    """
+    measure = success_measures(study)[0]
+    error = np.abs(numeric_column(table, "phi_u_arcmin")).reshape(-1, study.n_variants)
+    error = np.where(np.isnan(error), FAILED_ARCMIN, error)
+    ok = numeric_column(table, measure.ok_column).reshape(error.shape) > 0
+    nees = numeric_column(table, "nees").reshape(error.shape)
+    points, program, rivals = _arrange(study, name)
+    columns = np.array([program[point] for point in points])
+    chosen, rival = _choose_best(error, rivals)
+    draws = np.arange(len(error))[:, None]
+    pairs = (error[:, columns], error[draws, rival]), (ok[:, columns], ok[draws, rival])
+
+    def result(point: tuple[Any, ...] | None, places: slice) -> ConditionResult:
+        (ours, theirs), (won, lost) = ([a[:, places].ravel() for a in pair] for pair in pairs)
+        cluster = np.broadcast_to(draws, pairs[0][0][:, places].shape).ravel()
+        squares = nees[:, columns[places]].ravel()
+        return ConditionResult(
+            point,
+            _positive(analysis.mean(ours, cluster)),
+            _positive(analysis.mean(theirs, cluster)),
+            mean_difference(ours, theirs, cluster),
+            analysis.share(won, cluster),
+            analysis.share(lost, cluster),
+            proportion_difference(won, lost),
+            analysis.mean(squares, cluster) if np.isfinite(squares).any() else None,
+        )
+
+    conditions = [result(point, slice(i, i + 1)) for i, point in enumerate(points)]
+    differences = (pairs[0][0] - pairs[0][1]).mean(axis=1)
+    return Comparison(
+        name,
+        _describe_options(study, chosen.tolist()),
+        len(rivals),
+        condition_keys(study),
+        result(None, slice(None)),
+        conditions if len(points) > 1 else [],
+        _enough_draws(differences),
+        len(error),
+        measure.description,
+        {int(a): int(b) for a, b in zip(columns, chosen, strict=True)},
+    )
+
+
+def _positive(estimate: Estimate) -> Estimate:
+    return estimate._replace(low=max(estimate.low, 0.0))
+
+
+def _arrange(study: Study, name: str) -> tuple[list[Any], dict[Any, int], NDArray]:
+    """Return the conditions, the variant of the program by condition, and those of its rivals.
+
+    Returns:
+        Points, variants by point, and (rivals, conditions) variants of each method with its
+        settings, -1 where it lacks a condition.
+    """
+    keys, settings = condition_keys(study), _setting_keys(study)
+    values = {key: study.values(key) for key in (*keys, *settings, "method")}
+    first = study.duplicate_of
+    program: dict[Any, int] = {}
+    rivals: dict[Any, dict[Any, int]] = {}
+    for variant in range(study.n_variants):
+        point = tuple(values[key][variant] for key in keys)
+        option = tuple(values[key][first[variant]] for key in ("method", *settings))
+        if option[0] == name:
+            program.setdefault(point, variant)
+        elif not external_names([option[0]]):
+            rivals.setdefault(option, {}).setdefault(point, variant)
+    points = list(program)
+    table = [[found.get(point, -1) for point in points] for found in rivals.values()]
+    return points, program, np.array(table)
+
+
+def _choose_best(error: NDArray, rivals: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the variants with the least mean error.
+
+    Args:
+        error: (draws, variants).
+        rivals: (rivals, conditions), see `_arrange`.
+
+    Returns:
+        (conditions,) by all draws, which name the best, and (draws, conditions) by the other half
+        of the draws, which are compared.
+    """
+    means = np.where(rivals < 0, np.inf, error[:, rivals])  # (draws, rivals, conditions)
+
+    def choose(draws: NDArray) -> NDArray:
+        mean = means[draws].mean(axis=0)
+        if (rivals >= 0).all():
+            return rivals[mean.mean(axis=-1).argmin()]
+        return rivals[mean.argmin(axis=0), np.arange(rivals.shape[1])]
+
+    draws = np.arange(len(error))
+    best = choose(draws)
+    if len(error) < _LEAST_SPLIT:
+        return best, np.tile(best, (len(error), 1))
+    halves = np.stack([choose(draws[draws % 2 != half]) for half in (0, 1)])
+    return best, halves[draws % 2]
+
+
+def _enough_draws(differences: NDArray) -> int | None:
+    """Return the fewest draws whose t interval would exclude zero at this mean and scatter."""
+    mean, count = abs(differences.mean()), len(differences)
+    sigma = differences.std(ddof=1) if count > 1 else 0.0
+    if sigma <= _ROUNDING or mean <= _ROUNDING:
+        return None
+    n = np.unique(np.round(np.geomspace(2, 1e9, 4000)))
+    half = special.stdtrit(n - 1, 1 - TAIL) * sigma / np.sqrt(n)
+    enough = n[half < mean]
+    return int(enough[0]) if len(enough) else None
+
+
+def _setting_keys(study: Study) -> list[str]:
+    """Return the swept keys that are settings of methods."""
+    conditions = condition_keys(study)
+    return [key for key in study.axis_keys if key not in (*conditions, "case", "method")]
+
+
+def _describe_options(study: Study, variants: list[int]) -> str:
+    """Return the methods with their settings in words."""
+    texts = []
+    for variant in variants:
+        keys = [key for key in _setting_keys(study) if not study.without_effect(key)[variant]]
+        used = {key: study.values(key)[variant] for key in keys}
+        method = study.values("method")[variant]
+        texts.append(f"{method} ({describe_point(used)})" if used else str(method))
+    return " or ".join(dict.fromkeys(texts))

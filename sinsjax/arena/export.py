@@ -1,0 +1,536 @@
+"""Writing the draws of a study for programs outside sinsjax: a record per draw, and the starts.
+
+A directory of an export has
+
+    initial.csv     one row per run: record, first attitude, place, start and end
+    imu/            one record per draw, per environment if there are several
+    truth.parquet   true attitudes at record times, unless the export is blind
+    study.toml      the study, from which `sinsjax score` makes the truth again
+    README.txt      units, signs, the order of Euler angles, and the columns to return
+    export.json     the options, and size and SHA-256 of every file
+
+Every file is written under a temporary name, synced and renamed. An interrupted export continues
+with its missing records.
+"""
+
+import hashlib
+import io
+import os
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from sinsjax.arena.frames import BODY_AXES, FRAMES, to_angles, to_quaternion
+from sinsjax.arena.readme import describe_export
+from sinsjax.arena.runs import ProgramPart, ProgramRuns, check_simulated
+from sinsjax.engine import given
+from sinsjax.engine.build import simulated_records
+from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.execution import sealed
+from sinsjax.execution.directory import STUDY, check_directory, lock_directory, results_path
+from sinsjax.execution.forecast import format_bytes
+from sinsjax.messages import format_count
+from sinsjax.platform import machine, runtime
+from sinsjax.platform.files import atomic_write, make_folder, read_regular_file
+from sinsjax.records import write_csv, write_parquet
+from sinsjax.records.layout import RecordLayout
+from sinsjax.study.identity import fingerprint
+from sinsjax.study.load import load_study, study_to_toml
+from sinsjax.study.study import Study
+from sinsjax.types import Quat
+from sinsjax.units import DEG
+
+INITIAL, TRUTH, README, MANIFEST, RECORDS = (
+    *("initial.csv", "truth.parquet", "README.txt", "export.json"),
+    "imu",
+)
+FORMATS = ("psins", "csv", "parquet")
+QUANTITIES = ("increments", "rates")
+
+_SCHEMA = 1
+_SUFFIXES = {"psins": ".txt", "csv": ".csv", "parquet": ".parquet"}
+_NUMBER_BYTES = {"psins": 22.0, "csv": 22.0, "parquet": 9.7}
+"""Bytes of a number in a record."""
+
+_MANIFEST_EVERY_S = 1.0
+
+
+class ExportOptions(NamedTuple):
+    """Options of an export.
+
+    Attributes:
+        draws: first draw and the one after the last; None for all.
+        format: "psins" (increments, blanks between columns, no names), "csv" or "parquet".
+        quantity: "increments" (rad, m/s) or "rates" (rad/s, m/s^2, mean over each sample).
+        frame: axes and signs, see `arena.frames`.
+        blind: whether the truth is left out.
+    """
+
+    draws: tuple[int, int] | None = None
+    format: str = "csv"
+    quantity: str = "increments"
+    frame: str = "enu"
+    blind: bool = False
+
+
+_DEFAULTS = ExportOptions()
+
+
+class ExportPlan(NamedTuple):
+    """An export that is ready to be written.
+
+    Attributes:
+        runs: of the program.
+        options: with the draws.
+        records: (part, draw) of each record.
+        bytes: expected size of the records.
+    """
+
+    runs: ProgramRuns
+    options: ExportOptions
+    records: list[tuple[int, int]]
+    bytes: float
+
+    @property
+    def draws(self) -> range:
+        """The exported draws."""
+        assert self.options.draws is not None
+        return range(*self.options.draws)
+
+    @property
+    def text(self) -> str:
+        """Number of runs and records, and their size, in words."""
+        tasks = sum(len(part.places) for part in self.runs.parts)
+        count = format_count(tasks * len(self.draws), "run")
+        records = format_count(len(self.records), "record")
+        samples = max(self.runs.samples(part) for part in self.runs.parts)
+        return (
+            f"{self.runs.source.name}: {count} on {records} of {samples:,} samples, about"
+            f" {format_bytes(self.bytes)}"
+        )
+
+    def record_name(self, part: int, draw: int) -> str:
+        """Return the path of a record in the directory."""
+        environment = "" if len(self.runs.parts) == 1 else f"set_{part:03d}_"
+        return f"{RECORDS}/{environment}draw_{draw:05d}{_SUFFIXES[self.options.format]}"
+
+
+def export_study(
+    study: Study | str | Path,
+    directory: str | Path,
+    *,
+    draws: tuple[int, int] | None = None,
+    format: str = "csv",
+    quantity: str = "increments",
+    frame: str = "enu",
+    blind: bool = False,
+    overwrite: bool = False,
+    resume: bool = False,
+) -> Path:
+    """Write the draws of a simulated study for a program outside sinsjax.
+
+    Args:
+        study: study, its file, or the name of a shipped study.
+        directory: directory of the export.
+        draws: first draw and the one after the last; None for all.
+        format: "csv", "parquet", or "psins": text of increments ``wx wy wz vx vy vz t``.
+        quantity: "increments" (rad, m/s), or "rates" (rad/s, m/s^2) as means over each sample.
+        frame: "enu" (right-front-up, yaw counter-clockwise) or "ned" (front-right-down, clockwise).
+        blind: whether to leave out the truth.
+        overwrite: whether to replace an export.
+        resume: whether to continue an interrupted export.
+
+    Returns:
+        The directory.
+
+    Raises:
+        InputError: the study has no draws to export, an option is wrong, the disk is too small, or
+            the directory cannot be used.
+
+    Examples:
+        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.duration_s": 9.0})
+        >>> study = study.replace({"study.window_s": [6.0, 9.0]})
+        >>> exported = sinsjax.export_study(study, "draws")
+        >>> sorted(path.name for path in exported.iterdir() if path.suffix)
+        ['README.txt', 'export.json', 'initial.csv', 'study.toml', 'truth.parquet']
+    """
+    options = ExportOptions(draws, format, quantity, frame, blind)
+    out = results_path(directory)
+    write_export(plan_export(load_study(study), options), out, overwrite=overwrite, resume=resume)
+    return out
+
+
+def plan_export(study: Study, options: ExportOptions = _DEFAULTS) -> ExportPlan:
+    """Check a study and the options of its export.
+
+    Raises:
+        InputError: see `export_study`.
+    """
+    runtime.ensure_configured()
+    check_simulated(study)
+    for name, known in (("format", FORMATS), ("quantity", QUANTITIES), ("frame", FRAMES)):
+        value = getattr(options, name)
+        if value not in known:
+            raise InputError(f"{name}: {value!r} is not one of {', '.join(known)}")
+    if options.format == "psins" and (options.quantity, options.frame) != ("increments", "enu"):
+        other = "quantity" if options.quantity != "increments" else "frame"
+        text = f"the psins format has increments of right-front-up axes (drop --{other}, or csv)"
+        raise InputError(f"{other}: {getattr(options, other)!r}: {text}")
+    first, end = options.draws or (0, study.n_draws)
+    if not 0 <= first < end <= study.n_draws:
+        text = f"must be A:B with 0 <= A < B <= {study.n_draws}, the draws of {study.name}"
+        raise InputError(f"draws: {first}:{end}: {text}")
+    runs = ProgramRuns(study)
+    records = [(part, draw) for part in range(len(runs.parts)) for draw in range(first, end)]
+    samples = sum(runs.samples(runs.parts[part]) for part, _ in records)
+    size = samples * (6 * _NUMBER_BYTES[options.format] + 8)
+    return ExportPlan(runs, options._replace(draws=(first, end)), records, size)
+
+
+def write_export(
+    plan: ExportPlan,
+    directory: Path,
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+    on_record: Callable[[int, int], None] | None = None,
+    is_stopped: Callable[[], bool] = lambda: False,
+) -> None:
+    """Write a planned export.
+
+    Args:
+        plan: the export.
+        directory: where to.
+        overwrite: whether to replace an export.
+        resume: whether to continue an interrupted one.
+        on_record: called with the numbers of written and of all records after every record.
+        is_stopped: whether to end after the running record.
+
+    Raises:
+        InputError: see `export_study`.
+        StudyInterrupted: ``is_stopped`` returned True.
+    """
+    if overwrite and resume:
+        raise InputError("--resume: conflicts with --overwrite (give one of them)")
+    check_directory(directory)
+    earlier = _check_target(plan, directory, overwrite=overwrite, resume=resume)
+    available = machine.free_disk_bytes(directory)
+    if not resume and plan.bytes > available:
+        raise InputError(
+            f"{directory}: the records need about {format_bytes(plan.bytes)}, but the disk has only"
+            f" {format_bytes(available)} free (--format parquet is smaller, or --draws A:B)"
+        )
+    lock = lock_directory(directory)
+    try:
+        if earlier and not resume:
+            _remove_export(directory, earlier)
+        files = _intact_files(directory, earlier) if resume else {}
+        _Writer(plan, directory, files).write(on_record, is_stopped)
+    finally:
+        lock.release()
+
+
+class _Writer:
+    """Writer of an export.
+
+    Attributes:
+        files: size and SHA-256 of each complete file, by path in the directory.
+    """
+
+    def __init__(self, plan: ExportPlan, directory: Path, files: dict[str, Any]) -> None:
+        self._plan, self._directory, self.files = plan, directory, files
+        self._next_manifest = 0.0
+
+    def write(
+        self, on_record: Callable[[int, int], None] | None, is_stopped: Callable[[], bool]
+    ) -> None:
+        """Write all missing files, the manifest first, to mark those of a killed export."""
+        plan, total = self._plan, len(self._plan.records)
+        self._write_manifest("running")
+        make_folder(self._directory / RECORDS)
+        study = plan.runs.source
+        self._write(STUDY, study_to_toml(study).encode())
+        self._write(README, _readme(plan).encode())
+        self._write(INITIAL, _initial_csv(plan))
+        if not plan.options.blind:
+            self._write(TRUTH, _truth_parquet(plan))
+        done = sum(plan.record_name(*record) in self.files for record in plan.records)
+        for name, write in self._missing_records():
+            if is_stopped():
+                self._write_manifest("interrupted")
+                text = f"{done:,} of {total:,} records are in {self._directory}"
+                raise StudyInterrupted(text)
+            write(self._directory / name)
+            self._register(name)
+            done += 1
+            if on_record:
+                on_record(done, total)
+        self._write_manifest("complete")
+
+    def _missing_records(self) -> Iterator[tuple[str, Callable[[Path], None]]]:
+        """Yield the paths of missing records, and functions that write them."""
+        plan, layout = self._plan, record_layout(self._plan.options)
+        for number, part in enumerate(plan.runs.parts):
+            missing = [d for d in plan.draws if plan.record_name(number, d) not in self.files]
+            if not missing:
+                continue
+            group = plan.runs.group(part, plan.draws)
+            places = np.array(missing) - plan.draws.start
+            records = simulated_records(plan.runs.study, group.select(places, np.arange(1)))
+            for draw, record in zip(missing, records, strict=True):
+
+                def write(path: Path, record: Any = record) -> None:
+                    match plan.options.format:
+                        case "parquet":
+                            write_parquet(record, path, layout)
+                        case "psins":
+                            write_csv(record, path, layout, delimiter=" ")
+                        case _:
+                            write_csv(record, path, layout)
+
+                yield plan.record_name(number, draw), write
+
+    def _write(self, name: str, content: bytes) -> None:
+        with atomic_write(self._directory / name) as file:
+            file.write(content)
+        self._register(name)
+
+    def _register(self, name: str) -> None:
+        self.files[name] = _file_entry(self._directory / name)
+        if time.monotonic() >= self._next_manifest:
+            self._write_manifest("running")
+
+    def _write_manifest(self, state: str) -> None:
+        content = _manifest_options(self._plan) | {"state": state, "files": self.files}
+        with atomic_write(self._directory / MANIFEST) as file:
+            file.write(sealed.to_sealed_json(content))
+        self._next_manifest = time.monotonic() + _MANIFEST_EVERY_S
+
+
+def record_layout(options: ExportOptions) -> RecordLayout:
+    """Return the layout of an export's records, with which sinsjax reads them."""
+    if options.format == "psins":
+        names = ("wx", "wy", "wz", "vx", "vy", "vz", "t")
+        return RecordLayout(
+            "csv", names, time_column="t", gyro_columns=names[:3], accel_columns=names[3:6]
+        )
+    rates = options.quantity == "rates"
+    gyro_unit, accel_unit = ("rad_per_s", "m_per_s2") if rates else ("rad", "m_per_s")
+    return RecordLayout(
+        options.format,
+        time_column="time_s",
+        gyro_columns=tuple(f"gyro_{axis}_{gyro_unit}" for axis in "xyz"),
+        accel_columns=tuple(f"accel_{axis}_{accel_unit}" for axis in "xyz"),
+        gyro_unit=gyro_unit,
+        accel_unit=accel_unit,
+        axes_order=BODY_AXES[options.frame],
+    )
+
+
+def read_export(directory: Path) -> tuple[Study, dict[str, Any]]:
+    """Return the study and the manifest of an export.
+
+    Raises:
+        InputError: it is no complete export, or one of its files has changed.
+    """
+    check_directory(directory)
+    manifest = _read_manifest(directory)
+    if manifest is None:
+        text = f"contains no export ({MANIFEST} is missing; `sinsjax export` writes one)"
+        raise InputError(f"{directory}: {text}")
+    if manifest.get("state") != "complete":
+        raise InputError(f"{directory}: the export is unfinished (`sinsjax export --resume`)")
+    for name in (STUDY, INITIAL):
+        if manifest["files"].get(name) != _file_entry(directory / name):
+            text = "has changed since it was exported (export it again, with --overwrite)"
+            raise InputError(f"{directory / name}: {text}")
+    return load_study(directory / STUDY), manifest
+
+
+def initial_rows(plan: ExportPlan) -> dict[str, NDArray]:
+    """Return the columns of the initial solutions by name, one row per run, by run_id."""
+    blocks = [_initial_block(plan, number, part) for number, part in enumerate(plan.runs.parts)]
+    names = blocks[0]
+    joined = {name: np.concatenate([block[name] for block in blocks]) for name in names}
+    order = np.argsort(joined["run_id"], kind="stable")
+    return {name: column[order] for name, column in joined.items()}
+
+
+def _initial_block(plan: ExportPlan, number: int, part: ProgramPart) -> dict[str, NDArray]:
+    runs, draws, frame = plan.runs, plan.draws, plan.options.frame
+    start = given.find_starts(runs.group(part, draws))
+    tasks = len(part.places)
+    draw, variant = np.repeat(list(draws), tasks), np.tile(part.variants, len(draws))
+    unknown = ~np.tile(part.has_start, len(draws))
+
+    def where_known(values: NDArray) -> NDArray:
+        return np.where(unknown, np.nan, values + 0.0)  # no -0
+
+    angles, q = to_angles(start.attitude, frame) / DEG, to_quaternion(start.attitude, frame)
+    names = ("yaw_deg", "pitch_deg", "roll_deg")
+    velocity = ("v_east_m_per_s", "v_north_m_per_s")
+    return {
+        "run_id": draw * runs.source.n_variants + variant,
+        "draw_id": draw,
+        "variant_id": variant,
+        **{name: where_known(angles[:, i]) for name, i in zip(names, (2, 0, 1), strict=True)},
+        **{f"q_{axis}": where_known(q[:, i]) for i, axis in enumerate("wxyz")},
+        **{name: where_known(v) for name, v in zip(velocity, (start.ve, start.vn), strict=True)},
+        "latitude_deg": start.latitude / DEG,
+        "height_m": start.height,
+        "gravity_m_per_s2": start.gravity,
+        "rate_hz": np.full(len(draw), float(runs.source.rate_hz)),
+        "start_s": np.zeros(len(draw)),
+        "end_s": np.full(len(draw), runs.end_s(part)),
+        "file": np.array([plan.record_name(number, d) for d in draw]),
+        "study": np.full(len(draw), fingerprint(runs.source)),
+    }
+
+
+def _initial_csv(plan: ExportPlan) -> bytes:
+    return _csv_bytes(pa.table(initial_rows(plan)))
+
+
+def _readme(plan: ExportPlan) -> str:
+    study, options = plan.runs.source, plan.options._asdict()
+    options.pop("draws")
+    return describe_export(study.name, fingerprint(study), **options)
+
+
+def _csv_bytes(table: pa.Table) -> bytes:
+    sink = io.BytesIO()
+    sink.write((",".join(table.column_names) + "\n").encode())
+    options = pa.csv.WriteOptions(include_header=False, quoting_style="none")
+    pa.csv.write_csv(table, sink, options)
+    return sink.getvalue()
+
+
+def _truth_parquet(plan: ExportPlan) -> bytes:
+    """Return the true attitudes at record times, one row per record and time."""
+    runs, sink = plan.runs, pa.BufferOutputStream()
+    writer = None
+    for number, part in enumerate(runs.parts):
+        group = runs.group(part, plan.draws)
+        truth = given.true_attitudes_at_records(group)
+        span = runs.study.spans[part.ids[0]]
+        time_s, stored_s = runs.study.update_times(span), runs.study.stored_times(span)
+        for place, draw in enumerate(plan.draws):
+            attitude = Quat(*(np.ascontiguousarray(a[:, place]) for a in truth))
+            angles = to_angles(attitude, plan.options.frame) / DEG
+            table = pa.table(
+                {
+                    "file": pa.array([plan.record_name(number, draw)] * len(time_s)),
+                    "draw_id": np.full(len(time_s), draw),
+                    "time_s": time_s,
+                    "record_time_s": stored_s,
+                    "yaw_deg": angles[:, 2],
+                    "pitch_deg": angles[:, 0],
+                    "roll_deg": angles[:, 1],
+                }
+            )
+            writer = writer or pq.ParquetWriter(sink, table.schema, compression="zstd")
+            writer.write_table(table)
+    assert writer is not None
+    writer.close()
+    return sink.getvalue().to_pybytes()
+
+
+def _manifest_options(plan: ExportPlan) -> dict[str, Any]:
+    options = plan.options._asdict() | {"draws": list(plan.options.draws or ())}
+    return {
+        "schema": _SCHEMA,
+        "sinsjax": runtime.package_version(),
+        "study": plan.runs.source.name,
+        "digest": fingerprint(plan.runs.source),
+        **options,
+    }
+
+
+def _read_manifest(directory: Path) -> dict[str, Any] | None:
+    try:
+        manifest = sealed.read_sealed_json(directory / MANIFEST)
+    except FileNotFoundError:
+        return None
+    if manifest.get("schema") != _SCHEMA or not isinstance(manifest.get("files"), dict):
+        raise InputError(f"{directory / MANIFEST}: is of another version (export the study again)")
+    return manifest
+
+
+def _check_target(
+    plan: ExportPlan, directory: Path, *, overwrite: bool, resume: bool
+) -> Mapping[str, Any] | None:
+    """Return the manifest of an earlier export in a directory, if it may be replaced or continued.
+
+    Raises:
+        InputError: it may not, or the directory contains other files.
+    """
+    if not directory.exists() or not any(_visible(directory)):
+        return None
+    earlier = _read_manifest(directory)
+    if earlier is None:
+        names = ", ".join(sorted(_visible(directory))[:3])
+        raise InputError(f"{directory}: contains {names}, no export (give another directory)")
+    if not (overwrite or resume):
+        raise InputError(
+            f"{directory}: already contains an export (give --resume to continue it, or --overwrite"
+            " to replace it)"
+        )
+    options = _manifest_options(plan)
+    differing = [name for name in options if earlier.get(name) != options[name]]
+    if resume and differing:
+        name = differing[0]
+        raise InputError(
+            f"{directory}: the export differs in {name}: {earlier.get(name)} there, {options[name]}"
+            " here (give the same, or --overwrite)"
+        )
+    return earlier
+
+
+def _visible(directory: Path) -> list[str]:
+    return [name for name in os.listdir(directory) if not name.startswith(".")]
+
+
+def _remove_export(directory: Path, manifest: Mapping[str, Any]) -> None:
+    """Remove the files of an export, and records that a killed one did not list."""
+    listed = (directory / name for name in manifest["files"] if _is_own(name))
+    unlisted = (p for p in directory.glob(f"{RECORDS}/*") if _is_own(f"{RECORDS}/{p.name}"))
+    for path in {*listed, *unlisted, directory / MANIFEST}:
+        with suppress(FileNotFoundError):
+            path.unlink()
+
+
+def _is_own(name: str) -> bool:
+    suffixes = "|".join(re.escape(suffix) for suffix in _SUFFIXES.values())
+    is_record = re.fullmatch(rf"{RECORDS}/(set_\d+_)?draw_\d+({suffixes})", name)
+    return is_record is not None or name in (STUDY, README, INITIAL, TRUTH)
+
+
+def _intact_files(directory: Path, manifest: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the records of an export that are complete, listed or not."""
+    files = {} if manifest is None else manifest["files"]
+    found = {}
+    for path in directory.glob(f"{RECORDS}/*"):
+        name = f"{RECORDS}/{path.name}"
+        entry = _file_entry(path) if _is_own(name) else None
+        # A file has its final name only once it is complete.
+        if entry is not None and files.get(name, entry) == entry:
+            found[name] = entry
+    return found
+
+
+def _file_entry(path: Path) -> dict[str, Any] | None:
+    """Return size and SHA-256 of a file; None if it is missing."""
+    try:
+        content = read_regular_file(path)
+    except FileNotFoundError:
+        return None
+    return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}

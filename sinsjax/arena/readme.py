@@ -1,0 +1,58 @@
+"""The README of an export, for an engineer who has never used sinsjax."""
+
+_AXES = {
+    "enu": "x right, y front, z up; navigation frame east, north, up",
+    "ned": "x front, y right, z down; navigation frame north, east, down",
+}
+_EULER = {
+    "enu": "yaw counter-clockwise from north, C_b^n = Rz(yaw) Rx(pitch) Ry(roll)",
+    "ned": "yaw clockwise from north, C_b^n = Rz(yaw) Ry(pitch) Rx(roll)",
+}
+
+
+def describe_export(
+    study: str, digest: str, *, format: str, quantity: str, frame: str, blind: bool
+) -> str:
+    """Return the text of README.txt.
+
+    Args:
+        study: name of the study.
+        digest: of the study.
+        format: see `export.ExportOptions`, as the following arguments.
+        quantity: of the records.
+        frame: of records and attitudes.
+        blind: whether the truth is left out.
+    """
+    rates = quantity == "rates"
+    units = "rad/s and m/s^2, means over each sample" if rates else "rad and m/s per sample"
+    columns = {
+        "psins": "blanks between columns, no names: wx wy wz vx vy vz t",
+        "csv": "commas between columns, names in the first line, with units",
+        "parquet": "Parquet, names with units",
+    }[format]
+    truth = "left out (--blind)" if blind else "truth.parquet; keep it from your program"
+    return f"""\
+sinsjax export of the study {study!r}, digest {digest}
+
+initial.csv   one row per run to align: run_id, draw_id, variant_id; the record in `file`; the first
+              attitude of the run, misaligned on purpose (NaN: find it without one); first velocity;
+              latitude, height, gravity; sample rate; start and end of the run in s.
+records       imu/: {columns}. Gyros and accelerometers in
+              {units}; time in s at the end of each sample.
+              The accelerometers measure specific force: at rest +g along up.
+axes          {_AXES[frame]}.
+angles        deg; {_EULER[frame]}.
+              Pitch is positive with the front up, roll with the right side down.
+quaternion    q_w q_x q_y q_z from body to navigation frame, scalar first.
+vehicle       does not travel: its true velocity is zero but for the motion of the study.
+truth         {truth}.
+
+Return one CSV or Parquet file with, for each run, a row at `end_s` or a history:
+  study            the digest above, as a column, or as a first line `# study = {digest}`
+  run_id           of initial.csv (or draw_id and variant_id)
+  time_s           on the clock of the records
+  yaw_deg, pitch_deg, roll_deg    (or _rad), in the convention above; or q_w, q_x, q_y, q_z
+  sigma_yaw_deg, sigma_pitch_deg, sigma_roll_deg    optional, 1 sigma (or _rad, _arcmin)
+`# frame = enu` or `# frame = ned` states another convention than that of this export.
+Then: sinsjax score DIR results.csv --name my_filter
+"""

@@ -1,0 +1,438 @@
+"""Scoring the results of a program outside sinsjax on the draws that were exported to it.
+
+The attitudes pass through the metrics of every run (`engine.given`). Together with the rows of
+sinsjax's own methods on the same draws they are a results directory like any other, in which the
+program is a further method.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from sinsjax.arena.comparison import Comparison, compare
+from sinsjax.arena.export import read_export
+from sinsjax.arena.frames import to_angles
+from sinsjax.arena.results_file import AskedRuns, GivenResults, read_results
+from sinsjax.arena.runs import ProgramPart, ProgramRuns, add_program
+from sinsjax.arena.suspicions import suspect
+from sinsjax.columns import FAILED
+from sinsjax.engine import given as engine
+from sinsjax.engine.batch import Chunk
+from sinsjax.engine.given import GivenAttitudes
+from sinsjax.engine.metrics import Outcome
+from sinsjax.errors import InputError
+from sinsjax.execution import directory as results_directory
+from sinsjax.execution import resume
+from sinsjax.execution.run import ProgressCallback, run
+from sinsjax.execution.schemas import summary_columns, variant_columns
+from sinsjax.execution.source import Source
+from sinsjax.execution.store import DirectoryStore
+from sinsjax.execution.tables import TableBuilder, make_table, replace_column
+from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner
+from sinsjax.methods.base import AttitudeCovariance
+from sinsjax.platform import runtime
+from sinsjax.study.identity import describe_differences, fingerprint, with_draws
+from sinsjax.study.study import Study
+from sinsjax.types import Quat
+from sinsjax.units import ARCMIN
+
+_BLOCK_RECORDS = 2**20
+"""Attitudes judged at once, some 200 MB."""
+
+_DIGEST = "exported_digest"
+"""Entry of the manifest with the digest of the exported study."""
+
+_LISTED = 12
+"""Most missing runs that a line lists."""
+
+
+class Score(NamedTuple):
+    """The results of a program, compared with those of sinsjax's own methods.
+
+    Attributes:
+        directory: results directory with all of them.
+        study: the study with the program as a further method.
+        comparison: the program against the best method of sinsjax.
+        missing: run_id of the runs without a result at their end.
+        warnings: doubts about the results, one line each.
+    """
+
+    directory: Path
+    study: Study
+    comparison: Comparison
+    missing: list[int]
+    warnings: list[str]
+
+
+class Rows(NamedTuple):
+    """The summary of a study's own methods.
+
+    Attributes:
+        study: their study.
+        table: by run_id.
+    """
+
+    study: Study
+    table: pa.Table
+
+
+def score_results(
+    directory: str | Path,
+    results: str | Path,
+    *,
+    name: str | None = None,
+    against: str | Path | None = None,
+    out: str | Path | None = None,
+    frame: str | None = None,
+    overwrite: bool = False,
+    on_progress: ProgressCallback | None = None,
+) -> Score:
+    r"""Compare the results of a program with those of sinsjax's own methods on the same draws.
+
+    Args:
+        directory: directory of the export, see `sinsjax.export_study`.
+        results: CSV or Parquet file of the program's results; README.txt in the directory lists the
+            columns.
+        name: of the program; None for the stem of the file.
+        against: results directory of a sweep of the same study; None runs the study here.
+        out: results directory to write; None for ``scores/NAME`` in that of the export.
+        frame: "enu" or "ned", of the attitudes; None for that of the file or the export.
+        overwrite: whether to replace results in ``out``.
+        on_progress: called with the progress of the study's own runs.
+
+    Raises:
+        InputError: the export has changed or is unfinished, the results do not belong to it or
+            cannot be read, or the directory cannot be used. Nothing is written then.
+
+    Examples:
+        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.duration_s": 9.0})
+        >>> study = study.replace({"study.window_s": [6.0, 9.0]})
+        >>> exported = sinsjax.export_study(study, "draws")
+        >>> rows = (exported / "initial.csv").read_text().splitlines()
+        >>> digest = rows[1].split(",")[-1]
+        >>> lines = [f"{row.split(',')[0]},9.0,0.1,0.0,0.0,{digest}" for row in rows[1:]]
+        >>> header = "run_id,time_s,yaw_deg,pitch_deg,roll_deg,study"
+        >>> _ = Path("results.csv").write_text("\\n".join([header, *lines]))
+        >>> score = sinsjax.score_results(exported, "results.csv", name="zeros")
+        >>> score.directory.name, score.study.methods, score.missing
+        ('zeros', ('kalman5', 'zeros'), [])
+    """
+    runtime.ensure_configured()
+    directory, name = Path(directory), Path(results).stem if name is None else name
+    study, manifest = read_export(directory)
+    if fingerprint(study) != manifest["digest"]:
+        text = "the attitude_file of its study has changed since (export the study again)"
+        raise InputError(f"{directory}: {text}")
+    target = directory / "scores" / name if out is None else results_directory.results_path(out)
+    results_directory.check_unlocked(target)
+    resume.check_available(target, overwrite=overwrite, resume=False)
+    draws, exported = range(*manifest["draws"]), ProgramRuns(study)
+    stored = None if against is None else _open_results(Path(against), study, manifest["digest"])
+    source = _first_draws(study if stored is None else stored.study, draws)
+    runs = ProgramRuns(source, name)
+    add_program(source, name)  # before anything is read or run
+    asked = _asked_runs(exported, draws, manifest)
+    given = read_results(results, asked, frame)
+    own = _own_rows(source, stored, on_progress)
+    program, missing = _judge(runs, exported, draws, given)
+    table = _join(runs.study, name, draws, program, own)
+    comparison = compare(runs.study, table, name)
+    reading = _suspect(runs, exported, draws, given, table, comparison)
+    warnings = [*_describe_doubts(name, asked, given, missing), *([reading] if reading else [])]
+    _write(runs.study, table, draws, target, manifest["digest"], warnings, str(results), overwrite)
+    return Score(target, runs.study, comparison, asked.run_id[missing].tolist(), warnings)
+
+
+def _open_results(against: Path, study: Study, digest: str) -> Source:
+    """Return the results of a sweep of the exported study, or of it with other programs.
+
+    Raises:
+        InputError: they are of another study, or have covariance estimates.
+    """
+    source = Source.read(against)
+    is_same = results_directory.read_manifest(against).get(_DIGEST) == digest
+    if not is_same:
+        same_draws = with_draws(_without_stopping(source.study), study.n_draws)
+        is_same = fingerprint(same_draws) == fingerprint(_without_stopping(study))
+    if not is_same:
+        differing = describe_differences(study, source.study, ("exported", "there"))
+        raise InputError(f"{against}: contains results of another study: {'; '.join(differing)}")
+    return source
+
+
+def _without_stopping(study: Study) -> Study:
+    return study.model_copy(update={"stop_when": None, "tune": None})
+
+
+def _first_draws(study: Study, draws: range) -> Study:
+    """Return a study without the draws after the exported ones, where they can be left out."""
+    study = _without_stopping(study)
+    nested = study.drawn is None or study.drawn.sampling == "random"
+    return with_draws(study, draws.stop) if nested and draws.stop < study.n_draws else study
+
+
+def _asked_runs(exported: ProgramRuns, draws: range, manifest: dict[str, Any]) -> AskedRuns:
+    tasks = exported.tasks(draws)
+    return AskedRuns(
+        manifest["digest"],
+        manifest["frame"],
+        tasks.run_id,
+        tasks.draw,
+        tasks.variant,
+        tasks.end_s,
+        1 / exported.source.rate_hz,
+    )
+
+
+def _own_rows(study: Study, stored: Source | None, on_progress: ProgressCallback | None) -> Rows:
+    """Return the summary of a study's own methods, read or run here."""
+    if stored is not None:
+        return Rows(stored.study, stored.summary)
+    return Rows(study, run(study, curves=False, on_progress=on_progress).summary)
+
+
+def _judge(
+    runs: ProgramRuns, exported: ProgramRuns, draws: range, given: GivenResults
+) -> tuple[pa.Table, NDArray]:
+    """Return the rows of a program, and the places of runs without a result at their end."""
+    builder, tables = TableBuilder(runs.study), []
+    places = _places(exported, draws)
+    missing = np.zeros(len(exported.tasks(draws).run_id), bool)
+    for part in runs.parts:
+        records = runs.study.spans[part.ids[0]].records
+        tasks = len(part.places)
+        block = max(1, _BLOCK_RECORDS // (records * tasks))
+        for first in range(draws.start, draws.stop, block):
+            some = range(first, min(first + block, draws.stop))
+            run = np.array([places[point, draw] for draw in some for point in part.points])
+            attitudes, final_only = _attitudes(runs.study, records, given, run, len(missing))
+            missing[run] = ~np.isfinite(attitudes.attitude.w[-1])
+            outcome = engine.judge(runs.group(part, some), attitudes)
+            tables.append(_program_rows(builder, part, some, outcome, final_only))
+    return pa.concat_tables(tables), np.flatnonzero(missing)
+
+
+def _places(exported: ProgramRuns, draws: range) -> dict[tuple[Any, int], int]:
+    """Return the place of each exported run by its conditions and draw."""
+    tasks = exported.tasks(draws)
+    points = [part.points for part in exported.parts]
+    keys = zip(tasks.part, tasks.task, tasks.draw, strict=True)
+    return {(points[part][task], int(draw)): i for i, (part, task, draw) in enumerate(keys)}
+
+
+def _attitudes(
+    study: Study, records: int, given: GivenResults, run: NDArray, count: int
+) -> tuple[GivenAttitudes, NDArray]:
+    """Return the attitudes of some runs at record times, and which have only the last one.
+
+    Rows between record times do not count. A run counts as outside every band before its first row,
+    unless its last row is the only one.
+    """
+    lane = np.full(count, -1)
+    lane[run] = np.arange(len(run))
+    interval_s = study.record_every / study.rate_hz
+    record = np.round(given.time_s / interval_s).astype(int) - 1
+    late_s = np.abs(given.time_s - (record + 1) * interval_s)
+    used = (lane[given.run] >= 0) & (record >= 0) & (record < records)
+    rows = given.select(np.flatnonzero(used & (late_s < 0.5 / study.rate_hz)))
+    at = record[used & (late_s < 0.5 / study.rate_hz)], lane[rows.run]
+    shape = records, len(run)
+
+    def spread(values: NDArray) -> NDArray:
+        whole = np.full(shape, np.nan)
+        whole[at] = values
+        return whole
+
+    present = np.zeros(shape, bool)
+    present[at] = True
+    first = np.where(present.any(axis=0), present.argmax(axis=0), 0)
+    final_only = (present.sum(axis=0) == 1) & present[-1]
+    present[-1] = True
+    unknown_until = np.where((first == 0) | final_only, 0.0, (first + 1) * interval_s)
+    attitude = rows.attitude
+    covariance = AttitudeCovariance(*map(spread, _covariance(rows, attitude)))
+    spread_attitude = Quat(*(spread(np.asarray(part)) for part in attitude))
+    return GivenAttitudes(present, spread_attitude, covariance, unknown_until), final_only
+
+
+def _covariance(rows: GivenResults, attitude: Quat) -> tuple[NDArray, ...]:
+    """Return the covariance of the misalignment in n from sigmas of pitch, roll and yaw.
+
+    Pitch is about right and roll about front, both level to first order.
+    """
+    pitch, roll, yaw = rows.sigma.T**2
+    heading = to_angles(attitude, "enu")[:, 2]
+    cos, sin = np.cos(heading), np.sin(heading)
+    zero = 0.0 * yaw
+    return (
+        pitch * cos**2 + roll * sin**2,
+        (pitch - roll) * cos * sin,
+        zero,
+        pitch * sin**2 + roll * cos**2,
+        zero,
+        yaw,
+    )
+
+
+def _program_rows(
+    builder: TableBuilder, part: ProgramPart, draws: range, outcome: Outcome, final_only: NDArray
+) -> pa.Table:
+    """Return the rows of all variants of a part from the outcomes of its tasks."""
+    variants, tasks = len(part.ids), len(part.places)
+    run = (np.arange(len(draws))[:, None] * tasks + part.task).ravel()
+    chunk = Chunk(
+        np.repeat(list(draws), variants),
+        np.tile(np.arange(variants), len(draws)),
+        jax.tree.map(lambda a: a[run], outcome),
+        None,
+    )
+    table = builder.summary_table(chunk, part.ids)
+    end_s = builder.end_s(part.ids)[chunk.variant]
+    for name in (n for n in table.column_names if n.startswith("settle_")):
+        # All that is known of them is that they are settled at their end.
+        at_end = pa.array(final_only[run] & table[name].is_valid().to_numpy())
+        settled = pc.if_else(at_end, pa.array(end_s), table[name])
+        table = replace_column(table, name, settled)
+    return table
+
+
+def _join(study: Study, name: str, draws: range, program: pa.Table, own: Rows) -> pa.Table:
+    """Return the rows of all methods, by run_id."""
+    schema, variants = summary_columns(study), np.arange(study.n_variants)
+    is_own = np.array(study.values("method")) != name
+    keys = [key for key in ("method", *own.study.axis_keys)]
+    there = {p: i for i, p in enumerate(zip(*map(own.study.values, keys), strict=True))}
+    here = list(zip(*map(study.values, keys), strict=True))
+    variant = np.tile(variants[is_own], len(draws))
+    draw = np.repeat(list(draws), int(is_own.sum()))
+    wanted = draw * own.study.n_variants + np.array([there[here[v]] for v in variant])
+    run_id = own.table["run_id"].to_numpy()
+    place = np.minimum(np.searchsorted(run_id, wanted), len(run_id) - 1)
+    if (absent := run_id[place] != wanted).any():
+        text = f"has no run {wanted[absent][0]} yet (continue with `--resume`)"
+        raise InputError(f"{own.study.name}: {text}")
+    rows = own.table.take(pa.array(place))
+    values = {c.name: pa.nulls(len(rows), c.dtype) for c in schema}
+    values |= {c: rows[c].combine_chunks() for c in rows.column_names if c in values}
+    values |= {
+        key: column.take(pa.array(variant))
+        for key, column in variant_columns(study, schema).items()
+    }
+    values |= {
+        "run_id": draw * study.n_variants + variant,
+        "draw_id": draw,
+        "variant_id": variant,
+    }
+    return pa.concat_tables([program, make_table(schema, values)]).sort_by("run_id")
+
+
+def _suspect(
+    runs: ProgramRuns,
+    exported: ProgramRuns,
+    draws: range,
+    given: GivenResults,
+    table: pa.Table,
+    comparison: Comparison,
+) -> str | None:
+    """Return another convention that the results seem to have, in one line."""
+    last = np.flatnonzero(np.diff(given.run, append=-1))
+    rows, places = given.select(last), _places(exported, draws)
+    truth = np.full((len(places), 4), np.nan)
+    reference = np.full((len(places), 3), np.nan)
+    phi = np.stack(
+        [table[f"phi_{a}_arcmin"].to_numpy(zero_copy_only=False) for a in "enu"], axis=-1
+    )
+    end_s = np.zeros(len(places))
+    for part in runs.parts:
+        attitudes = engine.true_attitudes_at_records(runs.group(part, draws))
+        for task, point in enumerate(part.points):
+            for at, draw in enumerate(draws):
+                place = places[point, draw]
+                truth[place] = [a[-1, at] for a in attitudes]
+                end_s[place] = runs.end_s(part)
+                best = comparison.best_variant(int(part.ids[part.places[task]]))
+                run = (draw - draws.start) * runs.study.n_variants + best
+                reference[place] = phi[run] * ARCMIN
+    at_end = np.abs(rows.time_s - end_s[rows.run]) < 0.5 / runs.study.rate_hz
+    rows = rows.select(np.flatnonzero(at_end))
+    if not len(rows.run):
+        return None
+    known = np.isfinite(reference[rows.run]).all()
+    q_true = Quat(*truth[rows.run].T)
+    found = suspect(rows, q_true, reference[rows.run] if known else None)
+    return found and f"the attitudes of {runs.name}: {found}"
+
+
+def _describe_doubts(
+    name: str, asked: AskedRuns, given: GivenResults, missing: NDArray
+) -> list[str]:
+    """Return what a reader of the results must know, one line each."""
+    lines = []
+    if len(missing):
+        ids = ", ".join(map(str, asked.run_id[missing][:_LISTED].tolist()))
+        more = ", ..." if len(missing) > _LISTED else ""
+        lines.append(
+            f"{name}: {len(missing):,} of {len(asked.run_id):,} runs have no row at their end and"
+            f" count as failures: run_id {ids}{more}"
+        )
+        at_end = np.zeros(len(asked.run_id))
+        np.maximum.at(at_end, given.run, given.time_s)
+        ended = at_end[missing]
+        if (near := (ended > 0.5 * asked.end_s[missing])).any():
+            run = missing[near][0]
+            lines.append(
+                f"{name}: run_id {asked.run_id[run]} ends at {at_end[run]:.12g} s, expected a row"
+                f" at {asked.end_s[run]:.12g} s"
+            )
+    rows = np.bincount(given.run, minlength=len(asked.run_id))
+    if single := int((rows == 1).sum()):
+        lines.append(
+            f"{name}: {single:,} runs have one row only: settled at the end of a run is all that"
+            " is known of their settling time"
+        )
+    return lines
+
+
+def _write(
+    study: Study,
+    table: pa.Table,
+    draws: range,
+    target: Path,
+    digest: str,
+    warnings: list[str],
+    source: str,
+    overwrite: bool,
+) -> None:
+    """Write the rows of all methods as a results directory."""
+    job = Job(
+        study,
+        directory=target,
+        overwrite=overwrite,
+        manifest_state=resume.manifest_state(target),
+        source=f"{study.name} with {Path(source).name}",
+        warnings=tuple(warnings),
+    )
+    runner = TaskRunner(job)
+    task = Task(
+        "part-0000-000000",
+        0,
+        (draws.start, draws.stop),
+        0,
+        len(table),
+        (("summary", len(table)),),
+    )
+    failed = sum(int(pc.sum(pc.equal(table["status"], kind)).as_py() or 0) for kind in FAILED)
+    store = DirectoryStore(runner, runtime.describe_environment())
+    try:
+        store.missing_tasks([task])
+        content = runner.to_parquet("summary", table, task)
+        store.add_result(EncodedResult(task, {"summary": content}, failed, 0.0))
+        whole = draws == range(study.n_draws)
+        store.finish("complete" if whole else "interrupted", **{_DIGEST: digest})
+    finally:
+        store.unlock()

@@ -1,0 +1,184 @@
+"""The commands that give a study's draws to a program outside sinsjax, and score its results."""
+
+import re
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sinsjax.cli.options import Changes, Config, Out, Overwrite, Resume
+from sinsjax.console import plain_console, print_line, print_warning
+from sinsjax.errors import InputError
+
+Frame = Annotated[
+    str | None,
+    typer.Option(
+        help="enu: right-front-up, yaw counter-clockwise; ned: front-right-down, clockwise.",
+        metavar="NAME",
+    ),
+]
+
+
+def export(
+    config: Config,
+    out: Out,
+    changes: Changes = None,
+    draws: Annotated[
+        str | None, typer.Option(help="Draws A to B - 1 only; default: all.", metavar="A:B")
+    ] = None,
+    format_: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="csv; parquet; psins: text of increments wx wy wz vx vy vz t.",
+            metavar="NAME",
+        ),
+    ] = "csv",
+    quantity: Annotated[
+        str,
+        typer.Option(help="increments (rad, m/s) or rates (rad/s, m/s^2).", metavar="NAME"),
+    ] = "increments",
+    frame: Frame = "enu",
+    blind: Annotated[bool, typer.Option("--blind", help="Leave out the truth.")] = False,
+    overwrite: Overwrite = False,
+    resume: Resume = False,
+) -> None:
+    """Write the draws of a study as files for a program outside sinsjax (MATLAB, C, C++, Python).
+
+    Example: sinsjax export paper1_resets -o draws --format psins
+    """
+    from sinsjax.arena.export import ExportOptions, plan_export, write_export
+    from sinsjax.cli.progress import show_progress, stop_on_signal
+    from sinsjax.execution.directory import results_path
+    from sinsjax.execution.run import RunProgress
+    from sinsjax.platform import runtime
+    from sinsjax.study.changes import parse_changes
+    from sinsjax.study.load import load_study
+
+    runtime.configure()
+    study = load_study(config, parse_changes(changes or ()))
+    options = ExportOptions(_parse_draws(draws), format_, quantity, frame or "enu", blind)
+    plan, directory, console = plan_export(study, options), results_path(out), plain_console()
+    print_line(console, f"{plan.text}.")
+    with stop_on_signal(console) as stop, show_progress(console, study.name) as show:
+
+        def on_record(done: int, total: int) -> None:
+            show(RunProgress(done, total, None, 0, "records"))
+
+        write_export(
+            plan,
+            directory,
+            overwrite=overwrite,
+            resume=resume,
+            on_record=on_record,
+            is_stopped=stop.is_set,
+        )
+    print_line(console, f"{directory}: read README.txt; then")
+    print_line(console, f"sinsjax score {directory} RESULTS --name PROGRAM")
+
+
+def score(
+    directory: Annotated[
+        Path, typer.Argument(help="Directory of the export.", show_default=False, metavar="DIR")
+    ],
+    results: Annotated[
+        Path,
+        typer.Argument(
+            help="Results of the program (CSV or Parquet).", show_default=False, metavar="RESULTS"
+        ),
+    ],
+    name: Annotated[
+        str | None,
+        typer.Option(help="Name of the program; default: the stem of RESULTS.", metavar="NAME"),
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            help="Results of a sweep of the same study; without them it is run here.",
+            metavar="DIR",
+        ),
+    ] = None,
+    out: Annotated[
+        str | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Directory for the results; default: DIR/scores/NAME.",
+            metavar="DIR",
+        ),
+    ] = None,
+    frame: Frame = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Compare the results of a program with those of sinsjax's methods on the same draws.
+
+    Example: sinsjax score draws alignvn.csv --against out
+    """
+    from sinsjax.arena.score import score_results
+    from sinsjax.cli.progress import show_progress
+    from sinsjax.platform import runtime
+    from sinsjax.report.terminal import print_table
+
+    runtime.configure()
+    console = plain_console()
+    with show_progress(console, "own methods") as show:
+        found = score_results(
+            directory,
+            results,
+            name=name,
+            against=against,
+            out=out,
+            frame=frame,
+            overwrite=overwrite,
+            on_progress=show,
+        )
+    for line in found.warnings:
+        print_warning(line)
+    print_line(console, f"{found.comparison.verdict}.", wrap=True)
+    print_table(_result_table(found.comparison), console)
+    print_line(console, f"Results: {found.directory} (sinsjax report {found.directory})")
+
+
+def _result_table(comparison: Any) -> Any:
+    """Return the table of a comparison, one row per condition."""
+    from sinsjax.analysis import format_estimate
+    from sinsjax.analysis.formats import format_percent
+    from sinsjax.report.base import Table
+    from sinsjax.report.choices import condition_header, format_condition
+
+    name, rows = comparison.name, [*comparison.conditions, comparison.overall]
+    has_nees = any(row.nees for row in rows)
+    header = [
+        condition_header(comparison.keys) or "conditions",
+        f"{name} (arcmin)",
+        "best (arcmin)",
+        "difference (arcmin)",
+        f"{name} ok (%)",
+        "best ok (%)",
+        *([f"{name} NEES, expected 3"] if has_nees else []),
+    ]
+    cells = [
+        [
+            "all" if row.point is None else format_condition(comparison.keys, row.point),
+            *map(format_estimate, (row.program, row.best, row.difference)),
+            format_percent(row.success),
+            format_percent(row.success_best),
+            *([format_estimate(row.nees) if row.nees else ""] if has_nees else []),
+        ]
+        for row in rows
+    ]
+    title = f"Mean heading error, and success ({comparison.criterion}); best: {comparison.best}"
+    return Table(title, header, cells)
+
+
+def _parse_draws(text: str | None) -> tuple[int, int] | None:
+    """Return the draws ``A:B``, or ``N`` for the first N."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"\s*(?:(\d{1,9})?\s*:)?\s*(\d{1,9})\s*", text)
+    if match is None:
+        raise InputError(f"--draws: {text!r} is not of the form A:B, as in 0:32")
+    return int(match[1] or 0), int(match[2])
+
+
+COMMANDS: tuple[Any, ...] = (export, score)

@@ -1,0 +1,127 @@
+"""Runs of a program outside sinsjax: the starts that it is given, and its attitudes judged.
+
+The runs are those of a group with the method `methods.external`. Its attitudes take the place of
+the method's own, and pass through the same observation, metrics and criteria as those of any run.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sinsjax.engine.environment import Environment, Static, computed_attitudes, stored_attitude
+from sinsjax.engine.lanes import Group, Tiles
+from sinsjax.engine.metrics import Outcome
+from sinsjax.engine.run import Run, set_up
+from sinsjax.engine.samples import leaf_axes
+from sinsjax.maths.algebra import select_tree
+from sinsjax.methods.base import AttitudeCovariance
+from sinsjax.methods.external.method import ExternalState
+from sinsjax.types import Array, Count, Quat
+
+
+class Start(NamedTuple):
+    """The first solution and the place of some runs; leaves (runs,).
+
+    Attributes:
+        attitude: misaligned, from b to n.
+        ve: velocity east, m/s.
+        vn: velocity north, m/s.
+        latitude: rad.
+        height: m.
+        gravity: m/s^2.
+    """
+
+    attitude: Quat
+    ve: Array
+    vn: Array
+    latitude: Array
+    height: Array
+    gravity: Array
+
+
+class GivenAttitudes(NamedTuple):
+    """Attitudes of some runs at record times; leaves (records, runs).
+
+    Attributes:
+        present: whether a run has an attitude at a record time.
+        attitude: from b to n.
+        covariance: of its misalignment; NaN if unknown.
+        unknown_until: (runs,) time up to which a run counts as outside every band, s.
+    """
+
+    present: Array
+    attitude: Quat
+    covariance: AttitudeCovariance
+    unknown_until: Array
+
+
+def find_starts(group: Group) -> Start:
+    """Return the starts of all runs of a group, by draw and variant, leaves (draws * variants,)."""
+    return jax.tree.map(np.asarray, _find_starts(group.static, group.environment, _tile(group)))
+
+
+def true_attitudes_at_records(group: Group) -> Quat:
+    """Return the true attitudes of the draws of a group, leaves (records, draws)."""
+    return jax.tree.map(np.asarray, _true_attitudes(group.static, group.environment, _tile(group)))
+
+
+def judge(group: Group, given: GivenAttitudes) -> Outcome:
+    """Return the outcomes of all runs of a group, by draw and variant.
+
+    Args:
+        group: of the method `methods.external`.
+        given: attitudes of draws * variants runs.
+    """
+    outcome = _judge(group.static, group.environment, _tile(group), given)
+    return jax.tree.map(np.asarray, outcome)
+
+
+def _tile(group: Group) -> Tiles:
+    """Return the arguments of one tile with all runs of a group."""
+    draws, variants = group.sizes
+    row = np.repeat(np.arange(draws, dtype=np.int32), variants)
+    params = jax.tree.map(lambda a: np.tile(a, (draws, *(1,) * (np.ndim(a) - 1))), group.variants)
+    q = Quat(*np.moveaxis(np.asarray(group.q)[row], -1, 0))
+    return Tiles(group.draws, row, params._replace(q=q))
+
+
+@partial(jax.jit, static_argnums=0)
+def _find_starts(static: Static, environment: Environment, tile: Tiles) -> Start:
+    runs = set_up(static, environment, tile)
+    params, attitude = runs.params, runs.start().state.attitude
+    place = (runs.site.latitude, runs.site.earth.height, runs.site.place.gravity)
+    of_runs = (jnp.broadcast_to(number, params.ve.shape) for number in place)
+    return Start(attitude, params.ve, params.vn, *of_runs)
+
+
+@partial(jax.jit, static_argnums=0)
+def _true_attitudes(static: Static, environment: Environment, tile: Tiles) -> Quat:
+    draws, truth = tile.draws, environment.truth
+    numbers = jnp.arange(static.records)
+    if draws.motion is None:
+        look_up = jax.vmap(lambda number: stored_attitude(truth, draws, number))
+        return look_up(numbers)
+    compute = partial(computed_attitudes, truth, records=static.records)
+    return jax.vmap(compute, in_axes=(leaf_axes(draws),), out_axes=1)(draws)
+
+
+@partial(jax.jit, static_argnums=0)
+def _judge(static: Static, environment: Environment, tile: Tiles, given: GivenAttitudes) -> Outcome:
+    runs = set_up(static, environment, tile)
+
+    def observe(run: Run, row: tuple[Count, Quat | None, GivenAttitudes]) -> tuple[Run, None]:
+        number, q_true, now = row
+        state = ExternalState(now.attitude, now.covariance)
+        observed = runs.observe(Run(state, run.metrics), number, q_true)
+        return jax.vmap(select_tree)(now.present, observed, run), None
+
+    numbers, q_true = runs.records()
+    first = runs.start()
+    until = given.unknown_until[:, None, None] + first.metrics.outside_until
+    first = first._replace(metrics=first.metrics._replace(outside_until=until))
+    rows = given._replace(unknown_until=jnp.zeros_like(given.present[:, :1]))
+    last, _ = jax.lax.scan(observe, first, (numbers, q_true, rows))
+    return runs.finish(last)

@@ -1,0 +1,1 @@
+"""Programs outside sinsjax, whose stored results are compared with those of its methods."""
