@@ -72,7 +72,7 @@ class Comparison(NamedTuple):
             the draws do not differ.
         draws: number of draws.
         criterion: of success, in words.
-        best_variants: variant of the best method by the variant of the program.
+        rivals: variants of each method with its settings by the variant of the program.
     """
 
     name: str
@@ -84,11 +84,7 @@ class Comparison(NamedTuple):
     enough_draws: int | None
     draws: int
     criterion: str
-    best_variants: dict[int, int]
-
-    def best_variant(self, variant: int) -> int:
-        """Return the variant of the best method with the conditions of one of the program."""
-        return self.best_variants[variant]
+    rivals: list[dict[int, int]]
 
     @property
     def is_sure(self) -> bool:
@@ -163,7 +159,11 @@ def compare(study: Study, table: pa.Table, name: str) -> Comparison:
         _enough_draws(differences),
         len(error),
         measure.description,
-        {int(a): int(b) for a, b in zip(columns, chosen, strict=True)},
+        [
+            {int(a): int(b) for a, b in zip(columns, row, strict=True)}
+            for row in rivals
+            if (row >= 0).all()
+        ],
     )
 
 

@@ -391,7 +391,7 @@ def _initial_block(plan: ExportPlan, number: int, part: ProgramPart) -> dict[str
         "rate_hz": np.full(len(draw), float(runs.source.rate_hz)),
         "start_s": np.zeros(len(draw)),
         "end_s": np.full(len(draw), runs.end_s(part)),
-        "file": np.array([plan.record_name(number, d) for d in draw]),
+        "file": np.array([plan.record_name(number, d) for d in draw.tolist()]),
         "study": np.full(len(draw), fingerprint(runs.source)),
     }
 

@@ -12,6 +12,7 @@ navigation, scalar first.
 
 from typing import Literal
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,20 +22,23 @@ from sinsjax.types import Quat
 Frame = Literal["enu", "ned"]
 FRAMES: tuple[Frame, ...] = ("enu", "ned")
 
+_to_euler = jax.jit(jax.vmap(to_euler))
+_from_euler = jax.jit(jax.vmap(from_euler))
+
 BODY_AXES = {"enu": "rfu", "ned": "frd"}
 """Names in `records.layout.NAMED_AXES` of the body axes of a frame."""
 
 
 def to_angles(attitude: Quat, frame: str) -> NDArray:
     """Return pitch, roll and yaw in a frame, rad, (runs, 3)."""
-    pitch, roll, yaw = (np.asarray(angle) for angle in to_euler(attitude))
+    pitch, roll, yaw = (np.asarray(angle) for angle in _to_euler(attitude))
     return np.stack([pitch, roll, -yaw if frame == "ned" else yaw], axis=-1)
 
 
 def from_angles(angles: NDArray, frame: str) -> Quat:
     """Return attitudes, leaves (runs,), from pitch, roll and yaw in a frame, rad, (runs, 3)."""
     pitch, roll, yaw = np.moveaxis(angles, -1, 0)
-    attitude = from_euler(pitch, roll, -yaw if frame == "ned" else yaw)
+    attitude = _from_euler(pitch, roll, -yaw if frame == "ned" else yaw)
     return Quat(*(np.asarray(part) for part in attitude))
 
 

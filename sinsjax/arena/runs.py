@@ -4,7 +4,6 @@ Variants that differ only in a method and its settings are one run for a program
 to a draw and to a part, the variants of one environment and one length.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -229,13 +228,14 @@ def _keys_of(values: Any) -> Any:
     return values if isinstance(values, dict) else ()
 
 
-def _rows_of_program(rows: list[TomlTable], name: str) -> Iterator[TomlTable]:
-    """Yield a row of the program for each distinct condition of some rows."""
-    seen = set()
+def _rows_of_program(rows: list[TomlTable], name: str) -> list[TomlTable]:
+    """Return a row of the program for each distinct condition of some rows."""
+    first: dict[Any, TomlTable] = {}
     for row in rows:
         condition = tuple((key, row[key]) for key in row if is_condition_key(key))
-        if condition in seen:
-            continue
-        seen.add(condition)
-        label = {} if "case" not in row else {"case": f"{name}, {row['case']}"}
-        yield row | {"method": name} | label
+        first.setdefault(condition, row)
+    labels = {c: name if len(first) == 1 else f"{name}, {r.get('case')}" for c, r in first.items()}
+    return [
+        row | {"method": name} | ({"case": labels[condition]} if "case" in row else {})
+        for condition, row in first.items()
+    ]

@@ -296,7 +296,7 @@ def _program_rows(
     for name in (n for n in table.column_names if n.startswith("settle_")):
         # All that is known of them is that they are settled at their end.
         at_end = pa.array(final_only[run] & table[name].is_valid().to_numpy())
-        settled = pc.if_else(at_end, pa.array(end_s), table[name])
+        settled = pc.if_else(at_end, pa.array(end_s), table[name]).combine_chunks()
         table = replace_column(table, name, settled)
     return table
 
@@ -343,7 +343,8 @@ def _suspect(
     last = np.flatnonzero(np.diff(given.run, append=-1))
     rows, places = given.select(last), _places(exported, draws)
     truth = np.full((len(places), 4), np.nan)
-    reference = np.full((len(places), 3), np.nan)
+    rivals = comparison.rivals
+    references = np.full((len(rivals), len(places), 3), np.nan)
     phi = np.stack(
         [table[f"phi_{a}_arcmin"].to_numpy(zero_copy_only=False) for a in "enu"], axis=-1
     )
@@ -355,16 +356,15 @@ def _suspect(
                 place = places[point, draw]
                 truth[place] = [a[-1, at] for a in attitudes]
                 end_s[place] = runs.end_s(part)
-                best = comparison.best_variant(int(part.ids[part.places[task]]))
-                run = (draw - draws.start) * runs.study.n_variants + best
-                reference[place] = phi[run] * ARCMIN
+                variant = int(part.ids[part.places[task]])
+                first = (draw - draws.start) * runs.study.n_variants
+                for number, rival in enumerate(rivals):
+                    references[number, place] = phi[first + rival[variant]] * ARCMIN
     at_end = np.abs(rows.time_s - end_s[rows.run]) < 0.5 / runs.study.rate_hz
     rows = rows.select(np.flatnonzero(at_end))
     if not len(rows.run):
         return None
-    known = np.isfinite(reference[rows.run]).all()
-    q_true = Quat(*truth[rows.run].T)
-    found = suspect(rows, q_true, reference[rows.run] if known else None)
+    found = suspect(rows, Quat(*truth[rows.run].T), references[:, rows.run])
     return found and f"the attitudes of {runs.name}: {found}"
 
 

@@ -2,14 +2,15 @@
 
 The results are read again with the yaw mirrored or turned by quarter turns, in the other unit of
 angles, with pitch and roll exchanged, and quaternions inverted or with their scalar last. Each
-reading is compared with the truth and with the best method of sinsjax on the same draws: their
-errors are mostly those of the same noise and biases, so that even the sign of a small error shows.
+reading is compared with the truth and with the methods of sinsjax on the same draws: their errors
+are mostly those of the same noise and biases, so that even the sign of a small error shows.
 """
 
 from collections.abc import Iterator
 from itertools import product
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,23 +42,22 @@ class Reading(NamedTuple):
     attitude: Quat
 
 
-def suspect(given: GivenResults, q_true: Quat, reference: NDArray | None) -> str | None:
+def suspect(given: GivenResults, q_true: Quat, references: NDArray) -> str | None:
     """Return what the results seem to be, in one sentence; None if nothing is suspected.
 
     Args:
         given: last row of each run.
         q_true: true attitudes there.
-        reference: (runs, 3) misalignment of the best method of sinsjax at the end of the same
-            runs, rad; None if there is none.
+        references: (methods, runs, 3) misalignment of methods of sinsjax at the end of the same
+            runs, rad; NaN for runs that failed.
     """
     as_given, *others = ((r, _misalignment(q_true, r.attitude)) for r in _readings(given))
-    anchors = [(np.zeros(3), _LEAST)]
-    good = DEG
-    if reference is not None and np.isfinite(reference).all():
-        anchors.append((reference, 0.0))
-        good = max(good, 3 * _distance(reference, np.zeros(3)))
+    anchors: list[tuple[NDArray, float, float]] = [(np.zeros(3), _LEAST, DEG)]
+    for reference in references:
+        if np.isfinite(reference).all():
+            anchors.append((reference, 0.0, max(DEG, 3 * _distance(reference, np.zeros(3)))))
     best: tuple[float, Reading, float, float] | None = None
-    for anchor, least in anchors:
+    for anchor, least, good in anchors:
         error = _distance(as_given[1], anchor)
         for reading, phi in others:
             other = _distance(phi, anchor)
@@ -75,8 +75,11 @@ def suspect(given: GivenResults, q_true: Quat, reference: NDArray | None) -> str
     )
 
 
+_misalignments = jax.jit(jax.vmap(misalignment))
+
+
 def _misalignment(q_true: Quat, attitude: Quat) -> NDArray:
-    return np.stack([np.asarray(a) for a in misalignment(q_true, attitude)], axis=-1)
+    return np.stack([np.asarray(a) for a in _misalignments(q_true, attitude)], axis=-1)
 
 
 def _distance(phi: NDArray, anchor: NDArray) -> float:

@@ -1,0 +1,252 @@
+"""Draws as files: what a program reads is what the engine measures, and where a run starts."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support.commands import Command, command_line
+from support.studies import small_study
+
+import sinsjax
+from sinsjax.arena import export
+from sinsjax.arena.export import ExportOptions, export_study, plan_export, write_export
+from sinsjax.arena.frames import from_angles, from_quaternion, to_angles, to_quaternion
+from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.maths.rotations import misalignment
+from sinsjax.records import read_csv, read_parquet
+from sinsjax.study.study import Study
+from sinsjax.types import Quat
+
+pytestmark = pytest.mark.optimised(False)
+
+STARTS = {"phi_u0_deg": [5.0, 30.0]}
+
+
+def study(**changes: Any) -> Study:
+    return small_study(**({"axes": STARTS} | changes))
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    return command_line(monkeypatch, capsys)
+
+
+def read_initial(folder: Path) -> list[dict[str, str]]:
+    with (folder / "initial.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize("kind", export.FORMATS)
+def test_exported_record_has_the_engines_increments_to_the_bit(kind: str, tmp_path: Path) -> None:
+    options = ExportOptions(format=kind)
+    plan = plan_export(study(), options)
+    write_export(plan, tmp_path / "out")
+    read = read_parquet if kind == "parquet" else read_csv
+    for draw in range(3):
+        path = tmp_path / "out" / plan.record_name(0, draw)
+        record = read(path, export.record_layout(options))
+        made = sinsjax.simulated_record(study(), draw)
+        np.testing.assert_array_equal(record.dtheta, made.dtheta)
+        np.testing.assert_array_equal(record.dv, made.dv)
+        assert record.rate_hz == 100.0
+
+
+def test_psins_format_is_seven_columns_without_names(tmp_path: Path) -> None:
+    folder = export_study(study(), tmp_path / "out", format="psins", draws=(1, 2))
+    numbers = np.loadtxt(folder / "imu" / "draw_00001.txt")
+    assert numbers.shape == (600, 7)
+    np.testing.assert_array_equal(numbers[:, 6], np.arange(1, 601) / 100)
+    np.testing.assert_array_equal(numbers[:, :3], sinsjax.simulated_record(study(), 1).dtheta)
+
+
+def test_rates_of_ned_axes_are_those_of_the_increments(tmp_path: Path) -> None:
+    folder = export_study(study(), tmp_path / "out", quantity="rates", frame="ned")
+    made = sinsjax.simulated_record(study(), 0)
+    with (folder / "imu" / "draw_00000.csv").open() as file:
+        names = next(csv.reader(file))
+    assert names[1] == "gyro_x_rad_per_s" and names[-1] == "accel_z_m_per_s2"
+    numbers = np.loadtxt(folder / "imu" / "draw_00000.csv", delimiter=",", skiprows=1)
+    right, front, up = 100 * made.dtheta.T
+    np.testing.assert_allclose(numbers[:, 1:4], np.stack([front, right, -up], -1), rtol=1e-12)
+    assert numbers[:, 6].mean() == pytest.approx(-9.8, abs=0.01)  # specific force, z down
+
+
+@pytest.mark.parametrize("frame", ["enu", "ned"])
+def test_first_attitude_is_the_true_one_with_the_runs_misalignment(
+    frame: str, tmp_path: Path
+) -> None:
+    made = study(motion={"yaw_center_deg": 40.0, "yaw_amplitude_deg": 0.0, "pitch_center_deg": 3.0})
+    rows = read_initial(export_study(made, tmp_path / "out", frame=frame))
+    assert [int(row["run_id"]) for row in rows] == list(range(6))
+    angles = np.radians(
+        [[float(row[f"{a}_deg"]) for a in ("pitch", "roll", "yaw")] for row in rows]
+    )
+    q = np.array([[float(row[f"q_{axis}"]) for axis in "wxyz"] for row in rows])
+    from_euler, given = from_angles(angles, frame), from_quaternion(q, frame)
+    truth = from_angles(np.radians([[3.0, 0.0, 40.0]] * 6), "enu")
+    for attitude in (from_euler, given):
+        phi = np.degrees(np.stack(jax.vmap(misalignment)(truth, attitude), -1))
+        np.testing.assert_allclose(phi, [[5, 5, 5], [5, 5, 30]] * 3, atol=1e-9)
+    assert {row["latitude_deg"] for row in rows} == {"32"}
+
+
+def test_frames_agree_with_matrices_written_out() -> None:
+    pitch, roll, heading = np.radians([10.0, -20.0, 50.0])
+    (cp, cr, ch), (sp, sr, sh) = np.cos([pitch, roll, heading]), np.sin([pitch, roll, heading])
+    about_down = np.array([[ch, -sh, 0], [sh, ch, 0], [0, 0, 1]])
+    about_right = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_front = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    ned = about_down @ about_right @ about_front
+    axes = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    attitude = from_angles(np.array([[pitch, roll, heading]]), "ned")
+    w, x, y, z = (part[0] for part in attitude)
+    enu = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    np.testing.assert_allclose(axes @ enu @ axes, ned, atol=1e-14)
+    for frame in ("enu", "ned"):
+        back = from_quaternion(to_quaternion(attitude, frame), frame)
+        np.testing.assert_allclose(np.stack(back), np.stack(attitude), atol=1e-15)
+        again = from_angles(to_angles(attitude, frame), frame)
+        np.testing.assert_allclose(np.stack(again), np.stack(attitude), atol=1e-14)
+
+
+def test_variants_that_differ_in_methods_alone_are_one_run(tmp_path: Path) -> None:
+    methods = {"method": ["kalman5", "inertial"], **STARTS}
+    rows = read_initial(export_study(study(axes=methods), tmp_path / "out", draws=(0, 1)))
+    assert [row["run_id"] for row in rows] == ["0", "1"]
+
+
+def test_study_without_a_start_gives_none(tmp_path: Path) -> None:
+    made = small_study(alignment={"method": "inertial"})
+    row = read_initial(export_study(made, tmp_path / "out"))[0]
+    assert row["yaw_deg"] == row["q_w"] == "nan"
+
+
+def test_environments_and_drawn_latitudes_have_records_of_their_own(tmp_path: Path) -> None:
+    made = study(
+        axes={"gyro_bias_deg_per_h": [0.0, 10.0]},
+        drawn={"latitude_deg": {"uniform": [-60.0, 60.0]}},
+        earth={"latitude_deg": None},
+    )
+    folder = export_study(made, tmp_path / "out")
+    rows = read_initial(folder)
+    assert len({row["file"] for row in rows}) == len(rows) == 6
+    assert len({row["latitude_deg"] for row in rows}) == 3
+    biases = {}
+    for row in rows[:2]:
+        numbers = np.loadtxt(folder / row["file"], delimiter=",", skiprows=1)
+        biases[row["variant_id"]] = numbers[:, 1]
+    np.testing.assert_allclose(biases["1"] - biases["0"], np.radians(10 / 3600) / 100, rtol=1e-6)
+
+
+def test_truth_is_the_bases_attitude_unless_blind(tmp_path: Path) -> None:
+    folder = export_study(study(), tmp_path / "seen")
+    truth = pq.read_table(folder / "truth.parquet").to_pandas()
+    row = truth[(truth["draw_id"] == 1) & (truth["time_s"] == 3.0)].iloc[0]
+    assert row["yaw_deg"] == pytest.approx(10 + 2.8 * np.sin(2 * np.pi * 3 / 10), abs=1e-9)
+    assert row["pitch_deg"] == pytest.approx(1.8 * np.sin(np.pi), abs=1e-9)
+    blind = export_study(study(), tmp_path / "blind", blind=True)
+    assert not (blind / "truth.parquet").exists()
+
+
+def test_interrupted_export_continues_with_missing_records_alone(tmp_path: Path) -> None:
+    plan, out = plan_export(study()), tmp_path / "out"
+    written: list[int] = []
+    with pytest.raises(StudyInterrupted, match="1 of 3 records"):
+        write_export(
+            plan,
+            out,
+            on_record=lambda done, _: written.append(done),
+            is_stopped=lambda: bool(written),
+        )
+    first = (out / "imu" / "draw_00000.csv").stat().st_mtime_ns
+    with pytest.raises(InputError, match="the export is unfinished"):
+        export.read_export(out)
+    again: list[int] = []
+    write_export(plan, out, resume=True, on_record=lambda done, _: again.append(done))
+    assert again == [2, 3]
+    assert (out / "imu" / "draw_00000.csv").stat().st_mtime_ns == first
+    whole = tmp_path / "whole"
+    write_export(plan, whole)
+    for path in sorted(whole.glob("imu/*")):
+        assert path.read_bytes() == (out / "imu" / path.name).read_bytes()
+    assert export.read_export(out)[0] == study()
+
+
+def test_resume_makes_a_spoiled_record_again(tmp_path: Path) -> None:
+    out = export_study(study(), tmp_path / "out")
+    path = out / "imu" / "draw_00001.csv"
+    before = path.read_bytes()
+    path.write_bytes(before[:-100])
+    export_study(study(), out, resume=True)
+    assert path.read_bytes() == before
+
+
+def test_overwrite_removes_the_files_of_the_earlier_export_alone(tmp_path: Path) -> None:
+    out = export_study(study(), tmp_path / "out", format="psins")
+    (out / "imu" / "mine.txt").write_text("mine")
+    export_study(study(), out, draws=(0, 1), overwrite=True)
+    assert sorted(p.name for p in out.glob("imu/*")) == ["draw_00000.csv", "mine.txt"]
+    manifest = json.loads((out / "export.json").read_text())
+    assert manifest["draws"] == [0, 1] and manifest["state"] == "complete"
+
+
+def test_command_states_size_before_and_next_step_after(command: Command, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    code, told, _ = command("export", "paper1_resets", "-o", out, "--draws", "0:1")
+    assert code == 0
+    assert "2 runs on 1 record of 90,000 samples, about 12.6 MB" in told.splitlines()[0]
+    assert f"sinsjax score {out} RESULTS" in told
+
+
+MISTAKES = {
+    "draws": (["--draws", "5:2"], "draws: 5:2: must be A:B with 0 <= A < B <= 64"),
+    "words": (["--draws", "some"], "--draws: 'some' is not of the form A:B"),
+    "format": (["--format", "mat"], "format: 'mat' is not one of psins, csv, parquet"),
+    "frame": (["--frame", "nwu"], "frame: 'nwu' is not one of enu, ned"),
+    "psins": (["--format", "psins", "--frame", "ned"], "frame: 'ned': the psins format has"),
+    "both": (["--resume", "--overwrite"], "--resume: conflicts with --overwrite"),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_mistake_is_one_line_and_writes_nothing(
+    case: str, command: Command, tmp_path: Path
+) -> None:
+    options, message = MISTAKES[case]
+    code, _, error = command("export", "paper1_resets", "-o", tmp_path / "out", *options)
+    assert code == 2 and len(error.splitlines()) == 1 and message in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_directory_with_other_files_or_another_export_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"contains thesis\.txt, no export"):
+        export_study(study(), tmp_path)
+    out = export_study(study(), tmp_path / "out")
+    with pytest.raises(InputError, match="already contains an export"):
+        export_study(study(), out)
+    with pytest.raises(InputError, match="the export differs in frame: enu there, ned here"):
+        export_study(study(), out, frame="ned", resume=True)
+
+
+def test_recorded_or_estimated_study_is_refused() -> None:
+    with pytest.raises(InputError, match="covariance estimates have no draws"):
+        plan_export(sinsjax.load_study("covariance"))
+    with pytest.raises(InputError, match="reads a record: give that to the program"):
+        plan_export(sinsjax.load_study("car_test"))
+
+
+def test_quaternion_of_any_length_is_an_attitude() -> None:
+    q = from_quaternion(np.array([[2.0, 0.0, 0.0, 0.0]]), "enu")
+    assert Quat(*(float(part[0]) for part in q)) == Quat(1.0, 0.0, 0.0, 0.0)

@@ -1,0 +1,500 @@
+"""Results that come back: judged as any run, compared on the same draws, or refused in one line."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet as pq
+import pytest
+from support.commands import Command, command_line
+from support.studies import STILL, small_study
+
+import sinsjax
+from sinsjax.analysis.tables import numeric_column
+from sinsjax.arena.comparison import FAILED_ARCMIN
+from sinsjax.arena.export import export_study
+from sinsjax.arena.runs import add_program
+from sinsjax.arena.score import Score, score_results
+from sinsjax.errors import InputError
+from sinsjax.study.study import Study
+
+pytestmark = pytest.mark.optimised(False)
+
+DRAWS = 8
+SETTINGS: dict[str, Any] = {
+    "study": {
+        **{"duration_s": 40.0, "rate_hz": 10.0, "draws": DRAWS, "window_s": [20, 40]},
+        **{"success_band_arcmin": 600.0, "report_times_s": [20.0]},
+    },
+    "motion": {"yaw_center_deg": 50.0, "pitch_center_deg": 4.0, "roll_center_deg": -7.0},
+    "axes": {"method": ["kalman_sincos", "inertial"], "phi_u0_deg": [5.0, 30.0]},
+}
+"""A study whose methods find north within some degrees."""
+
+
+class Arena:
+    """An exported study, its sweep, and the results of one of its methods as a program's."""
+
+    def __init__(self, folder: Path, **changes: Any) -> None:
+        self.study: Study = small_study(**(SETTINGS | changes))
+        self.export = export_study(self.study, folder / "export")
+        self.sweep = folder / "sweep"
+        results = sinsjax.run_into(self.study, self.sweep, curves=True)
+        first = pyarrow.csv.read_csv(self.export / "initial.csv")
+        self.digest = first["study"][0].as_py()
+        curves = results.curves
+        ours = pc.is_in(curves["run_id"], first["run_id"].combine_chunks())
+        self.curves = curves.filter(ours).combine_chunks()
+
+    def history(self, *names: str) -> pa.Table:
+        """The program's results at all record times."""
+        names = names or ("yaw_deg", "pitch_deg", "roll_deg")
+        table = self.curves.select(["run_id", "time_s", *names])
+        return table.append_column("study", pa.array([self.digest] * len(table)))
+
+    def last(self) -> pa.Table:
+        """The program's results at the end of each run."""
+        table = self.history()
+        return table.filter(pc.equal(table["time_s"], 40.0))
+
+    def write(self, table: pa.Table, path: Path) -> Path:
+        """Write results as CSV or Parquet."""
+        write = pq.write_table if path.suffix == ".parquet" else pyarrow.csv.write_csv
+        write(table, path)
+        return path
+
+    def score(self, table: pa.Table, folder: Path, **options: Any) -> Score:
+        """Score some results against the sweep."""
+        path = self.write(table, folder / "mine.csv")
+        return score_results(
+            self.export, path, against=self.sweep, out=folder / "scored", **options
+        )
+
+
+@pytest.fixture(scope="module")
+def arena(tmp_path_factory: pytest.TempPathFactory) -> Arena:
+    return Arena(tmp_path_factory.mktemp("arena"))
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    return command_line(monkeypatch, capsys)
+
+
+def replace(table: pa.Table, **columns: Any) -> pa.Table:
+    for name, values in columns.items():
+        table = table.set_column(table.column_names.index(name), name, pa.array(values))
+    return table
+
+
+def turned(table: pa.Table, angles: Any) -> pa.Table:
+    """Results with pitch, roll and yaw changed by a function of them."""
+    names = ("pitch_deg", "roll_deg", "yaw_deg")
+    given = [table[name].to_numpy() for name in names]
+    return replace(table, **dict(zip(names, angles(*given), strict=True)))
+
+
+def rows_of(score: Score, method: str) -> pa.Table:
+    table = sinsjax.read_summary(score.directory)
+    return table.filter(pc.equal(table["method"], method))
+
+
+SAME = ("phi_e_arcmin", "phi_u_arcmin", "phi_u_mean_arcmin", "phi_u_std_arcmin", "yaw_mean_deg",
+        "settle_600_truth_s", "settle_60_truth_s", "heading_deg", "phi_u_at_20_arcmin",
+        "floor_arcmin")  # fmt: skip
+
+
+def test_methods_own_attitudes_get_the_methods_own_row(arena: Arena, tmp_path: Path) -> None:
+    score = arena.score(arena.history(), tmp_path)
+    mine, own = rows_of(score, "mine"), rows_of(score, "kalman_sincos")
+    assert mine.num_rows == own.num_rows == 2 * DRAWS
+    for name in SAME:
+        np.testing.assert_allclose(
+            numeric_column(mine, name), numeric_column(own, name), rtol=1e-9, atol=1e-6
+        )
+    for name in ("ok_truth", "status", "draw_id", "phi_u0_deg"):
+        assert mine[name].to_pylist() == own[name].to_pylist()
+    assert mine["nees"].null_count == len(mine)
+    assert score.missing == [] and score.warnings == []
+
+
+def test_rows_of_own_methods_are_those_of_the_sweep(arena: Arena, tmp_path: Path) -> None:
+    score = arena.score(arena.history(), tmp_path)
+    swept = sinsjax.read_summary(arena.sweep)
+    for method in arena.study.methods:
+        there = swept.filter(pc.equal(swept["method"], method))
+        here = rows_of(score, method)
+        for name in there.column_names:
+            if name not in ("run_id", "variant_id"):
+                assert here[name].to_pylist() == there[name].to_pylist(), name
+
+
+def test_without_a_sweep_the_study_is_run_here(arena: Arena, tmp_path: Path) -> None:
+    path = arena.write(arena.history(), tmp_path / "mine.parquet")
+    alone = score_results(arena.export, path, out=tmp_path / "alone")
+    swept = arena.score(arena.history(), tmp_path)
+    columns = ["run_id", "phi_u_arcmin"]
+    assert sinsjax.read_summary(alone.directory, columns) == sinsjax.read_summary(
+        swept.directory, columns
+    )
+
+
+def test_results_may_be_quaternions_of_the_other_frame_in_radians_or_by_draw(
+    arena: Arena, tmp_path: Path
+) -> None:
+    table = arena.history()
+    pitch, roll, yaw = (np.radians(table[f"{a}_deg"].to_numpy()) for a in ("pitch", "roll", "yaw"))
+    base = table.select(["run_id", "time_s", "study"])
+    first = pyarrow.csv.read_csv(arena.export / "initial.csv").to_pandas().set_index("run_id")
+    places = first.loc[table["run_id"].to_numpy()]
+    by_draw = pa.table(
+        {"draw": places["draw_id"].to_numpy(), "variant": places["variant_id"].to_numpy()}
+    )
+    for name in ("time_s", "study"):
+        by_draw = by_draw.append_column(name, table[name])
+    from sinsjax.arena.frames import from_angles, to_quaternion
+
+    q = to_quaternion(from_angles(np.stack([pitch, roll, yaw], -1), "enu"), "ned")
+    forms = {
+        "rad": (base, {"pitch_rad": pitch, "roll_rad": roll, "yaw_rad": yaw}, {}),
+        "draw": (by_draw, {"pitch_rad": pitch, "roll_rad": roll, "yaw_rad": yaw}, {}),
+        "ned": (base, {"pitch_rad": pitch, "roll_rad": roll, "yaw_rad": -yaw}, {"frame": "ned"}),
+        "heading": (base, {"pitch_rad": pitch, "roll_rad": roll, "heading_rad": -yaw}, {}),
+        "q": (base, {f"q_{a}": q[:, i] for i, a in enumerate("wxyz")}, {"frame": "ned"}),
+    }
+    expected = numeric_column(rows_of(arena.score(table, tmp_path), "mine"), "phi_u_arcmin")
+    for name, (columns, angles, options) in forms.items():
+        for key, values in angles.items():
+            columns = columns.append_column(key, pa.array(values))
+        score = arena.score(columns, tmp_path, overwrite=True, **options)
+        found = numeric_column(rows_of(score, "mine"), "phi_u_arcmin")
+        np.testing.assert_allclose(found, expected, atol=1e-6, err_msg=name)
+
+
+def test_sigmas_give_nees_and_the_share_of_p_above_the_error(arena: Arena, tmp_path: Path) -> None:
+    table = arena.history()
+    for angle, sigma in (("yaw", 2.0), ("pitch", 0.1), ("roll", 0.2)):
+        table = table.append_column(f"sigma_{angle}_deg", pa.array([sigma] * len(table)))
+    score = arena.score(table, tmp_path)
+    rows = rows_of(score, "mine")
+    e, n, u = (numeric_column(rows, f"phi_{a}_arcmin") / 60 for a in "enu")
+    heading = np.radians(numeric_column(rows, "yaw_deg"))
+    about_right = np.cos(heading) * e + np.sin(heading) * n
+    about_front = -np.sin(heading) * e + np.cos(heading) * n
+    expected = (about_right / 0.1) ** 2 + (about_front / 0.2) ** 2 + (u / 2) ** 2
+    np.testing.assert_allclose(numeric_column(rows, "nees"), expected, rtol=1e-6)
+    np.testing.assert_allclose(numeric_column(rows, "sigma_u_arcmin"), 120.0)
+    assert score.comparison.overall.nees is not None
+
+
+def test_last_rows_alone_are_successes_with_the_end_as_settling_time(
+    arena: Arena, tmp_path: Path
+) -> None:
+    score = arena.score(arena.last(), tmp_path)
+    rows = rows_of(score, "mine")
+    inside = np.abs(numeric_column(rows, "phi_u_arcmin")) <= 600
+    settled = numeric_column(rows, "settle_600_truth_s")
+    assert inside.any()
+    np.testing.assert_array_equal(settled, np.where(inside, 40.0, np.nan))
+    assert np.array_equal(numeric_column(rows, "ok_truth") > 0, inside)
+    assert "have one row only" in score.warnings[0]
+
+
+def test_missing_and_unfinished_runs_are_failures_and_listed(arena: Arena, tmp_path: Path) -> None:
+    table = arena.history()
+    ids = sorted(set(table["run_id"].to_pylist()))
+    keep = pc.and_(
+        pc.not_equal(table["run_id"], ids[3]),
+        pc.or_(pc.not_equal(table["run_id"], ids[5]), pc.less(table["time_s"], 39.5)),
+    )
+    score = arena.score(table.filter(keep), tmp_path)
+    assert score.missing == [ids[3], ids[5]]
+    assert f"2 of {len(ids)} runs have no row at their end" in score.warnings[0]
+    assert f"run_id {ids[5]} ends at 39 s, expected a row at 40 s" in score.warnings[1]
+    rows = rows_of(score, "mine").to_pandas()
+    assert (rows["status"] == "nonfinite").sum() == 2
+    errors = np.abs(np.nan_to_num(rows["phi_u_arcmin"], nan=FAILED_ARCMIN))
+    assert score.comparison.overall.program.value == pytest.approx(errors.mean())
+
+
+def test_verdict_is_the_paired_difference_to_the_best_method(arena: Arena, tmp_path: Path) -> None:
+    worse = turned(arena.history(), lambda pitch, roll, yaw: (pitch, roll, yaw + 20.0))
+    score = arena.score(worse, tmp_path)
+    found = score.comparison
+    table = sinsjax.read_summary(score.directory).to_pandas()
+    table["error"] = table["phi_u_arcmin"].abs()
+    errors = table.pivot_table(index="draw_id", columns="method", values="error", aggfunc="mean")
+    own = errors[["kalman_sincos", "inertial"]]
+    halves = [own[own.index % 2 != half].mean().idxmin() for half in (0, 1)]
+    rival = np.array([own.loc[draw, halves[draw % 2]] for draw in own.index])
+    assert found.overall.difference.value == pytest.approx((errors["mine"] - rival).mean())
+    assert found.best == own.mean().idxmin()
+    assert found.is_sure and found.verdict.startswith("mine is worse than the best of 2 methods")
+    assert found.enough_draws is not None and found.enough_draws <= DRAWS
+    assert len(found.conditions) == 2
+
+
+READINGS = {
+    "is yaw mirrored": lambda pitch, roll, yaw: (pitch, roll, -yaw),
+    "are the angles in radians": lambda *angles: tuple(np.radians(a) for a in angles),
+    "is yaw off by 90 deg": lambda pitch, roll, yaw: (pitch, roll, yaw + 90),
+    "are pitch and roll exchanged": lambda pitch, roll, yaw: (roll, pitch, yaw),
+    "are the angles in radians and is yaw mirrored": lambda pitch, roll, yaw: tuple(
+        np.radians(a) for a in (pitch, roll, -yaw)
+    ),
+}
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_other_convention_is_suspected_by_name(reading: str, arena: Arena, tmp_path: Path) -> None:
+    score = arena.score(turned(arena.last(), READINGS[reading]), tmp_path)
+    assert f"the attitudes of mine: {reading}" in score.warnings[-1]
+    manifest = json.loads((score.directory / "manifest.json").read_text())
+    assert manifest["warnings"] == score.warnings
+
+
+def test_convention_is_suspected_at_zero_angles_too(tmp_path: Path) -> None:
+    level = {"yaw_center_deg": 0.0, "pitch_center_deg": 0.0, "roll_center_deg": 0.0}
+    arena = Arena(tmp_path, motion=STILL | level)
+    for reading in ("is yaw mirrored", "are the angles in radians"):
+        score = arena.score(turned(arena.last(), READINGS[reading]), tmp_path, overwrite=True)
+        assert f"the attitudes of mine: {reading}" in score.warnings[-1]
+    assert len(arena.score(arena.last(), tmp_path, overwrite=True).warnings) == 1
+
+
+def test_scored_directory_is_compared_as_any_other(
+    arena: Arena, tmp_path: Path, command: Command
+) -> None:
+    score = arena.score(arena.history(), tmp_path)
+    code, told, _ = command("report", score.directory)
+    assert code == 0 and "mine" in told and "unfinished" not in told
+    rates = sinsjax.summarise(sinsjax.read_summary(score.directory), by=["method"]).to_pylist()
+    by_method = {row["method"]: row for row in rates}
+    assert by_method["mine"]["n"] == by_method["kalman_sincos"]["n"] == 2 * DRAWS
+    assert (
+        by_method["mine"]["success_truth_rate"] == by_method["kalman_sincos"]["success_truth_rate"]
+    )
+
+
+def test_second_program_joins_the_first(arena: Arena, tmp_path: Path) -> None:
+    first = arena.score(arena.history(), tmp_path)
+    path = arena.write(arena.last(), tmp_path / "other.csv")
+    second = score_results(arena.export, path, against=first.directory, out=tmp_path / "both")
+    assert second.study.methods == ("kalman_sincos", "inertial", "mine", "other")
+    assert second.comparison.options == 2
+    mine = rows_of(second, "mine")["phi_u_arcmin"].to_pylist()
+    assert mine == rows_of(first, "mine")["phi_u_arcmin"].to_pylist()
+
+
+def test_runs_made_elsewhere_are_not_repeated(
+    arena: Arena, tmp_path: Path, command: Command
+) -> None:
+    out = arena.score(arena.history(), tmp_path).directory
+    stored = out / "study.toml"
+    for words in (
+        ("rerun", out, "--run-id", 0),
+        ("validate", stored),
+        ("sweep", stored, "-o", out, "--resume"),
+        ("sweep", arena.export / "study.toml", "-o", out, "--resume"),
+        ("sweep", stored, "-o", tmp_path / "new"),
+        ("export", stored, "-o", tmp_path / "new"),
+    ):
+        code, _, error = command(*words)
+        assert code == 2 and "its runs of mine were made elsewhere" in error, words
+        assert len(error.splitlines()) == 1
+    assert not (tmp_path / "new").exists()
+
+
+HEADER = "run_id,time_s,yaw_deg,pitch_deg,roll_deg"
+
+
+def text(arena: Arena, *rows: str, header: str = HEADER) -> str:
+    return "\n".join([f"# study = {arena.digest}", header, *rows, ""])
+
+
+ROW = "0,40,50,4,-7"
+FAULTS: dict[str, tuple[Any, str]] = {
+    "digest": (
+        lambda a: text(a, ROW).replace(a.digest, "0123456789abcdef"),
+        "is of another study: digest 0123456789abcdef there",
+    ),
+    "no digest": (
+        lambda a: text(a, ROW).split("\n", 1)[1],
+        "has no digest of its study (a column 'study', or a first line `# study = ",
+    ),
+    "digest column": (
+        lambda a: f"{HEADER},study\n{ROW},{a.digest}\n0,39,0,0,0,x\n",
+        "is of another study: digest x there",
+    ),
+    "duplicate": (
+        lambda a: text(a, ROW, "1,40,50,4,-7", ROW),
+        "row 5: repeats run_id 0 at 40 s (row 3 has it already)",
+    ),
+    "unknown": (lambda a: text(a, "777,40,50,4,-7"), "row 3: no run of the export has this run_id"),
+    "nan": (lambda a: text(a, "0,40,nan,4,-7"), "row 3: column 'yaw_deg'"),
+    "empty": (lambda a: text(a, "0,40,,4,-7"), "row 3: column 'yaw_deg'"),
+    "late": (lambda a: text(a, "0,41,50,4,-7"), "row 3: time_s = 41 is beyond its run, 0 to 40 s"),
+    "cut": (lambda a: text(a, ROW, ROW.replace("40", "39"), "1,40,50"), "the header has 5 columns"),
+    "column": (lambda a: text(a, ROW, header="run_id,time,yaw_deg,pitch_deg,roll_deg"), "time_s"),
+    "yaw": (lambda a: text(a, ROW, header="run_id,time_s,heading,pitch_deg,roll_deg"), "yaw_deg"),
+    "run": (lambda a: text(a, ROW, header="run,time_s,yaw_deg,pitch_deg,roll_deg"), "run_id"),
+    "sigma": (
+        lambda a: text(a, f"{ROW},0", header=f"{HEADER},sigma_yaw_deg"),
+        "row 3: sigma_yaw_deg must be above 0",
+    ),
+    "quaternion": (
+        lambda a: text(a, "0,40,1,1,0,0", header="run_id,time_s,q_w,q_x,q_y,q_z"),
+        "row 3: q_w, q_x, q_y, q_z is no unit quaternion",
+    ),
+    "frame": (lambda a: f"# frame = nwu\n{text(a, ROW)}", "frame: 'nwu' is not one of enu, ned"),
+    "no rows": (lambda a: text(a), "no samples after the header"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_faulty_results_are_one_line_and_write_nothing(
+    case: str, arena: Arena, tmp_path: Path, command: Command
+) -> None:
+    make, message = FAULTS[case]
+    path = tmp_path / "mine.csv"
+    path.write_text(make(arena))
+    out = tmp_path / "out"
+    code, _, error = command("score", arena.export, path, "-o", out, "--against", arena.sweep)
+    assert code == 2 and len(error.splitlines()) == 1
+    assert str(path) in error and message in error
+    assert not out.exists()
+
+
+def test_cut_parquet_file_is_one_line(arena: Arena, tmp_path: Path, command: Command) -> None:
+    path = arena.write(arena.history(), tmp_path / "mine.parquet")
+    path.write_bytes(path.read_bytes()[:-40])
+    code, _, error = command("score", arena.export, path, "-o", tmp_path / "out")
+    assert code == 2 and f"{path}: not a Parquet file, or cut off" in error
+
+
+def test_other_mistakes_of_a_score_are_one_line(
+    arena: Arena, tmp_path: Path, command: Command
+) -> None:
+    path = arena.write(arena.last(), tmp_path / "mine.csv")
+    other = small_study(study={"draws": 2})
+    sinsjax.run_into(other, tmp_path / "other")
+    changed = tmp_path / "changed"
+    export_study(arena.study, changed)
+    (changed / "initial.csv").write_text("run_id\n0\n")
+    cases = {
+        "contains results of another study": (arena.export, path, "--against", tmp_path / "other"),
+        "contains no export": (arena.sweep, path),
+        "has changed since it was exported": (changed, path),
+        "'inertial' is a method of sinsjax": (arena.export, path, "--name", "inertial"),
+    }
+    for message, words in cases.items():
+        code, _, error = command("score", *words, "-o", tmp_path / "out")
+        assert code == 2 and len(error.splitlines()) == 1 and message in error, error
+        assert not (tmp_path / "out").exists()
+    assert (
+        command("score", arena.export, path, "-o", tmp_path / "out", "--against", arena.sweep)[0]
+        == 0
+    )
+    again = command("score", arena.export, path, "-o", tmp_path / "out", "--against", arena.sweep)
+    assert again[0] == 2 and "already contains results" in again[2]
+
+
+def test_some_of_the_draws_are_scored_alone(arena: Arena, tmp_path: Path, command: Command) -> None:
+    export = export_study(arena.study, tmp_path / "some", draws=(0, 5))
+    table = arena.history()
+    ids = pyarrow.csv.read_csv(export / "initial.csv")["run_id"].combine_chunks()
+    path = arena.write(table.filter(pc.is_in(table["run_id"], ids)), tmp_path / "mine.csv")
+    score = score_results(export, path, against=arena.sweep, out=tmp_path / "out")
+    assert score.missing == [] and score.study.n_draws == 5
+    whole = rows_of(arena.score(table, tmp_path), "mine")
+    assert (
+        rows_of(score, "mine")["phi_u_arcmin"].to_pylist() == whole["phi_u_arcmin"].to_pylist()[:10]
+    )
+    later = export_study(arena.study, tmp_path / "later", draws=(5, 8))
+    ids = pyarrow.csv.read_csv(later / "initial.csv")["run_id"].combine_chunks()
+    path = arena.write(table.filter(pc.is_in(table["run_id"], ids)), tmp_path / "mine.csv")
+    score = score_results(later, path, against=arena.sweep, out=tmp_path / "late")
+    assert (
+        rows_of(score, "mine")["phi_u_arcmin"].to_pylist() == whole["phi_u_arcmin"].to_pylist()[10:]
+    )
+    code, told, _ = command("report", score.directory)
+    assert code == 0 and "mine" in told
+
+
+def test_drawn_starts_and_environments_find_their_runs(tmp_path: Path) -> None:
+    drawn = {"phi_u0_deg": {"uniform": [-20.0, 20.0]}, "latitude_deg": {"uniform": [-40.0, 40.0]}}
+    arena = Arena(
+        tmp_path,
+        axes={"gyro_bias_deg_per_h": [0.0, 0.5], "method": ["kalman_sincos", "inertial"]},
+        alignment={"phi_u0_deg": None},
+        earth={"latitude_deg": None},
+        drawn=drawn,
+    )
+    score = arena.score(arena.history(), tmp_path)
+    mine, own = rows_of(score, "mine"), rows_of(score, "kalman_sincos")
+    for name in ("phi_u_arcmin", "phi_u0_deg", "latitude_deg", "gyro_bias_deg_per_h"):
+        np.testing.assert_allclose(numeric_column(mine, name), numeric_column(own, name), atol=1e-6)
+
+
+def test_program_joins_cases_and_zips_with_every_condition() -> None:
+    cases = [
+        {"case": "a", "method": "kalman5", "phi_u0_deg": 5.0},
+        {"case": "b", "method": "inertial", "phi_u0_deg": 5.0},
+        {"case": "c", "method": "kalman5", "phi_u0_deg": 30.0},
+    ]
+    zipped = {"some": {key: [case[key] for case in cases] for key in ("method", "phi_u0_deg")}}
+    for study in (small_study(cases=cases), small_study(axes=zipped)):
+        joined = add_program(study, "mine")
+        found = zip(joined.values("method"), joined.values("phi_u0_deg"), strict=True)
+        assert [point for point in found if point[0] == "mine"] == [("mine", 5.0), ("mine", 30.0)]
+        assert joined.n_variants == 5
+    with pytest.raises(InputError, match="has results of 'mine' already"):
+        add_program(joined, "mine")
+
+
+def test_name_of_a_method_is_no_program() -> None:
+    tables = small_study().to_dict()
+    tables["study"]["external"] = ["kalman10"]
+    with pytest.raises(InputError, match=r"\[study\] external: 'kalman10' is a method of sinsjax"):
+        sinsjax.study_from_dict(tables)
+
+
+def test_aligned_record_gives_the_heading_of_the_sweep(tmp_path: Path) -> None:
+    coarse = {"coarse_method": "inertial", "coarse_duration_s": 20.0, "coarse_then": "replay"}
+    method = {"method": "kalman_sincos"}
+    study = small_study(
+        study={"duration_s": 40.0, "window_s": [20, 40]},
+        coarse=coarse,
+        alignment=method | dict.fromkeys(("phi_e0_deg", "phi_n0_deg", "phi_u0_deg"), 0.0),
+    )
+    swept = sinsjax.run(study).summary["heading_deg"].to_pylist()
+    formats = {"psins": "txt", "csv": "csv", "parquet": "parquet"}
+    for kind, suffix in formats.items():
+        folder = export_study(study, tmp_path / kind, format=kind, frame="enu")
+        names = ["wx", "wy", "wz", "vx", "vy", "vz", "t"]
+        record: dict[str, Any] = {"format": "csv" if kind == "psins" else kind}
+        if kind == "psins":
+            record |= {"columns": names, "time_column": "t"}
+            record |= {"gyro_columns": names[:3], "accel_columns": names[3:6]}
+        else:
+            record |= {"time_column": "time_s"}
+            record["gyro_columns"] = [f"gyro_{axis}_rad" for axis in "xyz"]
+            record["accel_columns"] = [f"accel_{axis}_m_per_s" for axis in "xyz"]
+        recorded = sinsjax.study_from_dict(
+            {
+                "study": {"duration_s": 40.0, "window_s": [20.0, 40.0]},
+                "earth": {"latitude_deg": 32.0},
+                "record": record | {"gyro_unit": "rad", "accel_unit": "m_per_s"},
+                "coarse": coarse,
+                "alignment": method | {"feedback_interval_s": 1.0},
+                "filter": study.to_dict()["filter"],
+            }
+        )
+        for draw in range(study.n_draws):
+            path = folder / "imu" / f"draw_{draw:05d}.{suffix}"
+            aligned = sinsjax.align(path, recorded).summary["heading_deg"][0].as_py()
+            assert aligned == pytest.approx(swept[draw], abs=1e-6)
