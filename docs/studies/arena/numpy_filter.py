@@ -44,7 +44,7 @@ def align(imu, c, latitude, gravity):
 
 def main(folder, out):
     """Align every run of an export."""
-    rows = list(csv.DictReader((Path(folder) / "initial.csv").open()))
+    rows = list(csv.DictReader((Path(folder) / "initial.csv").read_text().splitlines()))
     with open(out, "w") as file:
         print(f"# study = {rows[0]['study']}\nrun_id,time_s,{','.join(ANGLES)}", file=file)
         for run in rows:
