@@ -157,8 +157,7 @@ def export_study(
             the directory cannot be used.
 
     Examples:
-        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.duration_s": 9.0})
-        >>> study = study.replace({"study.window_s": [6.0, 9.0]})
+        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
         >>> exported = sinsjax.export_study(study, "draws")
         >>> sorted(path.name for path in exported.iterdir() if path.suffix)
         ['README.txt', 'export.json', 'initial.csv', 'study.toml', 'truth.parquet']

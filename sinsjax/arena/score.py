@@ -60,6 +60,10 @@ class Score(NamedTuple):
         comparison: the program against the best method of sinsjax.
         missing: run_id of the runs without a result at their end.
         warnings: doubts about the results, one line each.
+
+    Examples:
+        >>> sinsjax.Score._fields  # what `sinsjax.score_results` returns
+        ('directory', 'study', 'comparison', 'missing', 'warnings')
     """
 
     directory: Path
@@ -110,14 +114,14 @@ def score_results(
             cannot be read, or the directory cannot be used. Nothing is written then.
 
     Examples:
-        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.duration_s": 9.0})
-        >>> study = study.replace({"study.window_s": [6.0, 9.0]})
+        >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
         >>> exported = sinsjax.export_study(study, "draws")
         >>> rows = (exported / "initial.csv").read_text().splitlines()
         >>> digest = rows[1].split(",")[-1]
-        >>> lines = [f"{row.split(',')[0]},9.0,0.1,0.0,0.0,{digest}" for row in rows[1:]]
+        >>> lines = [f"{row.split(',')[0]},900,0.1,0.0,0.0,{digest}" for row in rows[1:]]
         >>> header = "run_id,time_s,yaw_deg,pitch_deg,roll_deg,study"
-        >>> _ = Path("results.csv").write_text("\\n".join([header, *lines]))
+        >>> with open("results.csv", "w") as file:
+        ...     print(header, *lines, sep="\n", file=file)
         >>> score = sinsjax.score_results(exported, "results.csv", name="zeros")
         >>> score.directory.name, score.study.methods, score.missing
         ('zeros', ('kalman5', 'zeros'), [])
