@@ -204,6 +204,16 @@ def test_last_rows_alone_are_successes_with_the_end_as_settling_time(
     assert "have one row only" in score.warnings[0]
 
 
+def test_history_that_begins_late_settles_no_sooner(arena: Arena, tmp_path: Path) -> None:
+    table = arena.history()
+    late = table.filter(pc.greater_equal(table["time_s"], 20.0))
+    rows = rows_of(arena.score(late, tmp_path), "mine")
+    whole = rows_of(arena.score(table, tmp_path, overwrite=True), "mine")
+    settled, expected = (numeric_column(rows, "settle_600_truth_s") for rows in (rows, whole))
+    assert (expected < 20).any()
+    np.testing.assert_array_equal(settled, np.maximum(expected, 20.0))
+
+
 def test_missing_and_unfinished_runs_are_failures_and_listed(arena: Arena, tmp_path: Path) -> None:
     table = arena.history()
     ids = sorted(set(table["run_id"].to_pylist()))
