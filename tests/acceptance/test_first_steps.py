@@ -163,14 +163,15 @@ def test_errors_of_shipped_studies_name_the_study(sinsjax: Command, tmp_path: Pa
 
 def test_help_lists_commands_in_panels_and_shows_brackets(sinsjax: Command) -> None:
     code, told, _ = sinsjax("--help")
-    panels = re.split(r"^(Run|Look|Set up):$", told, flags=re.M)
+    panels = re.split(r"^(Run|Look|Compare|Set up):$", told, flags=re.M)
     found = {
         name: re.findall(r"^  (\w+) ", text, re.M)
         for name, text in zip(panels[1::2], panels[2::2], strict=True)
     }
-    assert code == 0 and [*found] == ["Run", "Look", "Set up"]
+    assert code == 0 and [*found] == ["Run", "Look", "Compare", "Set up"]
     assert found["Run"] == ["run", "sweep", "align", "tune"]
     assert {"report", "rerun"} <= set(found["Look"])
+    assert found["Compare"] == ["export", "score"]
     assert {"init", "validate", "keys", "info", "gains", "bench", "schedule", "advise"} == set(
         found["Set up"]
     )
