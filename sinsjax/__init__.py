@@ -43,6 +43,8 @@ from sinsjax.platform import runtime
 if TYPE_CHECKING:
     from sinsjax.advice.advise import Advice, advise
     from sinsjax.analysis import summarise
+    from sinsjax.arena.export import export_study
+    from sinsjax.arena.score import Score, score_results
     from sinsjax.covariance.turn_planner import TurnChoice, plan_turns
     from sinsjax.engine.build import simulated_record
     from sinsjax.engine.one_run import one_run
