@@ -1,7 +1,7 @@
 """Writes docs/performance.md and its figures from the history alone.
 
-Every figure in the text is taken from a row; what was not measured has no paragraph. Reasons that
-no row can give stand in ``notes.md``, which is put at the end as it is.
+Every figure in the text is taken from a row; what was not measured has no paragraph. Ways that were
+tried and left, with their reasons, are in ``notes.md``, to which the page links.
 """
 
 import sys
@@ -22,7 +22,6 @@ from sinsjax.report.base import Block, Chapter, Picture, Table, Text
 from sinsjax.report.output import FIGURES_FOLDER, block_to_markdown, save_figures
 
 PAGE = common.ROOT / "docs" / "performance.md"
-NOTES = Path(__file__).parent / "notes.md"
 PREFIX = "performance_"
 
 
@@ -31,7 +30,7 @@ def sections(machines: Sequence[Machine], notes: str) -> list[Chapter]:
 
     Args:
         machines: oldest version first, at least one.
-        notes: Markdown of what was left out and why; may be empty.
+        notes: where to read what was left out and why; may be empty.
     """
     newest = [machine for machine in machines if machine.version == machines[-1].version]
     cpus = [machine for machine in newest if not machine.on_gpu]
@@ -250,6 +249,11 @@ def gpu(machine: Machine) -> list[Block]:
     return [Table(f"{machine.name}, {conditions(machine)}", header, lines)] if lines else []
 
 
+LEAST_VERSIONS = 5
+"""Versions from which on their history says more than the newest one."""
+
+LEFT = "Ways that were tried and left, with what they cost: [benchmarks/notes.md](../benchmarks/notes.md)."
+
 _OTHER_KERNEL = """\
 Ratios of 0.2.0 and 0.3.0 are to a kernel with 64-byte vectors, which gcc spilled without AVX-512:
 22 ns where the kernel since takes 15.5. To that one they would be 1.4 times as large."""
@@ -258,7 +262,7 @@ Ratios of 0.2.0 and 0.3.0 are to a kernel with 64-byte vectors, which gcc spille
 def over_versions(machines: Sequence[Machine]) -> list[Block]:
     """The ratio to the limit kernel by version."""
     known = [machine for machine in machines if machine.x_limit is not None]
-    if not known:
+    if len({machine.version for machine in known}) < LEAST_VERSIONS:
         return []
     lines = []
     for machine in known:
@@ -308,9 +312,8 @@ def write(page: Path, machines: Sequence[Machine], notes: str) -> None:
 
 def main() -> None:
     """Write docs/performance.md."""
-    notes = NOTES.read_text(encoding="utf-8").strip() if NOTES.exists() else ""
     try:
-        write(PAGE, store.machines(), notes)
+        write(PAGE, store.machines(), LEFT)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

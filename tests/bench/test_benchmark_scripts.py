@@ -659,7 +659,8 @@ def test_time_of_overlapping_calls_counts_once():
 
 
 def test_performance_page_shows_history_rows(tmp_path):
-    machines = write_history(tmp_path / "history", history_rows("0.0.9", 1.3), history_rows())
+    older = (history_rows(f"0.0.{version}", 1.3) for version in range(6, 10))
+    machines = write_history(tmp_path / "history", *older, history_rows())
     page.write(tmp_path / "performance.md", machines, "float32: the reason.")
     text = (tmp_path / "performance.md").read_text()
     headings = re.findall("^## (.*)$", text, re.MULTILINE)
@@ -686,11 +687,18 @@ def test_performance_page_shows_history_rows(tmp_path):
         assert (tmp_path / name).stat().st_size < 300_000
 
 
+def test_history_of_few_versions_is_left_out(tmp_path):
+    machines = write_history(tmp_path / "history", history_rows("0.0.9", 1.3), history_rows())
+    page.write(tmp_path / "p.md", machines, "")
+    text = (tmp_path / "p.md").read_text()
+    assert "## History" not in text and "history.png" not in text
+
+
 def test_page_omits_sections_without_measurements(tmp_path):
     rows = [row for row in history_rows() if row["set"] == "short"]
     page.write(tmp_path / "p.md", write_history(tmp_path / "history", rows), "")
     headings = re.findall("^## (.*)$", (tmp_path / "p.md").read_text(), re.MULTILINE)
-    assert headings == ["Targets", "Beside the limit", "History"]
+    assert headings == ["Targets", "Beside the limit"]
 
 
 def test_gpu_rows_get_page_section(tmp_path):
