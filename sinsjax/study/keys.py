@@ -224,11 +224,12 @@ def _build_key(section: str, name: str, field: FieldInfo) -> Key:
     text, default_text = _split_default(field.description or "")
     choices = " | ".join(format_toml(word) for word in accepted_words(field.annotation))
     is_leaf = SECTION_OF.get(name) == section
+    is_required = default_text.startswith("required")  # its own default is never used
     return Key(
         section,
         name,
         split_unit(name)[1],
-        _format_default(name, field) or default_text,
+        default_text if is_required else _format_default(name, field) or default_text,
         f"{text} ({choices})" if choices else text,
         key_info(field),
         reading_methods(name) if is_leaf else tuple(METHODS),

@@ -307,7 +307,7 @@ class MotionSection(Section):
     )
     pitch_period_s: Period = Field(
         10.0,
-        description="period of the pitch motion, s. It must be given if the amplitude is not zero",
+        description="period of the pitch motion, s; default: required with an amplitude",
     )
     pitch_phase_deg: Angle = Field(0.0, description="phase of the pitch motion at t = 0, deg")
     roll_center_deg: HalfTurn = Field(
@@ -318,7 +318,7 @@ class MotionSection(Section):
     )
     roll_period_s: Period = Field(
         10.0,
-        description="period of the roll motion, s. It must be given if the amplitude is not zero",
+        description="period of the roll motion, s; default: required with an amplitude",
     )
     roll_phase_deg: Angle = Field(0.0, description="phase of the roll motion at t = 0, deg")
     yaw_center_deg: Angle | None = Field(
@@ -329,7 +329,7 @@ class MotionSection(Section):
     )
     yaw_period_s: Period = Field(
         10.0,
-        description="period of the yaw motion, s. It must be given if the amplitude is not zero",
+        description="period of the yaw motion, s; default: required with an amplitude",
     )
     yaw_phase_deg: Angle = Field(0.0, description="phase of the yaw motion at t = 0, deg")
     lever_arm_m: Annotated[Vector, KeyInfo(usual_range=(-1e3, 1e3))] = Field(
