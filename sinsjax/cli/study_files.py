@@ -194,7 +194,8 @@ def keys(
     for line in key_table.describe_method(name):
         print_line(console, line, wrap=True)
     for key in key_table.find_keys(name):
-        default = key.default if key.default in ("", "required") else f"default {key.default}"
+        is_fixed = key.default and not key.default.startswith("required")
+        default = f"default {key.default}" if is_fixed else key.default
         about = filter(None, (key.unit, default, f"methods: {key.readers_text}"))
         print_line(console, f"[{key.section}] {key.name}: {'; '.join(about)}")
         if key.meaning:
