@@ -252,7 +252,7 @@ def gpu(machine: Machine) -> list[Block]:
 LEAST_VERSIONS = 5
 """Versions from which on their history says more than the newest one."""
 
-LEFT = "Tried and left, with the reasons: [benchmarks/notes.md](../benchmarks/notes.md)."
+LEFT = "Tried and left, with the reasons: `benchmarks/notes.md`."
 
 _OTHER_KERNEL = """\
 Ratios of 0.2.0 and 0.3.0 are to a kernel with 64-byte vectors, which gcc spilled without AVX-512:
