@@ -20,9 +20,11 @@ import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
@@ -31,13 +33,14 @@ from numpy.typing import NDArray
 
 from sinsjax.arena.frames import BODY_AXES, FRAMES, to_angles, to_quaternion
 from sinsjax.arena.readme import describe_export
-from sinsjax.arena.runs import ProgramPart, ProgramRuns, check_simulated
+from sinsjax.arena.runs import ProgramRuns, check_simulated
 from sinsjax.engine import given
 from sinsjax.engine.build import simulated_records
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import sealed
 from sinsjax.execution.directory import STUDY, check_directory, lock_directory, results_path
 from sinsjax.execution.forecast import format_bytes
+from sinsjax.execution.sealed import DamagedError
 from sinsjax.messages import format_count
 from sinsjax.platform import machine, runtime
 from sinsjax.platform.files import atomic_write, make_folder, read_regular_file
@@ -53,6 +56,9 @@ INITIAL, TRUTH, README, MANIFEST, RECORDS = (
     *("initial.csv", "truth.parquet", "README.txt", "export.json"),
     "imu",
 )
+SCORES = "scores"
+"""Folder of the results that were scored."""
+
 FORMATS = ("psins", "csv", "parquet")
 QUANTITIES = ("increments", "rates")
 
@@ -68,7 +74,7 @@ class ExportOptions(NamedTuple):
     """Options of an export.
 
     Attributes:
-        draws: first draw and the one after the last; None for all.
+        draws: first draw and the one after the last, -1 for the study's last; None for all.
         format: "psins" (increments, blanks between columns, no names), "csv" or "parquet".
         quantity: "increments" (rad, m/s) or "rates" (rad/s, m/s^2, mean over each sample).
         frame: axes and signs, see `arena.frames`.
@@ -91,7 +97,7 @@ class ExportPlan(NamedTuple):
     Attributes:
         runs: of the program.
         options: with the draws.
-        records: (part, draw) of each record.
+        records: (environment, draw) of each record.
         bytes: expected size of the records.
     """
 
@@ -109,19 +115,17 @@ class ExportPlan(NamedTuple):
     @property
     def text(self) -> str:
         """Number of runs and records, and their size, in words."""
-        tasks = sum(len(part.places) for part in self.runs.parts)
-        count = format_count(tasks * len(self.draws), "run")
+        count = format_count(len(self.runs.points) * len(self.draws), "run")
         records = format_count(len(self.records), "record")
-        samples = max(self.runs.samples(part) for part in self.runs.parts)
         return (
-            f"{self.runs.source.name}: {count} on {records} of {samples:,} samples, about"
+            f"{self.runs.source.name}: {count} on {records} of {self.runs.samples:,} samples, about"
             f" {format_bytes(self.bytes)}"
         )
 
-    def record_name(self, part: int, draw: int) -> str:
+    def record_name(self, environment: int, draw: int) -> str:
         """Return the path of a record in the directory."""
-        environment = "" if len(self.runs.parts) == 1 else f"set_{part:03d}_"
-        return f"{RECORDS}/{environment}draw_{draw:05d}{_SUFFIXES[self.options.format]}"
+        number = "" if self.runs.environments == 1 else f"set_{environment:03d}_"
+        return f"{RECORDS}/{number}draw_{draw:05d}{_SUFFIXES[self.options.format]}"
 
 
 def export_study(
@@ -185,13 +189,13 @@ def plan_export(study: Study, options: ExportOptions = _DEFAULTS) -> ExportPlan:
         text = f"the psins format has increments of right-front-up axes (drop --{other}, or csv)"
         raise InputError(f"{other}: {getattr(options, other)!r}: {text}")
     first, end = options.draws or (0, study.n_draws)
+    end = study.n_draws if end < 0 else end
     if not 0 <= first < end <= study.n_draws:
         text = f"must be A:B with 0 <= A < B <= {study.n_draws}, the draws of {study.name}"
         raise InputError(f"draws: {first}:{end}: {text}")
     runs = ProgramRuns(study)
-    records = [(part, draw) for part in range(len(runs.parts)) for draw in range(first, end)]
-    samples = sum(runs.samples(runs.parts[part]) for part, _ in records)
-    size = samples * (6 * _NUMBER_BYTES[options.format] + 8)
+    records = [(e, draw) for e in range(runs.environments) for draw in range(first, end)]
+    size = len(records) * runs.samples * (6 * _NUMBER_BYTES[options.format] + 8)
     return ExportPlan(runs, options._replace(draws=(first, end)), records, size)
 
 
@@ -201,6 +205,7 @@ def write_export(
     *,
     overwrite: bool = False,
     resume: bool = False,
+    on_begin: Callable[[], None] = lambda: None,
     on_record: Callable[[int, int], None] | None = None,
     is_stopped: Callable[[], bool] = lambda: False,
 ) -> None:
@@ -211,6 +216,7 @@ def write_export(
         directory: where to.
         overwrite: whether to replace an export.
         resume: whether to continue an interrupted one.
+        on_begin: called once everything is checked, before anything is written.
         on_record: called with the numbers of written and of all records after every record.
         is_stopped: whether to end after the running record.
 
@@ -228,6 +234,7 @@ def write_export(
             f"{directory}: the records need about {format_bytes(plan.bytes)}, but the disk has only"
             f" {format_bytes(available)} free (--format parquet is smaller, or --draws A:B)"
         )
+    on_begin()
     lock = lock_directory(directory)
     try:
         if earlier and not resume:
@@ -278,11 +285,11 @@ class _Writer:
     def _missing_records(self) -> Iterator[tuple[str, Callable[[Path], None]]]:
         """Yield the paths of missing records, and functions that write them."""
         plan, layout = self._plan, record_layout(self._plan.options)
-        for number, part in enumerate(plan.runs.parts):
+        for number in range(plan.runs.environments):
             missing = [d for d in plan.draws if plan.record_name(number, d) not in self.files]
             if not missing:
                 continue
-            group = plan.runs.group(part, plan.draws)
+            group = plan.runs.group(plan.runs.part_of(number), plan.draws)
             places = np.array(missing) - plan.draws.start
             records = simulated_records(plan.runs.study, group.select(places, np.arange(1)))
             for draw, record in zip(missing, records, strict=True):
@@ -350,48 +357,50 @@ def read_export(directory: Path) -> tuple[Study, dict[str, Any]]:
         raise InputError(f"{directory}: the export is unfinished (`sinsjax export --resume`)")
     for name in (STUDY, INITIAL):
         if manifest["files"].get(name) != _file_entry(directory / name):
-            text = "has changed since it was exported (export it again, with --overwrite)"
+            text = "has changed since it was exported (`sinsjax export --resume` writes it again)"
             raise InputError(f"{directory / name}: {text}")
     return load_study(directory / STUDY), manifest
 
 
 def initial_rows(plan: ExportPlan) -> dict[str, NDArray]:
     """Return the columns of the initial solutions by name, one row per run, by run_id."""
-    blocks = [_initial_block(plan, number, part) for number, part in enumerate(plan.runs.parts)]
-    names = blocks[0]
-    joined = {name: np.concatenate([block[name] for block in blocks]) for name in names}
-    order = np.argsort(joined["run_id"], kind="stable")
-    return {name: column[order] for name, column in joined.items()}
-
-
-def _initial_block(plan: ExportPlan, number: int, part: ProgramPart) -> dict[str, NDArray]:
-    runs, draws, frame = plan.runs, plan.draws, plan.options.frame
-    start = given.find_starts(runs.group(part, draws))
-    tasks = len(part.places)
-    draw, variant = np.repeat(list(draws), tasks), np.tile(part.variants, len(draws))
-    unknown = ~np.tile(part.has_start, len(draws))
+    runs, frame = plan.runs, plan.options.frame
+    tasks = runs.tasks(plan.draws)
+    starts: dict[tuple[int, int], Any] = {}
+    for part in runs.parts:
+        found = np.stack(jax.tree.leaves(given.find_starts(runs.group(part, plan.draws))), axis=-1)
+        keys = product(plan.draws, (runs.points[point].number for point in part.points))
+        starts |= {(point, draw): row for (draw, point), row in zip(keys, found, strict=True)}
+    keys_of_tasks = zip(tasks.point.tolist(), tasks.draw.tolist(), strict=True)
+    *q, ve, vn, latitude, height, gravity = np.array([starts[key] for key in keys_of_tasks]).T
+    has_start = np.array([point.has_start for point in runs.points.values()])[tasks.point]
 
     def where_known(values: NDArray) -> NDArray:
-        return np.where(unknown, np.nan, values + 0.0)  # no -0
+        return np.where(has_start, values + 0.0, np.nan)  # no -0
 
-    angles, q = to_angles(start.attitude, frame) / DEG, to_quaternion(start.attitude, frame)
-    names = ("yaw_deg", "pitch_deg", "roll_deg")
-    velocity = ("v_east_m_per_s", "v_north_m_per_s")
+    attitude = Quat(*q)
+    pitch, roll, yaw = to_angles(attitude, frame).T / DEG
+    quaternion = to_quaternion(attitude, frame)
+    names = zip(tasks.environment.tolist(), tasks.draw.tolist(), strict=True)
+    count = len(tasks.run_id)
     return {
-        "run_id": draw * runs.source.n_variants + variant,
-        "draw_id": draw,
-        "variant_id": variant,
-        **{name: where_known(angles[:, i]) for name, i in zip(names, (2, 0, 1), strict=True)},
-        **{f"q_{axis}": where_known(q[:, i]) for i, axis in enumerate("wxyz")},
-        **{name: where_known(v) for name, v in zip(velocity, (start.ve, start.vn), strict=True)},
-        "latitude_deg": start.latitude / DEG,
-        "height_m": start.height,
-        "gravity_m_per_s2": start.gravity,
-        "rate_hz": np.full(len(draw), float(runs.source.rate_hz)),
-        "start_s": np.zeros(len(draw)),
-        "end_s": np.full(len(draw), runs.end_s(part)),
-        "file": np.array([plan.record_name(number, d) for d in draw.tolist()]),
-        "study": np.full(len(draw), fingerprint(runs.source)),
+        "run_id": tasks.run_id,
+        "draw_id": tasks.draw,
+        "variant_id": tasks.variant,
+        "yaw_deg": where_known(yaw),
+        "pitch_deg": where_known(pitch),
+        "roll_deg": where_known(roll),
+        **{f"q_{axis}": where_known(quaternion[:, i]) for i, axis in enumerate("wxyz")},
+        "v_east_m_per_s": where_known(ve),
+        "v_north_m_per_s": where_known(vn),
+        "latitude_deg": latitude / DEG,
+        "height_m": height,
+        "gravity_m_per_s2": gravity,
+        "rate_hz": np.full(count, float(runs.source.rate_hz)),
+        "start_s": np.zeros(count),
+        "end_s": np.full(count, runs.end_s),
+        "file": np.array([plan.record_name(*name) for name in names]),
+        "study": np.full(count, fingerprint(runs.source)),
     }
 
 
@@ -417,23 +426,21 @@ def _truth_parquet(plan: ExportPlan) -> bytes:
     """Return the true attitudes at record times, one row per record and time."""
     runs, sink = plan.runs, pa.BufferOutputStream()
     writer = None
-    for number, part in enumerate(runs.parts):
-        group = runs.group(part, plan.draws)
-        truth = given.true_attitudes_at_records(group)
-        span = runs.study.spans[part.ids[0]]
-        time_s, stored_s = runs.study.update_times(span), runs.study.stored_times(span)
+    for number in range(runs.environments):
+        part = runs.part_of(number)
+        truth = given.true_attitudes_at_records(runs.group(part, plan.draws))
+        time_s = runs.study.update_times(runs.study.spans[part.ids[0]])
         for place, draw in enumerate(plan.draws):
             attitude = Quat(*(np.ascontiguousarray(a[:, place]) for a in truth))
-            angles = to_angles(attitude, plan.options.frame) / DEG
+            pitch, roll, yaw = to_angles(attitude, plan.options.frame).T / DEG
             table = pa.table(
                 {
                     "file": pa.array([plan.record_name(number, draw)] * len(time_s)),
                     "draw_id": np.full(len(time_s), draw),
                     "time_s": time_s,
-                    "record_time_s": stored_s,
-                    "yaw_deg": angles[:, 2],
-                    "pitch_deg": angles[:, 0],
-                    "roll_deg": angles[:, 1],
+                    "yaw_deg": yaw,
+                    "pitch_deg": pitch,
+                    "roll_deg": roll,
                 }
             )
             writer = writer or pq.ParquetWriter(sink, table.schema, compression="zstd")
@@ -472,12 +479,19 @@ def _check_target(
     Raises:
         InputError: it may not, or the directory contains other files.
     """
-    if not directory.exists() or not any(_visible(directory)):
+    names = _visible(directory) if directory.exists() else []
+    if not names:
         return None
-    earlier = _read_manifest(directory)
+    try:
+        earlier = _read_manifest(directory)
+    except DamagedError:
+        earlier = None
+    own = {STUDY, README, INITIAL, TRUTH, MANIFEST, RECORDS, SCORES}
+    if earlier is None and overwrite and own.issuperset(names):
+        return {"files": {}}  # an export whose manifest is lost
     if earlier is None:
-        names = ", ".join(sorted(_visible(directory))[:3])
-        raise InputError(f"{directory}: contains {names}, no export (give another directory)")
+        others = ", ".join(sorted(names)[:3])
+        raise InputError(f"{directory}: contains {others}, no export (give another directory)")
     if not (overwrite or resume):
         raise InputError(
             f"{directory}: already contains an export (give --resume to continue it, or --overwrite"

@@ -1,7 +1,7 @@
 """The runs of a program outside sinsjax: a study's variants as far as data and start differ.
 
 Variants that differ only in a method and its settings are one run for a program. A record belongs
-to a draw and to a part, the variants of one environment and one length.
+to a draw and to an environment: Earth, motion of the base, sensors.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution.checks import refuse_external
 from sinsjax.methods.description import INITIAL_KEYS
 from sinsjax.methods.registry import METHODS
-from sinsjax.study.keys import PASS_KEYS, TomlTable, is_condition_key
+from sinsjax.study.keys import TomlTable, is_condition_key
 from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.study.study import Study
 
@@ -26,45 +26,55 @@ ANY_PROGRAM = "external"
 
 
 class ProgramPart(NamedTuple):
-    """Runs of a program on records of one environment and one length.
+    """Runs of a program that the engine judges together.
 
     Attributes:
         number: of the part among those of `ProgramRuns.scenario`.
-        ids: (variants,) all its variants in the study with the program.
+        ids: (variants,) its variants in the study with the program.
         places: (tasks,) the first variant of each task, as places in ``ids``.
         task: (variants,) the task of each variant.
-        variants: (tasks,) the first variant of each task in the study without the program.
-        has_start: (tasks,) whether a run starts from a given attitude.
         points: values of the `condition_keys` of each task.
+        environment: number of the environment, whose records it reads.
     """
 
     number: int
     ids: NDArray
     places: NDArray
     task: NDArray
-    variants: NDArray
-    has_start: NDArray
     points: list[tuple[Any, ...]]
+    environment: int
 
 
 class Tasks(NamedTuple):
-    """Runs of a program in the order of their run_id; leaves (runs,).
+    """Runs that a program is asked for, by run_id; leaves (runs,).
 
     Attributes:
-        part: place among `ProgramRuns.parts`.
-        task: of the part.
+        environment: number of the environment.
         draw: number of the draw.
-        variant: in the study without the program.
-        run_id: of that study.
-        end_s: length of the run, s.
+        variant: first variant with its conditions in the study without the program.
+        run_id: of that variant.
+        point: place of its conditions in `ProgramRuns.points`.
     """
 
-    part: NDArray
-    task: NDArray
+    environment: NDArray
     draw: NDArray
     variant: NDArray
     run_id: NDArray
-    end_s: NDArray
+    point: NDArray
+
+
+class Point(NamedTuple):
+    """Conditions of a run.
+
+    Attributes:
+        number: of the point.
+        variant: the first one with these conditions in the study without the program.
+        has_start: whether a run starts from a given attitude.
+    """
+
+    number: int
+    variant: int
+    has_start: bool
 
 
 @dataclass(frozen=True)
@@ -90,12 +100,27 @@ class ProgramRuns:
         return Scenario(self.study, curves=False)
 
     @cached_property
+    def keys(self) -> list[str]:
+        """The keys whose values distinguish runs of the program."""
+        return condition_keys(self.source)
+
+    @cached_property
+    def points(self) -> dict[tuple[Any, ...], "Point"]:
+        """The conditions of the runs: data and start."""
+        acts = ~self.source.without_effect("phi_u0_deg")
+        found: dict[tuple[Any, ...], Point] = {}
+        for variant, values in enumerate(_points(self.source, self.keys)):
+            point = found.setdefault(values, Point(len(found), variant, has_start=False))
+            found[values] = point._replace(has_start=point.has_start or bool(acts[variant]))
+        return found
+
+    @cached_property
     def parts(self) -> list[ProgramPart]:
-        """The parts of the program."""
-        keys = condition_keys(self.source)
-        first, has_start = self._first_variants(keys)
-        points = _points(self.study, keys)
+        """The parts of the program, some of which may have the same conditions."""
+        points = _points(self.study, self.keys)
+        of_environment = [i for i, key in enumerate(self.keys) if key not in INITIAL_KEYS]
         methods = self.study.values("method")
+        environments: dict[tuple[Any, ...], int] = {}
         found = []
         for number, ids in enumerate(self.scenario.variant_ids):
             if methods[ids[0]] != self.name:
@@ -103,54 +128,50 @@ class ProgramRuns:
             tasks: dict[Any, int] = {}
             task = np.array([tasks.setdefault(points[i], len(tasks)) for i in ids])
             places = np.unique(task, return_index=True)[1]
-            variants = np.array([first[point] for point in tasks])
-            starts = np.array([has_start[point] for point in tasks])
-            found.append(ProgramPart(number, ids, places, task, variants, starts, list(tasks)))
+            key = tuple(points[ids[0]][i] for i in of_environment)
+            environment = environments.setdefault(key, len(environments))
+            found.append(ProgramPart(number, ids, places, task, list(tasks), environment))
         return found
 
+    def part_of(self, environment: int) -> ProgramPart:
+        """Return the first part of an environment."""
+        return next(part for part in self.parts if part.environment == environment)
+
+    @cached_property
+    def environments(self) -> int:
+        """Number of environments, each with its own records."""
+        return 1 + max(part.environment for part in self.parts)
+
     def tasks(self, draws: range) -> Tasks:
-        """Return the runs on some draws."""
-        blocks = []
-        for number, part in enumerate(self.parts):
-            size = len(part.places)
-            draw = np.repeat(list(draws), size)
-            variant = np.tile(part.variants, len(draws))
-            blocks.append(
-                Tasks(
-                    np.full(len(draw), number),
-                    np.tile(np.arange(size), len(draws)),
-                    draw,
-                    variant,
-                    draw * self.source.n_variants + variant,
-                    np.full(len(draw), self.end_s(part)),
-                )
-            )
-        joined = Tasks(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
-        order = np.argsort(joined.run_id, kind="stable")
-        return Tasks(*(column[order] for column in joined))
+        """Return the runs on some draws, one for each point and draw."""
+        environment_of = {p: part.environment for part in self.parts for p in part.points}
+        numbers = np.array([environment_of[point] for point in self.points])
+        variants = np.array([point.variant for point in self.points.values()])
+        draw = np.repeat(list(draws), len(self.points))
+        run_id = draw * self.source.n_variants + np.tile(variants, len(draws))
+        columns = (
+            np.tile(numbers, len(draws)),
+            draw,
+            np.tile(variants, len(draws)),
+            run_id,
+            np.tile(np.arange(len(self.points)), len(draws)),
+        )
+        order = np.argsort(run_id, kind="stable")
+        return Tasks(*(column[order] for column in columns))
 
     def group(self, part: ProgramPart, draws: range) -> Group:
         """Return the group of a part with its tasks as variants."""
         return self.scenario.part(part.number, draws, variants=part.places).group
 
-    def samples(self, part: ProgramPart) -> int:
-        """Return the number of samples of a record of a part."""
-        span = self.study.spans[part.ids[0]]
-        return span.records_read * self.study.record_every
+    @property
+    def samples(self) -> int:
+        """Number of samples of a record."""
+        return self.study.records * self.study.record_every
 
-    def end_s(self, part: ProgramPart) -> float:
-        """Return the length of the runs of a part, s."""
-        return float(self.study.spans_s[part.ids[0], 0])
-
-    def _first_variants(self, keys: list[str]) -> tuple[dict[Any, int], dict[Any, bool]]:
-        """Return the first variant of each point, and whether a method starts from an attitude."""
-        acts = ~self.source.without_effect("phi_u0_deg")
-        first: dict[Any, int] = {}
-        has_start: dict[Any, bool] = {}
-        for variant, point in enumerate(_points(self.source, keys)):
-            first.setdefault(point, variant)
-            has_start[point] = has_start.get(point, False) or bool(acts[variant])
-        return first, has_start
+    @property
+    def end_s(self) -> float:
+        """Length of a run, s."""
+        return self.samples / self.study.rate_hz
 
 
 def condition_keys(study: Study) -> list[str]:
@@ -159,7 +180,7 @@ def condition_keys(study: Study) -> list[str]:
     def acts(key: str) -> bool:
         return key not in INITIAL_KEYS or not study.without_effect(key).all()
 
-    swept = (key for key in study.axis_keys if is_condition_key(key) or key in PASS_KEYS)
+    swept = (key for key in study.axis_keys if is_condition_key(key))
     return [key for key in swept if acts(key)]
 
 
@@ -174,7 +195,8 @@ def check_simulated(study: Study) -> None:
     """Refuse a study whose draws cannot be given to a program.
 
     Raises:
-        InputError: it reads a record, has estimates instead of draws, or results of a program.
+        InputError: it reads a record, or one repeatedly, has estimates instead of draws, or results
+            of a program.
     """
     if study.is_recorded:
         text = "reads a record: give that to the program (a simulated study has draws)"
@@ -182,6 +204,9 @@ def check_simulated(study: Study) -> None:
     if study.is_estimated:
         text = "covariance estimates have no draws (--set study.estimate='draws')"
         raise InputError(f"{study.name}: [study] estimate: {text}")
+    if study.passes is not None:
+        text = "a program reads a record once (--set passes={} drops the section)"
+        raise InputError(f"{study.name}: [passes]: {text}")
     refuse_external(study.study.external, study.name)
 
 

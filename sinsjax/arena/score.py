@@ -18,7 +18,7 @@ from sinsjax.arena.comparison import Comparison, compare
 from sinsjax.arena.export import read_export
 from sinsjax.arena.frames import to_angles
 from sinsjax.arena.results_file import AskedRuns, GivenResults, read_results
-from sinsjax.arena.runs import ProgramPart, ProgramRuns, add_program
+from sinsjax.arena.runs import ProgramPart, ProgramRuns
 from sinsjax.arena.suspicions import suspect
 from sinsjax.columns import FAILED
 from sinsjax.engine import given as engine
@@ -139,17 +139,19 @@ def score_results(
     stored = None if against is None else _open_results(Path(against), study, manifest["digest"])
     source = _first_draws(study if stored is None else stored.study, draws)
     runs = ProgramRuns(source, name)
-    add_program(source, name)  # before anything is read or run
+    with_program = runs.study  # its name is refused before anything is read or run
     asked = _asked_runs(exported, draws, manifest)
     given = read_results(results, asked, frame)
     own = _own_rows(source, stored, on_progress)
     program, missing = _judge(runs, exported, draws, given)
-    table = _join(runs.study, name, draws, program, own)
-    comparison = compare(runs.study, table, name)
+    table = _join(with_program, name, draws, program, own)
+    comparison = compare(with_program, table, name)
     reading = _suspect(runs, exported, draws, given, table, comparison)
     warnings = [*_describe_doubts(name, asked, given, missing), *([reading] if reading else [])]
-    _write(runs.study, table, draws, target, manifest["digest"], warnings, str(results), overwrite)
-    return Score(target, runs.study, comparison, asked.run_id[missing].tolist(), warnings)
+    _write(
+        with_program, table, draws, target, manifest["digest"], warnings, str(results), overwrite
+    )
+    return Score(target, with_program, comparison, asked.run_id[missing].tolist(), warnings)
 
 
 def _open_results(against: Path, study: Study, digest: str) -> Source:
@@ -188,7 +190,7 @@ def _asked_runs(exported: ProgramRuns, draws: range, manifest: dict[str, Any]) -
         tasks.run_id,
         tasks.draw,
         tasks.variant,
-        tasks.end_s,
+        np.full(len(tasks.run_id), exported.end_s),
         1 / exported.source.rate_hz,
     )
 
@@ -206,9 +208,9 @@ def _judge(
     """Return the rows of a program, and the places of runs without a result at their end."""
     builder, tables = TableBuilder(runs.study), []
     places = _places(exported, draws)
-    missing = np.zeros(len(exported.tasks(draws).run_id), bool)
+    missing = np.zeros(len(places), bool)
+    records = runs.study.records
     for part in runs.parts:
-        records = runs.study.spans[part.ids[0]].records
         tasks = len(part.places)
         block = max(1, _BLOCK_RECORDS // (records * tasks))
         for first in range(draws.start, draws.stop, block):
@@ -217,16 +219,15 @@ def _judge(
             attitudes, final_only = _attitudes(runs.study, records, given, run, len(missing))
             missing[run] = ~np.isfinite(attitudes.attitude.w[-1])
             outcome = engine.judge(runs.group(part, some), attitudes)
-            tables.append(_program_rows(builder, part, some, outcome, final_only))
+            tables.append(_program_rows(runs.study, builder, part, some, outcome, final_only))
     return pa.concat_tables(tables), np.flatnonzero(missing)
 
 
 def _places(exported: ProgramRuns, draws: range) -> dict[tuple[Any, int], int]:
     """Return the place of each exported run by its conditions and draw."""
-    tasks = exported.tasks(draws)
-    points = [part.points for part in exported.parts]
-    keys = zip(tasks.part, tasks.task, tasks.draw, strict=True)
-    return {(points[part][task], int(draw)): i for i, (part, task, draw) in enumerate(keys)}
+    tasks, points = exported.tasks(draws), list(exported.points)
+    keys = zip(tasks.point.tolist(), tasks.draw.tolist(), strict=True)
+    return {(points[point], draw): place for place, (point, draw) in enumerate(keys)}
 
 
 def _attitudes(
@@ -284,7 +285,12 @@ def _covariance(rows: GivenResults, attitude: Quat) -> tuple[NDArray, ...]:
 
 
 def _program_rows(
-    builder: TableBuilder, part: ProgramPart, draws: range, outcome: Outcome, final_only: NDArray
+    study: Study,
+    builder: TableBuilder,
+    part: ProgramPart,
+    draws: range,
+    outcome: Outcome,
+    final_only: NDArray,
 ) -> pa.Table:
     """Return the rows of all variants of a part from the outcomes of its tasks."""
     variants, tasks = len(part.ids), len(part.places)
@@ -296,11 +302,11 @@ def _program_rows(
         None,
     )
     table = builder.summary_table(chunk, part.ids)
-    end_s = builder.end_s(part.ids)[chunk.variant]
+    end_s = pa.scalar(study.records * study.record_every / study.rate_hz)
     for name in (n for n in table.column_names if n.startswith("settle_")):
         # All that is known of them is that they are settled at their end.
         at_end = pa.array(final_only[run] & table[name].is_valid().to_numpy())
-        settled = pc.if_else(at_end, pa.array(end_s), table[name]).combine_chunks()
+        settled = pc.if_else(at_end, end_s, table[name]).combine_chunks()
         table = replace_column(table, name, settled)
     return table
 
@@ -309,7 +315,7 @@ def _join(study: Study, name: str, draws: range, program: pa.Table, own: Rows) -
     """Return the rows of all methods, by run_id."""
     schema, variants = summary_columns(study), np.arange(study.n_variants)
     is_own = np.array(study.values("method")) != name
-    keys = [key for key in ("method", *own.study.axis_keys)]
+    keys = ["method", *own.study.axis_keys]
     there = {p: i for i, p in enumerate(zip(*map(own.study.values, keys), strict=True))}
     here = list(zip(*map(study.values, keys), strict=True))
     variant = np.tile(variants[is_own], len(draws))
@@ -352,19 +358,17 @@ def _suspect(
     phi = np.stack(
         [table[f"phi_{a}_arcmin"].to_numpy(zero_copy_only=False) for a in "enu"], axis=-1
     )
-    end_s = np.zeros(len(places))
     for part in runs.parts:
         attitudes = engine.true_attitudes_at_records(runs.group(part, draws))
         for task, point in enumerate(part.points):
             for at, draw in enumerate(draws):
                 place = places[point, draw]
                 truth[place] = [a[-1, at] for a in attitudes]
-                end_s[place] = runs.end_s(part)
                 variant = int(part.ids[part.places[task]])
                 first = (draw - draws.start) * runs.study.n_variants
                 for number, rival in enumerate(rivals):
                     references[number, place] = phi[first + rival[variant]] * ARCMIN
-    at_end = np.abs(rows.time_s - end_s[rows.run]) < 0.5 / runs.study.rate_hz
+    at_end = np.abs(rows.time_s - runs.end_s) < 0.5 / runs.study.rate_hz
     rows = rows.select(np.flatnonzero(at_end))
     if not len(rows.run):
         return None

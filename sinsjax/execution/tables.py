@@ -112,10 +112,6 @@ class TableBuilder:
         values |= self._method_values(chunk, variant)
         return make_table(self.summary_columns, values)
 
-    def end_s(self, variant_ids: np.ndarray) -> np.ndarray:
-        """Return the lengths of the runs of some variants, s."""
-        return self._end_s[variant_ids]
-
     def curve_table(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """Return the curves of a chunk that has them, one row per run and record time."""
         assert isinstance(chunk.curves, Observation)

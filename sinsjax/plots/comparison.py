@@ -10,7 +10,6 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate, group_rows, summarise
@@ -23,6 +22,7 @@ from sinsjax.plots.style import (
     add_legend_below,
     label_line_ends,
     line_colour,
+    set_log_scale,
     with_style,
 )
 
@@ -233,15 +233,8 @@ def draw_along_axis(
             axes.axhline(expected.value, color=GREY, linestyle="--", label=expected.name)
         all_estimates = [e for estimates in lines.values() for e in estimates]
         if log or _needs_log_axis(all_estimates):
-            axes.set_yscale("log")
-            decades = np.ptp(
-                np.log10([e.value for e in all_estimates if 0 < e.value < np.inf] or [1.0])
-            )
-            axes.yaxis.set_major_locator(
-                LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2 else (1.0,))
-            )
-            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-            axes.yaxis.set_minor_formatter(NullFormatter())
+            shown = [e.value for e in all_estimates if 0 < e.value < np.inf] or [1.0]
+            set_log_scale(axes, min(shown), max(shown))
         for i, (line, estimates) in enumerate(lines.items()):
             value, spread = _values_and_bars(estimates)
             style = {"color": line_colour(i), "label": line, "capsize": 2.5, "markersize": 5}

@@ -1,6 +1,7 @@
 """Figures of a filter's consistency: its covariance against its actual errors."""
 
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,16 +18,21 @@ from sinsjax.analysis.tables import to_arrow_table, to_key_list
 from sinsjax.errors import InputError
 from sinsjax.plots.comparison import cumulative_distribution_steps
 from sinsjax.plots.labels import describe_point
-from sinsjax.plots.style import GREY, add_legend_below, line_colour, with_style
+from sinsjax.plots.style import GREY, LETTERS, add_legend_below, line_colour, with_style
+
+_FROM_FLOOR = "from the bias floor"
+
+NEES_COLUMNS = ("nees", "nis_u")
+"""Columns of NEES: of the attitude from the truth, and of the heading from the bias floor."""
 
 SHARE_COLUMNS = {
     "from truth": "p_above_error_share",
-    "from the bias floor": "p_above_floor_error_share",
+    _FROM_FLOOR: "p_above_floor_error_share",
 }
 """Columns of the shares of records with P above the squared error."""
 
 _WITHIN_SIGMA = float(special.erf(0.5**0.5))  # share of a normal variable within 1 sigma
-_FAR = (1e-2, 1e4)  # widest range of the NEES axis
+_FAR = (1e-4, 1e4)  # widest range of the NEES axis
 _MARKS = ("o", "s", "^")
 _WIDTH, _THINNER = 3.2, 0.35
 _BELOW = 0.2  # distance of name and marks from the middle of their line, in lines
@@ -37,7 +43,7 @@ class ConsistencyLine(NamedTuple):
 
     Attributes:
         label: label in the legend.
-        nees: (runs,) NEES.
+        nees: (runs,) NEES, of the attitude from the truth or of the heading from the bias floor.
         shares: share of records with P above the squared error, by reference of the error.
     """
 
@@ -46,17 +52,29 @@ class ConsistencyLine(NamedTuple):
     shares: Mapping[str, Estimate]
 
     @classmethod
-    def from_runs(cls, label: str, rows: pa.Table) -> "ConsistencyLine":
-        """Return the line of some runs of a summary with ``nees`` and `SHARE_COLUMNS`."""
+    def from_runs(
+        cls, label: str, rows: pa.Table, *, from_floor: bool = False
+    ) -> "ConsistencyLine":
+        """Return the line of some runs of a summary with `SHARE_COLUMNS`.
+
+        Args:
+            label: label in the legend.
+            rows: the runs, with ``nees``, or ``nis_u`` if errors count from the bias floor.
+            from_floor: whether errors count from the bias floor only.
+        """
         shares = {}
         for of, column in SHARE_COLUMNS.items():
+            if from_floor and of != _FROM_FLOOR:
+                continue
             found = analysis.mean(analysis.numeric_column(rows, column), analysis.cluster_ids(rows))
             low, high = np.clip(found[1:3], 0.0, 1.0).tolist()
             shares[of] = found._replace(low=low, high=high)
-        return cls(label, analysis.numeric_column(rows, "nees"), shares)
+        return cls(label, analysis.numeric_column(rows, NEES_COLUMNS[from_floor]), shares)
 
 
-def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> Figure:
+def plot_belief(
+    runs: Any, *, by: str | Sequence[str] = (), title: str = "", from_floor: bool = False
+) -> Figure:
     """Draw whether filters know their own error: NEES and P against the true error, line by line.
 
     On the left the distribution of NEES, the squared attitude error at the end in units of the
@@ -64,12 +82,18 @@ def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> 
     share of records in which the heading variance exceeds the squared heading error, from the truth
     and from the bias floor, with 95 % intervals, against the 68 % of a consistent filter.
 
+    A filter without states for constant sensor biases cannot know the error that they cause. With
+    ``from_floor`` both sides show the heading error from the bias floor alone, and the left one
+    ``nis_u``, its square in units of the filter's heading variance, of 1 degree of freedom.
+
     Args:
         runs: one row per run, with ``nees``, ``p_above_error_share`` and
-            ``p_above_floor_error_share``: a pyarrow Table such as `Results.summary`, or a pandas
-            data frame. Lines without any finite NEES are left out.
+            ``p_above_floor_error_share`` (``nis_u`` and the last one with ``from_floor``): a
+            pyarrow Table such as `Results.summary`, or a pandas data frame. Lines without any
+            finite NEES are left out.
         by: key or keys of the lines; without keys all runs make one.
         title: title of the figure; by default it states the mean NEES.
+        from_floor: whether errors count from the bias floor only.
 
     Raises:
         InputError: no table, a missing column, or no run with a finite NEES.
@@ -86,40 +110,54 @@ def plot_belief(runs: Any, *, by: str | Sequence[str] = (), title: str = "") -> 
     """
     keys = to_key_list(by)
     groups = analysis.group_rows(to_arrow_table(runs), keys)
-    lines = [ConsistencyLine.from_runs(describe_point(point), rows) for point, rows in groups]
+    lines = [
+        ConsistencyLine.from_runs(describe_point(point), rows, from_floor=from_floor)
+        for point, rows in groups
+    ]
     lines = [line for line in lines if np.isfinite(line.nees).any()]
     if not lines:
-        raise InputError("plot_belief: no run has a finite nees (only filters have a covariance)")
-    return draw_consistency(lines, title or _mean_nees_title(lines))
+        column = NEES_COLUMNS[from_floor]
+        raise InputError(
+            f"plot_belief: no run has a finite {column} (only filters have a covariance)"
+        )
+    title = title or _mean_nees_title(lines, from_floor=from_floor)
+    return draw_consistency(lines, title, from_floor=from_floor)
 
 
-def _mean_nees_title(lines: Sequence[ConsistencyLine]) -> str:
+def _mean_nees_title(lines: Sequence[ConsistencyLine], *, from_floor: bool) -> str:
     """The mean NEES of the lines, in words."""
     means = [float(np.mean(line.nees[np.isfinite(line.nees)])) for line in lines]
     ends = dict.fromkeys(
         f"{mean:,.0f}" if mean >= 10 else f"{mean:.2g}" for mean in (min(means), max(means))
     )
-    return f"Mean NEES {' to '.join(ends)}, where a consistent filter has {NEES_FREEDOM}"
+    error, freedom = (
+        (" of the heading, from the bias floor:", 1) if from_floor else ("", NEES_FREEDOM)
+    )
+    return f"Mean NEES{error} {' to '.join(ends)}, where a consistent filter has {freedom}"
 
 
 @with_style
-def draw_consistency(lines: Sequence[ConsistencyLine], title: str) -> Figure:
+def draw_consistency(
+    lines: Sequence[ConsistencyLine], title: str, *, from_floor: bool = False
+) -> Figure:
     """Draw the distribution of NEES against chi-square, and how often P exceeds the squared error.
 
     Args:
         lines: one line each; all with shares of the same names.
         title: title of the figure.
+        from_floor: whether the NEES are those of the heading from the bias floor.
     """
     figure = Figure(figsize=(9.2, 4.4 + 0.3 * max(len(lines) - 3, 0)))
-    figure.suptitle(title)
+    figure.suptitle(fill(title, int(LETTERS * figure.get_figwidth())))
     left, right = figure.subplots(1, 2, width_ratios=[3, 2])
-    _draw_nees(left, lines)
+    _draw_nees(left, lines, from_floor=from_floor)
     _draw_shares(right, lines)
     add_legend_below(figure, left, {line.label for line in lines})  # named on the right
     return figure
 
 
-def _draw_nees(axes: Axes, lines: Sequence[ConsistencyLine]) -> None:
+def _draw_nees(axes: Axes, lines: Sequence[ConsistencyLine], *, from_floor: bool) -> None:
+    freedom = 1 if from_floor else NEES_FREEDOM
     for i, belief in enumerate(lines):
         x, share = cumulative_distribution_steps(belief.nees)
         width = _WIDTH - _THINNER * i  # so that a line under another one remains visible
@@ -129,17 +167,22 @@ def _draw_nees(axes: Axes, lines: Sequence[ConsistencyLine]) -> None:
     low, high = np.quantile(known, [0.002, 0.998]) if known.size else (1.0, 1.0)
     low, high = max(min(low, 0.05), _FAR[0]), min(max(high, 30.0), _FAR[1])
     at = np.geomspace(low, high, 400)
-    name = f"chi-square, {NEES_FREEDOM} degrees of freedom"
-    axes.plot(at, special.chdtr(NEES_FREEDOM, at), "--", color="black", label=name)
+    name = f"chi-square, {freedom} degree{'s' * (freedom > 1)} of freedom"
+    axes.plot(at, special.chdtr(freedom, at), "--", color="black", label=name)
     for mark, of in zip(_MARKS, lines[0].shares if lines else (), strict=False):
         axes.plot([], [], mark, color=GREY, label=f"share {of}")
     axes.set_xscale("log")
     axes.set_xlim(low, high)
-    axes.xaxis.set_major_locator(FixedLocator(list(10.0 ** np.arange(-2, 5))))
+    axes.xaxis.set_major_locator(FixedLocator(list(10.0 ** np.arange(-4, 5))))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_ylim(0, 1.02)
-    axes.set_xlabel("NEES at the end, error from truth")
+    error = (
+        f"of the heading at the end, {_FROM_FLOOR}"
+        if from_floor
+        else "at the end, error from truth"
+    )
+    axes.set_xlabel(f"NEES {error}")
     axes.set_ylabel("share of runs")
 
 

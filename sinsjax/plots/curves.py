@@ -1,7 +1,9 @@
 """Figures of curves over time: misalignment, attitude, covariance against the true error."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +28,9 @@ from sinsjax.plots.style import (
     label_line_ends,
     line_colour,
     set_asinh_scale,
+    set_log_scale,
     with_style,
+    write_line_names,
 )
 
 MAX_LINES = 6
@@ -37,7 +41,10 @@ BAND = (0.025, 0.975)
 
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8  # reset times that are marked
-_SAME = 0.01  # arcmin; bias floors that lie closer are one line
+_STACKED = 3  # panels at most in a single column
+_LETTERS = {1: 60, 2: 26}  # of a line of a panel's title, by the number of columns
+_LEAST_FLOOR = 0.01  # arcmin; a smaller bias floor is not drawn
+_DIPS = 0.01  # quantile of the errors below which an axis of magnitudes ends
 _SPIKES = (0.05, 0.95)  # quantiles over time of a band of 1 sigma that an axis covers
 _FAINT = 0.22  # opacity of a band
 _LINEAR = (0.1, 10.0)  # arcmin; least and most up to which an asinh axis is about linear
@@ -132,11 +139,14 @@ def plot_curves(
     by: str | Sequence[str] = (),
     zoom_s: tuple[float, float] | None = None,
     title: str = "",
+    level: bool = False,
 ) -> Figure:
-    """Draw the misalignment over time, or the attitude of runs without a truth, line by line.
+    """Draw the heading error over time, the level errors, or the attitude of runs without a truth.
 
-    Each line is the mean over its runs with the band of 95 % of them; dashed: the filter's own
-    1 sigma. Only the first 6 lines and the first 256 runs of a line are drawn.
+    Heading errors have a panel for each line, with a logarithmic axis: rms over the runs, the band
+    of 95 % of them and the filter's own 1 sigma. Level errors are drawn about zero: mean and band
+    of each line, dashed the filter's own 1 sigma; so are those of runs that all have no heading.
+    Only the first 6 lines and the first 256 runs of a line are drawn.
 
     Args:
         curves: one row per run and record time, ordered by run and time, with ``run_id``,
@@ -145,8 +155,9 @@ def plot_curves(
         runs: the runs to draw, one row each, such as `Results.summary`, with the keys of ``by``;
             reset times and a bias floor in it are marked. None draws every run as its own line.
         by: key or keys of the lines; without keys all runs make one.
-        zoom_s: time span to enlarge next to the whole run, s.
+        zoom_s: time span of the level errors to enlarge next to the whole run, s.
         title: title of the figure; by default it states the heading error at the end.
+        level: whether to draw the level errors.
 
     Raises:
         InputError: no table, a missing column, or no curves of these runs.
@@ -179,15 +190,24 @@ def plot_curves(
     with_sigma = any(sigma is not None and np.isfinite(sigma).any() for sigma in sigmas)
     if not has_truth:
         return draw_attitude(ensembles, title or _attitude_title(ensembles))
-    drawn = summary.filter(pc.is_in(summary["run_id"], pa.array(sum(lines.values(), []))))
-    floor = _common_bias_floor(summary)
-    return draw_misalignment(
+    drawn = {
+        name: summary.filter(pc.is_in(summary["run_id"], pa.array(ids)))
+        for name, ids in lines.items()
+    }
+    if level or not _has_values(ensembles, "phi_u_arcmin"):
+        return draw_misalignment(
+            ensembles,
+            title or _misalignment_title(ensembles, "en"),
+            shown="en",
+            resets_s=_reset_times_to_mark(pa.concat_tables(drawn.values())),
+            zoom_s=zoom_s,
+            with_sigma=with_sigma,
+        )
+    return draw_heading_errors(
         ensembles,
-        title or _heading_error_title(ensembles),
-        floors=None if floor is None else {"u": floor},
-        resets_s=_reset_times_to_mark(drawn),
-        zoom_s=zoom_s,
-        with_sigma=with_sigma,
+        title or _misalignment_title(ensembles, "u"),
+        floors={name: _bias_floor_rms(rows) for name, rows in drawn.items()},
+        resets_s={name: _reset_times_to_mark(rows) for name, rows in drawn.items()},
     )
 
 
@@ -205,13 +225,12 @@ def select_runs_by_line(summary: pa.Table, by: Sequence[str]) -> dict[str, list[
     }
 
 
-def _common_bias_floor(summary: pa.Table) -> float | None:
-    """The bias floor of all runs that have one, if it is the same, arcmin."""
+def _bias_floor_rms(summary: pa.Table) -> float:
+    """The rms bias floor of the runs that have one, arcmin; NaN if none does."""
     if "floor_arcmin" not in summary.column_names:
-        return None
+        return math.nan
     floors = numeric_column(summary, "floor_arcmin")
-    floors = floors[np.isfinite(floors)]
-    return float(floors[0]) if floors.size and np.ptp(floors) < _SAME else None
+    return float(_rms(floors[np.isfinite(floors)])) if np.isfinite(floors).any() else math.nan
 
 
 def _reset_times_to_mark(summary: pa.Table) -> list[float]:
@@ -232,20 +251,97 @@ def _attitude_title(ensembles: Sequence[Ensemble]) -> str:
     return f"Yaw after {ensembles[0].time_s[-1]:g} s: {' to '.join(ends)} deg"
 
 
-def _heading_error_title(ensembles: Sequence[Ensemble]) -> str:
-    """The heading error at the end of each line, in words."""
-    last = [np.abs(e.columns["phi_u_arcmin"][:, -1]) for e in ensembles]
-    errors = [
-        float(np.sqrt(np.mean(errors_of_line**2)))
-        for errors_of_line in last
-        if np.isfinite(errors_of_line).all()
-    ]
+def _misalignment_title(ensembles: Sequence[Ensemble], axes: str) -> str:
+    """The error at the end of each line about one or two axes, in words."""
+    last = [e.columns[f"phi_{axis}_arcmin"][:, -1] for e in ensembles for axis in axes]
+    errors = [float(_rms(values)) for values in last if np.isfinite(values).all()]
     end = max(float(e.time_s[-1]) for e in ensembles)
     if not errors:
         return "Misalignment"
     ends = dict.fromkeys(f"{error:.3g}" for error in (min(errors), max(errors)))
     rms = ", rms" if max(map(len, last)) > 1 else ""
-    return f"Heading error after {end:g} s: {' to '.join(ends)} arcmin{rms}"
+    name = "Heading error" if axes == "u" else "Level errors"
+    return f"{name} after {end:g} s: {' to '.join(ends)} arcmin{rms}"
+
+
+def _rms(values: NDArray) -> NDArray:
+    """The root mean square over the runs, the first axis."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+@with_style
+def draw_heading_errors(
+    ensembles: Sequence[Ensemble],
+    title: str,
+    *,
+    floors: Mapping[str, float],
+    resets_s: Mapping[str, Sequence[float]],
+) -> Figure:
+    """Draw the magnitude of the heading error next to the filter's 1 sigma, one panel per line.
+
+    Each is the rms over the runs, on a logarithmic axis that all panels share; shaded: the
+    magnitudes of 95 % of the runs. Lines without a heading are left out.
+
+    Args:
+        ensembles: the lines, with ``phi_u_arcmin``, and ``sigma_u_arcmin`` if it is known.
+        title: title of the figure.
+        floors: magnitude of the bias floor by line, arcmin; NaN for none.
+        resets_s: reset times by line, s.
+    """
+    shown = [e for e in ensembles if np.isfinite(e.columns["phi_u_arcmin"]).any()]
+    width = 1 if len(shown) <= _STACKED else 2
+    height = -(-len(shown) // width)
+    figure = Figure(figsize=(9.2, 1.4 + (2.6 if len(shown) > 1 else 4.0) * height))
+    figure.suptitle(title)
+    grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
+    drawn = {}
+    for number, (axes, ensemble) in enumerate(zip(grid.flat, shown, strict=False)):
+        drawn[axes] = _draw_heading_error(axes, ensemble, line_colour(number))
+        _mark_resets(axes, resets_s[ensemble.label])
+        axes.set_title(fill(ensemble.label, _LETTERS[width]))
+    values = np.concatenate([line.values.ravel() for lines in drawn.values() for line in lines])
+    low = np.quantile(values[values > 0], _DIPS) if (values > 0).any() else 1.0
+    known_floors = [floors[e.label] for e in shown if floors[e.label] > _LEAST_FLOOR]
+    low, high = 0.5 * min([low, *known_floors]), 1.5 * max(values.max(), low)
+    set_log_scale(grid[0, 0], low, high)
+    grid[0, 0].set(xlim=(0, max(e.time_s[-1] for e in shown)), ylim=(low, high))
+    for (axes, lines), ensemble in zip(drawn.items(), shown, strict=True):
+        ends = [(line.label, float(line.values[0, -1]), line.colour) for line in lines]
+        if (floor := floors[ensemble.label]) > _LEAST_FLOOR:
+            axes.axhline(floor, color=GREY, linestyle="-.", linewidth=1.2)
+            ends.append(("bias floor", floor, GREY))
+        write_line_names(axes, ends)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("|heading error|\n(arcmin)")
+    for axes in grid.flat:
+        axes.set_visible(axes in drawn)
+    for column in grid.T:
+        [*_, lowest] = [axes for axes in column if axes in drawn]
+        lowest.set_xlabel("time (s)")
+        lowest.tick_params(labelbottom=True)
+    add_legend_below(figure, max(drawn, key=lambda axes: len(axes.get_legend_handles_labels()[1])))
+    return figure
+
+
+def _draw_heading_error(axes: Axes, ensemble: Ensemble, colour: str) -> list[Line]:
+    """Draw the heading error of a line and the filter's 1 sigma, and return both as (1, T) rms."""
+    lines = []
+    for name, column, shade, style in (
+        ("heading error", "phi_u_arcmin", colour, "-"),
+        ("filter's 1 sigma", "sigma_u_arcmin", "black", "--"),
+    ):
+        values = np.abs(ensemble.columns.get(column, np.full((1, ensemble.time_s.size), np.nan)))
+        known = np.isfinite(values).all(axis=0)
+        if not known.any():
+            continue  # a method without a covariance
+        time, values = ensemble.time_s[known], values[:, known]
+        if column == "phi_u_arcmin" and len(values) > 1:
+            low, high = np.quantile(values, BAND, axis=0)
+            axes.fill_between(time, low, high, color=colour, alpha=_FAINT, linewidth=0)
+            _name_band(axes)
+        lines.append(Line(name, time, _rms(values)[None], shade, style))
+        axes.plot(time, lines[-1].values[0], style, color=shade)
+    return lines
 
 
 @with_style
@@ -253,6 +349,7 @@ def draw_misalignment(
     ensembles: Sequence[Ensemble],
     title: str,
     *,
+    shown: str = "enu",
     floors: Mapping[str, float] | None = None,
     resets_s: Sequence[float] = (),
     zoom_s: tuple[float, float] | None = None,
@@ -265,12 +362,13 @@ def draw_misalignment(
     Args:
         ensembles: one line each, with the phi columns (and sigma, if drawn).
         title: title of the figure.
+        shown: axes to draw, ``e``, ``n`` and ``u``.
         floors: dash-dotted lines at ``{"e": ..., "n": ..., "u": ...}``, arcmin.
         resets_s: dotted lines at reset times, s.
         zoom_s: time span to enlarge, s; None for no enlargement.
         with_sigma: whether to draw the filter's 1 sigma, dashed on both sides of 0.
     """
-    shown = "".join(axis for axis in "enu" if _has_values(ensembles, f"phi_{axis}_arcmin")) or "enu"
+    shown = "".join(a for a in shown if _has_values(ensembles, f"phi_{a}_arcmin")) or shown
     figure = Figure(figsize=(9.2, 8.4 * len(shown) / 3))
     figure.suptitle(title)
     grid = figure.subplots(len(shown), 2 if zoom_s else 1, sharex="col", squeeze=False)
@@ -315,6 +413,11 @@ def _label_line_ends(panels: NDArray, shown: str, ensembles: Sequence[Ensemble])
     return set()
 
 
+def _name_band(axes: Axes) -> None:
+    """Name the bands of some axes in their legend."""
+    axes.fill_between([], [], color=GREY, alpha=_FAINT, linewidth=0, label="95 % of the runs")
+
+
 def _draw_misalignment_panel(
     axes: Axes, axis: str, ensembles: Sequence[Ensemble], *, with_sigma: bool
 ) -> list[Extent]:
@@ -334,7 +437,7 @@ def _draw_misalignment_panel(
                 axes.plot(time, side, "--", color=line_colour(i), linewidth=0.9, alpha=0.8)
             extents.append(Extent(time, -sigma, sigma, is_sigma=True))
     if any(len(ensemble.columns[f"phi_{axis}_arcmin"]) > 1 for ensemble in ensembles):
-        axes.fill_between([], [], color=GREY, alpha=_FAINT, linewidth=0, label="95 % of the runs")
+        _name_band(axes)
     if with_sigma:
         axes.plot([], [], "--", color=GREY, linewidth=0.9, label="±1 sigma of the filter")
     return extents

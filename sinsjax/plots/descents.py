@@ -16,7 +16,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from sinsjax.plots.style import (
-    AND_MORE,
+    ABOVE_SCALE,
     COLOURS,
     GREY,
     LETTERS,
@@ -170,7 +170,7 @@ def _add_colour_bar(figure: Figure, axes: Any, landscape: ObjectiveLandscape, **
     norm = _colour_norm(landscape)
     finite = landscape.objective[np.isfinite(landscape.objective)]
     above = bool(np.any(finite > norm.vmax))
-    name = fill(f"{landscape.name}{AND_MORE if above else ''}", _LETTERS)
+    name = fill(f"{landscape.name}{ABOVE_SCALE if above else ''}", _LETTERS)
     extend = "max" if above else "neither"
     mappable = ScalarMappable(norm, _COLOURS)
     figure.colorbar(mappable, ax=axes, label=name, aspect=30, extend=extend, **style)

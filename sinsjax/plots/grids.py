@@ -1,7 +1,7 @@
 """Figures over a grid of settings: heat maps over two axes, and matrices of verdicts."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from textwrap import fill
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sinsjax.plots.digits import Number
 from sinsjax.plots.labels import axis_label, format_value
-from sinsjax.plots.style import AND_MORE, COLOURS, LETTERS, with_style
+from sinsjax.plots.style import ABOVE_SCALE, COLOURS, LETTERS, with_style
 
 _NEVER, _NEVER_EDGE = "#dcdcdc", "#b5b5b5"
 _HATCH, _MARKED = "////", "xx"
@@ -27,7 +27,8 @@ _LETTERS = 9  # characters per inch in a panel's title
 _LEAST, _PANEL, _BETWEEN = 2.3, 2.5, 0.14  # in: least width and height of a panel, and the gap
 _LINE, _LETTER = 0.21, 0.085  # in: a line of text, and a letter
 _BAR = 11  # characters per inch along the colour bar
-_BEST = COLOURS[1]  # frame of the best cell
+_FRAMES = ((COLOURS[1], 3.5), ("black", 1.2))  # colour and width, pt
+_GAP = 7.0  # pt between the grid and a bar next to it
 _LIGHT = 0.5  # position in the colour map beyond which cells are light and have dark numbers
 
 
@@ -85,20 +86,24 @@ class CellMarks(NamedTuple):
             it have the same runs, and their value is written once.
         hatched: for each panel, the cells (rows, columns) to hatch; empty for none.
         hatch_name: meaning of the hatch, for the legend.
-        best: for each panel, the cell (row, column) to outline, or None; empty for none.
-        best_name: meaning of the outline, for the legend.
+        frames: the cell (row, column) to frame in each panel, or None, by the meaning of the frame
+            for the legend; at most two meanings, the first one bold.
     """
 
     same_runs: Sequence[NDArray]
     hatched: Sequence[NDArray] = ()
     hatch_name: str = ""
-    best: Sequence[tuple[int, int] | None] = ()
-    best_name: str = ""
+    frames: Mapping[str, Sequence[tuple[int, int] | None]] = {}
 
 
 def values_differ(values: NDArray | Sequence[NDArray]) -> bool:
     """Return whether cells of `draw_heat_maps` differ; a figure of equal cells shows nothing."""
     return len(np.unique(values)) > 1
+
+
+def _tick_label(key: str, value: Any) -> str:
+    """Return the label of a row or column."""
+    return "none" if key == "reset_count" and value == 0 else format_value(value)
 
 
 @with_style
@@ -130,10 +135,12 @@ def draw_heat_maps(
     height = -(-len(panels) // width)
     side = max(_LEAST, 7.2 / width)  # width of a panel, in; together as wide as the title
     names = [fill(name, int(_LETTERS * side)) for name, _ in panels]
-    ticks = [[format_value(value) for value in scale.values] for scale in (rows, columns)]
+    ticks = [[_tick_label(scale.key, value) for value in scale.values] for scale in (rows, columns)]
     finite = np.concatenate([values[np.isfinite(values)] for _, values in panels])
     below, above = bool(np.any(finite < quantity.low)), bool(np.any(finite > quantity.high))
-    bar = fill(f"{quantity.name}{AND_MORE if above else ''}", int(_BAR * (_PANEL + 0.5) * height))
+    bar = fill(
+        f"{quantity.name}{ABOVE_SCALE if above else ''}", int(_BAR * (_PANEL + 0.5) * height)
+    )
     handles = [*legend, *_legend_handles(panels, marks)]
     # Laid out from the sizes of the texts: measuring each takes longer than drawing them.
     turned = _LETTER * sum(map(len, ticks[1])) > 0.8 * side
@@ -172,8 +179,9 @@ def draw_heat_maps(
         image = _draw_heat_map(axes, values, quantity, marks.same_runs[number] if marks else None)
         if marks and marks.hatched:
             _hatch_cells(axes, np.isfinite(values) & marks.hatched[number], values, quantity)
-        if marks and marks.best and (best := marks.best[number]) is not None:
-            _outline_cell(axes, marks.same_runs[number], best)
+        if marks:
+            _separate_bars(axes, marks.same_runs[number])
+            _frame_cells(axes, marks.same_runs[number], [c[number] for c in marks.frames.values()])
         axes.set_title(names[number])
     label_outer_axes(grid, len(panels), rows=rows, columns=columns)
     extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get((below, above))
@@ -194,8 +202,10 @@ def _legend_handles(
         yield Patch(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH, label="never (median)")
     if marks and np.any(marks.hatched):
         yield Patch(facecolor="none", edgecolor="black", hatch=_MARKED, label=marks.hatch_name)
-    if marks and any(best is not None for best in marks.best):
-        yield Patch(fill=False, edgecolor=_BEST, linewidth=2.5, label=marks.best_name)
+    frames = marks.frames.items() if marks else ()
+    for (colour, line), (name, cells) in zip(_FRAMES, frames, strict=False):
+        if any(cell is not None for cell in cells):
+            yield Patch(fill=False, edgecolor=colour, linewidth=line, label=name)
 
 
 def label_outer_axes(grid: NDArray, n_panels: int, *, rows: GridAxis, columns: GridAxis) -> None:
@@ -269,14 +279,38 @@ def _cell_extent(same_runs: NDArray, kind: int) -> tuple[NDArray, tuple[int, int
     return np.array([low, high] if is_whole else [cells[0], cells[0]]), first
 
 
-def _outline_cell(axes: Axes, same_runs: NDArray, cell: tuple[int, int]) -> None:
-    """Frame a cell, with the cells that have the same runs."""
-    (low, high), _ = _cell_extent(same_runs, int(same_runs[cell]))
-    height, width = high - low + 1
-    frame: dict[str, Any] = {"fill": False, "clip_on": False, "zorder": 3}
-    for colour, line in (("white", 4.0), (_BEST, 2.5)):
-        corner = (low[1] - 0.5, low[0] - 0.5)
-        axes.add_patch(Rectangle(corner, width, height, edgecolor=colour, linewidth=line, **frame))
+def find_bars(same_runs: NDArray) -> NDArray:
+    """Return whether each row of a panel is a single bar: cells with the same runs and no others.
+
+    Args:
+        same_runs: (rows, columns) number of each cell, as in `CellMarks`; transposed for columns.
+    """
+    shared = same_runs[:, :1]
+    counts = (same_runs == shared[..., None]).sum(axis=(1, 2))
+    width = same_runs.shape[1]
+    return np.asarray((same_runs == shared).all(axis=1) & (counts == width) & (width > 1))
+
+
+def _separate_bars(axes: Axes, same_runs: NDArray) -> None:
+    """Leave a gap between the grid and its bars, in which one of the two keys has no effect."""
+    for kinds, draw_line in ((same_runs, axes.axhline), (same_runs.T, axes.axvline)):
+        last = len(kinds) - 1
+        for bar in np.flatnonzero(find_bars(kinds)):
+            for edge in {bar - 0.5, bar + 0.5} - {-0.5, last + 0.5}:
+                draw_line(edge, color="white", linewidth=_GAP, solid_capstyle="butt")
+
+
+def _frame_cells(axes: Axes, same_runs: NDArray, cells: Sequence[tuple[int, int] | None]) -> None:
+    """Frame a cell in each of `_FRAMES`, with the cells that have the same runs."""
+    style: dict[str, Any] = {"fill": False, "clip_on": False, "zorder": 3}
+    for cell, (colour, width) in reversed([*zip(cells, _FRAMES, strict=False)]):  # bold on top
+        if cell is None:
+            continue
+        (low, high), _ = _cell_extent(same_runs, int(same_runs[cell]))
+        corner, (rows, columns) = (low[1] - 0.5, low[0] - 0.5), high - low + 1
+        for shade, line in (("white", width + 1.5), (colour, width)):
+            frame = Rectangle(corner, columns, rows, edgecolor=shade, linewidth=line, **style)
+            axes.add_patch(frame)
 
 
 def _hatch_cells(axes: Axes, hatched: NDArray, values: NDArray, quantity: MapQuantity) -> None:

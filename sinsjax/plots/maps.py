@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sinsjax.analysis.grids import Panel, median_over_draws, split_into_panels
 from sinsjax.analysis.tables import group_rows, require_column, to_arrow_table, to_key_list
 from sinsjax.errors import InputError
-from sinsjax.plots.grids import CellMarks, GridAxis, MapQuantity, draw_heat_maps
+from sinsjax.plots.grids import CellMarks, GridAxis, MapQuantity, draw_heat_maps, find_bars
 from sinsjax.plots.labels import axis_label, describe_axis_point, describe_point, format_value
 from sinsjax.plots.style import colour_range
 
@@ -56,8 +56,10 @@ def plot_map(
     The statistic follows the column: the median of a settling time (``settle_10_s``, s; *never* if
     fewer than half of the runs settle), the share of a flag (``ok_truth``) or of a column that ends
     in ``_share``, in percent, and the root mean square of any other number, in its own unit. The
-    best cell of each panel is framed, cells of the same runs are numbered once, and an outlier ends
-    beyond the colour scale instead of flattening it. Of many panels the first 12 are drawn.
+    cell that the title names is framed in every panel that it applies to, and thinly the best cell
+    of each panel. A row or column in which the other key has no effect, such as no reset, is a bar
+    next to the grid. Cells of the same runs are numbered once, and an outlier ends beyond the
+    colour scale instead of flattening it. Of many panels the first 12 are drawn.
 
     Args:
         runs: one row per run, with the keys and the value: a pyarrow Table such as
@@ -92,17 +94,15 @@ def plot_map(
     by = to_key_list(by)
     axes, panels = split_into_panels(table, rows, columns, by)
     statistic = _cell_statistic(require_column(table, value), value)
-    if not title:
-        chosen = [key for key in by if pooled is not None and key not in pooled]
-        title = _best_cell_title(table, axes, value, statistic, chosen)
+    chosen = [key for key in by if pooled is not None and key not in pooled]
+    best_title, best_point = _best_cell_overall(table, axes, value, statistic, chosen)
     panels = panels[:MAX_PANELS]
     cells = [statistic.compute(panel.column_values(value)) for panel in panels]
     same_runs = [_number_identical_cells(panel, value) for panel in panels]
-    best = [_best_cell(panel.column_values(value), statistic) for panel in panels]
     lines = {format_value(panel.point[by[-1]]) for panel in panels} if by else [""]
     return draw_heat_maps(
         list(zip(_panel_titles([panel.point for panel in panels]), cells, strict=True)),
-        title,
+        title or best_title,
         _colour_scale(statistic, cells, same_runs),
         rows=GridAxis(rows, axes[rows]),
         columns=GridAxis(columns, axes[columns]),
@@ -111,8 +111,7 @@ def plot_map(
             same_runs,
             [_flagged_cells(panel.column_values(hatched)) for panel in panels] if hatched else (),
             hatch_name,
-            best,
-            "soonest" if statistic.is_settling_time else "best",
+            _frames(panels, axes, value, statistic, best_point),
         ),
     )
 
@@ -144,15 +143,20 @@ def _settling_times(settle_s: NDArray) -> NDArray:
 def _colour_scale(
     statistic: _CellStatistic, cells: Sequence[NDArray], same_runs: Sequence[NDArray]
 ) -> MapQuantity:
-    """The colour scale: of distinct cells, capped where a few lie far beyond the others."""
+    """The colour scale: of distinct cells, capped where a few lie far beyond the others.
+
+    Bars next to a grid, such as no reset, count only if the grids themselves have no numbers.
+    """
     if statistic.is_share:
         return MapQuantity(statistic.name, 0.0, 100.0)
-    distinct = [
-        values.ravel()[np.unique(kinds, return_index=True)[1]]
-        for values, kinds in zip(cells, same_runs, strict=True)
-    ]
-    known = np.concatenate(distinct)
-    low, high = colour_range(known[np.isfinite(known)])
+    in_grid, in_bars = [], []
+    for values, kinds in zip(cells, same_runs, strict=True):
+        bars = find_bars(kinds)[:, None] | find_bars(kinds.T)
+        distinct = np.isin(np.arange(kinds.size), np.unique(kinds, return_index=True)[1])
+        known = distinct.reshape(kinds.shape) & np.isfinite(values)
+        in_grid.append(values[known & ~bars])
+        in_bars.append(values[known & bars])
+    low, high = colour_range(np.concatenate(in_grid if any(map(np.size, in_grid)) else in_bars))
     digits = 0 if high >= 100 or statistic.is_settling_time else 1
     return MapQuantity(statistic.name, low, high, reverse=True, digits=digits)
 
@@ -188,6 +192,29 @@ def _best_cell(runs: NDArray, statistic: _CellStatistic) -> tuple[int, int] | No
     return None if is_tied else (int(row), int(column))
 
 
+def _frames(
+    panels: Sequence[Panel],
+    axes: Mapping[str, Sequence[Any]],
+    column: str,
+    statistic: _CellStatistic,
+    best_point: Mapping[str, Any],
+) -> dict[str, list[tuple[int, int] | None]]:
+    """The frames of `CellMarks`: the best point over all panels, and the best cell of a panel."""
+    word = "soonest" if statistic.is_settling_time else "best"
+    place = [list(values).index(best_point[key]) for key, values in axes.items() if best_point]
+    overall: list[tuple[int, int] | None] = [
+        (place[0], place[1])
+        if best_point and all(best_point.get(key, at) == at for key, at in panel.point.items())
+        else None
+        for panel in panels
+    ]
+    if len(panels) == 1:
+        return {word: overall}
+    own = [_best_cell(panel.column_values(column), statistic) for panel in panels]
+    others = [None if a == b else a for a, b in zip(own, overall, strict=True)]
+    return {f"{word} over all panels": overall, f"{word} in its panel": others}
+
+
 def _flagged_cells(flags: NDArray) -> NDArray:
     """Cells (rows, columns) in which a flag (draws, rows, columns) is set for most known runs."""
     return np.asarray(2 * np.nansum(flags, axis=0) > np.isfinite(flags).sum(axis=0))
@@ -206,14 +233,17 @@ def _panel_titles(points: Sequence[Mapping[str, Any]]) -> list[str]:
     return names
 
 
-def _best_cell_title(
+def _best_cell_overall(
     table: pa.Table,
     axes: Mapping[str, Sequence[Any]],
     column: str,
     statistic: _CellStatistic,
     choice_keys: Sequence[str],
-) -> str:
-    """Return a title that names the best cell, and the best point of the choice keys."""
+) -> tuple[str, dict[str, Any]]:
+    """Return a title that names the best cell and the best point of the choice keys, and both.
+
+    If no cell is the best, the title names the statistic, and there is no point.
+    """
     found = []
     for point, rows in group_rows(table, choice_keys):
         _, (panel,) = split_into_panels(rows, *axes)
@@ -230,12 +260,14 @@ def _best_cell_title(
             best_point[name] = panel.rows[name][int(best)].as_py()
         found.append((-settled.flat[best], order.flat[best], best_point, shown.flat[best]))
     if not found:
-        return f"{statistic.name[:1].upper()}{statistic.name[1:]}"
+        return f"{statistic.name[:1].upper()}{statistic.name[1:]}", {}
     missing, _, point, shown = min(found, key=lambda candidate: candidate[:2])
     words = describe_axis_point(point)
     if not statistic.is_settling_time:
         unit = statistic.name.rpartition("(")[2].rstrip(")")
-        return f"Best: {words} ({shown:.3g} {unit})"
-    if missing > -1:
-        return f"Most often: {words} ({-100 * missing:.3g} % of the runs settle)"
-    return f"Soonest: {words} ({shown:.0f} s{' on average' * (runs.shape[0] > 1)})"
+        title = f"Best: {words} ({shown:.3g} {unit})"
+    elif missing > -1:
+        title = f"Most often: {words} ({-100 * missing:.3g} % of the runs settle)"
+    else:
+        title = f"Soonest: {words} ({shown:.0f} s{' on average' * (runs.shape[0] > 1)})"
+    return title, point

@@ -18,6 +18,8 @@ from matplotlib.ticker import (
     FixedLocator,
     Formatter,
     LogFormatterMathtext,
+    LogLocator,
+    NullFormatter,
     NullLocator,
     StrMethodFormatter,
 )
@@ -29,7 +31,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5
 GREY = "#8a8a8a"
 """Colour of annotations: reset times, bias floors, cells without a number."""
 
-AND_MORE = ", above the scale: and more"
+ABOVE_SCALE = " (tip: above the scale)"
 """End of the label of a colour bar with values above it."""
 
 LETTERS = 7
@@ -109,6 +111,21 @@ def colour_range(values: NDArray) -> tuple[float, float]:
     return low, high if high > low else low + 1
 
 
+def set_log_scale(axes: Axes, low: float, high: float) -> None:
+    """Make a vertical axis logarithmic, with plain numbers at its ticks.
+
+    Args:
+        axes: axes with it.
+        low: lowest of the values to show, positive.
+        high: highest of them; a range below two decades has ticks within decades too.
+    """
+    axes.set_yscale("log")
+    is_narrow = high < 100 * low
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if is_narrow else (1.0,)))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
 def set_asinh_scale(axis: Axis, linear_width: float, first_tick: float | None = None) -> str:
     """Make an axis logarithmic on both sides of 0, so that a wide range is legible.
 
@@ -168,16 +185,32 @@ def label_line_ends(axes: Axes, ends: Sequence[tuple[str, float, str]]) -> bool:
     inside = (heights > -0.01) & (heights < 1.01)
     if not inside.all() or np.diff(np.sort(heights)).min() < _GAP:
         return False
-    for name, value, shade in ends:
+    write_line_names(axes, ends)
+    return True
+
+
+def write_line_names(axes: Axes, ends: Sequence[tuple[str, float, str]]) -> None:
+    """Write the name of each line at its right end, apart from each other.
+
+    Args:
+        axes: axes with their final vertical range.
+        ends: name, last value and colour of each line.
+    """
+    points = axes.transData.transform([(0.0, value) for _, value, _ in ends])
+    heights = axes.transAxes.inverted().transform(points)[:, 1]
+    order = np.argsort(heights, kind="stable")
+    for lower, upper in zip(order, order[1:], strict=False):
+        heights[upper] = max(heights[upper], heights[lower] + _GAP)
+    heights -= max(0.0, heights.max() - 1)
+    for (name, _, shade), height in zip(ends, heights, strict=True):
         axes.annotate(
             name,
-            (1.01, value),
-            xycoords=("axes fraction", "data"),
+            (1.01, height),
+            xycoords="axes fraction",
             va="center",
             color=shade,
             annotation_clip=False,
         )
-    return True
 
 
 @with_style

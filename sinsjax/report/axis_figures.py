@@ -112,7 +112,7 @@ class HeatMaps:
             hatched=_FLAG if hatched is not None else "",
             hatch_name=hatch_meaning,
         )
-        return Picture(name, f"{caption} Framed: the best of each panel.", figure)
+        return Picture(name, caption, figure)
 
     def column_values(self, column: str) -> NDArray:
         """A column of all runs as numbers, (runs,); null is NaN."""

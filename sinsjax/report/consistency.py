@@ -10,7 +10,7 @@ from sinsjax import analysis, plots
 from sinsjax.execution.source import Source
 from sinsjax.methods.filters.config import estimates_biases
 from sinsjax.methods.registry import METHODS
-from sinsjax.plots.consistency import SHARE_COLUMNS
+from sinsjax.plots.consistency import NEES_COLUMNS, SHARE_COLUMNS
 from sinsjax.report.base import Picture, Text
 from sinsjax.report.grouping import choose_line_keys
 from sinsjax.report.markup import render_sentence
@@ -22,35 +22,34 @@ _FAR = 2.0  # times the upper end of its band: a mean NEES beyond it is explaine
 
 
 def consistency_blocks(source: Source) -> Iterator[Picture | Text]:
-    """Consistency where the method has a covariance, or why none is to be expected.
+    """Consistency where the method has a covariance, of the heading from the bias floor if biased.
 
-    A line a variant; of many variants, a line a value of the first key that has few.
+    One line per variant; of many variants, one line per value of the first key that has few.
     """
     keys, note = choose_line_keys(source)
-    table = source.distinct_rows((*keys, "nees", *SHARE_COLUMNS.values(), "draw_id", "start_s"))
+    table = source.distinct_rows(
+        (*keys, *NEES_COLUMNS, *SHARE_COLUMNS.values(), "draw_id", "start_s")
+    )
     if not np.isfinite(analysis.numeric_column(table, "nees")).any():
         return
-    explanation, biases_dominate = _explain_unmodelled_biases(source)
+    explanation = _explain_unmodelled_biases(source)
     yield from explanation
-    if not biases_dominate:
-        yield consistency_picture(plots.plot_belief(table, by=keys), note)
+    from_floor = bool(explanation)
+    if np.isfinite(analysis.numeric_column(table, NEES_COLUMNS[from_floor])).any():
+        figure = plots.plot_belief(table, by=keys, from_floor=from_floor)
+        yield consistency_picture(figure, note, from_floor=from_floor)
 
 
-def _explain_unmodelled_biases(source: Source) -> tuple[list[Text], bool]:
-    """Explain why filters without bias states have no NEES of 3 with constant sensor biases.
-
-    Returns:
-        Sentences, and whether the biases exceed the filters' own sigma, so that a figure of their
-        consistency shows the biases alone.
-    """
+def _explain_unmodelled_biases(source: Source) -> list[Text]:
+    """Explain why filters without bias states have no NEES of 3 with constant sensor biases."""
     study = source.study
     methods = [METHODS[name] for name in study.methods]
     filters = [method for method in methods if method.has_covariance and method.finds_heading]
     if study.is_recorded or any(map(estimates_biases, filters)):
-        return [], False
+        return []
     gyro, accel = (source.largest_magnitude(key) for key in BIAS_KEYS)
     if not gyro and not accel:
-        return [], False
+        return []
     names = [*(f"sigma_{axis}_arcmin" for axis in "enu"), "floor_arcmin", _YAW, "nees"]
     rows = source.distinct_rows(names)
     *sigmas, floor, yaw, nees = (analysis.numeric_column(rows, name) for name in names)
@@ -64,14 +63,15 @@ def _explain_unmodelled_biases(source: Source) -> tuple[list[Text], bool]:
         values = {"mean": mean, "band_end": most, "sigma": up}
         values |= {"floor": floor_rms, "error": error_rms}
         sentences.append(Text(render_sentence("overconfident", **values)))
-    return sentences, bool(floor_rms > up or tilt > max(east, north))
+    return sentences
 
 
-def consistency_picture(figure: Figure, note: str = "") -> Picture:
+def consistency_picture(figure: Figure, note: str = "", *, from_floor: bool = False) -> Picture:
     """Return the figure of the filters' consistency, with its caption."""
+    error = "heading error from the bias floor" if from_floor else "attitude error"
     return Picture(
         "consistency",
-        "Left: NEES, the squared attitude error at the end in units of the filter's own covariance;"
+        f"Left: NEES, the squared {error} at the end in units of the filter's own covariance;"
         " a consistent filter follows the dashed line, an overconfident one lies right of it."
         " Right: mean share of records, with its 95 % interval, in which the filter's heading"
         " variance exceeds the squared heading error; a consistent filter has 68 % (dashed), a too"

@@ -252,12 +252,17 @@ def _curve_figures(source: Source) -> Iterator[Block]:
     caption = f"Mean of {count} runs" if count > 1 else "One run each"
     if left := sum(1 for _ in analysis.group_rows(table.select(keys), keys)) - len(runs):
         caption += f" (the first {len(runs)} variants; {left} more are not drawn)"
-    figure = plots.plot_curves(curves, table, by=keys, zoom_s=source.study.study.window_s)
     has_sigma = bool(np.isfinite(analysis.numeric_column(curves, "sigma_e_arcmin")).any())
     if not np.isfinite(analysis.numeric_column(curves, "phi_e_arcmin")).any():
         shading = "; shading: the filter's own 1 sigma" if has_sigma else ""
-        yield Picture("attitude", f"{caption}{shading}.", figure)
+        yield Picture("attitude", f"{caption}{shading}.", plots.plot_curves(curves, table, by=keys))
         return
     band = "; shading: 95 % of them" if count > 1 else ""
     dashed = "; dashed: the filter's own 1 sigma" if has_sigma else ""
-    yield Picture("misalignment", f"{caption}{band}{dashed}.", figure)
+    if np.isfinite(analysis.numeric_column(curves, "phi_u_arcmin")).any():
+        figure = plots.plot_curves(curves, table, by=keys)
+        caption_heading = caption.replace("Mean", "Rms", 1)
+        yield Picture("misalignment", f"{caption_heading}{band}{dashed}.", figure)
+    span_s = source.study.study.window_s
+    figure = plots.plot_curves(curves, table, by=keys, zoom_s=span_s, level=True)
+    yield Picture("misalignment_level", f"{caption}{band}{dashed}.", figure)

@@ -1,9 +1,12 @@
 """The plot functions of the package's own namespace: tables in, figures out."""
 
+import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pytest
 from matplotlib.figure import Figure
+from scipy import stats
 
 import sinsjax
 from sinsjax import analysis, plots
@@ -27,6 +30,7 @@ SETTLE = {  # s, by number of resets, cycle and start; None never settles
     (2, 50.0, 30.0): 200.0,
 }
 MAP = ("reset_count", "reset_cycle_s")
+BOLD, THIN = "#D55E00", "#000000"  # frames
 
 
 def run_table(settle=SETTLE, draws=3, **more):
@@ -66,7 +70,17 @@ def test_plot_functions_are_public_names():
 # --- plot_map -----------------------------------------------------------------------------------
 
 
-def test_map_states_best_cell_over_all_panels_and_frames_best_of_each():
+def framed_cells(axes):
+    """The corners of the frames of a panel by colour, those of their white edges left out."""
+    found = {}
+    for frame in axes.patches:
+        colour = mpl.colors.to_hex(frame.get_edgecolor()).upper()
+        if colour != "#FFFFFF":
+            found.setdefault(colour, []).append(frame.get_xy())
+    return found
+
+
+def test_map_frames_cell_that_title_names_and_best_of_each_panel():
     figure = sinsjax.plot_map(run_table(), *MAP, "settle_10_s", by="phi_u0_deg")
     assert figure.get_suptitle() == "Soonest: 2 resets, every 10 s (180 s on average)"
     first, second = panel_titles(figure)
@@ -77,8 +91,12 @@ def test_map_states_best_cell_over_all_panels_and_frames_best_of_each():
     assert (
         first.get_title(loc="left").endswith("0 deg") and second.get_title(loc="left") == "30 deg"
     )
-    corners = [axes.patches[-1].get_xy() for axes in (first, second)]
-    assert corners == [(-0.5, 0.5), (0.5, 1.5)]  # 1 reset at 10 s, 2 resets 50 s apart
+    named = [(-0.5, 1.5)]  # 2 resets, every 10 s
+    assert framed_cells(first) == {BOLD: named, THIN: [(-0.5, 0.5)]}  # 1 reset at 10 s
+    assert framed_cells(second) == {BOLD: named, THIN: [(0.5, 1.5)]}  # 2 resets, every 50 s
+    assert first.patches[-1].get_edgecolor() == mpl.colors.to_rgba(BOLD)  # on top of the thin one
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend[1:] == ["soonest over all panels", "soonest in its panel"]
     assert [t.get_text() for t in first.texts].count("300") == 1  # the same runs, one number
 
 
@@ -88,6 +106,44 @@ def test_map_title_names_best_choice_where_panels_are_choices():
     figure = sinsjax.plot_map(table, *MAP, "settle_10_s", by=["method"], pooled=[])
     title = "Soonest: 1 reset at 10 s, method 0 (100 s on average)"
     assert figure.get_suptitle().replace("\n", " ") == title
+    first, second = map(framed_cells, panel_titles(figure))
+    assert first == {BOLD: [(-0.5, 0.5)]} and second == {THIN: [(0.5, 1.5)]}
+
+
+def test_map_of_one_panel_frames_only_the_cell_that_its_title_names():
+    """Half of the runs settle at once with the second setting; on average the first is sooner."""
+    rows = {"a": [0, 0, 1, 1] * 3, "b": [0, 1, 0, 1] * 3, "draw_id": np.repeat(range(3), 4)}
+    times = [50.0, 10.0, 99.0, 99.0] * 2 + [60.0, 500.0, 99.0, 99.0]
+    figure = sinsjax.plot_map(pa.table(rows | {"settle_10_s": times}), "a", "b", "settle_10_s")
+    assert figure.get_suptitle() == "Soonest: a 0, b 0 (53 s on average)"
+    assert framed_cells(panel_titles(figure)[0]) == {BOLD: [(-0.5, -0.5)]}
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["soonest"]
+
+
+@pytest.mark.parametrize("keys", [MAP, MAP[::-1]])
+def test_no_reset_is_a_bar_next_to_the_grid(keys):
+    figure = sinsjax.plot_map(run_table(), *keys, "settle_10_s", by="phi_u0_deg")
+    first, second = panel_titles(figure)
+    labels = first.get_yticklabels() if keys == MAP else first.get_xticklabels()
+    assert [label.get_text() for label in labels] == ["none", "1", "2"]
+    for axes in (first, second):
+        (gap,) = [line for line in axes.get_lines() if line.get_color() == "white"]
+        place = gap.get_ydata() if keys == MAP else gap.get_xdata()
+        assert list(place) == [0.5, 0.5]
+    other = sinsjax.plot_map(run_table().filter(pc.field("reset_count") > 0), *keys, "settle_10_s")
+    assert not panel_titles(other)[0].get_lines()
+
+
+def test_no_reset_does_not_widen_colour_scale_of_grid():
+    settle = {point: time if point[0] else 900.0 for point, time in SETTLE.items()}
+    figure = sinsjax.plot_map(run_table(settle), *MAP, "settle_10_s", by="phi_u0_deg")
+    norm = panel_titles(figure)[0].get_images()[0].norm
+    assert (norm.vmin, norm.vmax) == (100.0, 400.0)
+    assert "above the scale" in figure.axes[-1].get_ylabel().replace("\n", " ")
+    alone = {point: None if point[0] else 900.0 + point[2] for point in SETTLE}
+    figure = sinsjax.plot_map(run_table(alone), *MAP, "settle_10_s", by="phi_u0_deg")
+    norm = panel_titles(figure)[0].get_images()[0].norm
+    assert (norm.vmin, norm.vmax) == (900.0, 930.0)  # the only numbers
 
 
 def test_map_of_schedule_that_fails_sometimes_states_share():
@@ -103,11 +159,11 @@ def test_outlier_ends_beyond_colour_scale():
     )
     figure = sinsjax.plot_map(table, "a", "b", "settle_10_s")
     image = panel_titles(figure)[0].get_images()[0]
-    assert image.norm.vmax < 140 and "and more" in figure.axes[-1].get_ylabel()
+    assert image.norm.vmax < 140 and "(tip: above" in figure.axes[-1].get_ylabel()
     even = table.set_column(2, "settle_10_s", pa.array(np.linspace(100.0, 130.0, 30)))
     figure = sinsjax.plot_map(even, "a", "b", "settle_10_s")
     assert panel_titles(figure)[0].get_images()[0].norm.vmax == 130.0
-    assert "and more" not in figure.axes[-1].get_ylabel()
+    assert "(tip: above" not in figure.axes[-1].get_ylabel()
 
 
 def test_map_of_flag_is_share_in_percent_and_of_number_its_rms():
@@ -227,6 +283,24 @@ def test_belief_leaves_out_lines_without_covariance_and_refuses_none():
         sinsjax.plot_belief(table.slice(2), by="method")
 
 
+def test_belief_from_bias_floor_shows_heading_against_one_degree_of_freedom():
+    columns = {"nees": [900.0] * 4, "nis_u": [0.2, 0.4, 1.4, 2.0]}
+    shares = dict(zip(SHARE_COLUMNS.values(), ([0.0] * 4, [0.7] * 4), strict=True))
+    figure = sinsjax.plot_belief(pa.table(columns | shares), from_floor=True)
+    left, right = figure.axes
+    title = "Mean NEES of the heading, from the bias floor: 1, where a consistent filter has 1"
+    assert figure.get_suptitle().replace("\n", " ") == title
+    course, expected = left.get_lines()[:2]
+    assert max(course.get_xdata()) == 2.0
+    x, share = expected.get_xdata(), expected.get_ydata()
+    np.testing.assert_allclose(share, stats.chi2(1).cdf(x), atol=1e-12)
+    assert left.get_xlabel() == "NEES of the heading at the end, from the bias floor"
+    assert [bar.lines[0].get_xdata()[0] for bar in right.containers] == [pytest.approx(0.7)]
+    assert (
+        sinsjax.plot_belief(pa.table(columns | shares)).get_suptitle().startswith("Mean NEES 900")
+    )
+
+
 def curve_table(ids, *, truth=True):
     time = np.tile([1.0, 2.0, 3.0], len(ids))
     run = np.repeat(ids, 3)
@@ -244,22 +318,65 @@ def test_curves_are_grouped_by_keys_with_resets_and_floor_of_their_runs():
             "run_id": [0, 1, 2, 3],
             "case": ["x", "y", "x", "y"],
             "reset_times_s": [[1.0], [], [1.0], []],
-            "floor_arcmin": [-20.0] * 4,
+            "floor_arcmin": [-20.0, None, 40.0, None],
         }
     )
     figure = sinsjax.plot_curves(curve_table([0, 1, 2, 3]), summary, by="case")
-    heading = figure.axes[2]
-    labels = [line.get_label() for line in heading.get_lines()]
-    assert labels.count("x") == labels.count("y") == 1 and {"reset", "bias floor"} <= {*labels}
-    first = next(line for line in heading.get_lines() if line.get_label() == "x")
-    np.testing.assert_array_equal(first.get_ydata(), [101.0, 102.0, 103.0])  # of runs 0 and 2
+    first, second = figure.axes
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["x", "y"]
+    error, sigma, reset, floor = first.get_lines()
+    runs_0_and_2 = np.array([[1.0, 2.0, 3.0], [201.0, 202.0, 203.0]])
+    rms = np.sqrt((runs_0_and_2**2).mean(axis=0))
+    np.testing.assert_allclose(error.get_ydata(), rms)
+    np.testing.assert_allclose(sigma.get_ydata(), rms)
+    assert (error.get_linestyle(), sigma.get_linestyle()) == ("-", "--")
+    assert reset.get_xdata()[0] == 1.0
+    assert floor.get_ydata()[0] == pytest.approx(np.sqrt((20.0**2 + 40.0**2) / 2))
+    assert len(second.get_lines()) == 2  # neither resets nor a floor
     assert figure.get_suptitle().startswith("Heading error after 3 s: ")
+
+
+def test_heading_curves_are_magnitudes_on_one_logarithmic_axis_named_at_their_ends():
+    table = curve_table([1])
+    place = table.column_names.index("phi_u_arcmin")
+    table = table.set_column(place, "phi_u_arcmin", pa.array([-900.0, -90.0, -9.0]))
+    runs = pa.table({"run_id": [1], "floor_arcmin": [-9.1], "reset_times_s": [[2.0]]})
+    figure = sinsjax.plot_curves(table, runs)
+    (axes,) = figure.axes
+    np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), [900.0, 90.0, 9.0])
+    assert axes.get_yscale() == "log" and "(arcmin)" in axes.get_ylabel()
+    names = {text.get_text(): text for text in axes.texts}
+    assert names.keys() == {"heading error", "filter's 1 sigma", "bias floor"}
+    plots.render_png(figure)  # lays it out
+    boxes = sorted(name.get_window_extent().extents[[1, 3]].tolist() for name in names.values())
+    assert all(lower[1] <= upper[0] for lower, upper in zip(boxes, boxes[1:], strict=False))
+    size = figure.canvas.get_width_height()
+    assert all(name.get_window_extent().x1 <= size[0] for name in names.values())
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["reset"]
+
+
+def test_level_curves_are_drawn_on_request():
+    figure = sinsjax.plot_curves(curve_table([0]), zoom_s=(1.0, 3.0), level=True)
+    assert [axes.get_ylabel() for axes in figure.axes[::2]] == [
+        "level error, east\n(arcmin)",
+        "level error, north\n(arcmin)",
+    ]
+    assert figure.get_suptitle() == "Level errors after 3 s: 3 arcmin"
 
 
 def test_curves_without_summary_are_a_line_each():
     figure = sinsjax.plot_curves(curve_table([4, 7]))
-    labels = [line.get_label() for line in figure.axes[2].get_lines()]
-    assert [label for label in labels if label.startswith("run")] == ["run id 4", "run id 7"]
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["run id 4", "run id 7"]
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_heading_panels_of_many_lines_have_two_columns_and_a_time_axis_each(count):
+    figure = sinsjax.plot_curves(curve_table(range(1, count + 1)))
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    lefts = {round(axes.get_position().x0, 2) for axes in shown}
+    assert len(shown) == count and len(lefts) == (1 if count == 3 else 2)
+    labelled = [axes for axes in shown if axes.get_xlabel() == "time (s)"]
+    assert len(labelled) == len(lefts)
 
 
 def test_curves_without_truth_show_attitude():
@@ -276,18 +393,14 @@ def without_heading(table, run_ids):
     return table
 
 
-def test_panel_of_heading_has_only_the_lines_that_have_one():
+def test_lines_without_heading_have_no_panel():
     figure = sinsjax.plot_curves(without_heading(curve_table([0, 1]), [1]))
-    lines = [
-        {line.get_label() for line in axes.get_lines() if line.get_xdata().size}
-        for axes in figure.axes
-    ]
-    assert [{"run id 0", "run id 1"} <= found for found in lines] == [True, True, False]
-    assert figure.axes[0].get_xlim() == figure.axes[2].get_xlim() == (0, 3)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["run id 0"]
+    assert figure.axes[0].get_xlim() == (0, 3)
     assert figure.get_suptitle() == "Heading error after 3 s: 3 arcmin"
 
 
-@pytest.mark.parametrize(("truth", "title"), [(True, "Misalignment"), (False, "Pitch and roll")])
+@pytest.mark.parametrize(("truth", "title"), [(True, "Level errors"), (False, "Pitch and roll")])
 def test_figure_without_any_heading_has_two_panels(truth, title):
     figure = sinsjax.plot_curves(without_heading(curve_table([0, 1], truth=truth), [0, 1]))
     assert len(figure.axes) == 2 and figure.get_suptitle().startswith(title)

@@ -22,6 +22,7 @@ from sinsjax.execution import run as study_run
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.source import Source
 from sinsjax.report import axis_figures, base
+from sinsjax.report.consistency import consistency_blocks
 from sinsjax.study.load import study_from_dict
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
@@ -99,6 +100,7 @@ def test_pooled_variants_have_intervals_counted_by_draws(tmp_path):
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == {
         "settling_time",
         "settling_time_floor",
+        "consistency",
     }
 
 
@@ -254,7 +256,7 @@ def test_misalignment_figure_is_drawn_from_stored_curves(tmp_path):
     study = small_study(sensors=UNBIASED)
     report_text(store_results(tmp_path, study, synthetic_summary(study), synthetic_curves(study)))
     names = {path.name for path in (tmp_path / "figures").iterdir()}
-    assert names == {"misalignment.png", "consistency.png"}
+    assert names == {"misalignment.png", "misalignment_level.png", "consistency.png"}
 
 
 def test_record_without_reference_reports_attitude_and_sigma(tmp_path):
@@ -500,11 +502,8 @@ def test_counts_of_one_use_singular(tmp_path):
     assert "study: 8 runs, none failed" in text
 
 
-@pytest.mark.parametrize(
-    ("floors", "drawn"),
-    [([FLOOR, np.nan], True), ([FLOOR, FLOOR + 1e-6], True), ([FLOOR, FLOOR + 5.0], False)],
-)
-def test_constant_bias_floor_is_drawn_as_line(tmp_path, floors, drawn):
+@pytest.mark.parametrize("floors", [[FLOOR, np.nan], [FLOOR, FLOOR + 5.0]])
+def test_bias_floor_of_each_line_is_drawn(tmp_path, floors):
     study = small_study(study={"draws": 2, "curves": True}, axes={"phi_u0_deg": [0.0, 30.0]})
     summary = synthetic_summary(study, floor_arcmin=np.tile(floors, 2))
     source = Source.read(store_results(tmp_path, study, summary, synthetic_curves(study)))
@@ -512,7 +511,8 @@ def test_constant_bias_floor_is_drawn_as_line(tmp_path, floors, drawn):
         block for one in report.monte_carlo.build_report(source).sections for block in one.blocks
     ]
     (figure,) = (block.figure for block in blocks if getattr(block, "name", "") == "misalignment")
-    assert ("bias floor" in [text.get_text() for text in figure.legends[0].get_texts()]) == drawn
+    named = ["bias floor" in [text.get_text() for text in axes.texts] for axes in figure.axes]
+    assert named == np.isfinite(floors).tolist()
 
 
 def test_no_schedule_is_best_without_successful_run(tmp_path):
@@ -563,6 +563,25 @@ def test_unmodelled_biases_explain_high_nees(tmp_path):
         store_results(tmp_path / "b", clean, synthetic_summary(clean, nees=np.full(16, 9.0)))
     )
     assert "cannot be expected" not in text
+
+
+@pytest.mark.parametrize(
+    ("biases", "nis_u", "title"),
+    [
+        ({"accel_bias_ug": 500.0}, 1.0, "Mean NEES of the heading, from the bias floor: 1"),
+        ({"accel_bias_ug": 500.0}, np.nan, None),  # without a floor there is no such figure
+        (UNBIASED, 1.0, "Mean NEES 9"),
+    ],
+)
+def test_consistency_with_unmodelled_biases_counts_from_bias_floor(tmp_path, biases, nis_u, title):
+    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]}, sensors=biases)
+    numbers = {"nees": np.full(16, 9.0), "nis_u": np.full(16, nis_u)}
+    source = Source(tmp_path, study, "x.toml", synthetic_summary(study, **numbers))
+    pictures = [b for b in consistency_blocks(source) if isinstance(b, base.Picture)]
+    assert len(pictures) == (title is not None)
+    for picture in pictures:
+        assert picture.figure.get_suptitle().startswith(title)
+        assert ("heading error from the bias floor" in picture.caption) == ("floor" in title)
 
 
 @pytest.mark.parametrize(("method", "told_of"), [("kalman5", True), ("kalman10", False)])

@@ -105,9 +105,11 @@ def test_heat_map_writes_number_of_duplicate_variants_once(source: Source) -> No
 
 def test_report_draws_methods_with_and_without_covariance_together(tmp_path: Path) -> None:
     study = small_study(
-        study={"curves": True, "draws": 2}, axes={"alignment": {"method": ["kalman5", "compass"]}}
+        study={"curves": True, "draws": 2},
+        axes={"alignment": {"method": ["kalman5", "compass"]}},
+        sensors={"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0},
     )
     study_run.run_into(study, tmp_path / "results")
     report = monte_carlo.build_report(Source.read(tmp_path / "results"))
     names = [b.name for s in report.sections for b in s.blocks if isinstance(b, Picture)]
-    assert {"misalignment", "consistency"} <= {*names}
+    assert {"misalignment", "misalignment_level", "consistency"} <= {*names}

@@ -59,7 +59,8 @@ PAGES = {
         *("turning_0_01", "turning_0_1", "turning_1"),
         *("turning_scale", "turning_kalman10", "turning_psins"),
     ),
-    "which_alignment": (
+    "which_alignment": ("which_method",),
+    "which_alignment_tables": (
         "which_alignment",
         "which_alignment_tuned",
         "which_alignment_latitude",

@@ -1,199 +1,123 @@
-"""Numbers of the page on which alignment to use."""
+"""Numbers of the page on which alignment to use: the best method per vehicle, and all of them."""
 
-from collections.abc import Mapping
-from functools import lru_cache
-from typing import Any
+from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax import analysis
 from sinsjax.analysis import Estimate
-from sinsjax.report.base import Picture
+from sinsjax.execution.source import Source
+from sinsjax.report.base import Table
 from sinsjax.report.study_page import Page, Sources
 
-from . import better, cost, evidence, fair, why
-from .field import TIMES_S, Cell, Field, Start, angle, reach
-from .figure import reached
-
-DEGREE = 60.0  # arcmin
-GRADE = 0.01
-"""Gyro bias (deg/h) of the grade that the answer is told for."""
-
-STUDIES = ("which_alignment", "which_alignment_tuned", "which_alignment_surge")
-"""Published settings, tuned ones, and what came of the search for something better."""
-
-INERTIAL, OPTIMISATION = "inertial", "optimisation"
-SINCOS, SAMPLE = "kalman_sincos", "kalman_sincos, Q of a sample"
-WIDE, BOTH = "kalman5, wide prior", "kalman5, wide prior, two resets"
-RESETS = ("kalman5, one reset", "kalman5, two resets", "kalman5, three resets")
-
-FIGURE = (
-    INERTIAL,
-    SAMPLE,
-    "kalman_surge",
-    OPTIMISATION,
-    SINCOS,
-    "kalman5, triggered resets, tuned",
-    "kalman5, three resets",
-    "kalman5",
-)
+SHARE = 0.9
+TIMES = {"60 s": "phi_u_at_60_arcmin", "300 s": "phi_u_at_300_arcmin", "600 s": "phi_u_arcmin"}
+VEHICLES = ("still", "sways", "sways and surges", "the same, with lever arm and vibration")
+PLAIN = ("plain filter, as published", "plain filter, resets by the law")
 
 
-def known(field: Field) -> Mapping[str, tuple[Start, ...]]:
-    """Initial misalignments by what is known of the attitude."""
-    fair = tuple(one for one in field.starts if max(one) <= 30)
-    return {"heading to 30 deg, level to 5 deg": fair, "nothing": field.starts}
+class Errors(NamedTuple):
+    """Magnitudes of the heading error by method and time.
+
+    Attributes:
+        cases: methods, as in the study.
+        values: (times, vehicles, methods, draws), arcmin; infinite for a run that failed.
+    """
+
+    cases: list[str]
+    values: NDArray
+
+    @classmethod
+    def read(cls, source: Source) -> "Errors":
+        """Read the errors of a study whose cases come before its vehicles."""
+        cases = [str(case["case"]) for case in source.study.cases]
+        columns = source.rows(TIMES.values())
+        arrays = [np.abs(analysis.numeric_column(columns, name)) for name in TIMES.values()]
+        shape = (len(TIMES), source.draws, len(cases), len(VEHICLES))
+        values = np.where(np.isnan(arrays), np.inf, arrays).reshape(shape)
+        return cls(cases, values.transpose(0, 3, 2, 1))
+
+    def reached(self, time: int, vehicle: int, method: int, draws: slice = slice(None)) -> Estimate:
+        """Return the error that 90 % of the runs stay below, arcmin."""
+        return analysis.quantile(self.values[time, vehicle, method, draws], SHARE)
+
+    def best(self, vehicle: int) -> int:
+        """Return the method with the least error at 300 s on every other draw."""
+        found = [self.reached(1, vehicle, m, slice(0, None, 2)).value for m in self.candidates]
+        return self.candidates[int(np.argmin(found))]
+
+    @property
+    def candidates(self) -> list[int]:
+        """The methods other than the plain filter."""
+        return [i for i, case in enumerate(self.cases) if case not in PLAIN]
 
 
 def page(sources: Sources) -> Page:
-    """What to use, by what is known, what moves and the time there is; and why."""
-    studies = [sources[name] for name in STUDIES]
-    field = Field(*studies)
-    classes = known(field)
-    tables = {
-        "decision": evidence.decisions(field, classes, GRADE, folded=False),
-        "bases": evidence.by_base(field, field.starts, GRADE, 300),
-        "limits": evidence.from_floor(field, field.starts, GRADE, 300),
-        "starts": evidence.by_start(field, "sway", GRADE, 300),
-        "settled": evidence.settled(field, field.starts, "sway", GRADE),
-        "latitudes": evidence.by_latitude(sources["which_alignment_latitude"]),
-        "settings": evidence.settings(studies),
-        "cost": cost.table(field, field.starts, "sway", GRADE),
+    """Which method on which vehicle."""
+    source = sources["which_method"]
+    errors = Errors.read(source)
+    best = [errors.best(vehicle) for vehicle in range(len(VEHICLES))]
+    published, law = (errors.cases.index(case) for case in PLAIN)
+    simple = errors.cases.index("inertial")
+
+    def at_300(vehicle: int, method: int) -> Estimate:
+        return errors.reached(1, vehicle, method)
+
+    values = {
+        "runs": f"{source.runs:,}",
+        "published": {"sway": angle(at_300(1, published)), "surge": angle(at_300(2, published))},
+        "law": {"sway": angle(at_300(1, law)), "surge": angle(at_300(2, law))},
+        "inertial": {"surge": angle(at_300(2, simple))},
+        "surge": {"method": errors.cases[best[2]], "error": angle(at_300(2, best[2]))},
     }
-    for grade in field.grades:
-        if grade != GRADE:
-            name = f"grade_{grade:g}".replace(".", "_")
-            tables[name] = evidence.decisions(field, classes, grade, folded=True)
-    runs = f"{sum(one.runs for one in studies):,}"
-    picture = Picture(
-        "reached",
-        f"What 90 % of the runs stay below, from eight misalignments up to (20, 20, 120) and"
-        f" (0, 0, 170) deg, all headings, gyro bias {GRADE:g} deg/h; shading: 95 % interval,"
-        f" {field.draws} draws.",
-        reached(
-            field,
-            [arm for arm in FIGURE if arm in field.arms],
-            field.starts,
-            GRADE,
-            "Heading error from true north, nothing known of the attitude",
+    claims = {
+        "one method or another is within a degree at 300 s": all(
+            at_300(vehicle, method).high < 60 for vehicle, method in enumerate(best)
         ),
-        f"{', '.join(STUDIES)}: {runs} runs",
+        "a fit is within a tenth of the best on still and swaying vehicles": all(
+            at_300(v, errors.cases.index("gravity_fit")).value < 1.1 * at_300(v, best[v]).value
+            for v in (0, 1)
+        ),
+        "resets rescue on sway": at_300(1, law).high < 0.1 * at_300(1, published).low,
+        "and not on surge": at_300(2, law).low > 10 * at_300(2, best[2]).high,
+        "the surge filter leads on surge": errors.cases[best[2]] == "kalman_surge",
+    }
+    tables = {"best": _best_table(errors, best), "all": _all_table(errors)}
+    return Page(values, tables, claims=claims)
+
+
+def angle(estimate: Estimate) -> str:
+    """Return an error as text: arcmin below a degree, else degrees."""
+    unit, factor = ("'", 1.0) if estimate.value < 60 else (" deg", 60.0)
+    if not np.isfinite(estimate.value):
+        return "none"
+    value, low, high = (
+        f"{x / factor:.0f}" if x >= 9.95 * factor else f"{x / factor:.1f}" for x in estimate[:3]
     )
-    values: dict[str, Any] = {
-        "runs": runs,
-        "arms": len(field.arms),
-        "draws": field.draws,
-        **_told(field),
-    }
-    return Page.merge(
-        Page(values, tables, {"reached": picture}, _claims(field)),
-        _experiments(sources, field),
-    )
+    return f"{value} [{low}, {high}]{unit}"
 
 
-def _in_words(count: int) -> str:
-    """Return a small count in words."""
-    return ("none", "one", "two", "three", "four")[count] if count < 5 else str(count)
-
-
-def _told(field: Field) -> dict[str, Any]:
-    """Numbers of the first sentences, and of those on resets."""
-
-    def error(arm: str, base: str, time_s: int, starts: tuple[Start, ...] = field.starts) -> str:
-        return angle(reach(field.errors(arm, Cell(starts, field.bases[base], GRADE, time_s))))
-
-    told = {
-        "inertial": (INERTIAL, ("sway", "all")),
-        "sincos": (SINCOS, ("all",)),
-        "sample": (SAMPLE, ("sway", "all")),
-        "three": (RESETS[-1], ("sway", "surge")),
-        "two": (RESETS[1], ("sway",)),
-        "plain": ("kalman5", ("sway",)),
-        "wide": (WIDE, ("sway",)),
-        "both": (BOTH, ("sway", "lever", "surge")),
-        "trigger": ("kalman5, triggered resets, tuned", ("sway", "surge")),
-    }
-    bases = {
-        "sway": "sway",
-        "lever": "sway with a lever arm",
-        "surge": "sway and surge",
-        "all": "all of these",
-    }
-    costs = cost.costs(field)
-    arms = {"inertial": INERTIAL, "sincos": SAMPLE, "plain": "kalman5", "biases": "kalman10"}
-    return {
-        "costs": {name: f"{costs[arm].operations:.0f}" for name, arm in arms.items()},
-        "alone": _in_words(_entries(field)[0]),
-        "entries": _entries(field)[1],
-        **{
-            name: {base: error(arm, bases[base], 300) for base in on}
-            for name, (arm, on) in told.items()
-        },
-    }
-
-
-@lru_cache(maxsize=1)
-def _entries(field: Field) -> tuple[int, int]:
-    """Entries within 1 deg: those of filters with resets alone, and all."""
-    choices = [
-        field.best(Cell(starts, base, grade, t))
-        for starts in known(field).values()
-        for base in field.bases.values()
-        for grade in field.grades
-        for t in TIMES_S
+def _best_table(errors: Errors, best: list[int]) -> Table:
+    judged = slice(1, None, 2)
+    rows = [
+        [
+            name,
+            f"`{errors.cases[method]}`",
+            *(angle(errors.reached(t, vehicle, method, judged)) for t in range(len(TIMES))),
+        ]
+        for vehicle, (name, method) in enumerate(zip(VEHICLES, best, strict=True))
     ]
-    within = [choice for choice in choices if choice.errors[0].value < DEGREE]
-    return sum(all("reset" in arm for arm in one.arms) for one in within), len(within)
-
-
-def _experiments(sources: Sources, field: Field) -> Page:
-    """What was run to answer one question each."""
-    resets = why.resets(sources["which_alignment_why"])
-    return Page.merge(
-        resets,
-        why.passes(sources["which_alignment_stored"], field, GRADE),
-        why.turning(sources["which_alignment_turning"]),
-        why.car(sources["which_alignment_car"]),
-        why.psins(sources["which_alignment_psins"]),
-        better.bounded(sources["which_surge"]),
-        fair.at_their_best(sources["which_alignment_fair"]),
+    note = (
+        "Heading error from true north that 90 % of the alignments stay below, with its 95 %"
+        " interval. Every other draw chose the method at 300 s, the others are shown."
     )
+    return Table("What to use", ["the vehicle is", "use", *TIMES], rows, note)
 
 
-def _claims(field: Field) -> dict[str, bool]:
-    """What the first sentences say."""
-
-    def most(arm: str, base: str) -> Estimate:
-        return reach(field.errors(arm, Cell(field.starts, field.bases[base], GRADE, 300)))
-
-    on = {base: {arm: most(arm, base) for arm in field.at(GRADE)} for base in field.bases}
-    sway, surge = on["sway"], on["sway and surge"]
-    alone, within = _entries(field)
-    return {
-        "inertial is within two fifths of the best everywhere": all(
-            arms[INERTIAL].value < 1.4 * min(one.value for one in arms.values())
-            for arms in on.values()
-        ),
-        "so is the filter with Q of a sample": all(
-            arms[SAMPLE].value < 1.4 * min(one.value for one in arms.values())
-            for arms in on.values()
-        ),
-        "resets repair the plain filter on a swaying base": all(
-            10 * sway[arm].high < sway["kalman5"].low for arm in RESETS[1:]
-        ),
-        "two resets and a wide prior are as good as the best on a swaying base": (
-            sway[BOTH].value < 1.2 * min(one.value for one in sway.values())
-        ),
-        "neither alone is, and nothing that moves more is borne": all(
-            one.low > 60
-            for one in (
-                sway[WIDE],
-                sway[RESETS[1]],
-                surge[BOTH],
-                on["sway with a lever arm"][BOTH],
-            )
-        ),
-        "under surge resets fail, tuned and triggered as well": all(
-            one.low > 5 * 60
-            for arm, one in surge.items()
-            if "reset" in arm and "gravity" not in arm
-        ),
-        "filters with resets are rarely chosen alone": alone < 0.03 * within,
-    }
+def _all_table(errors: Errors) -> Table:
+    rows = [
+        [case, *(angle(errors.reached(1, v, method)) for v in range(len(VEHICLES)))]
+        for method, case in enumerate(errors.cases)
+    ]
+    return Table("Every method after 300 s", ["method", *VEHICLES], rows)

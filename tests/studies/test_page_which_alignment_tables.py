@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from docs.studies.which_alignment.field import worst_start
+from docs.studies.which_alignment_tables.field import worst_start
 
 DRAWS = np.arange(1.0, 65.0)
 

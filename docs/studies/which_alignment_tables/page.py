@@ -1,0 +1,199 @@
+"""Numbers of the page on which alignment to use."""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+from sinsjax.analysis import Estimate
+from sinsjax.report.base import Picture
+from sinsjax.report.study_page import Page, Sources
+
+from . import better, cost, evidence, fair, why
+from .field import TIMES_S, Cell, Field, Start, angle, reach
+from .figure import reached
+
+DEGREE = 60.0  # arcmin
+GRADE = 0.01
+"""Gyro bias (deg/h) of the grade that the answer is told for."""
+
+STUDIES = ("which_alignment", "which_alignment_tuned", "which_alignment_surge")
+"""Published settings, tuned ones, and what came of the search for something better."""
+
+INERTIAL, OPTIMISATION = "inertial", "optimisation"
+SINCOS, SAMPLE = "kalman_sincos", "kalman_sincos, Q of a sample"
+WIDE, BOTH = "kalman5, wide prior", "kalman5, wide prior, two resets"
+RESETS = ("kalman5, one reset", "kalman5, two resets", "kalman5, three resets")
+
+FIGURE = (
+    INERTIAL,
+    SAMPLE,
+    "kalman_surge",
+    OPTIMISATION,
+    SINCOS,
+    "kalman5, triggered resets, tuned",
+    "kalman5, three resets",
+    "kalman5",
+)
+
+
+def known(field: Field) -> Mapping[str, tuple[Start, ...]]:
+    """Initial misalignments by what is known of the attitude."""
+    fair = tuple(one for one in field.starts if max(one) <= 30)
+    return {"heading to 30 deg, level to 5 deg": fair, "nothing": field.starts}
+
+
+def page(sources: Sources) -> Page:
+    """What to use, by what is known, what moves and the time there is; and why."""
+    studies = [sources[name] for name in STUDIES]
+    field = Field(*studies)
+    classes = known(field)
+    tables = {
+        "decision": evidence.decisions(field, classes, GRADE, folded=False),
+        "bases": evidence.by_base(field, field.starts, GRADE, 300),
+        "limits": evidence.from_floor(field, field.starts, GRADE, 300),
+        "starts": evidence.by_start(field, "sway", GRADE, 300),
+        "settled": evidence.settled(field, field.starts, "sway", GRADE),
+        "latitudes": evidence.by_latitude(sources["which_alignment_latitude"]),
+        "settings": evidence.settings(studies),
+        "cost": cost.table(field, field.starts, "sway", GRADE),
+    }
+    for grade in field.grades:
+        if grade != GRADE:
+            name = f"grade_{grade:g}".replace(".", "_")
+            tables[name] = evidence.decisions(field, classes, grade, folded=True)
+    runs = f"{sum(one.runs for one in studies):,}"
+    picture = Picture(
+        "reached",
+        f"What 90 % of the runs stay below, from eight misalignments up to (20, 20, 120) and"
+        f" (0, 0, 170) deg, all headings, gyro bias {GRADE:g} deg/h; shading: 95 % interval,"
+        f" {field.draws} draws.",
+        reached(
+            field,
+            [arm for arm in FIGURE if arm in field.arms],
+            field.starts,
+            GRADE,
+            "Heading error from true north, nothing known of the attitude",
+        ),
+        f"{', '.join(STUDIES)}: {runs} runs",
+    )
+    values: dict[str, Any] = {
+        "runs": runs,
+        "arms": len(field.arms),
+        "draws": field.draws,
+        **_told(field),
+    }
+    return Page.merge(
+        Page(values, tables, {"reached": picture}, _claims(field)),
+        _experiments(sources, field),
+    )
+
+
+def _in_words(count: int) -> str:
+    """Return a small count in words."""
+    return ("none", "one", "two", "three", "four")[count] if count < 5 else str(count)
+
+
+def _told(field: Field) -> dict[str, Any]:
+    """Numbers of the first sentences, and of those on resets."""
+
+    def error(arm: str, base: str, time_s: int, starts: tuple[Start, ...] = field.starts) -> str:
+        return angle(reach(field.errors(arm, Cell(starts, field.bases[base], GRADE, time_s))))
+
+    told = {
+        "inertial": (INERTIAL, ("sway", "all")),
+        "sincos": (SINCOS, ("all",)),
+        "sample": (SAMPLE, ("sway", "all")),
+        "three": (RESETS[-1], ("sway", "surge")),
+        "two": (RESETS[1], ("sway",)),
+        "plain": ("kalman5", ("sway",)),
+        "wide": (WIDE, ("sway",)),
+        "both": (BOTH, ("sway", "lever", "surge")),
+        "trigger": ("kalman5, triggered resets, tuned", ("sway", "surge")),
+    }
+    bases = {
+        "sway": "sway",
+        "lever": "sway with a lever arm",
+        "surge": "sway and surge",
+        "all": "all of these",
+    }
+    costs = cost.costs(field)
+    arms = {"inertial": INERTIAL, "sincos": SAMPLE, "plain": "kalman5", "biases": "kalman10"}
+    return {
+        "costs": {name: f"{costs[arm].operations:.0f}" for name, arm in arms.items()},
+        "alone": _in_words(_entries(field)[0]),
+        "entries": _entries(field)[1],
+        **{
+            name: {base: error(arm, bases[base], 300) for base in on}
+            for name, (arm, on) in told.items()
+        },
+    }
+
+
+@lru_cache(maxsize=1)
+def _entries(field: Field) -> tuple[int, int]:
+    """Entries within 1 deg: those of filters with resets alone, and all."""
+    choices = [
+        field.best(Cell(starts, base, grade, t))
+        for starts in known(field).values()
+        for base in field.bases.values()
+        for grade in field.grades
+        for t in TIMES_S
+    ]
+    within = [choice for choice in choices if choice.errors[0].value < DEGREE]
+    return sum(all("reset" in arm for arm in one.arms) for one in within), len(within)
+
+
+def _experiments(sources: Sources, field: Field) -> Page:
+    """What was run to answer one question each."""
+    resets = why.resets(sources["which_alignment_why"])
+    return Page.merge(
+        resets,
+        why.passes(sources["which_alignment_stored"], field, GRADE),
+        why.turning(sources["which_alignment_turning"]),
+        why.car(sources["which_alignment_car"]),
+        why.psins(sources["which_alignment_psins"]),
+        better.bounded(sources["which_surge"]),
+        fair.at_their_best(sources["which_alignment_fair"]),
+    )
+
+
+def _claims(field: Field) -> dict[str, bool]:
+    """What the first sentences say."""
+
+    def most(arm: str, base: str) -> Estimate:
+        return reach(field.errors(arm, Cell(field.starts, field.bases[base], GRADE, 300)))
+
+    on = {base: {arm: most(arm, base) for arm in field.at(GRADE)} for base in field.bases}
+    sway, surge = on["sway"], on["sway and surge"]
+    alone, within = _entries(field)
+    return {
+        "inertial is within two fifths of the best everywhere": all(
+            arms[INERTIAL].value < 1.4 * min(one.value for one in arms.values())
+            for arms in on.values()
+        ),
+        "so is the filter with Q of a sample": all(
+            arms[SAMPLE].value < 1.4 * min(one.value for one in arms.values())
+            for arms in on.values()
+        ),
+        "resets repair the plain filter on a swaying base": all(
+            10 * sway[arm].high < sway["kalman5"].low for arm in RESETS[1:]
+        ),
+        "two resets and a wide prior are as good as the best on a swaying base": (
+            sway[BOTH].value < 1.2 * min(one.value for one in sway.values())
+        ),
+        "neither alone is, and nothing that moves more is borne": all(
+            one.low > 60
+            for one in (
+                sway[WIDE],
+                sway[RESETS[1]],
+                surge[BOTH],
+                on["sway with a lever arm"][BOTH],
+            )
+        ),
+        "under surge resets fail, tuned and triggered as well": all(
+            one.low > 5 * 60
+            for arm, one in surge.items()
+            if "reset" in arm and "gravity" not in arm
+        ),
+        "filters with resets are rarely chosen alone": alone < 0.03 * within,
+    }
