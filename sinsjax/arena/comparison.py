@@ -18,7 +18,7 @@ from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.differences import mean_difference, proportion_difference
 from sinsjax.analysis.estimates import TAIL
 from sinsjax.analysis.tables import numeric_column
-from sinsjax.arena.runs import condition_keys
+from sinsjax.messages import format_count
 from sinsjax.methods.registry import external_names
 from sinsjax.plots.labels import describe_point
 from sinsjax.study.study import Study
@@ -72,7 +72,7 @@ class Comparison(NamedTuple):
             the draws do not differ.
         draws: number of draws.
         criterion: of success, in words.
-        rivals: variants of each method with its settings by the variant of the program.
+        rivals: variants of each method with its settings by point.
     """
 
     name: str
@@ -84,7 +84,7 @@ class Comparison(NamedTuple):
     enough_draws: int | None
     draws: int
     criterion: str
-    rivals: list[dict[int, int]]
+    rivals: list[dict[tuple[Any, ...], int]]
 
     @property
     def is_sure(self) -> bool:
@@ -101,32 +101,39 @@ class Comparison(NamedTuple):
         best = f"the best of {self.options} methods of sinsjax, {self.best}"
         if self.options == 1:
             best = f"sinsjax's {self.best}"
+        digits = 1 if abs(difference.value) >= 1 else 3
         text = (
             f"{self.name} {verb} {best}: mean heading error"
             f" {format_estimate(all_.program)} against {format_estimate(all_.best, 'arcmin')},"
-            f" paired difference {format_estimate(difference, 'arcmin')}"
+            f" paired difference {format_estimate(difference, 'arcmin', digits)}"
+            f" on {format_count(self.draws, 'draw')}"
         )
+        if self.draws < _LEAST_SPLIT:
+            return f"{text} (few: the best was chosen on the same draws)"
         if self.enough_draws is None:
-            return f"{text} on {self.draws} draws"
+            return text
         if self.is_sure:
-            return f"{text}; {self.enough_draws} of the {self.draws} draws would do"
-        return f"{text}; about {self.enough_draws:,} draws would decide it, not {self.draws}"
+            return f"{text}, of which {self.enough_draws} would do"
+        return f"{text}; about {self.enough_draws:,} would decide it"
 
 
-def compare(study: Study, table: pa.Table, name: str) -> Comparison:
+def compare(study: Study, table: pa.Table, name: str, keys: list[str]) -> Comparison:
     """Compare a program with the best method of sinsjax.
 
     Args:
         study: with the program as a method.
         table: summary of all runs, by run_id.
         name: of the program.
+        keys: swept keys that are conditions, see `runs.condition_keys`.
     """
-    measure = success_measures(study)[0]
+    measures = success_measures(study)
     error = np.abs(numeric_column(table, "phi_u_arcmin")).reshape(-1, study.n_variants)
     error = np.where(np.isnan(error), FAILED_ARCMIN, error)
-    ok = numeric_column(table, measure.ok_column).reshape(error.shape) > 0
+    ok = np.any([numeric_column(table, m.ok_column) > 0 for m in measures], axis=0)
+    ok = ok.reshape(error.shape)
     nees = numeric_column(table, "nees").reshape(error.shape)
-    points, program, rivals = _arrange(study, name)
+    settings = [key for key in study.axis_keys if key not in (*keys, "case", "method")]
+    points, program, rivals = _arrange(study, name, keys, settings)
     columns = np.array([program[point] for point in points])
     chosen, rival = _choose_best(error, rivals)
     draws = np.arange(len(error))[:, None]
@@ -138,8 +145,8 @@ def compare(study: Study, table: pa.Table, name: str) -> Comparison:
         squares = nees[:, columns[places]].ravel()
         return ConditionResult(
             point,
-            _positive(analysis.mean(ours, cluster)),
-            _positive(analysis.mean(theirs, cluster)),
+            _possible(analysis.mean(ours, cluster)),
+            _possible(analysis.mean(theirs, cluster)),
             mean_difference(ours, theirs, cluster),
             analysis.share(won, cluster),
             analysis.share(lost, cluster),
@@ -151,34 +158,33 @@ def compare(study: Study, table: pa.Table, name: str) -> Comparison:
     differences = (pairs[0][0] - pairs[0][1]).mean(axis=1)
     return Comparison(
         name,
-        _describe_options(study, chosen.tolist()),
+        _describe_options(study, chosen.tolist(), settings),
         len(rivals),
-        condition_keys(study),
+        keys,
         result(None, slice(None)),
         conditions if len(points) > 1 else [],
         _enough_draws(differences),
         len(error),
-        measure.description,
-        [
-            {int(a): int(b) for a, b in zip(columns, row, strict=True)}
-            for row in rivals
-            if (row >= 0).all()
-        ],
+        " or ".join(measure.description for measure in measures),
+        [dict(zip(points, row.tolist(), strict=True)) for row in rivals if (row >= 0).all()],
     )
 
 
-def _positive(estimate: Estimate) -> Estimate:
-    return estimate._replace(low=max(estimate.low, 0.0))
+def _possible(estimate: Estimate) -> Estimate:
+    """Return a mean error with its interval within the errors that are possible."""
+    low, high = max(estimate.low, 0.0), min(estimate.high, FAILED_ARCMIN)
+    return estimate._replace(low=low, high=high)
 
 
-def _arrange(study: Study, name: str) -> tuple[list[Any], dict[Any, int], NDArray]:
+def _arrange(
+    study: Study, name: str, keys: list[str], settings: list[str]
+) -> tuple[list[Any], dict[Any, int], NDArray]:
     """Return the conditions, the variant of the program by condition, and those of its rivals.
 
     Returns:
         Points, variants by point, and (rivals, conditions) variants of each method with its
         settings, -1 where it lacks a condition.
     """
-    keys, settings = condition_keys(study), _setting_keys(study)
     values = {key: study.values(key) for key in (*keys, *settings, "method")}
     first = study.duplicate_of
     program: dict[Any, int] = {}
@@ -234,17 +240,11 @@ def _enough_draws(differences: NDArray) -> int | None:
     return int(enough[0]) if len(enough) else None
 
 
-def _setting_keys(study: Study) -> list[str]:
-    """Return the swept keys that are settings of methods."""
-    conditions = condition_keys(study)
-    return [key for key in study.axis_keys if key not in (*conditions, "case", "method")]
-
-
-def _describe_options(study: Study, variants: list[int]) -> str:
+def _describe_options(study: Study, variants: list[int], settings: list[str]) -> str:
     """Return the methods with their settings in words."""
     texts = []
     for variant in variants:
-        keys = [key for key in _setting_keys(study) if not study.without_effect(key)[variant]]
+        keys = [key for key in settings if not study.without_effect(key)[variant]]
         used = {key: study.values(key)[variant] for key in keys}
         method = study.values("method")[variant]
         texts.append(f"{method} ({describe_point(used)})" if used else str(method))

@@ -33,6 +33,8 @@ ANGLES = ("pitch", "roll", "yaw")
 _UNITS = {"deg": DEG, "rad": 1.0, "arcmin": ARCMIN}
 _QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 _LENGTH_TOLERANCE = 0.01
+_ANGLE = r"(pitch|roll|yaw|heading)_(deg|rad)"
+_SIGMA = r"sigma_(pitch|roll|yaw|heading)_(deg|rad|arcmin)"
 
 
 class GivenResults(NamedTuple):
@@ -145,8 +147,9 @@ def _comment_keys(comments: object) -> dict[str, str]:
 
 def _parquet_keys(path: str | Path) -> dict[str, str]:
     metadata = pq.read_schema(path).metadata or {}
-    known = (b"study", b"frame")
-    return {key.decode(): metadata[key].decode() for key in known if key in metadata}
+    known = ("study", "frame")
+    found = {key: metadata[key.encode()] for key in known if key.encode() in metadata}
+    return {key: value.decode(errors="replace") for key, value in found.items()}
 
 
 def _choose_columns(path: str | Path, table: ColumnTable) -> list[str]:
@@ -162,19 +165,26 @@ def _choose_columns(path: str | Path, table: ColumnTable) -> list[str]:
     if None in run:
         text = "needs 'run_id', or 'draw_id' and 'variant_id' (copy them from initial.csv)"
         raise InputError(f"{path}: {text}; the file has {_list_names(names)}")
-    chosen = [*run, "time_s"]
-    if all(name in names for name in _QUATERNION):
-        chosen += _QUATERNION
-    else:
-        unit = next((u for u in ("deg", "rad") if f"pitch_{u}" in names), "deg")
-        yaws = [name for name in (f"yaw_{unit}", f"heading_{unit}") if name in names]
-        if len(yaws) > 1:
-            raise InputError(f"{path}: has both {yaws[0]} and {yaws[1]} (keep one)")
-        chosen += [f"pitch_{unit}", f"roll_{unit}", *(yaws or [f"yaw_{unit}"])]
-    for angle in ANGLES:
-        sigma = find(*(f"sigma_{angle}_{unit}" for unit in _UNITS))
-        chosen += [sigma] if sigma else []
-    return [str(name) for name in chosen]
+    given = [name for name in names if name in _QUATERNION or re.fullmatch(_ANGLE, name)]
+    unit = next((u for u in ("deg", "rad") if f"pitch_{u}" in names), "deg")
+    attitude = [f"pitch_{unit}", f"roll_{unit}", f"yaw_{unit}"]
+    if f"heading_{unit}" in names:
+        attitude[2] = f"heading_{unit}"
+    if any(name in names for name in _QUATERNION):
+        attitude = list(_QUATERNION)
+    if others := sorted(set(given) - set(attitude)):
+        text = f"has both {attitude[-1]} and {others[0]}: one attitude a row (keep one)"
+        raise InputError(f"{path}: {text}")
+    sigmas: dict[str, str] = {}
+    for name in (name for name in names if name.startswith("sigma_")):
+        match = re.fullmatch(_SIGMA, name)
+        if match is None:
+            known = "sigma_yaw, sigma_pitch or sigma_roll with _deg, _rad or _arcmin"
+            raise InputError(f"{path}: column {to_one_line(name)!r}: must be {known}")
+        angle = match[1].replace("heading", "yaw")
+        if sigmas.setdefault(angle, name) != name:
+            raise InputError(f"{path}: has both {sigmas[angle]} and {name} (keep one)")
+    return [str(name) for name in (*run, "time_s", *attitude, *sigmas.values())]
 
 
 def _list_names(names: list[str]) -> str:
@@ -190,8 +200,8 @@ def _check_digest(
     has_column: bool,
 ) -> None:
     """Refuse results without the digest of the study, or with that of another one."""
-    found = [text for text in labels if text != asked.digest]
-    if "study" in keys and keys["study"] != asked.digest:
+    found = [text for text in labels if text.lower() != asked.digest]
+    if "study" in keys and keys["study"].lower() != asked.digest:
         found.append(keys["study"])
     if found:
         raise InputError(
@@ -199,14 +209,14 @@ def _check_digest(
             f" there, {asked.digest} exported"
         )
     if not has_column and "study" not in keys:
-        text = f"a column 'study', or a first line `# study = {asked.digest}`"
-        raise InputError(f"{path}: has no digest of its study ({text}, as in initial.csv)")
+        text = f"has no digest of its study (a column 'study' with {asked.digest}, as in"
+        raise InputError(f"{path}: {text} initial.csv, or a first line `# study = {asked.digest}`)")
 
 
 def _choose_frame(
     path: str | Path, keys: Mapping[str, str], asked: AskedRuns, frame: str | None
 ) -> str:
-    chosen = frame or keys.get("frame") or asked.frame
+    chosen = (frame or keys.get("frame") or asked.frame).lower()
     if chosen not in FRAMES:
         place = "frame" if frame else f"{path}: frame"
         raise InputError(f"{place}: {to_one_line(chosen)!r} is not one of {', '.join(FRAMES)}")
@@ -219,20 +229,21 @@ def _find_runs(
     """Return the place of each row's run among those asked for."""
     if "run_id" in columns:
         numbers, known, what = columns["run_id"], asked.run_id, "run_id"
-        given = numbers
+        shown = [numbers]
     else:
         draw, variant = list(columns.values())[:2]
         width = float(asked.variant_id.max() + 2)
         numbers = draw * width + np.where((variant >= 0) & (variant < width), variant, width - 1)
         known, what = asked.draw_id * width + asked.variant_id, "draw_id and variant_id"
-        given = draw
+        shown = [draw, variant]
     order = np.argsort(known)
     place = np.minimum(np.searchsorted(known[order], numbers), len(known) - 1)
     run = order[place]
     unknown = known[run] != numbers
     if unknown.any():
         row = int(unknown.argmax())
-        text = f"no run of the export has this {what} ({given[row]:.12g}; see initial.csv)"
+        values = ", ".join(f"{column[row]:.12g}" for column in shown)
+        text = f"no run of the export has this {what} ({values}; see initial.csv)"
         raise InputError(f"{path}: row {table.row_number(row)}: {text}")
     return np.asarray(run)
 
@@ -269,7 +280,7 @@ def _build_results(
     for name, values in columns.items():
         if name.startswith("sigma_"):
             _, angle, unit = name.split("_")
-            sigma[:, ANGLES.index(angle)] = values * _UNITS[unit]
+            sigma[:, ANGLES.index(angle.replace("heading", "yaw"))] = values * _UNITS[unit]
             if (bad := values <= 0).any():
                 row = table.row_number(int(bad.argmax()))
                 raise InputError(f"{path}: row {row}: {name} must be above 0")

@@ -5,6 +5,8 @@ sinsjax's own methods on the same draws they are a results directory like any ot
 program is a further method.
 """
 
+import re
+import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,8 +16,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from sinsjax.analysis.tables import numeric_column
 from sinsjax.arena.comparison import Comparison, compare
-from sinsjax.arena.export import read_export
+from sinsjax.arena.export import RECORDS, SCORES, read_export
 from sinsjax.arena.frames import to_angles
 from sinsjax.arena.results_file import AskedRuns, GivenResults, read_results
 from sinsjax.arena.runs import ProgramPart, ProgramRuns
@@ -25,7 +28,7 @@ from sinsjax.engine import given as engine
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.given import GivenAttitudes
 from sinsjax.engine.metrics import Outcome
-from sinsjax.errors import InputError
+from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import directory as results_directory
 from sinsjax.execution import resume
 from sinsjax.execution.run import ProgressCallback, run
@@ -34,10 +37,12 @@ from sinsjax.execution.source import Source
 from sinsjax.execution.store import DirectoryStore
 from sinsjax.execution.tables import TableBuilder, make_table, replace_column
 from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner
+from sinsjax.messages import format_count, shorten, to_one_line
 from sinsjax.methods.base import AttitudeCovariance
 from sinsjax.platform import runtime
 from sinsjax.study.identity import describe_differences, fingerprint, with_draws
 from sinsjax.study.study import Study
+from sinsjax.study.success import FLOOR_COLUMNS, success_criteria
 from sinsjax.types import Quat
 from sinsjax.units import ARCMIN
 
@@ -46,6 +51,9 @@ _BLOCK_RECORDS = 2**20
 
 _DIGEST = "exported_digest"
 """Entry of the manifest with the digest of the exported study."""
+
+_NAME = r"[^\W_][\w.+ -]{0,59}"
+"""Names of programs: a letter or digit first."""
 
 _LISTED = 12
 """Most missing runs that a line lists."""
@@ -127,16 +135,15 @@ def score_results(
         ('zeros', ('kalman5', 'zeros'), [])
     """
     runtime.ensure_configured()
-    directory, name = Path(directory), Path(results).stem if name is None else name
+    directory, name = Path(directory), _check_name(Path(results).stem if name is None else name)
     study, manifest = read_export(directory)
     if fingerprint(study) != manifest["digest"]:
         text = "the attitude_file of its study has changed since (export the study again)"
         raise InputError(f"{directory}: {text}")
-    target = directory / "scores" / name if out is None else results_directory.results_path(out)
-    results_directory.check_unlocked(target)
-    resume.check_available(target, overwrite=overwrite, resume=False)
+    target = directory / SCORES / name if out is None else results_directory.results_path(out)
+    _check_target(target, directory, against, overwrite=overwrite)
     draws, exported = range(*manifest["draws"]), ProgramRuns(study)
-    stored = None if against is None else _open_results(Path(against), study, manifest["digest"])
+    stored = None if against is None else _open_results(Path(against), study, manifest)
     source = _first_draws(study if stored is None else stored.study, draws)
     runs = ProgramRuns(source, name)
     with_program = runs.study  # its name is refused before anything is read or run
@@ -145,29 +152,63 @@ def score_results(
     own = _own_rows(source, stored, on_progress)
     program, missing = _judge(runs, exported, draws, given)
     table = _join(with_program, name, draws, program, own)
-    comparison = compare(with_program, table, name)
+    comparison = compare(with_program, table, name, runs.keys)
     reading = _suspect(runs, exported, draws, given, table, comparison)
-    warnings = [*_describe_doubts(name, asked, given, missing), *([reading] if reading else [])]
-    _write(
-        with_program, table, draws, target, manifest["digest"], warnings, str(results), overwrite
-    )
-    return Score(target, with_program, comparison, asked.run_id[missing].tolist(), warnings)
+    doubts = _describe_doubts(name, asked, given, missing)
+    doubts += [*_doubt_floor(with_program, table, name), *([reading] if reading else [])]
+    _write(with_program, table, draws, target, manifest["digest"], doubts, str(results), overwrite)
+    return Score(target, with_program, comparison, asked.run_id[missing].tolist(), doubts)
 
 
-def _open_results(against: Path, study: Study, digest: str) -> Source:
+def _check_name(name: str) -> str:
+    """Return the name of a program, which is that of a folder too.
+
+    Raises:
+        InputError: it cannot be one.
+    """
+    if not re.fullmatch(_NAME, name):
+        text = "must begin with a letter or digit, then have these, blanks and . _ + - (at most 60)"
+        raise InputError(f"--name: {to_one_line(name)!r} {text}")
+    return name
+
+
+def _check_target(
+    target: Path, directory: Path, against: str | Path | None, *, overwrite: bool
+) -> None:
+    """Refuse a directory for the results that is in use.
+
+    Raises:
+        InputError: it is the export or the sweep, or already contains results.
+    """
+    used = [directory, directory / RECORDS, *([] if against is None else [Path(against)])]
+    if target.resolve() in [path.resolve() for path in used]:
+        raise InputError(f"{target}: is read, and cannot be written to (give another with --out)")
+    results_directory.check_unlocked(target)
+    resume.check_available(target, overwrite=True, resume=False)
+    if not overwrite and resume.manifest_state(target) is not None:
+        raise InputError(f"{target}: already contains results (--overwrite replaces them)")
+
+
+def _open_results(against: Path, study: Study, manifest: dict[str, Any]) -> Source:
     """Return the results of a sweep of the exported study, or of it with other programs.
 
     Raises:
-        InputError: they are of another study, or have covariance estimates.
+        InputError: they are of another study, or lack draws.
     """
     source = Source.read(against)
-    is_same = results_directory.read_manifest(against).get(_DIGEST) == digest
-    if not is_same:
-        same_draws = with_draws(_without_stopping(source.study), study.n_draws)
-        is_same = fingerprint(same_draws) == fingerprint(_without_stopping(study))
-    if not is_same:
-        differing = describe_differences(study, source.study, ("exported", "there"))
-        raise InputError(f"{against}: contains results of another study: {'; '.join(differing)}")
+    is_same = results_directory.read_manifest(against).get(_DIGEST) == manifest["digest"]
+    same_draws = with_draws(_without_stopping(source.study), study.n_draws)
+    if not is_same and fingerprint(same_draws) != fingerprint(_without_stopping(study)):
+        differing = describe_differences(study, same_draws, ("exported", "there"))
+        text = shorten("; ".join(differing), 300)
+        raise InputError(f"{against}: contains results of another study: {text}")
+    first, end = manifest["draws"]
+    wanted = np.arange(first, end)
+    whole = np.unique(source.rows(["draw_id"])["draw_id"].to_numpy(), return_counts=True)
+    present = whole[0][whole[1] == source.study.n_variants]
+    if not np.isin(wanted, present).all():
+        text = f"has {len(present)} whole draws, {first}:{end} are exported"
+        raise InputError(f"{against}: {text} (`sinsjax sweep` with --draws {end}, --resume)")
     return source
 
 
@@ -199,7 +240,9 @@ def _own_rows(study: Study, stored: Source | None, on_progress: ProgressCallback
     """Return the summary of a study's own methods, read or run here."""
     if stored is not None:
         return Rows(stored.study, stored.summary)
-    return Rows(study, run(study, curves=False, on_progress=on_progress).summary)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StudyWarning)  # the export is of the same study
+        return Rows(study, run(study, curves=False, on_progress=on_progress).summary)
 
 
 def _judge(
@@ -323,9 +366,7 @@ def _join(study: Study, name: str, draws: range, program: pa.Table, own: Rows) -
     wanted = draw * own.study.n_variants + np.array([there[here[v]] for v in variant])
     run_id = own.table["run_id"].to_numpy()
     place = np.minimum(np.searchsorted(run_id, wanted), len(run_id) - 1)
-    if (absent := run_id[place] != wanted).any():
-        text = f"has no run {wanted[absent][0]} yet (continue with `--resume`)"
-        raise InputError(f"{own.study.name}: {text}")
+    assert (run_id[place] == wanted).all()
     rows = own.table.take(pa.array(place))
     values = {c.name: pa.nulls(len(rows), c.dtype) for c in schema}
     values |= {c: rows[c].combine_chunks() for c in rows.column_names if c in values}
@@ -360,14 +401,13 @@ def _suspect(
     )
     for part in runs.parts:
         attitudes = engine.true_attitudes_at_records(runs.group(part, draws))
-        for task, point in enumerate(part.points):
+        for point in part.points:
             for at, draw in enumerate(draws):
                 place = places[point, draw]
                 truth[place] = [a[-1, at] for a in attitudes]
-                variant = int(part.ids[part.places[task]])
                 first = (draw - draws.start) * runs.study.n_variants
                 for number, rival in enumerate(rivals):
-                    references[number, place] = phi[first + rival[variant]] * ARCMIN
+                    references[number, place] = phi[first + rival[point]] * ARCMIN
     at_end = np.abs(rows.time_s - runs.end_s) < 0.5 / runs.study.rate_hz
     rows = rows.select(np.flatnonzero(at_end))
     if not len(rows.run):
@@ -400,10 +440,29 @@ def _describe_doubts(
     rows = np.bincount(given.run, minlength=len(asked.run_id))
     if single := int((rows == 1).sum()):
         lines.append(
-            f"{name}: {single:,} runs have one row only: settled at the end of a run is all that"
-            " is known of their settling time"
+            f"{name}: {format_count(single, 'run')} with one row only: settled at the end of a run"
+            " is all that is known of the settling time"
         )
+    has_sigma = np.isfinite(given.sigma).any(axis=0)
+    if has_sigma.any() and not has_sigma.all():
+        lines.append(f"{name}: no NEES, which needs sigma_yaw, sigma_pitch and sigma_roll")
     return lines
+
+
+def _doubt_floor(study: Study, table: pa.Table, name: str) -> list[str]:
+    """Return that runs end nearer to north than their bias floor, if the study judges from it."""
+    criteria = success_criteria(study)
+    if criteria.from_truth:
+        return []
+    rows = table.filter(pc.equal(table["method"], name))
+    error, floor = (np.abs(numeric_column(rows, column)) for column in FLOOR_COLUMNS)
+    better = int((error < floor - criteria.band_arcmin).sum())
+    if not better:
+        return []
+    return [
+        f"{name}: {format_count(better, 'run')} nearer to north than the bias floor, from which"
+        " this study judges: no success there (--set study.judged_from='truth' for the export)"
+    ]
 
 
 def _write(
@@ -412,7 +471,7 @@ def _write(
     draws: range,
     target: Path,
     digest: str,
-    warnings: list[str],
+    doubts: list[str],
     source: str,
     overwrite: bool,
 ) -> None:
@@ -423,7 +482,7 @@ def _write(
         overwrite=overwrite,
         manifest_state=resume.manifest_state(target),
         source=f"{study.name} with {Path(source).name}",
-        warnings=tuple(warnings),
+        warnings=tuple(doubts),
     )
     runner = TaskRunner(job)
     task = Task(

@@ -95,8 +95,11 @@ def _readings(given: GivenResults) -> Iterator[Reading]:
         inverse = q * np.array([1, -1, -1, -1])
         last = np.roll(q, 1, axis=-1)
         text = "are the quaternions from navigation to body axes"
+        scalar = "is the scalar of the quaternions last"
         yield Reading((text,), from_quaternion(inverse, frame))
-        yield Reading(("is the scalar of the quaternions last",), from_quaternion(last, frame))
+        yield Reading((scalar,), from_quaternion(last, frame))
+        both = last * np.array([1, -1, -1, -1])
+        yield Reading((scalar, text), from_quaternion(both, frame))
         yield Reading((f"are the quaternions in the frame {other}",), from_quaternion(q, other))
     angles = given.angles if given.angles is not None else to_angles(given.attitude, given.frame)
     units = {"": 1.0}
@@ -110,14 +113,20 @@ def _readings(given: GivenResults) -> Iterator[Reading]:
         **{f"is yaw off by {turn} deg": (1, turn) for turn in (90, -90, 180)},
         "is yaw mirrored and from east": (-1, 90.0),
     }
-    for (unit, factor), (yaw, (sign, turn)), swap in product(
-        units.items(), yaws.items(), ("", "are pitch and roll exchanged")
+    levels = {
+        "": lambda pitch, roll: (pitch, roll),
+        "are pitch and roll exchanged": lambda pitch, roll: (roll, pitch),
+        "has pitch the opposite sign": lambda pitch, roll: (-pitch, roll),
+        "has roll the opposite sign": lambda pitch, roll: (pitch, -roll),
+        "have pitch and roll the opposite sign": lambda pitch, roll: (-pitch, -roll),
+    }
+    for (unit, factor), (yaw, (sign, turn)), (level, changed) in product(
+        units.items(), yaws.items(), levels.items()
     ):
-        changes = tuple(filter(None, (unit, yaw, swap)))
+        changes = tuple(filter(None, (unit, yaw, level)))
         if not changes:
             continue
         pitch, roll, heading = np.moveaxis(angles * factor, -1, 0)
-        if swap:
-            pitch, roll = roll, pitch
+        pitch, roll = changed(pitch, roll)
         heading = sign * heading - turn * DEG * (1 if sign > 0 else -1)
         yield Reading(changes, from_angles(np.stack([pitch, roll, heading], -1), given.frame))

@@ -1,6 +1,7 @@
 """The commands that give a study's draws to a program outside sinsjax, and score its results."""
 
 import re
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -57,9 +58,9 @@ def export(
 
     runtime.configure()
     study = load_study(config, parse_changes(changes or ()))
-    options = ExportOptions(_parse_draws(draws), format_, quantity, frame or "enu", blind)
+    kind, what, axes = (word.lower() for word in (format_, quantity, frame or "enu"))
+    options = ExportOptions(_parse_draws(draws), kind, what, axes, blind)
     plan, directory, console = plan_export(study, options), results_path(out), plain_console()
-    print_line(console, f"{plan.text}.")
     with stop_on_signal(console) as stop, show_progress(console, study.name) as show:
 
         def on_record(done: int, total: int) -> None:
@@ -70,11 +71,12 @@ def export(
             directory,
             overwrite=overwrite,
             resume=resume,
+            on_begin=lambda: print_line(console, f"{plan.text}."),
             on_record=on_record,
             is_stopped=stop.is_set,
         )
     print_line(console, f"{directory}: read README.txt; then")
-    print_line(console, f"sinsjax score {directory} RESULTS --name PROGRAM")
+    print_line(console, f"sinsjax score {shlex.quote(str(directory))} RESULTS --name PROGRAM")
 
 
 def score(
@@ -121,6 +123,8 @@ def score(
 
     runtime.configure()
     console = plain_console()
+    if against is None:
+        print_line(console, "Without --against the study's own methods run first.")
     with show_progress(console, "own methods") as show:
         found = score_results(
             directory,
@@ -136,7 +140,7 @@ def score(
         print_warning(line)
     print_line(console, f"{found.comparison.verdict}.", wrap=True)
     print_table(_result_table(found.comparison), console)
-    print_line(console, f"Results: {found.directory} (sinsjax report {found.directory})")
+    print_line(console, f"Results: sinsjax report {shlex.quote(str(found.directory))}")
 
 
 def _result_table(comparison: Any) -> Any:
@@ -172,13 +176,13 @@ def _result_table(comparison: Any) -> Any:
 
 
 def _parse_draws(text: str | None) -> tuple[int, int] | None:
-    """Return the draws ``A:B``, or ``N`` for the first N."""
+    """Return the draws ``A:B``, from ``A:`` to the last, or ``N`` for the first N."""
     if text is None:
         return None
-    match = re.fullmatch(r"\s*(?:(\d{1,9})?\s*:)?\s*(\d{1,9})\s*", text)
-    if match is None:
+    match = re.fullmatch(r"(?:(\d{0,9}):)?(\d{0,9})", text.strip())
+    if match is None or not any(match.groups()):
         raise InputError(f"--draws: {text!r} is not of the form A:B, as in 0:32")
-    return int(match[1] or 0), int(match[2])
+    return int(match[1] or 0), int(match[2] or -1)
 
 
 COMMANDS: tuple[Any, ...] = (export, score)

@@ -105,7 +105,10 @@ class Source:
                 f"{self.directory}: {progress}, and no draw that every variant has (continue with"
                 " `--resume`)"
             )
-        warning = f"{progress}{suffix}; `sinsjax sweep --resume` adds the others."
+        remedy = "`sinsjax sweep --resume` adds the others"
+        if self.study.study.external:
+            remedy = "the others were not exported"
+        warning = f"{progress}{suffix}; {remedy}."
         return replace(self, whole_draws=whole_draws, warnings=(warning, *self.warnings))
 
     @cached_property

@@ -201,7 +201,7 @@ def test_last_rows_alone_are_successes_with_the_end_as_settling_time(
     assert inside.any()
     np.testing.assert_array_equal(settled, np.where(inside, 40.0, np.nan))
     assert np.array_equal(numeric_column(rows, "ok_truth") > 0, inside)
-    assert "have one row only" in score.warnings[0]
+    assert "16 runs with one row only" in score.warnings[0]
 
 
 def test_history_that_begins_late_settles_no_sooner(arena: Arena, tmp_path: Path) -> None:
@@ -253,6 +253,8 @@ READINGS = {
     "are the angles in radians": lambda *angles: tuple(np.radians(a) for a in angles),
     "is yaw off by 90 deg": lambda pitch, roll, yaw: (pitch, roll, yaw + 90),
     "are pitch and roll exchanged": lambda pitch, roll, yaw: (roll, pitch, yaw),
+    "has pitch the opposite sign": lambda pitch, roll, yaw: (-pitch, roll, yaw),
+    "has roll the opposite sign": lambda pitch, roll, yaw: (pitch, -roll, yaw),
     "are the angles in radians and is yaw mirrored": lambda pitch, roll, yaw: tuple(
         np.radians(a) for a in (pitch, roll, -yaw)
     ),
@@ -334,7 +336,7 @@ FAULTS: dict[str, tuple[Any, str]] = {
     ),
     "no digest": (
         lambda a: text(a, ROW).split("\n", 1)[1],
-        "has no digest of its study (a column 'study', or a first line `# study = ",
+        "has no digest of its study (a column 'study' with ",
     ),
     "digest column": (
         lambda a: f"{HEADER},study\n{ROW},{a.digest}\n0,39,0,0,0,x\n",
@@ -508,3 +510,109 @@ def test_aligned_record_gives_the_heading_of_the_sweep(tmp_path: Path) -> None:
             path = folder / "imu" / f"draw_{draw:05d}.{suffix}"
             aligned = sinsjax.align(path, recorded).summary["heading_deg"][0].as_py()
             assert aligned == pytest.approx(swept[draw], abs=1e-6)
+
+
+def test_settings_of_triggers_do_not_split_the_runs_of_a_program(tmp_path: Path) -> None:
+    policies = {"reset_trigger": ["none", "levelled"], "trigger_threshold": [0.0, 1.0]}
+    axes = {"policy": policies, "phi_u0_deg": [5.0, 30.0]}
+    arena = Arena(tmp_path, axes=axes, alignment={"method": "kalman5"})
+    first = pyarrow.csv.read_csv(arena.export / "initial.csv")
+    assert len(set(first["run_id"].to_pylist())) == len(first) == 2 * DRAWS
+    assert len(list((arena.export / "imu").iterdir())) == DRAWS
+    score = arena.score(arena.history(), tmp_path)
+    rows = rows_of(score, "mine").to_pandas()
+    assert len(rows) == 4 * DRAWS  # for each policy, though it has none
+    for _, same in rows.groupby(["draw_id", "phi_u0_deg"]):
+        assert same["phi_u_arcmin"].nunique() == 1
+
+
+def test_sweep_with_fewer_draws_is_refused(arena: Arena, tmp_path: Path) -> None:
+    few = tmp_path / "few"
+    sinsjax.run_into(arena.study.replace({"study.draws": 3}), few)
+    path = arena.write(arena.last(), tmp_path / "mine.csv")
+    with pytest.raises(InputError, match=r"few: has 3 whole draws, 0:8 are exported"):
+        score_results(arena.export, path, against=few, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", ".", "..", ".hidden", "-x", "", "x" * 61])
+def test_name_that_is_no_folder_is_refused(name: str, arena: Arena, tmp_path: Path) -> None:
+    path = arena.write(arena.last(), tmp_path / "mine.csv")
+    with pytest.raises(InputError, match="--name: .* must begin with a letter or digit"):
+        score_results(arena.export, path, name=name, against=arena.sweep)
+
+
+def test_sweep_and_export_are_no_target(arena: Arena, tmp_path: Path) -> None:
+    path = arena.write(arena.last(), tmp_path / "mine.csv")
+    for target in (arena.sweep, arena.export):
+        with pytest.raises(InputError, match="is read, and cannot be written to"):
+            score_results(arena.export, path, against=arena.sweep, out=target, overwrite=True)
+
+
+def test_two_attitudes_or_two_sigmas_of_an_angle_are_refused(arena: Arena, tmp_path: Path) -> None:
+    table, number = arena.last(), pa.array([0.5] * len(arena.last()))
+    for names, message in {
+        ("heading_deg",): "has both heading_deg and yaw_deg",
+        ("yaw_rad",): "has both yaw_deg and yaw_rad",
+        ("q_w",): "has both q_z and pitch_deg",
+        ("sigma_yaw_deg", "sigma_yaw_rad"): "has both sigma_yaw_deg and sigma_yaw_rad",
+        (
+            "sigma_yaw_mrad",
+        ): "column 'sigma_yaw_mrad': must be sigma_yaw, sigma_pitch or sigma_roll",
+    }.items():
+        more = table
+        for name in names:
+            more = more.append_column(name, number)
+        with pytest.raises(InputError, match=message):
+            arena.score(more, tmp_path)
+
+
+def test_sigma_of_the_heading_alone_gives_no_nees_and_says_so(arena: Arena, tmp_path: Path) -> None:
+    table = arena.history().append_column(
+        "sigma_heading_deg", pa.array([2.0] * len(arena.history()))
+    )
+    score = arena.score(table, tmp_path)
+    assert "no NEES, which needs sigma_yaw, sigma_pitch and sigma_roll" in score.warnings[0]
+    rows = rows_of(score, "mine")
+    assert rows["nees"].null_count == len(rows) and rows["sigma_u_arcmin"].null_count == 0
+
+
+def test_metadata_that_is_no_text_is_no_digest(arena: Arena, tmp_path: Path) -> None:
+    table = arena.last().drop_columns(["study"]).replace_schema_metadata({b"study": b"\xff\xfe"})
+    path = arena.write(table, tmp_path / "mine.parquet")
+    with pytest.raises(InputError, match="is of another study"):
+        score_results(arena.export, path, against=arena.sweep, out=tmp_path / "out")
+
+
+def test_program_nearer_to_north_than_its_floor_is_no_silent_failure(tmp_path: Path) -> None:
+    judged = {"judged_from": "floor", "success_band_arcmin": 30.0}
+    arena = Arena(tmp_path, study=SETTINGS["study"] | judged, motion=STILL, sensors={
+        **{"gyro_bias_deg_per_h": 0.5, "accel_bias_ug": 0.0},
+        **{"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 1.0},
+    })  # fmt: skip
+    truth = pq.read_table(arena.export / "truth.parquet").to_pandas()
+    last = truth[truth["time_s"] == 40.0].iloc[0]
+    perfect = turned(
+        arena.last(), lambda *angles: [np.full(len(angles[0]), last[f"{a}_deg"]) for a in
+                                       ("pitch", "roll", "yaw")]
+    )  # fmt: skip
+    score = arena.score(perfect, tmp_path)
+    assert score.comparison.overall.success.value == 1.0
+    assert any("nearer to north than the bias floor" in line for line in score.warnings)
+
+
+def test_passes_are_refused() -> None:
+    study = small_study(passes={"stored_s": 2.0})
+    with pytest.raises(InputError, match=r"\[passes\]: a program reads a record once"):
+        export_study(study, "nowhere")
+
+
+def test_lost_manifest_is_overwritten(arena: Arena, tmp_path: Path) -> None:
+    out = export_study(arena.study, tmp_path / "out", draws=(0, 1))
+    (out / "export.json").write_text("{}")
+    with pytest.raises(InputError, match="no export"):
+        export_study(arena.study, out, draws=(0, 1))
+    export_study(arena.study, out, draws=(0, 1), overwrite=True)
+    (out / "export.json").unlink()
+    export_study(arena.study, out, draws=(0, 1), overwrite=True)
+    assert json.loads((out / "export.json").read_text())["state"] == "complete"
