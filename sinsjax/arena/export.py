@@ -32,7 +32,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from sinsjax.arena.frames import BODY_AXES, FRAMES, to_angles, to_quaternion
-from sinsjax.arena.readme import describe_export
+from sinsjax.arena.readme import RECORDS, describe_export
 from sinsjax.arena.runs import ProgramRuns, check_simulated
 from sinsjax.engine import given
 from sinsjax.engine.build import simulated_records
@@ -52,10 +52,7 @@ from sinsjax.study.study import Study
 from sinsjax.types import Quat
 from sinsjax.units import DEG
 
-INITIAL, TRUTH, README, MANIFEST, RECORDS = (
-    *("initial.csv", "truth.parquet", "README.txt", "export.json"),
-    "imu",
-)
+INITIAL, TRUTH, README, MANIFEST = "initial.csv", "truth.parquet", "README.txt", "export.json"
 SCORES = "scores"
 """Folder of the results that were scored."""
 

@@ -1,5 +1,8 @@
 """The README of an export, for an engineer who has never used sinsjax."""
 
+RECORDS = "imu"
+"""Folder of the records in an export."""
+
 _AXES = {
     "enu": "x right, y front, z up; navigation frame east, north, up",
     "ned": "x front, y right, z down; navigation frame north, east, down",
@@ -30,29 +33,35 @@ def describe_export(
         "csv": "commas between columns, names in the first line, with units",
         "parquet": "Parquet, names with units",
     }[format]
-    truth = "left out (--blind)" if blind else "truth.parquet; keep it from your program"
+    truth = "truth.parquet, attitude at record times; keep it from your program"
+    if blind:
+        truth = "left out (--blind)"
+    at_rest = "+g" if frame == "enu" else "-g"
     return f"""\
 sinsjax export of the study {study!r}, digest {digest}
 
-initial.csv   one row per run to align: run_id, draw_id, variant_id; the record in `file`; the first
-              attitude of the run, misaligned on purpose (NaN: find it without one); first velocity;
-              latitude, height, gravity; sample rate; start and end of the run in s.
-records       imu/: {columns}. Gyros and accelerometers in
-              {units}; time in s at the end of each sample.
-              The accelerometers measure specific force: at rest +g along up.
+initial.csv   one row per run to align: run_id (with gaps; do not renumber), draw_id, variant_id;
+              the first attitude, misaligned on purpose (nan: find it without one), and the velocity
+              that the program starts from; latitude, height, gravity; rate; end of the run in s;
+              the record in `file`, which several runs may share.
+study.toml    the study: Earth ([earth]: rate and model), sensor noise and biases ([sensors], for Q
+              and P0), motion. Its true velocity is that of the motion: none on a still base.
+records       {RECORDS}/: {columns}.
+              Gyros and accelerometers in {units};
+              time in s at the end of each sample. Specific force: at rest z reads {at_rest}.
 axes          {_AXES[frame]}.
 angles        deg; {_EULER[frame]}.
               Pitch is positive with the front up, roll with the right side down.
 quaternion    q_w q_x q_y q_z from body to navigation frame, scalar first.
-vehicle       does not travel: its true velocity is zero but for the motion of the study.
 truth         {truth}.
 
-Return one CSV or Parquet file with, for each run, a row at `end_s` or a history:
-  study            the digest above, as a column, or as a first line `# study = {digest}`
-  run_id           of initial.csv (or draw_id and variant_id)
-  time_s           on the clock of the records
-  yaw_deg, pitch_deg, roll_deg    (or _rad), in the convention above; or q_w, q_x, q_y, q_z
+Return one CSV or Parquet file with, for each run, a row at `end_s` (to half a sample) or a history:
+  study        the digest above in a column, or in a first line `# study = {digest}`
+  run_id       of initial.csv (or draw_id and variant_id)
+  time_s       on the clock of the records
+  yaw_deg, pitch_deg, roll_deg    (or _rad; heading_deg is clockwise), or q_w, q_x, q_y, q_z
   sigma_yaw_deg, sigma_pitch_deg, sigma_roll_deg    optional, 1 sigma (or _rad, _arcmin)
-`# frame = enu` or `# frame = ned` states another convention than that of this export.
+`# frame = enu` or `# frame = ned` states another convention than that of this export. A run without
+a row at its end is a failure and counts as 180 deg.
 Then: sinsjax score DIR results.csv --name my_filter
 """

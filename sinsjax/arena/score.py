@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from sinsjax.analysis.tables import numeric_column
 from sinsjax.arena.comparison import Comparison, compare
-from sinsjax.arena.export import RECORDS, SCORES, read_export
+from sinsjax.arena.export import SCORES, read_export
 from sinsjax.arena.frames import to_angles
+from sinsjax.arena.readme import RECORDS
 from sinsjax.arena.results_file import AskedRuns, GivenResults, read_results
 from sinsjax.arena.runs import ProgramPart, ProgramRuns
 from sinsjax.arena.suspicions import suspect

@@ -59,7 +59,7 @@ PAGES = {
         *("turning_0_01", "turning_0_1", "turning_1"),
         *("turning_scale", "turning_kalman10", "turning_psins"),
     ),
-    "which_alignment": ("which_method",),
+    "which_alignment": ("which_method", "which_method_published"),
     "which_alignment_tables": (
         "which_alignment",
         "which_alignment_tuned",
