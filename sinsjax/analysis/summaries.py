@@ -30,6 +30,8 @@ from sinsjax.analysis.tables import (
     require_column,
     select_runs_with_floor,
     status_mask,
+    to_arrow_table,
+    to_key_list,
 )
 from sinsjax.errors import InputError
 
@@ -65,7 +67,7 @@ class _Statistic(NamedTuple):
     freedom: int = 0
 
 
-def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = None) -> pa.Table:
+def summarise(table: Any, by: str | Sequence[str], names: Sequence[str] | None = None) -> pa.Table:
     """Compute the statistics of each group of runs, one row per group.
 
     Columns: the keys; ``n`` runs, of which ``nonfinite`` and ``no_floor``; then ``X``, ``X_low``
@@ -99,13 +101,14 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
     Null is unknown, as all but ``n`` and ``nonfinite`` are without truth or reference.
 
     Args:
-        table: the summary, one row per run.
-        by: key columns, of any type, lists included; without columns there is one group.
+        table: the summary, one row per run; an Arrow table or a pandas frame.
+        by: a key column, or several, of any type, lists included; [] for one group.
         names: statistics and counts to compute, in this order; None for all. The columns of other
             statistics may then be missing.
 
     Raises:
-        InputError: the table has no rows, a column is missing, or there is no such statistic.
+        InputError: this is no table or has no rows, a column is missing, or there is no such
+            statistic.
 
     Example:
         >>> import pyarrow as pa
@@ -114,6 +117,7 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
         >>> row["n"], row["success_rate"], round(row["success_rate_low"], 3)
         (16, 1.0, 0.794)
     """
+    table, by = to_arrow_table(table), to_key_list(by)
     if table.num_rows == 0:
         raise InputError("summary: there are no runs to summarise")
     offered = _available_statistics(table.column_names)

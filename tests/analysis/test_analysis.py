@@ -298,3 +298,13 @@ def test_compare_refuses_missing_baseline_and_unpaired_draws():
         analysis.compare_with_baseline(
             table.append_column("case", table["status"]), ["case"], {"case": "ok"}
         )
+
+
+def test_one_key_is_enough_and_a_path_is_no_table():
+    draws = {"draw_id": range(16), "status": ["ok"] * 16, "phi_u_arcmin": [2.0] * 16}
+    table = pa.table(draws | {"method": ["a", "b"] * 8})
+    names = ["success_rate"]
+    one, several = (analysis.summarise(table, by, names) for by in ("method", ["method"]))
+    assert one == several and one["method"].to_pylist() == ["a", "b"]
+    with pytest.raises(InputError, match="str: is not a table"):
+        analysis.summarise("out", "method")
