@@ -241,11 +241,15 @@ def _enough_draws(differences: NDArray) -> int | None:
 
 
 def _describe_options(study: Study, variants: list[int], settings: list[str]) -> str:
-    """Return the methods with their settings in words."""
+    """Return the methods with their settings in words; the label of a case stands for its keys."""
+    of_case = set(study.cases[0]) if study.cases else set()
+    label = "method"
+    if "case" in of_case and of_case <= {"case", "method", *settings}:
+        label, settings = "case", [key for key in settings if key not in of_case]
     texts = []
     for variant in variants:
         keys = [key for key in settings if not study.without_effect(key)[variant]]
         used = {key: study.values(key)[variant] for key in keys}
-        method = study.values("method")[variant]
-        texts.append(f"{method} ({describe_point(used)})" if used else str(method))
+        name = study.values(label)[variant]
+        texts.append(f"{name} ({describe_point(used)})" if used else str(name))
     return " or ".join(dict.fromkeys(texts))
