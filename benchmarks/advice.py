@@ -8,6 +8,7 @@ The best method is chosen on half of the draws, and both are judged on the other
 """
 
 import argparse
+import csv
 import itertools
 import json
 import os
@@ -30,6 +31,7 @@ from sinsjax.methods.filters.section import level_surge
 
 DRAWS, SEED, RATE_HZ = 1024, 11, 20.0
 PAGE = Path(__file__).parents[1] / "docs" / "advise.md"
+TABLE = PAGE.parent / "tables" / "advise.csv"
 LATITUDES = (-60.0, -30.0, 0.0, 15.0, 32.0, 45.0, 48.0, 60.0, 70.0, 75.0)
 TIMES = ((60.0, 120.0, 300.0), (60.0, 300.0, 600.0), (120.0, 600.0, 1800.0))
 SURGE_TIMES = ((120.0, 300.0, 600.0), (300.0, 600.0, 900.0), (180.0, 600.0, 1800.0))
@@ -241,14 +243,14 @@ def rows(folder: Path, given: list[Case]) -> list[Row]:
     return out
 
 
-def table(found: list[Row]) -> str:
-    """Return how many cells are right, and the cells, as Markdown."""
+def table(found: list[Row]) -> list[tuple[str, ...]]:
+    """Return a header and the cells as text."""
     head = (
         *("sheet", "motion", "latitude (deg)", "time (s)", "advised", "rms by advice (')"),
         *("measured (')", "ratio", "best method", "advised over best"),
         *("largest source", "largest by sweep"),
     )
-    lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+    lines = [head]
     for row in found:
         cells = (
             *(row.name, row.motion, f"{row.latitude_deg:g}", f"{row.time_s:g}", row.method),
@@ -260,17 +262,21 @@ def table(found: list[Row]) -> str:
             SOURCES[row.dominant] if row.ratio > CLEAR else "no clear one",
             SOURCES[row.found] if row.found else "-",
         )
-        lines.append(f"| {' | '.join(cells)} |")
+        lines.append(cells)
+    return lines
+
+
+def count_right(found: list[Row]) -> str:
+    """Return how many cells are right, as Markdown."""
     close = sum(abs(row.predicted / row.measured - 1) <= 0.15 for row in found)
     good = sum(row.loss <= 1.1 for row in found)
     clear = [row for row in found if row.ratio > CLEAR and row.found]
     right = sum(row.is_right for row in clear)
-    count, rows_text = len(found), "\n".join(lines)
+    count = len(found)
     return (
         f"\nRms within 15 %: {close} of {count} cells. Advised method within 10 % of the best"
         f" one: {good} of {count}.\nLargest source right: {right} of {len(clear)} cells where it"
-        f" is more than {CLEAR:g} times the second.\n\n<details>\n<summary>{count} cells"
-        f"</summary>\n\n{rows_text}\n\n</details>\n\n"
+        f" is more than {CLEAR:g} times the second. [The {count} cells](tables/{TABLE.name})\n\n"
     )
 
 
@@ -279,7 +285,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
-    parser.add_argument("--page", action="store_true", help="write the table into docs/advise.md")
+    parser.add_argument("--page", action="store_true", help="write docs/advise.md and its table")
     parser.add_argument("--tasks", help="JSON list of tasks, of a worker")
     parser.add_argument("--list", action="store_true", help="count the tasks only")
     args = parser.parse_args()
@@ -305,9 +311,13 @@ def main() -> None:
     command = [sys.executable, __file__, "-o", str(args.out), "--tasks"]
     with ThreadPoolExecutor(args.workers) as pool:
         list(pool.map(lambda group: subprocess.run([*command, json.dumps(group)]), groups))
-    text = table(rows(args.out, given))
+    found = rows(args.out, given)
+    text = count_right(found)
+    csv.writer(sys.stdout).writerows(table(found))
     print(text)
     if args.page:
+        with TABLE.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(table(found))
         page = PAGE.read_text(encoding="utf-8")
         mark = r"(<!-- table -->\n).*(<!-- end of table -->)"
         PAGE.write_text(re.sub(mark, lambda m: m[1] + text + m[2], page, flags=re.S), "utf-8")

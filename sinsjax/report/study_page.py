@@ -6,6 +6,7 @@ a figure. ``{{ claim("two settle sooner than one") }}`` prints nothing: it ties 
 makes it true.
 """
 
+import csv
 import importlib
 import sys
 from collections import ChainMap
@@ -13,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from importlib.machinery import ModuleSpec
 from importlib.util import module_from_spec
+from io import StringIO
 from pathlib import Path
 from types import MappingProxyType, ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
@@ -23,8 +25,10 @@ from jinja2 import TemplateError
 from sinsjax import plots
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
+from sinsjax.platform.files import atomic_write, make_folder
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.markup import load_template, template_environment
+from sinsjax.report.names import NO_NAMES
 from sinsjax.report.output import (
     FIGURES_FOLDER,
     block_to_markdown,
@@ -34,6 +38,9 @@ from sinsjax.report.output import (
 
 SCRIPT_FILE, PROSE_FILE = "page.py", "page.md.j2"
 """The files of a page's folder."""
+
+TABLES_FOLDER = "tables"
+"""Next to the page: its folded tables, one CSV file each."""
 
 _PACKAGE = "sinsjax_pages"
 
@@ -143,7 +150,9 @@ def render_prose(folder: Path, page: Page, *, enforce_claims: bool = True) -> st
 
     prefix = f"{folder.name}_"
     content = {
-        "tables": {name: block_to_markdown(table) for name, table in page.tables.items()},
+        "tables": {
+            name: _render_table(table, f"{prefix}{name}") for name, table in page.tables.items()
+        },
         "figures": {
             name: block_to_markdown(picture, prefix) for name, picture in page.figures.items()
         },
@@ -165,7 +174,7 @@ def render_prose(folder: Path, page: Page, *, enforce_claims: bool = True) -> st
 
 
 def write_study_page(folder: Path, sources: Sequence[Source]) -> tuple[Path, int]:
-    """Write the page of ``docs/studies/NAME``, ``docs/NAME.md``, and its figures.
+    """Write the page of ``docs/studies/NAME``, ``docs/NAME.md``, its figures and folded tables.
 
     Returns the file, and its number of figures.
 
@@ -184,7 +193,31 @@ def write_study_page(folder: Path, sources: Sequence[Source]) -> tuple[Path, int
         for picture in page.figures.values()
     }
     save_figures(images, path.parent / FIGURES_FOLDER)
+    for name, table in page.tables.items():
+        if table.folded:
+            write_table(table, path.parent / TABLES_FOLDER / f"{folder.name}_{name}.csv")
     ordered = sorted(sources, key=lambda source: source.config)
     text = load_template("study_page.md.j2").render(name=folder.name, body=body, sources=ordered)
     write_escaped_text(path, text)
     return path, len(images)
+
+
+def write_table(table: Table, path: Path) -> None:
+    """Write a table as a CSV file, its cells as text.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    text = StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows([table.header, *table.rows])
+    make_folder(path.parent)
+    with atomic_write(path) as file:
+        file.write(text.getvalue().encode())
+
+
+def _render_table(table: Table, stem: str) -> str:
+    """Return a table in Markdown; of a folded one, a link to its CSV file, and its note."""
+    if not table.folded:
+        return block_to_markdown(table)
+    link = f"[{NO_NAMES.to_markdown(table.title)}]({TABLES_FOLDER}/{stem}.csv)"
+    return f"- Table: {link}. {NO_NAMES.to_markdown(table.note)}".rstrip()

@@ -1,5 +1,6 @@
 """Every page of docs/studies from results that no engine made: names exist, all are used."""
 
+import csv
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -166,7 +167,33 @@ def test_page_renders_and_uses_all_computed_values(name, tmp_path):
 
 @pytest.mark.parametrize("name", PAGES)
 def test_page_has_fewer_than_2500_words(name):
-    """The committed page, outside its folded tables."""
+    """The committed page, without the notes of the tables that stand in files."""
     text = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
-    parts = [part.partition("</details>")[2] for part in ("</details>" + text).split("<details>")]
-    assert sum(len(part.split()) for part in parts) < 2500
+    lines = [line for line in text.splitlines() if not line.startswith("- Table: [")]
+    assert len(" ".join(lines).split()) < 2500
+
+
+def test_folded_tables_of_page_are_csv_files(tmp_path):
+    at = tmp_path / "docs" / "studies" / "own"
+    at.mkdir(parents=True)
+    (at / "page.md.j2").write_text("# Own\n\n{{ tables.long }}\n\n{{ tables.short }}\n")
+    (at / "page.py").write_text(
+        "from sinsjax.report.base import Table\n"
+        "from sinsjax.report.study_page import Page\n\n"
+        "def page(sources):\n"
+        '    rows = [["a, b", "1 [0, 2]\'"]]\n'
+        '    long = Table("Long", ["case", "error"], rows, "Its note.", folded=True)\n'
+        '    return Page({}, {"long": long, "short": Table("Short", ["x"], [["y"]])})\n'
+    )
+    path, _ = study_page.write_study_page(at, [])
+    text = path.read_text(encoding="utf-8")
+    assert "- Table: [Long](tables/own_long.csv). Its note.\n" in text
+    assert "| x |" in text and not (path.parent / "tables" / "own_short.csv").exists()
+    with (path.parent / "tables" / "own_long.csv").open(newline="") as file:
+        assert list(csv.reader(file)) == [["case", "error"], ["a, b", "1 [0, 2]'"]]
+
+
+def test_every_table_file_is_linked_from_a_page():
+    pages = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md"))
+    names = [path.name for path in (ROOT / "docs" / "tables").iterdir()]
+    assert names and all(f"](tables/{name})" in pages for name in names)

@@ -33,7 +33,8 @@ def decisions(
         " methods stand where the difference between them may be none. *None*: even the best is off"
         " by more than 10 deg."
     )
-    return Table(f"Gyro bias {grade:g} deg/h", header, rows, note, folded)
+    title = f"Gyro bias {grade:g} deg/h"
+    return Table(title, header, rows, "Read as the table above." if folded else note, folded)
 
 
 def by_base(field: Field, starts: tuple[Start, ...], grade: float, time_s: int) -> Table:
@@ -150,7 +151,7 @@ def settings(sources: Sequence[Source]) -> Table:
         for arm in dict.fromkeys(cases):
             of = cases == arm
             told = [
-                f"`{key} = {text[of][0]}`"
+                f"{key} = {text[of][0]}"
                 for key, text in texts.items()
                 if read[key][of].all() and len(set(text[of])) == 1
             ]
