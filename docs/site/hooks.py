@@ -5,12 +5,14 @@ Links are written for the repository, where files stand as they are. On the site
 notebooks as pages, anything else as a page that shows its text.
 """
 
+import html
 import os
 import posixpath
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -27,6 +29,9 @@ LANGUAGES = {".c": "c", ".cff": "yaml", ".json": "json", ".py": "python", ".toml
 
 _LINK = re.compile(r"\]\((?P<target>[^\s():#]+)(?P<anchor>#[^\s()]*)?\)")
 _FIGURE = re.compile(r'(?<!">)<img [^>]*?src="(?P<source>[^":]+)"[^>]*>')
+_FORMULA = re.compile(
+    r'<(?P<tag>span|div) class="arithmatex">\\[(\[](?P<text>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
+)
 _COMMENT = re.compile(r"\A<!--.*?-->\s*", re.DOTALL)
 
 
@@ -62,9 +67,13 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     return _LINK.sub(led, markdown)
 
 
-def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Lead from a figure to itself alone: on a phone one with many panels is too small to read."""
-    return _FIGURE.sub(r'<a href="\g<source>">\g<0></a>', html)
+def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Write formulas as MathML, which needs no script and no network, and lead from figures.
+
+    A figure leads to itself alone: on a phone one with many panels is too small to read.
+    """
+    content = _FORMULA.sub(_to_mathml, content)
+    return _FIGURE.sub(r'<a href="\g<source>">\g<0></a>', content)
 
 
 def site_path(name: str) -> str:
@@ -106,3 +115,9 @@ def _files(name: str, config: MkDocsConfig) -> Iterator[File]:
         text = path.read_text(encoding="utf-8")
         fence = f"``````{LANGUAGES.get(path.suffix, '')}"
         yield File.generated(config, own, content=f"# {name}\n\n{fence}\n{text}\n``````\n")
+
+
+def _to_mathml(formula: re.Match[str]) -> str:
+    """Return a formula of pymdownx.arithmatex as MathML."""
+    display = "block" if formula["tag"] == "div" else "inline"
+    return convert(html.unescape(formula["text"]), display=display)

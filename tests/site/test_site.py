@@ -128,6 +128,16 @@ def test_pages_and_styles_load_no_external_files(site: Path, pages: dict[Path, S
         assert not re.search(r"url\(['\"]?(https?:)?//", style.read_text(encoding="utf-8")), style
 
 
+def test_formulas_are_mathml_without_dollar_signs(site: Path) -> None:
+    formulas = 0
+    for path in site.rglob("*.html"):
+        text = path.read_text(encoding="utf-8")
+        formulas += text.count("<math ")
+        shown = re.sub(r"<(script|style|code|pre|annotation)\b.*?</\1>", "", text, flags=re.DOTALL)
+        assert not re.search(r"\$[^$\n]*\\[a-z]", re.sub(r"<[^>]+>", "", shown)), path
+    assert formulas > 30
+
+
 def test_site_contains_no_study_sources(site: Path) -> None:
     assert not {path.suffix for path in site.rglob("*")} & {".j2", ".py", ".pyc"}
 
