@@ -50,8 +50,8 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
     Args:
         tables: sections by name.
         changes: values by place: ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or
-            deeper, such as ``tune.variables.p0_yaw_deg.low``. An empty table drops the section,
-            key, axis or table of that name.
+            deeper, such as ``tune.variables.p0_yaw_deg.low``; or all cases by ``cases``. An empty
+            table drops the section, key, axis or table of that name.
 
     Raises:
         InputError: a place does not name a section and a key, or there is nothing to drop.
@@ -61,6 +61,9 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
         section, *path = place.split(".")
         if value == {}:
             _delete_place(result, place)
+            continue
+        if place == "cases":
+            result[place] = copy_tables(value)
             continue
         if not path or not all(path):
             owner = SECTION_OF.get(place)

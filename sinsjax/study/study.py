@@ -163,7 +163,8 @@ class Study(_SectionsOfMethods):
 
         Args:
             changes: values by ``section.key``, such as ``{"alignment.phi_u0_deg": 12.0}``; each
-                replaces the value, the axis and the distribution of the key in the study.
+                replaces the value, the axis and the distribution of the key in the study;
+                ``cases`` replaces all cases.
 
         Raises:
             InputError: the result is not a valid study.

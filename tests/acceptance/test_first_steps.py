@@ -454,6 +454,16 @@ def test_changes_set_drawn_keys_and_zipped_axes() -> None:
     assert study.axis_keys == ("phi_e0_deg", "phi_n0_deg", "reset_count", "reset_cycle_s")
 
 
+def test_cases_are_replaced_as_a_whole() -> None:
+    cases = [{"case": "none", "reset_times_s": []}, {"case": "one", "reset_times_s": [50.0]}]
+    study = package.load_study("paper1_resets", {"cases": cases})
+    assert study.values("case") == ["none", "one"]
+    again = study.replace({"cases": cases[:1], "study.draws": 3})
+    assert again.values("case") == ["none"] and again.n_draws == 3
+    with pytest.raises(package.InputError, match=r"cases"):
+        study.replace({"cases": [1.0]})
+
+
 def test_setting_drawn_key_to_value_stops_drawing_it() -> None:
     drawn = package.load_study("reset_sweep", {"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
     assert drawn.drawn_keys == ("gyro_bias_deg_per_h",)
