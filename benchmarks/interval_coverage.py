@@ -4,7 +4,7 @@ Each draw has runs with normal scores that are equally correlated within the dra
 value, a correlation, a number of draws and of runs per draw; its coverage is the share of samples
 whose interval contains the true value. An end that is not given bounds nothing. A table shows the
 lowest coverage over the correlations, so that no cell hides behind another. The exit code is 1 if a
-cell is below 93 % that `docs/results.md` promises.
+cell is below 93 % that `docs/statistics.md` promises.
 """
 
 import argparse

@@ -52,53 +52,49 @@ class AlignmentSection(Section):
     )
     phi_e0_deg: HalfTurn = Field(
         0.0,
-        description="initial misalignment about east, deg. The misalignment is the rotation from"
-        " the computed to the true attitude",
+        description="initial misalignment, the rotation from computed to true attitude, about"
+        " east, deg",
     )
     phi_n0_deg: HalfTurn = Field(0.0, description="initial misalignment about north, deg")
     phi_u0_deg: HalfTurn = Field(
-        0.0, description="initial misalignment about up, the heading error, deg"
+        0.0, description="initial misalignment about up, deg: the heading error"
     )
     misalignment: Literal["vector", "euler"] = Field(
         "vector",
-        description="meaning of phi_e0_deg, phi_n0_deg and phi_u0_deg. 'vector': components of"
-        " one rotation vector. 'euler': successive rotations about up, east and north",
+        description="definition of the initial misalignment. 'vector': components of a rotation"
+        " vector. 'euler': successive rotations about up, east and north",
     )
     ve0_m_per_s: Speed = Field(
         0.0,
-        description="initial east velocity of the navigation solution, m/s. The base does not"
-        " travel, so this is its error",
+        description="initial computed east velocity, m/s; an error, since the base does not travel",
     )
-    vn0_m_per_s: Speed = Field(
-        0.0, description="initial north velocity of the navigation solution, m/s"
-    )
+    vn0_m_per_s: Speed = Field(0.0, description="initial computed north velocity, m/s")
     position: Literal["fixed", "integrated"] = Field(
         "fixed",
-        description="position of the navigation solution. 'fixed': constant. 'integrated':"
-        " latitude and longitude are integrated from the computed velocity",
+        description="position in the navigation solution. 'fixed': constant. 'integrated':"
+        " latitude and longitude integrated from computed velocity",
     )
     specific_force: Annotated[
         Literal["measured", "gravity"] | None, KeyInfo(default="measured")
     ] = Field(
         None,
-        description="specific force in the filter's error model. 'measured': that of the"
-        " accelerometers, transformed with the computed attitude. 'gravity': that of a base at"
-        " rest; default 'measured'",
+        description="specific force in the error model. 'measured': accelerometer output in the"
+        " computed attitude. 'gravity': that of a base at rest; default 'measured'",
     )
     feedback_interval_s: Annotated[Seconds | None, KeyInfo(whole="sample")] = Field(
         None,
-        description="time between two feedbacks of the estimated errors into the navigation"
+        description="interval between feedbacks of estimated errors into the navigation"
         " solution, s; default: one sample",
     )
     feedback_time_constant_s: Annotated[SecondsOrZero | None, KeyInfo(default=0.0)] = Field(
         None,
-        description="time constant T of the feedback, s: each one feeds back the share 1 -"
-        " exp(-interval / T) of the estimate, or all of it with T = 0; default 0",
+        description="time constant T, s: each feedback applies the fraction 1 - exp(-interval /"
+        " T) of the estimate; all if T = 0; default 0",
     )
 
 
 class PassesSection(Section):
-    """[passes]: repeated passes over a stored record, alternately forward and backward, or forward.
+    """[passes]: repeated passes over a stored record.
 
     With ``direction = "rewind"`` every pass starts as a run does: from the attitude propagated back
     to the beginning of the record, with zero velocity and with P0. Only the estimated gyro biases,
@@ -117,8 +113,7 @@ class PassesSection(Section):
 
     stored_s: Annotated[Seconds | None, KeyInfo(whole="record")] = Field(
         None,
-        description="length of the stored record, s. Without it a run reads all its data once,"
-        " forward",
+        description="length of the stored record, s. Without it a run reads all data once, forward",
     )
     passes: Annotated[Count, Field(ge=1)] | None = Field(
         None,
@@ -126,15 +121,14 @@ class PassesSection(Section):
     )
     ending: Literal["duration", "forward"] = Field(
         "duration",
-        description="end of a run without a given number of passes. 'duration': at duration_s,"
-        " even within a pass. 'forward': at the end of the last whole forward pass within"
-        " duration_s",
+        description="end of a run without `passes`. 'duration': at duration_s, even within a"
+        " pass. 'forward': after the last complete forward pass within it",
     )
     direction: Literal["alternate", "rewind"] | None = Field(
         None,
-        description="direction of the passes. 'alternate': every second pass is backward."
-        " 'rewind': every pass is forward, and starts from the attitude propagated back to the"
-        " beginning of the record; default: 'alternate'",
+        description="direction of the passes. 'alternate': every second pass backward."
+        " 'rewind': all forward, each from the attitude propagated back to the"
+        " record's start; default: 'alternate'",
     )
     turn: Annotated[
         Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
@@ -142,25 +136,25 @@ class PassesSection(Section):
         KeyInfo(default="reflect"),
     ] = Field(
         None,
-        description="state of the compass loops after a direction reversal. 'velocity': the"
-        " velocity changes sign, tilt and azimuth rate stay, as in paper 2. 'reflect': velocity"
-        " and tilt change sign, so the next pass continues the motion of the loops."
-        " 'velocity_and_rate': velocity and azimuth rate change sign. 'velocity_drop_rate': the"
-        " velocity changes sign, the azimuth rate becomes zero. 'keep': all three stay."
-        " 'restart': only the attitude stays. The levelling integrals change sign, with 'restart'"
-        " they become zero; default 'reflect'",
+        description="compass loop state after a direction reversal. Levelling integrals change"
+        " sign; other states not named stay. 'velocity': velocity changes sign, as"
+        " in paper 2. 'reflect': velocity and tilt change sign, so the loops"
+        " continue their motion. 'velocity_and_rate': velocity and azimuth rate"
+        " change sign. 'velocity_drop_rate': velocity changes sign, azimuth rate"
+        " becomes zero. 'keep': no other change. 'restart': all zero but the"
+        " attitude; default 'reflect'",
     )
     turn_smoothing_s: Annotated[Seconds | None, KeyInfo(default=5.0)] = Field(
         None,
-        description="delay of the low-pass filter on the specific force from which turn ="
-        " 'reflect' computes the tilt, s; default 5",
+        description="delay of the low-pass filter on specific force from which turn = 'reflect'"
+        " computes tilt, s; default 5",
     )
     turn_covariance: Annotated[
         Literal["carried", "inflated", "reset"] | None, KeyInfo(default="carried")
     ] = Field(
         None,
-        description="covariance P of a filter after a direction reversal. 'carried': unchanged."
-        " 'inflated': multiplied by turn_inflation. 'reset': P0; default 'carried'",
+        description="covariance P after a direction reversal. 'carried': unchanged. 'inflated':"
+        " multiplied by turn_inflation. 'reset': P0; default 'carried'",
     )
     turn_inflation: Annotated[Factor | None, KeyInfo(default=10.0)] = Field(
         None, description="factor on P with turn_covariance = 'inflated'; default 10"
@@ -172,7 +166,7 @@ def _is_aligned(method: str) -> bool:
 
 
 class CoarseSection(Section):
-    """[coarse]: coarse alignment, from which the method gets its first attitude.
+    """[coarse]: coarse alignment before the method.
 
     In a simulation it is a stage of every run, after which the method starts with zero velocity and
     its P0. Until then the attitude of a run is that of the coarse method. All times count from the
@@ -192,15 +186,15 @@ class CoarseSection(Section):
 
     coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = Field(
         "inertial",
-        description="method of coarse alignment. 'inertial': the turn of gravity in inertial"
-        " space, for a base that sways. 'analytic': mean specific force and mean rate, for a base"
-        " at rest, only to hand over a record. 'optimisation': least squares of integrated"
-        " velocities. 'none': no coarse alignment, only in a simulation",
+        description="coarse alignment method. 'inertial': rotation of gravity in inertial"
+        " space, for a swaying base. 'analytic': mean specific force and rate, for a"
+        " base at rest; only to hand over a record. 'optimisation': least squares of"
+        " integrated velocities. 'none': only in a simulation",
     )
-    coarse_duration_s: Seconds = Field(60.0, description="length of coarse alignment, s")
+    coarse_duration_s: Seconds = Field(60.0, description="duration of coarse alignment, s")
     coarse_then: Literal["hand_over", "replay"] | None = Field(
         None,
-        description="start of the method after coarse alignment. 'hand_over': it continues with"
-        " the data that follow. 'replay': it processes all data from the first sample, from the"
-        " coarse attitude propagated back to there; default: 'hand_over'",
+        description="start of the method. 'hand_over': with the data that follow. 'replay':"
+        " with the first sample, from the coarse attitude propagated back; default:"
+        " 'hand_over'",
     )

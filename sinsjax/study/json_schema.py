@@ -62,8 +62,9 @@ def _table_schema(name: str, definitions: Schema) -> Schema:
     """Return the schema of a table, with the schemas of its keys added to the definitions."""
     properties = TABLES[name].model_json_schema()["properties"]
     for key in (key for key in KEYS.values() if key.section == name):
+        unit = f"unit: {key.unit}; " if key.unit else ""
         default = f"default: {key.default}; " if key.default else ""
-        description = f"{key.meaning}; {default}methods: {key.readers_text}"
+        description = f"{key.meaning}; {unit}{default}methods: {key.readers_text}"
         schema_of_key = _simplify_schema(properties[key.name]) | {"description": description}
         definitions[f"{name}.{key.name}"] = schema_of_key
     return _object_schema(

@@ -1,5 +1,7 @@
 """The page of all keys: ``python -m sinsjax.study.key_table > docs/keys.md``."""
 
+from itertools import compress
+
 from sinsjax.errors import InputError
 from sinsjax.messages import suggest_closest
 from sinsjax.methods.registry import BROKEN, METHODS, PACKAGES
@@ -7,6 +9,7 @@ from sinsjax.study.keys import KEYS, SWEEPABLE, TABLES, Key
 from sinsjax.value_types import Section
 
 _KEYLESS = ("axes", "cases")
+_ALL = "all methods"
 _ALL_KEYS = " (`sinsjax keys` lists all keys)"
 _VARYING = (
     "`[axes] KEY = [...]` sweeps a key, `[axes.NAME]` sweeps several keys together, `[[cases]]`"
@@ -74,20 +77,51 @@ def keys_page() -> str:
     lines = [
         "# Keys of a study",
         "",
-        "`sinsjax keys [SECTION|KEY|METHOD]` prints these tables. Only keys whose default is"
-        " `required` must be given in every study; some others are required in certain studies, as"
-        " their meaning states. The last column lists the methods that read a key.",
+        "`sinsjax keys [SECTION|KEY|METHOD]` prints this reference. Every study must give the keys"
+        " whose default is `required`. Unless noted, all methods read a key. The filters are"
+        f" {', '.join(_filters())}.",
         "",
-        f"The keys of {sweepable} may vary: {_VARYING}. A study gives a key once: in its section,"
-        " or in a table that varies it.",
+        f"The keys of {sweepable} may vary: {_VARYING}. Give a key once: in its section or a table"
+        " that varies it.",
     ]
     for name, model in TABLES.items():
-        lines += ["", f"## [{name}]", "", section_purpose(model), ""]
-        lines += ["| key | unit | default | meaning | methods |", "| --- | --- | --- | --- | --- |"]
-        for key in (key for key in KEYS.values() if key.section == name):
-            cells = (f"`{key.name}`", key.unit, key.default, key.meaning, key.readers_text)
-            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        keys = [key for key in KEYS.values() if key.section == name]
+        readers = [_readers(key) for key in keys]
+        usual, mixed = max(readers, key=readers.count), len({*readers}) > 1
+        purpose = section_purpose(model)
+        if usual != _ALL or mixed:
+            purpose += f" Read by {usual}" + (", or the methods in brackets." if mixed else ".")
+        rows = [("key", "unit", "default", "meaning")]
+        for key, read_by in zip(keys, readers, strict=True):
+            meaning = key.meaning if read_by == usual else f"{key.meaning} ({read_by})"
+            rows.append((f"`{key.name}`", key.unit, key.default, meaning))
+        used = [any(column[1:]) for column in zip(*rows, strict=True)]
+        head, *body = ([*compress(row, used)] for row in rows)
+        lines += ["", f"## [{name}]", "", purpose, ""]
+        lines += [_format_row(head), "|---" * len(head) + "|", *map(_format_row, body)]
     return "\n".join(lines) + "\n"
+
+
+def _format_row(cells: list[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _filters() -> list[str]:
+    return [name for name, method in METHODS.items() if "filter" in method.sections]
+
+
+def _readers(key: Key) -> str:
+    """Return the methods that read a key, with the filters as one name."""
+    if len(key.methods) == len(METHODS):
+        return _ALL
+    filters = _filters()
+    if set(key.methods) < set(filters):
+        others = [name for name in filters if name not in key.methods]
+        few = len(others) < len(key.methods)
+        return f"the filters but {', '.join(others)}" if few else ", ".join(key.methods)
+    if not set(filters) <= set(key.methods):
+        return ", ".join(key.methods)
+    return " and ".join(["the filters", *(name for name in key.methods if name not in filters)])
 
 
 def section_purpose(model: type[Section]) -> str:

@@ -114,7 +114,7 @@ class Key(NamedTuple):
         name: leaf key.
         unit: unit of its numbers; empty without one.
         default: value as a file writes it, a description, or ``required``; empty without a default.
-        meaning: description, with the words that the key accepts.
+        meaning: description without unit and default, with the words that the key accepts.
         info: usual range, and dependence of the default on other keys.
         methods: methods that read it.
         depends_on: keys whose values decide whether it has an effect.
@@ -222,19 +222,31 @@ def accepted_words(annotation: Any) -> tuple[str, ...]:
 
 def _build_key(section: str, name: str, field: FieldInfo) -> Key:
     text, default_text = _split_default(field.description or "")
-    choices = " | ".join(format_toml(word) for word in accepted_words(field.annotation))
+    unit, words = split_unit(name)[1], accepted_words(field.annotation)
+    text = _drop_unit(text, unit)
+    choices = ", ".join(map(format_toml, words))
     is_leaf = SECTION_OF.get(name) == section
     is_required = default_text.startswith("required")  # its own default is never used
     return Key(
         section,
         name,
-        split_unit(name)[1],
+        unit,
         default_text if is_required else _format_default(name, field) or default_text,
-        f"{text} ({choices})" if choices else text,
+        f"{text} ({choices})" if choices and not _names_all(text, words) else text,
         key_info(field),
         reading_methods(name) if is_leaf else tuple(METHODS),
         deciding_keys(name) if is_leaf else (),
     )
+
+
+def _drop_unit(text: str, unit: str) -> str:
+    """Return a description without the unit, which `Key.unit` gives."""
+    return re.sub(rf", {re.escape(unit)}(?=[.;:,]|$)", "", text, count=1) if unit else text
+
+
+def _names_all(text: str, words: Iterable[str]) -> bool:
+    """Return whether a description explains each word that the key accepts."""
+    return all(f"'{word}'" in text for word in words)
 
 
 def _split_default(description: str) -> tuple[str, str]:

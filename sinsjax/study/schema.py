@@ -59,58 +59,52 @@ from sinsjax.value_types import (
 
 
 class StudySection(Section):
-    """[study]: settings that all runs of a study share; none of them can be swept."""
+    """[study]: settings of all runs, which cannot be swept."""
 
-    name: Name = Field(
-        description="name of the study in reports and manifests; default: the file's stem"
-    )
+    name: Name = Field(description="study name in reports and manifests; default: the file's stem")
     duration_s: Seconds = Field(
-        description="length of each run, s. It includes all passes over a stored record and a"
-        " coarse alignment, except one that hands over a record"
+        description="length of each run, s. It includes all passes and any coarse alignment,"
+        " except one that hands over a record"
     )
     # None only in a recorded study before its record is read, see `load.with_rate`.
     rate_hz: Annotated[Positive, KeyInfo(usual_range=(1e-3, 1e6))] = Field(
         cast(float, None),
-        description="sample rate of the sensors, Hz. Required in a simulation and for a record"
-        " without time stamps; otherwise it must agree with the rate of the record",
+        description="sample rate of the sensors, Hz. Required in a simulation and without time"
+        " stamps; must match a record's rate",
     )
     record_interval_s: Seconds = Field(
         1.0,
-        description="time between two record times, s. Settling times, statistics and curves use"
-        " the attitude at record times",
+        description="interval between record times, which settling times, statistics and curves"
+        " use, s",
     )
     draws: Annotated[Count, Field(ge=1)] | None = Field(
         None,
-        description="number of Monte Carlo draws, each one realisation of the sensor noise and of"
-        " [drawn]; the maximum with [stop_when]. With estimate = 'covariance', the draws of a"
-        " variant for which the linear estimate does not hold. A recorded study has one draw per"
-        " start time; default: 64 in a simulation",
+        description="Monte Carlo draws of sensor noise and [drawn] keys; the maximum with"
+        " [stop_when]. With estimate = 'covariance', used if the linear estimate"
+        " fails. A recorded study has one per start time; default: 64 in a"
+        " simulation",
     )
     estimate: Literal["draws", "covariance"] = Field(
         "draws",
-        description="source of the statistics. 'draws': Monte Carlo with one run per draw and"
-        " variant, stored in `summary/`. 'covariance': linear covariance analysis with one"
-        " noise-free run per variant, stored in `estimates/`",
+        description="source of statistics. 'draws': Monte Carlo, one run per draw and variant,"
+        " in `summary/`. 'covariance': linear covariance analysis, one noise-free"
+        " run per variant, in `estimates/`",
     )
     estimate_samples: Annotated[int, Field(ge=4, le=2**16, multiple_of=2)] | None = Field(
         None,
-        description="number of errors sampled from the covariance to estimate settling times, an"
-        " even number since they come in pairs of opposite sign; default: 256 with estimate ="
-        " 'covariance'",
+        description="even number of errors (pairs of opposite sign) sampled from the covariance"
+        " for settling times; default: 256 with estimate = 'covariance'",
     )
     check_linearity: bool | None = Field(
         None,
-        description="whether 8 draws per variant check the linear estimate (column"
-        " `nonlinearity`). If it exceeds 0.5, `draws` Monte Carlo draws replace the estimate of"
-        " the heading. Only with estimate = 'covariance'; default: true",
+        description="whether 8 draws per variant check the linear estimate; if `nonlinearity`"
+        " exceeds 0.5, `draws` Monte Carlo draws replace its heading estimate. Only"
+        " with estimate = 'covariance'; default: true",
     )
-    seed: int = Field(
-        1, ge=0, lt=2**63, description="seed of all random numbers; equal seeds give equal draws"
-    )
+    seed: int = Field(1, ge=0, lt=2**63, description="random seed; equal seeds give equal draws")
     settle_bands_arcmin: Bands = Field(
         (60.0, 10.0, 3.0),
-        description="half-widths of the heading error bands into which settling times are"
-        " reported, arcmin",
+        description="half-widths of the heading error bands for settling times, arcmin",
     )
     window_s: Annotated[tuple[NonNegative, Positive], KeyInfo(usual_range=(0, 1e8))] = Field(
         # A pydantic below 2.14 calls it even if the duration is missing or wrong.
@@ -118,64 +112,59 @@ class StudySection(Section):
             given.get("duration_s", 1.0) / 1.5,
             given.get("duration_s", 1.0),
         ),
-        description="start and end of the window over which means and standard deviations of the"
-        " errors are taken, s; default: the last third of the duration",
+        description="start and end of the window for error means and standard deviations, s;"
+        " default: the last third of the duration",
     )
     consistency_after_s: SecondsOrZero = Field(
         10.0,
-        description="time after which record times count in the columns p_above_error_share and"
-        " p_above_floor_error_share, s",
+        description="time after which p_above_error_share and p_above_floor_error_share count"
+        " record times, s",
     )
     steady_after_s: SecondsOrZero = Field(
-        300.0,
-        description="time after which record times count in the column"
-        " p_above_error_steady_share, s",
+        300.0, description="time after which p_above_error_steady_share counts record times, s"
     )
     curves: bool = Field(
-        False,
-        description="whether a sweep also stores the errors of every run at every record time, in"
-        " `curves/`",
+        False, description="whether a sweep stores all errors at record times in `curves/`"
     )
     judged_from: Literal["truth", "floor"] | None = Field(
         None,
-        description="reference from which the success of a run is judged. 'truth': true north, or"
-        " the reference of a record. 'floor': the bias floor, the heading error that the constant"
-        " sensor biases of the run leave; default: 'truth'",
+        description="reference for success. 'truth': true north, or the record's reference."
+        " 'floor': the bias floor, the heading error due to constant sensor biases;"
+        " default: 'truth'",
     )
     success_band_arcmin: Band | None = Field(
         None,
-        description="half-width of the band in which the heading error of a successful run ends,"
+        description="half-width of the band in which a successful run's heading error ends,"
         " arcmin; default: 10",
     )
     level_band_arcmin: Band | None = Field(
         None,
-        description="half-width of the band in which both level errors of a successful run end,"
-        " arcmin. Judged from the truth, the tilt that the accelerometer biases leave is added to"
-        " it; default: 10",
+        description="half-width of the band in which a successful run's level errors end,"
+        " arcmin; judged from truth, plus the tilt due to accelerometer biases;"
+        " default: 10",
     )
     dwell_s: SecondsOrZero | None = Field(
         None,
-        description="time that a successful run has spent in the heading band without"
-        " interruption when it ends, s; default: the smaller of 30 s and a tenth of the run",
+        description="minimum uninterrupted time in the heading band at the end of a successful"
+        " run, s; default: the smaller of 30 s and a tenth of the run",
     )
     diverged_deg: AngleSigma | None = Field(
         None,
-        description="final heading error beyond which a run that is no success counts as"
-        " diverged, deg. It is measured from the bias floor, or from the truth if the run has no"
-        " floor; default: 10",
+        description="final heading error beyond which an unsuccessful run counts as diverged,"
+        " deg; from the bias floor, or from truth without one; default: 10",
     )
     report_times_s: ReportTimes | None = Field(
         None,
-        description="times from the first sample of data at which the summary also lists the"
-        " heading error of each run, its sigma and its NEES, s; default: none",
+        description="times from the first sample at which the summary lists heading error,"
+        " sigma and NEES, s; default: none",
     )
     unchecked: bool | None = Field(
-        None, description="whether values outside their usual range are accepted; default: false"
+        None, description="whether to accept values outside their usual ranges; default: false"
     )
     external: Annotated[tuple[Name, ...], AfterValidator(require_unique)] | None = Field(
         None,
-        description="programs outside sinsjax whose results the directory of the study has, written"
-        " by `sinsjax score`. They are methods of the study, but no runs of it; default: none",
+        description="external programs whose results `sinsjax score` stored in the study's"
+        " directory; methods without runs; default: none",
     )
 
     @field_validator("judged_from", mode="before")
@@ -206,7 +195,7 @@ class StudySection(Section):
 
 
 class EarthSection(Section):
-    """[earth]: gravity, shape and rotation of the Earth, and the place on it."""
+    """[earth]: gravity, shape and rotation of the Earth, and the location."""
 
     conditions = (
         KeyCondition(
@@ -218,30 +207,27 @@ class EarthSection(Section):
 
     earth: Literal["constants", "wgs84"] = Field(
         "constants",
-        description="Earth model. 'constants': a sphere with constant gravity, given by the next"
-        " three keys. 'wgs84': the WGS-84 ellipsoid with normal gravity at the latitude and"
-        " height",
+        description="Earth model. 'constants': sphere with constant gravity, set by the next"
+        " three keys, valid only here. 'wgs84': WGS-84 ellipsoid with normal gravity",
     )
     gravity_m_per_s2: Annotated[Positive, KeyInfo(usual_range=(9, 10.5))] | None = Field(
-        None, description="gravity, m/s^2; only with earth = 'constants'; default 9.8"
+        None, description="gravity, m/s^2; default 9.8"
     )
     radius_m: Annotated[Positive, KeyInfo(usual_range=(6e6, 7e6))] | None = Field(
-        None, description="radius of the sphere, m; only with earth = 'constants'; default 6378137"
+        None, description="radius of the sphere, m; default 6378137"
     )
     earth_rate_deg_per_h: Annotated[Positive, KeyInfo(usual_range=(10, 20))] | None = Field(
-        None,
-        description="rotation rate of the Earth, deg/h; only with earth = 'constants'; default"
-        " 15.041067",
+        None, description="Earth rotation rate, deg/h; default 15.041067"
     )
     latitude_deg: Elevation | None = Field(
         None,
-        description="latitude, positive north, deg. Required in a simulation; a recorded study"
-        " may leave it out if the header of its record gives it",
+        description="latitude, positive north, deg. Required in a simulation, and for a record"
+        " whose header lacks it",
     )
     height_m: Annotated[Finite, KeyInfo(usual_range=(-12e3, 1e6))] | None = Field(
         None,
-        description="height above the ellipsoid or the sphere, m; default: the height in the"
-        " header of the record, or 0",
+        description="height above the ellipsoid or sphere, m; default: the height in the header"
+        " of the record, or 0",
     )
 
 
@@ -302,110 +288,95 @@ class MotionSection(Section):
     pitch_center_deg: Elevation = Field(
         0.0, description="mean pitch, positive with the front up, deg"
     )
-    pitch_amplitude_deg: Amplitude = Field(
-        0.0, description="amplitude of the sinusoidal pitch motion, deg"
-    )
+    pitch_amplitude_deg: Amplitude = Field(0.0, description="pitch amplitude, deg")
     pitch_period_s: Period = Field(
-        10.0,
-        description="period of the pitch motion, s; default: required with an amplitude",
+        10.0, description="pitch period, s; default: required with an amplitude"
     )
-    pitch_phase_deg: Angle = Field(0.0, description="phase of the pitch motion at t = 0, deg")
+    pitch_phase_deg: Angle = Field(0.0, description="pitch phase, deg")
     roll_center_deg: HalfTurn = Field(
         0.0, description="mean roll, positive with the right side down, deg"
     )
-    roll_amplitude_deg: Amplitude = Field(
-        0.0, description="amplitude of the sinusoidal roll motion, deg"
-    )
+    roll_amplitude_deg: Amplitude = Field(0.0, description="roll amplitude, deg")
     roll_period_s: Period = Field(
-        10.0,
-        description="period of the roll motion, s; default: required with an amplitude",
+        10.0, description="roll period, s; default: required with an amplitude"
     )
-    roll_phase_deg: Angle = Field(0.0, description="phase of the roll motion at t = 0, deg")
+    roll_phase_deg: Angle = Field(0.0, description="roll phase, deg")
     yaw_center_deg: Angle | None = Field(
-        None, description="mean yaw, deg, counter-clockwise from north: the negative of the heading"
+        None,
+        description="mean yaw, deg, counter-clockwise from north (minus heading). Required in a"
+        " simulation without attitude_file",
     )
-    yaw_amplitude_deg: Amplitude = Field(
-        0.0, description="amplitude of the sinusoidal yaw motion, deg"
-    )
+    yaw_amplitude_deg: Amplitude = Field(0.0, description="yaw amplitude, deg")
     yaw_period_s: Period = Field(
-        10.0,
-        description="period of the yaw motion, s; default: required with an amplitude",
+        10.0, description="yaw period, s; default: required with an amplitude"
     )
-    yaw_phase_deg: Angle = Field(0.0, description="phase of the yaw motion at t = 0, deg")
+    yaw_phase_deg: Angle = Field(0.0, description="yaw phase, deg")
     lever_arm_m: Annotated[Vector, KeyInfo(usual_range=(-1e3, 1e3))] = Field(
         0.0,
-        description="vector from the centre of the sway to the sensors along the body axes right,"
-        " front, up, m. The axis of turns passes through that centre",
+        description="lever arm (right, front, up) to the sensors from the centre of sway,"
+        " through which the turn axis passes, m",
     )
     turn_times_s: EventTimes | None = Field(
         None,
-        description="beginning of each turn of the base, s from the first sample, rounded to whole"
-        " samples; default: no turns",
+        description="start times of turns from the first sample, rounded to whole samples, s;"
+        " default: no turns",
     )
     turn_angles_deg: Annotated[Numbers, KeyInfo(usual_range=(-1e8, 1e8))] | None = Field(
         None,
-        description="signed angle of the turns, counter-clockwise from above, deg: one for all, or"
-        " one per turn. A turn that is not finished goes on to the end: 1e6 for a carousel;"
+        description="turn angles, deg, positive counter-clockwise from above: one for all or"
+        " per turn. An unfinished turn continues to the end: 1e6 for a carousel;"
         " default: 180",
     )
     turn_rate_deg_per_s: Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e5))] | None = Field(
         None,
-        description="rate of the turns, deg/s. It is adjusted so that a turn of the exact angle"
-        " lasts a whole number of samples; default: 10",
+        description="turn rate, deg/s; adjusted so that a turn lasts whole samples; default: 10",
     )
     turn_ramp_s: Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e4))] | None = Field(
-        None,
-        description="time in which a turn reaches its rate, and in which it stops, s; default: 1",
+        None, description="time to reach the turn rate, and to stop, s; default: 1"
     )
     turn_repeat_s: Seconds | None = Field(
         None,
-        description="time after which the turns are repeated, until the end, s; default: they are"
-        " not repeated",
+        description="interval at which turns repeat until the end, s; default: they are not"
+        " repeated",
     )
     turn_axis: Literal["vertical", "body"] | None = Field(
         None,
-        description="axis of the turns. 'vertical': the vehicle turns about the vertical, its"
-        " pitch and roll axes with it. 'body': a turntable on the vehicle, which sways along, turns"
-        " the sensors about their z axis; default: 'vertical'",
+        description="turn axis. 'vertical': the vehicle turns about the vertical, with its"
+        " pitch and roll axes. 'body': a turntable on the swaying vehicle turns the"
+        " sensors about z; default: 'vertical'",
     )
     attitude_file: Name | None = Field(
         None,
-        description="file of the attitude of the base, text or Parquet with the columns time_s,"
-        " pitch_deg, roll_deg and yaw_deg (or heading_deg), in place of all angles and turns. Cubic"
-        " splines lead from row to row; smooth a noisy file first. It cannot be swept; default:"
-        " none",
+        description="attitude file instead of all angles and turns: text or Parquet with"
+        " columns time_s, pitch_deg, roll_deg and yaw_deg (or heading_deg),"
+        " interpolated by cubic splines; smooth noisy data first. Cannot be swept;"
+        " default: none",
     )
     surge_m_per_s: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 100))] = Field(
         0.0,
-        description="rms velocity of the surge, a random motion about a fixed place, along east,"
+        description="rms velocity of surge, random motion about a fixed place, along east,"
         " north, up, m/s",
     )
     surge_time_s: Period = Field(5.0, description="correlation time of the surge velocity, s")
     surge_bandwidth_hz: Bandwidth = Field(
         1.0,
-        description="bandwidth of the surge, which limits its acceleration, Hz; only with"
-        " surge_model = 'third_order'",
+        description="surge bandwidth, which limits acceleration, Hz; only with surge_model ="
+        " 'third_order'",
     )
     surge_model: Literal["third_order", "gauss_markov"] = Field(
         "third_order",
-        description="random process of the surge. 'third_order': position, velocity and"
-        " acceleration have finite variances. 'gauss_markov': the velocity is a first-order"
-        " Gauss-Markov process, whose acceleration grows with the sample rate",
+        description="random process of surge. 'third_order': finite variances of position,"
+        " velocity and acceleration. 'gauss_markov': first-order Gauss-Markov"
+        " velocity; acceleration grows with sample rate",
     )
     vibration_ug_rms: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e8))] = Field(
-        0.0,
-        description="specific force of the sensor housing's vibration along the body axes right,"
-        " front, up, ug rms",
+        0.0, description="specific force of housing vibration along right, front, up, ug rms"
     )
     vibration_deg_per_h_rms: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e8))] = Field(
-        0.0,
-        description="angular rate of the sensor housing's vibration about the body axes right,"
-        " front, up, deg/h rms",
+        0.0, description="angular rate of housing vibration about right, front, up, deg/h rms"
     )
-    vibration_hz: Bandwidth = Field(
-        30.0, description="undamped natural frequency of the vibration, Hz"
-    )
-    vibration_damping: Damping = Field(0.05, description="damping ratio of the vibration")
+    vibration_hz: Bandwidth = Field(30.0, description="undamped natural frequency of vibration, Hz")
+    vibration_damping: Damping = Field(0.05, description="damping ratio of vibration")
 
 
 class SensorsSection(Section):
@@ -425,80 +396,71 @@ class SensorsSection(Section):
     )
     gyro_noise_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] | None = Field(
         None,
-        description="white noise of the gyros as the standard deviation of one sample of the"
-        " rate, deg/h; an alternative to gyro_arw_deg_per_sqrt_h; default: no noise if both are"
-        " left out",
+        description="white noise sigma of one gyro sample, deg/h; alternative to"
+        " gyro_arw_deg_per_sqrt_h; default: no noise if both are left out",
     )
     gyro_arw_deg_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] | None = Field(
-        None,
-        description="white noise of the gyros as the angle random walk of a data sheet,"
-        " deg/sqrt(h); an alternative to gyro_noise_deg_per_h",
+        None, description="gyro angle random walk, deg/sqrt(h); alternative to gyro_noise_deg_per_h"
     )
     gyro_instability_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
         0.0,
-        description="gyro bias instability as the rms of a first-order Gauss-Markov process,"
-        " deg/h. The Allan deviation of this process is at most 0.617 of its rms",
+        description="rms gyro bias instability, a first-order Gauss-Markov process, deg/h; its"
+        " Allan deviation is at most 0.617 of it",
     )
     gyro_instability_time_s: Period = Field(
         300.0, description="correlation time of the gyro bias instability, s"
     )
     gyro_rrw_deg_per_h_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
-        0.0,
-        description="rate random walk of the gyros, deg/h/sqrt(h). It starts from zero at the"
-        " first sample",
+        0.0, description="gyro rate random walk, zero at the first sample, deg/h/sqrt(h)"
     )
     gyro_quantisation_arcsec: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
         0.0,
-        description="resolution of the gyros' angle output, arcsec. What is rounded off is"
-        " carried over to the next sample",
+        description="resolution of gyro angle output, arcsec; remainders carry over to the next"
+        " sample",
     )
     gyro_scale_ppm: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
-        0.0, description="scale factor error of the gyros, ppm"
+        0.0, description="gyro scale factor error, ppm"
     )
     gyro_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual_range=(-1e5, 1e5))] = Field(
         0.0,
-        description="small misalignment angles of the gyro axes xy, xz, yx, yz, zx, zy, arcsec:"
-        " with xy, gyro x also measures that fraction of the rate about y",
+        description="gyro axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the fraction"
+        " of the y rate that gyro x senses",
     )
     accel_bias_ug: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
         0.0, description="constant accelerometer bias, measured minus true specific force, ug"
     )
     accel_noise_ug: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None = Field(
         None,
-        description="white noise of the accelerometers as the standard deviation of one sample,"
-        " ug; an alternative to accel_vrw_ug_per_sqrt_hz; default: no noise if both are left out",
+        description="white noise sigma of one accelerometer sample, ug; alternative to"
+        " accel_vrw_ug_per_sqrt_hz; default: no noise if both are left out",
     )
     accel_vrw_ug_per_sqrt_hz: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None = Field(
         None,
-        description="white noise of the accelerometers as the velocity random walk of a data"
-        " sheet, ug/sqrt(Hz); an alternative to accel_noise_ug",
+        description="accelerometer velocity random walk, ug/sqrt(Hz); alternative to"
+        " accel_noise_ug",
     )
     accel_instability_ug: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
         0.0,
-        description="accelerometer bias instability as the rms of a first-order Gauss-Markov"
-        " process, ug",
+        description="rms accelerometer bias instability, a first-order Gauss-Markov process, ug",
     )
     accel_instability_time_s: Period = Field(
         300.0, description="correlation time of the accelerometer bias instability, s"
     )
     accel_rrw_ug_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
-        0.0,
-        description="acceleration random walk of the accelerometers, ug/sqrt(h). It starts from"
-        " zero at the first sample",
+        0.0, description="acceleration random walk, zero at the first sample, ug/sqrt(h)"
     )
     accel_quantisation_um_per_s: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
         0.0,
-        description="resolution of the accelerometers' velocity output, um/s. What is rounded off"
-        " is carried over to the next sample",
+        description="resolution of accelerometer velocity output, um/s; remainders carry over"
+        " to the next sample",
     )
     accel_scale_ppm: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
-        0.0, description="scale factor error of the accelerometers, ppm"
+        0.0, description="accelerometer scale factor error, ppm"
     )
     accel_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual_range=(-1e5, 1e5))] = Field(
         0.0,
-        description="small misalignment angles of the accelerometer axes xy, xz, yx, yz, zx, zy,"
-        " arcsec: with xy, accelerometer x also measures that fraction of the specific force"
-        " along y",
+        description="accelerometer axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the"
+        " fraction of y specific force that accelerometer x senses",
     )
 
 
@@ -520,122 +482,106 @@ _COLUMN_KEYS = (
 
 
 class RecordSection(Section):
-    """[record]: format, units and axes of an IMU record, and the start times of the alignments."""
+    """[record]: format, units and axes of an IMU record, and start times of the alignments."""
 
     format: Literal["psins", "csv", "parquet", "arrays"] = Field(
-        description="format of the record. 'psins': PSINS text. 'csv': text with a header line."
-        " 'parquet': Apache Parquet. 'arrays': a record given as arrays in Python"
+        description="format of the record. 'csv': text with a header line. 'parquet': Apache"
+        " Parquet. 'psins': PSINS text. 'arrays': Python arrays. The last two fix"
+        " columns and units, 'arrays' also axes"
     )
     from_s: SecondsOrZero | None = Field(
         None,
-        description="start of the part of the record that is used, s from its beginning; default:"
-        " its beginning",
+        description="start of the used part, s, from the record's beginning; default: its"
+        " beginning",
     )
     to_s: Seconds | None = Field(
-        None,
-        description="end of the part of the record that is used, s from its beginning; default:"
-        " its end",
+        None, description="end of the used part, s, from the record's beginning; default: its end"
     )
     columns: Columns | None = Field(
         None,
-        description="names of all columns of a text file that does not name them (csv); default:"
-        " the names in the file, or column_1, column_2 and so on",
+        description="names of all columns of a text file without them; default: the names in"
+        " the file, or column_1, column_2 and so on",
     )
     skip_rows: Count | None = Field(
-        None,
-        description="lines of a text file before the names of its columns, or before its samples"
-        " (csv); default: 0",
+        None, description="lines of a text file before its column names or samples; default: 0"
     )
     quantity: Literal["increments", "rates"] | None = Field(
         None,
-        description="quantity in the columns of both sensors (csv, parquet). 'increments':"
-        " integrals over each sample. 'rates': means over each sample. Default: as the units say",
+        description="content of the sensor columns; without it the units decide. 'increments':"
+        " integrals over each sample. 'rates': means over each sample",
     )
     time_column: str | None = Field(
         None,
-        description="column of the time stamps, which mark the end of each sample (csv, parquet)."
-        " Without it the sample times follow from rate_hz",
+        description="column of time stamps, at the end of each sample. Without it rate_hz gives"
+        " the times",
     )
     time_fraction_column: Name | None = Field(
-        None,
-        description="column of the fraction of a second that time_column lacks, such as nsecs (csv,"
-        " parquet)",
+        None, description="column of the fraction of a second that time_column lacks, such as nsecs"
     )
     time_fraction_unit: Literal["ms", "us", "ns"] | None = Field(
-        None, description="unit of time_fraction_column; default: 'ns'"
+        None, description="unit of time_fraction_column: 'ms', 'us' or 'ns'; default: 'ns'"
     )
-    gyro_columns: Triad | None = Field(
-        None, description="columns of the x, y and z gyro (csv, parquet)"
-    )
-    accel_columns: Triad | None = Field(
-        None, description="columns of the x, y and z accelerometer (csv, parquet)"
-    )
+    gyro_columns: Triad | None = Field(None, description="columns of the x, y, z gyros")
+    accel_columns: Triad | None = Field(None, description="columns of the x, y, z accelerometers")
     gyro_unit: Literal["rad", "deg", "arcsec", "rad_per_s", "deg_per_s", "deg_per_h"] | None = (
         Field(
             None,
-            description="unit of the gyro columns (csv, parquet): 'rad', 'deg' and 'arcsec' for"
-            " increments, the others for rates",
+            description="unit of the gyro columns. Increments: 'rad', 'deg', 'arcsec'. Rates:"
+            " 'rad_per_s', 'deg_per_s', 'deg_per_h'",
         )
     )
     accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = Field(
         None,
-        description="unit of the accelerometer columns (csv, parquet): 'm_per_s', 'g_s' and"
-        " 'ug_s' for increments, the others for rates",
+        description="unit of the accelerometer columns. Increments: 'm_per_s', 'g_s', 'ug_s'."
+        " Rates: 'm_per_s2', 'g', 'mg', 'ug'",
     )
     gyro_scale: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = Field(
         None,
-        description="multiplier of the gyro columns in gyro_unit, or one per column (csv, parquet):"
-        " the value of one count, or -1; default: 1",
+        description="multiplier of gyro columns, for all or per column: one count in gyro_unit,"
+        " or -1; default: 1",
     )
     accel_scale: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = Field(
         None,
-        description="multiplier of the accelerometer columns in accel_unit, or one per column (csv,"
-        " parquet): the value of one count, or -1; default: 1",
+        description="multiplier of accelerometer columns, for all or per column: one count in"
+        " accel_unit, or -1; default: 1",
     )
     axes_order: Annotated[str, AfterValidator(_check_axes_order)] = Field(
         "xyz",
-        description="axes of the record that point right, front and up. 'y-xz': right is +y of"
-        " the record, front is -x, up is +z. Or the directions of its x, y and z axes by name:"
-        " 'rfu', 'frd' or 'flu'",
+        description="axes of the record that point right, front and up: 'y-xz' means +y right,"
+        " -x front, +z up. Or directions of its x, y, z axes: 'rfu', 'frd', 'flu'",
     )
     mounting_deg: tuple[Angle, Angle, Angle] | None = Field(
         None,
-        description="attitude of the IMU, with the axes of axes_order, in the vehicle: pitch, roll"
-        " and yaw (counter-clockwise), deg. Attitudes are those of the vehicle then; default: 0,"
-        " 0, 0",
+        description="attitude of the IMU (after axes_order) in the vehicle, deg: pitch, roll,"
+        " counter-clockwise yaw. Attitudes are then the vehicle's; default: 0, 0, 0",
     )
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
         None,
-        description="unit of the time stamps, or 'iso' for dates with time or times of day;"
-        " default: 's'",
+        description="unit of the time stamps: 's', 'ms', 'us', 'ns', or 'iso' for dates with"
+        " time or times of day; default: 's'",
     )
     time_scale: Factor | None = Field(
         None, description="multiplier of the time stamps in time_unit; default: 1"
     )
     start_s: Starts = Field(
         default_factory=lambda given: (given.get("from_s") or 0.0,),
-        description="start times of the alignments, one per draw, s from the beginning of the"
-        " record. A coarse alignment starts there; default: from_s, else 0",
+        description="start times of the alignments including coarse alignment, one per draw, s,"
+        " from the beginning of the record; default: from_s, else 0",
     )
     max_gap_s: SecondsOrZero | None = Field(
         None,
-        description="longest time between two good samples across which missing ones are"
-        " interpolated, s; default: 0, no interpolation",
+        description="longest gap between good samples that is interpolated, s; default: 0, no"
+        " interpolation",
     )
     gyro_bias_deg_per_h: GyroNoise | None = Field(
-        None,
-        description="largest gyro bias that the check of the record accepts as plausible, deg/h;"
-        " default: 10",
+        None, description="largest gyro bias that the record check accepts, deg/h; default: 10"
     )
     accel_bias_ug: AccelNoise | None = Field(
         None,
-        description="largest accelerometer bias that the check of the record accepts as"
-        " plausible, ug; default: 5000",
+        description="largest accelerometer bias that the record check accepts, ug; default: 5000",
     )
     trust: bool | None = Field(
-        None,
-        description="whether a record is aligned even if the check finds errors in it; default:"
-        " false",
+        None, description="whether to align despite errors that the check finds; default: false"
     )
 
     @model_validator(mode="after")
@@ -725,24 +671,22 @@ ListEntries = Annotated[tuple[Any, ...], Field(min_length=1)]
 
 
 class Distribution(Section):
-    """Distribution of a drawn key, by exactly one of these keys.
+    """Distribution of a drawn key; give exactly one of these keys.
 
     The entries of a list are values of the drawn key: for a vector one number or one per axis.
     """
 
-    uniform: IncreasingPair | None = Field(
-        None, description="uniform distribution from low to high, [low, high]"
-    )
+    uniform: IncreasingPair | None = Field(None, description="uniform distribution, [low, high]")
     normal: Normal | None = Field(
         None, description="normal distribution, [mean, standard deviation]"
     )
     values: ListEntries | None = Field(
-        None, description="list of values, one per draw, used again from the first after the last"
+        None, description="list of values, one per draw, repeated from the first"
     )
     grid: ListEntries | None = Field(
         None,
-        description="list of grid values. The draws are the points of the product of all grids,"
-        " the last key fastest",
+        description="list of grid values; the draws are the product of all grids, the last key"
+        " fastest",
     )
 
     @property
@@ -764,15 +708,15 @@ def is_normal(key: str, law: Distribution) -> bool:
 
 
 class DrawnSection(Section):
-    """[drawn]: keys with a random value per draw, which all variants of the draw share."""
+    """[drawn]: keys with a random value per draw, shared by all variants."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Distribution] = Field(init=False)
 
     sampling: Literal["random", "sobol"] = Field(
         "random",
-        description="source of uniform and normal values. 'random': independent numbers. 'sobol':"
-        " scrambled Sobol points of all drawn keys together",
+        description="source of uniform and normal values. 'random': independent numbers."
+        " 'sobol': scrambled Sobol points of all drawn keys together",
     )
 
     @property
@@ -782,30 +726,29 @@ class DrawnSection(Section):
 
 
 class AdviseSection(Section):
-    """[advise]: what `sinsjax advise` is asked of a data sheet; no other command reads it."""
+    """[advise]: requirements for `sinsjax advise`; no other command reads them."""
 
     time_s: Seconds = Field(
-        300.0, description="time that there is to align, s: whole seconds, at least 10"
+        300.0, description="available alignment time, s: whole seconds, 10 to 7200"
     )
     wanted_deg: AngleSigma | None = Field(
-        None, description="heading error that 95 % of the alignments are to stay within, deg"
+        None, description="heading error that 95 % of alignments must not exceed, deg"
     )
     known_heading_deg: AngleSigma | None = Field(
-        None, description="1 sigma of the heading known before, deg; default: nothing is known"
+        None, description="1 sigma of prior heading knowledge, deg; default: nothing is known"
     )
 
 
 class StopWhenSection(Section):
-    """[stop_when]: the precision of a statistic at which a study stops before its last draw."""
+    """[stop_when]: precision at which a study stops before its last draw."""
 
     statistic: Name = Field(
-        description="statistic whose precision ends the study: 'success_rate', or"
-        " 'settle_B_s_mean', the mean settling time into the band of B arcmin. Both follow"
-        " judged_from"
+        description="statistic that ends the study: 'success_rate', or 'settle_B_s_mean', the"
+        " mean settling time into the band of B arcmin; both follow judged_from"
     )
     half_width: Positive = Field(
-        description="half-width of the 95 % confidence interval at which the study stops, in the"
-        " variant where it is widest: a share for 'success_rate', otherwise s"
+        description="half-width of the 95 % confidence interval, in the variant where it is"
+        " widest, that ends the study: a fraction for 'success_rate', else s"
     )
 
 
@@ -824,13 +767,10 @@ class Range(Section):
     high: Finite | None = Field(None, description="highest value")
     scale: Literal["linear", "log"] | None = Field(
         None,
-        description="spacing of the values from low to high, 'log' for equal ratios; default:"
-        " 'linear'",
+        description="spacing of the values: 'linear', or 'log' for equal ratios; default: 'linear'",
     )
-    fixed: Any = Field(None, description="one value, which is not searched")
-    candidates: ListEntries | None = Field(
-        None, description="list of values, each of which is tried"
-    )
+    fixed: Any = Field(None, description="one fixed value")
+    candidates: ListEntries | None = Field(None, description="list of values to try")
 
     @model_validator(mode="after")
     def _check_kind(self) -> "Range":
@@ -858,91 +798,87 @@ class Range(Section):
 
 
 class TuneSection(Section):
-    """[tune]: objective and variables of `sinsjax tune`, and the searches for the best values."""
+    """[tune]: objective, variables and searches of `sinsjax tune`."""
 
     objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = Field(
         "settle_mean",
-        description="quantity to be minimised. 'settle_mean': mean settling time; a run that"
-        " never settles counts with its length. 'settle_quantile': quantile of the settling time."
-        " 'final_error': rms of the final heading error. 'failure_rate': share of the runs that"
-        " never settle",
+        description="quantity to minimise. 'settle_mean': mean settling time, unsettled runs"
+        " counting with their length. 'settle_quantile': quantile of settling time."
+        " 'final_error': rms final heading error. 'failure_rate': fraction of runs"
+        " that never settle",
     )
     objective_band_arcmin: Band = Field(
         10.0,
-        description="half-width of the heading error band of settling times and failures, arcmin:"
-        " one of settle_bands_arcmin, or the success band",
+        description="heading error band of settling times and failures, arcmin: one of"
+        " settle_bands_arcmin, or the success band",
     )
     objective_quantile: Annotated[float, Field(gt=0, lt=1)] = Field(
-        0.9, description="quantile of the settling time with objective = 'settle_quantile'"
+        0.9, description="quantile for objective = 'settle_quantile'"
     )
     objective_across: Literal["mean", "worst"] = Field(
-        "mean", description="objective of several variants: the mean of theirs, or the worst"
+        "mean", description="objective over several variants: 'mean' or 'worst'"
     )
     searches: Searches = Field(
         ("grid", "gradient"),
-        description="searches, in this order. 'grid': all points of a grid. 'sobol' and 'random':"
-        " points in the ranges. 'gradient': descents along the derivatives. 'covariance': an"
-        " evolution strategy on linear covariance analysis. If reset times are tuned, each also"
-        " evaluates the schedule by the law of resets",
+        description="searches in this order. 'grid': grid points. 'sobol', 'random': points in"
+        " the ranges. 'gradient': gradient descents. 'covariance': evolution"
+        " strategy on linear covariance analysis. If reset times are tuned, each"
+        " also evaluates the reset law's schedule",
     )
     tune_draws: Some | None = Field(
         None,
-        description="number of draws that the searches use. A recorded study uses every second"
-        " start time instead; default: 16 in a simulation",
+        description="draws for the searches; in a recorded study every second start time;"
+        " default: 16 in a simulation",
     )
     evaluation_draws: Some | None = Field(
         None,
-        description="number of other draws on which the best points are compared with the"
-        " baseline. A recorded study uses the other start times instead; default: 64 in a"
-        " simulation",
+        description="other draws to compare the best points with the baseline; in a recorded"
+        " study the other start times; default: 64 in a simulation",
     )
     grid_points: Annotated[Count, Field(ge=2)] = Field(
-        15, description="points per variable in a 'grid' search, which takes up to two variables"
+        15, description="points per variable in a 'grid' search of at most two variables"
     )
     sobol_points: Some = Field(
         256, description="points of a 'sobol' or 'random' search per combination of candidates"
     )
     descent_screen: Some = Field(
         16,
-        description="Sobol points that are evaluated before the descents, on `descent_draws`"
-        " draws or by covariance analysis. The descents start from the best of them",
+        description="Sobol points evaluated before the descents, which start from the best; on"
+        " `descent_draws` draws or by covariance analysis",
     )
     descent_starts: Some = Field(4, description="number of parallel descents")
-    descent_steps: Some = Field(16, description="number of steps of a descent")
+    descent_steps: Some = Field(16, description="steps of a descent")
     descent_draws: Some = Field(
         4,
-        description="draws per step of a descent, the next ones at each step. None are needed if"
-        " no variable moves a reset and covariance analysis applies",
+        description="new draws per descent step; unused if no variable moves a reset and"
+        " covariance analysis applies",
     )
-    descent_rate: Positive = Field(
-        0.1, description="learning rate of the optimiser Adam, in lengths of the ranges"
-    )
+    descent_rate: Positive = Field(0.1, description="Adam learning rate, in lengths of the ranges")
     relaxed_window_s: tuple[Seconds, Seconds] = Field(
         (4.0, 1.0),
-        description="half-width of the smooth windows over which the resets are spread at the"
-        " first and last step of a descent, s; only if a variable moves a reset",
+        description="half-widths of the smooth reset windows at the first and last descent"
+        " step, s; only if a variable moves a reset",
     )
     relaxed_sharpness: tuple[Positive, Positive] = Field(
         (6.0, 16.0),
-        description="sharpness of the smooth edge of the heading error band at the first and last"
-        " step of a descent",
+        description="sharpness of the smooth heading band edge at the first and last descent step",
     )
     evolution_screen: Some = Field(
         64,
-        description="Sobol points that a 'covariance' search evaluates first per combination of"
-        " candidates. It starts from the best of them",
+        description="Sobol points per combination of candidates evaluated first in a"
+        " 'covariance' search, which starts from the best",
     )
     evolution_steps: Some = Field(12, description="generations of a 'covariance' search")
     feedback_phases: Some = Field(
         4,
-        description="number of shifts of the reset times within a feedback interval over which a"
-        " 'covariance' search averages; 1 is no shift",
+        description="reset time shifts within a feedback interval over which a 'covariance'"
+        " search averages; 1 means no shift",
     )
     variables: dict[str, Range | tuple[Range, ...]] = Field(
         description="keys to be tuned, each with its range, in the table [tune.variables]"
     )
     baseline: dict[str, Any] = Field(
         default={},
-        description="values to compare the tuned ones with, in the table [tune.baseline];"
-        " default: those of the study",
+        description="values to compare with, in the table [tune.baseline]; default: those of"
+        " the study",
     )

@@ -77,6 +77,42 @@ def test_results_load_into_each_library_in_one_line(
     assert found[library]() == 9  # three draws of three variants
 
 
+def test_pages_document_every_column() -> None:
+    """`E` is an axis, `X` a band or a report time, `T` a report time of an estimate."""
+    settling = [
+        column(10.0, truth=truth)
+        for column in (columns.settle_column, columns.settle_data_column)
+        for truth in (False, True)
+    ]
+    runs = (*columns.IDENTITY, columns.PREDICTED, *columns.OBSERVED, *settling, *columns.JUDGED)
+    curves = columns.curve_columns(passes=True)
+    estimated = (
+        *columns.estimate_columns([10.0], floors_vary=True),
+        *columns.settle_estimate_columns(10.0),
+        *columns.FLOOR,
+        columns.nonlinearity_column(),
+        columns.nonlinearity_column(10.0),
+        columns.FILLED,
+    )
+    estimates = (ROOT / "docs" / "estimates.md").read_text(encoding="utf-8")
+    documented = {
+        RESULTS: (*runs, *columns.report_time_columns(10.0), *curves),
+        estimates: (*estimated, *columns.INFORMATION_BOUND[2:]),
+    }
+    for page, expected in documented.items():
+        words = set(re.findall(r"`(\w+)`", page))
+        for name in (column.name for column in expected):
+            general = re.sub(r"(phi|sigma)_[enu](?=0?_)", r"\1_E", name)
+            general = re.sub("^(roll|yaw)_(mean|std)", r"pitch_\2", general)
+            spellings = {
+                spelling.replace("at_10", at)
+                for spelling in (name, general)
+                for at in ("at_X", "at_T")
+            }
+            spellings = {re.sub(r"(?<=_)10(?=_)", "X", spelling) for spelling in spellings}
+            assert spellings & words, name
+
+
 def test_links_in_docs_pages_exist() -> None:
     for page in (ROOT / "docs").rglob("*.md"):
         for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):

@@ -433,7 +433,7 @@ def test_some_of_the_draws_are_scored_alone(arena: Arena, tmp_path: Path, comman
     assert (
         rows_of(score, "mine")["phi_u_arcmin"].to_pylist() == whole["phi_u_arcmin"].to_pylist()[10:]
     )
-    code, told, _ = command("report", score.directory)
+    code, told, _ = command("report", score.directory, "--full")
     assert code == 0 and "mine" in told
 
 

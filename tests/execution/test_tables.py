@@ -82,12 +82,12 @@ SAID = {
     ),
     "gyro_scale_ppm": (
         "ppm",
-        "drawn by the study: scale factor error of the gyros, ppm",
+        "drawn by the study: gyro scale factor error, ppm",
     ),
     "gyro_misalignment_arcsec": (
         "arcsec",
-        "drawn by the study: small misalignment angles of the gyro axes xy, xz, yx, yz, zx, zy,"
-        " arcsec: with xy, gyro x also measures that fraction of the rate about y",
+        "drawn by the study: gyro axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the"
+        " fraction of the y rate that gyro x senses",
     ),
     "accel_bias_ug": (
         "ug",
@@ -95,40 +95,38 @@ SAID = {
     ),
     "latitude_deg": (
         "deg",
-        "drawn by the study: latitude, positive north, deg. Required in a simulation; a"
-        " recorded study may leave it out if the header of its record gives it",
+        "drawn by the study: latitude, positive north, deg. Required in a simulation, and"
+        " for a record whose header lacks it",
     ),
     "ve0_m_per_s": (
         "m/s",
-        "drawn by the study: initial east velocity of the navigation solution, m/s. The base"
-        " does not travel, so this is its error",
+        "drawn by the study: initial computed east velocity, m/s; an error, since the base does"
+        " not travel",
     ),
     "accel_vrw_ug_per_sqrt_hz": (
         "ug/sqrt(Hz)",
-        "swept by the study: white noise of the accelerometers as the velocity random walk of a"
-        " data sheet, ug/sqrt(Hz); an alternative to accel_noise_ug",
+        "swept by the study: accelerometer velocity random walk, ug/sqrt(Hz); alternative to"
+        " accel_noise_ug",
     ),
     "feedback_interval_s": (
         "s",
-        "swept by the study: time between two feedbacks of the estimated errors into the"
-        " navigation solution, s; default: one sample",
+        "swept by the study: interval between feedbacks of estimated errors into the navigation"
+        " solution, s; default: one sample",
     ),
     "gravity_m_per_s2": (
         "m/s^2",
-        "swept by the study: gravity, m/s^2; only with earth = 'constants'; default 9.8",
+        "swept by the study: gravity, m/s^2; default 9.8",
     ),
     "radius_m": (
         "m",
-        "swept by the study: radius of the sphere, m; only with earth = 'constants'; default"
-        " 6378137",
+        "swept by the study: radius of the sphere, m; default 6378137",
     ),
     "q_reading": (
         "",
-        "swept by the study: what the q_ numbers mean, required with them. 'psd': noise"
-        " densities from a data sheet (ug/sqrt(Hz), and deg/h/sqrt(Hz) or deg/sqrt(h))."
-        " 'per_sample': standard deviation of one sample. 'per_step': standard deviation added"
-        " per filter step, as paper 1 prints it; at 100 Hz a hundred times the noise of"
-        " 'per_sample'",
+        "swept by the study: units of the q_ keys, required with them. 'psd': data sheet densities"
+        " (ug/sqrt(Hz), deg/h/sqrt(Hz), deg/sqrt(h)). 'per_sample': sigma of one sample."
+        " 'per_step': sigma added per filter step, as in paper 1; at 100 Hz a hundred times the"
+        " noise of 'per_sample'",
     ),
 }
 """Unit and meaning of columns of keys."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from sinsjax.study import files, json_schema, key_table
+from sinsjax.study import files, json_schema, key_table, keys
 
 ROOT = Path(__file__).parents[2]
 
@@ -52,9 +52,15 @@ def test_about_method_separates_read_keys_from_ignored_keys():
     assert "[passes]: phi_e0_deg, " in reads
 
 
-def test_key_meaning_lists_allowed_words():
-    (told,) = key_table.find_keys("resets.reset_kind")
-    assert told.meaning.endswith('("full" | "yaw" | "scale")')
+def test_key_meaning_names_all_accepted_words():
+    for key in key_table.find_keys():
+        words = keys.accepted_words(keys.TABLES[key.section].model_fields[key.name].annotation)
+        assert all(f"'{word}'" in key.meaning or f'"{word}"' in key.meaning for word in words)
+
+
+def test_key_meaning_does_not_repeat_the_unit():
+    (key,) = key_table.find_keys("duration_s")
+    assert key.meaning.startswith("length of each run. ")
 
 
 def test_every_key_has_a_meaning():

@@ -223,8 +223,7 @@ def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
     assert table.schema.field("window_s").metadata[b"unit"] == b"s"
     assert table.schema.field("reset_times_s[0]").metadata == {
         b"unit": b"s",
-        b"meaning": b"times of the scheduled resets, s; an alternative to reset_count;"
-        b" null if not used",
+        b"meaning": b"times of scheduled resets, s; alternative to reset_count; null if not used",
     }
     other_space = SearchSpace.from_study(tuned({"p0_yaw_deg": YAW}))
     with pytest.raises(InputError, match=r"history\.parquet: column p0_yaw_deg is missing"):

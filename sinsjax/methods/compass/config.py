@@ -43,7 +43,7 @@ def _settles(reading: str, *times_s: float | None) -> bool:
 
 
 class CompassSection(Section):
-    """[compass]: levelling and azimuth loops of method 'compass', and the times of their gains."""
+    """[compass]: levelling and azimuth loops, and their gain schedule."""
 
     exclusive = (
         ("level_gains", "level_sigma_per_s"),
@@ -67,73 +67,70 @@ class CompassSection(Section):
     )
     level_adjustment_s: Seconds | None = Field(
         None,
-        description="adjustment time of the levelling loop, s, defined by adjustment_reading; an"
-        " alternative to its sigma",
+        description="levelling adjustment time, see adjustment_reading, s; alternative to"
+        " level_sigma_per_s",
     )
     level_gains: (
         Annotated[tuple[Finite, Finite, Finite], KeyInfo(usual_range=(-1e11, 1e11))] | None
     ) = Field(
         None,
-        description="gains of the levelling loop, an alternative to its sigma: K1 of the"
-        " velocity damping in 1/s, K2 of the platform rate in units of the transport rate, K3"
-        " of the velocity integral in rad/(m s)",
+        description="levelling gains, alternative to level_sigma_per_s: velocity damping K1 in"
+        " 1/s, platform rate K2 in units of the transport rate, velocity integral K3"
+        " in rad/(m s)",
     )
     level_damping: Damping = Field(_DAMPING, description="damping ratio of the levelling loop")
     level_time_s: Annotated[SecondsOrZero | None, KeyInfo(default=150.0, time="s")] = Field(
         None,
-        description="time of levelling in both channels before the azimuth loop starts, s;"
-        " default 150",
+        description="levelling time in both channels before the azimuth loop starts, s; default"
+        " 150",
     )
     level_passes: Annotated[Annotated[Count, Field(ge=1)] | None, KeyInfo(time="pass")] = Field(
         None,
-        description="time of levelling as a number of passes over the stored record; an"
-        " alternative to level_time_s",
+        description="levelling time in passes over the stored record; alternative to level_time_s",
     )
     azimuth_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.01)] = Field(
         None, description="decay rate sigma of the azimuth loop, 1/s; default 0.01"
     )
     azimuth_adjustment_s: Seconds | None = Field(
         None,
-        description="adjustment time of the azimuth loop, s, defined by adjustment_reading; an"
-        " alternative to its sigma",
+        description="azimuth adjustment time, see adjustment_reading, s; alternative to"
+        " azimuth_sigma_per_s",
     )
     azimuth_gains: (
         Annotated[tuple[Finite, Finite, Finite, Finite], KeyInfo(usual_range=(-1e11, 1e11))] | None
     ) = Field(
         None,
-        description="gains of the azimuth loop, an alternative to its sigma: K1 of the velocity"
-        " damping in 1/s, K2 of the platform rate in units of the transport rate, K3 in 1/(m s^2)"
-        " and K4 in 1/s of the azimuth control K3 / (omega_N (s + K4))",
+        description="azimuth gains, alternative to azimuth_sigma_per_s: velocity damping K1 in"
+        " 1/s, platform rate K2 in units of the transport rate, K3 in 1/(m s^2) and"
+        " K4 in 1/s of the azimuth control K3 / (omega_N (s + K4))",
     )
     azimuth_damping: Damping = Field(_DAMPING, description="damping ratio of the azimuth loop")
     adjustment_reading: Literal["period", "settling"] = Field(
         "period",
-        description="definition of an adjustment time. 'period': one period of the damped"
-        " oscillation. 'settling': the time in which exp(-sigma t) falls to adjustment_remainder",
+        description="definition of an adjustment time. 'period': period of the damped"
+        " oscillation. 'settling': time in which exp(-sigma t) falls to"
+        " adjustment_remainder",
     )
     adjustment_remainder: Annotated[float, Field(gt=0, lt=1)] = Field(
         0.05,
-        description="value of exp(-sigma t) after an adjustment time; only with"
-        " adjustment_reading = 'settling'",
+        description="exp(-sigma t) after an adjustment time; only with adjustment_reading ="
+        " 'settling'",
     )
     sigma_factors: Factors = Field(
         (1.0,),
-        description="factors on the sigma of the azimuth loop in successive intervals of a run,"
-        " the first from its start",
+        description="factors on the azimuth loop's sigma in successive intervals, the first"
+        " from the start",
     )
     sigma_times_s: Annotated[Times | None, KeyInfo(whole="sample", time="s")] = Field(
-        None,
-        description="update times at which the second and later intervals of sigma_factors start,"
-        " s",
+        None, description="start times of the second and later intervals of sigma_factors, s"
     )
     sigma_passes: Annotated[PassNumbers | None, KeyInfo(time="pass")] = Field(
         None,
-        description="numbers of completed passes after which the second and later intervals of"
-        " sigma_factors start; an alternative to sigma_times_s",
+        description="completed passes before the second and later intervals of sigma_factors;"
+        " alternative to sigma_times_s",
     )
     allow_unstable: bool = Field(
-        False,
-        description="whether loops are run that are unstable, or too fast for the sample time",
+        False, description="whether to run loops that are unstable, or too fast for the sample time"
     )
 
 

@@ -65,7 +65,7 @@ _DEFAULT_R = 0.1
 
 
 class FilterSection(Section):
-    """[filter]: initial covariance P0, process noise Q and measurement noise R of a filter."""
+    """[filter]: covariance P0, process noise Q (required with a record), measurement noise R."""
 
     exclusive = tuple(
         pair for key, forms in Q_DENSITIES.items() for pair in combinations((key, *forms), 2)
@@ -75,90 +75,84 @@ class FilterSection(Section):
     )
 
     p0_velocity_m_per_s: SpeedSigma = Field(
-        0.1, description="initial standard deviation of the east and north velocity errors, m/s"
+        0.1, description="initial sigma of east and north velocity errors, m/s"
     )
     p0_level_deg: AngleSigma = Field(
-        15.0,
-        description="initial standard deviation of the misalignments about east and north, deg",
+        15.0, description="initial sigma of misalignments about east and north, deg"
     )
-    p0_yaw_deg: HeadingSigma = Field(
-        80.0,
-        description="initial standard deviation of the misalignment about up, the heading error,"
-        " deg",
-    )
+    p0_yaw_deg: HeadingSigma = Field(80.0, description="initial sigma of the heading error, deg")
     p0_gyro_bias_deg_per_h: GyroSigma = Field(
-        0.1, description="initial standard deviation of the gyro biases, deg/h"
+        0.1, description="initial sigma of gyro biases, deg/h"
     )
     p0_accel_bias_ug: AccelSigma = Field(
-        500.0, description="initial standard deviation of the accelerometer biases, ug"
+        500.0, description="initial sigma of accelerometer biases, ug"
     )
     q_accel_ug: AccelNoise | None = Field(
         None,
-        description="process noise of the velocity errors, ug, or ug/sqrt(Hz) with q_reading ="
+        description="process noise of velocity errors, ug; in ug/sqrt(Hz) with q_reading ="
         " 'psd'; default: the white noise of the study's accelerometers",
     )
     q_gyro_deg_per_h: GyroNoise | None = Field(
         None,
-        description="process noise of the misalignments, deg/h, or deg/h/sqrt(Hz) with q_reading"
-        " = 'psd'; default: the white noise of the study's gyros",
+        description="process noise of misalignments, deg/h; in deg/h/sqrt(Hz) with q_reading ="
+        " 'psd'; default: the white noise of the study's gyros",
     )
     q_accel_ug_per_sqrt_hz: AccelNoise | None = Field(
         None,
-        description="process noise of the velocity errors as a noise density, ug/sqrt(Hz); an"
-        " alternative to q_accel_ug, only with q_reading = 'psd'",
+        description="process noise density of velocity errors, ug/sqrt(Hz); alternative to"
+        " q_accel_ug with q_reading = 'psd'",
     )
     q_gyro_deg_per_h_per_sqrt_hz: GyroNoise | None = Field(
         None,
-        description="process noise of the misalignments as a noise density, deg/h/sqrt(Hz); an"
-        " alternative to q_gyro_deg_per_h, only with q_reading = 'psd'",
+        description="process noise density of misalignments, deg/h/sqrt(Hz); alternative to"
+        " q_gyro_deg_per_h with q_reading = 'psd'",
     )
     q_gyro_arw_deg_per_sqrt_h: GyroWalk | None = Field(
         None,
-        description="process noise of the misalignments as an angle random walk, deg/sqrt(h), a"
-        " sixtieth of the number in deg/h/sqrt(Hz); an alternative to q_gyro_deg_per_h, only with"
+        description="angle random walk of misalignments, a sixtieth of the number in"
+        " deg/h/sqrt(Hz), deg/sqrt(h); alternative to q_gyro_deg_per_h with"
         " q_reading = 'psd'",
     )
     q_reading: Literal["psd", "per_sample", "per_step"] | None = Field(
         None,
-        description="what the q_ numbers mean, required with them. 'psd': noise densities from a"
-        " data sheet (ug/sqrt(Hz), and deg/h/sqrt(Hz) or deg/sqrt(h)). 'per_sample': standard"
-        " deviation of one sample. 'per_step': standard deviation added per filter step, as paper"
-        " 1 prints it; at 100 Hz a hundred times the noise of 'per_sample'",
+        description="units of the q_ keys, required with them. 'psd': data sheet densities"
+        " (ug/sqrt(Hz), deg/h/sqrt(Hz), deg/sqrt(h)). 'per_sample': sigma of one"
+        " sample. 'per_step': sigma added per filter step, as in paper 1; at 100 Hz"
+        " a hundred times the noise of 'per_sample'",
     )
     r_velocity_m_per_s: Annotated[SpeedSigma | None, KeyInfo(same_as=_DEFAULT_R)] = Field(
         None,
-        description="standard deviation r of the velocity measurement, which takes the velocity"
-        " of the base for zero, m/s, or m/s/sqrt(Hz) with r_reading = 'psd'. If it is left out,"
-        " the density 2 s^2 T of the surge is added, s the larger of surge_m_per_s along east"
-        " and north and T surge_time_s, but not for a method with [surge]; default: 0.1",
+        description="sigma r of the zero-velocity measurement, m/s; in m/s/sqrt(Hz) with"
+        " r_reading = 'psd'. If omitted, methods without [surge] add the surge"
+        " density 2 s^2 T, s the larger of surge_m_per_s east and north, T"
+        " surge_time_s; default: 0.1",
     )
     r_reading: Literal["per_update", "psd"] = Field(
         "per_update",
-        description="variance R of one update. 'per_update': r squared, whatever the sample rate."
-        " 'psd': r squared divided by the sample time, as for a noise density",
+        description="variance R of an update. 'per_update': r squared. 'psd': r squared divided"
+        " by the sample time",
     )
     q_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
-        None, description="factor on Q, a variance; default 1"
+        None, description="factor on the variance Q; default 1"
     )
     r_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
-        None, description="factor on R, a variance; default 1"
+        None, description="factor on the variance R; default 1"
     )
     turning: Literal["update", "reopen"] | None = Field(
         None,
-        description="what a filter with states of gyro biases does while the base is turned."
-        " 'update': no difference. 'reopen': no update during a turn; after it the velocity"
-        " restarts from zero, and P of velocity, level and accelerometer biases from P0, while P"
-        " of heading and gyro biases is kept. It is for one turn or a few, and gyros with errors"
-        " of scale factor or cross-axis: docs/methods.md compares both; default 'update'",
+        description="treatment of turns. 'update': as usual. 'reopen': no updates during a"
+        " turn; then velocity restarts from zero and P of velocity, level and"
+        " accelerometer biases from P0; P of heading and gyro biases is kept. Meant"
+        " for few turns and gyro scale factor or cross-axis errors, see"
+        " docs/methods.md; default 'update'",
     )
     turning_rate_deg_per_s: Annotated[
         Annotated[Positive, KeyInfo(usual_range=(1e-3, 1e4))] | None,
         KeyInfo(same_as=TURNING_RATE_DEG_PER_S),
     ] = Field(
         None,
-        description="rate about the vertical, as the gyros sense it in a sample, above which the"
-        " base turns for turning = 'reopen', deg/s: above that of sways in yaw, and below that of"
-        " the turns; default: 1",
+        description="gyro rate about the vertical above which turning = 'reopen' detects a"
+        " turn, deg/s; set it above yaw sway and below turn rates; default: 1",
     )
 
 
@@ -277,7 +271,7 @@ def _needs_cycle(count: int | None, first_s: float | None) -> bool:
 
 
 class ResetsSection(TriggerKeys):
-    """[resets]: resets of the covariance P by count and cycle, at given times, or by a trigger."""
+    """[resets]: resets of the covariance P."""
 
     exclusive = tuple(("reset_times_s", key) for key in OF_SCHEDULES[1:])
     conditions = (
@@ -298,74 +292,67 @@ class ResetsSection(TriggerKeys):
 
     schedule: Literal["times", "none", "law", "trigger"] = Field(
         "times",
-        description="what decides when P is reset. 'times': the keys of times, counts and triggers"
-        " below. 'none': no reset. 'law': times from Q, R, P0, latitude, feedback, sensors and"
-        " surge of each variant, see docs/reset_law.md. 'trigger': reset_trigger alone, by default"
-        " 'linearisation' with a threshold of 1.2",
+        description="source of reset times. 'times': reset_times_s or reset_count, and"
+        " reset_trigger. 'none': no resets. 'law': computed from Q, R, P0, latitude,"
+        " feedback, sensors and surge, see docs/reset_law.md. 'trigger':"
+        " reset_trigger alone, by default 'linearisation' with threshold 1.2",
     )
     heading_bound_deg: Annotated[Positive, Field(lt=180), KeyInfo(usual_range=(1, 180))] = Field(
-        150.0, description="largest initial heading error that the schedule by 'law' settles, deg"
+        150.0, description="largest initial heading error that schedule = 'law' settles, deg"
     )
     settle_band_arcmin: Band = Field(
-        10.0, description="heading error in which the schedule by 'law' lets it settle, arcmin"
+        10.0, description="heading error to which schedule = 'law' settles, arcmin"
     )
     reset_count: Annotated[Count | None, KeyInfo(default=0)] = Field(
         None, description="number of scheduled resets, reset_cycle_s apart; default 0"
     )
     reset_cycle_s: Seconds | None = Field(
         None,
-        description="time between two of the reset_count resets, s; required unless reset_first_s"
-        " gives the time of a single one",
+        description="interval between the reset_count resets, s; not needed for a single one at"
+        " reset_first_s",
     )
     reset_first_s: Seconds | None = Field(
         None, description="time of the first of reset_count resets, s; default: the cycle"
     )
     reset_times_s: Annotated[Times | None, KeyInfo(whole="sample", merged=True)] = Field(
-        None, description="times of the scheduled resets, s; an alternative to reset_count"
+        None, description="times of scheduled resets, s; alternative to reset_count"
     )
     reset_at_feedback: bool = Field(
         False, description="whether a reset waits for the next feedback"
     )
     reset_restarts_feedback: bool = Field(
-        False,
-        description="whether the next feedback takes place a whole feedback_interval_s after a"
-        " reset",
+        False, description="whether a reset starts a new feedback interval"
     )
     reset_kind: Literal["full", "yaw", "scale"] = Field(
         "full",
-        description="effect of a reset on P. 'full': all variances are set to the values below,"
-        " all covariances to zero. 'yaw': only the variance of the heading is set, and its"
-        " covariances become zero. 'scale': all of P is multiplied by reset_scale",
+        description="effect of a reset on P. 'full': all variances become the values below,"
+        " covariances zero. 'yaw': the same for heading only. 'scale': P is"
+        " multiplied by reset_scale",
     )
     reset_scale: Factor = Field(10.0, description="factor on P with reset_kind = 'scale'")
     reset_velocity_m_per_s: Annotated[SpeedSigma | None, KeyInfo(same_as="p0_velocity_m_per_s")] = (
         Field(
             None,
-            description="standard deviation of the velocity errors after a reset, m/s; default:"
-            " as at the start, and at least 1 m/s with schedule = 'law'",
+            description="sigma of velocity errors after a reset, m/s; default: as at the start, and"
+            " at least 1 m/s with schedule = 'law'",
         )
     )
     reset_level_deg: Annotated[AngleSigma | None, KeyInfo(same_as="p0_level_deg")] = Field(
         None,
-        description="standard deviation of the misalignments about east and north after a reset,"
-        " deg; default: as at the start",
+        description="sigma of misalignments about east and north after a reset, deg; default:"
+        " as at the start",
     )
     reset_yaw_deg: Annotated[HeadingSigma | None, KeyInfo(same_as="p0_yaw_deg")] = Field(
-        None,
-        description="standard deviation of the misalignment about up after a reset, deg; default:"
-        " as at the start",
+        None, description="sigma of the heading error after a reset, deg; default: as at the start"
     )
     reset_gyro_bias_deg_per_h: Annotated[
         GyroSigma | None, KeyInfo(same_as="p0_gyro_bias_deg_per_h")
     ] = Field(
-        None,
-        description="standard deviation of the gyro biases after a reset, deg/h; default: as at"
-        " the start",
+        None, description="sigma of gyro biases after a reset, deg/h; default: as at the start"
     )
     reset_accel_bias_ug: Annotated[AccelSigma | None, KeyInfo(same_as="p0_accel_bias_ug")] = Field(
         None,
-        description="standard deviation of the accelerometer biases after a reset, ug; default:"
-        " as at the start",
+        description="sigma of accelerometer biases after a reset, ug; default: as at the start",
     )
 
 

@@ -11,11 +11,10 @@ from sinsjax.value_types import AccelSigma, Section
 
 
 class LevelSection(Section):
-    """[level]: assumption of the method that finds pitch and roll alone."""
+    """[level]: assumption of the method that finds pitch and roll only."""
 
     level_accel_bias_ug: AccelSigma = Field(
-        5000.0,
-        description="accelerometer bias that the 1 sigma of pitch and roll assumes, ug",
+        5000.0, description="accelerometer bias assumed in the 1 sigma of pitch and roll, ug"
     )
 
 

@@ -22,15 +22,13 @@ from sinsjax.value_types import Seconds, Section, SpeedSigma
 
 
 class SurgeSection(Section):
-    """[surge]: the surge of the base that a filter with states for it assumes."""
+    """[surge]: surge of the base that a filter with surge states assumes."""
 
     r_surge_m_per_s: SpeedSigma = Field(
-        0.1,
-        description="rms velocity of the surge that the filter assumes along east and along"
-        " north, m/s",
+        0.1, description="assumed rms surge velocity along east and along north, m/s"
     )
     r_surge_time_s: Seconds = Field(
-        5.0, description="correlation time of the surge velocity that the filter assumes, s"
+        5.0, description="assumed correlation time of the surge velocity, s"
     )
 
 

@@ -112,45 +112,39 @@ class TriggerKeys(Section):
 
     reset_trigger: TriggerName | None = Field(
         None,
-        description="score that calls for a reset when it exceeds trigger_threshold, in addition"
-        " to the schedule. 'innovation': squared sum of the innovations over a window,"
-        " normalised. 'nis': normalised innovation squared of one sample. 'whiteness':"
-        " correlation of successive innovations over a window. 'tilt_drift': squared tilt drift"
-        " about east relative to the drift that P_UU allows. 'levelled': north component of the"
-        " Earth rate relative to the rate of the level correction. 'linearisation': excess of the"
-        " filter's knowledge of the heading over that of a base at rest. The other two enlarge P"
-        " at each sample instead of resetting it: 'strong_tracking' if the innovations exceed"
+        description="score that triggers a reset above trigger_threshold, in addition to the"
+        " schedule, or 'none'. 'innovation': normalised squared sum of innovations"
+        " in a window. 'nis': normalised innovation squared of one sample."
+        " 'whiteness': correlation of successive innovations in a window."
+        " 'tilt_drift': squared east tilt drift relative to that allowed by P_UU."
+        " 'levelled': north Earth rate relative to level correction rate."
+        " 'linearisation': excess heading knowledge over that of a base at rest. Two"
+        " enlarge P at each sample instead: 'strong_tracking' if innovations exceed"
         " their covariance, 'fading' always; default 'none'",
     )
     trigger_threshold: NonNegative | None = Field(
         None,
-        description="score above which the trigger resets P. With 'fading' it is the factor on P"
-        " per sample, such as 1.0001; with 'strong_tracking' the weight beta of R, from 0 to 1."
-        " Required with a trigger",
+        description="score above which the trigger resets P; required with a trigger. With"
+        " 'fading' the factor on P per sample, such as 1.0001; with"
+        " 'strong_tracking' the weight beta of R, 0 to 1",
     )
     trigger_window_s: Annotated[Seconds | None, KeyInfo(default=10.0, beside="reset_trigger")] = (
         Field(
             None,
-            description="length of the window of 'innovation', 'whiteness', 'tilt_drift' and"
-            " 'levelled', s; default 10",
+            description="window length of 'innovation', 'whiteness', 'tilt_drift' and 'levelled',"
+            " s; default 10",
         )
     )
     trigger_refractory_s: Annotated[
         SecondsOrZero | None, KeyInfo(default=5.0, beside="reset_trigger", time="s")
     ] = Field(
-        None,
-        description="shortest time from the start, or from any reset, to a reset by the trigger,"
-        " s; default 5",
+        None, description="shortest time from start or any reset to a triggered reset, s; default 5"
     )
     trigger_most: Annotated[
         Annotated[Count, Field(ge=1)] | None, KeyInfo(default=10, beside="reset_trigger")
-    ] = Field(
-        None,
-        description="largest number of resets by the trigger in a run; default 10",
-    )
+    ] = Field(None, description="largest number of triggered resets per run; default 10")
     trigger_until_s: Annotated[Seconds | None, KeyInfo(time="s")] = Field(
-        None,
-        description="time after which the trigger does not reset any more, s; default: no limit",
+        None, description="time after which the trigger no longer resets, s; default: no limit"
     )
 
 
