@@ -75,6 +75,13 @@ def manifest_state(directory: Path) -> FileState | None:
         return None
 
 
+def _external_programs(manifest: Manifest) -> list[str]:
+    """Return the programs outside sinsjax of a manifest, whose study may be anything."""
+    settings = manifest.study.get("study")
+    programs = settings.get("external") if isinstance(settings, dict) else None
+    return list(map(str, programs)) if isinstance(programs, list) else []
+
+
 def continue_job(job: Job) -> Job:
     """Return the job as a continuation of the results in its directory, if there are any.
 
@@ -92,7 +99,7 @@ def continue_job(job: Job) -> Job:
     assert directory is not None
     manifest = _find_or_rebuild_manifest(directory)
     if manifest is not None:
-        refuse_external(manifest.study.get("study", {}).get("external"), directory)
+        refuse_external(_external_programs(manifest), directory)
     is_same = manifest is not None and _has_same_study(job, manifest)
     # study.toml is written again for results of the same study, whatever it contains.
     stored = None if is_same else _check_same_study(directory, job.study)

@@ -104,6 +104,16 @@ def test_misfit_study_in_manifest_is_refused_in_one_line(sections: Any, tmp_path
     check_error_lines(caught.value, out)
 
 
+@pytest.mark.parametrize("settings", [0, {"external": 5}, {"external": ["alignvn"]}])
+def test_misfit_study_of_manifest_is_resumed_or_refused_in_one_line(settings: Any, tmp_path: Path):
+    out = directory_with({"study": {"study": settings}}, tmp_path)
+    if settings == {"external": ["alignvn"]}:
+        with pytest.raises(InputError, match="runs of alignvn were made elsewhere"):
+            resume.continue_job(Job(manifests.STUDY, directory=out))
+    else:
+        resume.continue_job(Job(manifests.STUDY, directory=out))
+
+
 @pytest.mark.parametrize("text", ["[" * 5000, "\x1b[31m", "1\n2"])
 @pytest.mark.parametrize("key", ["versions", "instructions"])
 def test_version_mismatch_is_reported_in_one_printable_line(key: str, text: str, tmp_path: Path):
