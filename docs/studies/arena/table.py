@@ -189,10 +189,8 @@ def render(programs: Programs, best: dict[str, str], scores: dict[str, Score]) -
     """Return the table as Markdown."""
     first = next(iter(scores.values())).comparison
     heads = [describe_condition(result, first.keys) for result in first.conditions]
-    lines = [
-        f"| program | settings | {' | '.join(heads)} | difference, all | within 40' of north (%) |",
-        f"| --- | --- |{' --- |' * len(heads)} --- | --- |",
-    ]
+    heads = ["program", "settings", *heads, f"less {first.best}, all", "within 40' of north (%)"]
+    lines = [f"| {' | '.join(heads)} |", f"|{' --- |' * len(heads)}"]
     for name, found in scores.items():
         result = found.comparison
         cells = [format_estimate(c.program) for c in result.conditions]
@@ -200,9 +198,6 @@ def render(programs: Programs, best: dict[str, str], scores: dict[str, Score]) -
         success = format_percent(result.overall.success)
         settings = best[name].strip("[]") or "-"
         lines.append(f"| {name} | {settings} | {' | '.join(cells)} | {overall} | {success} |")
-    cells = [format_estimate(c.best) for c in first.conditions]
-    success = format_percent(first.overall.success_best)
-    lines.append(f"| sinsjax: {first.best} | - | {' | '.join(cells)} | - | {success} |")
     lines += own_rows(next(iter(scores.values())), first.conditions)
     made = "; ".join([*programs.versions, f"sinsjax {sinsjax.__version__}", *programs.absent])
     return "\n".join([*lines, "", f"*{made}.*", ""])
