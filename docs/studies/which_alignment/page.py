@@ -181,7 +181,8 @@ def _best_table(errors: Errors, best: list[int]) -> Table:
     ]
     note = (
         "Heading error from true north that 90 % of the alignments stay below, with its 95 %"
-        " interval. Every other draw chose the method at 300 s, the others are shown here, all draws below."
+        " interval. Every other draw chose the method at 300 s, the others are shown here, all"
+        " draws below."
     )
     return Table("What to use", ["the vehicle is", "use", *SHOWN], rows, note)
 
