@@ -72,7 +72,8 @@ def test_page_renders_prose_with_script_values(write_page_folder, results, tmp_p
     assert "\n# A page\n\nIn 3 runs it takes 195 [181, 219] s, half.\n" in text
     assert "![A map](figures/two_words_by_axis.png)\n\n*What is seen.*" in text
     assert text.count("What is seen.") == 1
-    assert "<summary>All | of it</summary>\n\n| a\\|b |\n| --- |\n| 1 |\n\nNote." in text
+    assert "\n- Table: [All | of it](tables/two_words_all.csv). Note.\n" in text
+    assert (tmp_path / "docs" / "tables" / "two_words_all.csv").read_text() == "a|b\n1\n"
     assert text.rstrip().endswith("sinsjax unknown: `swing.toml` (3 runs).*")
     assert (tmp_path / "docs" / "figures" / "two_words_by_axis.png").is_file()
 
