@@ -6,6 +6,7 @@ python numpy_filter.py DIR OUT      (DIR: an export with --format psins)
 import csv
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ GYRO, ACCEL, VELOCITY = 4.848e-8, 4.903e-4, 0.01  # rad/sqrt(s), m/s/sqrt(s), m/
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 
 
-def rotation(v):
+def rotation(v: Any) -> Any:
     """Return the matrix of a rotation vector."""
     angle = np.linalg.norm(v) + 1e-300
     x, y, z = v / angle
@@ -22,13 +23,12 @@ def rotation(v):
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
 
 
-def align(imu, c, latitude, gravity):
+def align(imu: Any, c: Any, latitude: float, gravity: float) -> Any:
     """Yield time and attitude matrix (body to east, north, up) every second."""
-    dt, v = imu[0, 6], np.zeros(2)
+    dt, v, f = imu[0, 6], np.zeros(2), np.eye(5)
     earth = WIE * np.array([0, np.cos(latitude), np.sin(latitude)])
-    p = np.diag(np.square([1, 1, *np.radians([15, 15, 80])]))
+    p = np.diag(np.square([1, 1, *np.radians([15, 15, 80])]))  # velocity EN, misalignment ENU
     q = np.diag(np.square([ACCEL, ACCEL, GYRO, GYRO, GYRO])) * dt
-    f = np.eye(5)  # velocity east and north, misalignment east, north and up
     f[2, 3], f[2, 4], f[3, 2], f[4, 2] = dt * np.array([earth[2], -earth[1], -earth[2], earth[1]])
     for k, row in enumerate(imu, 1):
         dv = c @ (row[3:6] + np.cross(row[:3], row[3:6]) / 2)
@@ -42,7 +42,7 @@ def align(imu, c, latitude, gravity):
             yield row[6], c
 
 
-def main(folder, out):
+def main(folder: str, out: str) -> None:
     """Align every run of an export."""
     rows = list(csv.DictReader((Path(folder) / "initial.csv").read_text().splitlines()))
     with open(out, "w") as file:
