@@ -8,7 +8,6 @@ The best method is chosen on half of the draws, and both are judged on the other
 """
 
 import argparse
-import csv
 import itertools
 import json
 import os
@@ -28,6 +27,8 @@ from sinsjax.advice.heading import SOURCES, sheet_budget
 from sinsjax.advice.method import choose_method, five_state
 from sinsjax.advice.sheet import MOTIONS, Sheet, read_sheet, shipped_sheets
 from sinsjax.methods.filters.section import level_surge
+from sinsjax.report.base import Table
+from sinsjax.report.study_page import write_table
 
 DRAWS, SEED, RATE_HZ = 1024, 11, 20.0
 PAGE = Path(__file__).parents[1] / "docs" / "advise.md"
@@ -243,14 +244,14 @@ def rows(folder: Path, given: list[Case]) -> list[Row]:
     return out
 
 
-def table(found: list[Row]) -> list[tuple[str, ...]]:
-    """Return a header and the cells as text."""
+def table(found: list[Row]) -> Table:
+    """Return the cells as a table of text."""
     head = (
         *("sheet", "motion", "latitude (deg)", "time (s)", "advised", "rms by advice (')"),
         *("measured (')", "ratio", "best method", "advised over best"),
         *("largest source", "largest by sweep"),
     )
-    lines = [head]
+    lines = []
     for row in found:
         cells = (
             *(row.name, row.motion, f"{row.latitude_deg:g}", f"{row.time_s:g}", row.method),
@@ -263,7 +264,7 @@ def table(found: list[Row]) -> list[tuple[str, ...]]:
             SOURCES[row.found] if row.found else "-",
         )
         lines.append(cells)
-    return lines
+    return Table(f"{len(found)} cells", head, lines)
 
 
 def count_right(found: list[Row]) -> str:
@@ -313,11 +314,12 @@ def main() -> None:
         list(pool.map(lambda group: subprocess.run([*command, json.dumps(group)]), groups))
     found = rows(args.out, given)
     text = count_right(found)
-    csv.writer(sys.stdout).writerows(table(found))
+    cells = table(found)
+    for line in (cells.header, *cells.rows):
+        print("; ".join(line))
     print(text)
     if args.page:
-        with TABLE.open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows(table(found))
+        write_table(cells, TABLE)
         page = PAGE.read_text(encoding="utf-8")
         mark = r"(<!-- table -->\n).*(<!-- end of table -->)"
         PAGE.write_text(re.sub(mark, lambda m: m[1] + text + m[2], page, flags=re.S), "utf-8")

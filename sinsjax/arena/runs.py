@@ -16,7 +16,7 @@ from sinsjax.engine.lanes import Group
 from sinsjax.errors import InputError
 from sinsjax.execution.checks import refuse_external
 from sinsjax.methods.description import INITIAL_KEYS
-from sinsjax.methods.registry import METHODS
+from sinsjax.methods.registry import register_external
 from sinsjax.study.keys import TomlTable, is_condition_key
 from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.study.study import Study
@@ -216,8 +216,7 @@ def add_program(study: Study, name: str) -> Study:
     Raises:
         InputError: the name cannot be that of a program.
     """
-    if name in METHODS and not METHODS[name].is_external:
-        raise InputError(f"{name!r} is a method of sinsjax (give the program another name)")
+    register_external([name])
     if name in study.methods:
         raise InputError(f"{study.name}: has results of {name!r} already (give another --name)")
     tables = study_to_tables(study)

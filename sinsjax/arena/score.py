@@ -263,7 +263,7 @@ def _judge(
             attitudes, final_only = _attitudes(runs.study, records, given, run, len(missing))
             missing[run] = ~np.isfinite(attitudes.attitude.w[-1])
             outcome = engine.judge(runs.group(part, some), attitudes)
-            tables.append(_program_rows(runs.study, builder, part, some, outcome, final_only))
+            tables.append(_program_rows(runs, builder, part, some, outcome, final_only))
     return pa.concat_tables(tables), np.flatnonzero(missing)
 
 
@@ -288,8 +288,9 @@ def _attitudes(
     record = np.round(given.time_s / interval_s).astype(int) - 1
     late_s = np.abs(given.time_s - (record + 1) * interval_s)
     used = (lane[given.run] >= 0) & (record >= 0) & (record < records)
-    rows = given.select(np.flatnonzero(used & (late_s < 0.5 / study.rate_hz)))
-    at = record[used & (late_s < 0.5 / study.rate_hz)], lane[rows.run]
+    used &= late_s < 0.5 / study.rate_hz
+    rows = given.select(np.flatnonzero(used))
+    at = record[used], lane[rows.run]
     shape = records, len(run)
 
     def spread(values: NDArray) -> NDArray:
@@ -329,7 +330,7 @@ def _covariance(rows: GivenResults, attitude: Quat) -> tuple[NDArray, ...]:
 
 
 def _program_rows(
-    study: Study,
+    runs: ProgramRuns,
     builder: TableBuilder,
     part: ProgramPart,
     draws: range,
@@ -346,7 +347,7 @@ def _program_rows(
         None,
     )
     table = builder.summary_table(chunk, part.ids)
-    end_s = pa.scalar(study.records * study.record_every / study.rate_hz)
+    end_s = pa.scalar(runs.end_s)
     for name in (n for n in table.column_names if n.startswith("settle_")):
         # All that is known of them is that they are settled at their end.
         at_end = pa.array(final_only[run] & table[name].is_valid().to_numpy())

@@ -340,9 +340,7 @@ class _ProgressCounter:
         self._on_progress(self.progress)
 
     def add_task(self, task: Task, failures: int) -> None:
-        done, failures_so_far = (
-            self.progress.done + task.runs,
-            (self.progress.failures or 0) + failures,
-        )
-        self.progress = self.progress._replace(done=done, failures=failures_so_far)
+        counted = (self.progress.failures or 0) + failures
+        done = self.progress.done + task.runs
+        self.progress = self.progress._replace(done=done, failures=counted)
         self._on_progress(self.progress)
