@@ -55,7 +55,7 @@ def advise(
     motion: Annotated[
         str | None,
         typer.Option(
-            help="What moves, in place of [motion]: still, sway or surge.",
+            help="Vehicle motion, in place of [motion]: still, sway or surge.",
             metavar="NAME",
             autocompletion=_complete_motion,
         ),
@@ -69,7 +69,7 @@ def advise(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
 ) -> None:
-    """Tell from a data sheet how well an IMU finds north, what limits it, and what to set.
+    """Predict from a data sheet how well an IMU finds north, its limits, and recommended settings.
 
     Example: sinsjax advise --imu kvh1775 --latitude 48 --time 300 --motion sway
     """

@@ -42,8 +42,8 @@ def init(
         Path | None,
         typer.Option(
             "--from",
-            help="With `init record`: a record, which the study is to describe (delimited text,"
-            " Parquet, PSINS text).",
+            help="With `init record`: the record to describe (delimited text, Parquet, PSINS"
+            " text).",
             metavar="LOG",
         ),
     ] = None,
@@ -51,8 +51,8 @@ def init(
         list[str] | None,
         typer.Option(
             "--set",
-            help="With --from: what is known of the record, as in record.gyro_unit=rad_per_s; the"
-            " rest is examined. May be repeated.",
+            help="With --from: a known property of the record, as in record.gyro_unit=rad_per_s;"
+            " the rest is examined. May be repeated.",
             metavar="SECTION.KEY=VALUE",
             autocompletion=options.complete_override_key,
         ),
@@ -214,7 +214,7 @@ def schedule(
         ),
     ] = None,
 ) -> None:
-    """Tell when a study's filter should be reset, by the law, and what that is worth.
+    """Compute by the law when to reset a study's filter, and the benefit.
 
     Example: sinsjax schedule paper1_resets
     """

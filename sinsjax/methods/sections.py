@@ -47,32 +47,41 @@ class AlignmentSection(Section):
 
     conditions = (KeyCondition(("misalignment",), _ANGLES, _has_rotation),)
 
-    method: MethodName = Field(
-        "kalman5", description="alignment method; `sinsjax keys METHOD` describes one"
-    )
+    method: MethodName = Field("kalman5", description="see `sinsjax keys METHOD`")
     phi_e0_deg: HalfTurn = Field(
         0.0,
-        description="initial misalignment, the rotation from computed to true attitude, about"
-        " east, deg",
+        description="initial misalignment about east, north or up (the heading error), deg: the"
+        " rotation from computed to true attitude",
     )
-    phi_n0_deg: HalfTurn = Field(0.0, description="initial misalignment about north, deg")
+    phi_n0_deg: HalfTurn = Field(
+        0.0,
+        description="initial misalignment about east, north or up (the heading error), deg: the"
+        " rotation from computed to true attitude",
+    )
     phi_u0_deg: HalfTurn = Field(
-        0.0, description="initial misalignment about up, deg: the heading error"
+        0.0,
+        description="initial misalignment about east, north or up (the heading error), deg: the"
+        " rotation from computed to true attitude",
     )
     misalignment: Literal["vector", "euler"] = Field(
         "vector",
-        description="definition of the initial misalignment. 'vector': components of a rotation"
-        " vector. 'euler': successive rotations about up, east and north",
+        description="'vector': a rotation vector. 'euler': successive rotations about up, east and"
+        " north",
     )
     ve0_m_per_s: Speed = Field(
         0.0,
-        description="initial computed east velocity, m/s; an error, since the base does not travel",
+        description="initial computed east or north velocity, m/s; an error, since the base does"
+        " not travel",
     )
-    vn0_m_per_s: Speed = Field(0.0, description="initial computed north velocity, m/s")
+    vn0_m_per_s: Speed = Field(
+        0.0,
+        description="initial computed east or north velocity, m/s; an error, since the base does"
+        " not travel",
+    )
     position: Literal["fixed", "integrated"] = Field(
         "fixed",
-        description="position in the navigation solution. 'fixed': constant. 'integrated':"
-        " latitude and longitude integrated from computed velocity",
+        description="'fixed': constant. 'integrated': latitude and longitude from computed"
+        " velocity",
     )
     specific_force: Annotated[
         Literal["measured", "gravity"] | None, KeyInfo(default="measured")
@@ -83,13 +92,13 @@ class AlignmentSection(Section):
     )
     feedback_interval_s: Annotated[Seconds | None, KeyInfo(whole="sample")] = Field(
         None,
-        description="interval between feedbacks of estimated errors into the navigation"
-        " solution, s; default: one sample",
+        description="interval between feedbacks into the navigation solution, s; default: one"
+        " sample",
     )
     feedback_time_constant_s: Annotated[SecondsOrZero | None, KeyInfo(default=0.0)] = Field(
         None,
-        description="time constant T, s: each feedback applies the fraction 1 - exp(-interval /"
-        " T) of the estimate; all if T = 0; default 0",
+        description="time constant T, s: each feedback applies 1 - exp(-interval / T) of the"
+        " estimate, all if T = 0; default 0",
     )
 
 
@@ -117,18 +126,17 @@ class PassesSection(Section):
     )
     passes: Annotated[Count, Field(ge=1)] | None = Field(
         None,
-        description="number of passes over the record; default: until the end given by `ending`",
+        description="number of passes; default: set by `ending`",
     )
     ending: Literal["duration", "forward"] = Field(
         "duration",
-        description="end of a run without `passes`. 'duration': at duration_s, even within a"
-        " pass. 'forward': after the last complete forward pass within it",
+        description="end of a run without `passes`. 'duration': duration_s, even within a pass."
+        " 'forward': the last complete forward pass within it",
     )
     direction: Literal["alternate", "rewind"] | None = Field(
         None,
-        description="direction of the passes. 'alternate': every second pass backward."
-        " 'rewind': all forward, each from the attitude propagated back to the"
-        " record's start; default: 'alternate'",
+        description="'alternate': every second pass backward. 'rewind': all forward, each from the"
+        " attitude propagated back to the record's start; default: 'alternate'",
     )
     turn: Annotated[
         Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
@@ -136,28 +144,27 @@ class PassesSection(Section):
         KeyInfo(default="reflect"),
     ] = Field(
         None,
-        description="compass loop state after a direction reversal. Levelling integrals change"
-        " sign; other states not named stay. 'velocity': velocity changes sign, as"
-        " in paper 2. 'reflect': velocity and tilt change sign, so the loops"
-        " continue their motion. 'velocity_and_rate': velocity and azimuth rate"
-        " change sign. 'velocity_drop_rate': velocity changes sign, azimuth rate"
-        " becomes zero. 'keep': no other change. 'restart': all zero but the"
-        " attitude; default 'reflect'",
+        description="compass states that change sign at a reversal, with the levelling"
+        " integrals. 'velocity': velocity, as in paper 2. 'reflect': velocity and"
+        " tilt, so the loops continue their motion. 'velocity_and_rate': velocity"
+        " and azimuth rate. 'velocity_drop_rate': velocity; azimuth rate becomes"
+        " zero. 'keep': none. 'restart': all become zero but the attitude; default"
+        " 'reflect'",
     )
     turn_smoothing_s: Annotated[Seconds | None, KeyInfo(default=5.0)] = Field(
         None,
-        description="delay of the low-pass filter on specific force from which turn = 'reflect'"
-        " computes tilt, s; default 5",
+        description="delay of the low-pass filter on specific force for the tilt of 'reflect', s;"
+        " default 5",
     )
     turn_covariance: Annotated[
         Literal["carried", "inflated", "reset"] | None, KeyInfo(default="carried")
     ] = Field(
         None,
-        description="covariance P after a direction reversal. 'carried': unchanged. 'inflated':"
-        " multiplied by turn_inflation. 'reset': P0; default 'carried'",
+        description="P after a reversal. 'carried': unchanged. 'inflated': multiplied by"
+        " turn_inflation. 'reset': P0; default 'carried'",
     )
     turn_inflation: Annotated[Factor | None, KeyInfo(default=10.0)] = Field(
-        None, description="factor on P with turn_covariance = 'inflated'; default 10"
+        None, description="factor on P with 'inflated'; default 10"
     )
 
 
@@ -186,15 +193,14 @@ class CoarseSection(Section):
 
     coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = Field(
         "inertial",
-        description="coarse alignment method. 'inertial': rotation of gravity in inertial"
-        " space, for a swaying base. 'analytic': mean specific force and rate, for a"
-        " base at rest; only to hand over a record. 'optimisation': least squares of"
-        " integrated velocities. 'none': only in a simulation",
+        description="'inertial': rotation of gravity in inertial space, for a swaying base."
+        " 'analytic': mean specific force and rate, for a base at rest; only to hand"
+        " over a record. 'optimisation': least squares of integrated velocities. 'none':"
+        " only in a simulation",
     )
-    coarse_duration_s: Seconds = Field(60.0, description="duration of coarse alignment, s")
+    coarse_duration_s: Seconds = Field(60.0, description="duration, s")
     coarse_then: Literal["hand_over", "replay"] | None = Field(
         None,
-        description="start of the method. 'hand_over': with the data that follow. 'replay':"
-        " with the first sample, from the coarse attitude propagated back; default:"
-        " 'hand_over'",
+        description="'hand_over': the method starts with the data that follow. 'replay': with the"
+        " first sample, from the coarse attitude propagated back; default: 'hand_over'",
     )

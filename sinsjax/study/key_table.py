@@ -12,7 +12,7 @@ _KEYLESS = ("axes", "cases")
 _ALL = "all methods"
 _ALL_KEYS = " (`sinsjax keys` lists all keys)"
 _VARYING = (
-    "`[axes] KEY = [...]` sweeps a key, `[axes.NAME]` sweeps several keys together, `[[cases]]`"
+    "`[axes] KEY = [...]` sweeps a key, `[axes.NAME]` several together, `[[cases]]`"
     " lists values and a label (`case`) per case"
 )
 
@@ -77,9 +77,9 @@ def keys_page() -> str:
     lines = [
         "# Keys of a study",
         "",
-        "`sinsjax keys [SECTION|KEY|METHOD]` prints this reference. Every study must give the keys"
-        " whose default is `required`. Unless noted, all methods read a key. The filters are"
-        f" {', '.join(_filters())}.",
+        "`sinsjax keys [SECTION|KEY|METHOD]` prints this reference. A name ends in the unit of its"
+        " numbers: `_deg_per_sqrt_h` is deg/sqrt(h). Unless noted, all methods read a key. The"
+        f" filters are {', '.join(_filters())}.",
         "",
         f"The keys of {sweepable} may vary: {_VARYING}. Give a key once: in its section or a table"
         " that varies it.",
@@ -91,10 +91,15 @@ def keys_page() -> str:
         purpose = section_purpose(model)
         if usual != _ALL or mixed:
             purpose += f" Read by {usual}" + (", or the methods in brackets." if mixed else ".")
-        rows = [("key", "unit", "default", "meaning")]
+        groups: dict[str, list[Key]] = {}
         for key, read_by in zip(keys, readers, strict=True):
             meaning = key.meaning if read_by == usual else f"{key.meaning} ({read_by})"
-            rows.append((f"`{key.name}`", key.unit, key.default, meaning))
+            groups.setdefault(meaning, []).append(key)
+        rows = [("key", "default", "meaning")]
+        for meaning, group in groups.items():
+            defaults = [key.default for key in group]
+            shown = defaults[:1] if len({*defaults}) == 1 else defaults
+            rows.append((", ".join(f"`{key.name}`" for key in group), ", ".join(shown), meaning))
         used = [any(column[1:]) for column in zip(*rows, strict=True)]
         head, *body = ([*compress(row, used)] for row in rows)
         lines += ["", f"## [{name}]", "", purpose, ""]

@@ -61,50 +61,46 @@ from sinsjax.value_types import (
 class StudySection(Section):
     """[study]: settings of all runs, which cannot be swept."""
 
-    name: Name = Field(description="study name in reports and manifests; default: the file's stem")
+    name: Name = Field(description="name in reports and manifests; default: the file's stem")
     duration_s: Seconds = Field(
-        description="length of each run, s. It includes all passes and any coarse alignment,"
-        " except one that hands over a record"
+        description="length of each run, s. Includes passes and coarse alignment, unless that hands"
+        " over a record"
     )
     # None only in a recorded study before its record is read, see `load.with_rate`.
     rate_hz: Annotated[Positive, KeyInfo(usual_range=(1e-3, 1e6))] = Field(
         cast(float, None),
-        description="sample rate of the sensors, Hz. Required in a simulation and without time"
-        " stamps; must match a record's rate",
+        description="sensor sample rate, Hz. Required in a simulation and without time stamps; must"
+        " match a record's rate",
     )
     record_interval_s: Seconds = Field(
         1.0,
-        description="interval between record times, which settling times, statistics and curves"
-        " use, s",
+        description="interval of the record times for settling times, statistics and curves, s",
     )
     draws: Annotated[Count, Field(ge=1)] | None = Field(
         None,
-        description="Monte Carlo draws of sensor noise and [drawn] keys; the maximum with"
-        " [stop_when]. With estimate = 'covariance', used if the linear estimate"
-        " fails. A recorded study has one per start time; default: 64 in a"
-        " simulation",
+        description="Monte Carlo draws; the maximum with [stop_when]. Used by estimate ="
+        " 'covariance' if the linear estimate fails. A record has one per start time;"
+        " default: 64 in a simulation",
     )
     estimate: Literal["draws", "covariance"] = Field(
         "draws",
-        description="source of statistics. 'draws': Monte Carlo, one run per draw and variant,"
-        " in `summary/`. 'covariance': linear covariance analysis, one noise-free"
-        " run per variant, in `estimates/`",
+        description="'draws': Monte Carlo, in `summary/`. 'covariance': linear covariance analysis,"
+        " one noise-free run per variant, in `estimates/`",
     )
     estimate_samples: Annotated[int, Field(ge=4, le=2**16, multiple_of=2)] | None = Field(
         None,
-        description="even number of errors (pairs of opposite sign) sampled from the covariance"
-        " for settling times; default: 256 with estimate = 'covariance'",
+        description="even number of errors sampled from the covariance, in pairs of opposite sign,"
+        " for settling times; default: 256",
     )
     check_linearity: bool | None = Field(
         None,
-        description="whether 8 draws per variant check the linear estimate; if `nonlinearity`"
-        " exceeds 0.5, `draws` Monte Carlo draws replace its heading estimate. Only"
-        " with estimate = 'covariance'; default: true",
+        description="whether 8 draws per variant check estimate = 'covariance'; if `nonlinearity`"
+        " exceeds 0.5, `draws` draws replace its heading estimate; default: true",
     )
-    seed: int = Field(1, ge=0, lt=2**63, description="random seed; equal seeds give equal draws")
+    seed: int = Field(1, ge=0, lt=2**63, description="random seed")
     settle_bands_arcmin: Bands = Field(
         (60.0, 10.0, 3.0),
-        description="half-widths of the heading error bands for settling times, arcmin",
+        description="half-widths of the heading bands for settling times, arcmin",
     )
     window_s: Annotated[tuple[NonNegative, Positive], KeyInfo(usual_range=(0, 1e8))] = Field(
         # A pydantic below 2.14 calls it even if the duration is missing or wrong.
@@ -112,59 +108,55 @@ class StudySection(Section):
             given.get("duration_s", 1.0) / 1.5,
             given.get("duration_s", 1.0),
         ),
-        description="start and end of the window for error means and standard deviations, s;"
-        " default: the last third of the duration",
+        description="start and end of the window for error means and deviations, s; default: the"
+        " last third of the duration",
     )
     consistency_after_s: SecondsOrZero = Field(
         10.0,
-        description="time after which p_above_error_share and p_above_floor_error_share count"
-        " record times, s",
+        description="time after which p_above_error_share and p_above_floor_error_share count, s",
     )
     steady_after_s: SecondsOrZero = Field(
-        300.0, description="time after which p_above_error_steady_share counts record times, s"
+        300.0, description="time after which p_above_error_steady_share counts, s"
     )
     curves: bool = Field(
-        False, description="whether a sweep stores all errors at record times in `curves/`"
+        False, description="whether a sweep stores errors at record times in `curves/`"
     )
     judged_from: Literal["truth", "floor"] | None = Field(
         None,
         description="reference for success. 'truth': true north, or the record's reference."
-        " 'floor': the bias floor, the heading error due to constant sensor biases;"
-        " default: 'truth'",
+        " 'floor': the bias floor; default: 'truth'",
     )
     success_band_arcmin: Band | None = Field(
         None,
-        description="half-width of the band in which a successful run's heading error ends,"
-        " arcmin; default: 10",
+        description="largest final heading error of a successful run, arcmin; default: 10",
     )
     level_band_arcmin: Band | None = Field(
         None,
-        description="half-width of the band in which a successful run's level errors end,"
-        " arcmin; judged from truth, plus the tilt due to accelerometer biases;"
-        " default: 10",
+        description="largest final level error of a successful run, from truth plus the tilt due to"
+        " accelerometer biases, arcmin; default: 10",
     )
     dwell_s: SecondsOrZero | None = Field(
         None,
-        description="minimum uninterrupted time in the heading band at the end of a successful"
-        " run, s; default: the smaller of 30 s and a tenth of the run",
+        description="uninterrupted final time in the heading band that success requires, s;"
+        " default: the smaller of 30 s and a tenth of the run",
     )
     diverged_deg: AngleSigma | None = Field(
         None,
-        description="final heading error beyond which an unsuccessful run counts as diverged,"
-        " deg; from the bias floor, or from truth without one; default: 10",
+        description="final heading error from the bias floor (truth without one) above which an"
+        " unsuccessful run diverged, deg; default: 10",
     )
     report_times_s: ReportTimes | None = Field(
         None,
-        description="times from the first sample at which the summary lists heading error,"
-        " sigma and NEES, s; default: none",
+        description="times of heading error, sigma and NEES in the summary, from the first sample,"
+        " s; default: none",
     )
     unchecked: bool | None = Field(
         None, description="whether to accept values outside their usual ranges; default: false"
     )
     external: Annotated[tuple[Name, ...], AfterValidator(require_unique)] | None = Field(
         None,
-        description="external programs whose results `sinsjax score` stored in the study's"
-        " directory; methods without runs; default: none",
+        description="programs whose results `sinsjax score` stored in the study's directory;"
+        " default: none",
     )
 
     @field_validator("judged_from", mode="before")
@@ -207,8 +199,8 @@ class EarthSection(Section):
 
     earth: Literal["constants", "wgs84"] = Field(
         "constants",
-        description="Earth model. 'constants': sphere with constant gravity, set by the next"
-        " three keys, valid only here. 'wgs84': WGS-84 ellipsoid with normal gravity",
+        description="'constants': sphere with constant gravity, the next three keys, valid only"
+        " here. 'wgs84': ellipsoid with normal gravity",
     )
     gravity_m_per_s2: Annotated[Positive, KeyInfo(usual_range=(9, 10.5))] | None = Field(
         None, description="gravity, m/s^2; default 9.8"
@@ -221,13 +213,13 @@ class EarthSection(Section):
     )
     latitude_deg: Elevation | None = Field(
         None,
-        description="latitude, positive north, deg. Required in a simulation, and for a record"
-        " whose header lacks it",
+        description="latitude, positive north, deg. Required in a simulation, and if a record's"
+        " header lacks it",
     )
     height_m: Annotated[Finite, KeyInfo(usual_range=(-12e3, 1e6))] | None = Field(
         None,
-        description="height above the ellipsoid or sphere, m; default: the height in the header"
-        " of the record, or 0",
+        description="height above the ellipsoid or sphere, m; default: that in the record's header,"
+        " or 0",
     )
 
 
@@ -285,36 +277,30 @@ class MotionSection(Section):
         ),
     )
 
-    pitch_center_deg: Elevation = Field(
-        0.0, description="mean pitch, positive with the front up, deg"
-    )
-    pitch_amplitude_deg: Amplitude = Field(0.0, description="pitch amplitude, deg")
+    pitch_center_deg: Elevation = Field(0.0, description="mean pitch, positive front up, deg")
+    pitch_amplitude_deg: Amplitude = Field(0.0, description="amplitude, deg")
     pitch_period_s: Period = Field(
-        10.0, description="pitch period, s; default: required with an amplitude"
+        10.0, description="period, s; default: required with an amplitude"
     )
-    pitch_phase_deg: Angle = Field(0.0, description="pitch phase, deg")
-    roll_center_deg: HalfTurn = Field(
-        0.0, description="mean roll, positive with the right side down, deg"
-    )
-    roll_amplitude_deg: Amplitude = Field(0.0, description="roll amplitude, deg")
+    pitch_phase_deg: Angle = Field(0.0, description="phase, deg")
+    roll_center_deg: HalfTurn = Field(0.0, description="mean roll, positive right side down, deg")
+    roll_amplitude_deg: Amplitude = Field(0.0, description="amplitude, deg")
     roll_period_s: Period = Field(
-        10.0, description="roll period, s; default: required with an amplitude"
+        10.0, description="period, s; default: required with an amplitude"
     )
-    roll_phase_deg: Angle = Field(0.0, description="roll phase, deg")
+    roll_phase_deg: Angle = Field(0.0, description="phase, deg")
     yaw_center_deg: Angle | None = Field(
         None,
         description="mean yaw, deg, counter-clockwise from north (minus heading). Required in a"
         " simulation without attitude_file",
     )
-    yaw_amplitude_deg: Amplitude = Field(0.0, description="yaw amplitude, deg")
-    yaw_period_s: Period = Field(
-        10.0, description="yaw period, s; default: required with an amplitude"
-    )
-    yaw_phase_deg: Angle = Field(0.0, description="yaw phase, deg")
+    yaw_amplitude_deg: Amplitude = Field(0.0, description="amplitude, deg")
+    yaw_period_s: Period = Field(10.0, description="period, s; default: required with an amplitude")
+    yaw_phase_deg: Angle = Field(0.0, description="phase, deg")
     lever_arm_m: Annotated[Vector, KeyInfo(usual_range=(-1e3, 1e3))] = Field(
         0.0,
-        description="lever arm (right, front, up) to the sensors from the centre of sway,"
-        " through which the turn axis passes, m",
+        description="lever arm (right, front, up) to the sensors from the centre of sway on the"
+        " turn axis, m",
     )
     turn_times_s: EventTimes | None = Field(
         None,
@@ -323,34 +309,32 @@ class MotionSection(Section):
     )
     turn_angles_deg: Annotated[Numbers, KeyInfo(usual_range=(-1e8, 1e8))] | None = Field(
         None,
-        description="turn angles, deg, positive counter-clockwise from above: one for all or"
-        " per turn. An unfinished turn continues to the end: 1e6 for a carousel;"
-        " default: 180",
+        description="turn angles, positive counter-clockwise from above, deg: one for all or per"
+        " turn. An unfinished turn continues to the end: 1e6 for a carousel; default:"
+        " 180",
     )
     turn_rate_deg_per_s: Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e5))] | None = Field(
         None,
-        description="turn rate, deg/s; adjusted so that a turn lasts whole samples; default: 10",
+        description="turn rate, adjusted to whole samples per turn, deg/s; default: 10",
     )
     turn_ramp_s: Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e4))] | None = Field(
         None, description="time to reach the turn rate, and to stop, s; default: 1"
     )
     turn_repeat_s: Seconds | None = Field(
         None,
-        description="interval at which turns repeat until the end, s; default: they are not"
-        " repeated",
+        description="interval at which turns repeat until the end, s; default: no repetition",
     )
     turn_axis: Literal["vertical", "body"] | None = Field(
         None,
-        description="turn axis. 'vertical': the vehicle turns about the vertical, with its"
-        " pitch and roll axes. 'body': a turntable on the swaying vehicle turns the"
-        " sensors about z; default: 'vertical'",
+        description="'vertical': the vehicle turns, with its pitch and roll axes. 'body': a"
+        " turntable on the swaying vehicle turns the sensors about z; default:"
+        " 'vertical'",
     )
     attitude_file: Name | None = Field(
         None,
-        description="attitude file instead of all angles and turns: text or Parquet with"
-        " columns time_s, pitch_deg, roll_deg and yaw_deg (or heading_deg),"
-        " interpolated by cubic splines; smooth noisy data first. Cannot be swept;"
-        " default: none",
+        description="text or Parquet file instead of angles and turns, with time_s, pitch_deg,"
+        " roll_deg and yaw_deg (or heading_deg), interpolated by cubic splines; smooth"
+        " noisy data first. Cannot be swept; default: none",
     )
     surge_m_per_s: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 100))] = Field(
         0.0,
@@ -360,20 +344,19 @@ class MotionSection(Section):
     surge_time_s: Period = Field(5.0, description="correlation time of the surge velocity, s")
     surge_bandwidth_hz: Bandwidth = Field(
         1.0,
-        description="surge bandwidth, which limits acceleration, Hz; only with surge_model ="
-        " 'third_order'",
+        description="surge bandwidth, which limits acceleration, Hz; only for 'third_order'",
     )
     surge_model: Literal["third_order", "gauss_markov"] = Field(
         "third_order",
-        description="random process of surge. 'third_order': finite variances of position,"
-        " velocity and acceleration. 'gauss_markov': first-order Gauss-Markov"
-        " velocity; acceleration grows with sample rate",
+        description="'third_order': finite variances of position, velocity and acceleration."
+        " 'gauss_markov': first-order Gauss-Markov velocity; acceleration grows with"
+        " sample rate",
     )
     vibration_ug_rms: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e8))] = Field(
-        0.0, description="specific force of housing vibration along right, front, up, ug rms"
+        0.0, description="housing vibration along or about right, front, up, ug rms"
     )
     vibration_deg_per_h_rms: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e8))] = Field(
-        0.0, description="angular rate of housing vibration about right, front, up, deg/h rms"
+        0.0, description="housing vibration along or about right, front, up, deg/h rms"
     )
     vibration_hz: Bandwidth = Field(30.0, description="undamped natural frequency of vibration, Hz")
     vibration_damping: Damping = Field(0.05, description="damping ratio of vibration")
@@ -392,75 +375,76 @@ class SensorsSection(Section):
     )
 
     gyro_bias_deg_per_h: Annotated[Vector, KeyInfo(usual_range=(-1e5, 1e5))] = Field(
-        0.0, description="constant gyro bias, measured minus true rate, deg/h"
+        0.0, description="constant bias, measured minus true, deg/h"
     )
     gyro_noise_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] | None = Field(
         None,
-        description="white noise sigma of one gyro sample, deg/h; alternative to"
-        " gyro_arw_deg_per_sqrt_h; default: no noise if both are left out",
+        description="white noise sigma of one sample, deg/h; alternative to the random walk;"
+        " default: no noise",
     )
     gyro_arw_deg_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] | None = Field(
-        None, description="gyro angle random walk, deg/sqrt(h); alternative to gyro_noise_deg_per_h"
+        None,
+        description="angle or velocity random walk, deg/sqrt(h); alternative to the noise",
     )
     gyro_instability_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
         0.0,
-        description="rms gyro bias instability, a first-order Gauss-Markov process, deg/h; its"
-        " Allan deviation is at most 0.617 of it",
+        description="rms bias instability, first-order Gauss-Markov, deg/h; its Allan deviation is"
+        " at most 0.617 of it",
     )
     gyro_instability_time_s: Period = Field(
-        300.0, description="correlation time of the gyro bias instability, s"
+        300.0, description="correlation time of the bias instability, s"
     )
     gyro_rrw_deg_per_h_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
-        0.0, description="gyro rate random walk, zero at the first sample, deg/h/sqrt(h)"
+        0.0, description="rate or acceleration random walk, zero at the first sample, deg/h/sqrt(h)"
     )
     gyro_quantisation_arcsec: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
         0.0,
-        description="resolution of gyro angle output, arcsec; remainders carry over to the next"
-        " sample",
+        description="resolution of angle or velocity output, arcsec; remainders carry over to the"
+        " next sample",
     )
     gyro_scale_ppm: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
-        0.0, description="gyro scale factor error, ppm"
+        0.0, description="scale factor error, ppm"
     )
     gyro_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual_range=(-1e5, 1e5))] = Field(
         0.0,
-        description="gyro axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the fraction"
-        " of the y rate that gyro x senses",
+        description="axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the fraction of the y"
+        " input that sensor x senses",
     )
     accel_bias_ug: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
-        0.0, description="constant accelerometer bias, measured minus true specific force, ug"
+        0.0, description="constant bias, measured minus true, ug"
     )
     accel_noise_ug: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None = Field(
         None,
-        description="white noise sigma of one accelerometer sample, ug; alternative to"
-        " accel_vrw_ug_per_sqrt_hz; default: no noise if both are left out",
+        description="white noise sigma of one sample, ug; alternative to the random walk; default:"
+        " no noise",
     )
     accel_vrw_ug_per_sqrt_hz: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None = Field(
         None,
-        description="accelerometer velocity random walk, ug/sqrt(Hz); alternative to"
-        " accel_noise_ug",
+        description="angle or velocity random walk, ug/sqrt(Hz); alternative to the noise",
     )
     accel_instability_ug: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
         0.0,
-        description="rms accelerometer bias instability, a first-order Gauss-Markov process, ug",
+        description="rms bias instability, first-order Gauss-Markov, ug; its Allan deviation is at"
+        " most 0.617 of it",
     )
     accel_instability_time_s: Period = Field(
-        300.0, description="correlation time of the accelerometer bias instability, s"
+        300.0, description="correlation time of the bias instability, s"
     )
     accel_rrw_ug_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
-        0.0, description="acceleration random walk, zero at the first sample, ug/sqrt(h)"
+        0.0, description="rate or acceleration random walk, zero at the first sample, ug/sqrt(h)"
     )
     accel_quantisation_um_per_s: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
         0.0,
-        description="resolution of accelerometer velocity output, um/s; remainders carry over"
-        " to the next sample",
+        description="resolution of angle or velocity output, um/s; remainders carry over to the"
+        " next sample",
     )
     accel_scale_ppm: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
-        0.0, description="accelerometer scale factor error, ppm"
+        0.0, description="scale factor error, ppm"
     )
     accel_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual_range=(-1e5, 1e5))] = Field(
         0.0,
-        description="accelerometer axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the"
-        " fraction of y specific force that accelerometer x senses",
+        description="axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the fraction of the y"
+        " input that sensor x senses",
     )
 
 
@@ -491,24 +475,26 @@ class RecordSection(Section):
     )
     from_s: SecondsOrZero | None = Field(
         None,
-        description="start of the used part, s, from the record's beginning; default: its"
+        description="start and end of the used part, s, from the record's beginning; default: its"
         " beginning",
     )
     to_s: Seconds | None = Field(
-        None, description="end of the used part, s, from the record's beginning; default: its end"
+        None,
+        description="start and end of the used part, s, from the record's beginning; default: its"
+        " end",
     )
     columns: Columns | None = Field(
         None,
-        description="names of all columns of a text file without them; default: the names in"
-        " the file, or column_1, column_2 and so on",
+        description="column names of a text file without them; default: those in the file, or"
+        " column_1, column_2, ...",
     )
     skip_rows: Count | None = Field(
         None, description="lines of a text file before its column names or samples; default: 0"
     )
     quantity: Literal["increments", "rates"] | None = Field(
         None,
-        description="content of the sensor columns; without it the units decide. 'increments':"
-        " integrals over each sample. 'rates': means over each sample",
+        description="sensor columns: 'increments' (integrals over each sample) or 'rates' (means);"
+        " default: by the units",
     )
     time_column: str | None = Field(
         None,
@@ -521,34 +507,34 @@ class RecordSection(Section):
     time_fraction_unit: Literal["ms", "us", "ns"] | None = Field(
         None, description="unit of time_fraction_column: 'ms', 'us' or 'ns'; default: 'ns'"
     )
-    gyro_columns: Triad | None = Field(None, description="columns of the x, y, z gyros")
-    accel_columns: Triad | None = Field(None, description="columns of the x, y, z accelerometers")
+    gyro_columns: Triad | None = Field(None, description="columns of the x, y, z sensors")
+    accel_columns: Triad | None = Field(None, description="columns of the x, y, z sensors")
     gyro_unit: Literal["rad", "deg", "arcsec", "rad_per_s", "deg_per_s", "deg_per_h"] | None = (
         Field(
             None,
-            description="unit of the gyro columns. Increments: 'rad', 'deg', 'arcsec'. Rates:"
-            " 'rad_per_s', 'deg_per_s', 'deg_per_h'",
+            description="unit of increments: 'rad', 'deg', 'arcsec'; of rates: 'rad_per_s',"
+            " 'deg_per_s', 'deg_per_h'",
         )
     )
     accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = Field(
         None,
-        description="unit of the accelerometer columns. Increments: 'm_per_s', 'g_s', 'ug_s'."
-        " Rates: 'm_per_s2', 'g', 'mg', 'ug'",
+        description="unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg',"
+        " 'ug'",
     )
     gyro_scale: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = Field(
         None,
-        description="multiplier of gyro columns, for all or per column: one count in gyro_unit,"
-        " or -1; default: 1",
+        description="multiplier for all columns, or per column: one count in the unit, or -1;"
+        " default: 1",
     )
     accel_scale: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = Field(
         None,
-        description="multiplier of accelerometer columns, for all or per column: one count in"
-        " accel_unit, or -1; default: 1",
+        description="multiplier for all columns, or per column: one count in the unit, or -1;"
+        " default: 1",
     )
     axes_order: Annotated[str, AfterValidator(_check_axes_order)] = Field(
         "xyz",
-        description="axes of the record that point right, front and up: 'y-xz' means +y right,"
-        " -x front, +z up. Or directions of its x, y, z axes: 'rfu', 'frd', 'flu'",
+        description="record axes that point right, front, up: 'y-xz' is +y right, -x front, +z up."
+        " Or directions of its x, y, z axes: 'rfu', 'frd', 'flu'",
     )
     mounting_deg: tuple[Angle, Angle, Angle] | None = Field(
         None,
@@ -557,28 +543,25 @@ class RecordSection(Section):
     )
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
         None,
-        description="unit of the time stamps: 's', 'ms', 'us', 'ns', or 'iso' for dates with"
-        " time or times of day; default: 's'",
+        description="time stamps in 's', 'ms', 'us', 'ns', or 'iso' for dates with time or times of"
+        " day; default: 's'",
     )
-    time_scale: Factor | None = Field(
-        None, description="multiplier of the time stamps in time_unit; default: 1"
-    )
+    time_scale: Factor | None = Field(None, description="multiplier of the time stamps; default: 1")
     start_s: Starts = Field(
         default_factory=lambda given: (given.get("from_s") or 0.0,),
-        description="start times of the alignments including coarse alignment, one per draw, s,"
-        " from the beginning of the record; default: from_s, else 0",
+        description="start times, coarse alignment included, one per draw, s, from the record's"
+        " beginning; default: from_s, else 0",
     )
     max_gap_s: SecondsOrZero | None = Field(
         None,
-        description="longest gap between good samples that is interpolated, s; default: 0, no"
-        " interpolation",
+        description="longest gap between good samples that is interpolated, s; default: 0",
     )
     gyro_bias_deg_per_h: GyroNoise | None = Field(
-        None, description="largest gyro bias that the record check accepts, deg/h; default: 10"
+        None, description="largest bias that the check accepts, deg/h; default: 10"
     )
     accel_bias_ug: AccelNoise | None = Field(
         None,
-        description="largest accelerometer bias that the record check accepts, ug; default: 5000",
+        description="largest bias that the check accepts, ug; default: 5000",
     )
     trust: bool | None = Field(
         None, description="whether to align despite errors that the check finds; default: false"
@@ -676,17 +659,12 @@ class Distribution(Section):
     The entries of a list are values of the drawn key: for a vector one number or one per axis.
     """
 
-    uniform: IncreasingPair | None = Field(None, description="uniform distribution, [low, high]")
-    normal: Normal | None = Field(
-        None, description="normal distribution, [mean, standard deviation]"
-    )
-    values: ListEntries | None = Field(
-        None, description="list of values, one per draw, repeated from the first"
-    )
+    uniform: IncreasingPair | None = Field(None, description="[low, high]")
+    normal: Normal | None = Field(None, description="[mean, standard deviation]")
+    values: ListEntries | None = Field(None, description="one per draw, repeated from the first")
     grid: ListEntries | None = Field(
         None,
-        description="list of grid values; the draws are the product of all grids, the last key"
-        " fastest",
+        description="grid values; the draws are the product of all grids, the last key fastest",
     )
 
     @property
@@ -715,8 +693,8 @@ class DrawnSection(Section):
 
     sampling: Literal["random", "sobol"] = Field(
         "random",
-        description="source of uniform and normal values. 'random': independent numbers."
-        " 'sobol': scrambled Sobol points of all drawn keys together",
+        description="'random': independent numbers. 'sobol': scrambled Sobol points of all drawn"
+        " keys together",
     )
 
     @property
@@ -726,7 +704,7 @@ class DrawnSection(Section):
 
 
 class AdviseSection(Section):
-    """[advise]: requirements for `sinsjax advise`; no other command reads them."""
+    """[advise]: requirements for `sinsjax advise` only."""
 
     time_s: Seconds = Field(
         300.0, description="available alignment time, s: whole seconds, 10 to 7200"
@@ -743,12 +721,12 @@ class StopWhenSection(Section):
     """[stop_when]: precision at which a study stops before its last draw."""
 
     statistic: Name = Field(
-        description="statistic that ends the study: 'success_rate', or 'settle_B_s_mean', the"
-        " mean settling time into the band of B arcmin; both follow judged_from"
+        description="'success_rate', or 'settle_B_s_mean', the mean settling time into B arcmin;"
+        " both follow judged_from"
     )
     half_width: Positive = Field(
-        description="half-width of the 95 % confidence interval, in the variant where it is"
-        " widest, that ends the study: a fraction for 'success_rate', else s"
+        description="half-width of its 95 % interval, in the variant where it is widest, that ends"
+        " the study: a fraction for 'success_rate', else s"
     )
 
 
@@ -761,16 +739,16 @@ Searches = Annotated[
 
 
 class Range(Section):
-    """Range of a tuned key: low and high, or one fixed value, or a list of candidates."""
+    """Range of a tuned key: low and high, or fixed, or candidates."""
 
-    low: Finite | None = Field(None, description="lowest value")
-    high: Finite | None = Field(None, description="highest value")
+    low: Finite | None = Field(None, description="ends of the range")
+    high: Finite | None = Field(None, description="ends of the range")
     scale: Literal["linear", "log"] | None = Field(
         None,
         description="spacing of the values: 'linear', or 'log' for equal ratios; default: 'linear'",
     )
-    fixed: Any = Field(None, description="one fixed value")
-    candidates: ListEntries | None = Field(None, description="list of values to try")
+    fixed: Any = Field(None, description="single value")
+    candidates: ListEntries | None = Field(None, description="values to try")
 
     @model_validator(mode="after")
     def _check_kind(self) -> "Range":
@@ -802,41 +780,38 @@ class TuneSection(Section):
 
     objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = Field(
         "settle_mean",
-        description="quantity to minimise. 'settle_mean': mean settling time, unsettled runs"
-        " counting with their length. 'settle_quantile': quantile of settling time."
-        " 'final_error': rms final heading error. 'failure_rate': fraction of runs"
-        " that never settle",
+        description="'settle_mean': mean settling time, unsettled runs counting with their length."
+        " 'settle_quantile': its quantile. 'final_error': rms final heading error."
+        " 'failure_rate': fraction of unsettled runs",
     )
     objective_band_arcmin: Band = Field(
         10.0,
-        description="heading error band of settling times and failures, arcmin: one of"
-        " settle_bands_arcmin, or the success band",
+        description="heading band, arcmin: one of settle_bands_arcmin, or the success band",
     )
     objective_quantile: Annotated[float, Field(gt=0, lt=1)] = Field(
-        0.9, description="quantile for objective = 'settle_quantile'"
+        0.9, description="quantile for 'settle_quantile'"
     )
     objective_across: Literal["mean", "worst"] = Field(
         "mean", description="objective over several variants: 'mean' or 'worst'"
     )
     searches: Searches = Field(
         ("grid", "gradient"),
-        description="searches in this order. 'grid': grid points. 'sobol', 'random': points in"
-        " the ranges. 'gradient': gradient descents. 'covariance': evolution"
-        " strategy on linear covariance analysis. If reset times are tuned, each"
-        " also evaluates the reset law's schedule",
+        description="'grid', 'sobol', 'random': points in the ranges. 'gradient': descents."
+        " 'covariance': evolution strategy on linear covariance analysis. If reset times"
+        " are tuned, each also evaluates the reset law's schedule",
     )
     tune_draws: Some | None = Field(
         None,
-        description="draws for the searches; in a recorded study every second start time;"
-        " default: 16 in a simulation",
+        description="draws for searches; in a recorded study every second start time; default: 16"
+        " in a simulation",
     )
     evaluation_draws: Some | None = Field(
         None,
-        description="other draws to compare the best points with the baseline; in a recorded"
-        " study the other start times; default: 64 in a simulation",
+        description="other draws, to compare the best points with the baseline; in a recorded study"
+        " the other start times; default: 64 in a simulation",
     )
     grid_points: Annotated[Count, Field(ge=2)] = Field(
-        15, description="points per variable in a 'grid' search of at most two variables"
+        15, description="points per variable of a 'grid' search; at most two variables"
     )
     sobol_points: Some = Field(
         256, description="points of a 'sobol' or 'random' search per combination of candidates"
@@ -846,39 +821,38 @@ class TuneSection(Section):
         description="Sobol points evaluated before the descents, which start from the best; on"
         " `descent_draws` draws or by covariance analysis",
     )
-    descent_starts: Some = Field(4, description="number of parallel descents")
+    descent_starts: Some = Field(4, description="parallel descents")
     descent_steps: Some = Field(16, description="steps of a descent")
     descent_draws: Some = Field(
         4,
-        description="new draws per descent step; unused if no variable moves a reset and"
-        " covariance analysis applies",
+        description="new draws per step; unused if no variable moves a reset and covariance"
+        " analysis applies",
     )
     descent_rate: Positive = Field(0.1, description="Adam learning rate, in lengths of the ranges")
     relaxed_window_s: tuple[Seconds, Seconds] = Field(
         (4.0, 1.0),
-        description="half-widths of the smooth reset windows at the first and last descent"
-        " step, s; only if a variable moves a reset",
+        description="half-widths of smooth reset windows at the first and last step, s; only if a"
+        " variable moves a reset",
     )
     relaxed_sharpness: tuple[Positive, Positive] = Field(
         (6.0, 16.0),
-        description="sharpness of the smooth heading band edge at the first and last descent step",
+        description="sharpness of the smooth heading band edge at the first and last step",
     )
     evolution_screen: Some = Field(
         64,
-        description="Sobol points per combination of candidates evaluated first in a"
-        " 'covariance' search, which starts from the best",
+        description="Sobol points per combination of candidates that a 'covariance' search"
+        " evaluates first, to start from the best",
     )
     evolution_steps: Some = Field(12, description="generations of a 'covariance' search")
     feedback_phases: Some = Field(
         4,
-        description="reset time shifts within a feedback interval over which a 'covariance'"
-        " search averages; 1 means no shift",
+        description="reset time shifts within a feedback interval over which a 'covariance' search"
+        " averages; 1: no shift",
     )
     variables: dict[str, Range | tuple[Range, ...]] = Field(
-        description="keys to be tuned, each with its range, in the table [tune.variables]"
+        description="tuned keys with their ranges, the table [tune.variables]"
     )
     baseline: dict[str, Any] = Field(
         default={},
-        description="values to compare with, in the table [tune.baseline]; default: those of"
-        " the study",
+        description="values to compare with, the table [tune.baseline]; default: the study's",
     )

@@ -72,61 +72,44 @@ def test_vector_key_can_be_swept_by_numbers_and_lists() -> None:
 
 
 SAID = {
-    "case": (
-        "",
-        "swept by the study: label of the case",
-    ),
+    "case": ("", "swept by the study: label of the case"),
     "gyro_bias_deg_per_h": (
         "deg/h",
-        "drawn by the study: constant gyro bias, measured minus true rate, deg/h",
+        "drawn by the study: constant bias, measured minus true, deg/h",
     ),
-    "gyro_scale_ppm": (
-        "ppm",
-        "drawn by the study: gyro scale factor error, ppm",
-    ),
+    "gyro_scale_ppm": ("ppm", "drawn by the study: scale factor error, ppm"),
     "gyro_misalignment_arcsec": (
         "arcsec",
-        "drawn by the study: gyro axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the"
-        " fraction of the y rate that gyro x senses",
+        "drawn by the study: axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the"
+        " fraction of the y input that sensor x senses",
     ),
-    "accel_bias_ug": (
-        "ug",
-        "drawn by the study: constant accelerometer bias, measured minus true specific force, ug",
-    ),
+    "accel_bias_ug": ("ug", "drawn by the study: constant bias, measured minus true, ug"),
     "latitude_deg": (
         "deg",
-        "drawn by the study: latitude, positive north, deg. Required in a simulation, and"
-        " for a record whose header lacks it",
+        "drawn by the study: latitude, positive north, deg. Required in a simulation, and if a"
+        " record's header lacks it",
     ),
     "ve0_m_per_s": (
         "m/s",
-        "drawn by the study: initial computed east velocity, m/s; an error, since the base does"
-        " not travel",
+        "drawn by the study: initial computed east or north velocity, m/s; an error, since the"
+        " base does not travel",
     ),
     "accel_vrw_ug_per_sqrt_hz": (
         "ug/sqrt(Hz)",
-        "swept by the study: accelerometer velocity random walk, ug/sqrt(Hz); alternative to"
-        " accel_noise_ug",
+        "swept by the study: angle or velocity random walk, ug/sqrt(Hz); alternative to the noise",
     ),
     "feedback_interval_s": (
         "s",
-        "swept by the study: interval between feedbacks of estimated errors into the navigation"
-        " solution, s; default: one sample",
+        "swept by the study: interval between feedbacks into the navigation solution, s; default:"
+        " one sample",
     ),
-    "gravity_m_per_s2": (
-        "m/s^2",
-        "swept by the study: gravity, m/s^2; default 9.8",
-    ),
-    "radius_m": (
-        "m",
-        "swept by the study: radius of the sphere, m; default 6378137",
-    ),
+    "gravity_m_per_s2": ("m/s^2", "swept by the study: gravity, m/s^2; default 9.8"),
+    "radius_m": ("m", "swept by the study: radius of the sphere, m; default 6378137"),
     "q_reading": (
         "",
-        "swept by the study: units of the q_ keys, required with them. 'psd': data sheet densities"
-        " (ug/sqrt(Hz), deg/h/sqrt(Hz), deg/sqrt(h)). 'per_sample': sigma of one sample."
-        " 'per_step': sigma added per filter step, as in paper 1; at 100 Hz a hundred times the"
-        " noise of 'per_sample'",
+        "swept by the study: units of the q_ keys, required with them. 'psd': data sheet densities."
+        " 'per_sample': sigma of one sample. 'per_step': sigma added per filter step, as in paper"
+        " 1; at 100 Hz a hundred times that of 'per_sample'",
     ),
 }
 """Unit and meaning of columns of keys."""

@@ -185,10 +185,7 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "no variables": (
         {},
         {"objective": "final_error"},
-        (
-            "[tune] variables: required (keys to be tuned, each with its range, in the table"
-            " [tune.variables])"
-        ),
+        ("[tune] variables: required (tuned keys with their ranges, the table [tune.variables])"),
     ),
     "variables no table": ({}, {"variables": 3}, "[tune] variables: must be a table of keys"),
     "unknown key": (

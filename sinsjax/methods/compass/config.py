@@ -63,22 +63,20 @@ class CompassSection(Section):
     )
 
     level_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.02)] = Field(
-        None, description="decay rate sigma of the levelling loop, 1/s; default 0.02"
+        None, description="decay rate sigma of the loop, 1/s; default 0.02"
     )
     level_adjustment_s: Seconds | None = Field(
         None,
-        description="levelling adjustment time, see adjustment_reading, s; alternative to"
-        " level_sigma_per_s",
+        description="adjustment time, see adjustment_reading, s; alternative to the loop's sigma",
     )
     level_gains: (
         Annotated[tuple[Finite, Finite, Finite], KeyInfo(usual_range=(-1e11, 1e11))] | None
     ) = Field(
         None,
-        description="levelling gains, alternative to level_sigma_per_s: velocity damping K1 in"
-        " 1/s, platform rate K2 in units of the transport rate, velocity integral K3"
-        " in rad/(m s)",
+        description="gains instead of sigma: velocity damping K1 (1/s), platform rate K2 (transport"
+        " rates), velocity integral K3 (rad/(m s))",
     )
-    level_damping: Damping = Field(_DAMPING, description="damping ratio of the levelling loop")
+    level_damping: Damping = Field(_DAMPING, description="damping ratio of the loop")
     level_time_s: Annotated[SecondsOrZero | None, KeyInfo(default=150.0, time="s")] = Field(
         None,
         description="levelling time in both channels before the azimuth loop starts, s; default"
@@ -86,48 +84,43 @@ class CompassSection(Section):
     )
     level_passes: Annotated[Annotated[Count, Field(ge=1)] | None, KeyInfo(time="pass")] = Field(
         None,
-        description="levelling time in passes over the stored record; alternative to level_time_s",
+        description="levelling time in passes; alternative to level_time_s",
     )
     azimuth_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.01)] = Field(
-        None, description="decay rate sigma of the azimuth loop, 1/s; default 0.01"
+        None, description="decay rate sigma of the loop, 1/s; default 0.01"
     )
     azimuth_adjustment_s: Seconds | None = Field(
         None,
-        description="azimuth adjustment time, see adjustment_reading, s; alternative to"
-        " azimuth_sigma_per_s",
+        description="adjustment time, see adjustment_reading, s; alternative to the loop's sigma",
     )
     azimuth_gains: (
         Annotated[tuple[Finite, Finite, Finite, Finite], KeyInfo(usual_range=(-1e11, 1e11))] | None
     ) = Field(
         None,
-        description="azimuth gains, alternative to azimuth_sigma_per_s: velocity damping K1 in"
-        " 1/s, platform rate K2 in units of the transport rate, K3 in 1/(m s^2) and"
-        " K4 in 1/s of the azimuth control K3 / (omega_N (s + K4))",
+        description="gains instead of sigma: K1 and K2 as in level_gains; K3 (1/(m s^2)) and K4"
+        " (1/s) of the azimuth control K3 / (omega_N (s + K4))",
     )
-    azimuth_damping: Damping = Field(_DAMPING, description="damping ratio of the azimuth loop")
+    azimuth_damping: Damping = Field(_DAMPING, description="damping ratio of the loop")
     adjustment_reading: Literal["period", "settling"] = Field(
         "period",
-        description="definition of an adjustment time. 'period': period of the damped"
-        " oscillation. 'settling': time in which exp(-sigma t) falls to"
-        " adjustment_remainder",
+        description="adjustment time. 'period': of the damped oscillation. 'settling': until"
+        " exp(-sigma t) falls to adjustment_remainder",
     )
     adjustment_remainder: Annotated[float, Field(gt=0, lt=1)] = Field(
         0.05,
-        description="exp(-sigma t) after an adjustment time; only with adjustment_reading ="
-        " 'settling'",
+        description="exp(-sigma t) after 'settling'",
     )
     sigma_factors: Factors = Field(
         (1.0,),
-        description="factors on the azimuth loop's sigma in successive intervals, the first"
-        " from the start",
+        description="factors on the azimuth sigma in successive intervals, the first from"
+        " the start",
     )
     sigma_times_s: Annotated[Times | None, KeyInfo(whole="sample", time="s")] = Field(
-        None, description="start times of the second and later intervals of sigma_factors, s"
+        None, description="start times of the later intervals of sigma_factors, s"
     )
     sigma_passes: Annotated[PassNumbers | None, KeyInfo(time="pass")] = Field(
         None,
-        description="completed passes before the second and later intervals of sigma_factors;"
-        " alternative to sigma_times_s",
+        description="completed passes before the later intervals; alternative to sigma_times_s",
     )
     allow_unstable: bool = Field(
         False, description="whether to run loops that are unstable, or too fast for the sample time"

@@ -75,84 +75,74 @@ class FilterSection(Section):
     )
 
     p0_velocity_m_per_s: SpeedSigma = Field(
-        0.1, description="initial sigma of east and north velocity errors, m/s"
+        0.1, description="initial sigma of east and north velocity or level errors, m/s"
     )
     p0_level_deg: AngleSigma = Field(
-        15.0, description="initial sigma of misalignments about east and north, deg"
+        15.0, description="initial sigma of east and north velocity or level errors, deg"
     )
-    p0_yaw_deg: HeadingSigma = Field(80.0, description="initial sigma of the heading error, deg")
-    p0_gyro_bias_deg_per_h: GyroSigma = Field(
-        0.1, description="initial sigma of gyro biases, deg/h"
-    )
-    p0_accel_bias_ug: AccelSigma = Field(
-        500.0, description="initial sigma of accelerometer biases, ug"
-    )
+    p0_yaw_deg: HeadingSigma = Field(80.0, description="initial sigma of heading, deg")
+    p0_gyro_bias_deg_per_h: GyroSigma = Field(0.1, description="initial sigma of biases, deg/h")
+    p0_accel_bias_ug: AccelSigma = Field(500.0, description="initial sigma of biases, ug")
     q_accel_ug: AccelNoise | None = Field(
         None,
-        description="process noise of velocity errors, ug; in ug/sqrt(Hz) with q_reading ="
-        " 'psd'; default: the white noise of the study's accelerometers",
+        description="process noise of velocity errors (accel) or misalignments (gyro), ug; per"
+        " sqrt(Hz) with q_reading = 'psd'; default: that of [sensors]",
     )
     q_gyro_deg_per_h: GyroNoise | None = Field(
         None,
-        description="process noise of misalignments, deg/h; in deg/h/sqrt(Hz) with q_reading ="
-        " 'psd'; default: the white noise of the study's gyros",
+        description="process noise of velocity errors (accel) or misalignments (gyro), deg/h; per"
+        " sqrt(Hz) with q_reading = 'psd'; default: that of [sensors]",
     )
     q_accel_ug_per_sqrt_hz: AccelNoise | None = Field(
         None,
-        description="process noise density of velocity errors, ug/sqrt(Hz); alternative to"
-        " q_accel_ug with q_reading = 'psd'",
+        description="process noise density, ug/sqrt(Hz); alternative with q_reading = 'psd'",
     )
     q_gyro_deg_per_h_per_sqrt_hz: GyroNoise | None = Field(
         None,
-        description="process noise density of misalignments, deg/h/sqrt(Hz); alternative to"
-        " q_gyro_deg_per_h with q_reading = 'psd'",
+        description="process noise density, deg/h/sqrt(Hz); alternative with q_reading = 'psd'",
     )
     q_gyro_arw_deg_per_sqrt_h: GyroWalk | None = Field(
         None,
-        description="angle random walk of misalignments, a sixtieth of the number in"
-        " deg/h/sqrt(Hz), deg/sqrt(h); alternative to q_gyro_deg_per_h with"
-        " q_reading = 'psd'",
+        description="angle random walk, deg/sqrt(h), a sixtieth of the number in"
+        " deg/h/sqrt(Hz); alternative to q_gyro_deg_per_h with q_reading = 'psd'",
     )
     q_reading: Literal["psd", "per_sample", "per_step"] | None = Field(
         None,
-        description="units of the q_ keys, required with them. 'psd': data sheet densities"
-        " (ug/sqrt(Hz), deg/h/sqrt(Hz), deg/sqrt(h)). 'per_sample': sigma of one"
-        " sample. 'per_step': sigma added per filter step, as in paper 1; at 100 Hz"
-        " a hundred times the noise of 'per_sample'",
+        description="units of the q_ keys, required with them. 'psd': data sheet densities."
+        " 'per_sample': sigma of one sample. 'per_step': sigma added per filter step, as"
+        " in paper 1; at 100 Hz a hundred times that of 'per_sample'",
     )
     r_velocity_m_per_s: Annotated[SpeedSigma | None, KeyInfo(same_as=_DEFAULT_R)] = Field(
         None,
-        description="sigma r of the zero-velocity measurement, m/s; in m/s/sqrt(Hz) with"
-        " r_reading = 'psd'. If omitted, methods without [surge] add the surge"
-        " density 2 s^2 T, s the larger of surge_m_per_s east and north, T"
-        " surge_time_s; default: 0.1",
+        description="sigma r of the zero-velocity measurement, m/s; per sqrt(Hz) with r_reading ="
+        " 'psd'. If omitted, methods without [surge] add the surge density 2 s^2 T, s"
+        " the larger of surge_m_per_s east and north, T surge_time_s; default: 0.1",
     )
     r_reading: Literal["per_update", "psd"] = Field(
         "per_update",
-        description="variance R of an update. 'per_update': r squared. 'psd': r squared divided"
-        " by the sample time",
+        description="'per_update': the variance R of an update is r squared. 'psd': r squared /"
+        " sample time",
     )
     q_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
-        None, description="factor on the variance Q; default 1"
+        None, description="factor on the variance Q or R; default 1"
     )
     r_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
-        None, description="factor on the variance R; default 1"
+        None, description="factor on the variance Q or R; default 1"
     )
     turning: Literal["update", "reopen"] | None = Field(
         None,
-        description="treatment of turns. 'update': as usual. 'reopen': no updates during a"
-        " turn; then velocity restarts from zero and P of velocity, level and"
-        " accelerometer biases from P0; P of heading and gyro biases is kept. Meant"
-        " for few turns and gyro scale factor or cross-axis errors, see"
-        " docs/methods.md; default 'update'",
+        description="'update': as usual. 'reopen': no updates during a turn; then velocity restarts"
+        " from zero, and only P of velocity, level and accelerometer biases from P0. For"
+        " few turns and gyro scale factor or cross-axis errors, see docs/methods.md;"
+        " default 'update'",
     )
     turning_rate_deg_per_s: Annotated[
         Annotated[Positive, KeyInfo(usual_range=(1e-3, 1e4))] | None,
         KeyInfo(same_as=TURNING_RATE_DEG_PER_S),
     ] = Field(
         None,
-        description="gyro rate about the vertical above which turning = 'reopen' detects a"
-        " turn, deg/s; set it above yaw sway and below turn rates; default: 1",
+        description="vertical gyro rate above which 'reopen' detects a turn, deg/s; set it above"
+        " yaw sway, below turn rates; default: 1",
     )
 
 
@@ -292,24 +282,23 @@ class ResetsSection(TriggerKeys):
 
     schedule: Literal["times", "none", "law", "trigger"] = Field(
         "times",
-        description="source of reset times. 'times': reset_times_s or reset_count, and"
-        " reset_trigger. 'none': no resets. 'law': computed from Q, R, P0, latitude,"
-        " feedback, sensors and surge, see docs/reset_law.md. 'trigger':"
-        " reset_trigger alone, by default 'linearisation' with threshold 1.2",
+        description="'times': reset_times_s or reset_count, and reset_trigger. 'none': no resets."
+        " 'law': from Q, R, P0, latitude, feedback, sensors and surge, see"
+        " docs/reset_law.md. 'trigger': reset_trigger alone, by default 'linearisation'"
+        " with threshold 1.2",
     )
     heading_bound_deg: Annotated[Positive, Field(lt=180), KeyInfo(usual_range=(1, 180))] = Field(
-        150.0, description="largest initial heading error that schedule = 'law' settles, deg"
+        150.0, description="largest initial heading error that 'law' settles, deg"
     )
     settle_band_arcmin: Band = Field(
-        10.0, description="heading error to which schedule = 'law' settles, arcmin"
+        10.0, description="heading error to which 'law' settles, arcmin"
     )
     reset_count: Annotated[Count | None, KeyInfo(default=0)] = Field(
-        None, description="number of scheduled resets, reset_cycle_s apart; default 0"
+        None, description="number of scheduled resets; default 0"
     )
     reset_cycle_s: Seconds | None = Field(
         None,
-        description="interval between the reset_count resets, s; not needed for a single one at"
-        " reset_first_s",
+        description="interval of reset_count resets, s; not needed for one at reset_first_s",
     )
     reset_first_s: Seconds | None = Field(
         None, description="time of the first of reset_count resets, s; default: the cycle"
@@ -321,38 +310,34 @@ class ResetsSection(TriggerKeys):
         False, description="whether a reset waits for the next feedback"
     )
     reset_restarts_feedback: bool = Field(
-        False, description="whether a reset starts a new feedback interval"
+        False, description="whether a reset starts a feedback interval"
     )
     reset_kind: Literal["full", "yaw", "scale"] = Field(
         "full",
-        description="effect of a reset on P. 'full': all variances become the values below,"
-        " covariances zero. 'yaw': the same for heading only. 'scale': P is"
-        " multiplied by reset_scale",
+        description="'full': variances become the values below, covariances zero. 'yaw': the same"
+        " for heading only. 'scale': P is multiplied by reset_scale",
     )
-    reset_scale: Factor = Field(10.0, description="factor on P with reset_kind = 'scale'")
+    reset_scale: Factor = Field(10.0, description="factor on P with 'scale'")
     reset_velocity_m_per_s: Annotated[SpeedSigma | None, KeyInfo(same_as="p0_velocity_m_per_s")] = (
         Field(
             None,
-            description="sigma of velocity errors after a reset, m/s; default: as at the start, and"
-            " at least 1 m/s with schedule = 'law'",
+            description="sigma of velocity errors after a reset, m/s; default: P0, at least 1"
+            " m/s with 'law'",
         )
     )
     reset_level_deg: Annotated[AngleSigma | None, KeyInfo(same_as="p0_level_deg")] = Field(
         None,
-        description="sigma of misalignments about east and north after a reset, deg; default:"
-        " as at the start",
+        description="sigma of level errors after a reset, deg; default: P0",
     )
     reset_yaw_deg: Annotated[HeadingSigma | None, KeyInfo(same_as="p0_yaw_deg")] = Field(
-        None, description="sigma of the heading error after a reset, deg; default: as at the start"
+        None, description="sigma of heading after a reset, deg; default: P0"
     )
     reset_gyro_bias_deg_per_h: Annotated[
         GyroSigma | None, KeyInfo(same_as="p0_gyro_bias_deg_per_h")
-    ] = Field(
-        None, description="sigma of gyro biases after a reset, deg/h; default: as at the start"
-    )
+    ] = Field(None, description="sigma of biases after a reset, deg/h; default: P0")
     reset_accel_bias_ug: Annotated[AccelSigma | None, KeyInfo(same_as="p0_accel_bias_ug")] = Field(
         None,
-        description="sigma of accelerometer biases after a reset, ug; default: as at the start",
+        description="sigma of biases after a reset, ug; default: P0",
     )
 
 

@@ -32,33 +32,34 @@ class GravityFitSection(Section):
     """[gravity_fit]: assumed sensor errors; biases and noise are required with a record."""
 
     fit_gyro_bias_deg_per_h: GyroSigma | None = Field(
-        None, description="1 sigma of gyro biases, deg/h; default: that of [sensors] or [drawn]"
+        None,
+        description="1 sigma of this sensor error, deg/h; default: that of [sensors] or [drawn]",
     )
     fit_gyro_arw_deg_per_sqrt_h: GyroWalk | None = Field(
-        None, description="angle random walk, deg/sqrt(h); default: that of [sensors]"
+        None, description="angle or velocity random walk, deg/sqrt(h); default: that of [sensors]"
     )
     fit_gyro_scale_ppm: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))] | None = Field(
         None,
-        description="1 sigma of gyro scale factors, ppm; default: that of [sensors] or [drawn]",
+        description="1 sigma of this sensor error, ppm; default: that of [sensors] or [drawn]",
     )
     fit_gyro_misalignment_arcsec: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e5))] | None = (
         Field(
             None,
-            description="1 sigma of gyro cross-axis errors, arcsec; default: that of [sensors] or"
+            description="1 sigma of this sensor error, arcsec; default: that of [sensors] or"
             " [drawn]",
         )
     )
     fit_lever_arm_m: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e3))] | None = Field(
         None,
-        description="1 sigma per axis of the lever arm from the turn axis to the sensors, m; 0"
-        " on the axis; default: that of [motion]",
+        description="1 sigma per axis of the lever arm from the turn axis, m; 0 on the axis;"
+        " default: that of [motion]",
     )
     fit_accel_bias_ug: AccelSigma | None = Field(
         None,
-        description="1 sigma of accelerometer biases, ug; default: that of [sensors] or [drawn]",
+        description="1 sigma of this sensor error, ug; default: that of [sensors] or [drawn]",
     )
     fit_accel_vrw_ug_per_sqrt_hz: AccelNoise | None = Field(
-        None, description="velocity random walk, ug/sqrt(Hz); default: that of [sensors]"
+        None, description="angle or velocity random walk, ug/sqrt(Hz); default: that of [sensors]"
     )
 
 

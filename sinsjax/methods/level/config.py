@@ -11,7 +11,7 @@ from sinsjax.value_types import AccelSigma, Section
 
 
 class LevelSection(Section):
-    """[level]: assumption of the method that finds pitch and roll only."""
+    """[level]: assumption of accelerometer levelling."""
 
     level_accel_bias_ug: AccelSigma = Field(
         5000.0, description="accelerometer bias assumed in the 1 sigma of pitch and roll, ug"

@@ -22,14 +22,10 @@ from sinsjax.value_types import Seconds, Section, SpeedSigma
 
 
 class SurgeSection(Section):
-    """[surge]: surge of the base that a filter with surge states assumes."""
+    """[surge]: assumed surge of the base."""
 
-    r_surge_m_per_s: SpeedSigma = Field(
-        0.1, description="assumed rms surge velocity along east and along north, m/s"
-    )
-    r_surge_time_s: Seconds = Field(
-        5.0, description="assumed correlation time of the surge velocity, s"
-    )
+    r_surge_m_per_s: SpeedSigma = Field(0.1, description="rms velocity along east and north, m/s")
+    r_surge_time_s: Seconds = Field(5.0, description="correlation time of the velocity, s")
 
 
 def check_no_trigger(study: CheckedStudy) -> None:

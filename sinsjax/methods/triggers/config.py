@@ -113,26 +113,24 @@ class TriggerKeys(Section):
     reset_trigger: TriggerName | None = Field(
         None,
         description="score that triggers a reset above trigger_threshold, in addition to the"
-        " schedule, or 'none'. 'innovation': normalised squared sum of innovations"
-        " in a window. 'nis': normalised innovation squared of one sample."
-        " 'whiteness': correlation of successive innovations in a window."
-        " 'tilt_drift': squared east tilt drift relative to that allowed by P_UU."
-        " 'levelled': north Earth rate relative to level correction rate."
-        " 'linearisation': excess heading knowledge over that of a base at rest. Two"
-        " enlarge P at each sample instead: 'strong_tracking' if innovations exceed"
-        " their covariance, 'fading' always; default 'none'",
+        " schedule, or 'none'. 'innovation': normalised squared sum of innovations in a"
+        " window. 'nis': normalised innovation squared. 'whiteness': correlation of"
+        " successive innovations in a window. 'tilt_drift': squared east tilt drift over"
+        " that allowed by P_UU. 'levelled': north Earth rate over level correction rate."
+        " 'linearisation': heading knowledge in excess of a base at rest. Two enlarge P"
+        " at each sample instead: 'strong_tracking' if innovations exceed their"
+        " covariance, 'fading' always; default 'none'",
     )
     trigger_threshold: NonNegative | None = Field(
         None,
-        description="score above which the trigger resets P; required with a trigger. With"
-        " 'fading' the factor on P per sample, such as 1.0001; with"
-        " 'strong_tracking' the weight beta of R, 0 to 1",
+        description="score above which P is reset; required with a trigger. 'fading': factor on P"
+        " per sample, such as 1.0001. 'strong_tracking': weight beta of R, 0 to 1",
     )
     trigger_window_s: Annotated[Seconds | None, KeyInfo(default=10.0, beside="reset_trigger")] = (
         Field(
             None,
-            description="window length of 'innovation', 'whiteness', 'tilt_drift' and 'levelled',"
-            " s; default 10",
+            description="window of 'innovation', 'whiteness', 'tilt_drift' and 'levelled', s;"
+            " default 10",
         )
     )
     trigger_refractory_s: Annotated[
@@ -142,9 +140,9 @@ class TriggerKeys(Section):
     )
     trigger_most: Annotated[
         Annotated[Count, Field(ge=1)] | None, KeyInfo(default=10, beside="reset_trigger")
-    ] = Field(None, description="largest number of triggered resets per run; default 10")
+    ] = Field(None, description="most triggered resets per run; default 10")
     trigger_until_s: Annotated[Seconds | None, KeyInfo(time="s")] = Field(
-        None, description="time after which the trigger no longer resets, s; default: no limit"
+        None, description="end of triggered resets, s; default: no limit"
     )
 
 
