@@ -6,10 +6,12 @@ notebooks as pages, anything else as a page that shows its text.
 """
 
 import html
-import os
 import posixpath
 import re
+import subprocess
+import tomllib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from latex2mathml.converter import convert
@@ -19,8 +21,6 @@ from mkdocs.structure.pages import Page
 from nbconvert import MarkdownExporter
 
 ROOT = Path(__file__).parents[2]
-NOTEBOOKS = Path(os.environ.get("SINSJAX_NOTEBOOKS", ROOT / "notebooks"))
-"""The notebooks as `.ci/notebooks.py` executed them; else as they are stored, without outputs."""
 
 PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md")
 """Pages outside ``docs/`` that need no link to be on the site."""
@@ -32,12 +32,24 @@ _FIGURE = re.compile(r'(?<!">)<img [^>]*?src="(?P<source>[^":]+)"[^>]*>')
 _FORMULA = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\[(\[](?P<text>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
 )
+_PANDAS = re.compile(
+    r"<style scoped>.*?</style>\s*|(?<=<table) border=\"1\" class=\"dataframe\"", re.DOTALL
+)
 _COMMENT = re.compile(r"\A<!--.*?-->\s*", re.DOTALL)
+
+
+def on_config(config: MkDocsConfig) -> None:
+    """Stamp every page with the version and, in a checkout, the commit."""
+    command = ["git", "-C", str(ROOT), "rev-parse", "--short", "HEAD"]
+    commit = ""
+    with suppress(OSError, subprocess.CalledProcessError):
+        commit = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+    config.copyright = f"sinsjax {project_version()}" + (f", commit {commit}" if commit else "")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:
     """Add the pages outside ``docs/``, the notebooks, and what any of them links to."""
-    waiting = [*PAGES, *(f"notebooks/{path.name}" for path in NOTEBOOKS.glob("*.ipynb"))]
+    waiting = [*PAGES, *(f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb"))]
     for page in list(files.documentation_pages()):
         waiting.extend(_pointed(f"docs/{page.src_uri}", page.content_string))
     while waiting:
@@ -80,10 +92,18 @@ def site_path(name: str) -> str:
     """The path on the site, before rendering, of a file of the repository."""
     if name.startswith("docs/"):
         return name.removeprefix("docs/")
+    if name == "README.md":  # the site's own first page is docs/index.md
+        return "overview.md"
     stem, ending = posixpath.splitext(name)
     if ending == ".ipynb":
         return f"{stem}.md"
     return name if ending in (".md", ".png") else f"{name}.md"
+
+
+def project_version() -> str:
+    """The version in ``pyproject.toml``."""
+    with open(ROOT / "pyproject.toml", "rb") as file:
+        return str(tomllib.load(file)["project"]["version"])
 
 
 def _resolved(name: str, target: str) -> str | None:
@@ -104,11 +124,14 @@ def _files(name: str, config: MkDocsConfig) -> Iterator[File]:
     own, path = site_path(name), ROOT / name
     if name.endswith(".ipynb"):
         figures = {"unique_key": f"{path.stem}_files", "output_files_dir": f"{path.stem}_files"}
-        text, made = MarkdownExporter().from_filename(NOTEBOOKS / path.name, resources=figures)
-        yield File.generated(config, own, content=text)
+        text, made = MarkdownExporter().from_filename(path, resources=figures)
+        # The theme styles and scrolls only tables without a class.
+        yield File.generated(config, own, content=_PANDAS.sub("", text))
         for figure, content in made["outputs"].items():
             uri = posixpath.join(posixpath.dirname(name), figure)
             yield File.generated(config, uri, content=content)
+    elif name.endswith(".md"):
+        yield File.generated(config, own, content=path.read_text(encoding="utf-8"))
     elif own == name:
         yield File(own, str(ROOT), config.site_dir, config.use_directory_urls)
     else:

@@ -15,7 +15,8 @@ from sinsjax.methods import base
 
 EXAMPLE = Path(__file__).parents[1] / "example_method"
 DOCS = EXAMPLE.parents[1] / "docs"
-PAGE, EXTENDING = ((DOCS / f"{name}.md").read_text("utf-8") for name in ("own_method", "extending"))
+PAGE = (DOCS / "own_method.md").read_text("utf-8")
+INTERFACE = (DOCS / "python" / "method_interface.md").read_text("utf-8")
 STUDY = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)[-1]
 CONFIG, METHOD = (f"averaged_alignment/{name}.py" for name in ("config", "method"))
 POINTS = "averaged_alignment-1.0.dist-info/entry_points.txt"
@@ -31,7 +32,7 @@ def test_own_method_pages_document_options_and_groups_of_method() -> None:
     required = [name for name in base.Method._fields if name not in base.Method._field_defaults]
     assert all(f"| `{name}` |" in PAGE for name in required)
     for group in ("Feedback", "Passes", "ErrorModel"):
-        assert f"`{group}`" in PAGE and f"::: sinsjax.methods.base.{group}\n" in EXTENDING
+        assert f"`{group}`" in PAGE and f"::: sinsjax.methods.base.{group}\n" in INTERFACE
 
 
 @pytest.fixture(scope="module")

@@ -138,20 +138,46 @@ def test_formulas_are_mathml_without_dollar_signs(site: Path) -> None:
     assert formulas > 30
 
 
+def test_pages_are_stamped_with_the_version(site: Path, pages: dict[Path, Shown]) -> None:
+    stamp = f"sinsjax {sinsjax.__version__}"
+    for path in pages:
+        assert path.name == "404.html" or stamp in path.read_text(encoding="utf-8"), path
+
+
+def test_landing_page_leads_to_sweep_advice_and_record(
+    site: Path, pages: dict[Path, Shown]
+) -> None:
+    landing = pages[(site / "index.html").resolve()]
+    assert {"start.html", "advise.html", "own_record.html", "overview.html"} <= {
+        link.partition("#")[0] for link in landing.links
+    }
+
+
 def test_site_contains_no_study_sources(site: Path) -> None:
     assert not {path.suffix for path in site.rglob("*")} & {".j2", ".py", ".pyc"}
 
 
-def test_python_page_describes_all_public_names(site: Path, pages: dict[Path, Shown]) -> None:
-    anchors = pages[(site / "python.html").resolve()].anchors
-    described = {re.sub(r"^sinsjax\.", "", a) for a in anchors if re.match(r"sinsjax\.\w+$", a)}
-    assert described == set(sinsjax.__all__)
+def test_python_pages_describe_each_public_name_once(site: Path, pages: dict[Path, Shown]) -> None:
+    of_python = [*(site / "python").glob("*.html"), site / "python.html", site / "plotting.html"]
+    described = [
+        anchor.removeprefix("sinsjax.")
+        for path in of_python
+        for anchor in pages[path.resolve()].anchors
+        if re.match(r"sinsjax\.\w+$", anchor)
+    ]
+    assert sorted(described) == sorted(sinsjax.__all__)
 
 
-def test_extending_page_describes_names_imported_by_example(
+def test_python_page_links_to_all_pages_of_its_folder() -> None:
+    index = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    folder = (ROOT / "docs" / "python").glob("*.md")
+    assert {*re.findall(r"\]\(python/(\w+)\.md\)", index)} == {path.stem for path in folder}
+
+
+def test_interface_page_describes_names_imported_by_example(
     site: Path, pages: dict[Path, Shown]
 ) -> None:
-    anchors = pages[(site / "extending.html").resolve()].anchors
+    anchors = pages[(site / "python" / "method_interface.html").resolve()].anchors
     imported = set()
     for path in (ROOT / "tests" / "example_method").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -170,10 +196,10 @@ def test_extending_page_describes_names_imported_by_example(
         ("averaging_time_s", "own_method.html"),
         ("heading", "keys.html"),
         ("PSINS", "own_record.html"),
-        ("misalignment", "index.html"),
+        ("misalignment", "overview.html"),
         ("NEES", "consistency.html"),
-        ("one_run", "python.html"),
-        ("AttitudeCovariance", "extending.html"),
+        ("one_run", "python/running.html"),
+        ("AttitudeCovariance", "python/method_interface.html"),
         ("duckdb", "results.html"),
         ("resume", "results.html"),
         ("scheduler", "cluster.html"),
@@ -191,8 +217,8 @@ def test_search_finds_expected_page(words: str, page: str, index: dict[str, Any]
     ("name", "page"),
     [
         ("averaging_time_s", "own_method.html"),
-        ("reset_cycle_s", "methods.html"),
-        ("read_history", "python.html"),
+        ("p0_yaw_deg", "methods.html"),
+        ("read_history", "python/tuning.html"),
     ],
 )
 def test_search_index_keeps_code_names_as_one_word(
