@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from docs.studies.compass_car import page as compass_cases
+from docs.studies.compass_map import car as compass_cases
 from sinsjax.analysis import rms
 from sinsjax.execution import prepare
 from sinsjax.execution import run as study_run

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from docs.studies.compass_map.page import rank, settling
+from docs.studies.compass_map.static import rank, settling
 from sinsjax import analysis
 from sinsjax.execution.source import Source
 from sinsjax.study.load import load_study, study_from_dict

@@ -7,13 +7,13 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from docs.studies.adaptive.cells import Class, ratio_maps
-from docs.studies.compass_car.starts import strips
-from docs.studies.compass_map.contours import Contours, draw_contours, legend, spread
+from docs.studies.compass_map.contours import ERROR_LEVELS_ARCMIN, Panel, contour_maps, spaced
+from docs.studies.compass_map.starts import strips
 from docs.studies.compass_map.survival import survival
-from docs.studies.paper1.figures import Verdicts, verdict_matrix, yaw_errors
+from docs.studies.paper1.figures import Verdicts, verdict_bars, yaw_errors
 from docs.studies.paper2.lines import over_time
 from sinsjax import plots
-from sinsjax.plots import Ensemble, GridAxis, Line, MapQuantity
+from sinsjax.plots import Ensemble, GridAxis, Line
 
 NEVER = math.inf
 TIME = np.arange(0.0, 101.0)
@@ -92,33 +92,37 @@ def test_over_time_sets_panel_titles_scale_and_label(floor, scale):
     assert plots.render_png(figure) == plots.render_png(figure)
 
 
-def test_heat_map_contours_lie_at_their_values():
-    # Values that grow from the left edge (0) to the right edge (1) of two cells.
-    values = np.tile(np.linspace(0.0, 1.0, 21), (11, 1))
-    contours = Contours("radius", (0.25, 0.5), [values, values])
-    figure = plots.draw_heat_maps(
-        [("a", np.ones((3, 2))), ("b", np.ones((3, 2)))],
+def test_contours_lie_at_their_values_and_are_labelled():
+    # The error grows by 100 from column to column; the radius from 0 to 2 over the columns.
+    errors = np.tile([0.1, 10.0, 1000.0], (2, 1))
+    radii = np.tile(np.linspace(0.0, 2.0, 9), (5, 1))
+    figure = contour_maps(
+        [Panel("a", errors, radii), Panel("b", errors, radii), Panel("c", errors, radii)],
         "Title",
-        MapQuantity("error (arcmin)", 0.1, 100.0, reverse=True, log=True),
-        rows=GridAxis("azimuth_sigma_per_s", [0.01, 0.02, 0.04]),
-        columns=GridAxis("stored_s", [20.0, 40.0]),
-        legend=legend(contours),
+        rows=GridAxis("azimuth_sigma_per_s", [0.01, 0.04]),
+        columns=GridAxis("stored_s", [10.0, 100.0, 1000.0]),
     )
-    for axes, some in zip(figure.axes, contours.values, strict=False):
-        draw_contours(axes, contours.levels, some)
-    (lines,) = [c for c in figure.axes[0].collections if hasattr(c, "levels")]
-    places = [path.vertices for path in lines.get_paths()]
-    np.testing.assert_allclose(places[0][:, 0], 0.0)  # the middle of the left cell
-    np.testing.assert_allclose(places[1][:, 0], 0.5)
-    assert (places[0][:, 1].min(), places[0][:, 1].max()) == (-0.5, 2.5)
-    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["radius 0.25", "0.5"]
     assert plots.render_png(figure)
+    panels = figure.axes[:4]
+    assert [axes.get_visible() for axes in panels] == [True, True, True, False]
+    assert [t.get_text() for t in panels[0].get_yticklabels()] == ["0.01", "0.04"]
+    filled, lines, circles = (c for c in panels[0].collections if hasattr(c, "levels"))
+    np.testing.assert_allclose(10**filled.levels, ERROR_LEVELS_ARCMIN)
+    # log10 of the length where the error has each level, on axes linear in the logarithm.
+    expected = (np.log10(ERROR_LEVELS_ARCMIN) + 3) / 2
+    for path, place in zip(lines.get_paths(), expected, strict=True):
+        np.testing.assert_allclose(path.vertices[:, 0], place)
+    for path, place in zip(circles.get_paths(), [1.5, 2.0], strict=True):
+        np.testing.assert_allclose(path.vertices[:, 0], place)
+    names = {t.get_text() for t in panels[0].texts}
+    assert names == {"0.3", "1", "3", "10", "100", "0.5"}
+    bar = figure.axes[-1]
+    assert [t.get_text() for t in bar.get_yticklabels()] == ["0.3", "1", "3", "10", "100"]
+    assert bar.get_ylabel() == "rms heading error (arcmin)"
 
 
-def test_spread_interpolates_cell_centres_and_extends_to_edges():
-    found = spread([1.0, 4.0, 64.0], 7)
-    np.testing.assert_allclose(found[1::2], [1.0, 4.0, 64.0])
-    np.testing.assert_allclose(found[::2], [0.5, 2.0, 16.0, 256.0])
+def test_spaced_values_are_even_on_a_logarithmic_axis():
+    np.testing.assert_allclose(spaced([1.0, 3.0, 16.0], 5), [1.0, 2.0, 4.0, 8.0, 16.0])
 
 
 def test_survival_plot_shows_share_of_unsettled_runs():
@@ -152,21 +156,23 @@ def test_yaw_errors_have_one_panel_per_name():
     assert plots.render_png(figure)
 
 
-def test_verdict_matrix_shows_counts_and_marks_best_reading():
+def test_verdict_bars_count_interpretations_and_colour_by_best():
     verdicts = Verdicts(
-        readings=["a", "b"],
         statements=["S1", "S2", "S3"],
-        holds=np.array([[True, False, True], [True, True, True]]),
-        straddles=np.array([[False, True, False], [False, False, False]]),
-        best=1,
+        holds=np.array([[True, False, False], [True, True, False]]),
+        straddles=np.array([[True, True, False], [False, False, False]]),
+        best=0,
     )
-    figure = verdict_matrix(verdicts, "Title")
+    figure = verdict_bars(verdicts, "Title")
     assert plots.render_png(figure)
-    axes = figure.axes[0]
-    assert [t.get_text() for t in axes.get_xticklabels()] == ["S1", "S2", "S3"]
-    assert [t.get_text().split() for t in axes.get_yticklabels()] == [["a", "2"], ["b", "3"]]
-    assert [t.get_fontweight() for t in axes.get_yticklabels()] == ["normal", "bold"]
-    assert [t.get_position() for t in axes.texts] == [(1, 0)]
-    image = axes.get_images()[0]
-    held = image.to_rgba(image.get_array())[..., :3]
-    np.testing.assert_allclose(held[1, 1], to_rgb(plots.COLOURS[0]), atol=0.01)
+    (axes,) = figure.axes
+    assert [t.get_text() for t in axes.get_yticklabels()] == ["S1", "S2", "S3"]
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]  # the first statement on top
+    held, undecided = axes.containers
+    assert [bar.get_width() for bar in held] == [2, 1, 0]
+    assert [t.get_text() for t in axes.texts] == ["2", "1", "0"]
+    yes, no = map(to_rgb, plots.COLOURS[:2])
+    assert [bar.get_facecolor()[:3] for bar in held] == [yes, no, no]
+    # S2 fails with an interval that reaches across in one of the two; S1 holds where it straddles.
+    assert [(bar.get_x(), bar.get_width()) for bar in undecided] == [(2, 0), (1, 1), (0, 0)]
+    assert axes.get_xlim() == (0, 2)

@@ -23,27 +23,9 @@ from sinsjax.tuning import results
 ROOT = Path(__file__).parents[2]
 PAGES = {
     "car_test": ("car_test", "car_batch"),
-    "compass_car": ("compass_car",),
-    "compass_map": ("paper2_map", "compass_80s_search", "compass_80s_best"),
+    "compass_map": ("paper2_map", "compass_80s_search", "compass_80s_best", "compass_car"),
     "paper2": ("paper2_static", "paper2_swing"),
     "reset_sweep": ("reset_sweep",),
-    "what_to_set": (
-        "reset_cycle_study",
-        "reset_phase",
-        "adaptive_resets",
-        "car_adaptive",
-        "tune_condition5",
-        "tune_large",
-        "tune_filter",
-        "tune_compass",
-        "tuned_schedules",
-        "tuned_phase",
-        "paper2_map",
-        "compass_80s_search",
-        "compass_80s_best",
-        "kalman_passes",
-        "consistency",
-    ),
     "tuning": (
         *("tune_condition5", "tune_large", "tune_filter", "tune_compass"),
         *("tuned_schedules", "tuned_phase"),
@@ -73,6 +55,8 @@ PAGES = {
         "which_alignment_surge",
         "which_alignment_fair",
         "which_surge",
+        "reset_cycle_study",
+        "reset_phase",
     ),
 }
 """The studies of each page."""

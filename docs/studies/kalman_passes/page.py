@@ -46,7 +46,7 @@ def page(sources: Sources) -> Page:
     far = [points[LARGE, RESET, n] for n in counts[:3]]
     values = {
         "passes": last,
-        "far": f"mean NEES {format_estimate(far[0].nees)}",
+        "far": format_estimate(far[0].nees),
         "inflation": f"{study.values('turn_inflation')[0] or 10:g}",
         "draws": grid.draws,
         "carried": {
@@ -96,7 +96,7 @@ def page(sources: Sources) -> Page:
             }
             for case in (SMALL, LARGE)
         },
-        title="Passes over a stored record: mean NEES of the attitude, from truth",
+        title="Passes over a stored record: mean NEES of the attitude",
         expected=plots.ExpectedValue(
             "consistent: 3, and its 95 % band", float(FREEDOM), (low, high)
         ),
@@ -113,13 +113,12 @@ def page(sources: Sources) -> Page:
 
 
 def _settings(points: dict[Any, Point], last: int) -> Table:
-    """What each treatment of P gives after the last pass."""
+    """Return the heading error and the sigma of each treatment of P after the last pass."""
     rows = []
     for turn in (RESET, INFLATED, CARRIED):
-        small, large = (points[case, turn, last] for case in (SMALL, LARGE))
-        told = ((arcmin(p.error, 2), f"{p.sigma.value:.2f} arcmin") for p in (small, large))
-        rows.append([f"P {turn}", *chain(*told)])
-    own = "filter's own sigma"
-    header = ["at a turn", f"error from {SMALL}", own, f"error from {LARGE}", own]
-    note = "Heading error: root mean square from truth."
+        at_end = (points[case, turn, last] for case in (SMALL, LARGE))
+        cells = ((format_estimate(p.error, digits=2), f"{p.sigma.value:.2f}") for p in at_end)
+        rows.append([f"P {turn}", *chain(*cells)])
+    header = ["at a turn", f"error from {SMALL}", "own sigma", f"error from {LARGE}", "own sigma"]
+    note = "Rms heading error from truth, and the filter's own sigma, arcmin."
     return Table(f"After {last} passes", header, rows, note)

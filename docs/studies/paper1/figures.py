@@ -1,10 +1,8 @@
-"""Figures of the page on paper 1: heading errors over time, and which statement holds."""
+"""Figures of the page on paper 1: heading errors over time, and how often a statement holds."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import numpy as np
-from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -48,17 +46,15 @@ def yaw_errors(panels: Mapping[str, Sequence[Ensemble]], title: str) -> Figure:
 
 
 class Verdicts(NamedTuple):
-    """Statements tested under several readings of a paper.
+    """Statements tested under several interpretations of a paper.
 
     Attributes:
-        readings: names of the rows.
         statements: names of the columns.
-        holds: (readings, statements) bool.
-        straddles: (readings, statements) bool, whether the interval includes the threshold.
-        best: row to highlight.
+        holds: (interpretations, statements) bool.
+        straddles: (interpretations, statements) bool, whether the interval includes the threshold.
+        best: row of the interpretation under which most statements hold.
     """
 
-    readings: Sequence[str]
     statements: Sequence[str]
     holds: NDArray
     straddles: NDArray
@@ -66,36 +62,46 @@ class Verdicts(NamedTuple):
 
 
 @with_style
-def verdict_matrix(verdicts: Verdicts, title: str) -> Figure:
-    """Matrix of which statement holds under which reading.
+def verdict_bars(verdicts: Verdicts, title: str) -> Figure:
+    """Draw one bar per statement: the number of interpretations under which it holds.
 
     Args:
-        verdicts: rows in drawing order, from the top.
+        verdicts: statements in drawing order, from the top.
         title: title of the figure.
     """
-    rows, columns = verdicts.holds.shape
-    figure = Figure(figsize=(9.2, 3.2 + 0.17 * rows))
+    count, statements = verdicts.holds.shape
+    figure = Figure(figsize=(9.2, 1.5 + 0.26 * statements))
     figure.suptitle(title)
     axes = figure.subplots()
-    no, yes = COLOURS[1], COLOURS[0]
-    axes.imshow(verdicts.holds, cmap=ListedColormap([no, yes]), vmin=0, vmax=1, aspect="auto")
-    axes.set_xticks(range(columns), verdicts.statements, fontsize=9, rotation=60, ha="right")
-    held = verdicts.holds.sum(axis=1)
-    names = [f"{name}   {n:2d}" for name, n in zip(verdicts.readings, held, strict=True)]
-    axes.set_yticks(range(rows), names, fontsize=7.5)
-    axes.get_yticklabels()[verdicts.best].set_fontweight("bold")
-    axes.set_xticks(np.arange(columns + 1) - 0.5, minor=True)
-    axes.set_yticks(np.arange(rows + 1) - 0.5, minor=True)
-    axes.grid(visible=False, which="major")
-    axes.grid(which="minor", color="white", linewidth=1)
-    axes.tick_params(which="both", length=0)
-    for row, column in np.argwhere(verdicts.straddles):
-        axes.text(column, row, "~", ha="center", va="center", color="white", fontsize=9)
-    axes.set_ylabel("interpretation of Q, of R, feedback; how many hold")
+    places = range(statements)
+    held = verdicts.holds.sum(axis=0)
+    undecided = (~verdicts.holds & verdicts.straddles).sum(axis=0)
+    holds_under_best = verdicts.holds[verdicts.best]
+    yes, no, open_ = COLOURS[0], COLOURS[1], "#cfcfcf"
+    shades = [yes if holds else no for holds in holds_under_best]
+    axes.barh(places, held, height=0.7, color=shades)
+    axes.barh(places, undecided, height=0.7, left=held, color=open_)
+    for place, number in zip(places, held, strict=True):
+        inside = number > 0.1 * count
+        axes.text(
+            number - 0.4 if inside else number + 0.4,
+            place,
+            f"{number}",
+            ha="right" if inside else "left",
+            va="center",
+            size=10.5,
+            color="white" if inside else "black",
+        )
+    axes.set_yticks(places, verdicts.statements)
+    axes.set_ylim(statements - 0.4, -0.6)
+    axes.set_xlim(0, count)
+    axes.set_xlabel(f"interpretations under which it holds, of {count}")
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
     handles = [
-        Patch(color=yes, label="holds"),
-        Patch(color=no, label="does not hold"),
-        Patch(facecolor="none", label="~  the interval reaches across"),
+        Patch(color=yes, label="holds under the best one too"),
+        Patch(color=no, label="not under the best one"),
+        Patch(color=open_, label="fails, interval includes the bound"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure

@@ -9,20 +9,21 @@ from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import format_estimate, numeric_column
-from sinsjax.analysis.formats import format_degrees, format_percent
+from sinsjax.analysis.formats import format_percent
 from sinsjax.execution.source import Source
 from sinsjax.plots import Ensemble
+from sinsjax.plots.labels import format_value
 from sinsjax.plots.style import GREY
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.study_page import Page, Sources
 
 from ..common.words import arcmin, share
 from ..loops.runs import limits_of
-from .figures import Verdicts, verdict_matrix, yaw_errors
+from .figures import Verdicts, verdict_bars, yaw_errors
 from .statements import AS_PRECISE_ARCMIN, CONDITIONS, RESET, STATEMENTS, Judged, best_of, judge_all
 
 BAND_ARCMIN = 10.0
-COLUMNS = ("settle_10_s", "phi_u_mean_arcmin", "floor_arcmin", "sigma_u_arcmin")
+COLUMNS = ("settle_10_s", "phi_u_mean_arcmin", "floor_arcmin")
 PRINTED_LIMITS = {"e": -1.7189, "n": 1.7189, "u": -27.0248}  # of section 2.4.1, arcmin
 
 
@@ -34,26 +35,25 @@ def page(sources: Sources) -> Page:
     runs = {**plain, RESET: with_resets[RESET]}
     shown, beside = _ensembles(free, plain), _ensembles(reset, with_resets)
     band = (
-        f"Mean over {free.draws} Monte Carlo runs, shading: 95 % of them. Grey: within"
-        f" {BAND_ARCMIN:g} arcmin, where a run has settled; the limit itself is"
-        f" {_limit_arcmin(free.summary):.1f} arcmin from true north."
+        f"Mean and 95 % of {free.draws} Monte Carlo runs. Grey: within"
+        f" {BAND_ARCMIN:g} arcmin of the bias floor, settled."
     )
     figures = {
         "answer": Picture(
             "resets",
             f"After the paper's Fig. 5. {band} Dotted: resets.",
-            _heading(reset, beside, "Condition 5 with and without resets"),
+            _heading(reset, beside, "condition 5, with and without resets"),
             reset.sample_size_text,
         ),
         "conditions": Picture(
             "conditions",
-            f"After the paper's Fig. 2. {band}",
-            _heading(free, shown, "Conditions 1 to 5 without resets"),
+            "As above.",
+            _heading(free, shown, "conditions 1 to 5"),
             free.sample_size_text,
         ),
     }
     return Page.merge(
-        Page({"draws": free.draws}, {"conditions": _table(free, runs)}, figures),
+        Page({}, {"conditions": _table(free, runs)}, figures),
         _ended(runs, with_resets["1"]),
         _limit(free, runs["1"]),
         _statements(judge_all(readings), readings),
@@ -76,13 +76,13 @@ def _limit_arcmin(runs: pa.Table) -> float:
 
 
 def _heading(source: Source, shown: Mapping[str, Ensemble], title: str) -> Figure:
-    """Heading errors from their limit, with the band in which a run has settled and the resets."""
+    """Heading errors from the bias floor, with the settled band and the resets."""
     limit = _limit_arcmin(source.summary)
     moved = [
         one._replace(columns={"phi_u_arcmin": one.columns["phi_u_arcmin"] - limit})
         for one in shown.values()
     ]
-    figure = yaw_errors({"": moved}, f"{title}: heading error from its limit")
+    figure = yaw_errors({"": moved}, f"Heading error from its bias floor: {title}")
     (axes,) = figure.axes
     axes.set_xlim(0, source.study.duration_s)
     axes.axhspan(-BAND_ARCMIN, BAND_ARCMIN, color=GREY, alpha=0.25, linewidth=0)
@@ -92,31 +92,31 @@ def _heading(source: Source, shown: Mapping[str, Ensemble], title: str) -> Figur
 
 
 def _table(source: Source, runs: Mapping[str, pa.Table]) -> Table:
-    """What to expect of each condition."""
+    """Return the expected settling and heading error of each condition."""
     keys = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
     starts = {point["case"]: point for point in source.study.combinations("case", *keys)}
     start, end = source.study.study.window_s
     rows = []
     for name, table in runs.items():
         begun = starts[f"condition {name[0]}"]
-        settle, truth, limit, sigma = (numeric_column(table, column) for column in COLUMNS)
-        means = (analysis.mean(values) for values in (truth - limit, truth, sigma))
-        settled, time = analysis.share(np.isfinite(settle)), analysis.quantile(settle)
-        told = [
-            format_percent(settled),
-            format_estimate(time, digits=0),
-            *map(format_estimate, means),
-        ]
-        rows.append([f"condition {name}", format_degrees(*(begun[key] for key in keys)), *told])
-    header = ["", "misalignment", "settled about the limit (%)", "median time (s)"]
-    heading = ["heading error from the limit (arcmin)", "from true north (arcmin)"]
+        settle, truth, floor = (numeric_column(table, column) for column in COLUMNS)
+        rows.append(
+            [
+                f"{name}: {', '.join(format_value(begun[key]) for key in keys)}",
+                format_estimate(analysis.quantile(settle), digits=0),
+                format_estimate(analysis.mean(truth - floor)),
+            ]
+        )
+    header = ["condition: misalignment (deg)", "settled after (s)", "heading error (arcmin)"]
+    every, none = (analysis.proportion(settled, source.draws) for settled in (source.draws, 0))
     note = (
-        f"Number [95 % interval over {source.draws} Monte Carlo runs]. Settled: within"
-        f" {BAND_ARCMIN:g} arcmin of the limit up to the end. Heading errors: mean, {start:g} to"
-        f" {end:g} s. A condition may pass true north on its way to the limit; it has not settled"
-        " there."
+        f"Median [95 % interval]; {format_percent(every)} % of the runs settle, if *never*"
+        f" {format_percent(none)} %."
+        f" Heading error: from the floor (from true north add {_limit_arcmin(source.summary):.1f}"
+        f" arcmin), mean of {start:g} to {end:g} s. A run that passes true north on its way has not"
+        " settled there."
     )
-    return Table("What to expect", [*header, *heading, "filter's own sigma (arcmin)"], rows, note)
+    return Table("What to expect", header, rows, note)
 
 
 def _ended(runs: Mapping[str, pa.Table], first: pa.Table) -> Page:
@@ -130,8 +130,18 @@ def _ended(runs: Mapping[str, pa.Table], first: pa.Table) -> Page:
     ]
     settled = {n: np.isfinite(numeric_column(runs[n], "settle_10_s")) for n in ("5", RESET)}
     truth = analysis.share(np.isfinite(numeric_column(runs[RESET], "settle_10_truth_s")))
-    values = {"limit": f"{limit:.1f} arcmin", "apart": arcmin(apart, 2), "truth": share(truth)}
+    sigmas = {n: float(np.mean(numeric_column(runs[n], "sigma_u_arcmin"))) for n in runs}
+    without = [sigma for name, sigma in sigmas.items() if name != RESET]
+    values = {
+        "limit": f"{limit:.1f} arcmin",
+        "apart": arcmin(apart, 2),
+        "truth": share(truth),
+        "sigma": f"{sigmas[RESET]:.1f} arcmin",
+        "sigma_without": f"{min(without):.1f} to {max(without):.1f}",
+    }
+    shares = [np.isfinite(numeric_column(table, "settle_10_s")).mean() for table in runs.values()]
     claims = {
+        "every draw of a condition settles or none": set(shares) <= {0.0, 1.0},
         "every draw of condition 5 settles with resets, none without": (
             settled[RESET].all() and not settled["5"].any()
         ),
@@ -171,7 +181,7 @@ def _statements(judged: Sequence[Judged], source: Source) -> Page:
     """Every statement under every reading."""
     best = best_of(judged)
     texts = {name: one.text for name, one in STATEMENTS.items()}
-    figure = _verdicts(judged, [one is best for one in judged].index(True), source)
+    verdicts = _verdicts(judged, [one is best for one in judged].index(True), source)
     larger, steady, ratio = (best.findings[name].number for name in ("S13", "S10", "S14"))
     explained = ("S5", "S8", "S10")  # 4 converges, 5 does not, and P is too small
     values = {
@@ -182,7 +192,6 @@ def _statements(judged: Sequence[Judged], source: Source) -> Page:
         "larger": format_estimate(larger, digits=3),
         "steady": format_estimate(steady, digits=3),
         "ratio": format_estimate(ratio, digits=2),
-        "failing": "; ".join(texts[name] for name in texts if not best.holds(name)),
         "pairs": {
             "_".join(pair): str(sum(one.holds(*pair) for one in judged))
             for pair in combinations(explained, 2)
@@ -204,23 +213,32 @@ def _statements(judged: Sequence[Judged], source: Source) -> Page:
         "without resets P is not smaller when steady": not best.holds("S10"),
         "with resets P ends larger than condition 1's": ratio.low > 1.1,
         "failure and its cure hold under the best reading": best.holds("S8", "S11", "S12"),
+        "the covariances end equal under no reading": not any(one.holds("S14") for one in judged),
     }
-    return Page({"about": values}, {}, {"verdicts": figure}, claims)
+    tables = {"verdicts": _verdict_table(judged)}
+    return Page({"about": values}, tables, {"verdicts": verdicts}, claims)
 
 
 def _verdicts(judged: Sequence[Judged], best: int, source: Source) -> Picture:
     found = [one.findings.values() for one in judged]
     verdicts = Verdicts(
-        readings=[", ".join(one.words) for one in judged],
-        statements=[one.text.replace("condition ", "") for one in STATEMENTS.values()],
+        statements=[one.text for one in STATEMENTS.values()],
         holds=np.array([[finding.holds for finding in one] for one in found]),
         straddles=np.array([[finding.straddles for finding in one] for one in found]),
         best=best,
     )
-    title = "Which statement holds under which interpretation of Q, R and feedback?"
-    drawn = verdict_matrix(verdicts, title)
-    caption = (
-        f"{source.draws} Monte Carlo runs a condition, heading from its limit; the interpretation"
-        " under which most statements hold is in bold."
-    )
-    return Picture("verdicts", caption, drawn, source.sample_size_text)
+    title = f"The cure holds under all {len(judged)} interpretations, equal covariances under none"
+    caption = f"{source.draws} Monte Carlo runs per condition."
+    return Picture("verdicts", caption, verdict_bars(verdicts, title), source.sample_size_text)
+
+
+def _verdict_table(judged: Sequence[Judged]) -> Table:
+    """Return whether each statement holds under each interpretation."""
+    words = {True: "yes", False: "no"}
+    rows = [
+        [*one.words, *(f"{words[f.holds]}{' ~' * f.straddles}" for f in one.findings.values())]
+        for one in judged
+    ]
+    header = ["Q", "R", "feedback", *(one.text for one in STATEMENTS.values())]
+    note = "~: the interval includes the bound."
+    return Table("Every statement and interpretation", header, rows, note, folded=True)

@@ -118,11 +118,11 @@ def page(sources: Sources) -> Page:
     first = [c for c in first if c["misalignment"] == "vector"]
     named = {case.name: case for case in static if case.drift == static[0].drift}
     tables = {
-        "expected": table(first, "What to expect, and what is printed", folded=False),
-        "table_1": table(shown, "Table 1, static base: every interpretation"),
+        "expected": _expected(first),
+        "table_1": _table_1(shown),
     }
     return Page.merge(
-        Page({"draws": static[0].source.draws}, tables),
+        Page({}, tables),
         _limit(static[0]),
         _unsettled([case for case in shown if case.scheme == 1]),
         _turns(named),
@@ -169,7 +169,7 @@ def _unsettled(cases: Sequence[Case]) -> Page:
     near = min(means.values(), key=lambda mean: abs(mean.value - printed))
     left = analysis.mean(first.from_floor(start))
     values = {
-        "window": f"{start:g} to {end:g} s",
+        "window": _window(first),
         "start": f"{start:g} s",
         "moves": f"{min(moves):.3f} to {max(moves):.3f} deg",
         "means": f"{min(centres):.4f} to {max(centres):.4f} deg",
@@ -229,12 +229,10 @@ def _turns(cases: Mapping[str, Case]) -> Page:
     }
     figure = over_time(
         {"": lines},
-        "Scheme 2 by what is done at a turn: heading error from its limit",
-        quantity="heading error from its limit (deg)",
+        "Heading error of Scheme 2 from its bias floor, by its turn",
+        quantity="heading error from its bias floor (deg)",
     )
-    caption = (
-        f"Static base; mean over {shown[0].source.draws} Monte Carlo runs, shading: 95 % of them."
-    )
+    caption = f"Static base; mean and 95 % of {shown[0].source.draws} Monte Carlo runs."
     picture = Picture("turns", caption, figure, shown[0].source.sample_size_text)
     return Page({"turns": values}, figures={"turns": picture}, claims=claims)
 
@@ -289,25 +287,55 @@ def cases_of(source: Source) -> list[Case]:
     return [Case(source, select_variant(source.study, k["variant_id"]), rows) for k, rows in groups]
 
 
-def table(cases: Sequence[Case], title: str, *, folded: bool = True) -> Table:
-    """Window means, those that the paper prints above those of each scheme."""
+def _window(case: Case) -> str:
+    start, end = case.source.study.study.window_s
+    return f"{start:g} to {end:g} s"
+
+
+def _by_scheme(cases: Sequence[Case]) -> list[tuple[str, dict[str, float], list[Case]]]:
+    """Return the label and means of each printed row, and the cases of its scheme."""
+    return [
+        (f"Scheme {scheme}, as printed", printed, [case for case in cases if case.scheme == scheme])
+        for scheme, printed in PRINTED.items()
+    ]
+
+
+def _label(case: Case) -> str:
+    if case.scheme == 1:
+        return str(case["case"])
+    return ", ".join(["Scheme 2", TURNS[case["turn"]], *case.name.split(", ")[1:]])
+
+
+def _mean(case: Case, angle: str) -> str:
+    return format_estimate(analysis.mean(case.means(angle)), digits=_DIGITS[angle])
+
+
+def _printed(means: Mapping[str, float]) -> list[str]:
+    return [f"{means[angle]:.{digits}f}" for angle, digits in _DIGITS.items()]
+
+
+def _expected(cases: Sequence[Case]) -> Table:
+    """Return the window means of the heading with one gyro drift next to the printed ones."""
     rows = []
-    for scheme, printed in PRINTED.items():
-        numbers = (f"{printed[angle]:.{digits}f}" for angle, digits in _DIGITS.items())
-        rows.append([f"Scheme {scheme}, as printed", "", *numbers, ""])
-        for case in (case for case in cases if case.scheme == scheme):
-            means = (
-                format_estimate(analysis.mean(case.means(angle)), digits=digits)
-                for angle, digits in _DIGITS.items()
-            )
-            name = str(case["case"])
-            if scheme == 2:
-                name = ", ".join(["Scheme 2", TURNS[case["turn"]], *case.name.split(", ")[1:]])
-            rows.append([name, f"{case.drift:g}", *means, f"{case.limit:.4f}"])
-    start, end = cases[0].source.study.study.window_s
-    header = ["", "gyro drift (deg/h)", *(f"{angle} (deg)" for angle in ANGLES), "its limit (deg)"]
+    for label, printed, of_scheme in _by_scheme(cases):
+        rows.append([label, _printed(printed)[-1]])
+        rows += [[_label(case), _mean(case, "heading")] for case in of_scheme]
+    first = cases[0]
     note = (
-        f"Mean error from {start:g} to {end:g} s [95 % interval over {cases[0].source.draws}"
-        " Monte Carlo runs], the last column: where the heading would settle."
+        f"Mean error from {_window(first)} [95 % interval] with {first.drift:g} deg/h of drift;"
+        f" floor {first.limit:.4f} deg."
     )
-    return Table(title, header, rows, note, folded=folded)
+    return Table("Expected and printed", ["", "heading (deg)"], rows, note)
+
+
+def _table_1(cases: Sequence[Case]) -> Table:
+    """Return the window means of every case next to the printed ones."""
+    rows = []
+    for label, printed, of_scheme in _by_scheme(cases):
+        rows.append([label, "", *_printed(printed), ""])
+        for case in of_scheme:
+            means = (_mean(case, angle) for angle in ANGLES)
+            rows.append([_label(case), f"{case.drift:g}", *means, f"{case.limit:.4f}"])
+    header = ["", "gyro drift (deg/h)", *(f"{angle} (deg)" for angle in ANGLES), "bias floor (deg)"]
+    note = "With pitch, roll and floors."
+    return Table("Table 1, static base: every interpretation", header, rows, note, folded=True)

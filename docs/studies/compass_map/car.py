@@ -1,4 +1,4 @@
-"""Numbers of the page on compass alignment of a recorded car."""
+"""Numbers of compass alignment of a recorded car."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -84,7 +84,7 @@ def page(sources: Sources) -> Page:
     first = first_of_kinds(cases)
     stored = {(case.turn, case.data_s): case for case in first if case.turn}
     short = min(data_s for _, data_s in stored)
-    reflected, reversed_ = stored["reflect", short], stored["velocity", short]
+    reflected = stored["reflect", short]
     once = next(c for c in first if c.is_compass and (c.data_s, c.passes) == (short, 1))
     many = next(c for c in first if not c.is_compass and c.passes > 1)
     longest = max((c for c in cases if c.is_compass), key=lambda c: c.data_s)
@@ -97,11 +97,10 @@ def page(sources: Sources) -> Page:
         "starts": source.draws,
         "once": f"{once.rms:.1f} arcmin",
         "reflected": f"{reflected.rms:.1f} arcmin",
-        "reversed": f"{reversed_.rms:.1f}",
         "delay": f"{source.study.values('turn_smoothing_s')[cases.index(reflected)]:g} s",
-        "filter": {"once": f"{single.rms:.2f} arcmin", "many": f"{many.rms:.2f} arcmin"},
+        "filter": f"{many.rms:.2f} arcmin",
         "sigma": {"once": f"{sigma:.1f}", "many": f"{sigma_many:.1f} arcmin"},
-        "long": {"compass": f"{longest.rms:.2f} arcmin", "filter": f"{filtered.rms:.2f} arcmin"},
+        "long": {"compass": f"{longest.rms:.2f}", "filter": f"{filtered.rms:.2f} arcmin"},
         "together": f"{min(together):.2f} to {max(together):.2f}",
         "by_2": f"{by_name['80 s tape, reflected, delay 2 s']:.1f}",
         "by_10": f"{by_name['80 s tape, reflected, delay 10 s']:.1f}",
@@ -123,23 +122,19 @@ def page(sources: Sources) -> Page:
             if turn == "reflect"
         ),
     }
-    figures = {"errors": _strips(source, first)}
-    return Page(values, {"expected": _expected(first)}, figures, claims)
+    tables, figures = {"car": _expected(first)}, {"car": _strips(source, first)}
+    return Page({"car": values}, tables, figures, claims)
 
 
 def _expected(cases: Sequence[Case]) -> Table:
-    """Rms heading error by length of data and kind."""
-    kinds = dict.fromkeys(case.kind for case in cases)
+    """Return the rms heading error of each length of data with repeated passes of the compass."""
     rms = {(c.data_s, c.kind): f"{c.rms:.2f}" for c in reversed(cases)}  # the first of each stays
-    lengths = sorted({case.data_s for case in cases})
-    rows = [
-        [f"{data_s:g} s", *(rms.get((data_s, kind), "-") for kind in kinds)] for data_s in lengths
-    ]
-    note = (
-        "Rms over the start times, arcmin from the reference; the filter goes once over the data."
-        f" {analysis.NO_INTERVAL}"
-    )
-    return Table("What to expect", ["data", *kinds], rows, note)
+    repeated = [case for case in cases if case.turn]
+    kinds = [*dict.fromkeys(case.kind for case in repeated), partner(cases, repeated[0]).kind]
+    lengths = sorted({case.data_s for case in repeated})
+    rows = [[f"{data_s:g} s", *(rms[data_s, kind] for kind in kinds)] for data_s in lengths]
+    header = ["data", *(kind.removeprefix("compass, ") for kind in kinds[:-1]), f"{kinds[-1]} once"]
+    return Table("Rms heading error (arcmin)", header, rows)
 
 
 def _strips(source: Source, cases: Sequence[Case]) -> Picture:
@@ -151,8 +146,5 @@ def _strips(source: Source, cases: Sequence[Case]) -> Picture:
         "heading error (arcmin)",
         kinds=[case.kind for case in rows],
     )
-    caption = (
-        f"A dot is one of {source.draws} start times, a bar their median; by length of the data."
-        " No interval: all start times are on one record."
-    )
-    return Picture("heading_error", caption, figure)
+    caption = f"Dots: {source.draws} start times; bars: their medians."
+    return Picture("car", caption, figure, source.sample_size_text)
