@@ -1,61 +1,92 @@
 """Render docs/methods.md: ``python -m sinsjax.methods.page > docs/methods.md``."""
 
+from collections.abc import Iterable
+
 from sinsjax.methods.description import Description
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.triggers.config import TRIGGERS
 
 _RESETS_AND_FEEDBACK = (
-    "At a reset all of the estimate is fed back, then P is set anew. The effect depends on"
-    " how soon after the reset the next feedback is due, which is whatever part of"
-    " `feedback_interval_s` the schedule happens to leave. Two keys of [resets] define it, for"
-    " schedules and triggers alike. With `reset_restarts_feedback = true` the next feedback comes"
-    " a whole interval after a reset, and the following ones an interval apart from there, over"
-    " the ends of passes too. With `reset_at_feedback = true` a reset waits for the next feedback."
-    " Two that wait for the same one are one reset; the columns of the schedule give its times as"
-    " written. A reset by a trigger is counted when it takes place, and forgotten if a pass"
-    " ends before. A reset that has waited restarts nothing, so that both keys together do what"
-    " the second does alone; with feedback after every sample neither does anything. Neither has"
-    " a gradient, as a reset spread over a window has no phase. After coarse alignment that hands"
-    " over, the clock begins with fine alignment: a schedule can wait for feedback there only if"
-    " the coarse alignment lasts whole feedback intervals."
+    "At a reset the whole estimate is fed back, then P is set anew. Its effect depends on how"
+    " soon the next feedback follows. Two keys of [resets] define that, for schedules and"
+    " triggers alike. With `reset_restarts_feedback = true` the next feedback follows a whole"
+    " interval after a reset, and later ones at intervals from there, across the ends of passes"
+    " too. With `reset_at_feedback = true` a reset waits for the next feedback: two that wait"
+    " for the same one are one reset, the columns of the schedule give its times as written, and"
+    " a reset by a trigger is counted when it takes place, or dropped if a pass ends before. A"
+    " reset that has waited restarts nothing, so both keys together act like the second alone;"
+    " with feedback after every sample neither has an effect. Neither has a gradient: a reset"
+    " spread over a window has no phase. After coarse alignment that hands over, the clock"
+    " starts with fine alignment: a schedule can wait for feedback there only if the coarse"
+    " alignment lasts whole feedback intervals."
 )
 
 _TURNING = (
-    'With `turning = "update"`, the default, one turn or a few give a heading of 1.0 to 1.25 times'
-    " `sinsjax.information_bound` in rms, for gyro biases of 0.01 to 1 deg/h, 300 s or more, and"
-    " gyros without errors of scale factor and cross-axis, which no state models. With 300 ppm and"
-    " 1 mrad of these, one turn of 180 deg in 300 s and gyros of 0.1 deg/h, it is 1.3 to 1.9 times"
-    " the bound (9.8' to 14.2' of 7.5'), the more the smaller `r_velocity_m_per_s` (0.1 to 0.001"
-    " m/s), and 1.1 to 1.2 times (9.0' to 8.3') with `turning = \"reopen\"`: there is no update"
-    " while the base turns, then velocity restarts from zero, and P of velocity, level and"
-    " accelerometer biases from P0. Without such errors updates are better (1.1 instead of 1.3"
-    " times for four positions, 1.2 instead of 1.4 for one turn in 120 s), and a carousel needs"
-    " them, since it never rests; with such errors some runs on a carousel diverge. Beyond 1 deg/h"
-    " the heading of the first position is too bad for a linear filter: at 10 deg/h it is 2 to 3"
-    " times the bound from a heading known to 1 deg, and 7.5 times or more from one 45 deg off. A"
-    " reset of P after"
-    " the beginning of a turn forgets the first position."
+    'With `turning = "update"`, the default, one turn or a few give a heading of 1.0 to 1.25'
+    " times `sinsjax.information_bound` in rms, for gyro biases of 0.01 to 1 deg/h, 300 s or"
+    " more, and gyros without errors of scale factor and cross-axis, which no state models. With"
+    " 300 ppm and 1 mrad of these, one turn of 180 deg in 300 s and gyros of 0.1 deg/h, it is"
+    " 1.3 to 1.9 times the bound (9.8' to 14.2' of 7.5'), more for a smaller"
+    " `r_velocity_m_per_s` (0.1 to 0.001 m/s), and 1.1 to 1.2 times (9.0' to 8.3') with `turning"
+    ' = "reopen"`: no updates while the base turns, then velocity restarts from zero, and P of'
+    " velocity, level and accelerometer biases from P0. Without such errors updates are better"
+    " (1.1 instead of 1.3 times for four positions, 1.2 instead of 1.4 for one turn in 120 s),"
+    " and a carousel, which never rests, needs them; with such errors some runs on a carousel"
+    " diverge. Beyond 1 deg/h the heading of the first position is too bad for a linear filter:"
+    " at 10 deg/h it is 2 to 3 times the bound from a heading known to 1 deg, and 7.5 times or"
+    " more from one 45 deg off. A reset of P after the start of a turn forgets the first"
+    " position."
 )
+
+_ALIGNMENT, _COLUMNS = "alignment, passes", "columns"
+
+_Entries = dict[str, list[str]]
+"""Keys and columns as the page prints them, by section."""
 
 
 def render_methods_page() -> str:
     """Return the keys, columns and gradients of every method as Markdown."""
-    cells = (
-        (f"`{m.name}`", m.summary, m.source, _yes_or_no(m.has_covariance), _yes_or_no(m.has_floor))
-        for m in METHODS.values()
-    )
+    methods = list(METHODS.values())
+    entries = {method.name: _list_entries(method) for method in methods}
+    filters = [method.name for method in methods if "filter" in method.sections]
+    shared = {
+        section: [text for text in texts if all(text in entries[n][section] for n in filters)]
+        for section, texts in entries[filters[0]].items()
+    }
     lines = [
         "# Alignment methods",
         "",
-        "`[alignment] method` names one; it may be swept. The bias floor is the heading error that"
-        " constant sensor biases leave.",
+        "`[alignment] method` names one; it may be swept.",
         "",
-        "| method | what it does | source | covariance | bias floor |",
-        "| --- | --- | --- | --- | --- |",
-        *(f"| {' | '.join(row)} |" for row in cells),
+        "| method | what it does | source |",
+        "| --- | --- | --- |",
+        *(f"| `{m.name}` | {m.summary} | {m.source} |" for m in methods),
+        "",
+        f"Without a covariance: {_name_all(m for m in methods if not m.has_covariance)}. Without a"
+        " known bias floor, the heading error that constant sensor biases leave:"
+        f" {_name_all(m for m in methods if not m.has_floor)}.",
+        "",
+        "## Keys and columns",
+        "",
+        "A key in **bold** has a gradient for `[tune]`. Every Kalman filter"
+        f" ({', '.join(f'`{name}`' for name in filters)}) reads and returns:",
+        "",
+        *_format_entries(shared),
+        "",
+        "Further keys and columns:",
+        "",
     ]
-    for method in METHODS.values():
-        lines += ["", f"## `{method.name}`", "", *_describe_keys(method)]
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for name, its_own in entries.items():
+        if name in filters:
+            its_own = {
+                section: [text for text in texts if text not in shared.get(section, [])]
+                for section, texts in its_own.items()
+            }
+        alike.setdefault(tuple(_format_entries(its_own)), []).append(f"`{name}`")
+    for rows, names in alike.items():
+        lines.append(f"- {', '.join(names)}:{'' if rows else ' none.'}")
+        lines += [f"    {row}" for row in rows]
     lines += ["", "## `kalman10` on a base that is turned", "", _TURNING]
     lines += ["", "## Resets between two feedbacks", "", _RESETS_AND_FEEDBACK]
     lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]
@@ -67,28 +98,36 @@ def render_methods_page() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _yes_or_no(flag: bool) -> str:
-    return "yes" if flag else "no"
+def _name_all(methods: Iterable[Description]) -> str:
+    return ", ".join(f"`{method.name}`" for method in methods)
 
 
-def _describe_keys(method: Description) -> list[str]:
-    """Return the keys that a method reads, and those with a gradient in `[tune]`."""
-    own = {"alignment, passes": sorted(method.reads)}
-    for name, section in method.sections.items():
-        own[name] = [key for key in section.model_fields if key in method.keys]
+def _list_entries(method: Description) -> _Entries:
+    """Return the keys that a method reads, those with a gradient in bold, and its columns."""
     relaxed = method.implementation.relaxation
-    lines = []
-    for name, its_keys in own.items():
-        read = ", ".join(f"`{key}`" for key in its_keys if key not in method.without_effect)
-        lines.append(f"- `[{name}]`: {read or 'none'}.")
-    if method.columns:
-        columns = (f"`{own.column.name}` ({own.column.meaning})" for own in method.columns)
-        lines.append(f"- Own columns: {', '.join(columns)}.")
-    if relaxed:
-        keys = {*relaxed.changes, *filter(None, [relaxed.times])}
-        with_gradient = sorted(keys.difference(method.without_effect))
-        lines.append(f"- With a gradient: {', '.join(f'`{key}`' for key in with_gradient)}.")
-    return lines
+    gradients = {*relaxed.changes, relaxed.times} if relaxed else set()
+    keys = {_ALIGNMENT: sorted(method.reads)}
+    for name, section in method.sections.items():
+        keys[name] = [key for key in section.model_fields if key in method.keys]
+    entries = {
+        name: [
+            f"**`{key}`**" if key in gradients else f"`{key}`"
+            for key in own
+            if key not in method.without_effect
+        ]
+        for name, own in keys.items()
+    }
+    columns = [f"`{own.column.name}` ({own.column.meaning})" for own in method.columns]
+    return entries | {_COLUMNS: columns}
+
+
+def _format_entries(entries: _Entries) -> list[str]:
+    """Return a line for each section that is not empty."""
+    return [
+        f"- {'Columns' if name == _COLUMNS else f'`[{name}]`'}: {', '.join(texts)}."
+        for name, texts in entries.items()
+        if texts
+    ]
 
 
 if __name__ == "__main__":

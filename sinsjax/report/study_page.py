@@ -1,7 +1,7 @@
 """A page of a study: prose in ``page.md.j2``, its numbers, tables and figures from ``page.py``.
 
 ``page.py`` has a function ``page(sources)`` that computes a `Page`. The prose refers to its parts
-name: ``{{ best_two.settle }}`` a value, ``{{ tables.what_to_set }}`` a table, ``{{ figures.map }}``
+name: ``{{ best_two.settle }}`` a value, ``{{ tables.settings }}`` a table, ``{{ figures.map }}``
 a figure. ``{{ claim("two settle sooner than one") }}`` prints nothing: it ties a sentence to the
 makes it true.
 """

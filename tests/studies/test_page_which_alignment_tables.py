@@ -1,4 +1,4 @@
-"""Errors on the page on which alignment to use: those of the worst initial misalignment."""
+"""Errors of every method: those of the worst initial misalignment."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Numbers of the page on which alignment to use: the best method per vehicle, and all of them."""
+"""Numbers of the page on which method to use: the best method per vehicle, and all of them."""
 
 from typing import NamedTuple
 
@@ -105,10 +105,7 @@ def page(sources: Sources) -> Page:
         "the surge filter leads on surge": errors.cases[best[2]] == "kalman_surge",
     }
     tables = {"best": _best_table(errors, best), "all": _all_table(errors)}
-    caption = (
-        "Heading error from true north that 90 % of the alignments stay below; shaded: its 95 %"
-        " interval."
-    )
+    caption = "90 % of the alignments stay below; shaded: 95 % interval."
     picture = Picture("reached", caption, draw_reached(errors))
     return Page(values, tables, {"reached": picture}, claims)
 
@@ -180,8 +177,8 @@ def _best_table(errors: Errors, best: list[int]) -> Table:
         for vehicle, (name, method) in enumerate(zip(VEHICLES, best, strict=True))
     ]
     note = (
-        "Heading error from true north that 90 % of the alignments stay below, with its 95 %"
-        " interval. Every other draw chose the method at 300 s, the others are shown here, all"
+        "Heading error from true north that 90 % of the alignments stay below [95 %"
+        " interval]. Every other draw selected the method at 300 s, the others are shown here, all"
         " draws below."
     )
     return Table("What to use", ["the vehicle is", "use", *SHOWN], rows, note)

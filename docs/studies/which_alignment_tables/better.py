@@ -57,18 +57,15 @@ def bounded(source: Source) -> Page:
         [case, *(format_estimate(one, digits=2) for one in of.values())]
         for case, of in ratios.items()
     ]
-    note = (
-        f"Rms heading error from its limit after {TIME_S} s over the bound [95 % interval], two"
-        f" misalignments, {grid.draws} draws, no biases."
-    )
-    table = Table("Against the information bound", ["method", *bases], rows, note, folded=True)
+    note = f"Rms error from the bias floor after {TIME_S} s, {grid.draws} draws, no biases."
+    table = Table("Ratios to the bound", ["method", *bases], rows, note, folded=True)
     worst = {case: max(ratios[case].values()) for case in cases}
     values = {
-        "sincos": format_estimate(worst[SINCOS], digits=2),
-        "surge": format_estimate(worst[SURGE], digits=2),
-        "published": format_estimate(worst[PUBLISHED], digits=2),
-        "optimisation": format_estimate(worst["optimisation"], digits=2),
-        "position": format_estimate(worst["optimisation_position"], digits=2),
+        "sincos": f"{worst[SINCOS].value:.2f}",
+        "surge": f"{worst[SURGE].value:.2f}",
+        "published": f"{worst[PUBLISHED].value:.2f}",
+        "optimisation": f"{worst['optimisation'].value:.2f}",
+        "position": f"{worst['optimisation_position'].value:.2f}",
     }
     claims = {
         "two filters reach the aim on every base": all(

@@ -66,14 +66,11 @@ def table(field: Field, starts: tuple[Start, ...], base: str, grade: float) -> T
         ]
         for arm, cost in costs(field).items()
     ]
-    header = ["method", "operations a sample", "time a sample (ns)"]
+    header = ["method", "operations per sample", "time per sample (ns)"]
     header += [f"{budget} million operations" for budget in MILLIONS]
     header += [f"{budget:g} ms" for budget in MILLISECONDS]
     note = (
-        "Heading error from true north that 90 % of the runs stay below, and in parentheses the"
-        f" time of data at {RATE_HZ} Hz that the budget of a run lasts for: the last of"
-        f" {', '.join(map(str, TIMES_S))} s. One core with AVX-512, float64, without the sensors'"
-        " noise."
+        "One core, AVX-512, float64, without the sensors' noise; in parentheses the data covered."
     )
-    title = f"What the same arithmetic, and the same time, buy: {base}, gyro bias {grade:g} deg/h"
+    title = f"Equal arithmetic or time, {base}"
     return Table(title, header, rows, note, folded=True)

@@ -1,4 +1,4 @@
-"""Tables that the answer rests on: every method by what moves, by start, grade and latitude."""
+"""Tables that the answer rests on: every method by vehicle motion, start, grade and latitude."""
 
 from collections.abc import Mapping, Sequence
 from itertools import product
@@ -18,23 +18,22 @@ BAND_ARCMIN = 10.0
 MIDDLE, NEARLY_ALL = 0.5, 0.95
 
 
-def decisions(
-    field: Field, known: Mapping[str, tuple[Start, ...]], grade: float, *, folded: bool
-) -> Table:
-    """What to use, and what to expect, by what is known, what moves and the time there is."""
+def decisions(field: Field, known: Mapping[str, tuple[Start, ...]]) -> Table:
+    """Best method and its error by sensor grade, prior knowledge, motion and available time."""
     rows = []
-    for (words, starts), (moves, base) in product(known.items(), field.bases.items()):
+    for grade, (words, starts), (motion, base) in product(
+        field.grades, known.items(), field.bases.items()
+    ):
         cells = [field.best(Cell(starts, base, grade, t)).text for t in TIMES_S]
-        rows.append([words, moves, *cells])
-    header = ["what is known", "what moves", *(f"{t} s" for t in TIMES_S)]
+        rows.append([f"{grade:g}", words, motion, *cells])
+    header = ["gyro bias (deg/h)", "prior knowledge", "vehicle motion"]
     note = (
-        "Heading error from true north that 90 % of the runs stay below [its 95 % interval]. Of"
-        f" {field.draws} draws every other one chose the method and the rest tell its error; two"
-        " methods stand where the difference between them may be none. *None*: even the best is off"
-        " by more than 10 deg."
+        "Error from true north that 90 % of the runs stay below. Even draws selected the method,"
+        " odd ones estimate its error; a second is listed if equally good. *None*: off by more than"
+        " 10 deg."
     )
-    title = f"Gyro bias {grade:g} deg/h"
-    return Table(title, header, rows, "Read as the table above." if folded else note, folded)
+    title = "Best methods"
+    return Table(title, [*header, *(f"{t} s" for t in TIMES_S)], rows, note, folded=True)
 
 
 def by_base(field: Field, starts: tuple[Start, ...], grade: float, time_s: int) -> Table:
@@ -46,29 +45,28 @@ def by_base(field: Field, starts: tuple[Start, ...], grade: float, time_s: int) 
             errors = field.errors(arm, Cell(starts, base, grade, time_s))
             cells.append(f"{angle(reach(errors, MIDDLE))}; {angle(reach(errors))}")
         rows.append([arm, *cells])
-    note = "Heading error from true north that half and 90 % of the runs stay below."
-    title = f"Every method after {time_s} s, gyro bias {grade:g} deg/h, all initial misalignments"
+    note = "Half and 90 % of the runs."
+    title = "All bases"
     return Table(title, ["method", *field.bases], rows, note, folded=True)
 
 
 def from_floor(field: Field, starts: tuple[Start, ...], grade: float, time_s: int) -> Table:
-    """Every arm on every base, less what constant sensor biases leave."""
+    """Every arm on every base, heading error from the bias floor."""
     rows = []
     for arm in field.at(grade):
         cells = []
         for base in field.bases.values():
             cell = Cell(starts, base, grade, time_s)
             if not np.isfinite(field.column("floor_arcmin", arm, cell)).all():
-                cells.append("no limit")
+                cells.append("no floor")
                 continue
-            errors = field.errors(arm, cell, limit=True)
+            errors = field.errors(arm, cell, from_floor=True)
             cells.append(f"{angle(reach(errors, MIDDLE))}; {angle(reach(errors, NEARLY_ALL))}")
         rows.append([arm, *cells])
     note = (
-        "Heading error from the limit of a run's own constant biases that half and 95 % of the runs"
-        " stay below. A filter with bias states has none that is known once the base moves."
+        "Half and 95 % of the runs; filters with bias states have no known floor on a moving base."
     )
-    title = f"Every method after {time_s} s, gyro bias {grade:g} deg/h, from the limit"
+    title = "All bases, from the bias floor"
     return Table(title, ["method", *field.bases], rows, note, folded=True)
 
 
@@ -79,13 +77,12 @@ def by_start(field: Field, base: str, grade: float, time_s: int) -> Table:
         cells = [Cell((start,), field.bases[base], grade, time_s) for start in field.starts]
         rows.append([arm, *(angle(reach(field.errors(arm, cell))) for cell in cells)])
     header = ["method", *(format_degrees(*start) for start in field.starts)]
-    note = "Heading error from true north that 90 % of the runs stay below [95 % interval]."
-    title = f"Every method after {time_s} s on {base}, gyro bias {grade:g} deg/h"
-    return Table(title, header, rows, note, folded=True)
+    title = f"All misalignments, {base}"
+    return Table(title, header, rows, folded=True)
 
 
 def settled(field: Field, starts: tuple[Start, ...], base: str, grade: float) -> Table:
-    """Settling from the limit, share within the band of truth, and NEES of every arm."""
+    """Settling from the bias floor, share within the band of truth, and NEES of every arm."""
     rows = []
     for arm in field.at(grade):
         cells = [Cell(starts, field.bases[base], grade, t) for t in TIMES_S]
@@ -94,17 +91,14 @@ def settled(field: Field, starts: tuple[Start, ...], base: str, grade: float) ->
         each = np.broadcast_to(np.arange(field.draws), settle_s.shape)
         time = format_estimate(quantile(settle_s.ravel(), MIDDLE, each.ravel()), digits=0)
         if not np.isfinite(settle_s).any() and arm.startswith("kalman10"):
-            time = "no limit"
+            time = "no floor"
         nees = field.column("nees_at_{t}", arm, cells[3])
         known = np.isfinite(nees).all()
         consistency = format_estimate(pooled_mean(nees), digits=1) if known else "-"
         rows.append([arm, *map(format_percent, within), time, consistency])
     header = ["method", *(f"{t} s (%)" for t in TIMES_S), "settles (s)", "NEES at 300 s"]
-    note = (
-        "Runs within 10' of true north; median time until the heading stays within 10' of its"
-        " limit; mean normalised error squared, which is 3 if P tells the truth."
-    )
-    title = f"Within 10', settled, consistent: {base}, gyro bias {grade:g} deg/h, all misalignments"
+    note = "Settling is to within 10' of the bias floor; NEES is 3 if P is right."
+    title = f"Settling and NEES, {base}"
     return Table(title, header, rows, note, folded=True)
 
 
@@ -133,11 +127,8 @@ def by_latitude(source: Source) -> Table:
         f"{words}, {latitude:g} deg"
         for words, latitude in product(("sway", "all"), grid.axes["latitude"])
     ]
-    note = (
-        "Heading error after 300 s that 90 % of the draws stay below, worse of two misalignments;"
-        " biases and vibration as in `configs/which_alignment_fair.toml`."
-    )
-    return Table("From the equator to 75 deg of latitude", ["method", *header], rows, note, True)
+    note = "Worse of two misalignments."
+    return Table("Latitudes of 0 to 75 deg", ["method", *header], rows, note, True)
 
 
 def settings(sources: Sequence[Source]) -> Table:

@@ -1,5 +1,6 @@
 """Heading errors of all arms over starts, bases, grades and times, and the best arm of a cell."""
 
+import re
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -28,7 +29,7 @@ Start = tuple[float, float, float]
 
 
 class Base(NamedTuple):
-    """What moves: amplitude of the sway (deg), lever arm (m), surge (m/s) and vibration (ug)."""
+    """Vehicle motion: amplitude of sway (deg), lever arm (m), surge (m/s) and vibration (ug)."""
 
     sway: float
     lever: float
@@ -37,7 +38,7 @@ class Base(NamedTuple):
 
     @property
     def words(self) -> str:
-        """What moves, in words."""
+        """Vehicle motion in words."""
         if self.lever and self.surge and self.vibration:
             return "all of these"
         names = (
@@ -46,16 +47,16 @@ class Base(NamedTuple):
             (self.lever, "sway with a lever arm"),
             (self.sway, "sway"),
         )
-        return next((name for value, name in names if value), "nothing")
+        return next((name for value, name in names if value), "still")
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What is known and what moves.
+    """Prior knowledge, vehicle motion, sensor grade and available time.
 
     Attributes:
         starts: initial misalignments that it has to do for.
-        base: what moves.
+        base: vehicle motion.
         grade: gyro bias, deg/h.
         time_s: from the first sample of data.
     """
@@ -112,10 +113,10 @@ class Field:
         points = {"case": arm, "base": cell.base, "grade": cell.grade, "start": list(cell.starts)}
         return self._of[arm].at(name.format(t=cell.time_s), **points)
 
-    def errors(self, arm: str, cell: Cell, *, limit: bool = False) -> NDArray:
-        """(starts, draws) heading error from truth or from the limit, arcmin; infinite for none."""
+    def errors(self, arm: str, cell: Cell, *, from_floor: bool = False) -> NDArray:
+        """(starts, draws) heading error from truth or the bias floor, arcmin; infinite for none."""
         error = self.column("phi_u_at_{t}_arcmin", arm, cell)
-        if limit:
+        if from_floor:
             error = error - self.column("floor_arcmin", arm, cell)
         return np.nan_to_num(np.abs(error), nan=np.inf)
 
@@ -162,6 +163,11 @@ def angle(error: Estimate) -> str:
     return f"{format_estimate(degrees, digits=0 if degrees.value > 10 else 1)} deg"
 
 
+def brief(error: Estimate) -> str:
+    """Return an angle without its interval, which the tables have."""
+    return re.sub(r" \[.*\]", "", angle(error))
+
+
 def start_samples(source: Source) -> list[Start]:
     """Initial misalignment of each variant."""
     east, north, up = (source.study.values(f"phi_{axis}0_deg") for axis in "enu")
@@ -169,7 +175,7 @@ def start_samples(source: Source) -> list[Start]:
 
 
 def bases_of(source: Source) -> list[Base]:
-    """What moves in each variant; keys that the study leaves out are 0."""
+    """Return the vehicle motion of each variant; keys that the study leaves out are 0."""
     study = source.study
     values = [
         study.values(key)

@@ -1,4 +1,4 @@
-"""The page's first figure: what 90 % of the runs stay below, over the time there is."""
+"""The page's first figure: what 90 % of the runs stay below, over the available time."""
 
 from collections.abc import Sequence
 
@@ -25,7 +25,7 @@ def reached(
             axes.plot(TIMES_S, [one.value for one in told], line[1], color=line[0], label=arm)
             low, high = ([one[end] for one in told] for end in (1, 2))
             axes.fill_between(TIMES_S, low, high, color=line[0], alpha=0.25, linewidth=0)
-        axes.set_title(f"moves: {name}")
+        axes.set_title(f"vehicle motion: {name}")
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_ylim(1, 10_800)

@@ -1,4 +1,4 @@
-"""Numbers of the page on which alignment to use."""
+"""Numbers of the tables behind the choice of a method, and of the recommended settings."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -9,12 +9,13 @@ from sinsjax.report.base import Picture
 from sinsjax.report.study_page import Page, Sources
 
 from . import better, cost, evidence, fair, why
-from .field import TIMES_S, Cell, Field, Start, angle, reach
+from .field import TIMES_S, Base, Cell, Field, Start, brief, reach
 from .figure import reached
+from .recommended import recommended
 
 DEGREE = 60.0  # arcmin
 GRADE = 0.01
-"""Gyro bias (deg/h) of the grade that the answer is told for."""
+"""Gyro bias of the sensor grade of the answer, deg/h."""
 
 STUDIES = ("which_alignment", "which_alignment_tuned", "which_alignment_surge")
 """Published settings, tuned ones, and what came of the search for something better."""
@@ -22,6 +23,13 @@ STUDIES = ("which_alignment", "which_alignment_tuned", "which_alignment_surge")
 INERTIAL, OPTIMISATION = "inertial", "optimisation"
 SINCOS, SAMPLE = "kalman_sincos", "kalman_sincos, Q of a sample"
 WIDE, BOTH = "kalman5, wide prior", "kalman5, wide prior, two resets"
+BASES = {
+    "sway": "sway",
+    "surge": "sway and surge",
+    "all": "all of these",
+}
+"""Vehicle motions as the prose names them."""
+
 RESETS = ("kalman5, one reset", "kalman5, two resets", "kalman5, three resets")
 
 FIGURE = (
@@ -37,36 +45,31 @@ FIGURE = (
 
 
 def known(field: Field) -> Mapping[str, tuple[Start, ...]]:
-    """Initial misalignments by what is known of the attitude."""
+    """Initial misalignments by prior knowledge of the attitude."""
     fair = tuple(one for one in field.starts if max(one) <= 30)
-    return {"heading to 30 deg, level to 5 deg": fair, "nothing": field.starts}
+    return {"heading to 30 deg, level to 5 deg": fair, "none": field.starts}
 
 
 def page(sources: Sources) -> Page:
-    """What to use, by what is known, what moves and the time there is; and why."""
+    """What to use, by prior knowledge, vehicle motion and available time; and why."""
     studies = [sources[name] for name in STUDIES]
     field = Field(*studies)
     classes = known(field)
     tables = {
-        "decision": evidence.decisions(field, classes, GRADE, folded=False),
+        "grades": evidence.decisions(field, classes),
         "bases": evidence.by_base(field, field.starts, GRADE, 300),
-        "limits": evidence.from_floor(field, field.starts, GRADE, 300),
+        "floors": evidence.from_floor(field, field.starts, GRADE, 300),
         "starts": evidence.by_start(field, "sway", GRADE, 300),
         "settled": evidence.settled(field, field.starts, "sway", GRADE),
         "latitudes": evidence.by_latitude(sources["which_alignment_latitude"]),
         "settings": evidence.settings(studies),
         "cost": cost.table(field, field.starts, "sway", GRADE),
     }
-    for grade in field.grades:
-        if grade != GRADE:
-            name = f"grade_{grade:g}".replace(".", "_")
-            tables[name] = evidence.decisions(field, classes, grade, folded=True)
     runs = f"{sum(one.runs for one in studies):,}"
     picture = Picture(
         "reached",
-        f"What 90 % of the runs stay below, from eight misalignments up to (20, 20, 120) and"
-        f" (0, 0, 170) deg, all headings, gyro bias {GRADE:g} deg/h; shading: 95 % interval,"
-        f" {field.draws} draws.",
+        "Eight misalignments up to (20, 20, 120) and (0, 0, 170) deg, all headings, gyro bias"
+        f" {GRADE:g} deg/h; shading: 95 % interval.",
         reached(
             field,
             [arm for arm in FIGURE if arm in field.arms],
@@ -97,33 +100,27 @@ def _told(field: Field) -> dict[str, Any]:
     """Numbers of the first sentences, and of those on resets."""
 
     def error(arm: str, base: str, time_s: int, starts: tuple[Start, ...] = field.starts) -> str:
-        return angle(reach(field.errors(arm, Cell(starts, field.bases[base], GRADE, time_s))))
+        return brief(reach(field.errors(arm, Cell(starts, field.bases[base], GRADE, time_s))))
 
     told = {
         "inertial": (INERTIAL, ("sway", "all")),
-        "sincos": (SINCOS, ("all",)),
         "sample": (SAMPLE, ("sway", "all")),
         "three": (RESETS[-1], ("sway", "surge")),
         "two": (RESETS[1], ("sway",)),
         "plain": ("kalman5", ("sway",)),
         "wide": (WIDE, ("sway",)),
-        "both": (BOTH, ("sway", "lever", "surge")),
+        "both": (BOTH, ("sway",)),
         "trigger": ("kalman5, triggered resets, tuned", ("sway", "surge")),
     }
-    bases = {
-        "sway": "sway",
-        "lever": "sway with a lever arm",
-        "surge": "sway and surge",
-        "all": "all of these",
-    }
-    costs = cost.costs(field)
-    arms = {"inertial": INERTIAL, "sincos": SAMPLE, "plain": "kalman5", "biases": "kalman10"}
     return {
-        "costs": {name: f"{costs[arm].operations:.0f}" for name, arm in arms.items()},
+        "best": {
+            name: brief(field.best(Cell(field.starts, field.bases[base], GRADE, 300)).errors[0])
+            for name, base in BASES.items()
+        },
         "alone": _in_words(_entries(field)[0]),
         "entries": _entries(field)[1],
         **{
-            name: {base: error(arm, bases[base], 300) for base in on}
+            name: {base: error(arm, BASES[base], 300) for base in on}
             for name, (arm, on) in told.items()
         },
     }
@@ -154,6 +151,7 @@ def _experiments(sources: Sources, field: Field) -> Page:
         why.psins(sources["which_alignment_psins"]),
         better.bounded(sources["which_surge"]),
         fair.at_their_best(sources["which_alignment_fair"]),
+        recommended(sources),
     )
 
 
@@ -166,7 +164,18 @@ def _claims(field: Field) -> dict[str, bool]:
     on = {base: {arm: most(arm, base) for arm in field.at(GRADE)} for base in field.bases}
     sway, surge = on["sway"], on["sway and surge"]
     alone, within = _entries(field)
+
+    def best(starts: tuple[Start, ...], base: Base, time_s: int) -> Estimate:
+        return field.best(Cell(starts, base, GRADE, time_s)).errors[0]
+
     return {
+        "from 120 s on prior knowledge gains nothing": all(
+            max(one.low for one in pair) <= min(one.high for one in pair)
+            for base in field.bases.values()
+            for t in TIMES_S
+            if t >= 120
+            for pair in [[best(starts, base, t) for starts in known(field).values()]]
+        ),
         "inertial is within two fifths of the best everywhere": all(
             arms[INERTIAL].value < 1.4 * min(one.value for one in arms.values())
             for arms in on.values()

@@ -13,7 +13,19 @@ from sinsjax.report.study_page import Page
 
 from ..common.grids import Grid, grid_of
 from ..common.words import arcmin
-from .field import MOST, STORED_S, Base, Cell, Field, Start, angle, bases_of, reach, start_samples
+from .field import (
+    MOST,
+    STORED_S,
+    Base,
+    Cell,
+    Field,
+    Start,
+    angle,
+    bases_of,
+    brief,
+    reach,
+    start_samples,
+)
 
 HALF = 0.5
 
@@ -27,18 +39,18 @@ class Experiment:
             source, [*columns, "floor_arcmin"], case="case", start=start_samples(source), **axes
         )
 
-    def errors(self, column: str, *, limit: bool = False, **points: object) -> NDArray:
-        """Heading errors (..., draws) from truth or from the limit, arcmin."""
+    def errors(self, column: str, *, from_floor: bool = False, **points: object) -> NDArray:
+        """Heading errors (..., draws) from truth or from the bias floor, arcmin."""
         error = self.grid.at(column, **points)
-        if limit:
+        if from_floor:
             error = error - self.grid.at("floor_arcmin", **points)
         return np.nan_to_num(np.abs(error), nan=np.inf)
 
     def reach(
-        self, column: str, share: float = HALF, *, limit: bool = False, **points: object
+        self, column: str, share: float = HALF, *, from_floor: bool = False, **points: object
     ) -> Estimate:
         """What a share of some runs stays below, arcmin."""
-        return reach(self.errors(column, limit=limit, **points), share)
+        return reach(self.errors(column, from_floor=from_floor, **points), share)
 
 
 MODEST: Start = (5.0, 5.0, 30.0)
@@ -53,7 +65,7 @@ def resets(source: Source) -> Page:
 
     def median(case: str, base: str, start: Start) -> Estimate:
         return run.reach(
-            "phi_u_at_300_arcmin", limit=True, case=case, base=bases[base], start=start
+            "phi_u_at_300_arcmin", from_floor=True, case=case, base=bases[base], start=start
         )
 
     starts = run.grid.axes["start"]
@@ -62,9 +74,9 @@ def resets(source: Source) -> Page:
         for case in run.grid.axes["case"]
     ]
     header = [f"{base}, {format_degrees(*start)}" for start in starts for base in bases]
-    note = "Median heading error from its limit after 300 s [95 % interval]."
-    title = "What of a reset fails when the base moves"
-    table = Table(title, ["what is done", *header], rows, note, folded=True)
+    note = "Median from the bias floor."
+    title = "All resets"
+    table = Table(title, ["resets", *header], rows, note, folded=True)
     surge = {
         name: median(case, "sway and surge", MODEST)
         for name, case in {
@@ -99,6 +111,7 @@ def resets(source: Source) -> Page:
             and surge["gravity_three"].low > 2 * surge["gravity"].high
         ),
         "resets ruin the filter that needs none": surge["sincos_three"].low > surge["sincos"].high,
+        "a small level reset hardly helps": surge["level"].value > surge["three"].value / 2,
         "resets while still are no cure": still.low > moving.high,
         "the phase decides with a lever arm": (
             max(one.low for one in shifted) > 5 * min(one.high for one in shifted)
@@ -108,22 +121,19 @@ def resets(source: Source) -> Page:
         ),
     }
     values = {
-        "surge": {name: angle(one) for name, one in surge.items()},
-        "wide": {name: angle(one) for name, one in wide.items()},
+        "surge": {name: brief(one) for name, one in surge.items() if name != "level"},
         "shifted": {
-            "least": angle(min(shifted)),
-            "most": angle(max(shifted)),
-            "still": angle(still),
-            "moving": angle(moving),
-            "large_least": angle(min(large)),
-            "large_most": angle(max(large)),
+            "least": brief(min(shifted)),
+            "most": brief(max(shifted)),
+            "large_least": brief(min(large)),
+            "large_most": brief(max(large)),
         },
     }
     return Page({"why": values}, {"resets": table}, claims=claims)
 
 
 def passes(source: Source, field: Field, grade: float) -> Page:
-    """A stored record gone over again, beside one pass of methods that need no start."""
+    """Passes over a stored record, and one pass of methods that need no start."""
     run = Experiment(source, "phi_u_arcmin", base=bases_of(source))
     bases: dict[str, Base] = {base.words: base for base in run.grid.axes["base"]}
 
@@ -132,11 +142,8 @@ def passes(source: Source, field: Field, grade: float) -> Page:
 
     starts = run.grid.axes["start"]
     rows = [[case, *(angle(ends(case, base)) for base in bases)] for case in run.grid.axes["case"]]
-    note = (
-        "Heading error from true north that 90 % of the runs end below, from"
-        f" {' and '.join(format_degrees(*start) for start in starts)}."
-    )
-    title = "A stored record, gone over again"
+    note = f"90 % of the runs, {len(starts)} misalignments."
+    title = "All passes"
     table = Table(title, ["record and method", *bases], rows, note, folded=True)
     stored = f"{STORED_S} s: "
     rewound = [ends(f"{stored}kalman5, {n} passes, rewound, P reset", "sway") for n in (2, 3, 4)]
@@ -149,10 +156,10 @@ def passes(source: Source, field: Field, grade: float) -> Page:
         "after them it is near the filter that needs none": rewound[-1].low < 2 * sincos.high,
     }
     values = {
-        "once": angle(once),
-        "sincos": angle(sincos),
+        "once": brief(once),
+        "four": brief(rewound[-1]),
+        "sincos": brief(sincos),
         "optimisation": angle(optimised),
-        **{name: angle(one) for name, one in zip(("two", "three", "four"), rewound, strict=True)},
     }
     return Page({"stored": values}, {"stored": table}, claims=claims)
 
@@ -182,9 +189,9 @@ def turning(source: Source) -> Page:
         for case in run.grid.axes["case"]
         for turns in (False, True)
     ]
-    note = "Median heading error from true north [95 % interval]; with bias instability."
+    note = "Median from true north, with bias instability."
     header = ["method", "vehicle", *(f"{t} s" for t in LONG_S)]
-    table = Table("When bias states pay", header, rows, note, folded=True)
+    table = Table("Bias states", header, rows, note, folded=True)
     primed, sincos = "kalman10, primed, matched", "kalman_sincos"
     claims = {
         "on a vehicle that turns, bias states pay": (
@@ -198,12 +205,10 @@ def turning(source: Source) -> Page:
         ),
     }
     values = {
-        "primed": angle(median(primed, 1800, turns=True)),
-        "sincos": angle(median(sincos, 1800, turns=True)),
-        "optimisation": angle(median("optimisation", 1800, turns=True)),
-        "parked": angle(median("kalman10", 1800, turns=False)),
-        "parked_sincos": angle(median(sincos, 1800, turns=False)),
-        "lost": angle(median(primed, 1800, turns=False)),
+        "primed": brief(median(primed, 1800, turns=True)),
+        "sincos": brief(median(sincos, 1800, turns=True)),
+        "optimisation": brief(median("optimisation", 1800, turns=True)),
+        "lost": brief(median(primed, 1800, turns=False)),
     }
     return Page({"turning": values}, {"turning": table}, claims=claims)
 
@@ -225,24 +230,26 @@ def car(source: Source) -> Page:
         [case, *(angle(median(case, start)) for start in starts)] for case in run.grid.axes["case"]
     ]
     note = (
-        "Median heading error from the reference, a smoother on the same record,"
-        f" {CAR_S} s from the first sample, over {run.grid.draws} start times. One record: no"
-        " interval. Fine alignment begins after 60 s of coarse alignment, misaligned on purpose."
+        f"Median from a smoother on the same record after {CAR_S} s, {run.grid.draws} start times,"
+        " misaligned on purpose after 60 s of coarse alignment."
     )
     header = ["method", *(format_degrees(*start) for start in starts)]
-    table = Table("On the recorded car", header, rows, note, folded=True)
-    values = {
-        name: {"modest": angle(median(case, MODEST)), "large": angle(median(case, LARGE))}
-        for name, case in {
-            "plain": "kalman5",
-            "three": "kalman5, three resets",
-            "trigger": "kalman5, triggered resets",
-            "sincos": "kalman_sincos",
-            "optimisation": "optimisation",
-            "position": "optimisation_position",
-        }.items()
+    table = Table("All methods", header, rows, note, folded=True)
+    cases = {
+        "three": "kalman5, three resets",
+        "sincos": "kalman_sincos",
+        "position": "optimisation_position",
     }
-    return Page({"car": values}, {"car": table})
+    modest, large = (
+        {name: angle(median(case, start)) for name, case in cases.items()}
+        for start in (MODEST, LARGE)
+    )
+    plain = {
+        "modest": angle(median("kalman5", MODEST)),
+        "large": angle(median("kalman5", LARGE)),
+    }
+    claims = {"on the car only the plain filter depends on the start": modest == large}
+    return Page({"car": {"plain": plain, **modest}}, {"car": table}, claims=claims)
 
 
 PSINS = {
@@ -272,17 +279,15 @@ def psins(source: Source) -> Page:
     scatter = float(np.std(grid.at("phi_u_mean_arcmin", case="compass", sways=False), ddof=1))
     header = ["here", "still", "swinging", "PSINS", "still (arcmin)", "swinging (arcmin)"]
     note = (
-        "Mean heading error (estimate less truth) from 800 to 900 s of paper 1's conditions from"
-        f" (5, 5, 30) deg; here [95 % interval over {grid.draws} draws], there one draw. Its"
-        " alignvn primes its bias states otherwise, and is not the same filter. The"
-        " compass has the times of its demonstration, 20, 30 and 300 s; single runs scatter by"
-        f" {scatter:.1f} arcmin."
+        "Mean error (estimate less truth) from 800 to 900 s, paper 1's conditions, (5, 5, 30) deg,"
+        f" {grid.draws} draws; PSINS one draw, its alignvn with another prior of bias states, the"
+        f" compass with times of 20, 30 and 300 s; single runs scatter by {scatter:.1f} arcmin."
     )
-    table = Table("Beside published functions of PSINS", header, rows, note, folded=True)
+    table = Table("All functions", header, rows, note, folded=True)
     second, sample = (
         mean(abs(grid.at("phi_u_mean_arcmin", case=case, sways=False)))
         for case in ("kalman10", "kalman10, feedback at every sample")
     )
-    values = {"second": angle(second), "sample": angle(sample)}
+    values = {"second": brief(second), "sample": brief(sample)}
     claims = {"kalman10 needs feedback at every sample": second.low > 10 * sample.high}
     return Page({"psins": values}, {"psins": table}, claims=claims)
