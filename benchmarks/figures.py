@@ -14,83 +14,72 @@ from sinsjax.plots.style import COLOURS, GREY, add_legend_below, line_colour, wi
 
 
 class Panel(NamedTuple):
-    """A number over a size.
+    """Time of a step over a size.
 
     Attributes:
-        set: of the rows.
-        prefix: of their names; the size follows it.
-        value: key of the number.
+        prefix: of the rows' names in the set of throughput; the size follows it.
         title: of the panel.
-        label: of the number's axis.
     """
 
-    set: str
     prefix: str
-    value: str
     title: str
-    label: str = "ns a step and run"
-
-    def points(self, machine: Machine) -> tuple[list[int], list[Row]]:
-        """Sizes and rows of a machine, in order of size."""
-        rows = machine.sets.get(self.set, {})
-        sizes = {name.removeprefix(self.prefix): row for name, row in rows.items()}
-        found = sorted((int(size), row) for size, row in sizes.items() if size.isdecimal())
-        return [size for size, _ in found], [row for _, row in found]
 
 
 PANELS = (
-    Panel("throughput", "lanes_", "ns_per_step_run", "Lanes a tile, noise off"),
-    Panel("throughput", "tiles_", "ns_per_step_run", "Tiles a call, noise off"),
-    Panel("throughput", "variants_", "ns_per_step_run", "Variants a draw, noise on"),
-    Panel("devices", "devices_", "speedup", "Devices, the same tiles", "speed-up"),
+    Panel("lanes_", "Lanes per tile, without noise"),
+    Panel("variants_", "Variants per draw, with noise"),
 )
+
+
+def rows_by_size(machine: Machine, prefix: str) -> list[tuple[int, Row]]:
+    """Return sizes and rows of the set of throughput, in order of size.
+
+    Args:
+        machine: with the rows.
+        prefix: of their names; the size follows it.
+    """
+    rows = machine.sets.get("throughput", {})
+    sizes = {name.removeprefix(prefix): row for name, row in rows.items()}
+    return sorted(
+        ((int(size), row) for size, row in sizes.items() if size.isdecimal()),
+        key=lambda found: found[0],
+    )
 
 
 @with_style
 def bends(machines: Sequence[Machine]) -> Figure | None:
-    """Where the cost bends: a panel a size, a line a machine; None without rows."""
-    panels = [panel for panel in PANELS if any(panel.points(m)[0] for m in machines)]
+    """Where the cost bends: a panel per size, a line per machine; None without rows."""
+    measured = [m for m in machines if any(rows_by_size(m, panel.prefix) for panel in PANELS)]
+    panels = [p for p in PANELS if any(rows_by_size(m, p.prefix) for m in measured)]
     if not panels:
         return None
-    columns = min(2, len(panels))
-    lines = -(-len(panels) // columns)
-    figure = Figure(figsize=(4.6 * columns, 2.9 * lines))
-    grid = figure.subplots(lines, columns, squeeze=False).flat
-    for panel, axes in zip(panels, grid, strict=False):
-        _draw(axes, panel, machines)
-    for axes in list(grid)[len(panels) :]:
-        axes.set_axis_off()
-    if len(machines) > 1:
-        add_legend_below(figure, figure.axes[0])
+    figure = Figure(figsize=(3.8 * len(panels), 3.0))
+    grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for panel, axes in zip(panels, grid, strict=True):
+        _draw(axes, panel, measured)
+    grid[0].set_ylim(bottom=0)
+    grid[0].set_ylabel("ns per step per run")
+    if len(measured) > 1:
+        add_legend_below(figure, grid[0])
     return figure
 
 
 def _draw(axes: Axes, panel: Panel, machines: Sequence[Machine]) -> None:
-    sizes: set[int] = set()
+    shown: set[int] = set()
     for number, machine in enumerate(machines):
-        x, rows = panel.points(machine)
-        y = [row[panel.value] for row in rows]
-        error = [_half_range(row, panel.value) for row in rows]
+        found = rows_by_size(machine, panel.prefix)
+        sizes = [size for size, _ in found]
+        ns = [row["ns_per_step_run"] for _, row in found]
+        error = [row["ns_per_step_run"] * row["spread_s"] / row["median_s"] for _, row in found]
         axes.errorbar(
-            x, y, error, fmt="o-", color=line_colour(number), label=machine.name, capsize=2
+            sizes, ns, error, fmt="o-", color=line_colour(number), label=machine.name, capsize=2
         )
-        sizes.update(x)
-    if panel.value == "speedup":
-        axes.plot(sorted(sizes), sorted(sizes), "--", color=GREY, linewidth=0.9, zorder=1.5)
-        axes.annotate("ideal", (max(sizes), max(sizes)), color=GREY, ha="right", va="bottom")
+        shown.update(sizes)
     axes.set_xscale("log", base=2)
-    axes.xaxis.set_major_locator(FixedLocator(_readable(sorted(sizes))))
+    axes.xaxis.set_major_locator(FixedLocator(_readable(sorted(shown))))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.set_ylim(bottom=0)
     axes.set_title(panel.title)
-    axes.set_ylabel(panel.label)
-
-
-def _half_range(row: Row, key: str) -> float:
-    if key == "ns_per_step_run":
-        return float(row[key] * row["spread_s"] / row["median_s"])
-    return float(row[f"{key}_spread"])
 
 
 def _readable(sizes: Sequence[int]) -> list[int]:
@@ -101,10 +90,10 @@ def _readable(sizes: Sequence[int]) -> list[int]:
 
 @with_style
 def beside_limit(machine: Machine, ns: Sequence[tuple[str, float]], kernel: float) -> Figure:
-    """The ns a step and run of every row, and how far that is from the limit kernel's.
+    """The ns per step per run of every row, and how far that is from the limit kernel's.
 
     Args:
-        machine: that took them.
+        machine: with the rows.
         ns: names and numbers, in this order from the top.
         kernel: ns of the limit kernel.
     """
@@ -125,7 +114,7 @@ def beside_limit(machine: Machine, ns: Sequence[tuple[str, float]], kernel: floa
     axes.set_yticks(range(len(ns)), [name for name, _ in ns])
     axes.set_ylim(len(ns) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")
-    axes.set_xlabel("ns a step and run (logarithmic)")
+    axes.set_xlabel("ns per step per run (logarithmic)")
     axes.set_title(f"sinsjax {machine.version}, {machine.name}")
     return figure
 
@@ -136,7 +125,7 @@ def _round(value: float) -> str:
 
 @with_style
 def history(machines: Sequence[Machine]) -> Figure:
-    """The engine's ns over the limit kernel's by version, a line a machine."""
+    """The engine's ns over the limit kernel's by version, a line per machine."""
     versions = list(dict.fromkeys(machine.version for machine in machines))
     names = list(dict.fromkeys(machine.name for machine in machines))
     figure = Figure(figsize=(7.2, 3.0))

@@ -1,9 +1,11 @@
-"""Writes docs/performance.md and its figures from the history alone.
+"""Writes docs/performance.md, its figures and tables from the history alone.
 
-Every figure in the text is taken from a row; what was not measured has no paragraph. Ways that were
-tried and left, with their reasons, are in ``notes.md``, to which the page links.
+Every figure in the text is taken from a row; what was not measured has no paragraph. All rows of a
+machine are in a CSV file next to the page. Ways that were tried and left, with their reasons, are
+in ``notes.md``, to which the page links.
 """
 
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,13 +15,15 @@ import costs
 import figures
 import store
 from store import Machine
-from targets import judged, sizes
+from targets import OF_OTHERS, PER_OPERATION, Judged, judge_operations, judged
 
+from sinsjax.bench.timing import Row
 from sinsjax.errors import InputError
 from sinsjax.platform.files import atomic_write
 from sinsjax.plots import render_png
 from sinsjax.report.base import Block, Chapter, Picture, Table, Text
 from sinsjax.report.output import FIGURES_FOLDER, block_to_markdown, save_figures
+from sinsjax.report.study_page import TABLES_FOLDER, write_table
 
 PAGE = common.ROOT / "docs" / "performance.md"
 PREFIX = "performance_"
@@ -35,18 +39,18 @@ def sections(machines: Sequence[Machine], notes: str) -> list[Chapter]:
     newest = [machine for machine in machines if machine.version == machines[-1].version]
     cpus = [machine for machine in newest if not machine.on_gpu]
     made = [
-        Chapter("Machines", compared(cpus)),
-        Chapter("Targets", [block for machine in newest for block in targets(machine)]),
-        Chapter("Beside the limit", [block for machine in cpus for block in beside_limit(machine)]),
-        Chapter("Methods", [block for machine in cpus for block in methods(machine)]),
-        Chapter("An answer", [block for machine in cpus for block in answers(machine)]),
+        Chapter("Machines", compared(newest)),
+        Chapter("Targets", targets(newest)),
+        Chapter("All rows", [block for machine in newest for block in all_rows(machine)]),
+        Chapter("Methods", methods(cpus)),
         Chapter("Where the time goes", [block for machine in cpus for block in work(machine)]),
-        Chapter("Single precision", [block for machine in cpus for block in single(machine)]),
         Chapter("Cost model", costs.cost_model(cpus)),
+        Chapter("Covariance analysis", [block for machine in cpus for block in answers(machine)]),
+        Chapter("Single precision", [block for machine in cpus for block in single(machine)]),
         Chapter("Starting up", [block for machine in cpus for block in cold_start(machine)]),
         Chapter("On a GPU", [block for machine in newest for block in gpu(machine)]),
         Chapter("History", over_versions(machines)),
-        Chapter("Left out, and why", [Text(notes)] if notes else []),
+        Chapter("Left out", [Text(notes)] if notes else []),
     ]
     return [section for section in made if section.blocks]
 
@@ -59,140 +63,191 @@ def headline(machine: Machine) -> list[str]:
         return []
     ns = ours["ns_per_step_run"]
     return [
-        f"{machine.name}: {ns:.1f} ns a step and run on one core in float64, {ours['ratio']:.2f}"
-        f" times a hand-written kernel ({kernel['ns_per_step_run']:.1f} ns); that is"
-        f" {costs.runs_a_minute(ns):,.0f} runs of {costs.RUN_S} s at {costs.RATE_HZ} Hz a minute."
+        f"{machine.name}: {ns:.1f} ns per step per run on one core in float64, {ours['ratio']:.2f}"
+        f" times a hand-written kernel ({kernel['ns_per_step_run']:.1f} ns), or"
+        f" {costs.runs_a_minute(ns):,.0f} runs of {costs.RUN_S} s at {costs.RATE_HZ} Hz per minute."
     ]
-
-
-WIDTHS = {"AVX512": 512, "AVX2": 256, "AVX": 256, "SSE4_2": 128}
-"""Bits of a vector, by instruction set."""
 
 
 def compared(machines: Sequence[Machine]) -> list[Block]:
-    """What the machines are: a ns on one is no ns on another."""
-    header = ["machine", "family/model", "cores", "vector (bits)", "GHz", "limit kernel (ns)"]
-    lines = []
-    for machine in machines:
-        row = next(iter(next(iter(machine.sets.values())).values()))
-        kernel = machine.row("pairs", "limit_kernel") or machine.row("short", "limit_kernel")
-        if "instructions" in row and kernel:
-            width = WIDTHS.get(row["instructions"])
-            told = (str(width or "?"), f"{row['ghz']:.2f}" if row["ghz"] else "?")
-            ns = f"{kernel['ns_per_step_run']:.1f}"
-            lines.append([machine.name, row["family"], str(row["cores"]), *told, ns])
+    """Processor, versions and dates of each machine."""
     note = (
-        "Times compare within a machine only: read the ratios to the limit kernel, which is built"
-        " for the same instruction set. GHz as the system tells it, which need not be what the"
-        " cores ran at."
+        "Compare machines by their ratios to the limit kernel, built for the same instruction set,"
+        " not by times."
     )
-    return [Table("Machines measured", header, lines, note)] if lines else []
+    return [Text("\n".join([*map(describe_machine, machines), "", note]))]
 
 
-def targets(machine: Machine) -> list[Block]:
-    """The table of targets."""
-    header = ["what", "target", "measured", "conditions", "reached"]
-    lines = [[*row[:4], "yes" if row.reached else "no"] for row in judged(machine)]
-    note = f"Medians of turns, ± half their range. {conditions(machine)}"
-    return [Table(f"{machine.name}", header, lines, note)] if lines else []
-
-
-def conditions(machine: Machine) -> str:
-    """What all rows of a machine hold under."""
+def describe_machine(machine: Machine) -> str:
+    """Return a machine's processors, cores, versions and dates as an item of a list."""
     rows = [row for named in machine.sets.values() for row in named.values()]
-    told = dict.fromkeys(
-        f"sinsjax {row['sinsjax']}, jax {row['jax']}, jaxlib {row['jaxlib']}, Python"
-        f" {row['python']}, {row['cores']} cores, XLA:CPU options in force: {row['options']}"
-        for row in rows
-    )
+
+    def distinct(key: str, unit: str = "") -> str:
+        return " and ".join(dict.fromkeys(f"{row[key]}{unit}" for row in rows if row.get(key)))
+
+    family = f"family/model {found}" if (found := distinct("family")) else ""
+    parts = [family, distinct("cores", " cores"), f"jax {distinct('jax')}"]
+    if distinct("jaxlib") != distinct("jax"):
+        parts.append(f"jaxlib {distinct('jaxlib')}")
     dates = sorted({row["date"] for row in rows})
-    return f"{'; '.join(told)}. Measured {' to '.join(dict.fromkeys((dates[0], dates[-1])))}."
+    parts += [f"Python {distinct('python')}", " to ".join(dict.fromkeys((dates[0], dates[-1])))]
+    return f"- {machine.name}: {', '.join(filter(None, parts))}."
 
 
-def beside_limit(machine: Machine) -> list[Block]:
-    """Every row of the short set, and the loops, beside the limit kernel."""
-    kernel = machine.row("short", "limit_kernel")
-    if kernel is None:
-        return []
-    shown = {**machine.sets["short"], **machine.sets.get("loops", {})}
-    rows = {name: row for name, row in shown.items() if "ns_per_step_run" in row}
-    limit = kernel["ns_per_step_run"]
-    header = ["row", "ns a step and run", "times the limit", "compile (s)", "conditions"]
-    lines = [
-        [
-            f"`{name}`",
-            number(row["ns_per_step_run"]),
-            number(row["ns_per_step_run"] / limit, 2),
-            f"{row['compile_s']:.1f}",
-            sizes(row),
+TARGETS_NOTE = "Medians of turns, ± half their range; bold: missed."
+
+METHODS_NOTE = (
+    "ns per step per run, silent sensors. Per operation: time per arithmetic operation on one"
+    " number, relative to `kalman` (64 variants per draw), from `kalman_alone` on to that (one);"
+    f" target ≤ {OF_OTHERS:g}"
+    f" ({', '.join(f'`{name}` {most:g}' for name, most in PER_OPERATION.items())})."
+)
+
+
+def bold_if_missed(row: Judged) -> str:
+    """Return the measured value, in bold if it misses its target."""
+    return row.measured if row.reached else f"**{row.measured}**"
+
+
+def targets(machines: Sequence[Machine]) -> list[Block]:
+    """The tables of targets, except the time per operation, which is in the table of methods."""
+    tables: list[Block] = []
+    for machine in machines:
+        elsewhere = judge_operations(machine).values()
+        lines = [
+            [row.what, row.target, bold_if_missed(row)]
+            for row in judged(machine)
+            if row not in elsewhere
         ]
-        for name, row in rows.items()
-    ]
-    drawn = figures.beside_limit(
-        machine, [(name, row["ns_per_step_run"]) for name, row in rows.items()], limit
+        if lines:
+            tables.append(Table(machine.name, ["quantity", "target", "measured"], lines))
+    return [Text(TARGETS_NOTE), *tables] if tables else []
+
+
+def all_rows(machine: Machine) -> list[Block]:
+    """Every row in a CSV file; the short set and the loops as a figure, with the limit kernel."""
+    kernel = machine.row("short", "limit_kernel")
+    limit = kernel["ns_per_step_run"] if kernel else None
+    blocks: list[Block] = []
+    if limit:
+        shown = {**machine.sets["short"], **machine.sets.get("loops", {})}
+        drawn = figures.beside_limit(
+            machine,
+            [
+                (name, row["ns_per_step_run"])
+                for name, row in shown.items()
+                if "ns_per_step_run" in row
+            ],
+            limit,
+        )
+        caption = f"{machine.name}; dashed: the limit kernel."
+        blocks.append(Picture(f"rows_{slug(machine)}", caption, drawn))
+    lines = [row_cells(row, limit) for named in machine.sets.values() for row in named.values()]
+    return [*blocks, Table(machine.name, ROW_HEADER, lines, folded=True)]
+
+
+ROW_HEADER = (
+    *("set", "row", "ns per step per run", "times the limit kernel", "compile (s)"),
+    *("runs", "steps", "devices", "median (s)", "half range (s)", "family/model", "date", "more"),
+)
+"""Columns of a machine's CSV file."""
+
+_IN_COLUMNS = {
+    *("set", "name", "ns_per_step_run", "compile_s", "runs", "steps", "devices"),
+    *("median_s", "spread_s", "family", "date"),
+}
+_CONDITIONS = {
+    *("sinsjax", "cpu", "instructions", "avx512", "cores", "platform", "device"),
+    *("jax", "jaxlib", "python", "fused_loop", "dtype"),
+}
+
+
+def row_cells(row: Row, limit: float | None) -> list[str]:
+    """Return a row's cells; what only some rows have is in the last one.
+
+    Args:
+        row: of the history.
+        limit: ns of the limit kernel in the short set; None without it.
+    """
+    ns = row.get("ns_per_step_run")
+    keys = ("compile_s", "runs", "steps", "devices", "median_s", "spread_s", "family", "date")
+    more = "; ".join(
+        f"{key} {value}"
+        for key, value in row.items()
+        if key not in _IN_COLUMNS | _CONDITIONS and value is not None
     )
-    caption = f"ns a step and run of every row, {machine.name}; dashed: the limit kernel."
     return [
-        Picture(f"rows_{slug(machine)}", caption, drawn),
-        Table(f"ns a step and run, {machine.name}", header, lines, "Measured in turns in one run."),
+        row["set"],
+        row["name"],
+        "" if ns is None else f"{ns:g}",
+        f"{ns / limit:.2f}" if ns and limit and row["set"] in ("short", "loops") else "",
+        *(str(row.get(key, "")) for key in keys),
+        more,
     ]
 
 
 def work(machine: Machine) -> list[Block]:
-    """What the processor does in the engine and in the limit kernel."""
+    """Instructions, cycles, loads and stores of the engine and of the limit kernel."""
     counted = ("instructions", "cycles", "loads", "stores")
     lines = [
         [f"`{name.removeprefix('instructions_')}`", *(f"{row[key]:.1f}" for key in counted)]
         for name, row in machine.sets.get("instructions", {}).items()
     ]
-    note = "Counted by perf stat, in user mode; what starting and compiling took is left out."
+    note = "Counted by perf stat in user mode, without starting and compiling."
     header = ["row", *counted]
-    return [Table(f"A step and run, {machine.name}", header, lines, note)] if lines else []
+    return [Table(f"Per step and run, {machine.name}", header, lines, note)] if lines else []
 
 
-def methods(machine: Machine) -> list[Block]:
-    """What a step of each method costs, in time and in arithmetic."""
-    lines = []
-    for name, row in machine.sets.get("methods", {}).items():
-        ratios = [f"{row[key]:.2f}" if key in row else "1" for key in ("ratio", "operations_ratio")]
-        counted = row["operations"]
-        speed = counted / row["ns_per_step_run"]
-        ns = number(row["ns_per_step_run"])
-        lines.append([f"`{name}`", ns, ratios[0], number(counted), ratios[1], f"{speed:.1f}"])
-    header = ["row", "ns", "times the filter's", "operations", "times the filter's", "a ns"]
-    note = (
-        "Operations: arithmetic on one number that the compiled program carries out. Silent"
-        " sensors; 64 variants a draw, or one, beside `kalman_alone`; medians of turns."
-    )
-    return [Table(f"A step and run, {machine.name}", header, lines, note)] if lines else []
+def methods(machines: Sequence[Machine]) -> list[Block]:
+    """Cost of a step of each method, and the time per operation with its target.
+
+    The machine with the most rows gets a table, the others a sentence.
+    """
+    measured = [machine for machine in machines if machine.sets.get("methods")]
+    if not measured:
+        return []
+    shown = max(measured, key=lambda machine: len(machine.sets["methods"]))
+    per_operation = judge_operations(shown)
+    lines = [
+        [
+            f"`{name}`",
+            number(row["ns_per_step_run"]),
+            bold_if_missed(per_operation[name]) if name in per_operation else "1",
+        ]
+        for name, row in shown.sets["methods"].items()
+    ]
+    blocks: list[Block] = [
+        Text(METHODS_NOTE),
+        Table(shown.name, ["row", "ns", "per operation"], lines),
+    ]
+    for machine in measured:
+        if machine is not shown and (found := judge_operations(machine).values()):
+            reached = sum(row.reached for row in found)
+            text = f"{machine.name}: {reached} of {len(found)} targets reached"
+            blocks.append(Text(f"{text} ([all rows](#all-rows))."))
+    return blocks
 
 
 def answers(machine: Machine) -> list[Block]:
     """Return the cost of an expected settling time, with draws and without."""
-    lines = [
-        [
-            f'`estimate = "{name}"`',
-            str(row["draws"] or "-"),
-            f"{row['half_width_s']:.1f}",
-            f"{row['cell_ms']:.0f}",
-            f"{row['ratio']:.2f}",
-        ]
-        for name, row in machine.sets.get("cells", {}).items()
+    rows = machine.sets.get("cells", {})
+    if not {"draws", "covariance"} <= rows.keys():
+        return []
+    drawn, found = rows["draws"], rows["covariance"]
+    return [
+        Text(
+            f"On one core of {machine.name} a cell's mean settling time, to 2 s, takes"
+            f" {drawn['cell_ms']:.0f} ms with draws ({drawn['draws']:,}; widest half interval"
+            f" {drawn['half_width_s']:.1f} s) and {found['cell_ms']:.0f} ms by covariance analysis"
+            f" ({found['half_width_s']:.1f} s, of its 1,024 sampled errors alone).\n"
+            f"{drawn['cells']} cells: eight heading errors up to 90 deg by eight schedules of two"
+            " resets."
+        )
     ]
-    header = ["by", "draws of a cell", "widest half interval (s)", "a cell (ms)", "times draws"]
-    note = (
-        "The mean settling time of each of 64 cells, eight heading errors up to 90 deg by eight"
-        " schedules of two resets, 900 s at 100 Hz; draws go on by [stop_when] until every cell is"
-        " known to 2 s. By covariance analysis the interval is of the 1,024 sampled errors alone;"
-        " how far it holds is in the time. CPU time of one core, compiled."
-    )
-    return (
-        [Table(f"An expected settling time, {machine.name}", header, lines, note)] if lines else []
-    )
 
 
 def single(machine: Machine) -> list[Block]:
-    """What single precision would gain, and what it costs."""
+    """Gain of single precision, and the errors that it would cause."""
     row = machine.row("single_precision", "single_precision")
     if row is None:
         return []
@@ -200,13 +255,12 @@ def single(machine: Machine) -> list[Block]:
     worst = ", ".join(f"{seconds:g} s" for seconds in row["settle_changed_s"])
     return [
         Text(
-            "Not offered. With the covariance and the error states in float32, and navigation in"
-            f" float64, a step takes {row['ratio']:.2f} times as long. Over the default sweep the"
-            f" final heading error changes by up to {row['phi_u_arcmin_max']:g} arcmin (median"
+            "Not offered. With covariance and error states in float32 a step takes"
+            f" {row['ratio']:.2f} ± {row['ratio_spread']:.2f} times as long. Over the default sweep"
+            f" the final heading error changes by up to {row['phi_u_arcmin_max']:g} arcmin (median"
             f" {row['phi_u_arcmin_median']:g}), a sigma by up to"
-            f" {100 * row['sigma_share_max']:.2g} %, and {changed} of the runs settle within 60,"
-            f" 10 and 3 arcmin at another time, by up to {worst}: as much as what a sweep is run"
-            f" to compare. {machine.name}."
+            f" {100 * row['sigma_share_max']:.2g} %; {changed} of the runs settle within 60, 10 and"
+            f" 3 arcmin at another time, by up to {worst}: as much as a sweep is to show."
         )
     ]
 
@@ -223,36 +277,47 @@ def slug(machine: Machine) -> str:
 
 
 def cold_start(machine: Machine) -> list[Block]:
-    """What passes before the first result."""
+    """Seconds of each phase before the first result."""
     rows = machine.sets.get("cold_start", {})
-    lines = [
-        [f"`{name}`", f"{row['median_s']:.2f} ± {row['spread_s']:.2f}"]
-        for name, row in rows.items()
-    ]
-    return [Table(f"Seconds, {machine.name}", ["row", "s"], lines)] if lines else []
+    whole = ("first_result", "cached")
+    found = {name.removeprefix("cold_start_"): row for name, row in rows.items()}
+    phases = ", ".join(
+        f"{name.replace('_', ' ')} {row['median_s']:.2f} ± {row['spread_s']:.2f}"
+        for name, row in found.items()
+        if name not in whole
+    )
+    text = f"Phases of the cold first result, {machine.name}, s: {phases}."
+    return [Text(text)] if phases else []
 
 
 def gpu(machine: Machine) -> list[Block]:
-    """The engine's rows on a GPU."""
-    lines = [
-        [
-            f"`{name}`",
-            f"{row['runs']:,}",
-            f"{row['lanes']:,}",
-            f"{row['ns_per_step_run']:.3g}",
-            f"{row['runs_per_s']:,}",
-            f"{row['compile_s']:.1f}",
-        ]
-        for name, row in machine.sets.get("gpu", {}).items()
-    ]
-    header = ["row", "runs", "lanes a tile", "ns a step and run", "runs a second", "compile (s)"]
-    return [Table(f"{machine.name}, {conditions(machine)}", header, lines)] if lines else []
+    """Times of the engine on a GPU, by number of runs."""
+    rows = machine.sets.get("gpu", {})
+    if not rows:
+        return []
+    by_kind: dict[str, dict[int, Row]] = {}
+    for name, row in rows.items():
+        _, kind, runs = name.split("_")
+        by_kind.setdefault(kind, {})[int(runs)] = row
+    counts = list(dict.fromkeys(runs for found in by_kind.values() for runs in found))
+    lines = []
+    for kind, found in by_kind.items():
+        lanes = ", ".join(dict.fromkeys(f"{row['lanes']:,}" for row in found.values()))
+        ns = [f"{found[n]['ns_per_step_run']:.3g}" if n in found else "-" for n in counts]
+        lines.append([f"tiles of {lanes}" if kind == "tiled" else kind, *ns])
+    fastest = max(rows.values(), key=lambda row: row["runs_per_s"])
+    compile_s = [row["compile_s"] for row in rows.values()]
+    note = (
+        f"ns per step per run; at best {fastest['runs_per_s']:,} runs of {fastest['steps']:,} steps"
+        f" per second. Compiling takes {min(compile_s):.1f} to {max(compile_s):.1f} s."
+    )
+    return [Table(machine.name, ["runs", *(f"{n:,}" for n in counts)], lines, note)]
 
 
 LEAST_VERSIONS = 5
 """Versions from which on their history says more than the newest one."""
 
-LEFT = "Tried and left, with the reasons: `benchmarks/notes.md`."
+LEFT = "With the reasons: `benchmarks/notes.md`."
 
 _OTHER_KERNEL = """\
 Ratios of 0.2.0 and 0.3.0 are to a kernel with 64-byte vectors, which gcc spilled without AVX-512:
@@ -272,7 +337,7 @@ def over_versions(machines: Sequence[Machine]) -> list[Block]:
         )
         ns = f"{row['ns_per_step_run']:.1f}"
         lines.append([machine.version, machine.name, ns, f"{machine.x_limit:.2f}", row["date"]])
-    header = ["sinsjax", "machine", "ns a step and run", "times the limit", "date"]
+    header = ["sinsjax", "machine", "ns per step per run", "times the limit", "date"]
     caption = "`kalman_shared_record` over the limit kernel, by version."
     return [
         Picture("history", caption, figures.history(known)),
@@ -281,7 +346,7 @@ def over_versions(machines: Sequence[Machine]) -> list[Block]:
 
 
 def write(page: Path, machines: Sequence[Machine], notes: str) -> None:
-    """Write the page, and its figures beside it.
+    """Write the page, its figures and its CSV files.
 
     Raises:
         InputError: the history is empty, or the page cannot be written.
@@ -300,14 +365,30 @@ def write(page: Path, machines: Sequence[Machine], notes: str) -> None:
     for section in sections(machines, notes):
         lines.append(f"## {section.heading}")
         for block in section.blocks:
-            text = block_to_markdown(block, PREFIX)
+            if isinstance(block, Table) and block.folded:
+                text = write_rows(block, page.parent)
+            else:
+                text = block_to_markdown(block, PREFIX)
             if isinstance(block, Picture):
-                text = text.replace("![]", f"![{block.caption.replace('`', '')}]", 1)
+                text = text.replace("![]", f"![{describe_picture(block)}]", 1)
                 images[f"{PREFIX}{block.name}"] = render_png(block.figure)
             lines.append(text)
     save_figures(images, page.parent / FIGURES_FOLDER)
     with atomic_write(page) as file:
         file.write(("\n\n".join(lines) + "\n").encode())
+
+
+def describe_picture(picture: Picture) -> str:
+    """Return the text that stands for a picture: its caption up to the first semicolon."""
+    return picture.caption.partition(";")[0].replace("`", "")
+
+
+def write_rows(table: Table, folder: Path) -> str:
+    """Write a folded table as a CSV file, and return the line that links to it."""
+    name = re.sub(r"[^a-z0-9]+", "-", table.title.lower()).strip("-")
+    path = f"{TABLES_FOLDER}/{PREFIX}{name}.csv"
+    write_table(table, folder / path)
+    return f"- Table: [{table.title}]({path})."
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""The targets of speed, each beside what was measured; one that was not measured is left out."""
+"""The targets of speed, each with its measurement; one that was not measured is left out."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -84,13 +84,13 @@ def judged(machine: Machine) -> list[Judged]:
         *_answer(machine),
         *_bases(machine),
         *_methods(machine),
+        *judge_operations(machine).values(),
         *_devices(machine),
         *_start(machine),
         *_first(machine),
         *_resolved(machine),
         *_slopes(machine),
         *_tuning(machine),
-        *_single(machine),
     ]
 
 
@@ -114,7 +114,7 @@ def _limit(machine: Machine) -> Iterator[Judged]:
         if row and most is not None:
             yield Judged(
                 f"`{name}`, times the limit kernel",
-                f"at most {most:g}",
+                f"≤ {most:g}",
                 plus_minus(row, "ratio"),
                 f"{len(row['ratios'])} alternating pairs; {sizes(row)}",
                 row["ratio"] <= most,
@@ -127,7 +127,7 @@ def _limit(machine: Machine) -> Iterator[Judged]:
             ratio = row["ns_per_step_run"] / kernel["ns_per_step_run"]
             yield Judged(
                 f"`{name}`, times the limit kernel",
-                f"at most {most:g}",
+                f"≤ {most:g}",
                 f"{ratio:.2f}",
                 f"medians of turns; {sizes(row)}",
                 ratio <= most,
@@ -142,8 +142,8 @@ def _noise(machine: Machine) -> Iterator[Judged]:
     for variants, most in NOISE.items():
         if row := machine.row("noise", f"noise_{variants}"):
             yield Judged(
-                f"noise on, variants a draw: {variants}; times the silent row",
-                f"at most {most:g}",
+                f"noise shared by {variants} variants, times the silent row",
+                f"≤ {most:g}",
                 plus_minus(row, "ratio"),
                 sizes(row),
                 row["ratio"] <= most,
@@ -152,14 +152,14 @@ def _noise(machine: Machine) -> Iterator[Judged]:
 
 def _answer(machine: Machine) -> Iterator[Judged]:
     of = {
-        "covariance_2": "a noise-free run with the covariance of its error",
+        "covariance_2": "run with the covariance of its error, times a plain run",
         "covariance_64": "the same with 64 sampled errors",
     }
     for name, what in of.items():
         if row := machine.row("answer", name):
             yield Judged(
-                f"{what}; times a plain run",
-                f"at most {ANSWER[name]:g}",
+                what,
+                f"≤ {ANSWER[name]:g}",
                 plus_minus(row, "ratio"),
                 sizes(row),
                 row["ratio"] <= ANSWER[name],
@@ -171,8 +171,8 @@ def _disturbed(machine: Machine) -> Iterator[Judged]:
     if plain and row:
         ratio = row["ns_per_step_run"] / plain["ns_per_step_run"]
         yield Judged(
-            "surge, lever arm and bias instability, 1 variant a draw; times noise alone",
-            f"at most {DISTURBED:g}",
+            "surge, lever arm and bias instability, 1 variant per draw, times noise alone",
+            f"≤ {DISTURBED:g}",
             f"{ratio:.2f}",
             f"medians of turns; {sizes(row)}",
             ratio <= DISTURBED,
@@ -181,12 +181,10 @@ def _disturbed(machine: Machine) -> Iterator[Judged]:
 
 def _bases(machine: Machine) -> Iterator[Judged]:
     if row := machine.row("noise", "base_2"):
-        parts = (f"{row[f'{name}_ns']:.0f} ns" for name in ("increments", "noise", "rest"))
-        told = " + ".join(parts)
         yield Judged(
-            "a base of its own for each draw, 2 variants a draw; a step and run",
-            f"at most {BASE_NS:g} ns",
-            f"{row['ns_per_step_run']:.0f} ns: increments, noise and the rest {told}",
+            "a new base motion per draw of 2 variants, per step per run",
+            f"≤ {BASE_NS:g} ns",
+            f"{row['ns_per_step_run']:.0f} ns",
             sizes(row),
             row["ns_per_step_run"] <= BASE_NS,
         )
@@ -196,30 +194,37 @@ def _methods(machine: Machine) -> Iterator[Judged]:
     for name, row in machine.sets.get("methods", {}).items():
         if name in OF_METHODS:
             yield Judged(
-                f"`{name}`, a step and run, times that of `kalman5`",
-                f"at most {OF_METHODS[name]:g}",
+                f"`{name}`, a step, times that of `kalman5`",
+                f"≤ {OF_METHODS[name]:g}",
                 plus_minus(row, "ratio"),
                 sizes(row),
                 row["ratio"] <= OF_METHODS[name],
             )
+
+
+def judge_operations(machine: Machine) -> dict[str, Judged]:
+    """Return the targets of the time per operation, by the name of the row."""
+    found = {}
+    for name, row in machine.sets.get("methods", {}).items():
         if "operations_ratio" in row:
             most = PER_OPERATION.get(name, OF_OTHERS)
             each = row["ratio"] / row["operations_ratio"]
             spread = row["ratio_spread"] / row["operations_ratio"]
-            yield Judged(
+            found[name] = Judged(
                 f"`{name}`, time per operation, times that of `kalman5`",
-                f"at most {most:g}",
+                f"≤ {most:g}",
                 f"{each:.2f} ± {spread:.2f}",
                 sizes(row),
                 each <= most,
             )
+    return found
 
 
 def _devices(machine: Machine) -> Iterator[Judged]:
     if row := machine.row("devices", "devices_2"):
         yield Judged(
             "two devices on two cores, times one",
-            f"at least {SPEEDUP:g}",
+            f"≥ {SPEEDUP:g}",
             plus_minus(row, "speedup"),
             sizes(row),
             row["speedup"] >= SPEEDUP,
@@ -227,8 +232,8 @@ def _devices(machine: Machine) -> Iterator[Judged]:
     for name, row in machine.sets.get("devices", {}).items():
         if name.startswith("sweep_"):
             yield Judged(
-                "whole `sweep`, Parquet included: share of the compiled call's throughput",
-                f"at least {SHARE:g}",
+                "whole `sweep` into Parquet, share of the compiled call's throughput",
+                f"≥ {SHARE:g}",
                 plus_minus(row, "share"),
                 sizes(row),
                 row["share"] >= SHARE,
@@ -238,10 +243,10 @@ def _devices(machine: Machine) -> Iterator[Judged]:
 def _start(machine: Machine) -> Iterator[Judged]:
     for name, most in FIRST_S.items():
         if row := machine.row("cold_start", f"cold_start_{name}"):
-            compiled = "compile cache full" if name == "cached" else "cold"
+            cold = "first result, cold"
             yield Judged(
-                f"first result after typing the command, {compiled}",
-                f"under {most:g} s",
+                "the same, compile cache full" if name == "cached" else cold,
+                f"< {most:g} s",
                 f"{row['median_s']:.1f} ± {row['spread_s']:.1f} s",
                 f"all of a command, {sizes(row)}",
                 row["median_s"] < most,
@@ -253,15 +258,15 @@ def _first(machine: Machine) -> Iterator[Judged]:
         yield Judged(
             "`sinsjax sweep reset_sweep`, compile cache full, beyond"
             f" {FIRST_RATIO:g} times its compiled calls",
-            f"at most {FIRST_MORE_S:g} s",
+            f"≤ {FIRST_MORE_S:g} s",
             f"{row['more_s']:.1f} ± {row['spread_s']:.1f} s",
             f"{row['median_s']:.1f} s of which {row['calls_s']:.1f} s are calls",
             row["more_s"] <= FIRST_MORE_S,
         )
     if row := machine.row("first_command", "report_command"):
         yield Judged(
-            "`sinsjax report` of it, CPU time of user and system",
-            f"at most {REPORT_CPU_S:g} s",
+            "`sinsjax report` of it, CPU time",
+            f"≤ {REPORT_CPU_S:g} s",
             f"{row['cpu_s']:.1f} s",
             "all of the command",
             row["cpu_s"] <= REPORT_CPU_S,
@@ -269,13 +274,13 @@ def _first(machine: Machine) -> Iterator[Judged]:
 
 
 def _resolved(machine: Machine) -> Iterator[Judged]:
-    told = {"resolve": "a study resolved: scenario and tables", "part": "a part's arguments"}
+    words = {"resolve": "resolving", "part": "arguments of a part of"}
     for name, row in machine.sets.get("resolve", {}).items():
         kind, _, variants = name.partition("_")
         most = RESOLVED_S[kind]
         yield Judged(
-            f"{told[kind]}, {int(variants):,} variants",
-            f"under {1e3 * most:g} ms",
+            f"{words[kind]} {int(variants):,} variants",
+            f"< {1e3 * most:g} ms",
             f"{1e3 * row['median_s']:.0f} ± {1e3 * row['spread_s']:.0f} ms",
             "one core, nothing compiled",
             row["median_s"] < most,
@@ -288,8 +293,8 @@ def _slopes(machine: Machine) -> Iterator[Judged]:
             by_count = 1 + 2 * p
             most = DERIVATIVE * max(by_count, row.get("operations_ratio", by_count))
             yield Judged(
-                f"derivative by {p} filter parameter{'s' if p > 1 else ''}, times a plain run",
-                f"at most {most:.1f}",
+                f"derivative by {p} parameter{'s' if p > 1 else ''}, times a plain run",
+                f"≤ {most:.1f}",
                 plus_minus(row, "ratio"),
                 sizes(row),
                 row["ratio"] <= most,
@@ -308,20 +313,9 @@ def _slopes(machine: Machine) -> Iterator[Judged]:
 def _tuning(machine: Machine) -> Iterator[Judged]:
     if row := machine.row("derivative", "tune_gradient_p2"):
         yield Judged(
-            "gradient of a tuning by 2 reset times (windows, a soft band), times its plain runs",
-            f"at most {row['counted']:g}, as its cost is counted",
+            "gradient by 2 reset times, times its plain runs",
+            f"≤ {row['counted']:g}",
             plus_minus(row, "ratio"),
             sizes(row),
             row["ratio"] <= row["counted"],
-        )
-
-
-def _single(machine: Machine) -> Iterator[Judged]:
-    if row := machine.row("single_precision", "single_precision"):
-        yield Judged(
-            "float32 for covariance and error states, times float64",
-            "offered only with evidence",
-            f"{plus_minus(row, 'ratio')}; heading off by up to {row['phi_u_arcmin_max']:g} arcmin",
-            f"{sizes(row)}; errors over the default sweep",
-            True,
         )

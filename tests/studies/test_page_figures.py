@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from docs.studies.adaptive.cells import Class, ratio_maps
+from docs.studies.adaptive.ratios import PolicyRatios, draw_ratios
 from docs.studies.compass_map.contours import ERROR_LEVELS_ARCMIN, Panel, contour_maps, spaced
 from docs.studies.compass_map.starts import strips
 from docs.studies.compass_map.survival import survival
@@ -28,41 +28,25 @@ def line(label, level, colour="C0"):
     return Line(label, TIME, level + noise, colour)
 
 
-def test_ratio_map_class_includes_its_upper_bound():
-    """1.1 itself is within, as in the counts."""
-    classes = [Class(1.1, "within", "#ffffff"), Class(math.inf, "beyond", "#000000", dark=True)]
-    values = np.array([[1.1, np.nextafter(1.1, 2)], [NEVER, 0.0]])
-    figure = ratio_maps(
-        [("panel", values)],
-        classes,
-        "title",
-        rows=["a", "b"],
-        columns=["c", "d"],
-        side="rows",
-        only="only it",
-    )
-    array = figure.axes[0].images[0].get_array()
-    assert array.tolist() == [[0, 1], [None, 0]]
-    labels = [t.get_text() for t in figure.legends[0].get_texts()]
-    assert labels == ["within", "beyond", "*  only it", "never (median)"]
-    assert [t.get_text() for t in figure.axes[0].texts] == ["1.10", "1.10", "*"]
+def test_ratios_show_median_and_worst_cell_per_policy():
+    """An infinite ratio is at the tick *never*, right of all others, without a number."""
+    policies = [PolicyRatios("a", 0.9, 1.5), PolicyRatios("b", 2.5, NEVER)]
+    figure = draw_ratios(policies, "title", 1.1)
+    (axes,) = figure.axes
+    dots = [line for line in axes.lines if line.get_marker() == "o"]
+    places = [(float(dot.get_xdata()[0]), float(dot.get_ydata()[0])) for dot in dots]
+    never = axes.get_xticks()[-1]
+    assert places == [(0.9, 0), (1.5, 0), (2.5, 1), (never, 1)] and never > 2.5
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["1", "2", "never"]
+    assert [tick.get_text() for tick in axes.get_yticklabels()] == ["a", "b"]
+    assert [text.get_text() for text in axes.texts] == ["0.90", "1.50", "2.50"]
+    assert legend_of(figure) == ["median cell", "worst cell"]
 
 
-def test_ratio_map_hides_unused_panels():
-    one = np.ones((2, 3))
-    figure = ratio_maps(
-        [(name, one) for name in "abc"],
-        [Class(math.inf, "any", "#ffffff")],
-        "title",
-        rows=["r", "s"],
-        columns=["x", "y", "z"],
-        side="rows",
-        across=2,
-    )
-    assert [axes.get_visible() for axes in figure.axes] == [True, True, True, False]
-    assert [t.get_text() for t in figure.axes[2].texts] == ["1.00"] * 6
-    labels = [t.get_text() for t in figure.legends[0].get_texts()]
-    assert labels == ["any"]
+def test_ratios_of_policies_that_never_settle_are_drawn():
+    figure = draw_ratios([PolicyRatios("a", NEVER, NEVER)], "title", 1.1)
+    (axes,) = figure.axes
+    assert not axes.texts and axes.get_xticklabels()[-1].get_text() == "never"
 
 
 def test_strips_show_one_dot_per_start_and_median_line():

@@ -13,7 +13,7 @@ from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import grid_of, shared
 from ..common.words import share
-from .cells import Class, ratio_maps
+from .ratios import PolicyRatios, draw_ratios
 from .scores import NONE, PAPER, SETTLE, WITHIN, Policy, Scores
 
 SHORT = (0.01, 1.0)  # s, feedback intervals
@@ -21,14 +21,6 @@ TRUTH = "settle_10_truth_s"
 FIXED = "the paper's four"
 
 _Q_WORDS = {"per_step": "as printed", "psd": "as a density", "per_sample": "of a sample"}
-_CLASSES = (
-    Class(0.9, "up to 0.9 (faster)", "#d6e9f8"),
-    Class(WITHIN, f"up to {WITHIN:g} (as fast)", "#f7f7f7"),
-    Class(1.5, "up to 1.5", "#fde0a8"),
-    Class(3.0, "up to 3", "#f0a030"),
-    Class(math.inf, "beyond", "#b34a00", dark=True),
-)
-"""From faster to slower: pale blue, white, and ever darker orange."""
 
 
 def page(sources: Sources) -> Page:
@@ -48,65 +40,70 @@ def _cells(count: Estimate) -> str:
 
 
 def _answer(scores: Scores, best: Policy, footer: str) -> Picture:
-    """No reset and the best trigger over all cells."""
-    axes = scores.grid.axes
-    shape = len(axes["q"]) * len(axes["feedback"]), len(scores.starts)
-    panels = [
-        (f"{policy.words}: {_cells(scores.within(policy))}", scores.ratios(policy))
-        for policy in (NONE, best)
-    ]
-    figure = ratio_maps(
-        [(title, ratios.reshape(shape).T) for title, ratios in panels],
-        _CLASSES,
-        "Settling time over that of the best single reset, from the limit",
-        rows=[start.name for start in scores.starts],
-        columns=[f"Q {_Q_WORDS[q]}, {f:g} s" for q in axes["q"] for f in axes["feedback"]],
-        side="initial misalignment (deg)",
-        only="only it settles",
+    """Median and worst ratio of every policy."""
+    rows = []
+    for policy in _listed(scores):
+        ratios = scores.ratios(policy)
+        median = float(np.quantile(ratios, 0.5, method="inverted_cdf"))  # of an infinite one too
+        rows.append(PolicyRatios(policy.words, median, float(ratios.max())))
+    worst = float(scores.ratios(best).max())
+    title = (
+        f"The {best.words} trigger is never far behind:\n"
+        f"at worst {worst:.1f} times the time of the best single reset"
     )
     caption = (
-        f"Ratios of median times over {scores.grid.draws} Monte Carlo runs until the heading stays"
-        " within 10 arcmin of its limit. A column is an interpretation of Q and a feedback"
-        f" interval. In the titles: cells as fast (ratio up to {WITHIN:g}) [certainly, possibly]."
-        " A tie, where neither settles half of its runs, stands as 1.00."
+        f"Ratios of median settling times over {scores.grid.draws} runs, {len(scores.cells)} cells."
+        " Never: less than half of the worst cell's runs settle."
     )
-    return Picture("answer", caption, figure, footer)
+    return Picture("answer", caption, draw_ratios(rows, title, WITHIN), footer)
 
 
-def _ties(scores: Scores) -> str:
-    """How many ties stand behind the numbers of cells, where there are any."""
-    policies = [*scores.by_trigger.values(), NONE, PAPER]
-    ties = {policy.words: scores.ties(policy) for policy in policies}
-    return ", ".join(f"{count} of *{name}*" for name, count in ties.items() if count) or "none"
-
-
-def _expected(scores: Scores) -> Table:
-    """What each policy gives: cells, worst cell, false alarms."""
+def _listed(scores: Scores) -> list[Policy]:
+    """Return every policy at its best threshold, most cells as fast first."""
     triggers = sorted(scores.by_trigger.values(), key=lambda one: -scores.within(one).value)
+    return [*triggers, NONE, PAPER]
+
+
+def _every_cell(scores: Scores) -> Table:
+    """Ratio of every policy in every cell."""
+    policies = _listed(scores)
+    ratios = np.stack([scores.ratios(policy) for policy in policies], axis=1)
+    rows = [
+        [_Q_WORDS[q], f"{feedback:g}", start.name, *map(_cell, cells)]
+        for (q, feedback, start), cells in zip(scores.cells, ratios, strict=True)
+    ]
+    header = ["Q", "feedback (s)", "misalignment (deg)", *(policy.words for policy in policies)]
+    return Table("Ratio in every cell", header, rows, folded=True)
+
+
+def _cell(ratio: float) -> str:
+    """Return a ratio of medians, or which of the two never settles half of the runs."""
+    return "never" if math.isinf(ratio) else f"{ratio:.2f}" if ratio else "only it settles"
+
+
+def _expected(scores: Scores) -> dict[str, Table]:
+    """Cells and false alarms of each policy; with thresholds, settled runs and ties in a file."""
+    header = ("resets by", f"cells as fast, of {len(scores.cells)}", "false alarms (%)")
+    more = ("threshold, in units of its score", "settled (%)", "ties")
     rows = []
-    for policy in (*triggers, NONE, PAPER):
-        worst = float(scores.ratios(policy).max())
-        rows.append(
-            [
-                policy.words,
-                f"{policy.threshold:g}" if policy.trigger != "none" else "-",
-                _cells(scores.within(policy)),
-                "never settles" if math.isinf(worst) else f"{worst:.2f}",
-                format_percent(shared(np.isfinite(scores.runs(policy)))),
-                format_percent(scores.alarms(policy)),
-            ]
-        )
-    header = ["resets by", "threshold", "cells as fast as the best single reset", "worst ratio"]
+    for policy in _listed(scores):
+        found = format_estimate(scores.within(policy), digits=0)
+        threshold = f"{policy.threshold:g}" if policy.trigger != "none" else ""
+        settled = format_percent(shared(np.isfinite(scores.runs(policy))))
+        alarms = format_percent(scores.alarms(policy))
+        ties = str(scores.ties(policy))
+        rows.append([policy.words, found, alarms, threshold, settled, ties])
     note = (
-        f"*As fast*: median settling time at most {WITHIN:g} times that of the best single reset."
-        " Each trigger with its best threshold, in units of its own score. *Three fixed* are those"
-        " of paper 1, at 50, 100 and 150 s, healthy or not: nearly all runs settle, most of them"
-        " later than with one reset at the right time. Number [95 % interval]; of a number of"
-        " cells: [certainly as fast, possibly as fast], with the whole or with a part of the"
-        " interval of their ratio. Ties, where neither settles half of its runs, count as fast:"
-        f" {_ties(scores)}."
+        f"*As fast*: median settling time at most {WITHIN:g} times that of the best single reset"
+        " [certainly, possibly: the whole or a part of its 95 % interval], or a tie: neither"
+        " settles half of its runs. *Three fixed*: paper 1's, at 50, 100 and 150 s."
     )
-    return Table("What to expect", [*header, "settled (%)", "false alarms (%)"], rows, note)
+    shown = [row[: len(header)] for row in rows]
+    title = "The same with thresholds, settled runs and ties"
+    return {
+        "expected": Table("What to expect", header, shown, note),
+        "policies": Table(title, [*header, *more], rows, folded=True),
+    }
 
 
 def _simulated(scores: Scores, footer: str) -> Page:
@@ -129,10 +126,8 @@ def _simulated(scores: Scores, footer: str) -> Page:
             "pause": f"{best.refractory_s:g}",
             "until": f"{best.until_s:g}",
             "most": best.most,
-            "within": _cells(scores.within(best)),
             "short": f"{sum(one.value for one in short):.0f} of {sum(one.n for one in short)}",
             "certain": f"{sum(one.low for one in short):.0f}",
-            "ties": scores.ties(best),
             "healthy": healthy.size,
             "slow": _cells(slow),
             "slow_alarms": share(slow_alarms),
@@ -140,11 +135,6 @@ def _simulated(scores: Scores, footer: str) -> Page:
             "worst_at": f"{worst_start.name} deg, feedback every {worst_feedback:g} s",
             "sooner": int((high < 1).sum()),
             "only": int((ratios == 0).sum()),
-        },
-        "rival": {
-            "name": rival.words,
-            "within": _cells(scores.within(rival)),
-            "alarms": share(scores.alarms(rival)),
         },
     }
     claims = {
@@ -165,12 +155,15 @@ def _simulated(scores: Scores, footer: str) -> Page:
             scores.alarms(rival).value > 3 * scores.alarms(best).value
         ),
     }
-    tables, figures = {"expected": _expected(scores)}, {"answer": _answer(scores, best, footer)}
+    tables, figures = (
+        {**_expected(scores), "cells": _every_cell(scores)},
+        {"answer": _answer(scores, best, footer)},
+    )
     return Page(values, tables, figures, claims)
 
 
 def _recorded(source: Source) -> Page:
-    """The winning trigger on the recorded car, beside fixed resets."""
+    """The winning trigger on the recorded car, compared with fixed resets."""
     grid = grid_of(source, (TRUTH,), case="case", yaw="phi_u0_deg")
     cases = ("linearisation", FIXED, "no reset")
     worst = [grid.at(TRUTH, case=case, yaw=grid.axes["yaw"][-1]) for case in cases]

@@ -6,7 +6,7 @@ FOLDER is a copy of the PSINS toolbox, which Octave runs (Debian: ``apt install 
 python-ins comes from its registry (``pip install python-ins``). A program that is absent is left
 out, with a line that says so. The settings of each program are the best of a few on four draws that
 the table leaves out. Everything is kept in DIR: an interrupted run continues.
-``--page`` writes the table into docs/comparison.md.
+``--page`` writes the table into docs/comparison.md, and with all columns into a CSV file.
 """
 
 import argparse
@@ -28,9 +28,12 @@ from sinsjax.analysis import format_estimate
 from sinsjax.analysis.formats import format_percent
 from sinsjax.arena.comparison import ConditionResult
 from sinsjax.arena.score import Score, score_results
+from sinsjax.report.base import Table
+from sinsjax.report.study_page import TABLES_FOLDER, write_table
 
 HERE = Path(__file__).parent
 PAGE = HERE.parents[1] / "comparison.md"
+TABLE = PAGE.parent / TABLES_FOLDER / "comparison_arena.csv"
 STUDY = "arena"
 DRAWS, LAST = 32, 36  # draws of the table, and the end of those that choose the settings
 
@@ -176,31 +179,59 @@ def main() -> None:
                 best[name] = min(errors, key=lambda s: errors[s].comparison.overall.program.value)
         found = {name: pool.submit(run, name, best[name], judged) for name in programs.names}
         scores = {name: score(out, name, found[name].result(), judged) for name in found}
-    text = render(programs, best, scores)
+    table = build_table(best, scores)
+    text = render(table, programs)
     print(text)
     if arguments.page:
+        write_table(table, TABLE)
         page = PAGE.read_text(encoding="utf-8")
         mark = r"(<!-- table -->\n).*(<!-- end of table -->)"
         page = re.sub(mark, lambda m: m[1] + text + m[2], page, flags=re.S)
         PAGE.write_text(page, "utf-8")
 
 
-def render(programs: Programs, best: dict[str, str], scores: dict[str, Score]) -> str:
-    """Return the table as Markdown."""
+def build_table(best: dict[str, str], scores: dict[str, Score]) -> Table:
+    """Return a row per program, then one per method of sinsjax."""
     first = next(iter(scores.values())).comparison
-    heads = [describe_condition(result, first.keys) for result in first.conditions]
-    heads = ["program", "settings", *heads, f"less {first.best}, all", "within 40' of north (%)"]
-    lines = [f"| {' | '.join(heads)} |", f"|{' --- |' * len(heads)}"]
+    conditions = [describe_condition(result, first.keys) for result in first.conditions]
+    difference = f"less {first.best}, all"
+    header = ["program", *conditions, difference, "within 40' of north (%)", "settings"]
+    rows = []
     for name, found in scores.items():
         result = found.comparison
-        cells = [format_estimate(c.program) for c in result.conditions]
-        overall = format_estimate(result.overall.difference)
-        success = format_percent(result.overall.success)
-        settings = best[name].strip("[]") or "-"
-        lines.append(f"| {name} | {settings} | {' | '.join(cells)} | {overall} | {success} |")
-    lines += own_rows(next(iter(scores.values())), first.conditions)
+        rows.append(
+            [
+                name,
+                *(format_estimate(c.program) for c in result.conditions),
+                format_estimate(result.overall.difference),
+                format_percent(result.overall.success),
+                describe_settings(name, best[name]),
+            ]
+        )
+    rows += own_rows(next(iter(scores.values())), first.conditions)
+    return Table("Programs on identical draws", header, rows)
+
+
+def render(table: Table, programs: Programs) -> str:
+    """Return the table as Markdown, without its last two columns."""
+    shown = [table.header, *table.rows]
+    head, *lines = (f"| {' | '.join(cells[:-2])} |".replace("|  |", "| |") for cells in shown)
+    rule = f"|{' --- |' * (len(table.header) - 2)}"
     made = "; ".join([*programs.versions, f"sinsjax {sinsjax.__version__}", *programs.absent])
-    return "\n".join([*lines, "", f"*{made}.*", ""])
+    return "\n".join([head, rule, *lines, "", f"*{made}.*", ""])
+
+
+def describe_settings(name: str, settings: str) -> str:
+    """Return the settings of a program in words, empty for none."""
+    numbers = settings.strip("[]").split()
+    if name in ("alignvn", "alignvn_ekf"):
+        r, level, yaw = numbers
+        return f"measurement noise {r} m/s; P0 of level {level} deg, of yaw {yaw} deg"
+    if name == "aligncmps":
+        return f"ctl0 [{' '.join(numbers[:2])}] s, ctl1 [{' '.join(numbers[2:])}] s"
+    if name == "python-ins":
+        return f"measurement noise {settings} m/s once a second"
+    return ""
 
 
 def describe_condition(result: ConditionResult, keys: list[str]) -> str:
@@ -212,11 +243,11 @@ def describe_condition(result: ConditionResult, keys: list[str]) -> str:
     return f"{base}, ({start}) deg"
 
 
-def own_rows(found: Score, conditions: list[ConditionResult]) -> list[str]:
+def own_rows(found: Score, conditions: list[ConditionResult]) -> list[list[str]]:
     """Return a row for each method of sinsjax."""
     table = sinsjax.read_summary(found.directory).to_pandas()
     keys = found.comparison.keys
-    lines = []
+    rows_of_cases = []
     for case in dict.fromkeys(table["case"]):
         rows = table[table["case"] == case]
         if rows["method"].iloc[0] in (found.study.study.external or ()):
@@ -229,8 +260,8 @@ def own_rows(found: Score, conditions: list[ConditionResult]) -> list[str]:
             error = rows.loc[here, "phi_u_arcmin"].abs()
             cells.append(format_estimate(sinsjax.analysis.mean(error)))
         share = sinsjax.analysis.share(rows["ok_truth"], rows["draw_id"])
-        lines.append(f"| sinsjax {case} | - | {' | '.join(cells)} | | {format_percent(share)} |")
-    return lines
+        rows_of_cases.append([f"sinsjax {case}", *cells, "", format_percent(share), ""])
+    return rows_of_cases
 
 
 if __name__ == "__main__":

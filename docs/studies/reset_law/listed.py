@@ -8,12 +8,11 @@ from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.formats import format_degrees
 from sinsjax.analysis.grids import median_over_draws
 from sinsjax.execution.source import Source
-from sinsjax.plots import GridAxis
-from sinsjax.report.base import Picture, Table
+from sinsjax.report.base import Table
 from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import Grid, grid_of, held_out, least_mean, shared, soonest
-from ..common.settling import mean_time, median_time, settled, settling_maps
+from ..common.settling import mean_time, median_time, settled
 from ..common.words import apart, share
 
 Schedule = tuple[float, ...]
@@ -85,8 +84,7 @@ def _answer(source: Source, grid: Grid) -> Page:
             np.isfinite(singles).all(axis=(0, 1, 3)).any()
         ),
     }
-    shown = {"settings": _settings(grid, run_s)}, {"answer": _answer_figure(source, grid)}
-    return Page(values, *shown, claims)
+    return Page(values, {"settings": _settings(grid, run_s)}, claims=claims)
 
 
 def _settings(grid: Grid, run_s: float) -> Table:
@@ -105,11 +103,9 @@ def _settings(grid: Grid, run_s: float) -> Table:
     ]
     header = ["resets", *(f"feedback every {feedback:g} s" for feedback in intervals)]
     note = (
-        f"Share that settles, and mean settling time with {run_s:g} s for a run that never does;"
-        f" all {len(grid.axes['level']) * len(grid.axes['yaw'])} misalignments, [95 % interval over"
-        f" the {grid.draws} Monte Carlo runs of each]. One time of the single reset serves all"
-        " misalignments, told in brackets; it is chosen on one half of the runs and judged on the"
-        " other. Where all settle the interval counts each draw of the noise as one run."
+        f"Settled share and mean time ({run_s:g} s for never) of"
+        f" {len(grid.axes['level']) * len(grid.axes['yaw'])} misalignments with {grid.draws} runs"
+        " each; one half of the runs chose the single reset's time for the other."
     )
     return Table("All misalignments, Q as printed", header, rows, note)
 
@@ -223,28 +219,6 @@ def _phase(source: Source) -> Page:
         )
     }
     return Page(values, claims=claims)
-
-
-def _answer_figure(source: Source, grid: Grid) -> Picture:
-    """Settling times over the misalignments, with the settings that the page is about."""
-    shown = {
-        "no reset": (MEASURED, NONE),
-        named((50.0,)): (MEASURED, (50.0,)),
-        named(TWO): (MEASURED, TWO),
-        "no reset, gravity in A(t)": (GRAVITY, NONE),
-    }
-    panels = {
-        name: grid.at(SETTLE, schedule=times, **HERE | {"force": force})
-        for name, (force, times) in shown.items()
-    }
-    return settling_maps(
-        source,
-        "answer",
-        panels,
-        "Feedback every second, Q as printed.",
-        rows=GridAxis("initial level error_deg", grid.axes["level"]),
-        columns=GridAxis("initial heading error_deg", grid.axes["yaw"]),
-    )
 
 
 def layout(source: Source) -> Grid:

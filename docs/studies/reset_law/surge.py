@@ -106,10 +106,9 @@ def _table(grid: Grid, run_s: float) -> Table:
         rows.append([f"{base:g}", r if base else FIXED, *cells])
     latitudes = " and ".join(f"{one:g}" for one in grid.axes["latitude"])
     note = (
-        f"Mean time [95 % interval over {grid.draws} draws] until the heading stays within 10' of"
-        f" the bias floor, latitudes of {latitudes} deg, {len(grid.axes['start'])} initial"
-        f" misalignments: {settle_s.size} runs each. One that never settles counts as {run_s:g} s."
-        " R: 0.1 m/s for each update, or a multiple of its default, which follows the surge."
+        f"Mean time [95 % interval over {grid.draws} draws], latitudes of {latitudes} deg,"
+        f" {len(grid.axes['start'])} misalignments; {run_s:g} s for never. R: 0.1 m/s per update,"
+        " or a multiple of its default."
     )
     header = ["surge (m/s)", "R", *POLICIES]
-    return Table("Resets of kalman5 on a base that surges", header, rows, note, folded=True)
+    return Table("Resets on a base that surges", header, rows, note, folded=True)

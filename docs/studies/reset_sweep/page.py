@@ -34,7 +34,6 @@ def page(sources: Sources) -> Page:
     floor = float(analysis.numeric_column(source.rows(["floor_arcmin"]), "floor_arcmin")[0])
     values = {
         "runs": f"{source.runs:,}",
-        "draws": grid.draws,
         "limit": f"{abs(floor):.0f} arcmin",
         "without": settled(without),
         "best": {
@@ -70,7 +69,7 @@ def page(sources: Sources) -> Page:
         rows=GridAxis("reset_count", counts[1:]),
         columns=GridAxis("reset_cycle_s", cycles),
     )
-    return Page(values, {"best": _best(grid, contests, gains)}, {"settling": picture}, claims)
+    return Page(values, _best(grid, contests, gains), {"settling": picture}, claims)
 
 
 def _contests(grid: Grid) -> list[tuple[Choice, Choice]]:
@@ -84,11 +83,13 @@ def _contests(grid: Grid) -> list[tuple[Choice, Choice]]:
     return found
 
 
-def _best(grid: Grid, contests: list[tuple[Choice, Choice]], gains: list[Estimate]) -> Table:
-    """The best schedule at each heading error."""
+def _best(
+    grid: Grid, contests: list[tuple[Choice, Choice]], gains: list[Estimate]
+) -> dict[str, Table]:
+    """The best schedules at each heading error; with all medians in a file."""
     counts, cycles = grid.axes["count"], grid.axes["cycle"]
-    once = [f"at {cycle:g} s" for cycle in cycles]
-    often = [f"{n}, {cycle:g} s apart" for n in counts if n > 1 for cycle in cycles]
+    once = [f"{cycle:g} s" for cycle in cycles]
+    often = [f"{n}, {cycle:g} s" for n in counts if n > 1 for cycle in cycles]
     rows = []
     for yaw, (one, more), gain in zip(grid.axes["yaw"], contests, gains, strict=True):
         runs = grid.at(LIMIT, count=0, yaw=yaw)[0], one.values, more.values
@@ -98,11 +99,15 @@ def _best(grid: Grid, contests: list[tuple[Choice, Choice]], gains: list[Estimat
         later = format_estimate(gain, digits=0)
         names = one.named(once), more.named(often)
         rows.append([f"{yaw:g} deg", none_s, names[0], one_s, names[1], more_s, later])
-    header = ["initial heading error", "no reset (s)", "best one", "median (s)", "best of more"]
+    header = ["initial heading error", "no reset (s)", "one at", "median (s)"]
+    header += ["several: number, spacing", "median (s)", "difference (s)"]
+    short = ["heading error", "one at", "number, spacing", "difference (s)"]
     note = (
-        f"Median [95 % interval over {grid.draws} Monte Carlo runs]; each half of the runs chose"
-        " for the other. Where they differ both schedules are given, and either may be set. The"
-        " difference is that of the medians, negative where several resets settle sooner."
+        f"Difference of the medians [95 % interval over {grid.draws} runs], negative if several"
+        " settle sooner. Each half of the runs chose for the other; if they differ, set either."
     )
-    title = "What to set if the heading error is known, and what to expect"
-    return Table(title, [*header, "median (s)", "difference (s)"], rows, note)
+    title = "What to set if the heading error is known"
+    return {
+        "best": Table(title, short, [[row[k] for k in (0, 2, 4, 6)] for row in rows], note),
+        "medians": Table("The same with all medians", header, rows, folded=True),
+    }

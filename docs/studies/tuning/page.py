@@ -69,9 +69,16 @@ def page(sources: Sources) -> Page:
         "tuned_q": seconds(cases[PLAIN_TUNED_Q]),
         "without_last": seconds(cases[WITHOUT_LAST]),
     }
-    values["nees"] = {
-        name: f"{nees[case].value:.0f}" for name, case in (("plain", PLAIN), ("tuned", TUNED))
+    values["nees"] = {"tuned": f"{nees[TUNED].value:.0f}"}
+    values["sizes"] = {
+        f"{when}_{how}": count
+        for how, tuning in (("on", tunings["small"]), ("each", tunings["large"]))
+        for when, count in (
+            ("tuned", tuning.tune.tune_draws),
+            ("judged", tuning.run_values.shape[2]),
+        )
     }
+    del values["belief"]["baseline"]  # of the table only
     claims = _claims(tunings) | {
         "the plain two are nearly as fast at condition 5": (
             plain["small"].value < 1.1 * tunings["small"].score(tunings["small"].best).value
@@ -159,8 +166,8 @@ def _shifted(source: Source) -> Page:
     )
     figure.axes[-1].set_xlabel("shift of all resets (s), with feedback every second")
     caption = (
-        "Mean time until the heading stays within 10' of its limit, over eight misalignments;"
-        " bars: 95 % intervals. Each schedule as found stands at shift 0."
+        "Mean settling time over eight misalignments; bars: 95 % intervals. Shift 0: each schedule"
+        " as found."
     )
     told = ("plain", "sobol", "robust", "put_off")
     values = {name: seconds(over[name]) for name in told} | {
@@ -190,9 +197,8 @@ def _seen(tuning: Tuning, source: Source) -> Picture:
     title = "When to reset twice: mean settling time, heading from its limit"
     seen.figure.suptitle(title, fontweight="bold")
     caption = (
-        f"Condition 5, a grid of reset times, each over {tuning.tune.tune_draws} Monte Carlo runs;"
-        " light is good. Lines: gradient descents. The times in the table are of other runs,"
-        f" {tuning.run_values.shape[2]} a setting."
+        f"Condition 5, each pair of reset times over {tuning.tune.tune_draws} runs; light is good."
+        " Lines: gradient descents."
     )
     return Picture("small_seen", caption, seen.figure, source.sample_size_text)
 
@@ -210,8 +216,6 @@ def _told(tuning: Tuning) -> dict[str, str]:
         "gradient": seconds(tuning.difference(GRADIENT), 1),
         "equal": seconds(tuning.difference(EQUAL), 1),
         "cost": f"{100 * gradient.cost / rival.cost:.0f} %",
-        "tuned_on": tuning.tune.tune_draws,
-        "judged_on": tuning.run_values.shape[2],
     }
 
 
@@ -248,19 +252,18 @@ def _expected(tunings: Mapping[str, Tuning], plain: Mapping[str, Estimate]) -> T
             if candidate not in tuning.case_numbers:
                 continue  # the law has no times where none are tuned
             case = tuning.evaluation_study.cases[tuning.case_numbers[candidate]]
-            settings = (
-                f"`{key} = {_shown(value)}`" for key, value in case.items() if key != "case"
-            )
+            settings = (f"{key} = {_shown(value)}" for key, value in case.items() if key != "case")
             found[label] = "; ".join(settings), tuning.score(candidate)
         if name in plain:
-            found["plain two"] = f"`reset_times_s = {_shown(PLAIN_S)}`", plain[name]
+            found["plain two"] = f"reset_times_s = {_shown(PLAIN_S)}", plain[name]
         rows += [[QUESTIONS[name], how, keys, seconds(s)] for how, (keys, s) in found.items()]
     note = (
-        "Mean time until the heading stays within 10 arcmin of its limit; compass gains: the time"
-        " by which 90 % are within 3 arcmin, where 600 s, the whole run, is never."
-        " [95 % interval over runs that tuned nothing.]"
+        "Mean time until the heading stays within 10 arcmin of its bias floor [95 % interval over"
+        " runs that tuned nothing]; compass gains: the time by which 90 % are within 3 arcmin"
+        " (600 s: never)."
     )
-    return Table("What to set, and what to expect", ["", "", "settings", "time"], rows, note)
+    header = ["question", "how", "settings", "time"]
+    return Table("What to set, and what to expect", header, rows, note, folded=True)
 
 
 def _shown(value: Any) -> str:

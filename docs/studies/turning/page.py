@@ -133,7 +133,6 @@ def _over_time(
         "half": arcmin(tactical[HALF][SHOWN_S], 0),
         "carousel": arcmin(tactical[CAROUSEL][SHOWN_S], 0),
         "ratio": f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]",
-        "runs": f"{sum(sources[name].runs for name in GRADES):,}",
     }
     claims = {
         "a half turn is far better than parked": (
@@ -142,9 +141,9 @@ def _over_time(
         "the fit attains the bound": ratio.low < 1.02 and ratio.high < 1.15,
     }
     caption = (
-        "Lines: information bound of sensors whose biases are drawn with the 1 sigma above each"
-        f" panel. Points: rms error of `gravity_fit` over {sources['turning_1'].draws} draws, 95 %"
-        " interval. The half turn begins at 140.5 s; latitude 45 deg."
+        "Lines: information bound, biases drawn with the 1 sigma above each panel. Points: rms of"
+        f" `gravity_fit` over {sources['turning_1'].draws} draws, 95 % interval. The half turn"
+        " begins at 140.5 s; latitude 45 deg."
     )
     times = np.array([*CURVE_S, sources["turning_1"].study.duration_s])
     figure = draw_errors(times, panels)
@@ -174,7 +173,7 @@ def _plan(sensors: Sensors, duration_s: float, *, scale: bool = False) -> TurnCh
 
 def _planned() -> Page:
     """Five sensors: parked, half turn and the best, and when a half turn begins to pay."""
-    rows, pays = [], {}
+    rows, full_rows, pays = [], [], {}
     for sensors in SENSORS:
         cells = []
         for span in SPANS_S:
@@ -185,37 +184,42 @@ def _planned() -> Page:
             cells.append(_digits(full.best.sigma_arcmin))
         pays[sensors.name] = _pays_from(sensors)
         shortest = f"{pays[sensors.name]:.0f} s"
-        rows.append([f"{sensors.name}, {sensors.gyro_bias_deg_per_h:g} deg/h", *cells, shortest])
-    header = [
-        "gyros",
-        *(f"{k}, {t:g} s" for t in SPANS_S for k in ("parked", "half turn", "best*")),
-    ]
-    header.append("half turn pays from")
+        name = f"{sensors.name}, {sensors.gyro_bias_deg_per_h:g} deg/h"
+        noise = [f"{value:g}" for value in sensors[2:]]
+        rows.append([name, *cells, shortest])
+        full_rows.append([name, *noise, *cells, shortest])
+    motions = ("parked", "half turn", "best*")
+    short = ["gyros", *motions, "pays from"]
+    kept = [0, *range(1, 1 + len(motions)), -1]
     note = (
         "Least heading error, 1 sigma, arcmin, at 45 deg: scale factors and axes known/unknown to"
-        f" 300 ppm and 1 mrad. *Of five motions, for the latter: the {CAROUSEL}. Angle random walk"
-        f" {', '.join(f'{s.gyro_arw_deg_per_sqrt_h:g}' for s in SENSORS)} deg/sqrt(h),"
-        f" accelerometers {', '.join(f'{s.accel_bias_ug:g}' for s in SENSORS)} ug and"
-        f" {', '.join(f'{s.accel_vrw_ug_per_sqrt_hz:g}' for s in SENSORS)} ug/sqrt(Hz)."
+        f" 300 ppm and 1 mrad. *Of five motions, unknown: the {CAROUSEL}."
     )
-    table = Table("Five sensors", header, rows, note)
+    table = Table(
+        f"Five sensors, {SHOWN_S:g} s", short, [[row[k] for k in kept] for row in rows], note
+    )
+    header = [
+        *("gyros", "gyro ARW (deg/sqrt(h))", "accel bias (ug)", "accel VRW (ug/sqrt(Hz))"),
+        *(f"{motion}, {span:g} s" for span in SPANS_S for motion in motions),
+        "half turn pays from",
+    ]
+    title = f"{SPANS_S[-1]:g} s too, and the noise"
+    sensors_table = Table(title, header, full_rows, folded=True)
     laser, fog = SENSORS[0], SENSORS[2]
-    short = [option.sigma_arcmin for option in _plan(laser, 60.0).options]
+    at_60_s = [option.sigma_arcmin for option in _plan(laser, 60.0).options]
     values = {
         "laser": {
-            "from": f"{pays[laser.name]:.0f}",
-            "parked": f"{short[0]:.1f}",
-            "half": f"{short[1]:.1f}",
+            "parked": f"{at_60_s[0]:.1f}",
+            "half": f"{at_60_s[1]:.1f}",
         },
-        "navigation_from": f"{pays['navigation grade']:.0f}",
     }
     best = {_plan(s, t, scale=True).best.name for s in SENSORS for t in SPANS_S}
     claims = {
-        "the laser gyro's half turn does not pay at 60 s": short[0] < short[1],
+        "the laser gyro's half turn does not pay at 60 s": at_60_s[0] < at_60_s[1],
         "with a fibre-optic gyro a half turn pays after a minute": pays[fog.name] <= 60,
         "the reversing carousel is the best of all": best == {CAROUSEL},
     }
-    return Page(values, {"planned": table}, claims=claims)
+    return Page(values, {"planned": table, "sensors": sensors_table}, claims=claims)
 
 
 def _pays_from(sensors: Sensors) -> float:
@@ -248,7 +252,6 @@ def _mounting(
             "none": arcmin(fog[HALF]),
             "ignored": arcmin(fog[OFF_AXIS], 0),
             "unknown": arcmin(fog[OFF_AXIS_UNKNOWN]),
-            "factor": f"{factor:.1f}",
         },
         "tilt": {
             "level": f"{bound[HALF][index]:.0f}",
