@@ -2,6 +2,7 @@
 
 import csv
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -149,3 +150,15 @@ def test_psins_comparison_example_loads_and_names_known_keys(tmp_path: Path) -> 
     named = {name for cell in cells for name in re.findall(keys, cell)}
     told = {column.name for column in columns.OBSERVED} | SECTION_OF.keys() | {"rate_hz"}
     assert len(named) > 25 and named <= told | {"duration_s", "format"}
+
+
+def test_release_has_one_version_and_date_everywhere() -> None:
+    """Also that of the package as installed."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    version, date = re.findall(r"^(?:version|date-released): (.+)$", citation, re.M)
+    assert version == project["version"] == sinsjax.__version__
+    assert changes.partition("\n## ")[2].startswith(f"[{version}] - {date}\n")
+    (wheel,) = re.findall(r"sinsjax-(\S+)-py3", (ROOT / "docs/start.md").read_text("utf-8"))
+    assert wheel == version
