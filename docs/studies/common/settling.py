@@ -38,7 +38,7 @@ def settling_maps(
     *,
     rows: GridAxis,
     columns: GridAxis,
-    title: str = "How long until the heading stays within 10' of its limit?",
+    title: str,
 ) -> Picture:
     """Median settling times over two axes, at most four panels side by side.
 
@@ -49,7 +49,7 @@ def settling_maps(
         note: what else the caption has to say.
         rows: upwards.
         columns: to the right.
-        title: of the figure, with what the heading is judged from.
+        title: of the figure.
     """
     medians = {panel: median_over_draws(runs) for panel, runs in panels.items()}
     figure = plots.draw_heat_maps(
@@ -62,15 +62,16 @@ def settling_maps(
     )
     never = any(not np.isfinite(cells).all() for cells in medians.values())
     hatched = ", hatched: at least half of them never settle" if never else ""
-    caption = f"Medians over {_how_many(source, panels)}; light is good{hatched}. {note}"
+    known = how_many(source, np.stack(list(panels.values())))
+    caption = f"Medians over {known}; light is good{hatched}. {note}"
     return Picture(name, caption, figure, source.sample_size_text)
 
 
-def _how_many(source: Source, panels: Mapping[str, NDArray]) -> str:
-    """The number of runs of a cell, and how well their median is known."""
+def how_many(source: Source, times: NDArray) -> str:
+    """The number of runs of a cell of settling times (..., draws), and how well it is known."""
     if source.study.is_recorded:
         return f"{source.draws} start times on one record, which give no interval"
-    cells = np.concatenate([runs.reshape(-1, source.draws) for runs in panels.values()])
+    cells = times.reshape(-1, source.draws)
     known = [analysis.quantile(runs) for runs in cells[np.isfinite(median_over_draws(cells))]]
     width = np.median([(one.high - one.low) / 2 for one in known])
     return f"{source.draws} Monte Carlo runs (95 % interval: ±{width:.0f} s in half of the cells)"

@@ -2,15 +2,15 @@
 
 import numpy as np
 
+import sinsjax
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.grids import median_over_draws
-from sinsjax.plots import GridAxis
-from sinsjax.report.base import Table
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.study_page import Page, Sources
 
 from ..common.grids import Choice, Grid, grid_of, held_out, soonest
-from ..common.settling import mean_time, settled, settling_maps
+from ..common.settling import how_many, mean_time, settled
 
 LIMIT, TRUTH = "settle_10_s", "settle_10_truth_s"
 
@@ -57,18 +57,10 @@ def page(sources: Sources) -> Page:
         "several win at large heading errors": all(gain.high < 0 for gain in gains[5:]),
         "no run with resets stays near true north": not np.isfinite(truth).any(),
     }
-    picture = settling_maps(
-        source,
-        "settling_time",
-        {
-            f"heading error {yaw:g} deg": reset[:, :, y]
-            for y, yaw in enumerate(yaws)
-            if yaw % 30 == 0
-        },
-        "The first reset comes after one time between resets; level errors of 5 deg.",
-        rows=GridAxis("reset_count", counts[1:]),
-        columns=GridAxis("reset_cycle_s", cycles),
-    )
+    columns = ["reset_count", "reset_cycle_s", LIMIT, "phi_u0_deg", "reset_times_s", "phi_u_arcmin"]
+    figure = sinsjax.plot_map(source.rows(columns), *columns[:3], by="phi_u0_deg")
+    first = "The first reset comes after one time between resets; level errors of 5 deg."
+    picture = Picture("settling_time", f"Medians over {how_many(source, reset)}. {first}", figure)
     return Page(values, _best(grid, contests, gains), {"settling": picture}, claims)
 
 

@@ -162,7 +162,7 @@ def _shifted(source: Source) -> Page:
         "shift_s",
         list(SHIFTS_S),
         {"mean settling time (s)": dict(zip(SHIFTED.values(), times, strict=True))},
-        title="Where resets fall between two feedbacks decides: heading from its limit",
+        title="Where resets fall between two feedbacks decides: heading from its bias floor",
     )
     figure.axes[-1].set_xlabel("shift of all resets (s), with feedback every second")
     caption = (
@@ -194,7 +194,7 @@ def _seen(tuning: Tuning, source: Source) -> Picture:
     axes.annotate(
         "plain: 10 and 60 s", PLAIN_S, (9, -4), textcoords="offset points", fontweight="bold"
     )
-    title = "When to reset twice: mean settling time, heading from its limit"
+    title = "When to reset twice: mean settling time, heading from its bias floor"
     seen.figure.suptitle(title, fontweight="bold")
     caption = (
         f"Condition 5, each pair of reset times over {tuning.tune.tune_draws} runs; light is good."
