@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from sinsjax.columns import describe_missing
 from sinsjax.errors import InputError
 
 _SLICE = 2**16  # rows converted to Python objects at a time
@@ -158,5 +159,5 @@ def require_column(table: pa.Table, name: str) -> pa.ChunkedArray:
         InputError: it is missing.
     """
     if name not in table.column_names:
-        raise InputError(f"summary: column {name} is missing")
+        raise InputError(f"summary: {describe_missing(name)}")
     return table[name]

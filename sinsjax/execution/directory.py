@@ -278,10 +278,14 @@ def _check_version(directory: Path, manifest: Mapping[str, Any]) -> None:
         return
     versions = manifest.get("versions")
     version = str(versions.get("sinsjax", "")) if isinstance(versions, dict) else ""
+    older = schema.isdigit() and int(schema) < int(columns.SCHEMA_VERSION)
+    names = ", ".join(f"{old} is now {new}" for old, new in columns.RENAMED.items())
+    renamed = f": {names}" if older else ""
     raise OtherVersionError(
         f"{directory}: contains results of"
         f" {shorten(to_one_line(f'sinsjax {version}'.strip()), 40)},"
         f" whose columns (schema {shorten(to_one_line(schema), 20)}) this version does not read"
+        f"{renamed}"
         " (run the study again, into another directory or with --overwrite, or use that version)"
     )
 

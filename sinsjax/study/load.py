@@ -64,6 +64,7 @@ _DEPENDENT_DEFAULTS = EARTH_CONSTANTS | {
 _FEEDBACK_KEY = "feedback_interval_s"
 _SWEEP_TABLES = ("axes", "cases", "drawn")
 _REMOVED_SECTIONS = {
+    "azimuth": "a large heading error is fed back as the rotation that it defines",
     "report": "every study has the same report",
     "statements": "pages of studies judge their own statements",
     "unscented": "sigma_point_alpha is 0.5",

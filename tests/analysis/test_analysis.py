@@ -89,6 +89,12 @@ def test_groups_refuses_unknown_key():
         list(analysis.group_rows(keyed_table(), ["reset_cout"]))
 
 
+def test_column_of_version_0_6_is_named_with_its_new_name():
+    new = r"column ok_limit is missing \(it is ok_floor since version 1\.0\)"
+    with pytest.raises(InputError, match=new):
+        list(analysis.group_rows(keyed_table(), ["ok_limit"]))
+
+
 def test_summarise_returns_one_row_per_group():
     status = ["ok"] * 6 + ["diverged"] * 3 + ["not_settled"] * 2 + ["nonfinite"]
     settle = [50.0, 60.0, 70.0, 80.0, 90.0, 100.0] + [None] * 6
