@@ -77,10 +77,10 @@ def _lanes(machine: Machine) -> Iterator[str]:
         best = min(found, key=lambda point: point[1]["ns_per_step_run"])
         used = dict(found).get(64)
         yield (
-            f"- *Lanes per tile:* {least[0]} take {_ns(least[1])}, {most[0]} {_ns(most[1])};"
-            f" the best count is {best[0]} with {_ns(best[1])}"
-            + (f", the engine's 64 take {_ns(used)}" if used and best[0] != 64 else "")
-            + ". Few lanes share a step's fixed cost; many overflow the first-level cache."
+            f"- *Lanes per tile:* {_ns(least[1])} with {least[0]}, too few to share a step's fixed"
+            f" cost, {_ns(most[1])} with {most[0]}, too many for the first-level cache; {best[0]}"
+            f" are best with {_ns(best[1])}"
+            + (f", the engine's 64 take {_ns(used)}." if used and best[0] != 64 else ".")
         )
 
 
@@ -88,15 +88,15 @@ def _tiles(machine: Machine) -> Iterator[str]:
     if len(found := figures.rows_by_size(machine, "tiles_")) > 1:
         ns = [row["ns_per_step_run"] for _, row in found]
         yield (
-            f"- *Tiles per call:* {found[0][0]} to {found[-1][0]} take {min(ns):.1f} to"
-            f" {max(ns):.1f} ns."
+            f"- *Tiles per call:* {min(ns):.1f} to {max(ns):.1f} ns with {found[0][0]} to"
+            f" {found[-1][0]} tiles."
         )
 
 
 def _curves(machine: Machine) -> Iterator[str]:
     on, off = (machine.row("throughput", f"curves_{word}") for word in ("on", "off"))
     if on and off:
-        yield f"- *Curves:* kept {_ns(on)}, not kept {_ns(off)}."
+        yield f"- *Curves:* {_ns(on)} with curves, {_ns(off)} without."
 
 
 def _memory(machine: Machine) -> Iterator[Block]:
@@ -109,20 +109,20 @@ def _memory(machine: Machine) -> Iterator[Block]:
     parts = []
     if plain:
         parts.append(
-            f"in calls of {_listed(plain, 'runs')} runs a run takes"
-            f" {_listed(plain, 'bytes_per_run')} bytes"
+            f"a run takes {_range(plain, 'bytes_per_run')} bytes in calls of"
+            f" {_range(plain, 'runs')} runs"
         )
     if curves:
-        parts.append(f"with curves {_listed(curves, 'bytes_per_run')}")
+        parts.append(f"with curves {_range(curves, 'bytes_per_run')}")
     if sweeps:
         before = max(row["before_mib"] for row in sweeps)
         parts.append(
-            f"sweeping {_listed(sweeps, 'runs')} runs into Parquet peaks at"
-            f" {_listed(sweeps, 'peak_mib')} MiB ({before:,} before)"
+            f"sweeps of {_range(sweeps, 'runs')} runs into Parquet peak at"
+            f" {_range(sweeps, 'peak_mib')} MiB ({before:,} before)"
         )
     if parts:
-        yield Text(f"Memory, {machine.name}: {'; '.join(parts)}.")
+        yield Text(f"Memory on {machine.name}: {'; '.join(parts)}.")
 
 
-def _listed(rows: Sequence[Row], key: str) -> str:
-    return ", ".join(f"{row[key]:,}" for row in rows)
+def _range(rows: Sequence[Row], key: str) -> str:
+    return " to ".join(dict.fromkeys(f"{rows[at][key]:,}" for at in (0, -1)))

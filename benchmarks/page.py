@@ -7,7 +7,7 @@ in ``notes.md``, to which the page links.
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import common
@@ -55,38 +55,42 @@ def sections(machines: Sequence[Machine], notes: str) -> list[Chapter]:
     return [section for section in made if section.blocks]
 
 
+HEADLINE = (
+    "Speed of `kalman5` on one core in float64, compared with the hand-written limit kernel, and"
+    f" runs of {costs.RUN_S} s at {costs.RATE_HZ} Hz per minute:"
+)
+
+
 def headline(machine: Machine) -> list[str]:
-    """What was found on a machine, in a line or none."""
+    """Return the speed on a machine as an item of a list; empty if it was not measured."""
     kernel = machine.row("pairs", "limit_kernel")
     ours = machine.row("pairs", "kalman_shared_record")
     if not (kernel and ours):
         return []
     ns = ours["ns_per_step_run"]
     return [
-        f"{machine.name}: {ns:.1f} ns per step per run on one core in float64, {ours['ratio']:.2f}"
-        f" times a hand-written kernel ({kernel['ns_per_step_run']:.1f} ns), or"
-        f" {costs.runs_a_minute(ns):,.0f} runs of {costs.RUN_S} s at {costs.RATE_HZ} Hz per minute."
+        f"- {machine.name}: {ns:.1f} ns per step per run, {ours['ratio']:.2f} times the kernel's"
+        f" {kernel['ns_per_step_run']:.1f} ns; {costs.runs_a_minute(ns):,.0f} runs."
     ]
 
 
 def compared(machines: Sequence[Machine]) -> list[Block]:
-    """Processor, versions and dates of each machine."""
+    """Cores, versions and dates of each machine."""
     note = (
-        "Compare machines by their ratios to the limit kernel, built for the same instruction set,"
-        " not by times."
+        "Compare machines by ratios to the limit kernel, built for the same instruction set, not by"
+        " times."
     )
     return [Text("\n".join([*map(describe_machine, machines), "", note]))]
 
 
 def describe_machine(machine: Machine) -> str:
-    """Return a machine's processors, cores, versions and dates as an item of a list."""
+    """Return a machine's cores, versions and dates as an item of a list."""
     rows = [row for named in machine.sets.values() for row in named.values()]
 
     def distinct(key: str, unit: str = "") -> str:
         return " and ".join(dict.fromkeys(f"{row[key]}{unit}" for row in rows if row.get(key)))
 
-    family = f"family/model {found}" if (found := distinct("family")) else ""
-    parts = [family, distinct("cores", " cores"), f"jax {distinct('jax')}"]
+    parts = [distinct("cores", " cores"), f"jax {distinct('jax')}"]
     if distinct("jaxlib") != distinct("jax"):
         parts.append(f"jaxlib {distinct('jaxlib')}")
     dates = sorted({row["date"] for row in rows})
@@ -97,10 +101,10 @@ def describe_machine(machine: Machine) -> str:
 TARGETS_NOTE = "Medians of turns, ± half their range; bold: missed."
 
 METHODS_NOTE = (
-    "ns per step per run, silent sensors. Per operation: time per arithmetic operation on one"
-    " number, relative to `kalman` (64 variants per draw), from `kalman_alone` on to that (one);"
-    f" target ≤ {OF_OTHERS:g}"
-    f" ({', '.join(f'`{name}` {most:g}' for name, most in PER_OPERATION.items())})."
+    "Targets bound the time per arithmetic operation relative to `kalman` (64 variants per draw) or"
+    f" `kalman_alone` (one): {OF_OTHERS:g}"
+    f" ({', '.join(f'{most:g} for `{name}`' for name, most in PER_OPERATION.items())})."
+    " [All rows](#all-rows) list every method."
 )
 
 
@@ -110,18 +114,28 @@ def bold_if_missed(row: Judged) -> str:
 
 
 def targets(machines: Sequence[Machine]) -> list[Block]:
-    """The tables of targets, except the time per operation, which is in the table of methods."""
+    """The tables of targets, except those of the time per operation, which have a section."""
     tables: list[Block] = []
     for machine in machines:
         elsewhere = judge_operations(machine).values()
+        by_name: dict[str, list[Judged]] = {}
+        for row in judged(machine):
+            if row not in elsewhere:
+                by_name.setdefault(row.group or row.what, []).append(row)
         lines = [
-            [row.what, row.target, bold_if_missed(row)]
-            for row in judged(machine)
-            if row not in elsewhere
+            [name, merge(row.target for row in rows), merge(map(bold_if_missed, rows))]
+            for name, rows in by_name.items()
         ]
         if lines:
             tables.append(Table(machine.name, ["quantity", "target", "measured"], lines))
     return [Text(TARGETS_NOTE), *tables] if tables else []
+
+
+def merge(cells: Iterable[str]) -> str:
+    """Return cells of several rows as one, such as ``≤ 3, 4``."""
+    first, *others = cells
+    sign = first.partition(" ")[0] + " "
+    return ", ".join([first, *(cell.removeprefix(sign) for cell in others)])
 
 
 def all_rows(machine: Machine) -> list[Block]:
@@ -142,13 +156,19 @@ def all_rows(machine: Machine) -> list[Block]:
         )
         caption = f"{machine.name}; dashed: the limit kernel."
         blocks.append(Picture(f"rows_{slug(machine)}", caption, drawn))
-    lines = [row_cells(row, limit) for named in machine.sets.values() for row in named.values()]
+    per_operation = judge_operations(machine)
+    lines = [
+        row_cells(row, limit, per_operation.get(row["name"]) if row["set"] == "methods" else None)
+        for named in machine.sets.values()
+        for row in named.values()
+    ]
     return [*blocks, Table(machine.name, ROW_HEADER, lines, folded=True)]
 
 
 ROW_HEADER = (
-    *("set", "row", "ns per step per run", "times the limit kernel", "compile (s)"),
-    *("runs", "steps", "devices", "median (s)", "half range (s)", "family/model", "date", "more"),
+    *("set", "row", "ns per step per run", "times the limit kernel"),
+    *("time per operation, relative", "compile (s)", "runs", "steps", "devices", "median (s)"),
+    *("half range (s)", "family/model", "date", "more"),
 )
 """Columns of a machine's CSV file."""
 
@@ -162,12 +182,13 @@ _CONDITIONS = {
 }
 
 
-def row_cells(row: Row, limit: float | None) -> list[str]:
+def row_cells(row: Row, limit: float | None, operation: Judged | None = None) -> list[str]:
     """Return a row's cells; what only some rows have is in the last one.
 
     Args:
         row: of the history.
         limit: ns of the limit kernel in the short set; None without it.
+        operation: the time per operation and its target; None if it has none.
     """
     ns = row.get("ns_per_step_run")
     keys = ("compile_s", "runs", "steps", "devices", "median_s", "spread_s", "family", "date")
@@ -181,6 +202,7 @@ def row_cells(row: Row, limit: float | None) -> list[str]:
         row["name"],
         "" if ns is None else f"{ns:g}",
         f"{ns / limit:.2f}" if ns and limit and row["set"] in ("short", "loops") else "",
+        operation.measured if operation else "",
         *(str(row.get(key, "")) for key in keys),
         more,
     ]
@@ -199,33 +221,24 @@ def work(machine: Machine) -> list[Block]:
 
 
 def methods(machines: Sequence[Machine]) -> list[Block]:
-    """Cost of a step of each method, and the time per operation with its target.
-
-    The machine with the most rows gets a table, the others a sentence.
-    """
-    measured = [machine for machine in machines if machine.sets.get("methods")]
-    if not measured:
-        return []
-    shown = max(measured, key=lambda machine: len(machine.sets["methods"]))
-    per_operation = judge_operations(shown)
-    lines = [
-        [
-            f"`{name}`",
-            number(row["ns_per_step_run"]),
-            bold_if_missed(per_operation[name]) if name in per_operation else "1",
-        ]
-        for name, row in shown.sets["methods"].items()
-    ]
-    blocks: list[Block] = [
-        Text(METHODS_NOTE),
-        Table(shown.name, ["row", "ns", "per operation"], lines),
-    ]
-    for machine in measured:
-        if machine is not shown and (found := judge_operations(machine).values()):
-            reached = sum(row.reached for row in found)
-            text = f"{machine.name}: {reached} of {len(found)} targets reached"
-            blocks.append(Text(f"{text} ([all rows](#all-rows))."))
-    return blocks
+    """Range of the cost of a step, and the methods that miss their target per operation."""
+    items = []
+    for machine in machines:
+        if not (found := judge_operations(machine)):
+            continue
+        by_cost = sorted(
+            machine.sets["methods"].items(), key=lambda item: item[1]["ns_per_step_run"]
+        )
+        least, most = (
+            f"{number(row['ns_per_step_run'])} ns (`{name}`)"
+            for name, row in (by_cost[0], by_cost[-1])
+        )
+        missed = [f"`{name}` ({row.measured})" for name, row in found.items() if not row.reached]
+        items.append(
+            f"- {machine.name}: {least} to {most} per step per run; "
+            + (f"targets missed by {', '.join(missed)}." if missed else "all targets reached.")
+        )
+    return [Text("\n".join([METHODS_NOTE, "", *items]))] if items else []
 
 
 def answers(machine: Machine) -> list[Block]:
@@ -236,11 +249,11 @@ def answers(machine: Machine) -> list[Block]:
     drawn, found = rows["draws"], rows["covariance"]
     return [
         Text(
-            f"On one core of {machine.name} a cell's mean settling time, to 2 s, takes"
-            f" {drawn['cell_ms']:.0f} ms with draws ({drawn['draws']:,}; widest half interval"
+            f"On one core of {machine.name} the mean settling time of a cell takes"
+            f" {drawn['cell_ms']:,.0f} ms from {drawn['draws']:,} draws (widest half interval"
             f" {drawn['half_width_s']:.1f} s) and {found['cell_ms']:.0f} ms by covariance analysis"
-            f" ({found['half_width_s']:.1f} s, of its 1,024 sampled errors alone).\n"
-            f"{drawn['cells']} cells: eight heading errors up to 90 deg by eight schedules of two"
+            f" ({found['half_width_s']:.1f} s, from 1,024 sampled errors alone), over"
+            f" {drawn['cells']} cells: eight heading errors up to 90 deg by eight schedules of two"
             " resets."
         )
     ]
@@ -251,16 +264,14 @@ def single(machine: Machine) -> list[Block]:
     row = machine.row("single_precision", "single_precision")
     if row is None:
         return []
-    changed = ", ".join(f"{100 * share:.1f} %" for share in row["settle_changed_share"])
-    worst = ", ".join(f"{seconds:g} s" for seconds in row["settle_changed_s"])
+    shares, worst = row["settle_changed_share"], row["settle_changed_s"]
     return [
         Text(
             "Not offered. With covariance and error states in float32 a step takes"
-            f" {row['ratio']:.2f} ± {row['ratio_spread']:.2f} times as long. Over the default sweep"
-            f" the final heading error changes by up to {row['phi_u_arcmin_max']:g} arcmin (median"
-            f" {row['phi_u_arcmin_median']:g}), a sigma by up to"
-            f" {100 * row['sigma_share_max']:.2g} %; {changed} of the runs settle within 60, 10 and"
-            f" 3 arcmin at another time, by up to {worst}: as much as a sweep is to show."
+            f" {row['ratio']:.2f} ± {row['ratio_spread']:.2f} times as long, but over the default"
+            f" sweep the final heading error changes by up to {row['phi_u_arcmin_max']:g} arcmin,"
+            f" and {100 * min(shares):.1f} to {100 * max(shares):.1f} % of the settling times by up"
+            f" to {max(worst):g} s: as much as the differences that a sweep measures."
         )
     ]
 
@@ -276,6 +287,10 @@ def slug(machine: Machine) -> str:
     return Path(store.file_name(row)).stem.partition("_")[2]
 
 
+SHORT_S = 0.2
+"""Phases that take less are in the CSV file only."""
+
+
 def cold_start(machine: Machine) -> list[Block]:
     """Seconds of each phase before the first result."""
     rows = machine.sets.get("cold_start", {})
@@ -284,9 +299,11 @@ def cold_start(machine: Machine) -> list[Block]:
     phases = ", ".join(
         f"{name.replace('_', ' ')} {row['median_s']:.2f} ± {row['spread_s']:.2f}"
         for name, row in found.items()
-        if name not in whole
+        if name not in whole and row["median_s"] >= SHORT_S
     )
-    text = f"Phases of the cold first result, {machine.name}, s: {phases}."
+    text = (
+        f"Seconds of the first cold result on {machine.name}, phases above {SHORT_S:g} s: {phases}."
+    )
     return [Text(text)] if phases else []
 
 
@@ -300,24 +317,28 @@ def gpu(machine: Machine) -> list[Block]:
         _, kind, runs = name.split("_")
         by_kind.setdefault(kind, {})[int(runs)] = row
     counts = list(dict.fromkeys(runs for found in by_kind.values() for runs in found))
-    lines = []
+    lines = [
+        f"{machine.name}, ns per step per run with {', '.join(f'{n:,}' for n in counts)} runs:",
+        "",
+    ]
     for kind, found in by_kind.items():
         lanes = ", ".join(dict.fromkeys(f"{row['lanes']:,}" for row in found.values()))
         ns = [f"{found[n]['ns_per_step_run']:.3g}" if n in found else "-" for n in counts]
-        lines.append([f"tiles of {lanes}" if kind == "tiled" else kind, *ns])
+        name = f"tiles of {lanes}" if kind == "tiled" else kind
+        lines.append(f"- {name}: {', '.join(ns)}")
     fastest = max(rows.values(), key=lambda row: row["runs_per_s"])
     compile_s = [row["compile_s"] for row in rows.values()]
     note = (
-        f"ns per step per run; at best {fastest['runs_per_s']:,} runs of {fastest['steps']:,} steps"
-        f" per second. Compiling takes {min(compile_s):.1f} to {max(compile_s):.1f} s."
+        f"At best {fastest['runs_per_s']:,} runs of {fastest['steps']:,} steps per second."
+        f" Compiling takes {min(compile_s):.1f} to {max(compile_s):.1f} s."
     )
-    return [Table(machine.name, ["runs", *(f"{n:,}" for n in counts)], lines, note)]
+    return [Text("\n".join(lines)), Text(note)]
 
 
 LEAST_VERSIONS = 5
 """Versions from which on their history says more than the newest one."""
 
-LEFT = "With the reasons: `benchmarks/notes.md`."
+LEFT = "Rejected ideas, with reasons: `benchmarks/notes.md`."
 
 _OTHER_KERNEL = """\
 Ratios of 0.2.0 and 0.3.0 are to a kernel with 64-byte vectors, which gcc spilled without AVX-512:
@@ -360,7 +381,7 @@ def write(page: Path, machines: Sequence[Machine], notes: str) -> None:
         "# Performance",
     ]
     found = [line for m in machines if m.version == newest for line in headline(m)]
-    lines += ["\n".join(f"- {line}" for line in found)] if found else []
+    lines += [HEADLINE, "\n".join(found)] if found else []
     images = {}
     for section in sections(machines, notes):
         lines.append(f"## {section.heading}")

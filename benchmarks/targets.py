@@ -66,6 +66,7 @@ class Judged(NamedTuple):
         measured: the number, with half the range of the turns.
         conditions: sizes and devices.
         reached: whether it is.
+        group: name of the row that a page shows it in with others; empty for its own row.
     """
 
     what: str
@@ -73,6 +74,7 @@ class Judged(NamedTuple):
     measured: str
     conditions: str
     reached: bool
+    group: str = ""
 
 
 def judged(machine: Machine) -> list[Judged]:
@@ -152,8 +154,8 @@ def _noise(machine: Machine) -> Iterator[Judged]:
 
 def _answer(machine: Machine) -> Iterator[Judged]:
     of = {
-        "covariance_2": "run with the covariance of its error, times a plain run",
-        "covariance_64": "the same with 64 sampled errors",
+        "covariance_2": "covariance analysis, times a plain run",
+        "covariance_64": "the same, 64 sampled errors",
     }
     for name, what in of.items():
         if row := machine.row("answer", name):
@@ -182,7 +184,7 @@ def _disturbed(machine: Machine) -> Iterator[Judged]:
 def _bases(machine: Machine) -> Iterator[Judged]:
     if row := machine.row("noise", "base_2"):
         yield Judged(
-            "a new base motion per draw of 2 variants, per step per run",
+            "new base motion per draw of 2 variants, per step",
             f"≤ {BASE_NS:g} ns",
             f"{row['ns_per_step_run']:.0f} ns",
             sizes(row),
@@ -194,7 +196,7 @@ def _methods(machine: Machine) -> Iterator[Judged]:
     for name, row in machine.sets.get("methods", {}).items():
         if name in OF_METHODS:
             yield Judged(
-                f"`{name}`, a step, times that of `kalman5`",
+                f"step of `{name}`, times one of `kalman5`",
                 f"≤ {OF_METHODS[name]:g}",
                 plus_minus(row, "ratio"),
                 sizes(row),
@@ -232,7 +234,7 @@ def _devices(machine: Machine) -> Iterator[Judged]:
     for name, row in machine.sets.get("devices", {}).items():
         if name.startswith("sweep_"):
             yield Judged(
-                "whole `sweep` into Parquet, share of the compiled call's throughput",
+                "whole `sweep`, share of its compiled throughput",
                 f"≥ {SHARE:g}",
                 plus_minus(row, "share"),
                 sizes(row),
@@ -298,12 +300,13 @@ def _slopes(machine: Machine) -> Iterator[Judged]:
                 plus_minus(row, "ratio"),
                 sizes(row),
                 row["ratio"] <= most,
+                "derivative by 1, 2, ... parameters, times a plain run",
             )
         if row and "temp_bytes_double" in row:
             sizes_kb = [row[f"temp_bytes{key}"] / 1e3 for key in ("_half", "", "_double")]
             yield Judged(
-                f"memory of a derivative by {p}, over half, all and twice the steps",
-                f"the same to {100 * MEMORY:g} %",
+                f"memory of a derivative by {p} over half, all, twice the steps",
+                f"equal to {100 * MEMORY:g} %",
                 f"{', '.join(f'{size:,.0f}' for size in sizes_kb)} kB",
                 sizes(row),
                 max(sizes_kb) <= (1 + MEMORY) * min(sizes_kb),

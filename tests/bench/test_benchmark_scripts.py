@@ -606,10 +606,11 @@ def test_target_of_time_per_operation_is_relative_to_kalman5(tmp_path, ratio, re
     page.write(tmp_path / "p.md", machines, "")
     text = (tmp_path / "p.md").read_text()
     assert "## Methods" in text
-    assert "| `kalman` | 46.0 | 1 |" in text
-    shown = row.measured if reached else f"**{row.measured}**"
-    assert f"| `compass` | 10.0 | {shown} |" in text
+    result = "all targets reached" if reached else f"targets missed by `compass` ({row.measured})"
+    assert f"10.0 ns (`compass`) to 46.0 ns (`kalman`) per step per run; {result}.\n" in text
     plain, compass = all_rows(tmp_path)
+    cells = [cells["time per operation, relative"] for cells in (plain, compass)]
+    assert cells == ["", row.measured]
     assert plain["more"].endswith("; operations 638.1")
     assert f"ratio {ratio}; ratio_spread 0.02; operations 145.3;" in compass["more"]
 
@@ -692,9 +693,9 @@ def test_performance_page_shows_history_rows(tmp_path):
     assert "throughput | ≥ 0.85 | 0.91 ± 0.01 |" in text
     # 60e9 ns a minute over 90,000 steps of 14.2 ns.
     assert "- AMD EPYC 9999 64-Core Processor (AVX-512): 46,948, 44,291, 38,482, 26,828." in text
-    assert "the best count is 80 with 13.9 ns, the engine's 64 take 14.2 ns" in text
-    assert "in calls of 128 runs a run takes 21,000 bytes" in text
-    assert "sweeping 128 runs into Parquet peaks at 1,510 MiB (240 before)" in text
+    assert "80 are best with 13.9 ns, the engine's 64 take 14.2 ns" in text
+    assert "a run takes 21,000 bytes in calls of 128 runs" in text
+    assert "sweeps of 128 runs into Parquet peak at 1,510 MiB (240 before)" in text
     rows = {cells["row"]: cells for cells in all_rows(tmp_path)}
     assert len(rows) == len({row["name"] for row in history_rows()})
     numba = rows["numba_loop"]
@@ -729,9 +730,20 @@ def test_gpu_rows_get_page_section(tmp_path):
     page.write(tmp_path / "p.md", write_history(tmp_path / "history", history_rows(), [row]), "")
     text = (tmp_path / "p.md").read_text()
     assert "## On a GPU" in text and "12,345 runs of 90,000 steps per second" in text
-    assert "**NVIDIA H100**\n\n| runs | 1,000 |" in text and "| silent | 0.9 |" in text
+    assert "NVIDIA H100, ns per step per run with 1,000 runs:\n\n- silent: 0.9\n" in text
     (measured,) = all_rows(tmp_path, "nvidia-h100")
     assert measured["more"].endswith("lanes 1000; runs_per_s 12345")
+
+
+def test_derivatives_share_one_row_of_targets(tmp_path):
+    spread = {"ratio_spread": 0.1}
+    rows = [
+        fake_row("derivative", f"derivative_p{p}", 50.0, ratio=ratio, **spread)
+        for p, ratio in ((1, 3.0), (2, 13.0))
+    ]
+    page.write(tmp_path / "p.md", write_history(tmp_path / "history", history_rows(), rows), "")
+    text = (tmp_path / "p.md").read_text()
+    assert "times a plain run | ≤ 3.6, 6.0 | 3.00 ± 0.10, **13.00 ± 0.10** |\n" in text
 
 
 def test_two_machines_share_one_figure(tmp_path):

@@ -35,6 +35,7 @@ HERE = Path(__file__).parent
 PAGE = HERE.parents[1] / "comparison.md"
 TABLE = PAGE.parent / TABLES_FOLDER / "comparison_arena.csv"
 STUDY = "arena"
+OURS = "sinsjax "  # before the name of a method
 DRAWS, LAST = 32, 36  # draws of the table, and the end of those that choose the settings
 
 P0 = ("5 30", "15 80")  # deg
@@ -213,12 +214,21 @@ def build_table(best: dict[str, str], scores: dict[str, Score]) -> Table:
 
 
 def render(table: Table, programs: Programs) -> str:
-    """Return the table as Markdown, without its last two columns."""
-    shown = [table.header, *table.rows]
-    head, *lines = (f"| {' | '.join(cells[:-2])} |".replace("|  |", "| |") for cells in shown)
-    rule = f"|{' --- |' * (len(table.header) - 2)}"
+    """Return the table as Markdown: a row for equal methods of sinsjax, heading errors only."""
+    equal: dict[tuple[bool, *tuple[str, ...]], list[str]] = {}
+    for name, *cells in table.rows:
+        equal.setdefault((name.startswith(OURS), *cells[:-3]), []).append(name)
+    rows = [[join_names(names), *cells] for (_, *cells), names in equal.items()]
+    head, *lines = (f"| {' | '.join(cells)} |" for cells in [table.header[:-3], *rows])
+    rule = f"|{' --- |' * (len(table.header) - 3)}"
     made = "; ".join([*programs.versions, f"sinsjax {sinsjax.__version__}", *programs.absent])
     return "\n".join([head, rule, *lines, "", f"*{made}.*", ""])
+
+
+def join_names(names: list[str]) -> str:
+    """Return the names of rows with equal cells, the prefix of the methods of sinsjax once."""
+    first, *others = names
+    return "; ".join([first, *(name.removeprefix(OURS) for name in others)])
 
 
 def describe_settings(name: str, settings: str) -> str:
@@ -260,7 +270,7 @@ def own_rows(found: Score, conditions: list[ConditionResult]) -> list[list[str]]
             error = rows.loc[here, "phi_u_arcmin"].abs()
             cells.append(format_estimate(sinsjax.analysis.mean(error)))
         share = sinsjax.analysis.share(rows["ok_truth"], rows["draw_id"])
-        rows_of_cases.append([f"sinsjax {case}", *cells, "", format_percent(share), ""])
+        rows_of_cases.append([f"{OURS}{case}", *cells, "", format_percent(share), ""])
     return rows_of_cases
 
 

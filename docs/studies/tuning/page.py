@@ -78,7 +78,7 @@ def page(sources: Sources) -> Page:
             ("judged", tuning.run_values.shape[2]),
         )
     }
-    del values["belief"]["baseline"]  # of the table only
+    del values["belief"]["baseline"], values["compass"]["baseline"]  # of the table only
     claims = _claims(tunings) | {
         "the plain two are nearly as fast at condition 5": (
             plain["small"].value < 1.1 * tunings["small"].score(tunings["small"].best).value

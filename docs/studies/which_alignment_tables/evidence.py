@@ -63,9 +63,7 @@ def from_floor(field: Field, starts: tuple[Start, ...], grade: float, time_s: in
             errors = field.errors(arm, cell, from_floor=True)
             cells.append(f"{angle(reach(errors, MIDDLE))}; {angle(reach(errors, NEARLY_ALL))}")
         rows.append([arm, *cells])
-    note = (
-        "Half and 95 % of the runs; filters with bias states have no known floor on a moving base."
-    )
+    note = "Half and 95 % of the runs."
     title = "All bases, from the bias floor"
     return Table(title, ["method", *field.bases], rows, note, folded=True)
 

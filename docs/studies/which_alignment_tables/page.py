@@ -1,7 +1,6 @@
 """Numbers of the tables behind the choice of a method, and of the recommended settings."""
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Any
 
 from sinsjax.analysis import Estimate
@@ -13,7 +12,6 @@ from .field import TIMES_S, Base, Cell, Field, Start, brief, reach
 from .figure import reached
 from .recommended import recommended
 
-DEGREE = 60.0  # arcmin
 GRADE = 0.01
 """Gyro bias of the sensor grade of the answer, deg/h."""
 
@@ -91,11 +89,6 @@ def page(sources: Sources) -> Page:
     )
 
 
-def _in_words(count: int) -> str:
-    """Return a small count in words."""
-    return ("none", "one", "two", "three", "four")[count] if count < 5 else str(count)
-
-
 def _told(field: Field) -> dict[str, Any]:
     """Numbers of the first sentences, and of those on resets."""
 
@@ -113,31 +106,9 @@ def _told(field: Field) -> dict[str, Any]:
         "trigger": ("kalman5, triggered resets, tuned", ("sway", "surge")),
     }
     return {
-        "best": {
-            name: brief(field.best(Cell(field.starts, field.bases[base], GRADE, 300)).errors[0])
-            for name, base in BASES.items()
-        },
-        "alone": _in_words(_entries(field)[0]),
-        "entries": _entries(field)[1],
-        **{
-            name: {base: error(arm, BASES[base], 300) for base in on}
-            for name, (arm, on) in told.items()
-        },
+        name: {base: error(arm, BASES[base], 300) for base in on}
+        for name, (arm, on) in told.items()
     }
-
-
-@lru_cache(maxsize=1)
-def _entries(field: Field) -> tuple[int, int]:
-    """Entries within 1 deg: those of filters with resets alone, and all."""
-    choices = [
-        field.best(Cell(starts, base, grade, t))
-        for starts in known(field).values()
-        for base in field.bases.values()
-        for grade in field.grades
-        for t in TIMES_S
-    ]
-    within = [choice for choice in choices if choice.errors[0].value < DEGREE]
-    return sum(all("reset" in arm for arm in one.arms) for one in within), len(within)
 
 
 def _experiments(sources: Sources, field: Field) -> Page:
@@ -163,7 +134,6 @@ def _claims(field: Field) -> dict[str, bool]:
 
     on = {base: {arm: most(arm, base) for arm in field.at(GRADE)} for base in field.bases}
     sway, surge = on["sway"], on["sway and surge"]
-    alone, within = _entries(field)
 
     def best(starts: tuple[Start, ...], base: Base, time_s: int) -> Estimate:
         return field.best(Cell(starts, base, GRADE, time_s)).errors[0]
@@ -204,5 +174,4 @@ def _claims(field: Field) -> dict[str, bool]:
             for arm, one in surge.items()
             if "reset" in arm and "gravity" not in arm
         ),
-        "filters with resets are rarely chosen alone": alone < 0.03 * within,
     }

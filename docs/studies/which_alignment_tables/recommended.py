@@ -20,7 +20,6 @@ CLAIMS = (
     "with gravity in A(t) every misalignment settles without reset, feedback up to 1 s",
     "three late resets settle every misalignment under every reading and feedback",
     "one reset at the right time is nearly always enough",
-    "just before or with a feedback is a bad time for a reset",
 )
 
 
@@ -30,9 +29,7 @@ def recommended(sources: Sources) -> Page:
     names = {
         "worst": study.values["worst"],
         "two": {key: study.values["two"][key] for key in ("mean", "slowest")},
-        "gravity": study.values["gravity"],
         "late": {"name": study.values["slow"]["late"], "mean": study.values["slow"]["mean"]},
-        "phase": {key: study.values["phase"][key] for key in ("settled", "between")},
         "single": {key: study.values["single"][key] for key in ("enough", "points")},
     }
     claims = {text: study.claims[text] for text in CLAIMS}
