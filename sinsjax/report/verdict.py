@@ -206,7 +206,7 @@ def process_noise_caution(source: Source) -> Iterator[Fact]:
         yield Fact(
             "Caution",
             f"{which} is {float(f'{most:.2g}'):,g} times the sensors' noise (sigma): a schedule"
-            " that repairs a mistuned filter is no recommendation (omit the keys of Q)",
+            " that repairs a mistuned filter is no recommendation (delete its q_ keys)",
             True,
         )
 
