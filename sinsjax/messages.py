@@ -96,5 +96,6 @@ def explain_error(error: ErrorDetails) -> str:
     given = error["input"]
     value = repr(list(given) if isinstance(given, tuple) else given)
     words = error["ctx"]["expected"].split("'")[1::2] if error["type"] == "literal_error" else ()
-    hint = suggest_closest(given, words) if isinstance(given, str) else ""
+    # A unit is often written as deg/s.
+    hint = suggest_closest(given.replace("/", "_per_"), words) if isinstance(given, str) else ""
     return f"{describe_broken_rule(error)}, not {shorten(value, 60)}{hint}"

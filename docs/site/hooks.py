@@ -2,7 +2,7 @@
 
 Links are written for the repository, where files stand as they are. On the site a file of
 ``docs/`` has its path within ``docs/``, any other its path in the repository: Markdown and
-notebooks as pages, anything else as a page that shows its text.
+notebooks as pages, anything else, and scripts of ``docs/``, as a page that shows its text.
 """
 
 import html
@@ -54,7 +54,7 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
         waiting.extend(_pointed(f"docs/{page.src_uri}", page.content_string))
     while waiting:
         name = waiting.pop()
-        if name.startswith("docs/") or files.get_file_from_path(site_path(name)) is not None:
+        if _is_in_docs(name) or files.get_file_from_path(site_path(name)) is not None:
             continue
         for added in _files(name, config):
             files.append(added)
@@ -90,7 +90,7 @@ def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files
 
 def site_path(name: str) -> str:
     """The path on the site, before rendering, of a file of the repository."""
-    if name.startswith("docs/"):
+    if _is_in_docs(name):
         return name.removeprefix("docs/")
     if name == "README.md":  # the site's own first page is docs/index.md
         return "overview.md"
@@ -98,6 +98,11 @@ def site_path(name: str) -> str:
     if ending == ".ipynb":
         return f"{stem}.md"
     return name if ending in (".md", ".png") else f"{name}.md"
+
+
+def _is_in_docs(name: str) -> bool:
+    """Whether mkdocs itself puts a file on the site; not scripts, see ``exclude_docs``."""
+    return name.startswith("docs/") and not name.endswith(".py")
 
 
 def project_version() -> str:

@@ -1,5 +1,6 @@
 """Advice: the heading to expect, the error budget, the method with its settings, and doubts."""
 
+import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -26,12 +27,14 @@ from sinsjax.covariance.turn_planner import TurnChoice, plan_turns
 from sinsjax.errors import InputError
 from sinsjax.study import display
 from sinsjax.study.reset_plan import ResetPlan, reset_schedule
+from sinsjax.study.turns import DEFAULTS, useless_methods
 from sinsjax.units import ARCMIN, DEG
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SHARE = 0.95
+_TURN_ON = ("gyro_bias", "accel_bias")
 _BANDS_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _MOST_TIMES = 60
 _NOT_FOUND, _FAR = 0.5, 30 * DEG
@@ -132,6 +135,11 @@ class Advice:
         """Error of the method over the bound at the time asked for, where errors are small."""
         return self.choice.loss(self.heading.bound_arcmin * ARCMIN)
 
+    @cached_property
+    def misses_turns(self) -> bool:
+        """Whether the base is turned and the method cannot use it, though the bound does."""
+        return any(useless_methods(self.sheet.study(self.choice.sections)))
+
     @property
     def is_coarse(self) -> bool:
         """Whether the error at the time asked for is beyond linear theory."""
@@ -200,8 +208,11 @@ class Advice:
             "method": self.choice.method,
             "settings": self.choice.sections,
             "loss": self.loss,
-            "kalman5_resets_s": list(self.resets.times_s) if self.resets else None,
-            "kalman5_settles_s": finite_or_none(self.resets.settling_s) if self.resets else None,
+            "kalman5_resets": self.resets.settings if self.resets else None,
+            "kalman5_settles_s": finite_or_none(self.resets.noisy_s) if self.resets else None,
+            "kalman5_settles_2_sigma_s": finite_or_none(self.resets.late_s)
+            if self.resets
+            else None,
             "turns": [one._asdict() for one in self.turns.options] if self.turns else None,
             "warnings": list(self.warnings),
             "doubts": list(self.sheet.doubts),
@@ -289,7 +300,7 @@ def advise_sheet(given: Sheet) -> Advice:
         expect_heading(choice, time, sigma)
         for time, sigma in zip(budget.times_s, budget.sigma, strict=True)
     ]
-    return Advice(given, tuple(headings), choice, _turns(given), _resets(given), budget)
+    return Advice(given, tuple(headings), choice, _turns(given), _resets(given, budget), budget)
 
 
 def _times(sheet: Sheet) -> list[float]:
@@ -324,7 +335,7 @@ def scale_source(sheet: Sheet, source: str, factor: float) -> Sheet:
 
 def _turns(sheet: Sheet) -> TurnChoice | None:
     """Compare usual ways to turn the IMU, on a base that is quiet otherwise."""
-    if sheet.tables["motion"].keys() & {"turn_times_s", "attitude_file"}:
+    if sheet.is_turned:
         return None
     sensors, gyro, accel = sheet.tables["sensors"], methods.gyro_density, methods.accel_density
     return plan_turns(
@@ -343,9 +354,19 @@ def _turns(sheet: Sheet) -> TurnChoice | None:
     )
 
 
-def _resets(sheet: Sheet) -> ResetPlan | None:
-    """Return the law's resets of a five-state filter, if it has a schedule for it."""
+def _resets(sheet: Sheet, budget: Budget) -> ResetPlan | None:
+    """Return the law's resets of a five-state filter, if it has a schedule for it.
+
+    The band is one that all errors but the turn-on biases stay within, at 2 sigma, at some time.
+    """
+    if sheet.is_turned:
+        return None
+    varying = [source not in _TURN_ON for source in budget.sources]
+    variance = float(budget.variance[:, varying].sum(axis=1).min())
+    least = math.sqrt(max(variance, 0.0)) / ARCMIN  # its parts are derivatives, with rounding
     for band_arcmin in (10.0, 60.0, 300.0):
+        if 2 * least > band_arcmin:
+            continue
         try:
             study = sheet.study(methods.five_state(sheet))
             return reset_schedule(study, settle_band_arcmin=band_arcmin)
@@ -371,10 +392,19 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
         if sigma > _NOT_FOUND:
             turns = advice.turns
             found = turns is not None and turns.best.sigma_arcmin * ARCMIN < _COARSE
-            more = "; an IMU that is turned finds it" if found else ""
+            more = ""
+            if turns is not None and found and advice.choice.method == methods.FILTER:
+                more = "; an IMU that is turned without surge finds it"
+            elif turns is not None and found:
+                more = f"; an IMU that is turned finds it: {_describe_turn_keys(turns)}"
             yield f"north is not found: {far}, for {_describe_dominant(advice)}{more}"
         else:
             yield f"beyond linear theory: 20 % more or less are possible, and {far}"
+    if advice.misses_turns:
+        yield (
+            f"{methods.FILTER} does not separate the gyro biases by the turns of the base: its"
+            " error is far above the numbers here (turn without surge, for gravity_fit)"
+        )
     if abs(advice.latitude_deg) >= _HIGH_LATITUDE_DEG:
         factor = f"{1 / advice._cos_latitude:.3g}"
         yield f"errors grow with sec L, which is {factor} at this latitude"
@@ -395,6 +425,15 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
             f"the heading known before, {_degrees(known)}, is better than what these data give:"
             " keep it"
         )
+
+
+def _describe_turn_keys(turns: TurnChoice) -> str:
+    """Return the options that turn the base of a sheet, once if that finds the heading."""
+    simple = (one for one in turns.options if one.name == "half turn")
+    option = next((one for one in simple if one.sigma_arcmin * ARCMIN < _COARSE), turns.best)
+    motion = option.motion.items()
+    changes = {key: value for key, value in motion if value != DEFAULTS.get(key)}
+    return " ".join(f"--set 'motion.{key}={json.dumps(value)}'" for key, value in changes.items())
 
 
 def _describe_dominant(advice: Advice) -> str:

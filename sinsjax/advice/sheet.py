@@ -14,13 +14,12 @@ from sinsjax.platform.assets import asset_path
 from sinsjax.study import files
 from sinsjax.study.changes import apply_changes
 from sinsjax.study.keys import SECTION_OF, TomlTable
-from sinsjax.study.load import study_from_dict
+from sinsjax.study.load import SHEET_TABLES, study_from_dict
 from sinsjax.study.schema import AdviseSection
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import correctable_errors
 
 _SHEETS = "configs/imu"
-_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
 TIMES_S = (60.0, 120.0, 300.0, 600.0, 1800.0)
 """Times at which the heading is always given, s."""
 
@@ -84,6 +83,11 @@ class Sheet:
         asked, motion = self.asked.time_s, self.tables["motion"]
         ends = "attitude_file" in motion or "turn_times_s" in motion
         return tuple(sorted({asked, *(time for time in TIMES_S if time < asked or not ends)}))
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether the sheet turns the base, or has its attitude in a file."""
+        return bool(self.tables["motion"].keys() & {"turn_times_s", "attitude_file"})
 
     def study(self, sections: Mapping[str, Any], **settings: Any) -> Study:
         """Return a study of the sheet with a method.
@@ -185,11 +189,11 @@ def _changed(
 def _check_tables(data: Mapping[str, Any]) -> None:
     """Refuse other sections than those of a sheet, and names without the unit of their key."""
     for name, table in data.items():
-        if name not in _TABLES:
+        if name not in SHEET_TABLES:
             text = (
                 "does not belong in a sheet (`sinsjax advise` chooses the method and its settings)"
             )
-            raise InputError(f"[{name}]: {text}{suggest_closest(name, _TABLES, '[{}]')}")
+            raise InputError(f"[{name}]: {text}{suggest_closest(name, SHEET_TABLES, '[{}]')}")
         if not isinstance(table, Mapping):
             raise InputError(f"[{name}]: must be a table of keys")
     for name in ("sensors", "drawn"):

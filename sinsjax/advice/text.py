@@ -32,7 +32,8 @@ def describe_advice(advice: Advice) -> Iterator[str]:
     )
     yield _fact(
         "method",
-        f"{advice.choice.method}: {advice.choice.reason}; its error is {advice.loss:.2f} times the"
+        f"{advice.choice.method}: {advice.choice.reason}; its error is"
+        f" {'far above' if advice.misses_turns else f'{advice.loss:.2f} times'} the"
         f" information bound{' of linear theory' * advice.is_coarse}, {angle(here.bound_arcmin)}",
     )
     yield ""
@@ -91,7 +92,7 @@ def _describe_motion(advice: Advice) -> str:
     """Return what moves, in a word."""
     motion = advice.sheet.tables["motion"]
     words = {
-        "turned": "turn_times_s" in motion or "attitude_file" in motion,
+        "turned": advice.sheet.is_turned,
         "surging": level_surge(motion.get("surge_m_per_s")) > 0,
         "swaying": any(motion.get(f"{axis}_amplitude_deg") for axis in ("pitch", "roll", "yaw")),
         "vibrating": any(motion.get(f"vibration_{key}") for key in ("ug_rms", "deg_per_h_rms")),
@@ -102,20 +103,31 @@ def _describe_motion(advice: Advice) -> str:
 def _describe_resets(advice: Advice) -> str:
     """Return whether resets are of use, and when."""
     none, plan = f"none for {advice.choice.method}", advice.resets
+    if advice.sheet.is_turned:
+        return f"{none}; the law of resets holds for a base that is not turned"
     if plan is None:
         return f"{none}; the law has no schedule for a five-state filter with this noise"
     times = ", ".join(f"{time:g}" for time in plan.times_s)
     without = "never" if math.isinf(plan.without_s) else f"in {plan.without_s:.0f} s"
+    late = "never" if math.isinf(plan.late_s) else f"{plan.late_s:.0f} s"
+    drifts = ", more with bias instability" if plan.left_out else ""
+    velocity = plan.settings["reset_velocity_m_per_s"]
     return (
-        f"{none}. A five-state filter (kalman5) with this noise, reset by the law at {times} s,"
-        f" settles within {plan.band_arcmin:g}' of its bias floor in {plan.settling_s:.0f} s from"
-        f" {plan.heading_bound_deg:g} deg; without resets {without}"
+        f'{none}. A five-state filter (kalman5) with this noise and schedule = "law" (resets at'
+        f" {times} s, reset_velocity_m_per_s = {velocity:g}) settles within"
+        f" {plan.band_arcmin:g}' of its bias floor from {plan.heading_bound_deg:g} deg in"
+        f" {plan.median} (median; {late} with 2 sigma of noise{drifts}); without resets {without}"
     )
 
 
 def _describe_filter(advice: Advice) -> str:
     """Return how to set a filter that goes on with a covariance after the alignment."""
     sheet = advice.sheet
+    if sheet.is_turned:
+        return (
+            "to go on with a covariance: after the last turn, from the attitude, gyro biases and"
+            " sigmas of gravity_fit (kalman_sincos through the turns keeps the biases' error)"
+        )
     share = sum(advice.shares.get(source, 0.0) for source in ("gyro_bias", "accel_bias"))
     biases = angle(math.sqrt(share) * advice.heading.bound_arcmin)
     gyro, accel = methods.gyro_density(sheet), methods.accel_density(sheet)

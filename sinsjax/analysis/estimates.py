@@ -184,7 +184,12 @@ def _binomial_rank_bounds(n: int, q: float) -> tuple[int, int]:
     return int(np.sum(below <= TAIL)), int(np.sum(1 - below > TAIL)) + 1
 
 
-def mean(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
+def mean(
+    values: ArrayLike,
+    cluster: ArrayLike | None = None,
+    *,
+    limits: tuple[float, float] = (-math.inf, math.inf),
+) -> Estimate:
     """The mean of the finite values with Student's t interval, wider if the values are skewed.
 
     Non-finite values are omitted; ``n`` is the number used. One value has no interval, none gives
@@ -197,6 +202,7 @@ def mean(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     Args:
         values: shape (m,), any unit.
         cluster: shape (m,), integer cluster of each value; None if each is its own.
+        limits: least and largest value possible; the interval ends there, which costs no coverage.
 
     Raises:
         ValueError: no values at all.
@@ -212,6 +218,7 @@ def mean(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     centre, reach = float(np.mean(data)), clustered.student_quantile(TAIL)
     low = centre - max(reach, clustered.skewness_corrected(reach)) * clustered.standard_error
     high = centre + max(reach, -clustered.skewness_corrected(-reach)) * clustered.standard_error
+    low, high = np.clip((low, high), *limits).tolist()
     return Estimate(centre, low, high, data.size)
 
 

@@ -254,7 +254,8 @@ def _available_statistics(columns: Sequence[str]) -> dict[str, _Statistic]:
             offered[count] = _column_statistic(_count_missing, name, suffixes=("",), **about)
         offered[f"{name}_median"] = _column_statistic(quantile, name, **about)
         offered[f"{name}_q90"] = _column_statistic(partial(quantile, q=0.9), name, **about)
-        offered[f"{name}_mean"] = _column_statistic(mean, name, suffixes=_MEAN, **about)
+        time_mean = partial(mean, limits=(0.0, math.inf))
+        offered[f"{name}_mean"] = _column_statistic(time_mean, name, suffixes=_MEAN, **about)
     for name in (name for name in columns if name == "phi_u_arcmin" or name.startswith(_AT)):
         offered[f"{name}_rms"] = _column_statistic(
             partial(rms, max_magnitude=_MOST), name, suffixes=_MEAN

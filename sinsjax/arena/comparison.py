@@ -73,6 +73,8 @@ class Comparison(NamedTuple):
         draws: number of draws.
         criterion: of success, in words.
         rivals: variants of each method with its settings by point.
+        floor: mean bias floor of the program's runs that have one, arcmin; NaN if none has.
+        lucky: program and best method, if they end nearer to north than that.
     """
 
     name: str
@@ -85,6 +87,8 @@ class Comparison(NamedTuple):
     draws: int
     criterion: str
     rivals: list[dict[tuple[Any, ...], int]]
+    floor: float
+    lucky: list[str]
 
     @property
     def is_sure(self) -> bool:
@@ -93,7 +97,16 @@ class Comparison(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """The result in one line."""
+        """The result in one line, and who is nearer to north than any method can know."""
+        if not self.lucky:
+            return self._result
+        verb = "is" if len(self.lucky) == 1 else "are"
+        where = f"nearer to north than the bias floor ({self.floor:.1f} arcmin), which is luck"
+        return f"{self._result}. {' and '.join(self.lucky)} {verb} {where}"
+
+    @property
+    def _result(self) -> str:
+        """The result in one sentence."""
         all_, difference = self.overall, self.overall.difference
         verb = "does not differ for sure from"
         if self.is_sure:
@@ -154,20 +167,38 @@ def compare(study: Study, table: pa.Table, name: str, keys: list[str]) -> Compar
             analysis.mean(squares, cluster) if np.isfinite(squares).any() else None,
         )
 
+    overall, best = result(None, slice(None)), _describe_options(study, chosen.tolist(), settings)
+    floor = np.abs(numeric_column(table, "floor_arcmin")).reshape(error.shape)
+    floors = floor[:, columns], floor[draws, rival]
     conditions = [result(point, slice(i, i + 1)) for i, point in enumerate(points)]
     differences = (pairs[0][0] - pairs[0][1]).mean(axis=1)
     return Comparison(
         name,
-        _describe_options(study, chosen.tolist(), settings),
+        best,
         len(rivals),
         keys,
-        result(None, slice(None)),
+        overall,
         conditions if len(points) > 1 else [],
         _enough_draws(differences),
         len(error),
         " or ".join(measure.description for measure in measures),
         [dict(zip(points, row.tolist(), strict=True)) for row in rivals if (row >= 0).all()],
+        analysis.mean(floors[0].ravel()).value,
+        [
+            who
+            for who, ends, there in zip((name, best), pairs[0], floors, strict=True)
+            if _is_nearer(ends, there)
+        ],
     )
+
+
+def _is_nearer(error: NDArray, floor: NDArray) -> bool:
+    """Return whether errors are below the floors of their runs for sure, (draws, conditions).
+
+    Runs without a floor do not count.
+    """
+    draws = np.broadcast_to(np.arange(len(error))[:, None], error.shape).ravel()
+    return bool(mean_difference(error.ravel(), floor.ravel(), draws).high < 0)
 
 
 def _possible(estimate: Estimate) -> Estimate:

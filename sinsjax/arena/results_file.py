@@ -47,6 +47,7 @@ class GivenResults(NamedTuple):
         quaternions: (rows, 4) in the frame; None if angles are given.
         unit: unit of the angles in the file, "deg" or "rad"; "" for quaternions.
         sigma: (rows, 3) 1 sigma of pitch, roll and yaw, rad; NaN if not given.
+        sigma_unit: unit of the sigma of the heading in the file; "" without one.
         frame: see `arena.frames`.
     """
 
@@ -56,6 +57,7 @@ class GivenResults(NamedTuple):
     quaternions: NDArray | None
     unit: str
     sigma: NDArray
+    sigma_unit: str
     frame: str
 
     @property
@@ -126,7 +128,13 @@ def read_results(path: str | Path, asked: AskedRuns, frame: str | None = None) -
     keys = _parquet_keys(path) if is_parquet else _comment_keys(table.comments)
     columns = _choose_columns(path, table)
     labels = {"study": {asked.digest: 0.0}} if "study" in table.names else {}
-    values = table.read([*labels, *columns], labels=labels)
+    try:
+        values = table.read([*labels, *columns], labels=labels)
+    except InputError as error:
+        if "not finite" in str(error):
+            hint = "leave the row out: a run without one at its end counts as a failure"
+            raise InputError(f"{error} ({hint})") from None
+        raise
     if cut := next((line for line in table.remarks if "cut off" in line), None):
         raise InputError(f"{path}: {cut.removesuffix(' and left out')} (write the file again)")
     _check_digest(path, asked, keys, [*labels.get("study", {})], has_column=bool(labels))
@@ -276,11 +284,13 @@ def _build_results(
     run: NDArray,
     frame: str,
 ) -> GivenResults:
-    sigma = np.full((len(run), 3), np.nan)
+    sigma, sigma_unit = np.full((len(run), 3), np.nan), ""
     for name, values in columns.items():
         if name.startswith("sigma_"):
             _, angle, unit = name.split("_")
             sigma[:, ANGLES.index(angle.replace("heading", "yaw"))] = values * _UNITS[unit]
+            if angle in ("heading", "yaw"):
+                sigma_unit = unit
             if (bad := values <= 0).any():
                 row = table.row_number(int(bad.argmax()))
                 raise InputError(f"{path}: row {row}: {name} must be above 0")
@@ -301,4 +311,4 @@ def _build_results(
             yaw = columns[f"yaw_{unit}"]
         angles = np.stack([columns[f"pitch_{unit}"], columns[f"roll_{unit}"], yaw], axis=-1)
         angles = angles * _UNITS[unit]
-    return GivenResults(run, columns["time_s"], angles, quaternions, unit, sigma, frame)
+    return GivenResults(run, columns["time_s"], angles, quaternions, unit, sigma, sigma_unit, frame)

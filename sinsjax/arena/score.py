@@ -56,6 +56,11 @@ _DIGEST = "exported_digest"
 _NAME = r"[^\W_][\w.+ -]{0,59}"
 """Names of programs: a letter or digit first."""
 
+_LARGE_SIGMAS = 20
+"""Ratio of sigmas to errors from which another unit is suspected; right units give 1 to 2."""
+
+_SMALLER_UNIT = {"rad": "deg", "deg": "arcmin", "arcmin": "arcsec"}
+
 _LISTED = 12
 """Most missing runs that a line lists."""
 
@@ -156,6 +161,7 @@ def score_results(
     comparison = compare(with_program, table, name, runs.keys)
     reading = _suspect(runs, exported, draws, given, table, comparison)
     doubts = _describe_doubts(name, asked, given, missing)
+    doubts += _doubt_sigmas(table, name, given.sigma_unit)
     doubts += [*_doubt_floor(with_program, table, name), *([reading] if reading else [])]
     _write(with_program, table, draws, target, manifest["digest"], doubts, str(results), overwrite)
     return Score(target, with_program, comparison, asked.run_id[missing].tolist(), doubts)
@@ -449,6 +455,21 @@ def _describe_doubts(
     if has_sigma.any() and not has_sigma.all():
         lines.append(f"{name}: no NEES, which needs sigma_yaw, sigma_pitch and sigma_roll")
     return lines
+
+
+def _doubt_sigmas(table: pa.Table, name: str, unit: str) -> list[str]:
+    """Return that the sigmas of the heading are so far above its errors that their unit is wrong.
+
+    Far below may be right: filters know nothing of the biases that cause most of the error.
+    """
+    rows = table.filter(pc.equal(table["method"], name))
+    error, sigma = (numeric_column(rows, f"{column}_u_arcmin") for column in ("phi", "sigma"))
+    ratios = sigma[error != 0] / np.abs(error[error != 0])
+    ratios = ratios[np.isfinite(ratios)]
+    if not len(ratios) or np.median(ratios) < _LARGE_SIGMAS:
+        return []
+    text = f"its sigmas of the heading are {np.median(ratios):.2g} times its errors"
+    return [f"{name}: {text}: are they in {_SMALLER_UNIT[unit]}, not {unit}?"]
 
 
 def _doubt_floor(study: Study, table: pa.Table, name: str) -> list[str]:

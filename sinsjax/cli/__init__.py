@@ -259,8 +259,14 @@ def rerun(
     """
     from sinsjax.execution import rerun as rerunning
     from sinsjax.execution.directory import results_path
+    from sinsjax.tuning import history, run_tuning
 
     runtime.configure()
+    if history.is_tuning(directory):
+        evaluation = directory / run_tuning.EVALUATION
+        raise InputError(
+            f"{directory}: holds a tuning run (give a folder of its runs: {evaluation})"
+        )
     runtime.start_backend()
     out_path = None if given is None else results_path(given)
     terminal, files = plain_console(), (record, reference)

@@ -222,21 +222,27 @@ def schedule(
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.load import load_study
 
+    if study_file is not None:
+        require_new(study_file)
     study, console = load_study(config, parse_changes(changes or ())), plain_console()
     for line in reset_plan.describe_plans(study):
         print_line(console, line, wrap=True)
     if study_file is None:
         return
-    require_new(study_file)
     with atomic_write(study_file) as file:
         file.write(reset_plan.with_law(study).encode())
     print_line(console, f"{study_file} written; `sinsjax sweep {study_file} -o out` runs it.")
 
 
 def require_new(study_file: Path) -> None:
-    """Refuse a file of ``--study`` that exists."""
+    """Refuse a file of ``--study`` that exists, or whose folder cannot be written."""
     if os.path.lexists(study_file):
         raise InputError(f"{study_file}: exists, and is not overwritten (give another file)")
+    folder = study_file.parent
+    if not folder.is_dir():
+        raise InputError(f"{study_file}: cannot be written: there is no folder {folder}")
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"{study_file}: cannot be written: no right to write in {folder}")
 
 
 COMMANDS = (init, validate, keys, schedule)

@@ -1,5 +1,6 @@
 """Warnings about a study before it runs, from its record or its sample rate."""
 
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,11 +18,16 @@ from sinsjax.messages import format_seconds
 from sinsjax.methods.filters.parameters import level_settling_s
 from sinsjax.methods.filters.section import update_variance
 from sinsjax.methods.level.config import LEVEL
-from sinsjax.methods.plugins import check_plugin
+from sinsjax.methods.plugins import check_parameters, check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
 from sinsjax.records import Record, RecordLayout, require_span
 from sinsjax.records.anomalies import report_anomalies
-from sinsjax.records.plausibility import StationaryValues, check_stationary
+from sinsjax.records.plausibility import (
+    GYRO_BIAS,
+    LOW_NOISE_GYRO_BIAS,
+    StationaryValues,
+    check_stationary,
+)
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
@@ -32,7 +38,7 @@ from sinsjax.study.turns import useless_methods, warn_of_resets, warn_of_turning
 from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
 
-_EXPECTED_BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
+_ACCEL_BIAS_UG = 5000.0
 _TRUST_HINT = "[record] trust = true aligns it anyway"
 _CHECKED_DRAWS = 1024  # draws in which a drawn period is checked
 
@@ -79,10 +85,13 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
     for number, static in enumerate(scenario.statics):
         if static.method not in plugins:
             continue
-        group = scenario.part(number, range(1), blank=stored is None).group
+        group, ids = scenario.part(number, range(1), blank=stored is None)
+        name, description = REGISTRY.label(static.method), METHODS[static.method]
+        function = description.implementation.parameters
+        check_parameters(name, function, group.variants.method, len(ids))
         check_plugin(
-            REGISTRY.label(static.method),
-            METHODS[static.method],
+            name,
+            description,
             build_method(static),
             jax.tree.map(lambda leaf: np.asarray(leaf)[0], group.variants.method),
             group.environment.site,
@@ -209,16 +218,14 @@ def check_record(study: Study, stored: StoredRecord) -> RecordCheck:
             f" {key} = {layout.max_gap_s:g} s)"
         )
     site, _ = read_site(study, Variants(study, np.zeros(1, int)), stored)
-    bias = {
-        key: default if getattr(section, key) is None else getattr(section, key)
-        for key, default in _EXPECTED_BIASES.items()
-    }
+    gyro_bias, accel_bias_ug = section.gyro_bias_deg_per_h, section.accel_bias_ug
     expected = StationaryValues(
         earth_rate=float(site.earth.rate),
         latitude=float(site.latitude),
         gravity=float(site.place.gravity),
-        gyro_bias=bias["gyro_bias_deg_per_h"] * DEG_PER_H,
-        accel_bias=bias["accel_bias_ug"] * micro_g(),
+        gyro_bias=GYRO_BIAS if gyro_bias is None else gyro_bias * DEG_PER_H,
+        accel_bias=(_ACCEL_BIAS_UG if accel_bias_ug is None else accel_bias_ug) * micro_g(),
+        low_noise_gyro_bias=LOW_NOISE_GYRO_BIAS if gyro_bias is None else math.inf,
     )
     used, hides_north = _used_spans(study, record), ""
     for anomaly in report_anomalies(record.anomalies, used):

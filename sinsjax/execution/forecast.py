@@ -30,6 +30,7 @@ from sinsjax.messages import format_count
 from sinsjax.methods.filters.section import OF_SCHEDULES
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import machine, runtime
+from sinsjax.study.rules import has_covariance_model
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
@@ -49,6 +50,18 @@ _BASE_BYTES, _SAMPLE_BYTES, _VARIANT_BYTES, _RUN_BYTES, _RECORD_BYTES, _RESET_BY
 
 _START_S, _COMPILE_S = 3.0, 6.0
 """Measured times, s: to import, read and report, and to compile one program (5 to 8)."""
+
+_DESCENT_PROGRAMS = 3
+"""Programs of the descents of a combination: of the start points, the gradient and the ends."""
+
+_DESCENT_SAMPLE_S = 15e-6
+"""Measured time of a sample of a descent's step, s: its few runs take turns (13 to 20 us)."""
+
+_TRACE_S = {True: 7.0, False: 2.0}
+"""Measured times to trace a gradient, s: of covariance analysis, and of runs with noise."""
+
+_COVARIANCE_COMPILE_S = 14.0
+"""Measured time to compile a program of covariance analysis beyond that of plain runs, s."""
 
 _SWITCH_KEYS = {*NOISE_KEYS, *DISTORTION_KEYS, *AMPLITUDE_KEYS, *DISTURBANCE_KEYS}
 """Keys that simplify the program if they are zero."""
@@ -93,6 +106,9 @@ class Forecast(NamedTuple):
         length_s: length of the longest run, s.
         noise_free: whether runs are without noise, one per variant.
         programs: number of programs to compile, unless they are in the compile cache.
+        descents_s: time of the steps of descents, which do not fill the cores, s.
+        start_s: time to import, trace, read and report, s.
+        slow_compile_s: time to compile gradients beyond that of as many ordinary programs, s.
     """
 
     batches: tuple[Batch, ...]
@@ -103,6 +119,9 @@ class Forecast(NamedTuple):
     length_s: float
     noise_free: bool = False
     programs: int = 1
+    descents_s: float = 0.0
+    start_s: float = _START_S
+    slow_compile_s: float = 0.0
 
     @property
     def runs(self) -> int:
@@ -124,14 +143,15 @@ class Forecast(NamedTuple):
             return f"{runs}: all are done"
         if done:
             runs += f", {remaining:,} left"
-        duration = _format_duration(remaining * self.run_s / cores)
+        duration = _format_duration(remaining * self.run_s / cores + self.descents_s)
         prefix = "At most " if self.may_stop_early else ""
         processors = format_count(cores, "worker thread" if threads else "core")
         programs = format_count(self.programs, "program")
-        first_time = f"{_format_duration(_START_S + self.programs * _COMPILE_S)} the first time"
+        first_s = self.start_s + self.programs * _COMPILE_S + self.slow_compile_s
+        first_time = f"{_format_duration(first_s)} the first time"
         return (
             f"{prefix}{runs}: roughly {duration} on {processors}, and"
-            f" {_format_duration(_START_S)} to start ({first_time},"
+            f" {_format_duration(self.start_s)} to start ({first_time},"
             f" which compiles {programs}), {format_bytes(self.memory)} of memory,"
             f" {format_bytes(remaining * self.run_bytes)}{' more' if done else ''} on disk"
         )
@@ -187,8 +207,19 @@ def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
         )
     )
     forecast = _forecast_batches(study, batches, False)
-    # A descent compiles separate programs.
-    return forecast._replace(programs=forecast.programs * (1 + ("gradient" in tune.searches)))
+    by_covariance = not laws and has_covariance_model(study)
+    programs = forecast.programs
+    analyses = programs * ("covariance" in tune.searches)
+    descents = programs * len(free_keys) * ("gradient" in tune.searches)
+    steps = descents * tune.descent_steps * forecast.length_s * study.rate_hz
+    # Descents by covariance analysis choose their start points by it too.
+    slow_programs = analyses + 2 * descents * by_covariance
+    return forecast._replace(
+        programs=programs + analyses + descents * _DESCENT_PROGRAMS,
+        descents_s=steps * _DESCENT_SAMPLE_S,
+        start_s=_START_S + descents * _TRACE_S[by_covariance],
+        slow_compile_s=slow_programs * _COVARIANCE_COMPILE_S,
+    )
 
 
 def check_resources(

@@ -121,7 +121,7 @@ def prepare_job(
         directory.check_unlocked(results_directory)
         kind.check_available(results_directory, overwrite=options.overwrite, resume=options.resume)
     curves, notes = _resolve_curves(study, name, options)
-    notes = [*unused_notes, *notes]
+    notes = [*unused_notes, *(list_ignored_sections(study) if kind is SWEEP else ()), *notes]
     stored = _resolve_record(study, record, reference)
     study_doubts = list[str]()
     if stored is not None:
@@ -162,13 +162,25 @@ def prepare_job(
     return job._replace(warnings=tuple(study_doubts), notes=tuple(notes), forecast=expected_cost)
 
 
-def issue_warnings(job: Job) -> Job:
+def list_ignored_sections(study: Study) -> list[str]:
+    """Return a line if a study that is not tuned has [tune]."""
+    text = "[tune] is ignored: the study runs as it is (`sinsjax tune` searches)."
+    return [text] if study.tune else []
+
+
+def issue_warnings(job: Job, *, tunes: bool = False) -> Job:
     """Issue the warnings of a prepared job as Python warnings, and return the job.
 
+    Args:
+        job: prepared job.
+        tunes: whether it is a tuning run.
+
     Warns:
-        StudyWarning: one per doubt, and one for keys without effect.
+        StudyWarning: one per doubt, one for keys without effect, and one for an ignored [tune].
     """
-    for line in (*job.warnings, *list_idle_keys(job.study, study_to_tables(job.study))):
+    ignored = [] if tunes else list_ignored_sections(job.study)
+    idle = list_idle_keys(job.study, study_to_tables(job.study))
+    for line in (*job.warnings, *idle, *ignored):
         warnings.warn(line, StudyWarning, stacklevel=3)
     return job
 

@@ -38,6 +38,11 @@ _TURNING = (
     " position."
 )
 
+_REFITS = (
+    "`gravity_fit` refits after some 4, 8, 16, ... s, at `report_times_s` and at the end: only then"
+    " can it settle (127, 255, 511 s)."
+)
+
 _ALIGNMENT, _COLUMNS = "alignment, passes", "columns"
 
 _Entries = dict[str, list[str]]
@@ -87,6 +92,7 @@ def render_methods_page() -> str:
     for rows, names in alike.items():
         lines.append(f"- {', '.join(names)}:{'' if rows else ' none.'}")
         lines += [f"    {row}" for row in rows]
+    lines += ["", _REFITS]
     lines += ["", "## `kalman10` on a base that is turned", "", _TURNING]
     lines += ["", "## Resets between two feedbacks", "", _RESETS_AND_FEEDBACK]
     lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]

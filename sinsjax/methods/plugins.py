@@ -11,14 +11,14 @@ reported in one line with the place in that code, see `describe_plugin_error`.
 
 import inspect
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
-from sinsjax.messages import first_error_line
+from sinsjax.messages import first_error_line, shorten
 from sinsjax.methods.description import Description
 from sinsjax.platform import runtime
 from sinsjax.value_types import Section
@@ -156,10 +156,10 @@ def check_plugin(
     if method.feedback is not None:
         changes.append(("close", method.feedback.close, (params, state, number)))
     for what, function, given in changes:
-        later = _format_shapes(jax.eval_shape(function, *given))
-        if later != _format_shapes(state):
-            text = f"{what} returns the state {later}, expected {_format_shapes(state)}"
-            raise InputError(f"{name}: {text}{_place_of(function)}")
+        if wrong := [*_differences(jax.eval_shape(function, *given), state)]:
+            text = f"{what} returns the state {'; '.join(wrong[:2])}"
+            more = f"; and {len(wrong) - 2} more" if len(wrong) > 2 else ""
+            raise InputError(f"{name}: {text}{more}{_place_of(function)}")
     for what, kind in (("attitude", Quat), ("covariance", AttitudeCovariance)):
         function = getattr(method, what)
         found = jax.eval_shape(function, state)
@@ -172,6 +172,28 @@ def check_plugin(
         raise InputError(f"{name}: reads a stored record once (drop [passes])")
     if rewinds and method.passes.rewind is None:
         raise InputError(f"{name}: cannot rewind a record (use direction = 'alternate')")
+
+
+def check_parameters(name: str, function: Any, params: Any, variants: int) -> None:
+    """Check that each of a plug-in's params has one value per variant.
+
+    Args:
+        name: of the plug-in's method, with its package, for the message.
+        function: its ``parameters``.
+        params: what it returns for some variants.
+        variants: their number.
+
+    Raises:
+        InputError: an array is of another length, or not of numbers.
+    """
+    import jax
+    import numpy as np
+
+    for path, array in jax.tree.leaves_with_path(jax.tree.map(np.asarray, params)):
+        if array.shape[:1] != (variants,) or array.dtype.kind not in "biuf":
+            at = f" at {jax.tree_util.keystr(path)}" if path else ""
+            text = f"parameters returns {_format_shapes(array)}{at}, expected [{variants}, ...]"
+            raise InputError(f"{name}: {text}: one value per variant{_place_of(function)}")
 
 
 def describe_plugin_error(error: BaseException) -> str | None:
@@ -219,6 +241,30 @@ def _place_of(function: Any) -> str:
         function = function.func
     code = getattr(inspect.unwrap(function), "__code__", None)
     return f", in {code.co_filename}:{code.co_firstlineno}" if code else ""
+
+
+def _differences(found: Any, expected: Any, path: str = "") -> Iterator[str]:
+    """Yield the innermost parts of a tree of shapes that differ from those expected, in words."""
+    texts = _format_shapes(found), _format_shapes(expected)
+    if texts[0] == texts[1]:
+        return
+    parts, others = _parts(found), _parts(expected)
+    if type(found) is type(expected) and parts.keys() == others.keys() and parts:
+        for name, part in parts.items():
+            yield from _differences(part, others[name], f"{path}.{name}" if path else name)
+    else:
+        prefix = f"with {path} = " if path else ""
+        yield f"{prefix}{shorten(texts[0], 60)}, expected {shorten(texts[1], 60)}"
+
+
+def _parts(tree: Any) -> dict[str, Any]:
+    """Return the parts of a tuple, list or dictionary by name or number."""
+    if isinstance(tree, dict):
+        return {str(key): part for key, part in tree.items()}
+    if isinstance(tree, list | tuple):
+        names = getattr(tree, "_fields", range(len(tree)))
+        return {str(name): part for name, part in zip(names, tree, strict=True)}
+    return {}
 
 
 def _format_shapes(tree: Any) -> str:

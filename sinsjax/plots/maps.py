@@ -201,6 +201,7 @@ def _frames(
 ) -> dict[str, list[tuple[int, int] | None]]:
     """The frames of `CellMarks`: the best point over all panels, and the best cell of a panel."""
     word = "soonest" if statistic.is_settling_time else "best"
+    by_median = statistic.name.startswith("median")
     place = [list(values).index(best_point[key]) for key, values in axes.items() if best_point]
     overall: list[tuple[int, int] | None] = [
         (place[0], place[1])
@@ -212,7 +213,10 @@ def _frames(
         return {word: overall}
     own = [_best_cell(panel.column_values(column), statistic) for panel in panels]
     others = [None if a == b else a for a, b in zip(own, overall, strict=True)]
-    return {f"{word} over all panels": overall, f"{word} in its panel": others}
+    return {
+        f"{word} over all panels{' (mean)' * by_median}": overall,
+        f"{word} in its panel{' (median)' * by_median}": others,
+    }
 
 
 def _flagged_cells(flags: NDArray) -> NDArray:

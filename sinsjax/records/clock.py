@@ -108,6 +108,7 @@ def find_timing(
     values: Mapping[str, FloatArray],
     samples: Sequence[FloatArray],
     row_number: Callable[[int], int],
+    unread: str = "",
 ) -> Timing:
     """Find the timing of a file.
 
@@ -117,6 +118,7 @@ def find_timing(
         values: (T,) values by column, in its unit, nan if missing.
         samples: (T,) values of the sensors, to recognise repeated rows.
         row_number: function of sample k that returns its row, for messages.
+        unread: message about a column of times in another format; "" for none.
 
     Raises:
         InputError: no column can be read, and one that is named as time runs backward.
@@ -143,8 +145,8 @@ def find_timing(
         steps = np.diff(trial.time_s)
         if (steps < 0).sum() > (steps > 0).sum() and find_clocks([trial.clock.name]):
             raise InputError(f"{trial.problem} (sort the rows, or split the file there)")
-    problems = "; ".join(trial.problem.removeprefix(f"{path}: ") for trial in trials)
-    question = problems or "no column has times"
+    problems = [unread, *(trial.problem.removeprefix(f"{path}: ") for trial in trials)]
+    question = "; ".join(filter(None, problems)) or "no column has times"
     rates = [
         rate for trial in trials if _POSSIBLE_HZ[0] < (rate := trial.mean_hz) < _POSSIBLE_HZ[1]
     ]

@@ -1,4 +1,4 @@
-"""Reading bytes, lines and numbers from a file, compressed or not, in UTF-8 or UTF-16."""
+"""Reading bytes, lines and numbers from a file, compressed or not: UTF-8, UTF-16 or cp1252."""
 
 import bz2
 import codecs
@@ -75,6 +75,9 @@ def read_line_batches(path: str | Path, size: int | None = None) -> Iterator[Lin
         path: the file.
         size: bytes to read at a time; `BATCH_BYTES` by default.
 
+    Returns:
+        Lines in UTF-8; one that is not is taken for cp1252, as Windows in Europe writes.
+
     Raises:
         InputError: the file cannot be read, is empty, or is not text.
     """
@@ -94,8 +97,19 @@ def read_line_batches(path: str | Path, size: int | None = None) -> Iterator[Lin
             rest = block
             continue
         lines, rest = block[:cut].splitlines(), block[cut:]
+        if not block.isascii():
+            lines = [_to_utf8(line) for line in lines]
         yield Lines(first, lines, is_last, is_last and not block.endswith((b"\n", b"\r")))
         first += len(lines)
+
+
+def _to_utf8(line: bytes) -> bytes:
+    """Return a line of UTF-8 or cp1252 in UTF-8."""
+    try:
+        line.decode()
+    except UnicodeDecodeError:
+        return line.decode("cp1252", errors="replace").encode()
+    return line
 
 
 def _read_blocks(path: str | Path, size: int) -> Iterator[tuple[bytes, bool]]:

@@ -416,12 +416,12 @@ def require_span(record: Record, start_s: float, needed_s: float, breakdown: str
         )
     # A thousandth of a sample absorbs the rounding of the sum without hiding a missing sample.
     if start_s + needed_s > available_s + 1e-3 / record.rate_hz:
-        raise InputError(
-            f"{record.source}: has {format_seconds(available_s)} s, but {format_seconds(needed_s)}"
-            f" s{breakdown}"
-            f" from start_s = {format_seconds(start_s)} need"
-            f" {format_seconds(start_s + needed_s)} s"
-        )
+        text = f"{record.source}: has {format_seconds(available_s)} s, but"
+        needed = f"{format_seconds(needed_s)} s{breakdown}"
+        if start_s == 0:
+            raise InputError(f"{text} the study needs {needed}")
+        whole = format_seconds(start_s + needed_s)
+        raise InputError(f"{text} {needed} from start_s = {format_seconds(start_s)} need {whole} s")
     begin, end = start_s * record.rate_hz, (start_s + needed_s) * record.rate_hz
     for flaw in record.flaws:
         if flaw.begin < end - 1e-3 and flaw.end > begin + 1e-3:

@@ -193,6 +193,15 @@ def _vertical_drift(force: FloatArray, length_s: float) -> tuple[float, float]:
     return _norm(slope), 3 * sigma
 
 
+def white_noise(increments: FloatArray, rate_hz: float) -> float:
+    """Return the white noise of increments (n, 3): their standard deviation after 1 s.
+
+    Second differences of white noise have six times its variance, and exclude slow motion.
+    """
+    differences = np.abs(np.diff(increments, n=2, axis=0))
+    return float(np.median(differences)) / 0.6745 / math.sqrt(6) * math.sqrt(rate_hz)
+
+
 def vertical_rate(means: Means) -> float:
     """Return the mean rate about the vertical, rad/s."""
     return float(means.rate @ means.force) / float(np.linalg.norm(means.force))

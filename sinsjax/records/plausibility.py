@@ -26,9 +26,19 @@ from sinsjax.records.means import (
     compute_means,
     merge_samples,
     vertical_rate,
+    white_noise,
 )
 from sinsjax.records.turns import Turns, measure_turns
-from sinsjax.units import DEG, DEG_PER_H, micro_g
+from sinsjax.units import DEG, DEG_PER_H, DEG_PER_SQRT_H, micro_g
+
+GYRO_BIAS = 10.0 * DEG_PER_H
+"""Largest gyro bias that raises no doubt, rad/s."""
+
+LOW_NOISE_GYRO_BIAS = 4.5 * DEG_PER_H
+"""The same for gyros with little noise at rest, 0.3 of Earth rate: their scale is rather wrong."""
+
+_LOW_NOISE = 0.1 * DEG_PER_SQRT_H  # of gyros that are no MEMS
+_NOISE_SAMPLES = 2**17  # enough for a median
 
 _CERTAIN_FACTOR = 9.5
 """Factor by which a rejected mean is wrong: below 10, to detect g taken for m/s^2 (9.8)."""
@@ -68,6 +78,7 @@ class StationaryValues(NamedTuple):
         gravity: m/s^2.
         gyro_bias: largest plausible gyro bias, rad/s.
         accel_bias: largest plausible accelerometer bias, m/s^2.
+        low_noise_gyro_bias: largest plausible gyro bias at rest if the gyros have little noise.
     """
 
     earth_rate: float
@@ -75,6 +86,7 @@ class StationaryValues(NamedTuple):
     gravity: float
     gyro_bias: float
     accel_bias: float
+    low_noise_gyro_bias: float = math.inf
 
 
 class Finding(NamedTuple):
@@ -255,7 +267,7 @@ def _check_mean_rate(
     )
     is_high = (magnitude - means.rate_uncertainty) / earth >= _CERTAIN_FACTOR
     is_low = (magnitude + means.rate_uncertainty) / earth <= 1 / _CERTAIN_FACTOR
-    measured, vertical = vertical_rate(means), earth * math.sin(expected.latitude)
+    measured = vertical_rate(means)
     horizontal = earth * math.cos(expected.latitude)
     hides_north = abs(means.vertical_drift - horizontal) - means.drift_uncertainty >= horizontal
     is_unresolved = (
@@ -291,11 +303,35 @@ def _check_mean_rate(
         yield Finding(False, f"{text}, and it varies: the base turns or sways slowly")
     elif hides_north:
         yield Finding(False, f"{text}: {_hidden_earth_rate_text(bias)}", hides_north=True)
-    elif bias > allowed:
-        bias_deg_per_h = bias / DEG_PER_H
-        text += f": a gyro bias of {bias_deg_per_h:.3g} deg/h or more would explain it"
-        yield Finding(False, f"{text}, and the heading cannot be trusted")
-    elif abs(measured - vertical) > allowed:
+    else:
+        if means.is_steady and is_low_noise(record, span):
+            allowed = min(allowed, expected.low_noise_gyro_bias + means.rate_uncertainty)
+        yield from _check_scale_and_axes(means, expected, allowed, text)
+
+
+def is_low_noise(record: Record, span: tuple[int, int]) -> bool:
+    """Return whether the gyros have less noise than those of MEMS in a span of a record."""
+    rows = record.dtheta[span[0] : min(span[1], span[0] + _NOISE_SAMPLES)]
+    return white_noise(rows, record.rate_hz) < _LOW_NOISE
+
+
+def _check_scale_and_axes(
+    means: Means, expected: StationaryValues, allowed: float, rate_text: str
+) -> Iterator[Finding]:
+    """Compare size and vertical part of the mean rate with those of Earth rate."""
+    magnitude, measured = float(np.linalg.norm(means.rate)), vertical_rate(means)
+    vertical = expected.earth_rate * math.sin(expected.latitude)
+    bias, vertical_bias = abs(magnitude - expected.earth_rate), abs(measured - vertical)
+    accepted = math.ceil(10 * max(bias, vertical_bias) / DEG_PER_H) / 10
+    key = f"[record] gyro_bias_deg_per_h = {accepted:g} if so"
+    if bias > allowed:
+        yield Finding(
+            False,
+            f"{rate_text}: are the gyros' unit and scale right, or is there a gyro bias of"
+            f" {bias / DEG_PER_H:.3g} deg/h or more ({key})? The heading cannot be trusted, nor"
+            " pitch and roll of 'inertial' or 'optimisation' ('level' finds these)",
+        )
+    elif vertical_bias > allowed:
         removed_hint = (
             ", or has Earth rate been removed" if abs(measured) < 0.5 * abs(vertical) else ""
         )
@@ -303,7 +339,8 @@ def _check_mean_rate(
             False,
             f"the rate about the vertical is {measured / DEG_PER_H:.3g} deg/h, but Earth rate there"
             f" is {vertical / DEG_PER_H:.3g}: do gyros and accelerometers share their axes, and is"
-            f" the latitude right{removed_hint}?",
+            f" the latitude right{removed_hint}, or is there a gyro bias of"
+            f" {vertical_bias / DEG_PER_H:.3g} deg/h or more ({key})?",
         )
 
 

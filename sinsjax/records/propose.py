@@ -90,7 +90,10 @@ def propose_layout(path: Path, table: ColumnTable, answers: Mapping[str, Any]) -
     columns = table.read(names, blanks=True, dates=dates, labels=labels)
     values = dict(zip(names, columns, strict=True))
     _refuse_several_sensors(path, triads, values, labels)
-    timing = find_timing(path, clocks, values, [values[n] for n in used], table.row_number)
+    samples = [values[name] for name in used]
+    timing = find_timing(
+        path, clocks, values, samples, table.row_number, _describe_unread_time(table)
+    )
     file = _File(path, table, values, answers.get("rate_hz", timing.rate_hz), answers)
     layout, notes = timing.complete(RecordLayout(table.format)), {**timing.notes}
     chosen = _choose_triads(triads["gyro"], triads["accel"], file)
@@ -187,12 +190,25 @@ def _find_clocks(
         if fraction := answers.get("time_fraction_column"):
             fraction_unit = answers.get("time_fraction_unit", "ns")
             clocks = [clocks[0]._replace(fraction=fraction, fraction_unit=fraction_unit)]
-    elif not clocks and table.names[0] in usable:
-        clocks = [Clock(table.names[0], NO_UNIT)]
+    elif not clocks:
+        dates = [name for name in table.names if name in table.dates]
+        clocks = [Clock(name, NO_UNIT) for name in dates or table.names[:1] if name in usable]
     fractions = {clock.fraction for clock in clocks}
     clocks = [clock for clock in clocks if clock.name not in fractions]
     clocks = [c._replace(unit=("iso", 1.0)) if c.name in table.dates else c for c in clocks]
     return [clock._replace(unit=unit) if unit[0] else clock for clock in clocks]
+
+
+def _describe_unread_time(table: ColumnTable) -> str:
+    """Return the message about the first column of times in an unknown format; "" for none."""
+    named = {clock.name for clock in find_clocks(table.names)}
+    for name, (row, cell) in table.non_numbers.items():
+        if name not in table.dates and (name in named or re.search(r"\d:\d\d", cell)):
+            return (
+                f"row {row}: column {name!r}: {shorten(cell, 32)!r} is no number, and no date and"
+                " time as in 2026-03-11 09:35:12.5 or 11.03.2026 09:35:12,5"
+            )
+    return ""
 
 
 def _refuse_several_sensors(

@@ -6,6 +6,7 @@ numbered by the means of many, see `fit_stamp_line`.
 """
 
 import math
+import re
 from collections.abc import Callable
 from datetime import UTC, date, datetime, time
 from typing import NamedTuple, NoReturn
@@ -17,6 +18,7 @@ from sinsjax.errors import InputError
 from sinsjax.records.files import is_number
 from sinsjax.records.layout import FloatArray, RecordLayout, find_spans, message_key, resolve_rate
 
+_DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]+(\d{1,2})(?=:)")
 _MAX_LATE_S = 0.02  # largest delay of a busy logger
 _MAX_CATCH_UP_S = 0.1  # longest time to catch up
 _AVERAGED_STAMPS = 32  # stamps averaged on each side, to distinguish a missing sample from scatter
@@ -44,9 +46,13 @@ class Sampling(NamedTuple):
 def parse_iso(text: str) -> float:
     """Return the seconds since 1970 of an ISO date and time, in UTC unless it has a zone.
 
-    Those since midnight of a time of day, such as 12:00:00.040.
+    Those since midnight of a time of day, such as 12:00:00.040. Dots in a date separate day, month
+    and year, as in 11.03.2026 09:35:12,000.
     """
     text = text.strip()
+    if day_first := _DAY_FIRST.match(text):
+        day, month, year, hour = day_first.groups()
+        text = f"{year}-{month:0>2}-{day:0>2} {hour:0>2}{text[day_first.end() :]}"
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:

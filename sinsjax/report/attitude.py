@@ -105,7 +105,9 @@ def _bias_floor_fact(source: Source) -> Iterator[Fact]:
 def _caution_facts(source: Source) -> Iterator[Fact]:
     filters = [METHODS[name] for name in source.study.methods if METHODS[name].has_covariance]
     if filters and not all(map(estimates_biases, filters)):
-        yield Fact("Caution", "1 sigma is the filter's own and excludes constant biases", True)
+        text = "1 sigma is the filter's own and excludes constant biases: add their floor in"
+        text += " quadrature, or use gravity_fit with fit_gyro_bias_deg_per_h"
+        yield Fact("Caution", text, True)
     count = _count_runs_above_band(source)
     if count:
         yield Fact("Caution", f"the innovations of {count:,} runs contradict their 1 sigma", True)

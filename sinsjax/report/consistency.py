@@ -7,11 +7,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
+from sinsjax.columns import FAILED
 from sinsjax.execution.source import Source
+from sinsjax.messages import format_count
 from sinsjax.methods.filters.config import estimates_biases
-from sinsjax.methods.registry import METHODS
+from sinsjax.methods.registry import METHODS, PACKAGES
 from sinsjax.plots.consistency import NEES_COLUMNS, SHARE_COLUMNS
-from sinsjax.report.base import Picture, Text
+from sinsjax.report.base import Fact, Picture, Text
 from sinsjax.report.grouping import choose_line_keys
 from sinsjax.report.markup import render_sentence
 from sinsjax.study.schema import BIAS_KEYS
@@ -64,6 +66,28 @@ def _explain_unmodelled_biases(source: Source) -> list[Text]:
         values |= {"floor": floor_rms, "error": error_rms}
         sentences.append(Text(render_sentence("overconfident", **values)))
     return sentences
+
+
+def covariance_cautions(source: Source) -> Iterator[Fact]:
+    """Yield a caution for each plug-in method with runs that end with an impossible covariance.
+
+    Sigmas are null if a variance is negative or not finite. Runs that failed are left out.
+    """
+    plugins = [name for name in source.study.methods if name in PACKAGES]
+    if not any(METHODS[name].has_covariance for name in plugins):
+        return
+    axes = [f"sigma_{axis}_arcmin" for axis in "enu"]
+    rows = source.rows(["variant_id", "status", "nees", *axes])
+    *sigmas, nees = (analysis.numeric_column(rows, name) for name in (*axes, "nees"))
+    failed = np.any([analysis.status_mask(rows, status) for status in FAILED], axis=0)
+    method_of_run = np.array(source.study.values("method"))[rows["variant_id"].to_numpy()]
+    for name in plugins:
+        known = np.isfinite(sigmas if METHODS[name].finds_heading else sigmas[:2]).all(axis=0)
+        runs = (method_of_run == name) & ~failed
+        bad = int(np.sum(runs & (~known | (nees < 0))))
+        if bad and METHODS[name].has_covariance:
+            text = f"the covariance of {name} is negative or not finite at the end of {bad:,} of"
+            yield Fact("Caution", f"{text} {format_count(int(runs.sum()), 'run')}", True)
 
 
 def consistency_picture(figure: Figure, note: str = "", *, from_floor: bool = False) -> Picture:

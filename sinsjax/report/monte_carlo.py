@@ -22,6 +22,7 @@ from sinsjax.report.base import (
     MAX_ROWS,
     MIN_DRAWS_FOR_INTERVALS,
     Block,
+    Fact,
     Picture,
     Report,
     Table,
@@ -29,7 +30,7 @@ from sinsjax.report.base import (
     build_table,
     describe_intervals,
 )
-from sinsjax.report.consistency import consistency_blocks
+from sinsjax.report.consistency import consistency_blocks, covariance_cautions
 from sinsjax.report.grouping import BINS_NOTE, bin_drawn_keys
 from sinsjax.report.level import level_verdict
 from sinsjax.report.markup import render_sentence
@@ -65,7 +66,25 @@ def build_report(
     build_verdict = attitude_verdict if needs_attitude else sweep_verdict
     if not any(METHODS[name].finds_heading for name in source.study.methods):
         build_verdict = level_verdict
-    return Report.from_parts(build_verdict(source, warnings_shown=warnings_shown), parts)
+    verdict = build_verdict(source, warnings_shown=warnings_shown)
+    first, *others = verdict.facts
+    facts = [first, *_program_facts(source), *others, *covariance_cautions(source)]
+    return Report.from_parts(verdict._replace(facts=facts), parts)
+
+
+def _program_facts(source: Source) -> Iterator[Fact]:
+    """Yield heading error and success of each program outside sinsjax."""
+    if not source.study.study.external:
+        return
+    criterion = source.success_measures[0]
+    table = source.rows(["method", *REQUIRED_COLUMNS, *success_columns(source.study)])
+    names = [f"{_END}_rms", criterion.rate_column]
+    for row in analysis.summarise(table, ["method"], names).to_pylist():
+        if row["method"] in source.study.study.external:
+            error = format_heading_error(read_estimate(row, names[0]))
+            share = format_percent(read_estimate(row, names[1]))
+            text = f"{error}' rms from true north, {share} % {criterion.description}"
+            yield Fact("Program", f"{row['method']}: {text}")
 
 
 def statistics_table(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:

@@ -5,7 +5,10 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
-from sinsjax.analysis import NO_INTERVAL, Estimate, format_estimate
+import numpy as np
+
+from sinsjax.analysis import NO_INTERVAL, UNKNOWN, Estimate, format_estimate
+from sinsjax.analysis.formats import format_percent
 from sinsjax.execution.source import Source
 from sinsjax.messages import format_count
 from sinsjax.plots.labels import format_setting, format_value
@@ -63,6 +66,7 @@ def _tuning_verdict(tuning: Tuning) -> Verdict:
             f"{in_unit(tuning.score(best))}, {_describe_gain(tuning, gain)} than the start,"
             f" on {fresh}",
         ),
+        *_settled_fact(tuning),
         *_law_fact(tuning),
         Fact("Measure", name + _describe_aggregation(tuning)),
         Fact(
@@ -83,8 +87,19 @@ def _tuning_verdict(tuning: Tuning) -> Verdict:
 def _describe_gain(tuning: Tuning, gain: Estimate) -> str:
     """Return a difference of two candidates as a gain: ``3.2 [2.1, 4.3] s better``."""
     verb = "worse" if gain.value > 0 else "better"
-    size = gain if gain.value > 0 else Estimate(-gain.value, -gain.high, -gain.low, gain.n)
+    size = gain if gain.value > 0 else Estimate(0 - gain.value, 0 - gain.high, 0 - gain.low, gain.n)
     return f"{_format_objective(tuning, size)} {verb}"
+
+
+def _settled_fact(tuning: Tuning) -> Iterator[Fact]:
+    """The shares of runs that settle, at the best point and at the start, if some never do."""
+    shares = [tuning.settled_share(name) for name in (tuning.best, "baseline")]
+    best, start = (format_percent(found) if found else "" for found in shares)
+    if any(found and found.value < 1 for found in shares):
+        lengths_s = np.unique(tuning.evaluation_study.spans_s[:, 0])
+        length = f"{lengths_s[0]:g} s" if len(lengths_s) == 1 else "the length of the run"
+        text = f"{best} % of the runs, start {start} %; never counts as {length}"
+        yield Fact("Settled", text)
 
 
 def _law_fact(tuning: Tuning) -> Iterator[Fact]:
@@ -213,11 +228,21 @@ def _candidate_table(tuning: Tuning) -> Table:
         value = tuning.evaluation_study.cases[tuning.case_numbers[name]][key]
         return _format_candidate_value(value, bounds.get(name, ()), key)
 
+    def tuning_score(name: str) -> str:
+        score = tuning.tuning_score(name)
+        return "-" if score is None else _format_objective(tuning, UNKNOWN._replace(value=score))
+
+    def settled(name: str) -> str:
+        found = tuning.settled_share(name)
+        return format_percent(found) if found else "-"
+
     cells: list[tuple[str, Callable[[str], str]]] = [
         (
             describe_objective(tuning.study)[0],
             lambda name: _format_objective(tuning, tuning.score(name)),
         ),
+        ("on the tuning draws", tuning_score),
+        *([("settled (%)", settled)] if tuning.unsettled is not None else []),
         (f"less that of '{rival}'", difference_to_rival),
         ("cost (10^6 steps)", lambda name: f"{costs[name] / 1e6:,.4g}" if name in costs else "-"),
         (f"of that of '{rival}'", share),
@@ -228,7 +253,8 @@ def _candidate_table(tuning: Tuning) -> Table:
     ]
     recorded = tuning.study.is_recorded
     note = (
-        "On draws that tuned nothing, the same for all."
+        "On draws that tuned nothing, the same for all; *on the tuning draws*: the score that the"
+        " search minimised."
         f" {NO_INTERVAL if recorded else 'Number [95 % interval by the bootstrap over them].'}"
         " Cost: simulated steps of the search, those of its derivatives included."
         " *Bound*: the value stands at the end of the range that was searched."

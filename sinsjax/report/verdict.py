@@ -106,6 +106,11 @@ class SweepOutcome:
         return max(self.source.study.run_s, np.max(self.time_s, initial=0, where=self.settled))
 
     @property
+    def longest_time_s(self) -> float:
+        """Longest time that a run can settle after, s."""
+        return max(float(self.source.study.spans_s[:, 0].max()), self.unsettled_time_s)
+
+    @property
     def settled(self) -> NDArray:
         """(options, conditions, draws) whether a run settles."""
         return np.isfinite(self.time_s)
@@ -149,9 +154,12 @@ class SweepOutcome:
         return analysis.share(np.isfinite(self.held_out_values(choice, self.time_s)), self.clusters)
 
     def mean_settling_s(self, choice: "Choice") -> Estimate:
-        """The mean settling time of the runs that settle with a choice, s; never below 0."""
-        found = analysis.mean(self.held_out_values(choice, self.time_s), self.clusters)
-        return found._replace(low=max(found.low, 0.0))
+        """The mean settling time of the runs that settle with a choice, s."""
+        return analysis.mean(
+            self.held_out_values(choice, self.time_s),
+            self.clusters,
+            limits=(0.0, self.longest_time_s),
+        )
 
     def format_settling(self, choice: "Choice", unit: str = "") -> str:
         """Return settling with a choice as text: mean time, ``never``, or share that settles."""
@@ -186,8 +194,12 @@ def study_title(source: Source) -> str:
     kept = len({*study.duplicate_of}) * runs // study.n_variants
     count += f" ({kept:,} distinct)" if kept < runs else ""
     status = source.rows(["status"])
-    failed = sum(int(analysis.status_mask(status, outcome).sum()) for outcome in FAILED)
-    return f"{study.name}: {count}, {f'{failed:,}' if failed else 'none'} failed"
+    counts = {outcome: int(analysis.status_mask(status, outcome).sum()) for outcome in FAILED}
+    failed = {outcome: number for outcome, number in counts.items() if number}
+    kinds = f" ({', '.join(failed)})" if failed else ""
+    return (
+        f"{study.name}: {count}, {f'{sum(failed.values()):,}' if failed else 'none'} failed{kinds}"
+    )
 
 
 def warning_facts(source: Source, *, warnings_shown: bool) -> Iterator[Fact]:
@@ -366,4 +378,4 @@ def condition_table(outcome: SweepOutcome) -> Table | None:
             outcome_here.format_settling(rival),
         ]
 
-    return choices.condition_table(axis, format_row, "settles after")
+    return choices.condition_table(axis, format_row, "settles after, mean")

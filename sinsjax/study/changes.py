@@ -5,6 +5,7 @@ drawn key, and the alternatives to it. An empty table as the value drops a secti
 drawn key.
 """
 
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -16,6 +17,7 @@ from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
 
 _SWEEP_TABLES = ("axes", "drawn")
 _EXAMPLE = "such as alignment.phi_u0_deg"
+_COMMA = re.compile(r"[+-]?\d+,\d+")
 
 
 def parse_changes(texts: Iterable[str]) -> TomlTable:
@@ -34,6 +36,9 @@ def parse_changes(texts: Iterable[str]) -> TomlTable:
         try:
             changes[place] = tomllib.loads(f"value = {value}")["value"]
         except ValueError:
+            if _COMMA.fullmatch(value):
+                hint = f"decimal point: {value.replace(',', '.')}; list: [{value}]"
+                raise InputError(f"--set {text}: {value} is not a TOML value ({hint})") from None
             if not value.isidentifier():
                 raise InputError(
                     f"--set {text}: {value} is not a TOML value (quote text)"

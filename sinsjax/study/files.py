@@ -3,6 +3,7 @@
 import os
 import re
 import tomllib
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,22 @@ def find_study_file(name_or_path: str | Path) -> Path:
     return path
 
 
+def describe_shadowed_study(name_or_path: str | Path) -> list[str]:
+    """Return a line if a name means an edited local file instead of the shipped study.
+
+    Args:
+        name_or_path: name or file of a study; reading a file that is no text fails later.
+    """
+    shipped = shipped_studies().get(Path(name_or_path).name)
+    path = find_study_file(name_or_path)
+    if shipped is None or path.parent != Path():
+        return []
+    with suppress(OSError, UnicodeDecodeError):
+        if _name_pages(_read_body(path)) == _name_pages(_read_body(shipped)):
+            return []
+    return [f"{name_or_path}: the local file {path}, not the shipped study."]
+
+
 def source_name(name_or_path: str | Path) -> str:
     """Return the name of a study in messages: a shipped study's own, otherwise its path as given.
 
@@ -90,10 +107,7 @@ def source_name(name_or_path: str | Path) -> str:
 
 
 def read_purpose(path: Path) -> str:
-    """Return the purpose of a study: the first sentence of the comment at its start.
-
-    Studies and pages are named without their folders, which a wheel does not have.
-    """
+    """Return the purpose of a study: the first sentence of the comment at its start."""
     lines = []
     for line in _read_body(path).splitlines():
         if not line.startswith("# "):
@@ -102,7 +116,7 @@ def read_purpose(path: Path) -> str:
     text = " ".join(lines)
     ends = [at + 1 for mark in (". ", "? ") if (at := text.find(mark)) > 0]
     sentence = text[: min(ends, default=len(text))] or path.stem
-    return _PAGE.sub(r"the page \1", _STUDY.sub(r"\1", sentence))
+    return _name_pages(_STUDY.sub(r"\1", sentence))
 
 
 def shipped_text(name: str) -> str:
@@ -118,7 +132,12 @@ def shipped_text(name: str) -> str:
             f"{name}: no study of this name (`init --list` shows them)"
             f"{suggest_closest(stem, known)}"
         )
-    return f"{schema_line()}\n{_read_body(known[stem])}"
+    return f"{schema_line()}\n{_name_pages(_read_body(known[stem]))}"
+
+
+def _name_pages(text: str) -> str:
+    """Return a text that names pages without their folder, which a wheel does not have."""
+    return _PAGE.sub(r"the page \1", text)
 
 
 def schema_line() -> str:

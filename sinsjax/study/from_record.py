@@ -6,7 +6,7 @@ Every key has a comment with its reason, and with a doubt if the file does not d
 import json
 import math
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,12 +20,15 @@ from sinsjax.records.anomalies import find_dead_channels, report_anomalies
 from sinsjax.records.evidence import find_turning_earth_rate, shows_earth_rate
 from sinsjax.records.files import parse_number_or_nan, read_line_batches
 from sinsjax.records.layout import PSINS_LAYOUT, Anomaly, Note, Record, RecordLayout
-from sinsjax.records.means import EARTH_RATE, Means, compute_means, vertical_rate
+from sinsjax.records.means import EARTH_RATE, Means, compute_means, vertical_rate, white_noise
 from sinsjax.records.plausibility import (
+    GYRO_BIAS,
+    LOW_NOISE_GYRO_BIAS,
     Finding,
     StationaryValues,
     check_stationary,
     finds_north_by_turns,
+    is_low_noise,
 )
 from sinsjax.records.propose import propose_layout
 from sinsjax.records.tables import ColumnTable, open_parquet
@@ -41,7 +44,7 @@ _SHORT_GAP_S = 0.1
 _LONGEST_S, _COARSE_S, _SHORTEST_S = 900.0, 10.0, 10.0
 _LONGEST_TURNING_S = 3600.0  # so that no position is cut off
 _RATE_TOLERANCE = 1e-4  # relative deviation of clocks from the nominal rate
-_OTHER_ANSWERS = ("study.rate_hz", "earth.latitude_deg")
+_OTHER_ANSWERS = ("study.rate_hz", "earth.latitude_deg", "record.gyro_bias_deg_per_h")
 _WIDTH = 100
 _NO_NOTE = Note("")
 _LATITUDE = 45.0
@@ -67,7 +70,7 @@ fit_gyro_arw_deg_per_sqrt_h = {gyro_noise:.2g}
 fit_accel_bias_ug = {accel_bias:g}
 fit_accel_vrw_ug_per_sqrt_hz = {accel_noise:.2g}
 """
-_GYRO_BIAS_DEG_PER_H, _ACCEL_BIAS_UG = 10.0, 5000.0  # the largest that raise no doubt
+_ACCEL_BIAS_UG = 5000.0  # the largest that raises no doubt
 _ALWAYS_WRITTEN = {"gyro_unit", "accel_unit", "axes_order", "time_unit"}
 _LEVELLING = """\
 [alignment]
@@ -134,7 +137,7 @@ def make_study_text(
     given = _check_answers(answers or {})
     is_psins = _is_psins(record_path) and "columns" not in given
     proposed = _propose_psins(record_path) if is_psins else _propose_table(record_path, given)
-    latitude = given.pop("latitude_deg", None)
+    latitude, gyro_bias = given.pop("latitude_deg", None), given.pop("gyro_bias_deg_per_h", None)
     if proposed.record is None:
         sections = [
             _title_section(record_path, study_path),
@@ -151,14 +154,14 @@ def make_study_text(
         part, part_note = _longest_part(record_path, proposed.record, shortest_s, _LONGEST_S)
         means = _compute_part_means(proposed.record, part)
     used_latitude = _estimate_latitude_deg(proposed, means) if latitude is None else latitude
-    expected = _expected_values(used_latitude)
+    expected = _expected_values(used_latitude, gyro_bias)
     findings = _find_doubts(proposed, _sample_range(proposed.record, part), expected)
     level_only = any(getattr(finding, "hides_north", False) for finding in findings)
     sections = [
         _title_section(record_path, study_path),
         _study_section(record_path, proposed, part, part_note),
         _earth_section(proposed, means, latitude),
-        _record_section(proposed, part, findings),
+        _record_section(proposed, part, findings, _gyro_bias_lines(proposed, part, gyro_bias)),
         _coarse_section(part),
         _LEVELLING if level_only else _alignment_section(proposed, part, means, expected),
     ]
@@ -175,12 +178,10 @@ def _alignment_section(
         return _ALIGNMENT
     span = slice(*_sample_range(record, part))
     gyro_noise, accel_noise = (
-        float(np.median(np.abs(np.diff(rows[span], n=2, axis=0))) / 0.6745 / math.sqrt(6))
-        * math.sqrt(record.rate_hz)
-        for rows in (record.dtheta, record.dv)
-    )  # second differences of white noise have six times its variance
+        white_noise(rows[span], record.rate_hz) for rows in (record.dtheta, record.dv)
+    )
     return _TURNING.format(
-        gyro_bias=_GYRO_BIAS_DEG_PER_H,
+        gyro_bias=GYRO_BIAS / DEG_PER_H,
         accel_bias=_ACCEL_BIAS_UG,
         gyro_noise=gyro_noise / DEG_PER_SQRT_H,
         accel_noise=accel_noise / micro_g(),
@@ -366,7 +367,7 @@ def _title_section(record_path: Path, study_path: Path) -> str:
             f"#   sinsjax validate {name}",
             f"#   sinsjax align {log} {name} -o out",
             "#",
-            "# With --reference FILE the result is compared; its columns: docs/own_record.md.",
+            "# With --reference FILE the result is compared; its columns: the page own_record.",
             "",
         ]
     )
@@ -448,13 +449,15 @@ def _earth_section(
     return "\n".join(["[earth]", *_format_key_lines("earth", "wgs84"), *lines, ""])
 
 
-def _expected_values(latitude_deg: float) -> StationaryValues:
+def _expected_values(latitude_deg: float, gyro_bias: float | None) -> StationaryValues:
+    """Return the measurements to expect, with a gyro bias that the user has given, deg/h."""
     return StationaryValues(
         earth_rate=EARTH_RATE,
         latitude=latitude_deg * DEG,
         gravity=STANDARD_GRAVITY,
-        gyro_bias=_GYRO_BIAS_DEG_PER_H * DEG_PER_H,
+        gyro_bias=GYRO_BIAS if gyro_bias is None else gyro_bias * DEG_PER_H,
         accel_bias=_ACCEL_BIAS_UG * micro_g(),
+        low_noise_gyro_bias=LOW_NOISE_GYRO_BIAS if gyro_bias is None else math.inf,
     )
 
 
@@ -470,8 +473,25 @@ def _find_doubts(
     return [*doubts, *check_stationary(proposed.record, span, proposed.layout, expected)]
 
 
+def _gyro_bias_lines(
+    proposed: _ProposedFile, part: _AlignedPart, given_deg_per_h: float | None
+) -> Iterator[str]:
+    """Yield the line of the largest gyro bias, a comment unless the user has given it."""
+    key = "gyro_bias_deg_per_h"
+    if given_deg_per_h is not None:
+        yield from _format_key_lines(key, given_deg_per_h, Note("given"))
+    elif proposed.record is not None and proposed.is_gyro_known:
+        is_low = is_low_noise(proposed.record, _sample_range(proposed.record, part))
+        value = round((LOW_NOISE_GYRO_BIAS if is_low else GYRO_BIAS) / DEG_PER_H, 1)
+        note = Note("deg/h, a larger bias is a warning: see the data sheet")
+        yield from _format_key_lines(f"# {key}", value, note)
+
+
 def _record_section(
-    proposed: _ProposedFile, part: _AlignedPart | None, findings: Sequence[Anomaly | Finding] = ()
+    proposed: _ProposedFile,
+    part: _AlignedPart | None,
+    findings: Sequence[Anomaly | Finding] = (),
+    gyro_bias_lines: Iterable[str] = (),
 ) -> str:
     layout, notes = proposed.layout, proposed.notes
     lines = [
@@ -491,6 +511,7 @@ def _record_section(
     if part is not None:
         note = Note("s, start of coarse alignment; may be a list")
         lines += _format_key_lines("start_s", [part.start_s], note)
+    lines += gyro_bias_lines
     remarks = [] if proposed.record is None else proposed.record.remarks
     lines += [_wrap_comment(remark, DOUBT) for remark in remarks]
     for finding in findings:

@@ -22,7 +22,8 @@ def find_keys(name: str | None = None) -> list[Key]:
 
     Args:
         name: section, key, ``section.key``, or a method for the keys of its sections; None for
-            all keys. Any other text finds the keys whose name contains it.
+            all keys; a section has those of its tables. Any other text finds the keys whose name
+            contains it.
 
     Raises:
         InputError: nothing has this name.
@@ -47,6 +48,7 @@ def find_keys(name: str | None = None) -> list[Key]:
         key
         for key in all_keys
         if name in (None, key.section, key.name, f"{key.section}.{key.name}")
+        or key.section.startswith(f"{name}.")
     ]
 
 

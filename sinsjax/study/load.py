@@ -63,6 +63,8 @@ _DEPENDENT_DEFAULTS = EARTH_CONSTANTS | {
 """Defaults that depend on other keys, or on whether the study is recorded."""
 _FEEDBACK_KEY = "feedback_interval_s"
 _SWEEP_TABLES = ("axes", "cases", "drawn")
+SHEET_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
+"""Sections of a sheet, which `sinsjax.advise` reads."""
 _REMOVED_SECTIONS = {
     "azimuth": "a large heading error is fed back as the rotation that it defines",
     "report": "every study has the same report",
@@ -85,7 +87,8 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
         InputError: the file cannot be read, is not TOML or not a valid study; a line per mistake.
 
     Warns:
-        StudyWarning: the changes drop keys that another method does not read.
+        StudyWarning: the changes drop keys that another method does not read, or an edited local
+            file has the name of a shipped study.
 
     Examples:
         >>> sinsjax.load_study("reset_sweep", {"study.draws": 2})
@@ -98,7 +101,7 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
     if isinstance(source, Study):
         return source.replace(changes) if changes else source
     study, _, dropped = _load_with_tables(source, changes)
-    for line in dropped:
+    for line in (*files.describe_shadowed_study(source), *dropped):
         warnings.warn(line, StudyWarning, stacklevel=2)
     return study
 
@@ -128,7 +131,13 @@ def _load_with_tables(
         reject_open_questions(data, path)
     except InputError as error:
         raise error.with_source(name) from None
-    return study_from_dict(data, name), data, dropped
+    try:
+        return study_from_dict(data, name), data, dropped
+    except InputError as error:
+        if "sensors" in data and data.keys() <= {*SHEET_TABLES}:
+            hint = f"`sinsjax advise {path} --study FILE` writes a study of a data sheet"
+            raise InputError(*error.lines, f"{name}: has no [alignment] ({hint})") from None
+        raise
 
 
 def change_tables(

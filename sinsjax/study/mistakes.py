@@ -82,6 +82,8 @@ def _is_consequence(place: Place, left_out: set[str]) -> bool:
     """Return whether an error may be a consequence of earlier ones, whose keys are left out."""
     related = {place.key, place.table, *alternative_keys(place.key)}
     related |= {key for key in SECTION_OF if place.key in deciding_keys(key)}
+    if not place.key:  # a whole section, which no method reads once a wrong one is left out
+        related.add("method")
     if place.key in WHITE_NOISE:  # the default of Q
         related |= {"sensors", *WHITE_NOISE[place.key][:2]}
     if place.key == "q_reading":  # its numbers may be left out

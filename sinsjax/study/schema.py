@@ -557,7 +557,8 @@ class RecordSection(Section):
         description="longest gap between good samples that is interpolated, s; default: 0",
     )
     gyro_bias_deg_per_h: GyroNoise | None = Field(
-        None, description="largest bias that the check accepts, deg/h; default: 10"
+        None,
+        description="largest bias that the check accepts, deg/h; default: 10 or with low noise 4.5",
     )
     accel_bias_ug: AccelNoise | None = Field(
         None,

@@ -35,6 +35,10 @@ TIMES, COUNT = "reset_times_s", "reset_count"
 Ranges = dict[str, Range | tuple[Range, ...]]
 
 _LAW_NAMES = tuple(Distribution.model_fields)
+_LAW_MEANINGS = {
+    name: Distribution.model_fields[name].description for name in ("normal", "uniform")
+}
+_LAW_FORMS = ", ".join(f"{name} = {meaning}" for name, meaning in _LAW_MEANINGS.items())
 _RANGE_KEYS = tuple(Range.model_fields)
 _VARIABLES, _BASELINE = "[tune.variables]", "[tune.baseline]"
 _TUNING_DRAWS = {"tune_draws": 16, "evaluation_draws": 64}
@@ -297,9 +301,8 @@ def _read_law(key: str, table: Any) -> Distribution:
         raise InputError(f"[drawn] {key}: must be a table such as {example}, not {table!r}")
     for name in table:
         if name not in _LAW_NAMES:
-            raise InputError(
-                f"[drawn] {key}.{name}: unknown key{suggest_closest(name, _LAW_NAMES)}"
-            )
+            hint = suggest_closest(name, _LAW_NAMES) or f" (use {_LAW_FORMS}, values or grid)"
+            raise InputError(f"[drawn] {key}.{name}: unknown key{hint}")
     if len(table) != 1:
         given = " and ".join(table) or "none"
         raise InputError(f"[drawn] {key}: needs one of {', '.join(_LAW_NAMES)}, not {given}")
@@ -311,7 +314,10 @@ def _read_law(key: str, table: Any) -> Distribution:
         law = Distribution.model_validate({name: value})
     except ValidationError as error:
         first = error.errors()[0]
-        raise InputError(f"{place}{format_list_index(first)}: {explain_error(first)}") from None
+        text = f"{place}{format_list_index(first)}: {explain_error(first)}"
+        if first["type"] in ("tuple_type", "missing", "too_long") and name in _LAW_MEANINGS:
+            text += f" (use {name} = {_LAW_MEANINGS[name]})"
+        raise InputError(text) from None
     if name not in ("values", "grid"):
         return law
     return Distribution.model_validate({name: check_values(value, key, place)})

@@ -40,7 +40,10 @@ class TuningResults:
 
     @cached_property
     def study(self) -> Study:
-        """The study with the best point and without [tune], as in ``tuned.toml``."""
+        """The study with the best point and without [tune], as in ``tuned.toml``.
+
+        Its seed is new, so that its draws neither tuned nor evaluated.
+        """
         return load_study(self.directory / TUNED)
 
     @cached_property
@@ -114,8 +117,8 @@ def tune(
 ) -> TuningResults:
     """Tune a study into a directory.
 
-    At the end it holds ``tuned.toml`` (the study with the best point), the results of each search
-    and of the evaluation, and the history that `history.read_history` reads.
+    At the end it holds ``tuned.toml`` (the study with the best point and a new seed), the results
+    of each search and of the evaluation, and the history that `history.read_history` reads.
 
     Args:
         study: study with [tune], its file, or the name of a shipped study.
@@ -143,7 +146,7 @@ def tune(
         True
     """
     options = RunOptions(directory, overwrite=overwrite, resume=resume, source=source)
-    job = issue_warnings(prepare_tuning(study, None, record, None, options))
+    job = issue_warnings(prepare_tuning(study, None, record, None, options), tunes=True)
     run_tuning(job, watch=watch, stop=stop)
     assert job.directory is not None
     return TuningResults(job.directory)

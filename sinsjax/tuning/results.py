@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.analysis import Estimate
+from sinsjax.analysis import Estimate, share
 from sinsjax.analysis.estimates import bootstrap_interval
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
@@ -112,6 +112,32 @@ class Tuning:
         """(cases, variants, draws) values of the runs for the objective, on the unused draws."""
         table = self.source.rows(objective.summary_columns(self.tune, self.study))
         return search.point_values(self.study, self.evaluation_study, table)
+
+    @cached_property
+    def unsettled(self) -> NDArray | None:
+        """(cases, variants, draws) whether runs never settle, if the objective is a time."""
+        if not self.tune.objective.startswith("settle_"):
+            return None
+        never = self.tune.model_copy(update={"objective": "failure_rate"})
+        study = self.study.model_copy(update={"tune": never})
+        table = self.source.rows(objective.summary_columns(never, study))
+        return search.point_values(study, self.evaluation_study, table) > 0
+
+    def settled_share(self, name: str) -> Estimate | None:
+        """Return the share of a candidate's runs on the unused draws that settle.
+
+        None if the objective is no settling time.
+        """
+        if self.unsettled is None:
+            return None
+        settled = ~self.unsettled[self.case_numbers[name]]
+        draws = np.zeros if self.study.is_recorded else np.arange
+        clusters = np.tile(draws(settled.shape[1]).astype(int), len(settled))
+        return share(settled.ravel(), clusters)
+
+    def tuning_score(self, name: str) -> float | None:
+        """Return the objective of a search's best point on the tuning draws; None for others."""
+        return self.searches[name].best.objective if name in self.searches else None
 
     @property
     def values_on_bounds(self) -> dict[str, list[tuple[Variable, float]]]:

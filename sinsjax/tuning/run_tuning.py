@@ -2,8 +2,8 @@
 
 In order: the searches; after a gradient search, a Sobol search of equal cost; the evaluation of all
 best points, the baseline and the reset schedule by the law on draws not used for tuning;
-``tuned.toml`` with the best point on the tuning draws. Complete stages are kept when a tuning run
-is resumed.
+``tuned.toml`` with the best point on the tuning draws and a new seed. Complete stages are kept when
+a tuning run is resumed.
 """
 
 import threading
@@ -111,9 +111,17 @@ def _search_and_evaluate(study: Study, session: SearchSession) -> None:
             history.write_history(directory, study, results)
     best = min(results, key=lambda result: result.best.objective)
     _evaluate_best_points(study, space, results, best.best.candidate, session)
-    tuned = study_to_toml(with_point(study, best.point(space)))
     with atomic_write(directory / TUNED) as file:
-        file.write(tuned.encode())
+        file.write(_tuned_text(study, best.point(space)).encode())
+
+
+def _tuned_text(study: Study, point: TomlTable) -> str:
+    """Return the content of ``tuned.toml``: the study with a point, on draws not used so far."""
+    tuned = with_point(study, point)
+    if study.is_recorded:
+        return study_to_toml(tuned)
+    tuned = tuned.replace({"study.seed": search.unused_seed(study)})
+    return f"# The seed is new: its draws neither tuned nor evaluated.\n{study_to_toml(tuned)}"
 
 
 def require_tune(study: Study) -> TuneSection:

@@ -296,6 +296,11 @@ def estimate_steps(study: Study) -> float:
     return runs * total_steps(study) / study.n_draws
 
 
+def unused_seed(study: Study) -> int:
+    """Return a seed whose draws neither tune a study with [tune] nor evaluate it."""
+    return (study.seed + 2) % _SEEDS
+
+
 def derive_study(
     study: Study, points: Mapping[str, TomlTable], *, name: str, evaluation: bool = False
 ) -> Study:

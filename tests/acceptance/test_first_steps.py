@@ -85,6 +85,20 @@ def test_local_study_file_precedes_shipped_study(sinsjax: Command, tmp_path: Pat
     assert files.find_study_file("reset_sweep").samefile(tmp_path / "reset_sweep.toml")
 
 
+def test_edited_local_file_with_name_of_shipped_study_is_mentioned(
+    sinsjax: Command, tmp_path: Path
+) -> None:
+    line = "paper1_resets: the local file paper1_resets.toml, not the shipped study."
+    sinsjax("init", "paper1_resets")
+    assert line not in sinsjax("validate", "paper1_resets")[1]  # a copy
+    copy = tmp_path / "paper1_resets.toml"
+    copy.write_text(copy.read_text().replace("seed = 1", "seed = 5") + "# edited\n")
+    assert sinsjax("validate", "paper1_resets")[1].splitlines()[0] == line
+    assert line not in sinsjax("validate", "paper1_resets.toml")[1]
+    with pytest.warns(package.StudyWarning, match=re.escape(line)):
+        package.load_study("paper1_resets")
+
+
 @pytest.mark.parametrize("name", ["", ".", "..", "/", "x" * 300, "a/b"])
 def test_invalid_study_path_gives_one_line_error(sinsjax: Command, name: str) -> None:
     code, _, error = sinsjax("validate", name)
@@ -140,6 +154,12 @@ def test_init_lists_newcomers_studies_then_groups_within_80_columns(
         2,
         "error: reset: no study or group of this name (did you mean resets?)\n",
     )
+
+
+def test_studies_and_keys_name_no_file_that_a_wheel_lacks() -> None:
+    texts = [files.shipped_text(name) for name in (*files.shipped_studies(), *files.TEMPLATES)]
+    texts += [key.meaning for key in key_table.find_keys()]
+    assert not [text for text in texts if re.search(r"docs/\w+\.md", text)]
 
 
 def test_errors_of_shipped_studies_name_the_study(sinsjax: Command, tmp_path: Path) -> None:
@@ -415,6 +435,7 @@ def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
         ("phi_u0_deg", "must be SECTION.KEY=VALUE"),
         ("phi_u0_deg=1", "(alignment.phi_u0_deg)"),
         ("alignment.phi_u0_deg=[", "not a TOML value"),
+        ("alignment.phi_u0_deg=0,1", "(decimal point: 0.1; list: [0,1])"),
         ("alignment.phi=1", "[alignment] phi: unknown key"),
         ("study.seed.x=1", "is below a value"),
         ("cases.p0_yaw_deg=1", "the entries of cases"),

@@ -137,7 +137,16 @@ def test_misnamed_entry_point_is_reported_by_validate_and_info(
             "AttributeError: '_State' object has no attribute 'nothing'",
             "state.nothing",
         ),
-        ((METHOD, ", force, turn)", ", force, n)"), "step returns the state _State(", "def step"),
+        (
+            (METHOD, ", force, turn)", ", force, n)"),
+            "step returns the state with turn = float64[], expected Vec3(",
+            "def step",
+        ),
+        (
+            (METHOD, "return 1 - 1", "return 0.5 #"),
+            "parameters returns float64[], expected [1, ...]: one value per variant",
+            "def parameters",
+        ),
         (
             (CONFIG, "has_covariance=False", "has_error_model=True"),
             "has_error_model is True, but its Method has no error_model",
@@ -163,6 +172,7 @@ def test_validate_and_sweep_report_wrong_plugin_method_in_one_line(
             lines = (changed / METHOD).read_text().splitlines()
             (number,) = (number for number, line in enumerate(lines, 1) if marked in line)
             assert ended.stderr.endswith(f", in {changed / METHOD}:{number}\n")
+    assert not (tmp_path / "out").exists()
 
 
 def test_passes_with_plugin_that_reads_record_once_are_refused(

@@ -1,8 +1,10 @@
 """`sinsjax tune` as a user types it: its files, its report, resuming, and every mistake."""
 
+import re
 import shutil
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +19,16 @@ from support.studies import BASE, PAPER, small_study
 from support.sweep_directories import read_files_and_times
 
 from sinsjax.engine.build import simulated_record
-from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.errors import InputError, StudyInterrupted, StudyWarning
 from sinsjax.execution.directory import lock_directory, read_manifest
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.run import RunProgress
+from sinsjax.execution.run import run as run_study
 from sinsjax.execution.tasks import Job
 from sinsjax.plots import descents
 from sinsjax.records import write_psins
 from sinsjax.report import tuning as tuning_report
+from sinsjax.report.base import Report
 from sinsjax.study.load import load_study, study_from_dict, with_point
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
@@ -139,9 +143,72 @@ def test_tuned_study_has_best_point_of_tuning_draws(made: Path) -> None:
     best = min(history.read_searches(made, space), key=lambda result: result.best.objective)
     tuned_study = load_study(made / "tuned.toml")
     assert best.search != "gradient"
-    assert tuned_study == with_point(study, best.point(space))
+    assert tuned_study == with_point(study, best.point(space)).replace(
+        {"study.seed": tuned_study.seed}
+    )
     assert tuned_study.tune is None and tuned_study.axes == study.axes
     assert tuned_study.n_draws == study.n_draws
+
+
+def test_tuned_study_has_draws_that_neither_tuned_nor_evaluated(made: Path) -> None:
+    folders = (
+        made / "study.toml",
+        made / "grid" / "study.toml",
+        made / "evaluation" / "study.toml",
+    )
+    seeds = [load_study(file).seed for file in folders]
+    assert seeds == [1, 1, 2]
+    assert load_study(made / "tuned.toml").seed not in seeds
+    assert (made / "tuned.toml").read_text().startswith("# The seed is new: ")
+
+
+def test_sweep_and_rerun_do_not_silently_ignore_tuning(
+    made: Path, sinsjax_: Command, tmp_path: Path
+) -> None:
+    note = "[tune] is ignored: the study runs as it is (`sinsjax tune` searches)."
+    draws = ("--set", "study.draws=1")
+    code, said, _ = sinsjax_("sweep", made.parent / "swing.toml", "-o", tmp_path / "a", *draws)
+    assert code == 0 and note in said.splitlines()
+    study = load_study(made.parent / "swing.toml").replace({"study.draws": 1})
+    with pytest.warns(StudyWarning, match=re.escape(note)):
+        run_study(study)
+    code, _, error = sinsjax_("rerun", made, "--run-id", "1")
+    text = f"holds a tuning run (give a folder of its runs: {made / 'evaluation'})"
+    assert (code, error) == (2, f"error: {made}: {text}\n")
+
+
+def test_report_states_how_many_runs_settle(tmp_path: Path) -> None:
+    """Also the score on the tuning draws, so that overfitting shows."""
+    variables = {"p0_yaw_deg": {"candidates": [20.0, 80.0]}}
+    tune = {"searches": ["grid"], "tune_draws": 2, "evaluation_draws": 4, "variables": variables}
+    tune |= {"objective": "settle_mean", "baseline": {"p0_yaw_deg": 30.0}}
+    from_python.tune(small_study(tune=tune), tmp_path / "out")
+    source = results.read_evaluation(tmp_path / "out")
+    table = source.summary
+    place = table.column_names.index("settle_10_truth_s")
+
+    def build(never: dict[str, int]) -> Report:
+        """The report if the first runs of these cases never settle, and the others after 3 s."""
+        times, left = [], dict(never)
+        for case in table["case"].to_pylist():
+            left[case] = left.get(case, 0) - 1
+            times.append(3.0 if left[case] < 0 else None)
+        column = pa.array(times, pa.float64())
+        changed = table.set_column(place, "settle_10_truth_s", column)
+        return tuning_report.build_report(replace(source, table=changed))
+
+    found = build({"grid": 1, "baseline": 2})
+    facts = {fact.label: fact.text for fact in found.verdict.facts}
+    text = "75 [19, 99] % of the runs, start 50 [7, 93] %; never counts as 6 s"
+    assert facts["Settled"] == text
+    (candidates,) = (b for part in found.sections for b in part.blocks if b[0] == CANDIDATES)
+    (row,) = (row for row in candidates.rows if row[0] == "grid")
+    cells = dict(zip(candidates.header, row, strict=True))
+    assert cells["settled (%)"] == "75 [19, 99]"
+    tuning = Tuning.from_source(source)
+    score = tuning.searches["grid"].best.objective
+    assert cells["on the tuning draws"] == f"{score:.1f} s"
+    assert "Settled" not in {fact.label for fact in build({}).verdict.facts}
 
 
 def test_tuning_report_is_built_from_stored_files(made: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Advice: its numbers against draws, what it writes and refuses, and its doubts."""
 
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import sinsjax
 from sinsjax.advice.sheet import MOTIONS, shipped_sheets
 from sinsjax.advice.text import describe_advice
 from sinsjax.errors import InputError
+from sinsjax.study.changes import parse_changes
 
 FOG: dict[str, Any] = {
     "earth": {"latitude_deg": 48.0},
@@ -116,6 +118,38 @@ def test_turned_sheet_is_advised_as_it_turns() -> None:
     assert turned.turns is None and turned.headings[-1].time_s == 300
     (half,) = (one for one in advise().turns.options if one.name == "half turn")
     assert turned.heading.rms_arcmin == pytest.approx(half.sigma_arcmin, rel=0.02)
+    lines = "\n".join(describe_advice(turned))
+    assert "after the last turn, from the attitude, gyro biases and sigmas of gravity_fit" in lines
+    assert "in quadrature" not in lines and turned.resets is None
+    assert "the law of resets holds for a base that is not turned" in lines
+
+
+def test_surging_base_that_turns_is_warned_of() -> None:
+    motion = MOTIONS["surge"] | {"turn_times_s": [140.5], "turn_angles_deg": [180.0]}
+    advice = sinsjax.advise(FOG | {"motion": motion})
+    assert advice.choice.method == "kalman_surge" and advice.misses_turns
+    assert "does not separate the gyro biases by the turns" in advice.warnings[0]
+    assert any("its error is far above the information" in line for line in describe_advice(advice))
+    assert not advise(motion="surge").misses_turns
+
+
+def test_resets_state_their_doubts_and_settings() -> None:
+    (line,) = (text for text in describe_advice(advise()) if text.startswith("  resets"))
+    assert 'and schedule = "law" (resets at ' in line and "reset_velocity_m_per_s = 1)" in line
+    assert "with 2 sigma of noise, more with bias instability)" in line
+    instability = {"sensors.gyro_instability_deg_per_h": {}, "sensors.accel_instability_ug": {}}
+    assert not any("more with bias" in text for text in describe_advice(advise(instability)))
+    strong = advise({"sensors.gyro_instability_deg_per_h": 0.4}).resets
+    assert strong is not None and strong.band_arcmin == 300.0  # not 10', which drift exceeds
+
+
+def test_warning_names_the_keys_of_a_turn_that_helps() -> None:
+    bad = {"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 10.0]}}
+    (warning,) = advise(bad).warnings
+    sets = re.findall(r"--set '([^']+)'", warning)
+    assert sets == ["motion.turn_times_s=[140.5]", "motion.turn_angles_deg=[180.0]"]
+    turned = advise(bad | parse_changes(sets))
+    assert turned.warnings == () and turned.heading.rms_arcmin < 100
 
 
 def test_band_is_reached_when_95_percent_are_within_it() -> None:
@@ -235,6 +269,10 @@ def test_command_prints_one_screen_and_writes_a_study(
     code, out, _ = command("advise", sheet, "--time", 200, "--motion", "sway", "--study", study)
     assert code == 0 and len(out.splitlines()) <= 45
     assert sinsjax.load_study(study).values("method") == ["gravity_fit"]
+    code, out, error = command("advise", sheet, "--study", tmp_path / "no_folder" / "check.toml")
+    assert (code, out) == (2, "") and error.count("\n") == 1 and "there is no folder" in error
+    code, _, error = command("sweep", sheet, "-o", tmp_path / "out")
+    assert code == 2 and f"`sinsjax advise {sheet} --study FILE` writes a study" in error
     code, _, error = command("advise", sheet, "--study", study)
     assert code == 2 and "exists, and is not overwritten" in error
     _, out, _ = command("advise", sheet, "--json", "--time", 200)

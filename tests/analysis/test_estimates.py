@@ -166,6 +166,14 @@ def test_mean_interval_of_symmetric_values_is_student_t():
     assert found == pytest.approx((values.mean(), oracle.low, oracle.high, 20), rel=1e-12)
 
 
+def test_mean_interval_ends_at_limits_of_values():
+    values = [40.0, 187.0, 334.0]
+    free, within = analysis.mean(values), analysis.mean(values, limits=(0.0, 500.0))
+    assert free.low < 0.0 and free.high > 500.0
+    assert within == (free.value, 0.0, 500.0, 3)
+    assert analysis.mean(values, limits=(-1e3, 1e3)) == free
+
+
 def hall_interval_end(values, end):
     """The end at which Hall's transformation of the studentised mean equals a t quantile."""
     n, skew = len(values), stats.skew(values, bias=False)

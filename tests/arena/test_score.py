@@ -1,6 +1,7 @@
 """Results that come back: judged as any run, compared on the same draws, or refused in one line."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -248,6 +249,34 @@ def test_verdict_is_the_paired_difference_to_the_best_method(arena: Arena, tmp_p
     assert len(found.conditions) == 2
 
 
+def test_verdict_names_who_is_nearer_to_north_than_the_bias_floor(tmp_path: Path) -> None:
+    """A program with true headings: constant biases hide more than that at rest."""
+    arena = Arena(tmp_path, motion=STILL | {"yaw_center_deg": 50.0})
+    score = arena.score(
+        turned(arena.last(), lambda pitch, roll, yaw: (pitch, roll, 0 * yaw + 50)), tmp_path
+    )
+    found = score.comparison
+    floor = np.abs(numeric_column(rows_of(score, "mine"), "floor_arcmin")).mean()
+    assert found.lucky == ["mine"] and found.floor == pytest.approx(floor)
+    line = f". mine is nearer to north than the bias floor ({floor:.1f} arcmin), which is luck"
+    assert found.verdict.endswith(line)
+
+
+def test_sigmas_in_another_unit_are_suspected(arena: Arena, tmp_path: Path) -> None:
+    table = arena.history()
+    rows = rows_of(arena.score(table, tmp_path), "mine")
+    sigma_deg = np.median(np.abs(numeric_column(rows, "phi_u_arcmin"))) / 60
+
+    def warnings(factor: float, unit: str = "deg") -> list[str]:
+        sigma = pa.array([sigma_deg * factor] * len(table))
+        with_sigma = table.append_column(f"sigma_yaw_{unit}", sigma)
+        return arena.score(with_sigma, tmp_path, overwrite=True).warnings
+
+    doubt = "times its errors: are they in arcmin, not deg?"
+    assert any(line.endswith(doubt) for line in warnings(60))
+    assert not any("times its errors" in line for line in [*warnings(2), *warnings(60, "arcmin")])
+
+
 READINGS = {
     "is yaw mirrored": lambda pitch, roll, yaw: (pitch, roll, -yaw),
     "are the angles in radians": lambda *angles: tuple(np.radians(a) for a in angles),
@@ -283,7 +312,9 @@ def test_scored_directory_is_compared_as_any_other(
 ) -> None:
     score = arena.score(arena.history(), tmp_path)
     code, told, _ = command("report", score.directory)
-    assert code == 0 and "mine" in told and "unfinished" not in told
+    assert code == 0 and "unfinished" not in told
+    told = " ".join(told.split())
+    assert re.search(r"Program mine: [\d.]+ [^:]+' rms from true north, [^:]+ % within", told)
     rates = sinsjax.summarise(sinsjax.read_summary(score.directory), by=["method"]).to_pylist()
     by_method = {row["method"]: row for row in rates}
     assert by_method["mine"]["n"] == by_method["kalman_sincos"]["n"] == 2 * DRAWS
@@ -347,7 +378,10 @@ FAULTS: dict[str, tuple[Any, str]] = {
         "row 5: repeats run_id 0 at 40 s (row 3 has it already)",
     ),
     "unknown": (lambda a: text(a, "777,40,50,4,-7"), "row 3: no run of the export has this run_id"),
-    "nan": (lambda a: text(a, "0,40,nan,4,-7"), "row 3: column 'yaw_deg'"),
+    "nan": (
+        lambda a: text(a, "0,40,nan,4,-7"),
+        "row 3: column 'yaw_deg': 'nan' is not finite (leave the row out: a run without one",
+    ),
     "empty": (lambda a: text(a, "0,40,,4,-7"), "row 3: column 'yaw_deg'"),
     "late": (lambda a: text(a, "0,41,50,4,-7"), "row 3: time_s = 41 is beyond its run, 0 to 40 s"),
     "cut": (lambda a: text(a, ROW, ROW.replace("40", "39"), "1,40,50"), "the header has 5 columns"),

@@ -47,10 +47,16 @@ def record(base: str = "swinging") -> Record:
 
 
 def found(
-    some: Record, *, gyro: float = 10.0, accel: float = 5000.0, **layout: Any
+    some: Record,
+    *,
+    gyro: float = 10.0,
+    accel: float = 5000.0,
+    low_noise_gyro: float = math.inf,
+    **layout: Any,
 ) -> list[Finding]:
     rate = 15.041067 * DEG_PER_H
-    expected = StationaryValues(rate, 32 * DEG, 9.8, gyro * DEG_PER_H, accel * micro_g())
+    limits = gyro * DEG_PER_H, accel * micro_g(), low_noise_gyro * DEG_PER_H
+    expected = StationaryValues(rate, 32 * DEG, 9.8, *limits)
     return check_stationary(some, SPAN, LAYOUT._replace(**layout), expected)
 
 
@@ -97,12 +103,15 @@ def test_vertical_rate_of_wrong_latitude_gives_warning() -> None:
     """At 32 N it is 7.97 deg/h; without it, or its sign, the size is still near Earth rate."""
     some = record("still")
     for part, asks in (
-        (1, "latitude right, or has Earth rate been removed?"),
-        (2, "latitude right?"),
+        (
+            1,
+            "latitude right, or has Earth rate been removed, or is there a gyro bias of 7.86 deg/h",
+        ),
+        (2, "latitude right, or is there a gyro bias of 15.8 deg/h"),
     ):
         less = np.array([0, 0, part * 15.041067 * math.sin(32 * DEG)]) * DEG_PER_H / 100
         (one,) = found(some._replace(dtheta=some.dtheta - less), gyro=3.0)
-        assert one.text.endswith(asks) and not one.is_certain
+        assert asks in one.text and not one.is_certain
         assert "deg/h, but Earth rate there is 7.97: do gyros" in one.text
 
 
@@ -127,6 +136,24 @@ def test_small_biases_are_allowed_up_to_configured_values() -> None:
     (one,) = found(light)
     assert not one.is_certain and "0.991 times gravity" in one.text
     assert not found(light, accel=2e4)
+
+
+def test_half_of_earth_rate_is_doubted_unless_noise_is_that_of_mems_gyros() -> None:
+    some = record("still")
+    half = some._replace(dtheta=some.dtheta / 2)
+    (one,) = found(half, low_noise_gyro=4.5)
+    assert (
+        not one.is_certain and "0.505 times Earth rate: are the gyros' unit and scale" in one.text
+    )
+    noise = np.random.default_rng(5).normal(size=half.dtheta.shape)
+    for arw, is_found in ((0.05, True), (0.15, False)):  # deg/sqrt(h)
+        noisy = half._replace(dtheta=half.dtheta + arw * DEG / 60 / math.sqrt(100) * noise)
+        assert bool(found(noisy, low_noise_gyro=4.5)) == is_found
+    stored = StoredRecord(half, None)
+    (line,) = prepare.prepare_job(recorded(), record=stored).warnings
+    assert line.endswith(one.text.partition("deg/h,")[2])
+    given = recorded(record={"gyro_bias_deg_per_h": 10.0})
+    assert not prepare.prepare_job(given, record=stored).warnings
 
 
 @pytest.mark.parametrize(("angle", "seconds"), [(3.0, 5), (90.0, 5), (60.0, 30)])
@@ -226,6 +253,8 @@ def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None
     warnings = [line.strip() for line in report.splitlines() if line.startswith("  Warning")]
     assert [line.removeprefix("Warning").strip() for line in warnings] == [filled, light]
     assert "Innovations: the mean of r' S^-1 r is" in report
+    words = " ".join(report.split())
+    assert "excludes constant biases: add their floor in quadrature, or use gravity_fit" in words
 
 
 def test_too_short_record_error_includes_coarse_alignment_time() -> None:

@@ -196,6 +196,24 @@ def test_forecast_program_count_matches_engine(tables: Any, programs: int):
     assert f"{told}{several}), " in line
 
 
+def test_forecast_of_descents_counts_their_programs_and_steps():
+    """By covariance analysis unless resets move: dearer to compile, and to trace at every start."""
+    plain = forecast.forecast_tuning(small_study(tune=TUNE))
+    assert (plain.programs, plain.descents_s) == (1, 0.0)
+    gradient = TUNE | {"searches": ["grid", "gradient"], "descent_steps": 100}
+    moved = {"reset_times_s": [{"low": 1, "high": 5}]}
+    smooth, moving = (
+        forecast.forecast_tuning(small_study(tune=gradient | {"variables": variables}))
+        for variables in (TUNE["variables"], moved)
+    )
+    assert smooth.programs == moving.programs == 4
+    assert smooth.descents_s == moving.descents_s == pytest.approx(100 * 600 * 15e-6)
+    assert ", and 10 s to start (62 s the first time, which compiles 4 " in smooth.describe(2)
+    assert ", and 5 s to start (29 s the first time, which compiles 4 " in moving.describe(2)
+    sampled = forecast.forecast_tuning(small_study(tune=TUNE | {"searches": ["covariance"]}))
+    assert (sampled.programs, sampled.slow_compile_s) == (2, 14.0)
+
+
 def test_forecast_describes_remaining_runs_and_time():
     """Time and disk space are those of the missing runs, on cores or worker threads."""
     expected = forecast.forecast_sweep(small_study(study={"draws": 10**8}))

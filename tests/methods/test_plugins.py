@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import jax
+import numpy as np
 import pytest
 
 from sinsjax.errors import InputError
@@ -13,6 +14,7 @@ from sinsjax.methods.base import AttitudeCovariance, Feedback, Method
 from sinsjax.methods.description import Description, Implementation
 from sinsjax.methods.plugins import (
     PluginRegistry,
+    check_parameters,
     check_plugin,
     describe_plugin_error,
     exclude_clashing,
@@ -170,6 +172,34 @@ def test_function_that_returns_other_structure_is_named_with_its_place(
         check(**changes)
     assert str(caught.value).startswith(f"it: {text}")
     assert str(caught.value).endswith(f", {line_of(wrong, 0)}")
+
+
+def test_wrong_state_names_only_the_parts_that_differ() -> None:
+    def step(params: Any, site: Any, state: Quat, sample: Any, n: Any) -> Quat:
+        return state._replace(x=state, z=1.0 * n > 0)
+
+    with pytest.raises(InputError) as caught:
+        check(step=step)
+    x = "x = Quat(w=float64[], x=float64[], y=float64[], z=float64[])"
+    wrong = f"with {x}, expected float64[]; with z = bool[], expected float64[]"
+    assert str(caught.value).startswith(f"it: step returns the state {wrong}, in ")
+
+
+@pytest.mark.parametrize(
+    ("params", "text"),
+    [
+        (0.5, "float64[]"),
+        ([np.ones(2), 0.5], "float64[] at [1]"),
+        ({"kept": np.ones(1)}, "float64[1] at ['kept']"),
+        ("ab", "<U2[]"),
+    ],
+)
+def test_parameters_without_a_value_per_variant_are_refused(params: Any, text: str) -> None:
+    check_parameters("it", wrong, (np.ones(2), {"list": np.ones((2, 3))}, None), 2)
+    with pytest.raises(InputError) as caught:
+        check_parameters("it", wrong, params, 2)
+    line = f"it: parameters returns {text}, expected [2, ...]: one value per variant"
+    assert str(caught.value) == f"{line}, {line_of(wrong, 0)}"
 
 
 def test_error_of_plugin_code_is_described_with_its_last_place(

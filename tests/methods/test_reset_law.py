@@ -2,6 +2,7 @@
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
 from sinsjax.methods.reset_law import NoSchedule, ResetProblem
+from sinsjax.platform.assets import asset_path
 from sinsjax.plots.comparison import build_comparison_panels
 from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.units import ARCMIN, DEG
@@ -340,20 +342,51 @@ def run_command(
 
 
 def test_schedule_command_tells_times_and_worth_and_writes_study(run_command: Command) -> None:
+    code, told, error = run_command("schedule", "paper1_resets", "--study", "no_folder/law.toml")
+    assert (code, told) == (2, "") and error.count("\n") == 1
+    assert "no_folder/law.toml: cannot be written: there is no folder no_folder" in error
     code, told, error = run_command("schedule", "paper1_resets", "--study", "law.toml")
     assert (code, error) == (0, "")
-    assert "resets    2, 4, 6, 118 s" in told
-    assert re.search(r"settles   within 10' from 150 deg: [23]\d\d s \(median run", told)
-    assert "without   never" in told
-    assert "filter    limited by its Q (tau 2.04 s): a segment of 112 s contracts" in told
-    assert "worth     yes: without resets it does not settle" in told
+    assert "resets   2, 4, 6, 118 s" in told
+    assert 'set      schedule = "law", or these times with reset_velocity_m_per_s = 1' in told
+    assert re.search(r"settles  within 10' from 150 deg: 30\d s \(median run, predicted\), 3", told)
+    assert "without  never" in told
+    assert re.search(r"counts   median run with 1 reset: never, .* 4: 30\d s, 5: ", told)
+    assert "filter   limited by its Q (tau 2.04 s): a segment of 112 s contracts" in told
+    assert "worth    yes: without resets it does not settle" in told
+    assert "need it too: reset_velocity_m_per_s = 1\n" in Path("law.toml").read_text()
     study = sinsjax.load_study("law.toml")
     assert study.resets.schedule == "law"  # type: ignore[attr-defined]
     assert set(study.reset_times()) == {(2.0, 4.0, 6.0, 118.0)}
     assert run_command("schedule", "paper1_resets", "--study", "law.toml")[0] == 2
     code, told, _ = run_command("schedule", "which_alignment_latitude")
+    assert "or these times with reset_velocity_m_per_s = 1\n" in told
     gravity = [line for line in told.splitlines() if 'specific_force "gravity"' in line]
     assert code == 0 and any("latitude_deg 32, " in line and ": 2, " in line for line in gravity)
+
+
+def test_plan_has_the_settings_that_its_times_need() -> None:
+    study = small_study(**PER_STEP, resets=LAW)
+    plan = sinsjax.reset_schedule(study)
+    assert plan.settings["reset_velocity_m_per_s"] == 1.0
+    changes = {f"resets.{key}": value for key, value in plan.settings.items()}
+    listed = study.replace({"resets.schedule": "times"} | changes)
+    keys = ("reset_times_s", "reset_velocity_m_per_s")
+    assert [*listed.combinations(*keys)] == [*study.combinations(*keys)]
+    assert plan.by_count[len(plan.times_s) - 1] == pytest.approx(plan.settling_s, rel=0.01)
+
+
+def test_plan_states_what_noise_and_instability_add() -> None:
+    """The template sweep: 48 runs of the law from 150 deg have a median of 211 s, 90 % by 434 s."""
+    study = sinsjax.load_study(asset_path("configs/templates/sweep.toml"))
+    plan = sinsjax.reset_schedule(study)
+    assert plan.settling_s < 0.85 * 211 and plan.noisy_s == pytest.approx(211, rel=0.15)
+    assert plan.late_s > 434 and plan.median == "163 to 238 s" and plan.left_out == ()
+    quiet = sinsjax.reset_schedule("paper1_resets")
+    assert quiet.median == "301 s"
+    drifting = sinsjax.reset_schedule(study.replace({"sensors.accel_instability_ug": 10.0}))
+    assert drifting.left_out == ("accel_instability_ug",)
+    assert any("accel_instability_ug, which the prediction" in text for text in drifting.warnings)
 
 
 def test_python_plan_has_the_fields_of_the_command() -> None:

@@ -96,7 +96,7 @@ def test_map_frames_cell_that_title_names_and_best_of_each_panel():
     assert framed_cells(second) == {BOLD: named, THIN: [(0.5, 1.5)]}  # 2 resets, every 50 s
     assert first.patches[-1].get_edgecolor() == mpl.colors.to_rgba(BOLD)  # on top of the thin one
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend[1:] == ["soonest over all panels", "soonest in its panel"]
+    assert legend[1:] == ["soonest over all panels (mean)", "soonest in its panel (median)"]
     assert [t.get_text() for t in first.texts].count("300") == 1  # the same runs, one number
 
 

@@ -432,6 +432,8 @@ def test_require_span_refuses_span_outside_record():
     records.require_span(record, 0.1 + 0.2, 8.7)
     line = refusal_line(records.require_span, record, 0.3, 8.71)
     assert line == "drive.csv: has 9 s, but 8.71 s from start_s = 0.3 need 9.01 s"
+    line = refusal_line(records.require_span, record, 0.0, 9.5, " (1 s + 8.5 s)")
+    assert line == "drive.csv: has 9 s, but the study needs 9.5 s (1 s + 8.5 s)"
     assert "before the record" in refusal_line(records.require_span, record, -1.0, 1.0)
 
 

@@ -101,7 +101,8 @@ def test_shipped_pages_are_unchanged_by_name_escaping() -> None:
     names = [StudyNames.from_study(load_study(path), f"configs/{path.name}") for path in configs]
     assert names and not any(each.texts for each in names)
     assert all(safe_file_stem(path.stem) == path.stem for path in configs)
-    for page in root.glob("docs/*.md"):
+    pages = {*root.glob("docs/*.md")} - {root / "docs" / "index.md"}  # its cards are HTML
+    for page in pages:
         text = re.sub(r"<!--.*?-->|</?(details|summary)>", "", page.read_text(encoding="utf-8"))
         assert NO_NAMES.to_markdown(text) == text, page.name
 

@@ -21,8 +21,10 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.source import Source
+from sinsjax.methods import registry
 from sinsjax.report import axis_figures, base
-from sinsjax.report.consistency import consistency_blocks
+from sinsjax.report.consistency import consistency_blocks, covariance_cautions
+from sinsjax.report.monte_carlo import build_report
 from sinsjax.study.load import study_from_dict
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
@@ -546,7 +548,7 @@ def test_glossary_terms_are_explained_once_per_report(tmp_path):
     file = io.StringIO()
     report.print_terms(Console(file=file, width=1000))
     terms = f"\n{file.getvalue()}"
-    for word in ("ok", "settled", "bias floor", "truth", "NEES"):
+    for word in ("ok", "failed", "settled", "bias floor", "truth", "NEES"):
         assert f"\n{word}: " not in text and terms.count(f"\n{word}: ") == 1
         assert page.read_text().count(f"\n- *{word}*: ") == 1
         assert html.read_text().count(f"<em>{word}</em>: ") == 1
@@ -564,6 +566,22 @@ def test_unmodelled_biases_explain_high_nees(tmp_path):
         store_results(tmp_path / "b", clean, synthetic_summary(clean, nees=np.full(16, 9.0)))
     )
     assert "cannot be expected" not in text
+
+
+def test_impossible_covariance_of_plugin_is_a_caution(tmp_path, monkeypatch):
+    study = small_study(study={"draws": 4})
+    sigma = {f"sigma_{axis}_arcmin": np.array([1.0, 1.0, 1.0, 1.0]) for axis in "en"}
+    sigma["sigma_u_arcmin"] = np.array([1.0, np.nan, 1.0, np.nan])
+    status = ["ok", "ok", "ok", "nonfinite"]
+    summary = synthetic_summary(study, status=status, nees=np.array([3.0, 3, -1, np.nan]), **sigma)
+    source = Source(tmp_path, study, "x.toml", summary)
+    assert not [*covariance_cautions(source)]
+    monkeypatch.setitem(registry.PACKAGES, "kalman5", ("bringing", "1.1"))
+    (fact,) = covariance_cautions(source)
+    line = "the covariance of kalman5 is negative or not finite at the end of 2 of 3 runs"
+    assert fact.is_caution and fact.text == line
+    facts = build_report(source).verdict.facts
+    assert fact in facts
 
 
 @pytest.mark.parametrize(

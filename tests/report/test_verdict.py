@@ -143,7 +143,12 @@ def test_verdict_names_best_schedule_its_rivals_and_each_condition() -> None:
     assert found.title == "sweep: 288 runs (240 distinct), none failed"
     table = found.table
     assert table is not None
-    assert table.header == ["heading error", "best schedule", "settles after (s)", "no reset (s)"]
+    assert table.header == [
+        "heading error",
+        "best schedule",
+        "settles after, mean (s)",
+        "no reset (s)",
+    ]
     assert [row[0] for row in table.rows] == ["5 deg", "30 deg", "60 deg"]
     assert [row[1] for row in table.rows] == ["1 reset at 1 s"] * 2 + ["2 resets, every 2 s"]
     assert table.rows[0][3].startswith("38 [") and table.rows[1][3] == "never"
@@ -156,6 +161,21 @@ def test_few_draws_are_judged_as_they_choose_and_verdict_says_so() -> None:
     found = facts_by_label(verdict_from_times(sweep_study(4), settling_times()[:4]))
     assert found["Draws"] == "4 (few)"
     assert "only 4 draws: no other draws evaluate the choice" in found["Caution"]
+
+
+def test_mean_time_of_few_settled_runs_stays_within_the_run() -> None:
+    """Of 8 runs of 6 s two settle, far apart: Student's interval would be 8 times as long."""
+    settle_s = np.full((8, 1), np.nan)
+    settle_s[:2, 0] = 1.0, 5.0
+    told = facts_by_label(verdict_from_times(small_study(study={"draws": 8}), settle_s))
+    assert told["Settling"].endswith("% of the runs settle, after 3 [0, 6] s on average")
+
+
+def test_title_names_what_failed_means() -> None:
+    study = small_study(study={"draws": 8})
+    status = ["ok"] * 4 + ["diverged"] * 3 + ["no_north"]
+    source = Source(Path("out"), study, "x.toml", synthetic_summary(study, status=status))
+    assert sweep_verdict(source).title == "study: 8 runs, 3 failed (diverged)"
 
 
 def test_runs_that_never_settle_limit_the_accuracy() -> None:

@@ -44,6 +44,11 @@ def test_key_table_shows_unit_default_and_methods(key, unit, default, read_by):
     assert read_by is None or told.readers_text == read_by
 
 
+def test_section_has_the_keys_of_its_tables():
+    names = [key.name for key in key_table.find_keys("drawn")]
+    assert names == ["sampling", "uniform", "normal", "values", "grid"]
+
+
 def test_about_method_separates_read_keys_from_ignored_keys():
     _, _, reads, silent = key_table.describe_method("inertial")
     assert reads.endswith("keys of [alignment] and [passes]: nothing")

@@ -1143,6 +1143,13 @@ def test_invalid_record_times_are_refused(
     assert build_study(RECORDED, record={"from_s": 30}).record.start_s == (30.0,)
 
 
+@pytest.mark.parametrize(("written", "meant"), [("deg/s", "deg_per_s"), ("rad/s", "rad_per_s")])
+def test_unit_with_a_slash_suggests_the_rate(written: str, meant: str):
+    record = {"format": "csv", "gyro_unit": written}
+    lines = refusal_lines(RECORDED, record=record)
+    assert any(line.endswith(f"not '{written}' (did you mean {meant}?)") for line in lines)
+
+
 def test_record_intervals_round_to_nearest_samples():
     """In a simulation, whose rate is given, such an interval is an error."""
     study = build_study(RECORDED, study={"rate_hz": 199.8}, record={"start_s": [0, 0.004]})
@@ -1233,6 +1240,14 @@ def test_section_read_by_no_method_is_refused_in_one_line():
         "[filter]: does not apply to method inertial: p0_yaw_deg, p0_level_deg"
         " (drop the section: --set filter={})"
     )
+
+
+def test_unknown_method_has_no_second_error_for_its_section():
+    tables = {
+        "alignment": {"method": "compas"},
+        "compass": {"level_time_s": 9, "level_damping": 0.7},
+    }
+    assert "(did you mean compass?)" in refusal_line(**tables)
 
 
 def test_sections_and_defaults_depend_on_methods():

@@ -11,6 +11,7 @@ import re
 import tomllib
 import zipfile
 from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ G = 9.80665
 TIME = np.arange(1, 751) / RATE
 XYZ = tuple("xyz")
 NAMES = ("time_s", *(f"gyro_{a}" for a in XYZ), *(f"accel_{a}" for a in XYZ))
+UNITS = (NAMES[0], *(f"{n} [rad/s]" for n in NAMES[1:4]), *(f"{n} [m/s^2]" for n in NAMES[4:]))
 TRUTH = (35.0, 1.0, -2.0)
 
 
@@ -279,6 +281,22 @@ def test_novatel_counts_are_read_in_axes_of_their_names(
     assert_truth(row)
 
 
+def test_wrong_scale_of_good_gyros_is_doubted_unless_their_bias_is_given(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    gyro, accel = in_axes(body, "flu")
+    for factor, bias in ((0.5, "7.5"), (1.4, "6.0")):
+        path = write(tmp_path / "log.csv", [TIME, factor * gyro, accel], UNITS)
+        latitude, scale = read_study(path)[2]
+        assert latitude.startswith("estimated from the Earth rate") and scale.startswith(
+            f"the mean rate is {15.04 * factor:.3g} deg/h, {factor} times Earth rate: are the"
+            f" gyros' unit and scale right, or is there a gyro bias of {bias}"
+        )
+        study, _, doubts = read_study(path, record__gyro_bias_deg_per_h=8.0)
+        assert study["record"]["gyro_bias_deg_per_h"] == 8.0 and doubts == [latitude]
+    assert "\n# gyro_bias_deg_per_h = 4.5 " in make_study_text(path, Path("its.toml"))
+
+
 # --- columns and axes
 
 
@@ -405,6 +423,31 @@ def test_times_of_day_may_pass_midnight(
     assert_truth(align(path, tmp_path))
 
 
+@pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M:%S,%f", "%m/%d/%Y %H:%M:%S.%f"])
+def test_day_first_dates_are_read_and_other_ones_named(
+    form: str, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    path = write(
+        tmp_path / "log.csv", [TIME, *in_axes(body, "flu")], ("Zeit", *NAMES[1:]), mark=";"
+    )
+    header, *rows = path.read_text().splitlines()
+    start = datetime(2026, 3, 11, 9, 35, 12)
+    stamps = [f"{start + timedelta(seconds=time_s):{form}}" for time_s in TIME]
+    rows = [f"{t};{row.partition(';')[2]}" for t, row in zip(stamps, rows, strict=True)]
+    path.write_text("\n".join([header, *(row.replace(".", ",") for row in rows), ""]))
+    if "," in form:
+        path.write_text("\n".join([header, *rows, ""]))
+        study, questions, doubts = read_study(path)
+        assert (study["record"]["time_unit"], questions, doubts) == ("iso", {}, [])
+        record = package.load_increments(make_study(path, tmp_path), path).record
+        assert record.t0_s == pytest.approx(start.replace(tzinfo=UTC).timestamp(), abs=1e-6)
+    else:
+        question = read_study(path)[1]["rate_hz"]
+        assert question.startswith(
+            "row 2: column 'Zeit': '03/11/2026 09:35:12.040000' is no number"
+        )
+
+
 @pytest.mark.parametrize("kind", ["bursts", "every second stamp late"])
 def test_stamps_that_cannot_be_read_give_mean_rate_with_doubt(
     kind: str, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
@@ -471,6 +514,19 @@ def test_packed_and_utf16_logs_are_read(
     path = pack(write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")]), kind)
     assert read_study(path)[1:] == ({}, [])
     assert_truth(align(path, tmp_path))
+
+
+def test_cp1252_logs_are_read_like_utf8(
+    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    gyro, accel = in_axes(body, "flu")
+    names = ["t", *(f"Gyro {a} [°/h]" for a in XYZ), *(f"Acc {a} [m/s²]" for a in XYZ)]
+    path = write(tmp_path / "log.csv", [TIME, gyro / DEG * 3600, accel], names)
+    utf8 = read_study(path)
+    path.write_bytes(path.read_text("utf-8").encode("cp1252"))
+    assert read_study(path) == utf8 and utf8[1:] == ({}, [])
+    assert utf8[0]["record"]["gyro_unit"] == "deg_per_h"
+    assert len(package.load_increments(make_study(path, tmp_path), path).record.dv) == len(TIME)
 
 
 @pytest.mark.parametrize(
@@ -559,7 +615,6 @@ def test_interleaved_rows_of_two_sensors_are_refused(
 
 
 TURN_BY_90 = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-UNITS = (NAMES[0], *(f"{n} [rad/s]" for n in NAMES[1:4]), *(f"{n} [m/s^2]" for n in NAMES[4:]))
 
 
 def two_sensors(

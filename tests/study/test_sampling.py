@@ -321,6 +321,16 @@ def test_drawn_key_given_elsewhere_is_refused():
         ),
         ({"phi_e0_deg": {"uniform": None}}, "[drawn] phi_e0_deg.uniform: None is not a value"),
         ({"phi_e0_deg": {"uniform": 3}}, "[drawn] phi_e0_deg.uniform: must be a list, not 3"),
+        (
+            {"phi_e0_deg": {"normal": 3}},
+            "[drawn] phi_e0_deg.normal: must be a list, not 3"
+            " (use normal = [mean, standard deviation])",
+        ),
+        (
+            {"phi_e0_deg": {"sigma": 3}},
+            "[drawn] phi_e0_deg.sigma: unknown key (use normal = [mean, standard deviation],"
+            " uniform = [low, high], values or grid)",
+        ),
         ({"phi_e0_deg": {"uniform": []}}, "[drawn] phi_e0_deg.uniform[0]: required"),
         ({"phi_e0_deg": {"uniform": [1]}}, "[drawn] phi_e0_deg.uniform[1]: required"),
         (

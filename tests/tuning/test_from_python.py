@@ -25,6 +25,7 @@ def test_tune_returns_the_best_point_and_the_study_with_it(tuned: sinsjax.Tuning
     assert tuned.best == {"p0_yaw_deg": 80.0} and tuned.search == "grid"
     assert tuned.study.filter.p0_yaw_deg == 80.0 and tuned.study.tune is None
     assert tuned.study == load_study(tuned.directory / "tuned.toml")
+    assert tuned.study.seed == small_study().seed + 2  # the evaluation has the next one
 
 
 def test_tune_returns_objectives_on_fresh_draws(tuned: sinsjax.TuningResults) -> None:

@@ -133,7 +133,7 @@ class FilterSection(Section):
         None,
         description="'update': as usual. 'reopen': no updates during a turn; then velocity restarts"
         " from zero, and only P of velocity, level and accelerometer biases from P0. For"
-        " few turns and gyro scale factor or cross-axis errors, see docs/methods.md;"
+        " few turns and gyro scale factor or cross-axis errors, see the page methods;"
         " default 'update'",
     )
     turning_rate_deg_per_s: Annotated[
@@ -284,7 +284,7 @@ class ResetsSection(TriggerKeys):
         "times",
         description="'times': reset_times_s or reset_count, and reset_trigger. 'none': no resets."
         " 'law': from Q, R, P0, latitude, feedback, sensors and surge, see"
-        " docs/reset_law.md. 'trigger': reset_trigger alone, by default 'linearisation'"
+        " the page reset_law. 'trigger': reset_trigger alone, by default 'linearisation'"
         " with threshold 1.2",
     )
     heading_bound_deg: Annotated[Positive, Field(lt=180), KeyInfo(usual_range=(1, 180))] = Field(
