@@ -29,13 +29,24 @@ def public_names() -> dict[str, Any]:
 
 
 EXAMPLES = public_names()
+SLOW = {
+    *("Results", "TuningResults", "align", "estimate", "estimated_curves", "one_run"),
+    "score_results",
+}
+"""Examples that compile for seconds what tests of the same functions compile too."""
 
 
 def test_methods_have_examples_too() -> None:
     assert {"Study.replace", "Study.to_dict", "Study.values", "Results.read"} <= {*EXAMPLES}
 
 
-@pytest.mark.parametrize("name", sorted(EXAMPLES))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
+        for name in sorted(EXAMPLES)
+    ],
+)
 def test_docstring_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for library in LIBRARIES.get(name, ()):
         pytest.importorskip(library)

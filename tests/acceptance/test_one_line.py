@@ -64,10 +64,14 @@ def test_table_or_list_in_place_of_string_is_refused(section: str, key: str, val
     assert refused(data).startswith(f"swing.toml: [{section}] {key}")
 
 
-ODD: list[Any] = [{"a": 1}, {}, [{"a": 1}], [{}], [[1]], [[[]]], "x" * 10_000, 10**400, "\x1b[2J"]
+ODD: dict[str, Any] = {
+    **{"table": {"a": 1}, "empty": {}, "tables": [{"a": 1}], "emptied": [{}], "lists": [[1]]},
+    **{"nested": [[[]]], "long": "x" * 10_000, "large": 10**400, "escape": "\x1b[2J"},
+}
 
 
-@pytest.mark.parametrize("value", ODD, ids=[repr(value)[:12] for value in ODD])
+@pytest.mark.representative("table", "large")
+@pytest.mark.parametrize("value", ODD.values(), ids=ODD)
 def test_odd_value_of_any_key_gives_short_printable_error(value: Any) -> None:
     for section, model in SECTIONS.items():
         for key in model.model_fields:
@@ -103,8 +107,15 @@ NESTED = {
     "header": "[" + "x." * 50_000 + "x]",
     "few": "x = " + "[" * 60 + "]" * 60,  # a parser takes that many
 }
+NESTED_MANIFESTS = {
+    "lists": "[" * DEEP,
+    "tables": '{"a":' * DEEP,
+    "chunks": '{"chunks":' + "[" * DEEP,
+    "few": '{"config":' + "[" * 60 + "]" * 60 + "}",
+}
 
 
+@pytest.mark.representative("few", "tables", "lists", "keys")
 @pytest.mark.parametrize("how", NESTED)
 def test_study_nested_too_deeply_is_refused_in_one_line(
     how: str, tmp_path: Path, sinsjax: Command
@@ -138,19 +149,19 @@ def test_value_nested_too_deeply_is_refused_in_one_line() -> None:
     assert refused({"study": {"window_s": deep}}) == "swing.toml: is nested too deeply"
 
 
+@pytest.mark.representative("few")
+@pytest.mark.parametrize("how", NESTED_MANIFESTS)
 def test_manifest_nested_too_deeply_is_refused_in_one_line(
-    tmp_path: Path, sinsjax: Command
+    how: str, tmp_path: Path, sinsjax: Command
 ) -> None:
     out = store_results(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
-    few = '{"config":' + "[" * 60 + "]" * 60 + "}"
-    for text in ("[" * DEEP, '{"a":' * DEEP, '{"chunks":' + "[" * DEEP, few):
-        (out / "manifest.json").write_text(text)
-        for words in (("report", out), ("rerun", out, "--run-id", 0)):
-            code, error = sinsjax(*words)
-            assert code == 2 and error.startswith(f"error: {out}/manifest.json: has changed")
-            assert error.endswith("(`--resume` writes it again)\n")
-            assert error.count("\n") == 1
-        assert find_manifest(out) is None  # resume asks the parts
+    (out / "manifest.json").write_text(NESTED_MANIFESTS[how])
+    for words in (("report", out), ("rerun", out, "--run-id", 0)):
+        code, error = sinsjax(*words)
+        assert code == 2 and error.startswith(f"error: {out}/manifest.json: has changed")
+        assert error.endswith("(`--resume` writes it again)\n")
+        assert error.count("\n") == 1
+    assert find_manifest(out) is None  # resume asks the parts
 
 
 # --- parts ------------------------------------------------------------------------------------

@@ -33,7 +33,8 @@ def advise(changes: dict[str, Any] | None = None, **options: Any) -> sinsjax.Adv
     return sinsjax.advise(FOG, changes=changes, **options)
 
 
-@pytest.mark.parametrize("motion", ["sway", pytest.param("surge", marks=pytest.mark.slow)], ids=str)
+@pytest.mark.slow
+@pytest.mark.parametrize("motion", ["sway", "surge"])
 @pytest.mark.optimised(False)
 def test_study_that_is_written_confirms_the_rms(motion: str) -> None:
     advice = advise(motion=motion, time_s=200.0)

@@ -46,7 +46,7 @@ def six_variants_of(force: str) -> lane_layout.Group:
     return part.group
 
 
-FORCES = ["measured", "gravity"]
+FORCES = ["measured", pytest.param("gravity", marks=pytest.mark.slow)]
 
 
 @pytest.fixture(scope="module", params=FORCES)

@@ -152,6 +152,7 @@ def test_noise_level_can_be_drawn() -> None:
     assert set(NOISE) <= set(SensorsSection.model_fields)
 
 
+@pytest.mark.slow
 def test_single_run_with_drawn_motion_matches_run_in_tile() -> None:
     """Its increments are made sample by sample; in the tile, in a row with those of other draws."""
     (part,) = build.parts(study_from_dict(drawn_study(list(ALL), "sobol", **EULER, **THREE)))

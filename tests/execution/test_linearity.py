@@ -102,6 +102,7 @@ def test_check_does_not_depend_on_variants_per_call(made: pa.Table, monkeypatch:
         np.testing.assert_allclose(cut[name].to_numpy(), made[name].to_numpy(), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_nonlinearity_columns_absent_without_check_linearity() -> None:
     alone = study_run.estimate(make_study(estimate="covariance", check_linearity=False))
     assert not [name for name in alone.column_names if "linear" in name or "filled" in name]

@@ -46,7 +46,7 @@ def assert_same(one: study_run.Results, other: study_run.Results) -> None:
         assert a.equals(b)
 
 
-@pytest.mark.representative("worlds", "passes", "drawn")
+@pytest.mark.representative("passes", "drawn")
 def test_rows_do_not_depend_on_chunk_size(name: str, reference: study_run.Results) -> None:
     """The smallest, and one that holds all runs."""
     assert_same(study_run.run(make_study(name), chunk_runs=2), reference)

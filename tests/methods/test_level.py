@@ -15,6 +15,8 @@ from sinsjax.maths import rotations
 from sinsjax.methods.registry import METHODS
 from sinsjax.types import Quat
 
+pytestmark = pytest.mark.optimised(False)
+
 RATE, SECONDS, LATITUDE = 100, 20, 45 * DEG
 PITCH, ROLL = 1.0, -2.0  # deg
 TILT = np.float64(5e-3)  # rad, by the assumed accelerometer bias

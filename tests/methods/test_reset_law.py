@@ -19,6 +19,8 @@ from sinsjax.plots.comparison import build_comparison_panels
 from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.units import ARCMIN, DEG
 
+pytestmark = pytest.mark.optimised(False)
+
 G, RATE = 9.8, 15.041067 * DEG / 3600
 PAPER = ResetProblem(
     velocity_noise=(500e-6 * G) ** 2 / 0.01,
@@ -88,6 +90,7 @@ def test_information_has_its_limits() -> None:
     assert reset_law.heading_information(30.0, slow) == pytest.approx(r_limited, rel=1e-3)
 
 
+@pytest.mark.representative("40.0")
 @pytest.mark.parametrize("length_s", [40.0, 120.0])
 def test_contraction_is_that_of_the_filter(length_s: float) -> None:
     """P_UU of a noise-free run that is linear throughout, without gyro noise in Q."""
@@ -242,6 +245,7 @@ def test_study_stored_with_every_value_loads_again(axes: dict[str, Any]) -> None
     assert study_from_dict(study_to_tables(study)).reset_times() == study.reset_times()
 
 
+@pytest.mark.slow
 def test_schedules_by_name_are_swept_beside_times() -> None:
     policies = ["none", "times", "law", "trigger"]
     axes = {"policy": {"schedule": policies, "reset_times_s": [[], [10.0, 60.0], [], []]}}

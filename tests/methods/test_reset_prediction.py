@@ -12,6 +12,8 @@ from sinsjax.methods.reset_law import ResetProblem
 from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 
+pytestmark = pytest.mark.optimised(False)
+
 G = 9.8
 PAPER = ResetProblem(
     velocity_noise=(500e-6 * G) ** 2 / 0.01,

@@ -20,6 +20,8 @@ from sinsjax.report.choices import Choices, best_option, best_option_per_draw, d
 from sinsjax.report.verdict import process_noise_caution, sweep_verdict
 from sinsjax.study.study import Study
 
+pytestmark = pytest.mark.optimised(False)
+
 SWEEP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [5.0, 30.0, 60.0]}
 NEVER = np.inf
 

@@ -95,7 +95,7 @@ def test_method_of_loaded_study_can_be_replaced(method: str) -> None:
         assert study.replace({"alignment.method": method}).methods == (method,)
 
 
-@pytest.mark.representative("kalman10", "inertial")
+@pytest.mark.representative("inertial")
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
 def test_reset_sweep_runs_with_any_method(method: str) -> None:
@@ -382,6 +382,7 @@ def test_keys_of_resolved_study_are_named_only_with_other_values() -> None:
     ]
 
 
+@pytest.mark.optimised(False)
 def test_functions_of_python_warn_of_keys_without_effect() -> None:
     study = small_study(alignment={"method": "inertial"})
     with pytest.warns(StudyWarning, match="phi_u0_deg have no effect with method inertial"):
