@@ -517,10 +517,10 @@ def test_name_of_a_method_is_no_program() -> None:
 def test_aligned_record_gives_the_heading_of_the_sweep(
     kind: str, suffix: str, tmp_path: Path
 ) -> None:
-    coarse = {"coarse_method": "inertial", "coarse_duration_s": 20.0, "coarse_then": "replay"}
-    method = {"method": "kalman_sincos"}
+    coarse = {"coarse_method": "inertial", "coarse_duration_s": 10.0}
+    method = {"method": "kalman5"}
     study = small_study(
-        study={"duration_s": 40.0, "window_s": [20, 40]},
+        study={"duration_s": 20.0, "window_s": [10, 20], "draws": 2},
         coarse=coarse,
         alignment=method | dict.fromkeys(("phi_e0_deg", "phi_n0_deg", "phi_u0_deg"), 0.0),
     )
@@ -537,7 +537,7 @@ def test_aligned_record_gives_the_heading_of_the_sweep(
         record["accel_columns"] = [f"accel_{axis}_m_per_s" for axis in "xyz"]
     recorded = sinsjax.study_from_dict(
         {
-            "study": {"duration_s": 40.0, "window_s": [20.0, 40.0]},
+            "study": {"duration_s": 10.0, "window_s": [5.0, 10.0]},  # after the coarse stage
             "earth": {"latitude_deg": 32.0},
             "record": record | {"gyro_unit": "rad", "accel_unit": "m_per_s"},
             "coarse": coarse,

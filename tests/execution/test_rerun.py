@@ -150,6 +150,7 @@ def rerun_into(directory: Path, run_id: int, **options: Any) -> str:
     return file.getvalue()
 
 
+@pytest.mark.optimised(False)
 def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -> None:
     before = read_files_and_times(out)
     told = rerun_into(out, 77, out=tmp_path / "one")
@@ -190,6 +191,7 @@ def change_headings(out: Path, by: float) -> Iterator[int]:
         (out / "manifest.json").write_bytes(manifest)
 
 
+@pytest.mark.optimised(False)
 def test_rerun_names_columns_that_differ_from_stored_row(out: Path, tmp_path: Path) -> None:
     with change_headings(out, 1e-13) as columns:
         told = rerun_into(out, 0, out=tmp_path / "one")
@@ -197,6 +199,7 @@ def test_rerun_names_columns_that_differ_from_stored_row(out: Path, tmp_path: Pa
     assert "identical" not in told and " here. Last bits depend on jaxlib, " in told
 
 
+@pytest.mark.optimised(False)
 def test_rerun_command_exits_1_when_the_row_differs(
     out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -207,6 +210,7 @@ def test_rerun_command_exits_1_when_the_row_differs(
     assert sinsjax("rerun", out, "--run-id", 0, "-o", tmp_path / "two")[0] == 0
 
 
+@pytest.mark.optimised(False)
 def test_rerun_reports_changed_package_version_or_code(
     out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,6 +228,7 @@ def test_rerun_reports_changed_package_version_or_code(
     assert f" here. {why}\n" in told
 
 
+@pytest.mark.optimised(False)
 def test_invalid_rerun_raises_one_line_error(
     out: Path, tmp_path: Path, stored: StoredRecord
 ) -> None:
@@ -240,6 +245,7 @@ def test_invalid_rerun_raises_one_line_error(
         rerun_into(out, 0, files=(tmp_path / "swing.imu", None))
 
 
+@pytest.mark.optimised(False)
 def test_rerun_of_run_without_row_is_refused(out: Path, tmp_path: Path) -> None:
     study_run.run_into(stopping_study(), tmp_path / "out")
     with pytest.raises(InputError, match="run 384 has no row yet"):

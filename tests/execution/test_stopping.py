@@ -22,6 +22,8 @@ from sinsjax.execution.results import read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.study.study import Study
 
+pytestmark = pytest.mark.optimised(False)
+
 COLUMNS = ["run_id", "draw_id", "variant_id"]
 
 
