@@ -120,6 +120,7 @@ def test_help_prints_docstring_and_option_help_in_full(sinsjax: Command, command
         assert "".join(text.split()) in shown
 
 
+@pytest.mark.slow
 def test_brackets_in_output_are_not_parsed_as_markup(
     sinsjax: Command, tmp_path: Path, record: build.Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:

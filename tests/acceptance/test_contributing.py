@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import sinsjax
 
 ROOT = Path(__file__).parents[2]
@@ -36,6 +38,7 @@ def test_toy_method_is_small_and_the_same_as_the_example_package() -> None:
     assert sum(lines) <= 80
 
 
+@pytest.mark.slow
 def test_toy_method_of_recipe_works_and_passes_its_own_test(tmp_path: Path) -> None:
     source = Path(sinsjax.__file__).parent
     shutil.copytree(source, tmp_path / "sinsjax", ignore=shutil.ignore_patterns("__pycache__"))

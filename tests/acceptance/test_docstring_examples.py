@@ -30,8 +30,8 @@ def public_names() -> dict[str, Any]:
 
 EXAMPLES = public_names()
 SLOW = {
-    *("Results", "TuningResults", "align", "estimate", "estimated_curves", "one_run"),
-    "score_results",
+    *("Results", "Results.read", "TuningResults", "align", "estimate", "estimated_curves"),
+    *("one_run", "read_estimates", "read_history", "score_results"),
 }
 """Examples that compile for seconds what tests of the same functions compile too."""
 

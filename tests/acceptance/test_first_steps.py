@@ -509,6 +509,7 @@ DROPPED = (
 IDLE = "[alignment] phi_e0_deg, phi_n0_deg, [axes] phi_u0_deg have no effect with method inertial."
 
 
+@pytest.mark.slow
 def test_another_method_needs_no_further_changes(sinsjax: Command, tmp_path: Path) -> None:
     """The study reads neither [filter] nor the template's axis of resets."""
     template = files.template_files()["sweep"]

@@ -429,6 +429,7 @@ def test_damaged_history_is_refused_by_report_and_made_again_by_resume(
     assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
 
 
+@pytest.mark.representative("edited")
 @pytest.mark.parametrize("damage", ["emptied", "edited", "gone"])
 def test_damaged_study_of_tuning_is_named_and_restored_by_resume(
     made: Path, tmp_path: Path, faked: Any, damage: str

@@ -450,6 +450,7 @@ def test_other_mistakes_of_a_score_are_one_line(
     assert again[0] == 2 and "already contains results" in again[2]
 
 
+@pytest.mark.slow
 def test_some_of_the_draws_are_scored_alone(arena: Arena, tmp_path: Path, command: Command) -> None:
     export = export_study(arena.study, tmp_path / "some", draws=(0, 5))
     table = arena.history()

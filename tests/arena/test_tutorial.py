@@ -90,6 +90,7 @@ int main(void) {{
     np.testing.assert_allclose([float(word) for word in told.split()], sums, rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_numpy_filter_finds_north_and_is_scored(draws: Path) -> None:
     script = ROOT / "docs" / "studies" / "arena" / "numpy_filter.py"
     text = script.read_text(encoding="utf-8")

@@ -140,6 +140,7 @@ def test_settling_times_of_sampled_errors_match_companions(name: str) -> None:
     assert (np.abs(a - b) <= 4 * spread_ + 1e-9).all(), (a, b, spread_)
 
 
+@pytest.mark.slow
 def test_noise_free_run_equals_run_of_study_without_noise() -> None:
     group = group_of(study_of("kalman5"))
     plain = group_of(study_of("kalman5", sensors=SMALL | QUIET))

@@ -268,6 +268,7 @@ def test_shared_covariance_matches_covariance_computed_per_run() -> None:
                 np.testing.assert_allclose(a[busy], b[runs[busy]], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_record_interval_does_not_change_noise() -> None:
     """Final attitude after the same samples, to rounding: records only scale quaternions."""

@@ -121,7 +121,7 @@ def naive_measured():
     return ideal()[2:] + BIAS / RATE + NOISE * normal
 
 
-@pytest.mark.representative("30-23-7", "70-9-None")
+@pytest.mark.representative("30-23-7")
 @pytest.mark.parametrize(
     ("every", "records", "stored"),
     [(30, 23, None), (70, 9, None), (30, 23, 7), (30, 23, 23)],

@@ -81,6 +81,7 @@ def by_variant(summary: pa.Table, column: str) -> np.ndarray:
     return summary[column].to_numpy().reshape(DRAWS, -1)
 
 
+@pytest.mark.slow
 def test_mean_and_sigma_match_monte_carlo_draws(
     estimates_and_draws: tuple[pa.Table, pa.Table],
 ) -> None:
@@ -159,6 +160,7 @@ def test_variant_without_bias_floor_has_truth_estimates_only(
         assert row["settle_10_truth_mean_s"] is not None
 
 
+@pytest.mark.slow
 def test_noise_free_estimate_equals_single_run() -> None:
     quiet = {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0}
     made = study_run.estimate(make_study(sensors=quiet))

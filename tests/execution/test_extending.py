@@ -67,6 +67,7 @@ def test_rerun_works_on_extended_results(tmp_path: Path) -> None:
         assert rerun.rerun_stored_run(out, run_id, Console(quiet=True))
 
 
+@pytest.mark.slow
 def test_extension_continues_sobol_list_and_grid_draws(tmp_path: Path) -> None:
     """Sobol points continue, and so do a list and a grid that have been cycled."""
     assert_extended(make_study("drawn", 100), make_study("drawn", 140), tmp_path)

@@ -108,6 +108,7 @@ def test_nonlinearity_columns_absent_without_check_linearity() -> None:
     assert not [name for name in alone.column_names if "linear" in name or "filled" in name]
 
 
+@pytest.mark.slow
 def test_report_counts_variants_with_high_nonlinearity_index(tmp_path: Any) -> None:
     study_run.run_into(make_study(estimate="covariance", draws=DRAWS), tmp_path / "out")
     said = report_text(tmp_path / "out")

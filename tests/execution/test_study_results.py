@@ -116,6 +116,7 @@ def test_xarray_refuses_runs_without_some_variants(results: Results) -> None:
     assert dict(to_dataset(results.study, results.summary.slice(6)).sizes)["draw"] == 2
 
 
+@pytest.mark.slow
 def test_estimates_convert_by_variant(tmp_path: Path) -> None:
     pytest.importorskip("xarray")
     settings = {"estimate": "covariance", "check_linearity": False, "estimate_samples": 16}

@@ -152,11 +152,7 @@ SCHEDULES = {
 }
 
 
-@pytest.mark.representative(
-    "ekf_azimuth-resets restart feedback",
-    "unscented-partial feedback, heading reset",
-    "invariant-resets restart feedback",
-)
+@pytest.mark.representative("invariant-resets restart feedback")
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("name", NAIVE)
 def test_azimuth_filters_match_naive_closed_loop(name, schedule):

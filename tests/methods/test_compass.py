@@ -397,11 +397,7 @@ ERRORS = {
 }
 
 
-@pytest.mark.representative(
-    "reflect-planet0-32.0-fixed",
-    "rewind-planet1--41.0-integrated",
-    "velocity_and_rate-planet1--41.0-integrated",
-)
+@pytest.mark.representative("reflect-planet0-32.0-fixed")
 @pytest.mark.parametrize(
     ("planet", "latitude_deg", "position"), [(EARTH, 32.0, "fixed"), (WGS84, -41.0, "integrated")]
 )

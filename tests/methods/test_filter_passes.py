@@ -40,7 +40,7 @@ def numbers(name, **changes):
     return Filter(p0, q, 0.1**2, **changes)
 
 
-@pytest.mark.representative("kalman_sincos-rewind", "kalman_surge-carried")
+@pytest.mark.representative("kalman_surge-carried")
 @pytest.mark.parametrize("turn", ["carried", "rewind"])
 @pytest.mark.parametrize("name", NAIVE)
 def test_three_passes_match_naive_filter_loop(name, turn):

@@ -216,6 +216,7 @@ def test_inertial_frame_methods_refuse_passes_with_reason(name):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_inertial_frame_method_runs_with_single_pass():
     plain, once = (

@@ -86,6 +86,7 @@ SCHEDULES = {
 }
 
 
+@pytest.mark.representative("feedback every sample")
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_closed_loop_matches_naive_filter(schedule):
     filt = Filter(P0, Q, R, **SCHEDULES[schedule])

@@ -120,22 +120,13 @@ SCHEDULES = {
 }
 
 
-@pytest.mark.representative(
-    "partial feedback, yaw resets",
-    "resets restart feedback",
-    "resets wait, and restart nothing",
-    "P shrunk",
-    "feedback every 7 samples, full resets",
-)
+@pytest.mark.representative("partial feedback, yaw resets", "P shrunk")
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_kalman5_closed_loop_matches_naive_filter(schedule):
     compare("kalman5", PAPER, 32.0, paper_filter(5, **SCHEDULES[schedule]))
 
 
-@pytest.mark.representative(
-    "kalman5-gravity-integrated-feedback every 7 samples, full resets",
-    "kalman10-measured-integrated-feedback every 7 samples, full resets",
-)
+@pytest.mark.representative("kalman5-gravity-integrated-feedback every 7 samples, full resets")
 @pytest.mark.parametrize(
     ("name", "force", "position", "schedule"),
     [

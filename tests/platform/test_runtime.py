@@ -127,6 +127,7 @@ study = sinsjax.study_from_dict({
 """
 
 
+@pytest.mark.slow
 def test_run_after_jax_start_warns_once_and_computes_in_double_precision():
     """A notebook that has used JAX already; the user's own options do not silence the warning."""
     done = run_python(

@@ -132,6 +132,7 @@ def test_hidden_north_is_not_feared_on_a_turned_base():
     assert hidden_north(small_study(motion=STILL | FAST, sensors=biased)) is None
 
 
+@pytest.mark.slow
 def test_turns_can_be_swept_with_none_among_them():
     axes = {"turn_times_s": [[], [1.0], [0.0, 4.0]]}
     study = small_study(motion=STILL | {"turn_angles_deg": 30.0}, axes=axes)

@@ -125,6 +125,7 @@ def aligned(
     return printed, row
 
 
+@pytest.mark.slow
 def test_turning_log_is_aligned_without_warning(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

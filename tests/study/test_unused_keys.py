@@ -313,7 +313,7 @@ def are_equal(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
     return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
 
 
-@pytest.mark.representative("kalman5", "kalman_sincos", "inertial")
+@pytest.mark.representative("inertial")
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", [name for name in METHODS if METHODS[name].without_effect])
 def test_silent_keys_change_no_bit_of_a_run(method: str) -> None:
@@ -324,7 +324,7 @@ def test_silent_keys_change_no_bit_of_a_run(method: str) -> None:
     )
 
 
-@pytest.mark.representative("kalman10")
+@pytest.mark.representative("inertial")
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
 def test_active_keys_change_a_run(method: str) -> None:

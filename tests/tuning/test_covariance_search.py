@@ -94,6 +94,7 @@ def test_shift_moves_all_resets_to_whole_samples() -> None:
     assert search.shift_resets(study, {"q_scale": 0.5}, 0.5) == {"q_scale": 0.5}
 
 
+@pytest.mark.slow
 def test_finalists_are_evaluated_with_tuning_draws(found: history.SearchResult) -> None:
     study = tuned()
     assert study.tune is not None
@@ -116,6 +117,7 @@ def test_finalists_are_evaluated_with_tuning_draws(found: history.SearchResult) 
     assert costs == sorted(costs) and costs[0] > 0
 
 
+@pytest.mark.slow
 def test_same_seed_gives_same_search_result(found: history.SearchResult) -> None:
     assert search.search_by_covariance(tuned()) == found
 
@@ -166,6 +168,7 @@ def test_covariance_search_screens_candidates_without_variables_once(
         assert np.flatnonzero(np.isfinite(e.values)).tolist() == used
 
 
+@pytest.mark.slow
 def test_covariance_tuning_history_is_stored_and_resumed(
     found: history.SearchResult, tmp_path: Path
 ) -> None:
