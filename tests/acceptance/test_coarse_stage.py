@@ -63,6 +63,7 @@ def test_attitude_before_hand_over_equals_coarse_method_alone() -> None:
     assert meaning == b"from the first sample of data"
 
 
+@pytest.mark.slow
 def test_initial_heading_error_is_ignored_after_coarse_alignment() -> None:
     """Such variants are duplicates: computed once and shown once."""
     phi = results().summary["phi_u_arcmin"].to_numpy().reshape(3, 4, 2)
@@ -72,6 +73,7 @@ def test_initial_heading_error_is_ignored_after_coarse_alignment() -> None:
     assert study().without_effect("phi_u0_deg").tolist() == [False] * 2 + [True] * 6
 
 
+@pytest.mark.slow
 def test_sigma_is_nan_before_hand_over_and_smaller_after_replay() -> None:
     """There is no sigma before; a filter of all data since the start has a smaller one."""
     sigma = [values_of_variant(results().curves, v, "sigma_u_arcmin") for v in range(8)]
@@ -81,6 +83,7 @@ def test_sigma_is_nan_before_hand_over_and_smaller_after_replay() -> None:
     assert np.all(replayed < handed_over)
 
 
+@pytest.mark.slow
 def test_coarse_summary_has_data_length_per_settling_time() -> None:
     summary = results().summary
     for band in (60, 10, 3):

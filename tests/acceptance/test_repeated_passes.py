@@ -184,7 +184,7 @@ def test_backward_pass_undoes_noise_of_forward_pass() -> None:
         np.testing.assert_allclose(phi[:3], phi[6:3:-1], rtol=1e-6)
 
 
-@pytest.mark.representative("compass")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "tables",
     [

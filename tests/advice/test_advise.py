@@ -96,6 +96,7 @@ def test_numbers_as_json_are_those_of_the_advice() -> None:
     assert numbers["settles_s"] is None and "no method at rest" in numbers["warnings"][0]
 
 
+@pytest.mark.representative("60.0")
 @pytest.mark.parametrize("time_s", [10.0, 60.0, 1800.0])
 def test_any_time_can_be_asked_for(time_s: float) -> None:
     found = advise({"motion.surge_m_per_s": 0.1, "motion.surge_time_s": 5.0}, time_s=time_s)

@@ -473,6 +473,7 @@ def test_some_of_the_draws_are_scored_alone(arena: Arena, tmp_path: Path, comman
     assert code == 0 and "mine" in told
 
 
+@pytest.mark.slow
 def test_drawn_starts_and_environments_find_their_runs(tmp_path: Path) -> None:
     drawn = {"phi_u0_deg": {"uniform": [-20.0, 20.0]}, "latitude_deg": {"uniform": [-40.0, 40.0]}}
     arena = Arena(

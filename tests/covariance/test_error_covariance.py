@@ -109,7 +109,7 @@ def test_companion_matches_run_of_its_draw_for_small_errors(name: str) -> None:
     assert rms.max() < share, rms
 
 
-@pytest.mark.representative("kalman5")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WATCHED)
 def test_variance_of_companions_matches_covariance_analysis(name: str) -> None:
     """Within the chi-square interval of each, at 99.9 % over all that is compared."""

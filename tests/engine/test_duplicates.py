@@ -33,6 +33,7 @@ def apart(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(duplicates, "LEAST_SAVED", 1.0)
 
 
+@pytest.mark.representative("False")
 @pytest.mark.parametrize("curves", [False, True])
 def test_deduplicated_rows_equal_rows_of_all_variants_computed(
     study: Study, curves: bool, monkeypatch: pytest.MonkeyPatch

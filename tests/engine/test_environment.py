@@ -120,6 +120,7 @@ def test_drawn_rows_do_not_depend_on_chunks_or_draw_count() -> None:
     assert run.run(fewer).summary.equals(whole.slice(0, 70 * 3))
 
 
+@pytest.mark.slow
 def test_draws_differ_only_in_drawn_keys() -> None:
     study = study_from_dict(drawn_study(AT_REST, motion=STILL, **THREE))
     table = run.run(study).summary
@@ -138,6 +139,7 @@ def test_study_drawing_only_noise_has_no_extra_program_arguments() -> None:
     assert part.group.environment.truth.times is None and part.group.variants.euler is None
 
 
+@pytest.mark.slow
 def test_noise_level_can_be_drawn() -> None:
     data = drawn_study([], axes=THREE["axes"], filter=PAPER | {"q_reading": "psd"})
     for key in NOISE:

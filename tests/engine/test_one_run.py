@@ -147,6 +147,7 @@ def test_reset_windows_have_gradient_by_reset_times(study: Any, run: Any) -> Non
     assert float(value) == pytest.approx(hard, rel=0.2)
 
 
+@pytest.mark.slow
 def test_settling_times_have_gradient_only_with_soft_bands(study: Any, run: Any) -> None:
     def settling(run: Any, r: Any) -> Any:
         return run(changed(run, r=r), run.draw(0)).outside_until.sum()

@@ -64,6 +64,7 @@ def test_event_stepping_is_bitwise_equal_to_sample_stepping(draws, axes):
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_event_stepping_matches_sample_stepping_for_triggered_resets():
     """To rounding: a trigger's samples are compiled anew."""

@@ -276,6 +276,7 @@ def test_data_after_to_s_are_not_used() -> None:
         prepare.prepare_job(study, record=stored)
 
 
+@pytest.mark.slow
 def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None:
     """Times are those of the record: 200 samples a record are 1.001 s."""
     rate = 199.8

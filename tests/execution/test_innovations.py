@@ -57,6 +57,7 @@ def summary(stored: StoredRecord) -> pa.Table:
     return run.run(recorded(cases=cases), stored).summary
 
 
+@pytest.mark.slow
 def test_innovation_columns_exist_only_in_recorded_studies(summary: pa.Table) -> None:
     assert summary["innovation_freedom"].to_pylist() == [400.0, 400.0, 400.0, None] * 2
     mean = summary["innovation_nis"].to_pylist()

@@ -88,6 +88,7 @@ def test_sweep_runs_every_check_once(run_command: Command, tmp_path: Path) -> No
     assert {name: calls[name] for name in ONCE} == expected
 
 
+@pytest.mark.slow
 def test_align_analyses_its_record_once(
     run_command: Command, recorded: tuple[Path, Path, Study], tmp_path: Path
 ) -> None:

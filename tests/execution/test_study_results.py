@@ -91,6 +91,7 @@ def test_xarray_has_a_dimension_per_axis_and_units(results: Results) -> None:
     assert not {"draw_id", "variant_id", *AXES} & {*dataset.data_vars}
 
 
+@pytest.mark.slow
 def test_xarray_has_keys_that_vary_together_on_one_dimension_or_variants() -> None:
     pytest.importorskip("xarray")
     cases = [{"case": "a", "phi_e0_deg": 1.0}, {"case": "b", "phi_e0_deg": 2.0}]

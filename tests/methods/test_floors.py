@@ -141,7 +141,7 @@ def ends(study: Study) -> dict[int, tuple[np.ndarray, Any]]:
     return found
 
 
-@pytest.mark.representative("kalman5-resets_s1")
+@pytest.mark.slow
 @pytest.mark.parametrize("resets_s", [(), (300.0,)])
 @pytest.mark.parametrize("method", ["kalman5", "kalman_sincos", "kalman_surge"])
 def test_up_gyro_moves_heading_off_its_floor_by_half_its_drift(

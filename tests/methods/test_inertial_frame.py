@@ -117,6 +117,7 @@ def fitted(b, body, seconds):
     return exp(-w_ie * seconds) @ n0 @ body
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [20, 40, 60])
 def test_optimisation_matches_least_squares_fit_of_velocities(seconds):
     n = seconds * RATE

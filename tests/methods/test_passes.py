@@ -340,6 +340,7 @@ def test_three_filter_passes_match_naive_loop(name, planet, position, turn, cloc
         )
 
 
+@pytest.mark.slow
 def test_estimated_gyro_bias_changes_sign_at_each_turn():
     """kalman10 finds the bias of the north gyro, and over a turn goes on with its opposite."""
     rate, seconds, bias = 50, 60, np.array([0.0, 2.0, 0.0]) * DEG_PER_H

@@ -498,6 +498,7 @@ def test_trigger_counts_and_cap_persist_across_pass_turns():
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(True)
 def test_linearisation_covariance_equals_filter_covariance_with_gravity_force():
     """Its own covariance is that of a base at rest: the score is 1 but for corrections."""

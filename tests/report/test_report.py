@@ -643,6 +643,7 @@ def test_stopped_study_reports_reason_for_stopping(tmp_path):
     assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why
 
 
+@pytest.mark.slow
 def test_missing_part_of_stopped_study_is_refused(tmp_path):
     """Missing variants must not be counted as missing draws."""
     study = small_study(

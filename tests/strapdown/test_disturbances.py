@@ -66,6 +66,7 @@ def navigated(rows, q, v, here, rate, seconds):
     return jax.lax.scan(one_second, Navigation(q, v[0], v[1], zero, zero), samples)[1]
 
 
+@pytest.mark.slow
 def test_free_navigation_follows_lever_arm_motion():
     """60 s at 200 Hz: 5e-5 m/s of 0.1 m/s, and 0.1 arcsec."""
     here, moving, rate, seconds = place(PAPER, 32 * DEG), with_lever(PAPER1), 200, 60

@@ -275,6 +275,7 @@ def test_psins_log_becomes_study_that_runs(
     assert abs(align_written_study(sinsjax, path)["yaw_deg"] - 10) < 1.5
 
 
+@pytest.mark.slow
 def test_log_with_odd_rate_or_text_dates_is_read(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
@@ -426,6 +427,7 @@ def test_backward_time_stamps_are_refused_with_row(
     assert study["record"]["time_column"] == "t"
 
 
+@pytest.mark.representative("1.0")
 @pytest.mark.parametrize("resolution_s", [0.02, 1.0])
 def test_coarse_time_stamps_give_mean_rate(
     resolution_s: float,

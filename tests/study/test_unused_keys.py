@@ -73,6 +73,15 @@ def expected_refusal(study: Study, method: str) -> str | None:
     return None
 
 
+@pytest.mark.representative(
+    "reset_sweep",
+    "reset_law",
+    "paper2_static",
+    "tune_large",
+    "car_test",
+    "covariance",
+    "which_alignment_why",
+)
 @pytest.mark.parametrize("name", SHIPPED)
 def test_method_of_shipped_study_can_be_changed(name: str) -> None:
     path = SHIPPED[name]
