@@ -215,6 +215,7 @@ def test_report_times_count_same_data_for_hand_over_and_replay() -> None:
     assert alone.summary["phi_u_at_4_arcmin"].to_pylist() == [own[3]]
 
 
+@pytest.mark.slow
 def test_report_times_without_reference_give_only_sigma() -> None:
     summary = run.run(
         study_from_dict(recorded([1.0], {})), record()._replace(reference=None)

@@ -168,6 +168,7 @@ def test_single_run_with_drawn_motion_matches_run_in_tile() -> None:
     np.testing.assert_allclose(one.last.yaw, many.last.yaw[run_id], rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_simulated_record_of_draw_matches_study_of_its_values() -> None:
     study = study_from_dict(drawn_study(["yaw_center_deg", "latitude_deg", "gyro_bias_deg_per_h"]))
     values = draw_sampling.drawn_values(study, DRAWS)

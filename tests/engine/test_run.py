@@ -273,6 +273,7 @@ def test_noise_on_single_axis_stays_on_that_axis():
     np.testing.assert_allclose(np.std(off, axis=0), only, rtol=0.1, atol=1e-17)
 
 
+@pytest.mark.slow
 def test_curves_do_not_depend_on_record_interval():
     """To rounding: records only scale quaternions."""
     filt = paper_filter(5, every=40, resets=(215,))

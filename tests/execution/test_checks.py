@@ -236,6 +236,7 @@ def test_hard_findings_are_refused_unless_record_is_trusted(tmp_path: Path) -> N
     assert "points down" in prepare.prepare_job(trusting, record=stored).warnings[0]
 
 
+@pytest.mark.slow
 def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None:
     some = record("still")
     stored = StoredRecord(some._replace(dv=some.dv * 0.99, source="drive.imu", filled=3), None)

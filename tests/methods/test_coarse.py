@@ -140,6 +140,7 @@ def inertial_limit(force_noise: float, seconds: int, place: Place) -> float:
     return float(slope / place.rate_n)
 
 
+@pytest.mark.representative("23")
 @pytest.mark.parametrize("seconds", [6, SECONDS])
 def test_yaw_error_from_noise_matches_theory(seconds):
     """So it shrinks as T^-1.5 (accelerometers, inertial) and as T^-0.5 (gyros, analytic)."""

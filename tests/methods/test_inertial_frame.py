@@ -171,6 +171,7 @@ def test_batch_optimisation_matches_sample_by_sample_result():
     assert np.abs(turn).max() < 1e-9
 
 
+@pytest.mark.representative("inertial")
 @pytest.mark.parametrize("name", NAMES)
 def test_error_free_attitude_is_found_within_one_minute(name):
     rows = swing_increments(SWING, PAPER, LATITUDE, rate=RATE, samples=RATE * SECONDS)
@@ -178,6 +179,7 @@ def test_error_free_attitude_is_found_within_one_minute(name):
     assert np.abs(log(SWING.matrix(SECONDS) @ found[-1].T)).max() < 0.05 * ARCMIN
 
 
+@pytest.mark.representative("inertial")
 @pytest.mark.parametrize("name", NAMES)
 def test_initial_attitude_does_not_change_result(name):
     other = attitudes(name, record(), exp([1.0, 2.0, 3.0]))

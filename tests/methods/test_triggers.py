@@ -457,11 +457,7 @@ CLOSED = {"every": 7, "gain": 0.6, "resets": (90, 333)}
 NEAR = Numbers(np.inf, window=20, refractory=10, most=12, until=380)
 
 
-@pytest.mark.representative(
-    "kalman5-linearisation-145-changes6",
-    "kalman5-tilt_drift-145-changes2",
-    "kalman5-innovation-None-changes0",
-)
+@pytest.mark.representative("kalman5-linearisation-145-changes6")
 @pytest.mark.parametrize(
     ("name", "trigger", "stored", "changes"),
     [

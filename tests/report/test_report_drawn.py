@@ -52,6 +52,7 @@ def test_bins_have_equal_counts_and_few_values_stay_separate() -> None:
     assert bin_medians(few, 3).tolist() == few.tolist()
 
 
+@pytest.mark.slow
 def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn_source: Source) -> None:
     found = bin_drawn_keys(drawn_source)
     assert found.keys() == {"phi_u0_deg", "yaw_center_deg"}  # a vector has no order

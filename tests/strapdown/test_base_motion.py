@@ -37,6 +37,7 @@ def swings(draw):
     )
 
 
+@pytest.mark.representative("True")
 @pytest.mark.parametrize("with_axes", [False, True])
 def test_increments_in_blocks_match_whole_record_bit_for_bit(with_axes):
     n, block = 5001, 4000

@@ -164,6 +164,7 @@ def test_lever_arm_from_axis_gives_centripetal_and_tangential_force():
     np.testing.assert_allclose(middle[:2], [-0.2 * rate**2 / 4, 0.2 * peak], rtol=0, atol=1e-9)
 
 
+@pytest.mark.representative("0.05-1e-08")
 @pytest.mark.parametrize(("step_s", "limit_deg_per_h"), [(0.05, 1e-8), (0.033, 1e-6)])
 def test_path_through_given_attitudes_matches_exact_integration(step_s, limit_deg_per_h):
     times = np.arange(0, 400 * step_s, step_s)
