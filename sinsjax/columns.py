@@ -330,13 +330,13 @@ def drawn_column(key: str, dimensions: int, meaning: str) -> Column:
     return Column(key, dtype, split_unit(key)[1], f"drawn by the study: {meaning}")
 
 
-@lru_cache(maxsize=8)  # needed for every chunk
 def describe_missing(name: str) -> str:
     """Return the message of a missing column, with its new name if version 0.6 had it."""
     new = f" (it is {RENAMED[name]} since version 1.0)" if name in RENAMED else ""
     return f"column {name} is missing{new}"
 
 
+@lru_cache(maxsize=8)  # needed for every chunk
 def arrow_schema(columns: tuple[Column, ...]) -> pa.Schema:
     """Return the Arrow schema with units and meanings as field metadata."""
     fields = [
