@@ -9,9 +9,9 @@ import html
 import posixpath
 import re
 import subprocess
-import tomllib
 from collections.abc import Iterator
 from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 
 from latex2mathml.converter import convert
@@ -44,7 +44,7 @@ def on_config(config: MkDocsConfig) -> None:
     commit = ""
     with suppress(OSError, subprocess.CalledProcessError):
         commit = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
-    config.copyright = f"sinsjax {project_version()}" + (f", commit {commit}" if commit else "")
+    config.copyright = f"sinsjax {version('sinsjax')}" + (f", commit {commit}" if commit else "")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:
@@ -103,12 +103,6 @@ def site_path(name: str) -> str:
 def _is_in_docs(name: str) -> bool:
     """Whether mkdocs itself puts a file on the site; not scripts, see ``exclude_docs``."""
     return name.startswith("docs/") and not name.endswith(".py")
-
-
-def project_version() -> str:
-    """The version in ``pyproject.toml``."""
-    with open(ROOT / "pyproject.toml", "rb") as file:
-        return str(tomllib.load(file)["project"]["version"])
 
 
 def _resolved(name: str, target: str) -> str | None:

@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SHARE = 0.95
-_TURN_ON = ("gyro_bias", "accel_bias")
+TURN_ON = ("gyro_bias", "accel_bias")
+"""Sources of the budget that are constant in a run."""
+
 _BANDS_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _MOST_TIMES = 60
 _NOT_FOUND, _FAR = 0.5, 30 * DEG
@@ -361,7 +363,7 @@ def _resets(sheet: Sheet, budget: Budget) -> ResetPlan | None:
     """
     if sheet.is_turned:
         return None
-    varying = [source not in _TURN_ON for source in budget.sources]
+    varying = [source not in TURN_ON for source in budget.sources]
     variance = float(budget.variance[:, varying].sum(axis=1).min())
     least = math.sqrt(max(variance, 0.0)) / ARCMIN  # its parts are derivatives, with rounding
     for band_arcmin in (10.0, 60.0, 300.0):

@@ -80,9 +80,9 @@ class Sheet:
 
         A file of the attitude ends them, and so do turns that come later than the time asked for.
         """
-        asked, motion = self.asked.time_s, self.tables["motion"]
-        ends = "attitude_file" in motion or "turn_times_s" in motion
-        return tuple(sorted({asked, *(time for time in TIMES_S if time < asked or not ends)}))
+        asked = self.asked.time_s
+        usual = (time for time in TIMES_S if time < asked or not self.is_turned)
+        return tuple(sorted({asked, *usual}))
 
     @property
     def is_turned(self) -> bool:

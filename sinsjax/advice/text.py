@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from sinsjax.advice import method as methods
-from sinsjax.advice.advise import Advice
+from sinsjax.advice.advise import TURN_ON, Advice
 from sinsjax.advice.heading import SOURCES, wrapped_rms
 from sinsjax.covariance.turn_planner import TurnOption
 from sinsjax.methods.filters.section import level_surge
@@ -128,7 +128,7 @@ def _describe_filter(advice: Advice) -> str:
             "to go on with a covariance: after the last turn, from the attitude, gyro biases and"
             " sigmas of gravity_fit (kalman_sincos through the turns keeps the biases' error)"
         )
-    share = sum(advice.shares.get(source, 0.0) for source in ("gyro_bias", "accel_bias"))
+    share = sum(advice.shares.get(source, 0.0) for source in TURN_ON)
     biases = angle(math.sqrt(share) * advice.heading.bound_arcmin)
     gyro, accel = methods.gyro_density(sheet), methods.accel_density(sheet)
     return (

@@ -1,6 +1,5 @@
 """Warnings about a study before it runs, from its record or its sample rate."""
 
-import math
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,12 +21,7 @@ from sinsjax.methods.plugins import check_parameters, check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
 from sinsjax.records import Record, RecordLayout, require_span
 from sinsjax.records.anomalies import report_anomalies
-from sinsjax.records.plausibility import (
-    GYRO_BIAS,
-    LOW_NOISE_GYRO_BIAS,
-    StationaryValues,
-    check_stationary,
-)
+from sinsjax.records.plausibility import StationaryValues, check_stationary
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
@@ -36,9 +30,7 @@ from sinsjax.study.process_noise import noise_ratios_by_sensor
 from sinsjax.study.study import Study
 from sinsjax.study.turns import useless_methods, warn_of_resets, warn_of_turning_rate
 from sinsjax.study.variants import Variants
-from sinsjax.units import DEG_PER_H, micro_g
 
-_ACCEL_BIAS_UG = 5000.0
 _TRUST_HINT = "[record] trust = true aligns it anyway"
 _CHECKED_DRAWS = 1024  # draws in which a drawn period is checked
 
@@ -218,14 +210,12 @@ def check_record(study: Study, stored: StoredRecord) -> RecordCheck:
             f" {key} = {layout.max_gap_s:g} s)"
         )
     site, _ = read_site(study, Variants(study, np.zeros(1, int)), stored)
-    gyro_bias, accel_bias_ug = section.gyro_bias_deg_per_h, section.accel_bias_ug
-    expected = StationaryValues(
+    expected = StationaryValues.with_biases(
         earth_rate=float(site.earth.rate),
         latitude=float(site.latitude),
         gravity=float(site.place.gravity),
-        gyro_bias=GYRO_BIAS if gyro_bias is None else gyro_bias * DEG_PER_H,
-        accel_bias=(_ACCEL_BIAS_UG if accel_bias_ug is None else accel_bias_ug) * micro_g(),
-        low_noise_gyro_bias=LOW_NOISE_GYRO_BIAS if gyro_bias is None else math.inf,
+        gyro_bias_deg_per_h=section.gyro_bias_deg_per_h,
+        accel_bias_ug=section.accel_bias_ug,
     )
     used, hides_north = _used_spans(study, record), ""
     for anomaly in report_anomalies(record.anomalies, used):

@@ -37,6 +37,9 @@ GYRO_BIAS = 10.0 * DEG_PER_H
 LOW_NOISE_GYRO_BIAS = 4.5 * DEG_PER_H
 """The same for gyros with little noise at rest, 0.3 of Earth rate: their scale is rather wrong."""
 
+ACCEL_BIAS_UG = 5000.0
+"""Largest accelerometer bias that raises no doubt, ug."""
+
 _LOW_NOISE = 0.1 * DEG_PER_SQRT_H  # of gyros that are no MEMS
 _NOISE_SAMPLES = 2**17  # enough for a median
 
@@ -87,6 +90,27 @@ class StationaryValues(NamedTuple):
     gyro_bias: float
     accel_bias: float
     low_noise_gyro_bias: float = math.inf
+
+    @classmethod
+    def with_biases(
+        cls,
+        *,
+        gyro_bias_deg_per_h: float | None = None,
+        accel_bias_ug: float | None = None,
+        **place: float,
+    ) -> "StationaryValues":
+        """Return the values of a place with the biases that a user accepts, or the usual ones."""
+        accel = ACCEL_BIAS_UG if accel_bias_ug is None else accel_bias_ug
+        if gyro_bias_deg_per_h is None:
+            gyro, low_noise = GYRO_BIAS, LOW_NOISE_GYRO_BIAS
+        else:
+            gyro, low_noise = gyro_bias_deg_per_h * DEG_PER_H, math.inf
+        return cls(
+            **place,
+            gyro_bias=gyro,
+            accel_bias=accel * micro_g(),
+            low_noise_gyro_bias=low_noise,
+        )
 
 
 class Finding(NamedTuple):

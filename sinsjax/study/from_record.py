@@ -22,6 +22,7 @@ from sinsjax.records.files import parse_number_or_nan, read_line_batches
 from sinsjax.records.layout import PSINS_LAYOUT, Anomaly, Note, Record, RecordLayout
 from sinsjax.records.means import EARTH_RATE, Means, compute_means, vertical_rate, white_noise
 from sinsjax.records.plausibility import (
+    ACCEL_BIAS_UG,
     GYRO_BIAS,
     LOW_NOISE_GYRO_BIAS,
     Finding,
@@ -70,7 +71,6 @@ fit_gyro_arw_deg_per_sqrt_h = {gyro_noise:.2g}
 fit_accel_bias_ug = {accel_bias:g}
 fit_accel_vrw_ug_per_sqrt_hz = {accel_noise:.2g}
 """
-_ACCEL_BIAS_UG = 5000.0  # the largest that raises no doubt
 _ALWAYS_WRITTEN = {"gyro_unit", "accel_unit", "axes_order", "time_unit"}
 _LEVELLING = """\
 [alignment]
@@ -182,7 +182,7 @@ def _alignment_section(
     )
     return _TURNING.format(
         gyro_bias=GYRO_BIAS / DEG_PER_H,
-        accel_bias=_ACCEL_BIAS_UG,
+        accel_bias=ACCEL_BIAS_UG,
         gyro_noise=gyro_noise / DEG_PER_SQRT_H,
         accel_noise=accel_noise / micro_g(),
     )
@@ -451,13 +451,11 @@ def _earth_section(
 
 def _expected_values(latitude_deg: float, gyro_bias: float | None) -> StationaryValues:
     """Return the measurements to expect, with a gyro bias that the user has given, deg/h."""
-    return StationaryValues(
+    return StationaryValues.with_biases(
         earth_rate=EARTH_RATE,
         latitude=latitude_deg * DEG,
         gravity=STANDARD_GRAVITY,
-        gyro_bias=GYRO_BIAS if gyro_bias is None else gyro_bias * DEG_PER_H,
-        accel_bias=_ACCEL_BIAS_UG * micro_g(),
-        low_noise_gyro_bias=LOW_NOISE_GYRO_BIAS if gyro_bias is None else math.inf,
+        gyro_bias_deg_per_h=gyro_bias,
     )
 
 

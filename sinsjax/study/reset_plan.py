@@ -239,7 +239,7 @@ def describe_plans(study: Study) -> list[str]:
 def with_law(study: Study) -> str:
     """Return a study with its resets by the law, as TOML without defaults.
 
-    A comment has the key that listed times need besides, for whoever copies them.
+    A comment names the key that listed times need too.
     """
     given = {key for key in (*OF_SCHEDULES, "reset_trigger") if study.is_readable(key)}
     tables = {name: dict(table) for name, table in study.to_dict().items() if name != "cases"}

@@ -90,7 +90,7 @@ def searched(source: Source) -> Page:
 
 
 def compared(source: Source) -> Page:
-    """The best schedule beside the paper's schemes."""
+    """The best schedule compared with the paper's schemes."""
     study, (wide, narrow) = source.study, bands_of(source)
     wide_s, narrow_s = settling(source)
     reached = np.isfinite(narrow_s).mean(axis=-1)
