@@ -158,8 +158,8 @@ def compare(study: Study, table: pa.Table, name: str, keys: list[str]) -> Compar
         squares = nees[:, columns[places]].ravel()
         return ConditionResult(
             point,
-            _possible(analysis.mean(ours, cluster)),
-            _possible(analysis.mean(theirs, cluster)),
+            analysis.mean(ours, cluster, limits=(0.0, FAILED_ARCMIN)),
+            analysis.mean(theirs, cluster, limits=(0.0, FAILED_ARCMIN)),
             mean_difference(ours, theirs, cluster),
             analysis.share(won, cluster),
             analysis.share(lost, cluster),
@@ -199,12 +199,6 @@ def _is_nearer(error: NDArray, floor: NDArray) -> bool:
     """
     draws = np.broadcast_to(np.arange(len(error))[:, None], error.shape).ravel()
     return bool(mean_difference(error.ravel(), floor.ravel(), draws).high < 0)
-
-
-def _possible(estimate: Estimate) -> Estimate:
-    """Return a mean error with its interval within the errors that are possible."""
-    low, high = max(estimate.low, 0.0), min(estimate.high, FAILED_ARCMIN)
-    return estimate._replace(low=low, high=high)
 
 
 def _arrange(

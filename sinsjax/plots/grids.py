@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
@@ -54,7 +53,6 @@ class MapQuantity(NamedTuple):
         reverse: whether low values are light instead.
         digits: decimals of the number in a cell.
         log: whether the colour scale is logarithmic, with two significant digits in cells.
-        numbers: whether cells show their value.
     """
 
     name: str
@@ -63,7 +61,6 @@ class MapQuantity(NamedTuple):
     reverse: bool = False
     digits: int = 0
     log: bool = False
-    numbers: bool = True
 
     @property
     def norm(self) -> Normalize:
@@ -114,7 +111,6 @@ def draw_heat_maps(
     *,
     rows: GridAxis,
     columns: GridAxis,
-    legend: Sequence[Patch | Line2D] = (),
     panels_per_row: int | None = None,
     marks: CellMarks | None = None,
 ) -> Figure:
@@ -127,7 +123,6 @@ def draw_heat_maps(
         quantity: quantity to show.
         rows: key from bottom to top.
         columns: key from left to right.
-        legend: further entries of the legend.
         panels_per_row: panels per row, such as the values of a third key; at most 4.
         marks: cells to hatch, and cells whose value is written once.
     """
@@ -141,7 +136,7 @@ def draw_heat_maps(
     bar = fill(
         f"{quantity.name}{ABOVE_SCALE if above else ''}", int(_BAR * (_PANEL + 0.5) * height)
     )
-    handles = [*legend, *_legend_handles(panels, marks)]
+    handles = [*_legend_handles(panels, marks)]
     # Laid out from the sizes of the texts: measuring each takes longer than drawing them.
     turned = _LETTER * sum(map(len, ticks[1])) > 0.8 * side
     lines = [
@@ -245,7 +240,7 @@ def _draw_heat_map(
     )
     axes.patch.set(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH)  # behind masked cells
     size = 9.0 if values.shape[1] <= _ROOMY else 7.5
-    if quantity.numbers and values.shape[1] <= _LEGIBLE:
+    if values.shape[1] <= _LEGIBLE:
         cell_numbers = np.arange(values.size).reshape(values.shape)
         shades = _number_colours(values, quantity)
         for cell, (row, column) in _number_positions(
