@@ -42,6 +42,11 @@ def inner(value: float) -> float:
     def told() -> int:
         return value
     return float(told())
+
+def add(first: float):
+    def total(second: float, *, third: float = 0.0) -> float:
+        return first + second + third
+    return total
 """
 
 
@@ -64,6 +69,16 @@ def test_arguments_results_and_fields_are_checked(made_up: ModuleType) -> None:
         lambda: made_up.inner(1),
         lambda: made_up.inner(1.0),
     ):
+        with pytest.raises(BeartypeCallHintViolation):
+            call()
+
+
+def test_functions_made_at_each_call_are_checked_and_keep_their_own_values(
+    made_up: ModuleType,
+) -> None:
+    one, two = made_up.add(1.0), made_up.add(2.0)
+    assert (one(10.0), two(10.0, third=0.5), one.__name__) == (11.0, 12.5, "total")
+    for call in (lambda: one(10), lambda: two("x"), lambda: one(1.0, third=1)):
         with pytest.raises(BeartypeCallHintViolation):
             call()
 

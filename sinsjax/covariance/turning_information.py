@@ -194,24 +194,21 @@ def _heading_variances(
     p = np.einsum("bs,sij->bij", scales, _initial_covariances(present))
     response = np.zeros((len(scales), p.shape[-1], len(prior)))
     response[:, :3, :3] = np.eye(3)
-    steps = _iter_steps(samples[-1] // per_step, step, problem, present)
+    steps = _iter_steps(samples[-1] // per_step, step, problem, present, scales, unknown)
     done, variances, priors = 0, [], []
     for count in samples:
         rows = [np.zeros((len(scales), 0, len(prior)))]
         for f, g, noise in itertools.islice(steps, count // per_step - done):
-            p = f @ p @ f.T + np.tensordot(scales, noise, 1)
+            p = f @ p @ f.T + noise
             response = f @ response
-            response[:, :5, 3:] += g[:, unknown]
-            root = _inverse_root(p[:, _LEVEL, _LEVEL])
-            gain, innovation = (
-                p[:, 2:, _LEVEL] @ np.swapaxes(root, 1, 2),
-                root @ response[:, _LEVEL],
-            )
-            rows.append(innovation)
-            response = response[:, 2:] - gain @ innovation
-            p = p[:, 2:, 2:] - gain @ np.swapaxes(gain, 1, 2)
+            response[:, :5, 3:] += g
+            root = np.linalg.inv(np.linalg.cholesky(p[:, _LEVEL, _LEVEL]))
+            gain = p[:, 2:, _LEVEL] @ root.transpose(0, 2, 1)
+            rows.append(root @ response[:, _LEVEL])
+            response = response[:, 2:] - gain @ rows[-1]
+            p = p[:, 2:, 2:] - gain @ gain.transpose(0, 2, 1)
         whitened = np.concatenate(rows, axis=1)
-        information = information + np.swapaxes(whitened, 1, 2) @ whitened
+        information = information + whitened.transpose(0, 2, 1) @ whitened
         done = count // per_step
         cases = [_heading_variance(*case) for case in zip(p, response, information, strict=True)]
         variances.append([variance for variance, _ in cases])
@@ -239,12 +236,19 @@ def _initial_covariances(present: IncrementErrors) -> np.ndarray:
 
 
 def _iter_steps(
-    count: int, step: float, problem: HeadingProblem, present: IncrementErrors
+    count: int,
+    step: float,
+    problem: HeadingProblem,
+    present: IncrementErrors,
+    scales: np.ndarray,
+    unknown: np.ndarray,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield F, G and the covariances of the noise of steps from the beginning on."""
+    """Yield F, G of unknown errors and, per case, the covariance of the noise of each step."""
     for first in range(0, count, _CHUNK):
         number = min(_CHUNK, count - first)
-        yield from zip(*_integrate_steps(problem, first * step, step, number, present), strict=True)
+        f, g, by_source = _integrate_steps(problem, first * step, step, number, present)
+        noise = np.tensordot(by_source, scales, (1, 1)).transpose(0, 3, 1, 2)
+        yield from zip(f, g[:, :, unknown], noise, strict=True)
 
 
 class Steps(NamedTuple):
@@ -259,16 +263,6 @@ class Steps(NamedTuple):
     transition: np.ndarray
     constant: np.ndarray
     noise: np.ndarray
-
-
-def _inverse_root(s: np.ndarray) -> np.ndarray:
-    """Return the lower triangular L of covariances (cases, 2, 2) with L S L' = I."""
-    out = np.zeros_like(s)
-    first = np.sqrt(s[:, 0, 0])
-    across = s[:, 1, 0] / first
-    second = np.sqrt(s[:, 1, 1] - across * across)
-    out[:, 0, 0], out[:, 1, 0], out[:, 1, 1] = 1 / first, -across / (first * second), 1 / second
-    return out
 
 
 def _heading_variance(

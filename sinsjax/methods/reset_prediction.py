@@ -53,7 +53,7 @@ def predict_settling_times(
     lanes: Sequence[Lane],
     run_s: float,
     band: float = 10 * ARCMIN,
-    sigmas: float = MEDIAN_SIGMAS,
+    sigmas: float | Sequence[float] = MEDIAN_SIGMAS,
 ) -> NDArray:
     """Return the settling times of runs, s; inf for one that does not settle within the run.
 
@@ -63,17 +63,18 @@ def predict_settling_times(
         lanes: the runs.
         run_s: duration of the runs, s.
         band: heading error within which a run is settled, rad.
-        sigmas: 1 sigma of the sensors' noise that narrow the band: 0.75 for a median run.
+        sigmas: how many sigma of the sensors' noise narrow the band, of all runs or of each: 0.75
+            for a median run.
     """
     problems = {(lane.problem, lane.times_s) for lane in lanes}
     steps = {key: _steps(*key, run_s) for key in problems}
     by_lane = [steps[lane.problem, lane.times_s] for lane in lanes]
     order = np.argsort([len(one.lengths) for one in by_lane], kind="stable")
-    settled = np.empty(len(lanes))
+    sigmas, settled = np.broadcast_to(sigmas, len(lanes)), np.empty(len(lanes))
     for begin in range(0, len(lanes), _SIDE_BY_SIDE):
         block = order[begin : begin + _SIDE_BY_SIDE]
         settled[block] = _settle(
-            [lanes[k] for k in block], [by_lane[k] for k in block], band, sigmas
+            [lanes[k] for k in block], [by_lane[k] for k in block], band, sigmas[block]
         )
     return settled
 
@@ -86,7 +87,9 @@ class _Steps(NamedTuple):
     resets: list[bool]
 
 
-def _settle(lanes: Sequence[Lane], steps: Sequence[_Steps], band: float, sigmas: float) -> NDArray:
+def _settle(
+    lanes: Sequence[Lane], steps: Sequence[_Steps], band: float, sigmas: NDArray
+) -> NDArray:
     """Return the times from which headings and noise stay within a band, s; inf for never."""
     g, north, accel_noise, gyro_noise, surge = _fields(
         lanes, "gravity", "north_rate", "accel_noise", "gyro_noise", "surge"

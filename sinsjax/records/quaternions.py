@@ -35,7 +35,8 @@ def integrate_attitudes(dtheta: FloatArray) -> FloatArray:
 
 def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the Hamilton products of quaternions (..., 4)."""
-    (aw, ax, ay, az), (bw, bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    aw, ax, ay, az = (a[..., k] for k in range(4))  # np.moveaxis takes as long as the products
+    bw, bx, by, bz = (b[..., k] for k in range(4))
     return np.stack(
         [
             aw * bw - ax * bx - ay * by - az * bz,

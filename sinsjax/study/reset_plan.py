@@ -10,7 +10,7 @@ import tomli_w
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
 from sinsjax.methods.filters.section import OF_SCHEDULES
-from sinsjax.methods.reset_law import ResetProblem, ResetSchedule
+from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem, ResetSchedule
 from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.study import display
 from sinsjax.study.keys import format_toml
@@ -295,11 +295,9 @@ def _make_plan(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> ResetP
         *(Lane(problem, one, bound, _TILT) for one in times),
         Lane(open_velocity, found.times_s, bound, _TILT),
     ]
-    settling = predict_settling_times(lanes, run_s, band).tolist()
-    noisy_s, late_s = (
-        float(predict_settling_times(lanes[:1], run_s, band, sigmas)[0])
-        for sigmas in (_NOISE_SIGMAS, _LATE_SIGMAS)
-    )
+    sigmas = [MEDIAN_SIGMAS] * len(lanes) + [_NOISE_SIGMAS, _LATE_SIGMAS]
+    lanes += [lanes[0]] * 2
+    *settling, noisy_s, late_s = predict_settling_times(lanes, run_s, band, sigmas).tolist()
     return ResetPlan(
         problem,
         point["heading_bound_deg"],

@@ -95,7 +95,7 @@ def test_log_of_parked_base_does_not_mention_turns(tmp_path: Path) -> None:
 
 def test_all_of_a_long_turning_log_is_aligned(tmp_path: Path) -> None:
     """A turn after 16 min would be cut off, as the rest of the log of a parked base is."""
-    for turns, fine_s in ((([960.0], [180.0], 10.0), 1909.0), (PARKED, 900.0)):
+    for turns, fine_s in ((((960.0,), (180.0,), 10.0), 1909.0), (PARKED, 900.0)):
         some = turned_record(turns, length_s=1920.0, rate_hz=5.0)
         table = np.column_stack([np.arange(1, len(some.gyro) + 1) / 5.0, some.gyro, some.accel])
         names = "time_s,rfu_gx,rfu_gy,rfu_gz,ax,ay,az"

@@ -1,5 +1,7 @@
 """Records of a base that is turned about the vertical, by plain NumPy and fine substeps."""
 
+from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +25,7 @@ class Turned(NamedTuple):
 
 
 def turn_angle(
-    time_s: np.ndarray, times_s: list[float], angles_deg: list[float], rate_deg_per_s: float
+    time_s: np.ndarray, times_s: Sequence[float], angles_deg: Sequence[float], rate_deg_per_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return psi, rad, and its rate, of turns with ramps of 1 s whose rate is a raised cosine."""
     psi, rate = np.zeros_like(time_s), np.zeros_like(time_s)
@@ -38,18 +40,18 @@ def turn_angle(
     return psi, rate
 
 
-Turning = tuple[list[float], list[float], float]
+Turning = tuple[tuple[float, ...], tuple[float, ...], float]
 """Begin of the turns, s, their angles, deg, and the rate, deg/s."""
 
-PARKED: Turning = ([], [], 1.0)
+PARKED: Turning = ((), (), 1.0)
 TURNS: dict[str, Turning] = {
-    "one turn by 180": ([145.0], [180.0], 10.0),
-    "one turn by 90": ([145.0], [90.0], 10.0),
-    "four positions": ([70.0, 145.0, 220.0], [90.0, 90.0, 90.0], 10.0),
-    "one-way carousel": ([5.0], [1e6], 6.0),
+    "one turn by 180": ((145.0,), (180.0,), 10.0),
+    "one turn by 90": ((145.0,), (90.0,), 10.0),
+    "four positions": ((70.0, 145.0, 220.0), (90.0, 90.0, 90.0), 10.0),
+    "one-way carousel": ((5.0,), (1e6,), 6.0),
     "reversing carousel": (
-        [5.0, *(36.0 + 61 * k for k in range(5))],
-        [180.0, *(-360.0 * (-1) ** k for k in range(5))],
+        (5.0, *(36.0 + 61 * k for k in range(5))),
+        (180.0, *(-360.0 * (-1) ** k for k in range(5))),
         6.0,
     ),
 }
@@ -72,6 +74,25 @@ def turned_record(
     Its motion is one of `TURNS`, "parked", or begin, angle and rate of its turns.
     """
     turns = (TURNS | {"parked": PARKED})[motion] if isinstance(motion, str) else motion
+    gyro, accel, heading_deg = _without_errors(turns, length_s, rate_hz, latitude_deg)
+    rng = np.random.default_rng(seed)
+    direction = np.array([0.6, -0.64, 0.48])
+    gyro_noise = arw_deg_per_sqrt_h * DEG / 60 * np.sqrt(rate_hz)
+    accel_noise = vrw_ug_per_sqrt_hz * 1e-6 * G * np.sqrt(rate_hz)
+    gyro_errors = gyro_noise * rng.normal(size=gyro.shape)
+    accel_errors = accel_noise * rng.normal(size=accel.shape)
+    return Turned(
+        gyro + (gyro_bias_deg_per_h * DEG_PER_H * direction + gyro_errors),
+        accel + (accel_bias_ug * 1e-6 * G * direction + accel_errors),
+        heading_deg,
+        rate_hz,
+    )
+
+
+@cache
+def _without_errors(
+    turns: Turning, length_s: float, rate_hz: float, latitude_deg: float
+) -> tuple[np.ndarray, np.ndarray, float]:
     dt = 1 / rate_hz / SUBSTEPS
     time_s = (np.arange(round(length_s * rate_hz) * SUBSTEPS) + 0.5) * dt
     psi, psi_rate = turn_angle(time_s, *turns)
@@ -84,10 +105,4 @@ def turned_record(
     rate = np.column_stack([np.zeros((len(psi), 2)), psi_rate]) + earth
     parts = attitude.inv().apply(rate), attitude.inv().apply([0.0, 0.0, G])
     gyro, accel = (p.reshape(-1, SUBSTEPS, 3).mean(axis=1) for p in parts)
-    rng = np.random.default_rng(seed)
-    direction = np.array([0.6, -0.64, 0.48])
-    gyro_noise = arw_deg_per_sqrt_h * DEG / 60 * np.sqrt(rate_hz)
-    accel_noise = vrw_ug_per_sqrt_hz * 1e-6 * G * np.sqrt(rate_hz)
-    gyro += gyro_bias_deg_per_h * DEG_PER_H * direction + gyro_noise * rng.normal(size=gyro.shape)
-    accel += accel_bias_ug * 1e-6 * G * direction + accel_noise * rng.normal(size=accel.shape)
-    return Turned(gyro, accel, float((35 - psi[-1] / DEG) % 360), rate_hz)
+    return gyro, accel, float((35 - psi[-1] / DEG) % 360)

@@ -7,14 +7,42 @@ arguments. jaxtyping's own hook does that, and took two thirds of the time of te
 import ast
 import sys
 from collections.abc import Sequence
+from functools import update_wrapper
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
-from types import CodeType, ModuleType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 from beartype import beartype
 
 CHECKED = "checked_by_beartype"
+
+_WRAPPED = "__beartype_func"  # the keyword by which what beartype writes gets what it calls
+_WRITTEN: dict[CodeType, FunctionType] = {}
+
+
+def _checked(target: Any) -> Any:
+    """Return a function or class whose calls are checked.
+
+    A function within another is made at each call of that, but what checks it is written once.
+    """
+    if not isinstance(target, FunctionType) or "<locals>" not in target.__qualname__:
+        return beartype(target)
+    if target.__code__ not in _WRITTEN:
+        check = beartype(target)
+        if _WRAPPED not in (getattr(check, "__kwdefaults__", None) or {}):
+            return check  # nothing to check, or another beartype
+        _WRITTEN[target.__code__] = _copy(check)
+    made = _copy(_WRITTEN[target.__code__])
+    made.__kwdefaults__[_WRAPPED] = target
+    return update_wrapper(made, target)
+
+
+def _copy(check: FunctionType) -> FunctionType:
+    """Return what beartype wrote without what it calls, which would keep that in memory."""
+    copy = FunctionType(check.__code__, check.__globals__)
+    copy.__kwdefaults__ = (check.__kwdefaults__ or {}) | {_WRAPPED: None}
+    return copy
 
 
 class _Decorated(ast.NodeTransformer):
@@ -66,7 +94,7 @@ class _Loader(SourceFileLoader):
         raise OSError("the bytecode beside the source has no checks")
 
     def exec_module(self, module: ModuleType) -> None:
-        vars(module)[CHECKED] = beartype
+        vars(module)[CHECKED] = _checked
         super().exec_module(module)
 
 
