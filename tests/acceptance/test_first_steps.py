@@ -22,6 +22,8 @@ from sinsjax.study.keys import SECTION_OF, Key
 from sinsjax.study.load import load_study
 from sinsjax.value_types import KeyInfo
 
+pytestmark = pytest.mark.optimised(False)
+
 ROOT = Path(__file__).parents[2]
 
 WRONG = """

@@ -26,6 +26,8 @@ from sinsjax.platform import runtime
 from sinsjax.study.keys import SECTIONS
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml
 
+pytestmark = pytest.mark.optimised(False)
+
 Command = Callable[..., tuple[int, str]]
 
 

@@ -14,6 +14,8 @@ from sinsjax.methods.base import AttitudeCovariance
 from sinsjax.methods.floors import BiasFloor
 from sinsjax.types import Quat, Vec3
 
+pytestmark = pytest.mark.optimised(False)
+
 BANDS = np.array([60.0, 10.0, 3.0]) * ARCMIN
 FLOOR = -26.0 * ARCMIN
 N, STEP = 60, 0.5

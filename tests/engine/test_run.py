@@ -47,6 +47,8 @@ from sinsjax.methods.floors import MeanBiases
 from sinsjax.strapdown import sensors
 from sinsjax.types import Quat, Vec3
 
+pytestmark = pytest.mark.optimised(False)
+
 RATE, LATITUDE, SEED = 100, 32 * DEG, 11
 PHI0, V0 = np.array([2.0, -3.0, 10.0]) * DEG, (0.1, -0.2)
 BIAS = np.array([0.1 * DEG_PER_H] * 3 + [500 * UG] * 3)
@@ -287,7 +289,6 @@ def test_curves_do_not_depend_on_record_interval():
 
 
 @pytest.mark.slow
-@pytest.mark.optimised(False)
 def test_derivatives_by_p0_and_q_match_secants():
     """Forward mode through the whole closed loop, by P0 of the yaw and by a scale of Q."""
     filt = paper_filter(5, every=40, resets=(215,))

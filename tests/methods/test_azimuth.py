@@ -38,6 +38,8 @@ from sinsjax.methods.invariant.method import apply_left_jacobian
 from sinsjax.methods.kalman import Belief
 from sinsjax.types import Vec3
 
+pytestmark = pytest.mark.optimised(False)
+
 RATE, SAMPLES, LATITUDE, DT = 100, 1000, 32 * DEG, 0.01
 P0 = np.array([0.1, 0.1, 15 * DEG, 15 * DEG, 80 * DEG]) ** 2
 Q = (np.array([500 * UG] * 2 + [0.1 * DEG_PER_H] * 3) / RATE) ** 2
@@ -194,7 +196,6 @@ def test_correction_is_the_rotation_that_azimuth_and_tilt_define():
 
 
 @pytest.mark.slow
-@pytest.mark.optimised(False)
 def test_feedback_interval_hardly_matters_from_large_tilts_of_either_sign():
     """Fed back as a rotation vector it costs 15' to 30' with feedback every second."""
     study = small_study(
@@ -240,7 +241,6 @@ def from_a_small_azimuth():
 
 
 @pytest.mark.slow
-@pytest.mark.optimised(False)
 @pytest.mark.parametrize("name", SMALL)
 def test_small_azimuth_filters_agree_with_kalman5_using_gravity(from_a_small_azimuth, name):
     """To what the second order of 0.01 deg and the transform leave."""

@@ -39,6 +39,8 @@ from sinsjax.report.names import NO_NAMES, StudyNames, escape_markdown
 from sinsjax.report.output import DrawnReport, print_report, write_html_page, write_markdown_page
 from sinsjax.study.load import load_study
 
+pytestmark = pytest.mark.optimised(False)
+
 NASTY = (
     "[/b]",
     "reset [fast]",

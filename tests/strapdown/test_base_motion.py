@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from sinsjax.strapdown import base_motion
 
+pytestmark = pytest.mark.optimised(False)
+
 attitude = jax.jit(base_motion.attitude)
 rate_and_force = jax.jit(base_motion.rate_and_force)
 increments = jax.jit(base_motion.ideal_increments, static_argnums=3)
@@ -37,6 +39,7 @@ def swings(draw):
     )
 
 
+@pytest.mark.optimised(True)
 @pytest.mark.representative("True")
 @pytest.mark.parametrize("with_axes", [False, True])
 def test_increments_in_blocks_match_whole_record_bit_for_bit(with_axes):
@@ -107,6 +110,7 @@ def test_static_base_increments_match_closed_form(pitch, roll, yaw, latitude_deg
     np.testing.assert_allclose(rows[:, 3:], [c.T @ up / 100] * 3, rtol=0, atol=1e-12)
 
 
+@pytest.mark.optimised(True)
 def test_longer_run_starts_with_increments_of_shorter_run():
     args = motion(ODD), place(PAPER, 0.5), 100.0
     np.testing.assert_array_equal(increments(*args, 2003)[:700], increments(*args, 700))

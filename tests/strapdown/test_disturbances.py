@@ -15,6 +15,8 @@ from sinsjax.strapdown import base_motion, disturbances, mechanisation, processe
 from sinsjax.strapdown.disturbances import Disturbances, SampleDisturbance
 from sinsjax.types import Increments, Navigation, Vec3
 
+pytestmark = pytest.mark.optimised(False)
+
 LEVER = Vec3(*np.array([1.2, -0.7, 2.0]))
 
 
@@ -128,6 +130,7 @@ def test_free_navigation_follows_surge_velocity(model):
     assert np.abs(np.stack(off)).max() < 0.1 * DEG / 3600
 
 
+@pytest.mark.optimised(True)
 def test_vibration_and_drift_are_added_to_matching_increments():
     """Every part goes where it belongs, and what there is not costs no sum."""
     three = [Vec3(*np.arange(3.0) + i) for i in range(4)]

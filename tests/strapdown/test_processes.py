@@ -9,6 +9,8 @@ from scipy.integrate import dblquad
 from sinsjax.maths import rng
 from sinsjax.strapdown import processes
 
+pytestmark = pytest.mark.optimised(False)
+
 RMS = np.array([1.0, 2.0, 0.5])
 times = st.floats(0.02, 1e5).map(np.asarray)
 rates = st.floats(1, 1000)
@@ -109,6 +111,7 @@ def test_resonance_has_given_variance_and_frequency(damping, frequency):
     np.testing.assert_allclose(found, expected, atol=0.1 * (omega / 400) ** 2)
 
 
+@pytest.mark.optimised(True)
 def test_batched_process_parameters_match_single_draw():
     many = processes.sampled_mean_of_gauss_markov(np.ones((5, 3)), np.array([1.0, 2, 3, 4, 5]), 0.1)
     one = processes.sampled_mean_of_gauss_markov(np.ones(3), np.asarray(3.0), 0.1)
@@ -124,6 +127,7 @@ def drawn(seed, draws, samples, triads):
     return {triad: np.stack(axes) for triad, axes in made.items()}
 
 
+@pytest.mark.optimised(True)
 def test_driving_noise_depends_only_on_seed_draw_sample_and_triad():
     many = drawn(7, np.arange(4), np.arange(9), (0, 2, 3, 7))
     for triad, axes in many.items():

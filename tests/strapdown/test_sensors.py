@@ -14,6 +14,8 @@ from sinsjax.maths.rng import normal_pair, threefry
 from sinsjax.strapdown import sensors
 from sinsjax.types import Quat
 
+pytestmark = pytest.mark.optimised(False)
+
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -122,6 +124,7 @@ def test_compensation_matches_naive_term_by_term():
     np.testing.assert_allclose(matrices, Rotation.from_rotvec(turn).as_matrix(), atol=1e-15)
 
 
+@pytest.mark.optimised(True)
 def test_compensation_of_split_record_equals_whole_record():
     increments = np.random.default_rng(3).normal(scale=0.01, size=(50, 6))
     whole = sensors.compensate_record(increments, increments[0])

@@ -17,6 +17,8 @@ from sinsjax.strapdown.turns import Turns
 from sinsjax.types import Vec3
 from sinsjax.units import DEG_PER_H
 
+pytestmark = pytest.mark.optimised(False)
+
 RATE_HZ = 100.0
 LATITUDE = 45 * DEG
 LEVER = np.array([0.3, -0.2, 0.1])
