@@ -232,6 +232,7 @@ def test_rerun_reproduces_stored_run(sinsjax: Command, tmp_path: Path) -> None:
     assert_refused(told, tmp_path / "none", "nothing")
 
 
+@pytest.mark.slow
 def test_resume_and_rerun_of_recorded_study_require_same_record(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:

@@ -528,6 +528,7 @@ def test_another_method_needs_no_further_changes(sinsjax: Command, tmp_path: Pat
     assert stored.alignment == study.alignment and stored.axes == study.axes
 
 
+@pytest.mark.slow
 def test_keys_without_effect_are_named_before_a_run(sinsjax: Command, tmp_path: Path) -> None:
     tables = dict(BASE, alignment={"method": "inertial", "ve0_m_per_s": 5.0, "phi_u0_deg": 20.0})
     (tmp_path / "small.toml").write_text(tomli_w.dumps(tables))

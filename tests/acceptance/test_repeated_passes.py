@@ -123,6 +123,7 @@ def swept() -> study_run.Results:
     return run(QUICK, {"passes": {}, "axes": {"stored_s": [3.0, 4.0]} | TURNS})
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(True)
 def test_passes_add_time_and_data_columns_to_tables() -> None:
     curves, summary = swept().curves, swept().summary

@@ -62,7 +62,7 @@ def at_record(curves: pa.Table, name: str, record: int) -> np.ndarray:
     return curves[name].to_numpy().reshape(-1, 6)[:, record - 1]
 
 
-@pytest.mark.representative("turns")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_report_time_columns_match_curves(name: str) -> None:
     """Times count over all passes, from the first sample of coarse alignment."""
@@ -75,7 +75,7 @@ def test_report_time_columns_match_curves(name: str) -> None:
         np.testing.assert_array_equal(np.isnan(summary[f"nees_at_{time}"].to_numpy()), unknown)
 
 
-@pytest.mark.representative("loops")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["loops", "turns", "coarse"])
 def test_report_times_leave_other_results_bit_identical(name: str) -> None:
     """Filters of one pass follow below, in optimised programs."""

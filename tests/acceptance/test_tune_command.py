@@ -177,6 +177,7 @@ def test_sweep_and_rerun_do_not_silently_ignore_tuning(
     assert (code, error) == (2, f"error: {made}: {text}\n")
 
 
+@pytest.mark.slow
 def test_report_states_how_many_runs_settle(tmp_path: Path) -> None:
     """Also the score on the tuning draws, so that overfitting shows."""
     variables = {"p0_yaw_deg": {"candidates": [20.0, 80.0]}}

@@ -512,7 +512,7 @@ def test_name_of_a_method_is_no_program() -> None:
         sinsjax.study_from_dict(tables)
 
 
-@pytest.mark.representative("csv-csv")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "suffix"), [("psins", "txt"), ("csv", "csv"), ("parquet", "parquet")]
 )

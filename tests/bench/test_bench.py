@@ -282,6 +282,7 @@ def test_idle_lanes_are_not_counted_as_runs(small_group):
     assert cases.engine_workload("x", few, tiles=4, lanes=16).runs == 3 * 4 < 64
 
 
+@pytest.mark.slow
 def test_baseline_that_differs_from_engine_is_refused(small_group, monkeypatch):
     wrong = lambda *_: (np.eye(3), np.zeros(5))  # noqa: E731
     monkeypatch.setattr(cases, "align_with_numpy_loop", wrong)

@@ -94,7 +94,7 @@ def told(method: str) -> ErrorCovariance:
     return spread_of(made(method).group)[0]
 
 
-@pytest.mark.representative("kalman5")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 def test_companion_matches_run_of_its_draw_for_small_errors(name: str) -> None:
     group, companion = made(name)

@@ -63,7 +63,7 @@ THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
 """Variants; with as many everywhere the studies share what is compiled."""
 
 
-@pytest.mark.representative("keys5-random-changes5")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("keys", "sampling", "changes"),
     [

@@ -105,6 +105,7 @@ def test_mean_and_sigma_match_monte_carlo_draws(
         assert (ratio > 0.7).all() and (ratio < 1.4).all(), (axis, ratio)
 
 
+@pytest.mark.slow
 def test_shares_and_settling_times_match_monte_carlo_draws(
     estimates_and_draws: tuple[pa.Table, pa.Table],
 ) -> None:

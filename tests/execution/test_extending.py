@@ -42,7 +42,7 @@ def assert_extended(
     return out
 
 
-@pytest.mark.representative("128")
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk_runs", [None, 128])
 def test_extended_rows_equal_sweep_with_all_draws(tmp_path: Path, chunk_runs: int | None) -> None:
     out = assert_extended(study_with_draws(150), study_with_draws(170), tmp_path, chunk_runs)

@@ -68,6 +68,7 @@ def test_innovation_columns_exist_only_in_recorded_studies(summary: pa.Table) ->
     ]
 
 
+@pytest.mark.slow
 def test_nis_scales_inversely_with_r(summary: pa.Table) -> None:
     """With P and Q next to nothing, S is R: a hundred times the variance, a hundredth of NIS."""
     one, other = summary["innovation_nis"].to_pylist()[1:3]

@@ -100,6 +100,7 @@ def test_align_analyses_its_record_once(
     assert calls["checks.check_record"] == calls["plausibility.check_stationary"] == 1
 
 
+@pytest.mark.slow
 def test_python_align_gives_rows_of_command(
     run_command: Command, recorded: tuple[Path, Path, Study], tmp_path: Path
 ) -> None:

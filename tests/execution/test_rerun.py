@@ -122,6 +122,7 @@ def test_rerun_matches_for_recorded_study(stored: StoredRecord, judged: bool) ->
     assert_alone_as_among_others(recorded_study(), given, curves=True, runs=[0, 6, 11])
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_rerun_matches_for_record_with_drawn_errors(stored: StoredRecord) -> None:
     study = recorded_study(
@@ -150,6 +151,7 @@ def rerun_into(directory: Path, run_id: int, **options: Any) -> str:
     return file.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -> None:
     before = read_files_and_times(out)

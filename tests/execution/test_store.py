@@ -82,6 +82,7 @@ def chunk_name(number: int) -> str:
 # --- parts --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_parts_are_bytewise_equal_in_repeated_sweeps(uninterrupted: Path, tmp_path: Path) -> None:
     other = tmp_path / "elsewhere" / "out"
     sweep(other)
@@ -440,6 +441,7 @@ def recorded() -> tuple[Study, StoredRecord]:
     return study, StoredRecord(build.simulated_record(small_study()), reference)
 
 
+@pytest.mark.slow
 def test_another_record_or_reference_is_refused(
     recorded: tuple[Study, StoredRecord], tmp_path: Path
 ) -> None:

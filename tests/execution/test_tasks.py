@@ -46,7 +46,7 @@ def assert_same(one: study_run.Results, other: study_run.Results) -> None:
         assert a.equals(b)
 
 
-@pytest.mark.representative("passes", "drawn")
+@pytest.mark.representative("drawn")
 def test_rows_do_not_depend_on_chunk_size(name: str, reference: study_run.Results) -> None:
     """The smallest, and one that holds all runs."""
     assert_same(study_run.run(make_study(name), chunk_runs=2), reference)
@@ -54,6 +54,7 @@ def test_rows_do_not_depend_on_chunk_size(name: str, reference: study_run.Result
         assert_same(study_run.run(make_study(name), chunk_runs=10**6), reference)
 
 
+@pytest.mark.representative("worlds", "passes", "drawn")
 def test_result_bytes_do_not_depend_on_task_order_or_runner(
     name: str, reference: study_run.Results, tmp_path: Path
 ) -> None:

@@ -222,6 +222,7 @@ def vehicle(data_dir: Path) -> dict[str, np.ndarray]:
     return errors
 
 
+@pytest.mark.slow
 def test_inertial_error_on_vehicle_record_is_small_from_every_start(vehicle):
     level, yaw = vehicle["inertial"][:, :2], vehicle["inertial"][:, 2]
     assert yaw.max() < 0.25

@@ -397,7 +397,7 @@ ERRORS = {
 }
 
 
-@pytest.mark.representative("reflect-planet0-32.0-fixed")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("planet", "latitude_deg", "position"), [(EARTH, 32.0, "fixed"), (WGS84, -41.0, "integrated")]
 )

@@ -186,6 +186,7 @@ def check(study: Study) -> None:
         assert limit.no_north == (np.hypot(*eps[i][:2]) > RATE * np.cos(latitude[i] * DEG))
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_filter_ends_at_exact_not_small_angle_bias_floor() -> None:
     study = study_of(
@@ -362,6 +363,7 @@ def test_wide_bias_p0_keeps_heading_off_bias_floor() -> None:
     assert want > 60 * ARCMIN
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_hidden_north_counts_runs_with_bias_above_earth_rate() -> None:
     assert hidden_north(study_of("kalman5", sensors={"gyro_bias_deg_per_h": [5.0, 5, 50]})) is None

@@ -164,6 +164,7 @@ def test_inertial_method_matches_inertial_coarse_alignment():
         assert np.abs(turn).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_batch_optimisation_matches_sample_by_sample_result():
     samples = sensors.compensate_record(record(), record()[0])
     q = jax.jit(align_by_optimisation)(samples, place(PAPER, LATITUDE), 1 / RATE)

@@ -140,6 +140,7 @@ def there_and_back(phi, v=(0.0, 0.0), *, noise=0.0, position="fixed", rate=RATE)
     return off, v, np.concatenate([[[0.0, 0.0]], place])
 
 
+@pytest.mark.representative("phi_deg1-v1-1.0-bounds1-integrated")
 @pytest.mark.parametrize("position", ["fixed", "integrated"])
 @pytest.mark.parametrize(
     ("phi_deg", "v", "noise", "bounds"),
@@ -162,6 +163,7 @@ def test_backward_pass_retraces_forward_navigation(phi_deg, v, noise, bounds, po
     assert (np.abs(place[STORED_S]).max() > 1e-6) == (position == "integrated" and any(phi))
 
 
+@pytest.mark.slow
 def test_round_trip_error_is_first_order_in_sample_time():
     """A step takes the rates at its start, which is the other end on the way back."""
     coarse, fine = (there_and_back((DEG, 0, 0), rate=rate)[0][-1] for rate in (100, 200))
@@ -277,9 +279,7 @@ def dense(entries, n):
     return matrix
 
 
-@pytest.mark.representative(
-    "kalman5-planet0-fixed-rewind-clock3", "kalman10-planet1-integrated-carried-clock0"
-)
+@pytest.mark.representative("kalman10-planet1-integrated-carried-clock0")
 @pytest.mark.parametrize(
     ("turn", "clock"),
     [

@@ -90,7 +90,7 @@ def test_information_has_its_limits() -> None:
     assert reset_law.heading_information(30.0, slow) == pytest.approx(r_limited, rel=1e-3)
 
 
-@pytest.mark.representative("40.0")
+@pytest.mark.slow
 @pytest.mark.parametrize("length_s", [40.0, 120.0])
 def test_contraction_is_that_of_the_filter(length_s: float) -> None:
     """P_UU of a noise-free run that is linear throughout, without gyro noise in Q."""
@@ -322,6 +322,7 @@ def test_schedule_that_cannot_be_made_is_refused_in_one_line(
     assert says in refusal_line(**PER_STEP | tables)
 
 
+@pytest.mark.slow
 def test_comparison_has_a_line_for_each_schedule_by_the_law() -> None:
     axes = {"latitude_deg": [0.0, 32.0], "schedule": ["none", "law"]}
     study = small_study(**PER_STEP, resets={}, axes=axes).replace({"study.draws": 2})

@@ -457,7 +457,7 @@ CLOSED = {"every": 7, "gain": 0.6, "resets": (90, 333)}
 NEAR = Numbers(np.inf, window=20, refractory=10, most=12, until=380)
 
 
-@pytest.mark.representative("kalman5-linearisation-145-changes6")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "trigger", "stored", "changes"),
     [
@@ -533,6 +533,7 @@ def of_variant(rows, number):
     return [row for row in rows if row["variant_id"] == number]
 
 
+@pytest.mark.slow
 def test_trigger_count_and_times_are_reported(rows):
     for row in rows:
         count, *times = (row[own.column.name] for own in TRIGGER_COUNTS)

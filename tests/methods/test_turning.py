@@ -47,6 +47,7 @@ def test_sways_in_pitch_and_roll_are_no_turns():
     assert turns([0.0, 0.0, 2.0]) and turns([5.0, 0.0, -2.0])
 
 
+@pytest.mark.slow
 def test_study_without_the_option_has_neither_option_nor_number():
     (part,), (same,), (other,) = (
         build.parts(turned_study(**tables))

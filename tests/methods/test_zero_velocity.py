@@ -186,6 +186,7 @@ def test_reset_feeds_back_whole_state_and_then_sets_covariance(kind):
     )
 
 
+@pytest.mark.representative("kalman5-fixed")
 @pytest.mark.parametrize(("name", "position"), [("kalman5", "fixed"), ("kalman10", "integrated")])
 def test_reset_sets_covariance_to_given_reset_values(name, position):
     """As the study gives them, in the units of its keys; yaw resets take theirs."""

@@ -103,6 +103,7 @@ def test_heat_map_writes_number_of_duplicate_variants_once(source: Source) -> No
     assert all(isinstance(block, Table | Picture) for block in blocks)
 
 
+@pytest.mark.slow
 def test_report_draws_methods_with_and_without_covariance_together(tmp_path: Path) -> None:
     study = small_study(
         study={"curves": True, "draws": 2},

@@ -73,6 +73,7 @@ def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn_source: Source) 
         assert estimate.low < estimate.value < estimate.high
 
 
+@pytest.mark.slow
 def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn_source: Source) -> None:
     *pictures, idle = axis_figures.build_axis_figures(drawn_source)
     assert [getattr(block, "name", "") for block in pictures] == ["along_axis", "over_phi_u0_deg"]

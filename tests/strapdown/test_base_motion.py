@@ -116,6 +116,7 @@ def test_longer_run_starts_with_increments_of_shorter_run():
     np.testing.assert_array_equal(increments(*args, 2003)[:700], increments(*args, 700))
 
 
+@pytest.mark.slow
 def test_increment_derivative_matches_finite_difference():
     here = place(PAPER, 0.5)
 

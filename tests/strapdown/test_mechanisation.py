@@ -67,7 +67,7 @@ def free_runs(swing, here, *, rate, seconds):
     return runs
 
 
-@pytest.mark.representative("swing0-planet0-32.0-100-900")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("swing", "planet", "latitude_deg", "rate", "seconds"),
     [

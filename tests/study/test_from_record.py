@@ -216,6 +216,7 @@ def test_nominal_rate_is_marked_in_study(
     assert "nominal" not in make_study_text(path, Path("its.toml"))
 
 
+@pytest.mark.slow
 def test_short_gaps_are_interpolated_and_long_gap_moves_start(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
@@ -427,7 +428,7 @@ def test_backward_time_stamps_are_refused_with_row(
     assert study["record"]["time_column"] == "t"
 
 
-@pytest.mark.representative("1.0")
+@pytest.mark.slow
 @pytest.mark.parametrize("resolution_s", [0.02, 1.0])
 def test_coarse_time_stamps_give_mean_rate(
     resolution_s: float,

@@ -71,6 +71,7 @@ def test_reset_feedback_keys_do_not_affect_other_variants(method: str) -> None:
     assert own[PLAIN] != own[WAITING] != own[RESTARTING] != own[PLAIN]
 
 
+@pytest.mark.slow
 def test_reset_feedback_keys_have_no_effect_with_feedback_every_sample() -> None:
     tables = {"alignment": {"feedback_interval_s": 0.01}, "axes": {"keys": KEYS}}
     plain, *others = rows(**tables, resets={"reset_times_s": [1.0, 1.9]})

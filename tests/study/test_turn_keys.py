@@ -146,7 +146,7 @@ def test_turns_can_be_swept_with_none_among_them():
     assert counts == [0, 1, 2]
 
 
-@pytest.mark.representative("vertical")
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", ["vertical", "body"])
 def test_drawn_motion_turns_like_fixed_one(axis):
     turns = FAST | {"turn_axis": axis, "lever_arm_m": [0.2, 0.1, 0.0]}

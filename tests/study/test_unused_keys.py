@@ -104,7 +104,7 @@ def test_method_of_loaded_study_can_be_replaced(method: str) -> None:
         assert study.replace({"alignment.method": method}).methods == (method,)
 
 
-@pytest.mark.representative("inertial")
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
 def test_reset_sweep_runs_with_any_method(method: str) -> None:
@@ -322,7 +322,7 @@ def are_equal(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
     return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
 
 
-@pytest.mark.representative("inertial")
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", [name for name in METHODS if METHODS[name].without_effect])
 def test_silent_keys_change_no_bit_of_a_run(method: str) -> None:
