@@ -132,7 +132,11 @@ class Key(NamedTuple):
     @property
     def readers_text(self) -> str:
         """The methods that read it, as text."""
-        others = [name for name in METHODS if name not in self.methods]
+        others = [
+            name
+            for name, method in METHODS.items()
+            if name not in self.methods and not method.is_external
+        ]
         if len(others) < len(self.methods):
             return f"all but {', '.join(others)}" if others else "all"
         return ", ".join(self.methods)

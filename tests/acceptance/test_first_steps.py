@@ -17,6 +17,8 @@ from support.studies import BASE
 import sinsjax as package
 from sinsjax.cli import app, options
 from sinsjax.errors import InputError
+from sinsjax.methods.external.config import describe_external
+from sinsjax.methods.registry import METHODS
 from sinsjax.study import files, key_table
 from sinsjax.study.keys import SECTION_OF, Key
 from sinsjax.study.load import load_study
@@ -545,7 +547,10 @@ def test_dependent_defaults_are_recomputed_on_replace() -> None:
     assert compare.replace({}) == compare
 
 
-def test_keys_command_explains_key_and_section(sinsjax: Command) -> None:
+def test_keys_command_explains_key_and_section(
+    sinsjax: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(METHODS, "theirs", describe_external("theirs"))  # of a loaded study
     code, told, _ = sinsjax("keys", "reset_count")
     assert code == 0
     assert told.startswith("[resets] reset_count: default 0; methods: all but optimisation, ")

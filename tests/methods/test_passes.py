@@ -173,7 +173,7 @@ def test_round_trip_error_is_first_order_in_sample_time():
 
 def test_backward_pass_without_reversed_earth_rate_misses_start():
     """These tests can fail: without its sign the attitude is off by 160 s of the Earth rate."""
-    here = site(EARTH, LATITUDE)
+    here, record = site(EARTH, LATITUDE), swing_record(RATE, 0.0)
 
     @jax.jit
     def back(nav):
@@ -185,7 +185,7 @@ def test_backward_pass_without_reversed_earth_rate_misses_start():
             )
             return mechanisation.advance_navigation(nav, sample, here.place, 1 / RATE)[0], None
 
-        return jax.lax.scan(step, nav, swing_record(RATE, 0.0)[::-1])[0]
+        return jax.lax.scan(step, nav, record[::-1])[0]
 
     nav = back(navigation(PAPER2.matrix(STORED_S), (0.0, 0.0), LATITUDE))
     turned = np.linalg.norm(log(PAPER2.matrix(0.0) @ of_quaternion(np.array(nav.q)).T))
