@@ -8,7 +8,6 @@ os.environ["MPLBACKEND"] = "Agg"
 os.environ.pop("COLUMNS", None)
 # Products of small matrices: more threads of OpenBLAS only wait, each at the cost of a core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
@@ -61,11 +60,13 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     compilation.set_optimisation_level(item)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _little_memory() -> Iterator[None]:
-    """Drop compiled programs after a module that leaves much of them."""
-    yield
-    compilation.drop_programs_if_large()
+@pytest.hookimpl(trylast=True)  # after fixtures are gone
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Drop compiled programs after a module that leaves many, or a test that leaves more."""
+    ends_module = nextitem is None or nextitem.path != item.path
+    compilation.drop_programs_above(
+        compilation.LARGE_BYTES if ends_module else compilation.LARGEST_BYTES
+    )
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -62,10 +63,10 @@ def imported(
     called is left out.
     """
     found: list[str] = []
-    for node in walk(ast.parse(source), later=later):
+    for node in import_statements(source, later=later):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
+        else:
             assert node.level == 0, f"{name}: line {node.lineno}: write imports in full"
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
@@ -79,6 +80,13 @@ def imported(
         else:
             others.add(top)
     return own, others
+
+
+@cache
+def import_statements(source: str, *, later: bool) -> list[ast.Import | ast.ImportFrom]:
+    """The imports of a source, those in functions' bodies if ``later``."""
+    nodes = walk(ast.parse(source), later=later)
+    return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
 
 
 def walk(node: ast.AST, *, later: bool) -> list[ast.AST]:

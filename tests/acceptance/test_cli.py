@@ -218,6 +218,7 @@ def test_invalid_executor_options_are_refused_in_one_line(sinsjax: Command, tmp_
     assert_refused(sinsjax(*words, "--devices", 4096), none, "--devices", "4096")
 
 
+@pytest.mark.slow
 def test_rerun_reproduces_stored_run(sinsjax: Command, tmp_path: Path) -> None:
     config, out = write_study(tmp_path, **TWO), tmp_path / "out"
     assert sinsjax("sweep", config, "-o", out)[0] == 0
@@ -278,6 +279,7 @@ def test_page_names_study_file_and_set_overrides(
     assert f"<footer>{named}" in Path("page.html").read_text()
 
 
+@pytest.mark.slow
 def test_align_without_reference_gives_attitude_and_sigma_only(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:

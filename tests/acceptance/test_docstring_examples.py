@@ -31,7 +31,7 @@ def public_names() -> dict[str, Any]:
 EXAMPLES = public_names()
 SLOW = {
     *("Results", "Results.read", "TuningResults", "align", "estimate", "estimated_curves"),
-    *("one_run", "read_estimates", "read_history", "score_results"),
+    *("one_run", "read_estimates", "read_history", "score_results", "tune"),
 }
 """Examples that compile for seconds what tests of the same functions compile too."""
 

@@ -169,6 +169,7 @@ def test_swept_stored_durations_give_same_rows_as_each_alone() -> None:
         assert together != columns_of(swept().curves, 4 * draw + 2 + turn, *names)
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(True)
 def test_backward_pass_undoes_noise_of_forward_pass() -> None:
     """Without gains the backward pass undoes the noise of the forward pass, to rounding."""

@@ -509,7 +509,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
 }
 
 
-@pytest.mark.representative("failure_rate")
+@pytest.mark.slow
 @pytest.mark.parametrize("objective", ["settle_mean", "failure_rate"])
 def test_tune_warns_if_every_point_fails(objective: str, tmp_path: Path, sinsjax_: Command) -> None:
     """A gyro bias whose floor lies far outside the band, judged from the truth."""

@@ -134,6 +134,7 @@ def test_rows_of_own_methods_are_those_of_the_sweep(arena: Arena, tmp_path: Path
                 assert here[name].to_pylist() == there[name].to_pylist(), name
 
 
+@pytest.mark.slow
 def test_without_a_sweep_the_study_is_run_here(arena: Arena, tmp_path: Path) -> None:
     path = arena.write(arena.history(), tmp_path / "mine.parquet")
     alone = score_results(arena.export, path, out=tmp_path / "alone")
@@ -249,6 +250,7 @@ def test_verdict_is_the_paired_difference_to_the_best_method(arena: Arena, tmp_p
     assert len(found.conditions) == 2
 
 
+@pytest.mark.slow
 def test_verdict_names_who_is_nearer_to_north_than_the_bias_floor(tmp_path: Path) -> None:
     """A program with true headings: constant biases hide more than that at rest."""
     arena = Arena(tmp_path, motion=STILL | {"yaw_center_deg": 50.0})

@@ -260,6 +260,7 @@ def test_without_noise_removes_only_noise(small_group):
     )
 
 
+@pytest.mark.representative("2-1.0")
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize(("devices", "elapsed_s"), [(1, 100.0), (2, 1.0)])
 def test_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elapsed_s):

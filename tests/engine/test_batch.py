@@ -109,7 +109,7 @@ def test_program_per_device_runs_each_thread_on_separate_device(
     assert sorted(used, key=str) == [(device, device) for device in devices]
 
 
-@pytest.mark.representative("measured")
+@pytest.mark.slow
 def test_every_run_matches_same_run_simulated_alone(
     six_variants: lane_layout.Group, reference: tuple
 ) -> None:

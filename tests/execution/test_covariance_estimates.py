@@ -275,6 +275,7 @@ def test_sweep_resumes_after_kill(moment: str, uninterrupted: Path, tmp_path: Pa
     assert_complete(out, uninterrupted)
 
 
+@pytest.mark.slow
 def test_draws_study_replaces_estimates_only_with_overwrite(
     uninterrupted: Path, tmp_path: Path
 ) -> None:
@@ -319,6 +320,7 @@ def test_forecast_counts_noise_free_runs() -> None:
 # --- reported -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn_on_request")
 def test_report_lists_fastest_settings_and_plots_axes(
     tmp_path: Path,

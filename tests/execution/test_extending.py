@@ -74,6 +74,7 @@ def test_extension_continues_sobol_list_and_grid_draws(tmp_path: Path) -> None:
     assert_extended(make_study("drawn", 100), make_study("drawn", 140), tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half_width", [0.001, 0.9])
 def test_extended_study_stops_at_same_draw_as_full_study(tmp_path: Path, half_width: float) -> None:
     """No interim analysis takes place where the first study ended."""

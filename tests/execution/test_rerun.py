@@ -115,6 +115,7 @@ def stored() -> StoredRecord:
     return add_true_reference(build.simulated_record(small_study()))
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("judged", [True, False])
 def test_rerun_matches_for_recorded_study(stored: StoredRecord, judged: bool) -> None:

@@ -571,6 +571,7 @@ def test_overwrite_keeps_user_files(uninterrupted: Path, out: Path) -> None:
     assert {n: b for n, b in read_parts(out).items() if n not in mine} == read_parts(uninterrupted)
 
 
+@pytest.mark.slow
 def test_overwrite_removes_all_previous_results(out: Path) -> None:
     (out / "reruns" / "3").mkdir(parents=True)
     for name in ("summary.parquet", "curve.parquet", "curve.png"):

@@ -54,7 +54,7 @@ def test_rows_do_not_depend_on_chunk_size(name: str, reference: study_run.Result
         assert_same(study_run.run(make_study(name), chunk_runs=10**6), reference)
 
 
-@pytest.mark.representative("worlds", "passes", "drawn")
+@pytest.mark.representative("drawn")
 def test_result_bytes_do_not_depend_on_task_order_or_runner(
     name: str, reference: study_run.Results, tmp_path: Path
 ) -> None:
@@ -76,6 +76,7 @@ def test_result_bytes_do_not_depend_on_task_order_or_runner(
         assert a.cast(b.schema).equals(b)
 
 
+@pytest.mark.representative("drawn")
 def test_additional_draws_leave_earlier_rows_unchanged(
     name: str, reference: study_run.Results
 ) -> None:
@@ -89,6 +90,7 @@ def test_additional_draws_leave_earlier_rows_unchanged(
     )
 
 
+@pytest.mark.representative("drawn")
 def test_summary_and_curves_contain_every_run_once(name: str, reference: study_run.Results) -> None:
     study = make_study(name)
     runs = np.arange(study.n_draws * study.n_variants)

@@ -230,6 +230,7 @@ def test_inertial_error_on_vehicle_record_is_small_from_every_start(vehicle):
     assert level.max() < 0.001
 
 
+@pytest.mark.slow
 def test_analytic_fails_on_vehicle_record(vehicle):
     yaw = vehicle["analytic"][:, 2]
     assert yaw.min() > 1

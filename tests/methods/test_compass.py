@@ -143,6 +143,7 @@ def driven(name, size):
     }[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LEVELLING)
 def test_levelling_loop_matches_closed_form_of_paper(name):
     """Eq. (1), Delta3 = s^3 + K1 s^2 + (1 + K2) (g/R) s + g K3."""
@@ -312,6 +313,7 @@ def around_the_switch(begin):
     return trail(static, environment, start)
 
 
+@pytest.mark.slow
 def test_loop_state_is_continuous_at_switch_to_azimuth():
     """Nothing jumps: the azimuth rate begins at zero, the levelling state goes on where it was."""
     k, dt = 500, 0.01

@@ -127,6 +127,7 @@ def test_optimisation_matches_least_squares_fit_of_velocities(seconds):
     assert np.abs(log(expected @ found.T)).max() < 1e-3 * ARCMIN
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [20, 40, 60])
 def test_position_optimisation_leaves_initial_velocity_free(seconds):
     """The residuals of their sums on the time, by least squares, fit best."""

@@ -194,7 +194,7 @@ def relaxed(times, width):
     return np.asarray(compiled(Windows(times, width, FULL_RESET), start(), samples()))
 
 
-@pytest.mark.representative("150.5")
+@pytest.mark.slow
 @pytest.mark.parametrize("time", [150.0, 150.5])
 def test_relaxed_reset_converges_to_hard_reset_as_window_narrows(time):
     """P, and attitude and x, are the nearer the narrower the window is."""

@@ -80,7 +80,7 @@ def test_surge_model_autocovariance_matches_bounded_velocity():
     np.testing.assert_array_equal(a[6:, :6], 0.0)
 
 
-@pytest.mark.representative("resets")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "schedule",
     [

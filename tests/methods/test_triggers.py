@@ -543,6 +543,7 @@ def test_trigger_count_and_times_are_reported(rows):
             assert (count, times) == (0, [None, None])
 
 
+@pytest.mark.slow
 def test_trigger_that_never_fires_changes_nothing(rows):
     assert len(of_variant(rows, 0)) == 3
     for without, quiet in zip(of_variant(rows, 0), of_variant(rows, QUIET), strict=True):

@@ -90,6 +90,7 @@ def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn_source: Sour
     assert [row[2] for row in table.rows] == ["10"] * 12
 
 
+@pytest.mark.slow
 def test_panel_without_values_is_omitted(drawn_source: Source) -> None:
     over = axis_figures.build_axis_figures(drawn_source)[1]
     assert isinstance(over, Picture)

@@ -110,6 +110,7 @@ def test_static_base_increments_match_closed_form(pitch, roll, yaw, latitude_deg
     np.testing.assert_allclose(rows[:, 3:], [c.T @ up / 100] * 3, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(True)
 def test_longer_run_starts_with_increments_of_shorter_run():
     args = motion(ODD), place(PAPER, 0.5), 100.0

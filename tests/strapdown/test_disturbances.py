@@ -112,7 +112,7 @@ def surging(rate, seconds, model):
     return here, moving, *map(np.asarray, run(np.asarray(5)))
 
 
-@pytest.mark.representative("gauss_markov")
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["third_order", "gauss_markov"])
 def test_free_navigation_follows_surge_velocity(model):
     """Sway and surge together, 60 s at 200 Hz: 5e-5 m/s of 0.3 m/s, and 0.1 arcsec."""

@@ -131,7 +131,7 @@ def test_turned_base_matches_exact_integration_at_every_sample(axis):
         np.testing.assert_allclose(np.array(made.dv) * RATE_HZ, exact[3:], rtol=0, atol=1e-12)
 
 
-@pytest.mark.representative("table")
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", ["vertical", "table"])
 def test_attitude_rate_and_force_at_a_time_match_matrix(axis):
     moving = moved(axis)

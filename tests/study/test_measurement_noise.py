@@ -77,6 +77,7 @@ def test_density_takes_larger_horizontal_axis() -> None:
 # R of a study
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0])
 def test_omitted_r_follows_surge_of_each_variant(rate_hz: float) -> None:
     axes = {"surge_m_per_s": [0.0, 0.02, (0.05, 0.0, 9.0)], "surge_time_s": [5.0, 2.0]}

@@ -78,6 +78,7 @@ def test_reset_feedback_keys_have_no_effect_with_feedback_every_sample() -> None
     assert all(other == plain for other in others)
 
 
+@pytest.mark.slow
 def test_triggered_resets_wait_for_next_feedback() -> None:
     found = rows(
         alignment={"feedback_interval_s": 0.25},

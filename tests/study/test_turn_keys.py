@@ -158,6 +158,7 @@ def test_drawn_motion_turns_like_fixed_one(axis):
     np.testing.assert_allclose(made.dv, fixed.dv, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_table_without_sway_turns_like_vertical_axis():
     still = STILL | FAST | {"lever_arm_m": [0.2, 0.1, 0.0]}
     made = [

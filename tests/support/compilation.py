@@ -30,8 +30,9 @@ from support.memory import process_bytes
 
 _LEAST_OPTION = "jax_disable_most_optimizations"
 
-LARGE_BYTES = 700 * 2**20
-"""Memory of a process above which it drops its programs after a module of tests."""
+LARGE_BYTES, LARGEST_BYTES = 1000 * 2**20, 1400 * 2**20
+"""Memory of a process above which it drops its programs after a module of tests, and after any
+test."""
 
 SPARED_OPTIONS = {
     "xla_disable_hlo_passes": "simplify-while-loops,while-loop-invariant-code-motion",
@@ -67,9 +68,9 @@ def drop_programs() -> None:
     jax.clear_caches()
 
 
-def drop_programs_if_large() -> None:
-    """Forget all programs if this process exceeds `LARGE_BYTES`."""
-    if process_bytes("VmRSS") > LARGE_BYTES:
+def drop_programs_above(limit_bytes: int) -> None:
+    """Forget all programs if this process has more memory."""
+    if process_bytes("VmRSS") > limit_bytes:
         drop_programs()
         gc.collect()
         with suppress(OSError, AttributeError):  # another libc, which gives memory back by itself
