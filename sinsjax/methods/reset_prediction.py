@@ -70,11 +70,11 @@ def predict_settling_times(
     steps = {key: _steps(*key, run_s) for key in problems}
     by_lane = [steps[lane.problem, lane.times_s] for lane in lanes]
     order = np.argsort([len(one.lengths) for one in by_lane], kind="stable")
-    sigmas, settled = np.broadcast_to(sigmas, len(lanes)), np.empty(len(lanes))
+    by_run, settled = np.broadcast_to(sigmas, len(lanes)), np.empty(len(lanes))
     for begin in range(0, len(lanes), _SIDE_BY_SIDE):
         block = order[begin : begin + _SIDE_BY_SIDE]
         settled[block] = _settle(
-            [lanes[k] for k in block], [by_lane[k] for k in block], band, sigmas[block]
+            [lanes[k] for k in block], [by_lane[k] for k in block], band, by_run[block]
         )
     return settled
 
