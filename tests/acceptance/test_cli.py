@@ -295,6 +295,7 @@ def test_align_without_reference_gives_attitude_and_sigma_only(
         assert summary[name].null_count == 0
 
 
+@pytest.mark.slow
 def test_align_with_reference_reports_true_misalignment(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:

@@ -72,7 +72,7 @@ ODD: dict[str, Any] = {
 }
 
 
-@pytest.mark.representative("table", "large")
+@pytest.mark.representative("large")
 @pytest.mark.parametrize("value", ODD.values(), ids=ODD)
 def test_odd_value_of_any_key_gives_short_printable_error(value: Any) -> None:
     for section, model in SECTIONS.items():

@@ -124,6 +124,7 @@ def test_single_run_matches_batch_at_report_times() -> None:
     assert abs(one.at_times[1, 0] - one.last.phi.z) == 0
 
 
+@pytest.mark.slow
 def test_equally_many_report_times_share_one_program() -> None:
     def program(times: list[float]) -> batch.Program:
         (part,) = build.parts(small_study(study={"report_times_s": times}))

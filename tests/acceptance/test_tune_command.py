@@ -162,6 +162,7 @@ def test_tuned_study_has_draws_that_neither_tuned_nor_evaluated(made: Path) -> N
     assert (made / "tuned.toml").read_text().startswith("# The seed is new: ")
 
 
+@pytest.mark.slow
 def test_sweep_and_rerun_do_not_silently_ignore_tuning(
     made: Path, sinsjax_: Command, tmp_path: Path
 ) -> None:

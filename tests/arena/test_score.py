@@ -109,6 +109,7 @@ SAME = ("phi_e_arcmin", "phi_u_arcmin", "phi_u_mean_arcmin", "phi_u_std_arcmin",
         "floor_arcmin")  # fmt: skip
 
 
+@pytest.mark.slow
 def test_methods_own_attitudes_get_the_methods_own_row(arena: Arena, tmp_path: Path) -> None:
     score = arena.score(arena.history(), tmp_path)
     mine, own = rows_of(score, "mine"), rows_of(score, "kalman_sincos")
@@ -628,6 +629,7 @@ def test_metadata_that_is_no_text_is_no_digest(arena: Arena, tmp_path: Path) -> 
         score_results(arena.export, path, against=arena.sweep, out=tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_program_nearer_to_north_than_its_floor_is_no_silent_failure(tmp_path: Path) -> None:
     judged = {"judged_from": "floor", "success_band_arcmin": 30.0}
     arena = Arena(tmp_path, study=SETTINGS["study"] | judged, motion=STILL, sensors={

@@ -38,6 +38,7 @@ def draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return export_study(short_study(), tmp_path / "draws", format="psins")
 
 
+@pytest.mark.slow
 def test_commands_of_the_page_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -56,6 +56,7 @@ def test_duplicate_variants_are_computed_once_but_all_runs_counted(study: Study)
         assert runner.compute_tables(task).tables["summary"].num_rows == task.runs
 
 
+@pytest.mark.slow
 def test_rerun_of_run_id_reproduces_stored_row(study: Study) -> None:
     stored = study_run.run(study).summary
     for run_id in (7, study.n_variants + 4):

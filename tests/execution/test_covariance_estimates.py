@@ -137,6 +137,7 @@ def made_of_short() -> pa.Table:
     return study_run.estimate(short_study(), chunk_runs=2)
 
 
+@pytest.mark.slow
 def test_columns_have_unit_and_meaning_metadata(made_of_short: pa.Table) -> None:
     made = made_of_short
     for name in made.column_names:

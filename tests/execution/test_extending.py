@@ -97,6 +97,7 @@ def test_extension_keeps_duplicate_variants(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_extended_results_are_recovered_without_manifest(tmp_path: Path) -> None:
     out = assert_extended(study_with_draws(80), study_with_draws(100), tmp_path)
     told = read_manifest(out)

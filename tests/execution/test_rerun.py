@@ -255,6 +255,7 @@ def test_rerun_of_run_without_row_is_refused(out: Path, tmp_path: Path) -> None:
         rerun_into(tmp_path / "out", 384)
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_rerun_of_recorded_run_needs_same_record(tmp_path: Path, stored: StoredRecord) -> None:
     path, other = tmp_path / "swing.imu", tmp_path / "other.imu"

@@ -173,6 +173,7 @@ def azimuth_forms(k1, k2, k3, k4, omega):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["phi_U(0)", "eps_U", "phi_E(0)", "eps_E", "nabla_N", "dV_N(0)"])
 def test_azimuth_loop_matches_closed_form_of_paper(name):
     """Eq. (2), Delta4 = s (s + K4) (s^2 + K1 s + (1 + K2) g/R) + g K3."""

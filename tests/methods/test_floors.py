@@ -200,7 +200,7 @@ def test_filter_ends_at_exact_not_small_angle_bias_floor() -> None:
     assert -5.0 / (RATE * np.cos(60 * DEG)) / DEG == pytest.approx(-38.09, abs=0.005)
 
 
-@pytest.mark.representative("kalman5")
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", ["kalman5", "kalman10"])
 def test_filters_end_at_bias_floor(method: str) -> None:

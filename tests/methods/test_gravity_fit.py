@@ -103,6 +103,7 @@ def test_biases_of_any_size_and_any_heading_are_found() -> None:
     assert low < mean_square < high
 
 
+@pytest.mark.slow
 def test_gyro_biases_and_their_sigma_are_results() -> None:
     given = study(32)
     truth = np.asarray(sinsjax.run(given).summary["gyro_bias_deg_per_h"].to_pylist())

@@ -214,6 +214,7 @@ def still_record(latitude: float, rate: int) -> np.ndarray:
     return swing_increments(STILL, EARTH, latitude, rate=rate, samples=rate * 640)
 
 
+@pytest.mark.slow
 def test_reflected_compass_loop_continues_as_without_turn():
     """Exactly so where omega_U does not couple the channels and the low pass does not lag."""
     for latitude, smoothing_s, bound in ((0.0, 1e-3, 0.002), (LATITUDE, 1e-3, 0.02)):

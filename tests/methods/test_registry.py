@@ -223,7 +223,7 @@ def test_normalise_changes_only_quaternion_length(name):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-15)
 
 
-@pytest.mark.representative("kalman5", "compass", "ekf_azimuth", "inertial")
+@pytest.mark.representative("kalman5", "compass")
 @pytest.mark.parametrize("name", sorted(METHODS.keys() - {"gravity_fit"}))
 def test_tangents_are_finite_at_zero_error(name):
     """There a root or an arc tangent might have none."""
@@ -265,6 +265,7 @@ def test_only_some_methods_have_passes(name):
     assert (method_of(name).passes is None) == (name in READ_ONCE)
 
 
+@pytest.mark.representative("compass", "invariant", "kalman5", "kalman10")
 @reversing
 def test_two_turns_at_one_place_cancel(name):
     method, given, here, state = under_way(name, 2)

@@ -394,6 +394,7 @@ def test_plan_states_what_noise_and_instability_add() -> None:
     assert any("accel_instability_ug, which the prediction" in text for text in drifting.warnings)
 
 
+@pytest.mark.slow
 def test_python_plan_has_the_fields_of_the_command() -> None:
     plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=20.0)
     assert plan.times_s == (2.0, 4.0, 6.0) and plan.limited_by == "Q"

@@ -38,6 +38,7 @@ def predicted(problem: ResetProblem, times: tuple[float, ...], *headings: float)
     return predict_settling_times(lanes, 900.0).tolist()
 
 
+@pytest.mark.representative("gravity")
 @pytest.mark.parametrize("force", ["gravity", "measured"])
 def test_prediction_is_what_noise_free_alignments_do(force: str) -> None:
     """Twelve runs of 500 s with feedback at once and P0 of velocity as printed and open."""

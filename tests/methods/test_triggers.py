@@ -480,6 +480,7 @@ def test_triggered_filter_resets_match_naive_filter(name, trigger, stored, chang
         assert compare(name, trigger, trigger_params, filt, stored).trigger_counts
 
 
+@pytest.mark.slow
 def test_trigger_counts_and_cap_persist_across_pass_turns():
     """Fired before them, after them, and no more often than it may in all passes together."""
     filt, trigger_params = paper_filter(5), NEAR._replace(threshold=0.0, most=9)
@@ -557,6 +558,7 @@ def test_trigger_that_never_fires_changes_nothing(rows):
                 assert type(quiet[name]) is type(value)
 
 
+@pytest.mark.slow
 def test_trigger_results_are_independent_of_other_runs(rows):
     """Other neighbours, fewer draws: the same bits."""
     tables = ROWS | {"study": ROWS["study"] | {"draws": 2}}

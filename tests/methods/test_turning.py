@@ -59,6 +59,7 @@ def test_study_without_the_option_has_neither_option_nor_number():
     np.testing.assert_array_equal(other.group.variants.method.turning_rate, [1.0 * DEG])
 
 
+@pytest.mark.slow
 def test_kalman5_in_the_same_sweep_ignores_the_option():
     axes = {"method": ["kalman5", "kalman10"]}
     parts = build.parts(turned_study(alignment={}, filter=REOPEN, axes=axes))

@@ -126,7 +126,7 @@ def test_kalman5_closed_loop_matches_naive_filter(schedule):
     compare("kalman5", PAPER, 32.0, paper_filter(5, **SCHEDULES[schedule]))
 
 
-@pytest.mark.representative("kalman5-gravity-integrated-feedback every 7 samples, full resets")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "force", "position", "schedule"),
     [

@@ -218,6 +218,7 @@ def test_truncated_cache_entry_is_recompiled_with_warning(filled_cache, length):
     assert "UserWarning: Error reading persistent compilation cache entry" in errors
 
 
+@pytest.mark.slow
 def test_entry_of_interrupted_write_is_replaced(filled_cache):
     """An entry without access time would stop all later writing."""
     folder, inner, bits = filled_cache

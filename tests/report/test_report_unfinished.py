@@ -65,6 +65,7 @@ def test_unfinished_report_warns_with_share_of_runs(tmp_path: Path) -> None:
         _ = Source.read(out).draws
 
 
+@pytest.mark.slow
 def test_report_without_complete_draw_is_refused(tmp_path: Path) -> None:
     out = store_interrupted(tmp_path / "out", axes={"specific_force": ["measured", "gravity"]})
     with pytest.raises(InputError, match=r"unfinished: .* and no draw that every variant has") as e:

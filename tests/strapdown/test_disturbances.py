@@ -33,6 +33,7 @@ VELOCITY = jax.jit(jax.vmap(jax.jacfwd(position, argnums=1), in_axes=(None, 0)))
 ACCELERATION = jax.jit(jax.jacfwd(jax.jacfwd(position, argnums=1), argnums=1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("swing", "planet"), [(PAPER1, PAPER), (PAPER2, WGS84)])
 def test_lever_arm_force_matches_second_derivative_of_position(swing, planet):
     here, moving, t = place(planet, 0.6), with_lever(swing), 3.21

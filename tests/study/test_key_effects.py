@@ -128,6 +128,14 @@ def test_inactive_key_changes_no_outcome(name: str) -> None:
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.representative(
+    "cycle of a reset",
+    "scale",
+    "waiting",
+    "reading of angles",
+    "period of a sway",
+    "assumed bias of a level",
+)
 @pytest.mark.parametrize("name", ACTING)
 def test_active_key_changes_outcome(name: str) -> None:
     tables, key, values = ACTING[name]

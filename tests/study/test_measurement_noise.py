@@ -86,6 +86,7 @@ def test_omitted_r_follows_surge_of_each_variant(rate_hz: float) -> None:
     np.testing.assert_allclose(compute_r(study), 0.01 + density * rate_hz, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["third_order", "gauss_markov"])
 def test_omitted_r_follows_surge_in_both_units_and_times_its_scale(model: str) -> None:
     axes = {"r_reading": ["per_update", "psd"], "r_scale": [0.25, 4.0]}

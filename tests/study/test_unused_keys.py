@@ -333,7 +333,7 @@ def test_silent_keys_change_no_bit_of_a_run(method: str) -> None:
     )
 
 
-@pytest.mark.representative("inertial")
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
 def test_active_keys_change_a_run(method: str) -> None:
