@@ -315,6 +315,7 @@ def test_align_with_reference_reports_true_misalignment(
     np.testing.assert_allclose(-np.array(summary["phi_u_arcmin"]) / 60, error, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_record_gives_same_heading_in_every_format(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:

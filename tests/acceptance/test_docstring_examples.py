@@ -32,7 +32,7 @@ EXAMPLES = public_names()
 SLOW = {
     *("Results", "Results.read", "TuningResults", "align", "estimate", "estimated_curves"),
     *("one_run", "read_estimates", "read_history", "score_results", "tune"),
-    "Results.to_pandas",
+    *("Results.to_pandas", "Results.to_xarray"),
 }
 """Examples that compile for seconds what tests of the same functions compile too."""
 

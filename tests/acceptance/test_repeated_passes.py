@@ -258,6 +258,7 @@ def test_error_free_run_keeps_true_attitude_over_every_pass(method: str, directi
         np.testing.assert_allclose(got, swing, rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_simulated_record_is_one_pass_long() -> None:
     study = study_from_dict(merged({"passes": {"stored_s": 3.0}}))
     record = build.simulated_record(study)

@@ -67,6 +67,7 @@ def test_matlab_loop_runs_in_octave_and_its_results_are_scored(draws: Path) -> N
     np.testing.assert_allclose(rows["phi_u_arcmin"] / 60, rows["phi_u0_deg"], atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 def test_c_lines_read_a_record(draws: Path) -> None:
     program = f"""

@@ -151,6 +151,7 @@ def test_columns_have_unit_and_meaning_metadata(made_of_short: pa.Table) -> None
     assert not {"run_id", "draw_id", "start_s"}.intersection(made.column_names)
 
 
+@pytest.mark.slow
 def test_variant_without_bias_floor_has_truth_estimates_only(
     made_of_short: pa.Table,
 ) -> None:

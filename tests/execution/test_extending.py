@@ -110,6 +110,7 @@ def test_extended_results_are_recovered_without_manifest(tmp_path: Path) -> None
     assert before.keys() == {n for n in modification_times(out) if "part" in n}
 
 
+@pytest.mark.slow
 def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path) -> None:
     out = tmp_path / "out"
     run.run_into(study_with_draws(80), out)

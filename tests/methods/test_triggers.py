@@ -568,6 +568,7 @@ def test_trigger_results_are_independent_of_other_runs(rows):
     assert all(row["triggered_count"] for row in of_variant(alone, QUIET))
 
 
+@pytest.mark.slow
 def test_trigger_columns_exist_only_with_reset_trigger(rows):
     told = {own.column.name for own in TRIGGER_COUNTS}
     assert told <= rows[0].keys()

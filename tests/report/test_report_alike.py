@@ -24,6 +24,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
     return Source.read(directory)
 
 
+@pytest.mark.slow
 def test_distinct_rows_exclude_duplicate_variants(source: Source) -> None:
     table = source.distinct_rows(["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"])
     assert table.column_names == ["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"]

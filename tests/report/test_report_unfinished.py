@@ -73,6 +73,7 @@ def test_report_without_complete_draw_is_refused(tmp_path: Path) -> None:
     assert "\n" not in str(e.value)
 
 
+@pytest.mark.slow
 def test_finished_report_has_no_unfinished_warning(tmp_path: Path) -> None:
     study = small_study(study=SHORT | {"draws": 4})
     run.run_into(study, tmp_path / "out")

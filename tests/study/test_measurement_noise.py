@@ -95,6 +95,7 @@ def test_omitted_r_follows_surge_in_both_units_and_times_its_scale(model: str) -
     np.testing.assert_allclose(made, expected.ravel(), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_given_r_does_not_follow_surge() -> None:
     axes = {"surge_m_per_s": [0.0, 0.02], "r_velocity_m_per_s": [0.1, 0.3]}
     np.testing.assert_allclose(
