@@ -134,3 +134,11 @@ def test_noise_narrows_the_band() -> None:
     assert later > plain
     lane = Lane(noisy._replace(gyro_noise=1.0), (), 0.1)
     assert math.isinf(predict_settling_times([lane], 600.0, 10 * ARCMIN)[0])
+
+
+def test_each_run_may_have_its_own_noise() -> None:
+    noisy = PAPER._replace(gyro_noise=(0.1 * DEG_PER_H) ** 2 * 1.0)
+    lanes, sigmas = [Lane(noisy, (2.0, 80.0), 45 * DEG)] * 3, (0.0, 0.75, 1.15)
+    together = predict_settling_times(lanes, 600.0, 10 * ARCMIN, sigmas).tolist()
+    alone = [predict_settling_times(lanes[:1], 600.0, 10 * ARCMIN, one)[0] for one in sigmas]
+    assert together == alone == sorted(set(alone))
