@@ -2,11 +2,12 @@
 
 As shipped, but for tests marked ``optimised(False)``: those of what is read, written, told and
 chosen, and of numbers to a tolerance. They take programs that are compiled in a quarter of the
-time, and run up to nine times as long. As users have it is compiled what tests of the engine, of
-samples and of repeated passes hold against the bits of other programs, the golden studies, and what
-takes long to run: whole studies that are cut, killed or resumed need not show it again. Nor need
-single runs of a method over turns, rewinds and triggers, and oracles and closed forms, which hold
-to a tolerance: there a program for each case takes longer to compile than to run.
+time, and run up to nine times as long. Compiled as users have them are the programs whose bits
+tests of the engine, of samples and of repeated passes compare with those of other programs, the
+golden studies, and whatever takes long to run. Whole studies that are cut, killed or resumed need
+not show it again. Nor need single runs of a method over turns, rewinds and triggers, oracles and
+closed forms, which hold to a tolerance: a program for each case takes longer to compile than to run
+there.
 """
 
 import atexit
