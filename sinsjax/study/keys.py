@@ -14,7 +14,7 @@ from pydantic_core import PydanticUndefined
 from sinsjax.messages import suggest_closest
 from sinsjax.methods.description import INITIAL_KEYS
 from sinsjax.methods.plugins import exclude_clashing
-from sinsjax.methods.registry import METHODS, REGISTRY, SECTIONS_OF_METHODS
+from sinsjax.methods.registry import METHODS, REGISTRY, SECTIONS_OF_METHODS, external_names
 from sinsjax.methods.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.schema import (
     AdviseSection,
@@ -132,11 +132,8 @@ class Key(NamedTuple):
     @property
     def readers_text(self) -> str:
         """The methods that read it, as text."""
-        others = [
-            name
-            for name, method in METHODS.items()
-            if name not in self.methods and not method.is_external
-        ]
+        left_out = {*self.methods, *external_names(METHODS)}
+        others = [name for name in METHODS if name not in left_out]
         if len(others) < len(self.methods):
             return f"all but {', '.join(others)}" if others else "all"
         return ", ".join(self.methods)

@@ -30,7 +30,7 @@ def _checked(target: Any) -> Any:
         return beartype(target)
     if target.__code__ not in _WRITTEN:
         check = beartype(target)
-        if _WRAPPED not in (getattr(check, "__kwdefaults__", None) or {}):
+        if _WRAPPED not in (check.__kwdefaults__ or {}):
             return check  # nothing to check, or another beartype
         _WRITTEN[target.__code__] = _copy(check)
     made = _copy(_WRITTEN[target.__code__])
@@ -41,7 +41,7 @@ def _checked(target: Any) -> Any:
 def _copy(check: FunctionType) -> FunctionType:
     """Return what beartype wrote without what it calls, which would keep that in memory."""
     copy = FunctionType(check.__code__, check.__globals__)
-    copy.__kwdefaults__ = (check.__kwdefaults__ or {}) | {_WRAPPED: None}
+    copy.__kwdefaults__ = check.__kwdefaults__ | {_WRAPPED: None}
     return copy
 
 
