@@ -51,8 +51,8 @@ class Lane(NamedTuple):
 
 def predict_settling_times(
     lanes: Sequence[Lane],
-    run_s: float,
-    band: float = 10 * ARCMIN,
+    run_s: float | Sequence[float],
+    band: float | Sequence[float] = 10 * ARCMIN,
     sigmas: float | Sequence[float] = MEDIAN_SIGMAS,
 ) -> NDArray:
     """Return the settling times of runs, s; inf for one that does not settle within the run.
@@ -61,20 +61,25 @@ def predict_settling_times(
 
     Args:
         lanes: the runs.
-        run_s: duration of the runs, s.
-        band: heading error within which a run is settled, rad.
+        run_s: duration of all runs or of each, s.
+        band: heading error within which a run is settled, of all runs or of each, rad.
         sigmas: how many sigma of the sensors' noise narrow the band, of all runs or of each: 0.75
             for a median run.
     """
-    problems = {(lane.problem, lane.times_s) for lane in lanes}
-    steps = {key: _steps(*key, run_s) for key in problems}
-    by_lane = [steps[lane.problem, lane.times_s] for lane in lanes]
+    durations = np.broadcast_to(run_s, len(lanes)).tolist()
+    runs = [
+        (lane.problem, lane.times_s, duration)
+        for lane, duration in zip(lanes, durations, strict=True)
+    ]
+    steps = {run: _steps(*run) for run in set(runs)}
+    by_lane = [steps[run] for run in runs]
     order = np.argsort([len(one.lengths) for one in by_lane], kind="stable")
-    by_run, settled = np.broadcast_to(sigmas, len(lanes)), np.empty(len(lanes))
+    bands, by_run = (np.broadcast_to(one, len(lanes)) for one in (band, sigmas))
+    settled = np.empty(len(lanes))
     for begin in range(0, len(lanes), _SIDE_BY_SIDE):
         block = order[begin : begin + _SIDE_BY_SIDE]
         settled[block] = _settle(
-            [lanes[k] for k in block], [by_lane[k] for k in block], band, by_run[block]
+            [lanes[k] for k in block], [by_lane[k] for k in block], bands[block], by_run[block]
         )
     return settled
 
@@ -88,9 +93,9 @@ class _Steps(NamedTuple):
 
 
 def _settle(
-    lanes: Sequence[Lane], steps: Sequence[_Steps], band: float, sigmas: NDArray
+    lanes: Sequence[Lane], steps: Sequence[_Steps], bands: NDArray, sigmas: NDArray
 ) -> NDArray:
-    """Return the times from which headings and noise stay within a band, s; inf for never."""
+    """Return the times from which headings and noise stay within their bands, s; inf for never."""
     g, north, accel_noise, gyro_noise, surge = _fields(
         lanes, "gravity", "north_rate", "accel_noise", "gyro_noise", "surge"
     )
@@ -99,7 +104,7 @@ def _settle(
     for dt, since, heading in _headings(lanes, steps):
         by_force = (12 * accel_noise / since**3 + 720 * surge / since**5) / g**2
         noise = np.sqrt(by_force + 1.2 * gyro_noise / since) / north  # as heading_sigma has it
-        outside = np.abs(heading) + sigmas * noise - band
+        outside = np.abs(heading) + sigmas * noise - bands
         now = now + dt
         is_entry = (outside <= 0) & (before > 0)
         crossing = now - dt * outside / np.where(is_entry, outside - before, -1.0)

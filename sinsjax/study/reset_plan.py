@@ -1,5 +1,6 @@
 """What the law of resets says of a study: the times, their prediction, and when to distrust it."""
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -178,13 +179,14 @@ def iter_plans(study: Study, **bounds: float) -> Iterator[tuple[dict[str, Any], 
         InputError: no method of the study has the law, or it has no schedule for one of them.
     """
     left_out = tuple(key for key in _DRIFTS if _has_drift(study, key))
-    for varying, point in iter_filters(study, **bounds):
-        try:
-            plan = _make_plan(study.rate_hz or 100.0, study.run_s, point)._replace(
-                left_out=left_out
-            )
-        except InputError as error:
-            raise error.with_source(study.name) from None
+    filters = list(iter_filters(study, **bounds))
+    try:
+        unpredicted = [_schedule(study.rate_hz or 100.0, point) for _, point in filters]
+    except InputError as error:
+        raise error.with_source(study.name) from None
+    plans = _predict(unpredicted, study.run_s)
+    for (varying, _), plan in zip(filters, plans, strict=True):
+        plan = plan._replace(left_out=left_out)
         yield varying, plan._replace(warnings=tuple(_warnings(plan)))
 
 
@@ -278,40 +280,70 @@ def _describe_filter(plan: ResetPlan) -> str:
     return f"kalman5 with {force} in A(t), feedback every {plan.problem.feedback_s:g} s"
 
 
-def _make_plan(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> ResetPlan:
+class _Schedule(NamedTuple):
+    """A schedule by the law, and what a plan says of it."""
+
+    found: ResetSchedule
+    problem: ResetProblem
+    heading_bound_deg: float
+    band_arcmin: float
+
+    def runs(self) -> list[tuple[Lane, float]]:
+        """The runs to predict, each with its sigmas of noise, in the order of `plan`."""
+        bound, times = self.heading_bound_deg * DEG, self.found.times_s
+        counted = [
+            reset_law.schedule_with(self.problem, bound, self.band_arcmin * ARCMIN, n).times_s
+            for n in range(1, _MOST_RESETS + 1)
+        ]
+        last_s = times[-1] - (times[-2] if len(times) > 1 else 0.0)
+        moved = [(*times[:-1], times[-1] + k * _MOVED * last_s) for k in (-1, 1)]
+        law = Lane(self.problem, times, bound, _TILT)
+        by_noise = [(law, _NOISE_SIGMAS), (law, _LATE_SIGMAS)]
+        velocity = max(OPEN_VELOCITY, self.problem.velocity)
+        opened = law._replace(problem=self.problem._replace(velocity=velocity))
+        others = [*(law._replace(times_s=one) for one in ((), *moved, *counted)), opened]
+        return [(law, MEDIAN_SIGMAS), *by_noise, *((run, MEDIAN_SIGMAS) for run in others)]
+
+    def plan(self, settling_s: Sequence[float]) -> ResetPlan:
+        """Return the plan, given the settling times of `runs`."""
+        by_law, noisy_s, late_s, without_s, earlier_s, later_s, *by_count, opened_s = settling_s
+        return ResetPlan(
+            self.problem,
+            self.heading_bound_deg,
+            self.band_arcmin,
+            self.found.times_s,
+            self.found.segments,
+            settling_s=by_law,
+            noisy_s=noisy_s,
+            late_s=late_s,
+            without_s=without_s,
+            moved=(earlier_s, later_s),
+            by_count=tuple(by_count),
+            open_velocity_s=opened_s,
+        )
+
+
+def _schedule(rate_hz: float, point: Mapping[str, Any]) -> _Schedule:
+    """Return the schedule of a filter and place, from its values of `LAW_KEYS`."""
     found = schedule_by_law(rate_hz, point)
     assert isinstance(found, ResetSchedule)
     problem = reset_problem(rate_hz, point)
-    bound, band = point["heading_bound_deg"] * DEG, point["settle_band_arcmin"] * ARCMIN
-    counted = (
-        reset_law.schedule_with(problem, bound, band, n).times_s for n in range(1, _MOST_RESETS + 1)
-    )
-    last_s = found.times_s[-1] - (found.times_s[-2] if len(found.times_s) > 1 else 0.0)
-    moved = ((*found.times_s[:-1], found.times_s[-1] + k * _MOVED * last_s) for k in (-1, 1))
-    times = (found.times_s, (), *moved, *counted)
-    open_velocity = problem._replace(velocity=max(OPEN_VELOCITY, problem.velocity))
-    run_s = max(run_s, 3 * found.settling_s)
-    lanes = [
-        *(Lane(problem, one, bound, _TILT) for one in times),
-        Lane(open_velocity, found.times_s, bound, _TILT),
+    return _Schedule(found, problem, point["heading_bound_deg"], point["settle_band_arcmin"])
+
+
+def _predict(schedules: Sequence[_Schedule], run_s: float) -> Iterator[ResetPlan]:
+    """Yield the plans of some schedules, all of whose runs are predicted side by side."""
+    runs = [schedule.runs() for schedule in schedules]
+    lanes, sigmas = zip(*itertools.chain.from_iterable(runs), strict=True)
+    per_run = [
+        (max(run_s, 3 * schedule.found.settling_s), schedule.band_arcmin * ARCMIN)
+        for schedule, own in zip(schedules, runs, strict=True)
+        for _ in own
     ]
-    sigmas = [MEDIAN_SIGMAS] * len(lanes) + [_NOISE_SIGMAS, _LATE_SIGMAS]
-    lanes += [lanes[0]] * 2
-    *settling, noisy_s, late_s = predict_settling_times(lanes, run_s, band, sigmas).tolist()
-    return ResetPlan(
-        problem,
-        point["heading_bound_deg"],
-        point["settle_band_arcmin"],
-        found.times_s,
-        found.segments,
-        settling_s=settling[0],
-        noisy_s=noisy_s,
-        late_s=late_s,
-        without_s=settling[1],
-        moved=(settling[2], settling[3]),
-        by_count=tuple(settling[4:-1]),
-        open_velocity_s=settling[-1],
-    )
+    durations, bands = zip(*per_run, strict=True)
+    settling = iter(predict_settling_times(lanes, durations, bands, sigmas).tolist())
+    for schedule, own in zip(schedules, runs, strict=True):
+        yield schedule.plan(list(itertools.islice(settling, len(own))))
 
 
 def _warnings(plan: ResetPlan) -> Iterator[str]:
