@@ -55,6 +55,10 @@ class _Decorated(ast.NodeTransformer):
     def __init__(self) -> None:
         self._absent: set[str] = set()
 
+    def visit(self, node: ast.AST) -> Any:
+        """Leave expressions alone, most of a tree: no function is defined within one."""
+        return node if isinstance(node, ast.expr) else super().visit(node)
+
     def visit_If(self, node: ast.If) -> ast.If:
         if ast.unparse(node.test) == "TYPE_CHECKING":
             imports = [line for line in node.body if isinstance(line, ast.ImportFrom)]
@@ -73,21 +77,25 @@ class _Decorated(ast.NodeTransformer):
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
         self.generic_visit(node)
         node.returns = self._there(node.returns)
-        node.decorator_list.append(ast.Name(CHECKED, ast.Load()))
+        node.decorator_list.append(_check_of(node))
         return node
 
     def visit_ClassDef(self, node: ast.ClassDef) -> ast.ClassDef:
         self.generic_visit(node)
         if any("dataclass" in ast.unparse(decorator) for decorator in node.decorator_list):
-            node.decorator_list.insert(0, ast.Name(CHECKED, ast.Load()))
+            node.decorator_list.insert(0, _check_of(node))
         return node
+
+
+def _check_of(node: ast.stmt) -> ast.Name:
+    return ast.copy_location(ast.Name(CHECKED, ast.Load()), node)
 
 
 class _Loader(SourceFileLoader):
     def source_to_code(
         self, data: Any, path: Any, fullname: str | None = None, *, _optimize: int = -1
     ) -> CodeType:  # Python 3.15 passes the name as well
-        tree = ast.fix_missing_locations(_Decorated().visit(ast.parse(data)))
+        tree = _Decorated().visit(ast.parse(data))
         return compile(tree, path, "exec", dont_inherit=True, optimize=_optimize)
 
     def path_stats(self, path: str) -> Any:
