@@ -29,13 +29,13 @@ from sinsjax.study import changes as changing
 from sinsjax.study import files, rules, search_space, unused_keys
 from sinsjax.study.keys import (
     EARTH_CONSTANTS,
+    KEYS,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
     TomlTable,
     alternative_keys,
     key_summary,
-    leaf_info,
     unknown_key_error,
 )
 from sinsjax.study.mistakes import build_or_report
@@ -458,7 +458,7 @@ def _fill_defaults(
                 sections["sensors"][white] = 0.0
     for section, values in sections.items():
         for key in SECTIONS[section].model_fields.keys() - unread:
-            key_info = leaf_info(key)
+            key_info = KEYS[section, key].info
             if key_info.default is None or not key_tables.keys().isdisjoint(alternative_keys(key)):
                 continue
             if key_info.beside is None or (

@@ -460,8 +460,10 @@ def _check_plausible_values(study: Study, key_tables: KeyTables) -> None:
     for section in SECTIONS:
         section_values = getattr(study, section)
         for key in SECTIONS[section].model_fields if section_values else ():
-            with errors.collect():
-                _check_value(f"[{section}] {key}", section, key, getattr(section_values, key))
+            value = getattr(section_values, key)
+            if value is not None and KEYS[section, key].info.usual_range:
+                with errors.collect():
+                    _check_value(f"[{section}] {key}", section, key, value)
     for dimension in study.dimensions:
         for key, values in dimension.items():
             for value in dict.fromkeys(values) if key != "case" else ():
@@ -481,8 +483,6 @@ def describe_implausible(key: str, value: Any) -> str | None:
 
 
 def _check_value(place: str, section: str, key: str, value: Any) -> None:
-    if value is None or KEYS[section, key].info.usual_range is None:
-        return
     for index, number in _iter_numbers(value):
         if text := _describe_out_of_range(section, key, number):
             raise InputError(f"{place}{index}: {text}")

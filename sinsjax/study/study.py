@@ -597,7 +597,7 @@ class Study(_SectionsOfMethods):
 
         The value of a drawn key is None.
         """
-        if self.names_schedules and {*keys} & {*DERIVED}:
+        if {*keys} & {*DERIVED} and self.names_schedules:
             yield from self._derived_combinations(keys)
             return
         yield from self.given_combinations(*keys)
