@@ -1,6 +1,7 @@
 """Mean rate and specific force of a span of a record, with sways averaged out."""
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -150,9 +151,13 @@ def _mean_uncertainty(rows: FloatArray) -> float:
 def _weighted_mean(rows: FloatArray, begin: float = 0.0, end: float = 1.0) -> FloatArray:
     """Return the mean of a part of the rows (n, 3), with weights that cancel sways."""
     first, last = int(begin * len(rows)), max(int(begin * len(rows)) + 1, round(end * len(rows)))
-    n = last - first
-    weight = np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 4
+    weight = _weights(last - first)
     return np.asarray(weight @ rows[first:last] / weight.sum())
+
+
+@lru_cache(maxsize=8)  # lengths of parts of a span
+def _weights(n: int) -> FloatArray:
+    return np.asarray(np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 4)
 
 
 def _rotation_steps(q: FloatArray, dtheta: FloatArray) -> FloatArray:
