@@ -76,7 +76,6 @@ def record() -> build.Record:
     return build.simulated_record(small_study())
 
 
-@pytest.mark.usefixtures("drawn")
 def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command, tmp_path: Path) -> None:
     config = write_study(tmp_path, **TWO)
     out = tmp_path / "out"
@@ -265,6 +264,7 @@ def test_report_recreates_deleted_figures(sinsjax: Command, tmp_path: Path) -> N
     assert list((out / "figures").glob("*.png"))
 
 
+@pytest.mark.representative("mine/-study.seed=3")
 @pytest.mark.parametrize(("folder", "change"), [("", ""), ("mine/", "study.seed=3")])
 def test_page_names_study_file_and_set_overrides(
     sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, change: str

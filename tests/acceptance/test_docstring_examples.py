@@ -32,9 +32,11 @@ EXAMPLES = public_names()
 SLOW = {
     *("Results", "Results.read", "TuningResults", "align", "estimate", "estimated_curves"),
     *("one_run", "read_estimates", "read_history", "score_results", "tune"),
-    *("Results.to_pandas", "Results.to_xarray"),
+    *("Results.to_pandas", "Results.to_xarray", "export_study", "information_bound", "Advice"),
+    *("load_increments", "read_curves", "read_manifest", "read_record", "read_summary"),
+    *("run", "run_into"),
 }
-"""Examples that compile for seconds what tests of the same functions compile too."""
+"""Examples that take seconds for what tests of the same functions do too."""
 
 
 def test_methods_have_examples_too() -> None:

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 _REFUSED_WHILE_IMPORTING = """
 import jax.monitoring
 from sinsjax.cli import running
@@ -14,6 +16,7 @@ raise SystemExit(2)
 """
 
 
+@pytest.mark.slow
 def test_process_waits_for_import_thread_before_exit(tmp_path: Path) -> None:
     """Python would stop the thread in an extension module with "terminate called"."""
     (tmp_path / "slow.py").write_text("import time\ntime.sleep(0.3)\nprint('imported')\n")

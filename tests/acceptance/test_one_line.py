@@ -72,24 +72,39 @@ ODD: dict[str, Any] = {
 }
 
 
-@pytest.mark.representative("large")
+FEW_KEYS = [("study", "duration_s"), ("earth", "earth"), ("resets", "reset_times_s")]
+"""A number, a word and a list."""
+
+
+def check_errors(section: str, key: str, value: Any) -> None:
+    """Check that the errors of a value are short lines, wherever it stands."""
+    data = copy.deepcopy(BASE)
+    data.get(section, {}).pop(key, None)
+    for swept in (
+        {section: data.get(section, {}) | {key: value}},
+        {"axes": {key: [value]}},
+        {"cases": [{"case": "a", key: value}]},
+        {"drawn": {key: {"values": [value]}}},
+    ):
+        try:
+            study_from_dict(data | swept)
+        except InputError as error:
+            for line in error.lines:
+                assert line.isprintable() and len(line) < 500, (section, key)
+
+
+@pytest.mark.parametrize("value", ODD.values(), ids=ODD)
+def test_odd_value_of_a_number_word_or_list_gives_short_printable_error(value: Any) -> None:
+    for section, key in FEW_KEYS:
+        check_errors(section, key, value)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("value", ODD.values(), ids=ODD)
 def test_odd_value_of_any_key_gives_short_printable_error(value: Any) -> None:
     for section, model in SECTIONS.items():
         for key in model.model_fields:
-            data = copy.deepcopy(BASE)
-            data.get(section, {}).pop(key, None)
-            for swept in (
-                {section: data.get(section, {}) | {key: value}},
-                {"axes": {key: [value]}},
-                {"cases": [{"case": "a", key: value}]},
-                {"drawn": {key: {"values": [value]}}},
-            ):
-                try:
-                    study_from_dict(data | swept)
-                except InputError as error:
-                    for line in error.lines:
-                        assert line.isprintable() and len(line) < 500, (section, key)
+            check_errors(section, key, value)
 
 
 def test_long_unknown_name_is_shortened_in_error() -> None:
@@ -151,18 +166,18 @@ def test_value_nested_too_deeply_is_refused_in_one_line() -> None:
     assert refused({"study": {"window_s": deep}}) == "swing.toml: is nested too deeply"
 
 
-@pytest.mark.representative("few")
+@pytest.mark.representative("few-report", "lists-report")
+@pytest.mark.parametrize("command", ["report", "rerun"])
 @pytest.mark.parametrize("how", NESTED_MANIFESTS)
 def test_manifest_nested_too_deeply_is_refused_in_one_line(
-    how: str, tmp_path: Path, sinsjax: Command
+    how: str, command: str, tmp_path: Path, sinsjax: Command
 ) -> None:
     out = store_results(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
     (out / "manifest.json").write_text(NESTED_MANIFESTS[how])
-    for words in (("report", out), ("rerun", out, "--run-id", 0)):
-        code, error = sinsjax(*words)
-        assert code == 2 and error.startswith(f"error: {out}/manifest.json: has changed")
-        assert error.endswith("(`--resume` writes it again)\n")
-        assert error.count("\n") == 1
+    code, error = sinsjax(command, out, *(["--run-id", 0] if command == "rerun" else []))
+    assert code == 2 and error.startswith(f"error: {out}/manifest.json: has changed")
+    assert error.endswith("(`--resume` writes it again)\n")
+    assert error.count("\n") == 1
     assert find_manifest(out) is None  # resume asks the parts
 
 
@@ -260,6 +275,20 @@ def test_exit_codes_and_exceptions_pass_through_broken_pipe_guard() -> None:
         print(1 / 0)
 
 
+def test_error_of_unavailable_jax_platform_names_it_in_one_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def unavailable() -> None:
+        raise RuntimeError("Unknown backend foo\nmore")
+
+    monkeypatch.setenv("JAX_PLATFORMS", "foo")
+    monkeypatch.setattr("jax.devices", unavailable)
+    with pytest.raises(InputError) as caught:
+        runtime.start_backend()
+    assert str(caught.value) == "JAX_PLATFORMS=foo: JAX does not start: Unknown backend foo"
+
+
+@pytest.mark.slow
 def test_unavailable_jax_platform_is_reported_in_one_line() -> None:
     """In a separate process, since JAX starts once."""
     done = subprocess.run(

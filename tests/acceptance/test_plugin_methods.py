@@ -1,17 +1,24 @@
 """A plug-in method: a package with a method, found by its entry point."""
 
+import importlib
 import os
 import re
 import shutil
+import tomllib
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.command_server import CommandServer
 
 import sinsjax
-from sinsjax.methods import base
+from sinsjax.errors import InputError
+from sinsjax.methods import base, registry
+from sinsjax.methods.plugins import check_plugin
+from sinsjax.study.load import study_from_dict
 
 EXAMPLE = Path(__file__).parents[1] / "example_method"
 DOCS = EXAMPLE.parents[1] / "docs"
@@ -33,6 +40,32 @@ def test_own_method_pages_document_options_and_groups_of_method() -> None:
     assert all(f"| `{name}` |" in PAGE for name in required)
     for group in ("Feedback", "Passes", "ErrorModel"):
         assert f"`{group}`" in PAGE and f"::: sinsjax.methods.base.{group}\n" in INTERFACE
+
+
+def test_broken_plugin_affects_only_studies_that_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(registry.BROKEN, "averaged", "entry point 'averaged': cannot be loaded")
+    study = tomllib.loads(STUDY)
+    with pytest.raises(InputError) as caught:
+        study_from_dict(study)
+    line = "[alignment] method: 'averaged' cannot be used: entry point 'averaged': cannot be loaded"
+    assert str(caught.value).partition(": ")[2] == line
+    study.pop("averaged")
+    study["axes"]["method"] = ["inertial"]
+    assert study_from_dict(study).methods == ("inertial",)
+
+
+def test_example_plugin_keeps_its_promises_but_reads_a_record_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(EXAMPLE)
+    description = importlib.import_module("averaged_alignment.config").AVERAGED
+    method = description.implementation.build(None)
+    check_plugin("it", description, method, np.float64(0.5), None)
+    with pytest.raises(InputError, match=r"^it: reads a stored record once \(drop \[passes\]\)$"):
+        check_plugin("it", description, method, np.float64(0.5), None, repeats=True)
+    described = replace(description, has_error_model=True)
+    with pytest.raises(InputError, match="^it: has_error_model is True, but its Method has no"):
+        check_plugin("it", described, method, np.float64(0.5), None)
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +121,7 @@ def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
     assert set(errors) == {"averaged", "inertial"} and max(map(abs, errors.values())) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "line"),
     [
@@ -117,6 +151,7 @@ def test_broken_plugin_is_one_line_and_affects_only_studies_that_use_it(
     assert (other.returncode, other.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_misnamed_entry_point_is_reported_by_validate_and_info(
     server: CommandServer, site: Path, tmp_path: Path
 ) -> None:
@@ -129,6 +164,7 @@ def test_misnamed_entry_point_is_reported_by_validate_and_info(
     assert "not usable  entry point 'other' in sinsjax.methods of averaged-a" in info.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "text", "marked"),
     [
@@ -175,6 +211,7 @@ def test_validate_and_sweep_report_wrong_plugin_method_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_passes_with_plugin_that_reads_record_once_are_refused(
     server: CommandServer, site: Path, tmp_path: Path
 ) -> None:

@@ -371,6 +371,18 @@ def recorded(**passes: Any) -> dict[str, Any]:
     return with_paper_values(tables)
 
 
+def test_every_start_time_is_judged_by_reference_of_its_own_passes() -> None:
+    study = study_from_dict(recorded(stored_s=6.0))
+    (part,) = build.parts(study, StoredRecord(record(), reference(RECORD_S)))
+    group = part.group
+    w, x, y, z = np.moveaxis(np.asarray(group.environment.truth.attitudes)[group.draws.row], -1, 0)
+    stored = np.array([1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, 0])
+    t = np.array([[0.0], [4.0]]) + 6.0 + stored
+    pitch_deg = np.rad2deg(np.arcsin(2 * (w * x + y * z)))
+    np.testing.assert_allclose(pitch_deg, 4 * np.sin(2 * np.pi * t / 7), rtol=0, atol=1e-4)
+
+
+@pytest.mark.slow
 def test_recorded_passes_follow_record_from_every_start_time() -> None:
     """The coarse attitude is good to arcseconds here; each start has a record of its own."""
     study = study_from_dict(recorded(stored_s=6.0))

@@ -44,7 +44,14 @@ from sinsjax.tuning import (
 from sinsjax.tuning.history import Evaluation, SearchResult
 from sinsjax.tuning.results import Tuning
 
-pytestmark = pytest.mark.optimised(False)
+pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
+
+
+@pytest.fixture(autouse=True)
+def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Intervals that nobody reads are not worth a thousand resamples each."""
+    monkeypatch.setattr("sinsjax.analysis.estimates.RESAMPLES", 50)
+
 
 CANDIDATES = "Candidates on the unused draws"
 TUNE: dict[str, Any] = {
@@ -411,6 +418,7 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
             from_python.tune(alone, tmp_path / "alone", stop=stop)
 
 
+@pytest.mark.representative("flipped")
 @pytest.mark.parametrize("damage", ["flipped", "emptied", "gone"])
 def test_damaged_history_is_refused_by_report_and_made_again_by_resume(
     made: Path, tmp_path: Path, faked: Any, damage: str

@@ -123,6 +123,7 @@ def test_misalignment_axis_is_linear_for_narrow_range():
     assert [axes.get_yscale() for axes in figure.axes] == ["linear"] * 3
 
 
+@pytest.mark.representative("0.03", "60.0")
 @pytest.mark.parametrize("size", [0.03, 0.4, 5.0, 60.0])
 def test_wide_misalignment_axis_has_ticks_on_both_sides(size):
     """A level error that begins at P0 and ends small, and a heading error that begins far off."""
@@ -352,6 +353,7 @@ def test_beliefs_figure_shows_nees_distribution_and_shares():
     assert [mark.get_label() for mark in marks] == ["share a", "share b"]
 
 
+@pytest.mark.representative("7")
 @pytest.mark.parametrize("lines", [1, 7])
 def test_belief_names_do_not_overlap_marks_or_edge(lines):
     shares = {name: Estimate(0.1, 0.05, 0.15, 4) for name in ("from truth", "from the bias floor")}
@@ -416,6 +418,7 @@ def test_heat_maps_use_requested_columns_and_wrap_long_names():
     assert axes[0].get_title(loc="left").replace("\n", " ") == name
 
 
+@pytest.mark.representative("5-3")
 @pytest.mark.parametrize(("count", "across"), [(8, 4), (5, 3)])
 def test_heat_map_panels_have_equal_size_and_labels_below(count, across):
     figure = plots.draw_heat_maps(

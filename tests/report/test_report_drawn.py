@@ -4,7 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.stored_results import store_results
 from support.studies import small_study
+from support.synthetic_tables import synthetic_summary
 
 from sinsjax import analysis
 from sinsjax.analysis.summaries import read_estimate
@@ -110,8 +112,8 @@ def test_list_valued_axis_is_plotted_as_categories(tmp_path: Path) -> None:
     times = [[], [0.5], [0.5, 1.0]]
     study = small_study(study=SHORT | {"draws": 4}, axes={"reset_times_s": times})
     assert study.figure_axes == ({"reset_times_s": ((), (0.5,), (0.5, 1.0))}, [])
-    run.run_into(study, tmp_path / "out")
-    (figure,) = axis_figures.build_axis_figures(Source.read(tmp_path / "out"))
+    source = Source.read(store_results(tmp_path, study, synthetic_summary(study)))
+    (figure,) = axis_figures.build_axis_figures(source)
     axes = figure.figure.axes[-1]
     assert [text.get_text() for text in axes.get_xticklabels()] == ["none", "0.5", "0.5, 1"]
     assert axes.get_xlabel() == "resets at (s)"

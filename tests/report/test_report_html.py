@@ -16,6 +16,8 @@ from sinsjax.execution.source import Source
 from sinsjax.report import base
 from sinsjax.report.output import DrawnReport, write_html_page
 
+pytestmark = pytest.mark.usefixtures("drawn_on_request")
+
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 PNG = b"\x89PNG\r\n\x1a\n-the picture"
 

@@ -2,12 +2,15 @@
 
 import io
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
+from support.stored_results import store_results
 from support.studies import small_study
+from support.synthetic_tables import synthetic_summary
 
 from sinsjax import report
 from sinsjax.errors import InputError, StudyInterrupted
@@ -15,7 +18,7 @@ from sinsjax.execution import run
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.source import Source
 
-pytestmark = pytest.mark.optimised(False)
+pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
 SHORT = {"draws": 300, "duration_s": 2.0, "window_s": [0, 2]}
 
@@ -39,14 +42,28 @@ def store_interrupted(out: Path, **tables: Any) -> Path:
     return out
 
 
+def store_made_up(out: Path, **tables: Any) -> Path:
+    """The same of 100 draws and the first variant of another, from numbers that no engine made."""
+    study = small_study(study=SHORT, **tables)
+    out.mkdir()
+    return store_results(
+        out, study, synthetic_summary(study).slice(0, 301), state="interrupted", wall_s=9.0
+    )
+
+
 def printed_lines(out: Path, page: Path | None = None) -> list[str]:
     console = Console(file=io.StringIO(), width=2000)
     report.print_reports([out], console, page, full=True)
     return console.file.getvalue().splitlines()
 
 
-def test_unfinished_report_warns_with_share_of_runs(tmp_path: Path) -> None:
-    out = store_interrupted(tmp_path / "out", axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
+@pytest.mark.parametrize(
+    "store", [store_made_up, pytest.param(store_interrupted, marks=pytest.mark.slow)]
+)
+def test_unfinished_report_warns_with_share_of_runs(
+    store: Callable[..., Path], tmp_path: Path
+) -> None:
+    out = store(tmp_path / "out", axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
     page = tmp_path / "page.md"
     lines = [line for line in printed_lines(out, page) if line]
     source = Source.read(out, unfinished=True)

@@ -20,7 +20,7 @@ from sinsjax.report.choices import Choices, best_option, best_option_per_draw, d
 from sinsjax.report.verdict import process_noise_caution, sweep_verdict
 from sinsjax.study.study import Study
 
-pytestmark = pytest.mark.optimised(False)
+pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
 SWEEP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [5.0, 30.0, 60.0]}
 NEVER = np.inf
@@ -245,6 +245,7 @@ def printed_lines(found: Verdict, width: int, last: list[str] | None = None) -> 
 LONG = "a sentence of many words that has to be wrapped on most terminals, however wide they are"
 
 
+@pytest.mark.representative("0-80", "12-80", "4-120")
 @pytest.mark.parametrize("width", [80, 120])
 @pytest.mark.parametrize("doubts", [0, 4, 12])
 def test_verdict_fits_terminal_in_fifteen_lines(width: int, doubts: int) -> None:

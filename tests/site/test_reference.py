@@ -4,6 +4,8 @@ import ast
 import re
 from pathlib import Path
 
+import pytest
+
 import sinsjax
 from sinsjax.cli import commands_page
 
@@ -17,6 +19,7 @@ def test_commands_page_is_up_to_date() -> None:
     ) == commands_page.render_commands_page()
 
 
+@pytest.mark.slow
 def test_documented_messages_exist_in_package_source() -> None:
     """The pieces of a message between its gaps appear in this order in one string of the source."""
     page = (DOCS / "messages.md").read_text(encoding="utf-8")

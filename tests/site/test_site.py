@@ -109,6 +109,7 @@ def test_site_links_lead_to_existing_pages_and_anchors(
     assert len(pages) > 25 and followed > 1000
 
 
+@pytest.mark.slow
 def test_figures_link_to_full_size_image(site: Path, pages: dict[Path, Shown]) -> None:
     figures = [
         (path, file)
@@ -121,6 +122,7 @@ def test_figures_link_to_full_size_image(site: Path, pages: dict[Path, Shown]) -
         assert file in pages[path].links, f"{path.relative_to(site)}: {file}"
 
 
+@pytest.mark.slow
 def test_pages_and_styles_load_no_external_files(site: Path, pages: dict[Path, Shown]) -> None:
     for path, page in pages.items():
         assert not [file for file in page.files if urlsplit(file).netloc], path
@@ -128,6 +130,7 @@ def test_pages_and_styles_load_no_external_files(site: Path, pages: dict[Path, S
         assert not re.search(r"url\(['\"]?(https?:)?//", style.read_text(encoding="utf-8")), style
 
 
+@pytest.mark.slow
 def test_formulas_are_mathml_without_dollar_signs(site: Path) -> None:
     formulas = 0
     for path in site.rglob("*.html"):
@@ -138,12 +141,14 @@ def test_formulas_are_mathml_without_dollar_signs(site: Path) -> None:
     assert formulas > 30
 
 
+@pytest.mark.slow
 def test_pages_are_stamped_with_the_version(site: Path, pages: dict[Path, Shown]) -> None:
     stamp = f"sinsjax {sinsjax.__version__}"
     for path in pages:
         assert path.name == "404.html" or stamp in path.read_text(encoding="utf-8"), path
 
 
+@pytest.mark.slow
 def test_landing_page_leads_to_sweep_advice_and_record(
     site: Path, pages: dict[Path, Shown]
 ) -> None:
@@ -153,10 +158,12 @@ def test_landing_page_leads_to_sweep_advice_and_record(
     }
 
 
+@pytest.mark.slow
 def test_site_contains_no_study_sources(site: Path) -> None:
     assert not {path.suffix for path in site.rglob("*")} & {".j2", ".py", ".pyc"}
 
 
+@pytest.mark.slow
 def test_python_pages_describe_each_public_name_once(site: Path, pages: dict[Path, Shown]) -> None:
     of_python = [*(site / "python").glob("*.html"), site / "python.html", site / "plotting.html"]
     described = [
@@ -174,6 +181,7 @@ def test_python_page_links_to_all_pages_of_its_folder() -> None:
     assert {*re.findall(r"\]\(python/(\w+)\.md\)", index)} == {path.stem for path in folder}
 
 
+@pytest.mark.slow
 def test_interface_page_describes_names_imported_by_example(
     site: Path, pages: dict[Path, Shown]
 ) -> None:
@@ -187,6 +195,7 @@ def test_interface_page_describes_names_imported_by_example(
     assert imported == described > {"sinsjax.methods.base.Method", "sinsjax.maths.rotations.log"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "page"),
     [
@@ -213,6 +222,7 @@ def test_search_finds_expected_page(words: str, page: str, index: dict[str, Any]
     assert page in found, sorted(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "page"),
     [

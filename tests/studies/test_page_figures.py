@@ -64,6 +64,7 @@ def test_strips_show_one_dot_per_start_and_median_line():
     assert plots.render_png(figure).startswith(b"\x89PNG")
 
 
+@pytest.mark.representative("0.001-log")
 @pytest.mark.parametrize(("floor", "scale"), [(None, "linear"), (1e-3, "log")])
 def test_over_time_sets_panel_titles_scale_and_label(floor, scale):
     panels = {"one": [line("a", 1.0)], "two": [line("a", 2.0), line("b", 3.0, "C1")]}

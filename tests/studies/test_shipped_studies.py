@@ -15,7 +15,17 @@ from sinsjax.study.load import load_study, study_from_dict
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
-@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.toml")), ids=lambda path: path.stem)
+LONG = {"reset_law", "reset_surge"}
+"""Studies whose loading computes schedules of resets for a second."""
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=pytest.mark.slow if path.stem in LONG else (), id=path.stem)
+        for path in sorted(CONFIGS.glob("*.toml"))
+    ],
+)
 def test_shipped_study_loads_and_is_named_after_its_file(path: Path) -> None:
     assert load_study(path).study.name == path.stem
 

@@ -113,12 +113,7 @@ def outcomes(tables: dict[str, Any], key: str, values: list[Any]) -> list[Any]:
     return [found[variant] for variant in range(study.n_variants)]
 
 
-@pytest.mark.representative(
-    "cycle of no reset",
-    "cycle of one reset with a time",
-    "reading of no angle",
-    "period of no sway",
-)
+@pytest.mark.representative("cycle of no reset", "reading of no angle")
 @pytest.mark.parametrize("name", SILENT)
 def test_inactive_key_changes_no_outcome(name: str) -> None:
     tables, key, values = SILENT[name]
@@ -133,8 +128,6 @@ def test_inactive_key_changes_no_outcome(name: str) -> None:
     "scale",
     "waiting",
     "reading of angles",
-    "period of a sway",
-    "assumed bias of a level",
 )
 @pytest.mark.parametrize("name", ACTING)
 def test_active_key_changes_outcome(name: str) -> None:

@@ -48,6 +48,7 @@ def simulate_spectrum(process: processes.Process, dt: float) -> tuple[np.ndarray
     return np.fft.rfftfreq(n, dt), spectrum.mean(axis=0)
 
 
+@pytest.mark.representative("2.0")
 @pytest.mark.parametrize("time_s", [2.0, 5.0])
 def test_density_is_that_of_gauss_markov_surge_at_zero_frequency(time_s: float) -> None:
     process = processes.gauss_markov_process(np.full(3, 0.3), np.asarray(time_s), DT_S)
@@ -55,6 +56,7 @@ def test_density_is_that_of_gauss_markov_surge_at_zero_frequency(time_s: float) 
     assert density[:3].mean() == pytest.approx(surge_density(0.3, time_s), rel=0.06)
 
 
+@pytest.mark.representative("5.0")
 @pytest.mark.parametrize("time_s", [2.0, 5.0])
 def test_density_is_largest_one_of_third_order_surge(time_s: float) -> None:
     """It peaks at 1/(2 pi T) Hz, and is next to nothing at zero frequency."""
@@ -105,6 +107,7 @@ def test_given_r_does_not_follow_surge() -> None:
     np.testing.assert_allclose(compute_r(changed), 0.01)
 
 
+@pytest.mark.representative("kalman10-0.004", "kalman_surge-0.0")
 @pytest.mark.parametrize(
     ("method", "density"),
     [

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -40,6 +41,21 @@ def rows(**tables: Any) -> list[list[dict[str, Any]]]:
 # What a study computes
 
 
+def test_waiting_resets_have_params_of_resets_scheduled_at_next_feedback() -> None:
+    def params(times: list[float], **resets: Any) -> list[np.ndarray]:
+        tables = {"alignment": {"feedback_interval_s": 0.35}}
+        study = small_study(**tables, resets={"reset_times_s": times} | resets)
+        group = Scenario(study, curves=False).part(0, range(1)).group
+        return [np.asarray(leaf) for leaf in jax.tree.leaves(group.variants)]
+
+    first, second = params([1.05, 1.75]), params([1.05, 2.1])
+    assert any((one != other).any() for one, other in zip(first, second, strict=True))
+    for times, expected in (([0.71, 1.41], first), ([1.05, 1.77], second), ([1.05, 2.1], second)):
+        for one, other in zip(params(times, **{AT: True}), expected, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.slow
 def test_waiting_reset_equals_reset_scheduled_at_next_feedback() -> None:
     """To the bit that of a schedule on the feedbacks themselves."""
     phases = [[0.71, 1.41], [0.8, 1.77], [1.05, 2.05], [1.05, 2.1]]

@@ -2,6 +2,7 @@
 
 import math
 import tomllib
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -374,9 +375,14 @@ def test_study_without_candidates_has_one_combination() -> None:
     assert SearchSpace.from_study(tuned_study({"p0_yaw_deg": YAW})).combinations == ({},)
 
 
+@cache
+def space_of_everything() -> SearchSpace:
+    return SearchSpace.from_study(tuned_study(EVERYTHING))
+
+
 @given(box=st.lists(st.floats(0, 1), min_size=3, max_size=3))
 def test_box_and_values_round_trip(box: list[float]) -> None:
-    space = SearchSpace.from_study(tuned_study(EVERYTHING))
+    space = space_of_everything()
     values = space.to_values(box)
     assert space.to_box(values) == pytest.approx(box, abs=1e-12)
     for variable, value in zip(space.variables, values, strict=True):

@@ -51,6 +51,7 @@ def marks(text: str) -> list[str]:
     return [" ".join(mark.replace("\n#  ", "").split()) for mark in found]
 
 
+@pytest.mark.representative("increments-four positions", "no units, deg/s-one-way carousel")
 @pytest.mark.parametrize("motion", TURNS)
 @pytest.mark.parametrize("units", UNITS)
 def test_turning_log_has_no_doubt_but_its_hemisphere(
@@ -64,6 +65,7 @@ def test_turning_log_has_no_doubt_but_its_hemisphere(
     assert study["record"]["gyro_unit"] == UNITS[units][-1]
 
 
+@pytest.mark.representative("-1.0-is the sign of the gyros right?")
 @pytest.mark.parametrize(
     ("gyro", "asks"), [(1 / DEG, "are these deg/s?"), (-1.0, "is the sign of the gyros right?")]
 )

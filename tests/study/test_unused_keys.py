@@ -15,6 +15,7 @@ from support.studies import BASE, small_study, small_tables
 from sinsjax import InputError, StudyWarning, load_study
 from sinsjax.engine.batch import run_chunks
 from sinsjax.engine.build import Scenario
+from sinsjax.errors import StudyInterrupted
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.execution.run import run
 from sinsjax.methods.description import COMMON_KEYS
@@ -75,12 +76,10 @@ def expected_refusal(study: Study, method: str) -> str | None:
 
 @pytest.mark.representative(
     "reset_sweep",
-    "reset_law",
     "paper2_static",
     "tune_large",
     "car_test",
     "covariance",
-    "which_alignment_why",
 )
 @pytest.mark.parametrize("name", SHIPPED)
 def test_method_of_shipped_study_can_be_changed(name: str) -> None:
@@ -391,9 +390,13 @@ def test_keys_of_resolved_study_are_named_only_with_other_values() -> None:
     ]
 
 
-@pytest.mark.optimised(False)
-def test_functions_of_python_warn_of_keys_without_effect() -> None:
+def test_functions_of_python_warn_of_keys_without_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: Any) -> None:
+        raise StudyInterrupted("before the first run")
+
+    monkeypatch.setattr("sinsjax.execution.run._run_to_results", stopped)
     study = small_study(alignment={"method": "inertial"})
-    with pytest.warns(StudyWarning, match="phi_u0_deg have no effect with method inertial"):
+    line = "phi_u0_deg have no effect with method inertial"
+    with pytest.warns(StudyWarning, match=line), pytest.raises(StudyInterrupted):
         run(study)
     assert effect_conditions("phi_u0_deg") == ()
