@@ -103,6 +103,7 @@ def rerun_stored_run(
     if study.is_recorded and files[0] is None:
         raise InputError(f"{directory}: its study needs a record (give it with --record)")
     stored_record = None if files[0] is None else load_increments(study, files[0], files[1])
+    entries = results_directory.read_manifest(directory)  # before the run, which takes a while
     manifest = results_directory.find_manifest(directory)
     extended_at = () if manifest is None else manifest.extended_at
     job = Job(study, stored_record, extended_at=extended_at)
@@ -130,7 +131,7 @@ def rerun_stored_run(
             stored,
             repeated_run.row,
             differing,
-            _explain_difference(directory, stored, repeated_run.row),
+            _explain_difference(entries, stored, repeated_run.row),
         ),
         f"Row, curve and figure: {target}",
     ]:
@@ -180,16 +181,16 @@ def _differing_columns(stored: pa.Table, repeated: pa.Table) -> list[str]:
     ]
 
 
-def _explain_difference(directory: Path, stored: pa.Table, repeated: pa.Table) -> str:
+def _explain_difference(entries: dict[str, Any], stored: pa.Table, repeated: pa.Table) -> str:
     """Return a likely cause of the difference of two rows, as text.
 
     Args:
-        directory: results directory of the stored row.
+        entries: of the manifest of the stored row.
         stored: row.
         repeated: the same run's row, repeated here.
     """
     packages = packages_of(repeated["method"].to_pylist())
-    versions = results_directory.read_manifest(directory).get("versions")
+    versions = entries.get("versions")
     stored_versions = versions if isinstance(versions, dict) else {}
     for name, current_version in packages.items():
         stored_version = to_one_line(str(stored_versions.get(name, current_version)))

@@ -166,7 +166,7 @@ def test_value_nested_too_deeply_is_refused_in_one_line() -> None:
     assert refused({"study": {"window_s": deep}}) == "swing.toml: is nested too deeply"
 
 
-@pytest.mark.representative("few-report", "lists-report")
+@pytest.mark.representative("few-report", "lists-report", "few-rerun")
 @pytest.mark.parametrize("command", ["report", "rerun"])
 @pytest.mark.parametrize("how", NESTED_MANIFESTS)
 def test_manifest_nested_too_deeply_is_refused_in_one_line(
@@ -178,6 +178,7 @@ def test_manifest_nested_too_deeply_is_refused_in_one_line(
     assert code == 2 and error.startswith(f"error: {out}/manifest.json: has changed")
     assert error.endswith("(`--resume` writes it again)\n")
     assert error.count("\n") == 1
+    assert not (out / "reruns").exists()
     assert find_manifest(out) is None  # resume asks the parts
 
 
