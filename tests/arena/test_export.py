@@ -19,6 +19,7 @@ from sinsjax.arena.frames import from_angles, from_quaternion, to_angles, to_qua
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.maths.rotations import misalignment
 from sinsjax.records import read_csv, read_parquet
+from sinsjax.study.load import study_to_toml
 from sinsjax.study.study import Study
 from sinsjax.types import Quat
 
@@ -203,10 +204,11 @@ def test_overwrite_removes_the_files_of_the_earlier_export_alone(tmp_path: Path)
 
 
 def test_command_states_size_before_and_next_step_after(command: Command, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    code, told, _ = command("export", "paper1_resets", "-o", out, "--draws", "0:1")
+    config, out = tmp_path / "small.toml", tmp_path / "out"
+    config.write_text(study_to_toml(study(study={"duration_s": 100.0})))
+    code, told, _ = command("export", config, "-o", out, "--draws", "0:1")
     assert code == 0
-    assert "2 runs on 1 record of 90,000 samples, about 12.6 MB" in told.splitlines()[0]
+    assert "2 runs on 1 record of 10,000 samples, about 1.4 MB" in told.splitlines()[0]
     assert f"sinsjax score {out} RESULTS" in told
 
 

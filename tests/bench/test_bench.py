@@ -260,8 +260,13 @@ def test_without_noise_removes_only_noise(small_group):
     )
 
 
-@pytest.mark.representative("2-1.0")
-@pytest.mark.optimised(False)
+@pytest.fixture
+def quick_program(monkeypatch):
+    """A program that returns at once in place of the engine's."""
+    monkeypatch.setattr(cases, "compile_program", lambda group, tiles: lambda *_: np.zeros(1))
+
+
+@pytest.mark.usefixtures("quick_program")
 @pytest.mark.parametrize(("devices", "elapsed_s"), [(1, 100.0), (2, 1.0)])
 def test_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elapsed_s):
     """One device is timed in CPU time, several in wall time: here 1 s with 100 s of CPU time."""
@@ -277,10 +282,18 @@ def test_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elaps
     assert case.call() == elapsed_s
 
 
-@pytest.mark.optimised(False)
+@pytest.mark.usefixtures("quick_program")
 def test_idle_lanes_are_not_counted_as_runs(small_group):
     few = cases.shorten_runs(small_group.select(np.arange(3), np.arange(4)), 2)
     assert cases.engine_workload("x", few, tiles=4, lanes=16).runs == 3 * 4 < 64
+
+
+@pytest.mark.slow
+@pytest.mark.optimised(False)
+def test_engine_workload_runs_program_of_engine(small_group):
+    group = cases.shorten_runs(small_group, 2)
+    case = cases.engine_workload("x", group, tiles=4, lanes=16, devices=2)
+    assert case.compile_s > 0 and case.call() > 0
 
 
 @pytest.mark.slow

@@ -676,6 +676,12 @@ def test_time_of_overlapping_calls_counts_once():
         first_command.covered([])
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Lays out no figure of a page, which takes most of its time."""
+    monkeypatch.setattr(page, "render_png", lambda figure: b"not drawn")
+
+
 def test_performance_page_shows_history_rows(tmp_path):
     older = (history_rows(f"0.0.{version}", 1.3) for version in range(6, 10))
     machines = write_history(tmp_path / "history", *older, history_rows())
@@ -711,6 +717,7 @@ def test_performance_page_shows_history_rows(tmp_path):
         assert (tmp_path / name).stat().st_size < 300_000
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_history_of_few_versions_is_left_out(tmp_path):
     machines = write_history(tmp_path / "history", history_rows("0.0.9", 1.3), history_rows())
     page.write(tmp_path / "p.md", machines, "")
@@ -718,6 +725,7 @@ def test_history_of_few_versions_is_left_out(tmp_path):
     assert "## History" not in text and "history.png" not in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_page_omits_sections_without_measurements(tmp_path):
     rows = [row for row in history_rows() if row["set"] == "short"]
     page.write(tmp_path / "p.md", write_history(tmp_path / "history", rows), "")
@@ -725,6 +733,7 @@ def test_page_omits_sections_without_measurements(tmp_path):
     assert headings == ["Machines", "Targets", "All rows"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_gpu_rows_get_page_section(tmp_path):
     row = fake_row("gpu", "gpu_silent_1000", 0.9, lanes=1000, runs_per_s=12345)
     row |= {"platform": "gpu", "device": "NVIDIA H100"}
@@ -736,6 +745,7 @@ def test_gpu_rows_get_page_section(tmp_path):
     assert measured["more"].endswith("lanes 1000; runs_per_s 12345")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_derivatives_share_one_row_of_targets(tmp_path):
     spread = {"ratio_spread": 0.1}
     rows = [
@@ -747,6 +757,7 @@ def test_derivatives_share_one_row_of_targets(tmp_path):
     assert "times a plain run | ≤ 3.6, 6.0 | 3.00 ± 0.10, **13.00 ± 0.10** |\n" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_two_machines_share_one_figure(tmp_path):
     machines = write_history(
         tmp_path / "history", history_rows(), history_rows(cpu="Other", avx512=False)

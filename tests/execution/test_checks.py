@@ -66,11 +66,13 @@ def refused(some: Record, **layout: Any) -> str:
     return first.text
 
 
+@pytest.mark.representative("still", "swinging")
 @pytest.mark.parametrize("base", BASES)
 def test_plausible_record_has_no_findings(base: str) -> None:
     assert not found(record(base)) and not found(record(base), gyro=1.0)
 
 
+@pytest.mark.representative("still")
 @pytest.mark.parametrize("base", BASES)
 def test_wrong_gyro_unit_is_refused_and_named(base: str) -> None:
     some = record(base)
@@ -115,6 +117,7 @@ def test_vertical_rate_of_wrong_latitude_gives_warning() -> None:
         assert "deg/h, but Earth rate there is 7.97: do gyros" in one.text
 
 
+@pytest.mark.representative("60.0-False-still", "700.0-True-still")
 @pytest.mark.parametrize("base", ["still", "swinging"])
 @pytest.mark.parametrize(("bias", "hard"), [(60.0, False), (700.0, True)])
 def test_bias_that_hides_earth_rate_is_not_unit_error(base: str, bias: float, hard: bool) -> None:
@@ -175,6 +178,7 @@ def test_turn_missing_from_gyros_is_reported() -> None:
     assert not one.is_certain and "the mean rate changes by" in one.text
 
 
+@pytest.mark.representative("still")
 @pytest.mark.parametrize("base", ["still", "swinging"])
 def test_merged_samples_give_same_findings_as_single_samples(
     base: str, monkeypatch: pytest.MonkeyPatch
@@ -199,7 +203,8 @@ def test_merged_samples_give_same_findings_as_single_samples(
 
 def test_attitudes_match_scipy_rotation_product() -> None:
     """A swing of 20 deg over 60 s, without the coning terms: 1e-6."""
-    dtheta = record("swinging by 20 deg").dtheta[:6000]
+    settings = {"duration_s": 60.0, "window_s": [0, 60]}
+    dtheta = build.simulated_record(small_study(study=settings, motion=LARGE)).dtheta
     whole = Rotation.identity()
     for step in Rotation.from_rotvec(dtheta):
         whole = whole * step
@@ -334,6 +339,7 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
         assert str(told.value).endswith(says)
 
 
+@pytest.mark.representative("car_test")
 @pytest.mark.parametrize("name", ["car_test", "compass_car", "car_adaptive", "car_batch"])
 def test_shipped_studies_of_real_record_give_no_warnings(name: str, data_dir: Path) -> None:
     gc.collect()
@@ -446,6 +452,7 @@ def test_process_noise_is_not_reported_without_filter_or_white_noise() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "filter_",
     [

@@ -82,10 +82,19 @@ def recorded_runner() -> TaskRunner:
     )
 
 
+def make_up_files(self: TaskRunner, task: Task) -> EncodedResult:
+    """A result without runs in it, in place of `TaskRunner.compute_files`."""
+    return EncodedResult(task, {"summary": f"{task.name} of {self.identity}".encode()}, 0, 0.0)
+
+
+@pytest.mark.representative("made up")
+@pytest.mark.parametrize("rows", ["made up", "computed"])
 @pytest.mark.optimised(False)
 def test_workers_give_same_files_and_read_job_once(
-    scheduler: str, monkeypatch: pytest.MonkeyPatch
+    rows: str, scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if rows == "made up":
+        monkeypatch.setattr(TaskRunner, "compute_files", make_up_files)
     read: list[str] = []
     get = distributed.Variable.get
 
@@ -133,6 +142,7 @@ def test_finished_tasks_are_released_from_scheduler(
         return kept[-1]
 
     monkeypatch.setattr(distributed, "wait", keeping)
+    monkeypatch.setattr(TaskRunner, "compute_files", make_up_files)
     runner = recorded_runner()
     (tasks,) = runner.plan_tasks()
     with cluster.executor(scheduler=local_cluster.scheduler_address) as executor:

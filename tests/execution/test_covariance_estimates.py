@@ -21,6 +21,7 @@ from support.sweep_directories import (
     read_manifest_entries,
     read_parts,
 )
+from support.synthetic_tables import synthetic_estimates
 
 from sinsjax import columns
 from sinsjax.errors import InputError
@@ -228,6 +229,7 @@ def test_estimates_are_equal_for_any_chunk_size_and_as_stored(
     assert told_["runs"] == told_["runs_done"] == 260 and told_["state"] == "complete"
 
 
+@pytest.mark.slow
 def test_stored_estimates_are_bytewise_equal_for_any_task_order(
     uninterrupted: Path, tmp_path: Path
 ) -> None:
@@ -241,6 +243,7 @@ def test_stored_estimates_are_bytewise_equal_for_any_task_order(
     assert_complete(tmp_path, uninterrupted)
 
 
+@pytest.mark.slow
 def test_resume_recomputes_only_missing_or_broken_parts(
     uninterrupted: Path, tmp_path: Path
 ) -> None:
@@ -294,21 +297,21 @@ def test_draws_study_replaces_estimates_only_with_overwrite(
     )
 
 
-def test_operations_that_need_runs_are_refused_for_estimates(uninterrupted: Path) -> None:
+def test_operations_that_need_runs_are_refused_for_estimates(tmp_path: Path) -> None:
+    out = store_results(tmp_path, short_study(), estimates=synthetic_estimates(short_study()))
     with pytest.raises(InputError) as caught:
-        read_summary(uninterrupted)
+        read_summary(out)
     assert str(caught.value) == (
-        f"{uninterrupted}: contains estimates of variants, and no runs"
-        " (`read_estimates` reads them)"
+        f"{out}: contains estimates of variants, and no runs (`read_estimates` reads them)"
     )
     with pytest.raises(InputError) as caught:
-        rerun.rerun_stored_run(uninterrupted, 0, Console())
-    assert str(caught.value) == f"{uninterrupted}: a covariance estimate has no run to repeat"
+        rerun.rerun_stored_run(out, 0, Console())
+    assert str(caught.value) == f"{out}: a covariance estimate has no run to repeat"
     with pytest.raises(InputError, match="curves: a covariance estimate has no runs"):
-        study_run.run_into(short_study(), uninterrupted.parent / "curves", curves=True)
-    assert not (uninterrupted.parent / "curves").exists()
+        study_run.run_into(short_study(), tmp_path / "curves", curves=True)
+    assert not (tmp_path / "curves").exists()
     with pytest.raises(InputError, match="estimates: column settle_7_s is missing"):
-        read_estimates(uninterrupted, ["settle_7_s"])
+        read_estimates(out, ["settle_7_s"])
 
 
 def test_forecast_counts_noise_free_runs() -> None:
@@ -346,13 +349,11 @@ def test_report_lists_fastest_settings_and_plots_axes(
 def test_report_prints_least_share_over_starts_of_each_setting(tmp_path: Path) -> None:
     """Estimates are made up: shares of 30 and 90 % without a reset, 60 and 80 % with one."""
     study = make_study(axes={"phi_u0_deg": [0.0, 5.0], "reset_times_s": [[], [10.0]]})
-    made = study_run.estimate(study)
-    for name, values in (
-        ("within_10_truth_share", [0.3, 0.6, 0.9, 0.8]),
-        ("settle_10_truth_mean_s", [20.0, 30.0, 20.0, 30.0]),
-    ):
-        place = made.column_names.index(name)
-        made = made.set_column(place, made.schema.field(place), pa.array(values))
+    made = synthetic_estimates(
+        study,
+        within_10_truth_share=[0.3, 0.6, 0.9, 0.8],
+        settle_10_truth_mean_s=[20.0, 30.0, 20.0, 30.0],
+    )
     out = store_results(tmp_path, study, estimates=made)
     table = report_text(out).partition(
         "The soonest within 10' of true north, mean over phi_u0_deg"

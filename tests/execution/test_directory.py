@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.studies import small_study
@@ -23,8 +24,18 @@ from sinsjax.execution.directory import (
 )
 from sinsjax.execution.source import Source
 from sinsjax.study.load import study_to_toml
+from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
+
+
+def stored_study(**changes: Any) -> Study:
+    """Return a study with curves, whose program is that of `test_study_results`."""
+    axes = {"phi_u0_deg": [5.0, 10.0], "p0_yaw_deg": [20.0, 40.0, 80.0]}
+    return small_study(study={"curves": True}, axes=axes, **changes)
+
+
+STUDY = stored_study()
 
 HOLD = """
 import sys, pathlib
@@ -119,7 +130,7 @@ def test_empty_results_directory_name_is_refused(
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a results directory with all files of a sweep and its report."""
     out = tmp_path_factory.mktemp("results") / "out"
-    sinsjax.run_into(small_study(study={"curves": True}), out)
+    sinsjax.run_into(STUDY, out)
     (out / "figures").mkdir()
     return out
 
@@ -162,11 +173,11 @@ def test_links_and_pipes_in_results_are_refused_unchanged(
     out = Path(shutil.copytree(results, tmp_path / "out"))
     PLACED[name](out / name)
     named = rf"{Path(name).name}: is (a symbolic link|not a regular file)"
-    study, before = small_study(study={"curves": True}), read_files_and_times(tmp_path)
+    before = read_files_and_times(tmp_path)
     for attempt in (
-        lambda: sinsjax.run_into(study, out),
-        lambda: sinsjax.run_into(study, out, resume=True),
-        lambda: sinsjax.run_into(study, out, overwrite=True),
+        lambda: sinsjax.run_into(STUDY, out),
+        lambda: sinsjax.run_into(STUDY, out, resume=True),
+        lambda: sinsjax.run_into(STUDY, out, overwrite=True),
         lambda: Source.read(out),
     ):
         with pytest.raises(InputError, match=named):
@@ -183,21 +194,21 @@ def test_part_through_link_is_computed_again_and_its_target_kept(
     content = part.read_bytes()
     with pytest.raises(InputError, match=rf"{part.name}: is a symbolic link"):
         Source.read(out)
-    sinsjax.run_into(small_study(study={"curves": True}), out, resume=True)
+    sinsjax.run_into(STUDY, out, resume=True)
     assert not part.is_symlink() and part.read_bytes() == content
     assert part.with_name(f"{part.name}.moved").read_bytes() == content
-    assert Source.read(out).runs == 3
+    assert Source.read(out).runs == 18
 
 
 def test_directory_itself_may_be_a_link(results: Path, tmp_path: Path) -> None:
     (tmp_path / "here").symlink_to(results)
-    assert Source.read(tmp_path / "here").runs == 3
+    assert Source.read(tmp_path / "here").runs == 18
 
 
 @pytest.mark.parametrize("manifest", ["there", "lost"])
 def test_edited_study_of_results_is_named(results: Path, tmp_path: Path, manifest: str) -> None:
     out = Path(shutil.copytree(results, tmp_path / "out"))
-    study = small_study(study={"curves": True}, sensors={"gyro_bias_deg_per_h": 0.5})
+    study = stored_study(sensors={"gyro_bias_deg_per_h": 0.5})
     (out / "study.toml").write_text(study_to_toml(study))
     if manifest == "lost":
         (out / "manifest.json").unlink()
@@ -211,8 +222,8 @@ def test_edited_study_of_results_is_named(results: Path, tmp_path: Path, manifes
     )
     with pytest.raises(InputError, match=words):
         Source.read(out)
-    sinsjax.run_into(small_study(study={"curves": True}), out, resume=True)
-    assert Source.read(out).study == small_study(study={"curves": True})
+    sinsjax.run_into(STUDY, out, resume=True)
+    assert Source.read(out).study == STUDY
 
 
 def test_any_flipped_bit_of_manifest_is_noticed(results: Path, tmp_path: Path) -> None:
@@ -224,5 +235,5 @@ def test_any_flipped_bit_of_manifest_is_noticed(results: Path, tmp_path: Path) -
         (out / "manifest.json").write_bytes(flipped)
         with pytest.raises(InputError, match=r"manifest\.json: has changed since .*--resume"):
             Source.read(out)
-    sinsjax.run_into(small_study(study={"curves": True}), out, resume=True)
-    assert Source.read(out).runs == 3
+    sinsjax.run_into(STUDY, out, resume=True)
+    assert Source.read(out).runs == 18

@@ -6,8 +6,10 @@ from typing import Any
 
 import pytest
 from rich.console import Console
+from support.stored_results import store_results
 from support.studies import small_study
-from support.sweep_directories import make_study, modification_times
+from support.sweep_directories import make_study, modification_times, read_files_and_times
+from support.synthetic_tables import synthetic_summary
 
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun, run
@@ -148,10 +150,9 @@ def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path
 def test_invalid_extension_is_refused_without_changes(
     there: Study, here: Study, told: str, tmp_path: Path
 ) -> None:
-    out = tmp_path / "out"
-    run.run_into(there, out)
-    before = modification_times(out)
+    out = store_results(tmp_path / "out", there, synthetic_summary(there))
+    before = read_files_and_times(out)
     with pytest.raises(InputError) as caught:
         run.run_into(here, out, resume=True)
     assert told in str(caught.value) and "\n" not in str(caught.value)
-    assert modification_times(out) == before
+    assert read_files_and_times(out) == before

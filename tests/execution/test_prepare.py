@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from support.commands import Command, command_line
+from support.stored_results import store_results
 from support.studies import PAPER, small_study
+from support.synthetic_tables import synthetic_summary
 
 import sinsjax
 from sinsjax.engine import build
@@ -149,12 +151,19 @@ def test_refused_study_leaves_directory_as_it_was(tmp_path: Path) -> None:
 def test_added_axis_value_is_refused_with_way_on(tmp_path: Path) -> None:
     first = small_study(axes={"p0_yaw_deg": [10.0, 40.0]})
     more = small_study(axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
-    sinsjax.run_into(first, tmp_path / "out")
+    out = store_results(tmp_path / "out", first, synthetic_summary(first))
     with pytest.raises(InputError) as refused:
-        sinsjax.run_into(more, tmp_path / "out", resume=True)
+        sinsjax.run_into(more, out, resume=True)
     line = str(refused.value)
     assert "[axes] p0_yaw_deg: [10.0, 40.0] there, [10.0, 40.0, 60.0] here" in line
     assert "axes.p0_yaw_deg=[60.0], into another directory" in line
+
+
+@pytest.mark.slow
+def test_axis_value_in_another_directory_has_rows_of_whole_axis(tmp_path: Path) -> None:
+    """The way on that the refusal of an added value names."""
+    more = small_study(axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
+    sinsjax.run_into(small_study(axes={"p0_yaw_deg": [10.0, 40.0]}), tmp_path / "out")
     sinsjax.run_into(small_study(axes={"p0_yaw_deg": [60.0]}), tmp_path / "more")
     whole = sinsjax.run(more).summary
     there = [sinsjax.read_summary(tmp_path / name) for name in ("out", "more")]

@@ -11,8 +11,10 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 from support.commands import command_line
+from support.stored_results import store_results
 from support.studies import add_true_reference, small_study, with_paper_values
 from support.sweep_directories import STUDIES, make_study, read_files_and_times, rewrite_manifest
+from support.synthetic_tables import synthetic_summary
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError
@@ -136,13 +138,17 @@ def test_rerun_matches_for_record_with_drawn_errors(stored: StoredRecord) -> Non
 
 # --- directories --------------------------------------------------------------------------------
 
-STUDY = make_study("worlds")
+STUDY = small_study(
+    study={"draws": 4, "duration_s": 2.0, "window_s": [0, 2], "curves": True},
+    axes={"p0_yaw_deg": [1.0 + i for i in range(64)]},
+)
+"""A draw fills a tile, so that one program runs all draws, or one again."""
 
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("reruns") / "out"
-    study_run.run_into(STUDY, directory, curves=False)
+    study_run.run_into(STUDY, directory)
     return directory
 
 
@@ -249,10 +255,12 @@ def test_invalid_rerun_raises_one_line_error(
 
 
 @pytest.mark.optimised(False)
-def test_rerun_of_run_without_row_is_refused(out: Path, tmp_path: Path) -> None:
-    study_run.run_into(stopping_study(), tmp_path / "out")
+def test_rerun_of_run_without_row_is_refused(tmp_path: Path) -> None:
+    """Results of a study that stopped after 64 of its draws."""
+    study = stopping_study()
+    out = store_results(tmp_path / "out", study, synthetic_summary(study).slice(0, 6 * 64))
     with pytest.raises(InputError, match="run 384 has no row yet"):
-        rerun_into(tmp_path / "out", 384)
+        rerun_into(out, 384)
 
 
 @pytest.mark.slow

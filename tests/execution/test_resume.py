@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.stored_results import store_results
 from support.studies import small_study
 from support.sweep_directories import rewrite_manifest
+from support.synthetic_tables import synthetic_summary
 
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tasks
@@ -61,10 +63,11 @@ def test_differences_between_studies_name_changed_keys(
 def test_resume_with_other_package_version_is_refused(
     name: str, tmp_path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    study, out = small_study(), tmp_path / "out"
-    run.run_into(study, out)
+    study, here = small_study(), runtime.relevant_versions()
+    session = {"started_unix_s": 0.0, "wall_s": 1.0, "versions": here}
+    out = store_results(tmp_path / "out", study, synthetic_summary(study), sessions=[session])
     before = (out / "manifest.json").read_bytes()
-    other = runtime.relevant_versions() | {name: "0.0"}
+    other = here | {name: "0.0"}
     monkeypatch.setattr(runtime, "relevant_versions", lambda: other)
     with pytest.raises(InputError, match=f"out: was computed with {name} .*, but here is 0.0"):
         run.run_into(study, out, resume=True)

@@ -189,6 +189,10 @@ MANIFESTS: dict[str, Callable[[Path], Any]] = {
 }
 
 
+@pytest.mark.representative(
+    *("gone-there", "gone-deleted", "a bit in a page-there", "another chunk's-there"),
+    *("another study's-deleted", "a row less-deleted"),
+)
 @pytest.mark.parametrize("told", ["there", "deleted"])
 @pytest.mark.parametrize("name", DAMAGES)
 def test_damaged_part_is_detected_and_recomputed(
@@ -355,6 +359,7 @@ GARBLED = {
 }
 
 
+@pytest.mark.representative("half", "another's", "deep", "odd chunks")
 @pytest.mark.parametrize("name", GARBLED)
 def test_garbled_manifest_requires_no_recomputation(
     uninterrupted: Path, out: Path, name: str
@@ -369,6 +374,7 @@ def test_garbled_manifest_requires_no_recomputation(
     assert_complete(out, uninterrupted)
 
 
+@pytest.mark.representative("-128", "256")
 @pytest.mark.parametrize("edited", ["0", "-128", "1.5", '"many"', "256", "null", "1"])
 def test_edited_chunk_runs_in_manifest_are_recovered_from_parts(
     uninterrupted: Path, out: Path, edited: str
@@ -584,6 +590,7 @@ def test_overwrite_removes_all_previous_results(out: Path) -> None:
     assert_intact(out)
 
 
+@pytest.mark.representative("7")
 @pytest.mark.parametrize("removed", [1, 7, 23])
 def test_killed_overwrite_leaves_resumable_results(
     uninterrupted: Path, out: Path, monkeypatch: pytest.MonkeyPatch, removed: int
@@ -619,18 +626,21 @@ def test_resuming_a_complete_directory_does_nothing(uninterrupted: Path, out: Pa
     assert_complete(out, uninterrupted)
 
 
-def test_resume_of_empty_directory_starts_sweep(uninterrupted: Path, tmp_path: Path) -> None:
+def test_resume_of_empty_directory_starts_sweep(tmp_path: Path) -> None:
+    few = sweep_study(study={"draws": 8})  # a chunk of each environment
+    assert len(sweep(tmp_path / "begun", few)) == 2
     (tmp_path / "empty").mkdir()
     (tmp_path / "locked").mkdir()
     (tmp_path / "locked" / ".lock").touch()
     for name in ("new/below", "empty", "locked"):
-        assert len(sweep(tmp_path / name, resume=True)) == CHUNKS
-        assert_complete(tmp_path / name, uninterrupted)
+        assert len(sweep(tmp_path / name, few, resume=True)) == 2
+        assert_complete(tmp_path / name, tmp_path / "begun")
 
 
 # --- stopping -----------------------------------------------------------------------------------
 
 
+@pytest.mark.representative("5")
 @pytest.mark.parametrize("chunks", [0, 1, 5, CHUNKS - 4])
 def test_stopped_sweep_keeps_finished_chunks_and_resumes(
     uninterrupted: Path, tmp_path: Path, chunks: int
@@ -692,6 +702,7 @@ def test_stop_during_resume_of_complete_results_is_ignored(out: Path) -> None:
 # --- failing writes -----------------------------------------------------------------------------
 
 
+@pytest.mark.representative("2")
 @pytest.mark.parametrize("failing", range(2, 27, 5))
 def test_failed_write_raises_input_error_and_keeps_finished_parts(
     uninterrupted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: int

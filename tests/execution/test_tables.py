@@ -10,9 +10,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.chunks import chunk
-from support.stored_results import write_manifest, write_part
+from support.stored_results import store_results, write_manifest, write_part
 from support.studies import BASE, STILL, small_study, with_paper_values
 from support.sweep_directories import read_files_and_times
+from support.synthetic_tables import synthetic_summary
 
 from sinsjax import columns
 from sinsjax.engine import build
@@ -24,6 +25,8 @@ from sinsjax.execution.tasks import Job
 from sinsjax.study import sampling
 from sinsjax.study.keys import SECTIONS, SWEEPABLE, key_meaning
 from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
+from sinsjax.types import Vec3
 from sinsjax.units import ARCMIN, DEG, split_unit
 
 CONTRACT = """
@@ -160,6 +163,22 @@ def test_summary_gives_settling_times_and_status_per_run() -> None:
     assert broken["status"].to_pylist() == ["nonfinite"]
 
 
+def test_window_statistics_of_attitude_are_in_degrees() -> None:
+    """Those of the heading error are in arcmin, with other numbers for each axis and angle."""
+    rows = chunk([0.0], [[0.0] * 3])
+    mean, std = (
+        tuple(np.array([of * (i + 1) * unit]) for i, unit in enumerate([ARCMIN] * 3 + [DEG] * 3))
+        for of in (1.0, 0.1)
+    )
+    rows = rows._replace(outcome=rows.outcome._replace(mean=mean, std=std))
+    table = tables.TableBuilder(small_study()).summary_table(rows, np.arange(1))
+    names = ("phi_e{}_arcmin", "phi_n{}_arcmin", "phi_u{}_arcmin")
+    names += ("pitch{}_deg", "roll{}_deg", "yaw{}_deg")
+    for suffix, of in (("_mean", 1.0), ("_std", 0.1)):
+        found = [table[name.format(suffix)][0].as_py() for name in names]
+        assert found == pytest.approx([of * (i + 1) for i in range(6)])
+
+
 def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
     """The data that was there: what had been recorded by then, and no more than the record."""
     axes = {"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]}
@@ -180,26 +199,50 @@ def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
     assert table["settle_10_data_s"].null_count == 1
 
 
-@pytest.mark.optimised(False)
-def test_compass_rows_have_null_sigma_and_consistency() -> None:
-    """No sigma and no consistency; the keys that filters read are there, and null."""
+def compass_study() -> Study:
+    """Return a study of a compass with eight variants and three draws."""
     schedules = [([1.0], []), ([2.0, 1.0], [3.0])]
-    study = small_study(
+    return small_study(
         alignment={"method": "compass"},
         compass={"level_sigma_per_s": 0.5, "level_time_s": 2.0},
         passes={"stored_s": 3.0},
         cases=[{"sigma_factors": f, "sigma_times_s": t} for f, t in schedules],
         axes={"turn": ["reflect", "keep"], "allow_unstable": [False, True]},
     )
-    table = run.run(study).summary
-    for name in ("sigma_u_arcmin", "nees", "nis_u", "p_above_error_share", "reset_cycle_s"):
-        assert table[name].null_count == table.num_rows == 24
-    assert table["reset_count"].to_pylist() == [0] * 24
+
+
+def assert_has_keys_of_compass(table: pa.Table) -> None:
+    """The keys that filters read are there, and null."""
+    assert table["reset_cycle_s"].null_count == table.num_rows
+    assert table["reset_count"].to_pylist() == [0] * table.num_rows
     assert table["sigma_factors"].to_pylist()[:8] == [[1.0]] * 4 + [[2.0, 1.0]] * 4
     assert table["sigma_times_s"].to_pylist()[:8] == [[]] * 4 + [[3.0]] * 4
     assert table["turn"].to_pylist()[:4] == ["reflect"] * 2 + ["keep"] * 2
     assert table["allow_unstable"].to_pylist()[:2] == [False, True]
+
+
+def test_values_of_method_without_covariance_are_null() -> None:
+    """The engine gives nan for what follows from a covariance."""
+    none = np.full(8, np.nan)
+    rows = chunk([0.0] * 8, [[0.0] * 3] * 8)
+    last = rows.outcome.last._replace(sigma=Vec3(none, none, none))
+    unknown = {"last": last, "nees": none, "nis_u": none, "above_share": (none,) * 3}
+    rows = rows._replace(outcome=rows.outcome._replace(**unknown))
+    table = tables.TableBuilder(compass_study()).summary_table(rows, np.arange(8))
+    for name in ("sigma_u_arcmin", "nees", "nis_u", "p_above_error_share"):
+        assert table[name].null_count == table.num_rows == 8
     assert table["phi_u_arcmin"].null_count == table["status"].null_count == 0
+    assert_has_keys_of_compass(table)
+
+
+@pytest.mark.slow
+@pytest.mark.optimised(False)
+def test_compass_rows_have_null_sigma_and_consistency() -> None:
+    table = run.run(compass_study()).summary
+    for name in ("sigma_u_arcmin", "nees", "nis_u", "p_above_error_share"):
+        assert table[name].null_count == table.num_rows == 24
+    assert table["phi_u_arcmin"].null_count == table["status"].null_count == 0
+    assert_has_keys_of_compass(table)
 
 
 def test_summary_without_truth_has_attitude_and_sigma_only() -> None:
@@ -241,10 +284,9 @@ def test_drawn_keys_become_summary_columns() -> None:
     assert len(set(names)) == len(names)
 
 
-@pytest.mark.optimised(False)
 def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) -> None:
     study = small_study()
-    run.run_into(study, tmp_path / "out")
+    store_results(tmp_path / "out", study, synthetic_summary(study))
     before = read_files_and_times(tmp_path / "out")
     with jax.enable_x64(False):
         for call in (
@@ -348,6 +390,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 }
 
 
+@pytest.mark.representative("summary")
 @pytest.mark.parametrize("dataset", READERS)
 def test_any_flipped_bit_in_part_is_detected(stored: Path, dataset: str) -> None:
     """Checksums of pages leave footers and page headers out: a flip there can read as nulls."""

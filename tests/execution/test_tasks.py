@@ -2,7 +2,9 @@
 
 import random
 import threading
+import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -156,15 +158,18 @@ def test_job_identity_depends_on_study_record_and_reference() -> None:
 def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first thread compiles a part; the others wait."""
     made: list[int] = []
-    compile_part = TaskRunner._compile_calls
 
-    def counted(self: TaskRunner, part: int, draws: range) -> Any:
+    def slow(self: TaskRunner, part: int, draws: range) -> Any:
         made.append(part)
-        return compile_part(self, part, draws)
+        time.sleep(0.02)  # in which other threads could begin
+        return SimpleNamespace(chunk=lambda call: None)
 
-    monkeypatch.setattr(TaskRunner, "_compile_calls", counted)
+    monkeypatch.setattr(TaskRunner, "_compile_calls", slow)
     runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
+    rows = {"summary": pa.table({"status": ["ok"]})}
+    monkeypatch.setattr(runner._output, "make_tables", lambda chunk, variant_ids: rows)
     (tasks,) = runner.plan_tasks()
+    assert len(tasks) > 4
     threads = [threading.Thread(target=runner.compute_tables, args=(task,)) for task in tasks]
     for thread in threads:
         thread.start()

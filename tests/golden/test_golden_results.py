@@ -25,7 +25,7 @@ differently, and what that changes in the last bits grows over a run.
 """
 
 
-@pytest.mark.representative("compass_passes", "kalman5_resets")
+@pytest.mark.representative("kalman5_resets")
 @pytest.mark.parametrize("name", NAMES)
 def test_golden_study_gives_expected_results(name: str, tmp_path: Path) -> None:
     old, new = expected(name), run_alone(name, tmp_path)

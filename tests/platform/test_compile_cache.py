@@ -202,12 +202,14 @@ def filled_cache(first_process):
     return folder / "cache", inner, bits
 
 
+@pytest.mark.slow
 def test_second_process_reuses_compiled_programs_of_first(filled_cache):
     """The result is bit-equal."""
     folder, _, bits = filled_cache
     assert result(start(folder)) == (bits, True, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [100, 0])
 def test_truncated_cache_entry_is_recompiled_with_warning(filled_cache, length):
     folder, inner, bits = filled_cache
@@ -216,6 +218,17 @@ def test_truncated_cache_entry_is_recompiled_with_warning(filled_cache, length):
     *found, errors = result(start(folder))
     assert found == [bits, False]
     assert "UserWarning: Error reading persistent compilation cache entry" in errors
+
+
+def test_entries_of_interrupted_writes_alone_are_removed_at_start(restored_settings):
+    """JAX writes the file of the access time last, and stops writing where it is missing."""
+    restored_settings.setenv(compile_cache.VARIABLE, "1")
+    here = compile_cache.enable_cache()
+    complete = [here / "jit_a-0-cache", here / "jit_a-0-atime"]
+    for path in (*complete, here / "jit_b-1-cache", here / "notes.txt"):
+        path.write_bytes(b"x")
+    assert compile_cache.enable_cache() == here
+    assert sorted(here.iterdir()) == sorted([*complete, here / "notes.txt"])
 
 
 @pytest.mark.slow

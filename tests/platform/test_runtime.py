@@ -70,6 +70,7 @@ assert "jax" not in sys.modules
     assert done.stderr == ""
 
 
+@pytest.mark.slow  # modules that the tests import would tell: two devices, no warning
 def test_no_module_starts_jax_at_import():
     """Otherwise the compiler options would be set too late."""
     run_python("""
@@ -105,6 +106,7 @@ print(json.dumps([os.environ["XLA_FLAGS"], sinsjax.info()]))
     assert done.stderr == ""
 
 
+@pytest.mark.slow
 def test_opt_out_leaves_flags_and_keeps_user_device_count():
     done = run_python(
         "import json, sinsjax; print(json.dumps(sinsjax.info()))",
@@ -152,6 +154,7 @@ assert jnp.ones(3).dtype == "float64"
     assert told in done.stderr
 
 
+@pytest.mark.slow
 def test_options_of_user_set_before_jax_start_need_no_warning():
     done = run_python(
         "import jax; jax.devices(); import sinsjax; sinsjax.configure()",

@@ -194,11 +194,36 @@ def gradients(name: str) -> dict[str, tuple[float, float]]:
     return {v.name: (float(ours), float(theirs)) for v, ours, theirs in rows}
 
 
-@pytest.mark.representative("counted-reset_first_s", "counted-reset_cycle_s")
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "variable"), VARIABLES)
 def test_gradients_match_finite_differences(name: str, variable: str) -> None:
     ours, theirs = gradients(name)[variable]
     assert theirs != 0 and ours == pytest.approx(theirs, rel=1e-4)
+
+
+class MadeUpRuns(Slope):
+    """Runs whose values are linear in the variables, with these slopes."""
+
+    def __init__(self, study: Study, slopes: np.ndarray) -> None:
+        assert study.tune is not None
+        self._tune, self._slopes, self._programs = study.tune, slopes, [None]
+
+    def _run(self, program: Any, box: np.ndarray, *_: Any) -> tuple[np.ndarray, np.ndarray]:
+        values = 2.0 + np.einsum("vdp,sp->svd", self._slopes, box)
+        return values, np.broadcast_to(self._slopes, (*values.shape, box.shape[1]))
+
+
+@pytest.mark.parametrize("what", ["settle_quantile", "final_error"])
+def test_gradient_of_objective_weights_runs_as_the_objective_does(what: str) -> None:
+    """Two descents of two variants, three draws and two variables; the worst variant counts."""
+    study = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, objective=what, objective_across="worst")
+    slope = MadeUpRuns(study, np.random.default_rng(3).normal(size=(2, 3, 2)))
+    box, softness = np.array([[0.2, 0.7], [0.6, 0.4]]), Softness(5.0, 3.0)
+    _, by_box = slope(box, np.arange(3), softness)
+    for variable in range(2):
+        step = np.where(np.arange(2) == variable, 1e-6, 0.0)
+        ahead, behind = (slope(box + by, np.arange(3), softness)[0] for by in (step, -step))
+        np.testing.assert_allclose(by_box[:, variable], (ahead - behind) / 2e-6, rtol=1e-5)
 
 
 WAYS = [
@@ -211,6 +236,9 @@ WAYS = [
 ]
 
 
+@pytest.mark.representative(
+    "settle_mean-mean", "settle_quantile-worst", "final_error-worst", "failure_rate-worst"
+)
 @pytest.mark.parametrize(("what", "across"), WAYS)
 def test_relaxed_score_is_near_hard_score_and_slope_matches_differences(
     what: str, across: str
@@ -266,6 +294,11 @@ def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -
             np.testing.assert_allclose(leaf, expected_leaf, rtol=1e-12)
 
 
+@pytest.mark.representative(
+    *("kalman10-reset_times_s[0]", "kalman10-reset_yaw_deg", "kalman10-r_scale"),
+    *("counted-reset_first_s", "counted-q_gyro_deg_per_h_per_sqrt_hz"),
+    *("random walk-q_gyro_arw_deg_per_sqrt_h", "compass-turn_smoothing_s"),
+)
 @pytest.mark.parametrize(("name", "variable"), VARIABLES)
 def test_relaxed_variable_matches_setting_study_key(name: str, variable: str) -> None:
     assert_moved(STUDIES[name], {variable: 0.75})
@@ -282,6 +315,7 @@ COUNTED = {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
 P0 = [key for key in METHODS["kalman5"].implementation.relaxation.changes if key.startswith("p0_")]
 
 
+@pytest.mark.representative("p0_yaw_deg")
 @pytest.mark.parametrize("key", P0)
 def test_reset_covariance_follows_initial_covariance_unless_given(key: str) -> None:
     """Without an axis of the reset covariance, and with one."""
@@ -429,6 +463,10 @@ def test_covariance_descents_improve_simulated_runs(
     assert found.best.objective <= begun.min()
 
 
+@pytest.mark.representative(
+    *("settle_mean-False-None", "settle_mean-True-1.3", "final_error-True-None"),
+    *("final_error-False-1.3", "failure_rate-True-1.3", "failure_rate-False-1.3"),
+)
 @pytest.mark.parametrize("from_floor", [None, 1.3])
 @pytest.mark.parametrize("truth", [False, True])
 @pytest.mark.parametrize("what", ["settle_mean", "final_error", "failure_rate"])

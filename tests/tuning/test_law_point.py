@@ -1,5 +1,7 @@
 """The reset schedule by the law: a point of every search, and what tuning gains over it."""
 
+import threading
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +12,13 @@ from numpy.typing import NDArray
 from support.studies import STILL, small_study
 
 import sinsjax
+from sinsjax.execution.tasks import Job
 from sinsjax.methods import reset_law
 from sinsjax.report import tuning as tuning_report
 from sinsjax.study.load import load_study, with_point
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.tuning import gradient, history, results, search
+from sinsjax.tuning import gradient, history, results, run_tuning, search
 from sinsjax.tuning.law_point import law_point
 from sinsjax.units import ARCMIN, DEG
 
@@ -49,6 +52,7 @@ def law_times(study: Study, heading_deg: float, resets: int) -> tuple[float, ...
     return found.times_s
 
 
+@pytest.mark.representative("tune_robust")
 @pytest.mark.parametrize("name", ["tune_condition5", "tune_large", "tune_robust"])
 def test_shipped_tunings_have_the_law_within_their_ranges(name: str) -> None:
     study = load_study(name)
@@ -212,6 +216,30 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.parametrize("name", ["grid", "sobol", "random"])
+def test_searches_by_points_evaluate_the_law_first(
+    name: str, monkeypatch: pytest.MonkeyPatch, law_values: list[float]
+) -> None:
+    designs: list[search.Design] = []
+
+    def evaluate(study: Study, name: str, design: search.Design, _: Any) -> history.SearchResult:
+        designs.append(design)
+        return history.SearchResult(name, [])
+
+    monkeypatch.setattr(search, "evaluate_design", evaluate)
+    study = tuned(RANGES, **SHORT)
+    assert study.tune is not None
+    space = SearchSpace.from_study(study)
+    session = search.SearchSession(
+        Job(study, directory=Path("unused")), lambda _: nullcontext(), threading.Event()
+    )
+    assert run_tuning._run_search(study, space, name, session, []).search == name
+    (design,) = designs
+    assert space.to_values(design.box[0]) == pytest.approx(law_values)
+    assert len(design.box) == 1 + (4 if name == "grid" else study.tune.sobol_points)
+
+
+@pytest.mark.slow
 def test_grid_evaluates_the_law_first(directory: Path, law_values: list[float]) -> None:
     (grid,) = history.read_searches(
         directory, SearchSpace.from_study(history.load_tuned_study(directory))
@@ -220,6 +248,7 @@ def test_grid_evaluates_the_law_first(directory: Path, law_values: list[float]) 
     assert grid.evaluations[0].values == pytest.approx(law_values)
 
 
+@pytest.mark.slow
 def test_report_states_gain_over_the_law(directory: Path) -> None:
     """The difference of both on the unused draws, with its interval; a mark in the figure."""
     tuning = results.Tuning.from_source(results.read_evaluation(directory))
@@ -239,6 +268,7 @@ def test_report_states_gain_over_the_law(directory: Path) -> None:
     assert "law of resets" in {text.get_text() for text in legend.get_texts()}
 
 
+@pytest.mark.slow
 def test_tuning_with_the_law_is_resumed(directory: Path) -> None:
     before = history.read_history(directory)
     sinsjax.tune(history.load_tuned_study(directory), directory, resume=True)
