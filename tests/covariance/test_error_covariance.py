@@ -3,15 +3,22 @@
 from functools import cache
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 import pytest
+from oracles.in_engine import record_world, site
+from oracles.naive import PAPER
 from scipy import stats
 from support.studies import small_study
 
 from sinsjax.covariance import analysis, linear_draws
 from sinsjax.covariance.analysis import ErrorCovariance
+from sinsjax.covariance.coloured_noise import ColouredInputs
 from sinsjax.engine import batch, build
+from sinsjax.engine.environment import Static
 from sinsjax.engine.lanes import Group
+from sinsjax.methods.base import Options
+from sinsjax.types import Vec3
 from sinsjax.units import ARCMIN
 
 pytestmark = pytest.mark.optimised(False)
@@ -122,7 +129,57 @@ def test_variance_of_companions_matches_covariance_analysis(name: str) -> None:
     assert (ratio > low).all() and (ratio < high).all(), ratio
 
 
-@pytest.mark.representative("kalman5")
+F = np.array([[0.8, 0.2, -0.1], [0.1, 0.7, 0.2], [0.0, -0.2, 0.9]])
+BANDS, FLOOR, DT, RECORDS = np.array([4.0, 2.0]), 0.5, 0.5, 30
+MEAN = 8 * 0.8 ** np.arange(RECORDS)
+"""A growth of three errors, made up, the last of which is that of the heading."""
+
+
+def spread_of_growth(noise: np.ndarray) -> ErrorCovariance:
+    """Its spread about the mean, with 512 sampled errors."""
+    zero, angles = (0.0,) * 3, np.eye(3)
+    matrices = tuple(map(tuple, F)), tuple(noise[np.triu_indices(3)]), tuple(map(tuple, angles))
+    rows = [
+        jax.tree.leaves((Vec3(0.0, 0.0, phi), Vec3(*zero), zero, *matrices))
+        for phi in MEAN.tolist()
+    ]
+    runs = record_world(np.zeros((1, 6)), site(PAPER, 0.5), pass_records=1)
+    runs = runs._replace(criteria=runs.criteria._replace(bands=BANDS))
+    spread = analysis.propagate_over_records(
+        Static("kalman5", Options(DT), 1, RECORDS, curves=True),
+        analysis.AnalysisEnvironment(runs, None, ColouredInputs(), None),
+        np.array(rows)[:, :, None],
+        np.array([FLOOR]),
+        512,
+        3,
+    )
+    return jax.tree.map(lambda a: np.asarray(a)[..., 0], spread)
+
+
+def test_sigma_and_settling_times_are_those_of_errors_drawn_in_numpy() -> None:
+    """Means of settling times within four standard errors; the noise is correlated."""
+    root = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [-0.7, 0.9, 0.4]])
+    spread, count = spread_of_growth(root @ root.T), 4000
+    rng = np.random.default_rng(0)
+    e, covariance, outside = np.zeros((count, 3)), np.zeros((3, 3)), np.zeros((2, 2, count))
+    for k, phi in enumerate(MEAN):
+        e = e @ F.T + rng.normal(size=(count, 3)) @ root.T
+        covariance = F @ covariance @ F.T + root @ root.T
+        np.testing.assert_allclose(spread.sigma[:, k], np.sqrt(np.diag(covariance)), rtol=1e-12)
+        off = np.abs(np.stack([phi + e[:, 2] - FLOOR, phi + e[:, 2]]))[:, None]
+        outside[off > BANDS[:, None]] = DT * (k + 1)
+    a, b = spread.outside_until, outside
+    assert np.ptp(a, axis=-1).min() > 3
+    error = np.sqrt(a.var(-1) / a.shape[-1] + b.var(-1) / count)
+    assert (np.abs(a.mean(-1) - b.mean(-1)) < 4 * error).all(), (a.mean(-1), b.mean(-1), error)
+
+
+def test_spread_of_growth_without_noise_is_zero() -> None:
+    spread = spread_of_growth(np.zeros((3, 3)))
+    assert (spread.sigma == 0).all() and np.ptp(spread.outside_until, axis=-1).max() == 0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WATCHED)
 def test_settling_times_of_sampled_errors_match_companions(name: str) -> None:
     """Means of settling times within four standard errors of both."""
@@ -150,6 +207,7 @@ def test_noise_free_run_equals_run_of_study_without_noise() -> None:
     np.testing.assert_array_equal(outcome.outside_until, first.outside_until[:2])
 
 
+@pytest.mark.slow
 def test_error_covariance_without_noise_is_zero() -> None:
     spread, _ = spread_of(group_of(study_of("kalman5", sensors=SMALL | QUIET)))
     assert (np.asarray(spread.sigma) == 0).all()

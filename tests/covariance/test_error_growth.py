@@ -23,6 +23,7 @@ from sinsjax.types import Increments, Navigation, Quat, Sample, Vec3
 
 FILTERS = ("kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "invariant", "unscented")
 WITH_LINEAR_PART = (*FILTERS, "compass", "optimisation")
+few = pytest.mark.representative("kalman10", "kalman_sincos")
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -128,6 +129,7 @@ def _states(name: str, off: float) -> tuple[Any, ...]:
     return method, params, site, state
 
 
+@few
 @pytest.mark.parametrize("name", FILTERS)
 def test_linear_error_step_predicts_error_of_corrected_solution(name: str) -> None:
     """Of two runs that begin a little apart, on a base at rest; the states' order is the filter's.
@@ -164,6 +166,7 @@ def test_linear_error_step_predicts_error_of_corrected_solution(name: str) -> No
     np.testing.assert_allclose(rows @ np.array(moved), errors(*after), atol=1e-5 * size)
 
 
+@few
 @pytest.mark.parametrize("name", FILTERS)
 def test_linear_error_step_predicts_effect_of_increment_errors(name: str) -> None:
     """One step with increments a little off, against the step with exact ones."""

@@ -1,5 +1,7 @@
 """The comparison of usual ways to turn sensors."""
 
+from functools import cache
+
 import pytest
 
 import sinsjax
@@ -28,7 +30,12 @@ WITH_SCALE = {"gyro_scale_ppm": 300.0, "gyro_misalignment_arcsec": 206.26}
 
 def sigmas(sensors, duration_s, **changes):
     given = {"latitude_deg": 45.0, "duration_s": duration_s} | sensors | changes
-    return {o.name: o.sigma_arcmin for o in sinsjax.plan_turns(**given).options}
+    return {o.name: o.sigma_arcmin for o in planned(*given.items()).options}
+
+
+@cache
+def planned(*given):
+    return sinsjax.plan_turns(**dict(given))
 
 
 @pytest.mark.parametrize(

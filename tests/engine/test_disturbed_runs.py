@@ -65,7 +65,21 @@ def all_runs(group, **options):
     return jax.tree.map(lambda a: a[order], (whole.outcome, whole.curves))
 
 
-@pytest.mark.representative("drawn")
+@pytest.mark.optimised(False)
+def test_disturbed_runs_do_not_depend_on_their_neighbours():
+    """Whole, and the last draws alone: other tiles, lanes and calls of the same program."""
+    length = {"draws": 70, "duration_s": 2.0, "window_s": [0, 2]}
+    method = {"method": "level"}  # programs with a filter take twice as long to compile
+    study = disturbed(study=length, alignment=method, filter={}, axes=AXES, drawn=DRAWN)
+    group, first = group_of(study), 31
+    whole, _ = all_runs(group, devices=2, tiles_per_chunk=2)
+    last, _ = all_runs(group.select(np.arange(first, 70), np.arange(3)), tiles_per_chunk=2)
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(last), strict=True):
+        np.testing.assert_array_equal(a[3 * first :], b)
+    assert np.unique(whole.last.phi.x).size == 70
+
+
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize(
     "changes",

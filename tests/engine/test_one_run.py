@@ -59,7 +59,7 @@ CASES: dict[str, dict[str, Any]] = {
 OPTIMISED = [pytest.param("filter", marks=pytest.mark.optimised(True)), "compass", "drawn"]
 
 
-@pytest.mark.representative("compass")
+@pytest.mark.slow  # tests/methods/test_level.py has a fast one
 @pytest.mark.parametrize("name", OPTIMISED)
 def test_one_run_is_bit_identical_to_study_row(name: str) -> None:
     study = small_study(study=LENGTH, **CASES[name])

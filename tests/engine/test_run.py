@@ -238,6 +238,9 @@ def measure(here, draw, first, samples):
     return np.stack([*now.dtheta, *now.dv], axis=1)
 
 
+measure_at = jax.jit(measure_alone, static_argnums=0)
+
+
 @partial(jax.jit, static_argnums=3)
 def _measure(here, draw, first, samples):
     program, numbers = static(100, 9), first + jnp.arange(samples)
@@ -255,7 +258,7 @@ def test_record_interval_is_split_into_equal_pieces(draws, every):
 def test_noiseless_sensors_draw_no_noise():
     program, here = static(100, 9)._replace(sensors=SensorProgram()), environment(100, 9)
     assert build_sensors(program, here, draw()).normal_numbers(np.arange(9)) is None
-    now = measure_alone(program, here, draw(), [3])
+    now = measure_at(program, here, draw(), np.array([3]))
     expected = ideal()[2 + 3] + BIAS / RATE
     np.testing.assert_allclose([*now.dtheta, *now.dv], expected[:, None], rtol=0, atol=1e-17)
 
@@ -264,7 +267,7 @@ def test_sample_before_stored_record_is_zero_when_repeating():
     """A first sample is compensated with zeros, that is not at all, on every pass."""
     here = environment(100, 9)
     for repeats in (False, True):
-        now = measure_alone(static(100, 9, repeats), here, draw(), [-1])
+        now = measure_at(static(100, 9, repeats), here, draw(), np.array([-1]))
         assert np.any([*now.dtheta, *now.dv]) != repeats
 
 

@@ -30,7 +30,7 @@ GYRO, ACCEL = slice(0, 3), slice(3, 6)
 latitudes = st.floats(-75, 75)
 turns = st.floats(-180, 180)
 pitches = st.floats(-80, 80)
-some = settings(max_examples=40, deadline=None)
+some = settings(max_examples=15, deadline=None)
 
 
 def still(pitch=0.0, roll=0.0, yaw=0.0) -> Motion:
@@ -99,6 +99,7 @@ def test_analytic_fails_but_inertial_succeeds_on_swinging_base(yaw):
     assert abs(error("inertial", increments, place, truth)[2]) < 0.05 * ARCSEC
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", COARSE)
 def test_mapped_start_times_match_single_starts(method):
     """Several starts in one mapped call are the starts one by one."""

@@ -233,6 +233,7 @@ DRIVEN = {
 }
 
 
+@pytest.mark.optimised(False)
 @pytest.mark.parametrize("name", DRIVEN)
 def test_both_channels_match_coupled_linear_model(name):
     """With all couplings, through levelling, the switch to azimuth and a change of pace."""
@@ -248,6 +249,7 @@ def test_both_channels_match_coupled_linear_model(name):
         close(got[:, column], expected[:, column], 5e-4)
 
 
+@pytest.mark.optimised(False)
 def test_steady_state_errors_from_constant_biases_match_theory():
     """Tilts at -nabla_N/g and nabla_E/g, whatever drifts; phi_U as in theory, with every term."""
     eps, nabla = np.array([2, -3, 4]) * 1e-5 * DEG_PER_H, np.array([0.5, -0.3, 0.0]) * UG
@@ -273,6 +275,7 @@ def test_steady_state_errors_from_constant_biases_match_theory():
     np.testing.assert_allclose(both[1], k4 * omega * up / k3, rtol=1e-3)
 
 
+@pytest.mark.optimised(False)
 def test_loop_without_gains_oscillates_at_schuler_frequency():
     """The 1 in 1 + K2: what is left of the levelling loop is Schuler's."""
     given = Loops((0.0, 0.0, 0.0), ((NEVER, (0.0, 0.0, 0.0, 0.0)),))
@@ -281,6 +284,7 @@ def test_loop_without_gains_oscillates_at_schuler_frequency():
     close(got[:, 2], 1e-5 * np.cos(np.sqrt(G / R) * t), 1e-3)
 
 
+@pytest.mark.optimised(False)
 def test_levelling_loop_counts_transport_rate_once():
     """With K2 + 1 for K2, or K2 - 1, the tilt is off by 100 times what the right one is."""
     level = level_gains(0.02, EARTH)
@@ -348,6 +352,7 @@ def short_run(given, phi):
     return trail(static, environment, one_run(np.eye(3), phi, (0, 0), given))
 
 
+@pytest.mark.optimised(False)
 def test_pace_scales_sigma_of_azimuth_loop():
     """Pace p at sigma is pace 1 at p sigma; a piece begins after its sample."""
 
@@ -365,6 +370,7 @@ def test_pace_scales_sigma_of_azimuth_loop():
     close(run(0.05, 0.0, (1.0, 2.0)), double, 1e-12)
 
 
+@pytest.mark.optimised(False)
 @pytest.mark.parametrize(("loop", "grows"), [("level", 1.01), ("azimuth", 1.25)])
 def test_stability_bound_on_sigma_separates_decay_from_growth(loop, grows):
     """A per cent below the bound on sigma a loop decays, and a little above it grows.

@@ -22,7 +22,7 @@ from sinsjax.methods.sincos.method import SurgeParams
 
 pytestmark = pytest.mark.optimised(False)
 
-RATE, SAMPLES, EVERY, LATITUDE = 100, 600, 50, 32 * DEG
+RATE, SAMPLES, EVERY, LATITUDE = 100, 300, 50, 32 * DEG
 NAIVE = {
     "kalman_sincos": SINCOS,
     "kalman_surge": surging(2.0),
@@ -47,7 +47,7 @@ def test_three_passes_match_naive_filter_loop(name, turn):
     """With feedback over the direction reversals, and a reset; or all three forward."""
     phi, v = np.array([1.0, -2.0, 15.0]) * DEG, np.array([0.3, -0.2])
     rows = measured(PAPER, LATITUDE, SAMPLES)
-    filt = numbers(name, every=130, resets=(250, 1500), turn=turn)
+    filt = numbers(name, every=130, resets=(250, 750), turn=turn)
     about = {"latitude": LATITUDE, "c": exp(-phi) @ PAPER1.matrix(0.0), "v": v, "filt": filt}
     naive = closed_loop(
         NAIVE[name], rows, 1 / RATE, PAPER, stored=SAMPLES, count=3 * SAMPLES, **about

@@ -47,7 +47,7 @@ MOTIONS = {
 }
 
 
-@pytest.mark.representative("still", "paper", "large")
+@pytest.mark.representative("paper", "large")
 @pytest.mark.parametrize("name", MOTIONS)
 def test_mean_attitude_matches_average_over_many_periods(name: str) -> None:
     one = MOTIONS[name]

@@ -103,27 +103,27 @@ NULL = (
 )
 
 
-@pytest.fixture(scope="module")
-def results() -> Any:
-    """Two methods from two headings, on biases of 1000 deg/h."""
+def run_biased(**tables: Any) -> Any:
+    """Runs from two headings, on biases of 1000 deg/h."""
+    axes = {"phi_u0_deg": [0.0, 90.0]} | tables.pop("axes", {})
     study = small_study(
         study={"curves": True, "report_times_s": [3.0]},
         motion={**STILL, "pitch_center_deg": PITCH, "roll_center_deg": ROLL},
         sensors={"gyro_bias_deg_per_h": 1000.0},
-        axes={"method": ["inertial", "level"], "phi_u0_deg": [0.0, 90.0]},
+        axes=axes,
+        **tables,
     )
     with pytest.warns(sinsjax.StudyWarning):
         return sinsjax.run(study)
 
 
-def rows_of_method(table: pa.Table, results: Any, name: str) -> pa.Table:
-    runs = results.summary.filter(pa.compute.field("method") == name)["run_id"]
-    return table.filter(pa.compute.is_in(table["run_id"], runs.combine_chunks()))
+@pytest.fixture(scope="module")
+def results() -> Any:
+    return run_biased(alignment={"method": "level"})
 
 
 def test_results_have_no_heading(results: Any) -> None:
-    summary = rows_of_method(results.summary, results, "level")
-    curves = rows_of_method(results.curves, results, "level")
+    summary, curves = results.summary, results.curves
     assert {summary[name].null_count for name in NULL} == {summary.num_rows} == {6}
     for table in (summary, curves):
         for name in NULL[:4]:
@@ -133,12 +133,21 @@ def test_results_have_no_heading(results: Any) -> None:
     assert {*summary["status"].to_pylist()} == {"no_north"}
     assert {*summary["ok_truth"].to_pylist()} == {False}
     assert {*summary["has_floor"].to_pylist()} == {False}
-    other = rows_of_method(results.summary, results, "inertial")
-    assert {other[name].null_count for name in NULL[:3]} == {0}
+
+
+@pytest.mark.slow
+def test_only_runs_of_level_have_no_heading_beside_another_method(results: Any) -> None:
+    both = run_biased(axes={"method": ["inertial", "level"]}).summary
+    inertial, level = (
+        both.filter(pa.compute.field("method") == name) for name in ("inertial", "level")
+    )
+    assert {inertial[name].null_count for name in NULL[:3]} == {0}
+    for name in ("phi_e_arcmin", "sigma_e_arcmin", "status", *NULL):
+        assert level[name].to_pylist() == results.summary[name].to_pylist(), name
 
 
 def test_results_have_level_within_sigma(results: Any) -> None:
-    summary = rows_of_method(results.summary, results, "level")
+    summary = results.summary
     errors = np.stack([summary[f"phi_{axis}_arcmin"].to_numpy() for axis in "en"])
     assert np.abs(errors).max() < 3  # 500 ug are 1.7'
     assert np.all(summary["sigma_e_arcmin"].to_numpy() > 5000 * UG / GRAVITY / ARCMIN * 0.99)
@@ -152,7 +161,7 @@ def test_results_have_level_within_sigma(results: Any) -> None:
 
 
 def test_run_alone_has_the_bits_of_the_study(results: Any) -> None:
-    row = rows_of_method(results.summary, results, "level").to_pylist()[-1]
+    row = results.summary.to_pylist()[-1]
     run = sinsjax.one_run(results.study, variant_id=row["variant_id"])
     last = run(run.params, run.draw(row["draw_id"])).last
     assert [last.phi.x / ARCMIN, last.phi.y / ARCMIN, last.sigma.x / ARCMIN] == [

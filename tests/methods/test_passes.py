@@ -61,7 +61,7 @@ NEVER = np.inf
 
 
 @given(st.integers(1, 6), st.integers(1, 5), st.integers(1, 20))
-@settings(max_examples=15)
+@settings(max_examples=8)
 def test_every_stored_sample_is_read_once_per_pass(stored: int, every: int, records: int) -> None:
     """Forward in order, backward in reverse; each is compensated with the one before it."""
     paired, before, turns = [], -1, []
@@ -280,7 +280,7 @@ def dense(entries, n):
     return matrix
 
 
-@pytest.mark.representative("kalman10-planet1-integrated-carried-clock0")
+@pytest.mark.slow  # test_filter_passes.py has a fast one
 @pytest.mark.parametrize(
     ("turn", "clock"),
     [

@@ -1,5 +1,6 @@
 """Predicted settling times: against whole alignments, and in the limit that the law solves."""
 
+import itertools
 import math
 
 import numpy as np
@@ -38,15 +39,42 @@ def predicted(problem: ResetProblem, times: tuple[float, ...], *headings: float)
     return predict_settling_times(lanes, 900.0).tolist()
 
 
-@pytest.mark.representative("gravity")
-@pytest.mark.parametrize("force", ["gravity", "measured"])
+AXES = {
+    "reset_times_s": [[2.0, 4.0, 80.0], [2.0, 4.0, 60.0, 120.0]],
+    "phi_u0_deg": [10.0, 90.0, 150.0],
+    "p0_velocity_m_per_s": [0.1, 1.0],
+}
+MEASURED = {
+    "gravity": [125, 121, 198, 179, 293, 242, 141, 118, 196, 185, 251, 226],
+    "measured": [125, 121, 179, 188, 184, 231, 141, 118, 194, 185, 254, 207],
+}
+"""Settling times (s) of whole alignments over `AXES`, the last of which runs fastest."""
+
+
+def told_of_axes(force: str) -> np.ndarray:
+    problem = PAPER._replace(
+        velocity_noise=(500e-6 * G) ** 2 / 0.02,
+        north_rate=north_rate(32.0),
+        is_force_measured=force == "measured",
+    )
+    lanes = [
+        Lane(problem._replace(velocity=velocity), tuple(times), heading * DEG, LEVEL)
+        for times, heading, velocity in itertools.product(*AXES.values())
+    ]
+    return predict_settling_times(lanes, 500.0)
+
+
+@pytest.mark.parametrize("force", MEASURED)
+def test_prediction_is_what_measured_alignments_did(force: str) -> None:
+    ratio = told_of_axes(force) / np.array(MEASURED[force])
+    assert abs(np.median(ratio) - 1) < 0.04
+    np.testing.assert_allclose(ratio, 1, atol=0.08 if force == "gravity" else 0.16)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("force", MEASURED)
 def test_prediction_is_what_noise_free_alignments_do(force: str) -> None:
     """Twelve runs of 500 s with feedback at once and P0 of velocity as printed and open."""
-    axes = {
-        "reset_times_s": [[2.0, 4.0, 80.0], [2.0, 4.0, 60.0, 120.0]],
-        "phi_u0_deg": [10.0, 90.0, 150.0],
-        "p0_velocity_m_per_s": [0.1, 1.0],
-    }
     study = small_study(
         study={"duration_s": 500.0, "draws": 1, "window_s": [400, 500], "rate_hz": 50.0},
         motion=STILL,
@@ -57,27 +85,16 @@ def test_prediction_is_what_noise_free_alignments_do(force: str) -> None:
         filter={"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step",
                 "r_reading": "psd"},
         resets={},
-        axes=axes,
+        axes=AXES,
     )  # fmt: skip
+    assert study.earth.latitude_deg == 32.0
     rows = sinsjax.run(study, curves=False).summary.to_pylist()
-    problem = PAPER._replace(
-        velocity_noise=(500e-6 * G) ** 2 / 0.02,
-        north_rate=north_rate(study.earth.latitude_deg),
-        is_force_measured=force == "measured",
-    )
-    lanes = [
-        Lane(
-            problem._replace(velocity=row["p0_velocity_m_per_s"]),
-            tuple(row["reset_times_s"]),
-            row["phi_u0_deg"] * DEG,
-            LEVEL,
-        )
-        for row in rows
-    ]
-    told = predict_settling_times(lanes, 500.0)
+    given = [tuple(row[name] for name in AXES) for row in rows]
+    assert given == [*itertools.product(*AXES.values())]
     measured = [row["settle_10_s"] for row in rows]
+    np.testing.assert_allclose(measured, MEASURED[force], rtol=0, atol=1.0)
     assert len({round(time) for time in measured}) > 6
-    ratio = told / np.array(measured)
+    ratio = told_of_axes(force) / np.array(measured)
     assert abs(np.median(ratio) - 1) < 0.04
     np.testing.assert_allclose(ratio, 1, atol=0.08 if force == "gravity" else 0.16)
 
@@ -124,8 +141,9 @@ def test_runs_are_predicted_alike_alone_and_side_by_side() -> None:
         for heading in (10.0, 150.0)
     ]
     together = predict_settling_times(lanes, 600.0)
-    alone = [predict_settling_times([lane], 600.0)[0] for lane in lanes]
-    np.testing.assert_allclose(together, alone, rtol=1e-9)
+    chosen = [0, 5, 11]
+    alone = [predict_settling_times([lanes[k]], 600.0)[0] for k in chosen]
+    np.testing.assert_allclose(together[chosen], alone, rtol=1e-9)
 
 
 def test_noise_narrows_the_band() -> None:

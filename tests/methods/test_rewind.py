@@ -86,22 +86,22 @@ def test_rewound_pass_equals_run_started_at_rewound_attitude(name):
         np.testing.assert_allclose(a[STORED:], b, rtol=1e-9, atol=1e-11)
 
 
+@jax.jit
+def wind_back(rows, bias):
+    samples = sensors.compensate_record(rows, rows[0])
+    turn = passes.accumulate_rotation(
+        passes.identity_rotation(jnp.zeros(()), with_bias=True), samples, 1 / RATE
+    )
+    q, place = Quat(*quaternion(PAPER1.matrix(3.0))), site(PAPER, LATITUDE).place
+    return passes.rewind_attitude(q, turn, place, len(rows) / RATE, Vec3(*bias))
+
+
 @pytest.mark.parametrize(("bias_deg_per_h", "left"), [(0.0, 1e-12), (1.0, 1e-8), (10.0, 1e-6)])
 def test_rewound_attitude_corrects_known_gyro_bias(bias_deg_per_h, left):
     """To the second order in the angle that it makes over the record, 1e-4 rad for 1 deg/h."""
     bias = np.array([1.0, -0.5, 0.8]) * bias_deg_per_h * DEG_PER_H
     rows = measured(PAPER, LATITUDE, 20 * RATE)
-
-    @jax.jit
-    def back(rows):
-        samples = sensors.compensate_record(rows, rows[0])
-        turn = passes.accumulate_rotation(
-            passes.identity_rotation(jnp.zeros(()), with_bias=True), samples, 1 / RATE
-        )
-        q, place = Quat(*quaternion(PAPER1.matrix(3.0))), site(PAPER, LATITUDE).place
-        return passes.rewind_attitude(q, turn, place, len(rows) / RATE, Vec3(*bias))
-
-    c = of_quaternion(np.array(back(rows)))
+    c = of_quaternion(np.array(wind_back(rows, bias)))
     expected = wound_back(PAPER1.matrix(3.0), rows, 1 / RATE, PAPER, LATITUDE, bias)
     off = np.abs(log(c @ expected.T)).max()
     assert off < left and (bias_deg_per_h == 0 or off > left / 1e3)

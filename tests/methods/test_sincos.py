@@ -28,6 +28,8 @@ from sinsjax.methods.registry import METHODS
 from sinsjax.methods.sincos import method as sincos
 from sinsjax.units import ARCMIN
 
+pytestmark = pytest.mark.optimised(False)
+
 RATE, SAMPLES, LATITUDE = 100, 1500, 32 * DEG
 P0 = np.array([0.1, 0.1, 15 * DEG, 15 * DEG, 0.5**0.5, 0.5**0.5]) ** 2
 Q = (np.array([500 * UG] * 2 + [0.1 * DEG_PER_H] * 4) / RATE) ** 2
@@ -176,7 +178,6 @@ def heading_errors(results):
 
 
 @pytest.mark.slow
-@pytest.mark.optimised(False)
 def test_converged_heading_does_not_depend_on_initial_heading():
     """From 30 s on, on the same noise."""
     study = matched(
@@ -191,7 +192,6 @@ def test_converged_heading_does_not_depend_on_initial_heading():
 
 
 @pytest.mark.slow
-@pytest.mark.optimised(False)
 def test_north_drift_estimate_and_sigma_are_consistent():
     """Its sigmas cover its errors at the end, and the north drift comes out."""
     bias = 0.5

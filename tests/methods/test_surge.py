@@ -25,6 +25,8 @@ from sinsjax.methods.sincos import method as surge
 from sinsjax.methods.sincos.method import SurgeParams
 from sinsjax.strapdown import processes
 
+pytestmark = pytest.mark.optimised(False)
+
 RATE, SAMPLES, LATITUDE, TIME = 100, 1500, 32 * DEG, 2.0
 STILL = {
     "p0": np.array([0.1, 0.1, 15 * DEG, 15 * DEG, 0.5**0.5, 0.5**0.5]) ** 2,
@@ -105,6 +107,7 @@ def test_kalman_surge_matches_naive_closed_loop(schedule):
     np.testing.assert_allclose(c, naive.corrected, rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_kalman_surge_without_surge_equals_kalman_sincos():
     _, still, _ = run("kalman_sincos", Filter(**STILL, every=100))
     _, found, _ = run("kalman_surge", believing(0.0, every=100))
@@ -125,6 +128,7 @@ def test_surge_keys_of_study_set_filter_parameters():
     assert params.extra.rate == 0.25
 
 
+@pytest.mark.slow
 def test_kalman_surge_covariance_does_not_depend_on_initial_state():
     filt = filter_params(believing(0.1, every=100))._replace(extra=SurgeParams(np.float64(0.5)))
     here, rows = site(PAPER, LATITUDE), measured(PAPER, LATITUDE, SAMPLES)

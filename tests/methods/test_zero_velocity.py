@@ -20,6 +20,8 @@ from sinsjax.engine import build
 from sinsjax.maths.algebra import triangle_index
 from sinsjax.study.load import study_from_dict
 
+pytestmark = pytest.mark.optimised(False)
+
 RATE, SAMPLES = 100, 2000
 PHI0, V0 = np.array([5.0, 5.0, 30.0]) * DEG, np.array([0.3, -0.2])
 
@@ -120,7 +122,7 @@ SCHEDULES = {
 }
 
 
-@pytest.mark.representative("partial feedback, yaw resets", "P shrunk")
+@pytest.mark.representative("partial feedback, yaw resets")
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_kalman5_closed_loop_matches_naive_filter(schedule):
     compare("kalman5", PAPER, 32.0, paper_filter(5, **SCHEDULES[schedule]))
@@ -144,6 +146,7 @@ def test_filters_with_integrated_position_match_naive_filter(name, force, positi
     assert moved == (position == "integrated")
 
 
+@pytest.mark.representative("schedule0")
 @pytest.mark.parametrize("schedule", [{"every": 7, "gain": 0.3}, {"resets": (1333,)}])
 def test_kalman10_that_reopens_matches_naive_filter(schedule):
     filt = paper_filter(10, turning_rate=1.5 * DEG, **schedule)
@@ -152,6 +155,7 @@ def test_kalman10_that_reopens_matches_naive_filter(schedule):
     assert 0.2 < np.mean(watcher.updates) < 0.8
 
 
+@pytest.mark.slow
 def test_q_per_state_is_added_before_update():
     filt = paper_filter(5, q=np.array([1e-3, 2e-3, 3e-5, 4e-5, 5e-5]))
     compare("kalman5", PAPER, 32.0, filt)
@@ -160,7 +164,7 @@ def test_q_per_state_is_added_before_update():
 @pytest.mark.parametrize("kind", ["full", "yaw", "scale"])
 def test_reset_feeds_back_whole_state_and_then_sets_covariance(kind):
     k = 137
-    run = runner("kalman5", "measured", "fixed")
+    run = runner("kalman5", "measured", "fixed", turning="update")
     start, here = exp(-PHI0) @ PAPER1.matrix(0.0), site(PAPER, 0.5)
     args = here, navigation(start, V0, 0.5), measured(PAPER, 0.5, SAMPLES)
     filt = paper_filter(5, every=1000, gain=0.1)
@@ -203,9 +207,8 @@ def test_reset_sets_covariance_to_given_reset_values(name, position):
         data["resets"]["reset_kind"] = kind
         (part,) = build.parts(study_from_dict(data))
         filt = jax.tree.map(lambda a: a[0], part.group.variants.method)
-        state, _, _ = runner(name, "measured", position)(
-            filt, here, nav, measured(PAPER, 0.5, SAMPLES)
-        )
+        run = runner(name, "measured", position, turning="update")
+        state, _, _ = run(filt, here, nav, measured(PAPER, 0.5, SAMPLES))
         for k in (100, 400):
             p = states(state.belief.p)[k - 1]
             if kind == "full":

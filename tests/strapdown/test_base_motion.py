@@ -39,9 +39,17 @@ def swings(draw):
     )
 
 
-@pytest.mark.optimised(True)
-@pytest.mark.representative("True")
-@pytest.mark.parametrize("with_axes", [False, True])
+AS_SHIPPED = pytest.mark.optimised(True), pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "with_axes",
+    [
+        pytest.param(False, marks=AS_SHIPPED),
+        pytest.param(True, marks=AS_SHIPPED),
+        pytest.param(True, id="least optimised"),
+    ],
+)
 def test_increments_in_blocks_match_whole_record_bit_for_bit(with_axes):
     n, block = 5001, 4000
     given = motion(ODD), place(WGS84, 0.5), 100.0

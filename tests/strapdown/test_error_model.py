@@ -23,6 +23,8 @@ from sinsjax.strapdown import mechanisation, sensors
 from sinsjax.strapdown.error_model import MODELS
 from sinsjax.types import Navigation, Quat, Sample, Vec3
 
+pytestmark = pytest.mark.optimised(False)
+
 DT = 0.01
 FORCE_B = np.array([1.4, -2.3, 9.6])
 RATE_B = np.array([0.05, -0.03, 0.04])

@@ -129,13 +129,13 @@ def drawn(seed, draws, samples, triads):
 
 @pytest.mark.optimised(True)
 def test_driving_noise_depends_only_on_seed_draw_sample_and_triad():
-    many = drawn(7, np.arange(4), np.arange(9), (0, 2, 3, 7))
+    many = drawn(7, np.arange(4), np.arange(9), (2, 7))
     for triad, axes in many.items():
         alone = drawn(7, 3, [5], (triad,))[triad]
         np.testing.assert_array_equal(alone[:, 0], axes[:, 5, 3])
     whole = np.concatenate([axes.reshape(-1, 36) for axes in many.values()])
     assert len(np.unique(whole, axis=0)) == len(whole)
-    assert not np.array_equal(drawn(8, np.arange(4), np.arange(9), (0,))[0], many[0])
+    assert not np.array_equal(drawn(8, np.arange(4), np.arange(9), (2, 7))[2], many[2])
 
 
 def test_driving_noise_is_white_with_unit_variance():

@@ -110,8 +110,9 @@ def test_noise_depends_only_on_seed_draw_and_sample():
 def test_noise_uses_three_counters_per_sample():
     """Pair k of a sample is the pair of counter 3 sample + k."""
     word = jnp.uint32
-    now = sensors.draw_normal_numbers(*map(jnp.asarray, (3 + 2**32 * 9, 5, [8])))
-    pairs = [normal_pair(threefry((word(9), word(3)), (word(5), word(24 + k)))) for k in range(3)]
+    now = jax.jit(sensors.draw_normal_numbers)(*map(jnp.asarray, (3 + 2**32 * 9, 5, [8])))
+    pair = jax.jit(lambda number: normal_pair(threefry((word(9), word(3)), (word(5), number))))
+    pairs = [pair(word(24 + k)) for k in range(3)]
     np.testing.assert_allclose(joined(now)[0], np.ravel(pairs), rtol=0, atol=1e-6)
 
 
@@ -124,12 +125,15 @@ def test_compensation_matches_naive_term_by_term():
     np.testing.assert_allclose(matrices, Rotation.from_rotvec(turn).as_matrix(), atol=1e-15)
 
 
-@pytest.mark.optimised(True)
-def test_compensation_of_split_record_equals_whole_record():
+@pytest.mark.parametrize(
+    "optimised", [False, pytest.param(True, marks=[pytest.mark.optimised(True), pytest.mark.slow])]
+)
+def test_compensation_of_split_record_equals_whole_record(optimised):
+    compensate = sensors.compensate_record if optimised else jax.jit(sensors.compensate_record)
     increments = np.random.default_rng(3).normal(scale=0.01, size=(50, 6))
-    whole = sensors.compensate_record(increments, increments[0])
-    first = sensors.compensate_record(increments[:17], increments[0])
-    second = sensors.compensate_record(increments[17:], increments[16])
+    whole = compensate(increments, increments[0])
+    first = compensate(increments[:17], increments[0])
+    second = compensate(increments[17:], increments[16])
     for leaf, a, b in zip(*(jax.tree.leaves(t) for t in (whole, first, second)), strict=True):
         np.testing.assert_array_equal(leaf, np.concatenate([a, b]))
 
