@@ -103,7 +103,7 @@ def test_next_event_is_first_sample_with_due_feedback_or_reset(resets, feedback_
     assert float(found) == next(due)
 
 
-@settings(max_examples=4)
+@settings(max_examples=6)
 @given(
     st.sampled_from([(1, 1), (12, 1), (12, 3), (12, 12)]),
     st.lists(st.integers(1, 15), min_size=3, max_size=3),

@@ -86,7 +86,7 @@ slope_by_jax = jax.jit(jax.jacfwd(lambda x, here: jnp.stack(model.predict_errors
 
 @pytest.mark.parametrize("planet", [WGS84, PAPER])
 @given(st.floats(-3.1, 3.1), st.integers(0, 2**32 - 1))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_error_model_matches_navigator_at_any_azimuth(planet, a, seed):
     """Exactly in the azimuth; to first order in velocity and tilt."""
     x = np.random.default_rng(seed).normal(size=4) * np.array([1e-3, 1e-3, 1e-5, 1e-5])
@@ -117,7 +117,7 @@ def test_model_derivative_matches_automatic_differentiation(level, azimuth):
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 0.5, 1.0]))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_unscented_prediction_matches_textbook_transform(seed, alpha):
     rng, here = np.random.default_rng(seed), place(PAPER, LATITUDE)
     x = rng.normal(size=5) * np.array([1.0, 1.0, 0.2, 0.2, 2.0])

@@ -30,7 +30,7 @@ GYRO, ACCEL = slice(0, 3), slice(3, 6)
 latitudes = st.floats(-75, 75)
 turns = st.floats(-180, 180)
 pitches = st.floats(-80, 80)
-some = settings(max_examples=15, deadline=None)
+some = settings(max_examples=40, deadline=None)
 
 
 def still(pitch=0.0, roll=0.0, yaw=0.0) -> Motion:

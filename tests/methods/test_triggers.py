@@ -245,7 +245,7 @@ def threshold_at(scores, share):
     scheduled=st.sets(st.integers(1, 60), max_size=4),
     every=st.sampled_from([1, 4, 7]),
 )
-@settings(max_examples=10)
+@settings(max_examples=25)
 def test_trigger_scores_and_firing_match_naive_trigger(
     name, seed, share, window, refractory, most, until, scheduled, every
 ):
@@ -276,7 +276,7 @@ def test_trigger_scores_and_firing_match_naive_trigger(
     threshold=st.floats(0, 3, allow_subnormal=False),
     scheduled=st.sets(st.integers(1, 60), max_size=4),
 )
-@settings(max_examples=10)
+@settings(max_examples=25)
 def test_fading_triggers_scale_covariance_and_never_reset(name, seed, threshold, scheduled):
     steps = sequence(seed, 60, scheduled)
     naive, factors = drive_naively(name, Numbers(threshold), steps)
@@ -308,7 +308,7 @@ def test_refractory_time_cap_and_end_limit_trigger_firing():
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 3), st.floats(1.01, 3), st.floats(0.1, 2))
-@settings(max_examples=5)
+@settings(max_examples=15)
 def test_linearisation_score_is_one_at_rest_and_grows_with_corrections(seed, turn, more, tilt):
     """Where A(t) is that of a base at rest, corrections alone decide, and their signs do not."""
     step = jax.tree.map(lambda a: a[0], sequence(seed, 1)._replace(after_reset=np.zeros(1)))
