@@ -31,7 +31,7 @@ from support.memory import process_bytes
 
 _LEAST_OPTION = "jax_disable_most_optimizations"
 
-LARGE_BYTES, LARGEST_BYTES = 1000 * 2**20, 1400 * 2**20
+LARGE_BYTES, LARGEST_BYTES = 1350 * 2**20, 1500 * 2**20
 """Memory of a process above which it drops its programs after a module of tests, and after any
 test."""
 
