@@ -61,7 +61,7 @@ NEVER = np.inf
 
 
 @given(st.integers(1, 6), st.integers(1, 5), st.integers(1, 20))
-@settings(max_examples=8)
+@settings(max_examples=15)
 def test_every_stored_sample_is_read_once_per_pass(stored: int, every: int, records: int) -> None:
     """Forward in order, backward in reverse; each is compensated with the one before it."""
     paired, before, turns = [], -1, []
