@@ -25,6 +25,7 @@ from support.studies import STILL, small_study
 
 import sinsjax as package
 from sinsjax.errors import InputError
+from sinsjax.records.evidence import _settled_by_physics as settled_by_physics
 from sinsjax.records.layout import NAMED_AXES, from_body_axes
 from sinsjax.study.from_record import make_study_text
 
@@ -217,6 +218,20 @@ def test_unit_of_mems_gyros_without_name_is_a_question(
         assert doubts == [
             "the unit of the gyros is open, so the latitude is unknown: put the true one here"
         ]
+
+
+def test_quiet_gyros_settle_their_unit_by_earth_rate_within_a_per_cent() -> None:
+    """A mean rate that only comes near it in some unit settles nothing."""
+    gyro, dv = np.ones((600, 3)), np.tile([0.0, 0.0, G / RATE], (600, 1))
+
+    def unit(of_earth: float) -> str:
+        ratio = {"rad_per_s": 206265 * of_earth, "deg_per_s": 3600 * of_earth}
+        return settled_by_physics(
+            gyro, dv, ratio | {"deg_per_h": of_earth}, "rad_per_s", has_dead=False, rate_hz=RATE
+        )[0]
+
+    assert unit(0.995) == unit(1.005) == "deg_per_h"
+    assert {unit(of_earth) for of_earth in (0.7, 0.97, 1.03, 1.3)} == {""}
 
 
 def test_open_question_is_refused_with_its_evidence_until_answered(
