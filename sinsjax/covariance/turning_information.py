@@ -219,7 +219,7 @@ def _heading_variances(
 def _inverse_root(s: np.ndarray) -> np.ndarray:
     """Return the inverses of the Cholesky factors of matrices (cases, 2, 2).
 
-    LAPACK's take half of the time of a step, for a number of checks per call.
+    LAPACK spends longer on its checks of each call than on matrices of this size.
     """
     first = np.sqrt(s[:, 0, 0])
     below = s[:, 1, 0] / first

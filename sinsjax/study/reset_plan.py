@@ -288,21 +288,27 @@ class _Schedule(NamedTuple):
     heading_bound_deg: float
     band_arcmin: float
 
-    def runs(self) -> list[tuple[Lane, float]]:
-        """The runs to predict, each with its sigmas of noise, in the order of `plan`."""
-        bound, times = self.heading_bound_deg * DEG, self.found.times_s
+    def runs(self, run_s: float) -> list[tuple[Lane, float, float, float]]:
+        """The runs of `plan`, in its order, each as `predict_settling_times` has it."""
+        bound, band, times = (
+            self.heading_bound_deg * DEG,
+            self.band_arcmin * ARCMIN,
+            self.found.times_s,
+        )
         counted = [
-            reset_law.schedule_with(self.problem, bound, self.band_arcmin * ARCMIN, n).times_s
+            reset_law.schedule_with(self.problem, bound, band, n).times_s
             for n in range(1, _MOST_RESETS + 1)
         ]
         last_s = times[-1] - (times[-2] if len(times) > 1 else 0.0)
         moved = [(*times[:-1], times[-1] + k * _MOVED * last_s) for k in (-1, 1)]
         law = Lane(self.problem, times, bound, _TILT)
-        by_noise = [(law, _NOISE_SIGMAS), (law, _LATE_SIGMAS)]
         velocity = max(OPEN_VELOCITY, self.problem.velocity)
         opened = law._replace(problem=self.problem._replace(velocity=velocity))
         others = [*(law._replace(times_s=one) for one in ((), *moved, *counted)), opened]
-        return [(law, MEDIAN_SIGMAS), *by_noise, *((run, MEDIAN_SIGMAS) for run in others)]
+        by_sigmas = [(law, sigmas) for sigmas in (MEDIAN_SIGMAS, _NOISE_SIGMAS, _LATE_SIGMAS)]
+        by_sigmas += [(lane, MEDIAN_SIGMAS) for lane in others]
+        run_s = max(run_s, 3 * self.found.settling_s)
+        return [(lane, run_s, band, sigmas) for lane, sigmas in by_sigmas]
 
     def plan(self, settling_s: Sequence[float]) -> ResetPlan:
         """Return the plan, given the settling times of `runs`."""
@@ -333,15 +339,9 @@ def _schedule(rate_hz: float, point: Mapping[str, Any]) -> _Schedule:
 
 def _predict(schedules: Sequence[_Schedule], run_s: float) -> Iterator[ResetPlan]:
     """Yield the plans of some schedules, all of whose runs are predicted side by side."""
-    runs = [schedule.runs() for schedule in schedules]
-    lanes, sigmas = zip(*itertools.chain.from_iterable(runs), strict=True)
-    per_run = [
-        (max(run_s, 3 * schedule.found.settling_s), schedule.band_arcmin * ARCMIN)
-        for schedule, own in zip(schedules, runs, strict=True)
-        for _ in own
-    ]
-    durations, bands = zip(*per_run, strict=True)
-    settling = iter(predict_settling_times(lanes, durations, bands, sigmas).tolist())
+    runs = [schedule.runs(run_s) for schedule in schedules]
+    together = zip(*itertools.chain.from_iterable(runs), strict=True)
+    settling = iter(predict_settling_times(*together).tolist())
     for schedule, own in zip(schedules, runs, strict=True):
         yield schedule.plan(list(itertools.islice(settling, len(own))))
 
