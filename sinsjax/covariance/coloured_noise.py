@@ -35,7 +35,7 @@ class ColouredInputs(NamedTuple):
     """A process per coloured input, or something for each process; None if it is absent.
 
     The last two are the deviations of drawn constant biases from their means, the others are those
-    of `Disturbances`.
+    of `Disturbances` but for the rotation of the housing, which the gyros measure.
     """
 
     surge: Any = None
@@ -44,7 +44,6 @@ class ColouredInputs(NamedTuple):
     gyro_walk: Any = None
     accel_walk: Any = None
     shaking: Any = None
-    rocking: Any = None
     gyro_bias: Any = None
     accel_bias: Any = None
 
@@ -56,14 +55,13 @@ PROCESS_INPUTS = ColouredInputs(
     gyro_walk=(ANGLE, IN_B),
     accel_walk=(VELOCITY, IN_B),
     shaking=(VELOCITY, IN_B),
-    rocking=(ANGLE, IN_B),
     gyro_bias=(ANGLE, IN_B),
     accel_bias=(VELOCITY, IN_B),
 )
 """Increments and axes in which each process enters."""
 
-_INTEGRATED = ("surge", "shaking", "rocking")
-"""Processes that are a velocity or an angle, whose change is part of an increment."""
+_INTEGRATED = ("surge", "shaking")
+"""Processes that are a velocity, whose change is part of an increment."""
 
 
 class ProcessGrowth(NamedTuple):
@@ -102,7 +100,7 @@ def increment_error_processes(
     }
     errors = {}
     for name, process in (disturbances._asdict() | constants).items():
-        if process is None:
+        if process is None or name == "rocking":
             continue
         if name in _INTEGRATED:
             a, c = process.transition, process.output

@@ -20,12 +20,13 @@ first order in the misalignment phi
     phi' = phi x w_ie + noise of the gyros,          f = (0, 0, g), u(0) = 0,
 
 with the velocity v of the surging base: a process x' = A x + b w whose changes all enter u.
-Vibration and drifts of the sensors enter likewise. Only phi(0) is unknown, so u is d phi(0) + e
-with known rows d and a Gaussian e of known covariance C, and no unbiased estimator has a smaller
-covariance than (d' C^-1 d)^-1 (Gauss and Markov; Cramer and Rao). C would be a full matrix of the
-samples. A Kalman filter that knows phi(0) = 0 whitens e instead: its innovations r have known
-covariances S, and C^-1 = L' S^-1 L with the filter itself as L. It whitens the columns of d as it
-does u, so
+Linear vibration and drifts of the sensors enter likewise. Angular vibration is left out: the gyros
+measure it, and what it adds to the velocity at the end of a lever arm averages out. Only phi(0) is
+unknown, so u is d phi(0) + e with known rows d and a Gaussian e of known covariance C, and no
+unbiased estimator has a smaller covariance than (d' C^-1 d)^-1 (Gauss and Markov; Cramer and Rao).
+C would be a full matrix of the samples. A Kalman filter that knows phi(0) = 0 whitens e instead:
+its innovations r have known covariances S, and C^-1 = L' S^-1 L with the filter itself as L. It
+whitens the columns of d as it does u, so
 
     d' C^-1 d = sum over the samples of r_d' S^-1 r_d,
 

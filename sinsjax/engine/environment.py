@@ -121,7 +121,7 @@ class SensorModel(NamedTuple):
             made as a run proceeds, since all together would fill the memory.
         errors: of the sensors.
         seed: of all noise.
-        motion: of the base, if draws differ or no increments are stored.
+        motion: of the base, if draws differ, no increments are stored, or the housing rotates.
         axes: (T, 9) axes of n in b over the stored samples, if disturbances need them.
         disturbances: random processes of base and sensors.
     """
@@ -295,7 +295,7 @@ def derive_inputs(static: Static, environment: Environment, draw: Draw) -> Deriv
     if draw.latitude is not None:
         site = Site(site.earth, earth.place(site.earth, draw.latitude), draw.latitude)
     errors = sensor_errors(environment.sensors, draw)
-    motion = environment.sensors.motion if draw.motion is None else draw.motion
+    motion = select_motion(environment.sensors, draw)
     assert motion is not None
     rest = nodes = None
     if draw.motion is not None:
@@ -324,6 +324,11 @@ def select_disturbances(model: SensorModel, draw: Draw) -> Disturbances:
     return model.disturbances if draw.disturbances is None else draw.disturbances
 
 
+def select_motion(model: SensorModel, draw: Draw) -> base_motion.Motion | None:
+    """Return the motion of the base of a draw; None if it does not matter beyond its increments."""
+    return model.motion if draw.motion is None else draw.motion
+
+
 def select_site(site: Site, draw: Draw) -> Site:
     """Return Earth and place of a draw."""
     return site if draw.derived.site is None else draw.derived.site
@@ -335,17 +340,17 @@ def select_biases(biases: MeanBiases, draw: Draw) -> MeanBiases:
 
 
 def initial_true_attitude(draw: Draw) -> Quat | None:
-    """Return the true attitude before the first sample if a draw has its own motion, else None."""
+    """Return the attitude of the base before the first sample if a draw has its own, else None."""
     return None if draw.motion is None else base_motion.attitude(draw.motion, 0.0)
 
 
 def stored_attitude(truth: Truth, draw: Draw, number: Array) -> Quat:
-    """Return the stored true attitude at the end of a record interval; NaN if unknown."""
+    """Return the stored attitude of the base at the end of an interval; NaN if unknown."""
     return Quat(*jnp.moveaxis(jnp.asarray(truth.attitudes)[draw.row, number], -1, 0))
 
 
 def computed_attitudes(truth: Truth, draw: Draw, records: int) -> Quat:
-    """Return the true attitudes of a draw with its own motion, leaves (records,)."""
+    """Return the attitudes of the base of a draw with its own motion, leaves (records,)."""
     assert draw.motion is not None
     times = jnp.asarray(truth.times)[:records]
     return jax.vmap(partial(base_motion.attitude, draw.motion))(times)

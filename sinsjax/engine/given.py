@@ -17,6 +17,7 @@ from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.run import Run, set_up
 from sinsjax.engine.samples import leaf_axes
 from sinsjax.maths.algebra import select_tree
+from sinsjax.maths.rotations import multiply
 from sinsjax.methods.base import AttitudeCovariance
 from sinsjax.methods.external.method import ExternalState
 from sinsjax.types import Array, Count, Quat
@@ -103,19 +104,28 @@ def _true_attitudes(static: Static, environment: Environment, tile: Tiles) -> Qu
     numbers = jnp.arange(static.records)
     if draws.motion is None:
         look_up = jax.vmap(lambda number: stored_attitude(truth, draws, number))
-        return look_up(numbers)
-    compute = partial(computed_attitudes, truth, records=static.records)
-    return jax.vmap(compute, in_axes=(leaf_axes(draws),), out_axes=1)(draws)
+        attitudes = look_up(numbers)
+    else:
+        compute = partial(computed_attitudes, truth, records=static.records)
+        attitudes = jax.vmap(compute, in_axes=(leaf_axes(draws),), out_axes=1)(draws)
+    turns = set_up(static, environment, tile).sensors.housing_turns(
+        static.records, static.record_every
+    )
+    if turns is None:
+        return attitudes
+    return multiply(attitudes, jax.tree.map(lambda a: a[1:], turns))
 
 
 @partial(jax.jit, static_argnums=0)
 def _judge(static: Static, environment: Environment, tile: Tiles, given: GivenAttitudes) -> Outcome:
     runs = set_up(static, environment, tile)
+    turns = runs.sensors.housing_turns(static.records, static.record_every)
 
     def observe(run: Run, row: tuple[Count, Quat | None, GivenAttitudes]) -> tuple[Run, None]:
         number, q_true, now = row
         state = ExternalState(now.attitude, now.covariance)
-        observed = runs.observe(Run(state, run.metrics), number, q_true)
+        turn = turns and jax.tree.map(lambda a: a[number + 1], turns)
+        observed = runs.observe(Run(state, run.metrics), number, q_true, turn)
         return jax.vmap(select_tree)(now.present, observed, run), None
 
     numbers, q_true = runs.records()

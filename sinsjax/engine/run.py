@@ -97,8 +97,8 @@ def advance_record(
     Args:
         runs: of the tile.
         carry: the runs, and the sensors of their draws.
-        record: number of the interval, and the true attitudes of the draws at its end; None to look
-            them up.
+        record: number of the interval, and the attitudes of the draws' bases at its end; None to
+            look them up.
 
     Returns:
         Both after the interval, and if ``static.curves`` the observations as rows, (fields, lanes).
@@ -113,7 +113,8 @@ def advance_record(
         runs.blocks(reading),
         by_event=runs.by_event,
     )
-    run = runs.observe(Run(state, run.metrics), number, q_true)
+    turn = runs.housing_turn(number, sensor_state)
+    run = runs.observe(Run(state, run.metrics), number, q_true, turn)
     return (run, sensor_state), runs.curve_row(run)
 
 
@@ -165,6 +166,8 @@ class TileRuns(NamedTuple):
         floor: bias floor of each run, leaves (lanes,).
         sensors: of the draws.
         record: kept increments of the draws, leaves (samples, draws); None to measure.
+        turns: rotations from the housing to the base at the boundaries of the record intervals of
+            kept increments, leaves (intervals + 1, draws); None if it does not rotate.
         curve_lanes: lanes whose observations are kept, the first ones; None for all.
         by_event: see `advance_interval`.
     """
@@ -179,6 +182,7 @@ class TileRuns(NamedTuple):
     floor: BiasFloor
     sensors: DrawSensors
     record: Increments | None = None
+    turns: Quat | None = None
     curve_lanes: int | None = None
     by_event: bool = True
 
@@ -207,7 +211,7 @@ class TileRuns(NamedTuple):
         return self._replace(static=static, method=build_method(static))
 
     def records(self) -> tuple[Array, Quat | None]:
-        """Return the numbers of the record intervals, and the true attitudes of draws that move.
+        """Return the numbers of the record intervals, and the attitudes of bases that draws move.
 
         Stored attitudes of all records and draws would fill the memory: they are looked up later.
         """
@@ -321,11 +325,35 @@ class TileRuns(NamedTuple):
         make = sample_blocks(self.sensors, reading, size, self.record)
         return Blocks(self.static.record_every, size, make)
 
-    def observe(self, run: Run, number: Count, q_true: Quat | None) -> Run:
-        """Return the runs after their observation at the end of a record interval."""
+    def housing_turn(self, number: Count, sensor_state: SensorState) -> Quat | None:
+        """Return the rotation from the housing to the base at the end of a record interval.
+
+        Leaves (draws,); None if the housing does not rotate.
+        """
+        if self.turns is None:
+            return sensor_state.housing and sensor_state.housing.turn
+        pass_number, place = jnp.divmod(number, self.environment.pass_records)
+        backward = pass_number % 2 == 1
+        end = jnp.where(backward, self.environment.pass_records - place - 1, place + 1)
+        turn: Quat = jax.tree.map(lambda a: a[end], self.turns)
+        return turn
+
+    def observe(
+        self, run: Run, number: Count, q_true: Quat | None, turn: Quat | None = None
+    ) -> Run:
+        """Return the runs after their observation at the end of a record interval.
+
+        Args:
+            run: at that time.
+            number: of the interval.
+            q_true: attitudes of the draws' bases; None to look them up.
+            turn: rotations from the draws' housings to their bases; None without.
+        """
         run = run._replace(state=self.fit_blocks(run.state, number))
         if q_true is None:
             q_true = stored_attitude(self.environment.truth, self.draws, number)
+        if turn is not None:
+            q_true = rotations.multiply(q_true, turn)
         observe = partial(
             observe_run,
             self.method,
@@ -389,17 +417,21 @@ def set_up(static: Static, environment: Environment, tile: Tiles) -> TileRuns:
         select_site(environment.site, of_runs),
         select_biases(environment.biases, of_runs),
     )
+    sensors = build_sensors(static, environment, draws)
+    if (housing := sensors.initial_state().housing) is not None and housing.turn is not None:
+        params = params._replace(q=rotations.multiply(params.q, to_runs(housing.turn)))
     end = end_of_run(static, environment.pass_records)
     floor = jax.vmap(
         lambda params, site, biases: method.floor(params.method, site.place, biases, end),
         in_axes=(0, *(None if a is None else axis for a in (derived.site, derived.biases))),
     )(params, site, biases)
-    sensors = build_sensors(static, environment, draws)
-    record = None
-    if static.sensors.kept:
-        record = sensors.make_record(block_size(static.record_every, draws))
+    record = turns = None
+    if kept := static.sensors.kept:
+        every = static.record_every
+        record = sensors.make_record(block_size(every, draws))
+        turns = sensors.housing_turns(kept // every, every)
     return TileRuns(
-        static, environment, method, draws, tile.row, params, site, floor, sensors, record
+        static, environment, method, draws, tile.row, params, site, floor, sensors, record, turns
     )
 
 

@@ -22,17 +22,20 @@ from sinsjax.engine.environment import (
     build_method,
     has_quantisation,
     select_disturbances,
+    select_motion,
     select_site,
     sensor_errors,
 )
 from sinsjax.maths.algebra import select_tree
+from sinsjax.maths.rotations import exp_of_sample
 from sinsjax.methods import passes
 from sinsjax.methods.base import Site
 from sinsjax.methods.passes import BodyRotation, PassReading
-from sinsjax.strapdown import base_motion, disturbances, sensors
+from sinsjax.strapdown import base_motion, disturbances, housing, sensors
 from sinsjax.strapdown.base_motion import IdealSample
 from sinsjax.strapdown.disturbances import Disturbances
-from sinsjax.types import Array, Count, Increments, Sample, Vec3
+from sinsjax.strapdown.housing import HousingState
+from sinsjax.types import Array, Count, Increments, Quat, Sample, Vec3
 
 SAMPLES_PER_BLOCK = 64
 """Samples times draws made at once: fewer leave the vector units idle, more leave the cache."""
@@ -47,12 +50,14 @@ class SensorState(NamedTuple):
     Attributes:
         last: the increments measured last, with which the next sample is compensated.
         processes: states of the random processes that disturb the draw.
+        housing: of the sensors; None if it does not vibrate.
         remainder: rest of the integrals after quantisation; None without.
         rotation: of the body since the record began; None if no attitude is propagated back.
     """
 
     last: Increments
     processes: Disturbances
+    housing: HousingState | None
     remainder: Increments | None
     rotation: BodyRotation | None = None
 
@@ -157,6 +162,49 @@ class DrawSensors(NamedTuple):
         _, rows = jax.lax.scan(over_block, start, jnp.arange(kept // block))
         return _increments_from_rows(rows.reshape(kept, *rows.shape[2:]))
 
+    def housing_turns(self, intervals: int, every: int) -> Quat | None:
+        """Return the rotation from the housing to the base at record times, leaves (times, draws).
+
+        Args:
+            intervals: record intervals; their ends follow the beginning of the record.
+            every: samples per interval.
+
+        Returns:
+            None if the housing does not rotate.
+        """
+        rocking = select_disturbances(self.model, self.draws).rocking
+        if rocking is None:
+            return None
+        alone = Disturbances(rocking=rocking)
+        model, draws = self.model._replace(disturbances=alone), self.draws
+        if draws.disturbances is not None:
+            draws = draws._replace(disturbances=alone)
+        source = self._replace(model=model, draws=draws)
+        axes = leaf_axes(draws)
+
+        def advance(draw: Draw, state: Disturbances, normal: Disturbances) -> Disturbances:
+            them = select_disturbances(model, draw)
+            return disturbances.advance_processes(them, state, normal, self.dt)[0]
+
+        def over_interval(state: Disturbances, number: Count) -> tuple[Disturbances, Array]:
+            numbers = number * every + jnp.arange(every)
+            normal = disturbances.driving_noise(alone, model.seed, draws.draw_id, numbers)
+            step = jax.vmap(advance, in_axes=(axes, 0, 0))
+            state, _ = jax.lax.scan(lambda s, w: (step(draws, s, w), None), state, normal)
+            return state, turns(state)
+
+        def turns(state: Disturbances) -> Array:
+            def turn(draw: Draw, state: Disturbances) -> Array:
+                motion = disturbances.housing_motion(select_disturbances(model, draw), state)
+                assert motion is not None and motion.angle is not None
+                return jnp.stack(exp_of_sample(motion.angle))
+
+            return jax.vmap(turn, in_axes=(axes, 0))(draws, state)
+
+        first = source.initial_state().processes
+        _, rows = jax.lax.scan(over_interval, first, jnp.arange(intervals))
+        return Quat(*jnp.moveaxis(jnp.concatenate([turns(first)[None], rows]), -1, 0))
+
     def read_record(self, record: Increments, numbers: Array) -> Increments:
         """Return n samples of kept records, leaves (n, draws)."""
         return jax.vmap(
@@ -191,26 +239,47 @@ class DrawSensors(NamedTuple):
         processes, disturbed = disturbances.advance_processes(
             select_disturbances(self.model, self.draws), state.processes, driving, dt
         )
-        moved = disturbances.disturb_motion(
-            exact, disturbed, select_site(self.site, self.draws).place, dt
-        )
+        place = select_site(self.site, self.draws).place
+        moved = disturbances.disturb_motion(exact, disturbed, place, dt)
+        vibrating = state.housing
+        if vibrating is not None and disturbed.housing is not None:
+            rigid = exact._replace(increments=moved)
+            vibrating, moved = housing.sense_in_housing(
+                vibrating, rigid, disturbed.housing, self._lever(), place, dt
+            )
         now = sensors.measure_increments(
             moved, errors, normal, dt, distorted=self.program.distorted
         )
         now, remainder = disturbances.add_drifts(now, disturbed), state.remainder
         if remainder is not None:
             now, remainder = sensors.quantise(now, errors, remainder)
-        state = state._replace(processes=processes, remainder=remainder)
+        state = state._replace(processes=processes, housing=vibrating, remainder=remainder)
         return state, self._zero_before_record(n, now)
 
     def _initial_state_of_one(self) -> SensorState:
         zero = jnp.zeros((), self.dtype)
         zeros = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-        processes = disturbances.initial_states(
-            select_disturbances(self.model, self.draws), self.model.seed, self.draws.draw_id
-        )
+        them = select_disturbances(self.model, self.draws)
+        begin = disturbances.initial_states(them, self.model.seed, self.draws.draw_id)
+        vibrating, moving = None, disturbances.housing_motion(them, begin)
+        if moving is not None:
+            vibrating = housing.start_housing(moving, self._lever(), self._initial_rate(), zeros)
         remainder = zeros if has_quantisation(self.model, self.draws) else None
-        return SensorState(zeros, processes, remainder, self.rotation)
+        return SensorState(zeros, begin, vibrating, remainder, self.rotation)
+
+    def _lever(self) -> Vec3 | None:
+        """Return the lever arm of a draw whose housing rotates, m; None without one."""
+        motion = select_motion(self.model, self.draws)
+        rocks = select_disturbances(self.model, self.draws).rocking is not None
+        return motion.lever if motion is not None and rocks else None
+
+    def _initial_rate(self) -> Vec3:
+        """Return the angular rate of the base as the record begins, rad/s; zero without a lever."""
+        motion = select_motion(self.model, self.draws)
+        if motion is None or self._lever() is None:
+            return Vec3(*(jnp.zeros((), self.dtype),) * 3)
+        place = select_site(self.site, self.draws).place
+        return base_motion.rate_and_force(motion, place, jnp.zeros((), self.dtype))[0]
 
     def _ideal_sample(self, n: Count) -> IdealSample:
         """Return what ideal sensors measure over sample n: stored, or of the draw's own base."""

@@ -118,7 +118,8 @@ def _turns(plan: SampledTurns, rate_hz: float) -> Turns:
 
 def add_lever_arm(motion: base_motion.Motion, variants: Variants) -> base_motion.Motion:
     """Return the motion of the base with the lever arm of the sensors, if that has an effect."""
-    if not (moves(variants) and variants.is_active("lever_arm_m")):
+    rotates = moves(variants) or variants.is_active("vibration_deg_per_h_rms")
+    if not (rotates and variants.is_active("lever_arm_m")):
         return motion
     x, y, z = np.moveaxis(_read_vector(variants.common, "lever_arm_m"), -1, 0)
     return motion._replace(lever=Vec3(x, y, z))

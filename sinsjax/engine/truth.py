@@ -109,7 +109,7 @@ def simulate_environment(
     site, ug = read_site(study, variants, None)
     errors, motion, disturbances = _base_and_sensors(variants, ug)
     times = np.concatenate([[0.0], study.stored_times(span)])
-    increments, axes = None, None
+    increments, axes, rocks = None, None, disturbances.rocking is not None
     draws_motion = draws_any_key(study, EarthSection, MotionSection)
     if draws_motion:
         # Each draw makes its own as it proceeds.
@@ -118,14 +118,14 @@ def simulate_environment(
         # Of one length for all parts, so that they share a program.
         samples = max(s.records_read for s in study.distinct_spans) * study.record_every
         kept = samples if samples <= MOST_STORED_SAMPLES else 0
-        surges = disturbances.surge is not None
+        travels = disturbances.surge is not None or (rocks and motion.lever is not None)
         if blank:
-            rows, attitudes = _blank_truth(kept, len(times), axes=surges)
+            rows, attitudes = _blank_truth(kept, len(times), axes=travels)
         else:
-            rows = true_increments(motion, site.place, study.rate_hz, kept, axes=surges)
+            rows = true_increments(motion, site.place, study.rate_hz, kept, axes=travels)
             attitudes = true_attitudes(motion, times)
         if kept:
-            increments, axes = rows[:, :6], rows[:, 6:] if surges else None
+            increments, axes = rows[:, :6], rows[:, 6:] if travels else None
     n = len(draws)
     environment = Environment(
         site=site,
@@ -133,7 +133,7 @@ def simulate_environment(
             increments=increments,
             errors=errors,
             seed=np.asarray(study.seed),
-            motion=motion if study.drawn_keys or increments is None else None,
+            motion=motion if study.drawn_keys or increments is None or rocks else None,
             axes=axes,
             disturbances=disturbances,
         ),

@@ -227,7 +227,7 @@ def _problem_with_priors(
         present = present_processes(increment_error_processes(processes, step))
         return (*present, *(process for _, process in _iter_quantisation(errors)))
 
-    moves = (disturbances.surge, disturbances.shaking, disturbances.rocking)
+    moves = (disturbances.surge, disturbances.shaking)
     longest_step = dt if any(process is not None for process in moves) else LONGEST_STEP_S
     sigmas = read_errors(sigma_of, ug, study.rate_hz)
     periods = [float(sway.period) for sway in motion.angles if np.any(sway.amplitude)]

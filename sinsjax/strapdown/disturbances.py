@@ -1,8 +1,9 @@
 """Random motion of the base and random drifts of the sensors, from sample to sample.
 
-Surge and vibration move the base: they are part of what ideal sensors measure. Bias instability and
-random walks are errors of the sensors, and so is what their digits leave out. All of it runs with a
-draw's samples, from the first one of its record, and is shared by its variants.
+Surge moves the base and vibration the housing of the sensors (`housing`): they are part of what
+ideal sensors measure. Bias instability and random walks are errors of the sensors, and so is what
+their digits leave out. All of it runs with a draw's samples, from the first one of its record, and
+is shared by its variants.
 """
 
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from sinsjax.maths.algebra import add, cross, scale
 from sinsjax.strapdown import processes
 from sinsjax.strapdown.base_motion import IdealSample, transport_rate
 from sinsjax.strapdown.earth import Place
+from sinsjax.strapdown.housing import HousingMotion
 from sinsjax.types import Array, Count, Increments, Scalar, Vec3
 
 
@@ -26,8 +28,8 @@ class Disturbances(NamedTuple):
         accel_instability: likewise, m/s^2.
         gyro_walk: likewise, rad/s.
         accel_walk: likewise, m/s^2.
-        shaking: velocity of the box in b, m/s.
-        rocking: angle of the box in b, rad.
+        shaking: velocity of the housing along the axes of the base, m/s.
+        rocking: rotation vector from the base to the housing, rad.
     """
 
     surge: Any = None
@@ -49,16 +51,14 @@ class SampleDisturbance(NamedTuple):
     Attributes:
         before: velocity of the base at the sample's beginning, in n, m/s.
         after: at its end.
-        rocked: change of the box's angle, in b, rad.
-        shaken: change of its velocity, in b, m/s.
+        housing: motion of the housing at the sample's end.
         gyro_drift: angle that the gyros drift, in b, rad.
         accel_drift: velocity that the accelerometers drift, in b, m/s.
     """
 
     before: Vec3 | None
     after: Vec3 | None
-    rocked: Vec3 | None
-    shaken: Vec3 | None
+    housing: HousingMotion | None
     gyro_drift: Vec3 | None
     accel_drift: Vec3 | None
 
@@ -93,23 +93,28 @@ def advance_processes(
     return later, SampleDisturbance(
         begins.surge,
         ends.surge,
-        _difference(begins.rocking, ends.rocking),
-        _difference(begins.shaking, ends.shaking),
+        housing_motion(disturbances, later),
         _drift_over_sample(means.gyro_instability, means.gyro_walk, dt),
         _drift_over_sample(means.accel_instability, means.accel_walk, dt),
     )
+
+
+def housing_motion(disturbances: Disturbances, states: Disturbances) -> HousingMotion | None:
+    """Return the motion of the housing in some states of one draw; None if it does not vibrate."""
+    shaking, rocking = disturbances.shaking, disturbances.rocking
+    if shaking is None and rocking is None:
+        return None
+    velocity = None if shaking is None else processes.process_output(shaking, states.shaking)
+    if rocking is None:
+        return HousingMotion(None, None, velocity)
+    angle = processes.process_output(rocking, states.rocking)
+    return HousingMotion(angle, processes.process_derivative(rocking, states.rocking), velocity)
 
 
 def _map_present(function: Callable[..., Any], *trees: Disturbances) -> Disturbances:
     """Apply a function to each process that is present, with its entries of other trees."""
     rows = zip(*trees, strict=True)
     return Disturbances(*(None if row[0] is None else function(*row) for row in rows))
-
-
-def _difference(before: Vec3 | None, after: Vec3 | None) -> Vec3 | None:
-    if before is None or after is None:
-        return None
-    return add(after, scale(-1.0, before))
 
 
 def _drift_over_sample(instability: Vec3 | None, walk: Vec3 | None, dt: Scalar) -> Vec3 | None:
@@ -125,11 +130,10 @@ def add_optional(a: Vec3, b: Vec3 | None) -> Vec3:
 def disturb_motion(
     sensed: IdealSample, disturbed: SampleDisturbance, place: Place, dt: Scalar
 ) -> Increments:
-    """Return the increments of ideal sensors on a base that surges and a box that vibrates.
+    """Return the increments of ideal sensors on a base that surges.
 
-    Velocities and angles change evenly over the sample: the acceleration of the surge and the
-    Coriolis acceleration of its mean velocity are integrated as the axes turn, and n turns over
-    the Earth.
+    The velocity changes evenly over the sample: the acceleration of the surge and the Coriolis
+    acceleration of its mean velocity are integrated as the axes turn, and n turns over the Earth.
 
     Args:
         sensed: on the swaying base, with the mean axes of n in b.
@@ -143,11 +147,11 @@ def disturb_motion(
         axes, before, after = sensed.axes, disturbed.before, disturbed.after
         mean = scale(0.5, add(before, after))
         rate = Vec3(jnp.zeros_like(mean.x), 2 * place.rate_n, 2 * place.rate_u)
-        change = add_optional(scale(dt, cross(rate, mean)), _difference(before, after))
+        change = add(scale(dt, cross(rate, mean)), add(after, scale(-1.0, before)))
         level = add(scale(change.x, axes.east), scale(change.y, axes.north))
         dv = add(dv, add(level, scale(change.z, axes.up)))
         dtheta = add(dtheta, scale(dt, transport_rate(place, axes, mean.x, mean.y)))
-    return Increments(add_optional(dtheta, disturbed.rocked), add_optional(dv, disturbed.shaken))
+    return Increments(dtheta, dv)
 
 
 def add_drifts(measured: Increments, disturbed: SampleDisturbance) -> Increments:

@@ -44,6 +44,7 @@ class Process(NamedTuple):
         direct: d.
         begin: (n, n) lower triangular factor of the covariance of x before the first sample.
         scale: (3,) factor of each axis, in the unit of the process.
+        derivative: (n,) c of the time derivative of a process that has one; else None.
     """
 
     transition: Array
@@ -52,6 +53,7 @@ class Process(NamedTuple):
     direct: Scalar
     begin: Array
     scale: Array
+    derivative: Array | None = None
 
 
 def constant_process(rms: Numbers) -> Process:
@@ -160,7 +162,8 @@ def resonance_process(rms: Numbers, frequency_hz: Numbers, damping: Numbers, dt:
     rate = 2 * np.pi * np.asarray(frequency_hz, float)
     zero, one = 0.0 * (rate + damping), 1.0 + 0.0 * (rate + damping)
     rows = ((zero, rate * one), (-rate * one, -2 * np.asarray(damping) * rate))
-    return _discretise_with_held_noise(rows, (zero, one), (one, zero), rms, dt)
+    made = _discretise_with_held_noise(rows, (zero, one), (one, zero), rms, dt)
+    return made._replace(derivative=(rate * one)[..., None] * made.output[..., ::-1])
 
 
 def _moving_average_coefficients(variance: Numbers, covariance: Numbers) -> tuple[Numbers, Numbers]:
@@ -224,6 +227,12 @@ def process_output(process: Process, state: State, normal: Vec3 | None = None) -
     y = _linear_combinations(process.output, state)
     if normal is not None:
         y = add(y, scale(process.direct, normal))
+    return Vec3(*(factor * part for factor, part in zip(process.scale, y, strict=True)))
+
+
+def process_derivative(process: Process, state: State) -> Vec3:
+    """Return the time derivative of y of the three axes in a state."""
+    y = _linear_combinations(process.derivative, state)
     return Vec3(*(factor * part for factor, part in zip(process.scale, y, strict=True)))
 
 

@@ -235,7 +235,7 @@ TURN_KEYS = (
 """Keys of turns of the base."""
 
 
-def _moves(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
+def _rotates(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
     return bool(turn_times_s or attitude_file) or _any_nonzero(*amplitudes)
 
 
@@ -243,7 +243,8 @@ class MotionSection(Section):
     """[motion]: simulated motion; angles are center + amplitude sin(2 pi t / period + phase).
 
     The base sways about a point that may be a lever arm away from the sensors, and may be turned
-    about an axis through it. Surge moves that point, vibration the sensor housing.
+    about an axis through it. Surge moves that point. Vibration moves the housing of the sensors and
+    rotates it about that point: the true attitude of a run is that of the housing.
     """
 
     conditions = (
@@ -259,10 +260,10 @@ class MotionSection(Section):
         KeyCondition(
             ("lever_arm_m",),
             (
-                *(TURN_KEYS[0], "attitude_file"),
+                *(TURN_KEYS[0], "attitude_file", "vibration_deg_per_h_rms"),
                 *(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw")),
             ),
-            _moves,
+            _rotates,
         ),
         KeyCondition(("surge_time_s", "surge_model"), ("surge_m_per_s",), _any_nonzero),
         KeyCondition(

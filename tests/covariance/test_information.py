@@ -157,7 +157,7 @@ def test_bounded_vibration_barely_raises_bound():
     rocking = processes.resonance_process(np.full(3, 1e-6), 1.5, 0.1, DT)
     alone, shaken = bound([120.0])[0], bound([120.0], Disturbances(shaking=shaking))[0]
     assert alone < shaken < 1.01 * alone
-    assert alone < bound([120.0], Disturbances(rocking=rocking))[0] < 1.05 * alone
+    assert bound([120.0], Disturbances(rocking=rocking))[0] == alone  # the gyros measure it
 
 
 def test_gyro_random_walk_raises_bound():

@@ -140,6 +140,36 @@ def test_record_samples_are_independent_of_duration_and_passes():
     )
 
 
+ROCKING = {"vibration_deg_per_h_rms": 18_000.0, "vibration_ug_rms": 0.0}
+"""A housing that rotates by 1.6' about each axis, and does not move."""
+
+
+@pytest.mark.representative("once")
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"passes": PASSES},
+        {"passes": PASSES | {"direction": "rewind"}},
+        {"motion": {}, "drawn": {"vibration_deg_per_h_rms": {"uniform": [15e3, 20e3]}}},
+    ],
+    ids=["once", "alternate", "rewind", "drawn"],
+)
+@pytest.mark.optimised(False)
+def test_runs_are_judged_by_the_attitude_of_the_housing(changes):
+    """From the true start and without sensor errors, the heading stays within 2 arcsec of truth."""
+    none = dict.fromkeys(("gyro_bias_deg_per_h", "accel_bias_ug"), 0.0)
+    none |= dict.fromkeys(("gyro_noise_deg_per_h", "accel_noise_ug"), 0.0)
+    start = dict.fromkeys(("phi_e0_deg", "phi_n0_deg", "phi_u0_deg"), 0.0)
+    study = small_study(
+        **{"study": {"curves": True}, "motion": ROCKING, "sensors": none, "alignment": start}
+        | changes
+    )
+    outcome, curves = all_runs(group_of(study))
+    assert np.abs(np.stack(curves.phi)).max() < 2 * ARCSEC
+    assert np.abs(np.stack(outcome.last.phi)).max() > 0
+
+
 def test_unused_disturbance_keys_are_absent_from_program():
     group = group_of(small_study(motion={"surge_time_s": 3.0, "lever_arm_m": 1.0} | STILL))
     assert group.environment.sensors.disturbances == Disturbances()
