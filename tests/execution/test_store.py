@@ -268,17 +268,9 @@ DIFFERING: dict[str, tuple[dict[str, Any], list[str]]] = {
         {"study": {"draws": 49}, "filter": {"p0_level_deg": 14.0}},
         ["[study] draws: 48 there, 49 here", "[filter] p0_level_deg: 15.0 there, 14.0 here"],
     ),
-    "a key that came": (
-        {"resets": {"reset_count": 1, "reset_cycle_s": 1.0}},
-        ["[resets] reset_count: 0 there, 1 here", "[resets] reset_cycle_s: none there, 1.0 here"],
-    ),
     "an axis": (
         {"axes": {"p0_yaw_deg": [10.0]}},
         ["[axes] p0_yaw_deg: [10.0, 20.0, ", " there, [10.0] here"],
-    ),
-    "another axis": (
-        {"axes": {"phi_u0_deg": [0.0]}},
-        ["[axes] phi_u0_deg: none there, [0.0] here"],
     ),
     "curves": ({"study": {"curves": False}}, ["[study] curves: True there, False here"]),
     "a section": (

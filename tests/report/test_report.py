@@ -255,14 +255,6 @@ def test_unwritable_output_is_refused_before_report_is_made(tmp_path, monkeypatc
             report_text(directory, **{option: tmp_path / name})
 
 
-def test_missing_page_folder_is_created(tmp_path):
-    study = small_study()
-    directory = store_results(tmp_path / "results", study, synthetic_summary(study))
-    files = [tmp_path / kind / f"page.{kind}" for kind in ("md", "html")]
-    report_text(directory, page=files[0], html=files[1])
-    assert all(file.is_file() for file in files)
-
-
 def test_markdown_escapes_cells_and_folds_tables():
     table = base.Table("T", ["a|b"], [["|x|"]], "note", folded=True)
     text = report.output.block_to_markdown(table)

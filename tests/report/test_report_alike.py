@@ -77,12 +77,6 @@ def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> Non
     assert row[0] == "12" and ends in row[1]
 
 
-def test_idle_keys_lists_keys_that_differ_between_duplicate_variants() -> None:
-    axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
-    assert small_study(axes=axes).idle_keys() == ["reset_cycle_s"]
-    assert small_study(axes=axes | {"reset_count": [1, 2]}).idle_keys() == []
-
-
 @pytest.mark.slow
 def test_report_draws_methods_with_and_without_covariance_together(tmp_path: Path) -> None:
     study = small_study(
