@@ -4,7 +4,6 @@ All methods use the base motion and sensors of the default sweep.
 """
 
 import time
-import tomllib
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 from typing import Any
@@ -23,6 +22,7 @@ from sinsjax.maths.rotations import matrix, misalign
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.platform.assets import asset_path
 from sinsjax.study.load import load_study, study_from_dict
+from sinsjax.toml_text import parse_toml
 from sinsjax.types import Quat
 
 TILES = 2
@@ -61,7 +61,7 @@ def method_group(method: str) -> Group:
 
     A method that no swept key acts on has a single variant a draw, and draws enough for a call.
     """
-    data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
+    data = parse_toml(asset_path(_DEFAULT).read_text("utf-8"))
     if METHODS[method].gyro_bias_keys or not METHODS[method].has_floor:
         data["study"]["judged_from"] = "truth"  # the method has no bias floor on a moving base
     data["alignment"]["method"] = method
@@ -79,7 +79,7 @@ def method_group(method: str) -> Group:
 @cache
 def trigger_group() -> Group:
     """The default sweep with the `linearisation` trigger, and the same number of variants."""
-    data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
+    data = parse_toml(asset_path(_DEFAULT).read_text("utf-8"))
     for key in ("reset_count", "reset_cycle_s"):
         del data["axes"][key]
     data["resets"] = {"reset_trigger": "linearisation"}
@@ -98,7 +98,7 @@ def compass_group(record_s: float | None = None) -> Group:
     Args:
         record_s: length of the stored record for repeated passes, s; None for a single pass.
     """
-    data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
+    data = parse_toml(asset_path(_DEFAULT).read_text("utf-8"))
     for section, keys in (
         ("alignment", ("specific_force", "feedback_interval_s")),
         ("axes", ("reset_count", "reset_cycle_s")),
@@ -162,7 +162,7 @@ _DISTURBED: Mapping[str, Mapping[str, Any]] = {
 @cache
 def disturbed_group(n_variants: int) -> Group:
     """`select_last_variants` of the default sweep with surge, a lever arm and bias instability."""
-    data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
+    data = parse_toml(asset_path(_DEFAULT).read_text("utf-8"))
     for name, keys in _DISTURBED.items():
         data[name] |= keys
     (part,) = parts(study_from_dict(data, _DEFAULT))
@@ -172,7 +172,7 @@ def disturbed_group(n_variants: int) -> Group:
 @cache
 def drawn_motion_group(n_variants: int) -> Group:
     """`select_last_variants` of the default sweep with a different base motion for each draw."""
-    data = tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
+    data = parse_toml(asset_path(_DEFAULT).read_text("utf-8"))
     data["study"]["draws"] = _draw_count(n_variants)
     for key in _MOTION_RANGES:
         data["motion"].pop(key, None)

@@ -59,7 +59,7 @@ def read_sealed_json(path: Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: there is no such file.
-        Damaged: it has changed since it was written, or is no sealed JSON object.
+        DamagedError: it has changed since it was written, or is no sealed JSON object.
         InputError: it is no regular file, or cannot be read.
     """
     content = _read_intact(path)
@@ -77,7 +77,7 @@ def read_sealed_parquet(path: Path) -> pa.Table:
 
     Raises:
         FileNotFoundError: there is no such file.
-        Damaged: it has changed since it was written, or is no sealed Parquet file.
+        DamagedError: it has changed since it was written, or is no sealed Parquet file.
         InputError: it is no regular file, or cannot be read.
     """
     try:

@@ -267,28 +267,6 @@ def test_full_disk_on_standard_output_is_reported_in_one_line(
         assert capsys.readouterr().err == line
 
 
-def test_exit_codes_and_exceptions_pass_through_broken_pipe_guard() -> None:
-    for code in (0, 1, 130):
-        with pytest.raises(SystemExit) as stop, console.tolerate_broken_pipe():
-            raise SystemExit(code)
-        assert stop.value.code == code
-    with pytest.raises(ZeroDivisionError), console.tolerate_broken_pipe():
-        print(1 / 0)
-
-
-def test_error_of_unavailable_jax_platform_names_it_in_one_line(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def unavailable() -> None:
-        raise RuntimeError("Unknown backend foo\nmore")
-
-    monkeypatch.setenv("JAX_PLATFORMS", "foo")
-    monkeypatch.setattr("jax.devices", unavailable)
-    with pytest.raises(InputError) as caught:
-        runtime.start_backend()
-    assert str(caught.value) == "JAX_PLATFORMS=foo: JAX does not start: Unknown backend foo"
-
-
 @pytest.mark.slow
 def test_unavailable_jax_platform_is_reported_in_one_line() -> None:
     """In a separate process, since JAX starts once."""

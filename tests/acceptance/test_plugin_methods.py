@@ -16,30 +16,19 @@ from support.command_server import CommandServer
 
 import sinsjax
 from sinsjax.errors import InputError
-from sinsjax.methods import base, registry
+from sinsjax.methods import registry
 from sinsjax.methods.plugins import check_plugin
 from sinsjax.study.load import study_from_dict
 
 EXAMPLE = Path(__file__).parents[1] / "example_method"
 DOCS = EXAMPLE.parents[1] / "docs"
 PAGE = (DOCS / "own_method.md").read_text("utf-8")
-INTERFACE = (DOCS / "python" / "method_interface.md").read_text("utf-8")
 STUDY = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)[-1]
 CONFIG, METHOD = (f"averaged_alignment/{name}.py" for name in ("config", "method"))
 POINTS = "averaged_alignment-1.0.dist-info/entry_points.txt"
 WHOSE = "method 'averaged' of averaged-alignment 1.0: "
 BROKEN = "averages.toml: [alignment] method: 'averaged' cannot be used: "
 SOURCE = f"{BROKEN}entry point 'averaged' in sinsjax.methods of averaged-alignment 1.0: "
-
-
-def test_own_method_pages_document_options_and_groups_of_method() -> None:
-    fields = ", ".join(base.AttitudeCovariance._fields)
-    assert f"`AttitudeCovariance({fields})`" in PAGE
-    assert all(f"`{name}`" in PAGE for name in base.Options._fields)
-    required = [name for name in base.Method._fields if name not in base.Method._field_defaults]
-    assert all(f"| `{name}` |" in PAGE for name in required)
-    for group in ("Feedback", "Passes", "ErrorModel"):
-        assert f"`{group}`" in PAGE and f"::: sinsjax.methods.base.{group}\n" in INTERFACE
 
 
 def test_broken_plugin_affects_only_studies_that_use_it(monkeypatch: pytest.MonkeyPatch) -> None:

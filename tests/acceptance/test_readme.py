@@ -1,50 +1,16 @@
-"""The README's words are facts: its example runs, its commands, links and configs exist."""
+"""The README's example and first command, and one version everywhere."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
 from support.commands import command_line
-from typer.main import get_command
 
-from sinsjax import cli
+import sinsjax
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-PAGES = (ROOT / "docs" / "pages.md").read_text(encoding="utf-8")
-CHEAT_SHEET = (ROOT / "docs" / "cheat_sheet.md").read_text(encoding="utf-8")
-
-
-def test_readme_links_and_configs_exist() -> None:
-    targets = re.findall(r"\]\(([^)#]+)\)", README) + re.findall(r"configs/\w+\.toml", README)
-    assert len(targets) > 8
-    missing = [name for name in targets if not (ROOT / name).exists()]
-    assert not missing
-
-
-def test_readme_is_read_in_a_minute() -> None:
-    assert len(README.splitlines()) <= 110 and len(README.split()) < 900
-
-
-def test_cheat_sheet_names_every_command() -> None:
-    told = set(re.findall(r"sinsjax (\w+)", CHEAT_SHEET))
-    known = set(get_command(cli.app).commands)  # type: ignore[attr-defined]
-    assert told <= known and known - told == {"bench", "info"}
-
-
-def test_every_page_answers_a_question() -> None:
-    topics = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")  # a page of links too
-    linked = {"index.md", "pages.md", *re.findall(r"\]\(([\w/]+\.md)", PAGES + topics)}
-    pages = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
-    assert pages - linked == set()
-
-
-def test_map_names_every_module() -> None:
-    told = set(re.findall(r"`(\w+)/?`", CONTRIBUTING.split("## Map")[1].split("## Goals")[0]))
-    paths = [path for path in (ROOT / "sinsjax").iterdir() if path.suffix != ".typed"]
-    modules = {path.stem for path in paths if not path.stem.startswith("_")}
-    assert modules - told == set()
 
 
 def assert_same_but_for_last_digits(here: str, there: str) -> None:
@@ -77,3 +43,15 @@ def test_first_command_prints_what_is_shown(
         pattern = rf"^  {label} (.*?)(?=^  \w|^\s*$|^\w|\Z)"
         here, there = (re.findall(pattern, t, re.M | re.S)[0] for t in (told, shown))
         assert_same_but_for_last_digits(here, there)
+
+
+def test_release_has_one_version_and_date_everywhere() -> None:
+    """Also that of the package as installed."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    version, date = re.findall(r"^(?:version|date-released): (.+)$", citation, re.M)
+    assert version == project["version"] == sinsjax.__version__
+    assert changes.partition("\n## ")[2].startswith(f"[{version}] - {date}\n")
+    (wheel,) = re.findall(r"sinsjax-(\S+)-py3", (ROOT / "docs/start.md").read_text("utf-8"))
+    assert wheel == version

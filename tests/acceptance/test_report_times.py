@@ -18,7 +18,6 @@ from sinsjax.engine import batch, build
 from sinsjax.engine.lanes import tiles_of
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, rerun, run
-from sinsjax.execution.tables import TableBuilder
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_toml
@@ -160,16 +159,6 @@ def test_report_times_enter_study_toml_and_fingerprint_only_if_given() -> None:
     assert forecast.forecast_sweep(reported).run_bytes > forecast.forecast_sweep(plain).run_bytes
     (part,) = build.parts(plain)
     assert part.group.environment.criteria.report_samples is None
-
-
-def test_report_time_columns_have_unit_and_meaning() -> None:
-    made = TableBuilder(small_study(study={"record_interval_s": 0.5, "report_times_s": [2.5]}))
-    told = {c.name: (c.unit, c.meaning) for c in made.summary_columns if "_at_" in c.name}
-    assert told == {
-        "phi_u_at_2.5_arcmin": ("arcmin", "phi_u_arcmin at 2.5 s of data"),
-        "sigma_u_at_2.5_arcmin": ("arcmin", "sigma_u_arcmin at 2.5 s of data"),
-        "nees_at_2.5": ("", "nees at 2.5 s of data; 3 degrees of freedom"),
-    }
 
 
 @pytest.mark.slow

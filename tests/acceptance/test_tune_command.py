@@ -4,7 +4,6 @@ import re
 import shutil
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +26,8 @@ from sinsjax.execution.run import run as run_study
 from sinsjax.execution.tasks import Job
 from sinsjax.plots import descents
 from sinsjax.records import write_psins
-from sinsjax.report import tuning as tuning_report
-from sinsjax.report.base import Report
 from sinsjax.study.load import load_study, study_from_dict, with_point
-from sinsjax.study.search_space import SearchSpace, Variable
+from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import (
     from_python,
@@ -53,7 +50,6 @@ def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sinsjax.analysis.estimates.RESAMPLES", 50)
 
 
-CANDIDATES = "Candidates on the unused draws"
 TUNE: dict[str, Any] = {
     "objective": "final_error",
     "objective_across": "worst",
@@ -185,41 +181,6 @@ def test_sweep_and_rerun_do_not_silently_ignore_tuning(
     assert (code, error) == (2, f"error: {made}: {text}\n")
 
 
-@pytest.mark.slow
-def test_report_states_how_many_runs_settle(tmp_path: Path) -> None:
-    """Also the score on the tuning draws, so that overfitting shows."""
-    variables = {"p0_yaw_deg": {"candidates": [20.0, 80.0]}}
-    tune = {"searches": ["grid"], "tune_draws": 2, "evaluation_draws": 4, "variables": variables}
-    tune |= {"objective": "settle_mean", "baseline": {"p0_yaw_deg": 30.0}}
-    from_python.tune(small_study(tune=tune), tmp_path / "out")
-    source = results.read_evaluation(tmp_path / "out")
-    table = source.summary
-    place = table.column_names.index("settle_10_truth_s")
-
-    def build(never: dict[str, int]) -> Report:
-        """The report if the first runs of these cases never settle, and the others after 3 s."""
-        times, left = [], dict(never)
-        for case in table["case"].to_pylist():
-            left[case] = left.get(case, 0) - 1
-            times.append(3.0 if left[case] < 0 else None)
-        column = pa.array(times, pa.float64())
-        changed = table.set_column(place, "settle_10_truth_s", column)
-        return tuning_report.build_report(replace(source, table=changed))
-
-    found = build({"grid": 1, "baseline": 2})
-    facts = {fact.label: fact.text for fact in found.verdict.facts}
-    text = "75 [19, 99] % of the runs, start 50 [7, 93] %; never counts as 6 s"
-    assert facts["Settled"] == text
-    (candidates,) = (b for part in found.sections for b in part.blocks if b[0] == CANDIDATES)
-    (row,) = (row for row in candidates.rows if row[0] == "grid")
-    cells = dict(zip(candidates.header, row, strict=True))
-    assert cells["settled (%)"] == "75 [19, 99]"
-    tuning = Tuning.from_source(source)
-    score = tuning.searches["grid"].best.objective
-    assert cells["on the tuning draws"] == f"{score:.1f} s"
-    assert "Settled" not in {fact.label for fact in build({}).verdict.facts}
-
-
 def test_tuning_report_is_built_from_stored_files(made: Path, tmp_path: Path) -> None:
     said = report_text(made, page=tmp_path / "page.md", html=tmp_path / "page.html")
     page = (tmp_path / "page.md").read_text()
@@ -232,43 +193,6 @@ def test_tuning_report_is_built_from_stored_files(made: Path, tmp_path: Path) ->
     pictures = {path.name for path in (made / "figures").iterdir()}
     assert pictures == {"descent.png", "history.png"}
     shutil.rmtree(made / "figures")
-
-
-def test_report_flags_values_at_range_bounds(made: Path) -> None:
-    tuning = Tuning.from_source(results.read_evaluation(made))
-    space = SearchSpace.from_study(tuning.study)
-    bounds = {
-        name: {v.name for v, x in there if x in (v.low, v.high)}
-        for name, there in tuning.values_on_bounds.items()
-    }
-    for name, found in tuning.searches.items():
-        used = space.used_variables(space.combinations[found.best.candidate])
-        there = {
-            space.variables[i].name
-            for i in used
-            if found.best.values[i] in (space.variables[i].low, space.variables[i].high)
-        }
-        assert bounds[name] == there
-    made_report = tuning_report.build_report(results.read_evaluation(made))
-    cautions = [fact.text for fact in made_report.verdict.facts if fact.is_caution]
-    assert any("at the end of the range" in text for text in cautions) == bool(bounds[tuning.best])
-    (table,) = (b for one in made_report.sections for b in one.blocks if b[0] == CANDIDATES)
-    cells = [cell for row in table.rows for cell in row]
-    assert any("(bound)" in cell for cell in cells) == any(bounds.values())
-
-
-def test_reset_times_close_together_are_printed_as_pair() -> None:
-    first = Variable("reset_times_s", 0, 2.0, 50.0, True)
-    assert (
-        tuning_report._format_candidate_value((8.94, 76.55, 76.74), (), "reset_times_s")
-        == "8.94, 76.55 and 76.74"
-    )
-    found = tuning_report._format_candidate_value((2.0, 63.84), [(first, 2.0)], "reset_times_s")
-    assert found == "2 (bound), 63.84"
-    assert (
-        tuning_report._format_candidate_value(0.5, (), "q_scale") == "0.5"
-        and tuning_report._format_candidate_value((), (), "q") == "none"
-    )
 
 
 def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path) -> None:
@@ -547,12 +471,6 @@ def test_tune_input_error_is_one_line(name: str, tmp_path: Path, sinsjax_: Comma
     assert not (tmp_path / "out").exists()
 
 
-def test_too_long_output_path_raises_input_error(tmp_path: Path) -> None:
-    study = load_study(write(tmp_path / "swing.toml"))
-    with pytest.raises(InputError, match="n: cannot be written: File name too long"):
-        from_python.tune(study, tmp_path / ("n" * 5000))
-
-
 def test_tune_refuses_output_path_with_foreign_files(tmp_path: Path, sinsjax_: Command) -> None:
     config = write(tmp_path / "swing.toml")
     (tmp_path / "figures").mkdir()
@@ -626,23 +544,6 @@ def landscape(count: int, *, grid: bool = False) -> descents.ObjectiveLandscape:
     return descents.ObjectiveLandscape(sides, values, scores, shape, "time (s)")
 
 
-@pytest.mark.parametrize(("count", "grid"), [(1, True), (2, True), (2, False), (3, False)])
-def test_descent_plot_has_expected_panels_and_legend(count: int, grid: bool) -> None:
-    ways = [descents.DescentPath(np.full((3, count), 20.0), np.array([3.0, 2.0, 1.0]))]
-    point = np.full(count, 30.0)
-    spots = [
-        descents.MarkedPoint("best", point, 2.0, 0),
-        descents.MarkedPoint("baseline", point, None, 2),
-    ]
-    figure = descents.draw_descents(landscape(count, grid=grid), ways, spots, "swing")
-    panels = [axes for axes in figure.axes if axes.get_visible() and axes.get_xlabel()]
-    assert len(panels) == {1: 1, 2: 1, 3: 3}[count]
-    if count > 1:
-        assert [axes.get_yscale() for axes in panels[:1]] == ["log"]
-    (legend,) = figure.legends
-    assert {"best", "baseline"} <= {text.get_text() for text in legend.get_texts()}
-
-
 def test_descent_map_places_objective_at_grid_points() -> None:
     figure = descents.draw_descents(landscape(2, grid=True), [], [], "swing")
     (mesh,) = figure.axes[0].collections
@@ -650,16 +551,3 @@ def test_descent_map_places_objective_at_grid_points() -> None:
     assert shown.mask[0, 0] and shown.mask.sum() == 1
     assert shown[0, 3] == pytest.approx(100 + 1) and shown[3, 0] == pytest.approx(1 + 100)
     assert shown[1, 3] == pytest.approx(100 + 100 ** (1 / 3))
-
-
-def test_best_by_cost_plot_labels_relaxed_and_hard_results() -> None:
-    cost, best = np.array([1.0, 2.0, 4.0]), np.array([5.0, 4.0, 3.0])
-    searches = [
-        descents.CostCurve("grid", cost, best, False, None),
-        descents.CostCurve("gradient", cost, best, True, (5.0, 3.5)),
-    ]
-    figure = descents.draw_best_by_cost(searches, "time (s)", "swing")
-    (axes,) = figure.axes
-    assert axes.get_xscale() == "log"
-    labels = axes.get_legend_handles_labels()[1]
-    assert labels == ["grid", "gradient, relaxed", "gradient, its end with hard resets"]

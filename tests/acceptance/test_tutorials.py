@@ -1,7 +1,6 @@
 """The commands of the tutorials run in order in an empty folder."""
 
 import ast
-import json
 import re
 import shlex
 from pathlib import Path
@@ -11,8 +10,6 @@ import pytest
 from support.commands import Command, command_line
 
 import sinsjax
-from sinsjax.plots import render_png
-from sinsjax.records.layout import to_body_axes
 
 pytestmark = [
     pytest.mark.slow,
@@ -21,8 +18,6 @@ pytestmark = [
 ]
 
 ROOT = Path(__file__).parents[2]
-ROW = "│".join(r" +(\S+) " for _ in range(6))
-"""A row of the table that DuckDB prints."""
 
 
 @pytest.fixture
@@ -112,36 +107,6 @@ def test_own_imu_tutorial_prints_documented_numbers(
     assert "bring 7.9 arcmin instead of 10.3" in page
 
 
-def test_sweep_tables_notebook_prints_expected_values(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its cells run in order, here with fewer draws."""
-    for library in ("duckdb", "polars"):
-        pytest.importorskip(library)
-    monkeypatch.setenv("MPLBACKEND", "agg")
-    text = (ROOT / "notebooks" / "sweep_tables.ipynb").read_text(encoding="utf-8")
-    assert '"study.draws\\": 32' in text
-    text = text.replace('"study.draws\\": 32', '"study.draws\\": 8')
-    told: list[str] = []
-    names: dict[str, object] = {}
-    for cell in json.loads(text)["cells"]:
-        if cell["cell_type"] == "code":
-            source = "".join(line for line in cell["source"] if not line.startswith("%"))
-            exec(compile(source, "sweep_tables.ipynb", "exec"), names)
-            told.append(capsys.readouterr().out)
-    _, _, units, shares, paired, rates, over_time, _ = told
-    assert "settle_10_s  s  end of the last record interval" in units
-    rows = {tuple(row[:2]): row[2:] for row in re.findall(ROW, shares)}
-    assert len(rows) == 12 and {row[0] for row in rows.values()} == {"8"}
-    assert rows["0", "10.0"][1:] == ("1.0", "0.0", "inf")
-    assert rows["0", "30.0"][1:] == ("0.0", "0.0", "inf")
-    assert rows["1", "30.0"][1:3] == ("0.0", "1.0") and 240 < float(rows["1", "30.0"][3]) < 290
-    one, two, less, _, unpaired = map(float, re.findall(r" (\d+\.\d\d)", paired))
-    assert abs(one - two - less) < 0.015 and 0.1 < unpaired < 1
-    assert re.search(r"\[\] +┆ 10.0 +┆ 8 +┆ 1.0 +┆ 0.6\d+ +┆ 1.0 ", rates)
-    assert re.search(r"0 +┆ 30.0 +┆ 10.0 +┆ 18\d\d\.\d+ +┆ 39\d\.", over_time)
-
-
 def test_own_record_tutorial_finds_expected_heading(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -176,16 +141,6 @@ def test_one_run_tutorial_prints_shown_output(
     assert typed("one_run.md", command, capsys) == shown and len(shown) == 4
 
 
-def test_tutorial_pages_use_distinct_result_folders() -> None:
-    """A reader of the README and these pages in one folder meets no results of another page."""
-    taken: list[str] = []
-    pages = ("start.md", "own_imu.md", "two_positions.md")
-    for page in ("../README.md", *pages):
-        text = "".join(text for _, text in blocks(page))
-        taken += re.findall(r" -o (\S+)", text) + re.findall(r'run_into\(study, "(\w+)"', text)
-    assert len(taken) > 6 and len(taken) == len(set(taken))
-
-
 def test_own_method_page_shows_example_package_files() -> None:
     """The page shows the files of the example package, which other tests install and run.
 
@@ -199,38 +154,3 @@ def test_own_method_page_shows_example_package_files() -> None:
     assert {path.name for path in folder.rglob("*.*")} == {Path(name).name for name in files} | {
         "__init__.py"
     }
-
-
-def test_each_concept_figure_drawn_by_script_is_on_one_page() -> None:
-    names: dict[str, object] = {"__name__": "concepts"}
-    exec((ROOT / "docs" / "figures" / "concepts.py").read_text(encoding="utf-8"), names)
-    drawn = names["FIGURES"]
-    assert isinstance(drawn, dict)
-    texts = {page: page.read_text(encoding="utf-8") for page in (ROOT / "docs").rglob("*.md")}
-    figures = {page: re.findall(r"!\[.+\]\((.*?)\)", text) for page, text in texts.items()}
-    shown = [
-        (page.parent / figure).resolve()
-        for page, links in figures.items()
-        for figure in links
-        if "figures/concept_" in figure
-    ]
-    assert sorted(path.stem for path in shown) == sorted(f"concept_{name}" for name in drawn)
-    assert all(path.stat().st_size < 100_000 for path in shown)
-    for page in (ROOT / "docs" / "concepts").glob("*.md"):
-        assert figures[page] == [f"../figures/concept_{page.stem}.png"]
-    for name in ("frames_and_signs", "misalignment"):  # the others take runs
-        assert render_png(drawn[name]()).startswith(b"\x89PNG")
-
-
-def test_body_axes_figure_agrees_with_to_body() -> None:
-    """The numbers behind it: each name turns its own axes to right, front and up."""
-    names: dict[str, object] = {"__name__": "body_axes"}
-    exec((ROOT / "docs" / "figures" / "body_axes.py").read_text(encoding="utf-8"), names)
-    ways = names["_WAYS"]
-    assert isinstance(ways, dict)
-    body = {"right": (1, 0, 0), "front": (0, 1, 0), "up": (0, 0, 1)}
-    body |= {"left": (-1, 0, 0), "down": (0, 0, -1)}
-    for name, own in ways.items():
-        for axis, way in enumerate(own):
-            sensed = np.eye(3)[axis]
-            assert to_body_axes(sensed[None], name)[0].tolist() == list(body[way])

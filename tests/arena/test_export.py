@@ -19,9 +19,7 @@ from sinsjax.arena.frames import from_angles, from_quaternion, to_angles, to_qua
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.maths.rotations import misalignment
 from sinsjax.records import read_csv, read_parquet
-from sinsjax.study.load import study_to_toml
 from sinsjax.study.study import Study
-from sinsjax.types import Quat
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -203,15 +201,6 @@ def test_overwrite_removes_the_files_of_the_earlier_export_alone(tmp_path: Path)
     assert manifest["draws"] == [0, 1] and manifest["state"] == "complete"
 
 
-def test_command_states_size_before_and_next_step_after(command: Command, tmp_path: Path) -> None:
-    config, out = tmp_path / "small.toml", tmp_path / "out"
-    config.write_text(study_to_toml(study(study={"duration_s": 100.0})))
-    code, told, _ = command("export", config, "-o", out, "--draws", "0:1")
-    assert code == 0
-    assert "2 runs on 1 record of 10,000 samples, about 1.4 MB" in told.splitlines()[0]
-    assert f"sinsjax score {out} RESULTS" in told
-
-
 MISTAKES = {
     "draws": (["--draws", "5:2"], "draws: 5:2: must be A:B with 0 <= A < B <= 64"),
     "words": (["--draws", "some"], "--draws: 'some' is not of the form A:B"),
@@ -241,15 +230,3 @@ def test_directory_with_other_files_or_another_export_is_refused(tmp_path: Path)
         export_study(study(), out)
     with pytest.raises(InputError, match="the export differs in frame: enu there, ned here"):
         export_study(study(), out, frame="ned", resume=True)
-
-
-def test_recorded_or_estimated_study_is_refused() -> None:
-    with pytest.raises(InputError, match="covariance estimates have no draws"):
-        plan_export(sinsjax.load_study("covariance"))
-    with pytest.raises(InputError, match="reads a record: give that to the program"):
-        plan_export(sinsjax.load_study("car_test"))
-
-
-def test_quaternion_of_any_length_is_an_attitude() -> None:
-    q = from_quaternion(np.array([[2.0, 0.0, 0.0, 0.0]]), "enu")
-    assert Quat(*(float(part[0]) for part in q)) == Quat(1.0, 0.0, 0.0, 0.0)

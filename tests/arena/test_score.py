@@ -327,16 +327,6 @@ def test_other_convention_is_suspected_by_name(reading: str, arena: Arena, tmp_p
     assert manifest["warnings"] == score.warnings
 
 
-@pytest.mark.slow
-def test_convention_is_suspected_at_zero_angles_too(tmp_path: Path) -> None:
-    level = {"yaw_center_deg": 0.0, "pitch_center_deg": 0.0, "roll_center_deg": 0.0}
-    arena = Arena(tmp_path, motion=STILL | level)
-    for reading in ("is yaw mirrored", "are the angles in radians"):
-        score = arena.score(turned(arena.last(), READINGS[reading]), tmp_path, overwrite=True)
-        assert f"the attitudes of mine: {reading}" in score.warnings[-1]
-    assert len(arena.score(arena.last(), tmp_path, overwrite=True).warnings) == 1
-
-
 def test_scored_directory_is_compared_as_any_other(
     arena: Arena, tmp_path: Path, command: Command
 ) -> None:
@@ -443,13 +433,6 @@ def test_faulty_results_are_one_line_and_write_nothing(
     assert not out.exists()
 
 
-def test_cut_parquet_file_is_one_line(arena: Arena, tmp_path: Path, command: Command) -> None:
-    path = arena.write(arena.history(), tmp_path / "mine.parquet")
-    path.write_bytes(path.read_bytes()[:-40])
-    code, _, error = command("score", arena.export, path, "-o", tmp_path / "out")
-    assert code == 2 and f"{path}: not a Parquet file, or cut off" in error
-
-
 def test_other_mistakes_of_a_score_are_one_line(
     arena: Arena, tmp_path: Path, command: Command
 ) -> None:
@@ -532,13 +515,6 @@ def test_program_joins_cases_and_zips_with_every_condition() -> None:
         add_program(joined, "mine")
 
 
-def test_name_of_a_method_is_no_program() -> None:
-    tables = small_study().to_dict()
-    tables["study"]["external"] = ["kalman10"]
-    with pytest.raises(InputError, match=r"\[study\] external: 'kalman10' is a method of sinsjax"):
-        sinsjax.study_from_dict(tables)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "suffix"), [("psins", "txt"), ("csv", "csv"), ("parquet", "parquet")]
@@ -605,7 +581,7 @@ def test_sweep_with_fewer_draws_is_refused(arena: Arena, tmp_path: Path) -> None
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", ["../x", "a/b", ".", "..", ".hidden", "-x", "", "x" * 61])
+@pytest.mark.parametrize("name", ["../x", ".", "", "x" * 61])
 def test_name_that_is_no_folder_is_refused(name: str, arena: Arena, tmp_path: Path) -> None:
     path = arena.write(arena.last(), tmp_path / "mine.csv")
     with pytest.raises(InputError, match="--name: .* must begin with a letter or digit"):
@@ -619,24 +595,6 @@ def test_sweep_and_export_are_no_target(arena: Arena, tmp_path: Path) -> None:
             score_results(arena.export, path, against=arena.sweep, out=target, overwrite=True)
 
 
-def test_two_attitudes_or_two_sigmas_of_an_angle_are_refused(arena: Arena, tmp_path: Path) -> None:
-    table, number = arena.last(), pa.array([0.5] * len(arena.last()))
-    for names, message in {
-        ("heading_deg",): "has both heading_deg and yaw_deg",
-        ("yaw_rad",): "has both yaw_deg and yaw_rad",
-        ("q_w",): "has both q_z and pitch_deg",
-        ("sigma_yaw_deg", "sigma_yaw_rad"): "has both sigma_yaw_deg and sigma_yaw_rad",
-        (
-            "sigma_yaw_mrad",
-        ): "column 'sigma_yaw_mrad': must be sigma_yaw, sigma_pitch or sigma_roll",
-    }.items():
-        more = table
-        for name in names:
-            more = more.append_column(name, number)
-        with pytest.raises(InputError, match=message):
-            arena.score(more, tmp_path)
-
-
 def test_sigma_of_the_heading_alone_gives_no_nees_and_says_so(arena: Arena, tmp_path: Path) -> None:
     table = arena.history().append_column(
         "sigma_heading_deg", pa.array([2.0] * len(arena.history()))
@@ -645,31 +603,6 @@ def test_sigma_of_the_heading_alone_gives_no_nees_and_says_so(arena: Arena, tmp_
     assert "no NEES, which needs sigma_yaw, sigma_pitch and sigma_roll" in score.warnings[0]
     rows = rows_of(score, "mine")
     assert rows["nees"].null_count == len(rows) and rows["sigma_u_arcmin"].null_count == 0
-
-
-def test_metadata_that_is_no_text_is_no_digest(arena: Arena, tmp_path: Path) -> None:
-    table = arena.last().drop_columns(["study"]).replace_schema_metadata({b"study": b"\xff\xfe"})
-    path = arena.write(table, tmp_path / "mine.parquet")
-    with pytest.raises(InputError, match="is of another study"):
-        score_results(arena.export, path, against=arena.sweep, out=tmp_path / "out")
-
-
-@pytest.mark.slow
-def test_program_nearer_to_north_than_its_floor_is_no_silent_failure(tmp_path: Path) -> None:
-    judged = {"judged_from": "floor", "success_band_arcmin": 30.0}
-    arena = Arena(tmp_path, study=SETTINGS["study"] | judged, motion=STILL, sensors={
-        **{"gyro_bias_deg_per_h": 0.5, "accel_bias_ug": 0.0},
-        **{"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 1.0},
-    })  # fmt: skip
-    truth = pq.read_table(arena.export / "truth.parquet").to_pandas()
-    last = truth[truth["time_s"] == 40.0].iloc[0]
-    perfect = turned(
-        arena.last(), lambda *angles: [np.full(len(angles[0]), last[f"{a}_deg"]) for a in
-                                       ("pitch", "roll", "yaw")]
-    )  # fmt: skip
-    score = arena.score(perfect, tmp_path)
-    assert score.comparison.overall.success.value == 1.0
-    assert any("nearer to north than the bias floor" in line for line in score.warnings)
 
 
 def test_passes_are_refused() -> None:

@@ -18,7 +18,6 @@ from sinsjax.bench import Workload, cases, limit, timing
 from sinsjax.bench.limit import limit_kernel_workload
 from sinsjax.engine import build
 from sinsjax.errors import InputError
-from sinsjax.platform import xla
 
 HOLDS = {"cpu": "model X", "sinsjax": "1.2", "jax": "0", "platform": "cpu", "options": "all"}
 ROWS = ["kalman_shared_record", "kalman_noise_64", "numpy_baseline"]
@@ -95,34 +94,6 @@ def test_ratio_is_median_of_per_turn_ratios():
     assert second["ratio_spread"] == pytest.approx(0.75)
 
 
-def test_conditions_list_machine_and_software():
-    holds = bench.measurement_conditions()
-    machine = "cpu family ghz instructions avx512 cores platform device"
-    software = "sinsjax jax jaxlib python options"
-    assert list(holds) == f"{machine} {software}".split()
-    assert holds["platform"] == "cpu"
-    json.dumps(holds)
-
-
-@pytest.mark.parametrize(
-    ("values", "told"),
-    [
-        ({}, "all"),
-        (dict.fromkeys((option.name for option in xla.required_options()), None), "none"),
-        ({xla.required_options()[0].name: "other"}, None),
-    ],
-)
-def test_xla_options_that_are_set_are_summarised(values, told):
-    options = {option.name: option.value for option in xla.required_options()} | values
-    rest = " ".join(option.name.removeprefix("xla_cpu_") for option in xla.required_options()[1:])
-    assert timing._describe_options(options) == (told or rest)
-
-
-@pytest.mark.parametrize("name", ["configs/reset_sweep.toml", "benchmarks/limit_kernel.c"])
-def test_assets_are_found(name):
-    assert bench.asset_path(name).is_file()
-
-
 def test_limit_kernel_runs(gcc, tmp_path):
     case = limit_kernel_workload(gcc, str(tmp_path), steps=200, vectors=1)
     assert (case.runs, case.steps) == (8, 200)
@@ -149,53 +120,6 @@ def test_missing_gcc_warns_and_skips_limit_kernel(fake_workloads, capsys):
 
 @pytest.mark.parametrize(
     ("script", "why"),
-    [
-        ("raise SystemExit(1)", "gcc failed: exit status 1"),
-        ("pass", "a program built by gcc cannot be started: No such file or directory"),
-    ],
-)
-def test_broken_gcc_warns_and_skips_limit_kernel(fake_workloads, tmp_path, capsys, script, why):
-    write_tool(tmp_path / "gcc", script)
-    fake_workloads.setenv("PATH", str(tmp_path))
-    rows, said = run_and_parse(capsys, limit=True)
-    assert said == f"warning: no limit kernel: {why}\n"
-    assert [row["name"] for row in rows] == ROWS
-
-
-def test_missing_compiler_options_warn_only_on_cpu(fake_workloads, capsys):
-    for platform, warned in (("cpu", True), ("gpu", False)):
-        holds = HOLDS | {"platform": platform, "options": "none"}
-        fake_workloads.setattr(bench, "measurement_conditions", lambda holds=holds: holds)
-        assert ("compiler options" in run_and_parse(capsys, limit=False)[1]) == warned
-
-
-def test_table_shows_ratio_to_limit_kernel(gcc, fake_workloads, capsys):
-    bench.run_benchmarks(Console(width=80), as_json=False, limit=True, repeats=1)
-    told = capsys.readouterr().out
-    assert "x limit" in told and "1.00" in told and "model X" in told
-    assert max(map(len, told.splitlines())) <= 80
-
-
-@pytest.mark.parametrize(
-    ("script", "why"),
-    [
-        ("raise SystemExit(3)", "gcc failed: exit status 3"),
-        ("raise SystemExit('no such option\\nmore')", "gcc failed: no such option"),
-    ],
-)
-def test_failing_compiler_raises_one_line_error(tmp_path, script, why):
-    with pytest.raises(InputError) as told:
-        limit_kernel_workload(write_tool(tmp_path / "gcc", script), str(tmp_path))
-    assert str(told.value) == why
-
-
-def test_missing_compiler_raises_input_error(tmp_path):
-    with pytest.raises(InputError, match="^gcc cannot be started: "):
-        limit_kernel_workload(str(tmp_path / "none"), str(tmp_path))
-
-
-@pytest.mark.parametrize(
-    ("script", "why"),
     [("import os; os.kill(os.getpid(), 9)", "signal 9"), ("raise SystemExit(2)", "exit status 2")],
 )
 def test_failing_limit_kernel_raises_one_line_error(tmp_path, script, why):
@@ -206,58 +130,11 @@ def test_failing_limit_kernel_raises_one_line_error(tmp_path, script, why):
     assert str(told.value) == f"the limit kernel failed: {why}"
 
 
-def test_registry_rows_have_their_listed_names(monkeypatch):
-    monkeypatch.setattr(cases, "engine_workload", lambda name, group: fake_workload(name, []))
-    monkeypatch.setattr(
-        cases, "numpy_baseline_workload", lambda group: fake_workload("numpy_baseline", [])
-    )
-    assert {name: make().name for name, make in cases.SHORT.items()} == {n: n for n in cases.SHORT}
-
-
-def test_compass_groups_match_kalman_samples_and_sizes():
-    kalman, compass, stored = cases.default_group(), *map(cases.compass_group, (None, 80.0))
-    for group in (compass, stored):
-        assert group.sizes == kalman.sizes
-        own = group.environment.sensors.increments
-        np.testing.assert_array_equal(own, kalman.environment.sensors.increments[: len(own)])
-        assert group.static.method == "compass"
-        assert group.static.records == kalman.static.records
-    assert (compass.static.passes, stored.static.passes) == ("once", "alternate")
-    assert (
-        len(stored.environment.sensors.increments) == 8000
-        and int(stored.environment.pass_records) == 80
-    )
-    assert len({tuple(row) for row in np.stack(compass.variants.method.azimuth[:3], 1)}) == 8
-
-
 @pytest.fixture(scope="module")
 def small_group():
     axes = {"phi_u0_deg": [0.0, 10.0, 20.0, 30.0]}
     (part,) = build.parts(small_study(axes=axes, study={"draws": 64, "duration_s": 20.0}))
     return part.group
-
-
-def test_some_variants_picks_last_variants_with_enough_draws(small_group):
-    group = cases.select_last_variants(small_group, 3, min_runs=1000)
-    draws, variants = group.sizes
-    assert variants == 3 and draws * variants >= 1000
-    assert len(set(group.draws.draw_id.tolist())) == draws == len(group.q)
-    np.testing.assert_array_equal(group.variants.phi[2], small_group.variants.phi[2][1:])
-
-
-def test_without_noise_removes_only_noise(small_group):
-    fake_workloads = cases.remove_noise(small_group)
-    assert (
-        not fake_workloads.environment.sensors.errors.gyro_noise.any()
-        and not fake_workloads.environment.sensors.errors.accel_noise.any()
-    )
-    assert fake_workloads.static == small_group.static._replace(
-        sensors=small_group.static.sensors._replace(noisy=False)
-    )
-    np.testing.assert_array_equal(
-        fake_workloads.environment.sensors.errors.gyro_bias,
-        small_group.environment.sensors.errors.gyro_bias,
-    )
 
 
 @pytest.fixture

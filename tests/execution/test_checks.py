@@ -14,13 +14,11 @@ from scipy.spatial.transform import Rotation
 from support.stored_results import report_text
 from support.studies import BASE, PAPER, small_study, with_paper_values
 
-from sinsjax.cli.running import describe_plan
 from sinsjax.engine import build
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import checks, prepare, run
 from sinsjax.execution.checks import describe_process_noise, study_warnings
 from sinsjax.execution.directory import read_manifest
-from sinsjax.platform.assets import asset_path
 from sinsjax.records import Record, RecordLayout, Reference, means, write_csv
 from sinsjax.records.plausibility import Finding, StationaryValues, check_stationary
 from sinsjax.records.quaternions import integrate_attitudes
@@ -263,16 +261,6 @@ def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None
     assert "excludes constant biases: add their floor in quadrature, or use gravity_fit" in words
 
 
-def test_too_short_record_error_includes_coarse_alignment_time() -> None:
-    with pytest.raises(InputError) as caught:
-        prepare.prepare_job(
-            recorded(record={"start_s": [120.0]}), record=StoredRecord(record(), None)
-        )
-    assert str(caught.value) == (
-        "study: has 200 s, but 90 s (60 s of coarse alignment + 30 s) from start_s = 120 need 210 s"
-    )
-
-
 def test_data_after_to_s_are_not_used() -> None:
     stored = StoredRecord(record(), None)
     study = recorded(record={"from_s": 100.0, "to_s": 190.0})
@@ -423,35 +411,6 @@ def of_sensors(**sections: Any) -> Study:
     return study_from_dict({name: table for name, table in (BASE | sections).items() if table})
 
 
-def test_process_noise_of_sensors_is_reported_as_their_own() -> None:
-    assert describe_process_noise(of_sensors()) == "The filter assumes the sensors' own noise"
-    axes = {"gyro_noise_deg_per_h": [0.1, [0.3, 0.1, 0.2]]}
-    sensors = {"accel_noise_ug": 500.0}
-    assert (
-        describe_process_noise(of_sensors(sensors=sensors, axes=axes))
-        == "The filter assumes the sensors' own noise"
-    )
-    scaled = of_sensors(axes={"q_scale": [0.25, 4.0]})
-    assert describe_process_noise(scaled) == (
-        "The filter assumes 0.5 to 2 times the sensors' noise, in standard deviation"
-    )
-    one = of_sensors(filter={"q_accel_ug": 5000.0, "q_reading": "per_sample"})
-    assert describe_process_noise(one) == (
-        "The filter assumes 10 times the noise of the accelerometers and the noise of the gyros,"
-        " in standard deviation"
-    )
-
-
-def test_process_noise_is_not_reported_without_filter_or_white_noise() -> None:
-    assert describe_process_noise(with_noise({"gyro_bias_deg_per_h": 0.1})) is None
-    sensors = {"gyro_noise_deg_per_h": 0.1}
-    assert describe_process_noise(with_noise(sensors, alignment={"method": "inertial"})) is None
-    swept = with_noise(sensors, axes={"q_gyro_deg_per_h": [0.1, 0.2]})
-    assert describe_process_noise(swept) == (
-        "The filter assumes 100 to 200 times the noise of the gyros, in standard deviation"
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "filter_",
@@ -474,26 +433,3 @@ def test_level_of_filter_settles_in_forecast_time(filter_: dict[str, Any]) -> No
     assert study.filter is not None
     low = np.array(curves["sigma_e_arcmin"]) < 6 * study.filter.p0_level_deg
     assert float(time_s) == pytest.approx(curves["time_s"][low.argmax()], rel=0.06)
-
-
-def test_feedback_is_compared_with_settling_level_over_whole_sweep() -> None:
-    axes = {"feedback_interval_s": [0.1, 1.0], "r_reading": ["per_update", "psd"]}
-    line = checks.describe_feedback_interval(of_sensors(alignment={}, axes=axes))
-    assert line == (
-        "The filter feeds back every 0.1 to 1 s; its level settles in 0.26 to 0.89 s (to a tenth"
-        " of its initial standard deviation)"
-    )
-    assert checks.describe_feedback_interval(of_sensors(alignment={"method": "compass"})) is None
-    both = checks.describe_feedback_interval(
-        of_sensors(alignment={}, axes={"method": ["inertial", "kalman5"]})
-    )
-    assert both is not None and "every 0.01 s; its level settles in 0.26 s" in both
-
-
-def test_validate_compares_filter_with_sensors_and_feedback() -> None:
-    lines = describe_plan(asset_path("configs/reset_sweep.toml"), None)
-    assert "The filter assumes 100 times the sensors' noise, in standard deviation." in lines
-    assert (
-        "The filter feeds back every 1 s; its level settles in 0.89 s (to a tenth of its initial"
-        " standard deviation)." in lines
-    )

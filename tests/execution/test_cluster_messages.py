@@ -1,32 +1,24 @@
 """Messages about workers and schedulers, and an executor on workers of this process."""
 
 import http.server
-import io
-import logging
 import pickle
 import re
 import socket
-import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, nullcontext
-from pathlib import Path
+from contextlib import ExitStack
 from types import SimpleNamespace
 from typing import Any
 
-import dask
 import distributed
 import pytest
-import tomli_w
-from support.stored_results import write_manifest
-from support.studies import add_true_reference, small_study, small_tables
+from support.studies import add_true_reference, small_study
 
-from sinsjax.cli import running
 from sinsjax.engine.build import simulated_record
 from sinsjax.errors import InputError
-from sinsjax.execution import cluster, run
-from sinsjax.execution.tasks import EncodedResult, Executor, Job, Task, TaskRunner
+from sinsjax.execution import cluster
+from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner
 from sinsjax.platform import affinity, runtime, xla
 from sinsjax.study.load import study_from_dict
 
@@ -219,25 +211,8 @@ def test_other_service_at_scheduler_address_is_reported(
         assert refusal_line(scheduler=address) == line
 
 
-def test_worker_address_is_refused_as_scheduler(
-    scheduler: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A worker of a recent Dask gives an error, and one of an old Dask never answers."""
-    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 2.0)
-    with distributed.Client(scheduler, set_as_default=False) as client:
-        worker, *_ = client.nthreads()
-    reason = r"\((another service does|no answer in 2 s)\)"
-    line = f"{worker}: no Dask scheduler answers there {reason}"
-    assert re.fullmatch(line, refusal_line(scheduler=worker))
-
-
 def test_more_workers_than_cores_are_refused() -> None:
     assert refusal_line(workers=4096).startswith("workers: 4096 exceeds the")
-
-
-def test_missing_cluster_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    assert 'pip install "sinsjax[cluster]"' in refusal_line(workers=1)
 
 
 # --- Workers that come and go --------------------------------------------------------------------
@@ -253,35 +228,6 @@ class FakeClient:
         if self.workers is None:
             raise OSError("Timed out\nand more")
         return dict.fromkeys(self.workers, 2)
-
-
-def test_lost_and_missing_workers_are_reported_once(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.0)
-    client = FakeClient()
-    pool = cluster._Workers(client, "tcp://head:8786")
-
-    def warnings(*workers: str) -> str:
-        client.workers = workers
-        assert pool.count_threads() == dict.fromkeys(workers, 2)
-        return capsys.readouterr().err
-
-    waiting = (
-        "Warning: tcp://head:8786: no workers (waiting up to 10 min; start one: dask worker"
-        " tcp://head:8786)\n"
-    )
-    assert warnings() == waiting
-    assert warnings() == ""
-    assert warnings("tcp://a:1", "tcp://b:1", "tcp://c:1") == ""
-    assert warnings("tcp://a:1", "tcp://b:1") == (
-        "Warning: tcp://c:1: worker lost, its tasks run again (2 left)\n"
-    )
-    assert warnings("tcp://a:1", "tcp://b:1", "tcp://d:1") == ""
-    assert warnings() == (
-        "Warning: tcp://a:1 and 2 more: worker lost, its tasks run again (0 left)\n" + waiting
-    )
-    assert warnings() == ""
 
 
 def test_missing_workers_are_refused_after_ten_minutes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -364,42 +310,3 @@ def test_worker_is_pinned_and_configured_before_it_builds_job(
     monkeypatch.setattr(TaskRunner, "__init__", build)
     cluster._make_runner("job", {"instruction set": xla.instruction_set()})
     assert steps == [*(["pin"] if pinned else []), "1 device", job.identity]
-
-
-# --- Logs and forecasts --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("configured", [False, True])
-def test_dask_log_is_silent_unless_user_configures_it(configured: bool) -> None:
-    logger, stream = logging.getLogger("distributed.client"), io.StringIO()
-    handler = logging.StreamHandler(stream)
-    logger.addHandler(handler)
-    try:
-        chosen: dict[str, Any] = {"logging": {"distributed": "info"}} if configured else {}
-        with dask.config.set(chosen), pytest.raises(InputError), cluster._silence_log():
-            logger.error("within")
-            raise InputError("ended")
-        logger.error("after")
-    finally:
-        logger.removeHandler(handler)
-    assert stream.getvalue() == ("within\nafter\n" if configured else "after\n")
-
-
-def test_forecast_counts_worker_threads_and_remaining_runs(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    config, out = tmp_path / "study.toml", tmp_path / "out"
-    config.write_text(tomli_w.dumps(small_tables()))
-    runs = (study := small_study()).n_draws * study.n_variants
-    out.mkdir()
-    write_manifest(out, study, runs_done=runs - 1)
-    executor = Executor(lambda runner, tasks: iter(()), {"threads": 24})
-    monkeypatch.setattr(running, "_open_executor", lambda *_: nullcontext(executor))
-    monkeypatch.setattr(run, "run_job", lambda *_, **__: None)
-    monkeypatch.setattr("sinsjax.report.print_reports", lambda *_, **__: None)
-    options: dict[str, Any] = {"overwrite": False, "devices": None, "resume": True}
-    options["keep_curves"] = False
-    for where, on in (((None, "tcp://head:8786"), "24 worker threads"), ((1, None), "1 core")):
-        running.run_study(config, str(out), workers_and_scheduler=where, **options)
-        (line,) = capsys.readouterr().out.splitlines()
-        assert f", 1 left: roughly 1 s on {on}, " in line

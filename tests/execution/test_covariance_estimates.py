@@ -25,7 +25,7 @@ from support.synthetic_tables import synthetic_estimates
 
 from sinsjax import columns
 from sinsjax.errors import InputError
-from sinsjax.execution import forecast, rerun
+from sinsjax.execution import rerun
 from sinsjax.execution import run as study_run
 from sinsjax.execution.estimates import estimated_curves
 from sinsjax.execution.prepare import RunOptions, prepare_job
@@ -314,35 +314,7 @@ def test_operations_that_need_runs_are_refused_for_estimates(tmp_path: Path) -> 
         read_estimates(out, ["settle_7_s"])
 
 
-def test_forecast_counts_noise_free_runs() -> None:
-    assert (
-        forecast.forecast_sweep(short_study())
-        .describe(1)
-        .startswith("260 noise-free runs of up to 2 s")
-    )
-
-
 # --- reported -----------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("drawn_on_request")
-def test_report_lists_fastest_settings_and_plots_axes(
-    tmp_path: Path,
-) -> None:
-    axes = {"reset_count": [0, 1], "reset_cycle_s": [5.0, 10.0], "phi_u0_deg": [0.0, 5.0]}
-    study = make_study(axes=axes, resets={})
-    study_run.run_into(study, tmp_path / "out")
-    page = tmp_path / "page.md"
-    said = report_text(tmp_path / "out", page=page)
-    assert "8 variants by covariance analysis, without draws" in said
-    table = said.partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
-    made = read_estimates(tmp_path / "out")
-    seconds = made["settle_10_truth_mean_s"].to_numpy().reshape(2, 2, 2).mean(-1)
-    seconds[0, 1] = np.inf  # as the first: without resets there is no cycle
-    assert f"{seconds.min():.1f}" in table.splitlines()[5]
-    assert "settling_time.png" in said and "within_band.png" in said
-    assert page.read_text().count("](figures/") == said.count(".png")
 
 
 @pytest.mark.usefixtures("drawn_on_request")

@@ -7,14 +7,13 @@ from typing import Any
 import pytest
 from support.memory import limit_memory_mb
 from support.stored_results import write_manifest
-from support.studies import small_study, with_paper_values
+from support.studies import small_study
 
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, run
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import machine
-from sinsjax.study.load import study_from_dict, with_rate
 from sinsjax.study.study import Study
 from sinsjax.tuning import from_python
 
@@ -119,15 +118,6 @@ def test_day_long_run_memory_hardly_grows_with_duration():
     assert two.memory - day.memory < 0.1e9
 
 
-def test_forecast_counts_memory_of_reset_times():
-    study = {"duration_s": 9e5, "window_s": [0, 9e5]}
-    resets = {"reset_count": 89_000_000, "reset_cycle_s": 0.01}
-    once, often = (
-        forecast.forecast_sweep(small_study(study=study, resets=r)) for r in ({}, resets)
-    )
-    assert often.memory - once.memory > 3 * 8 * 89e6
-
-
 def test_stop_when_study_needs_disk_space_for_first_check_only(disk: Any, tmp_path: Path):
     stop = {"statistic": "success_rate", "half_width": 0.01}
     study = small_study(study={"draws": 10**6}, stop_when=stop)
@@ -149,23 +139,6 @@ def test_tuning_is_refused_if_all_runs_exceed_disk_or_memory(disk: Any, tmp_path
     disk(memory=1e12)
     with pytest.raises(InputError, match="of memory, but this machine has only 1 TB"):
         from_python.tune(small_study(**tables), tmp_path / "out")
-
-
-@pytest.mark.parametrize(
-    ("draws", "cores", "text"),
-    [
-        (1, 1, "1 run of up to 6 s: roughly 1 s on 1 core, "),
-        (10**6, 2, "1,000,000 runs of up to 6 s: roughly 6 s on 2 cores, "),
-        (10**8, 1, "100,000,000 runs of up to 6 s: roughly 20 min on 1 core, "),
-        (10**9, 1, "1,000,000,000 runs of up to 6 s: roughly 4 h on 1 core, "),
-    ],
-)
-def test_forecast_describes_run_count_time_and_cores(draws: int, cores: int, text: str):
-    assert (
-        forecast.forecast_sweep(small_study(study={"draws": draws}))
-        .describe(cores)
-        .startswith(text)
-    )
 
 
 @pytest.mark.parametrize(
@@ -212,45 +185,6 @@ def test_forecast_of_descents_counts_their_programs_and_steps():
     assert ", and 5 s to start (29 s the first time, which compiles 4 " in moving.describe(2)
     sampled = forecast.forecast_tuning(small_study(tune=TUNE | {"searches": ["covariance"]}))
     assert (sampled.programs, sampled.slow_compile_s) == (2, 14.0)
-
-
-def test_forecast_describes_remaining_runs_and_time():
-    """Time and disk space are those of the missing runs, on cores or worker threads."""
-    expected = forecast.forecast_sweep(small_study(study={"draws": 10**8}))
-    line = expected.describe(1, 10**8 - 10**6)
-    assert line.startswith(
-        "100,000,000 runs of up to 6 s, 1,000,000 left: roughly 12 s on 1 core, "
-    )
-    assert line.endswith(" more on disk")
-    line = expected.describe(20, threads=True)
-    assert line.startswith("100,000,000 runs of up to 6 s: roughly 60 s on 20 worker threads, ")
-
-
-def test_forecast_reports_nothing_left_to_run():
-    expected = forecast.forecast_sweep(small_study(study={"draws": 192}))
-    line = "192 runs of up to 6 s: all are done"
-    assert expected.describe(2, 192) == expected.describe(2, 200, threads=True) == line
-    assert "1 left: roughly" in expected.describe(2, 191)
-
-
-def test_compass_runs_are_forecast_faster_than_filter_runs():
-    filters, loops = small_study(), small_study(alignment={"method": "compass"})
-    assert forecast.forecast_sweep(loops).run_s < forecast.forecast_sweep(filters).run_s
-
-
-def test_machine_reports_memory_and_free_disk_space(tmp_path: Path):
-    assert 1e8 < machine.available_memory_bytes()
-    assert machine.free_disk_bytes(tmp_path / "not" / "yet") == pytest.approx(
-        machine.free_disk_bytes(tmp_path), rel=0.1
-    )
-
-
-def test_recorded_study_without_rate_is_forecast_at_record_rate():
-    section = {"format": "psins", "start_s": [0, 10]}
-    data = {"study": {"duration_s": 6.0}, "record": section, "earth": {"latitude_deg": 32.0}}
-    study = study_from_dict(with_paper_values(data))
-    assert not study.study.rate_hz
-    assert forecast.forecast_sweep(with_rate(study, 100.0)).runs == 2
 
 
 @pytest.mark.parametrize("name", ["kalman5", "compass"])

@@ -98,8 +98,3 @@ def test_nis_band_holds_95_percent_of_chi_square(tmp_path: Any) -> None:
     text = describe_innovations(Source(tmp_path, recorded(), "x.toml", table))
     above, below = (int(text.split(" lie ")[i].split()[-1].replace(",", "")) for i in (0, 1))
     assert above == pytest.approx(500, abs=90) and below == pytest.approx(500, abs=90)
-
-
-def test_results_without_innovations_are_reported(tmp_path: Any) -> None:
-    source = Source(tmp_path, recorded(), "x.toml", pa.table({"run_id": [0]}))
-    assert describe_innovations(source) == "Innovations: none are recorded."

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from support.stored_results import report_text
 from support.studies import STILL, small_study
 
 from sinsjax.covariance import linear_draws
@@ -106,11 +105,3 @@ def test_check_does_not_depend_on_variants_per_call(made: pa.Table, monkeypatch:
 def test_nonlinearity_columns_absent_without_check_linearity() -> None:
     alone = study_run.estimate(make_study(estimate="covariance", check_linearity=False))
     assert not [name for name in alone.column_names if "linear" in name or "filled" in name]
-
-
-@pytest.mark.slow
-def test_report_counts_variants_with_high_nonlinearity_index(tmp_path: Any) -> None:
-    study_run.run_into(make_study(estimate="covariance", draws=DRAWS), tmp_path / "out")
-    said = report_text(tmp_path / "out")
-    assert "index at most" in said
-    assert "2 of 4 variants exceed 0.5" in said

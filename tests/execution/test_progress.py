@@ -52,18 +52,6 @@ def test_plain_progress_prints_every_tenth_with_pace_and_failures(clock: Clock) 
     ]
 
 
-def test_plain_progress_prints_every_ten_seconds_if_slow(clock: Clock) -> None:
-    screen, file = plain()
-    with progress.show_progress(screen, "swing") as on_progress:
-        on_progress(RunProgress(0, 1_000_000, 0, 0))
-        for i in range(1, 61):
-            clock.now += 1.0
-            on_progress(RunProgress(i, 1_000_000, 0, 0))
-    lines = file.getvalue().splitlines()
-    assert [line.split()[1] for line in lines] == ["1", "11", "21", "31", "41", "51"]
-    assert lines[-1] == "swing: 51 of 1,000,000 runs, 1 runs/s, 277:45:49 left, 0 failed"
-
-
 def test_pace_is_printed_only_once_measured(clock: Clock) -> None:
     """The threads end their first chunks at almost the same time."""
     screen, file = plain()
@@ -90,41 +78,6 @@ def test_stored_runs_are_reported_and_excluded_from_pace(clock: Clock) -> None:
         "swing: 900 of 1,000 runs already done",
         "swing: 1,000 of 1,000 runs, 10 runs/s, 0:00 left, 2 failed",
     ]
-
-
-def test_progress_names_its_unit(clock: Clock) -> None:
-    screen, file = plain()
-    with progress.show_progress(screen, "swing") as on_progress:
-        on_progress(RunProgress(0, 20, 0, 0, "estimates"))
-        for done in (10, 15, 20):
-            clock.now += 1.0
-            on_progress(RunProgress(done, 20, 0, 0, "estimates"))
-    assert file.getvalue().splitlines() == [
-        "swing: 10 of 20 estimates, 0 failed",
-        "swing: 15 of 20 estimates, 5 estimates/s, 0:01 left, 0 failed",
-        "swing: 20 of 20 estimates, 5 estimates/s, 0:00 left, 0 failed",
-    ]
-
-
-def test_complete_study_prints_one_progress_line(clock: Clock) -> None:
-    screen, file = plain()
-    with progress.show_progress(screen, "swing") as on_progress:
-        on_progress(RunProgress(1000, 1000, 0, 1000))
-    assert file.getvalue() == "swing: 1,000 of 1,000 runs already done\n"
-
-
-def test_terminal_shows_progress_bar_with_pace_and_failures(clock: Clock) -> None:
-    file = io.StringIO()
-    screen = Console(file=file, force_terminal=True, width=120, _environ={})  # no TERM=dumb
-    with progress.show_progress(screen, "swing [tune]") as on_progress:
-        on_progress(RunProgress(0, 1000, 0, 0))
-        clock.now += 4.0
-        on_progress(RunProgress(250, 1000, 1, 0))
-        clock.now += 2.0
-        on_progress(RunProgress(500, 1000, 3, 0))
-    told = file.getvalue()
-    assert "swing [tune] (compiling)" in told
-    assert "500/1000" in told and "125 runs/s, 0:04 left, 3 failed" in told
 
 
 # --- signals ------------------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """Results in Python: in memory and from a directory, as pandas and xarray objects."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,25 +16,9 @@ pytestmark = pytest.mark.optimised(False)
 AXES = {"phi_u0_deg": [5.0, 10.0], "p0_yaw_deg": [20.0, 40.0, 80.0]}
 
 
-def failed(results: Results) -> int:
-    return sum(s in ("diverged", "nonfinite") for s in results.summary["status"].to_pylist())
-
-
 @pytest.fixture(scope="module")
 def results() -> Results:
     return sinsjax.run(small_study(study={"curves": True}, axes=AXES))
-
-
-def test_results_are_displayed_in_five_short_lines(results: Results) -> None:
-    lines = repr(results).splitlines()
-    assert len(lines) == 5 and max(map(len, lines)) <= 80
-    assert f"6 variants x 3 draws = 18 runs, {failed(results)} diverged or not" in lines[1]
-    assert "phi_u0_deg 5, 10; p0_yaw_deg 20, 40, 80" in lines[2]
-    assert lines[4].endswith("in memory") and "kalman5" in lines[3]
-    assert results._repr_html_().count("<tr>") == 4
-    assert dir(results) == [name for name in dir(results) if hasattr(results, name)]
-    summary, curves = results
-    assert (summary.num_rows, curves.num_rows) == (18, 18 * 6)
 
 
 def test_results_of_a_directory_are_read_from_it(tmp_path: Path, results: Results) -> None:
@@ -129,13 +112,3 @@ def test_estimates_convert_by_variant(tmp_path: Path) -> None:
     assert len(stored.to_pandas()) == 2
     with pytest.raises(sinsjax.InputError, match="estimates of variants, and no runs"):
         _ = stored.summary
-
-
-@pytest.mark.parametrize("library", ["pandas", "xarray"])
-def test_missing_library_is_one_line_with_the_way_on(
-    library: str, results: Results, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, library, None)
-    convert = {"pandas": results.to_pandas, "xarray": results.to_xarray}[library]
-    with pytest.raises(sinsjax.InputError, match=rf"^{library} is not .* .pip install {library}.$"):
-        convert()

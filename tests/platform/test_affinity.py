@@ -94,12 +94,3 @@ def test_world_writable_lock_folder_is_not_used(
     folder.chmod(0o777)
     assert start_pinned_process()[0] == str(CORES)
     assert not list(folder.iterdir())
-
-
-def test_threads_started_during_pinning_are_pinned_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thread that is not pinned yet may start another one meanwhile."""
-    seen, kept = iter([{1, 2}, {1, 2, 3}, {1, 3, 4}, {1, 3, 4}]), list[int]()
-    monkeypatch.setattr(affinity, "_thread_ids", lambda: next(seen))
-    monkeypatch.setattr(os, "sched_setaffinity", lambda thread, cores: kept.append(thread))
-    affinity._pin_all_threads(0)
-    assert sorted(kept) == [1, 2, 3, 4]

@@ -11,7 +11,6 @@ from support.studies import small_study
 import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime, xla
-from sinsjax.platform.xla import merge_options
 
 
 def run_python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -106,19 +105,6 @@ print(json.dumps([os.environ["XLA_FLAGS"], sinsjax.info()]))
     assert done.stderr == ""
 
 
-@pytest.mark.slow
-def test_opt_out_leaves_flags_and_keeps_user_device_count():
-    done = run_python(
-        "import json, sinsjax; print(json.dumps(sinsjax.info()))",
-        SINSJAX_XLA_OPTIONS="0",
-        XLA_FLAGS="--xla_force_host_platform_device_count=4",
-    )
-    info = json.loads(done.stdout)
-    assert info["opted_out"]
-    assert set(info["options"].values()) == {None}
-    assert (info["x64"], len(info["devices"])) == (True, 4)
-
-
 STUDY = """
 import sinsjax
 study = sinsjax.study_from_dict({
@@ -152,16 +138,6 @@ assert jnp.ones(3).dtype == "float64"
         " kernel and call sinsjax.configure() before JAX computes anything\n"
     )
     assert told in done.stderr
-
-
-@pytest.mark.slow
-def test_options_of_user_set_before_jax_start_need_no_warning():
-    done = run_python(
-        "import jax; jax.devices(); import sinsjax; sinsjax.configure()",
-        XLA_FLAGS=merge_options("", xla.required_options()),
-        JAX_NUM_CPU_DEVICES=str(runtime.usable_cores()),
-    )
-    assert done.stderr == ""
 
 
 CALLS = {
@@ -198,16 +174,6 @@ def test_double_precision_that_was_turned_off_is_turned_on_again():
     jax.config.update("jax_enable_x64", False)
     sinsjax.one_run(small_study())
     assert jax.config.jax_enable_x64
-
-
-def test_info_reports_versions_and_hardware():
-    info = runtime.info()
-    assert info["python"] == ".".join(map(str, sys.version_info[:3]))
-    assert info["jax"] == jax.__version__
-    assert 1 <= info["cores"] <= os.cpu_count()
-    assert info["avx512"] in (info["instructions"] == "AVX512", None)
-    assert runtime.relevant_versions().items() <= info.items()
-    json.dumps(info)
 
 
 def test_package_import_loads_no_heavy_modules() -> None:

@@ -15,11 +15,6 @@ from sinsjax.platform.xla import ConfigurationWarning, XlaOption, merge_options,
 
 OPTIONS = xla._OPTIONS
 ALL = {option.name: option.value for option in OPTIONS}
-PLAIN = "--xla_cpu_prefer_vector_width=512 --xla_cpu_copy_insertion_use_region_analysis=true"
-EXTRA = (
-    "xla_cpu_small_while_loop_byte_threshold=1000000000,xla_cpu_use_multi_output_fusion=true,"
-    "--vectorize-memory-check-threshold=100000"
-)
 
 
 @pytest.fixture
@@ -41,39 +36,6 @@ def no_process(monkeypatch):
         raise AssertionError("started a process")
 
     monkeypatch.setattr(subprocess, "run", refuse)
-
-
-@pytest.mark.parametrize(
-    ("flags", "merged"),
-    [
-        ("", f"{PLAIN} --xla_backend_extra_options={EXTRA}"),
-        ("--xla_dump_to=/x", f"--xla_dump_to=/x {PLAIN} --xla_backend_extra_options={EXTRA}"),
-        ("--xla_backend_extra_options=a=1", f"--xla_backend_extra_options=a=1,{EXTRA} {PLAIN}"),
-        ("--xla_backend_extra_options=", f"--xla_backend_extra_options={EXTRA} {PLAIN}"),
-        (
-            '--xla_backend_extra_options="a=1" --xla_dump_to=/x',
-            f'--xla_backend_extra_options="a=1,{EXTRA}" --xla_dump_to=/x {PLAIN}',
-        ),
-        (
-            "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=false"
-            " --xla_backend_extra_options=b=2 --xla_cpu_prefer_vector_width=256",
-            "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=false"
-            " --xla_backend_extra_options=b=2,"
-            "xla_cpu_small_while_loop_byte_threshold=1000000000,"
-            "--vectorize-memory-check-threshold=100000"
-            " --xla_cpu_prefer_vector_width=256 --xla_cpu_copy_insertion_use_region_analysis=true",
-        ),
-        # Hyphens inside a value begin no flag.
-        (
-            "--xla_backend_extra_options=--vectorize-memory-check-threshold=7 --xla_dump_to=a--b=1",
-            "--xla_backend_extra_options=--vectorize-memory-check-threshold=7,"
-            "xla_cpu_small_while_loop_byte_threshold=1000000000,xla_cpu_use_multi_output_fusion=true"
-            f" --xla_dump_to=a--b=1 {PLAIN}",
-        ),
-    ],
-)
-def test_merge_options_extends_user_flags(flags, merged):
-    assert merge_options(flags, OPTIONS) == merged
 
 
 PLAIN_NAMES = st.sampled_from([o.name for o in OPTIONS if not o.extra] + ["xla_a", "xla_b"])
@@ -160,44 +122,12 @@ def test_only_options_that_fail_alone_are_refused(unset_flags, tmp_path):
     assert len(json.loads((tmp_path / "sinsjax" / "xla_options.json").read_text())) == 2
 
 
-def test_damaged_answers_are_rewritten(unset_flags, tmp_path):
-    unset_flags.setattr(xla, "can_compile", lambda flags: True)
-    answers = tmp_path / "sinsjax" / "xla_options.json"
-    answers.parent.mkdir()
-    for damaged in ("{", "[1]", '{"99.0": 3}'):
-        answers.write_text(damaged)
-        xla.refused_options.cache_clear()
-        assert xla.refused_options("99.0") == frozenset()
-        assert json.loads(answers.read_text()) == {f"jaxlib 99.0 {merge_options('', OPTIONS)}": []}
-
-
 def test_failed_trial_refuses_all_options_and_is_not_cached(unset_flags, tmp_path):
     unset_flags.setattr(sys, "executable", str(tmp_path / "missing"))
     unset_flags.setattr(xla, "_jaxlib_version", lambda: "99.0")
     assert xla.refused_options("99.0") == ALL.keys()
     assert xla.extended_flags() == ""
     assert not list(tmp_path.rglob("*.json"))
-
-
-def test_unwritable_cache_folder_is_ignored(unset_flags, tmp_path):
-    unset_flags.setattr(xla, "can_compile", lambda flags: True)
-    (tmp_path / "sinsjax").write_text("a file where the folder should be")
-    assert xla.refused_options("99.0") == frozenset()
-
-
-def test_invalid_flag_value_does_not_compile():
-    assert not xla.can_compile("--xla_cpu_prefer_vector_width=wide")
-
-
-def test_instruction_set_in_use_follows_xla_flags(monkeypatch, tmp_path):
-    monkeypatch.setattr(xla.machine, "instruction_set", lambda limit: limit)
-    monkeypatch.delenv("XLA_FLAGS", raising=False)
-    assert xla.instruction_set() == ""
-    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_max_isa=AVX --xla_cpu_max_isa=AVX2")
-    assert xla.instruction_set() == "AVX2"
-    (tmp_path / "flags").write_text("--xla_cpu_max_isa=AVX\n")
-    monkeypatch.setenv("XLA_FLAGS", str(tmp_path / "flags"))
-    assert xla.instruction_set() == "AVX"
 
 
 def test_flags_are_read_from_flag_file(unset_flags, tmp_path):

@@ -35,27 +35,6 @@ def solid_lines(axes):
     return [line for line in axes.get_lines() if len(line.get_xdata()) > 2]
 
 
-@pytest.mark.parametrize(
-    ("column", "label", "setting"),
-    [
-        ("phi_u0_deg", "initial heading error (deg)", "initial heading error 30 deg"),
-        ("gyro_bias_deg_per_h", "gyro bias (deg/h)", "gyro bias 30 deg/h"),
-        ("reset_cycle_s", "time between resets (s)", "time between resets 30 s"),
-        ("accel_bias_ug", "accelerometer bias (µg)", "accelerometer bias 30 µg"),
-        ("p0_velocity_m_per_s", "velocity sigma in P0 (m/s)", "velocity sigma in P0 30 m/s"),
-        ("reset_count", "number of resets", "number of resets 30"),
-        ("yaw_center_deg", "yaw, counter-clockwise (deg)", "yaw, counter-clockwise 30 deg"),
-    ],
-)
-def test_labels_and_settings_show_units(column, label, setting):
-    assert plots.axis_label(column) == label
-    assert plots.format_setting(column, "30") == setting
-
-
-def test_setting_with_word_value_has_no_unit():
-    assert plots.format_setting("reset_times_s", "none") == "resets at none"
-
-
 def test_ensembles_arrange_runs_by_record():
     runs, times = np.repeat([3, 5, 8], 2), np.tile([1.0, 2.0], 3)
     phi = 100.0 * runs + times
@@ -118,27 +97,6 @@ def test_misalignment_figure_has_panels_labels_and_legend():
     ]
 
 
-def test_misalignment_axis_is_linear_for_narrow_range():
-    figure = plots.draw_misalignment([make_ensemble("a")], "Title")
-    assert [axes.get_yscale() for axes in figure.axes] == ["linear"] * 3
-
-
-@pytest.mark.representative("0.03", "60.0")
-@pytest.mark.parametrize("size", [0.03, 0.4, 5.0, 60.0])
-def test_wide_misalignment_axis_has_ticks_on_both_sides(size):
-    """A level error that begins at P0 and ends small, and a heading error that begins far off."""
-    course = size * np.geomspace(40.0, 1.0, TIME.size)
-    columns = {f"{kind}_{axis}_arcmin": course[None] for kind in ("phi", "sigma") for axis in "enu"}
-    figure = plots.draw_misalignment([Ensemble("a", TIME, columns)], "Title", with_sigma=True)
-    for axes in figure.axes:
-        low, high = axes.get_ylim()
-        ticks = [tick for tick in axes.get_yticks() if low <= tick <= high]
-        assert sum(tick > 0 for tick in ticks) == sum(tick < 0 for tick in ticks) >= 2
-        zero, end, top = axes.transData.transform([(1.0, y) for y in (0.0, size, 40 * size)])[:, 1]
-        assert size < 0.1 or (end - zero) / (top - zero) > 0.1
-    assert "±1 sigma of the filter" in figure_text(figure)
-
-
 def test_misalignment_sigma_is_dashed_on_both_sides():
     figure = plots.draw_misalignment([make_ensemble("a", sigma=5.0)], "Title", with_sigma=True)
     dashed = [line for line in figure.axes[2].get_lines() if line.get_linestyle() == "--"]
@@ -153,17 +111,6 @@ def test_enlarged_panel_shows_whole_band():
     low, high = figure.axes[-1].get_ylim()
     assert low < np.quantile(inside, 0.025, axis=0).min()
     assert high > np.quantile(inside, 0.975, axis=0).max()
-
-
-def test_enlarged_panel_range_ignores_sigma_jump_at_reset():
-    sigma = np.array([2.0] * 4 + [500.0, 20.0] + [2.0] * 4)[None]
-    columns = {f"phi_{axis}_arcmin": np.linspace(1.0, 3.0, TIME.size)[None] for axis in "enu"}
-    columns |= {f"sigma_{axis}_arcmin": sigma for axis in "enu"}
-    figure = plots.draw_misalignment(
-        [Ensemble("a", TIME, columns)], "Title", zoom_s=(5.0, 10.0), with_sigma=True
-    )
-    low, high = figure.axes[-1].get_ylim()
-    assert -2.5 < low < -2.0 and 3.0 < high < 3.5
 
 
 def test_attitude_figure_shows_degrees_and_sigma_band():
@@ -208,61 +155,6 @@ def test_heat_maps_show_values_and_hatch_infinite_cells():
     assert "never" in figure_text(figure)
 
 
-def draw_hatched_map(values, alike, hatched):
-    return plots.draw_heat_maps(
-        [("all", np.array(values))],
-        "Title",
-        MapQuantity("share (%)", 0.0, 100.0),
-        rows=GridAxis("a", range(len(values))),
-        columns=GridAxis("b", range(len(values[0]))),
-        marks=plots.CellMarks([np.array(alike)], [np.array(hatched)], "not so"),
-    )
-
-
-def test_heat_maps_hatch_marked_cells_and_name_reason():
-    figure = draw_hatched_map([[10.0, 90.0, np.inf]], [[0, 1, 2]], [[True, False, True]])
-    (patch,) = figure.axes[0].patches  # what is never there has a hatch of its own
-    assert patch.get_xy() == (-0.5, -0.5) and patch.get_hatch() and "not so" in figure_text(figure)
-    assert all(text.get_bbox_patch() for text in figure.axes[0].texts)  # legible on the hatch
-    plain = draw_hatched_map([[10.0, 90.0]], [[0, 1]], [[False, False]])
-    assert "not so" not in figure_text(plain)
-    assert not any(text.get_bbox_patch() for text in plain.axes[0].texts)  # may hide contours
-
-
-def test_heat_maps_write_value_of_equal_cells_once():
-    figure = draw_hatched_map(
-        [[10.0, 10.0], [30.0, 10.0], [50.0, 50.0]], [[0, 0], [2, 0], [4, 4]], [[0]]
-    )
-    written = {text.get_text(): text.get_position() for text in figure.axes[0].texts}
-    assert written == {"10": (0, 0), "30": (0, 1), "50": (0.5, 2)}  # 10: no rectangle
-    assert len(figure.axes[0].texts) == 3
-
-
-def test_heat_maps_draw_without_finite_values():
-    figure = plots.draw_heat_maps(
-        [("all", np.full((2, 2), np.inf))],
-        "Title",
-        MapQuantity("time (s)", 0.0, 1.0),
-        rows=GridAxis("a", [0, 1]),
-        columns=GridAxis("b", [0, 1]),
-    )
-    assert plots.render_png(figure)
-
-
-def test_heat_map_numbers_contrast_with_cell_colour():
-    figure = plots.draw_heat_maps(
-        [("all", np.array([[0.0, 100.0]]))],
-        "Title",
-        MapQuantity("share (%)", 0.0, 100.0),
-        rows=GridAxis("a", [0]),
-        columns=GridAxis("b", [0, 1]),
-    )
-    dark, light = figure.axes[0].texts
-    assert (dark.get_color(), light.get_color()) == ("white", "black")
-    colours = figure.axes[0].get_images()[0].get_cmap()
-    assert sum(colours(0.0)[:3]) < 1.0 < 1.5 < sum(colours(1.0)[:3])
-
-
 def test_heat_map_uses_log_colours_and_two_digits_per_cell():
     figure = plots.draw_heat_maps(
         [("a", np.array([[0.123, 4.56], [78.9, 1234.0], [0.0, np.inf]]))],
@@ -279,20 +171,6 @@ def test_heat_map_uses_log_colours_and_two_digits_per_cell():
     assert [t.get_color() for t in axes.texts][:4] == ["black", "white", "white", "white"]
     assert axes.get_ylabel() == "sigma of the azimuth loop (1/s)"
     assert plots.render_png(figure)
-
-
-def axis_height(high, *, others=12.0, last=20.0):
-    """The upper end of an axis with points at 10, 10, 10 and the last; their bars end above."""
-    ends = [(10.0, others)] * 3 + [(last, high)]
-    line = {"a": [Estimate(x, x - 1.0, end, 9) for x, end in ends]}
-    return plots.draw_along_axis("k", range(4), {"x": line}, title="Title").axes[0].get_ylim()[1]
-
-
-def test_axis_range_ignores_single_huge_error_bar():
-    assert 20 < axis_height(10800.0) < 40  # the bar goes on beyond the panel
-    assert axis_height(26.0) > 26.0  # a longer one than the others is whole
-    assert axis_height(600.0, others=500.0) > 600.0  # as are bars that are all long
-    assert axis_height(10800.0, last=2500.0) > 2500.0  # points are all there
 
 
 def test_along_axis_marks_infinite_values_as_never():
@@ -313,16 +191,6 @@ def test_along_axis_marks_infinite_values_as_never():
     assert [list(line.get_xdata()) for line in crosses] == [[pytest.approx(30.0, abs=0.15)]]
     assert "never" in figure_text(figure)
     assert plots.render_png(figure)
-
-
-@pytest.mark.parametrize(
-    ("values", "marks"), [([0.0, 1.0, 2.0], ["0", "1", "2"]), ([0.0, 0.1, 9.0], None)]
-)
-def test_axis_ticks_are_at_values_when_spaced_apart(values, marks):
-    lines = {"a": [Estimate(1.0, 0.5, 2.0, 8)] * 3}
-    axes = plots.draw_along_axis("reset_count", values, {"x": lines}, title="Title").axes[0]
-    found = [t.get_text() for t in axes.get_xticklabels()]
-    assert found == marks if marks else len(found) > 3
 
 
 def test_steps_thin_many_values_without_changing_shape():
@@ -353,31 +221,6 @@ def test_beliefs_figure_shows_nees_distribution_and_shares():
     assert [mark.get_label() for mark in marks] == ["share a", "share b"]
 
 
-@pytest.mark.representative("7")
-@pytest.mark.parametrize("lines", [1, 7])
-def test_belief_names_do_not_overlap_marks_or_edge(lines):
-    shares = {name: Estimate(0.1, 0.05, 0.15, 4) for name in ("from truth", "from the bias floor")}
-    shown = [ConsistencyLine(f"resets {i}", np.arange(1.0, 5.0), shares) for i in range(lines)]
-    figure = plots.draw_consistency(shown, "Title")
-    plots.render_png(figure)  # lays it out
-    right = figure.axes[1]
-    names = [t for t in right.texts if t.get_text().startswith("resets")]
-    boxes = [name.get_window_extent() for name in names]
-    points = right.transData.transform(
-        [(0.1, bar.lines[0].get_ydata()[0]) for bar in right.containers]
-    )
-    radius = 6 / 72 * figure.dpi / 2
-    for i, box in enumerate(boxes):
-        assert box.y1 < right.get_window_extent().y1
-        assert box.y0 > points[2 * i, 1] + radius
-        assert i == 0 or box.y1 < points[2 * i - 1, 1] - radius
-
-
-def test_beliefs_figure_draws_without_known_values():
-    shown = [ConsistencyLine("x", np.full(3, np.nan), {"a": Estimate(*[math.nan] * 3, 0)})]
-    assert plots.render_png(plots.draw_consistency(shown, "Title"))
-
-
 def make_course(label: str, *, resets_s=()) -> HeadingErrorCourse:
     mean, own = np.linspace(600.0, -20.0, TIME.size), np.full(TIME.size, 100.0)
     return HeadingErrorCourse(label, TIME, mean, own / 4, own, resets_s, floor=-25.0)
@@ -402,42 +245,6 @@ def test_believed_figure_compares_true_error_with_filter_sigma():
     assert plots.render_png(figure)
 
 
-def test_heat_maps_use_requested_columns_and_wrap_long_names():
-    name = "feedback_interval 0.5 s, reset_kind full, q_reading per_step"
-    figure = plots.draw_heat_maps(
-        [(name, np.ones((2, 2)))] * 6,
-        "Title",
-        MapQuantity("share (%)", 0.0, 100.0),
-        rows=GridAxis("a", [0, 1]),
-        columns=GridAxis("b", [0, 1]),
-        panels_per_row=3,
-    )
-    axes = figure.axes[:6]
-    assert axes[0].get_subplotspec().get_gridspec().get_geometry() == (2, 3)
-    assert all("\n" in a.get_title(loc="left") for a in axes)
-    assert axes[0].get_title(loc="left").replace("\n", " ") == name
-
-
-@pytest.mark.representative("5-3")
-@pytest.mark.parametrize(("count", "across"), [(8, 4), (5, 3)])
-def test_heat_map_panels_have_equal_size_and_labels_below(count, across):
-    figure = plots.draw_heat_maps(
-        [(f"panel {i}", np.ones((3, 4))) for i in range(count)],
-        "Title",
-        MapQuantity("share (%)", 0.0, 100.0),
-        rows=GridAxis("a", range(3)),
-        columns=GridAxis("b", range(4)),
-        panels_per_row=across,
-    )
-    plots.render_png(figure)  # lays it out
-    panels = [axes for axes in figure.axes if axes.get_images()][:count]
-    sizes = np.array([axes.get_window_extent().size for axes in panels])
-    assert np.ptp(sizes, axis=0).max() < 1.0
-    for axes in panels[-across:]:  # the lowest of each column
-        assert axes.get_xlabel() == "b"
-        assert any(label.get_visible() for label in axes.get_xticklabels())
-
-
 def read_png(content):
     from PIL import Image
 
@@ -456,15 +263,6 @@ def test_footer_is_added_as_strip_below_figure():
     assert (other[height:] != strip).any()
 
 
-def test_text_is_large_enough_for_slide():
-    figure = plots.draw_misalignment([make_ensemble("a")], "Title", zoom_s=(2.0, 6.0))
-    plots.render_png(figure)
-    # A figure fills a slide of 13.3 in.
-    scale = 13.3 / figure.get_figwidth()
-    texts = [t for t in figure.findobj(mpl.text.Text) if t.get_text().strip()]
-    assert min(t.get_fontsize() for t in texts) * scale > 15
-
-
 def test_png_does_not_depend_on_rc_params(monkeypatch):
     def draw():
         return plots.render_png(plots.draw_misalignment([make_ensemble("a")], "Title"))
@@ -477,8 +275,3 @@ def test_png_does_not_depend_on_rc_params(monkeypatch):
     from PIL import Image
 
     assert set(Image.open(io.BytesIO(first)).info) == {"dpi"}
-
-
-def test_colours_repeat_beyond_palette():
-    assert plots.line_colour(0) == plots.line_colour(len(plots.COLOURS)) == plots.COLOURS[0]
-    assert len(set(plots.COLOURS)) == len(plots.COLOURS)

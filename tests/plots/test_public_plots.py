@@ -3,7 +3,6 @@
 import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pytest
 from matplotlib.figure import Figure
 from scipy import stats
@@ -61,12 +60,6 @@ def panel_titles(figure: Figure):
     return [axes for axes in figure.axes if axes.get_images()]
 
 
-def test_plot_functions_are_public_names():
-    names = {"plot_belief", "plot_compare", "plot_curves", "plot_map"}
-    assert names <= {*sinsjax.__all__}
-    assert all(getattr(sinsjax, name) is getattr(plots, name) for name in names)
-
-
 # --- plot_map -----------------------------------------------------------------------------------
 
 
@@ -108,62 +101,6 @@ def test_map_title_names_best_choice_where_panels_are_choices():
     assert figure.get_suptitle().replace("\n", " ") == title
     first, second = map(framed_cells, panel_titles(figure))
     assert first == {BOLD: [(-0.5, 0.5)]} and second == {THIN: [(0.5, 1.5)]}
-
-
-def test_map_of_one_panel_frames_only_the_cell_that_its_title_names():
-    """Half of the runs settle at once with the second setting; on average the first is sooner."""
-    rows = {"a": [0, 0, 1, 1] * 3, "b": [0, 1, 0, 1] * 3, "draw_id": np.repeat(range(3), 4)}
-    times = [50.0, 10.0, 99.0, 99.0] * 2 + [60.0, 500.0, 99.0, 99.0]
-    figure = sinsjax.plot_map(pa.table(rows | {"settle_10_s": times}), "a", "b", "settle_10_s")
-    assert figure.get_suptitle() == "Soonest: a 0, b 0 (53 s on average)"
-    assert framed_cells(panel_titles(figure)[0]) == {BOLD: [(-0.5, -0.5)]}
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["soonest"]
-
-
-@pytest.mark.parametrize("keys", [MAP, MAP[::-1]])
-def test_no_reset_is_a_bar_next_to_the_grid(keys):
-    figure = sinsjax.plot_map(run_table(), *keys, "settle_10_s", by="phi_u0_deg")
-    first, second = panel_titles(figure)
-    labels = first.get_yticklabels() if keys == MAP else first.get_xticklabels()
-    assert [label.get_text() for label in labels] == ["none", "1", "2"]
-    for axes in (first, second):
-        (gap,) = [line for line in axes.get_lines() if line.get_color() == "white"]
-        place = gap.get_ydata() if keys == MAP else gap.get_xdata()
-        assert list(place) == [0.5, 0.5]
-    other = sinsjax.plot_map(run_table().filter(pc.field("reset_count") > 0), *keys, "settle_10_s")
-    assert not panel_titles(other)[0].get_lines()
-
-
-def test_no_reset_does_not_widen_colour_scale_of_grid():
-    settle = {point: time if point[0] else 900.0 for point, time in SETTLE.items()}
-    figure = sinsjax.plot_map(run_table(settle), *MAP, "settle_10_s", by="phi_u0_deg")
-    norm = panel_titles(figure)[0].get_images()[0].norm
-    assert (norm.vmin, norm.vmax) == (100.0, 400.0)
-    assert "above the scale" in figure.axes[-1].get_ylabel().replace("\n", " ")
-    alone = {point: None if point[0] else 900.0 + point[2] for point in SETTLE}
-    figure = sinsjax.plot_map(run_table(alone), *MAP, "settle_10_s", by="phi_u0_deg")
-    norm = panel_titles(figure)[0].get_images()[0].norm
-    assert (norm.vmin, norm.vmax) == (900.0, 930.0)  # the only numbers
-
-
-def test_map_of_schedule_that_fails_sometimes_states_share():
-    settle = {point: None if point[2] else time for point, time in SETTLE.items()}
-    figure = sinsjax.plot_map(run_table(settle), *MAP, "settle_10_s", by="phi_u0_deg")
-    assert figure.get_suptitle() == "Most often: 1 reset at 10 s (50 % of the runs settle)"
-
-
-def test_outlier_ends_beyond_colour_scale():
-    values = np.append(np.linspace(100.0, 130.0, 29), 5000.0)
-    table = pa.table(
-        {"a": np.repeat(range(5), 6), "b": np.tile(range(6), 5), "settle_10_s": values}
-    )
-    figure = sinsjax.plot_map(table, "a", "b", "settle_10_s")
-    image = panel_titles(figure)[0].get_images()[0]
-    assert image.norm.vmax < 140 and "(tip: above" in figure.axes[-1].get_ylabel()
-    even = table.set_column(2, "settle_10_s", pa.array(np.linspace(100.0, 130.0, 30)))
-    figure = sinsjax.plot_map(even, "a", "b", "settle_10_s")
-    assert panel_titles(figure)[0].get_images()[0].norm.vmax == 130.0
-    assert "(tip: above" not in figure.axes[-1].get_ylabel()
 
 
 def test_map_of_flag_is_share_in_percent_and_of_number_its_rms():
@@ -217,17 +154,6 @@ def test_pandas_frames_are_accepted():
 # --- plot_compare -------------------------------------------------------------------------------
 
 
-def test_compare_leaves_out_panels_that_show_nothing_more():
-    table = run_table({point: time for point, time in SETTLE.items() if point[0]})
-    table = table.append_column("settle_10_truth_s", table["settle_10_s"])
-    figure = sinsjax.plot_compare(table, "phi_u0_deg", by=MAP)
-    titles = [axes.get_title(loc="left") for axes in figure.axes]
-    assert titles == [
-        "median time (s) to within 10' of the bias floor",  # and not the same from the truth
-        "heading error at the end, rms (arcmin)",  # and no share, 100 % everywhere
-    ]
-
-
 @pytest.mark.parametrize(
     ("ends", "expected"),
     [
@@ -251,24 +177,6 @@ def test_compare_states_best_value_of_choice_and_best_line_over_conditions():
     over = sinsjax.plot_compare(table, "phi_u0_deg", by=MAP, condition=True)
     said = over.get_suptitle().replace("\n", " ")
     assert "number of resets 2, time between resets 10 s" in said and "180 s on average" in said
-
-
-def test_compare_of_one_line_states_range():
-    table = run_table({point: time for point, time in SETTLE.items() if point[:2] == (0, 10.0)})
-    figure = sinsjax.plot_compare(table, "phi_u0_deg", condition=True)
-    assert figure.get_suptitle() == "Median time: 300 to 300 s, never at 1 of 2 values"
-
-
-def test_compare_names_lines_at_their_ends_if_there_is_room():
-    rows = {"a": [0.0, 1.0] * 2, "line": ["low"] * 2 + ["high"] * 2, "status": ["ok"] * 4}
-    table = pa.table(rows | {"phi_u_arcmin": [1.0, 2.0, 1.0, 9.0]})
-    figure = sinsjax.plot_compare(table, "a", by="line")
-    assert [text.get_text() for text in figure.axes[0].texts] == ["line low", "line high"]
-    assert not figure.legends
-    near = pa.table(rows | {"phi_u_arcmin": [1.0, 9.0, 1.0, 9.01]})
-    figure = sinsjax.plot_compare(near, "a", by="line")
-    assert not figure.axes[0].texts
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["line low", "line high"]
 
 
 # --- plot_belief and plot_curves ----------------------------------------------------------------
@@ -336,49 +244,6 @@ def test_curves_are_grouped_by_keys_with_resets_and_floor_of_their_runs():
     assert figure.get_suptitle().startswith("Heading error after 3 s: ")
 
 
-def test_heading_curves_are_magnitudes_on_one_logarithmic_axis_named_at_their_ends():
-    table = curve_table([1])
-    place = table.column_names.index("phi_u_arcmin")
-    table = table.set_column(place, "phi_u_arcmin", pa.array([-900.0, -90.0, -9.0]))
-    runs = pa.table({"run_id": [1], "floor_arcmin": [-9.1], "reset_times_s": [[2.0]]})
-    figure = sinsjax.plot_curves(table, runs)
-    (axes,) = figure.axes
-    np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), [900.0, 90.0, 9.0])
-    assert axes.get_yscale() == "log" and "(arcmin)" in axes.get_ylabel()
-    names = {text.get_text(): text for text in axes.texts}
-    assert names.keys() == {"heading error", "filter's 1 sigma", "bias floor"}
-    plots.render_png(figure)  # lays it out
-    boxes = sorted(name.get_window_extent().extents[[1, 3]].tolist() for name in names.values())
-    assert all(lower[1] <= upper[0] for lower, upper in zip(boxes, boxes[1:], strict=False))
-    size = figure.canvas.get_width_height()
-    assert all(name.get_window_extent().x1 <= size[0] for name in names.values())
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["reset"]
-
-
-def test_level_curves_are_drawn_on_request():
-    figure = sinsjax.plot_curves(curve_table([0]), zoom_s=(1.0, 3.0), level=True)
-    assert [axes.get_ylabel() for axes in figure.axes[::2]] == [
-        "level error, east\n(arcmin)",
-        "level error, north\n(arcmin)",
-    ]
-    assert figure.get_suptitle() == "Level errors after 3 s: 3 arcmin"
-
-
-def test_curves_without_summary_are_a_line_each():
-    figure = sinsjax.plot_curves(curve_table([4, 7]))
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["run id 4", "run id 7"]
-
-
-@pytest.mark.parametrize("count", [3, 5])
-def test_heading_panels_of_many_lines_have_two_columns_and_a_time_axis_each(count):
-    figure = sinsjax.plot_curves(curve_table(range(1, count + 1)))
-    shown = [axes for axes in figure.axes if axes.get_visible()]
-    lefts = {round(axes.get_position().x0, 2) for axes in shown}
-    assert len(shown) == count and len(lefts) == (1 if count == 3 else 2)
-    labelled = [axes for axes in shown if axes.get_xlabel() == "time (s)"]
-    assert len(labelled) == len(lefts)
-
-
 def test_curves_without_truth_show_attitude():
     figure = sinsjax.plot_curves(curve_table([0], truth=False))
     assert [axes.get_ylabel() for axes in figure.axes] == ["pitch (deg)", "roll (deg)", "yaw (deg)"]
@@ -404,19 +269,6 @@ def test_lines_without_heading_have_no_panel():
 def test_figure_without_any_heading_has_two_panels(truth, title):
     figure = sinsjax.plot_curves(without_heading(curve_table([0, 1], truth=truth), [0, 1]))
     assert len(figure.axes) == 2 and figure.get_suptitle().startswith(title)
-
-
-def test_spike_of_sigma_at_reset_does_not_flatten_attitude():
-    table = curve_table([0], truth=False)
-    time = np.arange(1.0, 101.0)
-    values = {name: np.ones(100) for name in table.column_names}
-    values |= {"run_id": np.zeros(100, int), "time_s": time}
-    values |= {f"phi_{axis}_arcmin": np.full(100, np.nan) for axis in "enu"}
-    values |= {"sigma_e_arcmin": np.where(time == 50, 6000.0, 6.0)}
-    figure = sinsjax.plot_curves(pa.table(values))
-    low, high = figure.axes[0].get_ylim()
-    assert low < 0.9 and 1.1 < high < 1.5  # 1 deg with a sigma of 0.1 deg, once of 100 deg
-    assert figure.get_suptitle() == "Yaw after 100 s: 1.00 deg"
 
 
 def test_curves_of_other_runs_are_refused():

@@ -1,18 +1,13 @@
 """Study pages: prose with named numbers, none missing, none unused, no false claim."""
 
-import html
 from pathlib import Path
 
 import pytest
-from markdown_it import MarkdownIt
 from support.stored_results import report_text, store_results
 from support.studies import small_study
-from support.sweep_directories import rewrite_manifest
 from support.synthetic_tables import synthetic_summary
 
 from sinsjax.errors import InputError
-from sinsjax.report import study_page
-from sinsjax.report.study_page import Page
 
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
 
@@ -78,20 +73,6 @@ def test_page_renders_prose_with_script_values(write_page_folder, results, tmp_p
     assert (tmp_path / "docs" / "figures" / "two_words_by_axis.png").is_file()
 
 
-@pytest.mark.parametrize("config", ["a`b|<script>x", "`a``b`", "</details> *b* &amp;"])
-def test_page_shows_doctored_config_and_version_literally(
-    write_page_folder, results, tmp_path, config
-):
-    versions = {"sinsjax": "<script>*1*\x1b"}
-    rewrite_manifest(results, config=f"{config}\x1b\n", versions=versions)
-    report_text(results, page=write_page_folder())
-    footer = (tmp_path / "docs" / "two_words.md").read_text().splitlines()[-1]
-    code = html.escape(config, quote=False)
-    assert MarkdownIt("commonmark").renderInline(footer) == (
-        f"<em>Computed by sinsjax &lt;script&gt;*1*\\x1b: <code>{code}\\x1b</code> (3 runs).</em>"
-    )
-
-
 @pytest.mark.parametrize(
     ("prose", "message"),
     [
@@ -120,28 +101,6 @@ def test_false_claim_in_page_is_reported(write_page_folder, results):
         report_text(results, page=write_page_folder(script=script))
 
 
-def test_missing_results_of_page_are_reported(write_page_folder, tmp_path):
-    study = small_study(study={"name": "sway"})
-    with pytest.raises(InputError, match="needs results of swing: add their directory"):
-        report_text(
-            store_results(tmp_path / "sway", study, synthetic_summary(study)),
-            page=write_page_folder(),
-        )
-
-
 def test_folder_without_page_script_is_refused(results, tmp_path):
     with pytest.raises(InputError, match=r"has no page.py, .* a page \(give --page"):
         report_text(results, page=tmp_path)
-
-
-def test_false_claims_are_ignored_when_not_enforced(write_page_folder):
-    page = Page({}, {}, {}, {"so": False})
-    at = write_page_folder("{{ claim('so') }}said")
-    assert study_page.render_prose(at, page, enforce_claims=False) == "said"
-
-
-def test_study_name_does_not_select_report_layout(tmp_path):
-    study = small_study(study={"name": "consistency"})
-    page = tmp_path / "mine.md"
-    report_text(store_results(tmp_path / "results", study, synthetic_summary(study)), page=page)
-    assert "\n# consistency\n" in page.read_text()

@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 import pytest
 import tomli_w
 from markdown_it import MarkdownIt
-from matplotlib.figure import Figure
 from rich.console import Console
 from support.commands import command_line
 from support.stored_results import report_text, store_results, write_part
@@ -24,24 +23,18 @@ from support.sweep_directories import rewrite_manifest
 
 from sinsjax import cli, columns, report
 from sinsjax import console as screen
-from sinsjax.cli import progress
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.directory import read_manifest
-from sinsjax.execution.run import RunProgress
 from sinsjax.execution.source import Source
 from sinsjax.messages import CONTROL
-from sinsjax.platform.files import safe_file_stem
-from sinsjax.plots import render_png
-from sinsjax.plots.style import with_style
 from sinsjax.report.base import Chapter, Fact, Report, Table, Text, Verdict
-from sinsjax.report.names import NO_NAMES, StudyNames, escape_markdown
+from sinsjax.report.names import escape_markdown
 from sinsjax.report.output import DrawnReport, print_report, write_html_page, write_markdown_page
 from sinsjax.study.load import load_study
 
 pytestmark = pytest.mark.optimised(False)
 
-ROOT = Path(__file__).parents[2]
 NASTY = (
     "[/b]",
     "reset [fast]",
@@ -88,29 +81,6 @@ def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
     assert "<td>" + read.renderInline(escape_markdown(name)) + "</td>" in read.render(
         f"| a |\n| --- |\n| {cell} |\n"
     )
-
-
-def test_only_names_are_escaped() -> None:
-    names = StudyNames.from_study(small_study(study={"name": "*a* `b`"}))
-    assert names.to_markdown("*never* `c` *a* `b`") == r"*never* `c` \*a\* \`b\`"
-    assert names.to_plain_text("*never* `c` *a* `b`") == "never c *a* `b`"
-    assert NO_NAMES.to_markdown("*never* 1 < 2, <b>") == "*never* 1 < 2, &lt;b>"
-
-
-@pytest.mark.slow
-def test_shipped_studies_have_no_names_to_escape() -> None:
-    for path in sorted(ROOT.glob("configs/*.toml")):
-        assert not StudyNames.from_study(load_study(path), f"configs/{path.name}").texts, path
-
-
-def test_shipped_pages_are_unchanged_by_name_escaping() -> None:
-    """Committed pages are not changed by escaping."""
-    configs = sorted(ROOT.glob("configs/*.toml"))
-    assert configs and all(safe_file_stem(path.stem) == path.stem for path in configs)
-    pages = {*ROOT.glob("docs/*.md")} - {ROOT / "docs" / "index.md"}  # its cards are HTML
-    for page in pages:
-        text = re.sub(r"<!--.*?-->|</?(details|summary)>", "", page.read_text(encoding="utf-8"))
-        assert NO_NAMES.to_markdown(text) == text, page.name
 
 
 @pytest.mark.usefixtures("drawn_on_request")
@@ -218,39 +188,6 @@ def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates
             or letter in "\u061c\u200e\u200f"
         )
         assert bool(CONTROL.search(letter)) == expected, hex(ord(letter))
-
-
-def test_figure_shows_names_and_decades_without_mathtext() -> None:
-    @with_style
-    def draw() -> Figure:
-        figure = Figure(figsize=(3, 3))
-        axes = figure.subplots()
-        axes.plot([1e-3, 1e3], [2.0, 7.0], label="$x^$")
-        axes.set_title("$x^$")
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.legend()
-        return figure
-
-    figure = draw()
-    assert render_png(figure, "$x^$").startswith(b"\x89PNG")
-    (axes,) = figure.axes
-    across, up = axes.get_xticklabels(), axes.get_yticklabels(which="both")
-    assert "10⁻³" in {label.get_text() for label in across}
-    assert not any("$" in label.get_text() for label in (*across, *up))
-    assert "3×10⁰" in {label.get_text() for label in up}
-
-
-def test_console_output_shows_markup_in_names_literally() -> None:
-    file = io.StringIO()
-    shown = Console(file=file, width=40)
-    screen.print_line(shown, "[/b] reset [fast] :smile:")
-    with progress.show_progress(shown, "[/b] :smile:") as on_progress:
-        on_progress(RunProgress(5, 5, 0, 0))
-    assert file.getvalue().splitlines() == [
-        "[/b] reset [fast] :smile:",
-        "[/b] :smile:: 5 of 5 runs, 0 failed",
-    ]
 
 
 @pytest.mark.parametrize("letter", ["\x1b", "\n", "\x00", "\x85", "\u2028", "\u202e"])

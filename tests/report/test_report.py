@@ -1,17 +1,13 @@
-import io
 import json
-import re
 import subprocess
 import sys
-from html import unescape
 
 import numpy as np
 import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
-from rich.console import Console
 from support.stored_results import report_text, store_results
-from support.studies import STILL, small_study, with_paper_values
+from support.studies import small_study, with_paper_values
 from support.sweep_directories import read_manifest_entries, rewrite_manifest
 from support.synthetic_tables import FLOOR, synthetic_curves, synthetic_summary
 
@@ -68,19 +64,6 @@ def test_table_shows_success_settling_and_heading_statistics(tmp_path):
         f"{format_percent(analysis.share(ok == 'ok', np.repeat(np.arange(40), 2)))} % of the runs"
         in text
     )
-
-
-def test_tables_fit_terminal_and_are_not_cut_off(tmp_path):
-    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
-    store_results(tmp_path, study, synthetic_summary(study))
-    for width, widest in ((None, 120), (70, 70)):
-        text = report_text(tmp_path, width=width)
-        table = text.partition("Every variant")[2].partition("Number [")[0]
-        assert 60 < max(map(len, table.splitlines())) <= widest
-        assert max(map(len, report_text(tmp_path, width=70, full=False).splitlines())) <= 80
-    assert table.count("phi_u0_deg") == 2  # it continues below, with its first key
-    # Too little for whole words: nothing is cut off.
-    assert "\N{HORIZONTAL ELLIPSIS}" not in report_text(tmp_path, width=30)
 
 
 def test_pooled_variants_have_intervals_counted_by_draws(tmp_path):
@@ -149,21 +132,6 @@ def test_variants_are_compared_under_same_conditions(tmp_path):
     assert "is a reference only" not in text
 
 
-def test_differing_conditions_of_cases_are_reported(tmp_path):
-    level = {"phi_e0_deg": 2.0, "reset_count": 0}  # the same in both
-    cases = [{"case": name, "phi_u0_deg": u, **level} for name, u in (("near", 1.0), ("far", 9.0))]
-    study = small_study(study={"draws": 8}, cases=cases)
-    text = report_text(store_results(tmp_path, study, synthetic_summary(study)))
-    assert "Against near, on the same noise" in text
-    assert "variants also differ from it in phi_u0_deg, the conditions of a run." in text
-
-
-@pytest.mark.parametrize("changes", [{"study": {"draws": 1}}, {}])
-def test_single_draw_or_variant_has_no_comparison(tmp_path, changes):
-    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]} if changes else {}, **changes)
-    assert "Against" not in report_text(store_results(tmp_path, study, synthetic_summary(study)))
-
-
 def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
     level = {"phi_e0_deg": [0.0, 5.0, 10.0], "phi_n0_deg": [0.0, 5.0, 5.0]}
     study = small_study(axes={"level": level, "phi_u0_deg": [0.0, 30.0]})
@@ -177,13 +145,6 @@ def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
         "initial heading error (deg)",
     )
     np.testing.assert_allclose(axes.get_images()[0].get_array(), settle[:6].reshape(3, 2))
-
-
-def test_zipped_axis_with_repeated_first_key_shows_all_keys():
-    both = {"phi_e0_deg": [0.0, 0.0], "phi_n0_deg": [0.0, 5.0]}
-    study = small_study(axes={"level": both})
-    assert study.axes_shown == {("phi_e0_deg", "phi_n0_deg"): ((0.0, 0.0), (0.0, 5.0))}
-    assert study.keys_shown == ("phi_e0_deg", "phi_n0_deg")
 
 
 def test_report_of_stopped_study_counts_its_actual_draws(tmp_path):
@@ -227,26 +188,6 @@ def test_source_rows_returns_selected_columns_sorted_by_run(tmp_path):
             one.rows(["nothing"])
 
 
-@pytest.mark.parametrize(
-    ("axes", "draws", "text"),
-    [
-        ({"phi_u0_deg": [0.0, 30.0]}, 3, "swing: 2 variants × 3 Monte Carlo runs = 6 runs"),
-        ({}, 1200, "swing: 1,200 Monte Carlo runs"),
-        ({}, 1, "swing: 1 Monte Carlo run"),
-    ],
-)
-def test_counted_label_states_variants_and_monte_carlo_runs(tmp_path, axes, draws, text):
-    study = small_study(study={"name": "swing", "draws": draws}, axes=axes)
-    source = Source(tmp_path, study, "x.toml", synthetic_summary(study))
-    assert source.sample_size_text == text
-
-
-def test_counted_label_of_record_states_start_times(tmp_path):
-    study = recorded_study()
-    source = Source(tmp_path, study, "x.toml", synthetic_summary(study))
-    assert source.sample_size_text == "car: 3 start times"
-
-
 def test_incomplete_results_are_refused(tmp_path):
     study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
     summary = synthetic_summary(study).slice(0, 11)
@@ -277,32 +218,6 @@ def test_missing_results_are_refused(tmp_path):
 
 
 # --- pages --------------------------------------------------------------------------------------
-
-
-@pytest.mark.usefixtures("drawn")
-def test_page_has_header_figures_and_tables(tmp_path):
-    axes = {"phi_u0_deg": [0.0, 30.0]}
-    study = small_study(study={"name": "swing"}, axes=axes, sensors=UNBIASED)
-    results_at = store_results(tmp_path / "results", study, synthetic_summary(study))
-    page = tmp_path / "docs" / "swing.md"
-    report_text(results_at, page=page)
-    text = page.read_text()
-    first, blank, title, *_ = text.splitlines()
-    assert first.startswith("<!-- Written by: sinsjax report") and first.endswith("-->")
-    assert "(swing.toml; computed by sinsjax " in first and "do not edit" in first
-    assert (blank, title) == ("", "# swing")
-    assert str(tmp_path) not in text
-    links = re.findall(r"!\[.*?\]\((.*?)\)", text)
-    names = ("along_axis", "consistency")
-    assert links == [f"figures/swing_{name}.png" for name in names]
-    for link in links:
-        assert 0 < (page.parent / link).stat().st_size < 300_000
-    tables = [
-        [line.count("|") for line in part.splitlines() if line.startswith("|")]
-        for part in text.split("**Against")
-    ]
-    # The verdict's, the heading errors, every variant; the comparison with the first.
-    assert tables == [[5, 5, 5, 5, 6, 6, 6, 6, 9, 9, 9, 9], [7, 7, 7]]
 
 
 @pytest.mark.slow
@@ -340,27 +255,12 @@ def test_unwritable_output_is_refused_before_report_is_made(tmp_path, monkeypatc
             report_text(directory, **{option: tmp_path / name})
 
 
-def test_missing_page_folder_is_created(tmp_path):
-    study = small_study()
-    directory = store_results(tmp_path / "results", study, synthetic_summary(study))
-    files = [tmp_path / kind / f"page.{kind}" for kind in ("md", "html")]
-    report_text(directory, page=files[0], html=files[1])
-    assert all(file.is_file() for file in files)
-
-
 def test_markdown_escapes_cells_and_folds_tables():
     table = base.Table("T", ["a|b"], [["|x|"]], "note", folded=True)
     text = report.output.block_to_markdown(table)
     assert text.startswith("<details>") and "\\|x\\|" in text and "note" in text
     picture = base.Picture("fig", "what is seen", Figure())
     assert "](figures/p_fig.png)" in report.output.block_to_markdown(picture, "p_")
-
-
-def test_source_without_config_file_is_labelled_by_study_name(tmp_path):
-    study = small_study(study={"name": "swing"})
-    directory = store_results(tmp_path, study, synthetic_summary(study))
-    rewrite_manifest(directory, config=None)
-    assert Source.read(directory).config == "study.toml of swing"
 
 
 @pytest.mark.parametrize("is_sealed", [True, False])
@@ -383,43 +283,6 @@ def test_results_of_other_schema_are_refused_with_their_version(tmp_path, is_sea
 
 
 # --- the readings -------------------------------------------------------------------------------
-
-
-def test_page_states_success_criteria_and_their_reference(tmp_path):
-    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
-    page = tmp_path / "page.md"
-    report_text(store_results(tmp_path / "out", study, synthetic_summary(study)), page=page)
-    said = base.describe_success_criterion(study)
-    assert said in "\n".join(page.read_text().splitlines()[:10])
-    # A tenth of 6 s.
-    assert "of true north" in said and "ok: it has been there for 0.6 s at the end" in said
-    floor = small_study(study={"judged_from": "floor", "dwell_s": 0.0}, motion=STILL)
-    assert "not of true north" in base.describe_success_criterion(
-        floor
-    ) and "it ends there" in base.describe_success_criterion(floor)
-    assert "of the reference's heading" in base.describe_success_criterion(recorded_study())
-
-
-def test_success_from_truth_and_bias_floor_appears_in_all_outputs(tmp_path):
-    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
-    flags = {"ok_truth": [True, False] * 8, "ok_floor": [True] * 16}
-    summary = synthetic_summary(study, **flags, phi_u_arcmin=np.tile([9.0, 11.0], 8))
-    source = Source(tmp_path, study, "x.toml", summary)
-    html = tmp_path / "page.html"
-    text = report_text(store_results(tmp_path / "out", study, summary), html=html)
-    truth, floor = "within 10' of true north", "within 10' of its bias floor"
-    floors = "within 10' of their bias floors"
-    half = format_percent(analysis.share(flags["ok_truth"], np.repeat(np.arange(8), 2)))
-    assert f"{half} % of the runs settle" in text
-    (along,) = axis_figures.build_axis_figures(source)
-    titles = [axes.get_title(loc="left") for axes in along.figure.axes]
-    page = unescape(html.read_text())
-    assert f"share of runs that are ok, {truth} (%)" in titles
-    left = along.caption.partition("Left out, since it shows nothing more: ")[2]
-    assert f"share of runs that are ok, {floors} (%)" in left  # 100 % everywhere
-    for words in (truth, floor):
-        assert f"ok: {words}" in text and f"time to {words}, median" in text
-        assert f"ok: {words} (%)" in page
 
 
 def test_headings_too_far_east_are_not_within_the_band_at_the_end(tmp_path):
@@ -456,69 +319,6 @@ def test_heading_error_table_shows_rms_and_quantile_per_time(tmp_path):
     )
 
 
-def test_notes_warn_of_fewer_than_16_draws(tmp_path):
-    for draws, warns in ((15, True), (16, False)):
-        study = small_study(study={"draws": draws})
-        note = report.base.describe_intervals(
-            Source(tmp_path, study, "x.toml", synthetic_summary(study))
-        )
-        assert note.startswith("Number [95 % interval over the draws].")
-        assert ("*few draws*" in note and "fewer than 16 draws" in note) == warns
-
-
-def test_runs_near_north_but_not_converged_are_reported(tmp_path):
-    """One axis value ends at its bias floor, the other at north, 25.9' from it."""
-    axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
-    study = small_study(study={"draws": 8}, axes=axes)
-    off = np.tile([True, False, True, False], 8)
-    flags = {"ok_truth": off, "ok_floor": ~off, "status": ["ok"] * 32}
-    phi = np.where(off, 0.5, FLOOR)
-    text = report_text(
-        store_results(tmp_path / "a", study, synthetic_summary(study, **flags, phi_u_arcmin=phi))
-    )
-    assert "All 8 runs that are ok within 10' of true north end more than 10' from" in text
-    source = Source.read(tmp_path / "a")
-    drawn = {
-        b.name: b for b in axis_figures.build_axis_figures(source) if isinstance(b, base.Picture)
-    }
-    assert drawn.keys() == {"settling_time", "settling_time_floor"}  # every share is 0 or 100 %
-    for name, hatched in {"settling_time": 2, "settling_time_floor": 0}.items():
-        patches = drawn[name].figure.axes[0].patches
-        assert sum(patch.get_hatch() is not None for patch in patches) == hatched
-        assert ("more than 10' from their bias floors" in drawn[name].caption) == bool(hatched)
-    near = synthetic_summary(study, ok_truth=[True] * 32, phi_u_arcmin=np.full(32, FLOOR + 9))
-    text = report_text(store_results(tmp_path / "b", study, near))
-    assert "from their bias floor" not in text and ", not converged" not in text
-
-
-def test_counts_of_one_use_singular(tmp_path):
-    study = small_study(study={"draws": 1})
-    flags = {"ok_truth": [True], "ok_floor": [False]}
-    text = report_text(
-        store_results(tmp_path, study, synthetic_summary(study, **flags, phi_u_arcmin=np.zeros(1)))
-    )
-    assert "study: 1 run, none failed" in text and "1 (few)" in text
-    assert "The one run that is ok within 10' of true north ends more than 10' from its" in text
-    several = small_study(study={"draws": 8})
-    flags = {"ok_truth": [True] + [False] * 7, "ok_floor": [True] + [False] * 7}
-    summary = synthetic_summary(several, **flags, phi_u_arcmin=np.zeros(8))
-    text = report_text(store_results(tmp_path / "b", several, summary))
-    assert "study: 8 runs, none failed" in text
-
-
-@pytest.mark.parametrize("floors", [[FLOOR, np.nan], [FLOOR, FLOOR + 5.0]])
-def test_bias_floor_of_each_line_is_drawn(tmp_path, floors):
-    study = small_study(study={"draws": 2, "curves": True}, axes={"phi_u0_deg": [0.0, 30.0]})
-    summary = synthetic_summary(study, floor_arcmin=np.tile(floors, 2))
-    source = Source.read(store_results(tmp_path, study, summary, synthetic_curves(study)))
-    blocks = [
-        block for one in report.monte_carlo.build_report(source).sections for block in one.blocks
-    ]
-    (figure,) = (block.figure for block in blocks if getattr(block, "name", "") == "misalignment")
-    named = ["bias floor" in [text.get_text() for text in axes.texts] for axes in figure.axes]
-    assert named == np.isfinite(floors).tolist()
-
-
 def test_no_schedule_is_best_without_successful_run(tmp_path):
     axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [5.0, 30.0]}
     study = small_study(study={"draws": 8}, axes=axes)
@@ -530,43 +330,6 @@ def test_no_schedule_is_best_without_successful_run(tmp_path):
     assert [row[:2] for row in rows] == [["5", "deg"], ["30", "deg"]]
     assert "50" in rows[0]
     assert rows[1][-2:] == ["never", "never"]
-
-
-def test_bias_floor_is_explained_before_first_use(tmp_path):
-    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
-    text = report_text(store_results(tmp_path, study, synthetic_summary(study)))
-    meaning = text.index("Bias floor: the heading error caused by a run's own")
-    assert meaning < text.index("from its bias floor")
-    assert "allow" not in text and "limit" not in text
-
-
-def test_glossary_terms_are_explained_once_per_report(tmp_path):
-    study = small_study()
-    page, html = tmp_path / "page.md", tmp_path / "page.html"
-    text = report_text(
-        store_results(tmp_path / "out", study, synthetic_summary(study)), page=page, html=html
-    )
-    file = io.StringIO()
-    report.print_terms(Console(file=file, width=1000))
-    terms = f"\n{file.getvalue()}"
-    for word in ("ok", "failed", "settled", "bias floor", "truth", "NEES"):
-        assert f"\n{word}: " not in text and terms.count(f"\n{word}: ") == 1
-        assert page.read_text().count(f"\n- *{word}*: ") == 1
-        assert html.read_text().count(f"<em>{word}</em>: ") == 1
-
-
-def test_unmodelled_biases_explain_high_nees(tmp_path):
-    axes = {"phi_u0_deg": [0.0, 30.0]}
-    biased = small_study(study={"draws": 8}, axes=axes, sensors={"accel_bias_ug": 500.0})
-    text = report_text(
-        store_results(tmp_path / "a", biased, synthetic_summary(biased, nees=np.full(16, 9.0)))
-    )
-    assert "A NEES of 3 cannot be expected here" in text and "up to 1.72 arcmin" in text
-    clean = small_study(study={"draws": 8}, axes=axes, sensors=UNBIASED)
-    text = report_text(
-        store_results(tmp_path / "b", clean, synthetic_summary(clean, nees=np.full(16, 9.0)))
-    )
-    assert "cannot be expected" not in text
 
 
 def test_impossible_covariance_of_plugin_is_a_caution(tmp_path, monkeypatch):

@@ -12,8 +12,8 @@ from support.synthetic_tables import synthetic_summary
 from sinsjax import analysis
 from sinsjax.execution import run as study_run
 from sinsjax.execution.source import Source
-from sinsjax.report import axis_figures, monte_carlo
-from sinsjax.report.base import Picture, Table, Text
+from sinsjax.report import monte_carlo
+from sinsjax.report.base import Picture
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -52,16 +52,6 @@ def test_variant_table_lists_duplicate_variants_once(source: Source) -> None:
     ]
 
 
-def test_tables_section_explains_how_duplicate_variants_count(source: Source) -> None:
-    (chapter,) = (
-        one for one in monte_carlo.build_report(source).sections if one.heading == "Tables"
-    )
-    assert chapter.blocks[0] == Text(
-        "2 of the 6 variants repeat another one, because reset_cycle_s has no effect there. All"
-        " numbers here count repeated variants once: 12 of 18 runs. The Parquet files contain all."
-    )
-
-
 def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> None:
     """The runs without resets end right, those with one do not: 3 of 12 runs, not 9 of 18."""
     table = source.summary
@@ -85,29 +75,6 @@ def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> Non
     ends = f"25 [{100 * least / 4:.0f}, {100 * (1 - 3 * least / 4):.0f}]"
     (row,) = monte_carlo.statistics_table(changed, [], "All runs").rows
     assert row[0] == "12" and ends in row[1]
-
-
-def test_idle_keys_lists_keys_that_differ_between_duplicate_variants() -> None:
-    axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
-    assert small_study(axes=axes).idle_keys() == ["reset_cycle_s"]
-    assert small_study(axes=axes | {"reset_count": [1, 2]}).idle_keys() == []
-
-
-def test_heat_map_writes_number_of_duplicate_variants_once(source: Source) -> None:
-    table = source.summary
-    for name in ("settle_10_s", "settle_10_truth_s"):  # short runs never settle
-        place = table.column_names.index(name)
-        table = table.set_column(place, name, pa.array(np.full(table.num_rows, 50.0)))
-    blocks = axis_figures.build_axis_figures(
-        Source(source.directory, source.study, source.config, table)
-    )
-    (picture, *_) = (b for b in blocks if isinstance(b, Picture) and "settling" in b.name)
-    assert not any("success" in b.name for b in blocks if isinstance(b, Picture))  # all alike
-    assert "there a key does not act" in picture.caption
-    (axes, _) = picture.figure.axes
-    written = [text for text in axes.texts if text.get_text()]
-    assert len(written) == 4
-    assert all(isinstance(block, Table | Picture) for block in blocks)
 
 
 @pytest.mark.slow

@@ -92,22 +92,6 @@ def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn_source: Sour
     assert [row[2] for row in table.rows] == ["10"] * 12
 
 
-@pytest.mark.slow
-def test_panel_without_values_is_omitted(drawn_source: Source) -> None:
-    over = axis_figures.build_axis_figures(drawn_source)[1]
-    assert isinstance(over, Picture)
-    titles = [axes.get_title(loc="left") for axes in over.figure.axes]
-    assert "median time (s) to within 10' of true north" not in titles  # 2 s are too short
-    assert "Left out, since it shows nothing more: median time (s)" in over.caption
-    assert over.figure.axes[-1].get_xlabel() == "initial heading error (deg)"
-    (line, *_) = over.figure.axes[titles.index("heading error at the end, rms (arcmin)")].containers
-    rows = drawn_source.rows(["phi_u0_deg", "p0_yaw_deg", "phi_u_arcmin"])
-    start, p0, phi = (analysis.numeric_column(rows, name) for name in rows.column_names)
-    bins = bin_medians(start, 6)
-    mine = phi[(bins == np.unique(bins)[1]) & (p0 == 10)]
-    assert line.lines[0].get_ydata()[1] == pytest.approx(np.sqrt(np.mean(mine**2)))
-
-
 def test_list_valued_axis_is_plotted_as_categories(tmp_path: Path) -> None:
     times = [[], [0.5], [0.5, 1.0]]
     study = small_study(study=SHORT | {"draws": 4}, axes={"reset_times_s": times})
@@ -117,9 +101,3 @@ def test_list_valued_axis_is_plotted_as_categories(tmp_path: Path) -> None:
     axes = figure.figure.axes[-1]
     assert [text.get_text() for text in axes.get_xticklabels()] == ["none", "0.5", "0.5, 1"]
     assert axes.get_xlabel() == "resets at (s)"
-
-
-def test_numeric_axis_is_shown_before_list_axis() -> None:
-    axes = {"reset_times_s": [[], [0.5]], "p0_yaw_deg": [1.0, 2.0]}
-    shown, others = small_study(study=SHORT, axes=axes).figure_axes
-    assert (shown, others) == ({"p0_yaw_deg": (1.0, 2.0)}, ["reset_times_s"])

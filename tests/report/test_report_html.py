@@ -106,14 +106,6 @@ def test_html_page_escapes_markup_in_text(tmp_path):
     assert "a<b.toml; computed by sinsjax " in said and "configs/" not in said
 
 
-def test_folded_table_is_inside_details(tmp_path):
-    table = base.Table("All of it", ["a"], [["1"]], "note", folded=True)
-    text = html_page(tmp_path, drawn_report(table))
-    paths = Reader(text).seen
-    assert all("details" in path for path in paths if path[-1] in ("summary", "table"))
-    assert "<summary>All of it</summary>" in text and "<caption>" not in text
-
-
 def test_unwritable_html_page_raises_input_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):

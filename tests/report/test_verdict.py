@@ -1,13 +1,10 @@
 """The verdict: what it chooses, on which draws it judges, and how it fits a terminal."""
 
-import io
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 from support.stored_results import report_text, store_results
 from support.studies import small_study
 from support.synthetic_tables import synthetic_summary
@@ -15,8 +12,8 @@ from support.synthetic_tables import synthetic_summary
 from sinsjax import analysis
 from sinsjax.execution.source import Source
 from sinsjax.report import covariance, terminal
-from sinsjax.report.base import Fact, Table, Verdict
-from sinsjax.report.choices import Choices, best_option, best_option_per_draw, describe_schedule
+from sinsjax.report.base import Verdict
+from sinsjax.report.choices import Choices, best_option, best_option_per_draw
 from sinsjax.report.verdict import process_noise_caution, sweep_verdict
 from sinsjax.study.study import Study
 
@@ -101,20 +98,6 @@ def test_copies_of_a_variant_are_one_option() -> None:
     np.testing.assert_array_equal(runs[0, 0], [0, 18, 36, 54])
 
 
-@pytest.mark.parametrize(
-    ("times", "words"),
-    [
-        ((), "no reset"),
-        ((20.0,), "1 reset at 20 s"),
-        ((50.0, 100.0, 150.0), "3 resets, every 50 s"),
-        ((20.0, 100.0), "resets at 20, 100 s"),
-        ((1.0, 2.0, 3.0, 4.0, 9.0), "5 resets from 1 to 9 s"),
-    ],
-)
-def test_schedule_is_described_by_its_times(times: tuple[float, ...], words: str) -> None:
-    assert describe_schedule(times) == words
-
-
 # --- what it states -------------------------------------------------------------------------
 
 
@@ -159,25 +142,12 @@ def test_verdict_names_best_schedule_its_rivals_and_each_condition() -> None:
 DRAW = np.repeat(np.arange(16), 3)
 
 
-def test_few_draws_are_judged_as_they_choose_and_verdict_says_so() -> None:
-    found = facts_by_label(verdict_from_times(sweep_study(4), settling_times()[:4]))
-    assert found["Draws"] == "4 (few)"
-    assert "only 4 draws: no other draws evaluate the choice" in found["Caution"]
-
-
 def test_mean_time_of_few_settled_runs_stays_within_the_run() -> None:
     """Of 8 runs of 6 s two settle, far apart: Student's interval would be 8 times as long."""
     settle_s = np.full((8, 1), np.nan)
     settle_s[:2, 0] = 1.0, 5.0
     told = facts_by_label(verdict_from_times(small_study(study={"draws": 8}), settle_s))
     assert told["Settling"].endswith("% of the runs settle, after 3 [0, 6] s on average")
-
-
-def test_title_names_what_failed_means() -> None:
-    study = small_study(study={"draws": 8})
-    status = ["ok"] * 4 + ["diverged"] * 3 + ["no_north"]
-    source = Source(Path("out"), study, "x.toml", synthetic_summary(study, status=status))
-    assert sweep_verdict(source).title == "study: 8 runs, 3 failed (diverged)"
 
 
 def test_runs_that_never_settle_limit_the_accuracy() -> None:
@@ -234,56 +204,6 @@ def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> No
 
 
 # --- the terminal ---------------------------------------------------------------------------
-
-
-def printed_lines(found: Verdict, width: int, last: list[str] | None = None) -> list[str]:
-    file = io.StringIO()
-    terminal.print_verdict(found, Console(file=file, width=width, markup=False), footer=last or [])
-    return [line.rstrip() for line in file.getvalue().splitlines()]
-
-
-LONG = "a sentence of many words that has to be wrapped on most terminals, however wide they are"
-
-
-@pytest.mark.representative("0-80", "12-80", "4-120")
-@pytest.mark.parametrize("width", [80, 120])
-@pytest.mark.parametrize("doubts", [0, 4, 12])
-def test_verdict_fits_terminal_in_fifteen_lines(width: int, doubts: int) -> None:
-    rows = [[f"{n} deg", f"{n} resets, every 50 s", "105 [91, 130]", "never"] for n in range(30)]
-    table = Table(
-        "T", ["initial heading error", "best schedule", "settles after (s)", "none"], rows
-    )
-    some = [Fact("Best", LONG), Fact("Others", LONG), Fact("Accuracy", LONG)]
-    found = Verdict("study: 7 runs", [*some, *([Fact("Caution", LONG, True)] * doubts)], table)
-    lines = printed_lines(
-        found, width, ["Figures: out/figures", "All tables: sinsjax report out --full"]
-    )
-    assert len(lines) <= terminal.MAX_VERDICT_LINES and max(map(len, lines)) <= width
-    text = " ".join(lines)
-    words = {*LONG.split(), *"study: 7 runs Figures: out/figures".split()}
-    assert words <= {*text.split()}  # no word is broken
-    if doubts == 0:
-        numbers = [int(n) for n in re.findall(r"^  (\d+) deg", "\n".join(lines), re.M)]
-        assert {0, 29} <= {*numbers} and len(numbers) >= 2
-    shown = sum(line.startswith("  Caution") for line in lines)
-    left = re.search(r"Also +(\d+) more, see --full", text)
-    hidden = int(left[1]) if left else 0
-    seen = sum(line.startswith(("  Best", "  Others", "  Accuracy")) for line in lines)
-    assert shown + seen + hidden == 3 + doubts  # every fact is shown or counted
-    assert not hidden or seen < 3 or shown == 0 or doubts == 12  # doubts are left out last
-
-
-def test_wide_table_continues_below_with_its_first_column() -> None:
-    header = ["key", *(f"statistic{n} (unit)" for n in range(9))]
-    rows = [[f"row{n}", *(f"{n}.0 [1.0, 2.0]" for _ in range(9))] for n in range(3)]
-    file = io.StringIO()
-    terminal.print_table(Table("Title", header, rows, "note"), Console(file=file))
-    lines = file.getvalue().splitlines()
-    assert 80 < max(map(len, lines)) <= terminal.PIPE_WIDTH  # in a pipe
-    text = "\n".join(lines)
-    assert text.count("row1") == text.count(" key") > 1
-    assert text.count("1.0 [1.0, 2.0]") == 9  # no interval is broken
-    assert all(text.count(f"statistic{n}") == 1 for n in range(9))
 
 
 def test_report_prints_verdict_alone_until_all_tables_are_asked_for(tmp_path: Path) -> None:

@@ -12,10 +12,7 @@ from support.studies import small_study
 from support.synthetic_tables import synthetic_summary
 
 from docs.studies.common import grids
-from docs.studies.common.grids import held_out, least_mean, pooled_mean, shared, soonest
-from sinsjax import analysis
-from sinsjax.analysis.grids import median_over_draws
-from sinsjax.errors import InputError
+from docs.studies.common.grids import held_out, soonest
 from sinsjax.execution.source import Source
 
 NEVER = np.inf
@@ -48,27 +45,6 @@ def test_grid_places_every_run_at_its_axis_values(axes):
         assert grid.at("settle_10_s", yaw=yaw, count=count).tolist() == expected
 
 
-def test_grid_selection_drops_scalar_axes_and_keeps_list_axes():
-    grid = grid_of(source_of())
-    whole = grid.columns["settle_10_s"]
-    assert whole.shape == (2, 3, 4)
-    np.testing.assert_array_equal(grid.at("settle_10_s", yaw=30.0), whole[1])
-    np.testing.assert_array_equal(grid.at("settle_10_s", count=[2, 0]), whole[:, [2, 0]])
-
-
-def test_axes_without_full_grid_are_refused():
-    source = source_of()
-    with pytest.raises(InputError, match="swing: is no full grid of count|is no full grid of"):
-        grids.grid_of(source, ["settle_10_s"], count="reset_count")
-
-
-def test_incomplete_results_are_refused():
-    whole = source_of()
-    part = Source(whole.directory, whole.study, whole.config, whole.summary.slice(1))
-    with pytest.raises(InputError, match="continue with `--resume`"):
-        grid_of(part)
-
-
 def naive_held_out(settle):
     """Draw by draw, the setting that is best on the draws of the other half."""
     chosen = []
@@ -94,30 +70,3 @@ def test_held_out_choice_matches_naive_cross_validation(settle):
     expected = naive_held_out(settle)
     np.testing.assert_array_equal(choice.places, expected)
     np.testing.assert_array_equal(choice.values, settle[expected, np.arange(settle.shape[1])])
-
-
-def test_held_out_choice_among_equal_settings_is_unbiased():
-    settle = 100 + 20 * np.random.default_rng(0).standard_normal((100, 40, 8))
-    each = [held_out(one, least_mean).values for one in settle]
-    np.testing.assert_array_equal(held_out(settle, least_mean).values, each)
-    told = np.mean(each)
-    flattered = np.mean([np.sort(one.mean(axis=1))[0] for one in settle])
-    assert abs(told - 100) < 3 and flattered < 90
-
-
-def test_held_out_choice_names_settings_of_both_halves():
-    settle = np.array([[1.0, 9.0, 1.0, 9.0], [9.0, 1.0, 9.0, 1.0]])
-    assert held_out(settle, soonest).named(["a", "b"]) == "b / a"
-
-
-def test_pooled_statistics_group_runs_by_draw():
-    runs = np.random.default_rng(1).uniform(size=(3, 5, 8))
-    draws = np.tile(np.arange(8), 15)
-    assert shared(runs < 0.5) == analysis.share((runs < 0.5).ravel(), draws)
-    assert pooled_mean(runs) == analysis.mean(runs.ravel(), draws)
-    assert median_over_draws(
-        np.array([[3.0, 1.0, NEVER, NEVER], [1.0, NEVER, NEVER, NEVER]])
-    ).tolist() == [
-        3.0,
-        NEVER,
-    ]

@@ -7,11 +7,8 @@ from scipy.integrate import solve_ivp
 from support.studies import small_study
 
 from docs.studies.loops.runs import limits_of
-from docs.studies.loops.turns import cycle_radius
 from sinsjax.execution import run as study_run
 from sinsjax.methods.compass import design as loops
-from sinsjax.methods.compass.config import REVERSALS
-from sinsjax.study.load import select_variant
 
 G, R = 9.8, 6378137.0
 LATITUDE, RATE = math.radians(32.0), math.radians(15.041067) / 3600
@@ -110,36 +107,3 @@ def test_bias_floors_match_closed_forms():
     assert limits.gyro == pytest.approx(-60 * math.degrees(math.radians(0.02) / 3600 / OMEGA_N))
     assert limits.accel == pytest.approx(60 * math.degrees(50e-6 * math.tan(LATITUDE)))
     assert limits.u == pytest.approx(limits.gyro + limits.accel)
-
-
-def test_one_variant_of_sweep_keeps_its_values():
-    axes = {"phi_u0_deg": [1.0, 2.0], "azimuth_sigma_per_s": [0.01, 0.03]}
-    cases = [{"case": "a", "stored_s": 60.0}, {"case": "b", "stored_s": 120.0}]
-    one = select_variant(compass_study(axes=axes, cases=cases), 6)  # case b, phi_u0 2, sigma 0.01
-    assert one.n_variants == 1
-    assert one.values("phi_u0_deg") == [2.0] and one.values("case") == ["b"]
-    assert one.values("stored_s") == [120.0] and one.values("azimuth_sigma_per_s") == [0.01]
-
-
-def test_one_variant_of_zipped_axes_keeps_its_values():
-    together = {"stored_s": [60.0, 120.0], "level_time_s": [40.0, 80.0]}
-    one = select_variant(compass_study(axes={"phi_u0_deg": [1.0, 2.0], "passes": together}), 3)
-    assert one.n_variants == 1
-    assert [one.values(key)[0] for key in (*together, "phi_u0_deg")] == [120.0, 80.0, 2.0]
-
-
-@pytest.mark.parametrize("turn", ["velocity", "velocity_drop_rate"])
-def test_cycle_radius_without_reflection_matches_loop_design(turn):
-    *_, rate, _ = REVERSALS[turn]
-    sigma, stored_s = np.array([[0.01], [0.03]]), np.array([40.0, 80.0, 200.0])
-    expected = loops.cycle_radius(sigma, stored_s, loops.turn_matrix(-1, 1, rate))
-    found = cycle_radius(compass_study(), turn, sigma, stored_s, 10.0)
-    np.testing.assert_allclose(found, expected, atol=1e-9)
-
-
-def test_lagged_reflection_converges_slower_than_exact_one():
-    exact = math.exp(-2 * 0.01 * 80)
-    delays = np.array([0.01, 5.0, 20.0])
-    found = cycle_radius(compass_study(), "reflect", 0.01, 80.0, delays)
-    assert found[0] == pytest.approx(exact, rel=0.03)
-    assert found[0] < found[1] < found[2] < 1

@@ -1,79 +1,17 @@
+"""The gains and conditions that the second paper prints."""
+
 import math
-import tomllib
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
-from support.stored_results import store_results
 
-from docs.studies.loops.runs import limits_of
 from docs.studies.paper2 import page as paper2
-from sinsjax import analysis
-from sinsjax.execution.source import Source
 from sinsjax.methods.compass import design as loops
-from sinsjax.study.load import load_study, select_variant, study_from_dict
+from sinsjax.study.load import load_study
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-DRAWS = 4
 K3_CASE = "Scheme 1, K3 as printed"
-
-
-@pytest.fixture(autouse=True)
-def _not_drawn(monkeypatch):
-    monkeypatch.setattr("sinsjax.plots.render_png", lambda *_: b"not drawn")
-
-
-def study_of(base: str, **changes):
-    """A study of the page with few draws; ``changes`` replace whole sections."""
-    data = tomllib.loads((CONFIGS / f"paper2_{base}.toml").read_text())
-    data["study"]["draws"] = DRAWS
-    return study_from_dict(data | changes)
-
-
-def summary_of(study, errors):
-    """A summary that no engine made: ``errors`` (deg) of every run as pitch, roll, heading."""
-    count = study.n_variants * DRAWS
-    run = np.arange(count)
-    floors = [limits_of(select_variant(study, v)).u for v in range(study.n_variants)]
-    columns = {
-        "run_id": run,
-        "draw_id": run // study.n_variants,
-        "variant_id": run % study.n_variants,
-        "floor_arcmin": np.tile(floors, DRAWS),
-        "status": ["diverged"] * count,
-    }
-    for column, axis in enumerate("enu"):
-        columns[f"phi_{axis}_mean_arcmin"] = -60 * errors[:, column]
-        columns[f"phi_{axis}_std_arcmin"] = np.full(count, 0.6)
-    for band in study.study.settle_bands_arcmin:
-        columns[f"settle_{band:g}_s"] = np.where(run // study.n_variants, 100.0, np.nan)
-    return pa.table(columns)
-
-
-def curves_of(study, error=lambda variant, time: 0.1 + 0 * time):
-    """Curves with the same error (deg) of all angles in all draws of a variant."""
-    time = np.arange(1, study.records + 1) * study.study.record_interval_s
-    runs = np.arange(study.n_variants * DRAWS)
-    values = np.concatenate([-60.0 * error(int(run) % study.n_variants, time) for run in runs])
-    columns = {"run_id": np.repeat(runs, time.size), "time_s": np.tile(time, runs.size)}
-    return pa.table(columns | {f"phi_{axis}_arcmin": values for axis in "enu"})
-
-
-def write(directory, study, errors=None, curves=True, **shape):
-    count = study.n_variants * DRAWS
-    noise = np.random.default_rng(3).normal(size=(count, 3))
-    summary = summary_of(study, noise if errors is None else errors)
-    return store_results(directory, study, summary, curves_of(study, **shape) if curves else None)
-
-
-def variant_of(study, label, drift=0.02):
-    values = study.variant_values()
-    points = list(zip(values["case"], values["gyro_bias_deg_per_h"], strict=True))
-    return points.index((label, drift))
-
-
-# --- the studies --------------------------------------------------------------------------------
 
 
 def test_paper2_configs_match_printed_conditions():
@@ -108,16 +46,10 @@ def test_level_gains_follow_formula_except_printed_k3():
         assert signs == ({1.0} if "errors negative" in case["case"] else {-1.0})
 
 
-# --- the layout ---------------------------------------------------------------------------------
-
-
-def test_page_errors_are_minus_phi(tmp_path):
-    study = study_of("static")
-    source = Source.read(write(tmp_path, study))
-    case = paper2.cases_of(source)[0]
-    assert (case.scheme, case.drift) == (1, 0.02)
-    assert (case["case"], case.name) == ("Scheme 1, level 150 s", "level 150 s")
-    phi = analysis.numeric_column(case.rows, "phi_u_mean_arcmin")
-    np.testing.assert_allclose(case.means("heading"), -phi / 60)
-    assert case.heading[1].shape == (DRAWS, 300)
-    np.testing.assert_allclose(case.from_floor(551.0), 0.1 - case.limit)
+def test_printed_k3_makes_level_loop_unstable():
+    earth = {"gravity": 9.8, "radius": paper2.RADIUS}
+    formula = loops.level_gains(0.02, loops.PAPER_DAMPING, **earth)
+    printed = formula._replace(k3=float(paper2.LEVEL_K3))
+    found = [loops.roots(loops.level_polynomial(g, **earth)) for g in (printed, formula)]
+    assert sorted(found[0].real.round(4)) == [-0.1108, 0.0254, 0.0254]
+    assert sorted(found[1].real.round(4)) == [-0.02, -0.02, -0.02]
