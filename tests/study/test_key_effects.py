@@ -9,9 +9,7 @@ from support.studies import small_study
 
 from sinsjax.engine.batch import run_chunks
 from sinsjax.engine.build import Scenario
-from sinsjax.methods.description import COMMON_KEYS
-from sinsjax.methods.registry import METHODS
-from sinsjax.study.keys import SECTIONS, deciding_keys, effect_conditions, has_effect
+from sinsjax.study.keys import has_effect
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -137,22 +135,7 @@ def test_active_key_changes_outcome(name: str) -> None:
     assert any(not np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
 
 
-def test_conditions_name_only_keys_of_same_section() -> None:
-    for section in SECTIONS.values():
-        for condition in section.conditions:
-            assert {*condition.keys, *condition.given} <= section.model_fields.keys()
-        for pair in section.exclusive:
-            assert {*pair} <= section.model_fields.keys()
-
-
 def test_level_damping_acts_only_for_compass_without_level_gains() -> None:
     assert not has_effect("level_damping", {"method": "kalman5", "level_gains": None})
     assert has_effect("level_damping", {"method": "compass", "level_gains": None})
     assert not has_effect("level_damping", {"method": "compass", "level_gains": (1.0, 1.0, 1.0)})
-    assert deciding_keys("level_damping") == ("method", "level_gains")
-    assert deciding_keys("latitude_deg") == () and effect_conditions("latitude_deg") == ()
-
-
-def test_silent_keys_belong_to_their_method() -> None:
-    for method in METHODS.values():
-        assert {*method.without_effect} <= {*method.keys, *COMMON_KEYS}
