@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.refusals import Refusal, refused
 from support.studies import refusal_line, small_study
 
 from sinsjax.engine.bias_floors import last_scheduled_reset_s
@@ -151,12 +152,6 @@ def test_default_reset_feedback_keys_keep_program_and_fingerprint(given_keys: An
     assert params.feedback.restarts is None and params.trigger.at_feedback is None
 
 
-def test_reset_feedback_keys_change_fingerprint() -> None:
-    base = {"reset_times_s": [1.0]}
-    tables = [base, base | {AT: True}, base | {RESTARTS: True}, base | {AT: True, RESTARTS: True}]
-    assert len({fingerprint(small_study(resets=own)) for own in tables}) == 4
-
-
 def test_reset_at_feedback_makes_reset_restarts_feedback_irrelevant() -> None:
     cases = [{AT: False, RESTARTS: True}, {AT: True, RESTARTS: False}, {AT: True, RESTARTS: True}]
     study = small_study(resets={"reset_times_s": [1.0]}, cases=cases)
@@ -165,40 +160,22 @@ def test_reset_at_feedback_makes_reset_restarts_feedback_irrelevant() -> None:
     assert f"{AT} = true" in study_to_toml(small_study(resets={AT: True}))
 
 
-@pytest.mark.parametrize(
-    ("tables", "line"),
-    [
-        (
-            {"alignment": {"feedback_interval_s": 4.0}, "resets": {AT: True, "reset_times_s": [5]}},
-            f"[resets] {AT}: delays the reset at 5 s to the feedback at 8 s,"
-            " after the end of the run (duration_s = 6)",
-        ),
-        (
-            {"axes": {AT: [False, True], "feedback_interval_s": [1.0, 4.0]}}
-            | {"resets": {"reset_count": 2, "reset_cycle_s": 2.5}},
-            f"[axes] {AT}: delays the reset at 5 s to the feedback at 8 s,"
-            " after the end of the run (duration_s = 6)",
-        ),
-        (
-            {"coarse": {"coarse_duration_s": 2.0}, "alignment": {"feedback_interval_s": 1.5}}
-            | {"resets": {AT: True, "reset_times_s": [3.0]}},
-            f"[resets] {AT}: coarse alignment of 2 s is not a whole number of feedback intervals"
-            " (feedback_interval_s = 1.5)",
-        ),
-        ({"resets": {AT: 1}}, f"[resets] {AT}: must be true or false, not 1"),
-        (
-            {"resets": {RESTARTS: True}, "alignment": {"method": "compass"}},
-            f"[resets] {RESTARTS}: does not apply to method compass (drop it)",
-        ),
-        (
-            {"drawn": {RESTARTS: {"values": [True]}}},
-            f"[drawn] {RESTARTS}: cannot be drawn (possible: latitude_deg, keys of [motion] and"
-            " [sensors], phi_e0_deg, phi_n0_deg, phi_u0_deg, ve0_m_per_s, vn0_m_per_s)",
-        ),
-    ],
-)
-def test_invalid_reset_feedback_keys_are_refused(tables: dict[str, Any], line: str) -> None:
-    assert refusal_line(**tables) == line
+@refused("""
+alignment.feedback_interval_s = 4.0 & resets = {reset_at_feedback = true, reset_times_s = [5]}
+    -> [resets] reset_at_feedback: 5 8 6
+axes = {reset_at_feedback = [false, true], feedback_interval_s = [1.0, 4.0]}
+    & resets = {reset_count = 2, reset_cycle_s = 2.5}
+    -> [axes] reset_at_feedback: 5 8 6
+coarse.coarse_duration_s = 2.0 & alignment.feedback_interval_s = 1.5
+    & resets = {reset_at_feedback = true, reset_times_s = [3.0]}
+    -> [resets] reset_at_feedback: 2 1.5
+resets.reset_at_feedback = 1                 -> [resets] reset_at_feedback: 1
+alignment.method = "compass" & resets.reset_restarts_feedback = true
+    -> [resets] reset_restarts_feedback: compass
+drawn.reset_restarts_feedback.values = [true]    -> [drawn] reset_restarts_feedback
+""")
+def test_invalid_reset_feedback_keys_are_refused(refusal: Refusal) -> None:
+    refusal.check(refusal_line(**refusal.tables))
 
 
 def test_coarse_alignment_of_whole_intervals_or_replayed_is_accepted() -> None:
