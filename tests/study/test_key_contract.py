@@ -30,7 +30,6 @@ from sinsjax.study.keys import (
     deciding_keys,
 )
 from sinsjax.study.load import study_from_dict
-from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.units import split_unit
 from sinsjax.value_types import Section
 
@@ -41,10 +40,6 @@ BOUND = re.compile(r'"(?:exclusiveM|m)(?:in|ax)imum": (-?[\d.]+)')
 
 def field_of(section: str, name: str) -> Any:
     return TABLES[section].model_fields[name]
-
-
-def takes_numbers(section: str, name: str) -> bool:
-    return "float" in str(field_of(section, name).annotation)
 
 
 def takes_one_number(section: str, name: str) -> bool:
@@ -240,11 +235,3 @@ def test_every_word_refuses_other_words_and_names_its_own() -> None:
             (line,) = (one for one in caught.value.lines if f"[{section}] {name}:" in one)
             told = (f"'{word}'" for word in accepted)
             assert_named(line, f"s.toml: [{section}] {name}", "'zzz'", *told)
-
-
-def test_drawn_key_takes_as_many_numbers_as_its_section() -> None:
-    for name, numbers in NUMBERS_DRAWN.items():
-        section = SECTION_OF[name]
-        assert takes_numbers(section, name)
-        entry = [0.5] * numbers if numbers > 1 else 0.5
-        SECTIONS[section].model_validate({name: tuple(entry) if numbers > 1 else entry})
