@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import pytest
 import tomli_w
+from support.refusals import assert_named
 from support.studies import BASE, small_study, small_tables
 
 from sinsjax import InputError, StudyWarning, load_study
@@ -21,7 +22,7 @@ from sinsjax.execution.run import run
 from sinsjax.methods.description import COMMON_KEYS
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
-from sinsjax.study.keys import SECTION_OF, effect_conditions, reading_methods
+from sinsjax.study.keys import SECTION_OF, reading_methods
 from sinsjax.study.load import load_with_notes, study_to_tables
 from sinsjax.study.reset_schedules import LAW_METHODS
 from sinsjax.study.study import Study
@@ -52,6 +53,11 @@ def refusal_of_change(changes: dict[str, Any], tables: dict[str, Any], tmp_path:
     with pytest.raises(InputError) as caught:
         change_study(changes, tables, tmp_path)
     return str(caught.value).removeprefix(f"{tmp_path / 'study.toml'}: ")
+
+
+def places(note: str) -> list[str]:
+    """Return the sections and keys that a note lists, of several keys of a section the first."""
+    return re.findall(r"\[[\w.]+\](?: [a-z0-9]+_\w+)?", note)
 
 
 def expected_refusal(study: Study, method: str) -> str | None:
@@ -95,14 +101,6 @@ def test_method_of_shipped_study_can_be_changed(name: str) -> None:
             load_with_notes(path, {"alignment.method": method})
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_method_of_loaded_study_can_be_replaced(method: str) -> None:
-    study = load_study("reset_sweep")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", StudyWarning)
-        assert study.replace({"alignment.method": method}).methods == (method,)
-
-
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
@@ -122,20 +120,18 @@ def test_reset_sweep_runs_with_any_method(method: str) -> None:
 def test_line_lists_dropped_sections_keys_and_axes(tmp_path: Path) -> None:
     study, notes = change_study({"alignment.method": "inertial"}, FULL, tmp_path)
     assert (study.filter, study.resets, list(study.axes)) == (None, None, ["phi_u0_deg"])
-    assert notes == [
-        "Dropped, as method inertial does not read them: [alignment] specific_force, [filter],"
-        " [resets], [axes] reset_times_s.",
-        "[alignment] phi_e0_deg, [axes] phi_u0_deg have no effect with method inertial.",
-    ]
+    dropped, silent = map(places, notes)
+    assert dropped == ["[alignment] specific_force", "[filter]", "[resets]", "[axes] reset_times_s"]
+    assert silent == ["[alignment] phi_e0_deg", "[axes] phi_u0_deg"]
 
 
 def test_replace_and_load_study_warn_of_dropped_keys(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_text(tomli_w.dumps(FULL), encoding="utf-8")
-    with pytest.warns(StudyWarning, match=r"^Dropped, .*: \[filter\], \[resets\], \[axes\] ") as by:
+    with pytest.warns(StudyWarning, match=r"\[filter\], \[resets\], \[axes\] ") as by:
         load_study(path).replace({"alignment.method": "compass"})
     assert len(by) == 1
-    with pytest.warns(StudyWarning, match=r"^Dropped, as method compass does not read them") as by:
+    with pytest.warns(StudyWarning, match=r"compass .*\[filter\], \[resets\]") as by:
         study = load_study(path, {"alignment.method": "compass"})
     assert len(by) == 1
     with warnings.catch_warnings():
@@ -147,30 +143,30 @@ def test_replace_and_load_study_warn_of_dropped_keys(tmp_path: Path) -> None:
 def test_key_given_for_method_that_does_not_read_it_is_refused(tmp_path: Path) -> None:
     to_inertial = {"alignment.method": "inertial"}
     line = refusal_of_change(to_inertial | {"filter.p0_yaw_deg": 9.0}, FULL, tmp_path)
-    assert line == "[filter] p0_yaw_deg: does not apply to method inertial (drop it)"
+    assert_named(line, "[filter] p0_yaw_deg", "inertial")
     line = refusal_of_change(to_inertial | {"axes.reset_count": [0, 1]}, FULL, tmp_path)
-    assert line.startswith("[axes] reset_count: does not apply to method inertial")
+    assert_named(line, "[axes] reset_count", "inertial")
 
 
 def test_unread_keys_of_unchanged_method_are_refused(tmp_path: Path) -> None:
     tables = FULL | {"compass": {"level_time_s": 9.0}}
-    line = "[compass] level_time_s: does not apply to method kalman5 (drop it)"
     for changes in ({}, {"study.draws": 4}, {"alignment.method": "kalman5"}):
-        assert refusal_of_change(changes, tables, tmp_path) == line
+        line = refusal_of_change(changes, tables, tmp_path)
+        assert_named(line, "[compass] level_time_s", "kalman5")
 
 
 def test_misspelt_method_drops_nothing(tmp_path: Path) -> None:
     line = refusal_of_change({"alignment.method": "inertail"}, FULL, tmp_path)
-    assert line.startswith("[alignment] method: must be ")
-    assert line.endswith("not 'inertail' (did you mean inertial?)")
+    assert_named(line, "[alignment] method", "'inertail'", "inertial")
 
 
 def test_axis_of_methods_drops_keys_that_none_reads(tmp_path: Path) -> None:
     study, notes = change_study({"axes.method": ["inertial", "compass"]}, FULL, tmp_path)
     assert study.filter is None and list(study.axes) == ["phi_u0_deg", "method"]
-    assert notes == [
-        "Dropped, as methods compass and inertial do not read them: [alignment] specific_force,"
-        " [filter], [resets], [axes] reset_times_s."
+    (note,) = notes
+    assert places(note) == [
+        *["[alignment] specific_force", "[filter]", "[resets]"],
+        "[axes] reset_times_s",
     ]
     study, notes = change_study({"axes.method": ["inertial", "kalman5"]}, FULL, tmp_path)
     assert study.filter and study.n_variants == 8 and not notes
@@ -179,9 +175,7 @@ def test_axis_of_methods_drops_keys_that_none_reads(tmp_path: Path) -> None:
     _, notes = change_study(
         {"axes": {}, "filter": {}, "alignment.method": "compass"}, FULL, tmp_path
     )
-    assert notes == [
-        "Dropped, as method compass does not read them: [alignment] specific_force, [resets]."
-    ]
+    assert [places(note) for note in notes] == [["[alignment] specific_force", "[resets]"]]
 
 
 def test_cases_and_zips_that_become_equal_are_left_out(tmp_path: Path) -> None:
@@ -198,14 +192,13 @@ def test_cases_and_zips_that_become_equal_are_left_out(tmp_path: Path) -> None:
         {"case": "c", "ve0_m_per_s": 1.0},
     )
     assert study.zips == {"policy": {"phi_u0_deg": (5.0, 7.0)}}
-    assert notes == [
-        "Dropped, as method compass does not read them: [axes.policy] q_scale, [cases]"
-        " p0_yaw_deg; left out, as they now repeat others: 1 of 3 [cases], 1 of 3 points of"
-        " [axes.policy]."
-    ]
+    (note,) = notes
+    dropped, left_out = note.split(";")
+    assert places(dropped) == ["[axes.policy] q_scale", "[cases] p0_yaw_deg"]
+    assert "1 of 3 [cases]" in left_out and places(left_out) == ["[cases]", "[axes.policy]"]
     study, notes = change_study({"alignment.method": "kalman5"}, tables, tmp_path)
     assert study.n_variants == 6
-    assert notes == ["Left out, as they now repeat others: 1 of 3 [cases]."]
+    assert len(notes) == 1 and "1 of 3 [cases]" in notes[0]
     bare = [{key: case[key] for key in ("case", "method", "p0_yaw_deg")} for case in cases]
     study, notes = change_study(
         {"alignment.method": "compass"}, {**BASE, "cases": bare, "axes": zips}, tmp_path
@@ -220,10 +213,9 @@ def test_empty_zip_and_draws_are_dropped() -> None:
     after = before | {"alignment": before["alignment"] | {"method": "compass"}}
     out, notes = drop_unread_keys(before, after, {"alignment.method": "compass"}, "study")
     assert out == small_tables(alignment={"method": "compass"})
-    assert notes == [
-        "Dropped, as method compass does not read them: [alignment] feedback_interval_s, [filter],"
-        " [axes.policy], [drawn]."
-    ]
+    (note,) = notes
+    dropped = ["[alignment] feedback_interval_s", "[filter]", "[axes.policy]", "[drawn]"]
+    assert places(note) == dropped
     assert "policy" in after["axes"]
 
 
@@ -232,8 +224,7 @@ def test_tuned_keys_are_dropped_while_one_is_left(tmp_path: Path) -> None:
     variables, ranges = template["tune"]["variables"], {"low": 0.1, "high": 9.0}
     to_compass = {"alignment.method": "compass"}
     line = refusal_of_change(to_compass, template, tmp_path)
-    assert line.startswith("[tune.variables]: method compass reads none of reset_times_s, p0_yaw")
-    assert line.endswith("or drop the section, --set tune={})")
+    assert_named(line, "[tune.variables]", "compass", "reset_times_s", "p0_yaw_deg")
     assert change_study(to_compass | {"tune": {}}, template, tmp_path)[0].tune is None
     variables["ve0_m_per_s"] = ranges
     study, notes = change_study(to_compass, template, tmp_path)
@@ -243,7 +234,7 @@ def test_tuned_keys_are_dropped_while_one_is_left(tmp_path: Path) -> None:
     del variables["ve0_m_per_s"]
     study, notes = change_study({"alignment.method": "kalman_sincos"}, template, tmp_path)
     assert study.tune and list(study.tune.variables) == ["reset_times_s", "p0_yaw_deg"]
-    assert any("[tune.variables] p0_yaw_deg" in line and "no effect" in line for line in notes)
+    assert any("[tune.variables] p0_yaw_deg" in places(note) for note in notes)
 
 
 def test_keys_that_method_refuses_are_dropped(tmp_path: Path) -> None:
@@ -264,10 +255,7 @@ def test_judging_from_floor_is_dropped_for_method_without_floor(tmp_path: Path) 
     to_ten = {"alignment.method": "kalman10"}
     study, notes = change_study(to_ten, limited, tmp_path)
     assert study.study.judged_from is None
-    assert notes == [
-        "Dropped, as method kalman10 has no bias floor of heading on this base: [study]"
-        " judged_from = 'floor'; success is judged from the truth."
-    ]
+    assert [places(note) for note in notes] == [["[study] judged_from"]]
     study, notes = change_study(to_ten | {"study.judged_from": "floor"}, limited, tmp_path)
     assert study.study.judged_from == "floor" and not notes
     still = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
@@ -352,7 +340,6 @@ def test_line_names_every_given_key_that_is_silent(method: str, tmp_path: Path) 
     silent = {*METHODS[method].without_effect}
     assert len(notes) == bool(silent)
     for line in notes:
-        assert line.endswith(f"have no effect with method {method}.")
         assert {*re.findall(r"\w+", line)} & {*OTHER} == silent
 
 
@@ -363,13 +350,12 @@ def test_line_names_keys_whose_condition_does_not_hold(tmp_path: Path) -> None:
         coarse={"coarse_duration_s": 2.0, "coarse_then": "replay"},
     )
     _, notes = change_study({}, tables, tmp_path)
-    assert notes == [
-        "[motion] pitch_period_s has no effect with pitch_amplitude_deg = 0; [motion]"
-        " surge_time_s has no effect with surge_m_per_s = 0; [alignment] phi_e0_deg,"
-        " phi_n0_deg, phi_u0_deg have no effect with coarse alignment; [resets] reset_yaw_deg"
-        " has no effect with reset_kind = scale, reset_times_s = (2.0,), no reset_count, no"
-        " reset_trigger."
-    ]
+    (note,) = notes
+    reasons = {places(reason)[0]: reason for reason in note.split("; ")}
+    assert "pitch_amplitude_deg = 0" in reasons["[motion] pitch_period_s"]
+    assert "surge_m_per_s = 0" in reasons["[motion] surge_time_s"]
+    assert "phi_n0_deg, phi_u0_deg" in reasons["[alignment] phi_e0_deg"]
+    assert "reset_kind = scale" in reasons["[resets] reset_yaw_deg"] and len(reasons) == 4
     tables["axes"] = {"pitch_amplitude_deg": [0.0, 1.0], "reset_kind": ["scale", "yaw"]}
     tables["axes"] |= {"coarse_method": ["none", "inertial"], "surge_m_per_s": [0.0, 0.1]}
     assert change_study({}, tables, tmp_path)[1] == []
@@ -385,9 +371,8 @@ def test_keys_of_resolved_study_are_named_only_with_other_values() -> None:
     study = small_study()
     assert list_idle_keys(study, study_to_tables(study)) == []
     study = small_study(resets={"reset_yaw_deg": 5.0}, alignment={"method": "kalman_sincos"})
-    assert list_idle_keys(study, study_to_tables(study)) == [
-        "[resets] reset_yaw_deg has no effect with method kalman_sincos."
-    ]
+    (note,) = list_idle_keys(study, study_to_tables(study))
+    assert places(note) == ["[resets] reset_yaw_deg"] and "kalman_sincos" in note
 
 
 def test_functions_of_python_warn_of_keys_without_effect(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -396,7 +381,5 @@ def test_functions_of_python_warn_of_keys_without_effect(monkeypatch: pytest.Mon
 
     monkeypatch.setattr("sinsjax.execution.run._run_to_results", stopped)
     study = small_study(alignment={"method": "inertial"})
-    line = "phi_u0_deg have no effect with method inertial"
-    with pytest.warns(StudyWarning, match=line), pytest.raises(StudyInterrupted):
+    with pytest.warns(StudyWarning, match="phi_u0_deg .*inertial"), pytest.raises(StudyInterrupted):
         run(study)
-    assert effect_conditions("phi_u0_deg") == ()
