@@ -5,7 +5,6 @@ import re
 import tomllib
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,7 +52,7 @@ def advise_once(options: str) -> sinsjax.Advice:
 @pytest.mark.slow
 @pytest.mark.parametrize("motion", ["sway", "surge"])
 @pytest.mark.optimised(False)
-def test_study_that_is_written_confirms_the_rms(motion: str) -> None:
+def test_study_that_is_written_confirms_the_rms(motion):
     advice = advise(motion=motion, time_s=200.0)
     study = sinsjax.study_from_dict(tomllib.loads(advice.study())).replace(
         {"study.rate_hz": 10.0, "study.draws": 128}
@@ -66,7 +65,7 @@ def test_study_that_is_written_confirms_the_rms(motion: str) -> None:
         assert expected == pytest.approx(np.sqrt(np.mean(errors**2)), rel=0.2)
 
 
-def test_settings_are_those_of_the_sheet_and_its_motion() -> None:
+def test_settings_are_those_of_the_sheet_and_its_motion():
     still, surge = choose_method(read()), choose_method(read(motion="surge"))
     assert still.sections == {
         "alignment": {"method": "gravity_fit"},
@@ -87,7 +86,7 @@ def test_settings_are_those_of_the_sheet_and_its_motion() -> None:
     assert advise().choice.sections == still.sections
 
 
-def test_noise_of_a_sample_is_the_density_at_the_rate() -> None:
+def test_noise_of_a_sample_is_the_density_at_the_rate():
     sensors = {"gyro_noise_deg_per_h": 0.005 * 60 * 5, "accel_noise_ug": 30.0 * 5}
     rest = {key: v for key, v in FOG["sensors"].items() if "instability" in key}
     given = read_sheet(FOG | {"sensors": sensors | rest, "study": {"rate_hz": 25.0}})
@@ -97,7 +96,7 @@ def test_noise_of_a_sample_is_the_density_at_the_rate() -> None:
     )
 
 
-def test_numbers_as_json_are_those_of_the_advice() -> None:
+def test_numbers_as_json_are_those_of_the_advice():
     advice = advise(STEADY | {"advise.wanted_deg": 0.5})
     numbers = json.loads(json.dumps(advice.to_dict()))
     assert numbers["heading_rms_arcmin"] == advice.heading.rms_arcmin
@@ -116,7 +115,7 @@ def test_numbers_as_json_are_those_of_the_advice() -> None:
 
 @pytest.mark.representative("60.0")
 @pytest.mark.parametrize("time_s", [10.0, 60.0, 1800.0])
-def test_any_time_can_be_asked_for(time_s: float) -> None:
+def test_any_time_can_be_asked_for(time_s):
     found = advise(STEADY | SURGE, time_s=time_s)
     assert found.heading.time_s == time_s and found.choice.method == "kalman_surge"
     assert found.halved_rms_arcmin < found.heading.rms_arcmin
@@ -124,7 +123,7 @@ def test_any_time_can_be_asked_for(time_s: float) -> None:
     assert found.headings[-1].rms_arcmin > floor
 
 
-def test_sheet_without_drawn_biases_is_noise_alone() -> None:
+def test_sheet_without_drawn_biases_is_noise_alone():
     sheet = read_sheet({key: FOG[key] for key in ("earth", "sensors")})
     assert {*sheet_budget(sheet, [60.0]).sources} <= {
         f"{a}_{b}" for a in ("gyro", "accel") for b in ("noise", "instability")
@@ -132,7 +131,7 @@ def test_sheet_without_drawn_biases_is_noise_alone() -> None:
     assert len(sheet.doubts) == 2
 
 
-def test_turned_sheet_is_advised_as_it_turns() -> None:
+def test_turned_sheet_is_advised_as_it_turns():
     motion = {"turn_times_s": [140.5], "turn_angles_deg": [180.0], "turn_rate_deg_per_s": 10.0}
     turned = sinsjax.advise(FOG | {"motion": motion | {"turn_ramp_s": 1.0}})
     assert turned.turns is None and turned.headings[-1].time_s == 300
@@ -144,7 +143,7 @@ def test_turned_sheet_is_advised_as_it_turns() -> None:
     assert "the law of resets holds for a base that is not turned" in lines
 
 
-def test_surging_base_that_turns_is_warned_of() -> None:
+def test_surging_base_that_turns_is_warned_of():
     motion = MOTIONS["surge"] | {"turn_times_s": [140.5], "turn_angles_deg": [180.0]}
     advice = sinsjax.advise(FOG | {"motion": motion})
     assert advice.choice.method == "kalman_surge" and advice.misses_turns
@@ -153,7 +152,7 @@ def test_surging_base_that_turns_is_warned_of() -> None:
     assert not replace(advice, sheet=read(motion="surge")).misses_turns
 
 
-def test_resets_state_their_doubts_and_settings() -> None:
+def test_resets_state_their_doubts_and_settings():
     (line,) = (text for text in describe_advice(advise()) if text.startswith("  resets"))
     assert 'and schedule = "law" (resets at ' in line and "reset_velocity_m_per_s = 1)" in line
     assert "with 2 sigma of noise, more with bias instability)" in line
@@ -163,7 +162,7 @@ def test_resets_state_their_doubts_and_settings() -> None:
     assert strong is not None and strong.band_arcmin == 300.0  # not 10', which drift exceeds
 
 
-def test_warning_names_the_keys_of_a_turn_that_helps() -> None:
+def test_warning_names_the_keys_of_a_turn_that_helps():
     bad = STEADY | {"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 10.0]}}
     (warning,) = advise(bad).warnings
     sets = re.findall(r"--set '([^']+)'", warning)
@@ -172,7 +171,7 @@ def test_warning_names_the_keys_of_a_turn_that_helps() -> None:
     assert turned.warnings == () and turned.heading.rms_arcmin < 100
 
 
-def test_band_is_reached_when_95_percent_are_within_it() -> None:
+def test_band_is_reached_when_95_percent_are_within_it():
     advice = advise()
     band, time_s = advice.settles
     assert band == 1.0 and time_s is not None
@@ -199,9 +198,7 @@ OF_SHEET = {"sec L, which is 5.76 at this latitude", "vibration costs", "keep it
     ],
     ids=["no north", "drift", "latitude", "vibration", "surge", "heading", "wanted"],
 )
-def test_what_can_go_wrong_is_a_warning(
-    changes: dict[str, Any], options: dict[str, Any], words: str
-) -> None:
+def test_what_can_go_wrong_is_a_warning(changes, options, words):
     usual = advise(STEADY)
     assert usual.warnings == ()
     if words in OF_SHEET:
@@ -220,11 +217,11 @@ def test_what_can_go_wrong_is_a_warning(
         ({"drawn.accel_bias_ug": {}}, "no turn-on bias of the accelerometers"),
     ],
 )
-def test_values_that_do_not_fit_are_doubts(changes: dict[str, Any], words: str) -> None:
+def test_values_that_do_not_fit_are_doubts(changes, words):
     assert any(words in line for line in read(changes).doubts)
 
 
-def test_doubts_are_part_of_the_text() -> None:
+def test_doubts_are_part_of_the_text():
     sheet = read({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 0.005]}, "drawn.accel_bias_ug": {}})
     assert len(sheet.doubts) == 2
     lines = [*describe_advice(replace(advise(STEADY), sheet=sheet))]
@@ -255,7 +252,7 @@ def test_doubts_are_part_of_the_text() -> None:
         ({"earth": {}}, "[earth] latitude_deg: required"),
     ],
 )
-def test_bad_sheet_is_refused_in_a_line(changes: dict[str, Any], message: str) -> None:
+def test_bad_sheet_is_refused_in_a_line(changes, message):
     with pytest.raises(InputError) as refused:
         advise(changes)
     assert message in str(refused.value) and str(refused.value).startswith("sheet: ")
@@ -263,13 +260,13 @@ def test_bad_sheet_is_refused_in_a_line(changes: dict[str, Any], message: str) -
 
 @pytest.mark.parametrize("table", [3, "x", [1, 2]])
 @pytest.mark.parametrize("name", ["sensors", "drawn", "study", "advise"])
-def test_section_that_is_no_table_is_refused(name: str, table: Any) -> None:
+def test_section_that_is_no_table_is_refused(name, table):
     with pytest.raises(InputError, match=rf"sheet: \[{name}\]: must be a table of keys"):
         sinsjax.advise(FOG | {name: table})
 
 
 @pytest.mark.parametrize("options", [{"imu": "kvh"}, {"imu": "kvh1775", "motion": "swim"}])
-def test_unknown_name_lists_the_known_ones(options: dict[str, Any]) -> None:
+def test_unknown_name_lists_the_known_ones(options):
     with pytest.raises(InputError, match="is none of .*(kvh1775|sway)"):
         sinsjax.advise(**options, latitude_deg=48.0)
     with pytest.raises(InputError, match="one of the two"):
@@ -277,7 +274,7 @@ def test_unknown_name_lists_the_known_ones(options: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("name", shipped_sheets())
-def test_shipped_sheet_names_its_source_and_has_no_doubt(name: str) -> None:
+def test_shipped_sheet_names_its_source_and_has_no_doubt(name):
     text = shipped_sheets()[name].read_text()
     assert "# Source: " in text and "read 20" in text
     assert read_sheet(None, imu=name, latitude_deg=45.0).doubts == ()
@@ -285,12 +282,12 @@ def test_shipped_sheet_names_its_source_and_has_no_doubt(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", shipped_sheets())
-def test_shipped_sheet_is_advised(name: str) -> None:
+def test_shipped_sheet_is_advised(name):
     advice = sinsjax.advise(imu=name, latitude_deg=45.0, time_s=60.0)
     assert advice.heading.time_s == 60 and advice.heading.rms_arcmin > 0
 
 
-def test_figure_has_a_line_and_an_area_for_each_large_source() -> None:
+def test_figure_has_a_line_and_an_area_for_each_large_source():
     figure = advise().plot()
     above, below = figure.axes
     assert "gyro turn-on bias is 73%" in above.get_title(loc="left")
@@ -299,9 +296,7 @@ def test_figure_has_a_line_and_an_area_for_each_large_source() -> None:
     assert len(below.collections) == len(labels)
 
 
-def test_command_prints_one_screen_and_writes_a_study(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_prints_one_screen_and_writes_a_study(tmp_path, monkeypatch, capsys):
     command = command_line(monkeypatch, capsys)
     sheet, study = tmp_path / "my.toml", tmp_path / "check.toml"
     sheet.write_text(

@@ -1,6 +1,5 @@
 """Out-of-range samples and stuck channels are reported with their rows."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,7 +53,7 @@ def study(**record: Any) -> Any:
     )
 
 
-def test_samples_beyond_sensor_range_are_named_and_refused() -> None:
+def test_samples_beyond_sensor_range_are_named_and_refused():
     accel = change_rows(ACCEL, slice(500, 510), 0, -9999 * 9.80665)
     accel[700, 1] = 250.0
     stored = make_record(accel=accel)
@@ -71,11 +70,11 @@ def test_samples_beyond_sensor_range_are_named_and_refused() -> None:
     assert text.startswith("row 7: column 'gyro[:, 2]': 50 is 2865 deg/s")
 
 
-def test_wrong_unit_is_not_reported_as_outlier() -> None:
+def test_wrong_unit_is_not_reported_as_outlier():
     assert not texts(accel=ACCEL * 100) and not texts(gyro=GYRO * 206265 * 60)
 
 
-def test_dead_and_stuck_channels_are_reported() -> None:
+def test_dead_and_stuck_channels_are_reported():
     assert texts(gyro=change_rows(GYRO, slice(None), 0, 0.0)) == [
         "column 'gyro[:, 0]' is 0 in every row: is that sensor dead?"
     ]
@@ -93,7 +92,7 @@ def test_dead_and_stuck_channels_are_reported() -> None:
     assert warning.startswith("arrays: rows 1000 to 1099: all six")
 
 
-def test_dead_gyro_that_hides_north_is_named_and_leaves_level() -> None:
+def test_dead_gyro_that_hides_north_is_named_and_leaves_level():
     job = prepare_job(study(), record=make_record(change_rows(GYRO, slice(None), 0, 0.1)))
     dead, hidden = job.warnings
     assert "column 'gyro[:, 0]' is 0.1 in every row: is that sensor dead?" in dead
@@ -101,7 +100,7 @@ def test_dead_gyro_that_hides_north_is_named_and_leaves_level() -> None:
     assert job.study.methods == ("level",)
 
 
-def test_refusal_names_dead_channel_as_possible_cause() -> None:
+def test_refusal_names_dead_channel_as_possible_cause():
     stored = make_record(change_rows(GYRO / 1000, slice(None), 0, 0.0))
     with pytest.raises(
         InputError, match=r"0.* is 0 in every row: is that sensor dead\? \(\[record\]"
@@ -110,7 +109,7 @@ def test_refusal_names_dead_channel_as_possible_cause() -> None:
 
 
 @pytest.mark.parametrize("unit", ["rad_per_s", "deg_per_h"])
-def test_subtracted_mean_of_whole_log_is_reported(unit: str) -> None:
+def test_subtracted_mean_of_whole_log_is_reported(unit):
     """A sway that the log cuts short: over the part that is aligned the mean is not zero."""
     sway = 2e-4 * np.cos(np.arange(T)[:, None] / T * [3.0, 4.0, 5.0])
     sensed = GYRO + sway
@@ -126,7 +125,7 @@ def test_subtracted_mean_of_whole_log_is_reported(unit: str) -> None:
         assert not texts(gyro, gyro_unit=unit, max_gap_s=0.1)
 
 
-def test_reported_row_numbers_match_file_rows(tmp_path: Path) -> None:
+def test_reported_row_numbers_match_file_rows(tmp_path):
     accel = change_rows(ACCEL, 20, 2, 1e4)
     record = Record(GYRO / RATE, accel / RATE, RATE, latitude_deg=45.0, gravity_m_per_s2=9.8)
     write_csv(record, tmp_path / "a.csv", LAYOUT)

@@ -66,9 +66,7 @@ def refusal_line(*given: Any, **more: Any) -> str:
 
 @pytest.mark.parametrize(("gyro_unit", "accel_unit"), PAIRS)
 @pytest.mark.parametrize(("axes", "order"), [("rfu", "xyz"), ("frd", "yx-z"), ("flu", "-yxz")])
-def test_array_units_and_axes_are_converted(
-    gyro_unit: str, accel_unit: str, axes: str, order: str
-) -> None:
+def test_array_units_and_axes_are_converted(gyro_unit, accel_unit, axes, order):
     gyro, accel = (from_body_axes(values, order) for values in (GYRO, ACCEL))
     factors = GYROS[gyro_unit], ACCELS[accel_unit]
     units = {"gyro_unit": gyro_unit, "accel_unit": accel_unit, "axes": axes}
@@ -80,7 +78,7 @@ def test_array_units_and_axes_are_converted(
     assert (gyro == before).all()
 
 
-def test_frd_and_flu_axes_map_to_right_front_up() -> None:
+def test_frd_and_flu_axes_map_to_right_front_up():
     """Of a box with x front, y right, z down; and of one with x front, y left, z up."""
     front, right, up = 1.0, 2.0, 3.0
     for axes, sensed in (("frd", [front, right, -up]), ("flu", [front, -right, up])):
@@ -89,13 +87,13 @@ def test_frd_and_flu_axes_map_to_right_front_up() -> None:
 
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
-def test_time_units_are_converted_to_seconds(unit: str) -> None:
+def test_time_units_are_converted_to_seconds(unit):
     factor = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
     record = make_record((TIME + 5) * factor, time_unit=unit).record
     assert record.rate_hz == RATE and record.t0_s == pytest.approx(5.0)
 
 
-def test_datetime64_times_give_rate_and_start() -> None:
+def test_datetime64_times_give_rate_and_start():
     dates = np.datetime64("2024-05-01T12:00:00", "ns") + np.arange(1, T + 1) * np.timedelta64(
         10_000_000, "ns"
     )
@@ -130,7 +128,7 @@ def zoned_dates() -> dict[str, Any]:
     return found
 
 
-def test_zoned_dates_match_plain_dates_exactly() -> None:
+def test_zoned_dates_match_plain_dates_exactly():
     plain = make_record(zoned_dates()["Arrow"].to_numpy(zero_copy_only=False)).record
     assert plain.rate_hz == pytest.approx(RATE) and plain.t0_s == pytest.approx(1714564800.0)
     for name, dates in zoned_dates().items():
@@ -139,7 +137,7 @@ def test_zoned_dates_match_plain_dates_exactly() -> None:
         assert (record.dtheta == plain.dtheta).all(), name
 
 
-def test_missing_date_is_missing_sample() -> None:
+def test_missing_date_is_missing_sample():
     dates: list[Any] = zoned_dates()["datetime"]
     dates[20] = None
     assert [flaw[:2] for flaw in make_record(dates).record.flaws] == [(20, 21)]
@@ -147,7 +145,7 @@ def test_missing_date_is_missing_sample() -> None:
     assert "arrays: time: not dates with time: " in refusal_line(dates)
 
 
-def test_reference_accepts_dates() -> None:
+def test_reference_accepts_dates():
     dates = zoned_dates()["datetime"]
     level = [0.0, 0.0]
     table = {"time_s": [dates[0], dates[-1]], "pitch_deg": level, "roll_deg": level}
@@ -155,7 +153,7 @@ def test_reference_accepts_dates() -> None:
     assert reference.time_s == pytest.approx([0.01, 0.5], abs=1e-6)
 
 
-def test_pandas_na_is_missing_sample() -> None:
+def test_pandas_na_is_missing_sample():
     pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame(GYRO).astype(object)
     frame.iloc[10, 1] = pandas.NA
@@ -167,17 +165,17 @@ def test_pandas_na_is_missing_sample() -> None:
     assert [flaw[:2] for flaw in make_record(times).record.flaws] == [(10, 11)]
 
 
-def test_epoch_timestamps_give_whole_rate() -> None:
+def test_epoch_timestamps_give_whole_rate():
     time = 1.763e9 + np.arange(1, 3001) / 100
     rates = np.ones((3000, 3))
     assert sinsjax.record_from_arrays(time, rates, rates).record.rate_hz == 100.0
 
 
-def test_rate_hz_is_used_without_times() -> None:
+def test_rate_hz_is_used_without_times():
     assert make_record(None, rate_hz=200.0).record.rate_hz == 200.0
 
 
-def test_gaps_are_interpolated_or_reported_as_flaws() -> None:
+def test_gaps_are_interpolated_or_reported_as_flaws():
     gyro = GYRO.copy()
     gyro[10] = np.nan
     record = make_record(gyro=gyro, max_gap_s=0.02).record
@@ -194,7 +192,7 @@ def test_gaps_are_interpolated_or_reported_as_flaws() -> None:
     assert make_record(late, *rest, max_gap_s=0.05).record.filled == 3
 
 
-def test_tables_of_every_library_give_same_record() -> None:
+def test_tables_of_every_library_give_same_record():
     plain = make_record(reference=REFERENCE)
     tables = {"pa": pa.table(REFERENCE)}
     for name in ("pandas", "polars"):
@@ -216,7 +214,7 @@ def test_tables_of_every_library_give_same_record() -> None:
     assert plain.reference.attitude_deg[0].tolist() == [1.0, 2.0, -30.0]
 
 
-def test_reference_times_become_relative_to_record_start() -> None:
+def test_reference_times_become_relative_to_record_start():
     own = Reference(np.array([100.0, 110.0]), np.zeros((2, 3)), None)
     assert make_record(TIME + 100, reference=own).reference.time_s.tolist() == [0.0, 10.0]
 
@@ -254,7 +252,7 @@ def test_reference_times_become_relative_to_record_start() -> None:
         ({"reference": REFERENCE | {"roll_deg": [1]}}, "its columns must have one number per row"),
     ],
 )
-def test_invalid_array_input_raises_one_line_error(change: dict[str, Any], says: str) -> None:
+def test_invalid_array_input_raises_one_line_error(change, says):
     assert says in refusal_line(**change)
 
 
@@ -290,7 +288,7 @@ def recorded(**changes: Any) -> Any:
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_study_runs_on_arrays(drive_data: tuple[Any, Any]) -> None:
+def test_study_runs_on_arrays(drive_data):
     record = drive_data[1]
     time = 100 + np.arange(1, len(record.dv) + 1) / record.rate_hz
     gyro, accel = (from_body_axes(v * record.rate_hz, "yx-z") for v in (record.dtheta, record.dv))
@@ -314,7 +312,7 @@ def test_study_runs_on_arrays(drive_data: tuple[Any, Any]) -> None:
         assert abs(row["pitch_deg"]) < 0.1
 
 
-def test_gravity_pointing_down_error_names_axes_argument(drive_data: tuple[Any, Any]) -> None:
+def test_gravity_pointing_down_error_names_axes_argument(drive_data):
     record = drive_data[1]
     rates = record.dtheta * record.rate_hz, -record.dv * record.rate_hz
     stored = sinsjax.record_from_arrays(None, *rates, rate_hz=record.rate_hz)
@@ -322,7 +320,7 @@ def test_gravity_pointing_down_error_names_axes_argument(drive_data: tuple[Any, 
         sinsjax.run(recorded(), stored)
 
 
-def test_wrong_accelerometer_unit_is_refused(drive_data: tuple[Any, Any]) -> None:
+def test_wrong_accelerometer_unit_is_refused(drive_data):
     record = drive_data[1]
     time = np.arange(1, len(record.dv) + 1) / record.rate_hz
     rates = record.dtheta * record.rate_hz, record.dv * record.rate_hz
@@ -342,9 +340,7 @@ def test_wrong_accelerometer_unit_is_refused(drive_data: tuple[Any, Any]) -> Non
         (1.0, "ns", "more than 100000000 samples per run (is time_unit right?)"),
     ],
 )
-def test_wrong_time_unit_is_refused(
-    drive_data: tuple[Any, Any], scale: float, unit: str, says: str
-) -> None:
+def test_wrong_time_unit_is_refused(drive_data, scale, unit, says):
     record = drive_data[1]
     time = scale * np.arange(1, len(record.dv) + 1) / record.rate_hz
     rates = record.dtheta * record.rate_hz, record.dv * record.rate_hz
@@ -353,7 +349,7 @@ def test_wrong_time_unit_is_refused(
     assert says in str(caught.value)
 
 
-def test_rounded_timestamps_keep_start_times(drive_data: tuple[Any, Any]) -> None:
+def test_rounded_timestamps_keep_start_times(drive_data):
     record = drive_data[1]
     time = np.round(1e-9 + np.arange(1, len(record.dv) + 1) / record.rate_hz * (1 + 1e-9), 9)
     stored = sinsjax.record_from_arrays(
@@ -364,7 +360,7 @@ def test_rounded_timestamps_keep_start_times(drive_data: tuple[Any, Any]) -> Non
     assert start_samples(study, study.rate_hz).tolist() == [0, 1000]
 
 
-def test_interpolated_samples_are_reported(drive_data: tuple[Any, Any]) -> None:
+def test_interpolated_samples_are_reported(drive_data):
     record = drive_data[1]
     time = np.arange(1, len(record.dv) + 1) / record.rate_hz
     gyro = record.dtheta * record.rate_hz
@@ -375,18 +371,18 @@ def test_interpolated_samples_are_reported(drive_data: tuple[Any, Any]) -> None:
     ]
 
 
-def test_file_keys_are_refused_for_arrays() -> None:
+def test_file_keys_are_refused_for_arrays():
     for key, value in (("gyro_unit", "rad"), ("axes_order", "frd"), ("time_column", "t")):
         with pytest.raises(InputError, match=f"{key}: does not apply to format 'arrays'"):
             recorded(record={key: value})
 
 
-def test_loading_arrays_format_from_file_is_refused() -> None:
+def test_loading_arrays_format_from_file_is_refused():
     with pytest.raises(InputError, match="'arrays' are passed to sinsjax.run, not read from x.csv"):
         sinsjax.load_increments(recorded(), "x.csv")
 
 
-def test_number_instead_of_record_is_refused() -> None:
+def test_number_instead_of_record_is_refused():
     """Unwrapped, because the tests' own checks of types would come first."""
     with pytest.raises(
         InputError, match=r"record: must be what sinsjax\.load_increments or .* not a int$"

@@ -1,7 +1,7 @@
 """Settings that conflict with covariance estimates."""
 
 import pytest
-from support.refusals import Refusal, assert_named, refused
+from support.refusals import assert_named, refused
 from support.studies import refusal_line, small_study, small_tables
 
 from sinsjax.errors import InputError
@@ -27,7 +27,7 @@ passes.stored_s = 2.0                                -> [passes]
 drawn.gyro_scale_ppm.normal = [0, 1]                 -> [drawn] gyro_scale_ppm
 drawn.vn0_m_per_s.uniform = [-1, 1]                  -> [drawn] vn0_m_per_s: normal
 """)
-def test_covariance_estimate_refuses_settings_that_draws_allow(refusal: Refusal) -> None:
+def test_covariance_estimate_refuses_settings_that_draws_allow(refusal):
     small_study(**refusal.tables)
     refusal.check(refusal_line(**refusal.tables, study=ESTIMATED))
 
@@ -39,7 +39,7 @@ tune.searches = ["sobol"] & tune.variables.p0_yaw_deg = {low = 10.0, high = 90.0
     -> [tune]: 'covariance'
 study.estimate_samples = 65                          -> [study] estimate_samples: 2
 """)
-def test_covariance_estimate_refuses_settings_that_need_draws(refusal: Refusal) -> None:
+def test_covariance_estimate_refuses_settings_that_need_draws(refusal):
     study = ESTIMATED | refusal.tables.get("study", {})
     refusal.check(refusal_line(**refusal.tables | {"study": study}))
 
@@ -52,11 +52,11 @@ alignment.method = "inertial" & tune.searches = ["sobol", "covariance"]
     & tune.variables.phi_u0_deg = {low = 1.0, high = 9.0}
     -> [tune] searches: 'covariance' 'sobol' inertial
 """)
-def test_settings_of_the_estimate_need_one_that_applies(refusal: Refusal) -> None:
+def test_settings_of_the_estimate_need_one_that_applies(refusal):
     refusal.check(refusal_line(**refusal.tables))
 
 
-def test_covariance_estimate_refuses_recorded_data() -> None:
+def test_covariance_estimate_refuses_recorded_data():
     recorded = small_tables(study=ESTIMATED)
     del recorded["motion"], recorded["sensors"]
     recorded["record"] = {"format": "psins", "start_s": [0.0]}
@@ -65,12 +65,12 @@ def test_covariance_estimate_refuses_recorded_data() -> None:
     assert_named(str(caught.value), "study: [record]", "simulated")
 
 
-def test_estimates_accept_normally_drawn_starts_and_biases() -> None:
+def test_estimates_accept_normally_drawn_starts_and_biases():
     laws = {"vn0_m_per_s": {"normal": [0, 1]}, "accel_bias_ug": {"normal": [0, 100]}}
     small_study(study=ESTIMATED, sensors={"accel_bias_ug": None}, drawn=laws)
 
 
-def test_estimate_defaults_survive_round_trip() -> None:
+def test_estimate_defaults_survive_round_trip():
     study = small_study(study=ESTIMATED)
     assert (study.study.estimate_samples, study.study.draws, study.n_draws) == (256, 64, 1)
     assert study.checks_linearity
@@ -78,7 +78,7 @@ def test_estimate_defaults_survive_round_trip() -> None:
     assert small_study().study.estimate_samples is None
 
 
-def test_fingerprint_changes_with_covariance_estimate_but_not_with_draws() -> None:
+def test_fingerprint_changes_with_covariance_estimate_but_not_with_draws():
     plain = fingerprint(small_study())
     assert fingerprint(small_study(study={"estimate": "draws"})) == plain
     estimated = [ESTIMATED, ESTIMATED | {"estimate_samples": 64}]
@@ -87,6 +87,6 @@ def test_fingerprint_changes_with_covariance_estimate_but_not_with_draws() -> No
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_has_error_model_flag_matches_method(name: str) -> None:
+def test_has_error_model_flag_matches_method(name):
     method = METHODS[name](Options(0.01))
     assert METHODS[name].has_error_model == (method.error_model is not None)

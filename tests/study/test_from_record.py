@@ -165,9 +165,7 @@ LOGS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
 
 @pytest.mark.representative("FRD in rad/s, semicolons, comments")
 @pytest.mark.parametrize("name", LOGS)
-def test_log_becomes_study_that_runs(
-    name: str, rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_log_becomes_study_that_runs(name, rates, sinsjax, tmp_path):
     make, expected = LOGS[name]
     path = make(tmp_path / "log.csv", rates)
     study, doubts = load_with_doubts(path)
@@ -187,9 +185,7 @@ def test_log_becomes_study_that_runs(
         assert abs(row["yaw_deg"] - 10) < 1.5
 
 
-def test_reasons_and_doubts_are_written_next_to_their_keys(
-    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_reasons_and_doubts_are_written_next_to_their_keys(rates, tmp_path):
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.01), NAMES)
     lines = make_study_text(path, Path("its.toml")).splitlines()
     at = {line.partition(" =")[0]: number for number, line in enumerate(lines) if " = " in line}
@@ -203,9 +199,7 @@ def test_reasons_and_doubts_are_written_next_to_their_keys(
     assert all(len(line) <= 100 for line in lines)
 
 
-def test_nominal_rate_is_marked_in_study(
-    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_nominal_rate_is_marked_in_study(rates, tmp_path):
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.0100003), NAMES)
     text = make_study_text(path, Path("its.toml"))
     assert re.search(
@@ -217,9 +211,7 @@ def test_nominal_rate_is_marked_in_study(
 
 
 @pytest.mark.slow
-def test_short_gaps_are_interpolated_and_long_gap_moves_start(
-    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_short_gaps_are_interpolated_and_long_gap_moves_start(rates, sinsjax, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
     table[3000, 2] = np.nan
     gone = [*range(500, 503), *range(2000, 2100)]
@@ -234,9 +226,7 @@ def test_short_gaps_are_interpolated_and_long_gap_moves_start(
     assert abs((align_written_study(sinsjax, path)["yaw_deg"] - 10 + 45) % 90 - 45) < 4
 
 
-def test_parquet_log_with_dates_becomes_study_that_runs(
-    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_parquet_log_with_dates_becomes_study_that_runs(rates, sinsjax, tmp_path):
     table = columns(rates, "frd", DEG, G, 10_000_000)
     dates = np.datetime64("2024-05-01", "ns") + table[:, 0].astype("timedelta64[ns]")
     names = ("stamp", *(f"imu_frd_{name}" for name in NAMES[1:]))
@@ -247,9 +237,7 @@ def test_parquet_log_with_dates_becomes_study_that_runs(
     assert abs(align_written_study(sinsjax, path)["yaw_deg"] - 10) < 1.5
 
 
-def test_study_ends_a_second_before_log(
-    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_study_ends_a_second_before_log(rates, tmp_path):
     """The reference of a log may end slightly before it."""
     path = write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
     study, _ = load_with_doubts(path)
@@ -257,9 +245,7 @@ def test_study_ends_a_second_before_log(
 
 
 @pytest.mark.slow
-def test_reference_ending_slightly_before_log_is_accepted(
-    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_reference_ending_slightly_before_log_is_accepted(rates, sinsjax, tmp_path):
     write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
     times = np.arange(0.1, 99.95, 0.1)
     table = np.column_stack([times, np.zeros((len(times), 2)), np.full(len(times), 10.0)])
@@ -271,9 +257,7 @@ def test_reference_ending_slightly_before_log_is_accepted(
     assert package.read_summary("out")["phi_u_arcmin"].null_count == 0
 
 
-def test_psins_log_becomes_study_that_runs(
-    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_psins_log_becomes_study_that_runs(rates, sinsjax, tmp_path):
     record = Record(rates[0] / RATE, rates[1] / RATE, RATE)
     record = record._replace(latitude_deg=45.0, height_m=10.0, gravity_m_per_s2=9.8)
     path = tmp_path / "log.imu"
@@ -285,9 +269,7 @@ def test_psins_log_becomes_study_that_runs(
 
 
 @pytest.mark.slow
-def test_log_with_odd_rate_or_text_dates_is_read(
-    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_log_with_odd_rate_or_text_dates_is_read(rates, sinsjax, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 1 / 102.4)
     table[:, 1:] *= [*[1.024] * 3, 1, 1, 1]
     path = write(tmp_path / "log.csv", table)
@@ -330,9 +312,7 @@ def test_log_with_odd_rate_or_text_dates_is_read(
         ),
     ],
 )
-def test_ambiguous_log_is_marked_with_doubt(
-    make: Any, doubt: str, rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_ambiguous_log_is_marked_with_doubt(make, doubt, rates, tmp_path):
     path = write(tmp_path / "log.csv", *make(columns(rates, "rfu", 1.0, 1.0, 0.01)))
     assert doubt in " ".join(load_with_doubts(path)[1])
 
@@ -340,9 +320,7 @@ def test_ambiguous_log_is_marked_with_doubt(
 @pytest.mark.representative("deg_per_s-0.017453292519943295-1")
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize(("unit", "factor"), GYRO.items())
-def test_dead_gyro_is_ignored_in_choice_of_unit(
-    axis: int, unit: str, factor: float, rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_dead_gyro_is_ignored_in_choice_of_unit(axis, unit, factor, rates, tmp_path):
     for value in (0.0, 0.0062, -3.0):
         table = columns(rates, "rfu", factor, 1.0, 0.01)
         table[:, 1 + axis] = value
@@ -352,9 +330,7 @@ def test_dead_gyro_is_ignored_in_choice_of_unit(
         assert "the gyros do not show the latitude: put the true one here" in doubts
 
 
-def test_missing_sample_marks_give_one_doubt_with_remedy(
-    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_missing_sample_marks_give_one_doubt_with_remedy(rates, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
     table[2000:9000:500, 4:] = -9999.0
     _, doubts = load_with_doubts(write(tmp_path / "log.csv", table))
@@ -378,13 +354,7 @@ def test_missing_sample_marks_give_one_doubt_with_remedy(
         (lambda t: (t[:, :5], NAMES[:5]), "its 5 names in row 1: 5 columns, but an IMU has six"),
     ],
 )
-def test_unusable_log_is_refused_in_one_line(
-    make: Any,
-    line: str,
-    rates: tuple[np.ndarray, np.ndarray],
-    sinsjax: Command,
-    tmp_path: Path,
-) -> None:
+def test_unusable_log_is_refused_in_one_line(make, line, rates, sinsjax, tmp_path):
     write(tmp_path / "log.csv", *make(columns(rates, "rfu", 1.0, 1.0, 0.01)))
     code, told, error = sinsjax("init", "record", "--from", "log.csv")
     assert (code, told, error.count("\n")) == (2, "", 1)
@@ -398,13 +368,7 @@ def test_unusable_log_is_refused_in_one_line(
 @pytest.mark.parametrize(
     ("name", "shown"), [(b"l\xff", r"l\udcff"), (b"l\n\x1b[2J", r"l\n\x1b[2J")]
 )
-def test_log_with_odd_file_name_becomes_study_that_runs(
-    name: bytes,
-    shown: str,
-    suffix: str,
-    rates: tuple[np.ndarray, np.ndarray],
-    sinsjax: Command,
-) -> None:
+def test_log_with_odd_file_name_becomes_study_that_runs(name, shown, suffix, rates, sinsjax):
     log, config = (os.fsdecode(name + end.encode()) for end in (f".{suffix}", ".toml"))
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
     if suffix == "csv":
@@ -422,9 +386,7 @@ def test_log_with_odd_file_name_becomes_study_that_runs(
     assert f"({shown}.toml; computed by".replace(r"\n", " ") in Path(page).read_text()
 
 
-def test_backward_time_stamps_are_refused_with_row(
-    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_backward_time_stamps_are_refused_with_row(rates, sinsjax, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
     write(tmp_path / "log.csv", table[::-1], ("Tstamp", *NAMES[1:]))
     code, told, error = sinsjax("init", "record", "--from", "log.csv")
@@ -439,12 +401,7 @@ def test_backward_time_stamps_are_refused_with_row(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("resolution_s", [0.02, 1.0])
-def test_coarse_time_stamps_give_mean_rate(
-    resolution_s: float,
-    rates: tuple[np.ndarray, np.ndarray],
-    sinsjax: Command,
-    tmp_path: Path,
-) -> None:
+def test_coarse_time_stamps_give_mean_rate(resolution_s, rates, sinsjax, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
     # Not in whole seconds the mean tells 100 Hz too, and 99 Hz is not taken for it.
     for rate in (100.0, 99.0):
@@ -460,9 +417,7 @@ def test_coarse_time_stamps_give_mean_rate(
     align_written_study(sinsjax, path)
 
 
-def test_study_without_known_rate_is_refused(
-    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_study_without_known_rate_is_refused(rates, sinsjax, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 1e4)
     table[:, 0] = (1.763e15 + table[:, 0]).astype(np.float32)
     path = write(tmp_path / "log.csv", table, ("Tstamp[us]", *NAMES[1:]))
@@ -486,17 +441,13 @@ def test_study_without_known_rate_is_refused(
         (("RollRate [deg/s]", "PitchRate [deg/s]", "YawRate [deg/s]"), "deg_per_s", ""),
     ],
 )
-def test_gyro_column_names_give_unit_and_axes(
-    names: tuple[str, str, str], unit: str, ways: str
-) -> None:
+def test_gyro_column_names_give_unit_and_axes(names, unit, ways):
     (found,) = find_triads(["roll", "pitch", "yaw", *names], "gyro")
     assert (found.names, found.unit[0], found.directions) == (names, unit, ways)
     assert not find_triads(names, "accel")
 
 
-def test_warning_is_printed_once_on_standard_error(
-    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_warning_is_printed_once_on_standard_error(rates, sinsjax, tmp_path):
     light = columns(rates, "rfu", 1.0, 1.0, 0.01) * [1, 1, 1, 1, 0.99, 0.99, 0.99]
     write(tmp_path / "log.csv", light)
     assert sinsjax("init", "record", "--from", "log.csv")[0] == 0
@@ -506,9 +457,7 @@ def test_warning_is_printed_once_on_standard_error(
     assert error.count("\n") == error.count("Warning") == 1
 
 
-def test_text_column_in_parquet_is_refused_by_name(
-    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_text_column_in_parquet_is_refused_by_name(rates, tmp_path):
     table = dict(zip(NAMES, columns(rates, "rfu", 1.0, 1.0, 0.01).T, strict=True))
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(table | {"gyro_y": table["gyro_y"].astype(str)}), path)
@@ -516,9 +465,7 @@ def test_text_column_in_parquet_is_refused_by_name(
         make_study_text(path, Path("x.toml"))
 
 
-def test_first_row_may_have_empty_cells_but_no_text(
-    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_first_row_may_have_empty_cells_but_no_text(rates, tmp_path):
     path = write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
     header, first, *rest = path.read_text().splitlines()
     cells = first.split(",")
@@ -537,7 +484,7 @@ def test_first_row_may_have_empty_cells_but_no_text(
         assert str(caught.value).startswith(f"{path}: row 2: column 'gyro_x': {hint}")
 
 
-def test_from_option_is_accepted_only_with_init_record(sinsjax: Command) -> None:
+def test_from_option_is_accepted_only_with_init_record(sinsjax):
     code, _, error = sinsjax("init", "sweep", "--from", "log.csv")
     assert code == 2 and error.startswith("error: --from: requires `init record`")
     code, _, error = sinsjax("init", "record", "--from", "log.csv")

@@ -11,7 +11,7 @@ from sinsjax.types import Vec3
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_heading_is_clockwise_from_north() -> None:
+def test_heading_is_clockwise_from_north():
     study = small_study(axes={"yaw_center_deg": [10.0, -100.0]}, alignment={"phi_u0_deg": 0.0})
     made = run.run(study, curves=True)
     for table in made:
@@ -21,7 +21,7 @@ def test_heading_is_clockwise_from_north() -> None:
     assert set(np.round(np.array(made.summary["heading_deg"]), -1)) == {350.0, 100.0}
 
 
-def test_heading_of_east_is_90_and_just_west_of_north_is_zero() -> None:
+def test_heading_of_east_is_90_and_just_west_of_north_is_zero():
     zero = np.zeros(3)
     seen = Observation(
         Vec3(zero, zero, zero), Vec3(zero, zero, zero), zero, zero, np.r_[1e-30, 0.0, -np.pi / 2]

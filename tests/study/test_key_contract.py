@@ -51,7 +51,7 @@ def takes_one_number(section: str, name: str) -> bool:
 # Names, units, defaults and descriptions
 
 
-def test_name_states_the_unit_that_the_description_gives() -> None:
+def test_name_states_the_unit_that_the_description_gives():
     for (section, name), key in KEYS.items():
         assert key.unit == split_unit(name)[1]
         if key.unit:
@@ -59,14 +59,14 @@ def test_name_states_the_unit_that_the_description_gives() -> None:
             assert f", {key.unit}." not in f"{key.meaning}.", name  # it is shown apart from it
 
 
-def test_every_key_has_a_meaning_that_names_the_words_it_accepts() -> None:
+def test_every_key_has_a_meaning_that_names_the_words_it_accepts():
     for (section, name), key in KEYS.items():
         assert key.meaning, name
         for word in accepted_words(field_of(section, name).annotation):
             assert f"'{word}'" in key.meaning or f'"{word}"' in key.meaning, name
 
 
-def test_number_with_a_unit_has_a_usual_range_or_bounds_within_a_turn() -> None:
+def test_number_with_a_unit_has_a_usual_range_or_bounds_within_a_turn():
     for (section, name), key in KEYS.items():
         if key.unit and section in SECTIONS and not key.info.usual_range:
             schema = json.dumps(SECTIONS[section].model_json_schema()["properties"][name])
@@ -74,13 +74,13 @@ def test_number_with_a_unit_has_a_usual_range_or_bounds_within_a_turn() -> None:
             assert len(bounds) >= 2 and max(map(abs, bounds)) <= 360, f"[{section}] {name}"
 
 
-def test_default_lies_in_the_usual_range() -> None:
+def test_default_lies_in_the_usual_range():
     for section, name in LEAVES:
         for default in (field_of(section, name).default, KEYS[section, name].info.default):
             assert rules.describe_implausible(name, default) is None, name
 
 
-def test_leaf_key_names_one_section() -> None:
+def test_leaf_key_names_one_section():
     counts = Counter(name for _, name in LEAVES)
     for name in counts:
         # What [record] takes for plausible is no axis, and has the name that it has in [sensors].
@@ -88,7 +88,7 @@ def test_leaf_key_names_one_section() -> None:
         assert sections == {SECTION_OF[name]}, name
 
 
-def test_conditions_and_alternatives_name_keys_of_their_section() -> None:
+def test_conditions_and_alternatives_name_keys_of_their_section():
     for section in SECTIONS.values():
         assert issubclass(section, Section)
         named = {key for condition in section.conditions for key in condition.keys}
@@ -102,7 +102,7 @@ def test_conditions_and_alternatives_name_keys_of_their_section() -> None:
 # Where a key appears
 
 
-def test_every_key_is_found_by_its_name_its_section_and_its_methods() -> None:
+def test_every_key_is_found_by_its_name_its_section_and_its_methods():
     for (section, name), key in KEYS.items():
         for asked in (None, name, section, section.partition(".")[0], f"{section}.{name}"):
             assert key in key_table.find_keys(asked)
@@ -111,7 +111,7 @@ def test_every_key_is_found_by_its_name_its_section_and_its_methods() -> None:
                 assert (key in key_table.find_keys(method)) == (method in key.methods)
 
 
-def test_method_is_told_with_the_keys_it_reads_and_those_without_effect() -> None:
+def test_method_is_told_with_the_keys_it_reads_and_those_without_effect():
     for name, method in METHODS.items():
         reads, _, silent = "\n".join(key_table.describe_method(name)).partition(" without effect: ")
         found = {*re.findall(r"\w+", silent)}
@@ -119,7 +119,7 @@ def test_method_is_told_with_the_keys_it_reads_and_those_without_effect() -> Non
         assert {*method.reads} - found <= {*re.findall(r"\w+", reads)}
 
 
-def test_page_of_keys_and_schema_for_editors_have_every_key() -> None:
+def test_page_of_keys_and_schema_for_editors_have_every_key():
     assert (ROOT / "docs" / "keys.md").read_text(encoding="utf-8") == key_table.keys_page()
     stored = (ROOT / "configs" / "schema.json").read_text(encoding="utf-8")
     assert json.loads(stored) == json_schema.study_schema()
@@ -127,7 +127,7 @@ def test_page_of_keys_and_schema_for_editors_have_every_key() -> None:
         assert f"`{name}`" in key_table.keys_page() and f'"{section}.{name}"' in stored
 
 
-def test_schema_accepts_shipped_studies_and_rejects_mistakes() -> None:
+def test_schema_accepts_shipped_studies_and_rejects_mistakes():
     known = jsonschema.Draft7Validator(json_schema.study_schema())
     for path in (*files.shipped_studies().values(), *files.template_files().values()):
         assert not list(known.iter_errors(tomllib.loads(path.read_text("utf-8")))), path.name
@@ -146,12 +146,12 @@ def test_schema_accepts_shipped_studies_and_rejects_mistakes() -> None:
         ("level_sigma_per_s", "1/s", "0.02"),
     ],
 )
-def test_key_is_told_with_unit_and_default(name: str, unit: str, default: str) -> None:
+def test_key_is_told_with_unit_and_default(name, unit, default):
     (told,) = key_table.find_keys(name)
     assert (told.unit, told.default) == (unit, default)
 
 
-def test_methods_that_read_a_key_are_those_on_which_it_acts() -> None:
+def test_methods_that_read_a_key_are_those_on_which_it_acts():
     def readers(name: str) -> tuple[Key, set[str]]:
         (told,) = key_table.find_keys(name)
         return told, {*told.methods}
@@ -165,7 +165,7 @@ def test_methods_that_read_a_key_are_those_on_which_it_acts() -> None:
     assert deciding_keys("level_damping") == ("method", "level_gains")
 
 
-def test_every_key_but_those_that_compute_nothing_is_part_of_the_fingerprint() -> None:
+def test_every_key_but_those_that_compute_nothing_is_part_of_the_fingerprint():
     study = small_study()
     for section, name in LEAVES:
         given = getattr(study, section) or SECTIONS[section].model_construct()
@@ -198,7 +198,7 @@ def places_refused(tables: dict[str, Any], value: Any) -> set[str]:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, True, "1"], ids=repr)
-def test_every_number_refuses_what_is_no_finite_number(value: Any) -> None:
+def test_every_number_refuses_what_is_no_finite_number(value):
     """In its section, as an axis, in a zip, and in cases."""
     numbers = [place for place in LEAVES if takes_one_number(*place)]
     assert len(numbers) > 100
@@ -222,7 +222,7 @@ def test_every_number_refuses_what_is_no_finite_number(value: Any) -> None:
     assert expected <= places_refused(base | {"cases": [dict.fromkeys(swept, value)]}, value)
 
 
-def test_every_word_refuses_other_words_and_names_its_own() -> None:
+def test_every_word_refuses_other_words_and_names_its_own():
     words = {
         place: accepted_words(field_of(*place).annotation)
         for place in LEAVES

@@ -113,7 +113,7 @@ def outcomes(tables: dict[str, Any], key: str, values: list[Any]) -> list[Any]:
 
 @pytest.mark.representative("cycle of no reset", "reading of no angle")
 @pytest.mark.parametrize("name", SILENT)
-def test_inactive_key_changes_no_outcome(name: str) -> None:
+def test_inactive_key_changes_no_outcome(name):
     tables, key, values = SILENT[name]
     assert len(set(small_study(**tables, axes={key: values}).duplicate_of)) == 1
     one, other = outcomes(tables, key, values)
@@ -128,14 +128,14 @@ def test_inactive_key_changes_no_outcome(name: str) -> None:
     "reading of angles",
 )
 @pytest.mark.parametrize("name", ACTING)
-def test_active_key_changes_outcome(name: str) -> None:
+def test_active_key_changes_outcome(name):
     tables, key, values = ACTING[name]
     assert len(set(small_study(**tables, axes={key: values}).duplicate_of)) == 2
     one, other = outcomes(tables, key, values)
     assert any(not np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
 
 
-def test_level_damping_acts_only_for_compass_without_level_gains() -> None:
+def test_level_damping_acts_only_for_compass_without_level_gains():
     assert not has_effect("level_damping", {"method": "kalman5", "level_gains": None})
     assert has_effect("level_damping", {"method": "compass", "level_gains": None})
     assert not has_effect("level_damping", {"method": "compass", "level_gains": (1.0, 1.0, 1.0)})

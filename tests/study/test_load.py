@@ -5,7 +5,6 @@ import itertools
 import json
 import re
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -124,7 +123,7 @@ def test_recorded_study_has_one_draw_per_start_time():
 
 
 @pytest.mark.parametrize("order", ["xyz", "y-xz", "-x-yz", "zxy", "+yx-z"])
-def test_right_handed_axes_orders_are_accepted(order: str):
+def test_right_handed_axes_orders_are_accepted(order):
     study = build_study(RECORDED, record={"axes_order": order})
     assert study.record is not None and study.record.axes_order == order
 
@@ -198,7 +197,7 @@ def sweeps(draw: st.DrawFn) -> tuple[list[dict], list[dict], dict]:
 
 
 @given(sweep=sweeps(), data=st.data())
-def test_variants_are_numbered_like_itertools_product(sweep: tuple, data: st.DataObject):
+def test_variants_are_numbered_like_itertools_product(sweep, data):
     cases, zips, axes = sweep
     tables = {
         name: {k: [row[k] for row in rows] for k in rows[0]}
@@ -245,7 +244,7 @@ def test_values_of_200_thousand_variants_are_listed():
 # Files
 
 
-def test_load_study_reads_file_with_or_without_bom(tmp_path: Path):
+def test_load_study_reads_file_with_or_without_bom(tmp_path):
     path = tmp_path / "swing.toml"
     path.write_text(FULL.replace('name = "example"\n', ""))
     assert load_study(path).study.name == "swing"
@@ -269,7 +268,7 @@ REST = "[earth]\nlatitude_deg = 32\n[motion]\nyaw_center_deg = 20\n[alignment]\n
     ],
     ids=["missing", "no text", "no value", "key twice", "digits", "value", "key of two lines"],
 )
-def test_unusable_file_is_refused_by_its_name(content: str | None, named: str, tmp_path: Path):
+def test_unusable_file_is_refused_by_its_name(content, named, tmp_path):
     path = tmp_path / "s.toml"
     if content is not None:
         path.write_bytes(content.encode("utf-8", "surrogateescape"))
@@ -325,7 +324,7 @@ def test_unusable_file_is_refused_by_its_name(content: str | None, named: str, t
         ),
     ],
 )
-def test_resolved_study_reloads_equal(data: dict[str, Any], tmp_path: Path):
+def test_resolved_study_reloads_equal(data, tmp_path):
     study = study_from_dict(with_paper_values(data))
     text = study_to_toml(study)
     path = tmp_path / "study.toml"
@@ -393,7 +392,7 @@ def test_fingerprint_ignores_name_key_order_and_explicit_defaults():
     ],
     ids=json.dumps,
 )
-def test_fingerprint_changes_with_any_value(change: dict[str, Any]):
+def test_fingerprint_changes_with_any_value(change):
     data = tomllib.loads(FULL)
     changed = fingerprint(study_from_dict(merge_tables(data, **change)))
     assert changed != fingerprint(study_from_dict(data))
@@ -556,9 +555,7 @@ def test_sections_and_defaults_depend_on_methods():
         ({"stored_s": 80, "passes": 4, "ending": "forward", "direction": "rewind"}, (320, 80)),
     ],
 )
-def test_run_and_pass_lengths_follow_passes_settings(
-    passes: dict[str, Any], spans: tuple[int, int]
-):
+def test_run_and_pass_lengths_follow_passes_settings(passes, spans):
     (span,) = build_study(study={"window_s": [0, 200]}, passes=passes).spans
     assert (span.records, span.pass_records, span.rewinds) == (*spans, "direction" in passes)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from support.memory import limit_memory_mb
-from support.refusals import Refusal, assert_named, refused
+from support.refusals import assert_named, refused
 from support.studies import BASE, refusal_line, small_study
 
 from sinsjax.errors import InputError
@@ -52,7 +52,7 @@ axes.z = {height_m = [0, 0, 1e12], ve0_m_per_s = [1, 2, 3]} -> [axes.z] height_m
 alignment.method = "compass" & compass.level_gains = [1.0, 9e11, 0.0]
     -> [compass] level_gains[1]: 900000000000
 """)
-def test_unusual_value_is_refused_unless_unchecked(refusal: Refusal):
+def test_unusual_value_is_refused_unless_unchecked(refusal):
     refusal.check(refusal_line(**refusal.tables))
     unchecked_study(**refusal.tables)
 
@@ -72,7 +72,7 @@ def test_reset_before_the_first_sample_is_refused():
         {"values": [0, [0, 1e9, 0]]},
     ],
 )
-def test_unusual_drawn_value_is_refused_unless_unchecked(law: dict[str, Any]):
+def test_unusual_drawn_value_is_refused_unless_unchecked(law):
     tables = {"drawn": {"accel_bias_ug": law}, "sensors": {}}
     data = {name: dict(table) for name, table in BASE.items()} | {"drawn": tables["drawn"]}
     del data["sensors"]["accel_bias_ug"]
@@ -86,9 +86,7 @@ def test_unusual_drawn_value_is_refused_unless_unchecked(law: dict[str, Any]):
     ("law", "text"),
     [({"normal": [0, 1.0]}, None), ({"normal": [0, 2e4]}, "one of 896000000 draws")],
 )
-def test_law_of_huge_draw_count_is_checked_without_listing_draws(
-    law: dict[str, Any], text: str | None
-):
+def test_law_of_huge_draw_count_is_checked_without_listing_draws(law, text):
     tables = {"study": {"draws": 896_000_000}, "drawn": {"vn0_m_per_s": law}}
     with limit_memory_mb(100):  # a list of the draws is 7,000
         if text is None:
@@ -100,7 +98,7 @@ def test_law_of_huge_draw_count_is_checked_without_listing_draws(
 @pytest.mark.parametrize(
     "kind", [{"low": 1.0, "high": 1e6}, {"fixed": 1e6}, {"candidates": [1.0, 1e6]}]
 )
-def test_unusual_tuning_value_is_refused_unless_unchecked(kind: dict[str, Any]):
+def test_unusual_tuning_value_is_refused_unless_unchecked(kind):
     tune = {"variables": {"p0_yaw_deg": kind}, "searches": ["grid"]}
     assert_named(
         refusal_line(tune=tune).replace(" with", ":", 1),
@@ -119,7 +117,7 @@ def test_feedback_interval_longer_than_run_is_refused_unless_unchecked():
 
 
 @pytest.mark.parametrize("earth", ["constants", "wgs84"])
-def test_height_below_earth_centre_is_always_refused(earth: str):
+def test_height_below_earth_centre_is_always_refused(earth):
     line = refusal_line(earth={"height_m": -6378137.0, "earth": earth}, study={"unchecked": True})
     assert_named(line, "[earth] height_m", "-6378137")
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
-from support.refusals import Refusal, assert_named, refused
+from support.refusals import assert_named, refused
 from support.studies import BASE
 
 from sinsjax.engine import build
@@ -73,7 +73,7 @@ def refusal_line(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) 
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0])
-def test_noise_per_sample_becomes_q_of_one_increment(rate_hz: float) -> None:
+def test_noise_per_sample_becomes_q_of_one_increment(rate_hz):
     """A constant error of 500 ug over one sample is a velocity of 500 ug dt."""
     made = compute_q(make_study(study={"rate_hz": rate_hz}))
     expected = white_noise_q(500 * UG / rate_hz, 0.1 * DEG_PER_H / rate_hz)
@@ -81,7 +81,7 @@ def test_noise_per_sample_becomes_q_of_one_increment(rate_hz: float) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0])
-def test_noise_density_becomes_q_of_one_increment(rate_hz: float) -> None:
+def test_noise_density_becomes_q_of_one_increment(rate_hz):
     """After an hour of a random walk of 0.003 deg/sqrt(h) the angle is off by 0.003 deg."""
     densities = {"gyro_arw_deg_per_sqrt_h": 0.003, "accel_vrw_ug_per_sqrt_hz": 30.0}
     per_sample = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
@@ -92,7 +92,7 @@ def test_noise_density_becomes_q_of_one_increment(rate_hz: float) -> None:
     )
 
 
-def test_noise_of_noisiest_axis_counts() -> None:
+def test_noise_of_noisiest_axis_counts():
     sensors = {
         **{"gyro_noise_deg_per_h": [0.1, 0.3, 0.2], "accel_noise_ug": None},
         "accel_vrw_ug_per_sqrt_hz": [30.0, 0.0, 10.0],
@@ -102,7 +102,7 @@ def test_noise_of_noisiest_axis_counts() -> None:
 
 
 @pytest.mark.parametrize("given", ["psd", "per_sample"])
-def test_default_equals_sensors_noise_given_in_filter(given: str) -> None:
+def test_default_equals_sensors_noise_given_in_filter(given):
     factor = {"psd": 0.1, "per_sample": 1.0}[given]
     filter_ = {"q_accel_ug": 500 * factor, "q_gyro_deg_per_h": 0.1 * factor, "q_reading": given}
     np.testing.assert_allclose(
@@ -110,7 +110,7 @@ def test_default_equals_sensors_noise_given_in_filter(given: str) -> None:
     )
 
 
-def test_swept_noise_gives_each_variant_its_own_q() -> None:
+def test_swept_noise_gives_each_variant_its_own_q():
     noise = {"gyro_noise_deg_per_h": [0.1, 0.4], "accel_noise_ug": [500.0, [50.0, 20.0, 10.0]]}
     made = compute_q(
         make_study(sensors={"gyro_noise_deg_per_h": None, "accel_noise_ug": None}, axes=noise)
@@ -121,7 +121,7 @@ def test_swept_noise_gives_each_variant_its_own_q() -> None:
 
 
 @pytest.mark.parametrize("reading", ["psd", "per_sample", "per_step"])
-def test_sensors_give_key_that_is_left_out_whatever_unit_of_other(reading: str) -> None:
+def test_sensors_give_key_that_is_left_out_whatever_unit_of_other(reading):
     factor = {"psd": 0.01, "per_sample": 1e-4, "per_step": 1.0}[reading]
     made = compute_q(make_study(filter={"q_accel_ug": 50.0, "q_reading": reading}))
     expected = [[(50 * UG) ** 2 * factor, (0.1 * DEG_PER_H / 100) ** 2]]
@@ -129,7 +129,7 @@ def test_sensors_give_key_that_is_left_out_whatever_unit_of_other(reading: str) 
 
 
 @pytest.mark.parametrize("unit", ["q_gyro_deg_per_h_per_sqrt_hz", "q_gyro_arw_deg_per_sqrt_h"])
-def test_densities_give_same_q_in_any_unit(unit: str) -> None:
+def test_densities_give_same_q_in_any_unit(unit):
     """An angle random walk of N deg/sqrt(h) adds N^2 t/3600 deg^2 in t seconds."""
     old = {"q_reading": "psd", "q_gyro_deg_per_h": 0.18, "q_accel_ug": 60.0}
     gyro = {"q_gyro_deg_per_h_per_sqrt_hz": 0.18, "q_gyro_arw_deg_per_sqrt_h": 0.003}[unit]
@@ -143,7 +143,7 @@ def test_densities_give_same_q_in_any_unit(unit: str) -> None:
     )
 
 
-def test_q_scale_multiplies_noise_of_sensors() -> None:
+def test_q_scale_multiplies_noise_of_sensors():
     np.testing.assert_allclose(
         compute_q(make_study(filter={"q_scale": 4.0})), 4 * compute_q(make_study()), rtol=1e-15
     )
@@ -152,7 +152,7 @@ def test_q_scale_multiplies_noise_of_sensors() -> None:
 @pytest.mark.parametrize(
     "method", ["kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "kalman_surge"]
 )
-def test_all_filters_read_noise_of_sensors(method: str) -> None:
+def test_all_filters_read_noise_of_sensors(method):
     own = make_study(alignment={"method": method, "phi_u0_deg": 5.0})
     filter_ = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_sample"}
     given = make_study(alignment={"method": method, "phi_u0_deg": 5.0}, filter=filter_)
@@ -164,7 +164,7 @@ def test_all_filters_read_noise_of_sensors(method: str) -> None:
     )
 
 
-def test_resolved_study_without_q_reloads_equal_and_has_own_fingerprint() -> None:
+def test_resolved_study_without_q_reloads_equal_and_has_own_fingerprint():
     made = make_study()
     text = study_to_toml(made)
     assert "q_" not in text
@@ -200,14 +200,14 @@ study.rate_hz = 0.0                          -> [study] rate_hz: 0
 study.rate_hz = -1.0                         -> [study] rate_hz: -1.0
 study.rate_hz = "100"                        -> [study] rate_hz: '100'
 """)
-def test_q_and_its_unit_are_refused_without_each_other(refusal: Refusal) -> None:
+def test_q_and_its_unit_are_refused_without_each_other(refusal):
     refusal.check(refusal_line(**refusal.tables))
 
 
 REQUIRES_UNIT = ("[filter] q_reading", "required", "q_accel_ug")
 
 
-def test_cases_with_q_need_its_unit() -> None:
+def test_cases_with_q_need_its_unit():
     cases = [{"q_accel_ug": 1.0}, {"q_accel_ug": 2.0}]
     assert_named(refusal_line(cases=cases), *REQUIRES_UNIT)
     made = make_study(cases=[case | {"q_reading": "psd"} for case in cases])
@@ -216,13 +216,13 @@ def test_cases_with_q_need_its_unit() -> None:
     )
 
 
-def test_unit_of_densities_alone_is_accepted() -> None:
+def test_unit_of_densities_alone_is_accepted():
     np.testing.assert_array_equal(
         compute_q(make_study(filter={"q_reading": "psd"})), compute_q(make_study())
     )
 
 
-def test_tuned_q_needs_its_unit() -> None:
+def test_tuned_q_needs_its_unit():
     tune = {
         **{"searches": ["sobol"], "objective_band_arcmin": 10.0},
         "variables": {"q_accel_ug": {"low": 1.0, "high": 10.0}},
@@ -233,7 +233,7 @@ def test_tuned_q_needs_its_unit() -> None:
     assert make_study(filter={"q_accel_ug": 5.0, "q_reading": "psd"}, tune=tune).tune is not None
 
 
-def test_replaced_q_needs_its_unit() -> None:
+def test_replaced_q_needs_its_unit():
     with pytest.raises(InputError) as caught:
         make_study().replace({"filter.q_accel_ug": 50.0})
     assert f"{REQUIRES_UNIT[0]}: required" in str(caught.value)
@@ -270,14 +270,14 @@ NONE = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
         ),
     ],
 )
-def test_filter_without_noise_of_sensors_requires_q(changes: Any, key: str) -> None:
+def test_filter_without_noise_of_sensors_requires_q(changes, key):
     assert_named(refusal_lines(**changes)[0], f"[filter] {key}", "required", "'psd'")
     assert make_study(**changes, filter=GIVEN).has("filter")
     axes = changes.get("axes", {})
     assert make_study(**(changes | {"axes": axes | {"method": ["inertial", "compass"]}}))
 
 
-def test_filter_of_record_requires_q() -> None:
+def test_filter_of_record_requires_q():
     accel, gyro = refusal_lines(RECORDED)
     assert_named(accel, "[filter] q_accel_ug", "required", "accelerometers")
     assert_named(gyro, "[filter] q_gyro_deg_per_h", "required", "gyros")
@@ -292,7 +292,7 @@ def validate_errors(path: Path) -> tuple[str, ...]:
     return caught.value.lines
 
 
-def test_validation_lists_each_missing_key_once(tmp_path: Path) -> None:
+def test_validation_lists_each_missing_key_once(tmp_path):
     path = tmp_path / "s.toml"
     path.write_text(tomli_w.dumps(make_tables(sensors=NONE, filter={"p0_level_deg": -1.0})))
     found = [line.removeprefix(f"{path}: ").partition(":")[0] for line in validate_errors(path)]
@@ -310,7 +310,7 @@ def test_validation_lists_each_missing_key_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 200, 3.0, 0.7])
-def test_feedback_defaults_to_each_sample(rate_hz: float) -> None:
+def test_feedback_defaults_to_each_sample(rate_hz):
     settings = {"rate_hz": rate_hz, "duration_s": 600.0, "record_interval_s": 100.0}
     made = make_study(study=settings | {"window_s": None}, axes={"p0_yaw_deg": [80.0, 60.0]})
     assert made.alignment.feedback_interval_s == 1 / rate_hz
@@ -320,7 +320,7 @@ def test_feedback_defaults_to_each_sample(rate_hz: float) -> None:
     assert study_from_dict(tomllib.loads(study_to_toml(made))) == made
 
 
-def test_feedback_of_recorded_study_waits_for_rate_of_record() -> None:
+def test_feedback_of_recorded_study_waits_for_rate_of_record():
     made = make_study(RECORDED, filter=GIVEN)
     assert made.alignment.feedback_interval_s is None
     for rate_hz in (100.0, 199.8):
@@ -329,20 +329,20 @@ def test_feedback_of_recorded_study_waits_for_rate_of_record() -> None:
     assert with_rate(given, 100.0).alignment.feedback_interval_s == 1.0
 
 
-def test_default_feedback_follows_changed_rate() -> None:
+def test_default_feedback_follows_changed_rate():
     changed = make_study().replace({"study.rate_hz": 200.0})
     assert changed.alignment.feedback_interval_s == 0.005
     kept = make_study(alignment={"feedback_interval_s": 1.0}).replace({"study.rate_hz": 200.0})
     assert kept.alignment.feedback_interval_s == 1.0
 
 
-def test_swept_feedback_has_no_default() -> None:
+def test_swept_feedback_has_no_default():
     made = make_study(axes={"feedback_interval_s": [0.1, 1.0]})
     assert made.alignment.feedback_interval_s is None
     assert made.values("feedback_interval_s") == [0.1, 1.0]
 
 
-def test_reset_at_default_feedback_is_not_delayed() -> None:
+def test_reset_at_default_feedback_is_not_delayed():
     made = make_study(resets={"reset_at_feedback": True, "reset_times_s": [1.23, 6.0]})
     (part,) = build.parts(made)
     np.testing.assert_array_equal(part.group.variants.method.resets.samples, [[123.0, 600.0]])

@@ -1,7 +1,6 @@
 """What a study is refused for: tables of mistakes, each with the place and the values to name."""
 
 import copy
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -16,7 +15,7 @@ from support.plain_studies import (
     refusal_line,
     refusal_lines,
 )
-from support.refusals import Refusal, assert_named, refused
+from support.refusals import assert_named, refused
 
 STOP = {"statistic": "success_rate", "half_width": 0.02}
 
@@ -53,7 +52,7 @@ alignment.method = "compas"                  -> [alignment] method: 'compas' com
 alignment.method = "compas" & compass.level_time_s = 9
     -> [alignment] method: compass
 """)
-def test_unknown_and_misplaced_names_are_refused(refusal: Refusal):
+def test_unknown_and_misplaced_names_are_refused(refusal):
     refusal.check(refusal_line(**refusal.tables))
 
 
@@ -67,7 +66,7 @@ def test_unknown_and_misplaced_names_are_refused(refusal: Refusal):
         ({"cases": [{"phi_u0_deg": None}]}, "[cases] phi_u0_deg[0]"),
     ],
 )
-def test_none_is_refused_as_a_value(tables: dict[str, Any], place: str):
+def test_none_is_refused_as_a_value(tables, place):
     assert_named(refusal_line(**tables), place)
 
 
@@ -143,7 +142,7 @@ filter.q_scale = 0.0                         -> [filter] q_scale: 0
 filter.r_scale = 0.0                         -> [filter] r_scale: 0
 filter.r_velocity_m_per_s = 0                -> [filter] r_velocity_m_per_s: 0
 """)
-def test_invalid_values_of_single_keys_are_refused(refusal: Refusal):
+def test_invalid_values_of_single_keys_are_refused(refusal):
     refusal.check(refusal_line(**refusal.tables))
 
 
@@ -192,7 +191,7 @@ axes.phi_u0_deg = [1] & axes.level.phi_u0_deg = [1]
 axes.level.phi_u0_deg = [1] & axes.heading.phi_u0_deg = [1]
     -> [axes.heading] phi_u0_deg: axis
 """)
-def test_invalid_axis_values_are_refused(refusal: Refusal):
+def test_invalid_axis_values_are_refused(refusal):
     refusal.check(refusal_line(**refusal.tables))
 
 
@@ -213,7 +212,7 @@ cases = [{case = "a", phi_u0_deg = 1}, {case = "b", phi_u0_deg = 1.0}]
     -> [cases] phi_u0_deg[1]: [0]
 cases = [{reset_kind = "full"}]              -> [cases] reset_kind: axis
 """)
-def test_invalid_case_values_are_refused(refusal: Refusal):
+def test_invalid_case_values_are_refused(refusal):
     refusal.check(refusal_line(**refusal.tables, axes={"reset_kind": ["full"]}))
     refusal.check(refusal_line(**refusal.tables, axes={"zip": {"reset_kind": ["full"]}}))
 
@@ -228,7 +227,7 @@ def test_invalid_case_values_are_refused(refusal: Refusal):
         ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
     ],
 )
-def test_noise_given_in_two_units_is_refused(one: str, other: str):
+def test_noise_given_in_two_units_is_refused(one, other):
     line = refusal_line(sensors={one: 1, other: 1})
     assert_named(line, f"[sensors] {one}", other, "[sensors]")
     line = refusal_line(sensors={other: 1}, axes={one: [1]})
@@ -280,7 +279,7 @@ resets.reset_count = 2 & resets.reset_first_s = 25 & resets.reset_cycle_s = 0.00
 resets.reset_count = 2 & resets.reset_first_s = 0.015 & resets.reset_cycle_s = 0.01
     -> [resets] reset_first_s: 0.015 0.01 two
 """)
-def test_invalid_resets_are_refused(refusal: Refusal):
+def test_invalid_resets_are_refused(refusal):
     refusal.check(refusal_line(**refusal.tables))
 
 
@@ -291,7 +290,7 @@ stop_when.half_width = 0                     -> [stop_when] half_width: 0
 stop_when.half_width = 1                     -> [stop_when] half_width: 1
 stop_when.until = 3                          -> [stop_when] until
 """)
-def test_invalid_stop_rules_are_refused(refusal: Refusal):
+def test_invalid_stop_rules_are_refused(refusal):
     stop = {"study": {"settle_bands_arcmin": [60]}, "stop_when": STOP}
     refusal.check(refusal_lines(merge_tables(SIMULATED, **stop), **refusal.tables)[0])
 
@@ -321,7 +320,7 @@ alignment.method = "compass" & passes.turn_covariance = "reset"
 alignment.method = "compass" & cases = [{turn_inflation = 3.0}]
     -> [cases] turn_inflation: compass
 """)
-def test_keys_read_by_no_method_are_refused(refusal: Refusal):
+def test_keys_read_by_no_method_are_refused(refusal):
     refusal.check(refusal_line(**refusal.tables))
     both = {"axes": refusal.tables.get("axes", {}) | {"method": ["kalman5", "compass"]}}
     build_study(merge_tables(SIMULATED, **refusal.tables | both))
@@ -343,7 +342,7 @@ def test_section_read_by_no_method_is_refused_in_one_line():
         ("sigma_passes", ("sigma_times_s",)),
     ],
 )
-def test_loop_settings_given_in_two_ways_are_refused(one: str, others: tuple[str, ...]):
+def test_loop_settings_given_in_two_ways_are_refused(one, others):
     values = {"level_gains": [1.0, 2.0, 3.0], "azimuth_gains": [1.0, 2.0, 3.0, 4.0]}
     values |= {"level_passes": 1, "sigma_passes": [1], "sigma_times_s": [80.0]}
     given = {key: values.get(key, 1.0) for key in (one, *others)}
@@ -390,7 +389,7 @@ axes = {sigma_factors = [[1.0], [2.0, 1.0]], sigma_times_s = [[], [100.0]]}
     -> [axes] sigma_times_s: 0 1
 cases = [{sigma_factors = [2.0, 1.0], sigma_passes = [2]}]   -> [cases] sigma_passes: stored_s
 """)
-def test_invalid_passes_and_compass_loops_are_refused(refusal: Refusal):
+def test_invalid_passes_and_compass_loops_are_refused(refusal):
     base = merge_tables(COMPASS, study={"window_s": [0, 80]})
     refusal.check(refusal_line(base, **refusal.tables))
 
@@ -409,7 +408,7 @@ resets = {reset_count = 1, reset_cycle_s = 900.2}
     -> [resets] reset_cycle_s: 1 900.2 900.5 900
 study.window_s = [899, 900.5]                -> [study] window_s: 899 900.5 900
 """)
-def test_events_in_last_partial_record_interval_are_refused(refusal: Refusal):
+def test_events_in_last_partial_record_interval_are_refused(refusal):
     partial = merge_tables(SIMULATED, study={"duration_s": 900.5, "window_s": [600, 900]})
     refusal.check(refusal_line(partial, **refusal.tables))
 
@@ -419,7 +418,7 @@ def test_events_in_last_partial_record_interval_are_refused(refusal: Refusal):
     rate=st.sampled_from([3.0, 7.0, 100.0, 333.3]),
     ends=st.tuples(st.integers(0, 400), st.integers(1, 400)).filter(lambda ab: ab[0] < ab[1]),
 )
-def test_window_must_contain_two_record_times(every: int, rate: float, ends: tuple[int, int]):
+def test_window_must_contain_two_record_times(every, rate, ends):
     start, end = (n / rate for n in ends)
     study = {"rate_hz": rate, "duration_s": 400 / rate, "record_interval_s": every / rate}
     times = [k * every / rate for k in range(1, 400 // every + 1)]
@@ -443,13 +442,13 @@ def test_oversized_studies_are_refused():
 
 
 @given(samples=st.integers(1, 100_000), rate=st.floats(1, 1e4))
-def test_whole_numbers_of_samples_are_accepted(samples: int, rate: float):
+def test_whole_numbers_of_samples_are_accepted(samples, rate):
     study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate, "unchecked": True}
     build_study(study=study, alignment={"feedback_interval_s": samples / rate})
 
 
 @given(samples=st.floats(0.01, 1e5).filter(lambda x: 0.01 < x % 1 < 0.99), rate=st.floats(1, 1e4))
-def test_suggested_nearest_intervals_are_accepted(samples: float, rate: float):
+def test_suggested_nearest_intervals_are_accepted(samples, rate):
     study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate, "unchecked": True}
     line = refusal_line(study=study, alignment={"feedback_interval_s": samples / rate})
     for near in line.rsplit("nearest: ")[1].rstrip(")").split(" or "):
@@ -457,7 +456,7 @@ def test_suggested_nearest_intervals_are_accepted(samples: float, rate: float):
 
 
 @pytest.mark.parametrize("key", ["gravity_m_per_s2", "radius_m", "earth_rate_deg_per_h"])
-def test_earth_constants_are_refused_with_wgs84(key: str):
+def test_earth_constants_are_refused_with_wgs84(key):
     for place, tables in (
         ("[earth]", {"earth": {"earth": "wgs84", key: 1}}),
         ("[axes]", {"earth": {"earth": "wgs84"}, "axes": {key: [1, 2]}}),
@@ -499,7 +498,7 @@ record.axes_order = "xy-z"                   -> [record] axes_order: 'xy-z' left
 record.axes_order = 3                        -> [record] axes_order: 3
 record.format = "mat"                        -> [record] format: 'psins' 'csv' 'parquet' 'arrays'
 """)
-def test_invalid_recorded_studies_are_refused(refusal: Refusal):
+def test_invalid_recorded_studies_are_refused(refusal):
     refusal.check(refusal_line(RECORDED, **refusal.tables))
     build_study(RECORDED, record={"start_s": [0, 0.01]}, coarse={"coarse_duration_s": 0.02})
     assert build_study(RECORDED, record={"from_s": 30}).record.start_s == (30.0,)
@@ -533,5 +532,5 @@ record.gyro_columns = ["a", "b", ""]         -> [record] gyro_columns[2]: empty
 record.accel_columns = ["ax", "ay", "gx"]    -> [record] accel_columns: 'gx'
 record.time_column = "gx"                    -> [record] gyro_columns: 'gx' time_column
 """)
-def test_invalid_tabular_record_keys_are_refused(refusal: Refusal):
+def test_invalid_tabular_record_keys_are_refused(refusal):
     refusal.check(refusal_line(merge_tables(RECORDED, record=TABULAR), **refusal.tables))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from support.refusals import Refusal, assert_named, refused
+from support.refusals import assert_named, refused
 from support.studies import BASE, with_paper_values
 
 from sinsjax.errors import InputError
@@ -57,7 +57,7 @@ BOTH = pytest.mark.parametrize("laws", [LAWS, sobol(LAWS)], ids=["random", "sobo
 
 @BOTH
 @pytest.mark.parametrize("count", [0, 1, 3, 64])
-def test_drawn_values_have_expected_order_and_shapes(laws: dict[str, Any], count: int):
+def test_drawn_values_have_expected_order_and_shapes(laws, count):
     values = drawn(laws, count)
     assert list(values) == list(LAWS)
     assert all(v.dtype == np.float64 for v in values.values())
@@ -88,7 +88,7 @@ def periods(key: str) -> dict[str, Any]:
 
 
 @BOTH
-def test_drawn_values_follow_their_distributions(laws: dict[str, Any]):
+def test_drawn_values_follow_their_distributions(laws):
     values = drawn(laws)
     for key in ("phi_e0_deg", "phi_n0_deg"):
         assert stats.kstest(values[key], stats.uniform(-5, 10).cdf).pvalue > 1e-3
@@ -101,7 +101,7 @@ def test_drawn_values_follow_their_distributions(laws: dict[str, Any]):
 
 
 @BOTH
-def test_drawn_values_are_uncorrelated_across_keys_axes_and_draws(laws: dict[str, Any]):
+def test_drawn_values_are_uncorrelated_across_keys_axes_and_draws(laws):
     """Of other keys, of the other axes of a vector, and of the draw before."""
     values = drawn(laws)
     columns = np.column_stack([rows for key, rows in values.items() if key != "yaw_center_deg"])
@@ -139,7 +139,7 @@ def test_every_dyadic_interval_holds_one_sobol_point():
 
 
 @pytest.mark.parametrize("end", [0.0, 1 - 2.0**-30])
-def test_extreme_sobol_points_give_finite_values(end: float, monkeypatch: pytest.MonkeyPatch):
+def test_extreme_sobol_points_give_finite_values(end, monkeypatch):
     """The lowest and the highest point that the sequence has."""
     monkeypatch.setattr(stats.qmc.Sobol, "random", lambda self, n: np.full((n, self.d), end))
     values = drawn(sobol(LAWS), 4)
@@ -152,7 +152,7 @@ def test_extreme_sobol_points_give_finite_values(end: float, monkeypatch: pytest
 
 @BOTH
 @given(first=st.integers(0, 70), count=st.integers(0, 70))
-def test_draws_do_not_depend_on_block(laws: dict[str, Any], first: int, count: int):
+def test_draws_do_not_depend_on_block(laws, first, count):
     study = make_study(
         laws | {"pitch_center_deg": {"grid": [0, 1]}, "roll_center_deg": {"grid": [0, 10, 20]}},
         study={"draws": 6},
@@ -169,7 +169,7 @@ def test_adding_drawn_keys_keeps_values_of_others():
 
 
 @BOTH
-def test_seed_determines_drawn_values(laws: dict[str, Any]):
+def test_seed_determines_drawn_values(laws):
     one, same, other = (drawn(laws, 100, seed=seed) for seed in (1, 1, 2**63 - 1))
     for key in LAWS:
         np.testing.assert_array_equal(one[key], same[key])
@@ -192,9 +192,7 @@ def test_seed_determines_drawn_values(laws: dict[str, Any]):
     ],
     ids=["random", "sobol"],
 )
-def test_drawn_values_match_frozen_reference(
-    laws: dict[str, Any], level: list[float], heading: list[float]
-):
+def test_drawn_values_match_frozen_reference(laws, level, heading):
     """Stored results rest on them."""
     values = drawn(laws, 3)
     np.testing.assert_allclose(values["phi_e0_deg"], level, rtol=1e-14)
@@ -213,7 +211,7 @@ def test_value_list_is_cycled_over_draws():
 
 
 @given(lengths=st.lists(st.integers(1, 4), min_size=1, max_size=4), count=st.integers(1, 300))
-def test_grids_cycle_through_their_product(lengths: list[int], count: int):
+def test_grids_cycle_through_their_product(lengths, count):
     keys = ("latitude_deg", "roll_center_deg", "phi_u0_deg", "accel_bias_ug")
     grids = {key: [float(i) for i in range(n)] for key, n in zip(keys, lengths, strict=False)}
     laws: dict[str, Any] = {key: {"grid": grid} for key, grid in grids.items()}
@@ -225,7 +223,7 @@ def test_grids_cycle_through_their_product(lengths: list[int], count: int):
 
 
 @given(lengths=st.lists(st.integers(1, 4), min_size=1, max_size=3), count=st.integers(1, 40))
-def test_fewer_draws_have_the_same_values(lengths: list[int], count: int):
+def test_fewer_draws_have_the_same_values(lengths, count):
     keys = ("roll_center_deg", "phi_u0_deg", "accel_bias_ug")
     laws: dict[str, Any] = {
         key: {"grid": [float(i) for i in range(n)]} for key, n in zip(keys, lengths, strict=False)
@@ -254,7 +252,7 @@ alignment.phi_e0_deg = 1.0                   -> [drawn] phi_e0_deg: [alignment]
 axes.phi_e0_deg = [1.0]                      -> [drawn] phi_e0_deg: [axes]
 axes.level = {phi_e0_deg = [1.0], phi_n0_deg = [1.0]}    -> [drawn] phi_e0_deg: [axes.level]
 """)
-def test_drawn_key_given_elsewhere_is_refused(refusal: Refusal):
+def test_drawn_key_given_elsewhere_is_refused(refusal):
     law = {"phi_e0_deg": {"uniform": [0, 1]}}
     refusal.check(refusal_line(law, **refusal.tables))
     data = {**BASE, "alignment": {}, "drawn": law, "cases": [{"phi_e0_deg": 1.0}]}
@@ -300,7 +298,7 @@ drawn.accel_bias_ug.values = [0, [1, 2, "3"]]    -> [drawn] accel_bias_ug.values
 drawn = {gyro_noise_deg_per_h.values = [1], gyro_arw_deg_per_sqrt_h.values = [1]}
     -> [drawn] gyro_noise_deg_per_h: gyro_arw_deg_per_sqrt_h [drawn]
 """)
-def test_invalid_drawn_tables_are_refused(refusal: Refusal):
+def test_invalid_drawn_tables_are_refused(refusal):
     refusal.check(refusal_line(refusal.tables["drawn"]))
 
 
@@ -328,13 +326,13 @@ def test_drawn_key_with_conflicting_sensor_key_is_refused():
         ("accel_scale_ppm", {"normal": [1e12, 1]}, "1000000000000"),
     ],
 )
-def test_draw_out_of_bounds_is_refused(laws: dict, key: str, law: dict, bound: str):
+def test_draw_out_of_bounds_is_refused(laws, key, law, bound):
     table = {"sampling": laws.get("sampling", "random"), key: law}
     line = refusal_line(table, study={"draws": 1000, "unchecked": True})
     assert re.fullmatch(rf"\[drawn\] {key}: draw \d+ gives \S+: must .*{bound}", line)
 
 
-def test_worst_draw_out_of_bounds_is_named_in_any_block(monkeypatch: pytest.MonkeyPatch):
+def test_worst_draw_out_of_bounds_is_named_in_any_block(monkeypatch):
     law = {"yaw_phase_deg": {"normal": [0, 95]}}
     values = drawn({"yaw_phase_deg": {"normal": [0, 1]}}, 40_000)["yaw_phase_deg"] * 95
     out = int(np.argmax(np.abs(values) > 360))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.refusals import Refusal, assert_named, refused
+from support.refusals import assert_named, refused
 from support.studies import PAPER, refusal_line, small_study
 
 from sinsjax.errors import InputError
@@ -77,7 +77,7 @@ azimuth_sigma_per_s = {low = 0.01, high = 0.02}
     -> with every range at its low end: azimuth_sigma_per_s kalman5
 reset_trigger = {candidates = ["nis"]}       -> with these values: trigger_threshold 'nis'
 """)
-def test_invalid_tuning_variables_are_refused_with_place(refusal: Refusal) -> None:
+def test_invalid_tuning_variables_are_refused_with_place(refusal):
     with pytest.raises(InputError) as caught:
         tuned_study(refusal.tables)
     line = str(caught.value)
@@ -138,12 +138,12 @@ alignment.method = "compass"
     & tune.variables.level_gains = [{low = 0.1, high = 1.0}, {low = 0.1, high = 1.0}]
     -> [tune.variables] level_gains: 3 2
 """)
-def test_invalid_tune_sections_are_refused_with_place(refusal: Refusal) -> None:
+def test_invalid_tune_sections_are_refused_with_place(refusal):
     refusal.check(refusal_line(**refusal.tables))
 
 
 @pytest.mark.parametrize("key", ["tune_draws", "evaluation_draws"])
-def test_recorded_tuning_uses_start_times_as_draws(key: str) -> None:
+def test_recorded_tuning_uses_start_times_as_draws(key):
     tune: dict[str, Any] = {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid"]}
     study = study_from_dict(RECORDED | {"tune": tune})
     assert study.tune is not None and study.tune.tune_draws is None
@@ -167,18 +167,18 @@ EVERYTHING: dict[str, Any] = {
 }
 
 
-def test_tuning_survives_toml_round_trip() -> None:
+def test_tuning_survives_toml_round_trip():
     study = tuned_study(EVERYTHING, baseline={"reset_times_s": [1.0]}, objective="settle_quantile")
     assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
     assert study.tune is not None
     assert (study.tune.tune_draws, study.tune.evaluation_draws) == (16, 64)
 
 
-def test_fingerprint_ignores_tuning_section() -> None:
+def test_fingerprint_ignores_tuning_section():
     assert fingerprint(tuned_study(EVERYTHING)) == fingerprint(small_study())
 
 
-def test_variables_and_combinations_keep_written_order() -> None:
+def test_variables_and_combinations_keep_written_order():
     space = SearchSpace.from_study(tuned_study(EVERYTHING))
     names = ["reset_times_s[0]", "reset_times_s[1]", "feedback_time_constant_s"]
     assert [variable.name for variable in space.variables] == names
@@ -194,7 +194,7 @@ def space_of_everything() -> SearchSpace:
 
 
 @given(box=st.lists(st.floats(0, 1), min_size=3, max_size=3))
-def test_box_and_values_round_trip(box: list[float]) -> None:
+def test_box_and_values_round_trip(box):
     space = space_of_everything()
     values = space.to_values(box)
     assert space.to_box(values) == pytest.approx(box, abs=1e-12)
@@ -205,7 +205,7 @@ def test_box_and_values_round_trip(box: list[float]) -> None:
     np.testing.assert_allclose(np.array(many)[:, 0], values, rtol=1e-15)
 
 
-def test_point_has_ascending_reset_times_on_samples() -> None:
+def test_point_has_ascending_reset_times_on_samples():
     space = SearchSpace.from_study(tuned_study(EVERYTHING))
     last = space.combinations[-1]
     assert space.make_point([2.9999, 2.123456, 11.0], last) == {
@@ -219,7 +219,7 @@ def test_point_has_ascending_reset_times_on_samples() -> None:
     assert space.make_point([2.5, 2.6, 1.0], space.combinations[0])["reset_times_s"] == ()
 
 
-def test_sigma_times_never_coincide() -> None:
+def test_sigma_times_never_coincide():
     given = {
         "sigma_times_s": [{"low": 1.0, "high": 3.0}] * 2,
         "sigma_factors": {"fixed": [4.0, 2.0, 1.0]},
@@ -232,7 +232,7 @@ def test_sigma_times_never_coincide() -> None:
     assert space.make_point([2.0, 2.0], space.combinations[0])["sigma_times_s"] == (2.0, 2.01)
 
 
-def test_tuned_lengths_are_rounded_to_samples_and_records() -> None:
+def test_tuned_lengths_are_rounded_to_samples_and_records():
     changes = {"passes": {"stored_s": 3.0}}
     study = tuned_study(
         {"feedback_interval_s": {"low": 0.1, "high": 1}, "stored_s": {"low": 1, "high": 3}},
@@ -243,7 +243,7 @@ def test_tuned_lengths_are_rounded_to_samples_and_records() -> None:
     assert point == {"feedback_interval_s": 0.33, "stored_s": 2.0}
 
 
-def test_with_point_applies_values_without_changing_study() -> None:
+def test_with_point_applies_values_without_changing_study():
     study = tuned_study({"reset_times_s": TIMES}, changes={"resets": {"reset_cycle_s": 2.0}})
     before = study_to_toml(study)
     point = {"reset_times_s": (1.0, 2.5), "p0_yaw_deg": 33.0}
@@ -256,7 +256,7 @@ def test_with_point_applies_values_without_changing_study() -> None:
     assert_named(str(caught.value), "study: [resets] reset_times_s", "9")
 
 
-def test_comparable_lists_same_keys_for_baseline_and_points() -> None:
+def test_comparable_lists_same_keys_for_baseline_and_points():
     baseline = {"reset_count": 2, "reset_cycle_s": 2.0, "r_velocity_m_per_s": 0.3}
     study = tuned_study(
         {"reset_times_s": TIMES, "reset_yaw_deg": YAW, "q_scale": {"low": 0.1, "high": 2.0}},
@@ -275,7 +275,7 @@ def test_comparable_lists_same_keys_for_baseline_and_points() -> None:
     }
 
 
-def test_log_scale_variable_maps_logarithmically() -> None:
+def test_log_scale_variable_maps_logarithmically():
     variable = search_space.Variable("p0_yaw_deg", None, 1.0, 100.0, True)
     assert (variable.value(0.5), variable.position(10.0)) == pytest.approx((10.0, 0.5))
     assert math.isclose(variable._replace(log=False).value(0.5), 50.5)

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 from support.plain_studies import build_study, refusal_line
-from support.refusals import Refusal, assert_named, refused
+from support.refusals import assert_named, refused
 
 from sinsjax.methods.triggers.config import any_trigger
 from sinsjax.study.identity import fingerprint
@@ -38,12 +38,12 @@ resets = {reset_trigger = "nis", trigger_window_s = 3.0}    -> [resets] trigger_
 axes.reset_trigger = ["none", "nis"]         -> [resets] trigger_threshold: 'nis'
 cases = [{reset_trigger = "none"}, {reset_trigger = "nis"}] -> [resets] trigger_threshold: 'nis'
 """)
-def test_reset_trigger_without_threshold_is_refused(refusal: Refusal) -> None:
+def test_reset_trigger_without_threshold_is_refused(refusal):
     refusal.check(refusal_line(**refusal.tables))
 
 
 @pytest.mark.parametrize("trigger", [{}, {"reset_trigger": "none"}])
-def test_trigger_keys_without_reset_trigger_are_refused(trigger: dict[str, str]) -> None:
+def test_trigger_keys_without_reset_trigger_are_refused(trigger):
     for key, value in OF_TRIGGERS.items():
         line = refusal_line(resets=trigger | {key: value})
         assert_named(line, f"[resets] {key}", "reset_trigger")
@@ -66,12 +66,12 @@ resets.reset_yaw_deg = 0.0                   -> [resets] reset_yaw_deg: 0.0
 resets.reset_gyro_bias_deg_per_h = 0.0       -> [resets] reset_gyro_bias_deg_per_h: 0.0
 resets.reset_accel_bias_ug = 0.0             -> [resets] reset_accel_bias_ug: 0.0
 """)
-def test_invalid_reset_values_are_refused(refusal: Refusal) -> None:
+def test_invalid_reset_values_are_refused(refusal):
     refusal.check(refusal_line(resets=NIS | refusal.tables["resets"]))
 
 
 @pytest.mark.parametrize("section", GIVEN)
-def test_filter_and_reset_keys_are_refused_for_compass(section: str) -> None:
+def test_filter_and_reset_keys_are_refused_for_compass(section):
     for key, value in GIVEN[section].items():
         line = refusal_line(alignment={"method": "compass"}, **{section: {key: value}})
         assert_named(line, f"[{section}] {key}", "compass")
@@ -79,7 +79,7 @@ def test_filter_and_reset_keys_are_refused_for_compass(section: str) -> None:
     assert build_study(axes={"method": ["kalman5", "compass"]}, **GIVEN)
 
 
-def test_trigger_keys_have_defaults() -> None:
+def test_trigger_keys_have_defaults():
     resets = build_study(resets=NIS).resets
     assert resets is not None
     assert (resets.trigger_window_s, resets.trigger_refractory_s) == (10.0, 5.0)
@@ -90,7 +90,7 @@ def test_trigger_keys_have_defaults() -> None:
         assert {getattr(alone, key) for key in OF_TRIGGERS} == {None}
 
 
-def test_given_reset_and_trigger_values_are_kept() -> None:
+def test_given_reset_and_trigger_values_are_kept():
     resets = build_study(resets=GIVEN["resets"]).resets
     assert resets is not None
     assert {key: getattr(resets, key) for key in GIVEN["resets"]} == GIVEN["resets"]
@@ -99,7 +99,7 @@ def test_given_reset_and_trigger_values_are_kept() -> None:
     assert (swept.resets.trigger_window_s, swept.resets.trigger_most) == (None, 10)
 
 
-def test_reset_trigger_may_be_swept_together_with_none() -> None:
+def test_reset_trigger_may_be_swept_together_with_none():
     for tables in (
         {"resets": {"trigger_threshold": 9.0}, "axes": {"reset_trigger": ["none", "nis"]}},
         {"axes": {"reset_trigger": ["none", "nis"], "trigger_threshold": [1.0, 9.0]}},
@@ -123,7 +123,7 @@ def test_reset_trigger_may_be_swept_together_with_none() -> None:
     ],
     ids=["values", "schedule", "axis", "reset values", "cases"],
 )
-def test_resolved_study_loads_equal(tables: dict[str, Any]) -> None:
+def test_resolved_study_loads_equal(tables):
     study = build_study(**tables)
     again = study_from_dict(study_to_tables(study), study.name)
     assert again == study and fingerprint(again) == fingerprint(study)

@@ -4,7 +4,7 @@ import tomllib
 from typing import Any
 
 import pytest
-from support.refusals import Refusal, assert_named, refused
+from support.refusals import assert_named, refused
 from support.studies import BASE, refusal_line, small_study
 
 from sinsjax.errors import InputError
@@ -32,7 +32,7 @@ resets = {reset_trigger = "nis", trigger_threshold = 9.0, trigger_refractory_s =
 resets = {reset_trigger = "nis", trigger_threshold = 9.0} & axes.trigger_until_s = [3.0, 600.0]
     -> [axes] trigger_until_s: 600 6
 """)
-def test_time_after_end_of_all_runs_is_refused(refusal: Refusal):
+def test_time_after_end_of_all_runs_is_refused(refusal):
     refusal.check(refusal_line(**refusal.tables))
 
 
@@ -49,7 +49,7 @@ def test_time_after_end_of_all_runs_is_refused(refusal: Refusal):
     ],
     ids=["at the end", "of one of two lengths", "of one method", "where there is no trigger"],
 )  # fmt: skip
-def test_reachable_or_unread_time_is_accepted(tables: dict[str, Any]):
+def test_reachable_or_unread_time_is_accepted(tables):
     small_study(**tables)
 
 
@@ -61,7 +61,7 @@ def test_default_time_after_end_of_study_is_accepted():
 
 
 @pytest.mark.parametrize("loop", ["level", "azimuth"])
-def test_damping_given_with_gains_is_refused(loop: str):
+def test_damping_given_with_gains_is_refused(loop):
     gains = {"level": [1.0, 2.0, 3.0], "azimuth": [1.0, 2.0, 3.0, 4.0]}[loop]
     damping, key = {f"{loop}_damping": 0.6}, f"{loop}_gains"
     line = refusal_line(**COMPASS, compass={key: gains} | damping)
@@ -93,7 +93,7 @@ def drawing(laws: dict[str, Any], **changes: Any) -> Any:
         ),
     ],
 )
-def test_drawn_lists_longer_than_draws_are_refused(laws: dict[str, Any], place: str, count: str):
+def test_drawn_lists_longer_than_draws_are_refused(laws, place, count):
     with pytest.raises(InputError) as caught:
         drawing(laws)
     assert_named(str(caught.value), f"study: [drawn] {place}", count, "3")

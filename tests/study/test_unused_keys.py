@@ -88,7 +88,7 @@ def expected_refusal(study: Study, method: str) -> str | None:
     "covariance",
 )
 @pytest.mark.parametrize("name", SHIPPED)
-def test_method_of_shipped_study_can_be_changed(name: str) -> None:
+def test_method_of_shipped_study_can_be_changed(name):
     path = SHIPPED[name]
     study = load_study(path)
     for method in METHODS:
@@ -104,7 +104,7 @@ def test_method_of_shipped_study_can_be_changed(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
-def test_reset_sweep_runs_with_any_method(method: str) -> None:
+def test_reset_sweep_runs_with_any_method(method):
     job = prepare_job("reset_sweep", {"alignment.method": method, "study.draws": 2})
     few = {"phi_u0_deg": [0, 30]}
     if "reset_count" in job.study.axes:
@@ -117,7 +117,7 @@ def test_reset_sweep_runs_with_any_method(method: str) -> None:
     assert np.isfinite(summary[error].to_numpy()).all()
 
 
-def test_line_lists_dropped_sections_keys_and_axes(tmp_path: Path) -> None:
+def test_line_lists_dropped_sections_keys_and_axes(tmp_path):
     study, notes = change_study({"alignment.method": "inertial"}, FULL, tmp_path)
     assert (study.filter, study.resets, list(study.axes)) == (None, None, ["phi_u0_deg"])
     dropped, silent = map(places, notes)
@@ -125,7 +125,7 @@ def test_line_lists_dropped_sections_keys_and_axes(tmp_path: Path) -> None:
     assert silent == ["[alignment] phi_e0_deg", "[axes] phi_u0_deg"]
 
 
-def test_replace_and_load_study_warn_of_dropped_keys(tmp_path: Path) -> None:
+def test_replace_and_load_study_warn_of_dropped_keys(tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(tomli_w.dumps(FULL), encoding="utf-8")
     with pytest.warns(StudyWarning, match=r"\[filter\], \[resets\], \[axes\] ") as by:
@@ -140,7 +140,7 @@ def test_replace_and_load_study_warn_of_dropped_keys(tmp_path: Path) -> None:
         study.replace({"alignment.method": "kalman5"})  # which reads whatever compass does not
 
 
-def test_key_given_for_method_that_does_not_read_it_is_refused(tmp_path: Path) -> None:
+def test_key_given_for_method_that_does_not_read_it_is_refused(tmp_path):
     to_inertial = {"alignment.method": "inertial"}
     line = refusal_of_change(to_inertial | {"filter.p0_yaw_deg": 9.0}, FULL, tmp_path)
     assert_named(line, "[filter] p0_yaw_deg", "inertial")
@@ -148,19 +148,19 @@ def test_key_given_for_method_that_does_not_read_it_is_refused(tmp_path: Path) -
     assert_named(line, "[axes] reset_count", "inertial")
 
 
-def test_unread_keys_of_unchanged_method_are_refused(tmp_path: Path) -> None:
+def test_unread_keys_of_unchanged_method_are_refused(tmp_path):
     tables = FULL | {"compass": {"level_time_s": 9.0}}
     for changes in ({}, {"study.draws": 4}, {"alignment.method": "kalman5"}):
         line = refusal_of_change(changes, tables, tmp_path)
         assert_named(line, "[compass] level_time_s", "kalman5")
 
 
-def test_misspelt_method_drops_nothing(tmp_path: Path) -> None:
+def test_misspelt_method_drops_nothing(tmp_path):
     line = refusal_of_change({"alignment.method": "inertail"}, FULL, tmp_path)
     assert_named(line, "[alignment] method", "'inertail'", "inertial")
 
 
-def test_axis_of_methods_drops_keys_that_none_reads(tmp_path: Path) -> None:
+def test_axis_of_methods_drops_keys_that_none_reads(tmp_path):
     study, notes = change_study({"axes.method": ["inertial", "compass"]}, FULL, tmp_path)
     assert study.filter is None and list(study.axes) == ["phi_u0_deg", "method"]
     (note,) = notes
@@ -178,7 +178,7 @@ def test_axis_of_methods_drops_keys_that_none_reads(tmp_path: Path) -> None:
     assert [places(note) for note in notes] == [["[alignment] specific_force", "[resets]"]]
 
 
-def test_cases_and_zips_that_become_equal_are_left_out(tmp_path: Path) -> None:
+def test_cases_and_zips_that_become_equal_are_left_out(tmp_path):
     cases = [
         {"case": "a", "method": "kalman5", "p0_yaw_deg": 10.0, "ve0_m_per_s": 0.0},
         {"case": "b", "method": "kalman10", "p0_yaw_deg": 10.0, "ve0_m_per_s": 0.0},
@@ -206,7 +206,7 @@ def test_cases_and_zips_that_become_equal_are_left_out(tmp_path: Path) -> None:
     assert not study.cases and "[cases];" in notes[0]
 
 
-def test_empty_zip_and_draws_are_dropped() -> None:
+def test_empty_zip_and_draws_are_dropped():
     before = small_tables(
         axes={"policy": {"q_scale": [1.0, 2.0]}}, drawn={"p0_yaw_deg": {"uniform": [1.0, 2.0]}}
     )
@@ -219,7 +219,7 @@ def test_empty_zip_and_draws_are_dropped() -> None:
     assert "policy" in after["axes"]
 
 
-def test_tuned_keys_are_dropped_while_one_is_left(tmp_path: Path) -> None:
+def test_tuned_keys_are_dropped_while_one_is_left(tmp_path):
     template = tomllib.loads(files.shipped_text("tune"))
     variables, ranges = template["tune"]["variables"], {"low": 0.1, "high": 9.0}
     to_compass = {"alignment.method": "compass"}
@@ -237,7 +237,7 @@ def test_tuned_keys_are_dropped_while_one_is_left(tmp_path: Path) -> None:
     assert any("[tune.variables] p0_yaw_deg" in places(note) for note in notes)
 
 
-def test_keys_that_method_refuses_are_dropped(tmp_path: Path) -> None:
+def test_keys_that_method_refuses_are_dropped(tmp_path):
     trigger = {"reset_trigger": "nis", "trigger_threshold": 9.0}
     tables = FULL | {"resets": trigger, "coarse": {"coarse_duration_s": 1.0}}
     study, notes = change_study({"alignment.method": "kalman_surge"}, tables, tmp_path)
@@ -250,7 +250,7 @@ def test_keys_that_method_refuses_are_dropped(tmp_path: Path) -> None:
         assert recorded.replace({"alignment.method": "inertial"}).coarse
 
 
-def test_judging_from_floor_is_dropped_for_method_without_floor(tmp_path: Path) -> None:
+def test_judging_from_floor_is_dropped_for_method_without_floor(tmp_path):
     limited = FULL | {"study": FULL["study"] | {"judged_from": "floor"}}
     to_ten = {"alignment.method": "kalman10"}
     study, notes = change_study(to_ten, limited, tmp_path)
@@ -312,7 +312,7 @@ def are_equal(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", [name for name in METHODS if METHODS[name].without_effect])
-def test_silent_keys_change_no_bit_of_a_run(method: str) -> None:
+def test_silent_keys_change_no_bit_of_a_run(method):
     assert {*METHODS[method].without_effect} <= OTHER.keys()
     first, *others = outcomes(method, list(METHODS[method].without_effect))
     assert [are_equal(first, other) for other in others] == [True] * len(
@@ -323,14 +323,14 @@ def test_silent_keys_change_no_bit_of_a_run(method: str) -> None:
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
-def test_active_keys_change_a_run(method: str) -> None:
+def test_active_keys_change_a_run(method):
     keys = [key for key in own_keys(method) if method in reading_methods(key)]
     first, *others = outcomes(method, keys)
     assert [key for key, other in zip(keys, others, strict=True) if are_equal(first, other)] == []
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_line_names_every_given_key_that_is_silent(method: str, tmp_path: Path) -> None:
+def test_line_names_every_given_key_that_is_silent(method, tmp_path):
     tables: dict[str, Any] = {**BASE, "alignment": {"method": method}}
     for key in own_keys(method):
         tables.setdefault(SECTION_OF[key], {})[key] = OTHER[key]
@@ -343,7 +343,7 @@ def test_line_names_every_given_key_that_is_silent(method: str, tmp_path: Path) 
         assert {*re.findall(r"\w+", line)} & {*OTHER} == silent
 
 
-def test_line_names_keys_whose_condition_does_not_hold(tmp_path: Path) -> None:
+def test_line_names_keys_whose_condition_does_not_hold(tmp_path):
     tables = small_tables(
         motion={"pitch_amplitude_deg": None, "surge_time_s": 3.0},
         resets={"reset_kind": "scale", "reset_yaw_deg": 10.0, "reset_times_s": [2.0]},
@@ -361,13 +361,13 @@ def test_line_names_keys_whose_condition_does_not_hold(tmp_path: Path) -> None:
     assert change_study({}, tables, tmp_path)[1] == []
 
 
-def test_key_acts_if_its_condition_is_tuned(tmp_path: Path) -> None:
+def test_key_acts_if_its_condition_is_tuned(tmp_path):
     template = tomllib.loads(files.shipped_text("tune"))
     template["resets"] = {"reset_kind": "yaw"}
     assert change_study({}, template, tmp_path)[1] == []
 
 
-def test_keys_of_resolved_study_are_named_only_with_other_values() -> None:
+def test_keys_of_resolved_study_are_named_only_with_other_values():
     study = small_study()
     assert list_idle_keys(study, study_to_tables(study)) == []
     study = small_study(resets={"reset_yaw_deg": 5.0}, alignment={"method": "kalman_sincos"})
@@ -375,7 +375,7 @@ def test_keys_of_resolved_study_are_named_only_with_other_values() -> None:
     assert places(note) == ["[resets] reset_yaw_deg"] and "kalman_sincos" in note
 
 
-def test_functions_of_python_warn_of_keys_without_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_functions_of_python_warn_of_keys_without_effect(monkeypatch):
     def stopped(*_: Any) -> None:
         raise StudyInterrupted("before the first run")
 

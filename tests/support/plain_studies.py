@@ -4,11 +4,11 @@ import copy
 from typing import Any
 
 import pytest
-from support.studies import with_paper_values
 
 from sinsjax.errors import InputError
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
+from support.studies import with_paper_values
 
 SIMULATED: dict[str, Any] = {
     "study": {"duration_s": 900, "rate_hz": 100},
