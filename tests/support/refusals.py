@@ -44,6 +44,12 @@ def assert_named(line: str, place: str, *named: str) -> None:
     assert not missing, f"{missing} not in {rest!r}"
 
 
+def assert_told(line: str, told: str) -> None:
+    """Fail unless a line is as told: a place, a colon, and words that stand somewhere after it."""
+    place, _, named = told.rpartition(": ")
+    assert_named(line, place, *named.split())
+
+
 def refused(table: str) -> pytest.MarkDecorator:
     """Run a test for each `refusal` of a table; lines that begin with # are comments."""
     rows, before = [], ""
