@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.commands import command_line
+from support.refusals import assert_told
 
 import sinsjax
 from sinsjax.advice.advise import _resets
@@ -137,25 +138,21 @@ def test_turned_sheet_is_advised_as_it_turns():
     assert turned.turns is None and turned.headings[-1].time_s == 300
     (half,) = (one for one in advise().turns.options if one.name == "half turn")
     assert turned.heading.rms_arcmin == pytest.approx(half.sigma_arcmin, rel=0.02)
-    lines = "\n".join(describe_advice(turned))
-    assert "after the last turn, from the attitude, gyro biases and sigmas of gravity_fit" in lines
-    assert "in quadrature" not in lines and turned.resets is None
-    assert "the law of resets holds for a base that is not turned" in lines
+    assert turned.resets is None and "not turned" in "\n".join(describe_advice(turned))
 
 
 def test_surging_base_that_turns_is_warned_of():
     motion = MOTIONS["surge"] | {"turn_times_s": [140.5], "turn_angles_deg": [180.0]}
     advice = sinsjax.advise(FOG | {"motion": motion})
     assert advice.choice.method == "kalman_surge" and advice.misses_turns
-    assert "does not separate the gyro biases by the turns" in advice.warnings[0]
-    assert any("its error is far above the information" in line for line in describe_advice(advice))
+    assert "turns" in advice.warnings[0]
     assert not replace(advice, sheet=read(motion="surge")).misses_turns
 
 
 def test_resets_state_their_doubts_and_settings():
     (line,) = (text for text in describe_advice(advise()) if text.startswith("  resets"))
-    assert 'and schedule = "law" (resets at ' in line and "reset_velocity_m_per_s = 1)" in line
-    assert "with 2 sigma of noise, more with bias instability)" in line
+    assert 'schedule = "law"' in line and "reset_velocity_m_per_s = 1)" in line
+    assert "bias instability" in line
     assert not any("more with bias" in text for text in describe_advice(advise(STEADY)))
     sheet = read({"sensors.gyro_instability_deg_per_h": 0.4})
     strong = _resets(sheet, sheet_budget(sheet, [60.0, 120.0, 300.0]))
@@ -229,40 +226,43 @@ def test_doubts_are_part_of_the_text():
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "told"),
     [
-        ({"sensors": {}}, "[sensors] gyro_arw_deg_per_sqrt_h: required, the angle random walk"),
+        ({"sensors": {}}, "[sensors] gyro_arw_deg_per_sqrt_h: required"),
         (
             {"sensors.gyro_arw_deg_per_sqrt_h": 50.0},
-            "50 is not in the usual 0.0001 to 2 deg/sqrt(h)",
+            "[sensors] gyro_arw_deg_per_sqrt_h: 50 0.0001 2",
         ),
         (
             {"drawn.gyro_bias_deg_per_s": {"normal": [0.0, 1.0]}},
-            "did you mean gyro_bias_deg_per_h? usually 0.0005 to 20000 deg/h; deg/s are multiplied",
+            "[drawn] gyro_bias_deg_per_s: gyro_bias_deg_per_h 0.0005 20000 deg/s",
         ),
-        ({"sensors.gyro_arw": 0.01}, "did you mean gyro_arw_deg_per_sqrt_h? usually 0.0001 to 2"),
-        ({"drawn.accel_bias_ug": {"uniform": [0.0, 1.0]}}, "must be normal = [0.0, SIGMA]"),
-        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.5, 1.0]}}, "must be normal = [0.0, SIGMA]"),
-        ({"drawn.accel_vrw_ug_per_sqrt_hz": {"uniform": [10.0, 20.0]}}, "must have a fixed value"),
-        ({"advise.time_s": 3.0}, "must be whole seconds from 10 to 7200, not 3"),
-        ({"advise.tim_s": 3.0}, "[advise] tim_s: unknown key (did you mean time_s?)"),
-        ({"study.rate_hz": 102.4}, "[study] rate_hz: must be whole in a sheet, not 102.4"),
-        ({"axes.latitude_deg": [1.0]}, "[axes]: does not belong in a sheet"),
-        ({"alignment.method": "inertial"}, "[alignment]: does not belong in a sheet"),
+        ({"sensors.gyro_arw": 0.01}, "[sensors] gyro_arw: gyro_arw_deg_per_sqrt_h 0.0001 2"),
+        ({"drawn.accel_bias_ug": {"uniform": [0.0, 1.0]}}, "[drawn] accel_bias_ug: normal"),
+        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.5, 1.0]}}, "[drawn] gyro_bias_deg_per_h: 0.0"),
+        (
+            {"drawn.accel_vrw_ug_per_sqrt_hz": {"uniform": [10.0, 20.0]}},
+            "[drawn] accel_vrw_ug_per_sqrt_hz: fixed",
+        ),
+        ({"advise.time_s": 3.0}, "[advise] time_s: 10 7200 3"),
+        ({"advise.tim_s": 3.0}, "[advise] tim_s: time_s"),
+        ({"study.rate_hz": 102.4}, "[study] rate_hz: 102.4"),
+        ({"axes.latitude_deg": [1.0]}, "[axes]: sheet"),
+        ({"alignment.method": "inertial"}, "[alignment]: sheet"),
         ({"earth": {}}, "[earth] latitude_deg: required"),
     ],
 )
-def test_bad_sheet_is_refused_in_a_line(changes, message):
+def test_bad_sheet_is_refused_in_a_line(changes, told):
     with pytest.raises(InputError) as refused:
         advise(changes)
-    assert message in str(refused.value) and str(refused.value).startswith("sheet: ")
+    assert_told(str(refused.value), f"sheet: {told}")
 
 
-@pytest.mark.parametrize("table", [3, "x", [1, 2]])
 @pytest.mark.parametrize("name", ["sensors", "drawn", "study", "advise"])
-def test_section_that_is_no_table_is_refused(name, table):
-    with pytest.raises(InputError, match=rf"sheet: \[{name}\]: must be a table of keys"):
-        sinsjax.advise(FOG | {name: table})
+def test_section_that_is_no_table_is_refused(name):
+    for table in (3, "x", [1, 2]):
+        with pytest.raises(InputError, match=rf"^sheet: \[{name}\]: "):
+            sinsjax.advise(FOG | {name: table})
 
 
 @pytest.mark.parametrize("options", [{"imu": "kvh"}, {"imu": "kvh1775", "motion": "swim"}])
