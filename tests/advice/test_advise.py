@@ -255,7 +255,7 @@ def test_doubts_are_part_of_the_text():
 def test_bad_sheet_is_refused_in_a_line(changes, told):
     with pytest.raises(InputError) as refused:
         advise(changes)
-    assert_told(str(refused.value), f"sheet: {told}")
+    assert_told(refused.value.lines[0], f"sheet: {told}")
 
 
 @pytest.mark.parametrize("name", ["sensors", "drawn", "study", "advise"])
@@ -290,7 +290,7 @@ def test_shipped_sheet_is_advised(name):
 def test_figure_has_a_line_and_an_area_for_each_large_source():
     figure = advise().plot()
     above, below = figure.axes
-    assert "gyro turn-on bias is 73%" in above.get_title(loc="left")
+    assert "73%" in above.get_title(loc="left")
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels[0] == "gyro turn-on bias" and "others" in labels
     assert len(below.collections) == len(labels)
@@ -308,11 +308,12 @@ def test_command_prints_one_screen_and_writes_a_study(tmp_path, monkeypatch, cap
     assert code == 0 and len(out.splitlines()) <= 45
     assert sinsjax.load_study(study).values("method") == ["gravity_fit"]
     code, out, error = command("advise", sheet, "--study", tmp_path / "no_folder" / "check.toml")
-    assert (code, out) == (2, "") and error.count("\n") == 1 and "there is no folder" in error
+    assert (code, out) == (2, "") and error.count("\n") == 1 and "no_folder" in error
     code, _, error = command("sweep", sheet, "-o", tmp_path / "out")
-    assert code == 2 and f"`sinsjax advise {sheet} --study FILE` writes a study" in error
+    assert code == 2 and f"sinsjax advise {sheet} --study" in error
+    before = study.read_bytes()
     code, _, error = command("advise", sheet, "--study", study)
-    assert code == 2 and "exists, and is not overwritten" in error
+    assert code == 2 and str(study) in error and study.read_bytes() == before
     _, out, _ = command("advise", sheet, "--json", "--time", 200)
     rms = sinsjax.advise(sheet, time_s=200.0).heading.rms_arcmin
     assert json.loads(out)["heading_rms_arcmin"] == rms
