@@ -12,6 +12,7 @@ from support.studies import BASE
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml, with_rate
 from sinsjax.study.study import Study
@@ -150,7 +151,7 @@ def test_q_scale_multiplies_noise_of_sensors():
 
 
 @pytest.mark.parametrize(
-    "method", ["kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "kalman_surge"]
+    "method", [name for name, method in METHODS.items() if "filter" in method.sections]
 )
 def test_all_filters_read_noise_of_sensors(method):
     own = make_study(alignment={"method": method, "phi_u0_deg": 5.0})
