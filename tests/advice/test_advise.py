@@ -5,12 +5,12 @@ import re
 import tomllib
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from support.commands import command_line
+from support.refusals import assert_told
 
 import sinsjax
 from sinsjax.advice.advise import _resets
@@ -53,7 +53,7 @@ def advise_once(options: str) -> sinsjax.Advice:
 @pytest.mark.slow
 @pytest.mark.parametrize("motion", ["sway", "surge"])
 @pytest.mark.optimised(False)
-def test_study_that_is_written_confirms_the_rms(motion: str) -> None:
+def test_study_that_is_written_confirms_the_rms(motion):
     advice = advise(motion=motion, time_s=200.0)
     study = sinsjax.study_from_dict(tomllib.loads(advice.study())).replace(
         {"study.rate_hz": 10.0, "study.draws": 128}
@@ -66,7 +66,7 @@ def test_study_that_is_written_confirms_the_rms(motion: str) -> None:
         assert expected == pytest.approx(np.sqrt(np.mean(errors**2)), rel=0.2)
 
 
-def test_settings_are_those_of_the_sheet_and_its_motion() -> None:
+def test_settings_are_those_of_the_sheet_and_its_motion():
     still, surge = choose_method(read()), choose_method(read(motion="surge"))
     assert still.sections == {
         "alignment": {"method": "gravity_fit"},
@@ -87,7 +87,7 @@ def test_settings_are_those_of_the_sheet_and_its_motion() -> None:
     assert advise().choice.sections == still.sections
 
 
-def test_noise_of_a_sample_is_the_density_at_the_rate() -> None:
+def test_noise_of_a_sample_is_the_density_at_the_rate():
     sensors = {"gyro_noise_deg_per_h": 0.005 * 60 * 5, "accel_noise_ug": 30.0 * 5}
     rest = {key: v for key, v in FOG["sensors"].items() if "instability" in key}
     given = read_sheet(FOG | {"sensors": sensors | rest, "study": {"rate_hz": 25.0}})
@@ -97,7 +97,7 @@ def test_noise_of_a_sample_is_the_density_at_the_rate() -> None:
     )
 
 
-def test_numbers_as_json_are_those_of_the_advice() -> None:
+def test_numbers_as_json_are_those_of_the_advice():
     advice = advise(STEADY | {"advise.wanted_deg": 0.5})
     numbers = json.loads(json.dumps(advice.to_dict()))
     assert numbers["heading_rms_arcmin"] == advice.heading.rms_arcmin
@@ -116,7 +116,7 @@ def test_numbers_as_json_are_those_of_the_advice() -> None:
 
 @pytest.mark.representative("60.0")
 @pytest.mark.parametrize("time_s", [10.0, 60.0, 1800.0])
-def test_any_time_can_be_asked_for(time_s: float) -> None:
+def test_any_time_can_be_asked_for(time_s):
     found = advise(STEADY | SURGE, time_s=time_s)
     assert found.heading.time_s == time_s and found.choice.method == "kalman_surge"
     assert found.halved_rms_arcmin < found.heading.rms_arcmin
@@ -124,7 +124,7 @@ def test_any_time_can_be_asked_for(time_s: float) -> None:
     assert found.headings[-1].rms_arcmin > floor
 
 
-def test_sheet_without_drawn_biases_is_noise_alone() -> None:
+def test_sheet_without_drawn_biases_is_noise_alone():
     sheet = read_sheet({key: FOG[key] for key in ("earth", "sensors")})
     assert {*sheet_budget(sheet, [60.0]).sources} <= {
         f"{a}_{b}" for a in ("gyro", "accel") for b in ("noise", "instability")
@@ -132,38 +132,34 @@ def test_sheet_without_drawn_biases_is_noise_alone() -> None:
     assert len(sheet.doubts) == 2
 
 
-def test_turned_sheet_is_advised_as_it_turns() -> None:
+def test_turned_sheet_is_advised_as_it_turns():
     motion = {"turn_times_s": [140.5], "turn_angles_deg": [180.0], "turn_rate_deg_per_s": 10.0}
     turned = sinsjax.advise(FOG | {"motion": motion | {"turn_ramp_s": 1.0}})
     assert turned.turns is None and turned.headings[-1].time_s == 300
     (half,) = (one for one in advise().turns.options if one.name == "half turn")
     assert turned.heading.rms_arcmin == pytest.approx(half.sigma_arcmin, rel=0.02)
-    lines = "\n".join(describe_advice(turned))
-    assert "after the last turn, from the attitude, gyro biases and sigmas of gravity_fit" in lines
-    assert "in quadrature" not in lines and turned.resets is None
-    assert "the law of resets holds for a base that is not turned" in lines
+    assert turned.resets is None and "not turned" in "\n".join(describe_advice(turned))
 
 
-def test_surging_base_that_turns_is_warned_of() -> None:
+def test_surging_base_that_turns_is_warned_of():
     motion = MOTIONS["surge"] | {"turn_times_s": [140.5], "turn_angles_deg": [180.0]}
     advice = sinsjax.advise(FOG | {"motion": motion})
     assert advice.choice.method == "kalman_surge" and advice.misses_turns
-    assert "does not separate the gyro biases by the turns" in advice.warnings[0]
-    assert any("its error is far above the information" in line for line in describe_advice(advice))
+    assert "turns" in advice.warnings[0]
     assert not replace(advice, sheet=read(motion="surge")).misses_turns
 
 
-def test_resets_state_their_doubts_and_settings() -> None:
+def test_resets_state_their_doubts_and_settings():
     (line,) = (text for text in describe_advice(advise()) if text.startswith("  resets"))
-    assert 'and schedule = "law" (resets at ' in line and "reset_velocity_m_per_s = 1)" in line
-    assert "with 2 sigma of noise, more with bias instability)" in line
+    assert 'schedule = "law"' in line and "reset_velocity_m_per_s = 1)" in line
+    assert "bias instability" in line
     assert not any("more with bias" in text for text in describe_advice(advise(STEADY)))
     sheet = read({"sensors.gyro_instability_deg_per_h": 0.4})
     strong = _resets(sheet, sheet_budget(sheet, [60.0, 120.0, 300.0]))
     assert strong is not None and strong.band_arcmin == 300.0  # not 10', which drift exceeds
 
 
-def test_warning_names_the_keys_of_a_turn_that_helps() -> None:
+def test_warning_names_the_keys_of_a_turn_that_helps():
     bad = STEADY | {"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 10.0]}}
     (warning,) = advise(bad).warnings
     sets = re.findall(r"--set '([^']+)'", warning)
@@ -172,7 +168,7 @@ def test_warning_names_the_keys_of_a_turn_that_helps() -> None:
     assert turned.warnings == () and turned.heading.rms_arcmin < 100
 
 
-def test_band_is_reached_when_95_percent_are_within_it() -> None:
+def test_band_is_reached_when_95_percent_are_within_it():
     advice = advise()
     band, time_s = advice.settles
     assert band == 1.0 and time_s is not None
@@ -199,9 +195,7 @@ OF_SHEET = {"sec L, which is 5.76 at this latitude", "vibration costs", "keep it
     ],
     ids=["no north", "drift", "latitude", "vibration", "surge", "heading", "wanted"],
 )
-def test_what_can_go_wrong_is_a_warning(
-    changes: dict[str, Any], options: dict[str, Any], words: str
-) -> None:
+def test_what_can_go_wrong_is_a_warning(changes, options, words):
     usual = advise(STEADY)
     assert usual.warnings == ()
     if words in OF_SHEET:
@@ -220,11 +214,11 @@ def test_what_can_go_wrong_is_a_warning(
         ({"drawn.accel_bias_ug": {}}, "no turn-on bias of the accelerometers"),
     ],
 )
-def test_values_that_do_not_fit_are_doubts(changes: dict[str, Any], words: str) -> None:
+def test_values_that_do_not_fit_are_doubts(changes, words):
     assert any(words in line for line in read(changes).doubts)
 
 
-def test_doubts_are_part_of_the_text() -> None:
+def test_doubts_are_part_of_the_text():
     sheet = read({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 0.005]}, "drawn.accel_bias_ug": {}})
     assert len(sheet.doubts) == 2
     lines = [*describe_advice(replace(advise(STEADY), sheet=sheet))]
@@ -232,44 +226,47 @@ def test_doubts_are_part_of_the_text() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "told"),
     [
-        ({"sensors": {}}, "[sensors] gyro_arw_deg_per_sqrt_h: required, the angle random walk"),
+        ({"sensors": {}}, "[sensors] gyro_arw_deg_per_sqrt_h: required"),
         (
             {"sensors.gyro_arw_deg_per_sqrt_h": 50.0},
-            "50 is not in the usual 0.0001 to 2 deg/sqrt(h)",
+            "[sensors] gyro_arw_deg_per_sqrt_h: 50 0.0001 2",
         ),
         (
             {"drawn.gyro_bias_deg_per_s": {"normal": [0.0, 1.0]}},
-            "did you mean gyro_bias_deg_per_h? usually 0.0005 to 20000 deg/h; deg/s are multiplied",
+            "[drawn] gyro_bias_deg_per_s: gyro_bias_deg_per_h 0.0005 20000 deg/s",
         ),
-        ({"sensors.gyro_arw": 0.01}, "did you mean gyro_arw_deg_per_sqrt_h? usually 0.0001 to 2"),
-        ({"drawn.accel_bias_ug": {"uniform": [0.0, 1.0]}}, "must be normal = [0.0, SIGMA]"),
-        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.5, 1.0]}}, "must be normal = [0.0, SIGMA]"),
-        ({"drawn.accel_vrw_ug_per_sqrt_hz": {"uniform": [10.0, 20.0]}}, "must have a fixed value"),
-        ({"advise.time_s": 3.0}, "must be whole seconds from 10 to 7200, not 3"),
-        ({"advise.tim_s": 3.0}, "[advise] tim_s: unknown key (did you mean time_s?)"),
-        ({"study.rate_hz": 102.4}, "[study] rate_hz: must be whole in a sheet, not 102.4"),
-        ({"axes.latitude_deg": [1.0]}, "[axes]: does not belong in a sheet"),
-        ({"alignment.method": "inertial"}, "[alignment]: does not belong in a sheet"),
+        ({"sensors.gyro_arw": 0.01}, "[sensors] gyro_arw: gyro_arw_deg_per_sqrt_h 0.0001 2"),
+        ({"drawn.accel_bias_ug": {"uniform": [0.0, 1.0]}}, "[drawn] accel_bias_ug: normal"),
+        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.5, 1.0]}}, "[drawn] gyro_bias_deg_per_h: 0.0"),
+        (
+            {"drawn.accel_vrw_ug_per_sqrt_hz": {"uniform": [10.0, 20.0]}},
+            "[drawn] accel_vrw_ug_per_sqrt_hz: fixed",
+        ),
+        ({"advise.time_s": 3.0}, "[advise] time_s: 10 7200 3"),
+        ({"advise.tim_s": 3.0}, "[advise] tim_s: time_s"),
+        ({"study.rate_hz": 102.4}, "[study] rate_hz: 102.4"),
+        ({"axes.latitude_deg": [1.0]}, "[axes]: sheet"),
+        ({"alignment.method": "inertial"}, "[alignment]: sheet"),
         ({"earth": {}}, "[earth] latitude_deg: required"),
     ],
 )
-def test_bad_sheet_is_refused_in_a_line(changes: dict[str, Any], message: str) -> None:
+def test_bad_sheet_is_refused_in_a_line(changes, told):
     with pytest.raises(InputError) as refused:
         advise(changes)
-    assert message in str(refused.value) and str(refused.value).startswith("sheet: ")
+    assert_told(refused.value.lines[0], f"sheet: {told}")
 
 
-@pytest.mark.parametrize("table", [3, "x", [1, 2]])
 @pytest.mark.parametrize("name", ["sensors", "drawn", "study", "advise"])
-def test_section_that_is_no_table_is_refused(name: str, table: Any) -> None:
-    with pytest.raises(InputError, match=rf"sheet: \[{name}\]: must be a table of keys"):
-        sinsjax.advise(FOG | {name: table})
+def test_section_that_is_no_table_is_refused(name):
+    for table in (3, "x", [1, 2]):
+        with pytest.raises(InputError, match=rf"^sheet: \[{name}\]: "):
+            sinsjax.advise(FOG | {name: table})
 
 
 @pytest.mark.parametrize("options", [{"imu": "kvh"}, {"imu": "kvh1775", "motion": "swim"}])
-def test_unknown_name_lists_the_known_ones(options: dict[str, Any]) -> None:
+def test_unknown_name_lists_the_known_ones(options):
     with pytest.raises(InputError, match="is none of .*(kvh1775|sway)"):
         sinsjax.advise(**options, latitude_deg=48.0)
     with pytest.raises(InputError, match="one of the two"):
@@ -277,7 +274,7 @@ def test_unknown_name_lists_the_known_ones(options: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("name", shipped_sheets())
-def test_shipped_sheet_names_its_source_and_has_no_doubt(name: str) -> None:
+def test_shipped_sheet_names_its_source_and_has_no_doubt(name):
     text = shipped_sheets()[name].read_text()
     assert "# Source: " in text and "read 20" in text
     assert read_sheet(None, imu=name, latitude_deg=45.0).doubts == ()
@@ -285,23 +282,21 @@ def test_shipped_sheet_names_its_source_and_has_no_doubt(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", shipped_sheets())
-def test_shipped_sheet_is_advised(name: str) -> None:
+def test_shipped_sheet_is_advised(name):
     advice = sinsjax.advise(imu=name, latitude_deg=45.0, time_s=60.0)
     assert advice.heading.time_s == 60 and advice.heading.rms_arcmin > 0
 
 
-def test_figure_has_a_line_and_an_area_for_each_large_source() -> None:
+def test_figure_has_a_line_and_an_area_for_each_large_source():
     figure = advise().plot()
     above, below = figure.axes
-    assert "gyro turn-on bias is 73%" in above.get_title(loc="left")
+    assert "73%" in above.get_title(loc="left")
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels[0] == "gyro turn-on bias" and "others" in labels
     assert len(below.collections) == len(labels)
 
 
-def test_command_prints_one_screen_and_writes_a_study(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_prints_one_screen_and_writes_a_study(tmp_path, monkeypatch, capsys):
     command = command_line(monkeypatch, capsys)
     sheet, study = tmp_path / "my.toml", tmp_path / "check.toml"
     sheet.write_text(
@@ -313,11 +308,12 @@ def test_command_prints_one_screen_and_writes_a_study(
     assert code == 0 and len(out.splitlines()) <= 45
     assert sinsjax.load_study(study).values("method") == ["gravity_fit"]
     code, out, error = command("advise", sheet, "--study", tmp_path / "no_folder" / "check.toml")
-    assert (code, out) == (2, "") and error.count("\n") == 1 and "there is no folder" in error
+    assert (code, out) == (2, "") and error.count("\n") == 1 and "no_folder" in error
     code, _, error = command("sweep", sheet, "-o", tmp_path / "out")
-    assert code == 2 and f"`sinsjax advise {sheet} --study FILE` writes a study" in error
+    assert code == 2 and f"sinsjax advise {sheet} --study" in error
+    before = study.read_bytes()
     code, _, error = command("advise", sheet, "--study", study)
-    assert code == 2 and "exists, and is not overwritten" in error
+    assert code == 2 and str(study) in error and study.read_bytes() == before
     _, out, _ = command("advise", sheet, "--json", "--time", 200)
     rms = sinsjax.advise(sheet, time_s=200.0).heading.rms_arcmin
     assert json.loads(out)["heading_rms_arcmin"] == rms

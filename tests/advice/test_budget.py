@@ -41,7 +41,7 @@ MANY = {
 
 @pytest.mark.representative("few")
 @pytest.mark.parametrize("case", ["few", "many"])
-def test_shares_are_the_slopes_of_the_bound_and_add_up(case: str) -> None:
+def test_shares_are_the_slopes_of_the_bound_and_add_up(case):
     given = sheet(**(MANY if case == "many" else {}))
     budget = heading.sheet_budget(given, [60.0, 200.0])
     assert set(budget.sources) <= heading.SOURCES.keys() == heading.KEYS.keys()
@@ -61,7 +61,7 @@ def test_shares_are_the_slopes_of_the_bound_and_add_up(case: str) -> None:
         np.testing.assert_allclose(budget.variance[:, k], slope, rtol=0.02, atol=1e-6 * more.max())
 
 
-def test_bound_of_a_sheet_is_the_information_bound() -> None:
+def test_bound_of_a_sheet_is_the_information_bound():
     given = sheet()
     motion, drawn = {"yaw_center_deg": 10.0}, dict(given.tables["drawn"])
     del drawn["yaw_center_deg"]
@@ -73,7 +73,7 @@ def test_bound_of_a_sheet_is_the_information_bound() -> None:
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.2, 0.6, 3.0])
-def test_wrapped_heading_is_that_of_a_vector_with_noise(sigma: float) -> None:
+def test_wrapped_heading_is_that_of_a_vector_with_noise(sigma):
     rng = np.random.default_rng(1)
     x, y = 1 + sigma * rng.standard_normal(400_000), sigma * rng.standard_normal(400_000)
     angle = np.abs(np.arctan2(y, x))
@@ -85,7 +85,7 @@ def test_wrapped_heading_is_that_of_a_vector_with_noise(sigma: float) -> None:
     assert beyond == pytest.approx(np.mean(angle > 0.5), abs=0.003)
 
 
-def test_rounding_process_is_what_rounding_leaves() -> None:
+def test_rounding_process_is_what_rounding_leaves():
     quantum, rng = 2.0, np.random.default_rng(2)
     total = np.cumsum(rng.normal(0, 50.0, 200_000))
     error = np.diff(quantum * np.round(total / quantum) - total)

@@ -51,15 +51,11 @@ def test_format_difference_names_side_that_never_settles(estimate, text):
     assert analysis.format_difference(estimate, "s", sides=("a", "b")) == text
 
 
-def test_format_difference_without_names_prints_one_side():
+def test_format_without_names_or_with_digits():
     never = Estimate(-NEVER, -NEVER, -NEVER, 5)
     assert analysis.format_difference(never) == "one side never settles"
-
-
-def test_format_estimate_uses_requested_digits():
-    assert (
-        analysis.format_estimate(Estimate(0.5, 0.25, 0.75, 9), digits=3) == "0.500 [0.250, 0.750]"
-    )
+    quarters = Estimate(0.5, 0.25, 0.75, 9)
+    assert analysis.format_estimate(quarters, digits=3) == "0.500 [0.250, 0.750]"
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 64), (61, 64), (64, 64), (500, 1000)])

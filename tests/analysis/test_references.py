@@ -22,7 +22,7 @@ def difference_by_key(rows: list) -> dict:
     return {(row["reset_count"], row["phi_u0_deg"]): round(row[RATE]) for row in rows}
 
 
-def test_groups_compare_with_first_group_of_same_conditions() -> None:
+def test_groups_compare_with_first_group_of_same_conditions():
     first, rows = compare_with_first_group(
         summary_table(), ["reset_count", "phi_u0_deg"], ["phi_u0_deg"]
     )
@@ -31,7 +31,7 @@ def test_groups_compare_with_first_group_of_same_conditions() -> None:
 
 
 @pytest.mark.parametrize("without", [(), (0, 30.0)])
-def test_one_reference_serves_all_groups_without_first_per_condition(without: tuple) -> None:
+def test_one_reference_serves_all_groups_without_first_per_condition(without):
     table, given = summary_table(), []
     if without:
         kept = [(r["reset_count"], r["phi_u0_deg"]) != without for r in table.to_pylist()]
@@ -41,7 +41,7 @@ def test_one_reference_serves_all_groups_without_first_per_condition(without: tu
     assert len(rows) == (4 if without else 5) and difference_by_key(rows)[(1, 30.0)] == -1
 
 
-def test_conditions_alone_compare_with_first_condition() -> None:
+def test_conditions_alone_compare_with_first_condition():
     table = summary_table().slice(0, 2)
     first, rows = compare_with_first_group(table, ["phi_u0_deg"], ["phi_u0_deg"])
     assert first == {"phi_u0_deg": 5.0} and [row["phi_u0_deg"] for row in rows] == [30.0]

@@ -49,9 +49,8 @@ def edit_tables(draw: st.DrawFn, original: HiddenValue, max_edits: int = 3) -> A
         elif kind == "replace":
             container[key] = draw(misfit_values())
         elif kind == "wrap":
-            container[key] = draw(
-                st.sampled_from([[container[key]], {"a": container[key]}, str(container[key])[:99]])
-            )
+            entry = container[key]
+            container[key] = draw(st.sampled_from([[entry], {"a": entry}, str(entry)[:99]]))
         elif kind == "double" and isinstance(container, list):
             container.insert(key, copy.deepcopy(container[key]))
         elif isinstance(container, dict):
@@ -61,22 +60,11 @@ def edit_tables(draw: st.DrawFn, original: HiddenValue, max_edits: int = 3) -> A
 
 
 PIECES = [
-    *(
-        b"\x00",
-        b"\xff\xfe",
-        b"\xef\xbb\xbf",
-        b"\xc3",
-        b"\r",
-        b"\n",
-        b"\n\n",
-        b" ",
-        b",",
-        b";",
-        b"\t",
-    ),
-    *(b"=", b"[", b"]", b"{", b"}", b"[[", b"]]", b"'", b'"', b'"""', b"#", b"-", b"nan", b"inf"),
-    *(b"1e999", b"-1", b"0", b"1_000", b"0x", b"2026-01-01T00:00:00Z", b"[" * 5000, b"{a=" * 5000),
-    *(b"9" * 5000, b"x" * 20_000, b"a.b.c.d=1\n", b"\\u0000", b"\\", b"null", b"true"),
+    *(b"\x00", b"\xff\xfe", b"\xef\xbb\xbf", b"\xc3", b"\r", b"\n", b"\n\n", b" ", b"\t"),
+    *(b",", b";", b"=", b"[", b"]", b"{", b"}", b"[[", b"]]", b"'", b'"', b'"""', b"#", b"-"),
+    *(b"nan", b"inf", b"1e999", b"-1", b"0", b"1_000", b"0x", b"2026-01-01T00:00:00Z"),
+    *(b"[" * 5000, b"{a=" * 5000, b"9" * 5000, b"x" * 20_000, b"a.b.c.d=1\n"),
+    *(b"\\u0000", b"\\", b"null", b"true"),
 ]
 
 
@@ -88,22 +76,15 @@ def mangle_bytes(draw: st.DrawFn, original: HiddenValue, max_edits: int = 3) -> 
         position = draw(st.integers(0, len(content)))
         length = draw(st.sampled_from([0, 1, 1, 2, 8, 64, 1000]))
         kind = draw(st.sampled_from(["cut", "insert", "flip", "double", "truncate"]))
-        head, middle, tail = (
-            content[:position],
-            content[position : position + length],
-            content[position + length :],
-        )
+        head, tail = content[:position], content[position + length :]
+        middle = content[position : position + length]
         if kind == "cut":
             content = head + tail
         elif kind == "insert":
             content = head + draw(st.sampled_from(PIECES)) + middle + tail
         elif kind == "flip":
-            content = (
-                head
-                + bytes(b ^ (1 << draw(st.integers(0, 7))) for b in middle[:1])
-                + middle[1:]
-                + tail
-            )
+            flipped = bytes(byte ^ (1 << draw(st.integers(0, 7))) for byte in middle[:1])
+            content = head + flipped + middle[1:] + tail
         elif kind == "double":
             content = head + middle + middle + tail
         else:

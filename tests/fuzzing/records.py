@@ -5,39 +5,13 @@ from typing import Any, NamedTuple
 from hypothesis import strategies as st
 
 from fuzzing.edits import HiddenValue, mangle_bytes
-from fuzzing.studies import KEYS, _value_strategy
+from fuzzing.studies import KEYS, value_strategy
 from sinsjax.records import ACCEL_UNITS, GYRO_UNITS, TIME_UNITS
 
 CELLS = [
-    *(
-        "",
-        " ",
-        "nan",
-        "NaN",
-        "inf",
-        "-inf",
-        "1e999",
-        "-1e308",
-        "1e-320",
-        "0",
-        "-0",
-        "1",
-        "x",
-        "1_0",
-    ),
-    *(
-        "0x10",
-        "1,5",
-        '"1"',
-        "1 2",
-        "é",
-        "\x00",
-        "9" * 400,
-        "2026-01-01T00:00:00",
-        "None",
-        "-",
-        "+1",
-    ),
+    *("", " ", "nan", "NaN", "inf", "-inf", "1e999", "-1e308", "1e-320", "0", "-0", "1", "x"),
+    *("1_0", "0x10", "1,5", '"1"', "1 2", "é", "\x00", "9" * 400, "2026-01-01T00:00:00", "None"),
+    *("-", "+1"),
 ]
 _STUDY: dict[str, Any] = {
     "study": {"duration_s": 2.0, "window_s": [0, 2], "record_interval_s": 0.5},
@@ -80,16 +54,14 @@ def record_cases(draw: st.DrawFn) -> Case:
         section = {"format": "psins"}
     if draw(st.booleans()):
         key = draw(st.sampled_from([place for place in KEYS if place[0] == "record"]))
-        section[key[1]] = draw(_value_strategy(key))
+        section[key[1]] = draw(value_strategy(key))
     study: dict[str, Any] = _STUDY | {"record": section}
     if draw(st.booleans()):
-        study["study"] = study["study"] | {
-            "rate_hz": draw(st.sampled_from([10.0, 10.0, 9.9, 100.0, 1e-3]))
-        }
+        rate_hz = draw(st.sampled_from([10.0, 10.0, 9.9, 100.0, 1e-3]))
+        study["study"] = study["study"] | {"rate_hz": rate_hz}
     lines = _psins_rows() if section["format"] == "psins" else _csv_rows(draw, quantity, section)
-    return Case(
-        study, _change_rows(draw, lines), _draw_reference(draw) if draw(st.booleans()) else None
-    )
+    record = _change_rows(draw, lines)
+    return Case(study, record, _draw_reference(draw) if draw(st.booleans()) else None)
 
 
 def _csv_rows(draw: st.DrawFn, quantity: str, section: dict[str, Any]) -> list[list[str]]:
@@ -131,16 +103,11 @@ def _change_rows(draw: st.DrawFn, rows: list[list[str]]) -> bytes:
         if not rows:
             break
         index = draw(st.integers(0, len(rows) - 1))
-        kind = draw(
-            st.sampled_from(
-                ["cell", "cell", "cell", "drop", "double", "swap", "cut", "cells", "gap"]
-            )
-        )
-        row = rows[index]
+        kinds = ["cell", "cell", "cell", "drop", "double", "swap", "cut", "cells", "gap"]
+        kind, row = draw(st.sampled_from(kinds)), rows[index]
         if kind == "cell" and row:
-            row[draw(st.integers(0, len(row) - 1))] = draw(
-                st.sampled_from(CELLS) | st.floats().map(str)
-            )
+            cell = draw(st.sampled_from(CELLS) | st.floats().map(str))
+            row[draw(st.integers(0, len(row) - 1))] = cell
         elif kind == "drop":
             del rows[index]
         elif kind == "gap":

@@ -24,45 +24,31 @@ BASE: dict[str, dict[str, Any]] = {
     "motion": {"yaw_center_deg": 10.0},
     "sensors": {"gyro_noise_deg_per_h": 0.1, "accel_noise_ug": 500.0},
 }
-
-BASES: dict[str, dict[str, Any]] = {
-    "plain": BASE,
-    "compass": BASE | {"alignment": {"method": "compass"}},
-    "coarse": BASE | {"coarse": {"coarse_duration_s": 2.0, "coarse_then": "replay"}},
-    "passes": BASE | {"passes": {"stored_s": 2.0}, "axes": {"method": ["kalman10", "compass"]}},
-    "trigger": BASE | {"resets": {"reset_trigger": "nis", "trigger_threshold": 9.0}},
-    "drawn": BASE
-    | {
-        "drawn": {
-            "phi_u0_deg": {"uniform": [-10, 10]},
-            "gyro_bias_deg_per_h": {"normal": [0, 0.1]},
-        },
-        "stop_when": {"statistic": "success_rate", "half_width": 0.1},
-    },
-    "cases": BASE
-    | {"cases": [{"case": "a", "p0_yaw_deg": 10.0}, {"case": "b", "p0_yaw_deg": 20.0}]},
-    "zips": BASE
-    | {"axes": {"p0_yaw_deg": [1.0, 2.0], "start": {"phi_u0_deg": [1, 2], "phi_e0_deg": [0, 1]}}},
-    "tuned": BASE
-    | {
-        "tune": {
-            "searches": ["grid"],
-            "variables": {"p0_yaw_deg": {"low": 1.0, "high": 80.0}},
-            "baseline": {"p0_yaw_deg": 5.0},
-        }
-    },
-    **{
-        f"method {name}": BASE | {"alignment": {"method": name, "phi_u0_deg": 30.0}}
-        for name in METHODS
-    },
-    "recorded": {
-        "study": {"duration_s": 2.0, "rate_hz": 10.0, "record_interval_s": 0.5},
-        "earth": {"latitude_deg": 32.0},
-        "record": {"format": "psins", "start_s": [0, 1]},
-        "filter": {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_sample"},
-        "coarse": {"coarse_duration_s": 2.0},
-    },
+RECORDED: dict[str, dict[str, Any]] = {
+    "study": {"duration_s": 2.0, "rate_hz": 10.0, "record_interval_s": 0.5},
+    "earth": {"latitude_deg": 32.0},
+    "record": {"format": "psins", "start_s": [0, 1]},
+    "filter": {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_sample"},
+    "coarse": {"coarse_duration_s": 2.0},
 }
+_ADDED = tomllib.loads("""
+plain = {}
+coarse.coarse = {coarse_duration_s = 2.0, coarse_then = "replay"}
+passes = {passes = {stored_s = 2.0}, axes = {method = ["kalman10", "compass"]}}
+trigger.resets = {reset_trigger = "nis", trigger_threshold = 9.0}
+cases.cases = [{case = "a", p0_yaw_deg = 10.0}, {case = "b", p0_yaw_deg = 20.0}]
+zips.axes = {p0_yaw_deg = [1.0, 2.0], start = {phi_u0_deg = [1, 2], phi_e0_deg = [0, 1]}}
+[drawn]
+drawn = {phi_u0_deg = {uniform = [-10, 10]}, gyro_bias_deg_per_h = {normal = [0, 0.1]}}
+stop_when = {statistic = "success_rate", half_width = 0.1}
+[tuned.tune]
+searches = ["grid"]
+variables.p0_yaw_deg = {low = 1.0, high = 80.0}
+baseline.p0_yaw_deg = 5.0
+""")
+_OF_METHODS = {name: {"alignment": {"method": name, "phi_u0_deg": 30.0}} for name in METHODS}
+BASES = {name: BASE | more for name, more in (_ADDED | _OF_METHODS).items()}
+BASES["recorded"] = RECORDED
 
 
 @functools.cache
@@ -76,20 +62,16 @@ _SWEPT = [(name, key) for name, key in KEYS if name in SWEEPABLE]
 _TUNED = [(name, key) for name, key in KEYS if name in TUNABLE]
 
 
-def _build_value_strategy(place: tuple[str, str]) -> st.SearchStrategy[Any]:
+@functools.cache
+def value_strategy(place: tuple[str, str]) -> st.SearchStrategy[Any]:
     """Return a strategy for values of a key, three of four of its type."""
     fitting = values_of_field(SECTIONS[place[0]].model_fields[place[1]])
     return st.one_of(fitting, fitting, fitting, misfit_values())
 
 
-@functools.cache
-def _value_strategy(place: tuple[str, str]) -> st.SearchStrategy[Any]:
-    return _build_value_strategy(place)
-
-
 def _draw_law(draw: st.DrawFn, place: tuple[str, str]) -> Any:
     number = st.floats(-10, 400) | st.sampled_from([0, 1, 1e12, -1e12, 1e300])
-    values = st.lists(_value_strategy(place), max_size=5)
+    values = st.lists(value_strategy(place), max_size=5)
     kinds = {
         "uniform": st.lists(number, min_size=2, max_size=2).map(sorted),
         "normal": st.lists(number.map(abs), min_size=2, max_size=2),
@@ -101,10 +83,8 @@ def _draw_law(draw: st.DrawFn, place: tuple[str, str]) -> Any:
 
 
 def _draw_range(draw: st.DrawFn, place: tuple[str, str]) -> Any:
-    value, ends = (
-        _value_strategy(place),
-        st.lists(st.floats(1e-3, 400), min_size=2, max_size=2).map(sorted),
-    )
+    value = value_strategy(place)
+    ends = st.lists(st.floats(1e-3, 400), min_size=2, max_size=2).map(sorted)
     kind = draw(st.sampled_from(["ends", "log", "list", "fixed", "candidates"]))
     if kind == "fixed":
         return {"fixed": draw(value)}
@@ -140,7 +120,7 @@ def _edit_study(draw: st.DrawFn, data: dict[str, Any]) -> None:
     if kind in ("key", "unknown"):
         place = draw(st.sampled_from(KEYS))
         name = place[1] if kind == "key" else draw(st.sampled_from([*TEXTS, place[1][:-1]]))
-        _get_table(data, place[0])[name] = draw(_value_strategy(place))
+        _get_table(data, place[0])[name] = draw(value_strategy(place))
     elif kind == "section":
         section = draw(st.sampled_from(list(SECTIONS)))
         data[section] = draw(draw_table(SECTIONS[section].model_fields))
@@ -152,13 +132,12 @@ def _edit_study(draw: st.DrawFn, data: dict[str, Any]) -> None:
         place = draw(st.sampled_from(_TUNED))
         tune = _get_table(data, "tune")
         tune.setdefault("searches", ["sobol"])
-        _get_table(tune, draw(st.sampled_from(["variables", "variables", "baseline"])))[
-            place[1]
-        ] = _draw_range(draw, place)
+        table = _get_table(tune, draw(st.sampled_from(["variables", "variables", "baseline"])))
+        table[place[1]] = _draw_range(draw, place)
     else:
         place = draw(st.sampled_from(_SWEPT))
         _remove_key(data, place)
-        values = draw(st.lists(_value_strategy(place), min_size=1, max_size=4))
+        values = draw(st.lists(value_strategy(place), min_size=1, max_size=4))
         if kind == "case":
             data["cases"] = [{"case": str(i), place[1]: value} for i, value in enumerate(values)]
         elif kind == "zip":
@@ -185,20 +164,19 @@ def study_tables(draw: st.DrawFn) -> dict[str, Any]:
 def studies_with_value(value: Any) -> Iterator[dict[str, Any]]:
     """Yield studies with a value for every key, also swept, drawn or tuned."""
     for section, key in KEYS:
-        base = BASES["recorded" if section in ("record", "coarse") else "plain"]
+        base = RECORDED if section in ("record", "coarse") else BASE
         yield base | {section: base.get(section, {}) | {key: value}}
         if section in SWEEPABLE:
             plain = copy.deepcopy(BASE)
             _remove_key(plain, (section, key))
-            yield plain | {"axes": {key: value}}
-            yield plain | {"axes": {key: [value, value]}}
+            for axis in (value, [value, value]):
+                yield plain | {"axes": {key: axis}}
             yield plain | {"cases": [{key: value}]}
-            yield plain | {"drawn": {key: value}}
-            yield plain | {"drawn": {key: {"values": [value]}}}
+            for law in (value, {"values": [value]}):
+                yield plain | {"drawn": {key: law}}
         if section in TUNABLE:
-            yield BASE | {"tune": {"variables": {key: value}}}
-            yield BASE | {"tune": {"variables": {key: {"fixed": value}}}}
-            yield BASE | {"tune": {"variables": {key: [{"low": value, "high": value}]}}}
+            for kind in (value, {"fixed": value}, [{"low": value, "high": value}]):
+                yield BASE | {"tune": {"variables": {key: kind}}}
 
 
 def to_toml_bytes(data: Any) -> bytes:

@@ -37,10 +37,8 @@ MAX_BYTES = 500e6
 
 _PACKAGE = Path(sinsjax.__file__).parent
 _LONGEST_LINE = 2000
-_MAX_VARIANTS, _MAX_MEMORY = (
-    500,
-    1e9,
-)  # variants and bytes, beyond which a study is resolved no further
+_MAX_VARIANTS, _MAX_MEMORY = 500, 1e9
+"""Number and bytes, beyond which a study is resolved no further."""
 
 
 class BrokenCase(AssertionError):
@@ -70,7 +68,7 @@ def make_targets(folder: Path) -> list[Target]:
         Target(
             "manifests",
             manifests.manifest_cases(HiddenValue(files)),
-            lambda c: check_directory(stored, files, c),
+            lambda case: check_directory(stored, files, case),
         ),
         Target("records", records.record_cases(), lambda case: check_record(folder, case)),
     ]
@@ -149,9 +147,8 @@ def check_resolution(study: Study) -> None:
     """Check the resolution of a study before compilation; refusals are one line."""
     try:
         if study.study.rate_hz:
-            expected = (
-                forecast.forecast_tuning(study) if study.tune else forecast.forecast_sweep(study)
-            )
+            forecast_of = forecast.forecast_tuning if study.tune else forecast.forecast_sweep
+            expected = forecast_of(study)
             expected.describe(2)
             if study.n_variants > _MAX_VARIANTS or expected.memory > _MAX_MEMORY:
                 return
@@ -169,7 +166,8 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
     """Read a results directory as reports, reruns and resumed sweeps do."""
     for name, content in case.files.items():
         (directory / name).unlink() if content is None else (directory / name).write_bytes(content)
-    run_ids = [0, 1]
+    study, run_ids = manifests.STUDY, [0, 1]
+    expected = forecast.forecast_sweep(study)
     questions: list[Callable[[], Any]] = [
         lambda: read_manifest(directory),
         lambda: read_summary(directory),
@@ -178,16 +176,10 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
         lambda: count_runs(directory),
         lambda: resume.check_available(directory, overwrite=False, resume=True),
         lambda: resume.check_available(directory, overwrite=True, resume=False),
-        lambda: resume.continue_job(Job(manifests.STUDY, directory=directory)),
+        lambda: resume.continue_job(Job(study, directory=directory)),
         lambda: run_tuning.is_tuning(directory),
         lambda: Source.read(directory),
-        lambda: forecast.check_resources(
-            manifests.STUDY,
-            forecast.forecast_sweep(manifests.STUDY),
-            directory,
-            overwrite=False,
-            resume=True,
-        ),
+        lambda: forecast.check_resources(study, expected, directory, overwrite=False, resume=True),
     ]
     try:
         for question in questions:
@@ -213,9 +205,8 @@ def check_record(folder: Path, case: records.Case) -> None:
         check_error_lines(error, "align: ")
         return
     try:
-        job = prepare.prepare_job(
-            study, None, record, None if case.reference is None else reference
-        )
+        given = None if case.reference is None else reference
+        job = prepare.prepare_job(study, None, record, given)
         for line in (*job.warnings, *job.notes):
             check_error_lines(InputError(line))
     except InputError as error:

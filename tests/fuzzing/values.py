@@ -3,6 +3,7 @@
 import copy
 import datetime
 import functools
+import itertools
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -27,17 +28,8 @@ NUMBERS = [
 
 TEXTS = [
     *("", " ", "\n", "a\nb", "\x00", "\x1b[31mred", "x" * 10_000, "é", "\u202eright", "\U0001f600"),
-    *(
-        "[/b]",
-        "[bold]",
-        "[red",
-        "<script>alert(1)</script>",
-        "$x^$",
-        "$$",
-        "\\frac{",
-        "%s%n",
-        "{0}",
-    ),
+    *("[/b]", "[bold]", "[red", "<script>alert(1)</script>"),
+    *("$x^$", "$$", "\\frac{", "%s%n", "{0}"),
     *("../../etc/passwd", "/", "~", "~nosuchuser/x", "none", "nan", "inf", "None", "true", "0x1F"),
     *("{{7*7}}", "`|`", "a|b", "|", "#", "&amp;", "'", '"', '"""', "\ud800"[:0] + "\ufffd"),
 ]
@@ -53,24 +45,19 @@ def _nest(depth: int, kind: str) -> Any:
 @functools.cache
 def misfit_values() -> Strategy:
     """Return a strategy for values that hardly any key accepts."""
+    nested = [_nest(depth, kind) for depth in (5, 60) for kind in ("list", "table")]
+    dates = [datetime.date(2026, 1, 1), datetime.time(1, 2), datetime.datetime(1, 1, 1)]
+    names = st.sampled_from(["low", "high", "uniform", "a", ""])
     some = st.one_of(
-        st.sampled_from(NUMBERS),
-        st.sampled_from(TEXTS),
+        st.sampled_from([*NUMBERS, *TEXTS]),
         st.floats(),
         st.integers(),
         st.text(max_size=8),
         st.sampled_from([[], {}, [[]], [{}], {"a": 1}, [1, "a"], [None], [1, [2, [3]]]]),
         st.lists(st.floats(), max_size=4),
         st.lists(st.sampled_from([*NUMBERS, *TEXTS]), max_size=4),
-        st.dictionaries(
-            st.sampled_from(["low", "high", "uniform", "a", ""]), st.floats(), max_size=3
-        ),
-        st.sampled_from(
-            [_nest(5, "list"), _nest(5, "table"), _nest(60, "list"), _nest(60, "table")]
-        ),
-        st.sampled_from(
-            [datetime.date(2026, 1, 1), datetime.time(1, 2), datetime.datetime(1, 1, 1)]
-        ),
+        st.dictionaries(names, st.floats(), max_size=3),
+        st.sampled_from([*nested, *dates]),
         st.builds(lambda n: [0.5] * n, st.sampled_from([1, 2, 7, 100, 3000])),
     )
     return some.map(copy.deepcopy)  # what one edit puts in, the next one may change
@@ -90,12 +77,8 @@ def values_of_type(annotation: Any, metadata: tuple[Any, ...] = ()) -> Strategy:
     """Return a strategy for values of a type with its bounds."""
     while get_origin(annotation) is typing.Annotated:
         annotation, *more = get_args(annotation)
-        inner = (
-            m
-            for extra in more
-            for m in (extra.metadata if isinstance(extra, FieldInfo) else [extra])
-        )
-        metadata = (*metadata, *inner)
+        fields = (extra.metadata if isinstance(extra, FieldInfo) else [extra] for extra in more)
+        metadata = (*metadata, *itertools.chain.from_iterable(fields))
     made = _PLAIN.get(annotation)
     if made is not None:
         return made(metadata)

@@ -1,10 +1,10 @@
 """Out-of-range samples and stuck channels are reported with their rows."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.refusals import assert_named
 
 import sinsjax
 from sinsjax.errors import InputError
@@ -54,70 +54,60 @@ def study(**record: Any) -> Any:
     )
 
 
-def test_samples_beyond_sensor_range_are_named_and_refused() -> None:
+def test_samples_beyond_sensor_range_are_named_and_refused():
     accel = change_rows(ACCEL, slice(500, 510), 0, -9999 * 9.80665)
     accel[700, 1] = 250.0
     stored = make_record(accel=accel)
     with pytest.raises(InputError) as caught:
         prepare_job(study(), record=stored)
-    assert str(caught.value) == (
-        "arrays: rows 500 to 509: column 'accel[:, 0]': -98056.7 is -9999 g, and no base at rest"
-        " has more than 20 g: leave such cells empty, as missing samples; 1 more such place"
-        " ([record] trust = true aligns it anyway)"
-    )
+    place = "arrays: rows 500 to 509: column 'accel[:, 0]'"
+    assert_named(str(caught.value), place, "-98056.7", "-9999 g", "20 g", "1")
     assert "rows 500 to 509" in prepare_job(study(trust=True), record=stored).warnings[0]
     assert not prepare_job(study(start_s=[8.0]), record=stored).warnings  # they are not read
     (text,) = texts(gyro=change_rows(GYRO, 7, 2, 50.0))
-    assert text.startswith("row 7: column 'gyro[:, 2]': 50 is 2865 deg/s")
+    assert_named(text, "row 7: column 'gyro[:, 2]'", "50", "2865")
 
 
-def test_wrong_unit_is_not_reported_as_outlier() -> None:
+def test_wrong_unit_is_not_reported_as_outlier():
     assert not texts(accel=ACCEL * 100) and not texts(gyro=GYRO * 206265 * 60)
 
 
-def test_dead_and_stuck_channels_are_reported() -> None:
-    assert texts(gyro=change_rows(GYRO, slice(None), 0, 0.0)) == [
-        "column 'gyro[:, 0]' is 0 in every row: is that sensor dead?"
-    ]
+def test_dead_and_stuck_channels_are_reported():
+    (dead,) = texts(gyro=change_rows(GYRO, slice(None), 0, 0.0))
+    assert "column 'gyro[:, 0]' is 0 " in dead
     gyro, accel = (change_rows(v, slice(1000, 1100), slice(3), v[1000]) for v in (GYRO, ACCEL))
-    assert texts(gyro, accel) == [
-        "rows 1000 to 1099: all six channels are stuck for 1 s: did the sensor or the logger stop?"
-    ]
+    (stuck,) = texts(gyro, accel)
+    assert stuck.startswith("rows 1000 to 1099: ")
     short = (change_rows(v, slice(1000, 1099), slice(3), v[1000]) for v in (GYRO, ACCEL))
     assert not texts(*short)
     assert not texts(gyro)  # one sensor of few counts may repeat itself
-    assert texts(np.zeros((T, 3)), np.zeros((T, 3)) + 9.8) == [
-        "no channel changes in any row: is this a log of sensors?"
-    ]
+    assert len(texts(np.zeros((T, 3)), np.zeros((T, 3)) + 9.8)) == 1
     (warning,) = prepare_job(study(), record=make_record(gyro, accel)).warnings
-    assert warning.startswith("arrays: rows 1000 to 1099: all six")
+    assert warning.startswith("arrays: rows 1000 to 1099: ")
 
 
-def test_dead_gyro_that_hides_north_is_named_and_leaves_level() -> None:
+def test_dead_gyro_that_hides_north_is_named_and_leaves_level():
     job = prepare_job(study(), record=make_record(change_rows(GYRO, slice(None), 0, 0.1)))
     dead, hidden = job.warnings
-    assert "column 'gyro[:, 0]' is 0.1 in every row: is that sensor dead?" in dead
-    assert "hides Earth rate: no heading can be found; pitch and roll are those of" in hidden
+    assert "column 'gyro[:, 0]' is 0.1 " in dead and "hides Earth rate" in hidden
     assert job.study.methods == ("level",)
 
 
-def test_refusal_names_dead_channel_as_possible_cause() -> None:
+def test_refusal_names_dead_channel_as_possible_cause():
     stored = make_record(change_rows(GYRO / 1000, slice(None), 0, 0.0))
-    with pytest.raises(
-        InputError, match=r"0.* is 0 in every row: is that sensor dead\? \(\[record\]"
-    ):
+    with pytest.raises(InputError, match=r"column 'gyro\[:, 0\]' is 0 "):
         prepare_job(study(), record=stored)
 
 
 @pytest.mark.parametrize("unit", ["rad_per_s", "deg_per_h"])
-def test_subtracted_mean_of_whole_log_is_reported(unit: str) -> None:
+def test_subtracted_mean_of_whole_log_is_reported(unit):
     """A sway that the log cuts short: over the part that is aligned the mean is not zero."""
     sway = 2e-4 * np.cos(np.arange(T)[:, None] / T * [3.0, 4.0, 5.0])
     sensed = GYRO + sway
     factor = 1.0 if unit == "rad_per_s" else 3600 * 180 / np.pi
     removed = np.round((sensed - sensed.mean(axis=0)) * factor, 9)
     removed[5, 1] = np.nan
-    asks = "the mean of each gyro over the whole log is below 1% of Earth rate: has Earth rate been"
+    asks = "mean of each gyro over the whole log"
     stored = make_record(removed, gyro_unit=unit, max_gap_s=0.1)
     with pytest.raises(InputError, match=asks):
         prepare_job(study(), record=stored)
@@ -126,13 +116,13 @@ def test_subtracted_mean_of_whole_log_is_reported(unit: str) -> None:
         assert not texts(gyro, gyro_unit=unit, max_gap_s=0.1)
 
 
-def test_reported_row_numbers_match_file_rows(tmp_path: Path) -> None:
+def test_reported_row_numbers_match_file_rows(tmp_path):
     accel = change_rows(ACCEL, 20, 2, 1e4)
     record = Record(GYRO / RATE, accel / RATE, RATE, latitude_deg=45.0, gravity_m_per_s2=9.8)
     write_csv(record, tmp_path / "a.csv", LAYOUT)
     (odd,) = read_csv(tmp_path / "a.csv", LAYOUT).anomalies
     assert (odd.begin, odd.end, odd.is_certain) == (20, 21, True)
-    assert odd.text.startswith("row 22: column 'accel_z': 1019.72 is 1020 g")
+    assert_named(odd.text, "row 22: column 'accel_z'", "1019.72", "1020 g")
     write_psins(record, tmp_path / "a.imu", gyro_scale_arcsec=1e-4, accel_scale_ug_s=1e-2)
     (odd,) = read_psins(tmp_path / "a.imu").anomalies
     rows = (tmp_path / "a.imu").read_text().splitlines()

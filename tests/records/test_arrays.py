@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from support.refusals import assert_told
 from support.studies import STILL, small_study, small_tables
 
 import sinsjax
@@ -66,9 +67,7 @@ def refusal_line(*given: Any, **more: Any) -> str:
 
 @pytest.mark.parametrize(("gyro_unit", "accel_unit"), PAIRS)
 @pytest.mark.parametrize(("axes", "order"), [("rfu", "xyz"), ("frd", "yx-z"), ("flu", "-yxz")])
-def test_array_units_and_axes_are_converted(
-    gyro_unit: str, accel_unit: str, axes: str, order: str
-) -> None:
+def test_array_units_and_axes_are_converted(gyro_unit, accel_unit, axes, order):
     gyro, accel = (from_body_axes(values, order) for values in (GYRO, ACCEL))
     factors = GYROS[gyro_unit], ACCELS[accel_unit]
     units = {"gyro_unit": gyro_unit, "accel_unit": accel_unit, "axes": axes}
@@ -80,7 +79,7 @@ def test_array_units_and_axes_are_converted(
     assert (gyro == before).all()
 
 
-def test_frd_and_flu_axes_map_to_right_front_up() -> None:
+def test_frd_and_flu_axes_map_to_right_front_up():
     """Of a box with x front, y right, z down; and of one with x front, y left, z up."""
     front, right, up = 1.0, 2.0, 3.0
     for axes, sensed in (("frd", [front, right, -up]), ("flu", [front, -right, up])):
@@ -89,13 +88,13 @@ def test_frd_and_flu_axes_map_to_right_front_up() -> None:
 
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
-def test_time_units_are_converted_to_seconds(unit: str) -> None:
+def test_time_units_are_converted_to_seconds(unit):
     factor = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
     record = make_record((TIME + 5) * factor, time_unit=unit).record
     assert record.rate_hz == RATE and record.t0_s == pytest.approx(5.0)
 
 
-def test_datetime64_times_give_rate_and_start() -> None:
+def test_datetime64_times_give_rate_and_start():
     dates = np.datetime64("2024-05-01T12:00:00", "ns") + np.arange(1, T + 1) * np.timedelta64(
         10_000_000, "ns"
     )
@@ -130,7 +129,7 @@ def zoned_dates() -> dict[str, Any]:
     return found
 
 
-def test_zoned_dates_match_plain_dates_exactly() -> None:
+def test_zoned_dates_match_plain_dates_exactly():
     plain = make_record(zoned_dates()["Arrow"].to_numpy(zero_copy_only=False)).record
     assert plain.rate_hz == pytest.approx(RATE) and plain.t0_s == pytest.approx(1714564800.0)
     for name, dates in zoned_dates().items():
@@ -139,15 +138,15 @@ def test_zoned_dates_match_plain_dates_exactly() -> None:
         assert (record.dtheta == plain.dtheta).all(), name
 
 
-def test_missing_date_is_missing_sample() -> None:
+def test_missing_date_is_missing_sample():
     dates: list[Any] = zoned_dates()["datetime"]
     dates[20] = None
     assert [flaw[:2] for flaw in make_record(dates).record.flaws] == [(20, 21)]
     dates[21] = "noon"
-    assert "arrays: time: not dates with time: " in refusal_line(dates)
+    assert refusal_line(dates).startswith("arrays: time: ")
 
 
-def test_reference_accepts_dates() -> None:
+def test_reference_accepts_dates():
     dates = zoned_dates()["datetime"]
     level = [0.0, 0.0]
     table = {"time_s": [dates[0], dates[-1]], "pitch_deg": level, "roll_deg": level}
@@ -155,7 +154,7 @@ def test_reference_accepts_dates() -> None:
     assert reference.time_s == pytest.approx([0.01, 0.5], abs=1e-6)
 
 
-def test_pandas_na_is_missing_sample() -> None:
+def test_pandas_na_is_missing_sample():
     pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame(GYRO).astype(object)
     frame.iloc[10, 1] = pandas.NA
@@ -167,26 +166,23 @@ def test_pandas_na_is_missing_sample() -> None:
     assert [flaw[:2] for flaw in make_record(times).record.flaws] == [(10, 11)]
 
 
-def test_epoch_timestamps_give_whole_rate() -> None:
+def test_epoch_timestamps_give_whole_rate():
     time = 1.763e9 + np.arange(1, 3001) / 100
     rates = np.ones((3000, 3))
     assert sinsjax.record_from_arrays(time, rates, rates).record.rate_hz == 100.0
 
 
-def test_rate_hz_is_used_without_times() -> None:
+def test_rate_hz_is_used_without_times():
     assert make_record(None, rate_hz=200.0).record.rate_hz == 200.0
 
 
-def test_gaps_are_interpolated_or_reported_as_flaws() -> None:
+def test_gaps_are_interpolated_or_reported_as_flaws():
     gyro = GYRO.copy()
     gyro[10] = np.nan
     record = make_record(gyro=gyro, max_gap_s=0.02).record
     assert record.filled == 1 and np.isfinite(record.dtheta).all()
     (flaw,) = make_record(gyro=gyro).record.flaws
-    assert flaw.text == (
-        "arrays: row 10: column 'gyro[:, 0]': empty or not finite (max_gap_s = 0.02 would"
-        " interpolate it)"
-    )
+    assert_told(flaw.text, "arrays: row 10: column 'gyro[:, 0]': empty 0.02")
     masked = np.ma.masked_invalid(gyro)
     assert make_record(gyro=masked).record.flaws[0].begin == 10
     late = np.delete(TIME, slice(20, 23))
@@ -194,7 +190,7 @@ def test_gaps_are_interpolated_or_reported_as_flaws() -> None:
     assert make_record(late, *rest, max_gap_s=0.05).record.filled == 3
 
 
-def test_tables_of_every_library_give_same_record() -> None:
+def test_tables_of_every_library_give_same_record():
     plain = make_record(reference=REFERENCE)
     tables = {"pa": pa.table(REFERENCE)}
     for name in ("pandas", "polars"):
@@ -216,46 +212,40 @@ def test_tables_of_every_library_give_same_record() -> None:
     assert plain.reference.attitude_deg[0].tolist() == [1.0, 2.0, -30.0]
 
 
-def test_reference_times_become_relative_to_record_start() -> None:
+def test_reference_times_become_relative_to_record_start():
     own = Reference(np.array([100.0, 110.0]), np.zeros((2, 3)), None)
     assert make_record(TIME + 100, reference=own).reference.time_s.tolist() == [0.0, 10.0]
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "told"),
     [
-        ({"gyro": GYRO[:, :2]}, "arrays: gyro: must have the shape (T, 3), not (50, 2)"),
-        ({"accel": ACCEL[:-1]}, "arrays: accel: has 49 rows, gyro 50"),
-        ({"time": TIME[:-2]}, "arrays: time: has 48 rows, gyro 50"),
-        ({"time": GYRO}, "arrays: time: must have the shape (T,), not (50, 3)"),
-        (
-            {"gyro": [[1, 2, 3], [1, "x", 3]]},
-            "arrays: row 1: column 'gyro[:, 1]': 'x' is not a number",
-        ),
-        ({"gyro": [[1, 2, 3], [1, 3]]}, "arrays: gyro: not numeric: "),
-        ({"time": ["x", *TIME[1:]]}, "arrays: row 0: column 'time': 'x' is not a number"),
-        ({"time": None}, "arrays: rate_hz: required if time is None"),
-        ({"time": None, "rate_hz": 1.0, "gyro": np.empty((0, 3))}, "arrays: gyro: has no rows"),
-        ({"gyro": GYRO * 1e35}, "arrays: row 0: column 'gyro[:, 0]': out of range (beyond 1e+30)"),
-        ({"time": TIME[::-1]}, "column 'time': row 1: time runs backward, from 0.5 to 0.49 s"),
-        ({"time": np.ones(T)}, "time repeats, from 1.0 to 1.0 s (drop time and give rate_hz if"),
-        ({"rate_hz": 50.0}, "arrays: column 'time' gives 100 Hz, but rate_hz is 50"),
-        ({"gyro_unit": "dps"}, "gyro_unit: 'dps' is not one of rad, deg, arcsec, rad_per_s"),
-        ({"mounting_deg": (1.0, 2.0)}, "arrays: mounting_deg: must have a finite pitch, roll and"),
-        ({"axes": "ned"}, "arrays: axes: 'ned' is not a signed permutation of xyz"),
-        ({"axes": "yxz"}, "arrays: axes: 'yxz' is left-handed"),
-        ({"time_unit": "iso"}, "time_unit: 'iso' is for files"),
-        ({"time_unit": "h"}, "arrays: time_unit: 'h' is not one of"),
-        ({"reference": {"time_s": [0, 1]}}, "arrays: reference: no column 'pitch_deg'"),
-        (
-            {"reference": REFERENCE | {"pitch_deg": [1, 99]}},
-            "arrays: reference: row 1: pitch_deg is beyond 90",
-        ),
-        ({"reference": REFERENCE | {"roll_deg": [1]}}, "its columns must have one number per row"),
+        ({"gyro": GYRO[:, :2]}, "gyro: (T, 3) 50"),
+        ({"accel": ACCEL[:-1]}, "accel: 49 50"),
+        ({"time": TIME[:-2]}, "time: 48 50"),
+        ({"time": GYRO}, "time: 50 3"),
+        ({"gyro": [[1, 2, 3], [1, "x", 3]]}, "row 1: column 'gyro[:, 1]': 'x'"),
+        ({"gyro": [[1, 2, 3], [1, 3]]}, "gyro: numeric"),
+        ({"time": ["x", *TIME[1:]]}, "row 0: column 'time': 'x'"),
+        ({"time": None}, "rate_hz: required time"),
+        ({"time": None, "rate_hz": 1.0, "gyro": np.empty((0, 3))}, "gyro: rows"),
+        ({"gyro": GYRO * 1e35}, "row 0: column 'gyro[:, 0]': range"),
+        ({"time": TIME[::-1]}, "column 'time': row 1: backward 0.5 0.49"),
+        ({"time": np.ones(T)}, "column 'time': row 1: repeats 1.0"),
+        ({"rate_hz": 50.0}, "column 'time' 100 rate_hz 50"),
+        ({"gyro_unit": "dps"}, "gyro_unit: 'dps' rad deg arcsec rad_per_s"),
+        ({"mounting_deg": (1.0, 2.0)}, "mounting_deg: pitch roll"),
+        ({"axes": "ned"}, "axes: 'ned' permutation"),
+        ({"axes": "yxz"}, "axes: 'yxz' left-handed"),
+        ({"time_unit": "iso"}, "time_unit: 'iso'"),
+        ({"time_unit": "h"}, "time_unit: 'h'"),
+        ({"reference": {"time_s": [0, 1]}}, "reference: column 'pitch_deg'"),
+        ({"reference": REFERENCE | {"pitch_deg": [1, 99]}}, "reference: row 1: pitch_deg 90"),
+        ({"reference": REFERENCE | {"roll_deg": [1]}}, "reference: row"),
     ],
 )
-def test_invalid_array_input_raises_one_line_error(change: dict[str, Any], says: str) -> None:
-    assert says in refusal_line(**change)
+def test_invalid_array_input_raises_one_line_error(change, told):
+    assert_told(refusal_line(**change), f"arrays: {told}")
 
 
 @pytest.fixture(scope="module")
@@ -290,7 +280,7 @@ def recorded(**changes: Any) -> Any:
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_study_runs_on_arrays(drive_data: tuple[Any, Any]) -> None:
+def test_study_runs_on_arrays(drive_data):
     record = drive_data[1]
     time = 100 + np.arange(1, len(record.dv) + 1) / record.rate_hz
     gyro, accel = (from_body_axes(v * record.rate_hz, "yx-z") for v in (record.dtheta, record.dv))
@@ -314,46 +304,25 @@ def test_study_runs_on_arrays(drive_data: tuple[Any, Any]) -> None:
         assert abs(row["pitch_deg"]) < 0.1
 
 
-def test_gravity_pointing_down_error_names_axes_argument(drive_data: tuple[Any, Any]) -> None:
-    record = drive_data[1]
-    rates = record.dtheta * record.rate_hz, -record.dv * record.rate_hz
-    stored = sinsjax.record_from_arrays(None, *rates, rate_hz=record.rate_hz)
-    with pytest.raises(InputError, match=r"points down, .* are axes \('yx-z' for"):
-        sinsjax.run(recorded(), stored)
-
-
-def test_wrong_accelerometer_unit_is_refused(drive_data: tuple[Any, Any]) -> None:
-    record = drive_data[1]
-    time = np.arange(1, len(record.dv) + 1) / record.rate_hz
-    rates = record.dtheta * record.rate_hz, record.dv * record.rate_hz
-    stored = sinsjax.record_from_arrays(time, *rates, accel_unit="g")
-    with pytest.raises(InputError, match=r"9.81 times gravity: are these m/s\^2\?"):
-        sinsjax.run(recorded(), stored)
-
-
 @pytest.mark.parametrize(
-    ("scale", "unit", "says"),
+    ("accel", "time", "units", "named"),
     [
-        (
-            1e6,
-            "s",
-            "1 s is not a whole number of samples of 10000 s (0.0001 Hz: is time_unit right?)",
-        ),
-        (1.0, "ns", "more than 100000000 samples per run (is time_unit right?)"),
+        (-1.0, 1.0, {}, "axes"),
+        (1.0, 1.0, {"accel_unit": "g"}, "9.81 times"),
+        (1.0, 1e6, {"time_unit": "s"}, "time_unit"),
+        (1.0, 1.0, {"time_unit": "ns"}, "time_unit"),
     ],
+    ids=["gravity down", "unit of accelerometers", "slow time", "fast time"],
 )
-def test_wrong_time_unit_is_refused(
-    drive_data: tuple[Any, Any], scale: float, unit: str, says: str
-) -> None:
+def test_wrong_sign_or_unit_is_refused(accel, time, units, named, drive_data):
     record = drive_data[1]
-    time = scale * np.arange(1, len(record.dv) + 1) / record.rate_hz
-    rates = record.dtheta * record.rate_hz, record.dv * record.rate_hz
-    with pytest.raises(InputError) as caught:
-        sinsjax.run(recorded(), sinsjax.record_from_arrays(time, *rates, time_unit=unit))
-    assert says in str(caught.value)
+    times = time * np.arange(1, len(record.dv) + 1) / record.rate_hz
+    rates = record.dtheta * record.rate_hz, accel * record.dv * record.rate_hz
+    with pytest.raises(InputError, match=named):
+        sinsjax.run(recorded(), sinsjax.record_from_arrays(times, *rates, **units))
 
 
-def test_rounded_timestamps_keep_start_times(drive_data: tuple[Any, Any]) -> None:
+def test_rounded_timestamps_keep_start_times(drive_data):
     record = drive_data[1]
     time = np.round(1e-9 + np.arange(1, len(record.dv) + 1) / record.rate_hz * (1 + 1e-9), 9)
     stored = sinsjax.record_from_arrays(
@@ -364,31 +333,29 @@ def test_rounded_timestamps_keep_start_times(drive_data: tuple[Any, Any]) -> Non
     assert start_samples(study, study.rate_hz).tolist() == [0, 1000]
 
 
-def test_interpolated_samples_are_reported(drive_data: tuple[Any, Any]) -> None:
+def test_interpolated_samples_are_reported(drive_data):
     record = drive_data[1]
     time = np.arange(1, len(record.dv) + 1) / record.rate_hz
     gyro = record.dtheta * record.rate_hz
     gyro[700, 1] = np.nan
     stored = sinsjax.record_from_arrays(time, gyro, record.dv * record.rate_hz, max_gap_s=0.05)
-    assert list(prepare_job(recorded(), record=stored).warnings) == [
-        "arrays: 1 missing samples are interpolated (gaps up to max_gap_s = 0.05 s)"
-    ]
+    (warning,) = prepare_job(recorded(), record=stored).warnings
+    assert_told(warning, "arrays: 1 max_gap_s 0.05")
 
 
-def test_file_keys_are_refused_for_arrays() -> None:
+def test_file_keys_are_refused_for_arrays():
     for key, value in (("gyro_unit", "rad"), ("axes_order", "frd"), ("time_column", "t")):
-        with pytest.raises(InputError, match=f"{key}: does not apply to format 'arrays'"):
+        with pytest.raises(InputError) as caught:
             recorded(record={key: value})
+        assert_told(str(caught.value), f"study: [record] {key}: 'arrays'")
 
 
-def test_loading_arrays_format_from_file_is_refused() -> None:
-    with pytest.raises(InputError, match="'arrays' are passed to sinsjax.run, not read from x.csv"):
+def test_loading_arrays_format_from_file_is_refused():
+    with pytest.raises(InputError, match="x.csv"):
         sinsjax.load_increments(recorded(), "x.csv")
 
 
-def test_number_instead_of_record_is_refused() -> None:
+def test_number_instead_of_record_is_refused():
     """Unwrapped, because the tests' own checks of types would come first."""
-    with pytest.raises(
-        InputError, match=r"record: must be what sinsjax\.load_increments or .* not a int$"
-    ):
+    with pytest.raises(InputError, match=r"record: .* int$"):
         inspect.unwrap(stored_record)(recorded(), 3, None)

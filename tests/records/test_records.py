@@ -13,6 +13,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from support.refusals import assert_told
 
 from sinsjax import records
 from sinsjax.errors import InputError
@@ -205,40 +206,36 @@ def small_batches(request, monkeypatch) -> None:
 
 @pytest.mark.usefixtures("small_batches")
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "told"),
     [
         ("", "empty"),
-        ("% only\n", "the header must have 3 lines, not 0"),
+        ("% only\n", "3 0"),
         (HEADER, "no samples"),
-        (SAMPLE * 9, r"row 2: header line 2: g = 83 .* \(a 3-line header must precede"),
-        (HEADER + SAMPLE + "1 2 3\n" + SAMPLE, r"row 6: a sample must have 6 counts, not 3$"),
-        (HEADER + SAMPLE + "1 2 3", r"row 6: .* not 3 \(the last row: is the file cut off\?\)"),
-        (HEADER + "1 2 3 4 5 6 7\n" * 3, "row 5: .* not 7"),
-        (HEADER + SAMPLE + "1 2 3 4 5 6.5\n", r"row 6: accelerometer z: '6.5' is not an integer"),
-        (HEADER + "1 l 3 4 5 6\n", "row 5: gyro y: 'l' is not a number"),
-        (HEADER + "1 2 3 NaN 5 6\n", "row 5: accelerometer x: 'NaN' is not finite"),
-        (HEADER + "1 2 3 4 5 99999999999999999999\n", "row 5: accelerometer z: .* too large"),
-        (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: a header line must have 6 values, not 5"),
-        (HEADER.replace("108.9", "1O8.9") + SAMPLE, "row 3: header: '1O8.9' is not a number"),
-        (HEADER.replace(" 10 ", " 0 ") + SAMPLE, "row 3: .*interval must be positive, not 0 ms"),
-        (HEADER.replace("34.2", "134.2") + SAMPLE, "row 3: .*latitude 134.2 deg is not between"),
-        (HEADER.replace("34.2", "90") + SAMPLE, "row 3: .*latitude 90 deg is not between"),
-        (HEADER.replace("34.2", "-90") + SAMPLE, "row 3: .*latitude -90 deg is not between"),
-        (HEADER.replace("9.78", "0.78") + SAMPLE, "row 3: .*g = 0.78"),
-        (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: .*scale factor of gyro y .* not -0.2"),
-        (
-            "a,b\n1,2\n",
-            r"row 1: a header line must have 6 values, not 1 \(not PSINS text\? `sinsjax",
-        ),
-        ("PX\x03\x04\n\0\0", "row 2: not a text file"),
-        ("PK\x03\x04\n\0\0", "a damaged or incomplete archive"),
+        (SAMPLE * 9, "row 2: 83"),
+        (HEADER + SAMPLE + "1 2 3\n" + SAMPLE, "row 6: 6 3"),
+        (HEADER + SAMPLE + "1 2 3", "row 6: 3 last"),
+        (HEADER + "1 2 3 4 5 6 7\n" * 3, "row 5: 7"),
+        (HEADER + SAMPLE + "1 2 3 4 5 6.5\n", "row 6: accelerometer z: '6.5'"),
+        (HEADER + "1 l 3 4 5 6\n", "row 5: gyro y: 'l'"),
+        (HEADER + "1 2 3 NaN 5 6\n", "row 5: accelerometer x: 'NaN'"),
+        (HEADER + "1 2 3 4 5 99999999999999999999\n", "row 5: accelerometer z: large"),
+        (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: 6 5"),
+        (HEADER.replace("108.9", "1O8.9") + SAMPLE, "row 3: '1O8.9'"),
+        (HEADER.replace(" 10 ", " 0 ") + SAMPLE, "row 3: interval 0 ms"),
+        (HEADER.replace("34.2", "134.2") + SAMPLE, "row 3: latitude 134.2"),
+        (HEADER.replace("34.2", "90") + SAMPLE, "row 3: latitude 90"),
+        (HEADER.replace("34.2", "-90") + SAMPLE, "row 3: latitude -90"),
+        (HEADER.replace("9.78", "0.78") + SAMPLE, "row 3: g 0.780327"),
+        (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: gyro y -0.2"),
+        ("a,b\n1,2\n", "row 1: 6 1 PSINS"),
+        ("PX\x03\x04\n\0\0", "row 2: text"),
+        ("PK\x03\x04\n\0\0", "archive"),
     ],
 )
-def test_invalid_psins_file_is_refused(tmp_path, text, says):
+def test_invalid_psins_file_is_refused(tmp_path, text, told):
     path = tmp_path / "bad.imu"
     path.write_bytes(text.encode())
-    line = refusal_line(records.read_psins, path)
-    assert line.startswith(f"{path}: ") and re.search(says, line), line
+    assert_told(refusal_line(records.read_psins, path), f"{path}: {told}")
 
 
 HEAD = "time_s,gx,gy,gz,ax,ay,az\n"
@@ -247,39 +244,35 @@ ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
 
 @pytest.mark.usefixtures("small_batches")
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "told"),
     [
         ("", "empty"),
-        ("\n\n", "only blank lines"),
+        ("\n\n", "blank"),
         (HEAD, "no samples"),
-        (HEAD.replace("gz", "gz_") + ROWS, "no column 'gz'; did you mean 'gz_'"),
-        ("a;b\n1;2\n", "no column 'gx'; the file has 'a', 'b'"),
-        ('a;b\n1;2\n3;"4\n', "no column 'gx'"),
-        (HEAD.replace("gz", "gx") + ROWS, "column 'gx' appears more than once"),
-        (
-            HEAD + ROWS + "0.05,1,2,3\n",
-            r"row 6: the header has 7 columns, this row has 4 \(the last",
-        ),
-        (HEAD + "0.01,1,2,3,4,5,6,7\n" + ROWS, r"row 2: the header has 7 columns, this row has 8$"),
-        (HEAD + ROWS + "\n0.05,1,2,x,4,5,6\n", "row 7: column 'gz': 'x' is not a number"),
-        (HEAD + ROWS + "0.05,1,2,,4,5,6\n", "row 6: column 'gz': empty or not finite"),
-        (HEAD + ROWS + "0.05,1,2,nan,4,5,6\n", "row 6: column 'gz': empty or not finite"),
-        (HEAD + ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': '1e300' is out of range"),
-        (HEAD + ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "row 7: a gap at 100 Hz, from 0.04"),
-        (HEAD + ROWS + "0.05,1,2,3,4,1_0,6\n", "row 6: column 'ay': '1_0' is not a number"),
-        (HEAD + ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: not comma-separated text"),
-        (HEAD + ROWS + "0.07,1,2,3,4,5,6\n", "row 6: a gap at 100 Hz, from 0.04 to 0.07 s"),
-        (HEAD + ROWS + "0.044,1,2,3,4,5,6\n", "row 6: a short step at 100 Hz"),
-        (HEAD + ROWS + "0.04,1,2,3,4,5,7\n", "row 6: time repeats, from 0.04 to 0.04 s"),
-        (HEAD + ROWS + "0.02,1,2,3,4,5,6\n", "row 6: time runs backward, from 0.04 to 0.02 s"),
-        ("\x89PNG\r\n\x1a\n\0\0", "row 3: not a text file"),
+        (HEAD.replace("gz", "gz_") + ROWS, "column 'gz' 'gz_'"),
+        ("a;b\n1;2\n", "column 'gx' 'a' 'b'"),
+        ('a;b\n1;2\n3;"4\n', "column 'gx'"),
+        (HEAD.replace("gz", "gx") + ROWS, "column 'gx' once"),
+        (HEAD + ROWS + "0.05,1,2,3\n", "row 6: 7 4 last"),
+        (HEAD + "0.01,1,2,3,4,5,6,7\n" + ROWS, "row 2: 7 8"),
+        (HEAD + ROWS + "\n0.05,1,2,x,4,5,6\n", "row 7: column 'gz': 'x'"),
+        (HEAD + ROWS + "0.05,1,2,,4,5,6\n", "row 6: column 'gz': empty"),
+        (HEAD + ROWS + "0.05,1,2,nan,4,5,6\n", "row 6: column 'gz': finite"),
+        (HEAD + ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': '1e300'"),
+        (HEAD + ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "column 'time_s': row 7: gap 100 0.04"),
+        (HEAD + ROWS + "0.05,1,2,3,4,1_0,6\n", "row 6: column 'ay': '1_0'"),
+        (HEAD + ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: text"),
+        (HEAD + ROWS + "0.07,1,2,3,4,5,6\n", "column 'time_s': row 6: gap 100 0.04 0.07"),
+        (HEAD + ROWS + "0.044,1,2,3,4,5,6\n", "column 'time_s': row 6: short 100"),
+        (HEAD + ROWS + "0.04,1,2,3,4,5,7\n", "column 'time_s': row 6: repeats 0.04"),
+        (HEAD + ROWS + "0.02,1,2,3,4,5,6\n", "column 'time_s': row 6: backward 0.04 0.02"),
+        ("\x89PNG\r\n\x1a\n\0\0", "row 3: text"),
     ],
 )
-def test_invalid_csv_file_is_refused(tmp_path, text, says):
+def test_invalid_csv_file_is_refused(tmp_path, text, told):
     path = tmp_path / "bad.csv"
     path.write_text(text, newline="")
-    line = refusal_line(read_whole, path, CSV)
-    assert line.startswith(f"{path}: ") and re.search(says, line), line
+    assert_told(refusal_line(read_whole, path, CSV), f"{path}: {told}")
 
 
 @quick
@@ -344,59 +337,57 @@ def test_damaged_file_is_read_or_refused(folder, kind, place, new, removed):
 
 def test_rate_mismatch_is_refused(tmp_path):
     path = table_csv(tmp_path, np.arange(1, 100) / 50)
-    assert "gives 50 Hz, but rate_hz is 100" in refusal_line(records.read_csv, path, CSV)
-    (tmp_path / "a.imu").write_text(HEADER + SAMPLE)
-    line = refusal_line(records.read_psins, tmp_path / "a.imu", RecordLayout("psins", rate_hz=50.0))
-    assert "row 3: the header gives 100 Hz, but rate_hz is 50" in line
+    assert_told(refusal_line(records.read_csv, path, CSV), f"{path}: 50 rate_hz 100")
+    path = tmp_path / "a.imu"
+    path.write_text(HEADER + SAMPLE)
+    line = refusal_line(records.read_psins, path, RecordLayout("psins", rate_hz=50.0))
+    assert_told(line, f"{path}: row 3: 100 rate_hz 50")
 
 
 def test_invalid_parquet_file_is_refused(tmp_path):
     path, layout = tmp_path / "bad.parquet", NO_TIME._replace(format="parquet")
     columns = {name: pa.array([1.0, 2.0, 3.0]) for name in GYRO + ACCEL}
-    for change, says in (
-        ({"gz": pa.array([1.0, None, 3.0])}, "row 2: column 'gz': empty or not finite"),
-        ({"ay": pa.array([1.0, 2.0, np.inf])}, "row 3: column 'ay': empty or not finite"),
-        ({"ay": pa.array([1.0, 2.0, -1e31])}, "row 3: column 'ay': out of range (beyond 1e+30)"),
-        ({"ay": pa.array(["a", "b", "c"])}, "column 'ay' contains string, not numbers"),
+    for change, told in (
+        ({"gz": pa.array([1.0, None, 3.0])}, "row 2: column 'gz': empty"),
+        ({"ay": pa.array([1.0, 2.0, np.inf])}, "row 3: column 'ay': finite"),
+        ({"ay": pa.array([1.0, 2.0, -1e31])}, "row 3: column 'ay': range"),
+        ({"ay": pa.array(["a", "b", "c"])}, "column 'ay' string"),
     ):
         pq.write_table(pa.table(columns | change), path)
-        assert says in refusal_line(read_whole, path, layout)
+        assert_told(refusal_line(read_whole, path, layout), f"{path}: {told}")
     whole = path.read_bytes()
     for cut in (whole[:-20], whole[:3], b"time_s,gx\n"):
         path.write_bytes(cut)
-        assert "not a Parquet file, or cut off" in refusal_line(records.read_record, path, layout)
+        assert_told(refusal_line(records.read_record, path, layout), f"{path}: Parquet")
     pq.write_table(pa.table(columns).slice(0, 0), path)
-    assert "no rows" in refusal_line(records.read_record, path, layout)
+    assert_told(refusal_line(records.read_record, path, layout), f"{path}: no rows")
     pq.write_table(pa.table(columns).drop_columns("gx"), path)
-    assert "no column 'gx'; the file has 'gy'" in refusal_line(records.read_record, path, layout)
+    assert_told(refusal_line(records.read_record, path, layout), f"{path}: column 'gx' 'gy'")
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "told"),
     [
-        ({"format": "cvs"}, "format: 'cvs' is not one of psins, csv, parquet"),
-        ({"gyro_unit": "dps"}, "gyro_unit: 'dps' is not one of rad, deg, arcsec, rad_per_s"),
-        ({"accel_unit": "rad"}, "accel_unit: 'rad' is not one of m_per_s, g_s, ug_s, m_per_s2"),
-        ({"gyro_scale": (1.0, 0.0, 1.0)}, "gyro_scale: must be finite and not 0"),
-        ({"time_fraction_column": "time_s"}, "time_fraction_column: is the time_column already"),
-        (
-            {"columns": ("time_s", *GYRO, "ax", "ay")},
-            "accel_columns: column 'az' is not in columns",
-        ),
-        ({"mounting_deg": (0.0, 1.0)}, "mounting_deg: must have a finite pitch, roll and yaw"),
-        ({"gyro_columns": ("a", "b")}, "gyro_columns: must name three columns, not 2"),
-        ({"accel_columns": ("ax", "ay", "gx")}, "accel_columns: column 'gx' is already used in"),
-        ({"time_column": "", "rate_hz": None}, "rate_hz: required without a time_column"),
-        ({"rate_hz": 0.0}, "rate_hz: must be positive"),
-        ({"axes_order": "xxz"}, "axes_order: 'xxz' is not a signed permutation"),
-        ({"axes_order": "xy"}, "axes_order: 'xy' is not a signed permutation"),
-        ({"axes_order": "x y z"}, "axes_order: 'x y z' is not a signed permutation"),
-        ({"axes_order": "yxz"}, "axes_order: 'yxz' is left-handed"),
+        ({"format": "cvs"}, "format: 'cvs' psins csv parquet"),
+        ({"gyro_unit": "dps"}, "gyro_unit: 'dps' rad deg arcsec rad_per_s"),
+        ({"accel_unit": "rad"}, "accel_unit: 'rad' m_per_s g_s ug_s m_per_s2"),
+        ({"gyro_scale": (1.0, 0.0, 1.0)}, "gyro_scale: 0"),
+        ({"time_fraction_column": "time_s"}, "time_fraction_column: time_column"),
+        ({"columns": ("time_s", *GYRO, "ax", "ay")}, "accel_columns: 'az' columns"),
+        ({"mounting_deg": (0.0, 1.0)}, "mounting_deg: pitch roll yaw"),
+        ({"gyro_columns": ("a", "b")}, "gyro_columns: three 2"),
+        ({"accel_columns": ("ax", "ay", "gx")}, "accel_columns: 'gx'"),
+        ({"time_column": "", "rate_hz": None}, "rate_hz: required time_column"),
+        ({"rate_hz": 0.0}, "rate_hz: positive"),
+        ({"axes_order": "xxz"}, "axes_order: 'xxz' permutation"),
+        ({"axes_order": "xy"}, "axes_order: 'xy' permutation"),
+        ({"axes_order": "x y z"}, "axes_order: permutation"),
+        ({"axes_order": "yxz"}, "axes_order: 'yxz' left-handed"),
     ],
 )
-def test_invalid_layout_is_refused(change, says):
+def test_invalid_layout_is_refused(change, told):
     line = refusal_line(records.check_layout, CSV._replace(**change), "study.toml")
-    assert line.startswith(f"study.toml: {says}")
+    assert_told(line, f"study.toml: {told}")
 
 
 @pytest.mark.parametrize("layout", [records.PSINS_LAYOUT, CSV, CSV._replace(format="parquet")])
@@ -417,24 +408,24 @@ def test_unreadable_and_unwritable_paths_are_refused(tmp_path, layout):
     for path in (tmp_path, tmp_path / "absent" / "a", tmp_path / "file" / "a", Path(".")):
         assert refusal_line(write, path).startswith(f"{path}: cannot be written: ")
     broken = record._replace(dv=np.full((3, 3), np.nan))
-    assert "an increment is not finite" in refusal_line(write, tmp_path / "file", broken)
+    assert_told(refusal_line(write, tmp_path / "file", broken), f"{tmp_path / 'file'}: finite")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_psins_writer_refuses_zero_scale_factor(tmp_path):
     record = Record(np.zeros((3, 3)), np.zeros((3, 3)), 100.0)
     line = refusal_line(records.write_psins, record, tmp_path / "a.imu", 0.0)
-    assert "scale factor of gyro x must be positive" in line
+    assert_told(line, f"{tmp_path / 'a.imu'}: gyro x positive")
 
 
 def test_require_span_refuses_span_outside_record():
     record = Record(np.zeros((900, 3)), np.zeros((900, 3)), 100.0, source="drive.csv")
     records.require_span(record, 0.1 + 0.2, 8.7)
     line = refusal_line(records.require_span, record, 0.3, 8.71)
-    assert line == "drive.csv: has 9 s, but 8.71 s from start_s = 0.3 need 9.01 s"
+    assert_told(line, "drive.csv: 9 8.71 start_s 0.3 9.01")
     line = refusal_line(records.require_span, record, 0.0, 9.5, " (1 s + 8.5 s)")
-    assert line == "drive.csv: has 9 s, but the study needs 9.5 s (1 s + 8.5 s)"
-    assert "before the record" in refusal_line(records.require_span, record, -1.0, 1.0)
+    assert_told(line, "drive.csv: 9 9.5 1 8.5")
+    assert_told(refusal_line(records.require_span, record, -1.0, 1.0), "drive.csv: before")
 
 
 # --- stamps and gaps
@@ -503,10 +494,7 @@ def test_missing_samples_among_scattered_stamps_are_found(tmp_path, missing):
 )
 def test_clock_faults_among_scattered_stamps_are_refused(tmp_path, change, says):
     path = table_csv(tmp_path, change(scattered_stamps()))
-    line = refusal_line(records.read_csv, path, CSV._replace(rate_hz=None))
-    assert says in line
-    if "short" in says or "repeats" in says:
-        assert line.endswith(" s (drop time_column and give rate_hz if the stamps are bad)")
+    assert says in refusal_line(records.read_csv, path, CSV._replace(rate_hz=None))
 
 
 def table_with_gaps(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarray]:
@@ -572,9 +560,8 @@ def test_missing_first_and_last_samples_are_not_interpolated(tmp_path):
 
 def test_large_clock_jump_is_refused_as_gap(tmp_path):
     path = table_csv(tmp_path, np.r_[np.arange(1, 401) / 100, 1e9])
-    assert "row 402: a gap at 100 Hz, from 4.0 to 1000000000.0 s" in refusal_line(
-        records.read_csv, path, CSV
-    )
+    line = refusal_line(records.read_csv, path, CSV)
+    assert_told(line, f"{path}: column 'time_s': row 402: gap 4.0 1000000000.0")
 
 
 STAMPS = {
@@ -609,13 +596,14 @@ def test_parquet_dates_give_rate_and_start(tmp_path):
         record = read_whole(tmp_path / "a.parquet", layout)
         assert (record.rate_hz, record.t0_s) == (pytest.approx(100), pytest.approx(1000))
     line = refusal_line(records.read_record, tmp_path / "a.parquet", layout._replace(time_unit="s"))
-    assert "column 'time_s' contains string, not numbers" in line
+    assert_told(line, f"{tmp_path / 'a.parquet'}: column 'time_s' string")
 
 
 def test_invalid_iso_date_is_refused(tmp_path):
-    (tmp_path / "a.csv").write_text(HEAD + "2024-13-01T00:00:00,1,2,3,4,5,6\n")
-    line = refusal_line(records.read_csv, tmp_path / "a.csv", CSV._replace(time_unit="iso"))
-    assert "row 2: column 'time_s': '2024-13-01T00:00:00' is not an ISO 8601 date and time" in line
+    path = tmp_path / "a.csv"
+    path.write_text(HEAD + "2024-13-01T00:00:00,1,2,3,4,5,6\n")
+    line = refusal_line(records.read_csv, path, CSV._replace(time_unit="iso"))
+    assert_told(line, f"{path}: row 2: column 'time_s': '2024-13-01T00:00:00'")
 
 
 # --- long records
@@ -705,34 +693,30 @@ def test_reference_accepts_headings_and_record_time_column(tmp_path):
     reference = records.read_reference(tmp_path / "r.csv", layout)
     np.testing.assert_array_equal(reference.time_s, [0, 1, 2])
     np.testing.assert_array_equal(reference.attitude_deg[:, 2], [-350, -351, -352])
-    assert "no column 'time_s'" in refusal_line(records.read_reference, tmp_path / "r.csv")
+    line = refusal_line(records.read_reference, tmp_path / "r.csv")
+    assert_told(line, f"{tmp_path / 'r.csv'}: column 'time_s'")
+
+
+LEVEL = "time_s,pitch_deg,roll_deg"
+SIGMAS = "sigma_e_deg,sigma_n_deg,sigma_u_deg"
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "told"),
     [
-        (
-            "time_s,pitch_deg,roll_deg\n0,1,2\n",
-            "no column 'yaw_deg' or 'heading_deg'; the file has 'time_s'",
-        ),
-        ("time_s\0", "(of MATLAB or another binary format? export it as CSV or Parquet)"),
-        (
-            "time_s,pitch_deg,roll_deg,yaw_deg,yaw_ccw_deg\n0,1,2,3,3\n",
-            "has both yaw_deg and yaw_ccw_deg",
-        ),
-        ("time_s,pitch_deg,roll_deg,yaw_deg\n0,1,2,3\n\n0,1,2,3\n", "row 4: time_s does not"),
-        ("time_s,pitch_deg,roll_deg,yaw_deg\n0,91,2,3\n", "row 2: pitch_deg is beyond 90"),
-        ("time_s,pitch_deg,roll_deg,yaw_deg,sigma_e_deg\n0,1,2,3,4\n", "no column 'sigma_n_deg'"),
-        (
-            "time_s,pitch_deg,roll_deg,yaw_deg,sigma_e_deg,sigma_n_deg,sigma_u_deg\n"
-            "0,1,2,3,1,-1,1\n",
-            "row 2: a sigma is negative",
-        ),
+        (f"{LEVEL}\n0,1,2\n", "column 'yaw_deg' 'heading_deg' 'time_s'"),
+        ("time_s\0", "row 1: text"),
+        (f"{LEVEL},yaw_deg,yaw_ccw_deg\n0,1,2,3,3\n", "yaw_deg yaw_ccw_deg"),
+        (f"{LEVEL},yaw_deg\n0,1,2,3\n\n0,1,2,3\n", "row 4: time_s"),
+        (f"{LEVEL},yaw_deg\n0,91,2,3\n", "row 2: pitch_deg 90"),
+        (f"{LEVEL},yaw_deg,sigma_e_deg\n0,1,2,3,4\n", "column 'sigma_n_deg'"),
+        (f"{LEVEL},yaw_deg,{SIGMAS}\n0,1,2,3,1,-1,1\n", "row 2: sigma negative"),
     ],
 )
-def test_invalid_reference_is_refused(tmp_path, text, says):
-    (tmp_path / "r.csv").write_text(text)
-    assert says in refusal_line(records.read_reference, tmp_path / "r.csv")
+def test_invalid_reference_is_refused(tmp_path, text, told):
+    path = tmp_path / "r.csv"
+    path.write_text(text)
+    assert_told(refusal_line(records.read_reference, path), f"{path}: {told}")
 
 
 def test_reference_is_read_from_parquet(tmp_path):

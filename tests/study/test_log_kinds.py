@@ -21,6 +21,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 from support.commands import Command, command_line
+from support.refusals import assert_named
 from support.studies import STILL, small_study
 
 import sinsjax as package
@@ -174,9 +175,7 @@ def clean_logs(body: tuple[np.ndarray, np.ndarray], folder: Path) -> dict[str, P
 FEW = ("VectorNav", "Bosch", "MicroStrain", "ROS", "increments", "roll rate", "two orders")
 
 
-def test_clean_logs_are_read_in_body_axes_without_question_or_doubt(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_clean_logs_are_read_in_body_axes_without_question_or_doubt(body, tmp_path):
     logs = clean_logs(body, tmp_path)
     for name in (*FEW, "preamble", "units below"):
         study, *said = read_study(logs[name])
@@ -185,9 +184,7 @@ def test_clean_logs_are_read_in_body_axes_without_question_or_doubt(
 
 
 @pytest.mark.slow
-def test_clean_logs_give_attitude_without_question_or_doubt(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_clean_logs_give_attitude_without_question_or_doubt(body, tmp_path):
     logs = clean_logs(body, tmp_path)
     assert len(logs) == 20
     said = {name: read_study(path)[1:] for name, path in logs.items()}
@@ -203,9 +200,7 @@ def test_clean_logs_give_attitude_without_question_or_doubt(
 @pytest.mark.representative("1.0-1.0", "9.80665-0.017453292519943295")
 @pytest.mark.parametrize("unit", [1.0, DEG])
 @pytest.mark.parametrize("accel_unit", [1.0, G])
-def test_unit_of_mems_gyros_without_name_is_a_question(
-    unit: float, accel_unit: float, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_unit_of_mems_gyros_without_name_is_a_question(unit, accel_unit, body, tmp_path):
     for bias_deg_per_s in 0.31 * np.geomspace(0.1, 10, 6):
         gyro = mems(body, bias_deg_per_s)
         path = write(tmp_path / "log.csv", [TIME, gyro / unit, body[1] / accel_unit])
@@ -213,14 +208,11 @@ def test_unit_of_mems_gyros_without_name_is_a_question(
         assert study["record"]["gyro_unit"] == "?"
         assert [*questions] == ["gyro_unit"]
         for name in ("rad_per_s", "deg_per_s", "deg_per_h"):
-            assert re.search(rf'"{name}": mean rate \S+ deg/h, \S+ times', questions["gyro_unit"])
-        assert study["earth"]["latitude_deg"] == 45.0
-        assert doubts == [
-            "the unit of the gyros is open, so the latitude is unknown: put the true one here"
-        ]
+            assert re.search(rf'"{name}": mean rate \S+ deg/h', questions["gyro_unit"])
+        assert study["earth"]["latitude_deg"] == 45.0 and len(doubts) == 1
 
 
-def test_quiet_gyros_settle_their_unit_by_earth_rate_within_a_per_cent() -> None:
+def test_quiet_gyros_settle_their_unit_by_earth_rate_within_a_per_cent():
     """A mean rate that only comes near it in some unit settles nothing."""
     gyro, dv = np.ones((600, 3)), np.tile([0.0, 0.0, G / RATE], (600, 1))
 
@@ -234,21 +226,15 @@ def test_quiet_gyros_settle_their_unit_by_earth_rate_within_a_per_cent() -> None
     assert {unit(of_earth) for of_earth in (0.7, 0.97, 1.03, 1.3)} == {""}
 
 
-def test_open_question_is_refused_with_its_evidence_until_answered(
-    body: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_open_question_is_refused_with_its_evidence_until_answered(body, sinsjax, tmp_path):
     write(tmp_path / "log.csv", [TIME, mems(body, 0.31), body[1]])
     code, told, error = sinsjax("init", "record", "--from", "log.csv")
-    assert (code, error) == (0, "")
-    assert "1 open question: gyro_unit. Answer in log.toml, or by --set; then\n" in told
+    assert (code, error) == (0, "") and "gyro_unit" in told
     for command in (("validate", "log.toml"), ("align", "log.csv", "log.toml", "-o", "out")):
         code, _, error = sinsjax(*command)
         assert code == 2 and error.count("\n") == 1
-        assert error.startswith(
-            "error: log.toml: [record] gyro_unit: an open question: neither names"
-        )
-        assert "goes with the unit of the accelerometers" in error
-        assert error.endswith(" (answer it there, or by --set record.gyro_unit=VALUE)\n")
+        place = "error: log.toml: [record] gyro_unit"
+        assert_named(error.strip(), place, "accelerometers", "record.gyro_unit=VALUE")
     answer = ("--set", "record.gyro_unit=rad_per_s")
     code, told, error = sinsjax("align", "log.csv", "log.toml", "-o", "out", *answer)
     assert code == 0 and "hides Earth rate" in error
@@ -258,7 +244,7 @@ def test_open_question_is_refused_with_its_evidence_until_answered(
     assert study["alignment"] == {"method": "level"}
 
 
-def test_sways_settle_unit_of_gyros_that_cannot_find_north(tmp_path: Path) -> None:
+def test_sways_settle_unit_of_gyros_that_cannot_find_north(tmp_path):
     study = small_study(
         study={"duration_s": 40.0, "rate_hz": RATE, "window_s": [15, 30]},
         motion={"pitch_amplitude_deg": 2.0, "roll_amplitude_deg": 2.0},
@@ -271,9 +257,7 @@ def test_sways_settle_unit_of_gyros_that_cannot_find_north(tmp_path: Path) -> No
         assert read_study(path)[0]["record"]["gyro_unit"] == unit
 
 
-def test_counts_are_questions_about_their_scale(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_counts_are_questions_about_their_scale(body, tmp_path):
     counts = [np.round(body[0] / DEG * 131 * 1e3), np.round(body[1] / G * 16384)]
     path = write(tmp_path / "log.csv", [TIME, *counts])
     study, questions, _ = read_study(path)
@@ -295,9 +279,7 @@ def test_counts_are_questions_about_their_scale(
 NOVATEL = "%RAWIMUSXA,2000,{t:.3f};00,26,2000,{t:.9f},00801503,{az},{ay},{ax},{gz},{gy},{gx}*0f\n"
 
 
-def test_novatel_counts_are_read_in_axes_of_their_names(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_novatel_counts_are_read_in_axes_of_their_names(body, tmp_path):
     """Accelerometers first, in the order z, -y, x."""
     gyro, accel = np.round(body[0] / RATE / 1e-10), np.round(body[1] / RATE / 2e-8)
     fields = [
@@ -318,28 +300,20 @@ def test_novatel_counts_are_read_in_axes_of_their_names(
     assert_truth(row)
 
 
-def test_wrong_scale_of_good_gyros_is_doubted_unless_their_bias_is_given(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_wrong_scale_of_good_gyros_is_doubted_unless_their_bias_is_given(body, tmp_path):
     gyro, accel = in_axes(body, "flu")
     for factor, bias in ((0.5, "7.5"), (1.4, "6.0")):
         path = write(tmp_path / "log.csv", [TIME, factor * gyro, accel], UNITS)
         latitude, scale = read_study(path)[2]
-        assert latitude.startswith("estimated from the Earth rate") and scale.startswith(
-            f"the mean rate is {15.04 * factor:.3g} deg/h, {factor} times Earth rate: are the"
-            f" gyros' unit and scale right, or is there a gyro bias of {bias}"
-        )
+        assert f"{factor} times Earth rate" in scale and f"bias of {bias}" in scale
         study, _, doubts = read_study(path, record__gyro_bias_deg_per_h=8.0)
         assert study["record"]["gyro_bias_deg_per_h"] == 8.0 and doubts == [latitude]
-    assert "\n# gyro_bias_deg_per_h = 4.5 " in make_study_text(path, Path("its.toml"))
 
 
 # --- columns and axes
 
 
-def test_accelerometers_with_gravity_are_chosen_among_several(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_accelerometers_with_gravity_are_chosen_among_several(body, tmp_path):
     gyro, accel = in_axes(body, "flu")
     names = [
         f"{sensor}_{axis}" for sensor in ("Accelerometer", "Gyroscope", "Total") for axis in XYZ
@@ -352,28 +326,23 @@ def test_accelerometers_with_gravity_are_chosen_among_several(
     path = write(tmp_path / "log.csv", [TIME, gyro, accel - accel.mean(axis=0)])
     study, questions, _ = read_study(path)
     assert study["record"]["accel_columns"] == "?"
-    assert "has gravity been removed?" in questions["accel_columns"]
+    assert "gravity" in questions["accel_columns"]
 
 
 @pytest.mark.parametrize(
-    ("names", "says"),
+    ("names", "named"),
     [
-        (tuple("abcdefg"), "no names of gyros among the columns. Their means: a 15.02, b "),
-        (("t", "roll_rate", "pitch_rate", "spare", *NAMES[4:]), "no column of the gyros named yaw"),
-        (("t", "gyro_F", "gyro_R", "spare", *NAMES[4:]), "of the gyros named up or down"),
-        ((), "no names of gyros among the columns. Their means: column_1 15.02, column_2"),
+        (tuple("abcdefg"), "a 15.02"),
+        (("t", "roll_rate", "pitch_rate", "spare", *NAMES[4:]), "yaw"),
+        (("t", "gyro_F", "gyro_R", "spare", *NAMES[4:]), "up or down"),
+        ((), "column_1 15.02"),
     ],
 )
-def test_unknown_columns_are_a_question_and_can_be_named(
-    names: Sequence[str],
-    says: str,
-    body: tuple[np.ndarray, np.ndarray],
-    tmp_path: Path,
-) -> None:
+def test_unknown_columns_are_a_question_and_can_be_named(names, named, body, tmp_path):
     path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")], names)
     study, questions, _ = read_study(path)
     assert study["record"]["gyro_columns"] == study["record"]["gyro_unit"] == "?"
-    assert says in questions["gyro_columns"]
+    assert named in questions["gyro_columns"]
     used = list(names) or [f"column_{k}" for k in range(1, 8)]
     answers = {"record__gyro_columns": used[1:4], "record__accel_columns": used[4:]}
     study, questions, _ = read_study(path, **answers)
@@ -381,9 +350,7 @@ def test_unknown_columns_are_a_question_and_can_be_named(
     assert study["record"]["gyro_columns"] == used[1:4]
 
 
-def test_file_without_names_takes_those_of_the_study(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_file_without_names_takes_those_of_the_study(body, tmp_path):
     before = "a,b\n3,4,5,6,7,8,9\n"
     path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")], (), before=before)
     shape = {"record__columns": list(NAMES), "record__skip_rows": 2}
@@ -397,20 +364,14 @@ def test_file_without_names_takes_those_of_the_study(
     assert_truth(row)
 
 
-def test_names_that_contradict_gravity_are_a_question(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_names_that_contradict_gravity_are_a_question(body, tmp_path):
     names = ("t", *(f"frd_{n}" for n in NAMES[1:]))
     study, questions, doubts = read_study(write(tmp_path / "log.csv", [TIME, *body], names))
     assert study["record"]["axes_order"] == "?" and not doubts
-    assert questions["axes_order"] == (
-        "the names state 'frd', but z reads +1.00 g: a sign or an axis is wrong"
-    )
+    assert "'frd'" in questions["axes_order"] and "+1.00 g" in questions["axes_order"]
 
 
-def test_mounting_gives_attitude_of_the_vehicle(
-    body: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_mounting_gives_attitude_of_the_vehicle(body, sinsjax, tmp_path):
     """A box that is turned by yaw 90 deg in the vehicle: its front points left."""
     turned = [v @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) for v in body]
     path = write(tmp_path / "log.csv", [TIME, *turned], [f"rfu_{n}" for n in NAMES])
@@ -426,9 +387,7 @@ def test_mounting_gives_attitude_of_the_vehicle(
 # --- clocks
 
 
-def test_clocks_of_all_kinds_give_the_rate(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_clocks_of_all_kinds_give_the_rate(body, tmp_path):
     seconds = np.floor(TIME) + 1.6e9
     nanoseconds = np.round((TIME - np.floor(TIME)) * 1e9)
     bursts = 1.6e9 + np.ceil(TIME / 0.2) * 0.2 + np.arange(len(TIME)) % 5 * 1e-4
@@ -448,9 +407,7 @@ def test_clocks_of_all_kinds_give_the_rate(
     assert study["record"]["time_column"] == "header.stamp"
 
 
-def test_times_of_day_may_pass_midnight(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_times_of_day_may_pass_midnight(body, tmp_path):
     clock = np.datetime64("2020-01-01T23:59:50", "ms") + (TIME * 1e3).astype("timedelta64[ms]")
     path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")], ("UTC time", *NAMES[1:]))
     header, *rows = path.read_text().splitlines()
@@ -462,9 +419,7 @@ def test_times_of_day_may_pass_midnight(
 
 
 @pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M:%S,%f", "%m/%d/%Y %H:%M:%S.%f"])
-def test_day_first_dates_are_read_and_other_ones_named(
-    form: str, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_day_first_dates_are_read_and_other_ones_named(form, body, tmp_path):
     path = write(
         tmp_path / "log.csv", [TIME, *in_axes(body, "flu")], ("Zeit", *NAMES[1:]), mark=";"
     )
@@ -481,51 +436,38 @@ def test_day_first_dates_are_read_and_other_ones_named(
         assert record.t0_s == pytest.approx(start.replace(tzinfo=UTC).timestamp(), abs=1e-6)
     else:
         question = read_study(path)[1]["rate_hz"]
-        assert question.startswith(
-            "row 2: column 'Zeit': '03/11/2026 09:35:12.040000' is no number"
-        )
+        assert_named(question, "row 2: column 'Zeit'", "'03/11/2026 09:35:12.040000'")
 
 
 @pytest.mark.parametrize("kind", ["bursts", "every second stamp late"])
-def test_stamps_that_cannot_be_read_give_mean_rate_with_doubt(
-    kind: str, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_stamps_that_cannot_be_read_give_mean_rate_with_doubt(kind, body, tmp_path):
     late = 0.64 / RATE * (np.arange(len(TIME)) % 2)
     if kind == "bursts":
         late = np.ceil(TIME / 0.2) * 0.2 + np.arange(len(TIME)) % 5 * 1e-4 - TIME
     path = write(tmp_path / "log.csv", [1.6e9 + TIME + late, *in_axes(body, "flu")])
     study, questions, (doubt,) = read_study(path)
     assert study["study"]["rate_hz"] == RATE and not questions
-    assert "too uneven to be read one by one" in doubt and "time_column" not in study["record"]
+    assert "uneven" in doubt and "time_column" not in study["record"]
     assert_body(study, path, body)
 
 
-def test_stamps_with_missing_samples_among_bad_ones_leave_rate_open(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_stamps_with_missing_samples_among_bad_ones_leave_rate_open(body, tmp_path):
     late = np.ceil(TIME / 0.2) * 0.2 + np.arange(len(TIME)) % 5 * 1e-4 - TIME
     table = np.column_stack([1.6e9 + TIME + late, *in_axes(body, "flu")])
     path = write(tmp_path / "log.csv", [np.delete(table, slice(600, 700), axis=0)])
     study, questions, _ = read_study(path)
     assert study["study"]["rate_hz"] == "?"
-    assert "the mean step would give 21.7782 Hz" in questions["rate_hz"]
+    assert "21.7782 Hz" in questions["rate_hz"]
 
 
 @pytest.mark.representative("repeated1")
 @pytest.mark.parametrize("repeated", [[300], list(range(10, 700, 20))])
-def test_repeated_rows_are_left_out_and_counted(
-    repeated: list[int], body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_repeated_rows_are_left_out_and_counted(repeated, body, tmp_path):
     table = np.column_stack([TIME, *in_axes(body, "flu")])
     path = write(tmp_path / "log.csv", [np.insert(table, repeated, table[repeated], axis=0)])
     study, questions, (doubt,) = read_study(path)
     assert study["study"]["rate_hz"] == RATE and not questions
-    first = repeated[0] + 3
-    assert doubt == (
-        f"row {first} repeats the one before it and is left out"
-        if len(repeated) == 1
-        else f"35 rows that repeat the one before them are left out, row {first} and others"
-    )
+    assert f"row {repeated[0] + 3} " in doubt and ("35 rows" in doubt) == (len(repeated) == 35)
     assert_body(study, path, body)
 
 
@@ -547,18 +489,14 @@ def pack(path: Path, kind: str) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["gz", "bz2", "xz", "zip", "utf16"])
-def test_packed_and_utf16_logs_are_read(
-    kind: str, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_packed_and_utf16_logs_are_read(kind, body, tmp_path):
     path = pack(write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")]), kind)
     study, *said = read_study(path)
     assert said == [{}, []]
     assert_body(study, path, body)
 
 
-def test_cp1252_logs_are_read_like_utf8(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_cp1252_logs_are_read_like_utf8(body, tmp_path):
     gyro, accel = in_axes(body, "flu")
     names = ["t", *(f"Gyro {a} [°/h]" for a in XYZ), *(f"Acc {a} [m/s²]" for a in XYZ)]
     path = write(tmp_path / "log.csv", [TIME, gyro / DEG * 3600, accel], names)
@@ -569,54 +507,48 @@ def test_cp1252_logs_are_read_like_utf8(
     assert len(package.load_increments(make_study(path, tmp_path), path).record.dv) == len(TIME)
 
 
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (b"MATLAB 5.0 MAT-file, Platform", "a MATLAB file: in Python table = scipy.io.loadmat("),
-        (b"\x93NUMPY\x01\x00", "a NumPy file: in Python table = numpy.load('log.npy'); numpy.sav"),
-        (b"#ROSBAG V2.0\n", "a ROS bag: export it by `rostopic echo"),
-        (b"PK\x03\x04", "a damaged or incomplete archive"),
-        # The time is in the test's name: each worker has to make the same.
-        (gzip.compress(b"t,gx,gy\n" * 999, mtime=0)[:40], "a damaged or incomplete archive"),
-    ],
-)
-def test_other_formats_are_named_with_their_conversion(
-    content: bytes, says: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "log.bin"
-    path.write_bytes(content)
+def refusal(path: Path) -> str:
+    """Return the line that a log is refused with, without its path, which begins it."""
     with pytest.raises(InputError) as caught:
         make_study_text(path, Path("x.toml"))
-    assert str(caught.value).startswith(f"{path}: {says}") and "\n" not in str(caught.value)
+    line = str(caught.value)
+    assert line.startswith(f"{path}: ") and "\n" not in line
+    return line.removeprefix(f"{path}: ")
 
 
-def test_archive_of_several_files_is_refused(tmp_path: Path) -> None:
+def test_other_formats_are_named(tmp_path):
+    for content, named in (
+        (b"MATLAB 5.0 MAT-file, Platform", "MATLAB"),
+        (b"\x93NUMPY\x01\x00", "NumPy"),
+        (b"#ROSBAG V2.0\n", "ROS bag"),
+        (b"PK\x03\x04", "archive"),
+        (gzip.compress(b"t,gx,gy\n" * 999)[:40], "archive"),
+    ):
+        (tmp_path / "log.bin").write_bytes(content)
+        assert named in refusal(tmp_path / "log.bin")
+
+
+def test_archive_of_several_files_is_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "log.zip", "w") as archive:
         archive.writestr("a.csv", "1")
         archive.writestr("b.csv", "2")
-    with pytest.raises(InputError, match=r"an archive of 2 files \(unpack it, and give the log\)"):
-        make_study_text(tmp_path / "log.zip", Path("x.toml"))
+    assert "2 files" in refusal(tmp_path / "log.zip")
 
 
-def test_digits_of_other_scripts_are_no_numbers(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_digits_of_other_scripts_are_no_numbers(body, tmp_path):
     path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")])
     lines = path.read_text().splitlines()
     lines[400] = lines[400][:-1] + "\uff15"
     path.write_text("\n".join([*lines, ""]))
-    with pytest.raises(InputError, match=r"row 401: column 'accel_z': '9\.\S+' is not a number"):
-        make_study_text(path, Path("x.toml"))
+    assert_named(refusal(path), "row 401: column 'accel_z'", "number")
 
 
 @pytest.mark.parametrize("cut", [8, 12, 60])
-def test_row_that_is_cut_off_is_left_out(
-    cut: int, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_row_that_is_cut_off_is_left_out(cut, body, tmp_path):
     path = write(tmp_path / "log.csv", [TIME, *(np.round(v, 9) for v in in_axes(body, "flu"))])
     path.write_bytes(path.read_bytes()[:-cut])
     _, questions, doubts = read_study(path)
-    assert (questions, doubts) == ({}, ["row 751, the last one, is cut off and left out"])
+    assert not questions and len(doubts) == 1 and "row 751" in doubts[0]
     record = package.load_increments(make_study(path, tmp_path), path).record
     assert len(record.dv) == len(TIME) - 1
 
@@ -627,9 +559,7 @@ def make_study(path: Path, tmp_path: Path) -> Path:
     return config
 
 
-def test_decimal_commas_and_delimiters_at_line_ends_are_read(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_decimal_commas_and_delimiters_at_line_ends_are_read(body, tmp_path):
     path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")], mark=";")
     header, *rows = path.read_text().splitlines()
     for text in (
@@ -643,16 +573,13 @@ def test_decimal_commas_and_delimiters_at_line_ends_are_read(
         assert_body(study, path, body)
 
 
-def test_interleaved_rows_of_two_sensors_are_refused(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_interleaved_rows_of_two_sensors_are_refused(body, tmp_path):
     gyro, accel = in_axes(body, "frd")
     both = np.column_stack([TIME * 1e6, np.zeros(len(TIME)), gyro, accel]).repeat(2, axis=0)
     both[1::2, 1], both[1::2, 2:] = 1, both[1::2, 2:] + 1e-3
     names = ["TimeUS", "I", *(f"Gyr{a}" for a in "XYZ"), *(f"Acc{a}" for a in "XYZ")]
     path = write(tmp_path / "log.csv", [both], names)
-    with pytest.raises(InputError, match=r"column 'I' is 0, 1: rows of several sensors \(keep"):
-        make_study_text(path, Path("x.toml"))
+    assert "column 'I' is 0, 1: " in refusal(path)
 
 
 TURN_BY_90 = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -671,37 +598,21 @@ def two_sensors(
 @pytest.mark.representative("unit-texts0-1", "node-texts1-10")
 @pytest.mark.parametrize("block", [1, 10])
 @pytest.mark.parametrize(("name", "texts"), [("unit", ("left", "right")), ("node", ("7", "9"))])
-def test_rows_of_two_sensors_by_any_label_are_refused(
-    name: str,
-    texts: tuple[str, str],
-    block: int,
-    body: tuple[np.ndarray, np.ndarray],
-    tmp_path: Path,
-) -> None:
+def test_rows_of_two_sensors_by_any_label_are_refused(name, texts, block, body, tmp_path):
     columns, is_second = two_sensors(body, block)
     path = write(tmp_path / "log.csv", columns, UNITS)
     header, *rows = path.read_text().splitlines()
     rows = [f"{texts[k]},{row}" for k, row in zip(is_second.astype(int), rows, strict=True)]
     path.write_text("\n".join([f"{name},{header}", *rows, ""]))
-    says = (
-        f"column '{name}' is {', '.join(texts)}, and the mean specific force jumps with it: rows of"
-        " several sensors (keep those of one)"
-    )
-    with pytest.raises(InputError, match=re.escape(says)):
-        make_study_text(path, Path("x.toml"))
-    table = pa.csv.read_csv(path)
-    pq.write_table(table, tmp_path / "log.parquet")
-    with pytest.raises(InputError, match=re.escape(says)):
-        make_study_text(tmp_path / "log.parquet", Path("x.toml"))
+    named = f"column '{name}' is {', '.join(texts)}, "
+    assert named in refusal(path)
+    pq.write_table(pa.csv.read_csv(path), tmp_path / "log.parquet")
+    assert named in refusal(tmp_path / "log.parquet")
     if block == 1:
-        path = write(tmp_path / "log.csv", columns, UNITS)
-        with pytest.raises(InputError, match="next and is back after 2: rows of 2 sensors in turn"):
-            make_study_text(path, Path("x.toml"))
+        assert "2 sensors" in refusal(write(tmp_path / "log.csv", columns, UNITS))
 
 
-def test_labels_without_another_mean_stay_silent(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_labels_without_another_mean_stay_silent(body, tmp_path):
     columns, is_second = two_sensors(body, 1, np.eye(3))
     rng = np.random.default_rng(1)
     labels = {
@@ -725,9 +636,7 @@ def test_labels_without_another_mean_stay_silent(
 
 @pytest.mark.representative("n")
 @pytest.mark.parametrize("frame", ["n", "world"])
-def test_accelerations_in_a_navigation_frame_are_passed_over(
-    frame: str, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_accelerations_in_a_navigation_frame_are_passed_over(frame, body, tmp_path):
     gyro, accel = in_axes(body, "flu")
     level = np.array([0.0, 0.0, 9.81]) + 1e-3 * np.random.default_rng(2).normal(size=accel.shape)
     of_body = [f"accel_{'b_' if frame == 'n' else ''}{a}" for a in XYZ]
@@ -738,18 +647,15 @@ def test_accelerations_in_a_navigation_frame_are_passed_over(
     assert_body(study, path, body)
     path = write(tmp_path / "log.csv", [TIME, gyro, level], names[:7])
     _, questions, _ = read_study(path)
-    assert f"are named as in a navigation frame ({frame})" in questions["accel_columns"]
+    assert f"({frame})" in questions["accel_columns"]
 
 
-def test_accelerometers_that_differ_without_a_hint_are_a_question(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_accelerometers_that_differ_without_a_hint_are_a_question(body, tmp_path):
     gyro, accel = in_axes(body, "flu")
     names = [*UNITS[:4], *(f"accel_{k}_{a}" for k in ("low", "high") for a in XYZ)]
     path = write(tmp_path / "log.csv", [TIME, gyro, accel @ TURN_BY_90, accel], names)
     study, questions, _ = read_study(path)
     assert study["record"]["accel_columns"] == "?"
-    assert "their names do not tell which of these belong" in questions["accel_columns"]
     study, questions, _ = read_study(path, record__accel_columns=names[-3:])
     assert not questions
     path = write(tmp_path / "log.csv", [TIME, gyro, accel, accel * 1.001], names)
@@ -758,9 +664,7 @@ def test_accelerometers_that_differ_without_a_hint_are_a_question(
 
 @pytest.mark.representative("imu{k}_{s}_{a}")
 @pytest.mark.parametrize("pattern", ["imu{k}_{s}_{a}", "{s}_{a}_{k}", "{s}_{a}_imu{k}"])
-def test_gyros_and_accelerometers_of_one_instance_are_paired(
-    pattern: str, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_gyros_and_accelerometers_of_one_instance_are_paired(pattern, body, tmp_path):
     gyro, accel = in_axes(body, "flu")
 
     def names(sensor: str, instance: int) -> list[str]:
@@ -772,23 +676,16 @@ def test_gyros_and_accelerometers_of_one_instance_are_paired(
     study, questions, (doubt,) = read_study(path)
     assert study["record"]["gyro_columns"] == names("gyro", 0)
     assert study["record"]["accel_columns"] == names("accel", 0) and not questions
-    assert doubt == (
-        f"or {', '.join(names('gyro', 1))} with {', '.join(names('accel', 1))}? Give gyro_columns"
-        " and accel_columns together"
-    )
+    assert f"{', '.join(names('gyro', 1))} with {', '.join(names('accel', 1))}" in doubt
     assert_body(study, path, body)
 
 
-def test_front_of_roll_rates_is_a_question_that_names_and_sways_settle(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_front_of_roll_rates_is_a_question_that_names_and_sways_settle(body, tmp_path):
     names = ["time", "roll_rate", "pitch_rate", "yaw_rate", "ax", "ay", "az"]
     path = write(tmp_path / "log.csv", [TIME, body[0][:, [1, 0, 2]], body[1]], names)
     _, questions, _ = read_study(path)
     assert [*questions] == ["axes_order"]
-    assert "which axis of the accelerometers points front" in questions["axes_order"]
-    says = "with axes_order = 'rfu' these are 'pitch_rate', 'roll_rate', 'yaw_rate'"
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match="'rfu'.* 'pitch_rate', 'roll_rate', 'yaw_rate'"):
         align(path, tmp_path, record__axes_order="rfu")
     study, questions, _ = read_study(path, record__axes_order="rfu")
     assert not questions and study["record"]["gyro_columns"][0] == "pitch_rate"
@@ -806,9 +703,7 @@ def test_front_of_roll_rates_is_a_question_that_names_and_sways_settle(
 @pytest.mark.representative("0.97-1.0")
 @pytest.mark.parametrize("accel_unit", [1.0, G])
 @pytest.mark.parametrize("ratio", [0.97, 1.0])
-def test_mems_bias_that_looks_like_earth_rate_is_a_question(
-    ratio: float, accel_unit: float, body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_mems_bias_that_looks_like_earth_rate_is_a_question(ratio, accel_unit, body, tmp_path):
     gyro, accel = in_axes(body, "flu")
     rng = np.random.default_rng(4)
     earth_rate = 15.041 / 3600  # deg/s, of gyros in rad/s
@@ -822,9 +717,7 @@ def test_mems_bias_that_looks_like_earth_rate_is_a_question(
     assert not questions and study["record"]["gyro_unit"] == "deg_per_s"
 
 
-def test_clock_with_a_unit_is_preferred_to_a_column_that_rises_as_evenly(
-    body: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
+def test_clock_with_a_unit_is_preferred_to_a_column_that_rises_as_evenly(body, tmp_path):
     temperature = 20 + 0.01 * np.arange(len(TIME))
     names = ("T", *NAMES[:1], *NAMES[1:])
     path = write(tmp_path / "log.csv", [temperature, TIME, *in_axes(body, "flu")], names)
@@ -832,13 +725,13 @@ def test_clock_with_a_unit_is_preferred_to_a_column_that_rises_as_evenly(
     assert (study["record"]["time_column"], questions, doubts) == ("time_s", {}, [])
 
 
-def test_gyros_that_turn_opposite_to_the_vertical_are_a_question(tmp_path: Path) -> None:
+def test_gyros_that_turn_opposite_to_the_vertical_are_a_question(tmp_path):
     study = small_study(study={"duration_s": 40.0, "rate_hz": RATE, "window_s": [15, 30]})
     record = package.simulated_record(study)
     time = np.arange(1, len(record.dv) + 1) / RATE
     path = write(tmp_path / "log.csv", [time, -record.dtheta * RATE, record.dv * RATE])
     study, questions, _ = read_study(path)
-    assert [*questions] == ["gyro_scale"] and "turns opposite" in questions["gyro_scale"]
+    assert [*questions] == ["gyro_scale"]
     assert study["record"]["gyro_unit"] == "rad_per_s"
 
 
@@ -847,9 +740,7 @@ def test_gyros_that_turn_opposite_to_the_vertical_are_a_question(tmp_path: Path)
 
 @pytest.mark.representative("False")
 @pytest.mark.parametrize("trust", [False, True])
-def test_hidden_north_leaves_level_with_honest_sigma(
-    trust: bool, body: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
-) -> None:
+def test_hidden_north_leaves_level_with_honest_sigma(trust, body, sinsjax, tmp_path):
     names = [f"rfu_{NAMES[0]}", *(f"rfu_{n} (rad/s)" for n in NAMES[1:4]), *NAMES[4:]]
     write(tmp_path / "log.csv", [TIME, mems(body, 0.31), body[1]], names)
     assert sinsjax("init", "record", "--from", "log.csv")[0] == 0
@@ -861,11 +752,8 @@ def test_hidden_north_leaves_level_with_honest_sigma(
         *("--set", "filter.q_accel_ug_per_sqrt_hz=100"),
     ]
     code, told, error = sinsjax("align", "log.csv", "log.toml", "-o", "out", *changes)
-    assert code == 0 and error.count("Warning") == 1
-    assert (
-        "hides Earth rate: no heading can be found; pitch and roll are those of the mean" in error
-    )
-    assert "(method level, not kalman5)" in error and "heading" not in told.lower().split("none")[0]
+    assert code == 0 and error.count("Warning") == 1 and "level, not kalman5" in error
+    assert "heading" not in told.lower().split("none")[0]
     (row,) = package.read_summary("out").to_pylist()
     assert row["heading_deg"] is None and row["sigma_u_arcmin"] is None
     assert row["sigma_e_arcmin"] == pytest.approx(17.2, abs=0.2)  # of 5,000 ug
@@ -873,7 +761,7 @@ def test_hidden_north_leaves_level_with_honest_sigma(
     assert (row["pitch_deg"], row["roll_deg"]) == pytest.approx(TRUTH[1:], abs=sigma_deg)
 
 
-def test_base_turned_by_hand_is_reported(tmp_path: Path) -> None:
+def test_base_turned_by_hand_is_reported(tmp_path):
     study = small_study(
         study={"duration_s": 60.0, "rate_hz": RATE, "window_s": [15, 30]},
         motion={f"{angle}_amplitude_deg": 40.0 for angle in ("pitch", "roll", "yaw")},
@@ -883,5 +771,4 @@ def test_base_turned_by_hand_is_reported(tmp_path: Path) -> None:
     names = [f"rfu_{NAMES[0]}", *(f"rfu_{n} (rad/s)" for n in NAMES[1:4]), *NAMES[4:]]
     columns = [np.arange(1, 1501) / RATE, record.dtheta * RATE, record.dv * RATE]
     _, _, doubts = read_study(write(tmp_path / "log.csv", columns, names))
-    text = r"the base turned by \S+ deg; whether these gyros find north cannot be determined"
-    assert any(re.match(text, doubt) for doubt in doubts)
+    assert any(re.match(r"the base turned by \S+ deg", doubt) for doubt in doubts)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.refusals import assert_named
 from support.studies import refusal_line, small_study
 
 from sinsjax.engine import build
@@ -50,7 +51,7 @@ def simulate_spectrum(process: processes.Process, dt: float) -> tuple[np.ndarray
 
 @pytest.mark.representative("2.0")
 @pytest.mark.parametrize("time_s", [2.0, 5.0])
-def test_density_is_that_of_gauss_markov_surge_at_zero_frequency(time_s: float) -> None:
+def test_density_is_that_of_gauss_markov_surge_at_zero_frequency(time_s):
     process = processes.gauss_markov_process(np.full(3, 0.3), np.asarray(time_s), DT_S)
     _, density = simulate_spectrum(process, DT_S)
     assert density[:3].mean() == pytest.approx(surge_density(0.3, time_s), rel=0.06)
@@ -58,7 +59,7 @@ def test_density_is_that_of_gauss_markov_surge_at_zero_frequency(time_s: float) 
 
 @pytest.mark.representative("5.0")
 @pytest.mark.parametrize("time_s", [2.0, 5.0])
-def test_density_is_largest_one_of_third_order_surge(time_s: float) -> None:
+def test_density_is_largest_one_of_third_order_surge(time_s):
     """It peaks at 1/(2 pi T) Hz, and is next to nothing at zero frequency."""
     process = processes.bounded_velocity_process(
         np.full(3, 0.3), np.asarray(time_s), np.asarray(1.0), DT_S
@@ -71,7 +72,7 @@ def test_density_is_largest_one_of_third_order_surge(time_s: float) -> None:
     assert largest > 0.9 * density.max() and density[0] < 0.03 * largest
 
 
-def test_density_takes_larger_horizontal_axis() -> None:
+def test_density_takes_larger_horizontal_axis():
     assert surge_density((0.02, 0.04, 0.9), 5.0) == surge_density(0.04, 5.0)
     assert surge_density(None, 5.0) == surge_density(0.1, None) == 0.0
 
@@ -81,7 +82,7 @@ def test_density_takes_larger_horizontal_axis() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0])
-def test_omitted_r_follows_surge_of_each_variant(rate_hz: float) -> None:
+def test_omitted_r_follows_surge_of_each_variant(rate_hz):
     axes = {"surge_m_per_s": [0.0, 0.02, (0.05, 0.0, 9.0)], "surge_time_s": [5.0, 2.0]}
     study = small_study(study={"rate_hz": rate_hz}, axes=axes)
     density = np.array([0.0, 0.0, 2 * 0.02**2 * 5, 2 * 0.02**2 * 2, 2 * 0.05**2 * 5, 0.01])
@@ -90,7 +91,7 @@ def test_omitted_r_follows_surge_of_each_variant(rate_hz: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["third_order", "gauss_markov"])
-def test_omitted_r_follows_surge_in_both_units_and_times_its_scale(model: str) -> None:
+def test_omitted_r_follows_surge_in_both_units_and_times_its_scale(model):
     axes = {"r_reading": ["per_update", "psd"], "r_scale": [0.25, 4.0]}
     made = compute_r(small_study(motion=SURGE | {"surge_model": model}, axes=axes))
     expected = np.outer([0.01 + DENSITY / DT, (0.01 + DENSITY) / DT], [0.25, 4.0])
@@ -98,7 +99,7 @@ def test_omitted_r_follows_surge_in_both_units_and_times_its_scale(model: str) -
 
 
 @pytest.mark.slow
-def test_given_r_does_not_follow_surge() -> None:
+def test_given_r_does_not_follow_surge():
     axes = {"surge_m_per_s": [0.0, 0.02], "r_velocity_m_per_s": [0.1, 0.3]}
     np.testing.assert_allclose(
         compute_r(small_study(axes=axes)), [0.01, 0.09, 0.01, 0.09], rtol=1e-12
@@ -115,33 +116,31 @@ def test_given_r_does_not_follow_surge() -> None:
         ("kalman_surge", 0.0),
     ],
 )
-def test_all_filters_but_that_of_surge_follow_it(method: str, density: float) -> None:
+def test_all_filters_but_that_of_surge_follow_it(method, density):
     study = small_study(motion=SURGE, alignment={"method": method})
     np.testing.assert_allclose(compute_r(study), 0.01 + density / DT, rtol=1e-12)
 
 
-def test_resolved_study_without_r_reloads_equal() -> None:
+def test_resolved_study_without_r_reloads_equal():
     study = small_study(motion=SURGE)
     text = study_to_toml(study)
     assert "r_velocity" not in text and study_from_dict(tomllib.loads(text)) == study
 
 
-def test_drawn_surge_requires_r() -> None:
+def test_drawn_surge_requires_r():
     drawn: dict[str, Any] = {"drawn": {"surge_m_per_s": {"uniform": [0.0, 0.1]}}}
-    assert refusal_line(**drawn) == (
-        "[filter] r_velocity_m_per_s: required (surge_m_per_s is drawn, but the filter has the"
-        " same R in all draws)"
-    )
+    place = "[filter] r_velocity_m_per_s"
+    assert_named(refusal_line(**drawn), place, "required", "surge_m_per_s")
     time = {"motion": SURGE | {"surge_time_s": None}, "drawn": {"surge_time_s": {"values": [2, 8]}}}
     time["motion"].pop("surge_time_s")
-    assert "surge_time_s is drawn" in refusal_line(**time)
+    assert_named(refusal_line(**time), place, "required", "surge_time_s")
     given = {"filter": {"r_velocity_m_per_s": 0.2}}
     np.testing.assert_allclose(compute_r(small_study(**drawn, **given)), 0.04)
     for method in ("inertial", "kalman_surge"):
         assert small_study(**drawn, alignment={"method": method}).drawn_keys
 
 
-def test_effective_r_is_known_without_surge_alone() -> None:
+def test_effective_r_is_known_without_surge_alone():
     assert effective_values(small_study(), ["r_velocity_m_per_s"]) == {"r_velocity_m_per_s": 0.1}
     surging = small_study(motion=SURGE)
     assert effective_values(surging, ["r_velocity_m_per_s"]) == {"r_velocity_m_per_s": None}
@@ -160,13 +159,11 @@ def test_effective_r_is_known_without_surge_alone() -> None:
         ({"axes": {"surge_m_per_s": [0.0, 0.001, 0.02]}}, "1 to 11"),
     ],
 )
-def test_r_is_compared_with_density_of_surge(tables: dict[str, Any], text: str) -> None:
-    assert describe_measurement_noise(small_study(**tables)) == (
-        f"The filter's R is {text} times the density of the surge, in variance"
-    )
+def test_r_is_compared_with_density_of_surge(tables, text):
+    assert f" is {text} times " in describe_measurement_noise(small_study(**tables))
 
 
-def test_r_is_not_compared_without_surge_or_filter_that_takes_it_for_noise() -> None:
+def test_r_is_not_compared_without_surge_or_filter_that_takes_it_for_noise():
     assert describe_measurement_noise(small_study()) is None
     for method in ("inertial", "kalman_surge"):
         study = small_study(motion=SURGE, alignment={"method": method})
@@ -177,7 +174,7 @@ def test_r_is_not_compared_without_surge_or_filter_that_takes_it_for_noise() -> 
     assert describe_measurement_noise(drawn) is None
 
 
-def test_r_of_record_is_that_of_a_base_without_surge() -> None:
+def test_r_of_record_is_that_of_a_base_without_surge():
     tables: dict[str, Any] = {
         "study": {"duration_s": 300.0},
         "record": {"format": "psins", "start_s": [0.0, 300.0]},
@@ -191,7 +188,7 @@ def test_r_of_record_is_that_of_a_base_without_surge() -> None:
 # The law of resets
 
 
-def test_reset_law_follows_surge_and_r() -> None:
+def test_reset_law_follows_surge_and_r():
     axes = {"surge_m_per_s": [0.0, 0.02, 0.05]}
     settings = {"duration_s": 900.0, "window_s": [600, 900]}
     own_noise = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_sample"}

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
+from support.refusals import assert_named, refused
 from support.studies import BASE
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError
+from sinsjax.methods.registry import METHODS
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml, with_rate
 from sinsjax.study.study import Study
@@ -27,9 +29,12 @@ def make_tables(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -
     """Sections with some keys changed; a section or key that is None is left out."""
     out = {name: dict(section) for name, section in base.items()}
     for name, change in changes.items():
-        merged = out.pop(name, {}) | (change or {})
-        if change is not None:
+        before = out.pop(name, {})
+        if isinstance(change, dict):
+            merged = before | change
             out[name] = {key: value for key, value in merged.items() if value is not None}
+        elif change is not None:
+            out[name] = change
     return out
 
 
@@ -69,7 +74,7 @@ def refusal_line(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) 
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0])
-def test_noise_per_sample_becomes_q_of_one_increment(rate_hz: float) -> None:
+def test_noise_per_sample_becomes_q_of_one_increment(rate_hz):
     """A constant error of 500 ug over one sample is a velocity of 500 ug dt."""
     made = compute_q(make_study(study={"rate_hz": rate_hz}))
     expected = white_noise_q(500 * UG / rate_hz, 0.1 * DEG_PER_H / rate_hz)
@@ -77,7 +82,7 @@ def test_noise_per_sample_becomes_q_of_one_increment(rate_hz: float) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0])
-def test_noise_density_becomes_q_of_one_increment(rate_hz: float) -> None:
+def test_noise_density_becomes_q_of_one_increment(rate_hz):
     """After an hour of a random walk of 0.003 deg/sqrt(h) the angle is off by 0.003 deg."""
     densities = {"gyro_arw_deg_per_sqrt_h": 0.003, "accel_vrw_ug_per_sqrt_hz": 30.0}
     per_sample = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
@@ -88,7 +93,7 @@ def test_noise_density_becomes_q_of_one_increment(rate_hz: float) -> None:
     )
 
 
-def test_noise_of_noisiest_axis_counts() -> None:
+def test_noise_of_noisiest_axis_counts():
     sensors = {
         **{"gyro_noise_deg_per_h": [0.1, 0.3, 0.2], "accel_noise_ug": None},
         "accel_vrw_ug_per_sqrt_hz": [30.0, 0.0, 10.0],
@@ -98,7 +103,7 @@ def test_noise_of_noisiest_axis_counts() -> None:
 
 
 @pytest.mark.parametrize("given", ["psd", "per_sample"])
-def test_default_equals_sensors_noise_given_in_filter(given: str) -> None:
+def test_default_equals_sensors_noise_given_in_filter(given):
     factor = {"psd": 0.1, "per_sample": 1.0}[given]
     filter_ = {"q_accel_ug": 500 * factor, "q_gyro_deg_per_h": 0.1 * factor, "q_reading": given}
     np.testing.assert_allclose(
@@ -106,7 +111,7 @@ def test_default_equals_sensors_noise_given_in_filter(given: str) -> None:
     )
 
 
-def test_swept_noise_gives_each_variant_its_own_q() -> None:
+def test_swept_noise_gives_each_variant_its_own_q():
     noise = {"gyro_noise_deg_per_h": [0.1, 0.4], "accel_noise_ug": [500.0, [50.0, 20.0, 10.0]]}
     made = compute_q(
         make_study(sensors={"gyro_noise_deg_per_h": None, "accel_noise_ug": None}, axes=noise)
@@ -116,36 +121,39 @@ def test_swept_noise_gives_each_variant_its_own_q() -> None:
     np.testing.assert_allclose(made, white_noise_q(velocity, angle), rtol=1e-12)
 
 
-def test_swept_noise_of_other_methods_needs_no_q() -> None:
-    cases = [
-        {"method": "kalman5", "gyro_noise_deg_per_h": 0.1},
-        {"method": "compass", "gyro_noise_deg_per_h": 0.0},
-    ]
-    made = study_from_dict(
-        make_tables(sensors={"gyro_noise_deg_per_h": None}) | {"cases": cases},
-    )
-    expected = white_noise_q(500 * UG / 100, 0.1 * DEG_PER_H / 100)
-    np.testing.assert_allclose(compute_q(made), expected[None], rtol=1e-12)
-
-
 @pytest.mark.parametrize("reading", ["psd", "per_sample", "per_step"])
-def test_sensors_give_key_that_is_left_out_whatever_unit_of_other(reading: str) -> None:
+def test_sensors_give_key_that_is_left_out_whatever_unit_of_other(reading):
     factor = {"psd": 0.01, "per_sample": 1e-4, "per_step": 1.0}[reading]
     made = compute_q(make_study(filter={"q_accel_ug": 50.0, "q_reading": reading}))
     expected = [[(50 * UG) ** 2 * factor, (0.1 * DEG_PER_H / 100) ** 2]]
     np.testing.assert_allclose(made, expected, rtol=1e-12)
 
 
-def test_q_scale_multiplies_noise_of_sensors() -> None:
+@pytest.mark.parametrize("unit", ["q_gyro_deg_per_h_per_sqrt_hz", "q_gyro_arw_deg_per_sqrt_h"])
+def test_densities_give_same_q_in_any_unit(unit):
+    """An angle random walk of N deg/sqrt(h) adds N^2 t/3600 deg^2 in t seconds."""
+    old = {"q_reading": "psd", "q_gyro_deg_per_h": 0.18, "q_accel_ug": 60.0}
+    gyro = {"q_gyro_deg_per_h_per_sqrt_hz": 0.18, "q_gyro_arw_deg_per_sqrt_h": 0.003}[unit]
+    new = {"q_reading": "psd", "q_accel_ug_per_sqrt_hz": 60.0, unit: gyro}
+    made = compute_q(make_study(filter=new))
+    np.testing.assert_allclose(made, compute_q(make_study(filter=old)), rtol=1e-12)
+    expected = [[(60e-6 * 9.8) ** 2 * 0.01, np.deg2rad(0.003) ** 2 / 3600 * 0.01]]
+    np.testing.assert_allclose(made, expected, rtol=1e-12)
+    assert fingerprint(study_from_dict(make_study(filter=new).to_dict())) == fingerprint(
+        make_study(filter=new)
+    )
+
+
+def test_q_scale_multiplies_noise_of_sensors():
     np.testing.assert_allclose(
         compute_q(make_study(filter={"q_scale": 4.0})), 4 * compute_q(make_study()), rtol=1e-15
     )
 
 
 @pytest.mark.parametrize(
-    "method", ["kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "kalman_surge"]
+    "method", [name for name, method in METHODS.items() if "filter" in method.sections]
 )
-def test_all_filters_read_noise_of_sensors(method: str) -> None:
+def test_all_filters_read_noise_of_sensors(method):
     own = make_study(alignment={"method": method, "phi_u0_deg": 5.0})
     filter_ = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_sample"}
     given = make_study(alignment={"method": method, "phi_u0_deg": 5.0}, filter=filter_)
@@ -157,7 +165,7 @@ def test_all_filters_read_noise_of_sensors(method: str) -> None:
     )
 
 
-def test_resolved_study_without_q_reloads_equal_and_has_own_fingerprint() -> None:
+def test_resolved_study_without_q_reloads_equal_and_has_own_fingerprint():
     made = make_study()
     text = study_to_toml(made)
     assert "q_" not in text
@@ -173,82 +181,63 @@ def test_resolved_study_without_q_reloads_equal_and_has_own_fingerprint() -> Non
 
 # What is refused
 
-BOTH = "q_accel_ug and q_gyro_deg_per_h"
-READINGS = "give 'psd', 'per_sample' or 'per_step', which was the default before"
+
+@refused("""
+filter = {q_accel_ug = 500.0, q_gyro_deg_per_h = 0.1}
+    -> [filter] q_reading: required q_accel_ug q_gyro_deg_per_h 'psd' 'per_sample' 'per_step'
+axes.q_gyro_deg_per_h = [0.1, 0.2]           -> [filter] q_reading: required q_gyro_deg_per_h
+filter.q_gyro_arw_deg_per_sqrt_h = 0.01      -> [filter] q_reading: required 'psd'
+filter = {q_gyro_arw_deg_per_sqrt_h = 0.01, q_reading = "per_step"}
+    -> [filter] q_gyro_arw_deg_per_sqrt_h: 'psd' 'per_step'
+filter = {q_accel_ug_per_sqrt_hz = 1.0, q_reading = "per_step"}
+    -> [filter] q_accel_ug_per_sqrt_hz: 'psd' 'per_step'
+filter = {q_reading = "psd", q_gyro_deg_per_h = 1.0, q_gyro_deg_per_h_per_sqrt_hz = 0.18}
+    -> [filter] q_gyro_deg_per_h: q_gyro_deg_per_h_per_sqrt_hz [filter]
+filter.q_gyro_arw_deg_per_sqrt_h = 0.1 & axes.q_reading = ["psd", "per_sample"]
+    -> [filter] q_gyro_arw_deg_per_sqrt_h: 'psd' 'per_sample'
+filter.q_reading = "per_step"                -> [filter] q_reading: 'per_step' q_
+axes.q_reading = ["psd", "per_step"]         -> [axes] q_reading: 'per_step' q_
+study.rate_hz = 0.0                          -> [study] rate_hz: 0
+study.rate_hz = -1.0                         -> [study] rate_hz: -1.0
+study.rate_hz = "100"                        -> [study] rate_hz: '100'
+""")
+def test_q_and_its_unit_are_refused_without_each_other(refusal):
+    refusal.check(refusal_line(**refusal.tables))
 
 
-@pytest.mark.parametrize(
-    ("changes", "line"),
-    [
-        (
-            {"filter": {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1}},
-            f"[filter] q_reading: required with {BOTH} ({READINGS})",
-        ),
-        (
-            {"axes": {"q_gyro_deg_per_h": [0.1, 0.2]}},
-            f"[filter] q_reading: required with q_gyro_deg_per_h ({READINGS})",
-        ),
-        (
-            {"filter": {"q_gyro_arw_deg_per_sqrt_h": 0.01}},
-            "[filter] q_reading: required with q_gyro_arw_deg_per_sqrt_h (give 'psd', the only"
-            " one for a density)",
-        ),
-        (
-            {"filter": {"q_gyro_arw_deg_per_sqrt_h": 0.01, "q_reading": "per_step"}},
-            "[filter] q_gyro_arw_deg_per_sqrt_h: requires q_reading = 'psd', not 'per_step'",
-        ),
-        (
-            {"filter": {"q_reading": "per_step"}},
-            "[filter] q_reading: 'per_step' needs q_ keys, and none is given (drop it: without"
-            " q_ keys Q is the white noise of the study's sensors)",
-        ),
-        (
-            {"axes": {"q_reading": ["psd", "per_step"]}},
-            "[axes] q_reading: 'per_step' needs q_ keys, and none is given (drop it: without q_"
-            " keys Q is the white noise of the study's sensors)",
-        ),
-    ],
-)
-def test_q_and_its_unit_are_refused_without_each_other(changes: Any, line: str) -> None:
-    assert refusal_line(**changes) == line
+REQUIRES_UNIT = ("[filter] q_reading", "required", "q_accel_ug")
 
 
-def test_cases_with_q_need_its_unit() -> None:
+def test_cases_with_q_need_its_unit():
     cases = [{"q_accel_ug": 1.0}, {"q_accel_ug": 2.0}]
-    with pytest.raises(InputError, match=r"\[filter\] q_reading: required with q_accel_ug \("):
-        study_from_dict(make_tables() | {"cases": cases})
-    with_unit = [case | {"q_reading": "psd"} for case in cases]
-    made = study_from_dict(make_tables() | {"cases": with_unit})
+    assert_named(refusal_line(cases=cases), *REQUIRES_UNIT)
+    made = make_study(cases=[case | {"q_reading": "psd"} for case in cases])
     np.testing.assert_allclose(
         compute_q(made)[:, 0], (np.array([1, 2]) * UG) ** 2 * 0.01, rtol=1e-12
     )
 
 
-def test_unit_of_densities_alone_is_accepted() -> None:
+def test_unit_of_densities_alone_is_accepted():
     np.testing.assert_array_equal(
         compute_q(make_study(filter={"q_reading": "psd"})), compute_q(make_study())
     )
 
 
-def test_tuned_q_needs_its_unit() -> None:
+def test_tuned_q_needs_its_unit():
     tune = {
         **{"searches": ["sobol"], "objective_band_arcmin": 10.0},
         "variables": {"q_accel_ug": {"low": 1.0, "high": 10.0}},
         "baseline": {"q_accel_ug": 5.0},
     }
+    line = refusal_line(tune=tune)
+    assert line.startswith("[tune.variables] ") and ": [filter] q_reading: required" in line
+    assert make_study(filter={"q_accel_ug": 5.0, "q_reading": "psd"}, tune=tune).tune is not None
+
+
+def test_replaced_q_needs_its_unit():
     with pytest.raises(InputError) as caught:
-        study_from_dict(make_tables() | {"tune": tune})
-    assert str(caught.value) == (
-        "study: [tune.variables] with every range at its low end: [filter] q_reading: required"
-        f" with q_accel_ug ({READINGS})"
-    )
-    with_unit = {"filter": {"q_accel_ug": 5.0, "q_reading": "psd"}}
-    assert study_from_dict(make_tables(**with_unit) | {"tune": tune}).tune is not None
-
-
-def test_replaced_q_needs_its_unit() -> None:
-    with pytest.raises(InputError, match=r"\[filter\] q_reading: required with q_accel_ug \("):
         make_study().replace({"filter.q_accel_ug": 50.0})
+    assert f"{REQUIRES_UNIT[0]}: required" in str(caught.value)
     made = make_study().replace({"filter.q_accel_ug": 50.0, "filter.q_reading": "per_sample"})
     again = made.replace({"alignment.phi_u0_deg": 1.0})
     assert again.filter is not None and again.filter.q_reading == "per_sample"
@@ -259,59 +248,41 @@ def test_replaced_q_needs_its_unit() -> None:
 
 
 NONE = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
-OF_GYROS = "give q_gyro_arw_deg_per_sqrt_h from the data sheet, with q_reading = 'psd'"
-OF_ACCELS = "give q_accel_ug_per_sqrt_hz from the data sheet, with q_reading = 'psd'"
 
 
 @pytest.mark.parametrize(
-    ("changes", "line"),
+    ("changes", "key"),
     [
-        (
-            {"sensors": NONE},
-            "[filter] q_accel_ug: required (the accelerometers have no white noise in [sensors];"
-            f" {OF_ACCELS})",
-        ),
-        (
-            {"sensors": {"gyro_noise_deg_per_h": 0.0}},
-            "[filter] q_gyro_deg_per_h: required (the gyros have no white noise in [sensors];"
-            f" {OF_GYROS})",
-        ),
+        ({"sensors": NONE}, "q_accel_ug"),
+        ({"sensors": {"gyro_noise_deg_per_h": 0.0}}, "q_gyro_deg_per_h"),
         (
             {
                 "sensors": {"gyro_noise_deg_per_h": None},
                 "axes": {"gyro_arw_deg_per_sqrt_h": [0.01, 0.0]},
             },
-            "[filter] q_gyro_deg_per_h: required (the gyros have no white noise in [sensors];"
-            f" {OF_GYROS})",
+            "q_gyro_deg_per_h",
         ),
         (
             {
                 "sensors": {"accel_noise_ug": None},
                 "drawn": {"accel_noise_ug": {"uniform": [10.0, 20.0]}},
             },
-            "[filter] q_accel_ug: required (accel_noise_ug is drawn, but the filter has the same"
-            f" Q in all draws; {OF_ACCELS})",
+            "q_accel_ug",
         ),
     ],
 )
-def test_filter_without_noise_of_sensors_requires_q(changes: Any, line: str) -> None:
-    assert refusal_lines(**changes)[0] == line
+def test_filter_without_noise_of_sensors_requires_q(changes, key):
+    assert_named(refusal_lines(**changes)[0], f"[filter] {key}", "required", "'psd'")
     assert make_study(**changes, filter=GIVEN).has("filter")
     axes = changes.get("axes", {})
     assert make_study(**(changes | {"axes": axes | {"method": ["inertial", "compass"]}}))
 
 
-def test_filter_of_record_requires_q() -> None:
-    assert refusal_lines(RECORDED) == [
-        "[filter] q_accel_ug: required (a record does not give the noise of its accelerometers;"
-        f" {OF_ACCELS})",
-        "[filter] q_gyro_deg_per_h: required (a record does not give the noise of its gyros;"
-        f" {OF_GYROS})",
-    ]
-    assert refusal_line(RECORDED, filter={"q_accel_ug": 5.0, "q_reading": "psd"}) == (
-        "[filter] q_gyro_deg_per_h: required (a record does not give the noise of its gyros;"
-        f" {OF_GYROS})"
-    )
+def test_filter_of_record_requires_q():
+    accel, gyro = refusal_lines(RECORDED)
+    assert_named(accel, "[filter] q_accel_ug", "required", "accelerometers")
+    assert_named(gyro, "[filter] q_gyro_deg_per_h", "required", "gyros")
+    assert refusal_line(RECORDED, filter={"q_accel_ug": 5.0, "q_reading": "psd"}) == gyro
     assert make_study(RECORDED, filter=GIVEN).has("filter")
     assert make_study(RECORDED, alignment={"method": "inertial"}).is_recorded
 
@@ -322,7 +293,7 @@ def validate_errors(path: Path) -> tuple[str, ...]:
     return caught.value.lines
 
 
-def test_validation_lists_each_missing_key_once(tmp_path: Path) -> None:
+def test_validation_lists_each_missing_key_once(tmp_path):
     path = tmp_path / "s.toml"
     path.write_text(tomli_w.dumps(make_tables(sensors=NONE, filter={"p0_level_deg": -1.0})))
     found = [line.removeprefix(f"{path}: ").partition(":")[0] for line in validate_errors(path)]
@@ -340,7 +311,7 @@ def test_validation_lists_each_missing_key_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 200, 3.0, 0.7])
-def test_feedback_defaults_to_each_sample(rate_hz: float) -> None:
+def test_feedback_defaults_to_each_sample(rate_hz):
     settings = {"rate_hz": rate_hz, "duration_s": 600.0, "record_interval_s": 100.0}
     made = make_study(study=settings | {"window_s": None}, axes={"p0_yaw_deg": [80.0, 60.0]})
     assert made.alignment.feedback_interval_s == 1 / rate_hz
@@ -350,7 +321,7 @@ def test_feedback_defaults_to_each_sample(rate_hz: float) -> None:
     assert study_from_dict(tomllib.loads(study_to_toml(made))) == made
 
 
-def test_feedback_of_recorded_study_waits_for_rate_of_record() -> None:
+def test_feedback_of_recorded_study_waits_for_rate_of_record():
     made = make_study(RECORDED, filter=GIVEN)
     assert made.alignment.feedback_interval_s is None
     for rate_hz in (100.0, 199.8):
@@ -359,26 +330,20 @@ def test_feedback_of_recorded_study_waits_for_rate_of_record() -> None:
     assert with_rate(given, 100.0).alignment.feedback_interval_s == 1.0
 
 
-def test_default_feedback_follows_changed_rate() -> None:
+def test_default_feedback_follows_changed_rate():
     changed = make_study().replace({"study.rate_hz": 200.0})
     assert changed.alignment.feedback_interval_s == 0.005
     kept = make_study(alignment={"feedback_interval_s": 1.0}).replace({"study.rate_hz": 200.0})
     assert kept.alignment.feedback_interval_s == 1.0
 
 
-def test_swept_feedback_has_no_default() -> None:
+def test_swept_feedback_has_no_default():
     made = make_study(axes={"feedback_interval_s": [0.1, 1.0]})
     assert made.alignment.feedback_interval_s is None
     assert made.values("feedback_interval_s") == [0.1, 1.0]
 
 
-def test_reset_at_default_feedback_is_not_delayed() -> None:
+def test_reset_at_default_feedback_is_not_delayed():
     made = make_study(resets={"reset_at_feedback": True, "reset_times_s": [1.23, 6.0]})
     (part,) = build.parts(made)
     np.testing.assert_array_equal(part.group.variants.method.resets.samples, [[123.0, 600.0]])
-
-
-def test_faulty_rate_is_the_only_error() -> None:
-    for rate_hz in (0.0, -1.0, "100"):
-        assert refusal_line(study={"rate_hz": rate_hz}).startswith("[study] rate_hz: must be ")
-    assert "feedback_interval_s" not in refusal_line(study={"rate_hz": 1e-320})

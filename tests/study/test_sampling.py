@@ -9,19 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from support.refusals import assert_named, refused
 from support.studies import BASE, with_paper_values
 
 from sinsjax.errors import InputError
 from sinsjax.study import sampling
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.load import study_from_dict
-from sinsjax.study.schema import (
-    INITIAL_NUMBERS,
-    NUMBERS_DRAWN,
-    TURN_KEYS,
-    MotionSection,
-    SensorsSection,
-)
+from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, SensorsSection
 from sinsjax.study.study import Study
 
 MANY = 1 << 14
@@ -60,13 +55,9 @@ def sobol(laws: dict[str, Any]) -> dict[str, Any]:
 BOTH = pytest.mark.parametrize("laws", [LAWS, sobol(LAWS)], ids=["random", "sobol"])
 
 
-def test_study_without_drawn_keys_has_no_values():
-    assert sampling.drawn_values(make_study(None), 5) == {}
-
-
 @BOTH
 @pytest.mark.parametrize("count", [0, 1, 3, 64])
-def test_drawn_values_have_expected_order_and_shapes(laws: dict[str, Any], count: int):
+def test_drawn_values_have_expected_order_and_shapes(laws, count):
     values = drawn(laws, count)
     assert list(values) == list(LAWS)
     assert all(v.dtype == np.float64 for v in values.values())
@@ -82,12 +73,7 @@ def test_drawn_keys_need_as_many_numbers_as_their_section():
         assert sampling.drawn_values(one, 2)[key].shape == ((2, numbers) if numbers > 1 else (2,))
         with pytest.raises(InputError, match="must be a number|required"):
             make_study({key: {"values": [[0.5, 0.6]]}}, **periods(key))
-    assert NUMBERS_DRAWN.keys() == {
-        "latitude_deg",
-        *MotionSection.model_fields.keys() - {"surge_model", "attitude_file", *TURN_KEYS},
-        *SensorsSection.model_fields,
-        *INITIAL_NUMBERS,
-    }
+    assert NUMBERS_DRAWN.keys() >= {*SensorsSection.model_fields, *INITIAL_NUMBERS}
 
 
 def periods(key: str) -> dict[str, Any]:
@@ -102,7 +88,7 @@ def periods(key: str) -> dict[str, Any]:
 
 
 @BOTH
-def test_drawn_values_follow_their_distributions(laws: dict[str, Any]):
+def test_drawn_values_follow_their_distributions(laws):
     values = drawn(laws)
     for key in ("phi_e0_deg", "phi_n0_deg"):
         assert stats.kstest(values[key], stats.uniform(-5, 10).cdf).pvalue > 1e-3
@@ -115,7 +101,7 @@ def test_drawn_values_follow_their_distributions(laws: dict[str, Any]):
 
 
 @BOTH
-def test_drawn_values_are_uncorrelated_across_keys_axes_and_draws(laws: dict[str, Any]):
+def test_drawn_values_are_uncorrelated_across_keys_axes_and_draws(laws):
     """Of other keys, of the other axes of a vector, and of the draw before."""
     values = drawn(laws)
     columns = np.column_stack([rows for key, rows in values.items() if key != "yaw_center_deg"])
@@ -132,18 +118,6 @@ def test_zero_width_distributions_give_constant_values():
     np.testing.assert_array_equal(values["phi_n0_deg"], 2.0)
 
 
-def test_sobol_points_have_lower_discrepancy_than_random():
-    keys = ("phi_e0_deg", "phi_n0_deg")
-    laws = {key: {"uniform": [0, 1]} for key in keys}
-
-    def discrepancy(laws: dict[str, Any], seed: int) -> float:
-        values = drawn(laws, 256, seed=seed)
-        return stats.qmc.discrepancy(np.column_stack([values[key] for key in keys]))
-
-    for seed in range(1, 6):
-        assert discrepancy(sobol(laws), seed) < discrepancy(laws, seed) / 10
-
-
 def test_every_dyadic_interval_holds_one_sobol_point():
     """The defining property of the sequence, which the scrambling keeps, in every dimension."""
     laws = sobol({"gyro_scale_ppm": {"uniform": [0, 1]}, "phi_u0_deg": {"uniform": [0, 1]}})
@@ -153,7 +127,7 @@ def test_every_dyadic_interval_holds_one_sobol_point():
 
 
 @pytest.mark.parametrize("end", [0.0, 1 - 2.0**-30])
-def test_extreme_sobol_points_give_finite_values(end: float, monkeypatch: pytest.MonkeyPatch):
+def test_extreme_sobol_points_give_finite_values(end, monkeypatch):
     """The lowest and the highest point that the sequence has."""
     monkeypatch.setattr(stats.qmc.Sobol, "random", lambda self, n: np.full((n, self.d), end))
     values = drawn(sobol(LAWS), 4)
@@ -166,7 +140,7 @@ def test_extreme_sobol_points_give_finite_values(end: float, monkeypatch: pytest
 
 @BOTH
 @given(first=st.integers(0, 70), count=st.integers(0, 70))
-def test_draws_do_not_depend_on_block(laws: dict[str, Any], first: int, count: int):
+def test_draws_do_not_depend_on_block(laws, first, count):
     study = make_study(
         laws | {"pitch_center_deg": {"grid": [0, 1]}, "roll_center_deg": {"grid": [0, 10, 20]}},
         study={"draws": 6},
@@ -183,7 +157,7 @@ def test_adding_drawn_keys_keeps_values_of_others():
 
 
 @BOTH
-def test_seed_determines_drawn_values(laws: dict[str, Any]):
+def test_seed_determines_drawn_values(laws):
     one, same, other = (drawn(laws, 100, seed=seed) for seed in (1, 1, 2**63 - 1))
     for key in LAWS:
         np.testing.assert_array_equal(one[key], same[key])
@@ -206,9 +180,7 @@ def test_seed_determines_drawn_values(laws: dict[str, Any]):
     ],
     ids=["random", "sobol"],
 )
-def test_drawn_values_match_frozen_reference(
-    laws: dict[str, Any], level: list[float], heading: list[float]
-):
+def test_drawn_values_match_frozen_reference(laws, level, heading):
     """Stored results rest on them."""
     values = drawn(laws, 3)
     np.testing.assert_allclose(values["phi_e0_deg"], level, rtol=1e-14)
@@ -227,7 +199,7 @@ def test_value_list_is_cycled_over_draws():
 
 
 @given(lengths=st.lists(st.integers(1, 4), min_size=1, max_size=4), count=st.integers(1, 300))
-def test_grids_cycle_through_their_product(lengths: list[int], count: int):
+def test_grids_cycle_through_their_product(lengths, count):
     keys = ("latitude_deg", "roll_center_deg", "phi_u0_deg", "accel_bias_ug")
     grids = {key: [float(i) for i in range(n)] for key, n in zip(keys, lengths, strict=False)}
     laws: dict[str, Any] = {key: {"grid": grid} for key, grid in grids.items()}
@@ -239,7 +211,7 @@ def test_grids_cycle_through_their_product(lengths: list[int], count: int):
 
 
 @given(lengths=st.lists(st.integers(1, 4), min_size=1, max_size=3), count=st.integers(1, 40))
-def test_fewer_draws_have_the_same_values(lengths: list[int], count: int):
+def test_fewer_draws_have_the_same_values(lengths, count):
     keys = ("roll_center_deg", "phi_u0_deg", "accel_bias_ug")
     laws: dict[str, Any] = {
         key: {"grid": [float(i) for i in range(n)]} for key, n in zip(keys, lengths, strict=False)
@@ -263,156 +235,92 @@ def refusal_line(laws: Any, **changes: Any) -> str:
     return line.removeprefix("s.toml: ")
 
 
-def test_drawn_key_given_elsewhere_is_refused():
+@refused("""
+alignment.phi_e0_deg = 1.0                   -> [drawn] phi_e0_deg: [alignment]
+axes.phi_e0_deg = [1.0]                      -> [drawn] phi_e0_deg: [axes]
+axes.level = {phi_e0_deg = [1.0], phi_n0_deg = [1.0]}    -> [drawn] phi_e0_deg: [axes.level]
+""")
+def test_drawn_key_given_elsewhere_is_refused(refusal):
     law = {"phi_e0_deg": {"uniform": [0, 1]}}
-    again = "already (drop one of them)"
-    assert (
-        refusal_line(law, alignment={"phi_e0_deg": 1.0})
-        == f"[drawn] phi_e0_deg: is in [alignment] {again}"
-    )
-    assert (
-        refusal_line(law, axes={"phi_e0_deg": [1.0]}) == f"[drawn] phi_e0_deg: is in [axes] {again}"
-    )
-    zipped = {"level": {"phi_e0_deg": [1.0], "phi_n0_deg": [1.0]}}
-    assert refusal_line(law, axes=zipped) == f"[drawn] phi_e0_deg: is in [axes.level] {again}"
+    refusal.check(refusal_line(law, **refusal.tables))
     data = {**BASE, "alignment": {}, "drawn": law, "cases": [{"phi_e0_deg": 1.0}]}
-    with pytest.raises(InputError, match=r"\[drawn\] phi_e0_deg: is in \[cases\] already"):
-        study_from_dict(data)
+    with pytest.raises(InputError) as caught:
+        study_from_dict(data, "s.toml")
+    assert_named(str(caught.value), "s.toml: [drawn] phi_e0_deg", "[cases]")
 
 
-@pytest.mark.parametrize(
-    ("laws", "line"),
-    [
-        (3, "[drawn]: must be a table of keys"),
-        ({}, "[drawn]: has no key to draw (drop it)"),
-        ({"sampling": "sobol"}, "[drawn]: has no key to draw (drop it)"),
-        (
-            {"sampling": "halton", "phi_e0_deg": {"uniform": [0, 1]}},
-            "[drawn] sampling: must be 'random' or 'sobol', not 'halton'",
-        ),
-        (
-            {"phi_e_deg": {"uniform": [0, 1]}},
-            "[drawn] phi_e_deg: unknown key (did you mean phi_e0_deg?)",
-        ),
-        ({"case": {"values": ["a"]}}, "[drawn] case: unknown key"),
-        (
-            {"height_m": {"uniform": [0, 1]}},
-            "[drawn] height_m: cannot be drawn (possible: latitude_deg, keys of [motion] and"
-            " [sensors], phi_e0_deg, phi_n0_deg, phi_u0_deg, ve0_m_per_s, vn0_m_per_s)",
-        ),
-        ({"seed": {"values": [1]}}, "[drawn] seed: cannot be drawn (possible: "),
-        ({"method": {"values": ["kalman5"]}}, "[drawn] method: cannot be drawn (possible: "),
-        ({"phi_e0_deg": None}, "[drawn] phi_e0_deg: None is not a value"),
-        (
-            {"phi_e0_deg": 3},
-            "[drawn] phi_e0_deg: must be a table such as phi_e0_deg = { uniform = [0, 1] }, not 3",
-        ),
-        (
-            {"phi_e0_deg": {"unifrom": [0, 1]}},
-            "[drawn] phi_e0_deg.unifrom: unknown key (did you mean uniform?)",
-        ),
-        (
-            {"phi_e0_deg": {}},
-            "[drawn] phi_e0_deg: needs one of uniform, normal, values, grid, not none",
-        ),
-        (
-            {"phi_e0_deg": {"uniform": [0, 1], "grid": [1]}},
-            "[drawn] phi_e0_deg: needs one of uniform, normal, values, grid, not uniform and grid",
-        ),
-        ({"phi_e0_deg": {"uniform": None}}, "[drawn] phi_e0_deg.uniform: None is not a value"),
-        ({"phi_e0_deg": {"uniform": 3}}, "[drawn] phi_e0_deg.uniform: must be a list, not 3"),
-        (
-            {"phi_e0_deg": {"normal": 3}},
-            "[drawn] phi_e0_deg.normal: must be a list, not 3"
-            " (use normal = [mean, standard deviation])",
-        ),
-        (
-            {"phi_e0_deg": {"sigma": 3}},
-            "[drawn] phi_e0_deg.sigma: unknown key (use normal = [mean, standard deviation],"
-            " uniform = [low, high], values or grid)",
-        ),
-        ({"phi_e0_deg": {"uniform": []}}, "[drawn] phi_e0_deg.uniform[0]: required"),
-        ({"phi_e0_deg": {"uniform": [1]}}, "[drawn] phi_e0_deg.uniform[1]: required"),
-        (
-            {"phi_e0_deg": {"uniform": [1, 2, 3]}},
-            "[drawn] phi_e0_deg.uniform: must have 2 values, not 3",
-        ),
-        (
-            {"phi_e0_deg": {"uniform": [0, True]}},
-            "[drawn] phi_e0_deg.uniform[1]: must be a number, not True",
-        ),
-        (
-            {"gyro_bias_deg_per_h": {"uniform": [[0, 1], [0, 1]]}},
-            "[drawn] gyro_bias_deg_per_h.uniform[0]: must be a number, not [0, 1]",
-        ),
-        (
-            {"phi_e0_deg": {"uniform": [0, float("inf")]}},
-            "[drawn] phi_e0_deg.uniform[1]: must be finite, not inf",
-        ),
-        (
-            {"phi_e0_deg": {"uniform": [2, 1]}},
-            "[drawn] phi_e0_deg.uniform: must be [low, high] with low <= high, not [2, 1]",
-        ),
-        (
-            {"phi_e0_deg": {"normal": [0, -1]}},
-            "[drawn] phi_e0_deg.normal[1]: must be greater than or equal to 0, not -1",
-        ),
-        (
-            {"phi_e0_deg": {"normal": ["0", 1]}},
-            "[drawn] phi_e0_deg.normal[0]: must be a number, not '0'",
-        ),
-        ({"phi_e0_deg": {"values": []}}, "[drawn] phi_e0_deg.values: must not be empty, not []"),
-        ({"phi_e0_deg": {"grid": []}}, "[drawn] phi_e0_deg.grid: must not be empty, not []"),
-        ({"phi_e0_deg": {"grid": 3}}, "[drawn] phi_e0_deg.grid: must be a list, not 3"),
-        (
-            {"phi_e0_deg": {"values": [0, False]}},
-            "[drawn] phi_e0_deg.values[1]: must be a number, not False",
-        ),
-        (
-            {"phi_e0_deg": {"grid": [0, 200]}},
-            "[drawn] phi_e0_deg.grid[1]: must be less than or equal to 180, not 200",
-        ),
-        (
-            {"accel_bias_ug": {"values": [0, [1, 2, "3"]]}},
-            "[drawn] accel_bias_ug.values[1][2]: must be a number, not '3'",
-        ),
-        (
-            {"gyro_noise_deg_per_h": {"values": [1]}, "gyro_arw_deg_per_sqrt_h": {"values": [1]}},
-            "[drawn] gyro_noise_deg_per_h: conflicts with gyro_arw_deg_per_sqrt_h in [drawn]",
-        ),
-    ],
-)
-def test_invalid_drawn_tables_are_refused(laws: Any, line: str):
-    assert refusal_line(laws).startswith(line)
+@refused("""
+drawn = 3                                    -> [drawn]
+drawn = {}                                   -> [drawn]
+drawn = {sampling = "sobol"}                 -> [drawn]
+drawn = {sampling = "halton", phi_e0_deg.uniform = [0, 1]}
+    -> [drawn] sampling: 'random' 'sobol' 'halton'
+drawn.phi_e_deg.uniform = [0, 1]             -> [drawn] phi_e_deg: phi_e0_deg
+drawn.case.values = ["a"]                    -> [drawn] case
+drawn.height_m.uniform = [0, 1]              -> [drawn] height_m: latitude_deg [motion] phi_u0_deg
+drawn.seed.values = [1]                      -> [drawn] seed
+drawn.method.values = ["kalman5"]            -> [drawn] method
+drawn.phi_e0_deg = 3                         -> [drawn] phi_e0_deg: 3
+drawn.phi_e0_deg.unifrom = [0, 1]            -> [drawn] phi_e0_deg.unifrom: uniform
+drawn.phi_e0_deg = {}                        -> [drawn] phi_e0_deg: uniform normal values grid
+drawn.phi_e0_deg = {uniform = [0, 1], grid = [1]}    -> [drawn] phi_e0_deg: uniform normal grid
+drawn.phi_e0_deg.uniform = 3                 -> [drawn] phi_e0_deg.uniform: 3
+drawn.phi_e0_deg.normal = 3                  -> [drawn] phi_e0_deg.normal: 3
+drawn.phi_e0_deg.sigma = 3                   -> [drawn] phi_e0_deg.sigma: normal uniform
+drawn.phi_e0_deg.uniform = []                -> [drawn] phi_e0_deg.uniform[0]: required
+drawn.phi_e0_deg.uniform = [1]               -> [drawn] phi_e0_deg.uniform[1]: required
+drawn.phi_e0_deg.uniform = [1, 2, 3]         -> [drawn] phi_e0_deg.uniform: 2 3
+drawn.phi_e0_deg.uniform = [0, true]         -> [drawn] phi_e0_deg.uniform[1]: True
+drawn.gyro_bias_deg_per_h.uniform = [[0, 1], [0, 1]]
+    -> [drawn] gyro_bias_deg_per_h.uniform[0]: [0, 1]
+drawn.phi_e0_deg.uniform = [0, inf]          -> [drawn] phi_e0_deg.uniform[1]: inf
+drawn.phi_e0_deg.uniform = [2, 1]            -> [drawn] phi_e0_deg.uniform: low high 2 1
+drawn.phi_e0_deg.normal = [0, -1]            -> [drawn] phi_e0_deg.normal[1]: 0 -1
+drawn.phi_e0_deg.normal = ["0", 1]           -> [drawn] phi_e0_deg.normal[0]: '0'
+drawn.phi_e0_deg.values = []                 -> [drawn] phi_e0_deg.values: empty
+drawn.phi_e0_deg.grid = []                   -> [drawn] phi_e0_deg.grid: empty
+drawn.phi_e0_deg.grid = 3                    -> [drawn] phi_e0_deg.grid: 3
+drawn.phi_e0_deg.values = [0, false]         -> [drawn] phi_e0_deg.values[1]: False
+drawn.phi_e0_deg.grid = [0, 200]             -> [drawn] phi_e0_deg.grid[1]: 180 200
+drawn.accel_bias_ug.values = [0, [1, 2, "3"]]    -> [drawn] accel_bias_ug.values[1][2]: '3'
+drawn = {gyro_noise_deg_per_h.values = [1], gyro_arw_deg_per_sqrt_h.values = [1]}
+    -> [drawn] gyro_noise_deg_per_h: gyro_arw_deg_per_sqrt_h [drawn]
+""")
+def test_invalid_drawn_tables_are_refused(refusal):
+    refusal.check(refusal_line(refusal.tables["drawn"]))
+
+
+def test_none_is_refused_as_a_law():
+    assert_named(refusal_line({"phi_e0_deg": None}), "[drawn] phi_e0_deg")
+    line = refusal_line({"phi_e0_deg": {"uniform": None}})
+    assert_named(line, "[drawn] phi_e0_deg.uniform")
 
 
 def test_drawn_key_with_conflicting_sensor_key_is_refused():
-    line = "[drawn] accel_noise_ug: conflicts with accel_vrw_ug_per_sqrt_hz in [sensors]"
-    sensors = {"accel_vrw_ug_per_sqrt_hz": 1.0}
-    assert refusal_line({"accel_noise_ug": {"values": [1]}}, sensors=sensors).startswith(line)
+    key, other = "accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"
+    line = refusal_line({key: {"values": [1]}}, sensors={other: 1.0})
+    assert_named(line, f"[drawn] {key}", other, "[sensors]")
 
 
 @BOTH
 @pytest.mark.parametrize(
-    ("key", "law", "text"),
+    ("key", "law", "bound"),
     [
-        ("latitude_deg", {"uniform": [80, 100]}, "must be less than 90"),
-        ("pitch_center_deg", {"normal": [0, 60]}, "must be (less than 90|greater than -90)"),
-        ("pitch_period_s", {"normal": [6, 4]}, "must be greater than 0"),
-        ("phi_u0_deg", {"uniform": [170, 190]}, "must be less than or equal to 180"),
-        ("gyro_arw_deg_per_sqrt_h", {"normal": [1, 1]}, "must be greater than or equal to 0"),
-        ("accel_scale_ppm", {"normal": [1e12, 1]}, "must be less than or equal to 1000000000000"),
+        ("latitude_deg", {"uniform": [80, 100]}, "90"),
+        ("pitch_center_deg", {"normal": [0, 60]}, "90"),
+        ("pitch_period_s", {"normal": [6, 4]}, "0"),
+        ("phi_u0_deg", {"uniform": [170, 190]}, "180"),
+        ("gyro_arw_deg_per_sqrt_h", {"normal": [1, 1]}, "0"),
+        ("accel_scale_ppm", {"normal": [1e12, 1]}, "1000000000000"),
     ],
 )
-def test_draw_out_of_bounds_is_refused(
-    laws: dict[str, Any], key: str, law: dict[str, Any], text: str
-):
+def test_draw_out_of_bounds_is_refused(laws, key, law, bound):
     table = {"sampling": laws.get("sampling", "random"), key: law}
     line = refusal_line(table, study={"draws": 1000, "unchecked": True})
-    assert re.fullmatch(rf"\[drawn\] {key}: draw \d+ gives \S+: {text}", line)
+    assert re.fullmatch(rf"\[drawn\] {key}: draw \d+ gives \S+: must .*{bound}", line)
 
 
-def test_worst_draw_out_of_bounds_is_named_in_any_block(monkeypatch: pytest.MonkeyPatch):
+def test_worst_draw_out_of_bounds_is_named_in_any_block(monkeypatch):
     law = {"yaw_phase_deg": {"normal": [0, 95]}}
     values = drawn({"yaw_phase_deg": {"normal": [0, 1]}}, 40_000)["yaw_phase_deg"] * 95
     out = int(np.argmax(np.abs(values) > 360))
@@ -429,11 +337,6 @@ def test_worst_draw_of_vector_key_is_named():
     assert worst > 0
     line = refusal_line({key: {"uniform": [-1, 1]}}, study={"draws": 100, "seed": 2})
     assert line.startswith(f"[drawn] {key}: draw {worst} gives -0.9")
-
-
-def test_study_with_million_draws_is_sampled():
-    study = make_study(sobol(LAWS), study={"draws": 1_000_000})
-    assert len(sampling.drawn_values(study, study.n_draws)["phi_u0_deg"]) == 1_000_000
 
 
 # What a drawn key is to the rest of the study
@@ -468,21 +371,12 @@ def test_recorded_study_may_draw_only_initial_keys():
     record = {"format": "psins", "start_s": [0, 10, 20]}
     study = study_from_dict(with_paper_values(RECORDED | {"record": record, "drawn": laws}))
     assert study.n_draws == 3 and study.drawn_keys == INITIAL_NUMBERS
-    for key, reason in (
-        (
-            "yaw_center_deg",
-            ("does not apply to a recorded study (drop it, [motion] is for simulations)"),
-        ),
-        (
-            "gyro_bias_deg_per_h",
-            "does not apply to a recorded study (drop it, [sensors] is for simulations)",
-        ),
-        (
-            "latitude_deg",
-            f"cannot be drawn in a recorded study (possible: {', '.join(INITIAL_NUMBERS)})",
-        ),
+    for key, named in (
+        ("yaw_center_deg", "[motion]"),
+        ("gyro_bias_deg_per_h", "[sensors]"),
+        ("latitude_deg", "phi_u0_deg"),
     ):
         with pytest.raises(InputError) as caught:
             drawn = {"drawn": {key: {"values": [1]}}}
             study_from_dict(with_paper_values(RECORDED | drawn), "s.toml")
-        assert str(caught.value) == f"s.toml: [drawn] {key}: {reason}"
+        assert_named(str(caught.value), f"s.toml: [drawn] {key}", named)

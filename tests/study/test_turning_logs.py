@@ -54,33 +54,25 @@ def marks(text: str) -> list[str]:
 @pytest.mark.representative("increments-four positions", "no units, deg/s-one-way carousel")
 @pytest.mark.parametrize("motion", TURNS)
 @pytest.mark.parametrize("units", UNITS)
-def test_turning_log_has_no_doubt_but_its_hemisphere(
-    motion: str, units: str, tmp_path: Path
-) -> None:
+def test_turning_log_has_no_doubt_but_its_hemisphere(motion, units, tmp_path):
     text = make_study_text(write_log(tmp_path / "log.csv", motion, units), Path("its.toml"))
     (mark,) = marks(text)
-    assert mark.startswith("# DOUBT: estimated from the horizontal Earth rate")
+    assert mark.startswith("# DOUBT: ")
     study = tomllib.loads(text)
     assert study["earth"]["latitude_deg"] == pytest.approx(48.0, abs=1.5)
     assert study["record"]["gyro_unit"] == UNITS[units][-1]
 
 
-@pytest.mark.representative("-1.0-is the sign of the gyros right?")
-@pytest.mark.parametrize(
-    ("gyro", "asks"), [(1 / DEG, "are these deg/s?"), (-1.0, "is the sign of the gyros right?")]
-)
-def test_wrong_unit_or_sign_of_turning_log_is_a_doubt(
-    gyro: float, asks: str, tmp_path: Path
-) -> None:
+@pytest.mark.representative("-1.0-sign of the gyros")
+@pytest.mark.parametrize(("gyro", "asks"), [(1 / DEG, "deg/s?"), (-1.0, "sign of the gyros")])
+def test_wrong_unit_or_sign_of_turning_log_is_a_doubt(gyro, asks, tmp_path):
     text = make_study_text(
         write_log(tmp_path / "log.csv", "four positions", gyro=gyro), Path("its.toml")
     )
-    assert any(mark.endswith(f"{asks} (the study is refused)") for mark in marks(text))
+    assert any(asks in mark and "refused" in mark for mark in marks(text))
 
 
-def test_turning_log_is_aligned_by_gravity_fit_with_the_noise_of_its_samples(
-    tmp_path: Path,
-) -> None:
+def test_turning_log_is_aligned_by_gravity_fit_with_the_noise_of_its_samples(tmp_path):
     path = write_log(tmp_path / "log.csv", "one turn by 180")
     study = tomllib.loads(make_study_text(path, Path("its.toml")))
     assert study["alignment"] == {"method": "gravity_fit"}
@@ -90,12 +82,12 @@ def test_turning_log_is_aligned_by_gravity_fit_with_the_noise_of_its_samples(
     assert section["fit_gyro_bias_deg_per_h"] == 10 and section["fit_accel_bias_ug"] == 5000
 
 
-def test_log_of_parked_base_does_not_mention_turns(tmp_path: Path) -> None:
+def test_log_of_parked_base_does_not_mention_turns(tmp_path):
     text = make_study_text(write_log(tmp_path / "log.csv", "parked"), Path("its.toml"))
     assert not marks(text) and "turns" not in text
 
 
-def test_all_of_a_long_turning_log_is_aligned(tmp_path: Path) -> None:
+def test_all_of_a_long_turning_log_is_aligned(tmp_path):
     """A turn after 16 min would be cut off, as the rest of the log of a parked base is."""
     for turns, fine_s in ((((960.0,), (180.0,), 10.0), 1909.0), (PARKED, 900.0)):
         some = turned_record(turns, length_s=1920.0, rate_hz=5.0)
@@ -128,9 +120,7 @@ def aligned(
 
 
 @pytest.mark.slow
-def test_turning_log_is_aligned_without_warning(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_turning_log_is_aligned_without_warning(monkeypatch, capsys, tmp_path):
     printed, row = aligned(monkeypatch, capsys, tmp_path, "four positions")
     error_deg = (row["heading_deg"] - simulated("four positions").heading_deg + 180) % 360 - 180
     assert abs(error_deg) < 4 * row["sigma_u_arcmin"] / 60 < 3
@@ -139,11 +129,9 @@ def test_turning_log_is_aligned_without_warning(
 
 
 @pytest.mark.slow
-def test_fit_that_contradicts_its_sensors_is_a_caution(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_fit_that_contradicts_its_sensors_is_a_caution(monkeypatch, capsys, tmp_path):
     signs = np.array([1.0, 1.0, -1.0])  # refused, unless the user insists
     trust = ("--set", "record.trust=true")
     printed, row = aligned(monkeypatch, capsys, tmp_path, "four positions", signs, *trust)
     assert row["fit_misfit"] > 3
-    assert "the fit's residuals are" in " ".join(printed.split())
+    assert "residuals" in " ".join(printed.split())
