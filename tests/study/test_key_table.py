@@ -7,9 +7,11 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from sinsjax.methods.registry import METHODS
 from sinsjax.study import files, json_schema, key_table, keys
 
 ROOT = Path(__file__).parents[2]
+WITHOUT_START = [name for name, method in METHODS.items() if "phi_u0_deg" in method.without_effect]
 
 
 def test_keys_page_is_up_to_date():
@@ -24,12 +26,7 @@ def test_json_schema_is_up_to_date():
 @pytest.mark.parametrize(
     ("key", "unit", "default", "read_by"),
     [
-        (
-            "phi_u0_deg",
-            "deg",
-            "0",
-            "all but optimisation, optimisation_position, inertial, gravity_fit, level",
-        ),
+        ("phi_u0_deg", "deg", "0", f"all but {', '.join(WITHOUT_START)}"),
         ("gravity_m_per_s2", "m/s^2", "9.8", "all"),
         ("feedback_interval_s", "s", "one sample", None),
         ("window_s", "s", "the last third of the duration", "all"),
