@@ -56,9 +56,9 @@ COMPASS = Loops(level_gains(0.3, PAPER), ((20.0 * RATE, azimuth_gains(0.1, PAPER
 """Loops quick enough for a minute: sigma 0.3 1/s in level, from 20 s on 0.1 1/s in azimuth."""
 
 
-def method_of(name):
+def method_of(name, force="measured"):
     blocks = {"record_every": RATE, "records": SECONDS} if METHODS[name].stores_blocks else {}
-    return METHODS[name](Options(1 / RATE, **blocks))
+    return METHODS[name](Options(1 / RATE, force, **blocks))
 
 
 REVERSING = [name for name in METHODS if method_of(name).passes]
@@ -228,9 +228,9 @@ def test_normalise_changes_only_quaternion_length(name):
 
 
 @cache
-def flight(name, seconds):
-    """Some seconds of a run: navigation -> its state."""
-    method, here, given = method_of(name), site(PAPER, LATITUDE), numbers(name)
+def flight(name, seconds, force="measured"):
+    """Some seconds of a run: navigation -> its state; and the same for several."""
+    method, here, given = method_of(name, force), site(PAPER, LATITUDE), numbers(name)
     rows = increments()[: RATE * seconds]
 
     def fly(nav):
@@ -261,6 +261,34 @@ def test_run_depends_on_its_own_start_alone(name):
         for a, b, c in zip(once, again, jax.tree.leaves(together), strict=True):
             np.testing.assert_array_equal(a, b)
             np.testing.assert_allclose(c[place], a, rtol=1e-9, atol=1e-12)
+
+
+SILENT_START = [name for name in STEPPED if "phi_u0_deg" in METHODS[name].without_effect]
+
+
+@pytest.mark.representative("inertial", "level")
+@pytest.mark.parametrize("name", SILENT_START)
+def test_start_without_effect_changes_no_bit(name):
+    alone, _ = flight(name, 2)
+    one, other = (method_of(name).attitude(alone(nav)) for nav in (START, nav_off([1.0, 2.0, 3.0])))
+    np.testing.assert_array_equal(one, other)
+
+
+SHARING = [
+    (name, force)
+    for name in METHODS
+    for force in ("measured", "gravity")
+    if method_of(name, force).shares_covariance
+]
+
+
+@pytest.mark.representative("kalman_sincos-measured")
+@pytest.mark.parametrize(("name", "force"), SHARING)
+def test_shared_covariance_does_not_depend_on_the_start(name, force):
+    """To the bit; runs that differ in their draw have it in common."""
+    alone, _ = flight(name, 2, force)
+    one, other = (alone(nav).belief.p for nav in (START, nav_off(np.zeros(3))))
+    np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.slow

@@ -15,12 +15,10 @@ from sinsjax.engine.batch import run_chunks
 from sinsjax.engine.bias_floors import has_floor, hidden_north
 from sinsjax.engine.environment import build_method
 from sinsjax.engine.run import end_of_run
-from sinsjax.methods.floors import MeanBiases, bias_floor, mean_attitude
-from sinsjax.strapdown import earth
+from sinsjax.methods.floors import mean_attitude
 from sinsjax.strapdown.base_motion import Motion, Sway
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
-from sinsjax.types import Vec3
 
 DEG_PER_H = DEG / 3600
 
@@ -184,20 +182,6 @@ def check(study: Study) -> None:
         assert limit.phi.z == pytest.approx(want, abs=1e-9)
         assert max(abs(phi[:2])) < 6 * ARCMIN
         assert limit.no_north == (np.hypot(*eps[i][:2]) > RATE * np.cos(latitude[i] * DEG))
-
-
-@pytest.mark.slow
-@pytest.mark.optimised(False)
-def test_filter_ends_at_exact_not_small_angle_bias_floor() -> None:
-    study = study_of(
-        "kalman5",
-        filter=SETTLING | {"q_gyro_deg_per_h": 1.0},
-        axes={"gyro_bias_deg_per_h": [[5.0, 0.0, 0.0], [5.0, 5.0, 0.0]]},
-    )
-    first, second = (np.array([phi[2], limit.phi.z]) / DEG for phi, limit in ends(study).values())
-    np.testing.assert_allclose(first, -33.62, atol=0.005)
-    np.testing.assert_allclose(second, -21.77, atol=0.005)
-    assert -5.0 / (RATE * np.cos(60 * DEG)) / DEG == pytest.approx(-38.09, abs=0.005)
 
 
 @pytest.mark.slow
@@ -397,11 +381,3 @@ def test_hidden_north_accounts_for_sway_and_drawn_values() -> None:
     assert found is not None
     assert found[:2] == pytest.approx((9.0, np.cos(60 * DEG) * 7.292115e-5 / DEG_PER_H))
     assert found[2:] == (2, 8)
-
-
-def test_bias_floor_is_zero_without_biases() -> None:
-    zero = np.zeros(3)
-    none = MeanBiases(Vec3(*zero), Vec3(*zero), np.float64(0.0))
-    here = earth.place(earth.wgs84(), 48 * DEG)
-    limit = bias_floor(here, none)
-    assert (*limit.phi, limit.no_north) == (0.0, 0.0, 0.0, False)

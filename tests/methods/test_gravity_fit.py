@@ -16,7 +16,7 @@ from sinsjax.types import Quat, Vec3
 
 pytestmark = pytest.mark.optimised(False)
 
-DEG, ARCMIN = np.pi / 180, np.pi / 180 / 60
+DEG = np.pi / 180
 TURN = {"turn_times_s": [50.5], "turn_angles_deg": [180.0], "turn_rate_deg_per_s": 10.0}
 NOISE = {"gyro_arw_deg_per_sqrt_h": 0.02, "accel_vrw_ug_per_sqrt_hz": 50.0}
 DRAWN = {
@@ -138,18 +138,6 @@ def test_lever_arm_on_a_swaying_base_costs_little() -> None:
     bound = sinsjax.information_bound(given)["bound_u_arcmin"].to_pylist()[-1]
     assert 0.97 < sigma.mean() / bound < 1.15
     assert abs(misfit.mean() - 1) < 0.1
-
-
-@pytest.mark.slow
-def test_known_biases_leave_the_error_of_optimisation() -> None:
-    table = sinsjax.run(
-        study(16, motion={}, drawn={}, axes={"method": ["gravity_fit", "inertial"]})
-    )
-    error = np.asarray(table.summary["phi_u_arcmin"], float).reshape(16, 2)
-    sigma = np.asarray(table.summary["sigma_u_arcmin"], float).reshape(16, 2)[:, 0]
-    assert abs(np.mean(error[:, 0] * error[:, 1])) > 0.8 * np.mean(error[:, 0] ** 2)
-    assert np.mean(error[:, 0] ** 2) < 1.1 * np.mean(error[:, 1] ** 2)
-    assert stats.chi2.ppf(0.001, 16) < np.sum((error[:, 0] / sigma) ** 2)
 
 
 @pytest.mark.slow

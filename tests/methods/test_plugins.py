@@ -174,17 +174,6 @@ def test_function_that_returns_other_structure_is_named_with_its_place(
     assert str(caught.value).endswith(f", {line_of(wrong, 0)}")
 
 
-def test_wrong_state_names_only_the_parts_that_differ() -> None:
-    def step(params: Any, site: Any, state: Quat, sample: Any, n: Any) -> Quat:
-        return state._replace(x=state, z=1.0 * n > 0)
-
-    with pytest.raises(InputError) as caught:
-        check(step=step)
-    x = "x = Quat(w=float64[], x=float64[], y=float64[], z=float64[])"
-    wrong = f"with {x}, expected float64[]; with z = bool[], expected float64[]"
-    assert str(caught.value).startswith(f"it: step returns the state {wrong}, in ")
-
-
 @pytest.mark.parametrize(
     ("params", "text"),
     [

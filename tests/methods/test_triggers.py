@@ -35,7 +35,6 @@ from sinsjax.methods.filters.closed_loop import FilterState
 from sinsjax.methods.kalman import Belief, predict
 from sinsjax.methods.kalman import update as kalman_update
 from sinsjax.methods.registry import METHODS
-from sinsjax.methods.triggers import scores
 from sinsjax.methods.triggers import trigger as triggers
 from sinsjax.methods.triggers.config import TRIGGER_COUNTS, TRIGGERS, TriggerName
 from sinsjax.methods.triggers.trigger import AssumedNoise, FilterSnapshot
@@ -578,8 +577,3 @@ def test_trigger_columns_exist_only_with_reset_trigger(rows):
             for column in result_tables.TableBuilder(small_study(**tables)).summary_columns
         }
         assert not told & names
-
-
-def test_score_sine_matches_numpy_sine():
-    angles = np.linspace(-30.0, 30.0, 10_001)
-    np.testing.assert_allclose(jax.vmap(scores._sine)(angles), np.sin(angles), rtol=0, atol=4e-15)
