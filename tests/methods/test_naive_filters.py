@@ -11,6 +11,7 @@ from oracles.in_engine import (
     DEG_PER_H,
     PAPER1,
     UG,
+    covariances,
     filter_params,
     measured,
     navigation,
@@ -32,7 +33,6 @@ from oracles.naive_filters import (
 )
 
 from sinsjax.engine.environment import Static
-from sinsjax.maths.algebra import triangle_index
 from sinsjax.methods.base import Options
 from sinsjax.methods.sincos.method import SurgeParams
 
@@ -109,13 +109,6 @@ def numbers(name, r, **changes):
     return filt, params if case.extra is None else params._replace(extra=case.extra)
 
 
-def dense(triangle, n):
-    """Covariances (samples, n, n)."""
-    index = triangle_index(n)
-    order = np.array([[index[i, j] for j in range(n)] for i in range(n)])
-    return np.moveaxis(np.array(triangle)[order], -1, 0)
-
-
 @pytest.mark.representative(
     "kalman_sincos-feedback every sample", "invariant-resets restart feedback"
 )
@@ -136,7 +129,7 @@ def test_closed_loop_matches_naive_filter(name, schedule):
     if name == "invariant":
         np.testing.assert_allclose(state.extra, naive.v[:, 2], rtol=0, atol=1e-7)
     rtol, atol = case.p
-    p = dense(state.belief.p, len(filt.p0))
+    p = covariances(state.belief.p)
     np.testing.assert_allclose(p, naive.p, rtol=rtol, atol=atol)
     c = of_quaternion(np.stack(attitude, axis=1))
     np.testing.assert_allclose(c, naive.corrected, rtol=0, atol=1e-8)

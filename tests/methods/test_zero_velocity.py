@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from oracles.in_engine import (
     PAPER1,
+    covariances,
     measured,
     navigation,
     paper_filter,
@@ -12,20 +13,10 @@ from oracles.in_engine import (
 from oracles.naive import DEG, PAPER, WGS84, Unwatched, closed_loop, exp, of_quaternion
 from scipy.spatial.transform import Rotation
 
-from sinsjax.maths.algebra import triangle_index
-
 pytestmark = pytest.mark.optimised(False)
 
 RATE, SAMPLES = 100, 2000
 PHI0, V0 = np.array([5.0, 5.0, 30.0]) * DEG, np.array([0.3, -0.2])
-
-
-def states(triangle):
-    """Covariances (samples, n, n)."""
-    n = {15: 5, 55: 10}[len(triangle)]
-    index = triangle_index(n)
-    order = np.array([[index[i, j] for j in range(n)] for i in range(n)])
-    return np.moveaxis(np.array(triangle)[order], -1, 0)
 
 
 class Summing(Unwatched):
@@ -69,7 +60,7 @@ def compare(name, planet, latitude_deg, filt):
     unit = np.sqrt(filt.p0[5:])
     np.testing.assert_allclose(bias / unit, naive.bias / unit, **close)
     sigma = np.sqrt(np.diagonal(naive.p, axis1=1, axis2=2))
-    p, unit = states(state.belief.p), sigma[:, :, None] * sigma[:, None, :]
+    p, unit = covariances(state.belief.p), sigma[:, :, None] * sigma[:, None, :]
     np.testing.assert_allclose(p / unit, naive.p / unit, **close)
     # What a user is given: the attitude with all that is estimated taken out, and its covariance.
     corrected = Rotation.from_rotvec(naive.x[:, 2:5]).as_matrix() @ naive.c
