@@ -56,9 +56,9 @@ COMPASS = Loops(level_gains(0.3, PAPER), ((20.0 * RATE, azimuth_gains(0.1, PAPER
 """Loops quick enough for a minute: sigma 0.3 1/s in level, from 20 s on 0.1 1/s in azimuth."""
 
 
-def method_of(name, force="measured"):
+def method_of(name, **choices):
     blocks = {"record_every": RATE, "records": SECONDS} if METHODS[name].stores_blocks else {}
-    return METHODS[name](Options(1 / RATE, force, **blocks))
+    return METHODS[name](Options(1 / RATE, **blocks | choices))
 
 
 REVERSING = [name for name in METHODS if method_of(name).passes]
@@ -228,9 +228,9 @@ def test_normalise_changes_only_quaternion_length(name):
 
 
 @cache
-def flight(name, seconds, force="measured"):
+def flight(name, seconds, **choices):
     """Some seconds of a run: navigation -> its state; and the same for several."""
-    method, here, given = method_of(name, force), site(PAPER, LATITUDE), numbers(name)
+    method, here, given = method_of(name, **choices), site(PAPER, LATITUDE), numbers(name)
     rows = increments()[: RATE * seconds]
 
     def fly(nav):
@@ -275,18 +275,19 @@ def test_start_without_effect_changes_no_bit(name):
 
 
 SHARING = [
-    (name, force)
+    (name, force, position)
     for name in METHODS
     for force in ("measured", "gravity")
-    if method_of(name, force).shares_covariance
+    for position in ("fixed", "integrated")
+    if method_of(name, specific_force=force, position=position).shares_covariance
 ]
 
 
-@pytest.mark.representative("kalman_sincos-measured")
-@pytest.mark.parametrize(("name", "force"), SHARING)
-def test_shared_covariance_does_not_depend_on_the_start(name, force):
+@pytest.mark.representative("kalman_sincos-measured-fixed")
+@pytest.mark.parametrize(("name", "force", "position"), SHARING)
+def test_shared_covariance_does_not_depend_on_the_start(name, force, position):
     """To the bit; runs that differ in their draw have it in common."""
-    alone, _ = flight(name, 2, force)
+    alone, _ = flight(name, 2, specific_force=force, position=position)
     one, other = (alone(nav).belief.p for nav in (START, nav_off(np.zeros(3))))
     np.testing.assert_array_equal(one, other)
 
