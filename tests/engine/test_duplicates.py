@@ -9,6 +9,7 @@ from support.studies import small_study
 from sinsjax.engine import duplicates
 from sinsjax.engine.build import Scenario
 from sinsjax.execution import run as study_run
+from sinsjax.execution.rerun import repeat_run
 from sinsjax.execution.tasks import Job, TaskRunner
 from sinsjax.study.study import Study
 
@@ -53,6 +54,14 @@ def test_duplicate_variants_are_computed_once_but_all_runs_counted(study: Study)
     assert sum(task.runs for task in tasks) == study.n_draws * study.n_variants
     for task in tasks:
         assert runner.compute_tables(task).tables["summary"].num_rows == task.runs
+
+
+@pytest.mark.slow
+def test_rerun_of_run_id_reproduces_stored_row(study: Study) -> None:
+    stored = study_run.run(study).summary
+    for run_id in (7, study.n_variants + 4):
+        row = stored.filter(np.asarray(stored["run_id"]) == run_id)
+        assert repeat_run(study, run_id).row.equals(row)
 
 
 def test_duplicate_variants_have_equal_engine_parameters(study: Study) -> None:
