@@ -49,8 +49,8 @@ COVARIANCE = [name for name in STEPPED if METHODS[name].has_covariance]
 methods = pytest.mark.parametrize("name", METHODS)
 filters = pytest.mark.parametrize("name", FILTERS)
 few = pytest.mark.representative("compass", "kalman5", "kalman_sincos", "level")
+"""With and without P, and with and without a heading of the start."""
 few_filters = pytest.mark.representative("kalman5")
-"""Methods of the fast tests: with and without P, biases and a heading of the start."""
 
 COMPASS = Loops(level_gains(0.3, PAPER), ((20.0 * RATE, azimuth_gains(0.1, PAPER)),), 0.01)
 """Loops quick enough for a minute: sigma 0.3 1/s in level, from 20 s on 0.1 1/s in azimuth."""
