@@ -18,11 +18,9 @@ from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Minus, entries_as_numbers, triangle_index
 from sinsjax.methods import kalman
 from sinsjax.methods.base import ErrorStep
-from sinsjax.methods.registry import METHODS
 from sinsjax.types import Increments, Navigation, Quat, Sample, Vec3
 
 FILTERS = ("kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "invariant", "unscented")
-WITH_LINEAR_PART = (*FILTERS, "compass", "optimisation")
 few = pytest.mark.representative("kalman10", "kalman_sincos")
 seeds = st.integers(0, 2**32 - 1)
 
@@ -97,13 +95,6 @@ def test_kalman_gains_reproduce_update(seed: int, n: int) -> None:
     for k, m, value in zip(kalman.gains(belief.p, (0, 1), r, n), (0, 1), z, strict=True):
         x = x + np.array(k) * (value - x[m])
     np.testing.assert_allclose(kalman.update(belief, (0, 1), tuple(z), r).x, x, rtol=1e-12)
-
-
-def test_only_listed_methods_have_linear_error_step() -> None:
-    """By name, so that a further method is thought of."""
-    for name in METHODS:
-        built = build_method(_program(name)[0])
-        assert (built.error_model is not None) == (name in WITH_LINEAR_PART), name
 
 
 def _program(name: str, **changes: Any) -> tuple[Static, Any]:

@@ -161,25 +161,6 @@ def test_draws_have_different_noise(reference: tuple) -> None:
     assert np.unique(phi[:, 0]).size == 50
 
 
-@given(st.integers(1, 400))
-def test_distinct_draws_bounds_draws_per_tile(variants: int) -> None:
-    draws = 130
-    runs = np.arange(draws * variants // lane_layout.LANES * lane_layout.LANES).reshape(
-        -1, lane_layout.LANES
-    )
-    held = [np.unique(row // variants).size for row in runs]
-    room = lane_layout.distinct_draws(variants)
-    assert max(held, default=1) <= room
-    if len(held) > variants:
-        assert room - max(held) < lane_layout.VECTOR
-
-
-@given(st.integers(1, 400), st.sampled_from([8, 16, 24, 32, 48, 64]))
-def test_tile_has_one_draw_per_lane_only_for_single_variant(width: int, lanes: int) -> None:
-    """Then draws are not handed out at all."""
-    assert (lane_layout.distinct_draws(width, lanes) == lanes) == (width == 1)
-
-
 def some_group(
     force: str, method: str = "kalman5", *, draws: int, variants: int
 ) -> lane_layout.Group:
@@ -234,25 +215,6 @@ def test_every_run_occupies_exactly_one_lane(
     assert len(shapes) == 1
 
 
-@pytest.mark.parametrize(
-    ("method", "changes", "sets"),
-    [
-        ("kalman5", {}, lane_layout.STACKED_TILES),
-        ("kalman5", {"position": "integrated"}, 1),
-        ("kalman5", {"specific_force": "measured"}, 1),
-        ("kalman10", {}, 1),
-    ],
-)
-def test_covariance_is_shared_only_if_independent_of_draws(
-    method: str, changes: dict[str, str], sets: int
-) -> None:
-    study = small_study(
-        alignment={"specific_force": "gravity", "method": method, **changes},
-    )
-    (part,) = build.parts(study)
-    assert lane_layout.layout(part.group.static, 1)[0] == sets
-
-
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_shared_covariance_matches_covariance_computed_per_run() -> None:
@@ -270,22 +232,3 @@ def test_shared_covariance_matches_covariance_computed_per_run() -> None:
             busy = places.draw[k, 0] < 9
             for a, b in zip(jax.tree.leaves(outcome), jax.tree.leaves(shared), strict=True):
                 np.testing.assert_allclose(a[busy], b[runs[busy]], rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.slow
-@pytest.mark.optimised(False)
-def test_record_interval_does_not_change_noise() -> None:
-    """Final attitude after the same samples, to rounding: records only scale quaternions."""
-    last, every = [], 0.07
-    for interval in (every, 0.01 * round(every * 100) * 2):
-        study = small_study(
-            study={
-                "record_interval_s": interval,
-                "duration_s": 8 * every,
-                "window_s": [0, 8 * every],
-            },
-        )
-        (part,) = build.parts(study)
-        outcome, _ = all_runs(part.group)
-        last.append(np.array([outcome.last.pitch, outcome.last.roll, outcome.last.yaw]))
-    np.testing.assert_allclose(last[0], last[1], rtol=0, atol=1e-11)

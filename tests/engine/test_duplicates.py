@@ -64,11 +64,6 @@ def test_rerun_of_run_id_reproduces_stored_row(study: Study) -> None:
         assert repeat_run(study, run_id).row.equals(row)
 
 
-def test_all_variants_are_computed_if_few_are_duplicates() -> None:
-    small = small_study(axes={"reset_cycle_s": [1.0, 2.0], "reset_count": [0, 1, 2]})
-    assert TaskRunner(Job(small))._duplicates == [None]
-
-
 def test_duplicate_variants_have_equal_engine_parameters(study: Study) -> None:
     """Those by which the engine tells variants apart here: reset times and misalignment."""
     part = Scenario(study).part(0)

@@ -1,15 +1,12 @@
 """Keys with a value a draw: every run is what a study of that value alone would have given."""
 
-from functools import partial
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
-from support.alone import run_alone
-from support.studies import BASE, PAPER, STILL, small_study
+from support.studies import BASE, PAPER, STILL
 
-from sinsjax.engine import batch, build
+from sinsjax.engine import build
 from sinsjax.execution import run
 from sinsjax.study import sampling as draw_sampling
 from sinsjax.study.keys import SECTION_OF
@@ -121,25 +118,6 @@ def test_drawn_rows_do_not_depend_on_chunks_or_draw_count() -> None:
 
 
 @pytest.mark.slow
-def test_draws_differ_only_in_drawn_keys() -> None:
-    study = study_from_dict(drawn_study(AT_REST, motion=STILL, **THREE))
-    table = run.run(study).summary
-    for name in ("phi_u0_deg", "gyro_bias_deg_per_h", "floor_arcmin"):
-        told = np.array(table[name].to_pylist()).reshape(DRAWS, study.n_variants, -1)
-        assert len({tuple(row) for row in told[:, 0]}) == DRAWS
-        for other in range(1, study.n_variants):
-            np.testing.assert_array_equal(told[:, 0], told[:, other])
-    assert len(set(table["phi_n0_deg"].to_pylist())) == 1
-
-
-def test_study_drawing_only_noise_has_no_extra_program_arguments() -> None:
-    """What is not drawn takes no part in the program: its arguments are not even there."""
-    (part,) = build.parts(small_study())
-    assert len(jax.tree.leaves(part.group.draws)) == 3
-    assert part.group.environment.truth.times is None and part.group.variants.euler is None
-
-
-@pytest.mark.slow
 def test_noise_level_can_be_drawn() -> None:
     data = drawn_study([], axes=THREE["axes"], filter=PAPER | {"q_reading": "psd"})
     for key in NOISE:
@@ -152,20 +130,6 @@ def test_noise_level_can_be_drawn() -> None:
     # Draws 0, 2, 4 have none: nothing tells them apart.
     assert last[0] == last[2] == last[4] and len({last[0], last[1], last[3]}) == 3
     assert set(NOISE) <= set(SensorsSection.model_fields)
-
-
-@pytest.mark.slow
-def test_single_run_with_drawn_motion_matches_run_in_tile() -> None:
-    """Its increments are made sample by sample; in the tile, in a row with those of other draws."""
-    (part,) = build.parts(study_from_dict(drawn_study(list(ALL), "sobol", **EULER, **THREE)))
-    group, place = part.group, 1
-    many = batch.Calls(group).all_chunks().outcome
-    draw = jax.tree.map(lambda a: a[place] if np.ndim(a) else a, group.draws)
-    params = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
-    params = params._replace(q=type(params.q)(*group.q[place]))
-    one, _ = jax.jit(partial(run_alone, group.static))(group.environment, draw, params)
-    run_id = place * group.sizes[1]
-    np.testing.assert_allclose(one.last.yaw, many.last.yaw[run_id], rtol=0, atol=1e-11)
 
 
 @pytest.mark.slow

@@ -122,8 +122,7 @@ def test_forward_and_reverse_derivatives_by_r_match_finite_difference(run: Any) 
 
 def test_zero_gradient_by_reset_times_or_feedback_interval_warns(run: Any) -> None:
     samples = run.params.method.resets.samples
-    text = r"gradient by hard reset times is zero.* \(one_run\(study, window_s=...\) spreads"
-    with pytest.warns(UserWarning, match=text):
+    with pytest.warns(UserWarning, match="gradient by hard reset times is zero"):
         slope = jax.eval_shape(jax.grad(partial(by_times, run)), samples)
     assert slope.shape == samples.shape
     with pytest.warns(UserWarning, match="gradient by feedback intervals is zero"):
@@ -161,23 +160,14 @@ def test_settling_times_have_gradient_only_with_soft_bands(study: Any, run: Any)
 
 
 def test_invalid_one_run_request_is_refused_in_one_line(study: Any, run: Any) -> None:
+    compass = small_study(study=LENGTH, alignment={"method": "compass"})
+    waiting = small_study(study=LENGTH, resets=RESETS | {"reset_at_feedback": True})
     for call, text in (
-        (lambda: sinsjax.one_run(study, variant_id=2), "study: has no variant 2, of 2"),
-        (lambda: run.draw(3), "draw 3: the study has 3 draws, from 0"),
-        (lambda: sinsjax.one_run(study, window_s=0.0), "window_s: must be a sample or more"),
-        (
-            lambda: sinsjax.one_run(
-                small_study(study=LENGTH, alignment={"method": "compass"}), window_s=1.0
-            ),
-            "window_s: 'compass' has no resets to spread",
-        ),
-        (
-            lambda: sinsjax.one_run(
-                small_study(study=LENGTH, resets=RESETS | {"reset_at_feedback": True}),
-                window_s=1.0,
-            ),
-            r"window_s: \[resets\] reset_at_feedback cannot be spread over windows",
-        ),
+        (lambda: sinsjax.one_run(study, variant_id=2), "variant 2"),
+        (lambda: run.draw(3), "draw 3"),
+        (lambda: sinsjax.one_run(study, window_s=0.0), "window_s"),
+        (lambda: sinsjax.one_run(compass, window_s=1.0), "window_s: 'compass'"),
+        (lambda: sinsjax.one_run(waiting, window_s=1.0), r"window_s: \[resets\] reset_at_feedback"),
     ):
         with pytest.raises(InputError, match=text):
             call()

@@ -41,7 +41,6 @@ from sinsjax.engine.environment import (
     Truth,
 )
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.samples import SAMPLES_PER_BLOCK, block_size, build_sensors
 from sinsjax.methods.base import Options
 from sinsjax.methods.floors import MeanBiases
 from sinsjax.strapdown import sensors
@@ -238,57 +237,10 @@ def measure(here, draw, first, samples):
     return np.stack([*now.dtheta, *now.dv], axis=1)
 
 
-measure_at = jax.jit(measure_alone, static_argnums=0)
-
-
 @partial(jax.jit, static_argnums=3)
 def _measure(here, draw, first, samples):
     program, numbers = static(100, 9), first + jnp.arange(samples)
     return measure_alone(program, here, draw, numbers)
-
-
-@pytest.mark.parametrize("draws", [1, 6, 16, 64, 200])
-@pytest.mark.parametrize("every", [1, 7, 50, 97, 1000])
-def test_record_interval_is_split_into_equal_pieces(draws, every):
-    many = Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int))
-    size = block_size(every, many)
-    assert every % size == 0 and size * draws <= max(SAMPLES_PER_BLOCK, draws)
-
-
-def test_noiseless_sensors_draw_no_noise():
-    program, here = static(100, 9)._replace(sensors=SensorProgram()), environment(100, 9)
-    assert build_sensors(program, here, draw()).normal_numbers(np.arange(9)) is None
-    now = measure_at(program, here, draw(), np.array([3]))
-    expected = ideal()[2 + 3] + BIAS / RATE
-    np.testing.assert_allclose([*now.dtheta, *now.dv], expected[:, None], rtol=0, atol=1e-17)
-
-
-def test_sample_before_stored_record_is_zero_when_repeating():
-    """A first sample is compensated with zeros, that is not at all, on every pass."""
-    here = environment(100, 9)
-    for repeats in (False, True):
-        now = measure_at(static(100, 9, repeats), here, draw(), np.array([-1]))
-        assert np.any([*now.dtheta, *now.dv]) != repeats
-
-
-def test_noise_on_single_axis_stays_on_that_axis():
-    only = np.zeros(6)
-    only[4] = NOISE[4]
-    off = measure(environment(100, 9, noise=only), draw(), 0, 900) - ideal()[2:] - BIAS / RATE
-    np.testing.assert_allclose(np.std(off, axis=0), only, rtol=0.1, atol=1e-17)
-
-
-@pytest.mark.slow
-def test_curves_do_not_depend_on_record_interval():
-    """To rounding: records only scale quaternions."""
-    filt = paper_filter(5, every=40, resets=(215,))
-    fine, coarse = (
-        run(static(every, records), environment(every, records), draw(), one_run(filt))[1]
-        for every, records in ((30, 23), (70, 9))
-    )
-    # After 210, 420 and 630 samples.
-    for a, b in zip(*map(jax.tree.leaves, (fine, coarse)), strict=True):
-        np.testing.assert_allclose(a[6::7], b[2::3], rtol=0, atol=1e-11)
 
 
 @pytest.mark.slow

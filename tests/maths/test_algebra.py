@@ -32,12 +32,6 @@ def symmetric(triangle, n):
     return np.array([[triangle[index[i, j]] for j in range(n)] for i in range(n)])
 
 
-def test_diagonal_triangle_is_diagonal_matrix():
-    np.testing.assert_array_equal(
-        symmetric(algebra.diagonal_triangle([1.0, 2.0, 3.0]), 3), np.diag([1.0, 2.0, 3.0])
-    )
-
-
 @st.composite
 def sparse_matrices(draw):
     n = draw(st.integers(1, 8))

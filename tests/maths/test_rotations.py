@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from sinsjax.maths import rotations
 from sinsjax.types import Quat, Vec3
 
-unit = st.floats(-1, 1)
 seeds = st.integers(0, 2**32 - 1)
 lengths = st.sampled_from(
     [0.0, 1e-300, 1e-20, 1e-12, 1e-8, 1e-4, np.pi - 1e-9, np.pi, np.pi + 1e-9, 2 * np.pi]

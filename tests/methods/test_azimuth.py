@@ -1,4 +1,7 @@
-"""Filters for a large azimuth, and the invariant one: models, naive filters, and their limits."""
+"""Filters for a large azimuth, and the invariant one: their models and limits.
+
+`test_naive_filters.py` compares them with naive ones in closed loop.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +14,6 @@ from oracles.in_engine import (
     PAPER1,
     UG,
     filter_params,
-    measured,
     navigation,
     place,
     runner,
@@ -19,19 +21,13 @@ from oracles.in_engine import (
 )
 from oracles.naive import DEG, PAPER, WGS84, Filter, exp, log, of_quaternion, skew
 from oracles.naive_filters import (
-    EXTENDED,
-    INVARIANT,
-    UNSCENTED,
     about_up,
-    closed_loop,
     jacobian,
     unscented_transform,
     upright,
 )
-from support.studies import small_study
 
-from sinsjax import run as run_study
-from sinsjax.maths.algebra import entries_as_numbers, triangle_index
+from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.methods.azimuth import method as model
 from sinsjax.methods.base import Options
 from sinsjax.methods.invariant.method import apply_left_jacobian
@@ -44,10 +40,7 @@ RATE, SAMPLES, LATITUDE, DT = 100, 1000, 32 * DEG, 0.01
 P0 = np.array([0.1, 0.1, 15 * DEG, 15 * DEG, 80 * DEG]) ** 2
 Q = (np.array([500 * UG] * 2 + [0.1 * DEG_PER_H] * 3) / RATE) ** 2
 R = 0.1**2
-PHI0, V0 = np.array([5.0, -6.0, 30.0]) * DEG, np.array([0.3, -0.2])
-NAIVE = {"ekf_azimuth": EXTENDED, "unscented": UNSCENTED, "invariant": INVARIANT}
-SMALL = ("ekf_azimuth", "unscented")
-"""Those that are linear in a small azimuth."""
+V0 = np.array([0.3, -0.2])
 
 errors = st.tuples(*(st.floats(-1, 1) for _ in range(2)), *(st.floats(-0.3, 0.3) for _ in range(2)))
 
@@ -148,42 +141,6 @@ def numbers_with(name, filt):
     return params if name == "invariant" else params._replace(extra=np.float64(0.5))
 
 
-SCHEDULES = {
-    "feedback every sample": {},
-    "feedback every second, resets": {"every": 100, "resets": (333, 700)},
-    "partial feedback, heading reset": {"every": 10, "gain": 0.3, "resets": (250,), "kind": "yaw"},
-    "P times 10": {"every": 50, "resets": (500,), "kind": "scale"},
-    "resets restart feedback": {"every": 100, "resets": (333, 700), "restarts": True},
-    "resets wait for feedback": {"every": 60, "resets": (301, 720), "at_feedback": True},
-}
-
-
-@pytest.mark.representative("invariant-resets restart feedback")
-@pytest.mark.parametrize("schedule", SCHEDULES)
-@pytest.mark.parametrize("name", NAIVE)
-def test_azimuth_filters_match_naive_closed_loop(name, schedule):
-    filt = Filter(P0, Q, R, **SCHEDULES[schedule])
-    start = exp(-PHI0) @ PAPER1.matrix(0.0)
-    about = {"latitude": LATITUDE, "c": start, "v": V0, "filt": filt}
-    naive = closed_loop(NAIVE[name], measured(PAPER, LATITUDE, SAMPLES), DT, PAPER, **about)
-    nav = navigation(start, V0, LATITUDE)
-    state, attitude, _ = runner(name)(
-        numbers_with(name, filt), site(PAPER, LATITUDE), nav, measured(PAPER, LATITUDE, SAMPLES)
-    )
-    close = {"rtol": 0, "atol": 1e-8}
-    np.testing.assert_allclose(of_quaternion(np.stack(state.nav.q, axis=1)), naive.c, **close)
-    v = np.stack([state.nav.ve, state.nav.vn], axis=1)
-    np.testing.assert_allclose(v, naive.v[:, :2], rtol=0, atol=1e-7)
-    np.testing.assert_allclose(np.stack(state.belief.x, axis=1), naive.x, rtol=0, atol=1e-7)
-    if name == "invariant":
-        np.testing.assert_allclose(state.extra, naive.v[:, 2], rtol=0, atol=1e-7)
-    order = triangle_index(5)
-    p = np.array(state.belief.p)[[[order[i, j] for j in range(5)] for i in range(5)]]
-    np.testing.assert_allclose(np.moveaxis(p, -1, 0), naive.p, rtol=1e-6, atol=1e-9)
-    c = of_quaternion(np.stack(attitude, axis=1))
-    np.testing.assert_allclose(c, naive.corrected, **close)
-
-
 def test_correction_is_the_rotation_that_azimuth_and_tilt_define():
     """A large tilt of either sign leaves the azimuth as it is; Euler angles move it by 3.5 deg."""
     filt = model.build_filter(model.predict_linearised, Options(DT))
@@ -197,19 +154,6 @@ def test_correction_is_the_rotation_that_azimuth_and_tilt_define():
         for attitude in (corrected.nav.q, filt.attitude(state)):
             found = of_quaternion(np.array(attitude))
             np.testing.assert_allclose(found, PAPER1.matrix(0.0), rtol=0, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_feedback_interval_hardly_matters_from_large_tilts_of_either_sign():
-    """Fed back as a rotation vector it costs 15' to 30' with feedback every second."""
-    study = small_study(
-        study={"draws": 1, "duration_s": 300.0, "window_s": [200, 300]},
-        alignment={"method": "ekf_azimuth", "phi_e0_deg": 20.0, "phi_u0_deg": 120.0},
-        filter={"p0_yaw_deg": 80.0, "p0_level_deg": 15.0, "q_reading": "per_step"},
-        axes={"feedback_interval_s": [0.1, 1.0], "phi_n0_deg": [20.0, -20.0]},
-    )
-    errors = run_study(study).summary["phi_u_arcmin"].to_numpy().reshape(2, 2)
-    assert np.abs(errors[0] - errors[1]).max() < 5
 
 
 def test_invariant_error_is_linear_without_earth_rotation():
@@ -227,27 +171,3 @@ def test_invariant_error_is_linear_without_earth_rotation():
     rho = np.linalg.solve(jacobian(phi0), -exp(phi0) @ v)
     linear = np.cross([0.0, 0.0, -still.gravity], phi0) * SAMPLES * DT
     np.testing.assert_allclose(rho, linear, rtol=0, atol=1e-9)
-
-
-@pytest.fixture(scope="module")
-def from_a_small_azimuth():
-    """phi_U (draws, methods, records) of `kalman5` with gravity and two others, from 60 s on."""
-    study = small_study(
-        study={"draws": 4, "duration_s": 120.0, "window_s": [60, 120], "curves": True},
-        alignment={
-            **{"phi_e0_deg": 0.0, "phi_n0_deg": 0.0, "phi_u0_deg": 0.01},
-            **{"specific_force": "gravity"},
-        },
-        filter={"q_reading": "per_sample", "p0_yaw_deg": 5.0, "p0_level_deg": 1.0},
-        axes={"method": ["kalman5", *SMALL]},
-    )
-    return run_study(study).curves["phi_u_arcmin"].to_numpy().reshape(4, 3, -1)[:, :, 60:]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SMALL)
-def test_small_azimuth_filters_agree_with_kalman5_using_gravity(from_a_small_azimuth, name):
-    """To what the second order of 0.01 deg and the transform leave."""
-    phi = from_a_small_azimuth[:, [0, 1 + SMALL.index(name)]]
-    assert np.abs(phi[:, 0] - phi[:, 1]).max() < 0.02 * (1 + 2 * np.abs(phi[:, 0]).max() / 60)
-    assert np.abs(phi[:, 0]).max() < 120

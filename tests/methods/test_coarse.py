@@ -99,26 +99,6 @@ def test_analytic_fails_but_inertial_succeeds_on_swinging_base(yaw):
     assert abs(error("inertial", increments, place, truth)[2]) < 0.05 * ARCSEC
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", COARSE)
-def test_mapped_start_times_match_single_starts(method):
-    """Several starts in one mapped call are the starts one by one."""
-    motion, place = swinging(1.0, yaw=70.0), at(-20.0)
-    increments = ideal(motion, place)
-    samples = jax.jit(sensors.compensate_record)(increments[1:], increments[0])
-    starts, n = jnp.arange(0, 1200, 300), 1000
-
-    @jax.jit
-    def coarse(start) -> Quat:
-        piece = jax.tree.map(lambda leaf: jax.lax.dynamic_slice(leaf, (start,), (n,)), samples)
-        return COARSE[method](piece, place, DT)
-
-    mapped = jnp.stack(jax.vmap(coarse)(starts), axis=1)
-    for start, q in zip(starts, mapped, strict=True):
-        np.testing.assert_allclose(q, jnp.stack(coarse(start)), atol=1e-9)
-        np.testing.assert_allclose(q @ q, 1, atol=1e-12)
-
-
 @pytest.mark.parametrize("method", COARSE)
 def test_constant_biases_leave_known_bias_floors(method):
     yaw, latitude = 40.0, 32.0
@@ -229,10 +209,3 @@ def test_inertial_error_on_vehicle_record_is_small_from_every_start(vehicle):
     assert yaw.max() < 0.25
     assert np.median(yaw) < 0.04
     assert level.max() < 0.001
-
-
-@pytest.mark.slow
-def test_analytic_fails_on_vehicle_record(vehicle):
-    yaw = vehicle["analytic"][:, 2]
-    assert yaw.min() > 1
-    assert np.median(yaw) > 5

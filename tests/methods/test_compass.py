@@ -7,7 +7,6 @@ that the comparison is as sharp as the terms that a closed form leaves out.
 
 from functools import cache
 
-import jax
 import numpy as np
 import pytest
 from oracles.in_engine import (
@@ -284,90 +283,12 @@ def test_loop_without_gains_oscillates_at_schuler_frequency():
     close(got[:, 2], 1e-5 * np.cos(np.sqrt(G / R) * t), 1e-3)
 
 
-@pytest.mark.optimised(False)
-def test_levelling_loop_counts_transport_rate_once():
-    """With K2 + 1 for K2, or K2 - 1, the tilt is off by 100 times what the right one is."""
-    level = level_gains(0.02, EARTH)
-    delta = [1, level[0], (1 + level[1]) * G / R, G * level[2]]
-    tilt = 1e-5 * response([1, level[0], 0], delta, "impulse")
-    off = []
-    for error in (0, 1, -1):
-        given = Loops((level[0], level[1] + error, level[2]), (NO_AZIMUTH,))
-        got = extrapolated(given, planet=SLOW, latitude=0.0, phi=(1e-5, 0, 0))
-        off.append(np.abs(got[:, 2] - tilt).max() / 1e-5)
-    assert off[0] < 2e-6
-    assert min(off[1:]) > 2e-4
-
-
-@cache
-def around_the_switch(begin):
-    """A swinging base with all errors, sample after sample: states of a run at 100 Hz."""
-    rows = record_of(
-        PAPER2,
-        EARTH,
-        LATITUDE,
-        rate=100,
-        samples=900,
-        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
-        accel=((1e2 * UG, -5e1 * UG, 0.0), 1e2 * UG),
-    )
-    environment = record_world(rows, site(EARTH, LATITUDE), pass_records=900)
-    static = Static("compass", Options(0.01), 1, 900, curves=False)
-    given = loops(Loops(level_gains(0.2, EARTH), ((begin, azimuth_gains(0.1, EARTH)),)), KEEP)
-    start = one_run(PAPER2.matrix(0.0), np.array([1, -2, 50]) * ARCMIN, (0.003, -0.002), given)
-    return trail(static, environment, start)
-
-
-@pytest.mark.slow
-def test_loop_state_is_continuous_at_switch_to_azimuth():
-    """Nothing jumps: the azimuth rate begins at zero, the levelling state goes on where it was."""
-    k, dt = 500, 0.01
-    levelling, switched = around_the_switch(NEVER), around_the_switch(float(k))
-    for a, b in zip(jax.tree.leaves(switched), jax.tree.leaves(levelling), strict=True):
-        np.testing.assert_array_equal(a[:k], b[:k])
-    at, after = (jax.tree.map(lambda a, i=i: float(a[i]), switched) for i in (k - 1, k))
-    assert at.rate_u == 0.0
-    k3 = azimuth_gains(0.1, EARTH)[2]
-    omega = EARTH.rate * np.cos(LATITUDE)
-    assert after.rate_u == pytest.approx(k3 / omega * dt * at.nav.vn, rel=1e-12)
-    # The east channel levels on; the north integral is kept where it was.
-    first = jax.tree.map(lambda a: float(a[k]), levelling)
-    assert after.integral_e == first.integral_e != at.integral_e
-    assert after.integral_n == at.integral_n != first.integral_n
-    # Velocity and tilt go on but for what the other gains make of one sample.
-    level, azimuth = level_gains(0.2, EARTH), azimuth_gains(0.1, EARTH)
-    assert after.nav.ve == pytest.approx(first.nav.ve, abs=1e-9)
-    turned = dt * ((level[1] - azimuth[1]) / R * at.nav.vn + at.integral_n)
-    change = dt * ((level[0] - azimuth[0]) * at.nav.vn + G * turned / 2)
-    assert after.nav.vn - first.nav.vn == pytest.approx(change, rel=1e-6)
-    c, c0 = (of_quaternion(np.array(s.nav.q)) for s in (after, first))
-    np.testing.assert_allclose(log(c @ c0.T), [-turned, 0, 0], rtol=1e-6, atol=1e-12)
-
-
 def short_run(given, phi):
     """States of a static run of 20 s at 50 Hz after every sample."""
     rows = record_of(STILL, EARTH, LATITUDE, rate=50, samples=1000)
     environment = record_world(rows, site(EARTH, LATITUDE), pass_records=1000)
     static = Static("compass", Options(0.02), 1, 1000, curves=False)
     return trail(static, environment, one_run(np.eye(3), phi, (0, 0), given))
-
-
-@pytest.mark.optimised(False)
-def test_pace_scales_sigma_of_azimuth_loop():
-    """Pace p at sigma is pace 1 at p sigma; a piece begins after its sample."""
-
-    def run(sigma, begin, paces):
-        given = loops(Loops(LEVEL, ((100.0, azimuth_gains(sigma, EARTH)),)), KEEP)
-        pieces = PiecewiseConstant(np.array([begin]), np.array(paces))
-        return states(short_run(given._replace(pace=pieces), (1e-3, 0, 0.02)))
-
-    k, never = 600, 10.0**9
-    single, double = run(0.05, never, (1.0, 1.0)), run(0.1, never, (1.0, 1.0))
-    scheduled = run(0.05, float(k), (1.0, 2.0))
-    np.testing.assert_array_equal(scheduled[:k], single[:k])
-    assert np.abs(scheduled[k] - single[k]).max() > 1e-9
-    close(run(0.1, float(k), (0.5, 1.0)), scheduled, 1e-12)
-    close(run(0.05, 0.0, (1.0, 2.0)), double, 1e-12)
 
 
 @pytest.mark.optimised(False)

@@ -16,7 +16,7 @@ from sinsjax.types import Quat, Vec3
 
 pytestmark = pytest.mark.optimised(False)
 
-DEG, ARCMIN = np.pi / 180, np.pi / 180 / 60
+DEG = np.pi / 180
 TURN = {"turn_times_s": [50.5], "turn_angles_deg": [180.0], "turn_rate_deg_per_s": 10.0}
 NOISE = {"gyro_arw_deg_per_sqrt_h": 0.02, "accel_vrw_ug_per_sqrt_hz": 50.0}
 DRAWN = {
@@ -141,18 +141,6 @@ def test_lever_arm_on_a_swaying_base_costs_little() -> None:
 
 
 @pytest.mark.slow
-def test_known_biases_leave_the_error_of_optimisation() -> None:
-    table = sinsjax.run(
-        study(16, motion={}, drawn={}, axes={"method": ["gravity_fit", "inertial"]})
-    )
-    error = np.asarray(table.summary["phi_u_arcmin"], float).reshape(16, 2)
-    sigma = np.asarray(table.summary["sigma_u_arcmin"], float).reshape(16, 2)[:, 0]
-    assert abs(np.mean(error[:, 0] * error[:, 1])) > 0.8 * np.mean(error[:, 0] ** 2)
-    assert np.mean(error[:, 0] ** 2) < 1.1 * np.mean(error[:, 1] ** 2)
-    assert stats.chi2.ppf(0.001, 16) < np.sum((error[:, 0] / sigma) ** 2)
-
-
-@pytest.mark.slow
 def test_reported_heading_is_that_of_a_run_of_that_length() -> None:
     whole = study(4, study={"report_times_s": [90.0]})
     short = study(4, study={"duration_s": 90.0})
@@ -246,21 +234,14 @@ def test_lever_arm_that_moves_at_first_sample_leaves_the_attitude() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tables", "line"),
+    ("tables", "key"),
     [
-        (
-            {"study": {"record_interval_s": 5.0}},
-            "[study] record_interval_s: gravity_fit needs at most 2 s",
-        ),
+        ({"study": {"record_interval_s": 5.0}}, "[study] record_interval_s"),
         ({"gravity_fit": {"fit_gyro_bias_deg_per_h": 0.0}}, "fit_gyro_bias_deg_per_h"),
-        (
-            {"sensors": {"accel_vrw_ug_per_sqrt_hz": 50.0}},
-            "fit_gyro_arw_deg_per_sqrt_h: must be above 0: gravity_fit weights its data",
-        ),
-        ({"passes": {"stored_s": 60.0}}, "stored_s: does not apply to method gravity_fit"),
+        ({"sensors": {"accel_vrw_ug_per_sqrt_hz": 50.0}}, "fit_gyro_arw_deg_per_sqrt_h"),
     ],
 )
-def test_what_it_cannot_do_is_refused(tables: dict[str, Any], line: str) -> None:
+def test_what_it_cannot_do_is_refused(tables: dict[str, Any], key: str) -> None:
     with pytest.raises(sinsjax.InputError) as caught:
         study(2, **tables)
-    assert line in str(caught.value) and "\n" not in str(caught.value)
+    assert key in str(caught.value) and "\n" not in str(caught.value)

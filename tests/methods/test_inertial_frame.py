@@ -20,19 +20,15 @@ from oracles.in_engine import (
 from oracles.naive import DEG, PAPER, WGS84, compensate, exp, log, of_quaternion
 from scipy.integrate import quad_vec
 from scipy.spatial.transform import Rotation
-from support.studies import refusal_line, small_study
 
-from sinsjax import run as run_study
 from sinsjax.methods.coarse import COARSE
 from sinsjax.methods.inertial_frame import least_squares
 from sinsjax.methods.inertial_frame.least_squares import dominant_eigenvector, reaction_velocity
 from sinsjax.methods.inertial_frame.method import align_by_optimisation
-from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import sensors
 from sinsjax.units import ARCMIN
 
 RATE, SECONDS, LATITUDE = 100, 60, 32 * DEG
-SHORT = 10 * RATE
 SWING = PAPER1._replace(center=np.array([0.5, -0.3, 2.0]))
 NAMES = ("optimisation", "optimisation_position", "inertial")
 
@@ -144,22 +140,9 @@ def test_position_optimisation_leaves_initial_velocity_free(seconds):
     assert np.abs(log(fitted(b.T @ a, body[-1], seconds) @ found.T)).max() < 1e-2 * ARCMIN
 
 
-@pytest.mark.slow
-def test_position_optimisation_ignores_constant_base_velocity():
-    """Of a metre a second, known to the inertial frame as a change of the first sample."""
-    moving = record().copy()
-    moving[0, 3:] += [0.6, -0.8, 0.1]
-
-    def change(name):
-        return np.abs(log(of_record(name)[-1] @ attitudes(name, moving)[-1].T)).max()
-
-    assert change("optimisation_position") < 0.02 * ARCMIN
-    assert change("optimisation") > 100 * ARCMIN
-
-
 @pytest.mark.representative("10")
 @pytest.mark.optimised(False)
-@pytest.mark.parametrize("seconds", [1, SHORT // RATE, SECONDS])
+@pytest.mark.parametrize("seconds", [1, 10])
 def test_inertial_method_matches_inertial_coarse_alignment(seconds):
     rows = record()[: seconds * RATE]
     samples = jax.jit(sensors.compensate_record)(rows, rows[0])
@@ -182,55 +165,3 @@ def test_error_free_attitude_is_found_within_one_minute(name):
     rows = swing_increments(SWING, PAPER, LATITUDE, rate=RATE, samples=RATE * SECONDS)
     found = attitudes(name, rows)
     assert np.abs(log(SWING.matrix(SECONDS) @ found[-1].T)).max() < 0.05 * ARCMIN
-
-
-@pytest.mark.representative("inertial")
-@pytest.mark.optimised(False)
-@pytest.mark.parametrize("name", NAMES)
-def test_initial_attitude_does_not_change_result(name):
-    rows = record()[:SHORT]
-    other = attitudes(name, rows, exp([1.0, 2.0, 3.0]))
-    np.testing.assert_array_equal(attitudes(name, rows), other)
-
-
-def of_methods(names):
-    """A study of these methods from two headings."""
-    return small_study(
-        study={"draws": 2, "duration_s": 4.0, "window_s": [1, 4]},
-        filter={"p0_yaw_deg": 60.0},
-        axes={"method": names, "phi_u0_deg": [0.0, 90.0]},
-    )
-
-
-def test_initial_heading_is_inactive_for_methods_without_start_only():
-    """Each ignores the keys of the others; on some the heading that they begin with acts."""
-    silent = of_methods(list(METHODS)).without_effect("phi_u0_deg").reshape(-1, 2)
-    for name, of_method in zip(METHODS, silent, strict=True):
-        assert np.all(of_method == (name in (*NAMES, "gravity_fit", "level"))), name
-
-
-@pytest.mark.slow
-@pytest.mark.optimised(False)
-def test_initial_heading_does_not_change_inertial_frame_runs():
-    names = ["kalman5", *NAMES]
-    phi = run_study(of_methods(names)).summary["phi_u_mean_arcmin"].to_numpy()
-    for name, final in zip(names, np.moveaxis(phi.reshape(2, -1, 2), 1, 0), strict=True):
-        assert np.all((final[:, 0] == final[:, 1]) == (name in NAMES)), name
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_inertial_frame_methods_refuse_passes_with_reason(name):
-    line = refusal_line(alignment={"method": name}, passes={"stored_s": 2.0})
-    assert line == (
-        f"[passes] stored_s: does not apply to method {name}, which reads a record once (drop it)"
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.optimised(False)
-def test_inertial_frame_method_runs_with_single_pass():
-    plain, once = (
-        run_study(small_study(alignment={"method": "inertial"}, **tables)).summary["phi_u_arcmin"]
-        for tables in ({}, {"passes": {"passes": 1}})
-    )
-    np.testing.assert_allclose(once, plain, rtol=1e-9)

@@ -8,11 +8,10 @@ import pytest
 from oracles.in_engine import ARCMIN, DEG_PER_H, UG, navigation, place, runner, site
 from oracles.naive import DEG, WGS84, exp, of_quaternion
 from scipy.spatial.transform import Rotation
-from support.studies import STILL, refusal_line, small_study
+from support.studies import STILL, small_study
 
 import sinsjax
 from sinsjax.maths import rotations
-from sinsjax.methods.registry import METHODS
 from sinsjax.types import Quat
 
 pytestmark = pytest.mark.optimised(False)
@@ -168,18 +167,3 @@ def test_run_alone_has_the_bits_of_the_study(results: Any) -> None:
         row[name] for name in ("phi_e_arcmin", "phi_n_arcmin", "sigma_e_arcmin")
     ]
     assert np.isnan([last.phi.z, last.sigma.z, last.yaw]).all()
-
-
-def test_level_refuses_passes_and_judging_from_floor() -> None:
-    line = refusal_line(alignment={"method": "level"}, passes={"stored_s": 2.0})
-    assert line == (
-        "[passes] stored_s: does not apply to method level, which reads a record once (drop it)"
-    )
-    study = small_study(study={"judged_from": "floor"}, alignment={"method": "level"})
-    with pytest.raises(sinsjax.InputError, match="method 'level' has no bias floor"):
-        sinsjax.run(study)
-
-
-def test_only_level_finds_no_heading() -> None:
-    """By name, so that reports are thought of."""
-    assert {name for name, method in METHODS.items() if not method.finds_heading} == {"level"}

@@ -2,7 +2,6 @@
 
 import math
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
 from sinsjax.methods.reset_law import NoSchedule, ResetProblem
 from sinsjax.platform.assets import asset_path
-from sinsjax.plots.comparison import build_comparison_panels
 from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.units import ARCMIN, DEG
 
@@ -199,22 +197,17 @@ def test_prediction_knows_standing_tilt_and_noise() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    "change",
     [
-        ({"velocity_noise": 0.0}, "with a Q of zero no reset ever pays"),
-        ({"measurement_noise": 0.0}, "R of zero has no schedule"),
-        ({"north_rate": 1e-9}, "no heading can be found at a pole"),
+        {"velocity_noise": 0.0},  # no reset ever pays
+        {"measurement_noise": 0.0},
+        {"north_rate": 1e-9},
+        {"gyro_noise": (100 * DEG / 3600) ** 2},  # its sigma alone is wider than the band
     ],
 )
-def test_filters_without_a_schedule_are_refused(change: dict[str, Any], says: str) -> None:
-    with pytest.raises(NoSchedule, match=says):
+def test_filters_without_a_schedule_are_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(NoSchedule):
         reset_law.schedule(NOISY._replace(**change), 150 * DEG)
-
-
-def test_band_below_noise_is_refused_with_its_sigma() -> None:
-    problem = NOISY._replace(gyro_noise=(100 * DEG / 3600) ** 2)
-    with pytest.raises(NoSchedule, match=r"a band of 10': 1 sigma is \d+' after 1000 s"):
-        reset_law.schedule(problem, 150 * DEG)
 
 
 # --- in a study
@@ -270,69 +263,30 @@ def test_schedules_by_name_are_swept_beside_times() -> None:
     ]
 
 
+QUIET = {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0}
+TWICE = {"schedule": ["times", "times", "law"], "reset_times_s": [[10.0], [20.0], []]}
+
+
 @pytest.mark.parametrize(
-    ("tables", "says"),
+    ("tables", "key"),
     [
+        ({"resets": LAW | {"reset_times_s": [10.0]}}, "[resets] reset_times_s"),
         (
-            {"resets": LAW | {"reset_times_s": [10.0]}},
-            "[resets] reset_times_s: has no effect with schedule = 'law' (drop one of the two)",
+            {"resets": LAW, "study": {"duration_s": 30.0, "window_s": [2, 30]}, "sensors": QUIET},
+            "[resets] schedule: 90 s",
         ),
-        (
-            {
-                "resets": LAW,
-                "study": {"duration_s": 30.0, "window_s": [2, 30]},
-                "sensors": {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0},
-            },
-            "[resets] schedule: 90 s is after the end of the run",
-        ),
-        (
-            {"resets": LAW, "alignment": {"method": "kalman10"}},
-            "[resets] schedule: 'law' holds for kalman5, not kalman10 (give 'trigger' or",
-        ),
-        (
-            {"resets": LAW | {"settle_band_arcmin": 0.1}},
-            "[resets] settle_band_arcmin: 2 sigma of the sensors",
-        ),
-        (
-            {"resets": LAW, "filter": PER_STEP["filter"] | {"q_accel_ug": 0.0}},
-            "a Q of zero no reset",
-        ),
-        ({"resets": LAW | {"heading_bound_deg": 180.0}}, "[resets] heading_bound_deg: must be"),
-        (
-            {"resets": LAW | {"reset_kind": "yaw"}},
-            "[resets] reset_kind: schedule = 'law' needs 'full' resets (drop it)",
-        ),
-        (
-            {
-                "axes": {
-                    "policy": {
-                        "schedule": ["times", "times", "law"],
-                        "reset_times_s": [[10.0], [20.0], []],
-                    }
-                }
-            },
-            "[axes.policy] schedule: a name is there twice, and its times differ from run to run"
-            " (list it in [[cases]], with a case each)",
-        ),
+        ({"resets": LAW, "alignment": {"method": "kalman10"}}, "[resets] schedule"),
+        ({"resets": LAW | {"settle_band_arcmin": 0.1}}, "[resets] settle_band_arcmin"),
+        ({"resets": LAW, "filter": PER_STEP["filter"] | {"q_accel_ug": 0.0}}, "[resets] schedule"),
+        ({"resets": LAW | {"heading_bound_deg": 180.0}}, "[resets] heading_bound_deg"),
+        ({"resets": LAW | {"reset_kind": "yaw"}}, "[resets] reset_kind"),
+        ({"axes": {"policy": TWICE}}, "[axes.policy] schedule"),
     ],
 )
 def test_schedule_that_cannot_be_made_is_refused_in_one_line(
-    tables: dict[str, Any], says: str
+    tables: dict[str, Any], key: str
 ) -> None:
-    assert says in refusal_line(**PER_STEP | tables)
-
-
-@pytest.mark.slow
-def test_comparison_has_a_line_for_each_schedule_by_the_law() -> None:
-    axes = {"latitude_deg": [0.0, 32.0], "schedule": ["none", "law"]}
-    study = small_study(**PER_STEP, resets={}, axes=axes).replace({"study.draws": 2})
-    summary = sinsjax.run(study, curves=False).summary
-    values, panels = build_comparison_panels(summary, "latitude_deg", ["reset_times_s"])
-    assert values == [0.0, 32.0]
-    for lines in panels.values():
-        known = [[estimate.n > 0 for estimate in line] for line in lines.values()]
-        assert sorted(known) == [[False, True], [True, False], [True, True]]
-    assert sinsjax.plot_compare(summary, "latitude_deg", by=["reset_times_s"]).axes
+    assert refusal_line(**PER_STEP | tables).startswith(key)
 
 
 # --- the command
@@ -346,27 +300,18 @@ def run_command(
     return command_line(monkeypatch, capsys)
 
 
-def test_schedule_command_tells_times_and_worth_and_writes_study(run_command: Command) -> None:
-    code, told, error = run_command("schedule", "paper1_resets", "--study", "no_folder/law.toml")
-    assert (code, told) == (2, "") and error.count("\n") == 1
-    assert "no_folder/law.toml: cannot be written: there is no folder no_folder" in error
-    code, told, error = run_command("schedule", "paper1_resets", "--study", "law.toml")
+def test_schedule_command_shows_times_and_writes_a_study_with_them(run_command: Command) -> None:
+    code, out, error = run_command("schedule", "paper1_resets", "--study", "no_folder/law.toml")
+    assert (code, out) == (2, "") and error.count("\n") == 1 and "no_folder/law.toml" in error
+    code, out, error = run_command("schedule", "paper1_resets", "--study", "law.toml")
     assert (code, error) == (0, "")
-    assert "resets   2, 4, 6, 118 s" in told
-    assert 'set      schedule = "law", or these times with reset_velocity_m_per_s = 1' in told
-    assert re.search(r"settles  within 10' from 150 deg: 30\d s \(median run, predicted\), 3", told)
-    assert "without  never" in told
-    assert re.search(r"counts   median run with 1 reset: never, .* 4: 30\d s, 5: ", told)
-    assert "filter   limited by its Q (tau 2.04 s): a segment of 112 s contracts" in told
-    assert "worth    yes: without resets it does not settle" in told
-    assert "need it too: reset_velocity_m_per_s = 1\n" in Path("law.toml").read_text()
+    assert "2, 4, 6, 118 s" in out and re.search(r" 10' from 150 deg: 30\d s", out)
     study = sinsjax.load_study("law.toml")
     assert study.resets.schedule == "law"  # type: ignore[attr-defined]
     assert set(study.reset_times()) == {(2.0, 4.0, 6.0, 118.0)}
     assert run_command("schedule", "paper1_resets", "--study", "law.toml")[0] == 2
-    code, told, _ = run_command("schedule", "which_alignment_latitude")
-    assert "or these times with reset_velocity_m_per_s = 1\n" in told
-    gravity = [line for line in told.splitlines() if 'specific_force "gravity"' in line]
+    code, out, _ = run_command("schedule", "which_alignment_latitude")
+    gravity = [line for line in out.splitlines() if 'specific_force "gravity"' in line]
     assert code == 0 and any("latitude_deg 32, " in line and ": 2, " in line for line in gravity)
 
 
@@ -391,17 +336,13 @@ def test_plan_states_what_noise_and_instability_add() -> None:
     assert quiet.median == "301 s"
     drifting = sinsjax.reset_schedule(study.replace({"sensors.accel_instability_ug": 10.0}))
     assert drifting.left_out == ("accel_instability_ug",)
-    assert any("accel_instability_ug, which the prediction" in text for text in drifting.warnings)
 
 
 @pytest.mark.slow
-def test_python_plan_has_the_fields_of_the_command() -> None:
+def test_plan_within_a_small_bound_and_studies_without_one_plan() -> None:
     plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=20.0)
     assert plan.times_s == (2.0, 4.0, 6.0) and plan.limited_by == "Q"
-    assert any("trigger settles as fast" in text for text in plan.warnings)
-    with pytest.raises(InputError, match=r"\d\d filters or places"):
-        sinsjax.reset_schedule("which_alignment_latitude")
-    with pytest.raises(InputError, match="the law of resets holds for kalman5, not inertial"):
-        sinsjax.reset_schedule(
-            sinsjax.load_study("paper1_resets").replace({"alignment.method": "inertial"})
-        )
+    inertial = sinsjax.load_study("paper1_resets").replace({"alignment.method": "inertial"})
+    for study in ("which_alignment_latitude", inertial):  # many filters, and none
+        with pytest.raises(InputError):
+            sinsjax.reset_schedule(study)

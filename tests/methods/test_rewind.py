@@ -20,9 +20,7 @@ from oracles.in_engine import (
     trail,
 )
 from oracles.naive import DEG, PAPER, Filter, Loops, exp, log, of_quaternion, quaternion, wound_back
-from support.studies import small_study
 
-from sinsjax import run as run_study
 from sinsjax.engine.environment import Static
 from sinsjax.methods import passes
 from sinsjax.methods.base import Options
@@ -105,21 +103,3 @@ def test_rewound_attitude_corrects_known_gyro_bias(bias_deg_per_h, left):
     expected = wound_back(PAPER1.matrix(3.0), rows, 1 / RATE, PAPER, LATITUDE, bias)
     off = np.abs(log(c @ expected.T)).max()
     assert off < left and (bias_deg_per_h == 0 or off > left / 1e3)
-
-
-@pytest.mark.slow
-def test_repeated_rewound_passes_find_heading():
-    """From a start of which the first pass makes nothing: it levels, the next ones start level."""
-    study = small_study(
-        study={"duration_s": 300.0, "window_s": [50, 300], "draws": 6, "settle_bands_arcmin": [90]},
-        alignment={"phi_e0_deg": 20.0, "phi_n0_deg": 20.0, "phi_u0_deg": 120.0}
-        | {"misalignment": "euler"},
-        passes={"stored_s": 100.0, "direction": "rewind"},
-        filter={"r_reading": "psd"},
-        axes={"passes": [1, 3]},
-    )
-    summary = run_study(study).summary
-    off = np.abs(summary["phi_u_arcmin"].to_numpy() - summary["floor_arcmin"].to_numpy())
-    once, thrice = off.reshape(6, 2).T
-    assert once.min() > 7000 and thrice.max() < 60
-    assert summary["settle_90_data_s"].to_pylist() == [None, 100.0] * 6

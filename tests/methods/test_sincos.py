@@ -1,40 +1,29 @@
-"""The filter in sine and cosine of the azimuth: its model, a naive one, and what it is good for."""
+"""Filters in sine and cosine of the azimuth: their models, and what they are good for.
 
-import jax
-import jax.numpy as jnp
+`test_naive_filters.py` compares them with naive ones in closed loop.
+"""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.in_engine import (
-    DEG_PER_H,
-    PAPER1,
-    UG,
-    filter_params,
-    measured,
-    navigation,
-    place,
-    runner,
-    site,
-)
-from oracles.naive import DEG, PAPER, WGS84, Filter, exp, of_quaternion, skew
-from oracles.naive_filters import SINCOS, about_up, closed_loop, upright
+from oracles.in_engine import place
+from oracles.naive import DEG, PAPER, WGS84, exp, skew
+from oracles.naive_filters import about_up, upright
+from scipy.linalg import expm
 from support.studies import small_study
 
 from sinsjax import run as run_study
-from sinsjax.maths.algebra import entries_as_numbers, triangle_index
-from sinsjax.methods.base import Options
-from sinsjax.methods.registry import METHODS
+from sinsjax.engine.build import Scenario
+from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.methods.sincos import method as sincos
+from sinsjax.methods.sincos.method import SurgeParams
+from sinsjax.strapdown import processes
 from sinsjax.units import ARCMIN
 
 pytestmark = pytest.mark.optimised(False)
 
-RATE, SAMPLES, LATITUDE = 100, 1500, 32 * DEG
-P0 = np.array([0.1, 0.1, 15 * DEG, 15 * DEG, 0.5**0.5, 0.5**0.5]) ** 2
-Q = (np.array([500 * UG] * 2 + [0.1 * DEG_PER_H] * 4) / RATE) ** 2
-R = 1e-3**2  # strong enough for a heading to be found within seconds
-PHI0, V0 = np.array([10.0, -15.0, 120.0]) * DEG, np.array([0.3, -0.2])
+LATITUDE, SURGE_S = 32 * DEG, 2.0
 
 
 def rates_at_rest(a, tilt, v, planet, latitude):
@@ -69,91 +58,6 @@ def test_sincos_transition_matches_navigator_at_any_azimuth(planet, a, seed):
     np.testing.assert_allclose((here + there)[2:] / 2, heading[2:], rtol=0, atol=1e-12)
     np.testing.assert_allclose((here - there) / 2, model[:4, :4] @ x, rtol=2e-3, atol=3e-9)
     np.testing.assert_array_equal(model[4:], 0.0)
-
-
-def dense(triangle):
-    """Covariances (samples, 6, 6)."""
-    index = triangle_index(6)
-    order = np.array([[index[i, j] for j in range(6)] for i in range(6)])
-    return np.moveaxis(np.array(triangle)[order], -1, 0)
-
-
-SCHEDULES = {
-    "feedback every sample": {},
-    "resets": {"every": 100, "resets": (333, 700)},
-    "partial feedback, heading reset": {"every": 10, "gain": 0.3, "resets": (250,), "kind": "yaw"},
-    "P times 10": {"every": 50, "resets": (500,), "kind": "scale"},
-    "resets restart feedback": {"every": 100, "resets": (333, 700), "restarts": True},
-    "resets wait for feedback": {"every": 60, "resets": (301, 720), "at_feedback": True},
-}
-
-
-@pytest.mark.representative("feedback every sample")
-@pytest.mark.parametrize("schedule", SCHEDULES)
-def test_closed_loop_matches_naive_filter(schedule):
-    filt = Filter(P0, Q, R, **SCHEDULES[schedule])
-    start = exp(-PHI0) @ PAPER1.matrix(0.0)
-    about = {"latitude": LATITUDE, "c": start, "v": V0, "filt": filt}
-    naive = closed_loop(SINCOS, measured(PAPER, LATITUDE, SAMPLES), 1 / RATE, PAPER, **about)
-    nav = navigation(start, V0, LATITUDE)
-    state, attitude, covariance = runner("kalman_sincos")(
-        filter_params(filt), site(PAPER, LATITUDE), nav, measured(PAPER, LATITUDE, SAMPLES)
-    )
-    close = {"rtol": 0, "atol": 1e-9}
-    np.testing.assert_allclose(of_quaternion(np.stack(state.nav.q, axis=1)), naive.c, **close)
-    v = np.stack([state.nav.ve, state.nav.vn], axis=1)
-    np.testing.assert_allclose(v, naive.v[:, :2], **close)
-    np.testing.assert_allclose(np.stack(state.belief.x, axis=1), naive.x, **close)
-    np.testing.assert_allclose(dense(state.belief.p), naive.p, rtol=1e-8, atol=1e-12)
-    c = of_quaternion(np.stack(attitude, axis=1))
-    np.testing.assert_allclose(c, naive.corrected, rtol=0, atol=1e-8)
-    assert_first_order(naive, np.array(covariance))
-
-
-def assert_first_order(naive, covariance):
-    """The covariance of the attitude is P taken through the attitude's own derivative."""
-    for k in (680, SAMPLES - 1):
-        assert covariance[-1, k] < 0.1  # the heading is known
-        x, c = naive.x[k], naive.c[k]
-        slope = np.zeros((3, 6))
-        for j in range(2, 6):
-            step = np.zeros(6)
-            step[j] = 1e-6
-            there, back = (SINCOS.corrected(x + d, c) for d in (step, -step))
-            turn = there @ back.T
-            slope[:, j] = [turn[2, 1], turn[0, 2], turn[1, 0]]
-        p = slope / 2e-6 @ naive.p[k] @ slope.T / 2e-6
-        upper = p[np.triu_indices(3)]
-        # What is left of the tilt turns its slope; feedback leaves little.
-        np.testing.assert_allclose(covariance[:, k], upper, rtol=0.02, atol=0.02 * upper.max())
-
-
-def test_initial_attitude_is_kept_with_uniform_sigma_and_finite_slope():
-    """With its sigma and slope: there a root or an arc tangent would have none."""
-    method, filt = METHODS["kalman_sincos"](Options(1 / RATE)), filter_params(Filter(P0, Q, R))
-
-    def corrected(nav):
-        return method.attitude(method.init(filt, nav)), method.covariance(method.init(filt, nav))
-
-    nav = navigation(exp(-PHI0), V0, LATITUDE)
-    (q, covariance), tangent = jax.jvp(corrected, (nav,), (jax.tree.map(jnp.ones_like, nav),))
-    np.testing.assert_allclose(q, nav.q, rtol=0, atol=1e-16)
-    assert np.sqrt(covariance.uu) == pytest.approx(180 * DEG / 3**0.5, rel=1e-12)
-    np.testing.assert_array_equal(tangent[1].uu, 0.0)
-    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(tangent))
-
-
-def test_reset_keeps_sine_and_cosine_states():
-    filt = filter_params(Filter(P0, Q, R, every=100, resets=(800,)))
-    nav = navigation(exp(-PHI0) @ PAPER1.matrix(0.0), V0, LATITUDE)
-    state, attitude, _ = runner("kalman_sincos")(
-        filt, site(PAPER, LATITUDE), nav, measured(PAPER, LATITUDE, SAMPLES)
-    )
-    x = np.array(state.belief.x)
-    np.testing.assert_array_equal(x[:4, 799], 0.0)
-    assert abs(x[4, 799]) > 0.1
-    assert np.abs(x[4:, 799] - x[4:, 798]).max() < 1e-2
-    np.testing.assert_array_equal(dense(state.belief.p)[799], np.diag(filt.p0))
 
 
 def matched(**changes):
@@ -209,17 +113,46 @@ def test_north_drift_estimate_and_sigma_are_consistent():
     assert np.mean(drift) == pytest.approx(bias, abs=4 * sigma[0] / len(drift) ** 0.5 + 0.01)
 
 
-def test_covariance_does_not_depend_on_attitude_or_velocity():
-    """Whatever the attitude and velocity, to the bit."""
-    filt, here = filter_params(Filter(P0, Q, R, every=100)), site(PAPER, LATITUDE)
-    run = runner("kalman_sincos")
-    one = run(
-        filt,
-        here,
-        navigation(PAPER1.matrix(0.0), [0.0, 0.0], LATITUDE),
-        measured(PAPER, LATITUDE, SAMPLES),
-    )[0]
-    other = run(
-        filt, here, navigation(exp(-PHI0), V0, LATITUDE), measured(PAPER, LATITUDE, SAMPLES)
-    )[0]
-    np.testing.assert_array_equal(one.belief.p, other.belief.p)
+# With states of a surge
+
+
+def test_surge_model_autocovariance_matches_bounded_velocity():
+    """Whose acceleration is bounded far above what the filter samples: its autocovariance."""
+    a = np.zeros((10, 10))
+    for entry, value in entries_as_numbers(
+        sincos.surge_transition(place(WGS84, LATITUDE), SurgeParams(1 / SURGE_S), 1.0)
+    ).items():
+        a[entry] = value
+    dt, rms = 0.05, 0.3
+    whole = processes.bounded_velocity_process(np.full(3, rms), SURGE_S, 1e3, 1e-3)
+    stationary = whole.begin @ whole.begin.T
+    axis = np.ix_([sincos.PLACE_E, sincos.SURGE_E], [sincos.PLACE_E, sincos.SURGE_E])
+    own = np.diag([(rms * SURGE_S) ** 2, rms**2])
+    for later in range(0, 100, 10):
+        expected = (
+            rms**2
+            * whole.output
+            @ (
+                np.linalg.matrix_power(whole.transition, round(later * dt / 1e-3))
+                @ stationary
+                @ whole.output
+            )
+        )
+        found = (expm(a[axis] * later * dt) @ own)[1, 1]
+        assert found == pytest.approx(expected, abs=2e-3 * rms**2)
+    np.testing.assert_array_equal(a[:6, 6:], 0.0)
+    np.testing.assert_array_equal(a[6:, :6], 0.0)
+
+
+def test_surge_keys_of_study_set_filter_parameters():
+    study = small_study(
+        alignment={"method": "kalman_surge"},
+        filter={"q_reading": "per_sample"},
+        surge={"r_surge_m_per_s": 0.3, "r_surge_time_s": 4.0},
+    )
+    params = Scenario(study).part(0).group.variants.method
+    p0, q = np.array(params.p0)[:, 0], np.array(params.q)[:, 0]
+    np.testing.assert_allclose(p0[6:], [1.44, 1.44, 0.09, 0.09], rtol=1e-12)
+    np.testing.assert_allclose(q[6:], [0, 0, 4.5e-4, 4.5e-4], rtol=1e-12)
+    np.testing.assert_array_equal(params.reset_to, params.p0)
+    assert params.extra.rate == 0.25

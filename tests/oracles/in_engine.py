@@ -13,6 +13,7 @@ from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quat
 from sinsjax.engine.environment import Draw, Environment, RunParams, SensorModel, Static, Truth
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.run import advance_record
+from sinsjax.maths.algebra import triangle_index
 from sinsjax.methods.base import Options, Site
 from sinsjax.methods.compass import method as compass
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains
@@ -209,6 +210,14 @@ def trail(static: Static, environment: Environment, params: RunParams) -> Any:
 
     start = runs.start(), runs.sensors.initial_state()
     return jax.lax.scan(record, start, jnp.arange(static.records))[1]
+
+
+def covariances(triangle: Sequence[Any]) -> np.ndarray:
+    """Matrices (..., n, n) of upper triangles, entries (...)."""
+    n = round((2 * len(triangle)) ** 0.5 - 0.5)
+    index = triangle_index(n)
+    order = np.array([[index[i, j] for j in range(n)] for i in range(n)])
+    return np.moveaxis(np.array(triangle)[order], (0, 1), (-2, -1))
 
 
 def step_and_close(method, params, site, state, sample, n):

@@ -119,13 +119,6 @@ def test_static_base_increments_match_closed_form(pitch, roll, yaw, latitude_deg
 
 
 @pytest.mark.slow
-@pytest.mark.optimised(True)
-def test_longer_run_starts_with_increments_of_shorter_run():
-    args = motion(ODD), place(PAPER, 0.5), 100.0
-    np.testing.assert_array_equal(increments(*args, 2003)[:700], increments(*args, 700))
-
-
-@pytest.mark.slow
 def test_increment_derivative_matches_finite_difference():
     here = place(PAPER, 0.5)
 

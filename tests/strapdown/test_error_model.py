@@ -153,11 +153,6 @@ def test_tilt_enters_acceleration_with_sign_of_exp_minus_phi(direction):
     np.testing.assert_allclose(seen[:2], a[:2, 2:] @ phi, rtol=0, atol=1e-11)
 
 
-def test_model_without_biases_leaves_sample_unchanged():
-    sample = Sample(Quat(1.0, 0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.1))
-    assert MODELS["kalman5"].correct_sample(sample, (), DT) is sample
-
-
 def test_correct_sample_removes_known_biases():
     """As increments that never had them, but for half a step's turn of dv: eps g dt / 2."""
     rng = np.random.default_rng(5)
@@ -174,10 +169,3 @@ def test_correct_sample_removes_known_biases():
     assert np.abs(2 * np.array(turned[1:])).max() < np.linalg.norm(RATE_B) * 6e-7 * DT**2
     uncorrected = rotations.multiply(rotations.conjugate(expected.turn), raw.turn)
     np.testing.assert_allclose(2 * np.array(uncorrected[1:]).T, [eps * DT] * 50, atol=1e-11)
-
-
-def test_error_models_list_their_state_names():
-    five = MODELS["kalman5"].states
-    assert five == ("dve", "dvn", "phi_e", "phi_n", "phi_u")
-    ten = (*five, "nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z")
-    assert MODELS["kalman10"].states == ten

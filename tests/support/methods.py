@@ -1,0 +1,40 @@
+"""The one table of all methods in the tests: what holds of them beside their descriptions."""
+
+from typing import NamedTuple
+
+from sinsjax.strapdown.error_model import MODELS
+
+
+class MethodFacts(NamedTuple):
+    """What the tests know of a method that its description does not state.
+
+    Attributes:
+        states: its states, if they are those of [P1], or [P1]'s and biases, with a P0 and Q each;
+            empty for all other methods.
+        stays_at_truth: whether a run without sensor errors that starts at the truth stays there.
+            If not, the method takes that heading for no better than any other, or has no heading.
+        extra: its params beside those of the filter of [P1]; None for none.
+    """
+
+    states: tuple[str, ...] = ()
+    stays_at_truth: bool = False
+    extra: float | None = None
+
+
+FIVE, TEN = (tuple(MODELS[name].states) for name in ("kalman5", "kalman10"))
+
+FACTS = {
+    "kalman5": MethodFacts(FIVE, stays_at_truth=True),
+    "kalman10": MethodFacts(TEN, stays_at_truth=True),
+    "kalman_sincos": MethodFacts(),
+    "kalman_surge": MethodFacts(),
+    "ekf_azimuth": MethodFacts(FIVE, stays_at_truth=True, extra=1.0),
+    "invariant": MethodFacts(FIVE, stays_at_truth=True),
+    "unscented": MethodFacts(),  # its sigma points lie across the circle, so their mean is off
+    "optimisation": MethodFacts(),
+    "optimisation_position": MethodFacts(),
+    "inertial": MethodFacts(),
+    "gravity_fit": MethodFacts(),
+    "compass": MethodFacts(stays_at_truth=True),
+    "level": MethodFacts(),
+}
