@@ -27,7 +27,7 @@ NAMES = sorted(path.stem for path in (HERE / "studies").glob("*.toml"))
 DIGITS = 12
 """Significant digits of the numbers in expected files."""
 
-_ENVIRONMENT = {
+ENVIRONMENT = {
     "JAX_PLATFORMS": "cpu",
     "XLA_FLAGS": "--xla_cpu_max_isa=SSE4_2",
     "JAX_DISABLE_MOST_OPTIMIZATIONS": "1",
@@ -48,7 +48,7 @@ Recorded = dict[str, Any]
 
 
 def run_alone(name: str, folder: Path, devices: int = 1) -> Recorded:
-    """Run a golden study in a process of its own, with options of its own: `_ENVIRONMENT`.
+    """Run a golden study in a process of its own, with options of its own: `ENVIRONMENT`.
 
     Args:
         name: of the study.
@@ -56,7 +56,7 @@ def run_alone(name: str, folder: Path, devices: int = 1) -> Recorded:
         devices: threads that run it; the numbers are the same with any.
     """
     inherited = {key: value for key, value in os.environ.items() if not key.startswith(_OTHERS)}
-    own = _ENVIRONMENT | {"PYTHONPATH": str(HERE.parents[1])}
+    own = ENVIRONMENT | {"PYTHONPATH": str(HERE.parents[1])}
     done = subprocess.run(
         [sys.executable, __file__, name, folder, str(devices)],
         env=inherited | own,
