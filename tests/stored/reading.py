@@ -7,15 +7,14 @@ JSON: it runs in a process of its own, with the instruction set that they were c
 """
 
 import json
-import re
 import sys
-from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from golden.golden_studies import run_command
 
 import sinsjax
 
@@ -30,8 +29,6 @@ MORE_DRAWS = 7
 
 RERUNS = {"draws": 5, "extended": 9, "aligned": 1}
 """Runs that are repeated."""
-
-_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:,\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
 def read_tables(directory: Path) -> dict[str, pa.Table]:
@@ -55,21 +52,6 @@ def summarised(table: pa.Table) -> dict[str, Any]:
         kind = f"{field.type} {unit}".strip()
         columns[field.name] = {"kind": kind, "sample": [row[field.name] for row in ends]}
     return {"rows": table.num_rows, "columns": columns}
-
-
-def numbers_of_tables(page: str) -> list[str]:
-    """Return the numbers in the tables of a Markdown page, one string per row, without words."""
-    rows = [line for line in page.splitlines() if re.match(r"\| (?!---)", line)]
-    return [" ".join(_NUMBER.findall(row.replace("**", ""))) for row in rows]
-
-
-def run_command(*words: object) -> None:
-    """Run ``sinsjax`` in this process without its output, whatever its exit code is."""
-    from sinsjax import cli
-
-    argv = mock.patch.object(sys, "argv", ["sinsjax", *map(str, words)])
-    with argv, redirect_stdout(None), suppress(SystemExit):
-        cli.main()
 
 
 def continue_all(folder: Path) -> dict[str, pa.Table]:

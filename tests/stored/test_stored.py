@@ -14,16 +14,14 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
-from golden.golden_studies import ENVIRONMENT, differences
+from golden.golden_studies import ENVIRONMENT, differences, numbers_of_tables, run_command
 from reading import (
     DIRECTORIES,
     EXPECTED,
     HERE,
     RERUNS,
     TUNED,
-    numbers_of_tables,
     read_tables,
-    run_command,
     summarised,
 )
 from support.sweep_directories import read_parts
@@ -58,7 +56,6 @@ def test_stored_tables_have_their_columns_units_and_values(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", DIRECTORIES)
-@pytest.mark.usefixtures("drawn_on_request")
 def test_report_of_stored_results_has_their_numbers(name: str, copy: Path) -> None:
     page = copy / name / "page.md"
     run_command("report", copy / name, "--full", "--page", page)
@@ -78,7 +75,7 @@ def continued(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str,
     folder = Path(shutil.copytree(HERE, tmp_path_factory.mktemp("continued") / "stored"))
     done = subprocess.run(
         [sys.executable, HERE / "reading.py", folder],
-        env=os.environ | ENVIRONMENT | {"PYTHONPATH": str(HERE.parents[1])},
+        env=os.environ | ENVIRONMENT | {"PYTHONPATH": os.pathsep.join(map(str, HERE.parents[:2]))},
         capture_output=True,
         text=True,
     )
