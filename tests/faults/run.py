@@ -1,15 +1,17 @@
-"""Apply each fault to a copy of the repository and record the first test that notices it.
+"""Apply each fault to a copy of the repository and record the tests that notice it, by stages.
 
-    python tests/faults/run.py [NAME ...] [--part 1/3] [--jobs 2] [--results FILE]
+    python tests/faults/run.py [NAME ...] [--stages golden] [--tiers fast] [--jobs 2]
 
-For each fault the test files that its entry names run first, then the golden studies, the folders
-of tests that belong to its folder and the whole fast tier, and for survivors the slow tests in the
-same order. The first failing test ends it. `outcome.csv` gets one row per fault as soon as it is
-known, and faults that have a row are skipped: delete the row, or the file, to run them again.
+    golden     tests/golden, until one fails
+    commands   tests/acceptance: all functions that fail
+    oracles    test files with an independent calculation (`oracles`): all functions that fail
+    other      the files that the fault's entry names, the folders of tests that belong to its
+               folder, and everything, until one fails
 
-    --tree DIR     the repository to test, if not this one (an older version, to compare)
-    --one-tier     tests of that version have no tiers: ignore the marker `slow`
-    --stages LIST  any of named, golden, folders, all; by default all four
+Stage by stage, fast tests first. `outcome.csv` (or ``--results FILE``) gets the killers of a fault
+as soon as they are known, ``-`` for none and ``- fast`` for none that is fast, and the tier of the
+fastest killer. What is known is not run again, so that an interrupted run goes on: delete a cell or
+a row to repeat it.
 """
 
 import argparse
@@ -23,7 +25,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
 
@@ -31,34 +32,39 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from faults.patches import HERE, Fault, load  # noqa: E402
 
-COLUMNS = ("fault", "killed_by", "tier", "stage", "seconds")
+STAGES = ("golden", "commands", "oracles", "other")
+COLUMNS = ("fault", *STAGES, "tier", "seconds")
 OUTCOME = HERE / "outcome.csv"
 TIERS = {"fast": "not slow", "slow": "slow"}
-DATA = HERE.parents[2] / "shared" / "data"
-"""Recorded data; a copy has none beside it."""
+NONE, NONE_FAST, SEPARATOR = "-", "- fast", " | "
+DATA = HERE.parents[2] / "shared" / "data"  # recorded data; a copy has none beside it
 HANGS_S = 3600  # a fault may make a test wait for ever
 
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+(?: \S+)*?)(?: - .*)?$", re.MULTILINE)
+_ORACLES = re.compile(r"^ *(?:from|import) oracles", re.MULTILINE)
+
+Row = dict[str, str]
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What to run: stages in order, and each tier's marker expression."""
+def selections(fault: Fault, stage: str, tree: Path) -> Iterator[list[str]]:
+    """Yield the arguments that select the tests of a stage, one set after the other."""
+    if stage == "golden":
+        yield ["-x", "tests/golden"]
+    elif stage == "commands":
+        yield ["tests/acceptance"]
+    elif stage == "oracles":
+        files = sorted(tree.glob("tests/**/test_*.py"))
+        yield [str(f.relative_to(tree)) for f in files if _ORACLES.search(f.read_text())]
+    else:
+        yield ["-x", *fault.tests]
+        yield ["-x", *fault.folder_tests]
+        yield ["-x", "tests", "--ignore=tests/faults"]  # these notice every patch
 
-    stages: tuple[str, ...]
-    tiers: dict[str, str]
 
-    def selections(self, fault: Fault) -> Iterator[tuple[str, str, list[str]]]:
-        """Yield tier, stage and the arguments that select its tests."""
-        paths = {
-            "named": fault.tests,
-            "golden": ("tests/golden",),
-            "folders": fault.folder_tests,
-            "all": ("tests", "--ignore=tests/faults"),  # these notice every patch
-        }
-        for tier, marker in self.tiers.items():
-            for stage in self.stages:
-                yield tier, stage, [*paths[stage], "-m", marker]
+def killers(row: Row) -> list[str]:
+    """Return the recorded killers of a fault, those of the first stage first."""
+    cells = [row[stage].split(SEPARATOR) for stage in STAGES]
+    return [name for cell in cells for name in cell if name not in ("", NONE, NONE_FAST)]
 
 
 def copy_tree(tree: Path, to: Path) -> None:
@@ -71,9 +77,9 @@ def copy_tree(tree: Path, to: Path) -> None:
     shutil.copytree(tree, to, ignore=ignore, dirs_exist_ok=True)
 
 
-def first_failure(copy: Path, selected: list[str]) -> str | None:
-    """Run tests until one fails; its name, or None."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "--tb=no", "--no-header"]
+def failures(copy: Path, selected: list[str]) -> list[str]:
+    """Run tests; return the names of those that fail."""
+    command = [sys.executable, "-m", "pytest", "-q", "-rfE", "--tb=no", "--no-header"]
     paths = filter(None, [str(copy), os.environ.get("PYTHONPATH")])
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
     if DATA.is_dir():
@@ -84,31 +90,42 @@ def first_failure(copy: Path, selected: list[str]) -> str | None:
             cwd=copy, env=environment, capture_output=True, text=True, timeout=HANGS_S,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        return f"no end within {HANGS_S} s"
-    if done.returncode in (0, 5):  # all passed, or none selected
-        return None
-    if found := _FAILED.search(done.stdout):
-        return found[1]
+        return [f"no end within {HANGS_S} s"]
+    if (found := _FAILED.findall(done.stdout)) or done.returncode in (0, 5):  # 5: none selected
+        return found
     raise RuntimeError(f"pytest {' '.join(selected)}:\n{done.stdout}{done.stderr}")
 
 
-def try_fault(fault: Fault, copy: Path, plan: Plan) -> dict[str, object]:
-    """Apply a fault to a copy, run its tests and take the fault back; the row of its outcome."""
+def try_fault(fault: Fault, stage: str, copies: Queue[Path], tiers: dict[str, str]) -> Row:
+    """Apply a fault to a copy, run a stage and take the fault back; what its row then says."""
+    copy = copies.get()
     file = copy / fault.file
     sound = file.read_bytes()
-    started = time.monotonic()
-    row: dict[str, object] = {"fault": fault.name, "killed_by": "", "tier": "", "stage": ""}
+    started, found, tier = time.monotonic(), [], ""
+    _forget_bytecode(file)
     try:
         file.write_text(fault.patched(sound.decode()))
-        _forget_bytecode(file)
-        for tier, stage, selected in plan.selections(fault):
-            if test := first_failure(copy, selected):
-                row |= {"killed_by": test, "tier": tier, "stage": stage}
-                break
+        for name, marker in tiers.items():
+            for selected in selections(fault, stage, copy):
+                if not (found and "-x" in selected):  # which ends with the first killer
+                    found += failures(copy, [*selected, "-m", marker])
+                    tier = tier or name * bool(found)
     finally:
         file.write_bytes(sound)
         _forget_bytecode(file)
-    return row | {"seconds": round(time.monotonic() - started)}
+        copies.put(copy)
+    if "-x" not in selected:
+        found = list(dict.fromkeys(name.partition("[")[0] for name in found))
+    seconds = f"{time.monotonic() - started:.0f}"
+    none = NONE if "slow" in tiers else NONE_FAST
+    return {stage: SEPARATOR.join(found) or none, "tier": tier, "seconds": seconds}
+
+
+def merged(row: Row, new: Row) -> Row:
+    """Return a row with what one more stage has found."""
+    tier = min({row["tier"], new["tier"]} - {""}, default="")
+    seconds = int(row["seconds"] or 0) + int(new["seconds"])
+    return row | new | {"tier": tier, "seconds": str(seconds)}
 
 
 def _forget_bytecode(file: Path) -> None:
@@ -117,15 +134,13 @@ def _forget_bytecode(file: Path) -> None:
         compiled.unlink()
 
 
-def known_outcomes(path: Path) -> dict[str, dict[str, str]]:
+def known_outcomes(path: Path) -> dict[str, Row]:
     """Return the rows of a file of outcomes by fault; empty if there is no file."""
-    if not path.exists():
-        return {}
-    with path.open(newline="") as file:
-        return {row["fault"]: row for row in csv.DictReader(file)}
+    lines = path.read_text().splitlines() if path.exists() else []
+    return {row["fault"]: row for row in csv.DictReader(lines)}
 
 
-def write_outcomes(path: Path, rows: dict[str, dict[str, str]], order: list[str]) -> None:
+def write_outcomes(path: Path, rows: dict[str, Row], order: list[str]) -> None:
     """Write the rows in the order of the list of faults."""
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
@@ -133,61 +148,46 @@ def write_outcomes(path: Path, rows: dict[str, dict[str, str]], order: list[str]
         writer.writerows(rows[name] for name in order if name in rows)
 
 
-def chosen(faults: list[Fault], names: list[str], part: str) -> list[Fault]:
-    """Return the faults of these names, or the K-th of N parts of all."""
-    if names:
-        if unknown := set(names) - {fault.name for fault in faults}:
-            sys.exit(f"no fault named {', '.join(sorted(unknown))}")
-        return [fault for fault in faults if fault.name in names]
-    number, parts = map(int, part.split("/"))
-    return faults[number - 1 :: parts]
-
-
 def main() -> int:
-    """Run what has no row yet; 1 if a fault of those asked for survives."""
+    """Run what is not known yet; 1 if a fault of those asked for survives what has been run."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*")
-    parser.add_argument("--part", default="1/1")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--results", type=Path, default=OUTCOME)
-    parser.add_argument("--tree", type=Path, default=HERE.parents[1])
-    parser.add_argument("--one-tier", action="store_true")
-    parser.add_argument("--stages", default="named,golden,folders,all")
+    parser.add_argument("--tiers", default="fast,slow")
+    parser.add_argument("--stages", default=",".join(STAGES))
     asked = parser.parse_args()
 
     everything = load()
     order = [fault.name for fault in everything]
-    faults = chosen(everything, asked.names, asked.part)
-    tiers = {"only": ""} if asked.one_tier else TIERS
-    plan = Plan(tuple(asked.stages.split(",")), tiers)
+    if unknown := sorted({*asked.names} - {*order}):
+        sys.exit(f"no fault named {', '.join(unknown)}")
+    faults = [fault for fault in everything if fault.name in asked.names or not asked.names]
+    tiers = {tier: TIERS[tier] for tier in asked.tiers.split(",")}
     rows = known_outcomes(asked.results)
-    waiting = [fault for fault in faults if fault.name not in rows]
+    for fault in faults:
+        rows.setdefault(fault.name, dict.fromkeys(COLUMNS, "") | {"fault": fault.name})
     with tempfile.TemporaryDirectory(prefix="sinsjax-faults-") as work:
         copies: Queue[Path] = Queue()
         for number in range(asked.jobs):
             copies.put(Path(work) / str(number))
-            copy_tree(asked.tree, Path(work) / str(number))
+            copy_tree(HERE.parents[1], Path(work) / str(number))
 
-        def attempt(fault: Fault) -> dict[str, object]:
-            copy = copies.get()
-            try:
-                return try_fault(fault, copy, plan)
-            finally:
-                copies.put(copy)
-
-        with ThreadPoolExecutor(asked.jobs) as pool:
-            for done in as_completed([pool.submit(attempt, fault) for fault in waiting]):
-                row = done.result()
-                rows[str(row["fault"])] = {key: str(value) for key, value in row.items()}
+        open_cells = ("", NONE_FAST) if "slow" in tiers else ("",)
+        pairs = [(f, s) for s in asked.stages.split(",") for f in faults]
+        waiting = [(f, s) for f, s in pairs if rows[f.name][s] in open_cells]
+        pool = ThreadPoolExecutor(asked.jobs)
+        try:
+            jobs = {pool.submit(try_fault, f, s, copies, tiers): (f.name, s) for f, s in waiting}
+            for job in as_completed(jobs):
+                (name, stage), new = jobs[job], job.result()
+                rows[name] = merged(rows[name], new)
                 write_outcomes(asked.results, rows, order)
-                print(
-                    f"{row['fault']}: {row['killed_by'] or 'SURVIVED'} ({row['seconds']} s)",
-                    flush=True,
-                )
-    survivors = [fault.name for fault in faults if not rows[fault.name]["killed_by"]]
-    print(
-        f"{len(faults) - len(survivors)} of {len(faults)} killed; survivors: {survivors or 'none'}"
-    )
+                print(f"{name}: {stage}: {new[stage]} ({new['seconds']} s)", flush=True)
+        finally:
+            pool.shutdown(cancel_futures=True)
+    survivors = [fault.name for fault in faults if not killers(rows[fault.name])]
+    print(f"survivors, of {len(faults)}: {survivors or 'none'}")
     return int(bool(survivors))
 
 

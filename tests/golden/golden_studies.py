@@ -1,33 +1,42 @@
 """Run the golden studies, each in its own process, and reduce results to numbers that diff well.
 
-    python tests/golden/golden_studies.py STUDY FOLDER DEVICES
+    python tests/golden/golden_studies.py NAME FOLDER DEVICES
 
-runs a study into an empty folder and prints its results as JSON: `run_alone` calls it, with an
-environment of its own. It uses only what `sinsjax.__all__` names.
+runs a study, or what else `NAMES` lists, in an empty folder and prints its results as JSON:
+`run_alone` calls it, with an environment of its own. It uses only commands and what
+`sinsjax.__all__` names.
 """
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import redirect_stdout, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv
 
 HERE = Path(__file__).parent
-NAMES = sorted(path.stem for path in (HERE / "studies").glob("*.toml"))
+STUDIES = sorted(path.stem for path in (HERE / "studies").glob("*.toml"))
 """The golden studies; each is a file in `studies/`."""
+
+TUNING, ADVICE, SCORE = "tuning", "advice", "score"
+NAMES = [*STUDIES, ADVICE, SCORE]
+"""Everything with expected results: the studies, advice and schedules, and a scored program."""
 
 DIGITS = 12
 """Significant digits of the numbers in expected files."""
 
-_ENVIRONMENT = {
+ENVIRONMENT = {
     "JAX_PLATFORMS": "cpu",
     "XLA_FLAGS": "--xla_cpu_max_isa=SSE4_2",
     "JAX_DISABLE_MOST_OPTIMIZATIONS": "1",
@@ -43,20 +52,28 @@ _OTHERS = ("JAX_", "XLA_", "SINSJAX_XLA_")
 _LEAST = 1e-3  # a column of smaller numbers counts as this large: shares of 1e-300 are nothing
 _QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:,\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?")
+
+REPORT = "report"
+"""The table with the numbers of a report."""
+
 Recorded = dict[str, Any]
 """A study's results: ``jaxlib``, and ``tables`` with their ``rows`` and ``columns`` by name."""
 
 
-def run_alone(name: str, folder: Path, devices: int = 1) -> Recorded:
-    """Run a golden study in a process of its own, with options of its own: `_ENVIRONMENT`.
+def run_alone(
+    name: str, folder: Path, devices: int = 1, environment: Mapping[str, str] = ENVIRONMENT
+) -> Recorded:
+    """Run a golden study in a process of its own, with options of its own.
 
     Args:
-        name: of the study.
+        name: one of `NAMES`.
         folder: where it may write.
         devices: threads that run it; the numbers are the same with any.
+        environment: options of JAX and XLA.
     """
     inherited = {key: value for key, value in os.environ.items() if not key.startswith(_OTHERS)}
-    own = _ENVIRONMENT | {"PYTHONPATH": str(HERE.parents[1])}
+    own = {**environment, "PYTHONPATH": str(HERE.parents[1])}
     done = subprocess.run(
         [sys.executable, __file__, name, folder, str(devices)],
         env=inherited | own,
@@ -197,6 +214,41 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
 
 
+def flattened(results: Any) -> dict[str, Any]:
+    """Return the numbers of nested results as a table of one row; words are left out."""
+    columns = {}
+    for place, value in _parts(results):
+        if isinstance(value, int | float | None):
+            known = value if value is not None and np.isfinite(value) else None
+            columns[place] = {"kind": type(value).__name__, "sample": [_rounded(known)]}
+    return {"rows": 1, "columns": columns}
+
+
+def numbers_of_tables(page: str) -> list[str]:
+    """Return the numbers in the tables of a Markdown page, one string per row, without words."""
+    rows = [line for line in page.splitlines() if re.match(r"\| (?!---)", line)]
+    return [" ".join(_NUMBER.findall(row.replace("**", ""))) for row in rows]
+
+
+def run_command(*words: object) -> None:
+    """Run ``sinsjax`` in this process, without its output and with figures that are not drawn."""
+    from sinsjax import cli
+
+    argv = mock.patch.object(sys, "argv", ["sinsjax", *map(str, words)])
+    undrawn = mock.patch("sinsjax.plots.render_png", lambda *_: b"not drawn")
+    with argv, undrawn, redirect_stdout(None), suppress(SystemExit):
+        cli.main()
+
+
+def reported(results: Path) -> dict[str, Any]:
+    """Return the numbers in the tables of the report of some results."""
+    page = results.parent / "page.md"
+    run_command("report", results, "--full", "--page", page)
+    rows = numbers_of_tables(page.read_text("utf-8"))
+    columns = {f"row {n:02}": {"kind": "text", "sample": [row]} for n, row in enumerate(rows)}
+    return {"rows": len(rows), "columns": columns}
+
+
 def write_record(folder: Path) -> tuple[Path, Path]:
     """Write the record of the study ``recorded`` and its reference, without the package.
 
@@ -236,27 +288,107 @@ def write_record(folder: Path) -> tuple[Path, Path]:
     return record, reference
 
 
-def main(name: str, folder: str, devices: str) -> None:
-    """Run a study in this process and print its summarised tables as JSON."""
+def write_leveller(export: Path) -> Path:
+    """Write the results of a program for an export: pitch and roll by its mean specific force."""
+    lines = ["run_id,time_s,pitch_deg,roll_deg,yaw_deg,sigma_yaw_deg,study"]
+    for run in pyarrow.csv.read_csv(export / "initial.csv").to_pylist():
+        table = pyarrow.csv.read_csv(export / run["file"])
+        x, y, z = (np.mean(table[name]) for name in table.column_names[-3:])
+        pitch, roll = np.degrees([np.arctan2(y, np.hypot(x, z)), np.arctan2(-x, z)])
+        yaw = 159.0 + run["run_id"]
+        lines.append(f"{run['run_id']},{run['end_s']},{pitch},{roll},{yaw},2.0,{run['study']}")
+    results = export.parent / "leveller.csv"
+    results.write_text("\n".join(lines) + "\n")
+    return results
+
+
+def _study_tables(name: str, folder: Path) -> dict[str, Any]:
+    """Run a study; return its summarised tables and its report."""
     import sinsjax
 
-    sinsjax.configure(devices=int(devices))
-    file, out = HERE / "studies" / f"{name}.toml", Path(folder, "out")
+    file, out = HERE / "studies" / f"{name}.toml", folder / "out"
     study, settings = sinsjax.load_study(file), tomllib.loads(file.read_text("utf-8"))["study"]
-    stored = None
-    if name == "recorded":
-        stored = sinsjax.load_increments(study, *write_record(Path(folder)))
+    stored = sinsjax.load_increments(study, *write_record(folder)) if name == "recorded" else None
     sinsjax.run_into(study, out, stored)
     tables = {}
     if settings["estimate"] == "covariance":
-        tables["estimates"] = sinsjax.read_estimates(out)
-        tables["bound"] = sinsjax.information_bound(study)
+        tables["estimates"] = summarised(sinsjax.read_estimates(out))
+        tables["bound"] = summarised(sinsjax.information_bound(study))
     else:
-        tables["summary"] = sinsjax.read_summary(out)
+        tables["summary"] = summarised(sinsjax.read_summary(out))
     if settings["curves"]:
-        tables["curves"] = sinsjax.read_curves(out)
-    summaries = {table: summarised(rows) for table, rows in tables.items()}
-    print(json.dumps({"jaxlib": version("jaxlib"), "tables": summaries}))
+        tables["curves"] = summarised(sinsjax.read_curves(out))
+    return tables | {REPORT: reported(out)}
+
+
+def _tuning_tables(folder: Path) -> dict[str, Any]:
+    """Tune a study; return its searches, its best point and what that gives on other draws."""
+    import sinsjax
+
+    out = folder / "out"
+    tuned = sinsjax.tune(sinsjax.load_study(HERE / "studies" / f"{TUNING}.toml"), out)
+    scores = {name: getattr(tuned, name) for name in ("score", "baseline", "law")}
+    best = {"best": tuned.best} | {name: one and one._asdict() for name, one in scores.items()}
+    history = summarised(sinsjax.read_history(out))
+    return {"best": flattened(best), "history": history, REPORT: reported(out)}
+
+
+def _advice_tables() -> dict[str, Any]:
+    """Return the advice for three data sheets, and reset schedules by the law."""
+    import sinsjax
+
+    sheets = {path.stem: sinsjax.advise(path) for path in sorted((HERE / "sheets").glob("*.toml"))}
+    sheets["kvh1775"] = sinsjax.advise(
+        imu="kvh1775", latitude_deg=55.0, time_s=200.0, motion="surge"
+    )
+    tables = {f"advice {name}": flattened(advice.to_dict()) for name, advice in sheets.items()}
+    far_north = {"earth.latitude_deg": 60.0, "filter.r_velocity_m_per_s": 0.05}
+    for name, changes in {"schedule": {}, "schedule far north": far_north}.items():
+        study = sinsjax.load_study(HERE / "studies" / f"{TUNING}.toml", changes)
+        plan = sinsjax.reset_schedule(study, heading_bound_deg=60.0)
+        tables[name] = flattened(_numbers(plan))
+    return tables
+
+
+def _score_tables(folder: Path) -> dict[str, Any]:
+    """Export the draws of a study and score the results of a few lines of code."""
+    import sinsjax
+
+    changes = {"axes.method": ["inertial"], "study.draws": 4, "study.curves": False}
+    study = sinsjax.load_study(HERE / "studies" / "inertial.toml", changes)
+    export = sinsjax.export_study(study, folder / "export")
+    score = sinsjax.score_results(export, write_leveller(export), out=folder / "out")
+    tables = {
+        "record": summarised(pyarrow.csv.read_csv(next(iter(sorted(export.glob("imu/*")))))),
+        "initial": summarised(pyarrow.csv.read_csv(export / "initial.csv").drop_columns("study")),
+        "comparison": flattened(_numbers(score.comparison)),
+        "summary": summarised(sinsjax.read_summary(score.directory)),
+    }
+    return tables | {REPORT: reported(score.directory)}
+
+
+def _numbers(value: Any) -> Any:
+    """Return named tuples, at any depth, as dictionaries."""
+    if hasattr(value, "_asdict"):
+        return {key: _numbers(entry) for key, entry in value._asdict().items()}
+    if isinstance(value, list | tuple):
+        return [_numbers(entry) for entry in value]
+    if isinstance(value, dict):
+        return {str(key): _numbers(entry) for key, entry in value.items()}
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def main(name: str, folder: str, devices: str) -> None:
+    """Run a study, or what else has a name, in this process; print its tables as JSON."""
+    import sinsjax
+
+    sinsjax.configure(devices=int(devices))
+    others = {TUNING: _tuning_tables, SCORE: _score_tables}
+    if name == ADVICE:
+        tables = _advice_tables()
+    else:
+        tables = others[name](Path(folder)) if name in others else _study_tables(name, Path(folder))
+    print(json.dumps({"jaxlib": version("jaxlib"), "tables": tables}))
 
 
 if __name__ == "__main__":

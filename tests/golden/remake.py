@@ -1,7 +1,7 @@
 """Remake expected results: ``python tests/golden/remake.py [NAME...]``.
 
-NAME is a study of ``studies/``, or ``errors``; without one all are remade. The changes of each file
-are printed.
+NAME is one of ``golden_studies.NAMES`` (a study of ``studies/``, or what else has results), or
+``errors``; without one all are remade. The changes of each file are printed.
 
 The rule: expected files change only in a commit that says which of them change, and why.
 """

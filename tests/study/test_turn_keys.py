@@ -21,6 +21,8 @@ from sinsjax.study.variants import Variants
 pytestmark = pytest.mark.optimised(False)
 
 FAST = {"turn_times_s": [1.0], "turn_rate_deg_per_s": 90.0, "turn_ramp_s": 0.5}
+THERE_AND_BACK = {"turn_times_s": [0.0, 3.0], "turn_angles_deg": [400.0, -400.0]}
+THERE_AND_BACK |= {"turn_rate_deg_per_s": 200.0, "turn_ramp_s": 0.2}
 
 
 def plan(rate_hz=100.0, end_s=60.0, **given):
@@ -93,6 +95,7 @@ def test_rounding_is_said_in_one_line():
         ("compass", FAST, True),
         ("inertial", FAST, True),
         ("inertial", FAST | {"turn_angles_deg": 1e6, "turn_rate_deg_per_s": 200.0}, False),
+        ("inertial", FAST | THERE_AND_BACK, False),
         ("kalman10", FAST, False),
         ("kalman5", {}, False),
     ],
