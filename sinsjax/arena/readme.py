@@ -49,6 +49,9 @@ study.toml    the study: Earth ([earth]: rate and model), sensor noise and biase
 records       {RECORDS}/: {columns}.
               Gyros and accelerometers in {units};
               time in s at the end of each sample. Specific force: at rest z reads {at_rest}.
+              Rotation vector of a sample: a + (a0 x a)/12, with the angles a of the sample and a0
+              of the one before; velocity: v + a x v/2 + a x (a x v)/6 + (a0 x v + v0 x a)/12.
+              Vibration is included: the unit integrates its own coning and sculling.
 axes          {_AXES[frame]}.
 angles        deg; {_EULER[frame]}.
               Pitch is positive with the front up, roll with the right side down.

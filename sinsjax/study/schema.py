@@ -354,10 +354,12 @@ class MotionSection(Section):
         " sample rate",
     )
     vibration_ug_rms: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e8))] = Field(
-        0.0, description="housing vibration along or about right, front, up, ug rms"
+        0.0, description="linear vibration of the sensors' housing along right, front, up, ug rms"
     )
     vibration_deg_per_h_rms: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e8))] = Field(
-        0.0, description="housing vibration along or about right, front, up, deg/h rms"
+        0.0,
+        description="angular vibration of the sensors' housing about right, front, up, deg/h rms."
+        " The true attitude is that of the housing",
     )
     vibration_hz: Bandwidth = Field(30.0, description="undamped natural frequency of vibration, Hz")
     vibration_damping: Damping = Field(0.05, description="damping ratio of vibration")

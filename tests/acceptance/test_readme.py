@@ -52,6 +52,9 @@ def test_release_has_one_version_and_date_everywhere() -> None:
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     version, date = re.findall(r"^(?:version|date-released): (.+)$", citation, re.M)
     assert version == project["version"] == sinsjax.__version__
-    assert changes.partition("\n## ")[2].startswith(f"[{version}] - {date}\n")
+    released = [
+        title for title in re.findall("^## (.+)$", changes, re.M) if title != "[Unreleased]"
+    ]
+    assert released[0] == f"[{version}] - {date}"
     (wheel,) = re.findall(r"sinsjax-(\S+)-py3", (ROOT / "docs/start.md").read_text("utf-8"))
     assert wheel == version
