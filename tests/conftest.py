@@ -51,7 +51,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Sort tests by level of optimisation, a change of which drops all programs; set the tiers."""
     items.sort(key=compilation.has_least_optimisation)
-    tiers.mark_slow_cases(items, whole_files=not any("::" in name for name in config.args))
+    tiers.keep_fast_cases(items, whole_files=not any("::" in name for name in config.args))
 
 
 @pytest.hookimpl(tryfirst=True)

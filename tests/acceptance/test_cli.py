@@ -177,7 +177,7 @@ def test_invalid_executor_options_are_refused_in_one_line(sinsjax: Command, tmp_
     assert_refused(sinsjax(*words, "--devices", 4096), none, "--devices", "4096")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rerun_reproduces_stored_run(sinsjax: Command, tmp_path: Path) -> None:
     config, out = write_study(tmp_path, **TWO), tmp_path / "out"
     assert sinsjax("sweep", config, "-o", out)[0] == 0
@@ -192,7 +192,7 @@ def test_rerun_reproduces_stored_run(sinsjax: Command, tmp_path: Path) -> None:
     assert_refused(told, tmp_path / "none", "nothing")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_resume_and_rerun_of_recorded_study_require_same_record(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:
@@ -224,7 +224,7 @@ def test_report_recreates_deleted_figures(sinsjax: Command, tmp_path: Path) -> N
     assert list((out / "figures").glob("*.png"))
 
 
-@pytest.mark.representative("mine/-study.seed=3")
+@pytest.mark.nightly(fast=("mine/-study.seed=3",))
 @pytest.mark.parametrize(("folder", "change"), [("", ""), ("mine/", "study.seed=3")])
 def test_page_names_study_file_and_set_overrides(
     sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, change: str
@@ -239,7 +239,7 @@ def test_page_names_study_file_and_set_overrides(
     assert f"<footer>{named}" in Path("page.html").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_align_without_reference_gives_attitude_and_sigma_only(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:
@@ -255,7 +255,7 @@ def test_align_without_reference_gives_attitude_and_sigma_only(
         assert summary[name].null_count == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_align_with_reference_reports_true_misalignment(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:
@@ -275,7 +275,7 @@ def test_align_with_reference_reports_true_misalignment(
     np.testing.assert_allclose(-np.array(summary["phi_u_arcmin"]) / 60, error, rtol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_record_gives_same_heading_in_every_format(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:

@@ -47,7 +47,7 @@ def values_of_variant(table: pa.Table, variant: int, name: str) -> np.ndarray:
     return table.filter(runs)[name].to_numpy().reshape(3, -1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_attitude_before_hand_over_equals_coarse_method_alone() -> None:
     """Bit-equal to a run of this method alone, which continues after the coarse stage."""
     curves = results().curves
@@ -63,7 +63,7 @@ def test_attitude_before_hand_over_equals_coarse_method_alone() -> None:
     assert meaning == b"from the first sample of data"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_initial_heading_error_is_ignored_after_coarse_alignment() -> None:
     """Such variants are duplicates: computed once and shown once."""
     phi = results().summary["phi_u_arcmin"].to_numpy().reshape(3, 4, 2)
@@ -73,7 +73,7 @@ def test_initial_heading_error_is_ignored_after_coarse_alignment() -> None:
     assert study().without_effect("phi_u0_deg").tolist() == [False] * 2 + [True] * 6
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sigma_is_nan_before_hand_over_and_smaller_after_replay() -> None:
     """There is no sigma before; a filter of all data since the start has a smaller one."""
     sigma = [values_of_variant(results().curves, v, "sigma_u_arcmin") for v in range(8)]
@@ -83,7 +83,7 @@ def test_sigma_is_nan_before_hand_over_and_smaller_after_replay() -> None:
     assert np.all(replayed < handed_over)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_coarse_summary_has_data_length_per_settling_time() -> None:
     summary = results().summary
     for band in (60, 10, 3):
@@ -152,7 +152,7 @@ def test_replay_allows_resets_during_coarse_alignment() -> None:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rerun_with_coarse_stage_is_identical(tmp_path: Path) -> None:
     """With passes that rewind, with a trigger, and after a replay."""
     one = study(
@@ -167,7 +167,7 @@ def test_rerun_with_coarse_stage_is_identical(tmp_path: Path) -> None:
         assert "identical" in told.getvalue()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_replayed_record_matches_its_simulation() -> None:
     """It begins at its start time with unknown attitude; t = 0 at its own hand-over."""
     silent = {"gyro_noise_deg_per_h": 0.0}

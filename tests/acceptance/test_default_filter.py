@@ -9,7 +9,7 @@ import pytest
 
 import sinsjax
 
-pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
+pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 
 CONFIG = Path(__file__).parents[2] / "configs" / "paper1_resets.toml"
 EXPECTED_S = {(5, 5, 30): 110.0, (20, 20, 120): 480.0, (0, 0, 170): 394.0, (5, 5, 150): 376.0}

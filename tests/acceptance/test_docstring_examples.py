@@ -46,7 +46,7 @@ def test_methods_have_examples_too() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
+        pytest.param(name, marks=pytest.mark.nightly) if name in SLOW else name
         for name in sorted(EXAMPLES)
     ],
 )

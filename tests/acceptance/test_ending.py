@@ -16,7 +16,7 @@ raise SystemExit(2)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_process_waits_for_import_thread_before_exit(tmp_path: Path) -> None:
     """Python would stop the thread in an extension module with "terminate called"."""
     (tmp_path / "slow.py").write_text("import time\ntime.sleep(0.3)\nprint('imported')\n")

@@ -366,7 +366,7 @@ DROPPED = (
 IDLE = "[alignment] phi_e0_deg, phi_n0_deg, [axes] phi_u0_deg have no effect with method inertial."
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_another_method_needs_no_further_changes(sinsjax: Command, tmp_path: Path) -> None:
     """The study reads neither [filter] nor the template's axis of resets."""
     template = files.template_files()["sweep"]
@@ -383,7 +383,7 @@ def test_another_method_needs_no_further_changes(sinsjax: Command, tmp_path: Pat
     assert stored.alignment == study.alignment and stored.axes == study.axes
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_keys_without_effect_are_named_before_a_run(sinsjax: Command, tmp_path: Path) -> None:
     tables = dict(BASE, alignment={"method": "inertial", "ve0_m_per_s": 5.0, "phi_u0_deg": 20.0})
     (tmp_path / "small.toml").write_text(tomli_w.dumps(tables))

@@ -28,7 +28,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Target
     yield {target.name: target for target in make_targets(tmp_path_factory.mktemp("fuzz"))}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_fuzzed_input_is_accepted_or_refused_in_one_line(name: str, found: dict[str, Target]):
     target = found[name]
@@ -52,7 +52,7 @@ def test_fuzzed_input_is_accepted_or_refused_in_one_line(name: str, found: dict[
 MISFITS = [{"a": 1}, [[[1]]], 1e300, -1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("value", MISFITS, ids=repr)
 def test_misfit_value_is_accepted_or_refused_in_one_line(value: object, tmp_path: Path):
     """Random edits hardly ever put a table in place of a word."""

@@ -26,7 +26,7 @@ from sinsjax.execution.sealed import is_intact
 from sinsjax.platform import compile_cache
 from sinsjax.study.load import study_to_toml
 
-pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
+pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 
 RECORDS = 3.0
 STUDY = small_study(

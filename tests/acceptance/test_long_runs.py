@@ -14,7 +14,7 @@ from sinsjax.engine.environment import aligned_record
 from sinsjax.engine.run import map_stacked_tiles, run_tile
 from sinsjax.execution import run
 
-pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
+pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 
 DAY_S = 86_400.0
 MOST_BYTES = 60e6

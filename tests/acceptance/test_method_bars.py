@@ -10,7 +10,7 @@ from scipy import stats
 
 import sinsjax
 
-pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
+pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 
 CONFIG = Path(__file__).parents[2] / "configs" / "paper1_conditions.toml"
 STARTS = [(0, 0, 30), (5, 5, 30), (20, 20, 120), (10, 10, 80), (0, 0, 170)]

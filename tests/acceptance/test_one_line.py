@@ -99,7 +99,7 @@ def test_odd_value_of_a_number_word_or_list_gives_short_printable_error(value: A
         check_errors(section, key, value)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("value", ODD.values(), ids=ODD)
 def test_odd_value_of_any_key_gives_short_printable_error(value: Any) -> None:
     for section, model in SECTIONS.items():
@@ -132,7 +132,7 @@ NESTED_MANIFESTS = {
 }
 
 
-@pytest.mark.representative("few", "tables", "lists", "keys")
+@pytest.mark.nightly(fast=("few", "tables", "lists", "keys"))
 @pytest.mark.parametrize("how", NESTED)
 def test_study_nested_too_deeply_is_refused_in_one_line(
     how: str, tmp_path: Path, sinsjax: Command
@@ -166,7 +166,7 @@ def test_value_nested_too_deeply_is_refused_in_one_line() -> None:
     assert refused({"study": {"window_s": deep}}) == "swing.toml: is nested too deeply"
 
 
-@pytest.mark.representative("few-report", "lists-report", "few-rerun")
+@pytest.mark.nightly(fast=("few-report", "lists-report", "few-rerun"))
 @pytest.mark.parametrize("command", ["report", "rerun"])
 @pytest.mark.parametrize("how", NESTED_MANIFESTS)
 def test_manifest_nested_too_deeply_is_refused_in_one_line(
@@ -267,7 +267,7 @@ def test_full_disk_on_standard_output_is_reported_in_one_line(
         assert capsys.readouterr().err == line
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_unavailable_jax_platform_is_reported_in_one_line() -> None:
     """In a separate process, since JAX starts once."""
     done = subprocess.run(

@@ -43,7 +43,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[pa.Table, pa.Table
     return here, read_summary(folder / "out")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("method", METHODS)
 def test_rows_agree_between_instruction_sets(
     method: str, tables: tuple[pa.Table, pa.Table]

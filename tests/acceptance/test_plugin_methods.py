@@ -91,7 +91,7 @@ def change(site: Path, folder: Path, file: str, old: str, new: str) -> Path:
     return changed
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
     server: CommandServer, site: Path, tmp_path: Path
@@ -110,7 +110,7 @@ def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
     assert set(errors) == {"averaged", "inertial"} and max(map(abs, errors.values())) < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("edit", "line"),
     [
@@ -140,7 +140,7 @@ def test_broken_plugin_is_one_line_and_affects_only_studies_that_use_it(
     assert (other.returncode, other.stderr) == (0, "")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_misnamed_entry_point_is_reported_by_validate_and_info(
     server: CommandServer, site: Path, tmp_path: Path
 ) -> None:
@@ -153,7 +153,7 @@ def test_misnamed_entry_point_is_reported_by_validate_and_info(
     assert "not usable  entry point 'other' in sinsjax.methods of averaged-a" in info.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("edit", "text", "marked"),
     [
@@ -200,7 +200,7 @@ def test_validate_and_sweep_report_wrong_plugin_method_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_passes_with_plugin_that_reads_record_once_are_refused(
     server: CommandServer, site: Path, tmp_path: Path
 ) -> None:

@@ -21,7 +21,7 @@ def assert_same_but_for_last_digits(here: str, there: str) -> None:
     assert numbers[0] == pytest.approx(numbers[1], rel=0.05, abs=5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_readme_python_example_prints_what_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     shown = re.findall(r"```text\n(.*?)```", README, re.DOTALL)[1].splitlines()
@@ -31,7 +31,7 @@ def test_readme_python_example_prints_what_is_shown(capsys: pytest.CaptureFixtur
         assert_same_but_for_last_digits(here, there)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_first_command_prints_what_is_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -123,7 +123,7 @@ def swept() -> study_run.Results:
     return run(QUICK, {"passes": {}, "axes": {"stored_s": [3.0, 4.0]} | TURNS})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(True)
 def test_passes_add_time_and_data_columns_to_tables() -> None:
     curves, summary = swept().curves, swept().summary
@@ -141,7 +141,7 @@ def test_passes_add_time_and_data_columns_to_tables() -> None:
     assert not any(c.name.endswith("data_s") for c in plain.summary_columns)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(True)
 def test_single_pass_of_full_duration_gives_identical_results() -> None:
     """The program that could turn gives what the one that cannot does, for any method."""
@@ -153,7 +153,7 @@ def test_single_pass_of_full_duration_gives_identical_results() -> None:
             assert b.select(a.column_names).equals(a)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(True)
 def test_swept_stored_durations_give_same_rows_as_each_alone() -> None:
     """Every bit is equal, though the parts share a record of one length."""
@@ -169,7 +169,7 @@ def test_swept_stored_durations_give_same_rows_as_each_alone() -> None:
         assert together != columns_of(swept().curves, 4 * draw + 2 + turn, *names)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(True)
 def test_backward_pass_undoes_noise_of_forward_pass() -> None:
     """Without gains the backward pass undoes the noise of the forward pass, to rounding."""
@@ -186,7 +186,7 @@ def test_backward_pass_undoes_noise_of_forward_pass() -> None:
         np.testing.assert_allclose(phi[:3], phi[6:3:-1], rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "tables",
     [
@@ -197,7 +197,7 @@ def test_backward_pass_undoes_noise_of_forward_pass() -> None:
                 "axes": {"turn_covariance": ["inflated", "reset"]},
             },
             id="shared covariance",
-            marks=pytest.mark.slow,
+            marks=pytest.mark.nightly,
         ),
         pytest.param(
             {"alignment": {"method": "kalman10"}, "passes": {"direction": "rewind"}}
@@ -233,12 +233,12 @@ def test_batched_runs_with_passes_match_single_runs(tables: dict[str, Any]) -> N
             np.testing.assert_allclose(a, b[run_id], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("method", "direction"),
     [
         ("compass", "alternate"),
-        pytest.param("kalman10", "alternate", marks=pytest.mark.slow),
+        pytest.param("kalman10", "alternate", marks=pytest.mark.nightly),
         ("compass", "rewind"),
     ],
 )
@@ -258,7 +258,7 @@ def test_error_free_run_keeps_true_attitude_over_every_pass(method: str, directi
         np.testing.assert_allclose(got, swing, rtol=0, atol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_simulated_record_is_one_pass_long() -> None:
     study = study_from_dict(merged({"passes": {"stored_s": 3.0}}))
     record = build.simulated_record(study)
@@ -316,7 +316,7 @@ def mean_and_half_width(rows: pa.Table, key: str, passes: int, turn: str) -> tup
     return values.mean(), 1.96 * values.std(ddof=1) / np.sqrt(len(values))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_carried_covariance_is_overconfident_after_repeated_passes() -> None:
     """One pass is consistent; N passes count as N times the data, so P_UU is N times too small.
 
@@ -382,7 +382,7 @@ def test_every_start_time_is_judged_by_reference_of_its_own_passes() -> None:
     np.testing.assert_allclose(pitch_deg, 4 * np.sin(2 * np.pi * t / 7), rtol=0, atol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_recorded_passes_follow_record_from_every_start_time() -> None:
     """The coarse attitude is good to arcseconds here; each start has a record of its own."""
     study = study_from_dict(recorded(stored_s=6.0))

@@ -61,7 +61,7 @@ def at_record(curves: pa.Table, name: str, record: int) -> np.ndarray:
     return curves[name].to_numpy().reshape(-1, 6)[:, record - 1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", STUDIES)
 def test_report_time_columns_match_curves(name: str) -> None:
     """Times count over all passes, from the first sample of coarse alignment."""
@@ -74,7 +74,7 @@ def test_report_time_columns_match_curves(name: str) -> None:
         np.testing.assert_array_equal(np.isnan(summary[f"nees_at_{time}"].to_numpy()), unknown)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["loops", "turns", "coarse"])
 def test_report_times_leave_other_results_bit_identical(name: str) -> None:
     """Filters of one pass follow below, in optimised programs."""
@@ -90,7 +90,7 @@ def test_report_times_leave_other_results_bit_identical(name: str) -> None:
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(True)
 @pytest.mark.parametrize("method", ["kalman5", "kalman_sincos"])
 def test_report_times_leave_optimised_filter_results_bit_identical(method: str) -> None:
@@ -102,7 +102,7 @@ def test_report_times_leave_optimised_filter_results_bit_identical(method: str) 
     assert reported.curves.equals(plain.curves)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nees_at_report_time_matches_runs_ending_then() -> None:
     nees = results("filters", 1.0, 2.0, 5.0).summary["nees_at_2"].to_numpy()
     ended = run.run(small_study(**FILTERS, study={"duration_s": 2.0, "window_s": [0, 2]})).summary
@@ -111,7 +111,7 @@ def test_nees_at_report_time_matches_runs_ending_then() -> None:
     assert results("loops", 1.0, 2.0, 5.0).summary["nees_at_2"].null_count == 3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_single_run_matches_batch_at_report_times() -> None:
     (part,) = build.parts(small_study(study={"report_times_s": [2.0, 6.0], "draws": 1}))
     group = part.group
@@ -123,7 +123,7 @@ def test_single_run_matches_batch_at_report_times() -> None:
     assert abs(one.at_times[1, 0] - one.last.phi.z) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_equally_many_report_times_share_one_program() -> None:
     def program(times: list[float]) -> batch.Program:
         (part,) = build.parts(small_study(study={"report_times_s": times}))
@@ -135,7 +135,7 @@ def test_equally_many_report_times_share_one_program() -> None:
     assert program([1.0, 2.0]) is not program([3.0])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tuning_gradient_ignores_report_times() -> None:
     tune: dict[str, Any] = {"searches": ["gradient"], "tune_draws": 2}
     tune["variables"] = {"r_scale": {"low": 0.2, "high": 5.0, "scale": "log"}}
@@ -161,7 +161,7 @@ def test_report_times_enter_study_toml_and_fingerprint_only_if_given() -> None:
     assert part.group.environment.criteria.report_samples is None
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(True)
 def test_rerun_with_report_times_is_identical(tmp_path: Path) -> None:
     """Bit-equal: without optimisation the program with curves rounds differently."""
@@ -189,7 +189,7 @@ def recorded(times: list[float], coarse: dict[str, Any], **tables: Any) -> dict[
     return with_paper_values(data | tables)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_report_times_count_same_data_for_hand_over_and_replay() -> None:
     """The one has heard 2 s before t = 0; alone, its times are those of its records."""
     stored = record()
@@ -205,7 +205,7 @@ def test_report_times_count_same_data_for_hand_over_and_replay() -> None:
     assert alone.summary["phi_u_at_4_arcmin"].to_pylist() == [own[3]]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_report_times_without_reference_give_only_sigma() -> None:
     summary = run.run(
         study_from_dict(recorded([1.0], {})), record()._replace(reference=None)

@@ -9,7 +9,7 @@ from support.studies import STILL, small_study
 
 import sinsjax
 
-pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
+pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 
 RATE_HZ, DRAWS, END_S = 25.0, 128, 300.0
 AIM = 1.5

@@ -165,7 +165,7 @@ def test_tuned_study_has_draws_that_neither_tuned_nor_evaluated(made: Path) -> N
     assert (made / "tuned.toml").read_text().startswith("# The seed is new: ")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sweep_and_rerun_do_not_silently_ignore_tuning(
     made: Path, sinsjax_: Command, tmp_path: Path
 ) -> None:
@@ -342,7 +342,7 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
             from_python.tune(alone, tmp_path / "alone", stop=stop)
 
 
-@pytest.mark.representative("flipped")
+@pytest.mark.nightly(fast=("flipped",))
 @pytest.mark.parametrize("damage", ["flipped", "emptied", "gone"])
 def test_damaged_history_is_refused_by_report_and_made_again_by_resume(
     made: Path, tmp_path: Path, faked: Any, damage: str
@@ -363,7 +363,7 @@ def test_damaged_history_is_refused_by_report_and_made_again_by_resume(
     assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
 
 
-@pytest.mark.representative("edited")
+@pytest.mark.nightly(fast=("edited",))
 @pytest.mark.parametrize("damage", ["emptied", "edited", "gone"])
 def test_damaged_study_of_tuning_is_named_and_restored_by_resume(
     made: Path, tmp_path: Path, faked: Any, damage: str
@@ -442,7 +442,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("objective", ["settle_mean", "failure_rate"])
 def test_tune_warns_if_every_point_fails(objective: str, tmp_path: Path, sinsjax_: Command) -> None:
     """A gyro bias whose floor lies far outside the band, judged from the truth."""
@@ -497,7 +497,7 @@ def test_equal_points_are_evaluated_once_under_joined_names(
     assert [case["case"] for case in seen[-1].cases] == ["baseline, grid"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax_: Command) -> None:
     """Every other start time tunes, the rest evaluate; `align` accepts the tuned study."""
     write_psins(simulated_record(small_study()), tmp_path / "swing.imu")

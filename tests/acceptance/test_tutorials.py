@@ -12,7 +12,7 @@ from support.commands import Command, command_line
 import sinsjax
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.nightly,
     pytest.mark.optimised(False),
     pytest.mark.usefixtures("drawn_on_request"),
 ]

@@ -50,7 +50,7 @@ def advise_once(options: str) -> sinsjax.Advice:
     return sinsjax.advise(FOG, **json.loads(options))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("motion", ["sway", "surge"])
 @pytest.mark.optimised(False)
 def test_study_that_is_written_confirms_the_rms(motion):
@@ -114,7 +114,7 @@ def test_numbers_as_json_are_those_of_the_advice():
     assert numbers["settles_s"] is None and "no method at rest" in numbers["warnings"][0]
 
 
-@pytest.mark.representative("60.0")
+@pytest.mark.nightly(fast=("60.0",))
 @pytest.mark.parametrize("time_s", [10.0, 60.0, 1800.0])
 def test_any_time_can_be_asked_for(time_s):
     found = advise(STEADY | SURGE, time_s=time_s)
@@ -184,7 +184,7 @@ OF_SHEET = {
 """Warnings that follow from the sheet, whatever the sizes of its errors are."""
 
 
-@pytest.mark.representative("drift", "latitude", "vibration", "surge", "heading")
+@pytest.mark.nightly(fast=("drift", "latitude", "vibration", "surge", "heading"))
 @pytest.mark.parametrize(
     ("changes", "options", "words"),
     [
@@ -292,7 +292,7 @@ def test_shipped_sheet_names_its_source_and_has_no_doubt(name):
     assert read_sheet(None, imu=name, latitude_deg=45.0).doubts == ()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", shipped_sheets())
 def test_shipped_sheet_is_advised(name):
     advice = sinsjax.advise(imu=name, latitude_deg=45.0, time_s=60.0)

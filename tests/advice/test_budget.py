@@ -39,7 +39,7 @@ MANY = {
 }
 
 
-@pytest.mark.representative("few")
+@pytest.mark.nightly(fast=("few",))
 @pytest.mark.parametrize("case", ["few", "many"])
 def test_shares_are_the_slopes_of_the_bound_and_add_up(case):
     given = sheet(**(MANY if case == "many" else {}))

@@ -161,7 +161,7 @@ def test_quantile_of_draws_with_unequal_numbers_of_runs_has_bounds():
     assert means[8] < found.low < found.value < found.high < means[-9]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("alike", [0.0, 0.9])
 @pytest.mark.parametrize("draws", [8, 64])
 def test_clustered_intervals_cover_true_values(draws, alike):

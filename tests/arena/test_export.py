@@ -131,7 +131,7 @@ def test_study_without_a_start_gives_none(tmp_path: Path) -> None:
     assert row["yaw_deg"] == row["q_w"] == "nan"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_environments_and_drawn_latitudes_have_records_of_their_own(tmp_path: Path) -> None:
     made = study(
         axes={"gyro_bias_deg_per_h": [0.0, 10.0]},

@@ -29,7 +29,7 @@ def draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return export_study(short_study(), tmp_path / "draws", format="psins")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_numpy_filter_finds_north_and_is_scored(draws: Path) -> None:
     script = ROOT / "docs" / "studies" / "arena" / "numpy_filter.py"
     text = script.read_text(encoding="utf-8")

@@ -118,7 +118,7 @@ SAME = ("phi_e_arcmin", "phi_u_arcmin", "phi_u_mean_arcmin", "phi_u_std_arcmin",
         "floor_arcmin")  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_methods_own_attitudes_get_the_methods_own_row(arena: Arena, tmp_path: Path) -> None:
     score = arena.score(arena.history(), tmp_path)
     mine, own = rows_of(score, "mine"), rows_of(score, "compass")
@@ -144,7 +144,7 @@ def test_rows_of_own_methods_are_those_of_the_sweep(arena: Arena, tmp_path: Path
                 assert here[name].to_pylist() == there[name].to_pylist(), name
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_without_a_sweep_the_study_is_run_here(arena: Arena, tmp_path: Path) -> None:
     path = arena.write(arena.history(), tmp_path / "mine.parquet")
     alone = score_results(arena.export, path, out=tmp_path / "alone")
@@ -273,7 +273,7 @@ def test_best_method_is_chosen_by_the_draws_that_it_is_not_judged_on() -> None:
     assert found.overall.difference.value == pytest.approx(42.0 - 40.0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_verdict_names_who_is_nearer_to_north_than_the_bias_floor(tmp_path: Path) -> None:
     """A program with true headings: constant biases hide more than that at rest."""
     arena = Arena(tmp_path, motion=STILL | {"yaw_center_deg": 50.0})
@@ -315,9 +315,11 @@ READINGS = {
 }
 
 
-@pytest.mark.representative(
-    *("is yaw mirrored", "are pitch and roll exchanged", "has pitch the opposite sign"),
-    "are the angles in radians and is yaw mirrored",
+@pytest.mark.nightly(
+    fast=(
+        *("is yaw mirrored", "are pitch and roll exchanged", "has pitch the opposite sign"),
+        "are the angles in radians and is yaw mirrored",
+    )
 )
 @pytest.mark.parametrize("reading", READINGS)
 def test_other_convention_is_suspected_by_name(reading: str, arena: Arena, tmp_path: Path) -> None:
@@ -460,7 +462,7 @@ def test_other_mistakes_of_a_score_are_one_line(
     assert again[0] == 2 and "already contains results" in again[2]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_some_of_the_draws_are_scored_alone(arena: Arena, tmp_path: Path, command: Command) -> None:
     export = export_study(arena.study, tmp_path / "some", draws=(0, 5))
     table = arena.history()
@@ -483,7 +485,7 @@ def test_some_of_the_draws_are_scored_alone(arena: Arena, tmp_path: Path, comman
     assert code == 0 and "mine" in told
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_drawn_starts_and_environments_find_their_runs(tmp_path: Path) -> None:
     drawn = {"phi_u0_deg": {"uniform": [-20.0, 20.0]}, "latitude_deg": {"uniform": [-40.0, 40.0]}}
     arena = Arena(
@@ -515,7 +517,7 @@ def test_program_joins_cases_and_zips_with_every_condition() -> None:
         add_program(joined, "mine")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("kind", "suffix"), [("psins", "txt"), ("csv", "csv"), ("parquet", "parquet")]
 )
@@ -556,7 +558,7 @@ def test_aligned_record_gives_the_heading_of_the_sweep(
         assert aligned == pytest.approx(swept[draw], abs=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_settings_of_triggers_do_not_split_the_runs_of_a_program(tmp_path: Path) -> None:
     policies = {"reset_trigger": ["none", "levelled"], "trigger_threshold": [0.0, 1.0]}
     axes = {"policy": policies, "phi_u0_deg": [5.0, 30.0]}

@@ -165,7 +165,7 @@ def test_idle_lanes_are_not_counted_as_runs(small_group):
     assert cases.engine_workload("x", few, tiles=4, lanes=16).runs == 3 * 4 < 64
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_engine_workload_runs_program_of_engine(small_group):
     group = cases.shorten_runs(small_group, 2)
@@ -173,7 +173,7 @@ def test_engine_workload_runs_program_of_engine(small_group):
     assert case.compile_s > 0 and case.call() > 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_baseline_that_differs_from_engine_is_refused(small_group, monkeypatch):
     wrong = lambda *_: (np.eye(3), np.zeros(5))  # noqa: E731
     monkeypatch.setattr(cases, "align_with_numpy_loop", wrong)

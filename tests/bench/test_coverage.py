@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import interval_coverage as measured
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("variants", measured.VARIANTS)
 @pytest.mark.parametrize("draws", [16, 64])
 def test_share_intervals_reach_promised_coverage(draws, variants):
@@ -19,7 +19,7 @@ def test_share_intervals_reach_promised_coverage(draws, variants):
     assert min(cell.percent for cell in cells) >= measured.LEAST, cells
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("law", measured.LAWS, ids=lambda law: law.name)
 @pytest.mark.parametrize("variants", [1, 12])
 def test_intervals_of_values_reach_promised_coverage(law, variants):
@@ -29,7 +29,7 @@ def test_intervals_of_values_reach_promised_coverage(law, variants):
     assert min(cell.percent for cell in cells) >= measured.LEAST, cells
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("draws", [16, 64])
 def test_intervals_of_paired_differences_reach_promised_coverage(draws):
     cells = list(measured.of_pairs(draws, 300))

@@ -9,7 +9,7 @@ from support.studies import STILL, small_study
 
 from sinsjax.execution import run as study_run
 
-pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
+pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 
 DRAWS, BAR = 1024, (0.90, 1.10)
 INPUTS: dict[str, dict[str, Any]] = {

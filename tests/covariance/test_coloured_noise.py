@@ -86,7 +86,7 @@ def dense(disturbances: Disturbances) -> tuple[np.ndarray, np.ndarray]:
     return f, w
 
 
-@pytest.mark.representative("surge", "accel_walk")
+@pytest.mark.nightly(fast=("surge", "accel_walk"))
 @pytest.mark.parametrize("name", [*(n for n, p in ALL._asdict().items() if p is not None), "all"])
 def test_coloured_growth_matches_dense_matrices(name: str) -> None:
     own = ALL if name == "all" else Disturbances(**{name: getattr(ALL, name)})

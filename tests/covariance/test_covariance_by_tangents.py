@@ -51,7 +51,7 @@ def case(request: pytest.FixtureRequest) -> tuple[Group, tangents.Spread]:
     return part.group, tangents.spread(part.group)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_covariance_analysis_sigma_matches_tangents(case: tuple[Group, tangents.Spread]) -> None:
     """Where errors are small: blocks of noise tell 0.3 %, and the rest is what P makes of them."""
     group, expected = case
@@ -62,7 +62,7 @@ def test_covariance_analysis_sigma_matches_tangents(case: tuple[Group, tangents.
     np.testing.assert_allclose(sigma[:, TIMES], expected.sigma[:, TIMES], rtol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tangent_sigma_matches_variance_of_draws(case: tuple[Group, tangents.Spread]) -> None:
     """Variances within the chi-square interval of each, at 99.9 % over all that is compared."""
     group, expected = case

@@ -76,7 +76,7 @@ def tables_of(method: str) -> dict[str, Any]:
     return {"alignment": {"feedback_interval_s": 1.0, "method": method}, "axes": RESETS}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("method", ["invariant", "compass"])
 def test_noise_free_true_sigma_matches_finite_differences(method: str) -> None:
     """Of methods whose gains do not follow the error."""
@@ -118,7 +118,7 @@ def assert_sigma_and_settling_are_those_of(drawn: pa.Table, made: pa.Table) -> N
         assert (np.abs(seconds.mean(0) - mean) < apart).all(), (side, seconds.mean(0), mean)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("method", ["invariant", "kalman5"])
 def test_estimated_sigma_and_settling_match_draws(method: str) -> None:
     made = study_run.estimate(drawn_study(ESTIMATED, {}, normal(WIDE), **tables_of(method)))

@@ -101,7 +101,7 @@ def told(method: str) -> ErrorCovariance:
     return spread_of(made(method).group)[0]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", METHODS)
 def test_companion_matches_run_of_its_draw_for_small_errors(name: str) -> None:
     group, companion = made(name)
@@ -116,7 +116,7 @@ def test_companion_matches_run_of_its_draw_for_small_errors(name: str) -> None:
     assert rms.max() < share, rms
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", WATCHED)
 def test_variance_of_companions_matches_covariance_analysis(name: str) -> None:
     """Within the chi-square interval of each, at 99.9 % over all that is compared."""
@@ -179,7 +179,7 @@ def test_spread_of_growth_without_noise_is_zero() -> None:
     assert (spread.sigma == 0).all() and np.ptp(spread.outside_until, axis=-1).max() == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", WATCHED)
 def test_settling_times_of_sampled_errors_match_companions(name: str) -> None:
     """Means of settling times within four standard errors of both."""
@@ -197,7 +197,7 @@ def test_settling_times_of_sampled_errors_match_companions(name: str) -> None:
     assert (np.abs(a - b) <= 4 * spread_ + 1e-9).all(), (a, b, spread_)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_noise_free_run_equals_run_of_study_without_noise() -> None:
     group = group_of(study_of("kalman5"))
     plain = group_of(study_of("kalman5", sensors=SMALL | QUIET))
@@ -207,7 +207,7 @@ def test_noise_free_run_equals_run_of_study_without_noise() -> None:
     np.testing.assert_array_equal(outcome.outside_until, first.outside_until[:2])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_error_covariance_without_noise_is_zero() -> None:
     spread, _ = spread_of(group_of(study_of("kalman5", sensors=SMALL | QUIET)))
     assert (np.asarray(spread.sigma) == 0).all()

@@ -21,7 +21,7 @@ from sinsjax.methods.base import ErrorStep
 from sinsjax.types import Increments, Navigation, Quat, Sample, Vec3
 
 FILTERS = ("kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "invariant", "unscented")
-few = pytest.mark.representative("kalman10", "kalman_sincos")
+few = pytest.mark.nightly(fast=("kalman10", "kalman_sincos"))
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -7,7 +7,7 @@ from support.studies import small_study
 
 from sinsjax.execution import run as study_run
 
-pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
+pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 
 DRAWS, ENDS, BAR = 256, ("_at_60", "_at_120", ""), (0.90, 1.10)
 SETTINGS = {"duration_s": 200.0, "window_s": [100, 200], "report_times_s": [60.0, 120.0]}

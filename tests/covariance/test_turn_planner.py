@@ -73,7 +73,7 @@ def test_turns_that_do_not_fit_are_left_out():
     assert "six positions" not in sigmas(MEMS, 100.0)
 
 
-@pytest.mark.representative("45.0")
+@pytest.mark.nightly(fast=("45.0",))
 @pytest.mark.parametrize("duration_s", [45.0, 123.4, 300.0])
 def test_study_with_motion_of_option_has_its_bound(duration_s):
     choice = sinsjax.plan_turns(**FOG, **WITH_SCALE, latitude_deg=45.0, duration_s=duration_s)

@@ -48,7 +48,7 @@ def six_variants_of(force: str) -> lane_layout.Group:
 
 FORCES = [
     pytest.param("plain", marks=pytest.mark.optimised(False)),
-    *(pytest.param(force, marks=pytest.mark.slow) for force in ("measured", "gravity")),
+    *(pytest.param(force, marks=pytest.mark.nightly) for force in ("measured", "gravity")),
 ]
 """Plain is measured in programs that take a quarter of the time to compile."""
 
@@ -64,7 +64,7 @@ def reference(six_variants: lane_layout.Group) -> tuple:
     return all_runs(six_variants, devices=1, tiles_per_chunk=64)
 
 
-@pytest.mark.representative("plain-1-2", "plain-2-2")
+@pytest.mark.nightly(fast=("plain-1-2", "plain-2-2"))
 @pytest.mark.parametrize(("devices", "tiles"), [(1, 2), (2, 2)])
 def test_results_have_the_same_bits_for_any_chunk_and_device_count(
     six_variants: lane_layout.Group, reference: tuple, devices: int, tiles: int
@@ -73,7 +73,7 @@ def test_results_have_the_same_bits_for_any_chunk_and_device_count(
     assert_same_bits(got, reference)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_program_per_device_runs_each_thread_on_separate_device(
     monkeypatch: pytest.MonkeyPatch,
@@ -113,7 +113,7 @@ def test_program_per_device_runs_each_thread_on_separate_device(
     assert sorted(used, key=str) == [(device, device) for device in devices]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_every_run_matches_same_run_simulated_alone(
     six_variants: lane_layout.Group, reference: tuple
 ) -> None:
@@ -129,7 +129,7 @@ def test_every_run_matches_same_run_simulated_alone(
             np.testing.assert_allclose(a, b[run], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_later_draws_do_not_change_earlier_rows(
     six_variants: lane_layout.Group, reference: tuple
 ) -> None:
@@ -215,7 +215,7 @@ def test_every_run_occupies_exactly_one_lane(
     assert len(shapes) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_shared_covariance_matches_covariance_computed_per_run() -> None:
     """To rounding, against tiles of the same program in which every run has its own."""

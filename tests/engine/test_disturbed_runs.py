@@ -79,7 +79,7 @@ def test_disturbed_runs_do_not_depend_on_their_neighbours():
     assert np.unique(whole.last.phi.x).size == 70
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize(
     "changes",
@@ -115,7 +115,7 @@ def rows(study: Study, draw: int = 0):
     return np.concatenate([record.dtheta, record.dv], axis=1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_surge_and_sensor_disturbances_add_independently():
     """What surge adds is the same whatever else there is, and so is what the rest adds."""
@@ -130,7 +130,7 @@ def test_surge_and_sensor_disturbances_add_independently():
     assert not np.allclose(other, alone[0] - none, rtol=0, atol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_record_samples_are_independent_of_duration_and_passes():
     whole = rows(disturbed())
@@ -144,7 +144,7 @@ ROCKING = {"vibration_deg_per_h_rms": 18_000.0, "vibration_ug_rms": 0.0}
 """A housing that rotates by 1.6' about each axis, and does not move."""
 
 
-@pytest.mark.representative("once")
+@pytest.mark.nightly(fast=("once",))
 @pytest.mark.parametrize(
     "changes",
     [
@@ -238,7 +238,7 @@ def test_drift_of_each_draw_is_driven_by_independent_noise() -> None:
     assert np.abs(correlations).max() < 5 / np.sqrt(600)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize(
     ("keys", "gyro", "accel"),
@@ -303,7 +303,7 @@ def test_allan_variances_match_closed_forms(keys, gyro, accel):
         assert np.abs(off).max() < 3, off
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_surge_heading_errors_are_independent_of_sample_rate():
     """Heading errors of 128 draws at 100 and at 200 Hz: their means and spreads agree."""

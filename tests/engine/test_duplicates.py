@@ -33,7 +33,7 @@ def apart(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(duplicates, "LEAST_SAVED", 1.0)
 
 
-@pytest.mark.representative("False")
+@pytest.mark.nightly(fast=("False",))
 @pytest.mark.parametrize("curves", [False, True])
 def test_deduplicated_rows_equal_rows_of_all_variants_computed(
     study: Study, curves: bool, monkeypatch: pytest.MonkeyPatch
@@ -56,7 +56,7 @@ def test_duplicate_variants_are_computed_once_but_all_runs_counted(study: Study)
         assert runner.compute_tables(task).tables["summary"].num_rows == task.runs
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rerun_of_run_id_reproduces_stored_row(study: Study) -> None:
     stored = study_run.run(study).summary
     for run_id in (7, study.n_variants + 4):

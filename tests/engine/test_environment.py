@@ -60,7 +60,7 @@ THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
 """Variants; with as many everywhere the studies share what is compiled."""
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("keys", "sampling", "changes"),
     [
@@ -107,7 +107,7 @@ def test_run_with_drawn_values_equals_run_with_fixed_values(
                 assert got[name] == value, name
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(True)
 def test_drawn_rows_do_not_depend_on_chunks_or_draw_count() -> None:
     data = drawn_study(list(ALL), "sobol", study={"draws": 130}, **EULER, **THREE)
@@ -117,7 +117,7 @@ def test_drawn_rows_do_not_depend_on_chunks_or_draw_count() -> None:
     assert run.run(fewer).summary.equals(whole.slice(0, 70 * 3))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_noise_level_can_be_drawn() -> None:
     data = drawn_study([], axes=THREE["axes"], filter=PAPER | {"q_reading": "psd"})
     for key in NOISE:
@@ -132,7 +132,7 @@ def test_noise_level_can_be_drawn() -> None:
     assert set(NOISE) <= set(SensorsSection.model_fields)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_simulated_record_of_draw_matches_study_of_its_values() -> None:
     study = study_from_dict(drawn_study(["yaw_center_deg", "latitude_deg", "gyro_bias_deg_per_h"]))
     values = draw_sampling.drawn_values(study, DRAWS)

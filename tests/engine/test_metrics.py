@@ -241,7 +241,7 @@ def test_relaxed_settling_times_match_whole_curve_formula(seed):
         np.testing.assert_allclose(got, np.sum(TIMES * share * later), rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @given(st.integers(0, 2**32 - 1))
 def test_relaxed_settling_times_converge_to_hard_ones(seed):
     """With the sharpness, unless an error lies on the edge of a band."""

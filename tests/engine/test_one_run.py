@@ -59,7 +59,7 @@ CASES: dict[str, dict[str, Any]] = {
 OPTIMISED = [pytest.param("filter", marks=pytest.mark.optimised(True)), "compass", "drawn"]
 
 
-@pytest.mark.slow  # tests/methods/test_level.py has a fast one
+@pytest.mark.nightly  # tests/methods/test_level.py has a fast one
 @pytest.mark.parametrize("name", OPTIMISED)
 def test_one_run_is_bit_identical_to_study_row(name: str) -> None:
     study = small_study(study=LENGTH, **CASES[name])
@@ -71,7 +71,7 @@ def test_one_run_is_bit_identical_to_study_row(name: str) -> None:
         assert found == [row[f"phi_{axis}_arcmin"] for axis in "enu"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_run_can_be_vmapped_over_draws() -> None:
     """Which have noise and numbers of their own."""
     run = sinsjax.one_run(small_study(study=LENGTH, **CASES["drawn"]))
@@ -82,7 +82,7 @@ def test_one_run_can_be_vmapped_over_draws() -> None:
         np.testing.assert_allclose(together, found, rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_run_of_record_matches_study_at_each_start_time(study: Any) -> None:
     stored = sinsjax.simulated_record(small_study(study=LENGTH | {"duration_s": 30.0}))
     time = np.arange(1, len(stored.dv) + 1) / stored.rate_hz
@@ -100,7 +100,7 @@ def test_one_run_of_record_matches_study_at_each_start_time(study: Any) -> None:
         assert float(run(run.params, run.draw(number)).last.yaw / DEG) == row["yaw_deg"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_forward_and_reverse_derivatives_by_r_match_finite_difference(run: Any) -> None:
     """Through feedback and resets."""
 
@@ -136,7 +136,7 @@ def test_zero_gradient_by_reset_times_or_feedback_interval_warns(run: Any) -> No
         jax.eval_shape(jax.grad(by_interval), every)  # when it is traced, not when it has run
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reset_windows_have_gradient_by_reset_times(study: Any, run: Any) -> None:
     soft = sinsjax.one_run(study, variant_id=1, window_s=0.5)
     samples = soft.params.method.resets.samples
@@ -146,7 +146,7 @@ def test_reset_windows_have_gradient_by_reset_times(study: Any, run: Any) -> Non
     assert float(value) == pytest.approx(hard, rel=0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_settling_times_have_gradient_only_with_soft_bands(study: Any, run: Any) -> None:
     def settling(run: Any, r: Any) -> Any:
         return run(changed(run, r=r), run.draw(0)).outside_until.sum()

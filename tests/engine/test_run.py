@@ -122,7 +122,7 @@ def naive_measured():
     return ideal()[2:] + BIAS / RATE + NOISE * normal
 
 
-@pytest.mark.representative("30-23-7")
+@pytest.mark.nightly(fast=("30-23-7",))
 @pytest.mark.parametrize(
     ("every", "records", "stored"),
     [(30, 23, None), (70, 9, None), (30, 23, 7), (30, 23, 23)],
@@ -170,7 +170,7 @@ def test_run_matches_naive_loop_and_metrics(every, records, stored):
     np.testing.assert_allclose(outcome.nis_u, expected.nis_u, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("replays", [False, True])
 def test_run_after_coarse_alignment_matches_naive_loop(replays):
     """At rest and with P0; before, its attitude is the coarse method's own."""
@@ -243,7 +243,7 @@ def _measure(here, draw, first, samples):
     return measure_alone(program, here, draw, numbers)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_derivatives_by_p0_and_q_match_secants():
     """Forward mode through the whole closed loop, by P0 of the yaw and by a scale of Q."""
     filt = paper_filter(5, every=40, resets=(215,))

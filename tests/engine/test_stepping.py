@@ -49,7 +49,7 @@ def run_tiles(group: lane_layout.Group, *, by_event: bool = True) -> tuple:
     return tuple(jax.tree.leaves(rows))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("draws", "axes"), [(2, SCHEDULES), (130, {"reset_times_s": [(1.37, 4.0)]})]
 )
@@ -64,7 +64,7 @@ def test_event_stepping_is_bitwise_equal_to_sample_stepping(draws, axes):
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_event_stepping_matches_sample_stepping_for_triggered_resets():
     """To rounding: a trigger's samples are compiled anew."""
@@ -75,7 +75,7 @@ def test_event_stepping_matches_sample_stepping_for_triggered_resets():
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_other_schedules_in_tile_do_not_change_run():
     """One of 64 schedules, and the same beside 63 others."""
     resets = [(0.3 + 0.11 * i, 4.5, 5.0) for i in range(15)]

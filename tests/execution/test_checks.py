@@ -64,13 +64,13 @@ def refused(some: Record, **layout: Any) -> str:
     return first.text
 
 
-@pytest.mark.representative("still", "swinging")
+@pytest.mark.nightly(fast=("still", "swinging"))
 @pytest.mark.parametrize("base", BASES)
 def test_plausible_record_has_no_findings(base: str) -> None:
     assert not found(record(base)) and not found(record(base), gyro=1.0)
 
 
-@pytest.mark.representative("still")
+@pytest.mark.nightly(fast=("still",))
 @pytest.mark.parametrize("base", BASES)
 def test_wrong_gyro_unit_is_refused_and_named(base: str) -> None:
     some = record(base)
@@ -115,7 +115,7 @@ def test_vertical_rate_of_wrong_latitude_gives_warning() -> None:
         assert "deg/h, but Earth rate there is 7.97: do gyros" in one.text
 
 
-@pytest.mark.representative("60.0-False-still", "700.0-True-still")
+@pytest.mark.nightly(fast=("60.0-False-still", "700.0-True-still"))
 @pytest.mark.parametrize("base", ["still", "swinging"])
 @pytest.mark.parametrize(("bias", "hard"), [(60.0, False), (700.0, True)])
 def test_bias_that_hides_earth_rate_is_not_unit_error(base: str, bias: float, hard: bool) -> None:
@@ -176,7 +176,7 @@ def test_turn_missing_from_gyros_is_reported() -> None:
     assert not one.is_certain and "the mean rate changes by" in one.text
 
 
-@pytest.mark.representative("still")
+@pytest.mark.nightly(fast=("still",))
 @pytest.mark.parametrize("base", ["still", "swinging"])
 def test_merged_samples_give_same_findings_as_single_samples(
     base: str, monkeypatch: pytest.MonkeyPatch
@@ -239,7 +239,7 @@ def test_hard_findings_are_refused_unless_record_is_trusted(tmp_path: Path) -> N
     assert "points down" in prepare.prepare_job(trusting, record=stored).warnings[0]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None:
     some = record("still")
     stored = StoredRecord(some._replace(dv=some.dv * 0.99, source="drive.imu", filled=3), None)
@@ -270,7 +270,7 @@ def test_data_after_to_s_are_not_used() -> None:
         prepare.prepare_job(study, record=stored)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None:
     """Times are those of the record: 200 samples a record are 1.001 s."""
     rate = 199.8
@@ -327,7 +327,7 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
         assert str(told.value).endswith(says)
 
 
-@pytest.mark.representative("car_test")
+@pytest.mark.nightly(fast=("car_test",))
 @pytest.mark.parametrize("name", ["car_test", "compass_car", "car_adaptive", "car_batch"])
 def test_shipped_studies_of_real_record_give_no_warnings(name: str, data_dir: Path) -> None:
     gc.collect()
@@ -411,7 +411,7 @@ def of_sensors(**sections: Any) -> Study:
     return study_from_dict({name: table for name, table in (BASE | sections).items() if table})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "filter_",
     [

@@ -31,7 +31,7 @@ from sinsjax.platform import compile_cache, runtime, xla
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
-pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
+pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 needs_two_cores = pytest.mark.skipif(
     runtime.usable_cores() < 2, reason="two workers need two cores, one each"
 )

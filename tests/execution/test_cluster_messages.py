@@ -79,7 +79,7 @@ def make_up_files(self: TaskRunner, task: Task) -> EncodedResult:
     return EncodedResult(task, {"summary": f"{task.name} of {self.identity}".encode()}, 0, 0.0)
 
 
-@pytest.mark.representative("made up")
+@pytest.mark.nightly(fast=("made up",))
 @pytest.mark.parametrize("rows", ["made up", "computed"])
 @pytest.mark.optimised(False)
 def test_workers_give_same_files_and_read_job_once(

@@ -82,7 +82,7 @@ def by_variant(summary: pa.Table, column: str) -> np.ndarray:
     return summary[column].to_numpy().reshape(DRAWS, -1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_mean_and_sigma_match_monte_carlo_draws(
     estimates_and_draws: tuple[pa.Table, pa.Table],
 ) -> None:
@@ -106,7 +106,7 @@ def test_mean_and_sigma_match_monte_carlo_draws(
         assert (ratio > 0.7).all() and (ratio < 1.4).all(), (axis, ratio)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_shares_and_settling_times_match_monte_carlo_draws(
     estimates_and_draws: tuple[pa.Table, pa.Table],
 ) -> None:
@@ -138,7 +138,7 @@ def made_of_short() -> pa.Table:
     return study_run.estimate(short_study(), chunk_runs=2)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_columns_have_unit_and_meaning_metadata(made_of_short: pa.Table) -> None:
     made = made_of_short
     for name in made.column_names:
@@ -152,7 +152,7 @@ def test_columns_have_unit_and_meaning_metadata(made_of_short: pa.Table) -> None
     assert not {"run_id", "draw_id", "start_s"}.intersection(made.column_names)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_variant_without_bias_floor_has_truth_estimates_only(
     made_of_short: pa.Table,
 ) -> None:
@@ -164,7 +164,7 @@ def test_variant_without_bias_floor_has_truth_estimates_only(
         assert row["settle_10_truth_mean_s"] is not None
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_noise_free_estimate_equals_single_run() -> None:
     quiet = {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0}
     made = study_run.estimate(make_study(sensors=quiet))
@@ -183,7 +183,7 @@ def test_noise_free_estimate_equals_single_run() -> None:
     assert set(made["settle_10_truth_mean_error_s"].to_pylist()) == {0.0}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_estimated_curves_match_estimates_at_report_times(
     estimates_and_draws: tuple[pa.Table, pa.Table],
 ) -> None:
@@ -214,7 +214,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_estimates_are_equal_for_any_chunk_size_and_as_stored(
     uninterrupted: Path, made_of_short: pa.Table
 ) -> None:
@@ -229,7 +229,7 @@ def test_estimates_are_equal_for_any_chunk_size_and_as_stored(
     assert told_["runs"] == told_["runs_done"] == 260 and told_["state"] == "complete"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_stored_estimates_are_bytewise_equal_for_any_task_order(
     uninterrupted: Path, tmp_path: Path
 ) -> None:
@@ -243,7 +243,7 @@ def test_stored_estimates_are_bytewise_equal_for_any_task_order(
     assert_complete(tmp_path, uninterrupted)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_resume_recomputes_only_missing_or_broken_parts(
     uninterrupted: Path, tmp_path: Path
 ) -> None:
@@ -264,7 +264,7 @@ def test_resume_recomputes_only_missing_or_broken_parts(
     assert job.chunk_runs == 128
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("moment", ["half", "before", "after"])
 def test_sweep_resumes_after_kill(moment: str, uninterrupted: Path, tmp_path: Path) -> None:
     config, out = tmp_path / "study.toml", tmp_path / "out"
@@ -280,7 +280,7 @@ def test_sweep_resumes_after_kill(moment: str, uninterrupted: Path, tmp_path: Pa
     assert_complete(out, uninterrupted)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_draws_study_replaces_estimates_only_with_overwrite(
     uninterrupted: Path, tmp_path: Path
 ) -> None:
@@ -333,7 +333,7 @@ def test_report_prints_least_share_over_starts_of_each_setting(tmp_path: Path) -
     assert [line.split()[-2] for line in table.splitlines()[5:7]] == ["30", "60"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("axes", "checked"),
     [({"phi_u0_deg": [*range(8)]}, True), ({"method": ["kalman5"]}, False)],

@@ -44,7 +44,7 @@ def assert_extended(
     return out
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("chunk_runs", [None, 128])
 def test_extended_rows_equal_sweep_with_all_draws(tmp_path: Path, chunk_runs: int | None) -> None:
     out = assert_extended(study_with_draws(150), study_with_draws(170), tmp_path, chunk_runs)
@@ -62,7 +62,7 @@ def test_extended_rows_equal_sweep_with_all_draws(tmp_path: Path, chunk_runs: in
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rerun_works_on_extended_results(tmp_path: Path) -> None:
     """Runs from before and after the extension can be repeated."""
     out = assert_extended(study_with_draws(40), study_with_draws(50), tmp_path)
@@ -70,13 +70,13 @@ def test_rerun_works_on_extended_results(tmp_path: Path) -> None:
         assert rerun.rerun_stored_run(out, run_id, Console(quiet=True))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_extension_continues_sobol_list_and_grid_draws(tmp_path: Path) -> None:
     """Sobol points continue, and so do a list and a grid that have been cycled."""
     assert_extended(make_study("drawn", 100), make_study("drawn", 140), tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("half_width", [0.001, 0.9])
 def test_extended_study_stops_at_same_draw_as_full_study(tmp_path: Path, half_width: float) -> None:
     """No interim analysis takes place where the first study ended."""
@@ -90,7 +90,7 @@ def test_extended_study_stops_at_same_draw_as_full_study(tmp_path: Path, half_wi
     assert read_summary(out).equals(at_once.cast(read_summary(out).schema))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_extension_keeps_duplicate_variants(tmp_path: Path) -> None:
     """The choice of computed variants is fixed when a directory is begun."""
     axes = {"method": ["compass", "kalman5"], "q_accel_ug": [1.0 * i for i in range(1, 40)]}
@@ -99,7 +99,7 @@ def test_extension_keeps_duplicate_variants(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_extended_results_are_recovered_without_manifest(tmp_path: Path) -> None:
     out = assert_extended(study_with_draws(80), study_with_draws(100), tmp_path)
     told = read_manifest(out)
@@ -112,7 +112,7 @@ def test_extended_results_are_recovered_without_manifest(tmp_path: Path) -> None
     assert before.keys() == {n for n in modification_times(out) if "part" in n}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path) -> None:
     out = tmp_path / "out"
     run.run_into(study_with_draws(80), out)

@@ -41,7 +41,7 @@ def test_variants_on_same_base_share_information_bound():
         np.testing.assert_allclose(own, closed / ARCMIN, rtol=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_surge_raises_information_bound_and_method_does_not_change_it():
     study = make_study(
         motion={"surge_time_s": 2.0},

@@ -57,7 +57,7 @@ def summary(stored: StoredRecord) -> pa.Table:
     return run.run(recorded(cases=cases), stored).summary
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_innovation_columns_exist_only_in_recorded_studies(summary: pa.Table) -> None:
     assert summary["innovation_freedom"].to_pylist() == [400.0, 400.0, 400.0, None] * 2
     mean = summary["innovation_nis"].to_pylist()
@@ -68,7 +68,7 @@ def test_innovation_columns_exist_only_in_recorded_studies(summary: pa.Table) ->
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nis_scales_inversely_with_r(summary: pa.Table) -> None:
     """With P and Q next to nothing, S is R: a hundred times the variance, a hundredth of NIS."""
     one, other = summary["innovation_nis"].to_pylist()[1:3]

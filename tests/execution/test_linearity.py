@@ -46,7 +46,7 @@ def drawn() -> pa.Table:
     return study_run.run(make_study(draws=DRAWS)).summary
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nonlinearity_index_is_rms_difference_from_companions_over_sigma(made: pa.Table) -> None:
     """In standard deviations of the true error, over the first eight draws."""
     study = make_study(draws=8)
@@ -63,14 +63,14 @@ def test_nonlinearity_index_is_rms_difference_from_companions_over_sigma(made: p
         np.testing.assert_allclose(index[kept], (rms / sigma)[kept], rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_small_errors_keep_estimate_and_large_ones_use_draws(made: pa.Table) -> None:
     assert made["filled_by_draws"].to_pylist() == [False, False, True, True]
     index = np.maximum(made["nonlinearity"], made["nonlinearity_at_20"])
     assert (index[:2] < 0.3).all() and (index[2:] > 0.5).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_filled_columns_equal_statistics_of_draws(made: pa.Table, drawn: pa.Table) -> None:
     rows, limited = slice(2, 4), drawn["floor_arcmin"].to_numpy().reshape(DRAWS, 4)
     for at in ("_at_20", ""):
@@ -91,7 +91,7 @@ def test_filled_columns_equal_statistics_of_draws(made: pa.Table, drawn: pa.Tabl
     np.testing.assert_allclose(made["settle_60_truth_mean_error_s"].to_numpy()[rows], error)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_check_does_not_depend_on_variants_per_call(made: pa.Table, monkeypatch: Any) -> None:
     monkeypatch.setattr(linearity, "_VARIANTS_PER_CHECK", 3)  # 3 of the 4, then 1
     monkeypatch.setattr(linearity, "_VARIANTS_PER_FILL", 1)
@@ -101,7 +101,7 @@ def test_check_does_not_depend_on_variants_per_call(made: pa.Table, monkeypatch:
         np.testing.assert_allclose(cut[name].to_numpy(), made[name].to_numpy(), rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nonlinearity_columns_absent_without_check_linearity() -> None:
     alone = study_run.estimate(make_study(estimate="covariance", check_linearity=False))
     assert not [name for name in alone.column_names if "linear" in name or "filled" in name]

@@ -90,7 +90,7 @@ def test_sweep_runs_every_check_once(run_command: Command, tmp_path: Path) -> No
     assert {name: calls[name] for name in ONCE} == expected
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_align_analyses_its_record_once(
     run_command: Command, recorded: tuple[Path, Path, Study], tmp_path: Path
 ) -> None:
@@ -102,7 +102,7 @@ def test_align_analyses_its_record_once(
     assert calls["checks.check_record"] == calls["plausibility.check_stationary"] == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_python_align_gives_rows_of_command(
     run_command: Command, recorded: tuple[Path, Path, Study], tmp_path: Path
 ) -> None:
@@ -159,7 +159,7 @@ def test_added_axis_value_is_refused_with_way_on(tmp_path: Path) -> None:
     assert "axes.p0_yaw_deg=[60.0], into another directory" in line
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_axis_value_in_another_directory_has_rows_of_whole_axis(tmp_path: Path) -> None:
     """The way on that the refusal of an added value names."""
     more = small_study(axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})

@@ -53,7 +53,7 @@ def assert_alone_as_among_others(
             assert last[name].to_pylist() == again.row[name].to_pylist()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("name", STUDIES)
 def test_rerun_matches_run_of_whole_study(name: str) -> None:
@@ -64,13 +64,13 @@ def test_rerun_matches_run_of_whole_study(name: str) -> None:
     assert_alone_as_among_others(study, curves=True, runs=chosen)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rerun_row_matches_study_run_without_curves() -> None:
     study = make_study("worlds")
     assert_alone_as_among_others(study, curves=False, runs=[7, 299])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_rerun_matches_with_resets_tied_to_feedback() -> None:
     """Of the schedule and of a trigger; the clock of some runs in a tile starts anew."""
@@ -93,7 +93,7 @@ def stopping_study() -> Study:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rerun_matches_in_study_that_stopped_early() -> None:
     assert_alone_as_among_others(stopping_study(), curves=False, runs=[5, 383])
 
@@ -117,7 +117,7 @@ def stored() -> StoredRecord:
     return add_true_reference(build.simulated_record(small_study()))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("judged", [True, False])
 def test_rerun_matches_for_recorded_study(stored: StoredRecord, judged: bool) -> None:
@@ -125,7 +125,7 @@ def test_rerun_matches_for_recorded_study(stored: StoredRecord, judged: bool) ->
     assert_alone_as_among_others(recorded_study(), given, curves=True, runs=[0, 6, 11])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_rerun_matches_for_record_with_drawn_errors(stored: StoredRecord) -> None:
     study = recorded_study(
@@ -158,7 +158,7 @@ def rerun_into(directory: Path, run_id: int, **options: Any) -> str:
     return file.getvalue()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -> None:
     before = read_files_and_times(out)
@@ -263,7 +263,7 @@ def test_rerun_of_run_without_row_is_refused(tmp_path: Path) -> None:
         rerun_into(out, 384)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_rerun_of_recorded_run_needs_same_record(tmp_path: Path, stored: StoredRecord) -> None:
     path, other = tmp_path / "swing.imu", tmp_path / "other.imu"

@@ -96,7 +96,7 @@ def test_resume_with_other_version_of_method_package_is_refused(
     assert str(caught.value).startswith(line) and "not 'brought'" in str(caught.value)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_resume_with_other_instruction_set_is_refused(tmp_path: Path) -> None:
     """Made by another process, which XLA holds to a smaller set than this one has."""
     study, out = small_study(), tmp_path / "out"

@@ -139,7 +139,7 @@ def sweep_of(name: str) -> Study:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", CASES)
 def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     name: str, tmp_path: Path

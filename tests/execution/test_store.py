@@ -82,7 +82,7 @@ def chunk_name(number: int) -> str:
 # --- parts --------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_parts_are_bytewise_equal_in_repeated_sweeps(uninterrupted: Path, tmp_path: Path) -> None:
     other = tmp_path / "elsewhere" / "out"
     sweep(other)
@@ -189,9 +189,11 @@ MANIFESTS: dict[str, Callable[[Path], Any]] = {
 }
 
 
-@pytest.mark.representative(
-    *("gone-there", "gone-deleted", "a bit in a page-there", "another chunk's-there"),
-    *("another study's-deleted", "a row less-deleted"),
+@pytest.mark.nightly(
+    fast=(
+        *("gone-there", "gone-deleted", "a bit in a page-there", "another chunk's-there"),
+        *("another study's-deleted", "a row less-deleted"),
+    )
 )
 @pytest.mark.parametrize("told", ["there", "deleted"])
 @pytest.mark.parametrize("name", DAMAGES)
@@ -351,7 +353,7 @@ GARBLED = {
 }
 
 
-@pytest.mark.representative("half", "another's", "deep", "odd chunks")
+@pytest.mark.nightly(fast=("half", "another's", "deep", "odd chunks"))
 @pytest.mark.parametrize("name", GARBLED)
 def test_garbled_manifest_requires_no_recomputation(
     uninterrupted: Path, out: Path, name: str
@@ -366,7 +368,7 @@ def test_garbled_manifest_requires_no_recomputation(
     assert_complete(out, uninterrupted)
 
 
-@pytest.mark.representative("-128", "256")
+@pytest.mark.nightly(fast=("-128", "256"))
 @pytest.mark.parametrize("edited", ["0", "-128", "1.5", '"many"', "256", "null", "1"])
 def test_edited_chunk_runs_in_manifest_are_recovered_from_parts(
     uninterrupted: Path, out: Path, edited: str
@@ -439,7 +441,7 @@ def recorded() -> tuple[Study, StoredRecord]:
     return study, StoredRecord(build.simulated_record(small_study()), reference)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_another_record_or_reference_is_refused(
     recorded: tuple[Study, StoredRecord], tmp_path: Path
 ) -> None:
@@ -569,7 +571,7 @@ def test_overwrite_keeps_user_files(uninterrupted: Path, out: Path) -> None:
     assert {n: b for n, b in read_parts(out).items() if n not in mine} == read_parts(uninterrupted)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_overwrite_removes_all_previous_results(out: Path) -> None:
     (out / "reruns" / "3").mkdir(parents=True)
     for name in ("summary.parquet", "curve.parquet", "curve.png"):
@@ -582,7 +584,7 @@ def test_overwrite_removes_all_previous_results(out: Path) -> None:
     assert_intact(out)
 
 
-@pytest.mark.representative("7")
+@pytest.mark.nightly(fast=("7",))
 @pytest.mark.parametrize("removed", [1, 7, 23])
 def test_killed_overwrite_leaves_resumable_results(
     uninterrupted: Path, out: Path, monkeypatch: pytest.MonkeyPatch, removed: int
@@ -632,7 +634,7 @@ def test_resume_of_empty_directory_starts_sweep(tmp_path: Path) -> None:
 # --- stopping -----------------------------------------------------------------------------------
 
 
-@pytest.mark.representative("5")
+@pytest.mark.nightly(fast=("5",))
 @pytest.mark.parametrize("chunks", [0, 1, 5, CHUNKS - 4])
 def test_stopped_sweep_keeps_finished_chunks_and_resumes(
     uninterrupted: Path, tmp_path: Path, chunks: int
@@ -694,7 +696,7 @@ def test_stop_during_resume_of_complete_results_is_ignored(out: Path) -> None:
 # --- failing writes -----------------------------------------------------------------------------
 
 
-@pytest.mark.representative("2")
+@pytest.mark.nightly(fast=("2",))
 @pytest.mark.parametrize("failing", range(2, 27, 5))
 def test_failed_write_raises_input_error_and_keeps_finished_parts(
     uninterrupted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: int

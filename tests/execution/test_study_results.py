@@ -74,7 +74,7 @@ def test_xarray_has_a_dimension_per_axis_and_units(results: Results) -> None:
     assert not {"draw_id", "variant_id", *AXES} & {*dataset.data_vars}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_xarray_has_keys_that_vary_together_on_one_dimension_or_variants() -> None:
     pytest.importorskip("xarray")
     cases = [{"case": "a", "phi_e0_deg": 1.0}, {"case": "b", "phi_e0_deg": 2.0}]
@@ -100,7 +100,7 @@ def test_xarray_refuses_runs_without_some_variants(results: Results) -> None:
     assert dict(to_dataset(results.study, results.summary.slice(6)).sizes)["draw"] == 2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_estimates_convert_by_variant(tmp_path: Path) -> None:
     pytest.importorskip("xarray")
     settings = {"estimate": "covariance", "check_linearity": False, "estimate_samples": 16}

@@ -193,7 +193,7 @@ def test_values_of_method_without_covariance_are_null() -> None:
     assert_has_keys_of_compass(table)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_compass_rows_have_null_sigma_and_consistency() -> None:
     table = run.run(compass_study()).summary
@@ -348,7 +348,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.representative("summary")
+@pytest.mark.nightly(fast=("summary",))
 @pytest.mark.parametrize("dataset", READERS)
 def test_any_flipped_bit_in_part_is_detected(stored: Path, dataset: str) -> None:
     """Checksums of pages leave footers and page headers out: a flip there can read as nulls."""

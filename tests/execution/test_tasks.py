@@ -48,7 +48,7 @@ def assert_same(one: study_run.Results, other: study_run.Results) -> None:
         assert a.equals(b)
 
 
-@pytest.mark.representative("drawn")
+@pytest.mark.nightly(fast=("drawn",))
 def test_rows_do_not_depend_on_chunk_size(name: str, reference: study_run.Results) -> None:
     """The smallest, and one that holds all runs."""
     assert_same(study_run.run(make_study(name), chunk_runs=2), reference)
@@ -56,7 +56,7 @@ def test_rows_do_not_depend_on_chunk_size(name: str, reference: study_run.Result
         assert_same(study_run.run(make_study(name), chunk_runs=10**6), reference)
 
 
-@pytest.mark.representative("drawn")
+@pytest.mark.nightly(fast=("drawn",))
 def test_result_bytes_do_not_depend_on_task_order_or_runner(
     name: str, reference: study_run.Results, tmp_path: Path
 ) -> None:
@@ -78,7 +78,7 @@ def test_result_bytes_do_not_depend_on_task_order_or_runner(
         assert a.cast(b.schema).equals(b)
 
 
-@pytest.mark.representative("drawn")
+@pytest.mark.nightly(fast=("drawn",))
 def test_additional_draws_leave_earlier_rows_unchanged(
     name: str, reference: study_run.Results
 ) -> None:
@@ -92,7 +92,7 @@ def test_additional_draws_leave_earlier_rows_unchanged(
     )
 
 
-@pytest.mark.representative("drawn")
+@pytest.mark.nightly(fast=("drawn",))
 def test_summary_and_curves_contain_every_run_once(name: str, reference: study_run.Results) -> None:
     study = make_study(name)
     runs = np.arange(study.n_draws * study.n_variants)

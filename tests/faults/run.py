@@ -35,7 +35,7 @@ from faults.patches import HERE, Fault, load  # noqa: E402
 STAGES = ("golden", "commands", "oracles", "other")
 COLUMNS = ("fault", *STAGES, "tier", "seconds")
 OUTCOME = HERE / "outcome.csv"
-TIERS = {"fast": "not slow", "slow": "slow"}
+TIERS = {"fast": "not nightly", "nightly": "nightly"}
 NONE, NONE_FAST, SEPARATOR = "-", "- fast", " | "
 DATA = HERE.parents[2] / "shared" / "data"  # recorded data; a copy has none beside it
 HANGS_S = 3600  # a fault may make a test wait for ever
@@ -117,7 +117,7 @@ def try_fault(fault: Fault, stage: str, copies: Queue[Path], tiers: dict[str, st
     if "-x" not in selected:
         found = list(dict.fromkeys(name.partition("[")[0] for name in found))
     seconds = f"{time.monotonic() - started:.0f}"
-    none = NONE if "slow" in tiers else NONE_FAST
+    none = NONE if "nightly" in tiers else NONE_FAST
     return {stage: SEPARATOR.join(found) or none, "tier": tier, "seconds": seconds}
 
 
@@ -154,7 +154,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--results", type=Path, default=OUTCOME)
-    parser.add_argument("--tiers", default="fast,slow")
+    parser.add_argument("--tiers", default="fast,nightly")
     parser.add_argument("--stages", default=",".join(STAGES))
     asked = parser.parse_args()
 
@@ -173,7 +173,7 @@ def main() -> int:
             copies.put(Path(work) / str(number))
             copy_tree(HERE.parents[1], Path(work) / str(number))
 
-        open_cells = ("", NONE_FAST) if "slow" in tiers else ("",)
+        open_cells = ("", NONE_FAST) if "nightly" in tiers else ("",)
         pairs = [(f, s) for s in asked.stages.split(",") for f in faults]
         waiting = [(f, s) for f, s in pairs if rows[f.name][s] in open_cells]
         pool = ThreadPoolExecutor(asked.jobs)

@@ -52,7 +52,7 @@ def test_recorded_killers_exist() -> None:
     assert missing == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_recorded_killers_pass_without_their_fault_and_fail_with_it() -> None:
     killers = {fault: next(iter(run.killers(OUTCOMES[fault.name])), "") for fault in FAULTS}
     faults = [fault for fault, killer in killers.items() if "::" in killer]

@@ -66,7 +66,7 @@ def test_every_method_is_in_a_golden_study(names: Sequence[str]) -> None:
     assert found == here
 
 
-@pytest.mark.representative("kalman5_resets", "large_heading", "without_start", "advice", "score")
+@pytest.mark.nightly(fast=("kalman5_resets", "large_heading", "without_start", "advice", "score"))
 @pytest.mark.parametrize("name", NAMES)
 def test_golden_study_gives_expected_results(name: str, tmp_path: Path) -> None:
     old, new = expected(name), run_alone(name, tmp_path)
@@ -77,7 +77,7 @@ def test_golden_study_gives_expected_results(name: str, tmp_path: Path) -> None:
         pytest.fail("\n".join(lines), pytrace=False)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(True)
 @pytest.mark.parametrize("name", OPTIMISED_STUDIES)
 def test_optimised_program_gives_expected_results(name: str, tmp_path: Path) -> None:

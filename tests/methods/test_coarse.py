@@ -121,7 +121,7 @@ def inertial_limit(force_noise: float, seconds: int, place: Place) -> float:
     return float(slope / place.rate_n)
 
 
-@pytest.mark.representative("23")
+@pytest.mark.nightly(fast=("23",))
 @pytest.mark.parametrize("seconds", [6, SECONDS])
 def test_yaw_error_from_noise_matches_theory(seconds):
     """So it shrinks as T^-1.5 (accelerometers, inertial) and as T^-0.5 (gyros, analytic)."""
@@ -203,7 +203,7 @@ def vehicle(data_dir: Path) -> dict[str, np.ndarray]:
     return errors
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_inertial_error_on_vehicle_record_is_small_from_every_start(vehicle):
     level, yaw = vehicle["inertial"][:, :2], vehicle["inertial"][:, 2]
     assert yaw.max() < 0.25

@@ -142,7 +142,7 @@ def driven(name, size):
     }[name]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", LEVELLING)
 def test_levelling_loop_matches_closed_form_of_paper(name):
     """Eq. (1), Delta3 = s^3 + K1 s^2 + (1 + K2) (g/R) s + g K3."""
@@ -172,7 +172,7 @@ def azimuth_forms(k1, k2, k3, k4, omega):
     }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["phi_U(0)", "eps_U", "phi_E(0)", "eps_E", "nabla_N", "dV_N(0)"])
 def test_azimuth_loop_matches_closed_form_of_paper(name):
     """Eq. (2), Delta4 = s (s + K4) (s^2 + K1 s + (1 + K2) g/R) + g K3."""
@@ -327,7 +327,7 @@ ERRORS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("planet", "latitude_deg", "position"), [(EARTH, 32.0, "fixed"), (WGS84, -41.0, "integrated")]
 )

@@ -48,9 +48,9 @@ STEPPED = [name for name, method in METHODS.items() if not method.stores_blocks]
 COVARIANCE = [name for name in STEPPED if METHODS[name].has_covariance]
 methods = pytest.mark.parametrize("name", METHODS)
 filters = pytest.mark.parametrize("name", FILTERS)
-few = pytest.mark.representative("compass", "kalman5", "kalman_sincos", "level")
+few = pytest.mark.nightly(fast=("compass", "kalman5", "kalman_sincos", "level"))
 """With and without P, and with and without a heading of the start."""
-few_filters = pytest.mark.representative("kalman5")
+few_filters = pytest.mark.nightly(fast=("kalman5",))
 
 COMPASS = Loops(level_gains(0.3, PAPER), ((20.0 * RATE, azimuth_gains(0.1, PAPER)),), 0.01)
 """Loops quick enough for a minute: sigma 0.3 1/s in level, from 20 s on 0.1 1/s in azimuth."""
@@ -63,7 +63,7 @@ def method_of(name, **choices):
 
 REVERSING = [name for name in METHODS if method_of(name).passes]
 reversing = pytest.mark.parametrize("name", REVERSING)
-few_reversing = pytest.mark.representative("compass", "kalman10")
+few_reversing = pytest.mark.nightly(fast=("compass", "kalman10"))
 
 
 @cache
@@ -249,7 +249,7 @@ START = nav_off(np.array([1.0, -2.0, 5.0]) * DEG, (0.3, 0.4))
 """Off in everything."""
 
 
-@pytest.mark.representative("compass", "level")
+@pytest.mark.nightly(fast=("compass", "level"))
 @methods
 def test_run_depends_on_its_own_start_alone(name):
     """Again it has the same bits; side by side with a broken one, what it has alone."""
@@ -266,7 +266,7 @@ def test_run_depends_on_its_own_start_alone(name):
 SILENT_START = [name for name in STEPPED if "phi_u0_deg" in METHODS[name].without_effect]
 
 
-@pytest.mark.representative("inertial", "level")
+@pytest.mark.nightly(fast=("inertial", "level"))
 @pytest.mark.parametrize("name", SILENT_START)
 def test_start_without_effect_changes_no_bit(name):
     alone, _ = flight(name, 2)
@@ -283,7 +283,7 @@ SHARING = [
 ]
 
 
-@pytest.mark.representative("kalman_sincos-measured-fixed")
+@pytest.mark.nightly(fast=("kalman_sincos-measured-fixed",))
 @pytest.mark.parametrize(("name", "force", "position"), SHARING)
 def test_shared_covariance_does_not_depend_on_the_start(name, force, position):
     """To the bit; runs that differ in their draw have it in common."""
@@ -292,7 +292,7 @@ def test_shared_covariance_does_not_depend_on_the_start(name, force, position):
     np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @methods
 def test_runs_of_a_study_have_the_same_bits_in_any_chunk(name):
     study = small_study(
@@ -315,7 +315,7 @@ def test_runs_of_a_study_have_the_same_bits_in_any_chunk(name):
     assert len({*np.asarray(whole.last.phi.x).tolist()}) == 70
 
 
-@pytest.mark.representative("kalman5", "compass")
+@pytest.mark.nightly(fast=("kalman5", "compass"))
 @pytest.mark.parametrize("name", STEPPED)
 def test_tangents_are_finite_at_zero_error(name):
     """There a root or an arc tangent might have none."""
@@ -334,7 +334,7 @@ def test_tangents_are_finite_at_zero_error(name):
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(tangent))
 
 
-@pytest.mark.representative("compass", "kalman5")
+@pytest.mark.nightly(fast=("compass", "kalman5"))
 @pytest.mark.parametrize("name", [n for n in METHODS if n in FACTS and FACTS[n].stays_at_truth])
 def test_run_started_at_truth_stays_at_truth(name):
     left, _, speed = run(name, np.zeros(3), **({"every": 10} if name in FILTERS else {}))
@@ -342,7 +342,7 @@ def test_run_started_at_truth_stays_at_truth(name):
     assert speed.max() < 1e-6
 
 
-@pytest.mark.representative("compass-None", "kalman5-100")
+@pytest.mark.nightly(fast=("compass-None", "kalman5-100"))
 @pytest.mark.parametrize(
     ("name", "every"),
     [("compass", None), *((name, every) for name in FILTERS for every in (1, 100))],

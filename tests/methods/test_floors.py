@@ -45,7 +45,7 @@ MOTIONS = {
 }
 
 
-@pytest.mark.representative("paper", "large")
+@pytest.mark.nightly(fast=("paper", "large"))
 @pytest.mark.parametrize("name", MOTIONS)
 def test_mean_attitude_matches_average_over_many_periods(name: str) -> None:
     one = MOTIONS[name]
@@ -139,7 +139,7 @@ def ends(study: Study) -> dict[int, tuple[np.ndarray, Any]]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("method", ["kalman5", "kalman_sincos", "kalman_surge"])
 def test_up_gyro_moves_heading_off_its_floor_by_half_its_drift(method: str) -> None:
     """As the floor's definition states: -eps_U T/2, T since the start or the last reset."""
@@ -182,7 +182,7 @@ def check(study: Study) -> None:
         assert limit.no_north == (np.hypot(*eps[i][:2]) > RATE * np.cos(latitude[i] * DEG))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", ["kalman5", "kalman10"])
 def test_filters_end_at_bias_floor(method: str) -> None:
@@ -190,7 +190,7 @@ def test_filters_end_at_bias_floor(method: str) -> None:
     check(study_of(method, filter=QUICK, axes=axes))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_compass_loops_end_at_bias_floor() -> None:
     """But for 20 deg/h of both at 60 deg.
 
@@ -202,7 +202,7 @@ def test_compass_loops_end_at_bias_floor() -> None:
     check(study_of("compass", study=longer, compass=LOOPS | {"azimuth_damping": 0.95}, axes=axes))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_compass_loops_lag_under_up_gyro_bias() -> None:
     """By 2 eps_U/sigma of the sigma in force at the end, as told; less where more is felt."""
     study = study_of(
@@ -227,7 +227,7 @@ def test_compass_loops_lag_under_up_gyro_bias() -> None:
         assert phi[2] == pytest.approx(limit.phi.z, abs=0.1 * ARCMIN)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_compass_lag_changes_sign_with_pass_direction() -> None:
     study = study_of(
         "compass",
@@ -244,7 +244,7 @@ def test_compass_lag_changes_sign_with_pass_direction() -> None:
         assert phi[2] == pytest.approx(limit.phi.z, abs=0.5 * ARCMIN)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_bias_floor_holds_for_large_tilt_and_heading() -> None:
     """Accelerometers off by 5 mg, loops without a memory: phi is a rotation vector, not angles."""
     study = study_of(
@@ -263,7 +263,7 @@ def test_bias_floor_holds_for_large_tilt_and_heading() -> None:
     assert np.hypot(turned.x + 3e-3, turned.y - 5e-3) > 3 * ARCMIN
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_bias_averages_over_fast_sway_but_not_slow_sway() -> None:
     """Yaw +-90 deg: J0(pi/2) of the bias is left, but in 20 minutes not with a period of 30."""
@@ -330,7 +330,7 @@ def test_kalman10_has_bias_floor_only_on_still_base() -> None:
     assert runs_with_floor(reset) == [False]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_wide_bias_p0_keeps_heading_off_bias_floor() -> None:
     """By sigma_eps^2 : (omega_N sigma_phi)^2 of the way from the start."""
@@ -345,7 +345,7 @@ def test_wide_bias_p0_keeps_heading_off_bias_floor() -> None:
     assert want > 60 * ARCMIN
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_hidden_north_counts_runs_with_bias_above_earth_rate() -> None:
     assert hidden_north(study_of("kalman5", sensors={"gyro_bias_deg_per_h": [5.0, 5, 50]})) is None

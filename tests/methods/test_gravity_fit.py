@@ -73,7 +73,7 @@ CASES = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", CASES)
 def test_errors_and_sigma_are_those_of_information_bound(case: str) -> None:
     given = study(64, **CASES[case])
@@ -89,7 +89,7 @@ def test_errors_and_sigma_are_those_of_information_bound(case: str) -> None:
     assert abs(misfit.mean() - 1) < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_biases_of_any_size_and_any_heading_are_found() -> None:
     given = study(
         16,
@@ -103,7 +103,7 @@ def test_biases_of_any_size_and_any_heading_are_found() -> None:
     assert low < mean_square < high
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_gyro_biases_and_their_sigma_are_results() -> None:
     given = study(32)
     truth = np.asarray(sinsjax.run(given).summary["gyro_bias_deg_per_h"].to_pylist())
@@ -115,7 +115,7 @@ def test_gyro_biases_and_their_sigma_are_results() -> None:
         assert low < np.sum(((found - truth[:, axis]) / sigma) ** 2) < high
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_lever_arm_is_an_unknown_that_costs_little() -> None:
     arm = {"lever_arm_m": [0.05, 0.06, 0.02]}
     given = study(32, motion=TURN | arm)
@@ -128,7 +128,7 @@ def test_lever_arm_is_an_unknown_that_costs_little() -> None:
     assert np.mean(columns(ignored, "fit_misfit")) > 2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_lever_arm_on_a_swaying_base_costs_little() -> None:
     sway = {"pitch_amplitude_deg": 2.0, "pitch_period_s": 6.0, "pitch_phase_deg": 40.0}
     given = study(32, motion=sway | {"lever_arm_m": [2.0, 1.0, 0.5]}, study={"rate_hz": 50.0})
@@ -140,7 +140,7 @@ def test_lever_arm_on_a_swaying_base_costs_little() -> None:
     assert abs(misfit.mean() - 1) < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reported_heading_is_that_of_a_run_of_that_length() -> None:
     whole = study(4, study={"report_times_s": [90.0]})
     short = study(4, study={"duration_s": 90.0})
@@ -150,7 +150,7 @@ def test_reported_heading_is_that_of_a_run_of_that_length() -> None:
     np.testing.assert_allclose(sigma_at, sigma, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_records_shorter_than_a_second_are_joined_to_blocks() -> None:
     coarse = columns(study(4), "phi_u_arcmin", "sigma_u_arcmin")
     fine = columns(study(4, study={"record_interval_s": 0.5}), "phi_u_arcmin", "sigma_u_arcmin")

@@ -115,7 +115,7 @@ def fitted(b, body, seconds):
     return exp(-w_ie * seconds) @ n0 @ body
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("seconds", [20, 40, 60])
 def test_optimisation_matches_least_squares_fit_of_velocities(seconds):
     n = seconds * RATE
@@ -125,7 +125,7 @@ def test_optimisation_matches_least_squares_fit_of_velocities(seconds):
     assert np.abs(log(expected @ found.T)).max() < 1e-3 * ARCMIN
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("seconds", [20, 40, 60])
 def test_position_optimisation_leaves_initial_velocity_free(seconds):
     """The residuals of their sums on the time, by least squares, fit best."""
@@ -140,7 +140,7 @@ def test_position_optimisation_leaves_initial_velocity_free(seconds):
     assert np.abs(log(fitted(b.T @ a, body[-1], seconds) @ found.T)).max() < 1e-2 * ARCMIN
 
 
-@pytest.mark.representative("10")
+@pytest.mark.nightly(fast=("10",))
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("seconds", [1, 10])
 def test_inertial_method_matches_inertial_coarse_alignment(seconds):
@@ -151,7 +151,7 @@ def test_inertial_method_matches_inertial_coarse_alignment(seconds):
     assert np.abs(turn).max() < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_batch_optimisation_matches_sample_by_sample_result():
     samples = sensors.compensate_record(record(), record()[0])
     q = jax.jit(align_by_optimisation)(samples, place(PAPER, LATITUDE), 1 / RATE)
@@ -159,7 +159,7 @@ def test_batch_optimisation_matches_sample_by_sample_result():
     assert np.abs(turn).max() < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", NAMES)
 def test_error_free_attitude_is_found_within_one_minute(name):
     rows = swing_increments(SWING, PAPER, LATITUDE, rate=RATE, samples=RATE * SECONDS)

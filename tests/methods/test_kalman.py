@@ -22,7 +22,7 @@ def random_places(rng, n):
     return [(int(i), int(j)) for i, j in np.argwhere(rng.random((n, n)) < 0.4)]
 
 
-@pytest.mark.representative("5-measured2")
+@pytest.mark.nightly(fast=("5-measured2",))
 @pytest.mark.parametrize(
     ("n", "measured"), [(5, (0, 1)), (1, (0,)), (5, (4, 0, 2)), (10, (0, 1)), (12, (3,))]
 )

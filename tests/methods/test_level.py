@@ -134,7 +134,7 @@ def test_results_have_no_heading(results: Any) -> None:
     assert {*summary["has_floor"].to_pylist()} == {False}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_only_runs_of_level_have_no_heading_beside_another_method(results: Any) -> None:
     both = run_biased(axes={"method": ["inertial", "level"]}).summary
     inertial, level = (

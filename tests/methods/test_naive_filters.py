@@ -109,8 +109,8 @@ def numbers(name, r, **changes):
     return filt, params if case.extra is None else params._replace(extra=case.extra)
 
 
-@pytest.mark.representative(
-    "kalman_sincos-feedback every sample", "invariant-resets restart feedback"
+@pytest.mark.nightly(
+    fast=("kalman_sincos-feedback every sample", "invariant-resets restart feedback")
 )
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("name", CASES)
@@ -164,7 +164,7 @@ def assert_first_order(naive, covariance):
         np.testing.assert_allclose(covariance[:, k], upper, rtol=0.02, atol=0.02 * upper.max())
 
 
-@pytest.mark.representative("kalman_surge-carried")
+@pytest.mark.nightly(fast=("kalman_surge-carried",))
 @pytest.mark.parametrize("turn", ["carried", "rewind"])
 @pytest.mark.parametrize("name", [name for name in CASES if name != "unscented"])
 def test_three_passes_match_naive_filter(name, turn):

@@ -140,7 +140,7 @@ def there_and_back(phi, v=(0.0, 0.0), *, noise=0.0, position="fixed", rate=RATE)
     return off, v, np.concatenate([[[0.0, 0.0]], place])
 
 
-@pytest.mark.representative("phi_deg1-v1-1.0-bounds1-integrated")
+@pytest.mark.nightly(fast=("phi_deg1-v1-1.0-bounds1-integrated",))
 @pytest.mark.parametrize("position", ["fixed", "integrated"])
 @pytest.mark.parametrize(
     ("phi_deg", "v", "noise", "bounds"),
@@ -163,7 +163,7 @@ def test_backward_pass_retraces_forward_navigation(phi_deg, v, noise, bounds, po
     assert (np.abs(place[STORED_S]).max() > 1e-6) == (position == "integrated" and any(phi))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_round_trip_error_is_first_order_in_sample_time():
     """A step takes the rates at its start, which is the other end on the way back."""
     coarse, fine = (there_and_back((DEG, 0, 0), rate=rate)[0][-1] for rate in (100, 200))
@@ -193,7 +193,7 @@ def still_record(latitude: float, rate: int) -> np.ndarray:
     return swing_increments(STILL, EARTH, latitude, rate=rate, samples=rate * 640)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reflected_compass_loop_continues_as_without_turn():
     """Exactly so where omega_U does not couple the channels and the low pass does not lag."""
     for latitude, smoothing_s, bound in ((0.0, 1e-3, 0.002), (LATITUDE, 1e-3, 0.02)):
@@ -250,7 +250,7 @@ def dense(entries, n):
     return matrix
 
 
-@pytest.mark.slow  # test_naive_filters.py has a fast one
+@pytest.mark.nightly  # test_naive_filters.py has a fast one
 @pytest.mark.parametrize(
     ("turn", "clock"),
     [

@@ -88,7 +88,7 @@ def test_information_has_its_limits() -> None:
     assert reset_law.heading_information(30.0, slow) == pytest.approx(r_limited, rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("length_s", [40.0, 120.0])
 def test_contraction_is_that_of_the_filter(length_s: float) -> None:
     """P_UU of a noise-free run that is linear throughout, without gyro noise in Q."""
@@ -238,7 +238,7 @@ def test_study_stored_with_every_value_loads_again(axes: dict[str, Any]) -> None
     assert study_from_dict(study_to_tables(study)).reset_times() == study.reset_times()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_schedules_by_name_are_swept_beside_times() -> None:
     policies = ["none", "times", "law", "trigger"]
     axes = {"policy": {"schedule": policies, "reset_times_s": [[], [10.0, 60.0], [], []]}}
@@ -338,7 +338,7 @@ def test_plan_states_what_noise_and_instability_add() -> None:
     assert drifting.left_out == ("accel_instability_ug",)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_plan_within_a_small_bound_and_studies_without_one_plan() -> None:
     plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=20.0)
     assert plan.times_s == (2.0, 4.0, 6.0) and plan.limited_by == "Q"

@@ -71,7 +71,7 @@ def test_prediction_is_what_measured_alignments_did(force: str) -> None:
     np.testing.assert_allclose(ratio, 1, atol=0.08 if force == "gravity" else 0.16)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("force", MEASURED)
 def test_prediction_is_what_noise_free_alignments_do(force: str) -> None:
     """Twelve runs of 500 s with feedback at once and P0 of velocity as printed and open."""

@@ -64,7 +64,7 @@ def some_filter(name):
     return params._replace(extra=own)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["kalman5", "invariant", "ekf_azimuth", "unscented"])
 def test_rewound_pass_equals_run_started_at_rewound_attitude(name):
     """Its P, estimate and velocity are those of a start, and so are feedbacks after it."""

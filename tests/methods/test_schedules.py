@@ -165,7 +165,7 @@ def relaxed(times, width):
     return np.asarray(compiled(Windows(times, width, FULL_RESET), start(), samples()))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("time", [150.0, 150.5])
 def test_relaxed_reset_converges_to_hard_reset_as_window_narrows(time):
     """P, and attitude and x, are the nearer the narrower the window is."""
@@ -180,7 +180,7 @@ def test_relaxed_reset_converges_to_hard_reset_as_window_narrows(time):
     assert off[-1, :5].max() < 2e-3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_derivative_by_reset_times_and_width_matches_finite_difference():
     """Of windows that overlap too; no sample is at the edge of one, where the slope has a bend."""
     point = (np.array([90.37, 130.41]), np.float64(30.3))

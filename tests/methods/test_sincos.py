@@ -81,7 +81,7 @@ def heading_errors(results):
     return table["phi_u_arcmin"].to_numpy().reshape(draws, variants, -1) * ARCMIN
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_converged_heading_does_not_depend_on_initial_heading():
     """From 30 s on, on the same noise."""
     study = matched(
@@ -95,7 +95,7 @@ def test_converged_heading_does_not_depend_on_initial_heading():
     assert np.abs(off).max() < 0.01 * ARCMIN
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_north_drift_estimate_and_sigma_are_consistent():
     """Its sigmas cover its errors at the end, and the north drift comes out."""
     bias = 0.5

@@ -412,7 +412,7 @@ CLOSED = {"every": 7, "gain": 0.6, "resets": (90, 333)}
 NEAR = Numbers(np.inf, window=20, refractory=10, most=12, until=380)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "trigger", "stored", "changes"),
     [
@@ -463,7 +463,7 @@ def of_variant(rows, number):
     return [row for row in rows if row["variant_id"] == number]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_trigger_count_and_times_are_reported(rows):
     for row in rows:
         count, *times = (row[own.column.name] for own in TRIGGER_COUNTS)
@@ -473,7 +473,7 @@ def test_trigger_count_and_times_are_reported(rows):
             assert (count, times) == (0, [None, None])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_trigger_that_never_fires_changes_nothing(rows):
     assert len(of_variant(rows, 0)) == 3
     for without, quiet in zip(of_variant(rows, 0), of_variant(rows, QUIET), strict=True):
@@ -487,7 +487,7 @@ def test_trigger_that_never_fires_changes_nothing(rows):
                 assert type(quiet[name]) is type(value)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_trigger_results_are_independent_of_other_runs(rows):
     """Other neighbours, fewer draws: the same bits."""
     tables = ROWS | {"study": ROWS["study"] | {"draws": 2}}
@@ -497,7 +497,7 @@ def test_trigger_results_are_independent_of_other_runs(rows):
     assert all(row["triggered_count"] for row in of_variant(alone, QUIET))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_trigger_columns_exist_only_with_reset_trigger(rows):
     told = {own.column.name for own in TRIGGER_COUNTS}
     assert told <= rows[0].keys()

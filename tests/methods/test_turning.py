@@ -47,7 +47,7 @@ def test_sways_in_pitch_and_roll_are_no_turns():
     assert turns([0.0, 0.0, 2.0]) and turns([5.0, 0.0, -2.0])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_study_without_the_option_has_neither_option_nor_number():
     (part,), (same,), (other,) = (
         build.parts(turned_study(**tables))
@@ -59,7 +59,7 @@ def test_study_without_the_option_has_neither_option_nor_number():
     np.testing.assert_array_equal(other.group.variants.method.turning_rate, [1.0 * DEG])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_kalman5_in_the_same_sweep_ignores_the_option():
     axes = {"method": ["kalman5", "kalman10"]}
     parts = build.parts(turned_study(alignment={}, filter=REOPEN, axes=axes))

@@ -112,13 +112,13 @@ SCHEDULES = {
 }
 
 
-@pytest.mark.representative("partial feedback, yaw resets")
+@pytest.mark.nightly(fast=("partial feedback, yaw resets",))
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_kalman5_closed_loop_matches_naive_filter(schedule):
     compare("kalman5", PAPER, 32.0, paper_filter(5, **SCHEDULES[schedule]))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "force", "position", "schedule"),
     [
@@ -136,7 +136,7 @@ def test_filters_with_integrated_position_match_naive_filter(name, force, positi
     assert moved == (position == "integrated")
 
 
-@pytest.mark.representative("schedule0")
+@pytest.mark.nightly(fast=("schedule0",))
 @pytest.mark.parametrize("schedule", [{"every": 7, "gain": 0.3}, {"resets": (1333,)}])
 def test_kalman10_that_reopens_matches_naive_filter(schedule):
     filt = paper_filter(10, turning_rate=1.5 * DEG, **schedule)

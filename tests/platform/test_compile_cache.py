@@ -179,14 +179,14 @@ def filled_cache(first_process):
     return folder / "cache", inner, bits
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_second_process_reuses_compiled_programs_of_first(filled_cache):
     """The result is bit-equal."""
     folder, _, bits = filled_cache
     assert result(start(folder)) == (bits, True, "")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("length", [100, 0])
 def test_truncated_cache_entry_is_recompiled_with_warning(filled_cache, length):
     folder, inner, bits = filled_cache
@@ -208,7 +208,7 @@ def test_entries_of_interrupted_writes_alone_are_removed_at_start(restored_setti
     assert sorted(here.iterdir()) == sorted([*complete, here / "notes.txt"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_entry_of_interrupted_write_is_replaced(filled_cache):
     """An entry without access time would stop all later writing."""
     folder, inner, bits = filled_cache
@@ -219,7 +219,7 @@ def test_entry_of_interrupted_write_is_replaced(filled_cache):
     assert result(start(folder)) == (bits, True, "")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_simultaneous_first_starts_give_same_result(tmp_path, first_process):
     processes = [start(tmp_path / "new") for _ in range(3)]
     assert [result(process)[0] for process in processes] == 3 * [first_process[1]]

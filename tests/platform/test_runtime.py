@@ -69,7 +69,7 @@ assert "jax" not in sys.modules
     assert done.stderr == ""
 
 
-@pytest.mark.slow  # modules that the tests import would tell: two devices, no warning
+@pytest.mark.nightly  # modules that the tests import would tell: two devices, no warning
 def test_no_module_starts_jax_at_import():
     """Otherwise the compiler options would be set too late."""
     run_python("""
@@ -115,7 +115,7 @@ study = sinsjax.study_from_dict({
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_run_after_jax_start_warns_once_and_computes_in_double_precision():
     """A notebook that has used JAX already; the user's own options do not silence the warning."""
     done = run_python(

@@ -89,7 +89,7 @@ def test_apply_warns_and_leaves_flag_file_unchanged(unset_flags, tmp_path):
     xla.apply_options()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_unknown_jaxlib_is_tried_once_and_cached(unset_flags):
     """XLA reports an unknown option when it starts, LLVM when it compiles."""
     unknown = XlaOption("xla_no_such_flag", "1", extra=False), XlaOption("--no-such-option", "1")

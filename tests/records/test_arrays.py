@@ -278,7 +278,7 @@ def recorded(**changes: Any) -> Any:
     return study_from_dict(tables)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_study_runs_on_arrays(drive_data):
     record = drive_data[1]

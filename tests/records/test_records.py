@@ -670,7 +670,7 @@ print((peak() - before) / len(record.dv))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc to read a peak from")
 def test_long_csv_record_is_read_in_little_memory(tmp_path):
     """Bytes a sample, of which 48 are the result; the text and its lines at once took 670."""

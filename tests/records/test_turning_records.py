@@ -34,7 +34,7 @@ def found(
     return check_stationary(record, (0, len(record.dv)), layout, expected)
 
 
-@pytest.mark.representative("one turn by 180")
+@pytest.mark.nightly(fast=("one turn by 180",))
 @pytest.mark.parametrize("motion", TURNS)
 def test_drift_of_turning_base_is_horizontal_earth_rate(motion):
     """1 deg/h and 500 ug, of which 0.88 are level; the ARW of 300 s is 0.1 deg/h."""
@@ -48,7 +48,7 @@ def test_drift_of_turning_base_is_horizontal_earth_rate(motion):
         assert turns.angle / DEG == pytest.approx(turned_deg[motion], abs=2)
 
 
-@pytest.mark.representative("four positions")
+@pytest.mark.nightly(fast=("four positions",))
 @pytest.mark.parametrize("motion", ["one turn by 180", "four positions", "reversing carousel"])
 def test_biases_of_turning_base_are_found(motion):
     some = turned_record(motion, gyro_bias_deg_per_h=50.0, accel_bias_ug=2000.0)
@@ -60,18 +60,20 @@ def test_biases_of_turning_base_are_found(motion):
     assert turns.drift / DEG_PER_H == pytest.approx(HORIZONTAL_DEG_PER_H, abs=0.3)
 
 
-@pytest.mark.representative("0.01-one turn by 180", "8.0-reversing carousel")
+@pytest.mark.nightly(fast=("0.01-one turn by 180", "8.0-reversing carousel"))
 @pytest.mark.parametrize("motion", TURNS)
 @pytest.mark.parametrize("bias_deg_per_h", [0.01, 1.0, 8.0])
 def test_turning_base_is_accepted_without_a_word(motion, bias_deg_per_h):
     assert not found(turned_record(motion, gyro_bias_deg_per_h=bias_deg_per_h))
 
 
-@pytest.mark.representative(
-    "rad_per_s-deg/s-57.29577951308232-four positions",
-    "deg_per_s-rad/s-0.017453292519943295-one-way carousel",
-    "deg_per_s-deg/h-3600.0-one turn by 180",
-    "deg_per_h-deg/s-0.0002777777777777778-reversing carousel",
+@pytest.mark.nightly(
+    fast=(
+        "rad_per_s-deg/s-57.29577951308232-four positions",
+        "deg_per_s-rad/s-0.017453292519943295-one-way carousel",
+        "deg_per_s-deg/h-3600.0-one turn by 180",
+        "deg_per_h-deg/s-0.0002777777777777778-reversing carousel",
+    )
 )
 @pytest.mark.parametrize("motion", TURNS)
 @pytest.mark.parametrize(
@@ -89,8 +91,12 @@ def test_wrong_gyro_unit_on_turning_base_is_refused_and_named(motion, unit, true
     assert one.text.endswith(f" {true_unit}?")
 
 
-@pytest.mark.representative(
-    "right-factor0-four positions", "front-factor1-one-way carousel", "up-factor2-one turn by 180"
+@pytest.mark.nightly(
+    fast=(
+        "right-factor0-four positions",
+        "front-factor1-one-way carousel",
+        "up-factor2-one turn by 180",
+    )
 )
 @pytest.mark.parametrize("motion", TURNS)
 @pytest.mark.parametrize(
@@ -101,7 +107,7 @@ def test_wrong_sign_of_one_gyro_on_turning_base_is_refused_and_named(motion, axi
     assert one.is_certain and f"the {axis} axis" in one.text
 
 
-@pytest.mark.representative("one turn by 180", "one turn by 90", "four positions")
+@pytest.mark.nightly(fast=("one turn by 180", "one turn by 90", "four positions"))
 @pytest.mark.parametrize("motion", TURNS)
 def test_wrong_sign_of_all_gyros_on_turning_base_is_reported(motion):
     """Two positions that are 180 deg apart are the same with either sign: a fit's misfit tells."""
@@ -141,7 +147,7 @@ def test_jerks_of_a_turn_by_hand_are_accepted():
     assert not found(some._replace(accel=some.accel + jerks))
 
 
-@pytest.mark.representative("-1.0-3")
+@pytest.mark.nightly(fast=("-1.0-3",))
 @pytest.mark.parametrize(("factor", "draws"), [(-1.0, 3), (1.0, 10), (-1.0, 10), (1 / DEG, 10)])
 def test_biases_of_parked_gyros_are_not_taken_for_turns(factor, draws):
     """A bias about the vertical looks like a turntable to the gyros alone."""

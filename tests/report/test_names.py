@@ -203,7 +203,7 @@ def test_control_characters_in_names_are_refused(letter: str) -> None:
         assert letter not in line and line.isprintable()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_failed_report_keeps_results_complete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

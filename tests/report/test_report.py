@@ -220,7 +220,7 @@ def test_missing_results_are_refused(tmp_path):
 # --- pages --------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("drawn")
 def test_page_is_written_identically_twice(tmp_path):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
@@ -407,7 +407,7 @@ def test_stopped_study_reports_reason_for_stopping(tmp_path):
     assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_missing_part_of_stopped_study_is_refused(tmp_path):
     """Missing variants must not be counted as missing draws."""
     study = small_study(

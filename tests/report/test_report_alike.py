@@ -30,7 +30,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
     return Source.read(store_results(directory, study, summary))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_distinct_rows_exclude_duplicate_variants(source: Source) -> None:
     table = source.distinct_rows(["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"])
     assert table.column_names == ["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"]
@@ -77,7 +77,7 @@ def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> Non
     assert row[0] == "12" and ends in row[1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_report_draws_methods_with_and_without_covariance_together(tmp_path: Path) -> None:
     study = small_study(
         study={"curves": True, "draws": 2},

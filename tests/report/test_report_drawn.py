@@ -54,7 +54,7 @@ def test_bins_have_equal_counts_and_few_values_stay_separate() -> None:
     assert bin_medians(few, 3).tolist() == few.tolist()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn_source: Source) -> None:
     found = bin_drawn_keys(drawn_source)
     assert found.keys() == {"phi_u0_deg", "yaw_center_deg"}  # a vector has no order
@@ -75,7 +75,7 @@ def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn_source: Source) 
         assert estimate.low < estimate.value < estimate.high
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn_source: Source) -> None:
     *pictures, idle = axis_figures.build_axis_figures(drawn_source)
     assert [getattr(block, "name", "") for block in pictures] == ["along_axis", "over_phi_u0_deg"]

@@ -47,7 +47,7 @@ def test_study_of_level_alone_reports_pitch_and_roll(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_level_next_to_a_filter_never_settles(tmp_path: Path) -> None:
     source = run_methods(tmp_path / "out", ["kalman5", "level"])
     report = monte_carlo.build_report(source)

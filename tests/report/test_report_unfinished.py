@@ -58,7 +58,7 @@ def printed_lines(out: Path, page: Path | None = None) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "store", [store_made_up, pytest.param(store_interrupted, marks=pytest.mark.slow)]
+    "store", [store_made_up, pytest.param(store_interrupted, marks=pytest.mark.nightly)]
 )
 def test_unfinished_report_warns_with_share_of_runs(
     store: Callable[..., Path], tmp_path: Path
@@ -82,7 +82,7 @@ def test_unfinished_report_warns_with_share_of_runs(
         _ = Source.read(out).draws
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_report_without_complete_draw_is_refused(tmp_path: Path) -> None:
     out = store_interrupted(tmp_path / "out", axes={"specific_force": ["measured", "gravity"]})
     with pytest.raises(InputError, match=r"unfinished: .* and no draw that every variant has") as e:
@@ -90,7 +90,7 @@ def test_report_without_complete_draw_is_refused(tmp_path: Path) -> None:
     assert "\n" not in str(e.value)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_finished_report_has_no_unfinished_warning(tmp_path: Path) -> None:
     study = small_study(study=SHORT | {"draws": 4})
     run.run_into(study, tmp_path / "out")

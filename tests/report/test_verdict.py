@@ -183,7 +183,7 @@ def test_method_that_has_no_bias_floor_is_compared_from_the_truth() -> None:
     assert "of true north" in facts_by_label(found)["Success"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> None:
     from sinsjax import run_into
 

@@ -83,14 +83,14 @@ def continued(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str,
     return folder, json.loads(done.stdout)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_continued_and_repeated_rows_are_those_of_the_version_that_stored_them(
     continued: tuple[Path, dict[str, Any]],
 ) -> None:
     assert_same(expected()["continued"], continued[1], WITHIN)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_continued_results_keep_their_stored_parts(
     continued: tuple[Path, dict[str, Any]],
 ) -> None:
@@ -101,7 +101,7 @@ def test_continued_results_keep_their_stored_parts(
         assert sinsjax.read_manifest(continued[0] / name)["state"] == "complete"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", RERUNS)
 def test_repeated_run_has_the_stored_row(name: str, continued: tuple[Path, dict[str, Any]]) -> None:
     run_id = RERUNS[name]

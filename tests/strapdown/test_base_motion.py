@@ -39,7 +39,7 @@ def swings(draw):
     )
 
 
-AS_SHIPPED = pytest.mark.optimised(True), pytest.mark.slow
+AS_SHIPPED = pytest.mark.optimised(True), pytest.mark.nightly
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_static_base_increments_match_closed_form(pitch, roll, yaw, latitude_deg
     np.testing.assert_allclose(rows[:, 3:], [c.T @ up / 100] * 3, rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_increment_derivative_matches_finite_difference():
     here = place(PAPER, 0.5)
 

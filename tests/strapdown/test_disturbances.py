@@ -33,7 +33,7 @@ VELOCITY = jax.jit(jax.vmap(jax.jacfwd(position, argnums=1), in_axes=(None, 0)))
 ACCELERATION = jax.jit(jax.jacfwd(jax.jacfwd(position, argnums=1), argnums=1))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("swing", "planet"), [(PAPER1, PAPER), (PAPER2, WGS84)])
 def test_lever_arm_force_matches_second_derivative_of_position(swing, planet):
     here, moving, t = place(planet, 0.6), with_lever(swing), 3.21
@@ -69,7 +69,7 @@ def navigated(rows, q, v, here, rate, seconds):
     return jax.lax.scan(one_second, Navigation(q, v[0], v[1], zero, zero), samples)[1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_free_navigation_follows_lever_arm_motion():
     """60 s at 200 Hz: 5e-5 m/s of 0.1 m/s, and 0.1 arcsec."""
     here, moving, rate, seconds = place(PAPER, 32 * DEG), with_lever(PAPER1), 200, 60
@@ -113,7 +113,7 @@ def surging(rate, seconds, model):
     return here, moving, *map(np.asarray, run(np.asarray(5)))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("model", ["third_order", "gauss_markov"])
 def test_free_navigation_follows_surge_velocity(model):
     """Sway and surge together, 60 s at 200 Hz: 5e-5 m/s of 0.3 m/s, and 0.1 arcsec."""

@@ -67,7 +67,7 @@ def free_runs(swing, here, *, rate, seconds, schemes=(previous_sample, single_sa
     return runs
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("swing", "planet", "latitude_deg", "rate", "seconds"),
     [
@@ -174,7 +174,7 @@ def flight(rows, rate, start, v, planet, latitude, *, moves):
 FAST = Planet(7.292115e-3, 6378137.0, 6378137.0, 9.8)
 
 
-@pytest.mark.representative("planet0-57.0-False", "planet2-40.0-True")
+@pytest.mark.nightly(fast=("planet0-57.0-False", "planet2-40.0-True"))
 @pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize(("planet", "latitude_deg"), [(WGS84, 57.0), (PAPER, -32.0), (FAST, 40.0)])
 def test_moving_vehicle_navigation_matches_ode_integration(

@@ -157,7 +157,7 @@ def test_binomial_triad_sums_sixteen_bits_per_number():
     assert [float(a) for a in made] == [0.5 * (bits - 8) for bits in (2, 4, 8)]
 
 
-@pytest.mark.representative("1")
+@pytest.mark.nightly(fast=("1",))
 @pytest.mark.parametrize("order", [1, 3])
 def test_process_is_stationary_from_first_sample(order):
     """By 4000 draws: the variance of the first sample is that of the last."""

@@ -114,7 +114,8 @@ def test_compensation_matches_naive_term_by_term():
 
 
 @pytest.mark.parametrize(
-    "optimised", [False, pytest.param(True, marks=[pytest.mark.optimised(True), pytest.mark.slow])]
+    "optimised",
+    [False, pytest.param(True, marks=[pytest.mark.optimised(True), pytest.mark.nightly])],
 )
 def test_compensation_of_split_record_equals_whole_record(optimised):
     compensate = sensors.compensate_record if optimised else jax.jit(sensors.compensate_record)

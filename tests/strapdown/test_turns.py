@@ -125,7 +125,7 @@ def exact_increment(axis, k):
     return 0.5 * WEIGHTS @ values / RATE_HZ
 
 
-@pytest.mark.representative("both")
+@pytest.mark.nightly(fast=("both",))
 @pytest.mark.parametrize("axis", AXES)
 def test_turned_base_matches_exact_integration_at_every_sample(axis):
     sense = jax.jit(partial(base_motion.increment, moved(axis)))
@@ -140,7 +140,7 @@ def test_turned_base_matches_exact_integration_at_every_sample(axis):
         np.testing.assert_allclose(np.array(made.dv) * RATE_HZ, exact[3:], rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("axis", AXES)
 def test_attitude_rate_and_force_at_a_time_match_matrix(axis):
     moving = moved(axis)
@@ -176,7 +176,7 @@ def test_lever_arm_from_axis_gives_centripetal_and_tangential_force():
     np.testing.assert_allclose(middle[:2], [-0.2 * rate**2 / 4, 0.2 * peak], rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("step_s", "limit_deg_per_h"), [(0.05, 1e-8), (0.033, 1e-6)])
 def test_path_through_given_attitudes_matches_exact_integration(step_s, limit_deg_per_h):
     times = np.arange(0, 400 * step_s, step_s)

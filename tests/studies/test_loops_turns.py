@@ -78,7 +78,7 @@ def integrated(study, times, turn, *, level_s, stored_s, sigma_az):
     return -np.rad2deg(found)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("turn", TURNS)
 def test_noise_free_engine_run_matches_integrated_north_channel(turn):
     factors = {"level_time_s": 40.0, "sigma_factors": [1.0, 2.0], "sigma_times_s": [100.0]}

@@ -27,7 +27,7 @@ def study_of(data, *names, **changes):
     return study_from_dict(data | {"cases": cases} | changes)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_reflected_compass_matches_kalman_filter_on_real_record(data, data_dir, tmp_path):
     """On a base that sways, 7 passes over 80 s end as well as a filter does."""

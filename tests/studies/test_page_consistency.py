@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 DRAWS = 128
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_filter_is_consistent_only_if_its_model_is_true():
     data = tomllib.loads((ROOT / "configs" / "consistency.toml").read_text(encoding="utf-8"))

@@ -138,7 +138,7 @@ def bounds(monkeypatch):
     monkeypatch.setattr(made, lambda times_s, **_: np.ones(len(times_s)))
 
 
-@pytest.mark.representative("paper1", "reset_sweep", "tuning")
+@pytest.mark.nightly(fast=("paper1", "reset_sweep", "tuning"))
 @pytest.mark.usefixtures("tunings", "few_resamples", "bounds")
 @pytest.mark.parametrize("name", PAGES)
 def test_page_renders_and_uses_all_computed_values(name, tmp_path):

@@ -22,7 +22,7 @@ LONG = {"reset_law", "reset_surge"}
 @pytest.mark.parametrize(
     "path",
     [
-        pytest.param(path, marks=pytest.mark.slow if path.stem in LONG else (), id=path.stem)
+        pytest.param(path, marks=pytest.mark.nightly if path.stem in LONG else (), id=path.stem)
         for path in sorted(CONFIGS.glob("*.toml"))
     ],
 )
@@ -35,7 +35,7 @@ def test_methods_study_contains_every_method_that_finds_heading() -> None:
     assert set(load_study(CONFIGS / "methods.toml").methods) == found
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_surge_degrades_resets_more_than_kalman_sincos() -> None:
     """0.1 m/s rms for 300 s at (5, 5, 30) deg: three resets against `kalman_sincos`.
@@ -57,7 +57,7 @@ def test_surge_degrades_resets_more_than_kalman_sincos() -> None:
         assert resets > 8 * sincos
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_condition_5_converges_only_with_resets_or_gravity_model() -> None:
     """[P1] Figs 2 and 5: at (5, 5, 30) deg the filter fails, with three resets it converges.
 
@@ -90,7 +90,7 @@ def car(data_dir: Path) -> pa.Table:
     return run.run(study, stored).summary
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_scheme_1_agrees_with_reference_from_every_start(car: pa.Table) -> None:
     """Within 0.02 deg in yaw at the end, within 0.03 deg as mean over 300-500 s."""
     rows = car.filter(pc.starts_with(car["case"], "scheme 1"))
@@ -99,7 +99,7 @@ def test_scheme_1_agrees_with_reference_from_every_start(car: pa.Table) -> None:
     assert np.abs(rows["phi_u_mean_arcmin"]).max() < 0.03 * 60
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_resets_remove_added_misalignment_on_real_record(car: pa.Table) -> None:
     """Scheme 3 ends where scheme 1 does, scheme 2 with slow feedback far off ([P1] Fig. 8)."""
     slow = car.filter(pc.equal(car["feedback_interval_s"], 1.0))

@@ -41,7 +41,7 @@ def with_file(path, **changes):
     return small_study(motion=NO_ANGLES | {"attitude_file": path}, **changes)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_gyros_measure_the_attitude_between_rows(tmp_path):
     errors = {"gyro_bias_deg_per_h": 0.0, "gyro_noise_deg_per_h": 0.0}
     study = with_file(written(tmp_path), sensors=errors)

@@ -12,14 +12,16 @@ import sinsjax
 from sinsjax.study import display, files
 
 
-@pytest.mark.representative(
-    "car_test",
-    "compass_car",
-    "covariance",
-    "methods",
-    "paper1_resets",
-    "reset_sweep",
-    "tune_condition5",
+@pytest.mark.nightly(
+    fast=(
+        "car_test",
+        "compass_car",
+        "covariance",
+        "methods",
+        "paper1_resets",
+        "reset_sweep",
+        "tune_condition5",
+    )
 )
 @pytest.mark.parametrize("name", files.shipped_studies())
 def test_shipped_study_is_displayed_in_five_short_lines_and_round_trips(name):

@@ -131,7 +131,7 @@ LOGS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
 }
 
 
-@pytest.mark.representative("FRD in rad/s, semicolons, comments")
+@pytest.mark.nightly(fast=("FRD in rad/s, semicolons, comments",))
 @pytest.mark.parametrize("name", LOGS)
 def test_log_becomes_study_that_runs(name, rates, sinsjax, tmp_path):
     make, expected = LOGS[name]
@@ -161,7 +161,7 @@ def test_nominal_rate_is_marked_in_study(rates, tmp_path):
     assert "nominal" not in make_study_text(path, Path("its.toml"))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_short_gaps_are_interpolated_and_long_gap_moves_start(rates, sinsjax, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
     table[3000, 2] = np.nan
@@ -192,7 +192,7 @@ def test_study_ends_a_second_before_log(rates, tmp_path):
     assert study["study"]["duration_s"] + study["coarse"]["coarse_duration_s"] == 99.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reference_ending_slightly_before_log_is_accepted(rates, sinsjax, tmp_path):
     write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
     times = np.arange(0.1, 99.95, 0.1)
@@ -216,7 +216,7 @@ def test_psins_log_becomes_study_that_runs(rates, sinsjax, tmp_path):
     assert abs(align_written_study(sinsjax, path)["yaw_deg"] - 10) < 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_log_with_odd_rate_or_text_dates_is_read(rates, sinsjax, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 1 / 102.4)
     table[:, 1:] *= [*[1.024] * 3, 1, 1, 1]
@@ -257,7 +257,7 @@ def test_ambiguous_log_is_marked_with_doubt(name, rates, tmp_path):
     assert named in " ".join(load_with_doubts(path)[1])
 
 
-@pytest.mark.representative("deg_per_s-0.017453292519943295-1")
+@pytest.mark.nightly(fast=("deg_per_s-0.017453292519943295-1",))
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize(("unit", "factor"), GYRO.items())
 def test_dead_gyro_is_ignored_in_choice_of_unit(axis, unit, factor, rates, tmp_path):
@@ -296,7 +296,7 @@ def test_unusable_log_is_refused_in_one_line(make, named, rates, sinsjax, tmp_pa
     assert not Path("log.toml").exists()
 
 
-@pytest.mark.representative("l\\xff-l\\\\udcff-csv")
+@pytest.mark.nightly(fast=("l\\xff-l\\\\udcff-csv",))
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize(
@@ -333,7 +333,7 @@ def test_backward_time_stamps_are_refused_with_row(rates, sinsjax, tmp_path):
     assert study["record"]["time_column"] == "t"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("resolution_s", [0.02, 1.0])
 def test_coarse_time_stamps_give_mean_rate(resolution_s, rates, sinsjax, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)

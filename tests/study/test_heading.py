@@ -9,7 +9,7 @@ from sinsjax.execution import run, tables
 from sinsjax.types import Vec3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_heading_is_clockwise_from_north():
     study = small_study(axes={"yaw_center_deg": [10.0, -100.0]}, alignment={"phi_u0_deg": 0.0})

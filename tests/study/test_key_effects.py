@@ -102,7 +102,7 @@ def study_of(text: str) -> Study:
     return small_study(**tomllib.loads(text.replace(" & ", "\n")))
 
 
-@pytest.mark.representative("cycle of no reset", "reading of no angle")
+@pytest.mark.nightly(fast=("cycle of no reset", "reading of no angle"))
 @pytest.mark.parametrize("name", SILENT)
 def test_inactive_key_changes_no_outcome(name):
     study = study_of(SILENT[name])
@@ -110,7 +110,7 @@ def test_inactive_key_changes_no_outcome(name):
     assert are_equal(*outcomes(study))
 
 
-@pytest.mark.representative("cycle of a reset", "scale", "waiting", "reading of angles")
+@pytest.mark.nightly(fast=("cycle of a reset", "scale", "waiting", "reading of angles"))
 @pytest.mark.parametrize("name", ACTING)
 def test_active_key_changes_outcome(name):
     study = study_of(ACTING[name])
@@ -144,7 +144,7 @@ def silent_and_changing_keys(method: str) -> tuple[set[str], set[str]]:
     return silent, {*keys} - silent
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("method", METHODS)
 def test_keys_without_effect_are_those_that_change_no_bit_of_a_run(method):
     silent, changing = silent_and_changing_keys(method)

@@ -183,7 +183,7 @@ def test_clean_logs_are_read_in_body_axes_without_question_or_doubt(body, tmp_pa
         assert_body(study, logs[name], body)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_clean_logs_give_attitude_without_question_or_doubt(body, tmp_path):
     logs = clean_logs(body, tmp_path)
     assert len(logs) == 20
@@ -197,7 +197,7 @@ def test_clean_logs_give_attitude_without_question_or_doubt(body, tmp_path):
 # --- units
 
 
-@pytest.mark.representative("1.0-1.0", "9.80665-0.017453292519943295")
+@pytest.mark.nightly(fast=("1.0-1.0", "9.80665-0.017453292519943295"))
 @pytest.mark.parametrize("unit", [1.0, DEG])
 @pytest.mark.parametrize("accel_unit", [1.0, G])
 def test_unit_of_mems_gyros_without_name_is_a_question(unit, accel_unit, body, tmp_path):
@@ -460,7 +460,7 @@ def test_stamps_with_missing_samples_among_bad_ones_leave_rate_open(body, tmp_pa
     assert "21.7782 Hz" in questions["rate_hz"]
 
 
-@pytest.mark.representative("repeated1")
+@pytest.mark.nightly(fast=("repeated1",))
 @pytest.mark.parametrize("repeated", [[300], list(range(10, 700, 20))])
 def test_repeated_rows_are_left_out_and_counted(repeated, body, tmp_path):
     table = np.column_stack([TIME, *in_axes(body, "flu")])
@@ -595,7 +595,7 @@ def two_sensors(
     return [time, *(np.where(is_second[:, None], v @ turn, v) for v in both)], is_second
 
 
-@pytest.mark.representative("unit-texts0-1", "node-texts1-10")
+@pytest.mark.nightly(fast=("unit-texts0-1", "node-texts1-10"))
 @pytest.mark.parametrize("block", [1, 10])
 @pytest.mark.parametrize(("name", "texts"), [("unit", ("left", "right")), ("node", ("7", "9"))])
 def test_rows_of_two_sensors_by_any_label_are_refused(name, texts, block, body, tmp_path):
@@ -634,7 +634,7 @@ def test_labels_without_another_mean_stay_silent(body, tmp_path):
     assert not read_study(path)[1]
 
 
-@pytest.mark.representative("n")
+@pytest.mark.nightly(fast=("n",))
 @pytest.mark.parametrize("frame", ["n", "world"])
 def test_accelerations_in_a_navigation_frame_are_passed_over(frame, body, tmp_path):
     gyro, accel = in_axes(body, "flu")
@@ -662,7 +662,7 @@ def test_accelerometers_that_differ_without_a_hint_are_a_question(body, tmp_path
     assert read_study(path)[1:] == ({}, ["or accel_high_x, accel_high_y, accel_high_z?"])
 
 
-@pytest.mark.representative("imu{k}_{s}_{a}")
+@pytest.mark.nightly(fast=("imu{k}_{s}_{a}",))
 @pytest.mark.parametrize("pattern", ["imu{k}_{s}_{a}", "{s}_{a}_{k}", "{s}_{a}_imu{k}"])
 def test_gyros_and_accelerometers_of_one_instance_are_paired(pattern, body, tmp_path):
     gyro, accel = in_axes(body, "flu")
@@ -700,7 +700,7 @@ def test_front_of_roll_rates_is_a_question_that_names_and_sways_settle(body, tmp
     assert study["record"]["axes_order"] == "xyz"
 
 
-@pytest.mark.representative("0.97-1.0")
+@pytest.mark.nightly(fast=("0.97-1.0",))
 @pytest.mark.parametrize("accel_unit", [1.0, G])
 @pytest.mark.parametrize("ratio", [0.97, 1.0])
 def test_mems_bias_that_looks_like_earth_rate_is_a_question(ratio, accel_unit, body, tmp_path):
@@ -738,7 +738,7 @@ def test_gyros_that_turn_opposite_to_the_vertical_are_a_question(tmp_path):
 # --- gyros that cannot find north
 
 
-@pytest.mark.representative("False")
+@pytest.mark.nightly(fast=("False",))
 @pytest.mark.parametrize("trust", [False, True])
 def test_hidden_north_leaves_level_with_honest_sigma(trust, body, sinsjax, tmp_path):
     names = [f"rfu_{NAMES[0]}", *(f"rfu_{n} (rad/s)" for n in NAMES[1:4]), *NAMES[4:]]

@@ -49,7 +49,7 @@ def simulate_spectrum(process: processes.Process, dt: float) -> tuple[np.ndarray
     return np.fft.rfftfreq(n, dt), spectrum.mean(axis=0)
 
 
-@pytest.mark.representative("2.0")
+@pytest.mark.nightly(fast=("2.0",))
 @pytest.mark.parametrize("time_s", [2.0, 5.0])
 def test_density_is_that_of_gauss_markov_surge_at_zero_frequency(time_s):
     process = processes.gauss_markov_process(np.full(3, 0.3), np.asarray(time_s), DT_S)
@@ -57,7 +57,7 @@ def test_density_is_that_of_gauss_markov_surge_at_zero_frequency(time_s):
     assert density[:3].mean() == pytest.approx(surge_density(0.3, time_s), rel=0.06)
 
 
-@pytest.mark.representative("5.0")
+@pytest.mark.nightly(fast=("5.0",))
 @pytest.mark.parametrize("time_s", [2.0, 5.0])
 def test_density_is_largest_one_of_third_order_surge(time_s):
     """It peaks at 1/(2 pi T) Hz, and is next to nothing at zero frequency."""
@@ -80,7 +80,7 @@ def test_density_takes_larger_horizontal_axis():
 # R of a study
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0])
 def test_omitted_r_follows_surge_of_each_variant(rate_hz):
     axes = {"surge_m_per_s": [0.0, 0.02, (0.05, 0.0, 9.0)], "surge_time_s": [5.0, 2.0]}
@@ -89,7 +89,7 @@ def test_omitted_r_follows_surge_of_each_variant(rate_hz):
     np.testing.assert_allclose(compute_r(study), 0.01 + density * rate_hz, rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("model", ["third_order", "gauss_markov"])
 def test_omitted_r_follows_surge_in_both_units_and_times_its_scale(model):
     axes = {"r_reading": ["per_update", "psd"], "r_scale": [0.25, 4.0]}
@@ -98,7 +98,7 @@ def test_omitted_r_follows_surge_in_both_units_and_times_its_scale(model):
     np.testing.assert_allclose(made, expected.ravel(), rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_given_r_does_not_follow_surge():
     axes = {"surge_m_per_s": [0.0, 0.02], "r_velocity_m_per_s": [0.1, 0.3]}
     np.testing.assert_allclose(
@@ -108,7 +108,7 @@ def test_given_r_does_not_follow_surge():
     np.testing.assert_allclose(compute_r(changed), 0.01)
 
 
-@pytest.mark.representative("kalman10-0.004", "kalman_surge-0.0")
+@pytest.mark.nightly(fast=("kalman10-0.004", "kalman_surge-0.0"))
 @pytest.mark.parametrize(
     ("method", "density"),
     [

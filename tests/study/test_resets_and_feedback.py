@@ -56,7 +56,7 @@ def test_waiting_resets_have_params_of_resets_scheduled_at_next_feedback():
             np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_waiting_reset_equals_reset_scheduled_at_next_feedback():
     """To the bit that of a schedule on the feedbacks themselves."""
     phases = [[0.71, 1.41], [0.8, 1.77], [1.05, 2.05], [1.05, 2.1]]
@@ -74,7 +74,7 @@ def test_waiting_reset_equals_reset_scheduled_at_next_feedback():
     assert written[0] != written[1] != written[2]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "method", [pytest.param("kalman5", marks=pytest.mark.optimised(True)), "kalman_sincos"]
 )
@@ -88,14 +88,14 @@ def test_reset_feedback_keys_do_not_affect_other_variants(method):
     assert own[PLAIN] != own[WAITING] != own[RESTARTING] != own[PLAIN]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reset_feedback_keys_have_no_effect_with_feedback_every_sample():
     tables = {"alignment": {"feedback_interval_s": 0.01}, "axes": {"keys": KEYS}}
     plain, *others = rows(**tables, resets={"reset_times_s": [1.0, 1.9]})
     assert all(other == plain for other in others)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_triggered_resets_wait_for_next_feedback():
     found = rows(
         alignment={"feedback_interval_s": 0.25},

@@ -113,7 +113,7 @@ def test_hidden_north_is_not_feared_on_a_turned_base():
     assert hidden_north(small_study(motion=STILL | FAST, sensors=biased)) is None
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_turns_can_be_swept_with_none_among_them():
     axes = {"turn_times_s": [[], [1.0], [0.0, 4.0]]}
     study = small_study(motion=STILL | {"turn_angles_deg": 30.0}, axes=axes)
@@ -127,7 +127,7 @@ def test_turns_can_be_swept_with_none_among_them():
     assert counts == [0, 1, 2]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("axis", ["vertical", "body"])
 def test_drawn_motion_turns_like_fixed_one(axis):
     turns = FAST | {"turn_axis": axis, "lever_arm_m": [0.2, 0.1, 0.0]}
@@ -139,7 +139,7 @@ def test_drawn_motion_turns_like_fixed_one(axis):
     np.testing.assert_allclose(made.dv, fixed.dv, rtol=0, atol=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_table_without_sway_turns_like_vertical_axis():
     still = STILL | FAST | {"lever_arm_m": [0.2, 0.1, 0.0]}
     made = [

@@ -51,7 +51,7 @@ def marks(text: str) -> list[str]:
     return [" ".join(mark.replace("\n#  ", "").split()) for mark in found]
 
 
-@pytest.mark.representative("increments-four positions", "no units, deg/s-one-way carousel")
+@pytest.mark.nightly(fast=("increments-four positions", "no units, deg/s-one-way carousel"))
 @pytest.mark.parametrize("motion", TURNS)
 @pytest.mark.parametrize("units", UNITS)
 def test_turning_log_has_no_doubt_but_its_hemisphere(motion, units, tmp_path):
@@ -63,7 +63,7 @@ def test_turning_log_has_no_doubt_but_its_hemisphere(motion, units, tmp_path):
     assert study["record"]["gyro_unit"] == UNITS[units][-1]
 
 
-@pytest.mark.representative("-1.0-sign of the gyros")
+@pytest.mark.nightly(fast=("-1.0-sign of the gyros",))
 @pytest.mark.parametrize(("gyro", "asks"), [(1 / DEG, "deg/s?"), (-1.0, "sign of the gyros")])
 def test_wrong_unit_or_sign_of_turning_log_is_a_doubt(gyro, asks, tmp_path):
     text = make_study_text(
@@ -119,7 +119,7 @@ def aligned(
     return printed, row
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_turning_log_is_aligned_without_warning(monkeypatch, capsys, tmp_path):
     printed, row = aligned(monkeypatch, capsys, tmp_path, "four positions")
     error_deg = (row["heading_deg"] - simulated("four positions").heading_deg + 180) % 360 - 180
@@ -128,7 +128,7 @@ def test_turning_log_is_aligned_without_warning(monkeypatch, capsys, tmp_path):
     assert "Caution" not in printed and "Floor" not in printed
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_fit_that_contradicts_its_sensors_is_a_caution(monkeypatch, capsys, tmp_path):
     signs = np.array([1.0, 1.0, -1.0])  # refused, unless the user insists
     trust = ("--set", "record.trust=true")

@@ -76,13 +76,7 @@ def expected_refusal(study: Study, method: str) -> str | None:
     return None
 
 
-@pytest.mark.representative(
-    "reset_sweep",
-    "paper2_static",
-    "tune_large",
-    "car_test",
-    "covariance",
-)
+@pytest.mark.nightly(fast=("reset_sweep", "paper2_static", "tune_large", "car_test", "covariance"))
 @pytest.mark.parametrize("name", SHIPPED)
 def test_method_of_shipped_study_can_be_changed(name):
     path = SHIPPED[name]
@@ -97,7 +91,7 @@ def test_method_of_shipped_study_can_be_changed(name):
             load_with_notes(path, {"alignment.method": method})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
 def test_reset_sweep_runs_with_any_method(method):

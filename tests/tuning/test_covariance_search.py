@@ -67,7 +67,7 @@ def summary() -> pa.Table:
     return run.run(at_points()[1], curves=False).summary
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["settle_mean", "settle_quantile", "failure_rate", "final_error"])
 def test_estimated_objective_matches_draws(kind: str, summary: pa.Table) -> None:
     """Within four standard errors of 256 draws, at each of four points."""
@@ -94,7 +94,7 @@ def test_shift_moves_all_resets_to_whole_samples() -> None:
     assert search.shift_resets(study, {"q_scale": 0.5}, 0.5) == {"q_scale": 0.5}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_finalists_are_evaluated_with_tuning_draws(found: history.SearchResult) -> None:
     study = tuned()
     assert study.tune is not None
@@ -117,12 +117,12 @@ def test_finalists_are_evaluated_with_tuning_draws(found: history.SearchResult) 
     assert costs == sorted(costs) and costs[0] > 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_same_seed_gives_same_search_result(found: history.SearchResult) -> None:
     assert search.search_by_covariance(tuned()) == found
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("variables", "changes", "finalists"),
     [
@@ -168,7 +168,7 @@ def test_covariance_search_screens_candidates_without_variables_once(
         assert np.flatnonzero(np.isfinite(e.values)).tolist() == used
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_covariance_tuning_history_is_stored_and_resumed(
     found: history.SearchResult, tmp_path: Path
 ) -> None:

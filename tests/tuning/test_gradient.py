@@ -194,7 +194,7 @@ def gradients(name: str) -> dict[str, tuple[float, float]]:
     return {v.name: (float(ours), float(theirs)) for v, ours, theirs in rows}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "variable"), VARIABLES)
 def test_gradients_match_finite_differences(name: str, variable: str) -> None:
     ours, theirs = gradients(name)[variable]
@@ -236,8 +236,8 @@ WAYS = [
 ]
 
 
-@pytest.mark.representative(
-    "settle_mean-mean", "settle_quantile-worst", "final_error-worst", "failure_rate-worst"
+@pytest.mark.nightly(
+    fast=("settle_mean-mean", "settle_quantile-worst", "final_error-worst", "failure_rate-worst")
 )
 @pytest.mark.parametrize(("what", "across"), WAYS)
 def test_relaxed_score_is_near_hard_score_and_slope_matches_differences(
@@ -294,10 +294,12 @@ def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -
             np.testing.assert_allclose(leaf, expected_leaf, rtol=1e-12)
 
 
-@pytest.mark.representative(
-    *("kalman10-reset_times_s[0]", "kalman10-reset_yaw_deg", "kalman10-r_scale"),
-    *("counted-reset_first_s", "counted-q_gyro_deg_per_h_per_sqrt_hz"),
-    *("random walk-q_gyro_arw_deg_per_sqrt_h", "compass-turn_smoothing_s"),
+@pytest.mark.nightly(
+    fast=(
+        *("kalman10-reset_times_s[0]", "kalman10-reset_yaw_deg", "kalman10-r_scale"),
+        *("counted-reset_first_s", "counted-q_gyro_deg_per_h_per_sqrt_hz"),
+        *("random walk-q_gyro_arw_deg_per_sqrt_h", "compass-turn_smoothing_s"),
+    )
 )
 @pytest.mark.parametrize(("name", "variable"), VARIABLES)
 def test_relaxed_variable_matches_setting_study_key(name: str, variable: str) -> None:
@@ -315,7 +317,7 @@ COUNTED = {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
 P0 = [key for key in METHODS["kalman5"].implementation.relaxation.changes if key.startswith("p0_")]
 
 
-@pytest.mark.representative("p0_yaw_deg")
+@pytest.mark.nightly(fast=("p0_yaw_deg",))
 @pytest.mark.parametrize("key", P0)
 def test_reset_covariance_follows_initial_covariance_unless_given(key: str) -> None:
     """Without an axis of the reset covariance, and with one."""
@@ -345,7 +347,7 @@ def test_reset_times_match_candidate_reset_count() -> None:
 # The relaxed and the hard objective
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_relaxed_objective_converges_to_hard_objective() -> None:
     """Three descents and two variants; with gravity the draws share a covariance."""
     study = tuned(
@@ -376,7 +378,7 @@ def test_relaxed_objective_converges_to_hard_objective() -> None:
     np.testing.assert_allclose(with_other_draws, slope(box, np.arange(3), softening[-1])[0])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_memory_barely_grows_with_run_duration() -> None:
     """Only the true attitudes at record times grow, which a draw's runs share."""
     needed = []
@@ -417,7 +419,7 @@ def smooth_slope(*, starts: int, draws: int, samples: int) -> Slope:
     return Slope(ParameterMap(SMOOTH, {}), starts=starts, draws=draws, samples=samples)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_covariance_gradients_match_finite_differences() -> None:
     """F and W are in single precision, which affects differences more than derivatives."""
     p, step = 2, 4e-3
@@ -431,7 +433,7 @@ def test_covariance_gradients_match_finite_differences() -> None:
     assert np.all(np.abs(expected) > 0.5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_covariance_descents_improve_simulated_runs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -463,9 +465,11 @@ def test_covariance_descents_improve_simulated_runs(
     assert found.best.objective <= begun.min()
 
 
-@pytest.mark.representative(
-    *("settle_mean-False-None", "settle_mean-True-1.3", "final_error-True-None"),
-    *("final_error-False-1.3", "failure_rate-True-1.3", "failure_rate-False-1.3"),
+@pytest.mark.nightly(
+    fast=(
+        *("settle_mean-False-None", "settle_mean-True-1.3", "final_error-True-None"),
+        *("final_error-False-1.3", "failure_rate-True-1.3", "failure_rate-False-1.3"),
+    )
 )
 @pytest.mark.parametrize("from_floor", [None, 1.3])
 @pytest.mark.parametrize("truth", [False, True])
@@ -540,7 +544,7 @@ def down() -> tuple[Study, history.SearchResult]:
     return study, gradient.descend(study)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_descents_decrease_objective_and_stay_in_bounds(
     down: tuple[Study, history.SearchResult],
 ) -> None:
@@ -560,7 +564,7 @@ def test_descents_decrease_objective_and_stay_in_bounds(
     assert found.best.objective < min(scan)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_descent_history_records_cost_step_and_sharpness(
     down: tuple[Study, history.SearchResult],
 ) -> None:
@@ -582,7 +586,7 @@ def test_descent_history_records_cost_step_and_sharpness(
     assert all(e.window_s is None for e in found.evaluations)  # no resets
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_repeated_descent_gives_same_result(down: tuple[Study, history.SearchResult]) -> None:
     study, found = down
     assert gradient.descend(study) == found
@@ -639,7 +643,7 @@ def test_resumed_tuning_takes_each_search_from_its_own_points() -> None:
         assert found.search == result.search
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_descent_runs_each_candidate_in_turn() -> None:
     """Unused variables have no value; a candidate without variables is scored once.
 

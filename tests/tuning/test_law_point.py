@@ -52,7 +52,7 @@ def law_times(study: Study, heading_deg: float, resets: int) -> tuple[float, ...
     return found.times_s
 
 
-@pytest.mark.representative("tune_robust")
+@pytest.mark.nightly(fast=("tune_robust",))
 @pytest.mark.parametrize("name", ["tune_condition5", "tune_large", "tune_robust"])
 def test_shipped_tunings_have_the_law_within_their_ranges(name: str) -> None:
     study = load_study(name)
@@ -239,7 +239,7 @@ def test_searches_by_points_evaluate_the_law_first(
     assert len(design.box) == 1 + (4 if name == "grid" else study.tune.sobol_points)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_report_states_gain_over_the_law(directory: Path) -> None:
     """The difference of both on the unused draws, with its interval."""
     tuning = results.Tuning.from_source(results.read_evaluation(directory))
@@ -253,7 +253,7 @@ def test_report_states_gain_over_the_law(directory: Path) -> None:
         assert f"{-gain.value:.2f}" in text and f"[{-gain.high:.2f}, {-gain.low:.2f}]" in text
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tuning_with_the_law_is_resumed(directory: Path) -> None:
     before = history.read_history(directory)
     sinsjax.tune(history.load_tuned_study(directory), directory, resume=True)

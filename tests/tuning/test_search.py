@@ -233,7 +233,7 @@ def test_only_unrelaxed_evaluations_by_draws_can_be_best() -> None:
     assert SearchResult("covariance", [estimate, grid.best]).best == grid.best
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None:
     study = tuned(
         {"reset_times_s": TIMES},
