@@ -19,6 +19,7 @@ type_checks.install("sinsjax")
 
 from support import compilation  # noqa: E402  (imports what is to be checked)
 
+from sinsjax.methods.registry import METHODS  # noqa: E402
 from sinsjax.platform import runtime  # noqa: E402
 
 compilation.share_cache(Path(__file__).parents[1])
@@ -62,8 +63,14 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(trylast=True)  # after fixtures are gone
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """Drop compiled programs after a module that leaves many, or a test that leaves more."""
+    """Drop compiled programs after a module that leaves many, or a test that leaves more.
+
+    Programs outside sinsjax whose results a module has scored are no methods of the next one.
+    """
     ends_module = nextitem is None or nextitem.path != item.path
+    if ends_module:
+        for name in [name for name, method in METHODS.items() if method.is_external]:
+            del METHODS[name]
     compilation.drop_programs_above(
         compilation.LARGE_BYTES if ends_module else compilation.LARGEST_BYTES
     )

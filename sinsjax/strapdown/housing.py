@@ -45,14 +45,15 @@ class HousingState(NamedTuple):
         turn: rotation from the housing to the base; None if it does not rotate.
         velocity: of the sensors over that of a rigid base at their place, in b, m/s; None if the
             housing rotates about the sensors and does not move.
-        base: increments that sensors on the rigid base would have given for the sample before.
-        sensed: increments that the sensors gave for it; without a rotation neither is kept.
+        base: increments that sensors on the rigid base would have given for the sample before;
+            None if the housing does not rotate.
+        sensed: increments that the sensors gave for it; likewise.
     """
 
     turn: Quat | None
     velocity: Vec3 | None
-    base: Increments
-    sensed: Increments
+    base: Increments | None
+    sensed: Increments | None
 
 
 def start_housing(
@@ -68,7 +69,7 @@ def start_housing(
         none: zeros, for the samples before.
     """
     if motion.angle is None:
-        return HousingState(None, motion.velocity, none, none)
+        return HousingState(None, motion.velocity, None, None)
     turn = exp_of_sample(motion.angle)
     return HousingState(turn, _added_velocity(motion, turn, lever, base_rate), none, none)
 
@@ -98,7 +99,7 @@ def sense_in_housing(
         moved = _change_in_body(state.velocity, motion.velocity, base.dtheta)
         shaken = base._replace(dv=add(base.dv, moved))
         return state._replace(velocity=motion.velocity), shaken
-    assert state.turn is not None
+    assert state.turn is not None and state.base is not None and state.sensed is not None
     turn = exp_of_sample(motion.angle)
     velocity = _added_velocity(motion, turn, lever, scale(1 / dt, base.dtheta))
     if lever is not None:
