@@ -164,6 +164,7 @@ def test_public_function_configures_before_it_computes(name, monkeypatch, tmp_pa
     def configure() -> None:
         raise Configured
 
+    assert jax.devices()  # JAX has started already
     monkeypatch.setattr(runtime, "_configured", False)
     monkeypatch.setattr(runtime, "configure", configure)
     with pytest.raises(Configured):
