@@ -29,7 +29,7 @@ from sinsjax.methods.filters.section import level_surge
 from sinsjax.study import display
 from sinsjax.study.reset_plan import ResetPlan, reset_schedule
 from sinsjax.study.turns import DEFAULTS, useless_methods
-from sinsjax.units import ARCMIN, DEG, DEG_PER_H
+from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,6 +42,7 @@ _BANDS_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _MOST_TIMES = 60
 _NOT_FOUND, _FAR = 0.5, 30 * DEG
 _LARGE_SHARE = 0.2
+_UG = micro_g(9.8)
 _HIGH_LATITUDE_DEG = 75.0
 _COARSE = 0.1  # rad, above which errors are no longer small
 
@@ -418,7 +419,7 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
             " (surge_m_per_s, surge_time_s); a gust or a step that is not like it costs more"
         )
     speed = vibration_speed(advice.sheet)
-    quiet = methods.accel_density(advice.sheet) * 9.8e-6 + level_surge(motion.get("surge_m_per_s"))
+    quiet = methods.accel_density(advice.sheet) * _UG + level_surge(motion.get("surge_m_per_s"))
     if speed > 0.5 * quiet:
         yield (
             f"vibration moves the sensors at {speed:.2g} m/s rms, of which {advice.choice.method}"
@@ -461,7 +462,7 @@ def vibration_speed(sheet: Sheet) -> float:
         key: float(np.max(np.abs(np.asarray(motion.get(key, 0.0), float))))
         for key in ("vibration_ug_rms", "vibration_deg_per_h_rms", "lever_arm_m")
     }
-    linear = rms["vibration_ug_rms"] * 9.8e-6 / (2 * math.pi * motion.get("vibration_hz", 30.0))
+    linear = rms["vibration_ug_rms"] * _UG / (2 * math.pi * motion.get("vibration_hz", 30.0))
     return math.hypot(linear, rms["vibration_deg_per_h_rms"] * DEG_PER_H * rms["lever_arm_m"])
 
 

@@ -232,8 +232,7 @@ def process_output(process: Process, state: State, normal: Vec3 | None = None) -
 
 def process_derivative(process: Process, state: State) -> Vec3:
     """Return the time derivative of y of the three axes in a state."""
-    y = _linear_combinations(process.derivative, state)
-    return Vec3(*(factor * part for factor, part in zip(process.scale, y, strict=True)))
+    return process_output(process._replace(output=process.derivative), state)
 
 
 def advance_process(process: Process, state: State, normal: Vec3) -> State:
