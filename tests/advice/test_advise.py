@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.commands import command_line
-from support.refusals import assert_told
+from support.refusals import assert_refusal
 
 import sinsjax
 from sinsjax.advice.advise import _resets
@@ -267,7 +267,7 @@ def test_doubts_are_part_of_the_text():
 def test_bad_sheet_is_refused_in_a_line(changes, told):
     with pytest.raises(InputError) as refused:
         advise(changes)
-    assert_told(refused.value.lines[0], f"sheet: {told}")
+    assert_refusal(refused.value.lines[0], f"sheet: {told}")
 
 
 @pytest.mark.parametrize("name", ["sensors", "drawn", "study", "advise"])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from support.refusals import assert_told
+from support.refusals import assert_refusal
 from support.studies import STILL, small_study, small_tables
 
 import sinsjax
@@ -182,7 +182,7 @@ def test_gaps_are_interpolated_or_reported_as_flaws():
     record = make_record(gyro=gyro, max_gap_s=0.02).record
     assert record.filled == 1 and np.isfinite(record.dtheta).all()
     (flaw,) = make_record(gyro=gyro).record.flaws
-    assert_told(flaw.text, "arrays: row 10: column 'gyro[:, 0]': empty 0.02")
+    assert_refusal(flaw.text, "arrays: row 10: column 'gyro[:, 0]': empty 0.02")
     masked = np.ma.masked_invalid(gyro)
     assert make_record(gyro=masked).record.flaws[0].begin == 10
     late = np.delete(TIME, slice(20, 23))
@@ -245,7 +245,7 @@ def test_reference_times_become_relative_to_record_start():
     ],
 )
 def test_invalid_array_input_raises_one_line_error(change, told):
-    assert_told(refusal_line(**change), f"arrays: {told}")
+    assert_refusal(refusal_line(**change), f"arrays: {told}")
 
 
 @pytest.fixture(scope="module")
@@ -340,14 +340,14 @@ def test_interpolated_samples_are_reported(drive_data):
     gyro[700, 1] = np.nan
     stored = sinsjax.record_from_arrays(time, gyro, record.dv * record.rate_hz, max_gap_s=0.05)
     (warning,) = prepare_job(recorded(), record=stored).warnings
-    assert_told(warning, "arrays: 1 max_gap_s 0.05")
+    assert_refusal(warning, "arrays: 1 max_gap_s 0.05")
 
 
 def test_file_keys_are_refused_for_arrays():
     for key, value in (("gyro_unit", "rad"), ("axes_order", "frd"), ("time_column", "t")):
         with pytest.raises(InputError) as caught:
             recorded(record={key: value})
-        assert_told(str(caught.value), f"study: [record] {key}: 'arrays'")
+        assert_refusal(str(caught.value), f"study: [record] {key}: 'arrays'")
 
 
 def test_loading_arrays_format_from_file_is_refused():

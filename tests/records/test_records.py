@@ -13,7 +13,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from support.refusals import assert_told
+from support.refusals import assert_refusal
 
 from sinsjax import records
 from sinsjax.errors import InputError
@@ -235,7 +235,7 @@ def small_batches(request, monkeypatch) -> None:
 def test_invalid_psins_file_is_refused(tmp_path, text, told):
     path = tmp_path / "bad.imu"
     path.write_bytes(text.encode())
-    assert_told(refusal_line(records.read_psins, path), f"{path}: {told}")
+    assert_refusal(refusal_line(records.read_psins, path), f"{path}: {told}")
 
 
 HEAD = "time_s,gx,gy,gz,ax,ay,az\n"
@@ -272,7 +272,7 @@ ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
 def test_invalid_csv_file_is_refused(tmp_path, text, told):
     path = tmp_path / "bad.csv"
     path.write_text(text, newline="")
-    assert_told(refusal_line(read_whole, path, CSV), f"{path}: {told}")
+    assert_refusal(refusal_line(read_whole, path, CSV), f"{path}: {told}")
 
 
 @quick
@@ -337,11 +337,11 @@ def test_damaged_file_is_read_or_refused(folder, kind, place, new, removed):
 
 def test_rate_mismatch_is_refused(tmp_path):
     path = table_csv(tmp_path, np.arange(1, 100) / 50)
-    assert_told(refusal_line(records.read_csv, path, CSV), f"{path}: 50 rate_hz 100")
+    assert_refusal(refusal_line(records.read_csv, path, CSV), f"{path}: 50 rate_hz 100")
     path = tmp_path / "a.imu"
     path.write_text(HEADER + SAMPLE)
     line = refusal_line(records.read_psins, path, RecordLayout("psins", rate_hz=50.0))
-    assert_told(line, f"{path}: row 3: 100 rate_hz 50")
+    assert_refusal(line, f"{path}: row 3: 100 rate_hz 50")
 
 
 def test_invalid_parquet_file_is_refused(tmp_path):
@@ -354,15 +354,15 @@ def test_invalid_parquet_file_is_refused(tmp_path):
         ({"ay": pa.array(["a", "b", "c"])}, "column 'ay' string"),
     ):
         pq.write_table(pa.table(columns | change), path)
-        assert_told(refusal_line(read_whole, path, layout), f"{path}: {told}")
+        assert_refusal(refusal_line(read_whole, path, layout), f"{path}: {told}")
     whole = path.read_bytes()
     for cut in (whole[:-20], whole[:3], b"time_s,gx\n"):
         path.write_bytes(cut)
-        assert_told(refusal_line(records.read_record, path, layout), f"{path}: Parquet")
+        assert_refusal(refusal_line(records.read_record, path, layout), f"{path}: Parquet")
     pq.write_table(pa.table(columns).slice(0, 0), path)
-    assert_told(refusal_line(records.read_record, path, layout), f"{path}: no rows")
+    assert_refusal(refusal_line(records.read_record, path, layout), f"{path}: no rows")
     pq.write_table(pa.table(columns).drop_columns("gx"), path)
-    assert_told(refusal_line(records.read_record, path, layout), f"{path}: column 'gx' 'gy'")
+    assert_refusal(refusal_line(records.read_record, path, layout), f"{path}: column 'gx' 'gy'")
 
 
 @pytest.mark.parametrize(
@@ -387,7 +387,7 @@ def test_invalid_parquet_file_is_refused(tmp_path):
 )
 def test_invalid_layout_is_refused(change, told):
     line = refusal_line(records.check_layout, CSV._replace(**change), "study.toml")
-    assert_told(line, f"study.toml: {told}")
+    assert_refusal(line, f"study.toml: {told}")
 
 
 @pytest.mark.parametrize("layout", [records.PSINS_LAYOUT, CSV, CSV._replace(format="parquet")])
@@ -408,24 +408,24 @@ def test_unreadable_and_unwritable_paths_are_refused(tmp_path, layout):
     for path in (tmp_path, tmp_path / "absent" / "a", tmp_path / "file" / "a", Path(".")):
         assert refusal_line(write, path).startswith(f"{path}: cannot be written: ")
     broken = record._replace(dv=np.full((3, 3), np.nan))
-    assert_told(refusal_line(write, tmp_path / "file", broken), f"{tmp_path / 'file'}: finite")
+    assert_refusal(refusal_line(write, tmp_path / "file", broken), f"{tmp_path / 'file'}: finite")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_psins_writer_refuses_zero_scale_factor(tmp_path):
     record = Record(np.zeros((3, 3)), np.zeros((3, 3)), 100.0)
     line = refusal_line(records.write_psins, record, tmp_path / "a.imu", 0.0)
-    assert_told(line, f"{tmp_path / 'a.imu'}: gyro x positive")
+    assert_refusal(line, f"{tmp_path / 'a.imu'}: gyro x positive")
 
 
 def test_require_span_refuses_span_outside_record():
     record = Record(np.zeros((900, 3)), np.zeros((900, 3)), 100.0, source="drive.csv")
     records.require_span(record, 0.1 + 0.2, 8.7)
     line = refusal_line(records.require_span, record, 0.3, 8.71)
-    assert_told(line, "drive.csv: 9 8.71 start_s 0.3 9.01")
+    assert_refusal(line, "drive.csv: 9 8.71 start_s 0.3 9.01")
     line = refusal_line(records.require_span, record, 0.0, 9.5, " (1 s + 8.5 s)")
-    assert_told(line, "drive.csv: 9 9.5 1 8.5")
-    assert_told(refusal_line(records.require_span, record, -1.0, 1.0), "drive.csv: before")
+    assert_refusal(line, "drive.csv: 9 9.5 1 8.5")
+    assert_refusal(refusal_line(records.require_span, record, -1.0, 1.0), "drive.csv: before")
 
 
 # --- stamps and gaps
@@ -561,7 +561,7 @@ def test_missing_first_and_last_samples_are_not_interpolated(tmp_path):
 def test_large_clock_jump_is_refused_as_gap(tmp_path):
     path = table_csv(tmp_path, np.r_[np.arange(1, 401) / 100, 1e9])
     line = refusal_line(records.read_csv, path, CSV)
-    assert_told(line, f"{path}: column 'time_s': row 402: gap 4.0 1000000000.0")
+    assert_refusal(line, f"{path}: column 'time_s': row 402: gap 4.0 1000000000.0")
 
 
 STAMPS = {
@@ -596,14 +596,14 @@ def test_parquet_dates_give_rate_and_start(tmp_path):
         record = read_whole(tmp_path / "a.parquet", layout)
         assert (record.rate_hz, record.t0_s) == (pytest.approx(100), pytest.approx(1000))
     line = refusal_line(records.read_record, tmp_path / "a.parquet", layout._replace(time_unit="s"))
-    assert_told(line, f"{tmp_path / 'a.parquet'}: column 'time_s' string")
+    assert_refusal(line, f"{tmp_path / 'a.parquet'}: column 'time_s' string")
 
 
 def test_invalid_iso_date_is_refused(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(HEAD + "2024-13-01T00:00:00,1,2,3,4,5,6\n")
     line = refusal_line(records.read_csv, path, CSV._replace(time_unit="iso"))
-    assert_told(line, f"{path}: row 2: column 'time_s': '2024-13-01T00:00:00'")
+    assert_refusal(line, f"{path}: row 2: column 'time_s': '2024-13-01T00:00:00'")
 
 
 # --- long records
@@ -694,7 +694,7 @@ def test_reference_accepts_headings_and_record_time_column(tmp_path):
     np.testing.assert_array_equal(reference.time_s, [0, 1, 2])
     np.testing.assert_array_equal(reference.attitude_deg[:, 2], [-350, -351, -352])
     line = refusal_line(records.read_reference, tmp_path / "r.csv")
-    assert_told(line, f"{tmp_path / 'r.csv'}: column 'time_s'")
+    assert_refusal(line, f"{tmp_path / 'r.csv'}: column 'time_s'")
 
 
 LEVEL = "time_s,pitch_deg,roll_deg"
@@ -716,7 +716,7 @@ SIGMAS = "sigma_e_deg,sigma_n_deg,sigma_u_deg"
 def test_invalid_reference_is_refused(tmp_path, text, told):
     path = tmp_path / "r.csv"
     path.write_text(text)
-    assert_told(refusal_line(records.read_reference, path), f"{path}: {told}")
+    assert_refusal(refusal_line(records.read_reference, path), f"{path}: {told}")
 
 
 def test_reference_is_read_from_parquet(tmp_path):

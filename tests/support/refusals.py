@@ -44,7 +44,7 @@ def assert_named(line: str, place: str, *named: str) -> None:
     assert not missing, f"{missing} not in {rest!r}"
 
 
-def assert_told(line: str, told: str) -> None:
+def assert_refusal(line: str, told: str) -> None:
     """Fail unless a line is as told: a place, a colon, and words that stand somewhere after it."""
     place, _, named = told.rpartition(": ")
     assert_named(line, place, *named.split())
