@@ -1,0 +1,16 @@
+"""What version 1.0 had and this version does not have, each with what to use instead.
+
+The texts end a line such as ``[filter] turning: is gone since 1.1 (...)``.
+"""
+
+KEYS: dict[str, str] = {}
+"""Keys of studies, by ``section.key``."""
+
+VALUES: dict[tuple[str, str], str] = {}
+"""Values of keys, by ``section.key`` and value."""
+
+COMMANDS: dict[str, str] = {}
+"""Commands of the command line."""
+
+OPTIONS: dict[tuple[str, str], str] = {}
+"""Options, by command and option with its dashes."""
