@@ -34,14 +34,12 @@ class Table(NamedTuple):
         header: a name for each column.
         rows: cells.
         note: text below the table.
-        folded: on a page, hidden until a reader opens it; not printed on a console.
     """
 
     title: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
-    folded: bool = False
 
 
 def build_table(
