@@ -72,13 +72,11 @@ class Picture(NamedTuple):
         name: of its file, without extension.
         caption: text below the figure.
         figure: the figure.
-        data_footer: data that the figure rests on, if not the runs of the source.
     """
 
     name: str
     caption: str
     figure: Figure
-    data_footer: str = ""
 
 
 Block = Text | Table | Picture

@@ -44,10 +44,7 @@ class DrawnReport(NamedTuple):
         blocks = (block for section in report.sections for block in section.blocks)
         pictures = (block for block in blocks if isinstance(block, Picture))
         footer = report.data_footer or source.sample_size_text
-        images = {
-            picture.name: plots.render_png(picture.figure, picture.data_footer or footer)
-            for picture in pictures
-        }
+        images = {picture.name: plots.render_png(picture.figure, footer) for picture in pictures}
         return cls(
             source,
             report,
