@@ -39,7 +39,7 @@ FOLDER = Path(__file__).parents[1] / "notebooks"
 TIMEOUT_S = 300
 AT_A_TIME = 2
 LIMIT_KB = 200
-SHORT = {"advise", "own_record", "reset_law", "sweep_tables", "tuning", "why_p_lies"}
+SHORT = {"advise", "own_record", "reset_law", "sweep_tables", "tuning"}
 """Notebooks that compile longer than they compute, so that optimising compilation does not pay."""
 
 _LOCAL = re.compile(
@@ -193,7 +193,6 @@ def main() -> int:
     parser.add_argument("--tidy", action="store_true", help="tidy stored outputs, no execution")
     parser.add_argument("paths", nargs="*", type=Path, help="all notebooks by default")
     args = parser.parse_args()
-    # Backward: the longest is the last by name, and would run alone in the end.
     paths = [path.resolve() for path in args.paths] or sorted(FOLDER.glob("*.ipynb"), reverse=True)
     failed = False
     if args.tidy:

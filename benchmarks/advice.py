@@ -8,6 +8,7 @@ The best method is chosen on half of the draws, and both are judged on the other
 """
 
 import argparse
+import csv
 import itertools
 import json
 import os
@@ -28,7 +29,6 @@ from sinsjax.advice.method import choose_method, five_state
 from sinsjax.advice.sheet import MOTIONS, Sheet, read_sheet, shipped_sheets
 from sinsjax.methods.filters.section import level_surge
 from sinsjax.report.base import Table
-from sinsjax.report.study_page import write_table
 
 DRAWS, SEED, RATE_HZ = 1024, 11, 20.0
 PAGE = Path(__file__).parents[1] / "docs" / "advise.md"
@@ -319,7 +319,8 @@ def main() -> None:
         print("; ".join(line))
     print(text)
     if args.page:
-        write_table(cells, TABLE)
+        with TABLE.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows([cells.header, *cells.rows])
         page = PAGE.read_text(encoding="utf-8")
         mark = r"(<!-- table -->\n).*(<!-- end of table -->)"
         PAGE.write_text(re.sub(mark, lambda m: m[1] + text + m[2], page, flags=re.S), "utf-8")

@@ -5,6 +5,7 @@ machine are in a CSV file next to the page. Ways that were tried and left, with 
 in ``notes.md``, to which the page links.
 """
 
+import csv
 import re
 import sys
 from collections.abc import Iterable, Sequence
@@ -22,11 +23,14 @@ from sinsjax.errors import InputError
 from sinsjax.platform.files import atomic_write
 from sinsjax.plots import render_png
 from sinsjax.report.base import Block, Chapter, Picture, Table, Text
-from sinsjax.report.output import FIGURES_FOLDER, block_to_markdown, save_figures
-from sinsjax.report.study_page import TABLES_FOLDER, write_table
+from sinsjax.report.output import FIGURES_FOLDER, save_figures
 
 PAGE = common.ROOT / "docs" / "performance.md"
 PREFIX = "performance_"
+
+
+class RowsTable(Table):
+    """A table that the page links to as a CSV file."""
 
 
 def sections(machines: Sequence[Machine], notes: str) -> list[Chapter]:
@@ -162,7 +166,7 @@ def all_rows(machine: Machine) -> list[Block]:
         for named in machine.sets.values()
         for row in named.values()
     ]
-    return [*blocks, Table(machine.name, ROW_HEADER, lines, folded=True)]
+    return [*blocks, RowsTable(machine.name, ROW_HEADER, lines)]
 
 
 ROW_HEADER = (
@@ -386,10 +390,10 @@ def write(page: Path, machines: Sequence[Machine], notes: str) -> None:
     for section in sections(machines, notes):
         lines.append(f"## {section.heading}")
         for block in section.blocks:
-            if isinstance(block, Table) and block.folded:
+            if isinstance(block, RowsTable):
                 text = write_rows(block, page.parent)
             else:
-                text = block_to_markdown(block, PREFIX)
+                text = block_to_markdown(block)
             if isinstance(block, Picture):
                 text = text.replace("![]", f"![{describe_picture(block)}]", 1)
                 images[f"{PREFIX}{block.name}"] = render_png(block.figure)
@@ -399,16 +403,28 @@ def write(page: Path, machines: Sequence[Machine], notes: str) -> None:
         file.write(("\n\n".join(lines) + "\n").encode())
 
 
+def block_to_markdown(block: Block) -> str:
+    """Return a block as Markdown; the files of figures begin with `PREFIX`."""
+    if isinstance(block, Text):
+        return block.text
+    if isinstance(block, Picture):
+        return f"![]({FIGURES_FOLDER}/{PREFIX}{block.name}.png)\n\n*{block.caption}*"
+    rows = [block.header, ["---"] * len(block.header), *block.rows]
+    lines = [f"**{block.title}**", "", *(f"| {' | '.join(row)} |" for row in rows)]
+    return "\n".join([*lines, *(["", block.note] if block.note else [])])
+
+
 def describe_picture(picture: Picture) -> str:
     """Return the text that stands for a picture: its caption up to the first semicolon."""
     return picture.caption.partition(";")[0].replace("`", "")
 
 
 def write_rows(table: Table, folder: Path) -> str:
-    """Write a folded table as a CSV file, and return the line that links to it."""
+    """Write a table as a CSV file, and return the line that links to it."""
     name = re.sub(r"[^a-z0-9]+", "-", table.title.lower()).strip("-")
-    path = f"{TABLES_FOLDER}/{PREFIX}{name}.csv"
-    write_table(table, folder / path)
+    path = f"tables/{PREFIX}{name}.csv"
+    with (folder / path).open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([table.header, *table.rows])
     return f"- Table: [{table.title}]({path})."
 
 

@@ -12,5 +12,7 @@ VALUES: dict[tuple[str, str], str] = {}
 COMMANDS: dict[str, str] = {}
 """Commands of the command line."""
 
-OPTIONS: dict[tuple[str, str], str] = {}
+OPTIONS: dict[tuple[str, str], str] = {
+    ("report", "--page"): "use --html FILE",
+}
 """Options, by command and option with its dashes."""

@@ -138,8 +138,8 @@ def test_toml_is_read_with_bounded_depth_everywhere():
     assert {name for name in MODULES if "tomllib" in imported(name)[1]} == {"toml_text"}
 
 
-BY_NAME = {"cli", "cli.running", "report.study_page"}
-"""Modules that import others by name: with JAX in them, when a command needs them, or a page's."""
+BY_NAME = {"cli", "cli.running"}
+"""Modules that import others by name: with JAX in them, when a command needs them."""
 
 
 def test_no_other_modules_are_imported_by_name():

@@ -10,12 +10,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Polygon
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
-from scipy import stats
 
 import sinsjax
 from sinsjax.plots.style import GREY, add_legend_below, line_colour, render_png, with_style
@@ -195,58 +193,6 @@ def resets_and_triggers() -> Figure:
 
 
 @with_style
-def passes() -> Figure:
-    """Rms heading error and sigma over four passes, P carried over or reset."""
-    study = sinsjax.study_from_dict(
-        {
-            "study": {
-                "duration_s": 320.0,
-                "rate_hz": 100.0,
-                "record_interval_s": 4.0,
-                "draws": 32,
-                "curves": True,
-            },
-            "earth": {"latitude_deg": 32.0},
-            "motion": {"yaw_center_deg": 0.0},
-            "sensors": {"gyro_noise_deg_per_h": 0.006, "accel_noise_ug": 50.0},
-            "alignment": {"phi_e0_deg": 0.1, "phi_n0_deg": 0.1, "phi_u0_deg": 1.5},
-            "filter": {
-                "p0_level_deg": 0.1,
-                "p0_yaw_deg": 1.5,
-                "p0_velocity_m_per_s": 1e-6,
-                "q_accel_ug": 50.0,
-                "q_gyro_deg_per_h": 0.006,
-                "q_reading": "per_sample",
-                "r_velocity_m_per_s": 1e-6,
-            },
-            "passes": {"stored_s": 80.0, "passes": 4},
-            "axes": {"turn_covariance": ["carried", "reset"]},
-        }
-    )
-    curves = sinsjax.run(study).curves
-    time_s, errors = _over_time(curves, "phi_u_arcmin", 2)
-    _, sigma = _over_time(curves, "sigma_u_arcmin", 2)
-    rms = np.sqrt(np.mean(errors**2, axis=0))
-    figure = Figure(figsize=(_WIDE, 4.1))
-    panels = figure.subplots(1, 2, sharey=True)
-    for variant, (axes, title) in enumerate(
-        zip(panels, ("P carried through the turns", "P reset at each turn"), strict=True)
-    ):
-        axes.plot(
-            time_s, rms[variant], color=line_colour(0), label="heading error, rms of 32 draws"
-        )
-        axes.plot(time_s, sigma.mean(axis=0)[variant], color=line_colour(1), label="1 sigma in P")
-        for turn_s in range(80, 320, 80):
-            axes.axvline(turn_s, color=GREY, lw=0.8, ls=":")
-        _logarithmic(axes, [0.3, 1, 3, 10, 30, 100])
-        axes.set(title=title, xlabel="time of updates (s)", xlim=(0, 320), ylim=(0.3, 130))
-        axes.set_xticks(range(0, 321, 80))
-    panels[0].set_ylabel("heading (arcmin)")
-    add_legend_below(figure, panels[0])
-    return figure
-
-
-@with_style
 def truth_limit_and_bound() -> Figure:
     """Heading errors of 6 draws, the bias floor that they share, and the bound about it."""
     times = [20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 240.0, 300.0]
@@ -293,31 +239,6 @@ def truth_limit_and_bound() -> Figure:
     return figure
 
 
-@with_style
-def consistency() -> Figure:
-    """Share of runs up to each NEES, for three settings of Q, beside chi-square."""
-    study = sinsjax.load_study("consistency", {"study.draws": 256})
-    summary = sinsjax.run(study).summary
-    figure = Figure(figsize=(_WIDE, 4.1))
-    axes = figure.subplots()
-    cases = ("Q as the noise", "a quarter of that Q", "four times that Q")
-    for number, case in enumerate(cases):
-        nees = np.sort(summary.filter(pc.field("case") == case)["nees"].to_numpy())
-        share = 100 * (np.arange(len(nees)) + 0.5) / len(nees)
-        axes.step(nees, share, where="mid", color=line_colour(number), label=case)
-    grid = np.geomspace(0.05, 60, 300)
-    expected = 100 * stats.chi2.cdf(grid, 3)
-    axes.plot(grid, expected, "--", color="black", lw=1.3, label="chi-square, 3 degrees of freedom")
-    axes.set_xscale("log")
-    axes.xaxis.set_major_locator(FixedLocator([0.1, 0.3, 1, 3, 10, 30]))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.set(xlabel="NEES of the attitude at the end", ylabel="runs up to there (%)")
-    axes.set(xlim=(0.05, 60), ylim=(0, 101))
-    add_legend_below(figure, axes)
-    return figure
-
-
 FIGURES: dict[str, Callable[[], Figure]] = {
     one.__name__: one
     for one in (
@@ -325,9 +246,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
         misalignment,
         why_p_lies,
         resets_and_triggers,
-        passes,
         truth_limit_and_bound,
-        consistency,
     )
 }
 

@@ -280,14 +280,6 @@ def report(
         list[Path],
         typer.Argument(help="Directories of results.", show_default=False, metavar="DIR"),
     ],
-    page: Annotated[
-        Path | None,
-        typer.Option(
-            help="Also write a Markdown page there. For a folder with a template (page.md.j2) and a"
-            " script (page.py), write the page they produce instead: this executes the script.",
-            metavar="FILE",
-        ),
-    ] = None,
     html: Annotated[
         Path | None,
         typer.Option(help="Also write a self-contained HTML file there.", metavar="FILE"),
@@ -296,11 +288,11 @@ def report(
 ) -> None:
     """Print the verdict on results again, and draw their figures, from the Parquet files.
 
-    Example: sinsjax report out --page docs/my_sweep.md
+    Example: sinsjax report out --html my_sweep.html
     """
     from sinsjax import report as reports
 
-    reports.print_reports(directories, plain_console(), page, html, full=full)
+    reports.print_reports(directories, plain_console(), html, full=full)
 
 
 @command(rich_help_panel=LOOK)

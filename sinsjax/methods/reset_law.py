@@ -52,8 +52,8 @@ _LARGE_ERROR = 1.0
 """Heading bound above which a second segment is worth having even if the sum says no, rad."""
 
 _SURGE_SIGMA = 2 * DEG
-"""Heading that the surge may leave at the last reset, 1 sigma. Fitted to `configs/reset_surge.toml`
-with seeds 47 and 48."""
+"""Heading that the surge may leave at the last reset, 1 sigma. Fitted to
+`docs/studies/reset_law/reset_surge.toml` with seeds 47 and 48."""
 
 _SECOND_SEGMENT = 2.5
 """Length of the first of these two segments, in ell; with 2.1 cell L5 is as soon."""

@@ -1,9 +1,7 @@
 """Atomic writing of files, and file names."""
 
 import errno
-import hashlib
 import os
-import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -112,9 +110,3 @@ def _sync_directory(directory: Path) -> None:
             os.fsync(handle)
         finally:
             os.close(handle)
-
-
-def safe_file_stem(name: str) -> str:
-    """Return a name as a valid file stem; digits of its hash mark a name that had to change."""
-    stem = re.sub(r"[^\w.-]+", "-", name)[:80].strip("-.")
-    return stem if stem == name else f"{stem}-{hashlib.sha256(name.encode()).hexdigest()[:6]}"

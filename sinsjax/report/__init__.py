@@ -1,7 +1,7 @@
 """Reports on directories of results, from Parquet alone: printed, drawn and written.
 
 A study of draws is reported by `monte_carlo`, one estimated without draws by `covariance`, a
-tuning by `tuning`; a folder of prose and a script is written as a page by `study_page`.
+tuning by `tuning`.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from sinsjax.execution.directory import register_figures
 from sinsjax.execution.source import Source
 from sinsjax.messages import shorten
 from sinsjax.platform.files import require_writable
-from sinsjax.report import covariance, monte_carlo, study_page
+from sinsjax.report import covariance, monte_carlo
 from sinsjax.report.base import Chapter, Report, Text
 from sinsjax.report.markup import load_template
 from sinsjax.report.names import NO_NAMES
@@ -25,7 +25,6 @@ from sinsjax.report.output import (
     print_report,
     save_figures,
     write_html_page,
-    write_markdown_page,
 )
 from sinsjax.tuning.history import is_tuning
 
@@ -33,7 +32,6 @@ from sinsjax.tuning.history import is_tuning
 def print_reports(
     directories: Sequence[Path],
     console: Console,
-    page: Path | None = None,
     html: Path | None = None,
     *,
     full: bool = False,
@@ -44,8 +42,6 @@ def print_reports(
     Args:
         directories: of results or tunings.
         console: the console.
-        page: a Markdown file to write, with figures in ``figures/`` next to it; or the folder of
-            a study page (prose and script), which alone is written unless ``html`` is given.
         html: a self-contained HTML file to write.
         full: whether to print all tables.
         warnings_shown: whether the user has seen the studies' warnings.
@@ -55,7 +51,7 @@ def print_reports(
             a report that fails otherwise. The results are then unchanged.
     """
     try:
-        _print_reports(directories, console, page, html, full=full, warnings_shown=warnings_shown)
+        _print_reports(directories, console, html, full=full, warnings_shown=warnings_shown)
     except InputError:
         raise
     except Exception as error:
@@ -68,7 +64,6 @@ def print_reports(
 def _print_reports(
     directories: Sequence[Path],
     console: Console,
-    page: Path | None,
     html: Path | None,
     *,
     full: bool,
@@ -76,20 +71,9 @@ def _print_reports(
 ) -> None:
     if html is not None:
         require_writable(html, "--html")
-    if page is not None and not page.is_dir():
-        require_writable(page, "--page")
-    elif page is not None:
-        written, figures = study_page.write_study_page(
-            page, [_read_source(directory) for directory in directories]
-        )
-        screen.print_line(console, f"{written} and {figures} figures beside it", wrap=True)
-        if html is None:
-            return
-        page = None
     reports = []
     for directory in directories:
         source = _read_source(directory, allow_unfinished=True)
-        with_tables = full or page is not None or html is not None
         if is_tuning(directory):
             from sinsjax.report import tuning  # late: it needs JAX
 
@@ -97,21 +81,18 @@ def _print_reports(
         else:
             kind = covariance if source.study.is_estimated else monte_carlo
             report = kind.build_report(
-                source, with_tables=with_tables, warnings_shown=warnings_shown
+                source, with_tables=full or html is not None, warnings_shown=warnings_shown
             )
         reports.append(_draw_and_save_figures(report, source))
         print_report(reports[-1], console, full=full)
-    if page is None and html is None:
+    if html is None:
         return
     names = list(dict.fromkeys(drawn.source.study.name for drawn in reports))
     *_, last = reports
     words = load_template("terms.md.j2").render().rstrip()
     sections = [*last.report.sections, Chapter("Terms", [Text(words)])]
     reports[-1] = last._replace(report=last.report._replace(sections=sections))
-    if page is not None:
-        write_markdown_page(page, ", ".join(names), reports)
-    if html is not None:
-        write_html_page(html, ", ".join(names), reports)
+    write_html_page(html, ", ".join(names), reports)
 
 
 def print_terms(console: Console) -> None:

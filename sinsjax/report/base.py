@@ -34,14 +34,12 @@ class Table(NamedTuple):
         header: a name for each column.
         rows: cells.
         note: text below the table.
-        folded: on a page, hidden until a reader opens it; not printed on a console.
     """
 
     title: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
-    folded: bool = False
 
 
 def build_table(
@@ -74,13 +72,11 @@ class Picture(NamedTuple):
         name: of its file, without extension.
         caption: text below the figure.
         figure: the figure.
-        data_footer: data that the figure rests on, if not the runs of the source.
     """
 
     name: str
     caption: str
     figure: Figure
-    data_footer: str = ""
 
 
 Block = Text | Table | Picture

@@ -33,7 +33,7 @@ class StudyNames(NamedTuple):
         )
 
     def to_markdown(self, text: str) -> str:
-        """Return text of a report as Markdown of a page, with markup in names escaped."""
+        """Return text of a report as Markdown, with markup in names escaped."""
         return self._map_pieces(text, escape_markdown, lambda other: _TAG.sub("&lt;", other))
 
     def to_plain_text(self, text: str) -> str:
@@ -57,7 +57,7 @@ NO_NAMES = StudyNames()
 
 
 def escape_markdown(name: str) -> str:
-    """Return a name as Markdown that shows it literally; table cells also escape ``|``."""
+    """Return a name as Markdown that shows it literally."""
     return _MARKUP.sub(r"\\\g<0>", name.replace("&", "&amp;")).replace("<", "&lt;")
 
 

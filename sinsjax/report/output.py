@@ -1,4 +1,4 @@
-"""Output of a report: console, directory of figures, Markdown page, HTML page."""
+"""Output of a report: console, directory of figures, HTML page."""
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
@@ -12,9 +12,9 @@ from rich.console import Console
 from sinsjax import console as screen
 from sinsjax import plots
 from sinsjax.execution.source import Source
-from sinsjax.messages import escape_controls, to_one_line
-from sinsjax.platform.files import atomic_write, make_folder, safe_file_stem
-from sinsjax.report.base import Block, Picture, Report, Table, Text, describe_success_criterion
+from sinsjax.messages import escape_controls
+from sinsjax.platform.files import atomic_write, make_folder
+from sinsjax.report.base import Picture, Report, Table, Text, describe_success_criterion
 from sinsjax.report.markup import load_template
 from sinsjax.report.names import NO_NAMES, StudyNames
 from sinsjax.report.terminal import print_table, print_verdict
@@ -44,10 +44,7 @@ class DrawnReport(NamedTuple):
         blocks = (block for section in report.sections for block in section.blocks)
         pictures = (block for block in blocks if isinstance(block, Picture))
         footer = report.data_footer or source.sample_size_text
-        images = {
-            picture.name: plots.render_png(picture.figure, picture.data_footer or footer)
-            for picture in pictures
-        }
+        images = {picture.name: plots.render_png(picture.figure, footer) for picture in pictures}
         return cls(
             source,
             report,
@@ -57,7 +54,7 @@ class DrawnReport(NamedTuple):
 
 
 def print_report(drawn: DrawnReport, console: Console, *, full: bool = False) -> None:
-    """Print the verdict, where the figures are, and all tables that are not folded if wanted."""
+    """Print the verdict, where the figures are, and all tables if wanted."""
     source, report, images, names = drawn
     console.print()
     footer = [f"Figures: {source.directory / FIGURES_FOLDER}"] if images else []
@@ -72,7 +69,7 @@ def print_report(drawn: DrawnReport, console: Console, *, full: bool = False) ->
         for block in section.blocks:
             if isinstance(block, Text):
                 screen.print_line(console, names.to_plain_text(block.text), wrap=True)
-            elif isinstance(block, Table) and not block.folded and block != report.verdict.table:
+            elif isinstance(block, Table) and block != report.verdict.table:
                 print_table(block, console, names)
     if images:
         listed = ", ".join(f"{name}.png" for name in images)
@@ -98,35 +95,6 @@ def describe_origin(reports: Sequence[DrawnReport]) -> str:
     return f"{configs}; computed by sinsjax {versions}"
 
 
-def write_markdown_page(page: Path, title: str, reports: Sequence[DrawnReport]) -> None:
-    """Write a documentation page in Markdown, and its figures to ``figures/`` next to it.
-
-    Raises:
-        InputError: the page cannot be written.
-    """
-    written_by = to_one_line(f"sinsjax report --page {page.name} ({describe_origin(reports)})")
-    sections = []
-    for source, report, images, names in reports:
-        prefix = f"{safe_file_stem(source.study.name)}_"
-        prefixed = {f"{prefix}{name}": image for name, image in images.items()}
-        save_figures(prefixed, page.parent / FIGURES_FOLDER)
-        for heading, blocks in report.sections:
-            rendered = [block_to_markdown(block, prefix, names) for block in blocks]
-            sections.append((names.to_markdown(heading), rendered))
-    text = load_template("report.md.j2").render(
-        written_by=written_by.replace("<", "&lt;").replace(">", "&gt;"),
-        title=merge_names(reports).to_markdown(title),
-        success_definitions=success_definitions(reports),
-        verdict_lines=[
-            drawn.names.to_markdown(line)
-            for drawn in reports
-            for line in drawn.report.verdict_lines
-        ],
-        sections=sections,
-    )
-    write_escaped_text(page, text)
-
-
 def write_html_page(path: Path, title: str, reports: Sequence[DrawnReport]) -> None:
     """Write a self-contained HTML page: no network, no other files, no script.
 
@@ -148,7 +116,7 @@ def write_html_page(path: Path, title: str, reports: Sequence[DrawnReport]) -> N
 
 
 def write_escaped_text(path: Path, text: str) -> None:
-    """Write a page, in Markdown or HTML, with control characters other than line breaks escaped.
+    """Write a page with control characters other than line breaks escaped.
 
     Raises:
         InputError: the page cannot be written.
@@ -165,17 +133,6 @@ def merge_names(reports: Sequence[DrawnReport]) -> StudyNames:
 def success_definitions(reports: Sequence[DrawnReport]) -> list[str]:
     """Return the definitions of *settled* and *ok* of a page, without repetition."""
     return list(dict.fromkeys(describe_success_criterion(drawn.source.study) for drawn in reports))
-
-
-def block_to_markdown(block: Block, prefix: str = "", names: StudyNames = NO_NAMES) -> str:
-    """A block with its names as Markdown; the file name of a figure may have a prefix."""
-    text = load_template("block.md.j2").render(
-        block=block,
-        to_markdown=names.to_markdown,
-        file=f"{FIGURES_FOLDER}/{prefix}{block.name}.png" if isinstance(block, Picture) else "",
-        rule=["---"] * len(block.header) if isinstance(block, Table) else [],
-    )
-    return text.rstrip()
 
 
 def _render_inline_html(text: str, names: StudyNames = NO_NAMES) -> Markup:

@@ -233,9 +233,8 @@ def test_page_names_study_file_and_set_overrides(
     (tmp_path / folder).mkdir(exist_ok=True)
     config = write_study(tmp_path / folder, **TWO).relative_to(tmp_path)
     assert sinsjax("sweep", config, "-o", "out", *(["--set", change] if change else []))[0] == 0
-    assert sinsjax("report", "out", "--page", "page.md", "--html", "page.html")[0] == 0
+    assert sinsjax("report", "out", "--html", "page.html")[0] == 0
     named = f"{folder}study.toml{change and f' with {change}'}; computed by sinsjax "
-    assert f"page.md ({named}" in Path("page.md").read_text()
     assert f"<footer>{named}" in Path("page.html").read_text()
 
 

@@ -355,7 +355,7 @@ def test_empty_table_drops_existing_section_or_key(sinsjax: Command) -> None:
     drawn = package.load_study("reset_sweep", {"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
     assert not drawn.replace({"drawn": {}}).drawn_keys
     for place in ("coarse", "axes.p0_yaw_deg", "filter.p0_yaw_deg.high"):
-        code, _, error = sinsjax("validate", "reset_phase", "--set", f"{place}={{}}")
+        code, _, error = sinsjax("validate", "reset_cycle_study", "--set", f"{place}={{}}")
         assert (code, error.count("\n")) == (2, 1) and f"{place}: cannot be dropped" in error
 
 

@@ -328,7 +328,7 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
 
 
 @pytest.mark.nightly(fast=("car_test",))
-@pytest.mark.parametrize("name", ["car_test", "compass_car", "car_adaptive", "car_batch"])
+@pytest.mark.parametrize("name", ["car_test", "compass_car", "car_adaptive"])
 def test_shipped_studies_of_real_record_give_no_warnings(name: str, data_dir: Path) -> None:
     gc.collect()
     study = load_study(Path(__file__).parents[2] / "configs" / f"{name}.toml")

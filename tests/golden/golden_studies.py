@@ -16,6 +16,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import redirect_stdout, suppress
+from html import unescape
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -225,9 +226,9 @@ def flattened(results: Any) -> dict[str, Any]:
 
 
 def numbers_of_tables(page: str) -> list[str]:
-    """Return the numbers in the tables of a Markdown page, one string per row, without words."""
-    rows = [line for line in page.splitlines() if re.match(r"\| (?!---)", line)]
-    return [" ".join(_NUMBER.findall(row.replace("**", ""))) for row in rows]
+    """Return the numbers in the tables of an HTML page, one string per row, without words."""
+    rows = re.findall("<tr>(.*?)</tr>", page)
+    return [" ".join(_NUMBER.findall(unescape(re.sub("<[^>]+>", " ", row)))) for row in rows]
 
 
 def run_command(*words: object) -> None:
@@ -242,8 +243,8 @@ def run_command(*words: object) -> None:
 
 def reported(results: Path) -> dict[str, Any]:
     """Return the numbers in the tables of the report of some results."""
-    page = results.parent / "page.md"
-    run_command("report", results, "--full", "--page", page)
+    page = results.parent / "page.html"
+    run_command("report", results, "--html", page)
     rows = numbers_of_tables(page.read_text("utf-8"))
     columns = {f"row {n:02}": {"kind": "text", "sample": [row]} for n, row in enumerate(rows)}
     return {"rows": len(rows), "columns": columns}

@@ -310,7 +310,8 @@ def test_schedule_command_shows_times_and_writes_a_study_with_them(run_command: 
     assert study.resets.schedule == "law"  # type: ignore[attr-defined]
     assert set(study.reset_times()) == {(2.0, 4.0, 6.0, 118.0)}
     assert run_command("schedule", "paper1_resets", "--study", "law.toml")[0] == 2
-    code, out, _ = run_command("schedule", "which_alignment_latitude")
+    places = ["axes.latitude_deg=[32, 60]", 'axes.specific_force=["measured", "gravity"]']
+    code, out, _ = run_command("schedule", "reset_sweep", "--set", places[0], "--set", places[1])
     gravity = [line for line in out.splitlines() if 'specific_force "gravity"' in line]
     assert code == 0 and any("latitude_deg 32, " in line and ": 2, " in line for line in gravity)
 
@@ -343,6 +344,7 @@ def test_plan_within_a_small_bound_and_studies_without_one_plan() -> None:
     plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=20.0)
     assert plan.times_s == (2.0, 4.0, 6.0) and plan.limited_by == "Q"
     inertial = sinsjax.load_study("paper1_resets").replace({"alignment.method": "inertial"})
-    for study in ("which_alignment_latitude", inertial):  # many filters, and none
+    several = sinsjax.load_study("reset_sweep").replace({"axes.latitude_deg": [32.0, 60.0]})
+    for study in (several, inertial):  # several filters, and none
         with pytest.raises(InputError):
             sinsjax.reset_schedule(study)

@@ -5,7 +5,6 @@ import sys
 import numpy as np
 import pyarrow as pa
 import pytest
-from matplotlib.figure import Figure
 from support.stored_results import report_text, store_results
 from support.studies import small_study, with_paper_values
 from support.sweep_directories import read_manifest_entries, rewrite_manifest
@@ -227,40 +226,24 @@ def test_page_is_written_identically_twice(tmp_path):
     directory = store_results(tmp_path / "results", study, synthetic_summary(study))
     content = []
     for name in ("a", "b"):
-        page = tmp_path / name / "page.md"
-        report_text(directory, page=page)
-        content.append([p.read_bytes() for p in sorted(page.parent.rglob("*.*"))])
+        page = tmp_path / f"{name}.html"
+        report_text(directory, html=page)
+        content.append(page.read_bytes())
     assert content[0] == content[1]
 
 
-def test_unwritable_page_is_refused(tmp_path):
-    study = small_study()
-    directory = store_results(tmp_path / "results", study, synthetic_summary(study))
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
-        report_text(directory, page=tmp_path / "file" / "page.md")
-
-
-@pytest.mark.parametrize("option", ["page", "html"])
-def test_unwritable_output_is_refused_before_report_is_made(tmp_path, monkeypatch, option):
+def test_unwritable_page_is_refused_before_report_is_made(tmp_path, monkeypatch):
     study = small_study()
     directory = store_results(tmp_path / "results", study, synthetic_summary(study))
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(report.monte_carlo, "build_report", lambda source: pytest.fail("was made"))
-    wrong = {"file/one": f"--{option} .*one: cannot be written: .*file is not a writable folder$"}
-    if option == "html":
-        wrong["results"] = "--html .*results: is a folder, give the name of a file$"
+    wrong = {
+        "file/one": "--html .*one: cannot be written: .*file is not a writable folder$",
+        "results": "--html .*results: is a folder, give the name of a file$",
+    }
     for name, line in wrong.items():
         with pytest.raises(InputError, match=line):
-            report_text(directory, **{option: tmp_path / name})
-
-
-def test_markdown_escapes_cells_and_folds_tables():
-    table = base.Table("T", ["a|b"], [["|x|"]], "note", folded=True)
-    text = report.output.block_to_markdown(table)
-    assert text.startswith("<details>") and "\\|x\\|" in text and "note" in text
-    picture = base.Picture("fig", "what is seen", Figure())
-    assert "](figures/p_fig.png)" in report.output.block_to_markdown(picture, "p_")
+            report_text(directory, html=tmp_path / name)
 
 
 @pytest.mark.parametrize("is_sealed", [True, False])

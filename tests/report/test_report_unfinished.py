@@ -64,7 +64,7 @@ def test_unfinished_report_warns_with_share_of_runs(
     store: Callable[..., Path], tmp_path: Path
 ) -> None:
     out = store(tmp_path / "out", axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
-    page = tmp_path / "page.md"
+    page = tmp_path / "page.html"
     lines = [line for line in printed_lines(out, page) if line]
     source = Source.read(out, unfinished=True)
     whole = source.draws
@@ -77,8 +77,8 @@ def test_unfinished_report_warns_with_share_of_runs(
     assert lines[0].startswith(f"study: unfinished, {3 * whole} of 900 runs in ")
     (warning,) = (line for line in lines if line.startswith("  Warning "))
     assert f"{share}; shown are the {whole} draws" in warning
-    assert f"- **Warning:** {share}" in page.read_text()
-    with pytest.raises(InputError, match="continue with `--resume`"):  # a page with its own words
+    assert f"<strong>Warning:</strong> {share}" in page.read_text()
+    with pytest.raises(InputError, match="continue with `--resume`"):
         _ = Source.read(out).draws
 
 

@@ -57,8 +57,8 @@ def test_stored_tables_have_their_columns_units_and_values(name: str) -> None:
 
 @pytest.mark.parametrize("name", DIRECTORIES)
 def test_report_of_stored_results_has_their_numbers(name: str, copy: Path) -> None:
-    page = copy / name / "page.md"
-    run_command("report", copy / name, "--full", "--page", page)
+    page = copy / name / "page.html"
+    run_command("report", copy / name, "--html", page)
     assert numbers_of_tables(page.read_text("utf-8")) == expected()["reported"][name]
 
 

@@ -12,8 +12,8 @@ from sinsjax.execution import prepare, run
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.load import load_study, study_from_dict
 
-CONFIGS = Path(__file__).parents[2] / "configs"
-
+ROOT = Path(__file__).parents[2]
+CONFIGS = ROOT / "configs"
 
 LONG = {"reset_law", "reset_surge"}
 """Studies whose loading computes schedules of resets for a second."""
@@ -23,10 +23,10 @@ LONG = {"reset_law", "reset_surge"}
     "path",
     [
         pytest.param(path, marks=pytest.mark.nightly if path.stem in LONG else (), id=path.stem)
-        for path in sorted(CONFIGS.glob("*.toml"))
+        for path in sorted([*CONFIGS.glob("*.toml"), *ROOT.glob("docs/studies/*/*.toml")])
     ],
 )
-def test_shipped_study_loads_and_is_named_after_its_file(path: Path) -> None:
+def test_study_of_repository_loads_and_is_named_after_its_file(path: Path) -> None:
     assert load_study(path).study.name == path.stem
 
 

@@ -313,11 +313,11 @@ def test_log_with_odd_file_name_becomes_study_that_runs(name, shown, suffix, rat
     code, told, error = sinsjax("init", "record", "--from", log)
     assert (code, error) == (0, "") and told.startswith(f"{shown}.toml written; ")
     assert tomllib.loads(Path(config).read_text())["study"]["name"] == shown
-    page = os.fsdecode(b"p\xff.md")
+    page = os.fsdecode(b"p\xff.html")
     code, told, error = sinsjax("align", log, config, "-o", "out")
     assert code == 0 and f"{shown}: 1 of 1 runs" in told, error
-    assert sinsjax("report", "out", "--page", page, "--html", f"{page}.html")[0] == 0
-    assert f"({shown}.toml; computed by".replace(r"\n", " ") in Path(page).read_text()
+    assert sinsjax("report", "out", "--html", page)[0] == 0
+    assert f"{shown}.toml; computed by".replace(r"\n", " ") in Path(page).read_text()
 
 
 def test_backward_time_stamps_are_refused_with_row(rates, sinsjax, tmp_path):

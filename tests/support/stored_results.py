@@ -72,7 +72,6 @@ def store_results(
 
 def report_text(
     *directories: Path,
-    page: Path | None = None,
     html: Path | None = None,
     full: bool = True,
     width: int | None = 1000,
@@ -80,5 +79,5 @@ def report_text(
     """Return the printed report of some results, of this width; None for that of a pipe."""
     file = io.StringIO()
     with mock.patch.dict(os.environ, {} if width is None else {"COLUMNS": str(width)}):
-        report.print_reports(directories, Console(file=file), page, html, full=full)
+        report.print_reports(directories, Console(file=file), html, full=full)
     return file.getvalue()

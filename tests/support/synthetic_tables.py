@@ -78,10 +78,10 @@ def synthetic_summary(study, *, truth=True, all_columns=False, **given_columns):
     return pa.Table.from_arrays(arrays, schema=columns.arrow_schema((*layout, *extra_columns)))
 
 
-def synthetic_curves(study, *, truth=True, times=TIMES):
-    """Return synthetic curves of all runs at some times, s."""
+def synthetic_curves(study, *, truth=True):
+    """Return synthetic curves of all runs."""
     runs = study.n_variants * study.n_draws
-    run, time = np.repeat(np.arange(runs), times.size), np.tile(times, runs)
+    run, time = np.repeat(np.arange(runs), TIMES.size), np.tile(TIMES, runs)
     noise = np.random.default_rng(6).normal(size=run.size)
     layout = schemas.curve_columns(study)
     values = {c.name: noise for c in layout}

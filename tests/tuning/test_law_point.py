@@ -52,8 +52,8 @@ def law_times(study: Study, heading_deg: float, resets: int) -> tuple[float, ...
     return found.times_s
 
 
-@pytest.mark.nightly(fast=("tune_robust",))
-@pytest.mark.parametrize("name", ["tune_condition5", "tune_large", "tune_robust"])
+@pytest.mark.nightly(fast=("tune_large",))
+@pytest.mark.parametrize("name", ["tune_condition5", "tune_large"])
 def test_shipped_tunings_have_the_law_within_their_ranges(name: str) -> None:
     study = load_study(name)
     assert study.tune is not None
