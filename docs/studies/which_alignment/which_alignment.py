@@ -144,8 +144,7 @@ def main() -> None:
         kalman_surge_under_vibration=angle(errors.at(300, 3, "kalman_surge")),
         best_on_all_draws=[angle(errors.at(300, v, errors.best(v))) for v in range(len(VEHICLES))],
     )
-    footers = " and ".join(one.study.name for one in (own, published))
-    footer = f"{footers}: {own.count + published.count:,} runs"
+    footer = "; ".join(one.footer for one in (own, published))
     page.figure("which_alignment_reached", draw_reached(errors), footer)
 
 
