@@ -36,9 +36,7 @@ def stored(folder, name, **columns):
     given = {"settle_10_s": np.where(rng.random(count) < 0.2, np.nan, rng.uniform(90, 800, count))}
     for key, draw in columns.items():
         given[key] = draw(rng, count)
-    curves = None
-    if study.study.curves:
-        curves = synthetic_curves(study, times=np.linspace(1.0, study.duration_s, 21).round())
+    curves = synthetic_curves(study) if study.study.curves else None
     summary = synthetic_summary(study, all_columns=True, **given)
     return store_results(folder / name, study, summary, curves, wall_s=1.0), summary.to_pylist()
 
