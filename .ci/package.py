@@ -15,7 +15,7 @@ BESIDE = {".py", ".j2", ".typed"}
 
 NEEDED = (
     "pyproject.toml README.md LICENSE CHANGELOG.md CONTRIBUTING.md CITATION.cff mkdocs.yml .ci/run"
-    " benchmarks/limit_kernel.c benchmarks/gate.py docs/start.md"
+    " benchmarks/limit_kernel.c benchmarks/gate.py docs/start.md docs/studies/paper1.py"
     " docs/figures/concept_why_p_lies.png notebooks/tuning.ipynb tests/conftest.py"
 ).split()
 """Of the sdist, beside the package and the studies: what it takes to test and to document it."""

@@ -31,7 +31,7 @@ def draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.nightly
 def test_numpy_filter_finds_north_and_is_scored(draws: Path) -> None:
-    script = ROOT / "docs" / "studies" / "arena" / "numpy_filter.py"
+    script = ROOT / "docs" / "studies" / "comparison" / "numpy_filter.py"
     text = script.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 61 and "sinsjax" not in text.split('"""')[2]
     names: dict[str, object] = {"__name__": "filter"}

@@ -1,3 +1,5 @@
+"""Turns of the compass between passes, against a general integrator."""
+
 import math
 from functools import partial
 
@@ -6,7 +8,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from support.studies import small_study
 
-from docs.studies.loops.runs import limits_of
 from sinsjax.execution import run as study_run
 from sinsjax.methods.compass import design as loops
 
@@ -14,6 +15,9 @@ G, R = 9.8, 6378137.0
 LATITUDE, RATE = math.radians(32.0), math.radians(15.041067) / 3600
 OMEGA_N = RATE * math.cos(LATITUDE)
 SMOOTHING_S = 1.0
+NABLA_DEG = math.degrees(50e-6)
+LIMIT_E_DEG = -NABLA_DEG
+LIMIT_U_DEG = NABLA_DEG * math.tan(LATITUDE) - math.degrees(math.radians(0.02) / 3600 / OMEGA_N)
 TURNS = {"velocity": (-1, 1, 1), "velocity_and_rate": (-1, 1, -1), "reflect": (-1, -1, 1)}
 
 
@@ -37,10 +41,9 @@ def compass_study(*, turn="velocity", stored_s=60.0, level_time_s=40.0, **change
     return small_study(**sections)
 
 
-def integrated(study, times, turn, *, level_s, stored_s, sigma_az):
+def integrated(times, turn, *, level_s, stored_s, sigma_az):
     """The north channel by a general integrator, its equations written out."""
     v, tilt, w = TURNS[turn]
-    limits = limits_of(study)
     level = loops.level_gains(0.02, math.sqrt(0.5), gravity=G, radius=R)
 
     def slope(t, x, direction, sigma):
@@ -54,7 +57,7 @@ def integrated(study, times, turn, *, level_s, stored_s, sigma_az):
         tilting = -(1 + k.k2) / R * dv - wn * phi_u
         return [-k.k1 * dv + G * phi_e, tilting, spin, 0.0, k.k3 / wn * dv - k.k4 * spin, *lag]
 
-    phi = np.deg2rad(np.array([0.1 - limits.e / 60, 1.0 - limits.u / 60]))
+    phi = np.deg2rad(np.array([0.1 - LIMIT_E_DEG, 1.0 - LIMIT_U_DEG]))
     x = np.array([0.0, *phi, 0.0, 0.0, 0.0, 0.0])  # the last: f_N/g, low-passed, twice
     found, edges = [], sorted({0.0, level_s, 100.0, *np.arange(stored_s, 241, stored_s), 240.0})
     for since, until in zip(edges[:-1], edges[1:], strict=True):
@@ -85,9 +88,8 @@ def test_noise_free_engine_run_matches_integrated_north_channel(turn):
     study = compass_study(turn=turn, compass=factors, study={"record_interval_s": 4.0})
     run = study_run.run(study, curves=True)
     times = run.curves["time_s"].to_numpy()
-    simulated = (limits_of(study).u - run.curves["phi_u_arcmin"].to_numpy()) / 60
+    simulated = LIMIT_U_DEG - run.curves["phi_u_arcmin"].to_numpy() / 60
     expected = integrated(
-        study,
         times,
         turn,
         level_s=40.0,
@@ -97,13 +99,3 @@ def test_noise_free_engine_run_matches_integrated_north_channel(turn):
     # The east channel's part in the north one is left out of the equations.
     np.testing.assert_allclose(expected, simulated, atol=0.02)
     assert np.ptp(simulated) > 0.2
-
-
-def test_bias_floors_match_closed_forms():
-    study = compass_study(sensors={"gyro_bias_deg_per_h": [0.02, 0.0, 0.0]})
-    limits = limits_of(study)
-    assert limits.e == pytest.approx(-60 * math.degrees(50e-6))
-    assert limits.n == pytest.approx(60 * math.degrees(50e-6))
-    assert limits.gyro == pytest.approx(-60 * math.degrees(math.radians(0.02) / 3600 / OMEGA_N))
-    assert limits.accel == pytest.approx(60 * math.degrees(50e-6 * math.tan(LATITUDE)))
-    assert limits.u == pytest.approx(limits.gyro + limits.accel)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from docs.studies.paper2 import page as paper2
+from docs.studies import paper2
 from sinsjax.methods.compass import design as loops
 from sinsjax.study.load import load_study
 
