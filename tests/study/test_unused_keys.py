@@ -92,7 +92,8 @@ def repeats_without_method(dimension: dict[str, Any]) -> bool:
     """Return whether cases or zips differ in their method alone."""
     others = [values for key, values in dimension.items() if key not in ("case", "method")]
     rows = [*zip(*others, strict=True)]
-    return "method" in dimension and len({*rows}) < len(rows)
+    labels_alone = "case" in dimension and not others
+    return "method" in dimension and (labels_alone or len({*rows}) < len(rows))
 
 
 @pytest.mark.nightly(fast=("reset_sweep", "paper2_static", "tune_large", "car_test", "covariance"))
