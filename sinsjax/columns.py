@@ -16,14 +16,6 @@ from sinsjax.units import split_unit
 SCHEMA_VERSION = "4"
 """Incremented whenever a column is removed or changes its meaning."""
 
-RENAMED = {
-    "has_limit": "has_floor",
-    "ok_limit": "ok_floor",
-    "tape_time_s": "stored_time_s",
-    "true_sigma_u_from_limit_arcmin": "true_sigma_u_from_floor_arcmin",
-}
-"""Columns of version 0.6 by their names since 1.0."""
-
 STATUSES = ("ok", "not_settled", "diverged", "nonfinite", "no_north")
 """Outcomes of a run: the first that applies; null if there is no truth or bias floor.
 
@@ -328,12 +320,6 @@ def drawn_column(key: str, dimensions: int, meaning: str) -> Column:
     """The column of a key drawn for each draw: a number, or a list of numbers."""
     dtype = _F if dimensions == 1 else pa.list_(_F)
     return Column(key, dtype, split_unit(key)[1], f"drawn by the study: {meaning}")
-
-
-def describe_missing(name: str) -> str:
-    """Return the message of a missing column, with its new name if version 0.6 had it."""
-    new = f" (it is {RENAMED[name]} since version 1.0)" if name in RENAMED else ""
-    return f"column {name} is missing{new}"
 
 
 @lru_cache(maxsize=8)  # needed for every chunk

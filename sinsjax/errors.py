@@ -10,8 +10,8 @@ from sinsjax.messages import to_one_line
 class InputError(ValueError):
     r"""A user's mistakes, one visible line each: the file, the key or row, and what is wrong.
 
-    A study is checked in full before anything runs, so the error of one has a line for each of its
-    mistakes, as ``sinsjax validate`` prints them.
+    A study is checked in full before anything runs, in stages: names, values, rules between keys.
+    The error of one has a line for each mistake that the first stage with any finds.
 
     Attributes:
         lines: the mistakes; most errors have one.
@@ -73,11 +73,12 @@ class StudyWarning(UserWarning):
 
     Examples:
         >>> import warnings
+        >>> changes = {"alignment.method": "compass", "study.draws": 1, "axes": {}}
         >>> with warnings.catch_warnings(record=True) as doubts:
         ...     warnings.simplefilter("always", sinsjax.StudyWarning)
-        ...     study = sinsjax.load_study("reset_sweep", {"alignment.method": "optimisation"})
-        >>> len(doubts)
-        1
+        ...     results = sinsjax.run(sinsjax.load_study("reset_sweep", changes))
+        >>> str(doubts[0].message).endswith("have no effect with method compass.")
+        True
     """
 
 

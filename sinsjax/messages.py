@@ -6,6 +6,8 @@ from collections.abc import Iterable
 
 from pydantic_core import ErrorDetails
 
+from sinsjax import gone
+
 _IN_PLAIN_WORDS = {
     "float_type": "must be a number",
     "int_type": "must be a whole number",
@@ -89,11 +91,18 @@ def describe_broken_rule(error: ErrorDetails) -> str:
     return _IN_PLAIN_WORDS.get(kind, error["msg"].replace("Input should be", "must be"))
 
 
-def explain_error(error: ErrorDetails) -> str:
-    """The rule that a value breaks, and the value unless the rule already shows it."""
+def explain_error(error: ErrorDetails, key: str = "") -> str:
+    """The rule that a value breaks, and the value unless the rule already shows it.
+
+    Args:
+        error: of pydantic.
+        key: ``section.key``, some values of which may be gone.
+    """
+    given = error["input"]
+    if isinstance(given, str) and (key, given) in gone.VALUES:
+        return f"{given!r} {gone.LINE.format(gone.VALUES[key, given])}"
     if error["type"] in ("invalid", "missing", "too_long"):
         return describe_broken_rule(error)
-    given = error["input"]
     value = repr(list(given) if isinstance(given, tuple) else given)
     words = error["ctx"]["expected"].split("'")[1::2] if error["type"] == "literal_error" else ()
     # A unit is often written as deg/s.

@@ -7,7 +7,7 @@ from pathlib import Path
 import sinsjax
 
 FLOORS = (
-    {"console", "errors", "messages", "toml_text", "types", "units"},
+    {"console", "errors", "gone", "messages", "toml_text", "types", "units"},
     {"analysis", "columns", "maths", "platform"},
     {"plots", "records", "strapdown", "value_types"},
     {"methods"},
@@ -29,7 +29,7 @@ METHODS = {
 """Folders of alignment methods; no method knows another."""
 KNOW_METHODS = {"methods.registry", "methods.page", "methods.sections"}
 """What in `methods` may know the methods' folders."""
-WITHOUT_JAX = set("columns errors messages records study toml_text units value_types".split())
+WITHOUT_JAX = set("columns errors gone messages records study toml_text units value_types".split())
 SAYS_KEYS = {"config", "description", "registry", "section", "sections"}
 """Modules of `methods` that studies are read with."""
 FOR_PEOPLE = {"matplotlib", "rich", "typer"}

@@ -8,7 +8,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from sinsjax.columns import describe_missing
 from sinsjax.errors import InputError
 
 _SLICE = 2**16  # rows converted to Python objects at a time
@@ -159,5 +158,5 @@ def require_column(table: pa.Table, name: str) -> pa.ChunkedArray:
         InputError: it is missing.
     """
     if name not in table.column_names:
-        raise InputError(f"summary: {describe_missing(name)}")
+        raise InputError(f"summary: column {name} is missing")
     return table[name]

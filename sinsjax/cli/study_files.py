@@ -161,7 +161,7 @@ def _format_two_columns(rows: dict[str, str], width: int, column_width: int = 0)
 
 
 def validate(config: Config, changes: Changes = None) -> None:
-    """Check a study without running it: report every error, or the planned runs and their cost.
+    """Check a study without running it: report its errors, or the planned runs and their cost.
 
     Example: sinsjax validate reset_sweep --set study.draws=64
     """

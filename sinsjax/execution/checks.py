@@ -1,6 +1,5 @@
 """Warnings about a study before it runs, from its record or its sample rate."""
 
-import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +11,7 @@ from sinsjax.engine.bias_floors import hidden_north
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.environment import build_method
 from sinsjax.engine.truth import read_site, start_samples
-from sinsjax.errors import InputError, StudyWarning
+from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds
 from sinsjax.methods.filters.parameters import level_settling_s
 from sinsjax.methods.filters.section import update_variance
@@ -262,9 +261,7 @@ def level_only(study: Study, check: RecordCheck) -> tuple[Study, list[str]]:
         changes["level.level_accel_bias_ug"] = accel_bias_ug
     replaced = " and ".join(study.methods)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", StudyWarning)  # about keys of the other methods
-            level_study = study.replace(changes)
+        level_study = study.replace(changes)
     except InputError as error:  # such as sweeps that have no meaning without these methods
         text = f"method {LEVEL.name} finds pitch and roll, but not in this study: {error.lines[0]}"
         raise InputError(f"{check.hides_north}; {text}") from None

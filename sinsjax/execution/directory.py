@@ -42,7 +42,7 @@ LOCK, WRITER, FIGURES = ".lock", ".writer", ".figures.json"
 """The lock, the name of its last owner, and the list of drawn figures."""
 
 _FILES = (MANIFEST, STUDY, LOCK, WRITER, FIGURES, "tuned.toml", "history.parquet")
-_FOLDERS = (*DATASETS, "figures", "reruns", "grid", "sobol", "random", "equal_cost", "evaluation")
+_FOLDERS = (*DATASETS, "figures", "reruns", "grid", "sobol", "evaluation")
 _CLOCK_TICK_NS = 50_000_000
 """Above the clock tick of a file system, ns: any later change has another modification time."""
 
@@ -278,14 +278,10 @@ def _check_version(directory: Path, manifest: Mapping[str, Any]) -> None:
         return
     versions = manifest.get("versions")
     version = str(versions.get("sinsjax", "")) if isinstance(versions, dict) else ""
-    older = schema.isdigit() and int(schema) < int(columns.SCHEMA_VERSION)
-    names = ", ".join(f"{old} is now {new}" for old, new in columns.RENAMED.items())
-    renamed = f": {names}" if older else ""
     raise OtherVersionError(
         f"{directory}: contains results of"
         f" {shorten(to_one_line(f'sinsjax {version}'.strip()), 40)},"
         f" whose columns (schema {shorten(to_one_line(schema), 20)}) this version does not read"
-        f"{renamed}"
         " (run the study again, into another directory or with --overwrite, or use that version)"
     )
 

@@ -188,19 +188,14 @@ def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
     points = {
         "grid": sum(tune.grid_points**count for count in free_keys) + laws,
         "sobol": tune.sobol_points * len(free_keys) + laws,
-        "random": tune.sobol_points * len(free_keys) + laws,
-        "gradient": tune.descent_starts * tune.descent_steps * (2 + max(free_keys)),
     }
-    # A search by covariance analysis stores only its history.
-    stored = [search for search in tune.searches if search != "covariance"]
-    points_by_name = {("equal_cost" if s == "gradient" else s): points[s] for s in stored}
-    points_by_name = {name: max(1, count) for name, count in points_by_name.items()}
+    # The other searches store only their history.
+    points_by_name = {s: max(1, points[s]) for s in tune.searches if s in points}
     batches = [
         Batch(name, n * variants * draws, n * variants * draws, n * variants, n)
         for name, n in points_by_name.items()
     ]
-    others = 1 + bool(laws) + (len(stored) < len(tune.searches))
-    candidates = (len(points_by_name) + others) * variants
+    candidates = (len(tune.searches) + 1 + bool(laws)) * variants
     batches.append(
         Batch(
             "evaluation", candidates * evaluation_draws, candidates * evaluation_draws, candidates

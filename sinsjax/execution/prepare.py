@@ -18,7 +18,7 @@ from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.files import find_study_file, source_name
-from sinsjax.study.load import load_study, load_with_notes, study_to_tables, with_rate
+from sinsjax.study.load import load_study, load_with_notes, with_rate
 from sinsjax.study.study import Study
 from sinsjax.study.turns import describe_rounding
 from sinsjax.study.unused_keys import list_idle_keys
@@ -179,7 +179,7 @@ def issue_warnings(job: Job, *, tunes: bool = False) -> Job:
         StudyWarning: one per doubt, one for keys without effect, and one for an ignored [tune].
     """
     ignored = [] if tunes else list_ignored_sections(job.study)
-    idle = list_idle_keys(job.study, study_to_tables(job.study))
+    idle = list_idle_keys(job.study)
     for line in (*job.warnings, *idle, *ignored):
         warnings.warn(line, StudyWarning, stacklevel=3)
     return job
@@ -252,7 +252,7 @@ def _read_stored_record(
 def _load_source(
     source: Path | str | Study, overrides: Mapping[str, Any] | None
 ) -> tuple[Study, list[str]]:
-    """Return the study, and a line per key of its file that its methods do not use."""
+    """Return the study, and lines about keys of its file that have no effect."""
     if isinstance(source, Study):
         return source.replace(overrides) if overrides else source, []
     return load_with_notes(source, overrides or {})

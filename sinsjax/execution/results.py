@@ -266,7 +266,7 @@ def _read_sorted(
         known_columns = dataset_.schema.names
         selected = known_columns if names is None else list(names)
         if missing := [name for name in selected if name not in known_columns]:
-            raise InputError(f"{directory}: {dataset}: {columns.describe_missing(missing[0])}")
+            raise InputError(f"{directory}: {dataset}: column {missing[0]} is missing")
         table = dataset_.to_table(columns=sorted({*order, *selected}), filter=rows)
         return table.sort_by([(name, "ascending") for name in order]).select(selected)
 

@@ -129,8 +129,6 @@ class Description:
         load: makes its `Implementation`, importing JAX.
         without_effect: keys of its sections, of ``reads`` and of `COMMON_KEYS` that change nothing.
         unread: keys of its sections that it does not read, as if they were another method's.
-        refuses: keys of its sections, and of [coarse] in a simulated study, that its rules refuse;
-            a change to it drops them.
         has_covariance: whether it has a covariance P.
         has_floor: whether constant sensor biases leave its heading a bias floor that is known.
         finds_heading: whether it finds a heading. If not, only its pitch and roll are observed, and
@@ -161,7 +159,6 @@ class Description:
     load: Callable[[], Implementation]
     without_effect: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
-    refuses: tuple[str, ...] = ()
     has_covariance: bool = True
     has_floor: bool = True
     finds_heading: bool = True

@@ -11,14 +11,13 @@ def describe_without_start(*, name: str, **parts: Any) -> Description:
 
     Args:
         name: of the method.
-        parts: all other fields but those of keys and refusals; its own rules come last.
+        parts: all other fields but those of keys; its own rules come last.
     """
     rules = (partial(_check_passes, name), partial(_check_coarse, name), *parts.pop("rules", ()))
     return Description(
         name=name,
         reads=INITIAL_KEYS,
         without_effect=(*INITIAL_KEYS, *COMMON_KEYS),
-        refuses=("coarse_method", "coarse_duration_s", "coarse_then"),
         rules=rules,
         **parts,
     )

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from sinsjax import gone
 from sinsjax.messages import suggest_closest
 from sinsjax.methods.description import INITIAL_KEYS
 from sinsjax.methods.plugins import exclude_clashing
@@ -74,17 +75,6 @@ EARTH_CONSTANTS = {
 }
 """Keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
-REPLACED = {
-    "tape_s": "was renamed to stored_s",
-    "random_points": "was dropped (sobol_points counts the points of both searches)",
-    **dict.fromkeys(
-        ("evolution_points", "evolution_spread", "evolution_samples", "evolution_finalists"),
-        "was dropped (evolution_screen and evolution_steps set what the search costs)",
-    ),
-    "sigma_point_alpha": "was dropped (it is 0.5)",
-}
-"""Keys of 0.6 and before, with their replacements."""
-
 PASS_KEYS = ("stored_s", "passes", "ending", "direction")
 """Keys that determine the number of updates and the sample of the stored record that each reads."""
 
@@ -140,8 +130,11 @@ class Key(NamedTuple):
 
 
 def unknown_key_error(key: str, known: Iterable[str]) -> str:
-    """Return the error text of an unknown key: its replacement, or the closest known key."""
-    return REPLACED.get(key) or f"unknown key{suggest_closest(key, known)}"
+    """Return the error text of a key that is gone, or of an unknown one with the closest key."""
+    for place, text in gone.KEYS.items():
+        if place.partition(".")[2] == key:
+            return gone.LINE.format(text)
+    return f"unknown key{suggest_closest(key, known)}"
 
 
 def leaf_info(key: str) -> KeyInfo:

@@ -1,8 +1,9 @@
 """Reading and writing studies: one TOML file, checked in full before anything runs.
 
-A file either gives a `Study` or raises `InputError` with a line for every mistake in it,
-``FILE: [section] key: what is wrong (way on)``. `sweep` reads the tables that vary a study, `rules`
-has the rules between keys. Values stay in the units of the file.
+A file either gives a `Study` or raises `InputError` with a line for each of its mistakes that the
+first stage with any finds, ``FILE: [section] key: what is wrong (way on)``. The stages are names of
+sections and keys, values, rules (`rules.broken_rules`), and points of [tune]. `sweep` reads the
+tables that vary a study. Values stay in the units of the file.
 """
 
 import difflib
@@ -26,7 +27,7 @@ from sinsjax.methods.registry import (
     unread_keys,
 )
 from sinsjax.study import changes as changing
-from sinsjax.study import files, rules, search_space, unused_keys
+from sinsjax.study import files, rules, search_space
 from sinsjax.study.keys import (
     EARTH_CONSTANTS,
     KEYS,
@@ -38,10 +39,10 @@ from sinsjax.study.keys import (
     key_summary,
     unknown_key_error,
 )
-from sinsjax.study.mistakes import build_or_report
 from sinsjax.study.questions import reject_open_questions
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import Sweep, correctable_errors, read_sweep, read_tune_section
+from sinsjax.study.unused_keys import list_idle_keys
 
 __all__ = [
     "Study",
@@ -65,13 +66,6 @@ _FEEDBACK_KEY = "feedback_interval_s"
 _SWEEP_TABLES = ("axes", "cases", "drawn")
 SHEET_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
 """Sections of a sheet, which `sinsjax.advise` reads."""
-_REMOVED_SECTIONS = {
-    "azimuth": "a large heading error is fed back as the rotation that it defines",
-    "report": "every study has the same report",
-    "statements": "pages of studies judge their own statements",
-    "unscented": "sigma_point_alpha is 0.5",
-}
-"""Sections of 0.5 and 0.6, with the reasons for their removal."""
 
 
 def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = None) -> Study:
@@ -87,8 +81,7 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
         InputError: the file cannot be read, is not TOML or not a valid study; a line per mistake.
 
     Warns:
-        StudyWarning: the changes drop keys that another method does not read, or an edited local
-            file has the name of a shipped study.
+        StudyWarning: an edited local file has the name of a shipped study.
 
     Examples:
         >>> sinsjax.load_study("reset_sweep", {"study.draws": 2})
@@ -100,8 +93,8 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
     """
     if isinstance(source, Study):
         return source.replace(changes) if changes else source
-    study, _, dropped = _load_with_tables(source, changes)
-    for line in (*files.describe_shadowed_study(source), *dropped):
+    study = _load(source, changes)
+    for line in files.describe_shadowed_study(source):
         warnings.warn(line, StudyWarning, stacklevel=2)
     return study
 
@@ -110,29 +103,27 @@ def load_with_notes(path: str | Path, changes: Mapping[str, Any]) -> tuple[Study
     """Read and check a study file like `load_study`.
 
     Returns:
-        The study, and lines for the user about keys that its methods do not use.
+        The study, and lines for the user about keys that have no effect.
 
     Raises:
         InputError: see `load_study`.
     """
-    study, data, dropped = _load_with_tables(path, changes)
-    return study, [*dropped, *unused_keys.list_idle_keys(study, data)]
+    study = _load(path, changes)
+    return study, list_idle_keys(study)
 
 
-def _load_with_tables(
-    path: str | Path, changes: Mapping[str, Any] | None
-) -> tuple[Study, TomlTable, list[str]]:
-    """Return the study of a file, its tables, and lines about the keys that changes drop."""
+def _load(path: str | Path, changes: Mapping[str, Any] | None) -> Study:
+    """Read and check a study file."""
     name = files.source_name(path)
-    data, dropped = files.read_tables(path), list[str]()
+    data = files.read_tables(path)
     if changes:
-        data, dropped = change_tables(data, changes, name)
+        data = change_tables(data, changes, name)
     try:
         reject_open_questions(data, path)
     except InputError as error:
         raise error.with_source(name) from None
     try:
-        return study_from_dict(data, name), data, dropped
+        return study_from_dict(data, name)
     except InputError as error:
         if "sensors" in data and data.keys() <= {*SHEET_TABLES}:
             hint = f"`sinsjax advise {path} --study FILE` writes a study of a data sheet"
@@ -140,13 +131,8 @@ def _load_with_tables(
         raise
 
 
-def change_tables(
-    data: TomlTable, changes: Mapping[str, Any], source: str
-) -> tuple[TomlTable, list[str]]:
-    """Change some values of a study's tables, and drop keys that another method does not read.
-
-    Returns:
-        The tables, and lines for the user about the dropped keys.
+def change_tables(data: TomlTable, changes: Mapping[str, Any], source: str) -> TomlTable:
+    """Return a study's tables with some values changed.
 
     Raises:
         InputError: a change does not name a key, or is nested too deeply.
@@ -156,7 +142,7 @@ def change_tables(
     except InputError as error:
         raise error.with_source(source) from None
     files.check_nesting(changed, source)
-    return unused_keys.drop_unread_keys(data, changed, changes, source)
+    return changed
 
 
 def study_from_dict(data: TomlTable, source: str = "study") -> Study:
@@ -232,11 +218,8 @@ def with_point(study: Study, point: TomlTable) -> Study:
 
 def replace_values(study: Study, changes: Mapping[str, Any]) -> Study:
     """Return a study with some values changed: the body of `Study.replace`."""
-    tables, dropped = change_tables(non_default_tables(study), changes, study.name)
-    changed = study_from_dict(tables, study.name)
-    for line in dropped:
-        warnings.warn(line, StudyWarning, stacklevel=3)
-    return changed
+    tables = change_tables(non_default_tables(study), changes, study.name)
+    return study_from_dict(tables, study.name)
 
 
 def select_variant(study: Study, variant: int) -> Study:
@@ -268,16 +251,16 @@ Study.tables = staticmethod(non_default_tables)
 
 
 def _build_checked_study(data: TomlTable, name: str) -> Study:
-    """Return the study of some tables, points of [tune] checked, or report every mistake."""
+    """Return the study of some tables, points of [tune] checked.
+
+    Raises:
+        InputError: the mistakes of the first stage with any, since later ones need its values.
+    """
     _check_methods_usable(data)
-
-    def build(tables: TomlTable) -> Study:
-        study = _build_study(tables, name)
-        if study.tune and study.study.rate_hz:
-            _check_tuning_points(study)
-        return study
-
-    return build_or_report(build, data)
+    study = _build_study(data, name)
+    if study.tune and study.study.rate_hz:
+        _check_tuning_points(study)
+    return study
 
 
 def _build_study(data: TomlTable, name: str) -> Study:
@@ -292,19 +275,18 @@ def _build_study(data: TomlTable, name: str) -> Study:
     key_tables |= sweep.key_tables
     with errors.collect():
         _check_alternatives(key_tables)
-    sections, tuning_errors = _fill_defaults(tables, sweep, key_tables, name), ErrorCollector()
+    sections = _fill_defaults(tables, sweep, key_tables, name)
     if "tune" in sections:
         given = sections["tune"]
         sections["tune"] = given | {"variables": {}, "baseline": {}}  # in case these are wrong
-        with tuning_errors.collect():
+        with errors.collect():
             sections["tune"] = read_tune_section(
                 given, sweep.key_tables, recorded="record" in tables
             )
     with errors.collect():
         study = _validate_sections(sections)
-    if errors.lines:
-        raise InputError(*errors.lines, *tuning_errors.lines)
-    if lines := (*tuning_errors.lines, *rules.broken_rules(study, key_tables)):
+    errors.raise_all()
+    if lines := rules.broken_rules(study, key_tables):
         raise InputError(*lines)
     return study
 
@@ -385,8 +367,6 @@ def _check_table(name: str, table: Any) -> None:
     names = (*SECTIONS, *_SWEEP_TABLES)
     if name in SECTION_OF and name not in SECTIONS:
         raise InputError(f"{name}: a key of [{SECTION_OF[name]}] (move it there)")
-    if name in _REMOVED_SECTIONS:
-        raise InputError(f"[{name}]: was dropped, {_REMOVED_SECTIONS[name]} (remove the section)")
     if name == "advise":
         raise InputError("[advise]: is read by `sinsjax advise` alone (drop it from a study)")
     if name not in names:
@@ -438,13 +418,16 @@ def _fill_defaults(
     unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record",)
     unread = unread_keys(_values_over_variants("method", tables, sweep) & METHODS.keys())
     given = {SECTION_OF.get(key) for key in key_tables}
-    optional = {"passes", "stop_when", "tune"} | (set() if recorded else {"coarse"})
-    unused += tuple(optional - given - tables.keys())
-    unused += tuple(
+    idle = {
         name
         for name, section in SECTIONS_OF_METHODS.items()
-        if name not in given and unread.issuperset(section.model_fields)
-    )
+        if unread.issuperset(section.model_fields)
+    }
+    optional = {"passes", "stop_when", "tune"} | (set() if recorded else {"coarse"})
+    unused += tuple(optional - given - tables.keys())
+    unused += tuple(idle - given)
+    for section in idle & given:  # complete, as if another variant read it
+        unread -= {*SECTIONS[section].model_fields, _FEEDBACK_KEY}
     sections = {key: dict(tables.get(key, {})) for key in SECTIONS if key not in unused}
     sections["study"].setdefault("name", name)
     if not recorded:
@@ -502,4 +485,5 @@ def _format_error(error: ErrorDetails) -> str:
     hint = ""
     if error["type"] == "missing" and len(error["loc"]) == 2:
         hint = f" ({key_summary(section, str(key))})"
-    return f"[{section}] {key}{format_list_index(error)}: {explain_error(error)}{hint}"
+    text = explain_error(error, f"{section}.{key}")
+    return f"[{section}] {key}{format_list_index(error)}: {text}{hint}"

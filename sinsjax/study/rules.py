@@ -105,29 +105,35 @@ def _refuse_place(place: str, text: str) -> NoReturn:
 
 
 def _check_required_keys(study: Study, key_tables: KeyTables) -> None:
-    """Refuse a missing key, and a key without effect, because of the value of another key."""
-    simulated = not study.is_recorded
+    """Refuse missing keys, and keys without effect, because of the values of other keys."""
+    errors, simulated = ErrorCollector(), not study.is_recorded
+
+    def refuse(key: str, text: str) -> None:
+        with errors.collect():
+            _refuse_key(key, key_tables, text)
+
     untimed = (
         study.record and study.record.format in ("csv", "parquet") and not study.record.time_column
     )
     if "rate_hz" not in key_tables and (simulated or untimed):
         reason = "without a time_column in [record]" if untimed else key_summary("study", "rate_hz")
-        _refuse_key("rate_hz", key_tables, f"required ({reason})")
+        refuse("rate_hz", f"required ({reason})")
     for key in ("latitude_deg", "yaw_center_deg") if simulated else ():
         from_file = key == "yaw_center_deg" and "attitude_file" in key_tables
         if key not in key_tables and not from_file:
-            _refuse_key(key, key_tables, f"required ({key_summary(SECTION_OF[key], key)})")
+            refuse(key, f"required ({key_summary(SECTION_OF[key], key)})")
     for angle in ("pitch", "roll", "yaw") if simulated else ():
         amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"
         sways = amplitude in study.drawn_keys or any(
             p[amplitude] for p in study.combinations(amplitude)
         )
         if period not in key_tables and sways:
-            _refuse_key(period, key_tables, f"required with {amplitude} > 0")
+            refuse(period, f"required with {amplitude} > 0")
     if all(point["earth"] != "constants" for point in study.combinations("earth")):
         for key in EARTH_CONSTANTS:
             if key in key_tables:
-                _refuse_key(key, key_tables, "requires earth = 'constants' (drop it with 'wgs84')")
+                refuse(key, "requires earth = 'constants' (drop it with 'wgs84')")
+    errors.raise_all()
 
 
 def _check_study_size(study: Study, key_tables: KeyTables) -> None:
@@ -170,22 +176,6 @@ def _check_intervals(study: Study, key_tables: KeyTables) -> None:
         _refuse_key(
             "record_interval_s", key_tables, f"{record:.12g} s is longer than a run, {duration}"
         )
-
-
-def _check_keys_of_methods(study: Study, key_tables: KeyTables) -> None:
-    """Refuse keys that no method of the study reads, a whole section in one line."""
-    methods = sorted(study.methods)
-    text = f"does not apply to method {' or '.join(methods)}"
-    unread = unread_keys(methods)
-    for key in sorted(unread & key_tables.keys()):
-        section = f"[{SECTION_OF[key]}]"
-        section_keys = [key_ for key_, place in key_tables.items() if place == section]
-        if key_tables[key] == section and len(section_keys) > 1 and unread.issuperset(section_keys):
-            hint = f"drop the section: --set {SECTION_OF[key]}={{}}"
-            raise InputError(f"{section}: {text}: {', '.join(section_keys)} ({hint})")
-        place = key_tables[key].strip("[]")
-        hint = f": --set {place}.{key}={{}}" if place.startswith("axes") else ""
-        _refuse_key(key, key_tables, f"{text} (drop it{hint})")
 
 
 def _check_passes(study: Study, key_tables: KeyTables) -> None:
@@ -681,6 +671,10 @@ def _check_tune_section(study: Study, key_tables: KeyTables) -> None:
         text = f"{tune.objective_band_arcmin:g} is not one of {', '.join(f'{b:g}' for b in bands)}"
         hint = "settle_bands_arcmin and success_band_arcmin"
         _refuse_place("[tune] objective_band_arcmin", f"{text} ({hint})")
+    unread = unread_keys(study.methods) & tune.variables.keys()
+    if unread and "method" not in tune.variables:
+        text = f"does not apply to method {' or '.join(sorted(study.methods))} (tune other keys)"
+        _refuse_place(f"[tune.variables] {min(unread)}", text)
     space = search_space.SearchSpace.from_study(study)
     max_variables = max(
         (len(space.used_variables(point)) for point in space.combinations), default=0
@@ -699,7 +693,6 @@ def _check_tune_section(study: Study, key_tables: KeyTables) -> None:
 StudyRule = Callable[[Study, KeyTables], None]
 
 PRESENCE_RULES: tuple[StudyRule, ...] = (
-    _check_keys_of_methods,
     check_process_noise,
     check_measurement_noise,
     check_turn_keys,

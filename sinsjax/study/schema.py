@@ -8,7 +8,7 @@ between sections in `rules`. The methods have sections of their own, see `method
 from typing import Annotated, Any, Literal, cast, get_args, get_origin
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from sinsjax.messages import shorten
 from sinsjax.records.layout import (
@@ -158,21 +158,6 @@ class StudySection(Section):
         description="programs whose results `sinsjax score` stored in the study's directory;"
         " default: none",
     )
-
-    @field_validator("judged_from", mode="before")
-    @classmethod
-    def _refuse_limit(cls, value: Any) -> Any:
-        if value == "limit":
-            raise rule_error("'limit' was renamed (use 'floor')")
-        return value
-
-    @field_validator("estimate", mode="before")
-    @classmethod
-    def _refuse_controlled(cls, value: Any) -> Any:
-        if value == "controlled":
-            text = "leave the key out for Monte Carlo, or use 'covariance'"
-            raise rule_error(f"'controlled' was dropped ({text})")
-        return value
 
     @model_validator(mode="after")
     def _check_window(self) -> "StudySection":
@@ -736,7 +721,7 @@ class StopWhenSection(Section):
 
 Some = Annotated[Count, Field(ge=1)]
 Searches = Annotated[
-    tuple[Literal["grid", "sobol", "random", "gradient", "covariance"], ...],
+    tuple[Literal["grid", "sobol", "gradient", "covariance"], ...],
     Field(min_length=1),
     AfterValidator(require_unique),
 ]
@@ -800,7 +785,7 @@ class TuneSection(Section):
     )
     searches: Searches = Field(
         ("grid", "gradient"),
-        description="'grid', 'sobol', 'random': points in the ranges. 'gradient': descents."
+        description="'grid', 'sobol': points in the ranges. 'gradient': descents."
         " 'covariance': evolution strategy on linear covariance analysis. If reset times"
         " are tuned, each also evaluates the reset law's schedule",
     )
@@ -818,7 +803,7 @@ class TuneSection(Section):
         15, description="points per variable of a 'grid' search; at most two variables"
     )
     sobol_points: Some = Field(
-        256, description="points of a 'sobol' or 'random' search per combination of candidates"
+        256, description="points of a 'sobol' search per combination of candidates"
     )
     descent_screen: Some = Field(
         16,

@@ -169,9 +169,6 @@ class Study(_SectionsOfMethods):
         Raises:
             InputError: the result is not a valid study.
 
-        Warns:
-            StudyWarning: the changes drop keys that another method does not read.
-
         Examples:
             >>> study = sinsjax.load_study("reset_sweep")
             >>> study.n_variants, study.replace({"alignment.phi_u0_deg": 12.0}).n_variants

@@ -123,12 +123,13 @@ def check_value(value: Any, key: str, place: str) -> Any:
     """
     if value is None:
         raise InputError(f"{place}: None is not a value")
+    name = f"{SECTION_OF.get(key)}.{key}"
     try:
         return _validator(key)(value)
     except ValidationError as error:
         raise InputError(
             *(
-                f"{place}{format_list_index(detail)}: {explain_error(detail)}"
+                f"{place}{format_list_index(detail)}: {explain_error(detail, name)}"
                 for detail in correctable_errors(error)
             )
         ) from None

@@ -32,8 +32,7 @@ SEARCH_LABELS = {
     GRADIENT: "gradient",
     "baseline": "baseline",
     "sobol": "Sobol points",
-    "equal cost": "Sobol points at the gradient's cost",
-    "random": "random points",
+    "equal cost": "Sobol points at the gradient's cost",  # in directories of version 1.0
     COVARIANCE: "covariance analysis",
     LAW: "law of resets",
 }

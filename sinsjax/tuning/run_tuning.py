@@ -1,9 +1,8 @@
 """A complete tuning run: the searches of [tune], their evaluation on other draws, the tuned study.
 
-In order: the searches; after a gradient search, a Sobol search of equal cost; the evaluation of all
-best points, the baseline and the reset schedule by the law on draws not used for tuning;
-``tuned.toml`` with the best point on the tuning draws and a new seed. Complete stages are kept when
-a tuning run is resumed.
+In order: the searches; the evaluation of all best points, the baseline and the reset schedule by
+the law on draws not used for tuning; ``tuned.toml`` with the best point on the tuning draws and a
+new seed. Complete stages are kept when a tuning run is resumed.
 """
 
 import threading
@@ -39,9 +38,8 @@ TUNED, EVALUATION = "tuned.toml", "evaluation"
 LAW = "law"
 """Name of the reset schedule by the law among the evaluated points."""
 
-GRADIENT, EQUAL_COST, COVARIANCE = gradient.NAME, "equal_cost", search.COVARIANCE
-_SEARCHES = ("grid", "sobol", "random", EQUAL_COST, EVALUATION)
-_NAMES = (STUDY, TUNED, history.FILE, "figures", *_SEARCHES)
+GRADIENT, COVARIANCE = gradient.NAME, search.COVARIANCE
+_NAMES = (STUDY, TUNED, history.FILE, "figures", "grid", "sobol", EVALUATION)
 
 
 def prepare_tuning(
@@ -103,12 +101,6 @@ def _search_and_evaluate(study: Study, session: SearchSession) -> None:
     for name in require_tune(study).searches:
         results.append(_run_search(study, space, name, session, known))
         history.write_history(directory, study, results)
-        if name == GRADIENT:
-            counts = _equal_cost_counts(study, space, results[-1].cost)
-            design = search.sobol_design(space, counts, search.search_seed(study, EQUAL_COST))
-            design = search.add_law_points(study, design)
-            results.append(search.evaluate_design(study, EQUAL_COST, design, session))
-            history.write_history(directory, study, results)
     best = min(results, key=lambda result: result.best.objective)
     _evaluate_best_points(study, space, results, best.best.candidate, session)
     with atomic_write(directory / TUNED) as file:
@@ -211,9 +203,8 @@ def _run_search(
     if name == "grid":
         design = search.grid_design(space, settings.grid_points)
     else:
-        draw = {"sobol": search.sobol_design, "random": search.random_design}[name]
         counts = [settings.sobol_points] * len(space.combinations)
-        design = draw(space, counts, search.search_seed(study, name))
+        design = search.sobol_design(space, counts, search.search_seed(study, name))
     return search.evaluate_design(study, name, search.add_law_points(study, design), session)
 
 
@@ -230,15 +221,6 @@ def _run_in_memory(name: str, study: Study, session: SearchSession) -> SearchRes
         if name == COVARIANCE:
             return search.search_by_covariance(study, on_progress=report_or_stop)
         return gradient.descend(study, session.job.stored, on_progress=report_or_stop)
-
-
-def _equal_cost_counts(study: Study, space: SearchSpace, cost: int) -> list[int]:
-    """Return the number of points of each combination for a search of a given cost."""
-    point = space.make_point(space.to_values([0.5] * len(space.variables)), space.combinations[0])
-    point_cost = search.total_steps(search.derive_study(study, {"point": point}, name=study.name))
-    count = len(space.combinations)
-    points = max(count, round(cost / point_cost))
-    return [points // count + (number < points % count) for number in range(count)]
 
 
 def _evaluate_best_points(

@@ -1,11 +1,11 @@
 """Searches that score points of the search space: grid, Sobol points, and covariance analysis.
 
 The points are the cases of a study whose draws are the tuning draws. If reset times are tuned, the
-first point is the reset schedule by the law (`law_point`). A grid, Sobol and random
-points are swept into an ordinary results directory. The search by covariance analysis needs no
-noise: it scores points by errors that are sampled from linear covariance analysis
-(`engine.covariance`), goes on from the best of some Sobol points with an evolution strategy
-(CMA-ES, Hansen and Ostermeier 2001), and runs the best few on the tuning draws.
+first point is the reset schedule by the law (`law_point`). A grid and Sobol points are swept into
+an ordinary results directory. The search by covariance analysis needs no noise: it scores points by
+errors that are sampled from linear covariance analysis (`engine.covariance`), goes on from the best
+of some Sobol points with an evolution strategy (CMA-ES, Hansen and Ostermeier 2001), and runs the
+best few on the tuning draws.
 """
 
 import threading
@@ -113,18 +113,6 @@ def sobol_design(space: SearchSpace, counts: Sequence[int], seed: np.random.Seed
         engine = qmc.Sobol(count, rng=np.random.Generator(np.random.PCG64(seeds[number])))
         # A single point first, because scipy warns if the first call is not for 2^m points.
         return np.concatenate([engine.random(1), engine.random(counts[number] - 1)])
-
-    return _design(space, draw_points)
-
-
-def random_design(
-    space: SearchSpace, counts: Sequence[int], seed: np.random.SeedSequence
-) -> Design:
-    """Return independent random points; arguments as for `sobol_design`."""
-    seeds = seed.spawn(len(counts))
-
-    def draw_points(number: int, count: int) -> NDArray:
-        return np.random.Generator(np.random.PCG64(seeds[number])).random((counts[number], count))
 
     return _design(space, draw_points)
 

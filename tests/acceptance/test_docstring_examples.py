@@ -34,7 +34,7 @@ SLOW = {
     *("one_run", "read_estimates", "read_history", "score_results", "tune"),
     *("Results.to_pandas", "Results.to_xarray", "export_study", "information_bound", "Advice"),
     *("load_increments", "read_curves", "read_manifest", "read_record", "read_summary"),
-    *("run", "run_into"),
+    *("run", "run_into", "StudyWarning"),
 }
 """Examples that take seconds for what tests of the same functions do too."""
 

@@ -440,7 +440,6 @@ def test_reference_must_cover_whole_stored_record(passes: int) -> None:
         ({"compass": {"level_sigma_per_s": 90.0}}, ("level_sigma_per_s", "0.02 s", "-90")),
         ({"passes": {"stored_s": 9.0}}, ("stored_s", "duration_s = 8")),
         ({"passes": {"stored_s": 2.0, "passes": 0}}, ("[passes] passes", "0")),
-        ({"alignment": {"method": "kalman5"}}, ("[compass]", "does not apply to method kalman5")),
     ],
 )
 def test_invalid_compass_or_passes_key_is_refused_in_one_line(

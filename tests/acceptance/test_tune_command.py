@@ -116,25 +116,20 @@ def made(faked: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_tuning_writes_study_history_and_evaluation(made: Path) -> None:
-    names = {"study.toml", "tuned.toml", "history.parquet", "grid", "equal_cost", "evaluation"}
+    names = {"study.toml", "tuned.toml", "history.parquet", "grid", "evaluation"}
     assert {path.name for path in made.iterdir()} == names | {".lock", ".writer"}
     study = load_study(made / "study.toml")
     assert study == load_study(made.parent / "swing.toml")
-    grid, gradient, equal = history.read_searches(made, SearchSpace.from_study(study))
-    assert [result.search for result in (grid, gradient, equal)] == [
-        "grid",
-        "gradient",
-        "equal_cost",
-    ]
+    grid, gradient = history.read_searches(made, SearchSpace.from_study(study))
+    assert [result.search for result in (grid, gradient)] == ["grid", "gradient"]
     # The law's points of one reset and of two come first; both lie on this grid.
     assert [e.candidate for e in grid.evaluations] == [0, 1] + [0] * 3 + [1] * 9
-    assert grid.cost == 12 * COST and gradient.cost == 5 * COST and equal.cost == 7 * COST
-    np.testing.assert_array_equal([e.candidate for e in equal.evaluations], [0, 1, 0, 0, 0, 1, 1])
+    assert grid.cost == 12 * COST and gradient.cost == 5 * COST
     evaluation = read_summary(made / "evaluation")
     evaluated = load_study(made / "evaluation" / "study.toml")
     assert (evaluated.study.seed, evaluated.n_draws, evaluated.tune) == (2, 4, None)
     times = {row["case"]: row["reset_times_s"] for row in evaluation.to_pylist()}
-    assert list(times) == ["baseline", "grid, equal cost, law", "gradient"]
+    assert list(times) == ["baseline", "grid, law", "gradient"]
     assert times["baseline"] == [5.0, 10.0]
     assert times["gradient"] == [6.0, 12.0]
     assert read_manifest(made / "grid")["config"] == "swing.toml"
@@ -224,7 +219,6 @@ def test_scores_and_differences_use_common_draws(made: Path) -> None:
 
 def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, faked: Any) -> None:
     out = shutil.copytree(made, tmp_path / "out")
-    shutil.rmtree(out / "equal_cost")
     (out / "tuned.toml").unlink()
     study = load_study(out / "study.toml")
     whole = {name: read_files_and_times(made / name / "summary") for name in ("grid", "evaluation")}
@@ -241,7 +235,7 @@ def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, f
 
         patch.setattr(search, "run_job", counted)
         from_python.tune(study, out, resume=True)
-    assert runs == {"grid": 0, "equal_cost": 7 * 6, "evaluation": 0}
+    assert runs == {"grid": 0, "evaluation": 0}
     assert {name: read_files_and_times(out / name / "summary") for name in whole} == whole
     assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
 

@@ -35,7 +35,7 @@ from sinsjax.methods.floors import NO_BIASES
 from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES
 from sinsjax.strapdown import sensors
-from sinsjax.study.keys import COARSE_KEYS, SECTIONS, TUNABLE
+from sinsjax.study.keys import SECTIONS, TUNABLE
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -95,7 +95,6 @@ def test_description_names_existing_keys_only(name):
     assert method.name == name and method.summary
     known = {key for section in TUNABLE for key in SECTIONS[section].model_fields}
     assert {*method.reads} <= known and {*method.without_effect} <= {*method.keys, *COMMON_KEYS}
-    assert {*method.refuses} <= {*method.keys, *COARSE_KEYS}
     for pair in method.gyro_bias_keys:
         assert {*pair} <= method.keys
     if relaxed := method.implementation.relaxation:

@@ -258,8 +258,8 @@ def test_results_of_other_schema_are_refused_with_their_version(tmp_path, is_sea
         del content["sinsjax.sha256"]
         (out / "manifest.json").write_text(json.dumps(content))
     text = (
-        r"out: contains results of sinsjax 0\.5\.0, whose columns \(schema 2\) .*"
-        r", ok_limit is now ok_floor, .* with --overwrite"
+        r"out: contains results of sinsjax 0\.5\.0, whose columns \(schema 2\) this version does"
+        r" not read \(run .* with --overwrite"
     )
     with pytest.raises(InputError, match=text):
         Source.read(out)

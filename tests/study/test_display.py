@@ -109,17 +109,17 @@ def test_study_is_loaded_from_name_path_or_study(tmp_path, monkeypatch):
         sinsjax.estimate("covarianc")
 
 
-def test_input_error_carries_a_line_for_every_mistake():
+def test_input_error_carries_a_line_for_every_mistake_of_a_stage():
     tables = small_study().to_dict()
     tables["study"]["draws"] = 0
-    tables["alignment"]["foo"] = 1
+    tables["axes"] = {"phi_u0_deg": [200.0]}
     tables["earth"]["latitude_deg"] = 95.0
     with pytest.raises(sinsjax.InputError) as caught:
         sinsjax.study_from_dict(tables, "mine")
     lines = caught.value.lines
     assert {line.partition(": ")[2].split(":")[0] for line in lines} == {
         "[study] draws",
-        "[alignment] foo",
+        "[axes] phi_u0_deg[0]",
         "[earth] latitude_deg",
     }
     assert str(caught.value) == "\n".join(lines)

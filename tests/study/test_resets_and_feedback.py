@@ -170,8 +170,6 @@ coarse.coarse_duration_s = 2.0 & alignment.feedback_interval_s = 1.5
     & resets = {reset_at_feedback = true, reset_times_s = [3.0]}
     -> [resets] reset_at_feedback: 2 1.5
 resets.reset_at_feedback = 1                 -> [resets] reset_at_feedback: 1
-alignment.method = "compass" & resets.reset_restarts_feedback = true
-    -> [resets] reset_restarts_feedback: compass
 drawn.reset_restarts_feedback.values = [true]    -> [drawn] reset_restarts_feedback
 """)
 def test_invalid_reset_feedback_keys_are_refused(refusal):

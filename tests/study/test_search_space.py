@@ -39,7 +39,6 @@ def tuned_study(
 
 @refused("""
 reset_time_s = [{low = 1, high = 3}]         -> reset_time_s: reset_times_s
-tape_s = {low = 10, high = 90}               -> tape_s: stored_s
 gyro_bias_deg_per_h = {low = 10, high = 90}  -> gyro_bias_deg_per_h: [sensors]
 p0_yaw_deg = 80.0                            -> p0_yaw_deg: 80.0
 p0_yaw_deg = {lo = 1.0, high = 2.0}          -> p0_yaw_deg.lo: low
@@ -74,7 +73,7 @@ reset_times_s = [{low = 1, high = 3}] & reset_count = {candidates = [1, 3]}
 # Values that make no study together are named with what is wrong in it.
 reset_times_s = [{low = 1.0, high = 7.0}]    -> with every range at its high end: reset_times_s 7 6
 azimuth_sigma_per_s = {low = 0.01, high = 0.02}
-    -> with every range at its low end: azimuth_sigma_per_s kalman5
+    -> azimuth_sigma_per_s: kalman5
 reset_trigger = {candidates = ["nis"]}       -> with these values: trigger_threshold 'nis'
 """)
 def test_invalid_tuning_variables_are_refused_with_place(refusal):
@@ -91,7 +90,7 @@ tune.variables = {}                          -> [tune.variables]
 tune.variables = 3                           -> [tune] variables
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, draws = 3}    -> [tune] draws: [study]
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, searches = ["grid", "luck"]}
-    -> [tune] searches[1]: 'grid' 'sobol' 'random' 'gradient' 'covariance' 'luck'
+    -> [tune] searches[1]: 'grid' 'sobol' 'gradient' 'covariance' 'luck'
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, searches = ["grid", "grid"]}
     -> [tune] searches: repeats
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, objective_band_arcmin = 5.0}

@@ -70,15 +70,6 @@ def test_invalid_reset_values_are_refused(refusal):
     refusal.check(refusal_line(resets=NIS | refusal.tables["resets"]))
 
 
-@pytest.mark.parametrize("section", GIVEN)
-def test_filter_and_reset_keys_are_refused_for_compass(section):
-    for key, value in GIVEN[section].items():
-        line = refusal_line(alignment={"method": "compass"}, **{section: {key: value}})
-        assert_named(line, f"[{section}] {key}", "compass")
-    # Beside a filter they are the filter's.
-    assert build_study(axes={"method": ["kalman5", "compass"]}, **GIVEN)
-
-
 def test_trigger_keys_have_defaults():
     resets = build_study(resets=NIS).resets
     assert resets is not None

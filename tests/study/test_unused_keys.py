@@ -1,4 +1,4 @@
-"""Another method for a study: unread keys are dropped, idle keys are listed."""
+"""Keys that have no effect are listed, also after a change of the method."""
 
 import re
 import tomllib
@@ -9,20 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
+from support import plain_studies
 from support.refusals import assert_named
 from support.studies import BASE, small_study, small_tables
 
 from sinsjax import InputError, StudyWarning, load_study
 from sinsjax.errors import StudyInterrupted
-from sinsjax.execution.prepare import prepare_job
 from sinsjax.execution.run import run
-from sinsjax.methods.registry import METHODS
+from sinsjax.methods.description import INITIAL_KEYS
+from sinsjax.methods.registry import METHODS, unread_keys
+from sinsjax.methods.triggers.config import any_trigger
 from sinsjax.study import files
 from sinsjax.study.keys import SECTION_OF, SECTIONS, accepted_words
-from sinsjax.study.load import load_with_notes, study_to_tables
+from sinsjax.study.load import load_with_notes, study_from_dict, study_to_tables
 from sinsjax.study.reset_schedules import LAW_METHODS
 from sinsjax.study.study import Study
-from sinsjax.study.unused_keys import drop_unread_keys, list_idle_keys
+from sinsjax.study.unused_keys import list_idle_keys
 
 SHIPPED = {**files.shipped_studies(), **files.template_files()}
 FULL = {
@@ -34,11 +36,13 @@ FULL = {
 }
 """A study with a section, an axis and keys that not every method reads."""
 
+COMPASS = {"method": "compass"}
+
 
 def change_study(
     changes: dict[str, Any], tables: dict[str, Any], tmp_path: Path
 ) -> tuple[Study, list[str]]:
-    """A study file after some changes, and the lines about it."""
+    """Return a study file after some changes, and the lines about it."""
     path = tmp_path / "study.toml"
     path.write_text(tomli_w.dumps(tables), encoding="utf-8")
     return load_with_notes(path, changes)
@@ -59,11 +63,14 @@ def places(note: str) -> list[str]:
 def expected_refusal(study: Study, method: str) -> str | None:
     """Return the reason why a shipped study cannot use another method; None if it can."""
     new = METHODS[method]
-    if study.tune and new.keys.isdisjoint(study.tune.variables):
-        return "reads none of"  # nothing is left to tune
+    if any(map(repeats_without_method, study.dimensions)):
+        return "repeats"
+    tuned = study.tune.variables if study.tune else {}
     by_covariance = study.is_estimated or (study.tune and "covariance" in study.tune.searches)
     if by_covariance and not new.has_error_model:
         return "covariance analysis has no linear model of"  # draws take far longer
+    if unread_keys([method]) & tuned.keys():
+        return "does not apply to method"
     if study.is_recorded and "filter" in new.sections and not study.has("filter"):
         return "a record does not give the noise of its"  # nor does the study
     if study.is_recorded and "gravity_fit" in new.sections and not study.has("gravity_fit"):
@@ -71,9 +78,22 @@ def expected_refusal(study: Study, method: str) -> str | None:
     if study.has("resets") and "resets" in new.sections and method not in LAW_METHODS:
         if "law" in study.values("schedule"):
             return "'law' holds for"
-    if "coarse_method" in new.refuses and study.passes:
-        return "reads a record once"  # without passes it would read more data than the others
+    if {*INITIAL_KEYS} <= {*new.without_effect}:  # it needs no start
+        if study.passes:
+            return "reads a record once"  # without passes it would read more data than the others
+        if study.coarse_stages:
+            return "needs no coarse alignment"
+    if method == "kalman_surge" and study.has("resets") and any_trigger(study):
+        return "does not apply to method kalman_surge"
     return None
+
+
+def repeats_without_method(dimension: dict[str, Any]) -> bool:
+    """Return whether cases or zips differ in their method alone."""
+    others = [values for key, values in dimension.items() if key not in ("case", "method")]
+    rows = [*zip(*others, strict=True)]
+    labels_alone = "case" in dimension and not others
+    return "method" in dimension and (labels_alone or len({*rows}) < len(rows))
 
 
 @pytest.mark.nightly(fast=("reset_sweep", "paper2_static", "tune_large", "car_test", "covariance"))
@@ -95,164 +115,93 @@ def test_method_of_shipped_study_can_be_changed(name):
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", METHODS)
 def test_reset_sweep_runs_with_any_method(method):
-    job = prepare_job("reset_sweep", {"alignment.method": method, "study.draws": 2})
-    few = {"phi_u0_deg": [0, 30]}
-    if "reset_count" in job.study.axes:
-        few |= {"reset_count": [0, 2], "reset_cycle_s": [10, 20]}
-    short = {"study.duration_s": 150.0, "study.window_s": [100, 150]}
-    study = job.study.replace(short | {f"axes.{key}": values for key, values in few.items()})
-    summary = run(study).summary
-    assert summary.num_rows == 2 * study.n_variants
+    few = {"phi_u0_deg": [0, 30], "reset_count": [0, 2], "reset_cycle_s": [10, 20]}
+    short = {"study.duration_s": 150.0, "study.window_s": [100, 150], "study.judged_from": "truth"}
+    changes = {"alignment.method": method, "study.draws": 2} | short
+    changes |= {f"axes.{key}": values for key, values in few.items()}
+    summary = run(load_study("reset_sweep", changes)).summary
+    assert summary.num_rows == 2 * 8
     error = "phi_u_arcmin" if METHODS[method].finds_heading else "phi_e_arcmin"
     assert np.isfinite(summary[error].to_numpy()).all()
 
 
-def test_line_lists_dropped_sections_keys_and_axes(tmp_path):
+def test_line_lists_keys_that_no_method_reads(tmp_path):
     study, notes = change_study({"alignment.method": "inertial"}, FULL, tmp_path)
-    assert (study.filter, study.resets, list(study.axes)) == (None, None, ["phi_u0_deg"])
-    dropped, silent = map(places, notes)
-    assert dropped == ["[alignment] specific_force", "[filter]", "[resets]", "[axes] reset_times_s"]
-    assert silent == ["[alignment] phi_e0_deg", "[axes] phi_u0_deg"]
+    assert study.filter and study.resets and study.n_variants == 4
+    (note,) = notes
+    assert note.endswith("have no effect with method inertial.")
+    assert places(note) == [
+        *["[alignment] phi_e0_deg", "[filter] p0_yaw_deg", "[resets] reset_kind"],
+        "[axes] reset_times_s",
+    ]
+    assert "phi_u0_deg" in note
+    study, notes = change_study({"axes.method": ["inertial", "kalman5"]}, FULL, tmp_path)
+    assert study.n_variants == 8 and not notes
+    study, notes = change_study({"axes.method": ["inertial", "compass"]}, FULL, tmp_path)
+    assert study.n_variants == 8 and "with method compass or inertial" in notes[0]
 
 
-def test_replace_and_load_study_warn_of_dropped_keys(tmp_path):
-    path = tmp_path / "study.toml"
-    path.write_text(tomli_w.dumps(FULL), encoding="utf-8")
-    with pytest.warns(StudyWarning, match=r"\[filter\], \[resets\], \[axes\] ") as by:
-        load_study(path).replace({"alignment.method": "compass"})
-    assert len(by) == 1
-    with pytest.warns(StudyWarning, match=r"compass .*\[filter\], \[resets\]") as by:
-        study = load_study(path, {"alignment.method": "compass"})
-    assert len(by) == 1
+@pytest.mark.parametrize(
+    ("tables", "place"),
+    [
+        ({"compass": {"level_time_s": 1}}, "[compass] level_time_s"),
+        ({"axes": {"sigma_factors": [[2.0]]}}, "[axes] sigma_factors"),
+        ({"axes": {"turn_smoothing_s": [1]}}, "[axes] turn_smoothing_s"),
+        ({"passes": {"stored_s": 80, "turn": "keep"}}, "[passes] turn"),
+        ({"alignment": COMPASS, "filter": {"p0_yaw_deg": 1}}, "[filter] p0_yaw_deg"),
+        ({"alignment": COMPASS, "resets": {"reset_times_s": [3]}}, "[resets] reset_times_s"),
+        ({"alignment": COMPASS | {"feedback_interval_s": 2}}, "[alignment] feedback_interval_s"),
+        ({"alignment": COMPASS, "axes": {"trigger_threshold": [1]}}, "[axes] trigger_threshold"),
+        ({"alignment": COMPASS, "cases": [{"turn_inflation": 3.0}]}, "[cases] turn_inflation"),
+        ({"alignment": COMPASS, "axes": {"a": {"p0_yaw_deg": [3]}}}, "[axes.a] p0_yaw_deg"),
+    ],
+)
+def test_key_that_no_method_reads_is_listed_with_its_table(tables, place):
+    study = plain_studies.build_study(**tables)
+    assert study_from_dict(study_to_tables(study)) == study
+    method = study.methods[0]
+    assert list_idle_keys(study) == [f"{place} has no effect with method {method}."]
+
+
+def test_keys_of_changed_method_remain_for_the_next_change(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        study.replace({"alignment.method": "compass", "alignment.phi_e0_deg": 1.0})
-        study.replace({"alignment.method": "kalman5"})  # which reads whatever compass does not
+        study = study_from_dict(FULL)
+        other = study.replace({"alignment.method": "compass"})
+        assert other.replace({"alignment.method": "kalman5"}) == study
+        path = tmp_path / "study.toml"
+        path.write_text(tomli_w.dumps(FULL), encoding="utf-8")
+        assert load_study(path, {"alignment.method": "compass"}).filter == study.filter
 
 
-def test_key_given_for_method_that_does_not_read_it_is_refused(tmp_path):
-    to_inertial = {"alignment.method": "inertial"}
-    line = refusal_of_change(to_inertial | {"filter.p0_yaw_deg": 9.0}, FULL, tmp_path)
-    assert_named(line, "[filter] p0_yaw_deg", "inertial")
-    line = refusal_of_change(to_inertial | {"axes.reset_count": [0, 1]}, FULL, tmp_path)
-    assert_named(line, "[axes] reset_count", "inertial")
+@pytest.mark.parametrize("method", ["compass", "optimisation", "inertial"])
+def test_keys_that_no_method_reads_change_no_result(method):
+    """Nor an axis of them, whose variants are duplicates."""
+    few = {key: table for key, table in FULL.items() if key not in ("filter", "resets", "axes")}
+    few |= {"alignment": {"method": method}, "axes": {"phi_u0_deg": [10.0, 30.0]}}
+    many = few | {key: FULL[key] for key in ("filter", "resets")}
+    many |= {"axes": few["axes"] | {"reset_times_s": [[2.0], [3.0]]}}
+    one, other = (run(study_from_dict(tables)).summary for tables in (few, many))
+    names = ["phi_u0_deg", "phi_u_arcmin", "phi_e_arcmin", "status"]
+    expected = {tuple(row.values()) for row in one.select(names).to_pylist()}
+    assert {tuple(row.values()) for row in other.select(names).to_pylist()} == expected
+    assert (one.num_rows, other.num_rows) == (len(expected), 2 * len(expected))
 
 
-def test_unread_keys_of_unchanged_method_are_refused(tmp_path):
-    tables = FULL | {"compass": {"level_time_s": 9.0}}
-    for changes in ({}, {"study.draws": 4}, {"alignment.method": "kalman5"}):
-        line = refusal_of_change(changes, tables, tmp_path)
-        assert_named(line, "[compass] level_time_s", "kalman5")
-
-
-def test_misspelt_method_drops_nothing(tmp_path):
+def test_misspelt_method_is_refused(tmp_path):
     line = refusal_of_change({"alignment.method": "inertail"}, FULL, tmp_path)
     assert_named(line, "[alignment] method", "'inertail'", "inertial")
 
 
-def test_axis_of_methods_drops_keys_that_none_reads(tmp_path):
-    study, notes = change_study({"axes.method": ["inertial", "compass"]}, FULL, tmp_path)
-    assert study.filter is None and list(study.axes) == ["phi_u0_deg", "method"]
-    (note,) = notes
-    assert places(note) == [
-        *["[alignment] specific_force", "[filter]", "[resets]"],
-        "[axes] reset_times_s",
-    ]
-    study, notes = change_study({"axes.method": ["inertial", "kalman5"]}, FULL, tmp_path)
-    assert study.filter and study.n_variants == 8 and not notes
-    zipped = {"axes.both.method": ["inertial", "compass"], "axes.both.phi_u0_deg": [1.0, 2.0]}
-    assert change_study(zipped, FULL, tmp_path)[0].filter is None
-    _, notes = change_study(
-        {"axes": {}, "filter": {}, "alignment.method": "compass"}, FULL, tmp_path
-    )
-    assert [places(note) for note in notes] == [["[alignment] specific_force", "[resets]"]]
-
-
-def test_cases_and_zips_that_become_equal_are_left_out(tmp_path):
-    cases = [
-        {"case": "a", "method": "kalman5", "p0_yaw_deg": 10.0, "ve0_m_per_s": 0.0},
-        {"case": "b", "method": "kalman10", "p0_yaw_deg": 10.0, "ve0_m_per_s": 0.0},
-        {"case": "c", "method": "compass", "p0_yaw_deg": 20.0, "ve0_m_per_s": 1.0},
-    ]
-    zips = {"policy": {"q_scale": [1.0, 2.0, 3.0], "phi_u0_deg": [5.0, 5.0, 7.0]}}
-    tables = {**BASE, "cases": cases, "axes": zips}
-    study, notes = change_study({"alignment.method": "compass"}, tables, tmp_path)
-    assert study.cases == (
-        {"case": "a", "ve0_m_per_s": 0.0},
-        {"case": "c", "ve0_m_per_s": 1.0},
-    )
-    assert study.zips == {"policy": {"phi_u0_deg": (5.0, 7.0)}}
-    (note,) = notes
-    dropped, left_out = note.split(";")
-    assert places(dropped) == ["[axes.policy] q_scale", "[cases] p0_yaw_deg"]
-    assert "1 of 3 [cases]" in left_out and places(left_out) == ["[cases]", "[axes.policy]"]
-    study, notes = change_study({"alignment.method": "kalman5"}, tables, tmp_path)
-    assert study.n_variants == 6
-    assert len(notes) == 1 and "1 of 3 [cases]" in notes[0]
-    bare = [{key: case[key] for key in ("case", "method", "p0_yaw_deg")} for case in cases]
-    study, notes = change_study(
-        {"alignment.method": "compass"}, {**BASE, "cases": bare, "axes": zips}, tmp_path
-    )
-    assert not study.cases and "[cases];" in notes[0]
-
-
-def test_empty_zip_and_draws_are_dropped():
-    before = small_tables(
-        axes={"policy": {"q_scale": [1.0, 2.0]}}, drawn={"p0_yaw_deg": {"uniform": [1.0, 2.0]}}
-    )
-    after = before | {"alignment": before["alignment"] | {"method": "compass"}}
-    out, notes = drop_unread_keys(before, after, {"alignment.method": "compass"}, "study")
-    assert out == small_tables(alignment={"method": "compass"})
-    (note,) = notes
-    dropped = ["[alignment] feedback_interval_s", "[filter]", "[axes.policy]", "[drawn]"]
-    assert places(note) == dropped
-    assert "policy" in after["axes"]
-
-
-def test_tuned_keys_are_dropped_while_one_is_left(tmp_path):
+def test_tuned_key_that_no_method_reads_is_refused(tmp_path):
     template = tomllib.loads(files.shipped_text("tune"))
-    variables, ranges = template["tune"]["variables"], {"low": 0.1, "high": 9.0}
     to_compass = {"alignment.method": "compass"}
     line = refusal_of_change(to_compass, template, tmp_path)
-    assert_named(line, "[tune.variables]", "compass", "reset_times_s", "p0_yaw_deg")
+    assert_named(line, "[tune.variables] p0_yaw_deg", "compass")
     assert change_study(to_compass | {"tune": {}}, template, tmp_path)[0].tune is None
-    variables["ve0_m_per_s"] = ranges
-    study, notes = change_study(to_compass, template, tmp_path)
-    assert study.tune and list(study.tune.variables) == ["ve0_m_per_s"]
-    assert not study.tune.baseline
-    assert "[tune.variables] reset_times_s, p0_yaw_deg, [tune.baseline]" in notes[0]
-    del variables["ve0_m_per_s"]
     study, notes = change_study({"alignment.method": "kalman_sincos"}, template, tmp_path)
     assert study.tune and list(study.tune.variables) == ["reset_times_s", "p0_yaw_deg"]
     assert any("[tune.variables] p0_yaw_deg" in places(note) for note in notes)
-
-
-def test_keys_that_method_refuses_are_dropped(tmp_path):
-    trigger = {"reset_trigger": "nis", "trigger_threshold": 9.0}
-    tables = FULL | {"resets": trigger, "coarse": {"coarse_duration_s": 1.0}}
-    study, notes = change_study({"alignment.method": "kalman_surge"}, tables, tmp_path)
-    assert study.resets and study.resets.reset_trigger is None and study.coarse
-    assert "[resets]" in notes[0]
-    study, notes = change_study({"alignment.method": "optimisation"}, tables, tmp_path)
-    assert study.coarse is None and "[coarse]" in notes[0]
-    recorded = load_study(SHIPPED["car_test"])
-    with pytest.warns(StudyWarning, match="Dropped"):
-        assert recorded.replace({"alignment.method": "inertial"}).coarse
-
-
-def test_judging_from_floor_is_dropped_for_method_without_floor(tmp_path):
-    limited = FULL | {"study": FULL["study"] | {"judged_from": "floor"}}
-    to_ten = {"alignment.method": "kalman10"}
-    study, notes = change_study(to_ten, limited, tmp_path)
-    assert study.study.judged_from is None
-    assert [places(note) for note in notes] == [["[study] judged_from"]]
-    study, notes = change_study(to_ten | {"study.judged_from": "floor"}, limited, tmp_path)
-    assert study.study.judged_from == "floor" and not notes
-    still = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
-    parked = limited | {"motion": limited["motion"] | still}
-    assert change_study(to_ten, parked, tmp_path)[0].study.judged_from == "floor"
-    rocked = parked | {"axes": {"pitch_amplitude_deg": [0.0, 1.0]}}
-    assert change_study(to_ten, rocked, tmp_path)[0].study.judged_from is None
 
 
 # Keys without effect
@@ -297,11 +246,11 @@ def test_key_acts_if_its_condition_is_tuned(tmp_path):
     assert change_study({}, template, tmp_path)[1] == []
 
 
-def test_keys_of_resolved_study_are_named_only_with_other_values():
+def test_keys_at_their_defaults_are_not_listed():
     study = small_study()
-    assert list_idle_keys(study, study_to_tables(study)) == []
+    assert list_idle_keys(study) == []
     study = small_study(resets={"reset_yaw_deg": 5.0}, alignment={"method": "kalman_sincos"})
-    (note,) = list_idle_keys(study, study_to_tables(study))
+    (note,) = list_idle_keys(study)
     assert places(note) == ["[resets] reset_yaw_deg"] and "kalman_sincos" in note
 
 

@@ -216,7 +216,7 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.parametrize("name", ["grid", "sobol", "random"])
+@pytest.mark.parametrize("name", ["grid", "sobol"])
 def test_searches_by_points_evaluate_the_law_first(
     name: str, monkeypatch: pytest.MonkeyPatch, law_values: list[float]
 ) -> None:

@@ -51,9 +51,8 @@ def test_grid_has_every_point_of_every_combination() -> None:
     np.testing.assert_array_equal(box[4:], [[a, b] for a in places for b in places])
 
 
-@pytest.mark.parametrize("draw", [search.sobol_design, search.random_design])
-def test_search_points_are_determined_by_seed(draw: Any) -> None:
-    space = SearchSpace.from_study(COUNTED)
+def test_search_points_are_determined_by_seed() -> None:
+    draw, space = search.sobol_design, SearchSpace.from_study(COUNTED)
     candidate, box = draw(space, [4, 3, 5], seed(COUNTED))
     assert candidate.tolist() == [0, *[1] * 3, *[2] * 5]
     inside = box[np.isfinite(box)]
@@ -62,7 +61,7 @@ def test_search_points_are_determined_by_seed(draw: Any) -> None:
     np.testing.assert_array_equal(box, again)
     more = draw(space, [4, 3, 9], seed(COUNTED)).box
     np.testing.assert_array_equal(box, more[: len(box)])
-    other = draw(space, [4, 3, 5], seed(COUNTED, "equal_cost")).box
+    other = draw(space, [4, 3, 5], seed(COUNTED, "covariance")).box
     assert not np.isin(other[np.isfinite(other)], inside).any()
 
 

@@ -16,7 +16,7 @@ from sinsjax.methods.description import CheckedStudy, Implementation, OwnColumn
 from sinsjax.methods.filters.config import BIAS_KEYS, FILTER_COLUMNS, describe_filter
 from sinsjax.methods.filters.section import FilterSection, ResetsSection, check_resets
 from sinsjax.methods.parameters import Columns
-from sinsjax.methods.triggers.config import TriggerKeys, check_trigger, has_trigger
+from sinsjax.methods.triggers.config import check_trigger, has_trigger
 from sinsjax.units import DEG_PER_H
 from sinsjax.value_types import Seconds, Section, SpeedSigma
 
@@ -114,7 +114,6 @@ SURGE = describe_filter(
     sections={"filter": FilterSection, "resets": ResetsSection, "surge": SurgeSection},
     load=_load_surge,
     without_effect=(*BIAS_KEYS, "p0_yaw_deg", "reset_yaw_deg"),
-    refuses=tuple(TriggerKeys.model_fields),
     rules=(check_no_trigger, check_trigger, check_resets),
     columns=(*FILTER_COLUMNS, *NORTH_DRIFT),
     turning="many",
