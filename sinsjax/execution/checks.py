@@ -28,7 +28,7 @@ from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.measurement_noise import surge_noise_ratios, update_variance_keys
 from sinsjax.study.process_noise import noise_ratios_by_sensor
 from sinsjax.study.study import Study
-from sinsjax.study.turns import useless_methods, warn_of_resets, warn_of_turning_rate
+from sinsjax.study.turns import useless_methods, warn_of_resets
 from sinsjax.study.variants import Variants
 
 _TRUST_HINT = "[record] trust = true aligns it anyway"
@@ -55,8 +55,8 @@ def refuse_external(programs: Sequence[str] | None, source: Path | str) -> None:
 def study_warnings(study: Study) -> list[str]:
     """Return warnings for the user before a simulated study runs, one line each."""
     hidden_north_warning = hidden_north(study)
-    lines = [*_sway_warnings(study), *_surge_warnings(study), *useless_methods(study)]
-    lines += [*warn_of_resets(study), *warn_of_turning_rate(study)]
+    lines = [*_sway_warnings(study), *_surge_warnings(study)]
+    lines += [*useless_methods(study), *warn_of_resets(study)]
     return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
 
 

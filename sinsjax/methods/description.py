@@ -128,7 +128,6 @@ class Description:
         reads: keys of [alignment] and [passes] that act on it, but for those that act on all.
         load: makes its `Implementation`, importing JAX.
         without_effect: keys of its sections, of ``reads`` and of `COMMON_KEYS` that change nothing.
-        unread: keys of its sections that it does not read, as if they were another method's.
         refuses: keys of its sections, and of [coarse] in a simulated study, that its rules refuse;
             a change to it drops them.
         has_covariance: whether it has a covariance P.
@@ -160,7 +159,6 @@ class Description:
     reads: tuple[str, ...]
     load: Callable[[], Implementation]
     without_effect: tuple[str, ...] = ()
-    unread: tuple[str, ...] = ()
     refuses: tuple[str, ...] = ()
     has_covariance: bool = True
     has_floor: bool = True
@@ -180,7 +178,7 @@ class Description:
     def keys(self) -> frozenset[str]:
         """Every key of a study that it reads, except those of all methods."""
         own = (key for section in self.sections.values() for key in section.model_fields)
-        return frozenset([*own, *self.reads]).difference(self.unread)
+        return frozenset([*own, *self.reads])
 
     def own_columns(self, study: StudyView) -> tuple[OwnColumn, ...]:
         """Return its own result columns in a study."""

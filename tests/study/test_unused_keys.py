@@ -228,7 +228,7 @@ def test_tuned_keys_are_dropped_while_one_is_left(tmp_path):
 
 
 def test_keys_that_method_refuses_are_dropped(tmp_path):
-    trigger = {"reset_trigger": "nis", "trigger_threshold": 9.0}
+    trigger = {"reset_trigger": "innovation", "trigger_threshold": 9.0}
     tables = FULL | {"resets": trigger, "coarse": {"coarse_duration_s": 1.0}}
     study, notes = change_study({"alignment.method": "kalman_surge"}, tables, tmp_path)
     assert study.resets and study.resets.reset_trigger is None and study.coarse
