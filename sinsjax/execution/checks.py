@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from sinsjax.engine.bias_floors import hidden_north
@@ -17,7 +16,7 @@ from sinsjax.messages import format_seconds
 from sinsjax.methods.filters.parameters import level_settling_s
 from sinsjax.methods.filters.section import update_variance
 from sinsjax.methods.level.config import LEVEL
-from sinsjax.methods.plugins import check_parameters, check_plugin
+from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
 from sinsjax.records import Record, RecordLayout, require_span
 from sinsjax.records.anomalies import report_anomalies
@@ -78,17 +77,13 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
         if static.method not in plugins:
             continue
         group, ids = scenario.part(number, range(1), blank=stored is None)
-        name, description = REGISTRY.label(static.method), METHODS[static.method]
-        function = description.implementation.parameters
-        check_parameters(name, function, group.variants.method, len(ids))
         check_plugin(
-            name,
-            description,
+            REGISTRY.label(static.method),
             build_method(static),
-            jax.tree.map(lambda leaf: np.asarray(leaf)[0], group.variants.method),
+            group.variants.method,
+            len(ids),
             group.environment.site,
-            repeats=static.passes != "once",
-            rewinds=static.passes == "rewind",
+            passes=static.passes,
         )
 
 
