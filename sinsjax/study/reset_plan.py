@@ -1,6 +1,5 @@
 """What the law of resets says of a study: the times, their prediction, and when to distrust it."""
 
-import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -11,7 +10,7 @@ import tomli_w
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
 from sinsjax.methods.filters.section import OF_SCHEDULES
-from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem, ResetSchedule
+from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem
 from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.study import display
 from sinsjax.study.keys import format_toml
@@ -144,14 +143,34 @@ def iter_plans(study: Study, **bounds: float) -> Iterator[tuple[dict[str, Any], 
         InputError: no method of the study has the law, or it has no schedule for one of them.
     """
     left_out = tuple(key for key in _DRIFTS if _has_drift(study, key))
-    filters = list(iter_filters(study, **bounds))
-    try:
-        unpredicted = [_schedule(study.rate_hz or 100.0, point) for _, point in filters]
-    except InputError as error:
-        raise error.with_source(study.name) from None
-    plans = _predict(unpredicted, study.run_s)
-    for (varying, _), plan in zip(filters, plans, strict=True):
-        plan = plan._replace(left_out=left_out)
+    filters, rate_hz = list(iter_filters(study, **bounds)), study.rate_hz or 100.0
+    runs = list[tuple[Lane, float, float, float]]()
+    for _, point in filters:
+        try:
+            found = schedule_by_law(rate_hz, point)
+        except InputError as error:
+            raise error.with_source(study.name) from None
+        assert found is not None
+        bound, band = point["heading_bound_deg"] * DEG, point["settle_band_arcmin"] * ARCMIN
+        law = Lane(reset_problem(rate_hz, point), found.times_s, bound, _TILT)
+        run_s = max(study.run_s, 3 * found.settling_s)
+        noise = MEDIAN_SIGMAS, _NOISE_SIGMAS, _LATE_SIGMAS
+        runs += [(law, run_s, band, sigmas) for sigmas in noise]
+        runs.append((law._replace(times_s=()), run_s, band, MEDIAN_SIGMAS))
+    settling = predict_settling_times(*zip(*runs, strict=True)).reshape(-1, 4).tolist()
+    for (varying, point), (law, *_), times_s in zip(filters, runs[::4], settling, strict=True):
+        by_law, noisy_s, late_s, without_s = times_s
+        plan = ResetPlan(
+            law.problem,
+            point["heading_bound_deg"],
+            point["settle_band_arcmin"],
+            law.times_s,
+            settling_s=by_law,
+            noisy_s=noisy_s,
+            late_s=late_s,
+            without_s=without_s,
+            left_out=left_out,
+        )
         yield varying, plan._replace(warnings=tuple(_warnings(plan)))
 
 
@@ -243,54 +262,6 @@ def _has_drift(study: Study, key: str) -> bool:
 def _describe_filter(plan: ResetPlan) -> str:
     force = "measured force" if plan.problem.is_force_measured else "the force of gravity"
     return f"kalman5 with {force} in A(t), feedback every {plan.problem.feedback_s:g} s"
-
-
-class _Schedule(NamedTuple):
-    """A schedule by the law, and what a plan says of it."""
-
-    found: ResetSchedule
-    problem: ResetProblem
-    heading_bound_deg: float
-    band_arcmin: float
-
-    def runs(self, run_s: float) -> list[tuple[Lane, float, float, float]]:
-        """The runs of `plan`, in its order, each as `predict_settling_times` has it."""
-        law = Lane(self.problem, self.found.times_s, self.heading_bound_deg * DEG, _TILT)
-        by_sigmas = [(law, sigmas) for sigmas in (MEDIAN_SIGMAS, _NOISE_SIGMAS, _LATE_SIGMAS)]
-        by_sigmas += [(law._replace(times_s=()), MEDIAN_SIGMAS)]
-        run_s, band = max(run_s, 3 * self.found.settling_s), self.band_arcmin * ARCMIN
-        return [(lane, run_s, band, sigmas) for lane, sigmas in by_sigmas]
-
-    def plan(self, settling_s: Sequence[float]) -> ResetPlan:
-        """Return the plan, given the settling times of `runs`."""
-        by_law, noisy_s, late_s, without_s = settling_s
-        return ResetPlan(
-            self.problem,
-            self.heading_bound_deg,
-            self.band_arcmin,
-            self.found.times_s,
-            settling_s=by_law,
-            noisy_s=noisy_s,
-            late_s=late_s,
-            without_s=without_s,
-        )
-
-
-def _schedule(rate_hz: float, point: Mapping[str, Any]) -> _Schedule:
-    """Return the schedule of a filter and place, from its values of `LAW_KEYS`."""
-    found = schedule_by_law(rate_hz, point)
-    assert isinstance(found, ResetSchedule)
-    problem = reset_problem(rate_hz, point)
-    return _Schedule(found, problem, point["heading_bound_deg"], point["settle_band_arcmin"])
-
-
-def _predict(schedules: Sequence[_Schedule], run_s: float) -> Iterator[ResetPlan]:
-    """Yield the plans of some schedules, all of whose runs are predicted side by side."""
-    runs = [schedule.runs(run_s) for schedule in schedules]
-    together = zip(*itertools.chain.from_iterable(runs), strict=True)
-    settling = iter(predict_settling_times(*together).tolist())
-    for schedule, own in zip(schedules, runs, strict=True):
-        yield schedule.plan(list(itertools.islice(settling, len(own))))
 
 
 def _warnings(plan: ResetPlan) -> Iterator[str]:
