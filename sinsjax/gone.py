@@ -6,10 +6,23 @@ The texts end a line such as ``[filter] turning: is gone since 1.1 (...)``.
 LINE = "is gone since 1.1 ({})"
 """The message about something that is gone, with the text about it."""
 
-KEYS: dict[str, str] = {}
+KEYS: dict[str, str] = {
+    "filter.turning": "drop it; on turned bases use method = 'gravity_fit'",
+    "filter.turning_rate_deg_per_s": "drop it; on turned bases use method = 'gravity_fit'",
+}
 """Keys of studies, by ``section.key``."""
 
-VALUES: dict[tuple[str, str], str] = {("tune.searches", "random"): "use 'sobol'"}
+_TRIGGER = "use 'linearisation', or the textbook's test 'innovation'"
+
+VALUES: dict[tuple[str, str], str] = {
+    ("resets.reset_trigger", "nis"): _TRIGGER,
+    ("resets.reset_trigger", "whiteness"): _TRIGGER,
+    ("resets.reset_trigger", "tilt_drift"): _TRIGGER,
+    ("resets.reset_trigger", "levelled"): _TRIGGER,
+    ("resets.reset_trigger", "strong_tracking"): _TRIGGER,
+    ("resets.reset_trigger", "fading"): _TRIGGER,
+    ("tune.searches", "random"): "use 'sobol'",
+}
 """Values of keys, by ``section.key`` and value."""
 
 COMMANDS: dict[str, str] = {}

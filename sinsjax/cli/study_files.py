@@ -214,7 +214,7 @@ def schedule(
         ),
     ] = None,
 ) -> None:
-    """Compute by the law when to reset a study's filter, and the benefit.
+    """Compute by the law when to reset a study's filter, and predict its settling time.
 
     Example: sinsjax schedule paper1_resets
     """

@@ -54,7 +54,7 @@ from sinsjax.types import Array, Increments, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG
 
 PROGRAM_KEYS = (
-    *("method", "specific_force", "position", "reset_trigger", "turning"),
+    *("method", "specific_force", "position", "reset_trigger"),
     *COARSE_KEYS,
 )
 """Keys whose values decide the compiled program."""
@@ -293,7 +293,6 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
             dt=1 / study.rate_hz,
             specific_force=variants.common("specific_force") or "measured",
             position=variants.common("position"),
-            turning=(study.has("filter") and variants.common("turning")) or "update",
             trigger=(study.has("resets") and variants.common("reset_trigger")) or "none",
             innovations=study.is_recorded,  # a simulation has the truth to be judged by
             record_every=blocks[0],

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from sinsjax.engine.bias_floors import hidden_north
@@ -16,7 +15,7 @@ from sinsjax.messages import format_seconds
 from sinsjax.methods.filters.parameters import level_settling_s
 from sinsjax.methods.filters.section import update_variance
 from sinsjax.methods.level.config import LEVEL
-from sinsjax.methods.plugins import check_parameters, check_plugin
+from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
 from sinsjax.records import Record, RecordLayout, require_span
 from sinsjax.records.anomalies import report_anomalies
@@ -27,7 +26,7 @@ from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.measurement_noise import surge_noise_ratios, update_variance_keys
 from sinsjax.study.process_noise import noise_ratios_by_sensor
 from sinsjax.study.study import Study
-from sinsjax.study.turns import useless_methods, warn_of_resets, warn_of_turning_rate
+from sinsjax.study.turns import useless_methods, warn_of_resets
 from sinsjax.study.variants import Variants
 
 _TRUST_HINT = "[record] trust = true aligns it anyway"
@@ -54,8 +53,8 @@ def refuse_external(programs: Sequence[str] | None, source: Path | str) -> None:
 def study_warnings(study: Study) -> list[str]:
     """Return warnings for the user before a simulated study runs, one line each."""
     hidden_north_warning = hidden_north(study)
-    lines = [*_sway_warnings(study), *_surge_warnings(study), *useless_methods(study)]
-    lines += [*warn_of_resets(study), *warn_of_turning_rate(study)]
+    lines = [*_sway_warnings(study), *_surge_warnings(study)]
+    lines += [*useless_methods(study), *warn_of_resets(study)]
     return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
 
 
@@ -77,17 +76,13 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
         if static.method not in plugins:
             continue
         group, ids = scenario.part(number, range(1), blank=stored is None)
-        name, description = REGISTRY.label(static.method), METHODS[static.method]
-        function = description.implementation.parameters
-        check_parameters(name, function, group.variants.method, len(ids))
         check_plugin(
-            name,
-            description,
+            REGISTRY.label(static.method),
             build_method(static),
-            jax.tree.map(lambda leaf: np.asarray(leaf)[0], group.variants.method),
+            group.variants.method,
+            len(ids),
             group.environment.site,
-            repeats=static.passes != "once",
-            rewinds=static.passes == "rewind",
+            passes=static.passes,
         )
 
 

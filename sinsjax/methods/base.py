@@ -40,8 +40,6 @@ class Options(NamedTuple):
             "gravity" (the constant (0, 0, g) and zero velocity: A(t) of a base at rest).
         position: "fixed" or "integrated".
         trigger: name of a trigger, or "none".
-        turning: what a filter with states of gyro biases does while the base turns: "update", or
-            "reopen" for no update, and P partly reopened after the turn.
         innovations: whether a filter sums its normalised innovations.
         record_every: samples per record interval, for a method that stores blocks; 0 for others.
         records: record intervals of a run, likewise.
@@ -51,7 +49,6 @@ class Options(NamedTuple):
     specific_force: str = "measured"
     position: str = "fixed"
     trigger: str = "none"
-    turning: str = "update"
     innovations: bool = False
     record_every: int = 0
     records: int = 0

@@ -128,7 +128,6 @@ class Description:
         reads: keys of [alignment] and [passes] that act on it, but for those that act on all.
         load: makes its `Implementation`, importing JAX.
         without_effect: keys of its sections, of ``reads`` and of `COMMON_KEYS` that change nothing.
-        unread: keys of its sections that it does not read, as if they were another method's.
         has_covariance: whether it has a covariance P.
         has_floor: whether constant sensor biases leave its heading a bias floor that is known.
         finds_heading: whether it finds a heading. If not, only its pitch and roll are observed, and
@@ -158,7 +157,6 @@ class Description:
     reads: tuple[str, ...]
     load: Callable[[], Implementation]
     without_effect: tuple[str, ...] = ()
-    unread: tuple[str, ...] = ()
     has_covariance: bool = True
     has_floor: bool = True
     finds_heading: bool = True
@@ -177,7 +175,7 @@ class Description:
     def keys(self) -> frozenset[str]:
         """Every key of a study that it reads, except those of all methods."""
         own = (key for section in self.sections.values() for key in section.model_fields)
-        return frozenset([*own, *self.reads]).difference(self.unread)
+        return frozenset([*own, *self.reads])
 
     def own_columns(self, study: StudyView) -> tuple[OwnColumn, ...]:
         """Return its own result columns in a study."""

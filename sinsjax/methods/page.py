@@ -22,20 +22,15 @@ _RESETS_AND_FEEDBACK = (
 )
 
 _TURNING = (
-    'With `turning = "update"`, the default, one turn or a few give a heading of 1.0 to 1.25'
-    " times `sinsjax.information_bound` in rms, for gyro biases of 0.01 to 1 deg/h, 300 s or"
-    " more, and gyros without errors of scale factor and cross-axis, which no state models. With"
-    " 300 ppm and 1 mrad of these, one turn of 180 deg in 300 s and gyros of 0.1 deg/h, it is"
-    " 1.3 to 1.9 times the bound (9.8' to 14.2' of 7.5'), more for a smaller"
-    " `r_velocity_m_per_s` (0.1 to 0.001 m/s), and 1.1 to 1.2 times (9.0' to 8.3') with `turning"
-    ' = "reopen"`: no updates while the base turns, then velocity restarts from zero, and P of'
-    " velocity, level and accelerometer biases from P0. Without such errors updates are better"
-    " (1.1 instead of 1.3 times for four positions, 1.2 instead of 1.4 for one turn in 120 s),"
-    " and a carousel, which never rests, needs them; with such errors some runs on a carousel"
-    " diverge. Beyond 1 deg/h the heading of the first position is too bad for a linear filter:"
-    " at 10 deg/h it is 2 to 3 times the bound from a heading known to 1 deg, and 7.5 times or"
-    " more from one 45 deg off. A reset of P after the start of a turn forgets the first"
-    " position."
+    "One turn or a few give a heading of 1.0 to 1.25 times `sinsjax.information_bound` in rms, for"
+    " gyro biases of 0.01 to 1 deg/h, 300 s or more, and gyros without errors of scale factor and"
+    " cross-axis, which no state models. With 300 ppm and 1 mrad of these, one turn of 180 deg in"
+    " 300 s and gyros of 0.1 deg/h, it is 1.3 to 1.9 times the bound (9.8' to 14.2' of 7.5'), more"
+    " for a smaller `r_velocity_m_per_s` (0.1 to 0.001 m/s), and some runs on a carousel diverge:"
+    " use `gravity_fit`, which estimates them. Beyond 1 deg/h the heading of the first position is"
+    " too bad for a linear filter: at 10 deg/h it is 2 to 3 times the bound from a heading known to"
+    " 1 deg, and 7.5 times or more from one 45 deg off. A reset of P after the start of a turn"
+    " forgets the first position."
 )
 
 _REFITS = (
@@ -97,10 +92,7 @@ def render_methods_page() -> str:
     lines += ["", "## Resets between two feedbacks", "", _RESETS_AND_FEEDBACK]
     lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]
     lines += ["| trigger | calls for a reset at |", "| --- | --- |"]
-    lines += [
-        f"| `{t.name}` | {t.summary}{' (P fades instead)' if t.fades else ''} |"
-        for t in TRIGGERS.values()
-    ]
+    lines += [f"| `{trigger.name}` | {trigger.summary} |" for trigger in TRIGGERS.values()]
     return "\n".join(lines) + "\n"
 
 

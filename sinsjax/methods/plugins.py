@@ -9,10 +9,8 @@ A plug-in that cannot be loaded affects only the studies that use it. An error o
 reported in one line with the place in that code, see `describe_plugin_error`.
 """
 
-import inspect
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
+from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from typing import Any, NamedTuple
@@ -69,16 +67,9 @@ def load_plugins(built_in: Iterable[Description]) -> PluginRegistry:
 
 def _load_plugin(point: EntryPoint, registry: PluginRegistry) -> Description:
     """Return the method of an entry point, whose name, sections and keys must be new."""
-    if point.name in registry.methods:
-        raise InputError(f"there is already a method {point.name!r}")
-    method = point.load()
-    if not isinstance(method, Description):
-        kind, expected = type(method).__name__, f"{Description.__module__}.Description"
-        raise InputError(f"{point.value} is of type {kind}, expected {expected}")
-    if method.name != point.name:
-        raise InputError(f"its method is called {method.name!r} (give both one name)")
-    if not all(issubclass(section, Section) for section in method.sections.values()):
-        raise InputError(f"its sections must be subclasses of {Section.__module__}.Section")
+    method: Description = point.load()
+    if method.name in registry.methods:
+        raise InputError(f"there is already a method {method.name!r}")
     if clash := _find_clash(method, registry.sections):
         raise InputError(clash)
     return method
@@ -114,30 +105,22 @@ def _find_clash(method: Description, taken: Mapping[str, type[Section]]) -> str 
 
 
 def check_plugin(
-    name: str,
-    description: Description,
-    method: Any,
-    params: Any,
-    site: Any,
-    *,
-    repeats: bool = False,
-    rewinds: bool = False,
+    name: str, method: Any, params: Any, variants: int, site: Any, *, passes: str = "once"
 ) -> None:
-    """Check the shapes of a plug-in's functions without running them (`jax.eval_shape`).
+    """Check what a plug-in's functions return, without running them (`jax.eval_shape`).
 
     Args:
         name: of the plug-in's method, with its package, for the message.
-        description: of the method.
         method: the `base.Method` that it builds.
-        params: of one run, leaves (...).
+        params: its params, leaves (variants, ...).
+        variants: number of variants.
         site: `base.Site` of one run.
-        repeats: whether a stored record is read repeatedly.
-        rewinds: whether it is read forward every time.
+        passes: "once", or how a stored record is read repeatedly.
 
     Raises:
-        InputError: ``step``, ``normalise`` or ``close`` returns another state than ``init``;
-            ``attitude``, ``covariance`` or ``error_model`` is not what the description promises; or
-            the method has no ``passes`` for a record that is read repeatedly.
+        InputError: a param has not one value per variant; the state after a sample is another than
+            that of ``init``; ``attitude`` or ``covariance`` is not that of one run; or a record is
+            read in a way that the method has no ``passes`` for.
     """
     import jax
     import numpy as np
@@ -145,55 +128,33 @@ def check_plugin(
     from sinsjax.methods.base import AttitudeCovariance
     from sinsjax.types import Navigation, Quat, Sample, Vec3
 
-    number = np.float64(0.0)
-    q = Quat(*(number,) * 4)
-    nav, sample = Navigation(q, *(number,) * 4), Sample(q, Vec3(*(number,) * 3))
-    state = jax.eval_shape(method.init, params, nav)
-    changes: list[tuple[str, Callable[..., Any], tuple[Any, ...]]] = [
-        ("step", method.step, (params, site, state, sample, number)),
-        ("normalise", method.normalise, (state,)),
-    ]
-    if method.feedback is not None:
-        changes.append(("close", method.feedback.close, (params, state, number)))
-    for what, function, given in changes:
-        if wrong := [*_differences(jax.eval_shape(function, *given), state)]:
-            text = f"{what} returns the state {'; '.join(wrong[:2])}"
-            more = f"; and {len(wrong) - 2} more" if len(wrong) > 2 else ""
-            raise InputError(f"{name}: {text}{more}{_place_of(function)}")
-    for what, kind in (("attitude", Quat), ("covariance", AttitudeCovariance)):
-        function = getattr(method, what)
-        found = jax.eval_shape(function, state)
-        if not isinstance(found, kind) or any(np.shape(leaf) for leaf in found):
-            text = f"{what} returns {_format_shapes(found)}, expected {kind.__name__} of numbers"
-            raise InputError(f"{name}: {text}{_place_of(function)}")
-    if description.has_error_model and method.error_model is None:
-        raise InputError(f"{name}: has_error_model is True, but its Method has no error_model")
-    if repeats and method.passes is None:
+    if any(np.shape(leaf)[:1] != (variants,) for leaf in jax.tree.leaves(params)):
+        raise InputError(f"{name}: parameters must return one value per variant")
+    if passes != "once" and method.passes is None:
         raise InputError(f"{name}: reads a stored record once (drop [passes])")
-    if rewinds and method.passes.rewind is None:
+    if passes == "rewind" and method.passes.rewind is None:
         raise InputError(f"{name}: cannot rewind a record (use direction = 'alternate')")
 
+    def first_sample(params: Any, nav: Navigation, sample: Sample) -> Any:
+        state = method.init(params, nav)
+        after = method.normalise(method.step(params, site, state, sample, nav.ve))
+        if method.feedback is not None:
+            after = method.feedback.close(params, after, nav.ve)
+        return state, after, method.attitude(state), method.covariance(state)
 
-def check_parameters(name: str, function: Any, params: Any, variants: int) -> None:
-    """Check that each of a plug-in's params has one value per variant.
-
-    Args:
-        name: of the plug-in's method, with its package, for the message.
-        function: its ``parameters``.
-        params: what it returns for some variants.
-        variants: their number.
-
-    Raises:
-        InputError: an array is of another length, or not of numbers.
-    """
-    import jax
-    import numpy as np
-
-    for path, array in jax.tree.leaves_with_path(jax.tree.map(np.asarray, params)):
-        if array.shape[:1] != (variants,) or array.dtype.kind not in "biuf":
-            at = f" at {jax.tree_util.keystr(path)}" if path else ""
-            text = f"parameters returns {_format_shapes(array)}{at}, expected [{variants}, ...]"
-            raise InputError(f"{name}: {text}: one value per variant{_place_of(function)}")
+    zero = np.float64(0.0)
+    q, of_run = Quat(*(zero,) * 4), jax.tree.map(lambda leaf: np.asarray(leaf)[0], params)
+    nav, sample = Navigation(q, *(zero,) * 4), Sample(q, Vec3(*(zero,) * 3))
+    state, after, *found = jax.eval_shape(first_sample, of_run, nav, sample)
+    covariance = AttitudeCovariance(*(zero,) * 6)
+    for what, returned, expected in (
+        ("step, normalise or close", after, state),
+        ("attitude", found[0], jax.eval_shape(lambda: q)),
+        ("covariance", found[1], jax.eval_shape(lambda: covariance)),
+    ):
+        texts = _format_shapes(returned), _format_shapes(expected)
+        if texts[0] != texts[1]:
+            raise InputError(f"{name}: {what} returns {texts[0]}, expected {texts[1]}")
 
 
 def describe_plugin_error(error: BaseException) -> str | None:
@@ -235,40 +196,9 @@ def _package_folders(point: EntryPoint) -> tuple[str, ...]:
     return tuple(f"{folder}/" for folder in folders) if folders else (str(spec.origin),)
 
 
-def _place_of(function: Any) -> str:
-    """Return the place of a function's definition, as ``, in file:line``."""
-    while isinstance(function, partial):
-        function = function.func
-    code = getattr(inspect.unwrap(function), "__code__", None)
-    return f", in {code.co_filename}:{code.co_firstlineno}" if code else ""
-
-
-def _differences(found: Any, expected: Any, path: str = "") -> Iterator[str]:
-    """Yield the innermost parts of a tree of shapes that differ from those expected, in words."""
-    texts = _format_shapes(found), _format_shapes(expected)
-    if texts[0] == texts[1]:
-        return
-    parts, others = _parts(found), _parts(expected)
-    if type(found) is type(expected) and parts.keys() == others.keys() and parts:
-        for name, part in parts.items():
-            yield from _differences(part, others[name], f"{path}.{name}" if path else name)
-    else:
-        prefix = f"with {path} = " if path else ""
-        yield f"{prefix}{shorten(texts[0], 60)}, expected {shorten(texts[1], 60)}"
-
-
-def _parts(tree: Any) -> dict[str, Any]:
-    """Return the parts of a tuple, list or dictionary by name or number."""
-    if isinstance(tree, dict):
-        return {str(key): part for key, part in tree.items()}
-    if isinstance(tree, list | tuple):
-        names = getattr(tree, "_fields", range(len(tree)))
-        return {str(name): part for name, part in zip(names, tree, strict=True)}
-    return {}
-
-
 def _format_shapes(tree: Any) -> str:
     """Return a tree of shapes on one line."""
     import jax
 
-    return str(jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree)).replace("'", "")
+    texts = jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree)
+    return shorten(str(texts).replace("'", ""), 300)

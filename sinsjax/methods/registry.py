@@ -80,12 +80,6 @@ def packages_of(names: Iterable[str]) -> dict[str, str]:
     return dict(PACKAGES[name] for name in names if name in PACKAGES)
 
 
-def hint_broken_plugins() -> str:
-    """Return the hint for unknown names while a plug-in is broken, which may define them."""
-    text = "an installed package has a method that cannot be used, `sinsjax info` shows why"
-    return f" ({text})" if BROKEN else ""
-
-
 def unread_keys(names: Iterable[str]) -> set[str]:
     """Return the keys that only methods other than these read."""
     read = {key for name in names for key in METHODS[name].keys}

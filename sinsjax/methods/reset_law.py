@@ -15,16 +15,16 @@ once
     prod (1 + s0^2 J(T_i)) >= 2 tan(phi0/2)/b.
 
 Their least sum has equal segments: limited by Q (J ~ T^3) each contracts 17 times, limited by R
-(J ~ T^5) 143 times. With the measured force in A(t), a standing tilt l feigns the information
-K l^2 on the heading, which adds to 1/s0^2 and which early resets remove. The noise of the sensors
-restarts with each segment, too. So does that of a surge of density rs, which leaves the heading of
-a least squares over T seconds at sqrt(720 rs/T^5)/(g wN).
+(J ~ T^5) 143 times. With the measured force in A(t), a standing tilt feigns information on the
+heading, which early resets remove. The noise of the sensors restarts with each segment, too. So
+does that of a surge of density rs, which leaves the heading of a least squares over T seconds at
+sqrt(720 rs/T^5)/(g wN).
 
 All in SI units; free of JAX.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -123,33 +123,14 @@ def heading_information(time_s: Any, problem: ResetProblem) -> Any:
     return scale * bracket
 
 
-def feigned_information(tilt: float, problem: ResetProblem) -> float:
-    """Return the information K l^2 on the heading that a standing tilt feigns, 1/rad^2.
-
-    Zero with the force of gravity in A(t).
-
-    Args:
-        tilt: length of the level error, rad.
-        problem: the filter and its place.
-    """
-    if not problem.is_force_measured:
-        return 0.0
-    q, r, g = problem.velocity_noise, problem.measurement_noise, problem.gravity
-    levelling_s = 1.5 * (24 * r / (g * problem.level) ** 2) ** (1 / 3)
-    time_s = max(1.2 * problem.feedback_s, levelling_s)
-    return (g * time_s * tilt) ** 2 / (q * time_s + 2 * math.sqrt(q * r))
-
-
-def contraction(time_s: Any, problem: ResetProblem, tilt: float = 0.0) -> Any:
+def contraction(time_s: Any, problem: ResetProblem) -> Any:
     """Return the factor by which a segment contracts 2 tan(phi/2).
 
     Args:
         time_s: its length, s, or an array of lengths.
         problem: the filter and its place.
-        tilt: length of the level error that stands in the segment, rad.
     """
-    prior = problem.heading**-2 + feigned_information(tilt, problem)
-    return 1 + heading_information(time_s, problem) / prior
+    return 1 + heading_information(time_s, problem) / problem.heading**-2
 
 
 def levelling_time(problem: ResetProblem) -> float:
@@ -198,10 +179,7 @@ class NoSchedule(ValueError):
 
 
 def schedule(
-    problem: ResetProblem,
-    heading_bound: float,
-    band: float = 10 * ARCMIN,
-    segments: int | None = None,
+    problem: ResetProblem, heading_bound: float, band: float = 10 * ARCMIN
 ) -> ResetSchedule:
     """Return the times of the resets by the law.
 
@@ -209,14 +187,13 @@ def schedule(
         problem: the filter and its place.
         heading_bound: largest initial heading error, rad.
         band: heading error within which a run is settled, rad.
-        segments: number of segments after the early resets; None for the best.
 
     Raises:
         NoSchedule: no reset pays, no heading can be found, or noise exceeds the band.
     """
     _check(problem, heading_bound, band)
-    found = _best_segments(problem, heading_bound, band, segments)
-    if len(found) == 1 and heading_bound > _LARGE_ERROR and segments is None:
+    found = _best_segments(problem, heading_bound, band)
+    if len(found) == 1 and heading_bound > _LARGE_ERROR:
         found = _two_segments(problem, heading_bound, band)
     found = _outlast_surge(problem, heading_bound, band, found)
     return _place_resets(problem, _early_resets(problem), found)
@@ -297,7 +274,7 @@ def _check(problem: ResetProblem, heading_bound: float, band: float) -> None:
 
 
 def _best_segments(
-    problem: ResetProblem, heading_bound: float, band: float, count: int | None
+    problem: ResetProblem, heading_bound: float, band: float, count: int | None = None
 ) -> tuple[float, ...]:
     """Return the segments with the least sum; one more only if it gains 2 %."""
     ratio = angle_ratio(heading_bound, 1.0)
@@ -354,43 +331,6 @@ def _last_segments(problem: ResetProblem, ratios: NDArray, band: float) -> NDArr
     left = np.maximum(band - _SAFE_SIGMAS * heading_sigma(times_s, problem), 1e-300)
     reached = np.log(np.maximum.accumulate(contraction(times_s, problem) * left))
     return np.exp(np.interp(np.log(ratios), reached, np.log(times_s), right=math.inf))
-
-
-def predicted_settling_time(
-    problem: ResetProblem,
-    times_s: Sequence[float],
-    heading: float,
-    tilt: float = 0.0,
-    band: float = 10 * ARCMIN,
-    sigmas: float = MEDIAN_SIGMAS,
-) -> float:
-    """Return the settling time of a run with some resets by the law itself, s; inf for never.
-
-    It takes estimates for current and P0 of velocity for open; `reset_prediction` does not.
-
-    Args:
-        problem: the filter and its place.
-        times_s: times of its resets, s; none for ().
-        heading: initial heading error, rad.
-        tilt: length of the initial level error, rad, which the first segment removes.
-        band: heading error within which a run is settled, rad.
-        sigmas: 1 sigma of noise that narrow the band: 0.75 for a median, 2 to be safe.
-    """
-    ratio = 2 * math.tan(min(abs(heading), math.pi - 1e-6) / 2)
-    for begin, end in zip((0.0, *times_s), (*times_s, math.inf), strict=True):
-        standing = tilt if begin == 0 else 0.0
-
-        def excess(time_s: float, ratio: float = ratio, standing: float = standing) -> float:
-            left = band - sigmas * heading_sigma(time_s, problem)
-            if left <= 0:
-                return -1.0
-            return contraction(time_s, problem, standing) * left - ratio
-
-        length_s = _first_time(excess)
-        if begin + length_s <= end:
-            return begin + length_s
-        ratio /= contraction(end - begin, problem, standing)
-    return math.inf
 
 
 def _first_time(excess: Callable[[float], float]) -> float:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, ValidationError, WrapValidator
 
 from sinsjax.messages import explain_error
-from sinsjax.methods.registry import METHODS, external_names, hint_broken_plugins
+from sinsjax.methods.registry import METHODS, external_names
 from sinsjax.value_types import (
     Count,
     Factor,
@@ -29,7 +29,7 @@ def _check_method_name(name: Any, check: Any) -> Any:
     try:
         return check(name)
     except ValidationError as error:
-        raise rule_error(explain_error(error.errors()[0]) + hint_broken_plugins()) from None
+        raise rule_error(explain_error(error.errors()[0])) from None
 
 
 if TYPE_CHECKING:

@@ -22,7 +22,6 @@ from sinsjax.methods.registry import (
     BROKEN,
     METHODS,
     SECTIONS_OF_METHODS,
-    hint_broken_plugins,
     register_external,
     unread_keys,
 )
@@ -370,7 +369,7 @@ def _check_table(name: str, table: Any) -> None:
     if name == "advise":
         raise InputError("[advise]: is read by `sinsjax advise` alone (drop it from a study)")
     if name not in names:
-        hint = suggest_closest(name, names, "[{}]") + hint_broken_plugins()
+        hint = suggest_closest(name, names, "[{}]")
         hint = hint or " (is it of a method whose package is not installed?)"
         raise InputError(f"[{name}]: unknown section{hint}")
     if name == "cases":

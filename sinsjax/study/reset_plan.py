@@ -1,6 +1,5 @@
 """What the law of resets says of a study: the times, their prediction, and when to distrust it."""
 
-import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -11,7 +10,7 @@ import tomli_w
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
 from sinsjax.methods.filters.section import OF_SCHEDULES
-from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem, ResetSchedule
+from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem
 from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.study import display
 from sinsjax.study.keys import format_toml
@@ -20,17 +19,12 @@ from sinsjax.study.reset_schedules import (
     DERIVED,
     LAW_KEYS,
     LAW_METHODS,
-    OPEN_VELOCITY,
     reset_problem,
     schedule_by_law,
 )
 from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG
 
-_LIMITED_BY_R, _LIMITED_BY_Q = 1.0, 10.0  # segments in tau
-_MOVED = 0.2  # share by which the last reset is moved, to tell how flat the optimum is
-_NOT_WORTH = 0.9  # of the time without resets
-_HELPS = 0.9  # share of the time that is worth another P0 of velocity
 _NOISY = 1.1  # settling times that noise delays by less are one
 _NOISE_SIGMAS, _LATE_SIGMAS = 1.15, 2.0
 """1 sigma of white noise that narrow the band if noise alone decides: for the median and nine runs
@@ -39,10 +33,9 @@ that motion first leaves the band; (2, 4, 6, 69 s) of `reset_sweep` without q_: 
 measured 172 and 238 s.
 """
 _TILT = 5 * (1 + 1j) * DEG  # of the start
-_LARGE_BOUND, _KNOWN_BOUND, _LARGE_LEVEL = 165 * DEG, 25 * DEG, 30 * DEG
+_LARGE_BOUND, _LARGE_LEVEL = 165 * DEG, 30 * DEG
 _SLOW_FEEDBACK_S = 20.0
 _MAX_PLANS = 15
-_MOST_RESETS = 6
 _DRIFTS = (
     *("gyro_instability_deg_per_h", "accel_instability_ug"),
     *("gyro_rrw_deg_per_h_per_sqrt_h", "accel_rrw_ug_per_sqrt_h"),
@@ -51,7 +44,7 @@ _DRIFTS = (
 
 
 class ResetPlan(NamedTuple):
-    """The schedule of a filter by the law, and what it is worth; times in s.
+    """The schedule of a filter by the law, and its predicted settling time; times in s.
 
     Settling times are those of a median run from the heading bound and 5 deg of level about both
     axes, predicted by `sinsjax.methods.reset_prediction`; inf if it does not settle. They hold for
@@ -62,21 +55,17 @@ class ResetPlan(NamedTuple):
         heading_bound_deg: largest initial heading error that the schedule settles, deg.
         band_arcmin: heading error within which a run is settled, arcmin.
         times_s: times of the resets.
-        segments_s: lengths of the segments after the early resets.
         settling_s: settling time with these resets.
         noisy_s: the same if the sensors' white noise alone decides, which is later.
         late_s: settling time with two sigma of noise, of some 90 % of such runs.
         without_s: settling time without resets.
-        by_count: settling times with one to six resets, each number at its times by the law.
-        moved: settling times with the last reset a fifth earlier and later.
-        open_velocity_s: settling time with a velocity of at least 1 m/s after a reset.
         left_out: keys of sensor errors that delay settling and are not predicted.
         warnings: where the law is known to fail.
 
     Examples:
         >>> plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=60.0)
-        >>> plan.limited_by, len(plan.times_s), plan.settling_s < plan.without_s
-        ('Q', 4, True)
+        >>> len(plan.times_s), plan.settling_s < plan.without_s
+        (4, True)
         >>> plan.settings["reset_velocity_m_per_s"]
         1.0
     """
@@ -85,14 +74,10 @@ class ResetPlan(NamedTuple):
     heading_bound_deg: float
     band_arcmin: float
     times_s: tuple[float, ...]
-    segments_s: tuple[float, ...]
     settling_s: float
     noisy_s: float
     late_s: float
     without_s: float
-    by_count: tuple[float, ...]
-    moved: tuple[float, float]
-    open_velocity_s: float
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -101,12 +86,6 @@ class ResetPlan(NamedTuple):
         """The keys of [resets] that list these resets, as ``schedule = "law"`` sets them."""
         velocity = float(f"{self.problem.velocity:.9g}")
         return {"reset_times_s": [*self.times_s], "reset_velocity_m_per_s": velocity}
-
-    @property
-    def limited_by(self) -> str:
-        """What limits the information of a segment: "Q", "R" or "Q and R"."""
-        x = self.segments_s[0] / self.problem.tau
-        return "R" if x < _LIMITED_BY_R else "Q" if x > _LIMITED_BY_Q else "Q and R"
 
     @property
     def median(self) -> str:
@@ -120,16 +99,6 @@ class ResetPlan(NamedTuple):
     @property
     def facts(self) -> dict[str, str]:
         """The plan in words, by heading."""
-        share, segment_s = self.settling_s / self.without_s, self.segments_s[0]
-        worth = f"{share:.2g} of the time without resets"
-        if math.isinf(self.without_s):
-            worth = "without resets it does not settle"
-        counts = ", ".join(
-            f"{n}{' reset' * (n == 1)}: {_format_time(time)}"
-            for n, time in enumerate(self.by_count, start=1)
-        )
-        factor = reset_law.contraction(segment_s, self.problem)
-        earlier, later = (_format_change(time, self.settling_s) for time in self.moved)
         return {
             "resets": f"{', '.join(f'{time:g}' for time in self.times_s)} s",
             "set": _describe_settings([self]),
@@ -137,11 +106,6 @@ class ResetPlan(NamedTuple):
             f" {self.median} (median run, predicted),"
             f" {_format_time(self.late_s)} with {_LATE_SIGMAS:g} sigma of noise",
             "without": _format_time(self.without_s),
-            "counts": f"median run with {counts}",
-            "filter": f"limited by its {self.limited_by} (tau {self.problem.tau:.3g} s): a segment"
-            f" of {segment_s:.3g} s contracts the heading error {factor:.3g} times",
-            "flat": f"the last reset {_MOVED:.0%} earlier {earlier}, later {later}",
-            "worth": f"{'yes' if share < _NOT_WORTH else 'hardly'}: {worth}",
         }
 
     def __repr__(self) -> str:
@@ -179,14 +143,34 @@ def iter_plans(study: Study, **bounds: float) -> Iterator[tuple[dict[str, Any], 
         InputError: no method of the study has the law, or it has no schedule for one of them.
     """
     left_out = tuple(key for key in _DRIFTS if _has_drift(study, key))
-    filters = list(iter_filters(study, **bounds))
-    try:
-        unpredicted = [_schedule(study.rate_hz or 100.0, point) for _, point in filters]
-    except InputError as error:
-        raise error.with_source(study.name) from None
-    plans = _predict(unpredicted, study.run_s)
-    for (varying, _), plan in zip(filters, plans, strict=True):
-        plan = plan._replace(left_out=left_out)
+    filters, rate_hz = list(iter_filters(study, **bounds)), study.rate_hz or 100.0
+    runs = list[tuple[Lane, float, float, float]]()
+    for _, point in filters:
+        try:
+            found = schedule_by_law(rate_hz, point)
+        except InputError as error:
+            raise error.with_source(study.name) from None
+        assert found is not None
+        bound, band = point["heading_bound_deg"] * DEG, point["settle_band_arcmin"] * ARCMIN
+        law = Lane(reset_problem(rate_hz, point), found.times_s, bound, _TILT)
+        run_s = max(study.run_s, 3 * found.settling_s)
+        noise = MEDIAN_SIGMAS, _NOISE_SIGMAS, _LATE_SIGMAS
+        runs += [(law, run_s, band, sigmas) for sigmas in noise]
+        runs.append((law._replace(times_s=()), run_s, band, MEDIAN_SIGMAS))
+    settling = predict_settling_times(*zip(*runs, strict=True)).reshape(-1, 4).tolist()
+    for (varying, point), (law, *_), times_s in zip(filters, runs[::4], settling, strict=True):
+        by_law, noisy_s, late_s, without_s = times_s
+        plan = ResetPlan(
+            law.problem,
+            point["heading_bound_deg"],
+            point["settle_band_arcmin"],
+            law.times_s,
+            settling_s=by_law,
+            noisy_s=noisy_s,
+            late_s=late_s,
+            without_s=without_s,
+            left_out=left_out,
+        )
         yield varying, plan._replace(warnings=tuple(_warnings(plan)))
 
 
@@ -280,80 +264,9 @@ def _describe_filter(plan: ResetPlan) -> str:
     return f"kalman5 with {force} in A(t), feedback every {plan.problem.feedback_s:g} s"
 
 
-class _Schedule(NamedTuple):
-    """A schedule by the law, and what a plan says of it."""
-
-    found: ResetSchedule
-    problem: ResetProblem
-    heading_bound_deg: float
-    band_arcmin: float
-
-    def runs(self, run_s: float) -> list[tuple[Lane, float, float, float]]:
-        """The runs of `plan`, in its order, each as `predict_settling_times` has it."""
-        bound, band, times = (
-            self.heading_bound_deg * DEG,
-            self.band_arcmin * ARCMIN,
-            self.found.times_s,
-        )
-        counted = [
-            reset_law.schedule_with(self.problem, bound, band, n).times_s
-            for n in range(1, _MOST_RESETS + 1)
-        ]
-        last_s = times[-1] - (times[-2] if len(times) > 1 else 0.0)
-        moved = [(*times[:-1], times[-1] + k * _MOVED * last_s) for k in (-1, 1)]
-        law = Lane(self.problem, times, bound, _TILT)
-        velocity = max(OPEN_VELOCITY, self.problem.velocity)
-        opened = law._replace(problem=self.problem._replace(velocity=velocity))
-        others = [*(law._replace(times_s=one) for one in ((), *moved, *counted)), opened]
-        by_sigmas = [(law, sigmas) for sigmas in (MEDIAN_SIGMAS, _NOISE_SIGMAS, _LATE_SIGMAS)]
-        by_sigmas += [(lane, MEDIAN_SIGMAS) for lane in others]
-        run_s = max(run_s, 3 * self.found.settling_s)
-        return [(lane, run_s, band, sigmas) for lane, sigmas in by_sigmas]
-
-    def plan(self, settling_s: Sequence[float]) -> ResetPlan:
-        """Return the plan, given the settling times of `runs`."""
-        by_law, noisy_s, late_s, without_s, earlier_s, later_s, *by_count, opened_s = settling_s
-        return ResetPlan(
-            self.problem,
-            self.heading_bound_deg,
-            self.band_arcmin,
-            self.found.times_s,
-            self.found.segments,
-            settling_s=by_law,
-            noisy_s=noisy_s,
-            late_s=late_s,
-            without_s=without_s,
-            moved=(earlier_s, later_s),
-            by_count=tuple(by_count),
-            open_velocity_s=opened_s,
-        )
-
-
-def _schedule(rate_hz: float, point: Mapping[str, Any]) -> _Schedule:
-    """Return the schedule of a filter and place, from its values of `LAW_KEYS`."""
-    found = schedule_by_law(rate_hz, point)
-    assert isinstance(found, ResetSchedule)
-    problem = reset_problem(rate_hz, point)
-    return _Schedule(found, problem, point["heading_bound_deg"], point["settle_band_arcmin"])
-
-
-def _predict(schedules: Sequence[_Schedule], run_s: float) -> Iterator[ResetPlan]:
-    """Yield the plans of some schedules, all of whose runs are predicted side by side."""
-    runs = [schedule.runs(run_s) for schedule in schedules]
-    together = zip(*itertools.chain.from_iterable(runs), strict=True)
-    settling = iter(predict_settling_times(*together).tolist())
-    for schedule, own in zip(schedules, runs, strict=True):
-        yield schedule.plan(list(itertools.islice(settling, len(own))))
-
-
 def _warnings(plan: ResetPlan) -> Iterator[str]:
-    """Yield where the law is known to fail, and what would help."""
+    """Yield where the law is known to fail."""
     problem, bound = plan.problem, plan.heading_bound_deg * DEG
-    if problem.velocity < OPEN_VELOCITY and plan.open_velocity_s < _HELPS * plan.settling_s:
-        yield (
-            f"P0 of velocity after a reset, {problem.velocity:g} m/s, lets P shrink too soon:"
-            f" with {OPEN_VELOCITY:g} m/s it settles in {_format_time(plan.open_velocity_s)}"
-        )
     if plan.left_out:
         yield f"{' and '.join(plan.left_out)}, which the prediction leaves out, delay settling"
     if problem.feedback_s >= _SLOW_FEEDBACK_S:
@@ -362,20 +275,8 @@ def _warnings(plan: ResetPlan) -> Iterator[str]:
         yield f"feedback every {problem.feedback_s:g} s is slower than levelling: its lag is fitted"
     if bound > _LARGE_BOUND:
         yield "near 180 deg a heading error stands still: an unstable equilibrium"
-    if bound <= _KNOWN_BOUND and problem.is_force_measured:
-        yield "of a heading known to 20 deg the trigger settles as fast, and need not reset"
     if problem.level > _LARGE_LEVEL:
         yield "P0 of level above 30 deg is beyond the cells that were measured"
-    if plan.settling_s > _NOT_WORTH * plan.without_s:
-        yield "resets hardly pay: the filter settles as fast without them"
-
-
-def _format_change(time_s: float, from_s: float) -> str:
-    """Return a change in whole percent, such as ``+3%``; ``0%`` without a sign."""
-    if not math.isfinite(time_s):
-        return "does not settle"
-    percent = round(100 * (time_s / from_s - 1))
-    return f"{percent:+d}%" if percent else "0%"
 
 
 def _format_time(time_s: float) -> str:

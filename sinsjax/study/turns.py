@@ -5,11 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
-from sinsjax.methods.filters.section import (
-    OF_RESETS,
-    TURNING_RATE_DEG_PER_S,
-    acting_reset_times,
-)
+from sinsjax.methods.filters.section import OF_RESETS, acting_reset_times
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.schema import TURN_KEYS
 from sinsjax.study.study import Study
@@ -24,7 +20,6 @@ DEFAULTS = {"turn_angles_deg": 180.0, "turn_rate_deg_per_s": 10.0, "turn_ramp_s"
 
 
 _MANY_TURNS_DEG = 720.0
-_MOSTLY = 0.5  # of the time
 
 
 class Turn(NamedTuple):
@@ -59,10 +54,6 @@ class SampledTurns(NamedTuple):
     def turned_deg(self, end: int) -> float:
         """Return the sum of the magnitudes of all angles turned by a sample."""
         return sum(min(1.0, (end - t.begin) / t.length) * abs(t.angle_deg) for t in self.turns)
-
-    def turning_samples(self, end: int) -> int:
-        """Return the number of samples in which the base turns, up to a sample."""
-        return sum(min(t.length + self.ramp, end - t.begin) for t in self.turns)
 
 
 class TurnError(ValueError):
@@ -248,34 +239,6 @@ def warn_of_resets(study: Study) -> Iterator[str]:
                     f" at {first:.12g} s, which {method.name} needs (reset before the turn, or not)"
                 )
                 return
-
-
-def warn_of_turning_rate(study: Study) -> Iterator[str]:
-    """Yield a line if updates end in no turn, in a sway in yaw too, or for most of the time."""
-    if study.is_recorded or not study.has("filter"):
-        return
-    sway = ("yaw_amplitude_deg", "yaw_period_s")
-    keys = ("method", "turning", "turning_rate_deg_per_s", *TURN_KEYS, *sway)
-    for point in study.combinations(*keys):
-        if point["turning"] != "reopen" or "turning" not in METHODS[point["method"]].keys:
-            continue
-        limit = point["turning_rate_deg_per_s"] or TURNING_RATE_DEG_PER_S
-        place = f"[filter] turning_rate_deg_per_s: {limit:.12g} deg/s is"
-        turn_rate = point["turn_rate_deg_per_s"] or DEFAULTS["turn_rate_deg_per_s"]
-        if point["turn_times_s"] and turn_rate <= limit:
-            yield f"{place} not below the rate of the turns, {turn_rate:.12g} deg/s (give less)"
-            return
-        end_s = data_end_s(study)
-        samples = _turns_of(study, point).turning_samples(round(end_s * study.rate_hz))
-        turning_s = samples / study.rate_hz
-        if turning_s > _MOSTLY * end_s:
-            text = f"there is no update in turns, which take {turning_s:.3g} of {end_s:.3g} s"
-            yield f"[filter] turning: {text} (use 'update')"
-            return
-        amplitude, period = (point[key] for key in sway)
-        if amplitude and period and (yaw_rate := 2 * math.pi * amplitude / period) > limit:
-            yield f"{place} below that of the sway in yaw, {yaw_rate:.3g} deg/s (give more)"
-            return
 
 
 def describe_rounding(study: Study) -> Iterator[str]:

@@ -158,7 +158,7 @@ def test_rerun_with_coarse_stage_is_identical(tmp_path: Path) -> None:
     one = study(
         axes={"coarse_then": ["hand_over", "replay"]},
         passes={"stored_s": 4.0, "direction": "rewind"},
-        resets={"reset_trigger": "nis", "trigger_threshold": 5.0, "trigger_window_s": 0.5},
+        resets={"reset_trigger": "innovation", "trigger_threshold": 5.0, "trigger_window_s": 0.5},
     )
     run.run_into(one, tmp_path / "out", curves=False)
     for run_id in (2, 5):

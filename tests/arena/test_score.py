@@ -560,7 +560,7 @@ def test_aligned_record_gives_the_heading_of_the_sweep(
 
 @pytest.mark.nightly
 def test_settings_of_triggers_do_not_split_the_runs_of_a_program(tmp_path: Path) -> None:
-    policies = {"reset_trigger": ["none", "levelled"], "trigger_threshold": [0.0, 1.0]}
+    policies = {"reset_trigger": ["none", "linearisation"], "trigger_threshold": [0.0, 1.0]}
     axes = {"policy": policies, "phi_u0_deg": [5.0, 30.0]}
     arena = Arena(tmp_path, axes=axes, alignment={"method": "kalman5"})
     first = pyarrow.csv.read_csv(arena.export / "initial.csv")

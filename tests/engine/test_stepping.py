@@ -27,7 +27,7 @@ SCHEDULES = {
 }
 """As many as a tile has lanes."""
 
-NIS = {"reset_trigger": "nis", "trigger_threshold": 3e-4}
+TRIGGER = {"reset_trigger": "innovation", "trigger_threshold": 3e-4, "trigger_window_s": 0.01}
 
 
 def group_of(draws: int, axes: dict[str, list], **tables: Any) -> lane_layout.Group:
@@ -68,7 +68,10 @@ def test_event_stepping_is_bitwise_equal_to_sample_stepping(draws, axes):
 @pytest.mark.optimised(False)
 def test_event_stepping_matches_sample_stepping_for_triggered_resets():
     """To rounding: a trigger's samples are compiled anew."""
-    given = {"filter": {"r_velocity_m_per_s": 1e-3}, "resets": NIS | {"reset_times_s": [1.37, 4.0]}}
+    given = {
+        "filter": {"r_velocity_m_per_s": 1e-3},
+        "resets": TRIGGER | {"reset_times_s": [1.37, 4.0]},
+    }
     group = group_of(32, HEEDING, **given)
     by_sample = run_tiles(group, by_event=False)
     for a, b in zip(run_tiles(group), by_sample, strict=True):

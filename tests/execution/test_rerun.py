@@ -78,7 +78,12 @@ def test_rerun_matches_with_resets_tied_to_feedback() -> None:
         study={"draws": 20, "duration_s": 2.0, "window_s": [0, 2]},
         alignment={"feedback_interval_s": 0.3},
         filter={"r_velocity_m_per_s": 1e-3},
-        resets={"reset_trigger": "nis", "trigger_threshold": 3e-4, "reset_times_s": [1.37]},
+        resets={
+            "reset_trigger": "innovation",
+            "trigger_window_s": 0.01,
+            "trigger_threshold": 3e-4,
+            "reset_times_s": [1.37],
+        },
         axes={"reset_at_feedback": [False, True], "reset_restarts_feedback": [False, True]},
     )
     assert_alone_as_among_others(study, curves=True, runs=[1, 2, 77])

@@ -35,7 +35,7 @@ _ADDED = tomllib.loads("""
 plain = {}
 coarse.coarse = {coarse_duration_s = 2.0, coarse_then = "replay"}
 passes = {passes = {stored_s = 2.0}, axes = {method = ["kalman10", "compass"]}}
-trigger.resets = {reset_trigger = "nis", trigger_threshold = 9.0}
+trigger.resets = {reset_trigger = "innovation", trigger_threshold = 9.0}
 cases.cases = [{case = "a", p0_yaw_deg = 10.0}, {case = "b", p0_yaw_deg = 20.0}]
 zips.axes = {p0_yaw_deg = [1.0, 2.0], start = {phi_u0_deg = [1, 2], phi_e0_deg = [0, 1]}}
 [drawn]

@@ -55,7 +55,6 @@ def made_up():
         return Vec3(zero, zero, zero)
 
     return Filter(
-        dt=1.0,
         init=lambda params, nav: FilterState(
             nav, kalman.initial_belief(params.p0), (), params.feedback.every
         ),
@@ -140,12 +139,12 @@ def plain(watched, reversals):
     return np.array(rows), called, squares
 
 
-@pytest.mark.parametrize("trigger", ["none", "nis"])
+@pytest.mark.parametrize("trigger", ["none", "innovation"])
 @pytest.mark.parametrize("reversals", [(), (50, 120)])
 def test_shared_filter_stages_match_naive_two_state_filter(trigger, reversals):
     """Of whatever states; they come with its stages."""
     rows, results = engine(trigger, np.array(reversals, float))
-    expected, called, squares = plain(trigger == "nis", reversals)
+    expected, called, squares = plain(trigger == "innovation", reversals)
     np.testing.assert_allclose(rows, expected, rtol=1e-9, atol=1e-12)
     assert results.innovations.count == SAMPLES
     assert results.innovations.sum == pytest.approx(np.sum(squares), rel=1e-9)

@@ -199,7 +199,7 @@ def test_q_scale_and_r_scale_multiply_only_q_and_r(readings: dict[str, str]) -> 
 
 
 def test_reset_trigger_times_are_converted_to_samples() -> None:
-    trigger = {"reset_trigger": "nis", "trigger_threshold": 9.5, "trigger_until_s": 12.34}
+    trigger = {"reset_trigger": "innovation", "trigger_threshold": 9.5, "trigger_until_s": 12.34}
     given = {"trigger_window_s": 2.0, "trigger_refractory_s": 0.5, "trigger_most": 3}
     made = of_filter(resets=trigger | given).trigger
     assert made._asdict() == {

@@ -17,7 +17,6 @@ from oracles.in_engine import (
     navigation,
     paper_filter,
     params,
-    place,
     site,
     step_and_close,
     swing_increments,
@@ -38,7 +37,7 @@ from sinsjax.methods.registry import METHODS
 from sinsjax.methods.triggers import trigger as triggers
 from sinsjax.methods.triggers.config import TRIGGER_COUNTS, TRIGGERS, TriggerName
 from sinsjax.methods.triggers.trigger import AssumedNoise, FilterSnapshot
-from sinsjax.types import Navigation, Quat, Sample, Vec3
+from sinsjax.types import Quat, Sample, Vec3
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -50,8 +49,7 @@ NOISE = np.array([2e-4, 3e-4, 1e-4, 2e-4, 3e-4]), 0.04
 
 def test_every_trigger_has_study_name_and_naive_score():
     assert {*TRIGGERS, "none"} == {*get_args(TriggerName)}
-    assert all(t.fades == (t.trigger.score is None) for t in TRIGGERS.values())
-    assert {*SCORES, "strong_tracking", "fading"} == {*TRIGGERS}
+    assert {*SCORES} == {*TRIGGERS}
 
 
 # Alone
@@ -69,10 +67,8 @@ class Step(NamedTuple):
     """What is fed to a trigger at one sample, beside the covariance to which a reset goes."""
 
     n: Any
-    velocity: Any
     innovation: Any
     variance: Any
-    propagated: Any
     updated: Any
     x: Any
     fed: Any
@@ -98,10 +94,8 @@ def sequence(seed, samples, scheduled=(), every=1):
     n = np.arange(1.0, samples + 1)
     return Step(
         n=n,
-        velocity=rng.normal(size=(samples, 2)),
         innovation=r,
         variance=s,
-        propagated=positive(rng, samples, 5, 5),
         updated=positive(rng, samples, 5, 5),
         x=rng.normal(size=(samples, 5)),
         fed=rng.normal(size=(samples, 3)),
@@ -141,20 +135,16 @@ def engine_numbers(trigger_params, at_feedback=False):
 
 @cache
 def driven(name):
-    """A compiled trigger: scores, factors and firing of every sample, and what it tells at last."""
+    """A compiled trigger: score and firing of every sample, and what it tells at last."""
     trigger = TRIGGERS[name].trigger
 
     @jax.jit
-    def run(trigger_params, noise, p0, here, after_reset, steps):
+    def run(trigger_params, noise, p0, after_reset, steps):
         def one(trigger_state, step):
-            n, velocity, innovation, variance, propagated, updated, x, fed, at_rest, *rest = step
+            n, innovation, variance, updated, x, fed, at_rest, *rest = step
             due, feedback_at, _ = rest
             filter_params = Params(noise.q, noise.r, trigger_params)
-            nav = Navigation(None, *velocity, None, None)
-            state = FilterState(nav, Belief(x, propagated), (), feedback_at, trigger_state)
-            state = triggers.fade(trigger, filter_params, state)
-            faded = state.belief
-            factor = faded.p[0] / propagated[0]
+            state = FilterState(None, Belief(x, updated), (), feedback_at, trigger_state)
             snapshot = FilterSnapshot(
                 innovation,
                 variance,
@@ -163,14 +153,9 @@ def driven(name):
                 Vec3(*x[2:]),
                 attitude_covariance,
                 at_rest,
-                here,
-                DT,
             )
-            score = jnp.zeros_like(n)
-            if trigger.score:
-                score = trigger.score(trigger_params, noise, state.trigger_state.memory, snapshot)[
-                    1
-                ]
+            memory = state.trigger_state.memory
+            score = trigger.score(trigger_params, noise, memory, snapshot)[1]
             state = triggers.update_trigger(trigger, filter_params, state, snapshot, n)
             fires = triggers.fired(state.trigger_state, n)
             reset = due | fires
@@ -179,7 +164,7 @@ def driven(name):
             closed = triggers.update_after_closing(
                 trigger, filter_params, closed, reset=reset, correction=Vec3(*fed), n=n
             )
-            return closed.trigger_state, (score, factor, fires, faded.p[-1] / propagated[-1])
+            return closed.trigger_state, (score, fires)
 
         return jax.lax.scan(one, triggers.start(trigger, trigger_params, p0), steps)
 
@@ -189,8 +174,8 @@ def driven(name):
 def drive(name, trigger_params, steps, *, at_feedback=False):
     """The engine's trigger over a sequence."""
     packed = steps._replace(
-        **{k: columns_of(getattr(steps, k)) for k in ("velocity", "innovation", "x", "fed")},
-        **{k: upper(getattr(steps, k)) for k in ("variance", "propagated", "updated")},
+        **{k: columns_of(getattr(steps, k)) for k in ("innovation", "x", "fed")},
+        **{k: upper(getattr(steps, k)) for k in ("variance", "updated")},
         at_rest=entries(steps.at_rest),
         after_reset=steps.n,
     )
@@ -199,31 +184,26 @@ def drive(name, trigger_params, steps, *, at_feedback=False):
         engine_numbers(trigger_params, at_feedback),
         noise,
         upper(steps.after_reset),
-        place(PAPER, LATITUDE),
         upper(steps.after_reset),
         packed,
     )
-    score, factor, fires, other = map(np.asarray, out)
-    np.testing.assert_allclose(factor, other, rtol=1e-14)
-    return score, factor, [int(n) for n in steps.n[fires]], trigger_state
+    score, fires = map(np.asarray, out)
+    return score, [int(n) for n in steps.n[fires]], trigger_state
 
 
 def drive_naively(name, trigger_params, steps, every=1):
     """The naive trigger over a sequence."""
     q, r = NOISE
     watcher = Watcher(name, trigger_params, q=q, r=r, p0=steps.after_reset, dt=DT, every=every)
-    factors = []
     for i in range(len(steps.n)):
         k, x, p = i + 1, steps.x[i], steps.updated[i]
-        factors.append(watcher.factor(steps.propagated[i], steps.velocity[i] - x[:2]))
-        omega_n = PAPER.rate * np.cos(LATITUDE)
         r, s, correction = steps.innovation[i], steps.variance[i], watcher.fed + x[2:]
-        now = NaiveSeen(r, s, correction, omega_n, x[2:], p[2:, 2:])
-        due = name in SCORES and watcher.judge(k, now, np.eye(5) + steps.at_rest[i])
+        now = NaiveSeen(r, s, correction, x[2:], p[2:, 2:])
+        due = watcher.judge(k, now, np.eye(5) + steps.at_rest[i])
         watcher.feed(steps.fed[i])
         if due or steps.scheduled[i]:
             watcher.begin(k, steps.after_reset)
-    return watcher, factors
+    return watcher
 
 
 def threshold_at(scores, share):
@@ -251,12 +231,10 @@ def test_trigger_scores_and_firing_match_naive_trigger(
     """Every so many samples, too; all of its resets wait for that, scheduled ones as well."""
     steps = sequence(seed, 60, {-(-k // every) * every for k in scheduled}, every)
     trigger_params = Numbers(np.inf, window, refractory, most, until)
-    quiet, _ = drive_naively(name, trigger_params, steps, every)
+    quiet = drive_naively(name, trigger_params, steps, every)
     trigger_params = trigger_params._replace(threshold=threshold_at(quiet.scores, share))
-    naive, _ = drive_naively(name, trigger_params, steps, every)
-    score, factor, trigger_counts, trigger_state = drive(
-        name, trigger_params, steps, at_feedback=every > 1
-    )
+    naive = drive_naively(name, trigger_params, steps, every)
+    score, trigger_counts, trigger_state = drive(name, trigger_params, steps, at_feedback=every > 1)
     assert all(k % every == 0 for k in trigger_counts)
     np.testing.assert_allclose(score, naive.scores, rtol=1e-9, atol=1e-12)
     assert trigger_counts == naive.trigger_counts
@@ -264,30 +242,12 @@ def test_trigger_scores_and_firing_match_naive_trigger(
         len(trigger_counts),
         *(trigger_counts[::-1][-1:] + trigger_counts[-1:] if trigger_counts else (0, 0)),
     )
-    np.testing.assert_array_equal(factor, 1.0)
     np.testing.assert_allclose(np.stack(trigger_state.fed_back), naive.fed, rtol=0, atol=1e-12)
     assert trigger_state.last_reset == naive.reset_at
 
 
-@pytest.mark.parametrize("name", ["strong_tracking", "fading"])
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    threshold=st.floats(0, 3, allow_subnormal=False),
-    scheduled=st.sets(st.integers(1, 60), max_size=4),
-)
-@settings(max_examples=25)
-def test_fading_triggers_scale_covariance_and_never_reset(name, seed, threshold, scheduled):
-    steps = sequence(seed, 60, scheduled)
-    naive, factors = drive_naively(name, Numbers(threshold), steps)
-    _, factor, trigger_counts, trigger_state = drive(name, Numbers(threshold), steps)
-    np.testing.assert_allclose(factor, factors, rtol=1e-9)
-    assert trigger_counts == [] and tuple(trigger_state.trigger_counts) == (0, 0, 0)
-    if name == "strong_tracking":
-        assert np.all(factor >= 1)
-
-
-def fired_at(steps, name="nis", **trigger_params):
-    return drive(name, Numbers(0.0, **trigger_params), steps)[2]
+def fired_at(steps, **trigger_params):
+    return drive("innovation", Numbers(0.0, **trigger_params), steps)[1]
 
 
 def test_refractory_time_cap_and_end_limit_trigger_firing():
@@ -300,10 +260,10 @@ def test_refractory_time_cap_and_end_limit_trigger_firing():
     assert fired_at(steps, refractory=20, until=39.0) == [20]
     # From the start and from any reset, a scheduled one too.
     assert fired_at(sequence(1, 60, {25}), refractory=20) == [20, 45]
-    assert fired_at(steps, "innovation", window=7) == [7, 14, 21, 28, 35, 42, 49, 56]
-    assert fired_at(sequence(1, 60, {10, 40}), "innovation", window=20) == [30, 60]
+    assert fired_at(steps, window=7) == [7, 14, 21, 28, 35, 42, 49, 56]
+    assert fired_at(sequence(1, 60, {10, 40}), window=20) == [30, 60]
     # A window that was full within the refractory time is not waited for.
-    assert fired_at(steps, "innovation", window=8, refractory=20) == [24, 48]
+    assert fired_at(steps, window=8, refractory=20) == [24, 48]
 
 
 # In the filter
@@ -417,11 +377,10 @@ NEAR = Numbers(np.inf, window=20, refractory=10, most=12, until=380)
     ("name", "trigger", "stored", "changes"),
     [
         ("kalman5", "innovation", None, CLOSED | {"r": 1e-5}),
-        ("kalman5", "levelled", 145, CLOSED),
-        ("kalman5", "tilt_drift", 145, CLOSED | {"kind": "yaw"}),
+        ("kalman5", "innovation", 145, CLOSED | {"r": 1e-5, "kind": "yaw"}),
         ("kalman10", "linearisation", 145, CLOSED),
         ("kalman5", "innovation", 145, CLOSED | {"r": 1e-5, "restarts": True}),
-        ("kalman5", "nis", 145, CLOSED | {"r": 1e-5, "at_feedback": True}),
+        ("kalman5", "innovation", 145, CLOSED | {"r": 1e-5, "at_feedback": True}),
         ("kalman5", "linearisation", 145, CLOSED | {"every": 31, "at_feedback": True}),
     ],
 )
@@ -435,18 +394,18 @@ def test_triggered_filter_resets_match_naive_filter(name, trigger, stored, chang
         assert compare(name, trigger, trigger_params, filt, stored).trigger_counts
 
 
-def test_strong_tracking_matches_naive_filter():
-    filt = paper_filter(5, **CLOSED, r=1e-4, q=np.array([1e-6] * 2 + [1e-12] * 3))
-    compare("kalman5", "strong_tracking", Numbers(0.7), filt, 150)
-
-
 # In a study
 
 ROWS = {
     "study": {"duration_s": 2.0, "window_s": [0, 2], "settle_bands_arcmin": [60]},
     "filter": {"r_velocity_m_per_s": 1e-3},
-    "resets": {"trigger_refractory_s": 0.3, "trigger_until_s": 1.2, "reset_times_s": [0.5]},
-    "axes": {"reset_trigger": ["none", "nis"], "trigger_threshold": [1e12, 3e-4]},
+    "resets": {
+        "trigger_window_s": 0.01,
+        "trigger_refractory_s": 0.3,
+        "trigger_until_s": 1.2,
+        "reset_times_s": [0.5],
+    },
+    "axes": {"reset_trigger": ["none", "innovation"], "trigger_threshold": [1e12, 3e-4]},
 }
 QUIET, LOUD = 2, 3
 """Variants with a trigger, of four."""

@@ -130,7 +130,6 @@ def filter_params(filt: Filter) -> FilterParams:
         ),
         reset_to=p0,
         reversal=CovarianceReset(*map(np.float64, _turn(filt))),
-        turning_rate=None if filt.turning_rate is None else np.float64(filt.turning_rate),
     )
 
 
@@ -228,11 +227,7 @@ def step_and_close(method, params, site, state, sample, n):
 
 @cache
 def runner(
-    name: str,
-    force: str = "measured",
-    position: str = "fixed",
-    rate: int = 100,
-    turning: str = "update",
+    name: str, force: str = "measured", position: str = "fixed", rate: int = 100
 ) -> Callable:
     """A compiled run: (numbers, site, navigation, increments) -> after every sample.
 
@@ -240,7 +235,7 @@ def runner(
         The state, the attitude with all that is estimated taken out, and its covariance; the
         attitude is scaled to unit length every second, as the engine does at every record.
     """
-    method = METHODS[name](Options(1 / rate, force, position, innovations=True, turning=turning))
+    method = METHODS[name](Options(1 / rate, force, position, innovations=True))
 
     @jax.jit
     def run(filt: Any, here: Site, nav: Navigation, increments: Any) -> Any:

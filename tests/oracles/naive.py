@@ -168,7 +168,6 @@ class Filter(NamedTuple):
     turn_factor: float = 10.0
     restarts: bool = False
     at_feedback: bool = False
-    turning_rate: float | None = None
 
 
 class Clock:
@@ -207,16 +206,9 @@ class Innovation(NamedTuple):
 class Unwatched:
     """Watches a filter and does nothing; `naive_triggers` do."""
 
-    def factor(self, p, r):
-        """By which the propagated P is multiplied, the innovation being r."""
-        return 1.0
-
     def look(self, seen, x, p):
         """Whether P is to be reset after an update that gave x and P."""
         return False
-
-    def skip(self):
-        """Take in that a sample has no update."""
 
     def feed(self, phi):
         """Take an attitude correction in that is fed back."""
@@ -296,13 +288,6 @@ def update(x, p, h, z, r):
     return x + gain @ (z - h @ x), (np.eye(len(x)) - gain @ h) @ p
 
 
-def opened(p, filt, kept=(4, 7, 8, 9)):
-    """P after a turn: P0, but for heading and gyro biases, which stay."""
-    out = np.diag(filt.p0)
-    out[np.ix_(kept, kept)] = p[np.ix_(kept, kept)]
-    return out
-
-
 def reset(p, filt, heading=(4,)):
     """P after a reset; that of yaw touches the states of heading."""
     p0 = np.diag(filt.p0)
@@ -335,7 +320,7 @@ def closed_loop(
 ):
     """Mechanise, predict, update, feed back and reset, sample after sample, over a stored record.
 
-    A ``watcher`` of `naive_triggers` fades P, and resets it beside the schedule. With turn "rewind"
+    A ``watcher`` of `naive_triggers` resets P in addition to the schedule. With turn "rewind"
     all passes are forward, from the attitude wound back, with velocity zero and P0. ``first`` is
     the number of the update before which attitude and velocity are given.
     """
@@ -344,7 +329,6 @@ def closed_loop(
     x, p, bias = np.zeros(n), np.diag(filt.p0), np.zeros(n - 5)
     h = np.eye(n)[:2]
     longitude, fixed, history, rewind = 0.0, latitude, [], filt.turn == "rewind"
-    was_turning = turning = False
     for k, turn, dv, way, turns in updates(increments, stored, count, rewind=rewind):
         if k < first:
             continue
@@ -357,9 +341,6 @@ def closed_loop(
         elif turns:
             v, (x, p, bias) = -v, turned(x, p, bias, filt)
             watcher.turn(x, p)
-        if filt.turning_rate is not None:
-            rate = (c @ Rotation.from_matrix(turn).as_rotvec())[2] / dt
-            was_turning, turning = turning, abs(rate) > filt.turning_rate
         earth = planet._replace(rate=way * planet.rate)
         at = latitude if filt.position == "integrated" else fixed
         # The gravity reading linearises about a base at rest.
@@ -375,17 +356,10 @@ def closed_loop(
         a = error_matrix(v0, f, earth, at) if n == 5 else error_matrix_10(v0, f, earth, at, c0)
         phi = np.eye(n) + a * dt
         x, p = phi @ x, phi @ p @ phi.T
-        p = watcher.factor(p, v - x[:2]) * p + np.diag(filt.q)
-        called = False
-        if turning or was_turning:
-            watcher.skip()
-            if not turning:
-                v, x, p = np.zeros(2), np.array([0.0, 0.0, *x[2:]]), opened(p, filt)
-        else:
-            seen = Innovation(k, v - x[:2], p[:2, :2] + filt.r * np.eye(2), earth, at, c0)
-            x, p = update(x, p, h, v, filt.r)
-            called = watcher.look(seen, x, p)
-        feedback, due = clock.look(k, called)
+        p = p + np.diag(filt.q)
+        seen = Innovation(k, v - x[:2], p[:2, :2] + filt.r * np.eye(2), earth, at, c0)
+        x, p = update(x, p, h, v, filt.r)
+        feedback, due = clock.look(k, watcher.look(seen, x, p))
         share = 1.0 if due else filt.gain if feedback else 0.0
         watcher.feed(share * x[2:5])
         if share:

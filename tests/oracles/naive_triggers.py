@@ -6,7 +6,6 @@ Written from what the triggers are said to do. Vectors and matrices are arrays, 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from oracles.naive import Unwatched, error_matrix, error_matrix_10
 
@@ -22,7 +21,7 @@ class Numbers(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """One sample: innovation r of covariance s, correction since the last reset, omega_N.
+    """One sample: innovation r of covariance s, and correction since the last reset.
 
     phi is what of that is not yet fed back, ``p`` its believed covariance, ``honest`` that of a
     base at rest.
@@ -31,7 +30,6 @@ class Seen(NamedTuple):
     r: np.ndarray
     s: np.ndarray
     correction: np.ndarray
-    omega_n: float
     phi: np.ndarray
     p: np.ndarray
     honest: np.ndarray | None = None
@@ -46,35 +44,6 @@ def innovation(seen, window, dt):
     """(sum r)' (sum S)^-1 (sum r)."""
     recent = seen[-window:]
     return normalised(sum(one.r for one in recent), sum(one.s for one in recent))
-
-
-def nis(seen, window, dt):
-    """R' S^-1 r of a sample."""
-    return normalised(seen[-1].r, seen[-1].s)
-
-
-def whiteness(seen, window, dt):
-    """Correlation of each innovation with the one before it, zero before the first."""
-    r = [np.zeros(2), *(one.r for one in seen)][-window - 1 :]
-    lagged = sum(now @ before for now, before in zip(r[1:], r[:-1], strict=True))
-    return np.sqrt(window) * abs(lagged / sum(now @ now for now in r[1:]))
-
-
-def drift(seen, window, dt):
-    """Rates at which the attitude was corrected over the window."""
-    corrections = [np.zeros(3), *(one.correction for one in seen)]
-    return (corrections[-1] - corrections[-window - 1]) / (window * dt)
-
-
-def tilt_drift(seen, window, dt):
-    """The drift about east over that which the believed heading error would make."""
-    return drift(seen, window, dt)[0] ** 2 / (seen[-1].omega_n ** 2 * seen[-1].p[2, 2])
-
-
-def levelled(seen, window, dt):
-    """The Earth's horizontal rate over the drift of the level, while velocity is still."""
-    still = normalised(seen[-1].r, seen[-1].s) < round(chi2.ppf(0.99, 2), 2)
-    return still * abs(seen[-1].omega_n) / np.linalg.norm(drift(seen, window, dt)[:2])
 
 
 def linearisation(seen, window, dt):
@@ -92,9 +61,7 @@ def linearisation(seen, window, dt):
     return np.sqrt(1 + weights[0] * already + weights[1] * soon + left_out)
 
 
-SCORES = {f.__name__: f for f in (innovation, nis, whiteness, tilt_drift, levelled, linearisation)}
-AT_ONCE = {"nis", "linearisation"}
-"""Triggers that look at every sample and not at the end of a window."""
+SCORES = {f.__name__: f for f in (innovation, linearisation)}
 
 
 class Watcher(Unwatched):
@@ -113,36 +80,20 @@ class Watcher(Unwatched):
     def begin(self, k, p):
         """Forget all, after a reset of any kind that leaves P."""
         self.reset_at, self.honest, self.fed = k, p, np.zeros(3)
-        self.seen, self.powers, self.waits = [], [], False
+        self.seen, self.waits = [], False
 
     def turn(self, x, p):
         """Forget all but when it was reset: what was estimated before is no correction of now."""
         self.begin(self.reset_at, p)
         self.fed = -x[2:5]
 
-    def factor(self, p, r):
-        """Of strong tracking, its V folded anew from all innovations since the last reset."""
-        if self.name == "fading":
-            return self.numbers.threshold
-        if self.name != "strong_tracking":
-            return 1.0
-        self.powers.append(np.outer(r, r))
-        v = self.powers[0]
-        for power in self.powers[1:]:
-            v = (0.95 * v + power) / 1.95
-        n = v - self.q[:2, :2] - self.numbers.threshold * self.r
-        return max(1.0, np.trace(n) / np.trace(p[:2, :2]))
-
     def look(self, seen, x, p):
         """Whether P is to be reset."""
-        if self.name not in SCORES:
-            return False
         level = np.array([0.0, 0.0, seen.earth.g(seen.latitude)])
         a = error_matrix(np.zeros(2), level, seen.earth, seen.latitude)
         if len(x) == 10:
             a = error_matrix_10(np.zeros(2), level, seen.earth, seen.latitude, seen.c)
-        omega_n = seen.earth.rate * np.cos(seen.latitude)
-        now = Seen(seen.r, seen.s, self.fed + x[2:5], omega_n, x[2:5], p[2:5, 2:5])
+        now = Seen(seen.r, seen.s, self.fed + x[2:5], x[2:5], p[2:5, 2:5])
         return self.judge(seen.k, now, np.eye(len(x)) + a * self.dt)
 
     def judge(self, k, now, phi):
@@ -153,7 +104,7 @@ class Watcher(Unwatched):
         self.honest = predicted - gain @ h @ predicted
         self.seen.append(now._replace(honest=self.honest[2:5, 2:5]))
         window = self.numbers.window
-        full = self.name in AT_ONCE or len(self.seen) % window == 0
+        full = self.name == "linearisation" or len(self.seen) % window == 0
         score = SCORES[self.name](self.seen, window, self.dt) if full else 0.0
         self.scores.append(score)
         self.waits = self.waits or (

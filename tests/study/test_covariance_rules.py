@@ -21,7 +21,7 @@ sensors.accel_quantisation_um_per_s = 1.0            -> [sensors] accel_quantisa
 alignment.method = "inertial"                        -> [alignment] method: inertial
 axes.method = ["kalman5", "inertial"]                -> [axes] method: inertial
 cases = [{method = "compass"}, {method = "inertial"}]    -> [cases] method: inertial
-resets = {reset_trigger = "nis", trigger_threshold = 5.0}    -> [resets] reset_trigger
+resets = {reset_trigger = "innovation", trigger_threshold = 5.0}    -> [resets] reset_trigger
 coarse = {coarse_method = "inertial", coarse_duration_s = 2.0}    -> [coarse]
 passes.stored_s = 2.0                                -> [passes]
 drawn.gyro_scale_ppm.normal = [0, 1]                 -> [drawn] gyro_scale_ppm

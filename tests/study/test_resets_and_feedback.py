@@ -20,7 +20,12 @@ from sinsjax.study.load import study_to_toml
 pytestmark = pytest.mark.optimised(False)
 
 AT, RESTARTS = "reset_at_feedback", "reset_restarts_feedback"
-NIS = {"reset_trigger": "nis", "trigger_threshold": 3e-4, "trigger_refractory_s": 0.3}
+TRIGGER = {
+    "reset_trigger": "innovation",
+    "trigger_window_s": 0.01,
+    "trigger_threshold": 3e-4,
+    "trigger_refractory_s": 0.3,
+}
 KEYS = {AT: [False, True, False, True], RESTARTS: [False, False, True, True]}
 PLAIN, WAITING, RESTARTING, BOTH = range(4)
 
@@ -100,7 +105,7 @@ def test_triggered_resets_wait_for_next_feedback():
     found = rows(
         alignment={"feedback_interval_s": 0.25},
         filter={"r_velocity_m_per_s": 1e-3},
-        resets=NIS | {"reset_times_s": [1.01]},
+        resets=TRIGGER | {"reset_times_s": [1.01]},
         axes={"keys": KEYS},
     )
     assert found[BOTH] == found[WAITING]
@@ -146,8 +151,8 @@ def test_scheduled_last_reset_includes_delay_to_feedback():
 
 @pytest.mark.parametrize("given_keys", [{}, {AT: False}, {RESTARTS: False}])
 def test_default_reset_feedback_keys_keep_program_and_fingerprint(given_keys):
-    study = small_study(resets=NIS | {"reset_times_s": [1.0]} | given_keys)
-    assert fingerprint(study) == fingerprint(small_study(resets=NIS | {"reset_times_s": [1.0]}))
+    study = small_study(resets=TRIGGER | {"reset_times_s": [1.0]} | given_keys)
+    assert fingerprint(study) == fingerprint(small_study(resets=TRIGGER | {"reset_times_s": [1.0]}))
     params = Scenario(study, curves=False).part(0, range(1)).group.variants.method
     assert params.feedback.restarts is None and params.trigger.at_feedback is None
 

@@ -74,7 +74,8 @@ reset_times_s = [{low = 1, high = 3}] & reset_count = {candidates = [1, 3]}
 reset_times_s = [{low = 1.0, high = 7.0}]    -> with every range at its high end: reset_times_s 7 6
 azimuth_sigma_per_s = {low = 0.01, high = 0.02}
     -> azimuth_sigma_per_s: kalman5
-reset_trigger = {candidates = ["nis"]}       -> with these values: trigger_threshold 'nis'
+reset_trigger = {candidates = ["innovation"]}
+    -> with these values: trigger_threshold 'innovation'
 """)
 def test_invalid_tuning_variables_are_refused_with_place(refusal):
     with pytest.raises(InputError) as caught:
@@ -128,7 +129,7 @@ tune.variables = {reset_first_s = {low = 1.0, high = 2.0}, reset_count = {fixed 
 tune.variables.p0_yaw_deg = {low = 10, high = 90} & tune.baseline.trigger_until_s = 3.0
     -> [tune.baseline]: trigger_until_s reset_trigger
 tune.variables.p0_yaw_deg = {low = 10, high = 90} & tune.baseline.trigger_until_s = 3.0
-    & resets = {reset_trigger = "nis", trigger_threshold = 9.0}
+    & resets = {reset_trigger = "innovation", trigger_threshold = 9.0}
     -> [tune.baseline] trigger_until_s
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, searches = ["grid"]}
     & stop_when = {statistic = "success_rate", half_width = 0.1}

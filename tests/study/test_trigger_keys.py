@@ -10,7 +10,7 @@ from sinsjax.methods.triggers.config import any_trigger
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_tables
 
-NIS = {"reset_trigger": "nis", "trigger_threshold": 9.0}
+TRIGGER = {"reset_trigger": "innovation", "trigger_threshold": 9.0}
 OF_TRIGGERS: dict[str, float] = {
     "trigger_threshold": 2.0,
     "trigger_window_s": 3.0,
@@ -26,17 +26,19 @@ GIVEN: dict[str, dict[str, Any]] = {
         "reset_yaw_deg": 10.0,
         "reset_gyro_bias_deg_per_h": 0.05,
         "reset_accel_bias_ug": 50.0,
-        "reset_trigger": "nis",
+        "reset_trigger": "innovation",
         **OF_TRIGGERS,
     },
 }
 
 
 @refused("""
-resets.reset_trigger = "nis"                 -> [resets] trigger_threshold: reset_trigger 'nis'
-resets = {reset_trigger = "nis", trigger_window_s = 3.0}    -> [resets] trigger_threshold: 'nis'
-axes.reset_trigger = ["none", "nis"]         -> [resets] trigger_threshold: 'nis'
-cases = [{reset_trigger = "none"}, {reset_trigger = "nis"}] -> [resets] trigger_threshold: 'nis'
+resets.reset_trigger = "innovation"    -> [resets] trigger_threshold: reset_trigger 'innovation'
+resets = {reset_trigger = "innovation", trigger_window_s = 3.0}
+    -> [resets] trigger_threshold: 'innovation'
+axes.reset_trigger = ["none", "innovation"]    -> [resets] trigger_threshold: 'innovation'
+cases = [{reset_trigger = "none"}, {reset_trigger = "innovation"}]
+    -> [resets] trigger_threshold: 'innovation'
 """)
 def test_reset_trigger_without_threshold_is_refused(refusal):
     refusal.check(refusal_line(**refusal.tables))
@@ -49,7 +51,7 @@ def test_trigger_keys_without_reset_trigger_are_refused(trigger):
         assert_named(line, f"[resets] {key}", "reset_trigger")
         line = refusal_line(resets=trigger, axes={key: [value, 2 * value]})
         assert_named(line, f"[axes] {key}", "reset_trigger")
-        assert build_study(resets=trigger) and build_study(resets=NIS | {key: value})
+        assert build_study(resets=trigger) and build_study(resets=TRIGGER | {key: value})
 
 
 @refused("""
@@ -67,11 +69,11 @@ resets.reset_gyro_bias_deg_per_h = 0.0       -> [resets] reset_gyro_bias_deg_per
 resets.reset_accel_bias_ug = 0.0             -> [resets] reset_accel_bias_ug: 0.0
 """)
 def test_invalid_reset_values_are_refused(refusal):
-    refusal.check(refusal_line(resets=NIS | refusal.tables["resets"]))
+    refusal.check(refusal_line(resets=TRIGGER | refusal.tables["resets"]))
 
 
 def test_trigger_keys_have_defaults():
-    resets = build_study(resets=NIS).resets
+    resets = build_study(resets=TRIGGER).resets
     assert resets is not None
     assert (resets.trigger_window_s, resets.trigger_refractory_s) == (10.0, 5.0)
     assert (resets.trigger_most, resets.trigger_until_s) == (10, None)
@@ -85,32 +87,32 @@ def test_given_reset_and_trigger_values_are_kept():
     resets = build_study(resets=GIVEN["resets"]).resets
     assert resets is not None
     assert {key: getattr(resets, key) for key in GIVEN["resets"]} == GIVEN["resets"]
-    swept = build_study(resets=NIS, axes={"trigger_window_s": [1.0, 2.0]})
+    swept = build_study(resets=TRIGGER, axes={"trigger_window_s": [1.0, 2.0]})
     assert swept.resets is not None
     assert (swept.resets.trigger_window_s, swept.resets.trigger_most) == (None, 10)
 
 
 def test_reset_trigger_may_be_swept_together_with_none():
     for tables in (
-        {"resets": {"trigger_threshold": 9.0}, "axes": {"reset_trigger": ["none", "nis"]}},
-        {"axes": {"reset_trigger": ["none", "nis"], "trigger_threshold": [1.0, 9.0]}},
-        {"axes": {"a": {"reset_trigger": ["none", "nis"], "trigger_threshold": [0.0, 9.0]}}},
+        {"resets": {"trigger_threshold": 9.0}, "axes": {"reset_trigger": ["none", "innovation"]}},
+        {"axes": {"reset_trigger": ["none", "innovation"], "trigger_threshold": [1.0, 9.0]}},
+        {"axes": {"a": {"reset_trigger": ["none", "innovation"], "trigger_threshold": [0.0, 9.0]}}},
     ):
         study = build_study(**tables)
-        assert any_trigger(study) and set(study.values("reset_trigger")) == {"none", "nis"}
+        assert any_trigger(study) and set(study.values("reset_trigger")) == {"none", "innovation"}
         assert study.values("trigger_most") == [10] * study.n_variants
     assert not any_trigger(build_study(axes={"reset_trigger": ["none"]}))
-    assert not any_trigger(build_study()) and any_trigger(build_study(resets=NIS))
+    assert not any_trigger(build_study()) and any_trigger(build_study(resets=TRIGGER))
 
 
 @pytest.mark.parametrize(
     "tables",
     [
         GIVEN,
-        {"resets": NIS | {"trigger_until_s": 50.0, "reset_count": 2, "reset_cycle_s": 3.0}},
-        {"resets": {"trigger_threshold": 9.0}, "axes": {"reset_trigger": ["none", "nis"]}},
+        {"resets": TRIGGER | {"trigger_until_s": 50.0, "reset_count": 2, "reset_cycle_s": 3.0}},
+        {"resets": {"trigger_threshold": 9.0}, "axes": {"reset_trigger": ["none", "innovation"]}},
         {"axes": {"reset_yaw_deg": [10.0, 20.0], "q_scale": [1.0, 2.0]}},
-        {"cases": [NIS, NIS | {"reset_trigger": "none"}]},
+        {"cases": [TRIGGER, TRIGGER | {"reset_trigger": "none"}]},
     ],
     ids=["values", "schedule", "axis", "reset values", "cases"],
 )

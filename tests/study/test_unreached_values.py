@@ -25,11 +25,12 @@ alignment.method = "compass" & compass = {sigma_factors = [2, 1], sigma_passes =
     -> [compass] sigma_passes: 10 4
 alignment.method = "compass" & cases = [{level_time_s = 1.0}, {level_time_s = 60.0}]
     -> [cases] level_time_s: 60 6
-resets = {reset_trigger = "nis", trigger_threshold = 9.0, trigger_until_s = 6.1}
+resets = {reset_trigger = "innovation", trigger_threshold = 9.0, trigger_until_s = 6.1}
     -> [resets] trigger_until_s: 6.1 6
-resets = {reset_trigger = "nis", trigger_threshold = 9.0, trigger_refractory_s = 10.0}
+resets = {reset_trigger = "innovation", trigger_threshold = 9.0, trigger_refractory_s = 10.0}
     -> [resets] trigger_refractory_s: 10 6
-resets = {reset_trigger = "nis", trigger_threshold = 9.0} & axes.trigger_until_s = [3.0, 600.0]
+resets = {reset_trigger = "innovation", trigger_threshold = 9.0}
+    & axes.trigger_until_s = [3.0, 600.0]
     -> [axes] trigger_until_s: 600 6
 """)
 def test_time_after_end_of_all_runs_is_refused(refusal):
@@ -43,7 +44,7 @@ def test_time_after_end_of_all_runs_is_refused(refusal):
         COMPASS | {"compass": {"level_time_s": 5.0}, "axes": {"stored_s": [2.0], "passes": [1, 3]}},
         {"axes": {"method": ["compass", "kalman5"]}, "compass": {"level_time_s": 5.0}},
         {"resets": {"trigger_threshold": 9.0}, "cases": [
-            {"reset_trigger": "nis", "trigger_until_s": 3.0},
+            {"reset_trigger": "innovation", "trigger_until_s": 3.0},
             {"reset_trigger": "none", "trigger_until_s": 600.0},
         ]},
     ],

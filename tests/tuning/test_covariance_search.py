@@ -194,7 +194,7 @@ def test_covariance_tuning_history_is_stored_and_resumed(
             "[motion] vibration_ug_rms: covariance analysis does not model vibration",
         ),
         (
-            {"resets": {"reset_trigger": "nis", "trigger_threshold": 9.0}},
+            {"resets": {"reset_trigger": "innovation", "trigger_threshold": 9.0}},
             "[resets] reset_trigger: covariance analysis needs resets at given times",
         ),
         (

@@ -712,7 +712,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     ),
     "a trigger": (
         YAW,
-        {"resets": {"reset_trigger": "nis", "trigger_threshold": 9.0}},
+        {"resets": {"reset_trigger": "innovation", "trigger_threshold": 9.0}},
         "[resets] reset_trigger",
     ),
     "resets that wait": (

@@ -181,7 +181,6 @@ def build_filter(predict: Prediction, options: Options) -> Filter:
         return jacobian(state.belief.x, here, dt)
 
     return Filter(
-        dt=dt,
         init=initial_state,
         propagate=propagate,
         update=update_with_velocity,

@@ -51,9 +51,6 @@ from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
 
-Gains = tuple[tuple[Scalar, ...], ...]
-"""Gain of each measurement, one entry per state."""
-
 
 class FilterParams(NamedTuple):
     """Numbers of a filter: its belief and its schedules.
@@ -67,8 +64,6 @@ class FilterParams(NamedTuple):
         reset_to: variances that a full reset sets, SI squared.
         reversal: effect of a direction reversal on P.
         trigger: `triggers.trigger.TriggerParams`; None without a trigger.
-        turning_rate: rate about the vertical above which the base turns, rad/s; None for a filter
-            that updates during turns.
         extra: numbers of this filter alone; None if the filter has none.
     """
 
@@ -80,7 +75,6 @@ class FilterParams(NamedTuple):
     reset_to: tuple[Scalar, ...]
     reversal: CovarianceReset
     trigger: Any = None
-    turning_rate: Scalar | None = None
     extra: Any = None
 
 
@@ -94,8 +88,6 @@ class FilterState(NamedTuple):
         feedback_at: sample of the next feedback.
         trigger_state: `triggers.trigger.TriggerState`; None without a trigger.
         innovations: their sum so far; None if they are not summed.
-        turning: 1 if the base turned during the last sample, 2 if it no longer did, 0 if it was at
-            rest before; None for a filter that updates during turns.
         extra: state of this filter alone; None if the filter has none.
     """
 
@@ -105,7 +97,6 @@ class FilterState(NamedTuple):
     feedback_at: Scalar
     trigger_state: Any = None
     innovations: InnovationSum | None = None
-    turning: Scalar | None = None
     extra: Any = None
 
 
@@ -116,7 +107,6 @@ class Filter(NamedTuple):
     more. Its first two states are the velocity errors.
 
     Attributes:
-        dt: sample time, s.
         init: (params, navigation) -> state.
         propagate: (params, site, state, sample) -> state at the end of the sample, mechanised, with
             the belief propagated but the process noise not yet added; and the transition of its
@@ -138,12 +128,8 @@ class Filter(NamedTuple):
         keep: (first state of a record, state at its end) -> the first with all that is no error of
             the navigation solution; None if the filter keeps nothing.
         gyro_bias: see `Passes.gyro_bias`.
-        adapt_gains: (propagated state, gains of velocity east and north) -> gains of this sample;
-            None if all samples have the same update.
-        has_update: propagated state -> whether the sample has an update; None if all have.
     """
 
-    dt: float
     init: Callable[[Any, Navigation], Any]
     propagate: Callable[[Any, Site, Any, Sample], tuple[Any, Entries]]
     update: Callable[[Any, Any], tuple[Any, Innovation]]
@@ -161,8 +147,6 @@ class Filter(NamedTuple):
     shares_covariance: bool = False
     keep: Callable[[Any, Any], Any] | None = None
     gyro_bias: Callable[[Any], Vec3] | None = None
-    adapt_gains: Callable[[Any, Gains], Gains] | None = None
-    has_update: Callable[[Any], Flag] | None = None
 
 
 def closed_loop(filter_: Filter, options: Options) -> Method:
@@ -183,7 +167,7 @@ def closed_loop(filter_: Filter, options: Options) -> Method:
         feedback=Feedback(
             close=loop.close,
             next_event=_next_event,
-            triggered=_fired if trigger is not None and trigger.score else None,
+            triggered=None if trigger is None else _fired,
         ),
         passes=Passes(
             reverse=loop.reverse,
@@ -213,8 +197,6 @@ class _ClosedLoop(NamedTuple):
     def step(self, params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
         before = state
         state, _ = self.filter.propagate(params, site, state, sample)
-        if self.trigger is not None:
-            state = triggers.fade(self.trigger, params, state)
         state, innovation = self.filter.update(params, add_process_noise(params, state))
         if self.trigger is not None:
             state = self._update_trigger(params, site, before, state, innovation, n)
@@ -262,8 +244,6 @@ class _ClosedLoop(NamedTuple):
         propagated, transition = self.filter.propagate(params, site, state, sample)
         predicted = add_process_noise(params, propagated).belief
         gains = kalman.gains(predicted.p, (VE, VN), params.r, len(predicted.x))
-        if self.filter.adapt_gains is not None:
-            gains = self.filter.adapt_gains(propagated, gains)
         return ErrorStep(transition, self.filter.inputs(state), gains, (VE, VN))
 
     def error_angles(self, state: Any) -> tuple[tuple[Scalar, ...], ...]:
@@ -299,7 +279,6 @@ class _ClosedLoop(NamedTuple):
     ) -> Any:
         """Return the state with the sample taken into account by the trigger."""
         assert self.trigger is not None
-        place = self.filter.place(site, before.nav)
         not_fed_back = self.filter.misalignment(state)
         snapshot = triggers.FilterSnapshot(
             innovation=innovation.value,
@@ -308,9 +287,7 @@ class _ClosedLoop(NamedTuple):
             correction=add(state.trigger_state.fed_back, not_fed_back),
             not_fed_back=not_fed_back,
             covariance=lambda belief: self.filter.covariance(state._replace(belief=belief)),
-            at_rest=self.filter.at_rest(before, place),
-            place=place,
-            dt=self.filter.dt,
+            at_rest=self.filter.at_rest(before, self.filter.place(site, before.nav)),
         )
         return triggers.update_trigger(self.trigger, params, state, snapshot, n)
 
@@ -335,8 +312,6 @@ def sum_innovations(filter_: Filter) -> Filter:
         total, count = state.innovations
         total = total + kalman.normalised_innovation_squared(*innovation)
         summed = InnovationSum(total, count + 1)
-        if filter_.has_update is not None:
-            summed = select_tree(filter_.has_update(state), summed, state.innovations)
         return updated._replace(innovations=summed), innovation
 
     return filter_._replace(init=init, update=update)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from sinsjax.columns import Column
 from sinsjax.methods.description import INITIAL_KEYS, Description, OwnColumn, StudyView
 from sinsjax.methods.filters.section import (
-    OF_TURNING,
     FilterSection,
     ResetsSection,
     check_resets,
@@ -74,7 +73,6 @@ describe_filter = partial(
     sections={"filter": FilterSection, "resets": ResetsSection},
     reads=FILTER_KEYS,
     without_effect=BIAS_KEYS,
-    unread=OF_TURNING,
     turning="none",
     has_error_model=True,
     rules=(check_trigger, check_resets),

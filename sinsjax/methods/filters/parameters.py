@@ -17,7 +17,6 @@ from sinsjax.methods.filters.section import (
     OF_RESETS,
     OF_SURGE,
     Q_DENSITIES,
-    TURNING_RATE_DEG_PER_S,
     WHITE_NOISE,
     acting_reset_times,
     q_unit_factors,
@@ -112,7 +111,6 @@ def parameters(
         if columns.has("passes")
         else CovarianceReset(*(np.broadcast_to(k, zero.shape) for k in UNCHANGED)),
         trigger=_trigger_params(columns),
-        turning_rate=_turning_rate(columns) if "eps_x" in states else None,
     )
 
 
@@ -184,13 +182,6 @@ def _trigger_params(columns: Columns) -> TriggerParams | None:
         until=np.round(column_with_default(columns, "trigger_until_s", math.inf) * rate_hz),
         at_feedback=_flags_or_none(columns, "reset_at_feedback"),
     )
-
-
-def _turning_rate(columns: Columns) -> np.ndarray | None:
-    """Return the rate of a turning base, rad/s, (variants,); None of a filter that updates."""
-    if columns.common("turning") != "reopen":
-        return None
-    return column_with_default(columns, "turning_rate_deg_per_s", TURNING_RATE_DEG_PER_S) * DEG
 
 
 def _feedback_schedule(columns: Columns) -> FeedbackSchedule:

@@ -53,13 +53,6 @@ OF_RESETS = (*OF_SCHEDULES, "reset_at_feedback", "feedback_interval_s")
 """Keys of the times at which resets act, in the order of `acting_reset_times`."""
 
 
-TURNING_RATE_DEG_PER_S = 1.0
-"""turning_rate_deg_per_s that is left out."""
-
-OF_TURNING = ("turning", "turning_rate_deg_per_s")
-"""The keys of a filter with states of gyro biases on a base that is turned."""
-
-
 _DEFAULT_R = 0.1
 """r_velocity_m_per_s on a base without surge."""
 
@@ -69,9 +62,6 @@ class FilterSection(Section):
 
     exclusive = tuple(
         pair for key, forms in Q_DENSITIES.items() for pair in combinations((key, *forms), 2)
-    )
-    conditions = (
-        KeyCondition(("turning_rate_deg_per_s",), ("turning",), lambda word: word == "reopen"),
     )
 
     p0_velocity_m_per_s: SpeedSigma = Field(
@@ -128,21 +118,6 @@ class FilterSection(Section):
     )
     r_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
         None, description="factor on the variance Q or R; default 1"
-    )
-    turning: Literal["update", "reopen"] | None = Field(
-        None,
-        description="'update': as usual. 'reopen': no updates during a turn; then velocity restarts"
-        " from zero, and only P of velocity, level and accelerometer biases from P0. For"
-        " few turns and gyro scale factor or cross-axis errors, see the page methods;"
-        " default 'update'",
-    )
-    turning_rate_deg_per_s: Annotated[
-        Annotated[Positive, KeyInfo(usual_range=(1e-3, 1e4))] | None,
-        KeyInfo(same_as=TURNING_RATE_DEG_PER_S),
-    ] = Field(
-        None,
-        description="vertical gyro rate above which 'reopen' detects a turn, deg/s; set it above"
-        " yaw sway, below turn rates; default: 1",
     )
 
 

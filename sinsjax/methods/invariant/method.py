@@ -68,7 +68,6 @@ def build_filter(options: Options) -> Filter:
         return state._replace(nav=nav, belief=belief, extra=up), entries
 
     return Filter(
-        dt=dt,
         init=init,
         propagate=propagate,
         update=update_with_velocity,

@@ -103,7 +103,6 @@ def build_filter(options: Options) -> Filter:
         return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries)), entries
 
     return Filter(
-        dt=dt,
         init=init_unknown_heading,
         propagate=propagate,
         update=update_with_velocity,

@@ -32,12 +32,10 @@ class TriggerDescription:
     Attributes:
         name: in ``[resets] reset_trigger``; in capitals, the name of its `Trigger` in `scores`.
         summary: condition of its resets, in half a line.
-        fades: whether it makes P fade instead of resetting it.
     """
 
     name: str
     summary: str
-    fades: bool = False
 
     @cached_property
     def trigger(self) -> Any:
@@ -51,13 +49,7 @@ TRIGGERS: dict[str, TriggerDescription] = {
     trigger.name: trigger
     for trigger in (
         TriggerDescription("innovation", "innovations summed over a window, normalised"),
-        TriggerDescription("nis", "normalised innovation squared of a sample"),
-        TriggerDescription("whiteness", "correlation of innovations over one sample in a window"),
-        TriggerDescription("tilt_drift", "tilt drift about east against what P_UU allows"),
-        TriggerDescription("levelled", "level corrected no faster than heading explains"),
         TriggerDescription("linearisation", "P_UU below what a linear model can know"),
-        TriggerDescription("strong_tracking", "innovations above their covariance", fades=True),
-        TriggerDescription("fading", "every sample, by the threshold", fades=True),
     )
 }
 """All triggers by name; a new one is registered here."""
@@ -114,24 +106,14 @@ class TriggerKeys(Section):
         None,
         description="score that triggers a reset above trigger_threshold, in addition to the"
         " schedule, or 'none'. 'innovation': normalised squared sum of innovations in a"
-        " window. 'nis': normalised innovation squared. 'whiteness': correlation of"
-        " successive innovations in a window. 'tilt_drift': squared east tilt drift over"
-        " that allowed by P_UU. 'levelled': north Earth rate over level correction rate."
-        " 'linearisation': heading knowledge in excess of a base at rest. Two enlarge P"
-        " at each sample instead: 'strong_tracking' if innovations exceed their"
-        " covariance, 'fading' always; default 'none'",
+        " window. 'linearisation': heading knowledge in excess of a base at rest; default 'none'",
     )
     trigger_threshold: NonNegative | None = Field(
         None,
-        description="score above which P is reset; required with a trigger. 'fading': factor on P"
-        " per sample, such as 1.0001. 'strong_tracking': weight beta of R, 0 to 1",
+        description="score above which P is reset; required with a trigger",
     )
     trigger_window_s: Annotated[Seconds | None, KeyInfo(default=10.0, beside="reset_trigger")] = (
-        Field(
-            None,
-            description="window of 'innovation', 'whiteness', 'tilt_drift' and 'levelled', s;"
-            " default 10",
-        )
+        Field(None, description="window of 'innovation', s; default 10")
     )
     trigger_refractory_s: Annotated[
         SecondsOrZero | None, KeyInfo(default=5.0, beside="reset_trigger", time="s")

@@ -1,8 +1,7 @@
 """Triggers: small pure objects that watch a filter as it runs and call for resets of P.
 
 A trigger has a memory, which is cleared by every reset, and computes a score after each update; P
-is reset when the score exceeds the threshold. Two triggers do not reset but fade: they multiply the
-propagated P before the process noise is added. `config.TRIGGERS` lists them.
+is reset when the score exceeds the threshold. `config.TRIGGERS` lists them.
 """
 
 from collections.abc import Callable
@@ -13,8 +12,6 @@ import jax.numpy as jnp
 from sinsjax.maths.algebra import Entries, Triangle, select_tree
 from sinsjax.methods.base import AttitudeCovariance, TriggerCounts
 from sinsjax.methods.kalman import Belief
-from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Scalar, Vec3
 
 Pair = tuple[Scalar, Scalar]
@@ -25,7 +22,7 @@ class TriggerParams(NamedTuple):
     """Numbers of a trigger; times in samples.
 
     Attributes:
-        threshold: score above which P is reset; for a fading trigger see its `Trigger.fade`.
+        threshold: score above which P is reset.
         window: length of the window that scores are summed over.
         refractory: shortest time from the start, or from a reset, to a reset by the trigger.
         most: largest number of resets in a run.
@@ -60,8 +57,6 @@ class FilterSnapshot(NamedTuple):
         not_fed_back: the latter part, rad.
         covariance: belief -> covariance of the misalignment under this belief.
         at_rest: transition of a base at rest, with specific force (0, 0, g).
-        place: Earth rates there.
-        dt: s.
     """
 
     innovation: Pair
@@ -71,8 +66,6 @@ class FilterSnapshot(NamedTuple):
     not_fed_back: Vec3
     covariance: Callable[[Belief], AttitudeCovariance]
     at_rest: Entries
-    place: Place
-    dt: float
 
 
 class TriggerState(NamedTuple):
@@ -100,16 +93,10 @@ class Trigger(NamedTuple):
     Attributes:
         start: (params, P) -> memory at the start and after a reset that leaves P.
         score: (params, noise, memory, snapshot) -> memory and score.
-        fade: (params, noise, memory, propagated P, innovation) -> memory and factor on P.
     """
 
     start: Callable[[TriggerParams, Triangle], Any]
-    score: (
-        Callable[[TriggerParams, AssumedNoise, Any, FilterSnapshot], tuple[Any, Scalar]] | None
-    ) = None
-    fade: (
-        Callable[[TriggerParams, AssumedNoise, Any, Triangle, Pair], tuple[Any, Scalar]] | None
-    ) = None
+    score: Callable[[TriggerParams, AssumedNoise, Any, FilterSnapshot], tuple[Any, Scalar]]
 
 
 def start(trigger: Trigger, trigger_params: TriggerParams, p: Triangle) -> TriggerState:
@@ -125,27 +112,6 @@ def start(trigger: Trigger, trigger_params: TriggerParams, p: Triangle) -> Trigg
     )
 
 
-def fade(trigger: Trigger, params: Any, state: Any) -> Any:
-    """Multiply the propagated P of a filter by the trigger's factor, if it has one.
-
-    Args:
-        trigger: the trigger.
-        params: `FilterParams` of the filter.
-        state: `FilterState` before the process noise is added.
-    """
-    if trigger.fade is None:
-        return state
-    belief, trigger_state = state.belief, state.trigger_state
-    innovation = (state.nav.ve - belief.x[VE], state.nav.vn - belief.x[VN])
-    memory, factor = trigger.fade(
-        params.trigger, AssumedNoise(params.q, params.r), trigger_state.memory, belief.p, innovation
-    )
-    return state._replace(
-        trigger_state=trigger_state._replace(memory=memory),
-        belief=Belief(belief.x, tuple(factor * v for v in belief.p)),
-    )
-
-
 def update_trigger(
     trigger: Trigger, params: Any, state: Any, snapshot: FilterSnapshot, n: Scalar
 ) -> Any:
@@ -158,8 +124,6 @@ def update_trigger(
         snapshot: of that state.
         n: number of the sample.
     """
-    if trigger.score is None:
-        return state
     trigger_state, limits = state.trigger_state, params.trigger
     noise = AssumedNoise(params.q, params.r)
     memory, score = trigger.score(limits, noise, trigger_state.memory, snapshot)

@@ -2,10 +2,8 @@
 
 from functools import partial
 
-from sinsjax.methods.description import CheckedStudy, Implementation
+from sinsjax.methods.description import Implementation
 from sinsjax.methods.filters.config import FILTER_KEYS, describe_filter
-from sinsjax.methods.filters.section import check_resets
-from sinsjax.methods.triggers.config import check_trigger, has_trigger
 
 
 def _load(model: str) -> Implementation:
@@ -19,16 +17,6 @@ def _load(model: str) -> Implementation:
         partial(parameters, states),
         relaxation=filter_relaxation(states),
     )
-
-
-def check_turning(study: CheckedStudy) -> None:
-    """Refuse a trigger, whose score includes the turns, in a filter without updates in turns."""
-    if not study.has("resets"):
-        return
-    for point in study.combinations("method", "turning", "reset_trigger"):
-        reopens = point["method"] == "kalman10" and point["turning"] == "reopen"
-        if reopens and has_trigger(point["reset_trigger"]):
-            study.refuse("turning", "'reopen' conflicts with a reset_trigger (drop one of them)")
 
 
 KALMAN5 = describe_filter(
@@ -46,8 +34,6 @@ KALMAN10 = describe_filter(
     reads=(*FILTER_KEYS, "specific_force"),
     load=partial(_load, "kalman10"),
     without_effect=(),
-    unread=(),
-    rules=(check_trigger, check_resets, check_turning),
     turning="any",
     gyro_bias_keys=(
         ("p0_gyro_bias_deg_per_h", "p0_yaw_deg"),

@@ -22,14 +22,12 @@ from sinsjax.methods.filters.closed_loop import (
     subtract_fed_back,
     update_with_velocity,
 )
-from sinsjax.methods.filters.turning import reopen_after_turns
 from sinsjax.methods.schedules import reset_covariance
 from sinsjax.strapdown import earth, mechanisation
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, LinearModel
 from sinsjax.types import Navigation, Sample, Scalar, Vec3
 
 _FIRST_BIAS = PHI_U + 1
-_KEPT_OVER_TURNS = ("phi_u", "eps_x", "eps_y", "eps_z")
 
 
 def build(model: LinearModel, options: Options) -> Method:
@@ -39,11 +37,7 @@ def build(model: LinearModel, options: Options) -> Method:
         model: linear error model; its first five states are those of [P1] eq. (1).
         options: choices that decide the program.
     """
-    filter_ = build_filter(model, options)
-    if options.turning == "reopen" and _estimates_gyro_bias(model):
-        kept = [place for place, state in enumerate(model.states) if state in _KEPT_OVER_TURNS]
-        filter_ = reopen_after_turns(filter_, kept)
-    return closed_loop(filter_, options)
+    return closed_loop(build_filter(model, options), options)
 
 
 def build_filter(model: LinearModel, options: Options) -> Filter:
@@ -70,7 +64,6 @@ def build_filter(model: LinearModel, options: Options) -> Filter:
         return state._replace(nav=nav, belief=belief), transition
 
     return Filter(
-        dt=dt,
         init=_init,
         propagate=propagate,
         update=update_with_velocity,
