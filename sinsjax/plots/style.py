@@ -2,7 +2,6 @@
 
 import io
 import math
-import re
 from collections.abc import Callable, Collection, Sequence
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
@@ -16,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imsave
 from matplotlib.ticker import (
     FixedLocator,
-    Formatter,
+    LogFormatter,
     LogFormatterMathtext,
     LogLocator,
     NullFormatter,
@@ -40,7 +39,6 @@ LETTERS = 7
 _SHORT = 26  # characters of a name at its line
 _GAP = 0.1  # least distance of two such names, in heights of the axes
 _SMALL = "#555555"
-_RAISED = str.maketrans("0123456789-\N{MINUS SIGN}.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻˙")
 _CAP = 0.95  # quantile at which a colour scale ends, if the rest is far beyond it
 _FAR = 1.5  # times the range up to that quantile
 _LEVEL = 3  # of zlib; the default takes twice the time for 2 % less
@@ -235,32 +233,11 @@ def render_png(figure: Figure, footer: str = "") -> bytes:
     return buffer.getvalue()
 
 
-class _UnicodeFormatter(Formatter):
-    """Labels of a logarithmic axis in Unicode instead of mathematical text."""
-
-    def __init__(self, mathtext: LogFormatterMathtext) -> None:
-        self._marked = mathtext
-
-    def set_axis(self, axis: Any) -> None:
-        super().set_axis(axis)
-        self._marked.set_axis(axis)
-
-    def set_locs(self, locs: Any) -> None:
-        self._marked.set_locs(locs)
-
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        inside = re.sub(r"^\$\\mathdefault\{(.*)\}\$$", r"\1", self._marked(x, pos))
-        raised = re.sub(r"\^\{(.*?)\}", lambda found: found[1].translate(_RAISED), inside)
-        return raised.replace(r"\times", "×").replace("-", "\N{MINUS SIGN}")
-
-
 def _render_pixels(figure: Figure) -> NDArray:
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            if isinstance(formatter := axis.get_major_formatter(), LogFormatterMathtext):
-                axis.set_major_formatter(_UnicodeFormatter(formatter))
-            if isinstance(formatter := axis.get_minor_formatter(), LogFormatterMathtext):
-                axis.set_minor_formatter(_UnicodeFormatter(formatter))
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        if isinstance(axis.get_major_formatter(), LogFormatterMathtext):  # its $ would be drawn
+            axis.set_major_formatter(LogFormatter())
+            axis.set_minor_formatter(LogFormatter())
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3]

@@ -196,15 +196,6 @@ def test_mean_interval_of_skewed_values_is_wider_on_their_long_side_only(sign):
         assert found.low == pytest.approx(hall_interval_end(values, 0.975))
 
 
-def test_std_interval_of_normal_values_matches_chi_square():
-    values = np.random.default_rng(2).normal(3.0, 2.0, 24)
-    found = analysis.std(np.append(values, math.nan), is_normal=True)
-    ends = np.sqrt(23 * values.var(ddof=1) / stats.chi2.ppf([0.975, 0.025], 23))
-    assert found == pytest.approx((values.std(ddof=1), *ends, 24), rel=1e-9)
-    other = analysis.std(values)
-    assert other.low < other.value < other.high and other.value == found.value
-
-
 def naive_root_interval(squares, value):
     """The interval of the root of a mean square, term by term."""
     n = len(squares)
