@@ -433,7 +433,7 @@ def _draw_misalignment_panel(
 
 
 def use_asinh_if_wide(axes: Axes, extents: Sequence[Extent]) -> str:
-    """Make a wide range of values legible, and return a note for the axis label."""
+    """Make a wide range of values legible, and return a note for the title."""
     all_magnitudes = [np.maximum(np.abs(e.low), np.abs(e.high)) for e in extents if e.time_s.size]
     end = max(
         min((float(magnitudes[-1]) for magnitudes in all_magnitudes), default=0.0), _LINEAR[0]
@@ -442,7 +442,7 @@ def use_asinh_if_wide(axes: Axes, extents: Sequence[Extent]) -> str:
     if top <= _WIDE * end:
         return ""
     linear = 10.0 ** np.floor(np.log10(min(end, _LINEAR[1])))
-    return set_asinh_scale(axes.yaxis, linear, 10 * linear if top > _CROWDED * linear else linear)
+    return set_asinh_scale(axes, linear, 10 * linear if top > _CROWDED * linear else linear)
 
 
 def _mark_resets(axes: Axes, times_s: Sequence[float]) -> None:

@@ -9,7 +9,6 @@ from typing import Any, ParamSpec, TypeVar
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis, XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
@@ -124,24 +123,22 @@ def set_log_scale(axes: Axes, low: float, high: float) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def set_asinh_scale(axis: Axis, linear_width: float, first_tick: float | None = None) -> str:
-    """Make an axis logarithmic on both sides of 0, so that a wide range is legible.
+def set_asinh_scale(axes: Axes, linear_width: float, first_tick: float) -> str:
+    """Make a vertical axis logarithmic on both sides of 0, so that a wide range is legible.
 
     Args:
-        axis: axis of values of either sign.
+        axes: axes with values of either sign.
         linear_width: magnitude up to which the axis is nearly linear.
-        first_tick: first tick on either side of 0, a power of 10; None for ``linear_width`` rounded
-            to one.
+        first_tick: first tick on either side of 0, a power of 10.
 
     Returns:
-        A note for the end of the axis label.
+        A note for the title.
     """
-    decades = 10.0 ** np.arange(math.floor(math.log10(first_tick or linear_width) + 0.5), 7)
-    set_scale = axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale
-    set_scale("asinh", linear_width=linear_width)
-    axis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
-    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axis.set_minor_locator(NullLocator())
+    decades = 10.0 ** np.arange(math.floor(math.log10(first_tick) + 0.5), 7)
+    axes.set_yscale("asinh", linear_width=linear_width)
+    axes.yaxis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
     return "\nlogarithmic far from 0"
 
 
