@@ -28,10 +28,6 @@ def test_clusters_of_one_value_equal_independent_values(statistic):
     assert analysis.share(values > 2, np.arange(20)) == analysis.share(values > 2)
 
 
-def test_share_without_clusters_counts_runs():
-    assert analysis.share([True, False, True, True]) == analysis.proportion(3, 4)
-
-
 def test_mean_of_equal_draws_is_student_interval_of_draw_means():
     values = np.random.default_rng(2).normal(size=(DRAWS, 1)) + np.zeros((DRAWS, VARIANTS))
     values += np.random.default_rng(3).normal(0, 0.3, values.shape)
@@ -196,11 +192,6 @@ def test_one_cluster_has_no_interval():
     ):
         assert math.isfinite(found.value) and found.n == 12
         assert np.isnan(found[1:3]).all()
-
-
-def test_one_run_has_no_interval():
-    found = analysis.share([True], [0])
-    assert found.value == 1.0 and found.n == 1 and np.isnan(found[1:3]).all()
 
 
 def test_unequal_number_of_clusters_and_values_raises():

@@ -2,7 +2,6 @@
 
 import io
 import json
-import re
 import sys
 import unicodedata
 from html import escape
@@ -16,7 +15,6 @@ import pytest
 import tomli_w
 from markdown_it import MarkdownIt
 from rich.console import Console
-from support.commands import command_line
 from support.stored_results import report_text, store_results, write_part
 from support.studies import BASE, small_study
 from support.sweep_directories import rewrite_manifest
@@ -31,7 +29,6 @@ from sinsjax.messages import CONTROL
 from sinsjax.report.base import Chapter, Fact, Report, Table, Text, Verdict
 from sinsjax.report.names import escape_markdown
 from sinsjax.report.output import DrawnReport, print_report, write_html_page, write_markdown_page
-from sinsjax.study.load import load_study
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -81,23 +78,6 @@ def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
     assert "<td>" + read.renderInline(escape_markdown(name)) + "</td>" in read.render(
         f"| a |\n| --- |\n| {cell} |\n"
     )
-
-
-@pytest.mark.usefixtures("drawn_on_request")
-def test_report_shows_special_characters_in_names_literally(results: Path, tmp_path: Path) -> None:
-    page, html = tmp_path / "docs" / "page.md", tmp_path / "page.html"
-    page.parent.mkdir()
-    said = report_text(results, page=page, html=html)
-    assert NAME in said and all(f" {name} " in said for name in NASTY if name != "[/b]")
-    written = page.read_text()
-    assert "<script" not in written and "<script" not in html.read_text()
-    body = MarkdownIt("commonmark").enable("table").render(written)
-    for name in NASTY:
-        shown = name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-        assert f"<td>{shown}</td>" in body and f"<td>{shown}</td>" in html.read_text(), name
-    links = re.findall(r'src="(figures/[^"]+)"', body)
-    assert links and all((page.parent / link).is_file() for link in links)
-    assert {path.parent for path in tmp_path.rglob("*.png")} == {page.parent / "figures"}
 
 
 DOCTORED = "a\x1b]0;x\x07\x7f\u202e\u2028\u061c\udcff|`<script>x</script> --> b\nWarning: c"
@@ -152,24 +132,6 @@ def test_control_characters_in_any_part_of_report_are_escaped(
         for part in ("study", "label", "fact", "text", "title", "header", "cell", "note"):
             assert rf"{part}\x1b" in text, part
     assert all(rf"{part}\x1b" in page for page in pages for part in ("name", "chapter"))
-
-
-def test_study_file_with_control_characters_in_its_name_is_shown_escaped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    sinsjax = command_line(monkeypatch, capsys)
-    config = Path("a\x1b]0;x\x07\u202e\n|<script>.toml")
-    shown = r"a\x1b]0;x\x07\u202e\n|<script>"
-    config.write_text(tomli_w.dumps(BASE))
-    assert load_study(config).name == shown
-    code, said, error = sinsjax("validate", config)
-    assert code == 0 and said.startswith(f"{shown}.toml: valid; ") and error == ""
-    config.write_text(tomli_w.dumps(BASE | {"\x1b[2J": {}}))
-    for words in (("validate", config), ("run", config, "-o", "out")):
-        code, said, error = sinsjax(*words)
-        assert (code, said, error.count("\n")) == (2, "", 1)
-        assert error.startswith(r"error: a\x1b]0;x\x07\u202e ") and error[:-1].isprintable()
 
 
 def test_errors_and_warnings_are_one_visible_line(capsys: pytest.CaptureFixture[str]) -> None:

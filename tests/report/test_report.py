@@ -5,7 +5,6 @@ import sys
 import numpy as np
 import pyarrow as pa
 import pytest
-from matplotlib.figure import Figure
 from support.stored_results import report_text, store_results
 from support.studies import small_study, with_paper_values
 from support.sweep_directories import read_manifest_entries, rewrite_manifest
@@ -15,7 +14,6 @@ from sinsjax import analysis, report
 from sinsjax.analysis.formats import format_percent
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
-from sinsjax.execution.results import read_summary
 from sinsjax.execution.source import Source
 from sinsjax.methods import registry
 from sinsjax.report import axis_figures, base
@@ -147,33 +145,6 @@ def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
     np.testing.assert_allclose(axes.get_images()[0].get_array(), settle[:6].reshape(3, 2))
 
 
-def test_report_of_stopped_study_counts_its_actual_draws(tmp_path):
-    stop = {"statistic": "success_rate", "half_width": 0.2}
-    axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
-    study = small_study(study={"draws": 100}, stop_when=stop, axes=axes)
-    summary = synthetic_summary(study).slice(0, 4 * 64)
-    text = report_text(store_results(tmp_path, study, summary))
-    assert (
-        "study: 256 runs (192 distinct)" in text
-        and "64: each half evaluates the choice of the other" in text
-    )
-
-
-def test_report_reads_only_needed_summary_columns(tmp_path, monkeypatch):
-    study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
-    directory = store_results(tmp_path, study, synthetic_summary(study), synthetic_curves(study))
-    seen = []
-
-    def read(directory, names=None):
-        assert names is not None, "the whole summary was read"
-        seen.append(names)
-        return read_summary(directory, names)
-
-    monkeypatch.setattr("sinsjax.execution.results.read_summary", read)
-    report_text(directory)
-    assert seen and max(map(len, seen)) < 14
-
-
 def test_source_rows_returns_selected_columns_sorted_by_run(tmp_path):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
     whole = synthetic_summary(study)
@@ -220,27 +191,6 @@ def test_missing_results_are_refused(tmp_path):
 # --- pages --------------------------------------------------------------------------------------
 
 
-@pytest.mark.nightly
-@pytest.mark.usefixtures("drawn")
-def test_page_is_written_identically_twice(tmp_path):
-    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
-    directory = store_results(tmp_path / "results", study, synthetic_summary(study))
-    content = []
-    for name in ("a", "b"):
-        page = tmp_path / name / "page.md"
-        report_text(directory, page=page)
-        content.append([p.read_bytes() for p in sorted(page.parent.rglob("*.*"))])
-    assert content[0] == content[1]
-
-
-def test_unwritable_page_is_refused(tmp_path):
-    study = small_study()
-    directory = store_results(tmp_path / "results", study, synthetic_summary(study))
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
-        report_text(directory, page=tmp_path / "file" / "page.md")
-
-
 @pytest.mark.parametrize("option", ["page", "html"])
 def test_unwritable_output_is_refused_before_report_is_made(tmp_path, monkeypatch, option):
     study = small_study()
@@ -253,14 +203,6 @@ def test_unwritable_output_is_refused_before_report_is_made(tmp_path, monkeypatc
     for name, line in wrong.items():
         with pytest.raises(InputError, match=line):
             report_text(directory, **{option: tmp_path / name})
-
-
-def test_markdown_escapes_cells_and_folds_tables():
-    table = base.Table("T", ["a|b"], [["|x|"]], "note", folded=True)
-    text = report.output.block_to_markdown(table)
-    assert text.startswith("<details>") and "\\|x\\|" in text and "note" in text
-    picture = base.Picture("fig", "what is seen", Figure())
-    assert "](figures/p_fig.png)" in report.output.block_to_markdown(picture, "p_")
 
 
 @pytest.mark.parametrize("is_sealed", [True, False])
