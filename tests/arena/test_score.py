@@ -514,6 +514,21 @@ def test_aligned_record_gives_the_heading_of_the_sweep(
         assert aligned == pytest.approx(swept[draw], abs=1e-6)
 
 
+@pytest.mark.nightly
+def test_settings_of_triggers_do_not_split_the_runs_of_a_program(tmp_path: Path) -> None:
+    policies = {"reset_trigger": ["none", "levelled"], "trigger_threshold": [0.0, 1.0]}
+    axes = {"policy": policies, "phi_u0_deg": [5.0, 30.0]}
+    arena = Arena(tmp_path, axes=axes, alignment={"method": "kalman5"})
+    first = pyarrow.csv.read_csv(arena.export / "initial.csv")
+    assert len(set(first["run_id"].to_pylist())) == len(first) == 2 * DRAWS
+    assert len(list((arena.export / "imu").iterdir())) == DRAWS
+    score = arena.score(arena.history(), tmp_path)
+    rows = rows_of(score, "mine").to_pandas()
+    assert len(rows) == 4 * DRAWS  # for each policy, though it has none
+    for _, same in rows.groupby(["draw_id", "phi_u0_deg"]):
+        assert same["phi_u_arcmin"].nunique() == 1
+
+
 def test_sweep_with_fewer_draws_is_refused(arena: Arena, tmp_path: Path) -> None:
     study = arena.study.replace({"study.draws": 3})
     rows = sinsjax.read_summary(arena.sweep).slice(0, 3 * study.n_variants)
