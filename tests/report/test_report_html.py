@@ -7,8 +7,11 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
+from support.stored_results import report_text, store_results
 from support.studies import small_study
 
+from sinsjax import columns
+from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 from sinsjax.report import base
 from sinsjax.report.output import DrawnReport, write_html_page
@@ -101,3 +104,33 @@ def test_html_page_escapes_markup_in_text(tmp_path):
     # Markdown reads an entity as what it stands for, on the Markdown page too.
     assert said.count(nasty.replace("&amp;", "&")) == 7 and "<i>& so" in said
     assert "a<b.toml; computed by sinsjax " in said and "configs/" not in said
+
+
+def test_unwritable_html_page_raises_input_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_html_page(tmp_path / "file" / "page.html", "T", [drawn_report()])
+
+
+def test_html_and_markdown_pages_have_same_content(tmp_path):
+    study = small_study(study={"name": "swing"}, axes={"phi_u0_deg": [0.0, 30.0]})
+    names = [c.name for c in (*columns.IDENTITY, *columns.OBSERVED, *columns.JUDGED)]
+    names += ["settle_10_s", "settle_10_truth_s"]
+    rows = {name: np.linspace(1.0, 2.0, 6) for name in names}
+    rows |= dict.fromkeys(
+        ("has_floor", "ok_floor", "ok_truth"), [True, True, True, False] + [True] * 2
+    )
+    rows |= {"run_id": np.arange(6), "draw_id": np.repeat(np.arange(3), 2)}
+    rows |= {"status": ["ok"] * 6, "phi_u0_deg": [0.0, 30.0] * 3, "reset_times_s": [[]] * 6}
+    directory = store_results(tmp_path / "results", study, pa.table(rows))
+    markdown, one = tmp_path / "page.md", tmp_path / "page.html"
+    report_text(directory, page=markdown, html=one)
+    text = Reader(one.read_text()).text
+    for line in markdown.read_text().splitlines():
+        if line.startswith("| ") and "---" not in line:
+            cells = [cell.strip().replace("*", "") for cell in line.strip("|").split(" | ")]
+            assert all(cell.strip() in text for cell in cells), line
+    assert one.read_text().count("data:image/png;base64,") == markdown.read_text().count("![")
+    first = one.read_bytes()
+    report_text(directory, html=one)
+    assert one.read_bytes() == first
