@@ -1,16 +1,15 @@
 """Statistics over the summary table, each with its 95 % interval.
 
-`clusters` determines which runs are dependent. `bounded` has the intervals of shares and quantiles
+`clusters` determines which runs are dependent. `bounds` has the intervals of shares and quantiles
 over draws. `estimates` computes statistics of some runs,
 `differences` compares runs on the same noise, and `summaries` makes tables from a whole
 summary, using `tables`; `headings` has the heading errors at report times. `grids`
-lays runs out over the axes of a study. `formats` and `words` print estimates.
+lays runs out over the axes of a study. `formats` prints estimates.
 """
 
 from sinsjax.analysis.clusters import NO_INTERVAL, cluster_ids, has_independent_runs
 from sinsjax.analysis.differences import (
     mean_difference,
-    permutation_false_positive_rate,
     proportion_difference,
     quantile_difference,
 )
@@ -39,7 +38,6 @@ __all__ = [
     "UNKNOWN",
     "Estimate",
     "has_independent_runs",
-    "permutation_false_positive_rate",
     "chi2_mean_band",
     "cluster_ids",
     "compare_with_baseline",

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from sinsjax.analysis.estimates import (
-    SEED,
     TAIL,
     Estimate,
     bootstrap_interval,
@@ -37,31 +36,6 @@ def mean_difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None
     first, second = _paired_arrays(a, b)
     with np.errstate(invalid="ignore"):  # infinite minus infinite, omitted by mean
         return mean(first - second, cluster)
-
-
-def permutation_false_positive_rate(a: ArrayLike, b: ArrayLike, permutations: int = 16) -> float:
-    """One-sided false positive rate of `quantile_difference`, estimated by permutation.
-
-    Swapping a and b in randomly chosen pairs, the same at every call, removes any systematic
-    difference.
-
-    Args:
-        a: shape (n,), any unit.
-        b: shape (n,), the same draws in the same order.
-        permutations: number of permutations.
-
-    Returns:
-        Half the share of permutations whose interval excludes 0, since both sides are equivalent.
-
-    Raises:
-        ValueError: shapes differ, or no pairs.
-    """
-    first, second = _paired_arrays(a, b, missing=math.inf)
-    significant = 0
-    for swap in np.random.default_rng(SEED).random((permutations, first.size)) < 0.5:
-        estimate = quantile_difference(np.where(swap, second, first), np.where(swap, first, second))
-        significant += estimate.low > 0 or estimate.high < 0
-    return significant / permutations / 2
 
 
 def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:

@@ -222,21 +222,17 @@ def mean(
     return Estimate(centre, low, high, data.size)
 
 
-def std(
-    values: ArrayLike, cluster: ArrayLike | None = None, *, is_normal: bool = False
-) -> Estimate:
+def std(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The sample standard deviation (n - 1) of the finite values.
 
     Non-finite values are omitted; ``n`` is the number used. Fewer than two values have no standard
-    deviation, fewer than five no interval unless they are normal. With clusters, the variance about
+    deviation, fewer than five no interval. With clusters, the variance about
     the mean and that of the mean over the clusters are added; for independent values that is the
     same. For runs of mixed outcome use quantiles instead.
 
     Args:
         values: shape (m,), any unit.
         cluster: shape (m,), integer cluster of each value; None if each is its own.
-        is_normal: whether the values are normal by construction, such as a linear loop's response
-            to white noise; then the interval is chi-square. Never infer this from the values.
 
     Raises:
         ValueError: no values at all.
@@ -253,9 +249,6 @@ def std(
     value = float(np.std(data, ddof=1))
     if of_mean.n > 1:
         value = math.sqrt(np.mean(centred**2) + of_mean.standard_error**2)
-    if is_normal and clustered.n == n:
-        low, high = chi2_mean_band(n - 1, 1)
-        return Estimate(value, value * ((n - 1) / high) ** 0.5, value * ((n - 1) / low) ** 0.5, n)
     return Estimate(value, *_root_interval(value, clustered), n)
 
 

@@ -160,7 +160,6 @@ def _plot_rerun(run: Rerun, study: Study) -> Any:
         title,
         floors=None if floor_arcmin is None else {"u": floor_arcmin},
         resets_s=run.row["reset_times_s"][0].as_py(),
-        zoom_s=study.study.window_s,
         with_sigma=run.curve["sigma_u_arcmin"].null_count < run.curve.num_rows,
     )
 

@@ -4,7 +4,7 @@ Every function returns a new matplotlib `Figure`; `render_png` converts it to by
 on the figure. Nothing here changes matplotlib's global state.
 """
 
-from sinsjax.plots.comparison import ExpectedValue, draw_along_axis, is_informative, plot_compare
+from sinsjax.plots.comparison import draw_along_axis, is_informative, plot_compare
 from sinsjax.plots.consistency import ConsistencyLine, draw_consistency, plot_belief
 from sinsjax.plots.curves import (
     Ensemble,
@@ -13,11 +13,9 @@ from sinsjax.plots.curves import (
     draw_heading_errors,
     draw_mean_and_band,
     draw_misalignment,
-    draw_squared_errors,
     group_curves,
     plot_curves,
 )
-from sinsjax.plots.error_bands import HeadingErrorCourse, draw_error_bands
 from sinsjax.plots.grids import (
     CellMarks,
     GridAxis,
@@ -33,9 +31,7 @@ __all__ = [
     "COLOURS",
     "STYLE",
     "ConsistencyLine",
-    "HeadingErrorCourse",
     "Ensemble",
-    "ExpectedValue",
     "Line",
     "CellMarks",
     "GridAxis",
@@ -43,7 +39,6 @@ __all__ = [
     "draw_along_axis",
     "draw_attitude",
     "draw_consistency",
-    "draw_error_bands",
     "draw_heading_errors",
     "line_colour",
     "values_differ",
@@ -58,6 +53,5 @@ __all__ = [
     "plot_map",
     "render_png",
     "format_setting",
-    "draw_squared_errors",
     "is_informative",
 ]

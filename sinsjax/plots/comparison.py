@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from textwrap import fill
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -40,20 +40,6 @@ _SIMILAR = (
 _CLEAR = 0.05  # share by which the best line is better than the second
 _RANGE = 30.0  # largest over smallest value, beyond which an axis is logarithmic
 _LONG = 4.0  # times the median bar of a panel; beyond it a bar leaves the panel
-
-
-class ExpectedValue(NamedTuple):
-    """Expected value of a quantity.
-
-    Attributes:
-        name: label in the legend.
-        value: value, drawn as a line.
-        band: lower and upper end of a shaded band around it.
-    """
-
-    name: str
-    value: float
-    band: tuple[float, float]
 
 
 def plot_compare(
@@ -206,8 +192,6 @@ def draw_along_axis(
     *,
     title: str = "",
     condition: bool = False,
-    expected: ExpectedValue | None = None,
-    log: bool = False,
 ) -> Figure:
     """Estimates with their 95 % intervals along one swept key.
 
@@ -218,8 +202,6 @@ def draw_along_axis(
             marked at the upper edge as *never*; a bar far longer than the others ends outside.
         title: title of the figure; by default it names the best of the first panel.
         condition: whether the key is a condition, see `plot_compare`.
-        expected: expected value, drawn in every panel.
-        log: whether the vertical axes are logarithmic; others are too where values differ widely.
     """
     figure = Figure(figsize=(9.2, 1.2 + 2.2 * len(panels)))
     title = title or _best_value_title(key, values, panels, condition=condition)
@@ -228,11 +210,8 @@ def draw_along_axis(
     words = [format_value(value) for value in values if isinstance(value, list | tuple)]
     x = np.arange(len(values)) if words else np.asarray(values, dtype=float)
     for axes, (name, lines) in zip(grid, panels.items(), strict=True):
-        if expected:
-            axes.axhspan(*expected.band, color=GREY, alpha=0.25, linewidth=0)
-            axes.axhline(expected.value, color=GREY, linestyle="--", label=expected.name)
         all_estimates = [e for estimates in lines.values() for e in estimates]
-        if log or _needs_log_axis(all_estimates):
+        if _needs_log_axis(all_estimates):
             shown = [e.value for e in all_estimates if 0 < e.value < np.inf] or [1.0]
             set_log_scale(axes, min(shown), max(shown))
         for i, (line, estimates) in enumerate(lines.items()):
@@ -249,7 +228,7 @@ def draw_along_axis(
         if "(%)" in name:
             axes.set_ylim(-4, 104)
         elif axes.get_yscale() == "linear":
-            _clip_axis_to_typical_bars(axes, all_estimates, expected)
+            _clip_axis_to_typical_bars(axes, all_estimates)
         axes.set_title(name, loc="left", size="medium")
         if not any(np.isfinite(e.value) for e in all_estimates):
             axes.set_yticks([])
@@ -325,9 +304,7 @@ def _values_and_bars(estimates: Sequence[Estimate]) -> tuple[NDArray, NDArray]:
     return value, np.maximum(spread, 0.0)
 
 
-def _clip_axis_to_typical_bars(
-    axes: Axes, estimates: Sequence[Estimate], expected: ExpectedValue | None
-) -> None:
+def _clip_axis_to_typical_bars(axes: Axes, estimates: Sequence[Estimate]) -> None:
     """Let a bar that is far longer than the others leave the panel, instead of squashing it."""
     value, bars = _values_and_bars(estimates)
     known = np.isfinite(value)
@@ -337,7 +314,7 @@ def _clip_axis_to_typical_bars(
     room = max(_LONG * np.median(bars[bars > 0]), np.ptp(value) / 2)
     if (bars > room).any():
         down, up = np.minimum(bars, room)
-        ends = [*(value - down), *(value + up), *(expected.band if expected else ())]
+        ends = [*(value - down), *(value + up)]
         margin = 0.05 * np.ptp(ends)
         axes.set_ylim(min(ends) - margin, max(ends) + margin)
 

@@ -50,7 +50,11 @@ _FAINT = 0.22  # opacity of a band
 _LINEAR = (0.1, 10.0)  # arcmin; least and most up to which an asinh axis is about linear
 _WIDE = 12.0  # times the least end of a line; beyond it a linear axis would hide that end
 _CROWDED = 300.0  # times the linear part; beyond it there is no room for a tick at its edge
-_NAMES = {"e": "level error, east", "n": "level error, north", "u": "heading error"}
+_NAMES = {
+    "e": "level error,\neast (arcmin)",
+    "n": "level error,\nnorth (arcmin)",
+    "u": "heading error\n(arcmin)",
+}
 
 
 class Ensemble(NamedTuple):
@@ -111,7 +115,6 @@ class Extent(NamedTuple):
     time_s: NDArray
     low: NDArray
     high: NDArray
-    is_sigma: bool = False
 
 
 def draw_mean_and_band(axes: Axes, line: Line) -> Extent:
@@ -137,7 +140,6 @@ def plot_curves(
     runs: Any = None,
     *,
     by: str | Sequence[str] = (),
-    zoom_s: tuple[float, float] | None = None,
     title: str = "",
     level: bool = False,
 ) -> Figure:
@@ -155,7 +157,6 @@ def plot_curves(
         runs: the runs to draw, one row each, such as `Results.summary`, with the keys of ``by``;
             reset times and a bias floor in it are marked. None draws every run as its own line.
         by: key or keys of the lines; without keys all runs make one.
-        zoom_s: time span of the level errors to enlarge next to the whole run, s.
         title: title of the figure; by default it states the heading error at the end.
         level: whether to draw the level errors.
 
@@ -200,7 +201,6 @@ def plot_curves(
             title or _misalignment_title(ensembles, "en"),
             shown="en",
             resets_s=_reset_times_to_mark(pa.concat_tables(drawn.values())),
-            zoom_s=zoom_s,
             with_sigma=with_sigma,
         )
     return draw_heading_errors(
@@ -352,10 +352,9 @@ def draw_misalignment(
     shown: str = "enu",
     floors: Mapping[str, float] | None = None,
     resets_s: Sequence[float] = (),
-    zoom_s: tuple[float, float] | None = None,
     with_sigma: bool = False,
 ) -> Figure:
-    """Misalignment about east, north and up: the whole run, and its end enlarged.
+    """Misalignment about east, north and up over time.
 
     An axis about which no run has a misalignment is left out.
 
@@ -365,34 +364,24 @@ def draw_misalignment(
         shown: axes to draw, ``e``, ``n`` and ``u``.
         floors: dash-dotted lines at ``{"e": ..., "n": ..., "u": ...}``, arcmin.
         resets_s: dotted lines at reset times, s.
-        zoom_s: time span to enlarge, s; None for no enlargement.
         with_sigma: whether to draw the filter's 1 sigma, dashed on both sides of 0.
     """
     shown = "".join(a for a in shown if _has_values(ensembles, f"phi_{a}_arcmin")) or shown
     figure = Figure(figsize=(9.2, 8.4 * len(shown) / 3))
     figure.suptitle(title)
-    grid = figure.subplots(len(shown), 2 if zoom_s else 1, sharex="col", squeeze=False)
-    notes, end_s = {""}, max(ensemble.time_s[-1] for ensemble in ensembles)
-    for row, axis in zip(grid, shown, strict=True):
-        for axes in row:
-            extents = _draw_misalignment_panel(axes, axis, ensembles, with_sigma=with_sigma)
-            if floors and axis in floors:
-                # On top of the lines, or converged lines would hide it.
-                axes.axhline(
-                    floors[axis], color="black", ls="-.", lw=0.9, zorder=3, label="bias floor"
-                )
-            _mark_resets(axes, resets_s)
-        row[0].set_xlim(0, end_s)
-        notes.add(use_asinh_if_wide(row[0], extents).replace("\n", ", "))
-        row[0].set_ylabel(f"{_NAMES[axis]}\n(arcmin)")
-        if zoom_s:
-            _show_time_span(row[1], zoom_s, extents)
-    grid[0, 0].set_title(f"Whole run{max(notes)}")
-    if zoom_s:
-        grid[0, 1].set_title(f"Enlarged: {zoom_s[0]:g} to {zoom_s[1]:g} s")
-    for axes in grid[-1]:
-        axes.set_xlabel("time (s)")
-    add_legend_below(figure, grid[-1, 0], _label_line_ends(grid[:, -1], shown, ensembles))
+    grid = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+    notes = {""}
+    for axes, axis in zip(grid, shown, strict=True):
+        extents = _draw_misalignment_panel(axes, axis, ensembles, with_sigma=with_sigma)
+        if floors and axis in floors:
+            # On top of the lines, or converged lines would hide it.
+            axes.axhline(floors[axis], color="black", ls="-.", lw=0.9, zorder=3, label="bias floor")
+        _mark_resets(axes, resets_s)
+        notes.add(use_asinh_if_wide(axes, extents))
+        axes.set_ylabel(_NAMES[axis])
+    grid[0].set_title(max(notes).strip().capitalize())
+    grid[-1].set(xlabel="time (s)", xlim=(0, max(ensemble.time_s[-1] for ensemble in ensembles)))
+    add_legend_below(figure, grid[-1], _label_line_ends(grid, shown, ensembles))
     return figure
 
 
@@ -435,7 +424,7 @@ def _draw_misalignment_panel(
             time, sigma = ensemble.time_s[known], sigma[known]
             for side in (sigma, -sigma):
                 axes.plot(time, side, "--", color=line_colour(i), linewidth=0.9, alpha=0.8)
-            extents.append(Extent(time, -sigma, sigma, is_sigma=True))
+            extents.append(Extent(time, -sigma, sigma))
     if any(len(ensemble.columns[f"phi_{axis}_arcmin"]) > 1 for ensemble in ensembles):
         _name_band(axes)
     if with_sigma:
@@ -444,7 +433,7 @@ def _draw_misalignment_panel(
 
 
 def use_asinh_if_wide(axes: Axes, extents: Sequence[Extent]) -> str:
-    """Make a wide range of values legible, and return a note for the axis label."""
+    """Make a wide range of values legible, and return a note for the title."""
     all_magnitudes = [np.maximum(np.abs(e.low), np.abs(e.high)) for e in extents if e.time_s.size]
     end = max(
         min((float(magnitudes[-1]) for magnitudes in all_magnitudes), default=0.0), _LINEAR[0]
@@ -453,23 +442,7 @@ def use_asinh_if_wide(axes: Axes, extents: Sequence[Extent]) -> str:
     if top <= _WIDE * end:
         return ""
     linear = 10.0 ** np.floor(np.log10(min(end, _LINEAR[1])))
-    return set_asinh_scale(axes.yaxis, linear, 10 * linear if top > _CROWDED * linear else linear)
-
-
-def _show_time_span(axes: Axes, span: tuple[float, float], extents: Sequence[Extent]) -> None:
-    """Show a time span, with the vertical axis fitted to the lines within it."""
-    axes.set_xlim(*span)
-    values = []
-    for extent in extents:
-        inside = (extent.time_s >= span[0]) & (extent.time_s <= span[1])
-        edges = [edge[inside] for edge in (extent.low, extent.high)]
-        if extent.is_sigma and inside.any():  # whole, a reset would leave no room for the lines
-            edges = [np.atleast_1d(np.median(edge)) for edge in edges]
-        values += edges
-    covered = np.concatenate(values)
-    if covered.size:
-        margin = 0.05 * max(float(np.ptp(covered)), 1e-3)
-        axes.set_ylim(covered.min() - margin, covered.max() + margin)
+    return set_asinh_scale(axes, linear, 10 * linear if top > _CROWDED * linear else linear)
 
 
 def _mark_resets(axes: Axes, times_s: Sequence[float]) -> None:
@@ -513,36 +486,4 @@ def draw_attitude(ensembles: Sequence[Ensemble], title: str) -> Figure:
         axes.set_ylabel(f"{angle} (deg)")
     panels[-1].set_xlabel("time (s)")
     add_legend_below(figure, panels[0])
-    return figure
-
-
-@with_style
-def draw_squared_errors(
-    panels: Mapping[str, Sequence[Line]],
-    title: str,
-    *,
-    resets_s: Sequence[float] = (),
-    axis_minimum: float = 0.1,
-) -> Figure:
-    """Squared quantities on a log axis: the filter's variance against the true squared error.
-
-    Args:
-        panels: panel title to lines, arcmin^2.
-        title: title of the figure.
-        resets_s: dotted lines at reset times, s.
-        axis_minimum: lower end of the axis, arcmin^2.
-    """
-    figure = Figure(figsize=(9.2, 4.8))
-    figure.suptitle(title)
-    grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axes, (name, lines) in zip(grid, panels.items(), strict=True):
-        for line in lines:
-            draw_mean_and_band(axes, line)
-        _mark_resets(axes, resets_s)
-        axes.set_yscale("log")
-        axes.set_ylim(bottom=axis_minimum)
-        axes.set_title(name)
-        axes.set_xlabel("time (s)")
-    grid[0].set_ylabel("heading variance (arcmin²)")
-    add_legend_below(figure, grid[0])
     return figure

@@ -8,17 +8,15 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sinsjax.analysis.grids import Panel, median_over_draws, split_into_panels
+from sinsjax.analysis.grids import median_over_draws, split_into_panels
 from sinsjax.analysis.tables import group_rows, require_column, to_arrow_table, to_key_list
 from sinsjax.errors import InputError
-from sinsjax.plots.grids import CellMarks, GridAxis, MapQuantity, draw_heat_maps, find_bars
+from sinsjax.plots.grids import CellMarks, GridAxis, MapQuantity, draw_heat_maps
 from sinsjax.plots.labels import axis_label, describe_axis_point, describe_point, format_value
 from sinsjax.plots.style import colour_range
 
 MAX_PANELS = 12
 """Panels of a figure at most."""
-
-_YAW = "phi_u_arcmin"
 
 
 class _CellStatistic(NamedTuple):
@@ -56,10 +54,8 @@ def plot_map(
     The statistic follows the column: the median of a settling time (``settle_10_s``, s; *never* if
     fewer than half of the runs settle), the share of a flag (``ok_truth``) or of a column that ends
     in ``_share``, in percent, and the root mean square of any other number, in its own unit. The
-    cell that the title names is framed in every panel that it applies to, and thinly the best cell
-    of each panel. A row or column in which the other key has no effect, such as no reset, is a bar
-    next to the grid. Cells of the same runs are numbered once, and an outlier ends beyond the
-    colour scale instead of flattening it. Of many panels the first 12 are drawn.
+    cell that the title names is framed in every panel that it applies to. An outlier ends beyond
+    the colour scale instead of flattening it. Of many panels the first 12 are drawn.
 
     Args:
         runs: one row per run, with the keys and the value: a pyarrow Table such as
@@ -98,20 +94,19 @@ def plot_map(
     best_title, best_point = _best_cell_overall(table, axes, value, statistic, chosen)
     panels = panels[:MAX_PANELS]
     cells = [statistic.compute(panel.column_values(value)) for panel in panels]
-    same_runs = [_number_identical_cells(panel, value) for panel in panels]
     lines = {format_value(panel.point[by[-1]]) for panel in panels} if by else [""]
     return draw_heat_maps(
         list(zip(_panel_titles([panel.point for panel in panels]), cells, strict=True)),
         title or best_title,
-        _colour_scale(statistic, cells, same_runs),
+        _colour_scale(statistic, cells),
         rows=GridAxis(rows, axes[rows]),
         columns=GridAxis(columns, axes[columns]),
         panels_per_row=len(lines),
         marks=CellMarks(
-            same_runs,
             [_flagged_cells(panel.column_values(hatched)) for panel in panels] if hatched else (),
             hatch_name,
-            _frames(panels, axes, value, statistic, best_point),
+            [_named_cell(panel.point, axes, best_point) for panel in panels],
+            "soonest" if statistic.is_settling_time else "best",
         ),
     )
 
@@ -140,83 +135,35 @@ def _settling_times(settle_s: NDArray) -> NDArray:
     return np.nan_to_num(np.moveaxis(settle_s, 0, -1), nan=np.inf)
 
 
-def _colour_scale(
-    statistic: _CellStatistic, cells: Sequence[NDArray], same_runs: Sequence[NDArray]
-) -> MapQuantity:
-    """The colour scale: of distinct cells, capped where a few lie far beyond the others.
-
-    Bars next to a grid, such as no reset, count only if the grids themselves have no numbers.
-    """
+def _colour_scale(statistic: _CellStatistic, cells: Sequence[NDArray]) -> MapQuantity:
+    """The colour scale: of the distinct values of each panel, capped where a few lie far beyond."""
     if statistic.is_share:
         return MapQuantity(statistic.name, 0.0, 100.0)
-    in_grid, in_bars = [], []
-    for values, kinds in zip(cells, same_runs, strict=True):
-        bars = find_bars(kinds)[:, None] | find_bars(kinds.T)
-        distinct = np.isin(np.arange(kinds.size), np.unique(kinds, return_index=True)[1])
-        known = distinct.reshape(kinds.shape) & np.isfinite(values)
-        in_grid.append(values[known & ~bars])
-        in_bars.append(values[known & bars])
-    low, high = colour_range(np.concatenate(in_grid if any(map(np.size, in_grid)) else in_bars))
+    # Equal cells, such as those of no reset, count once.
+    low, high = colour_range(np.concatenate([np.unique(c[np.isfinite(c)]) for c in cells]))
     digits = 0 if high >= 100 or statistic.is_settling_time else 1
     return MapQuantity(statistic.name, low, high, reverse=True, digits=digits)
 
 
-def _number_identical_cells(panel: Panel, column: str) -> NDArray:
-    """A number per cell (rows, columns), the same for cells with the same runs in all draws.
-
-    Runs are identified by their final heading error; without that column all cells differ.
-    """
-    if _YAW not in panel.rows.column_names:
-        return np.arange(np.prod(panel.shape)).reshape(panel.shape)
-    runs = np.stack(
-        [
-            np.nan_to_num(panel.column_values(name), nan=np.inf)
-            for name in dict.fromkeys([column, _YAW])
-        ]
-    )
-    flat = runs.reshape(-1, np.prod(panel.shape)).T
-    kinds = np.unique(flat, axis=0, return_inverse=True)[1]
-    return np.asarray(kinds).reshape(panel.shape)
-
-
-def _best_cell(runs: NDArray, statistic: _CellStatistic) -> tuple[int, int] | None:
-    """The best cell of runs (draws, rows, columns), or None if several or none are."""
+def _has_best_cell(runs: NDArray, statistic: _CellStatistic) -> bool:
+    """Whether one cell of runs (draws, rows, columns) is the best."""
     cells = statistic.compute(runs)
-    order = cells if statistic.small_is_better else -cells
-    if not np.isfinite(order).any() or np.ptp(order[np.isfinite(order)]) == 0:
-        return None
-    settled = np.isfinite(runs).mean(axis=0)
-    rank = np.lexsort((order.ravel(), -settled.ravel()))[0]
-    row, column = np.unravel_index(rank, cells.shape)
-    is_tied = statistic.is_share and np.count_nonzero(order == order[row, column]) > 1
-    return None if is_tied else (int(row), int(column))
+    known = cells[np.isfinite(cells)]
+    if not known.size or np.ptp(known) == 0:
+        return False
+    return not statistic.is_share or int(np.sum(known == known.max())) == 1
 
 
-def _frames(
-    panels: Sequence[Panel],
+def _named_cell(
+    panel_point: Mapping[str, Any],
     axes: Mapping[str, Sequence[Any]],
-    column: str,
-    statistic: _CellStatistic,
     best_point: Mapping[str, Any],
-) -> dict[str, list[tuple[int, int] | None]]:
-    """The frames of `CellMarks`: the best point over all panels, and the best cell of a panel."""
-    word = "soonest" if statistic.is_settling_time else "best"
-    by_median = statistic.name.startswith("median")
-    place = [list(values).index(best_point[key]) for key, values in axes.items() if best_point]
-    overall: list[tuple[int, int] | None] = [
-        (place[0], place[1])
-        if best_point and all(best_point.get(key, at) == at for key, at in panel.point.items())
-        else None
-        for panel in panels
-    ]
-    if len(panels) == 1:
-        return {word: overall}
-    own = [_best_cell(panel.column_values(column), statistic) for panel in panels]
-    others = [None if a == b else a for a, b in zip(own, overall, strict=True)]
-    return {
-        f"{word} over all panels{' (mean)' * by_median}": overall,
-        f"{word} in its panel{' (median)' * by_median}": others,
-    }
+) -> tuple[int, int] | None:
+    """The cell (row, column) of a panel that the title names, or None if it is in another one."""
+    if not best_point or any(best_point.get(key, at) != at for key, at in panel_point.items()):
+        return None
+    row, column = (list(values).index(best_point[key]) for key, values in axes.items())
+    return row, column
 
 
 def _flagged_cells(flags: NDArray) -> NDArray:
@@ -252,7 +199,7 @@ def _best_cell_overall(
     for point, rows in group_rows(table, choice_keys):
         _, (panel,) = split_into_panels(rows, *axes)
         runs = panel.column_values(column)
-        if _best_cell(runs, statistic) is None:
+        if not _has_best_cell(runs, statistic):
             continue
         settled = np.isfinite(runs).mean(axis=0)
         shown = np.nansum(runs, axis=0) / np.maximum(settled * len(runs), 1)  # mean of the settled

@@ -2,7 +2,6 @@
 
 import io
 import math
-import re
 from collections.abc import Callable, Collection, Sequence
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
@@ -10,13 +9,12 @@ from typing import Any, ParamSpec, TypeVar
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis, XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 from matplotlib.ticker import (
     FixedLocator,
-    Formatter,
+    LogFormatter,
     LogFormatterMathtext,
     LogLocator,
     NullFormatter,
@@ -40,7 +38,6 @@ LETTERS = 7
 _SHORT = 26  # characters of a name at its line
 _GAP = 0.1  # least distance of two such names, in heights of the axes
 _SMALL = "#555555"
-_RAISED = str.maketrans("0123456789-\N{MINUS SIGN}.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻˙")
 _CAP = 0.95  # quantile at which a colour scale ends, if the rest is far beyond it
 _FAR = 1.5  # times the range up to that quantile
 _LEVEL = 3  # of zlib; the default takes twice the time for 2 % less
@@ -126,24 +123,22 @@ def set_log_scale(axes: Axes, low: float, high: float) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def set_asinh_scale(axis: Axis, linear_width: float, first_tick: float | None = None) -> str:
-    """Make an axis logarithmic on both sides of 0, so that a wide range is legible.
+def set_asinh_scale(axes: Axes, linear_width: float, first_tick: float) -> str:
+    """Make a vertical axis logarithmic on both sides of 0, so that a wide range is legible.
 
     Args:
-        axis: axis of values of either sign.
+        axes: axes with values of either sign.
         linear_width: magnitude up to which the axis is nearly linear.
-        first_tick: first tick on either side of 0, a power of 10; None for ``linear_width`` rounded
-            to one.
+        first_tick: first tick on either side of 0, a power of 10.
 
     Returns:
-        A note for the end of the axis label.
+        A note for the title.
     """
-    decades = 10.0 ** np.arange(math.floor(math.log10(first_tick or linear_width) + 0.5), 7)
-    set_scale = axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale
-    set_scale("asinh", linear_width=linear_width)
-    axis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
-    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axis.set_minor_locator(NullLocator())
+    decades = 10.0 ** np.arange(math.floor(math.log10(first_tick) + 0.5), 7)
+    axes.set_yscale("asinh", linear_width=linear_width)
+    axes.yaxis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
     return "\nlogarithmic far from 0"
 
 
@@ -235,32 +230,11 @@ def render_png(figure: Figure, footer: str = "") -> bytes:
     return buffer.getvalue()
 
 
-class _UnicodeFormatter(Formatter):
-    """Labels of a logarithmic axis in Unicode instead of mathematical text."""
-
-    def __init__(self, mathtext: LogFormatterMathtext) -> None:
-        self._marked = mathtext
-
-    def set_axis(self, axis: Any) -> None:
-        super().set_axis(axis)
-        self._marked.set_axis(axis)
-
-    def set_locs(self, locs: Any) -> None:
-        self._marked.set_locs(locs)
-
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        inside = re.sub(r"^\$\\mathdefault\{(.*)\}\$$", r"\1", self._marked(x, pos))
-        raised = re.sub(r"\^\{(.*?)\}", lambda found: found[1].translate(_RAISED), inside)
-        return raised.replace(r"\times", "×").replace("-", "\N{MINUS SIGN}")
-
-
 def _render_pixels(figure: Figure) -> NDArray:
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            if isinstance(formatter := axis.get_major_formatter(), LogFormatterMathtext):
-                axis.set_major_formatter(_UnicodeFormatter(formatter))
-            if isinstance(formatter := axis.get_minor_formatter(), LogFormatterMathtext):
-                axis.set_minor_formatter(_UnicodeFormatter(formatter))
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        if isinstance(axis.get_major_formatter(), LogFormatterMathtext):  # its $ would be drawn
+            axis.set_major_formatter(LogFormatter())
+            axis.set_minor_formatter(LogFormatter())
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3]

@@ -84,7 +84,6 @@ class HeatMaps:
         times = [name for name in ("reset_times_s",) if "reset_count" in axes]
         self._table = source.rows([*self._by, *axes, *columns, *times])
         self.axes, self.panels = split_into_panels(self._table, row_key, column_key, self._by)
-        self._repeats = (source.study.duplicate_of != np.arange(source.study.n_variants)).any()
 
     def draw_figure(
         self,
@@ -97,8 +96,6 @@ class HeatMaps:
         """The figure of a column; cells are hatched in which most runs have a flag, (runs,)."""
         if len(self.panels) > MAX_PANELS:
             caption += f" The first {MAX_PANELS} of {len(self.panels)} panels."
-        if self._repeats:
-            caption += " Cells that share a number have the same runs: there a key does not act."
         table = self._table
         if hatched is not None:
             table = table.append_column(_FLAG, pa.array(hatched))

@@ -282,6 +282,5 @@ def _curve_figures(source: Source) -> Iterator[Block]:
         figure = plots.plot_curves(curves, table, by=keys)
         caption_heading = caption.replace("Mean", "Rms", 1)
         yield Picture("misalignment", f"{caption_heading}{band}{dashed}.", figure)
-    span_s = source.study.study.window_s
-    figure = plots.plot_curves(curves, table, by=keys, zoom_s=span_s, level=True)
+    figure = plots.plot_curves(curves, table, by=keys, level=True)
     yield Picture("misalignment_level", f"{caption}{band}{dashed}.", figure)

@@ -1,14 +1,12 @@
 """Commands as a user types them: their results, and one clear line for every mistake."""
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 import tomli_w
 from support.commands import Command, command_line
@@ -18,11 +16,6 @@ from support.sweep_directories import read_files_and_times
 from sinsjax.engine import build
 from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.records import (
-    PSINS_LAYOUT,
-    RecordLayout,
-    read_psins,
-    write_csv,
-    write_parquet,
     write_psins,
 )
 
@@ -154,19 +147,6 @@ def test_resume_computes_only_missing_runs(sinsjax: Command, tmp_path: Path) -> 
     assert "study: 200 runs in" in told
 
 
-def test_resume_of_different_study_is_refused_in_one_line(sinsjax: Command, tmp_path: Path) -> None:
-    config, out = write_study(tmp_path, **TWO), tmp_path / "out"
-    assert sinsjax("sweep", config, "-o", out)[0] == 0
-    before = read_files_and_times(out)
-    both = ("sweep", config, "-o", out, "--resume", "--overwrite")
-    assert_refused(sinsjax(*both), tmp_path / "none", "--resume", "--overwrite")
-    write_study(tmp_path, **TWO, study={"seed": 2}, alignment={"phi_n0_deg": 6.0})
-    named = ("[study] seed: 1 there, 2 here", "[alignment] phi_n0_deg: 5.0 there, 6.0 here")
-    told = sinsjax("sweep", config, "-o", out, "--resume")
-    assert_refused(told, tmp_path / "none", str(out), "another study", *named)
-    assert read_files_and_times(out) == before
-
-
 def test_invalid_executor_options_are_refused_in_one_line(sinsjax: Command, tmp_path: Path) -> None:
     words = ("sweep", write_study(tmp_path), "-o", tmp_path / "out")
     address = ("--scheduler", "tcp://127.0.0.1:1")
@@ -175,53 +155,6 @@ def test_invalid_executor_options_are_refused_in_one_line(sinsjax: Command, tmp_
     assert_refused(sinsjax(*words, "--workers", 2, "--devices", 1), none, "--devices")
     assert_refused(sinsjax(*words, "--devices", 1, *address), none, "--devices")
     assert_refused(sinsjax(*words, "--devices", 4096), none, "--devices", "4096")
-
-
-@pytest.mark.nightly
-def test_rerun_reproduces_stored_run(sinsjax: Command, tmp_path: Path) -> None:
-    config, out = write_study(tmp_path, **TWO), tmp_path / "out"
-    assert sinsjax("sweep", config, "-o", out)[0] == 0
-    code, told, error = sinsjax("rerun", out, "--run-id", 3)
-    assert (code, error) == (0, "")
-    assert "identical to the stored one" in told
-    curve = pq.read_table(out / "reruns" / "3" / "curve.parquet")
-    row = read_summary(out, run_ids=[3])
-    assert curve["phi_u_arcmin"].to_pylist()[-1] == row["phi_u_arcmin"].to_pylist()[0]
-    assert_refused(sinsjax("rerun", out, "--run-id", 6), tmp_path / "none", "run 6", "0 to 5")
-    told = sinsjax("rerun", tmp_path / "nothing", "--run-id", 0)
-    assert_refused(told, tmp_path / "none", "nothing")
-
-
-@pytest.mark.nightly
-def test_resume_and_rerun_of_recorded_study_require_same_record(
-    sinsjax: Command, tmp_path: Path, record: build.Record
-) -> None:
-    path, other = tmp_path / "swing.imu", tmp_path / "other.imu"
-    write_psins(record, path)
-    write_psins(record._replace(dv=record.dv * 1.01), other)
-    config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
-    assert sinsjax("align", path, config, "-o", out)[0] == 0
-    before = read_files_and_times(out)
-    told = sinsjax("align", other, config, "-o", out, "--resume")
-    assert_refused(told, tmp_path / "none", str(out), "another record or reference")
-    told = sinsjax("rerun", out, "--run-id", 1)
-    assert_refused(told, tmp_path / "none", str(out), "--record")
-    told = sinsjax("rerun", out, "--run-id", 1, "--record", other)
-    assert_refused(told, tmp_path / "none", str(out), "another record")
-    assert read_files_and_times(out) == before
-    code, told, _ = sinsjax("align", path, config, "-o", out, "--resume")
-    assert code == 0 and "2 of 2 runs already done" in told
-    code, told, _ = sinsjax("rerun", out, "--run-id", 1, "--record", path)
-    assert code == 0 and "identical to the stored one" in told
-
-
-def test_report_recreates_deleted_figures(sinsjax: Command, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    sinsjax("run", write_study(tmp_path, **TWO), "-o", out)
-    shutil.rmtree(out / "figures")
-    code, told, _ = sinsjax("report", out)
-    assert code == 0 and told
-    assert list((out / "figures").glob("*.png"))
 
 
 @pytest.mark.nightly(fast=("mine/-study.seed=3",))
@@ -236,22 +169,6 @@ def test_page_names_study_file_and_set_overrides(
     assert sinsjax("report", "out", "--html", "page.html")[0] == 0
     named = f"{folder}study.toml{change and f' with {change}'}; computed by sinsjax "
     assert f"<footer>{named}" in Path("page.html").read_text()
-
-
-@pytest.mark.nightly
-def test_align_without_reference_gives_attitude_and_sigma_only(
-    sinsjax: Command, tmp_path: Path, record: build.Record
-) -> None:
-    write_psins(record, tmp_path / "swing.imu")
-    config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
-    code, _, error = sinsjax("align", tmp_path / "swing.imu", config, "-o", out)
-    assert (code, error) == (0, "")
-    summary = read_summary(out)
-    assert summary["start_s"].to_pylist() == [0.0, 1.0]
-    for name in ("phi_u_arcmin", "settle_10_s", "nees", "floor_arcmin", "status"):
-        assert summary[name].null_count == 2
-    for name in ("yaw_deg", "sigma_u_arcmin", "yaw_mean_deg"):
-        assert summary[name].null_count == 0
 
 
 @pytest.mark.nightly
@@ -272,51 +189,6 @@ def test_align_with_reference_reports_true_misalignment(
     error = np.array(summary["yaw_deg"]) - truth
     # phi is the vector of C_true C_hat^T: about minus the error in yaw for small level angles.
     np.testing.assert_allclose(-np.array(summary["phi_u_arcmin"]) / 60, error, rtol=0.02)
-
-
-@pytest.mark.nightly
-def test_record_gives_same_heading_in_every_format(
-    sinsjax: Command, tmp_path: Path, record: build.Record
-) -> None:
-    """Bit-equal through increments, 1e-9 through rates, quantised through PSINS text."""
-    columns = {
-        "time_column": "t",
-        "gyro_columns": ["gx", "gy", "gz"],
-        "accel_columns": ["ax", "ay", "az"],
-    }
-    increments = {"gyro_unit": "rad", "accel_unit": "m_per_s"}
-    rates = {"gyro_unit": "deg_per_h", "accel_unit": "ug"}
-    yaw = {}
-    for name, kind, units in (
-        ("a", "parquet", increments),
-        ("b", "csv", increments),
-        ("c", "parquet", rates),
-        ("d", "csv", rates),
-        ("e", "psins", {}),
-    ):
-        section = {"format": kind, "start_s": [0.0, 1.0]}
-        path = tmp_path / f"{name}.{kind}"
-        if kind == "psins":
-            write_psins(record, path, gyro_scale_arcsec=0.001, accel_scale_ug_s=1.0)
-        else:
-            section |= columns | units
-            layout = RecordLayout(kind, **(columns | units))
-            (write_csv if kind == "csv" else write_parquet)(record, path, layout)
-        changes = RECORDED | {"record": section, "earth": {"latitude_deg": 32.0}}
-        config = write_study(tmp_path, **changes)
-        out = tmp_path / f"out-{name}"
-        assert sinsjax("align", path, config, "-o", out)[0] == 0
-        yaw[name] = read_summary(out)["yaw_deg"].to_pylist()[0]
-    assert yaw["a"] == yaw["b"]
-    assert yaw["c"] == pytest.approx(yaw["a"], rel=1e-9)
-    assert yaw["d"] == pytest.approx(yaw["a"], rel=1e-9)
-    # Half a quantum of 1 ug s in each mean over 1.5 s of coarse alignment is 0.7 urad of level, and
-    # gravity turns by 93 urad between the two: 0.4 deg of yaw.
-    read = read_psins(tmp_path / "e.psins", PSINS_LAYOUT)
-    off = np.abs(np.cumsum(read.dtheta - record.dtheta, axis=0)).max()
-    assert 0.0004 < off / (np.pi / 648000) < 0.00051
-    assert yaw["e"] != yaw["a"]
-    assert yaw["e"] == pytest.approx(yaw["a"], abs=0.5)
 
 
 MISTAKES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {

@@ -12,8 +12,7 @@ from typing import Any
 import pyarrow as pa
 import pytest
 import tomli_w
-from support.commands import command_line
-from support.stored_results import store_results, write_manifest
+from support.stored_results import store_results
 from support.studies import BASE, small_study, small_tables
 
 from sinsjax import cli, console
@@ -23,8 +22,7 @@ from sinsjax.execution.directory import find_manifest
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import to_one_line
 from sinsjax.platform import runtime
-from sinsjax.study.keys import SECTIONS
-from sinsjax.study.load import load_study, study_from_dict, study_to_toml
+from sinsjax.study.load import load_study, study_from_dict
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -99,14 +97,6 @@ def test_odd_value_of_a_number_word_or_list_gives_short_printable_error(value: A
         check_errors(section, key, value)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("value", ODD.values(), ids=ODD)
-def test_odd_value_of_any_key_gives_short_printable_error(value: Any) -> None:
-    for section, model in SECTIONS.items():
-        for key in model.model_fields:
-            check_errors(section, key, value)
-
-
 def test_long_unknown_name_is_shortened_in_error() -> None:
     for data in ({"x" * 10_000: {}}, BASE | {"study": {"x" * 10_000: 1}}):
         line = refused(data)
@@ -157,13 +147,6 @@ def test_change_nested_too_deeply_is_refused_in_one_line(
     for words in (("validate", "reset_sweep"), ("run", "reset_sweep", "-o", "out")):
         code, error = sinsjax(*words, "--set", f"{place}={'[' * depth}{']' * depth}")
         assert code == 2 and error.endswith(": is nested too deeply\n") and error.count("\n") == 1
-
-
-def test_value_nested_too_deeply_is_refused_in_one_line() -> None:
-    deep: Any = []
-    for _ in range(DEEP):
-        deep = [deep]
-    assert refused({"study": {"window_s": deep}}) == "swing.toml: is nested too deeply"
 
 
 @pytest.mark.nightly(fast=("few-report", "lists-report", "few-rerun"))
@@ -310,20 +293,6 @@ def test_keyboard_interrupt_outside_runs_is_reported_in_one_line(
     monkeypatch.setattr("sinsjax.execution.prepare.load_with_notes", interrupted)
     told = "interrupted: stored results are kept\n"
     assert sinsjax("sweep", "reset_sweep", "-o", tmp_path / "out") == (130, told)
-
-
-def test_sweep_that_cannot_resume_prints_no_forecast(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    command, out = command_line(monkeypatch, capsys), tmp_path / "out"
-    config = tmp_path / "study.toml"
-    config.write_text(tomli_w.dumps(small_tables()))
-    out.mkdir()
-    (out / "study.toml").write_text(study_to_toml(small_study(study={"draws": 48})))
-    write_manifest(out, small_study(study={"draws": 48}))
-    code, told, error = command("sweep", config, "-o", out, "--resume")
-    assert (code, told) == (2, "")
-    assert error.endswith("(draws can be added, not removed: continue with --draws 48)\n")
 
 
 ENDING = """

@@ -1,9 +1,7 @@
 """Studies of repeated passes, forward and backward: from the study to the rows of its tables."""
 
 import copy
-import sys
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -11,11 +9,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
-import tomli_w
 from support.alone import run_alone
 from support.studies import with_paper_values
 
-from sinsjax import cli
 from sinsjax.engine import batch, build
 from sinsjax.engine.environment import Draw
 from sinsjax.errors import InputError
@@ -428,45 +424,3 @@ def test_reference_must_cover_whole_stored_record(passes: int) -> None:
     study = study_from_dict(recorded(stored_s=6.0, passes=passes))
     with pytest.raises(InputError, match=r"covers 0 to 13 s, but the study needs 1. to 16 s"):
         list(build.parts(study, StoredRecord(record(), reference(13.0))))
-
-
-# The command line
-
-
-@pytest.mark.parametrize(
-    ("tables", "words"),
-    [
-        ({"compass": {"level_gains": [0.06, 1040.3, 8.2e-5]}}, ("level_gains", "unstable", "-0.1")),
-        ({"compass": {"level_sigma_per_s": 90.0}}, ("level_sigma_per_s", "0.02 s", "-90")),
-        ({"passes": {"stored_s": 9.0}}, ("stored_s", "duration_s = 8")),
-        ({"passes": {"stored_s": 2.0, "passes": 0}}, ("[passes] passes", "0")),
-    ],
-)
-def test_invalid_compass_or_passes_key_is_refused_in_one_line(
-    tables: dict[str, Any],
-    words: tuple[str, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    data = merged({"alignment": {"method": "compass"}, "compass": {"level_time_s": 2.0}}, tables)
-    config, out = tmp_path / "study.toml", tmp_path / "out"
-    config.write_text(tomli_w.dumps(data), encoding="utf-8")
-    code, told = command(monkeypatch, capsys, "sweep", config, "-o", out)
-    assert code == 2 and not out.exists()
-    assert_one_line(told, *words)
-
-
-def command(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: object
-) -> tuple[int, str]:
-    """Return exit code and error output of a command line in this process."""
-    monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    return int(stop.value.code or 0), capsys.readouterr().err
-
-
-def assert_one_line(told: str, *words: str) -> None:
-    assert told.startswith("error: ") and len(told.splitlines()) == 1
-    assert all(word in told for word in words), told

@@ -15,13 +15,11 @@ from support.alone import run_alone
 from support.studies import add_true_reference, refusal_line, small_study, with_paper_values
 
 from sinsjax.engine import batch, build
-from sinsjax.engine.lanes import tiles_of
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, rerun, run
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_toml
-from sinsjax.tuning.gradient import ParameterMap, Slope, Softness
 from sinsjax.types import Quat
 from sinsjax.units import ARCMIN
 
@@ -103,15 +101,6 @@ def test_report_times_leave_optimised_filter_results_bit_identical(method: str) 
 
 
 @pytest.mark.nightly
-def test_nees_at_report_time_matches_runs_ending_then() -> None:
-    nees = results("filters", 1.0, 2.0, 5.0).summary["nees_at_2"].to_numpy()
-    ended = run.run(small_study(**FILTERS, study={"duration_s": 2.0, "window_s": [0, 2]})).summary
-    np.testing.assert_allclose(nees, ended["nees"].to_numpy(), rtol=1e-12)
-    assert not np.isnan(nees).any()
-    assert results("loops", 1.0, 2.0, 5.0).summary["nees_at_2"].null_count == 3
-
-
-@pytest.mark.nightly
 def test_single_run_matches_batch_at_report_times() -> None:
     (part,) = build.parts(small_study(study={"report_times_s": [2.0, 6.0], "draws": 1}))
     group = part.group
@@ -121,34 +110,6 @@ def test_single_run_matches_batch_at_report_times() -> None:
     (chunk,) = batch.run_chunks(group)
     np.testing.assert_allclose(one.at_times, chunk.outcome.at_times[0], rtol=1e-9)
     assert abs(one.at_times[1, 0] - one.last.phi.z) == 0
-
-
-@pytest.mark.nightly
-def test_equally_many_report_times_share_one_program() -> None:
-    def program(times: list[float]) -> batch.Program:
-        (part,) = build.parts(small_study(study={"report_times_s": times}))
-        group = part.group
-        tiles = tiles_of(group, batch.plan(group)[0])
-        return batch.trace_program(group, tiles)
-
-    assert program([1.0, 2.0]) is program([3.0, 6.0])
-    assert program([1.0, 2.0]) is not program([3.0])
-
-
-@pytest.mark.nightly
-def test_tuning_gradient_ignores_report_times() -> None:
-    tune: dict[str, Any] = {"searches": ["gradient"], "tune_draws": 2}
-    tune["variables"] = {"r_scale": {"low": 0.2, "high": 5.0, "scale": "log"}}
-    tables = {"tune": tune, "alignment": {"method": "kalman5"}}
-    tables["tune"]["objective_band_arcmin"] = 60.0
-    found = [
-        Slope(ParameterMap(small_study(**tables, study=reported), {}), starts=2, draws=2)(
-            np.array([[0.3], [0.7]]), np.arange(2), Softness(5.0, 3.0)
-        )
-        for reported in ({}, {"report_times_s": [2.0]})
-    ]
-    for plain, reported in zip(*found, strict=True):
-        np.testing.assert_array_equal(plain, reported)
 
 
 def test_report_times_enter_study_toml_and_fingerprint_only_if_given() -> None:

@@ -149,11 +149,7 @@ def test_surging_base_that_turns_is_warned_of():
     assert not replace(advice, sheet=read(motion="surge")).misses_turns
 
 
-def test_resets_state_their_doubts_and_settings():
-    (line,) = (text for text in describe_advice(advise()) if text.startswith("  resets"))
-    assert 'schedule = "law"' in line and "reset_velocity_m_per_s = 1)" in line
-    assert "bias instability" in line
-    assert not any("more with bias" in text for text in describe_advice(advise(STEADY)))
+def test_resets_aim_at_a_band_that_drift_allows():
     sheet = read({"sensors.gyro_instability_deg_per_h": 0.4})
     strong = _resets(sheet, sheet_budget(sheet, [60.0, 120.0, 300.0]))
     assert strong is not None and strong.band_arcmin == 300.0  # not 10', which drift exceeds
@@ -230,13 +226,6 @@ def test_values_that_do_not_fit_are_doubts(changes, words):
     assert any(words in line for line in read(changes).doubts)
 
 
-def test_doubts_are_part_of_the_text():
-    sheet = read({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 0.005]}, "drawn.accel_bias_ug": {}})
-    assert len(sheet.doubts) == 2
-    lines = [*describe_advice(replace(advise(STEADY), sheet=sheet))]
-    assert all(any(doubt in line for line in lines) for doubt in sheet.doubts)
-
-
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
@@ -297,15 +286,6 @@ def test_shipped_sheet_names_its_source_and_has_no_doubt(name):
 def test_shipped_sheet_is_advised(name):
     advice = sinsjax.advise(imu=name, latitude_deg=45.0, time_s=60.0)
     assert advice.heading.time_s == 60 and advice.heading.rms_arcmin > 0
-
-
-def test_figure_has_a_line_and_an_area_for_each_large_source():
-    figure = advise().plot()
-    above, below = figure.axes
-    assert "73%" in above.get_title(loc="left")
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels[0] == "gyro turn-on bias" and "others" in labels
-    assert len(below.collections) == len(labels)
 
 
 def test_command_prints_one_screen_and_writes_a_study(tmp_path, monkeypatch, capsys):

@@ -221,12 +221,6 @@ def test_summarise_of_chosen_statistics_needs_only_their_columns():
     assert found.equals(analysis.summarise(whole, ["case"]).select(found.column_names))
 
 
-def test_settle_data_columns_have_no_never_settled_count():
-    names = analysis.summarise(summary_table(settle_10_data_s=np.full(12, 40.0)), []).column_names
-    assert "settle_10_data_s_median" in names and "settle_10_data_s_mean_n" in names
-    assert [name for name in names if name.startswith("never")] == ["never_settled_10"]
-
-
 def test_summarise_refuses_no_runs_missing_column_and_unknown_statistic():
     with pytest.raises(InputError, match="no runs"):
         analysis.summarise(summary_table().slice(0, 0), [])

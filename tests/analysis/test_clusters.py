@@ -7,7 +7,7 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import special, stats
+from scipy import stats
 
 from sinsjax import analysis
 
@@ -26,10 +26,6 @@ def test_clusters_of_one_value_equal_independent_values(statistic):
     assert statistic(values, np.arange(20)[::-1]) == pytest.approx(statistic(values))
     assert analysis.quantile(values, 0.9, np.arange(20)) == analysis.quantile(values, 0.9)
     assert analysis.share(values > 2, np.arange(20)) == analysis.share(values > 2)
-
-
-def test_share_without_clusters_counts_runs():
-    assert analysis.share([True, False, True, True]) == analysis.proportion(3, 4)
 
 
 def test_mean_of_equal_draws_is_student_interval_of_draw_means():
@@ -161,28 +157,6 @@ def test_quantile_of_draws_with_unequal_numbers_of_runs_has_bounds():
     assert means[8] < found.low < found.value < found.high < means[-9]
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("alike", [0.0, 0.9])
-@pytest.mark.parametrize("draws", [8, 64])
-def test_clustered_intervals_cover_true_values(draws, alike):
-    random = np.random.default_rng([draws, round(10 * alike)])
-    hits = {0.5: 0, 0.9: 0}
-    shares = []
-    for _ in range(400):
-        values = math.sqrt(alike) * random.normal(size=(draws, 1)) + math.sqrt(
-            1 - alike
-        ) * random.normal(size=(draws, VARIANTS))
-        runs = flatten_draws(values)
-        for q in hits:
-            one, true = analysis.quantile(runs[0], q, runs[1]), special.ndtri(q)
-            hits[q] += not (one.low > true or one.high < true)
-        share = random.uniform(0.02, 0.98)
-        one = analysis.share(runs[0] < special.ndtri(share), runs[1])
-        shares.append(one.low <= share <= one.high)
-    assert np.mean(shares) >= 0.93
-    assert min(hits.values()) >= 0.93 * 400, hits
-
-
 def test_one_cluster_has_no_interval():
     values = np.random.default_rng(6).normal(size=12)
     record = np.zeros(12, dtype=int)
@@ -196,11 +170,6 @@ def test_one_cluster_has_no_interval():
     ):
         assert math.isfinite(found.value) and found.n == 12
         assert np.isnan(found[1:3]).all()
-
-
-def test_one_run_has_no_interval():
-    found = analysis.share([True], [0])
-    assert found.value == 1.0 and found.n == 1 and np.isnan(found[1:3]).all()
 
 
 def test_unequal_number_of_clusters_and_values_raises():

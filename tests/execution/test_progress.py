@@ -52,20 +52,6 @@ def test_plain_progress_prints_every_tenth_with_pace_and_failures(clock: Clock) 
     ]
 
 
-def test_pace_is_printed_only_once_measured(clock: Clock) -> None:
-    """The threads end their first chunks at almost the same time."""
-    screen, file = plain()
-    with progress.show_progress(screen, "swing") as on_progress:
-        for later, done in ((5.0, 448), (0.001, 896), (1.2, 1792)):
-            clock.now += later
-            on_progress(RunProgress(done, 7168, 0, 0))
-    assert file.getvalue().splitlines() == [
-        "swing: 448 of 7,168 runs, 0 failed",
-        "swing: 896 of 7,168 runs, 0 failed",
-        "swing: 1,792 of 7,168 runs, 1,119 runs/s, 0:05 left, 0 failed",
-    ]
-
-
 def test_stored_runs_are_reported_and_excluded_from_pace(clock: Clock) -> None:
     screen, file = plain()
     with progress.show_progress(screen, "swing") as on_progress:

@@ -11,10 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 from support.commands import command_line
-from support.stored_results import store_results
 from support.studies import add_true_reference, small_study, with_paper_values
 from support.sweep_directories import STUDIES, make_study, read_files_and_times, rewrite_manifest
-from support.synthetic_tables import synthetic_summary
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError
@@ -257,15 +255,6 @@ def test_invalid_rerun_raises_one_line_error(
     write_psins(stored.record, tmp_path / "swing.imu")
     with pytest.raises(InputError, match=r"has no \[record\] section"):
         rerun_into(out, 0, files=(tmp_path / "swing.imu", None))
-
-
-@pytest.mark.optimised(False)
-def test_rerun_of_run_without_row_is_refused(tmp_path: Path) -> None:
-    """Results of a study that stopped after 64 of its draws."""
-    study = stopping_study()
-    out = store_results(tmp_path / "out", study, synthetic_summary(study).slice(0, 6 * 64))
-    with pytest.raises(InputError, match="run 384 has no row yet"):
-        rerun_into(out, 384)
 
 
 @pytest.mark.nightly

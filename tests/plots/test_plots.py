@@ -5,13 +5,13 @@ import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
 import pytest
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from scipy import stats
 
 from sinsjax import plots
 from sinsjax.analysis import Estimate
-from sinsjax.plots import ConsistencyLine, Ensemble, GridAxis, HeadingErrorCourse, Line, MapQuantity
+from sinsjax.plots import ConsistencyLine, Ensemble, GridAxis, Line, MapQuantity
 from sinsjax.plots.comparison import cumulative_distribution_steps
 
 TIME = np.arange(1.0, 11.0)
@@ -28,11 +28,6 @@ def make_ensemble(label, *, runs=4, size=1.0, sigma=2.0):
 def figure_text(figure: Figure) -> str:
     """Return all visible text of a figure."""
     return "\n".join(t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_text().strip())
-
-
-def solid_lines(axes):
-    """The lines of an axes that a legend names and that are no marks along it."""
-    return [line for line in axes.get_lines() if len(line.get_xdata()) > 2]
 
 
 def test_ensembles_arrange_runs_by_record():
@@ -54,6 +49,8 @@ def test_line_is_mean_and_band_covers_95_percent():
     np.testing.assert_allclose(extent.low, np.quantile(values, 0.025, axis=0))
     np.testing.assert_allclose(extent.high, np.quantile(values, 0.975, axis=0))
     assert len(axes.collections) == 1
+    plots.draw_mean_and_band(axes, Line("a single run", TIME, values[:1], "#000000"))
+    assert len(axes.collections) == 1
 
 
 def test_line_skips_records_with_missing_values():
@@ -64,37 +61,18 @@ def test_line_skips_records_with_missing_values():
     np.testing.assert_array_equal(axes.get_lines()[0].get_xdata(), np.delete(TIME, 4))
 
 
-def test_single_run_has_no_band():
-    axes = Figure().subplots()
-    plots.draw_mean_and_band(axes, Line("x", TIME, np.ones((1, TIME.size)), "#000000"))
-    assert not axes.collections
-
-
-def test_misalignment_figure_has_panels_labels_and_legend():
+def test_misalignment_figure_has_panels_floor_resets_and_names_of_lines():
     shown = [make_ensemble("a"), make_ensemble("b", size=900.0)]
-    figure = plots.draw_misalignment(
-        shown, "Title", floors={"u": -27.0}, resets_s=[3.0, 6.0], zoom_s=(5.0, 10.0)
-    )
-    whole, enlarged = figure.axes[::2], figure.axes[1::2]
-    assert len(whole) == len(enlarged) == 3
-    names = ("level error, east", "level error, north", "heading error")
-    for axes, name in zip(whole, names, strict=True):
+    figure = plots.draw_misalignment(shown, "Title", floors={"u": -27.0}, resets_s=[3.0, 6.0])
+    names = ("level error,\neast", "level error,\nnorth", "heading error")
+    for axes, name in zip(figure.axes, names, strict=True):
         assert axes.get_ylabel().startswith(name) and "(arcmin)" in axes.get_ylabel()
-        assert [line.get_label() for line in solid_lines(axes)] == ["a", "b"]
         assert axes.get_yscale() == "asinh" and axes.get_xlim() == (0.0, 10.0)
         assert sum(line.get_linestyle() == ":" for line in axes.get_lines()) == 2
-    assert all(axes.get_yscale() == "linear" for axes in enlarged)
-    assert enlarged[0].get_xlim() == (5.0, 10.0)
-    low, high = enlarged[0].get_ylim()
-    assert low < 0.0 and high > 900.0
-    assert [len(axes.get_lines()) for axes in whole] == [4, 4, 5]
-    assert figure.get_suptitle() == "Title"
-    assert [t.get_text() for t in enlarged[2].texts] == ["a", "b"]  # at the ends of their lines
-    assert [t.get_text() for t in figure.legends[0].get_texts()] == [
-        "95 % of the runs",
-        "bias floor",
-        "reset",
-    ]
+    assert [len(axes.get_lines()) for axes in figure.axes] == [4, 4, 5]
+    said = figure_text(figure)
+    for word in ("Title", "a", "b", "95 % of the runs", "bias floor", "reset"):
+        assert word in said.splitlines()
 
 
 def test_misalignment_sigma_is_dashed_on_both_sides():
@@ -104,32 +82,12 @@ def test_misalignment_sigma_is_dashed_on_both_sides():
     assert sorted(ends) == [-5.0, 5.0]
 
 
-def test_enlarged_panel_shows_whole_band():
-    wide = make_ensemble("a", runs=40)
-    figure = plots.draw_misalignment([wide], "Title", zoom_s=(4.0, 10.0))
-    inside = wide.columns["phi_u_arcmin"][:, TIME >= 4.0]
-    low, high = figure.axes[-1].get_ylim()
-    assert low < np.quantile(inside, 0.025, axis=0).min()
-    assert high > np.quantile(inside, 0.975, axis=0).max()
-
-
 def test_attitude_figure_shows_degrees_and_sigma_band():
     figure = plots.draw_attitude([make_ensemble("a", sigma=60.0), make_ensemble("b")], "Title")
     assert [axes.get_ylabel() for axes in figure.axes] == ["pitch (deg)", "roll (deg)", "yaw (deg)"]
     path = figure.axes[2].collections[0].get_paths()[0]
     middle = make_ensemble("a").columns["yaw_deg"].mean(axis=0)
     assert path.vertices[:, 1].max() == pytest.approx(middle.max() + 1.0)  # 60 arcmin are 1 deg
-
-
-def test_squares_figure_uses_log_axes_in_square_arcmin():
-    values = np.full((3, TIME.size), 9.0)
-    panels = {"one": [Line("P", TIME, values, "#000000", "--")], "two": []}
-    figure = plots.draw_squared_errors(panels, "Title", resets_s=[2.0])
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["one", "two"]
-    assert all(axes.get_yscale() == "log" for axes in figure.axes)
-    assert "arcmin²" in figure.axes[0].get_ylabel()
-    assert plots.render_png(figure)
-    assert figure.axes[0].get_lines()[0].get_linestyle() == "--"
 
 
 def test_heat_maps_show_values_and_hatch_infinite_cells():
@@ -153,24 +111,6 @@ def test_heat_maps_show_values_and_hatch_infinite_cells():
     )
     assert bar.get_ylabel() == "time (s)"
     assert "never" in figure_text(figure)
-
-
-def test_heat_map_uses_log_colours_and_two_digits_per_cell():
-    figure = plots.draw_heat_maps(
-        [("a", np.array([[0.123, 4.56], [78.9, 1234.0], [0.0, np.inf]]))],
-        "Title",
-        MapQuantity("error (arcmin)", 0.1, 100.0, reverse=True, log=True),
-        rows=GridAxis("azimuth_sigma_per_s", [0.01, 0.02, 0.04]),
-        columns=GridAxis("stored_s", [20.0, 40.0]),
-    )
-    axes = figure.axes[0]
-    assert [t.get_text() for t in axes.texts] == ["0.12", "4.6", "79", "1234", "0"]
-    norm = axes.get_images()[0].norm
-    assert isinstance(norm, LogNorm)
-    assert norm(math.sqrt(0.1 * 100.0)) == pytest.approx(0.5)
-    assert [t.get_color() for t in axes.texts][:4] == ["black", "white", "white", "white"]
-    assert axes.get_ylabel() == "sigma of the azimuth loop (1/s)"
-    assert plots.render_png(figure)
 
 
 def test_along_axis_marks_infinite_values_as_never():
@@ -221,46 +161,13 @@ def test_beliefs_figure_shows_nees_distribution_and_shares():
     assert [mark.get_label() for mark in marks] == ["share a", "share b"]
 
 
-def make_course(label: str, *, resets_s=()) -> HeadingErrorCourse:
-    mean, own = np.linspace(600.0, -20.0, TIME.size), np.full(TIME.size, 100.0)
-    return HeadingErrorCourse(label, TIME, mean, own / 4, own, resets_s, floor=-25.0)
-
-
-def test_believed_figure_compares_true_error_with_filter_sigma():
-    figure = plots.draw_error_bands(
-        [make_course("plain"), make_course("reset", resets_s=[4.0, 6.0])], "Title"
-    )
-    above, resets, ratio, _ = figure.axes
-    own, true = (band.get_paths()[0].get_extents() for band in above.collections)
-    assert (own.ymin, own.ymax) == (-200.0, 200.0)
-    assert (true.ymin, true.ymax) == (-70.0, 650.0)
-    mean = next(line for line in above.get_lines() if line.get_label() == "true error: mean")
-    np.testing.assert_array_equal(mean.get_ydata(), make_course("").mean)
-    np.testing.assert_allclose(ratio.get_lines()[0].get_ydata()[0], np.hypot(600, 25) / 100)
-    assert [line.get_xdata()[0] for line in resets.get_lines()[-2:]] == [4.0, 6.0]
-    said = figure_text(figure)
-    for word in ("arcmin", "time (s)", "plain", "reset", "bias floor", "believes", "± 2 sigma"):
-        assert word in said
-    assert said.count("bias floor, left by the sensor biases") == 1
-    assert plots.render_png(figure)
-
-
-def read_png(content):
-    from PIL import Image
-
-    return np.asarray(Image.open(io.BytesIO(content)))
-
-
 def test_footer_is_added_as_strip_below_figure():
     figure = plots.draw_misalignment([make_ensemble("a")], "Title")
-    plain, signed = (read_png(plots.render_png(figure, text)) for text in ("", "swing: 3 draws"))
-    height = plain.shape[0]
-    assert signed.shape[0] > height and signed.shape[1] == plain.shape[1]
-    np.testing.assert_array_equal(signed[:height], plain)
-    strip = signed[height:]
-    assert (strip < 128).any() and (strip[:2] == 255).all()
-    other = read_png(plots.render_png(figure, "swing: 4 draws"))
-    assert (other[height:] != strip).any()
+    plain, signed = (
+        imread(io.BytesIO(plots.render_png(figure, text))) for text in ("", "swing: 3 draws")
+    )
+    np.testing.assert_array_equal(signed[: len(plain)], plain)
+    assert (signed[len(plain) :] < 0.5).any()
 
 
 def test_png_does_not_depend_on_rc_params(monkeypatch):
@@ -272,6 +179,3 @@ def test_png_does_not_depend_on_rc_params(monkeypatch):
     monkeypatch.setitem(mpl.rcParams, "savefig.dpi", 30.0)
     assert draw() == first
     assert mpl.rcParams["font.size"] == 30.0
-    from PIL import Image
-
-    assert set(Image.open(io.BytesIO(first)).info) == {"dpi"}

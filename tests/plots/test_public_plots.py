@@ -1,6 +1,5 @@
 """The plot functions of the package's own namespace: tables in, figures out."""
 
-import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -29,7 +28,6 @@ SETTLE = {  # s, by number of resets, cycle and start; None never settles
     (2, 50.0, 30.0): 200.0,
 }
 MAP = ("reset_count", "reset_cycle_s")
-BOLD, THIN = "#D55E00", "#000000"  # frames
 
 
 def run_table(settle=SETTLE, draws=3, **more):
@@ -64,16 +62,11 @@ def panel_titles(figure: Figure):
 
 
 def framed_cells(axes):
-    """The corners of the frames of a panel by colour, those of their white edges left out."""
-    found = {}
-    for frame in axes.patches:
-        colour = mpl.colors.to_hex(frame.get_edgecolor()).upper()
-        if colour != "#FFFFFF":
-            found.setdefault(colour, []).append(frame.get_xy())
-    return found
+    """The corners of the frames of a panel; each has a white edge."""
+    return {frame.get_xy() for frame in axes.patches}
 
 
-def test_map_frames_cell_that_title_names_and_best_of_each_panel():
+def test_map_frames_cell_that_title_names():
     figure = sinsjax.plot_map(run_table(), *MAP, "settle_10_s", by="phi_u0_deg")
     assert figure.get_suptitle() == "Soonest: 2 resets, every 10 s (180 s on average)"
     first, second = panel_titles(figure)
@@ -84,13 +77,7 @@ def test_map_frames_cell_that_title_names_and_best_of_each_panel():
     assert (
         first.get_title(loc="left").endswith("0 deg") and second.get_title(loc="left") == "30 deg"
     )
-    named = [(-0.5, 1.5)]  # 2 resets, every 10 s
-    assert framed_cells(first) == {BOLD: named, THIN: [(-0.5, 0.5)]}  # 1 reset at 10 s
-    assert framed_cells(second) == {BOLD: named, THIN: [(0.5, 1.5)]}  # 2 resets, every 50 s
-    assert first.patches[-1].get_edgecolor() == mpl.colors.to_rgba(BOLD)  # on top of the thin one
-    legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend[1:] == ["soonest over all panels (mean)", "soonest in its panel (median)"]
-    assert [t.get_text() for t in first.texts].count("300") == 1  # the same runs, one number
+    assert framed_cells(first) == framed_cells(second) == {(-0.5, 1.5)}  # 2 resets, every 10 s
 
 
 def test_map_title_names_best_choice_where_panels_are_choices():
@@ -99,8 +86,7 @@ def test_map_title_names_best_choice_where_panels_are_choices():
     figure = sinsjax.plot_map(table, *MAP, "settle_10_s", by=["method"], pooled=[])
     title = "Soonest: 1 reset at 10 s, method 0 (100 s on average)"
     assert figure.get_suptitle().replace("\n", " ") == title
-    first, second = map(framed_cells, panel_titles(figure))
-    assert first == {BOLD: [(-0.5, 0.5)]} and second == {THIN: [(0.5, 1.5)]}
+    assert list(map(framed_cells, panel_titles(figure))) == [{(-0.5, 0.5)}, set()]
 
 
 def test_map_of_flag_is_share_in_percent_and_of_number_its_rms():

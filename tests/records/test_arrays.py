@@ -1,7 +1,6 @@
 """Records from arrays: units, axes, dates, gaps, references, and one line per error."""
 
 import contextlib
-import inspect
 from datetime import UTC, datetime
 from typing import Any
 
@@ -14,7 +13,6 @@ from support.studies import STILL, small_study, small_tables
 import sinsjax
 from sinsjax.engine.truth import start_samples
 from sinsjax.errors import InputError
-from sinsjax.execution.prepare import _resolve_record as stored_record
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.records.layout import from_body_axes
 from sinsjax.records.reference import Reference, StoredRecord
@@ -102,30 +100,22 @@ def test_datetime64_times_give_rate_and_start():
     assert record.rate_hz == pytest.approx(RATE) and record.t0_s == pytest.approx(1714564800.0)
 
 
-ZONES = ("UTC", "Europe/Paris", "Asia/Kathmandu")
-
-
 def zoned_dates() -> dict[str, Any]:
     """The same dates with a zone in every library that is there, and as plain objects."""
     stamps = 1_714_564_800_000_000_000 + 10_000_000 * np.arange(1, T + 1)
     found: dict[str, Any] = {
         "Arrow": pa.array(stamps, pa.timestamp("ns", "Europe/Paris")),
-        "Arrow, chunked": pa.chunked_array([pa.array(stamps, pa.timestamp("ns", "UTC"))]),
         "datetime": [datetime.fromtimestamp(stamp * 1e-9, UTC) for stamp in stamps.tolist()],
     }
     with contextlib.suppress(ImportError):
         pandas = __import__("pandas")
-        plain = pandas.to_datetime(pandas.Series(stamps))
-        for zone in ZONES:
-            found[f"pandas, {zone}"] = plain.dt.tz_localize("UTC").dt.tz_convert(zone)
-        found["pandas, index"] = pandas.DatetimeIndex(found["pandas, UTC"])
-        found["pandas, us"] = found["pandas, UTC"].dt.as_unit("us")
-        found["pandas, objects"] = found["pandas, Asia/Kathmandu"].astype(object)
+        dates = pandas.to_datetime(pandas.Series(stamps)).dt.tz_localize("UTC")
+        found["pandas"] = dates.dt.tz_convert("Asia/Kathmandu")
+        found["pandas, objects"] = found["pandas"].astype(object)
     with contextlib.suppress(ImportError):
         polars = __import__("polars")
-        for zone in ZONES:
-            dates = polars.Series(stamps).cast(polars.Datetime("ns", "UTC"))
-            found[f"polars, {zone}"] = dates.dt.convert_time_zone(zone)
+        dates = polars.Series(stamps).cast(polars.Datetime("ns", "UTC"))
+        found["polars"] = dates.dt.convert_time_zone("Asia/Kathmandu")
     return found
 
 
@@ -146,14 +136,6 @@ def test_missing_date_is_missing_sample():
     assert refusal_line(dates).startswith("arrays: time: ")
 
 
-def test_reference_accepts_dates():
-    dates = zoned_dates()["datetime"]
-    level = [0.0, 0.0]
-    table = {"time_s": [dates[0], dates[-1]], "pitch_deg": level, "roll_deg": level}
-    reference = make_record(dates, reference=table | {"yaw_deg": level}).reference
-    assert reference.time_s == pytest.approx([0.01, 0.5], abs=1e-6)
-
-
 def test_pandas_na_is_missing_sample():
     pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame(GYRO).astype(object)
@@ -164,16 +146,6 @@ def test_pandas_na_is_missing_sample():
     times = pandas.Series(TIME).astype(object)
     times[10] = pandas.NA
     assert [flaw[:2] for flaw in make_record(times).record.flaws] == [(10, 11)]
-
-
-def test_epoch_timestamps_give_whole_rate():
-    time = 1.763e9 + np.arange(1, 3001) / 100
-    rates = np.ones((3000, 3))
-    assert sinsjax.record_from_arrays(time, rates, rates).record.rate_hz == 100.0
-
-
-def test_rate_hz_is_used_without_times():
-    assert make_record(None, rate_hz=200.0).record.rate_hz == 200.0
 
 
 def test_gaps_are_interpolated_or_reported_as_flaws():
@@ -221,27 +193,20 @@ def test_reference_times_become_relative_to_record_start():
     ("change", "told"),
     [
         ({"gyro": GYRO[:, :2]}, "gyro: (T, 3) 50"),
-        ({"accel": ACCEL[:-1]}, "accel: 49 50"),
         ({"time": TIME[:-2]}, "time: 48 50"),
-        ({"time": GYRO}, "time: 50 3"),
         ({"gyro": [[1, 2, 3], [1, "x", 3]]}, "row 1: column 'gyro[:, 1]': 'x'"),
-        ({"gyro": [[1, 2, 3], [1, 3]]}, "gyro: numeric"),
         ({"time": ["x", *TIME[1:]]}, "row 0: column 'time': 'x'"),
         ({"time": None}, "rate_hz: required time"),
-        ({"time": None, "rate_hz": 1.0, "gyro": np.empty((0, 3))}, "gyro: rows"),
         ({"gyro": GYRO * 1e35}, "row 0: column 'gyro[:, 0]': range"),
         ({"time": TIME[::-1]}, "column 'time': row 1: backward 0.5 0.49"),
         ({"time": np.ones(T)}, "column 'time': row 1: repeats 1.0"),
         ({"rate_hz": 50.0}, "column 'time' 100 rate_hz 50"),
         ({"gyro_unit": "dps"}, "gyro_unit: 'dps' rad deg arcsec rad_per_s"),
         ({"mounting_deg": (1.0, 2.0)}, "mounting_deg: pitch roll"),
-        ({"axes": "ned"}, "axes: 'ned' permutation"),
         ({"axes": "yxz"}, "axes: 'yxz' left-handed"),
         ({"time_unit": "iso"}, "time_unit: 'iso'"),
-        ({"time_unit": "h"}, "time_unit: 'h'"),
         ({"reference": {"time_s": [0, 1]}}, "reference: column 'pitch_deg'"),
         ({"reference": REFERENCE | {"pitch_deg": [1, 99]}}, "reference: row 1: pitch_deg 90"),
-        ({"reference": REFERENCE | {"roll_deg": [1]}}, "reference: row"),
     ],
 )
 def test_invalid_array_input_raises_one_line_error(change, told):
@@ -333,29 +298,8 @@ def test_rounded_timestamps_keep_start_times(drive_data):
     assert start_samples(study, study.rate_hz).tolist() == [0, 1000]
 
 
-def test_interpolated_samples_are_reported(drive_data):
-    record = drive_data[1]
-    time = np.arange(1, len(record.dv) + 1) / record.rate_hz
-    gyro = record.dtheta * record.rate_hz
-    gyro[700, 1] = np.nan
-    stored = sinsjax.record_from_arrays(time, gyro, record.dv * record.rate_hz, max_gap_s=0.05)
-    (warning,) = prepare_job(recorded(), record=stored).warnings
-    assert_refusal(warning, "arrays: 1 max_gap_s 0.05")
-
-
 def test_file_keys_are_refused_for_arrays():
     for key, value in (("gyro_unit", "rad"), ("axes_order", "frd"), ("time_column", "t")):
         with pytest.raises(InputError) as caught:
             recorded(record={key: value})
         assert_refusal(str(caught.value), f"study: [record] {key}: 'arrays'")
-
-
-def test_loading_arrays_format_from_file_is_refused():
-    with pytest.raises(InputError, match="x.csv"):
-        sinsjax.load_increments(recorded(), "x.csv")
-
-
-def test_number_instead_of_record_is_refused():
-    """Unwrapped, because the tests' own checks of types would come first."""
-    with pytest.raises(InputError, match=r"record: .* int$"):
-        inspect.unwrap(stored_record)(recorded(), 3, None)

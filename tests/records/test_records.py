@@ -1,7 +1,6 @@
 """Records: round trips of the three formats, and errors with file and row."""
 
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -209,22 +208,15 @@ def small_batches(request, monkeypatch) -> None:
     ("text", "told"),
     [
         ("", "empty"),
-        ("% only\n", "3 0"),
         (HEADER, "no samples"),
         (SAMPLE * 9, "row 2: 83"),
         (HEADER + SAMPLE + "1 2 3\n" + SAMPLE, "row 6: 6 3"),
-        (HEADER + SAMPLE + "1 2 3", "row 6: 3 last"),
-        (HEADER + "1 2 3 4 5 6 7\n" * 3, "row 5: 7"),
         (HEADER + SAMPLE + "1 2 3 4 5 6.5\n", "row 6: accelerometer z: '6.5'"),
         (HEADER + "1 l 3 4 5 6\n", "row 5: gyro y: 'l'"),
-        (HEADER + "1 2 3 NaN 5 6\n", "row 5: accelerometer x: 'NaN'"),
         (HEADER + "1 2 3 4 5 99999999999999999999\n", "row 5: accelerometer z: large"),
         (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: 6 5"),
-        (HEADER.replace("108.9", "1O8.9") + SAMPLE, "row 3: '1O8.9'"),
         (HEADER.replace(" 10 ", " 0 ") + SAMPLE, "row 3: interval 0 ms"),
         (HEADER.replace("34.2", "134.2") + SAMPLE, "row 3: latitude 134.2"),
-        (HEADER.replace("34.2", "90") + SAMPLE, "row 3: latitude 90"),
-        (HEADER.replace("34.2", "-90") + SAMPLE, "row 3: latitude -90"),
         (HEADER.replace("9.78", "0.78") + SAMPLE, "row 3: g 0.780327"),
         (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: gyro y -0.2"),
         ("a,b\n1,2\n", "row 1: 6 1 PSINS"),
@@ -247,17 +239,14 @@ ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
     ("text", "told"),
     [
         ("", "empty"),
-        ("\n\n", "blank"),
         (HEAD, "no samples"),
         (HEAD.replace("gz", "gz_") + ROWS, "column 'gz' 'gz_'"),
         ("a;b\n1;2\n", "column 'gx' 'a' 'b'"),
-        ('a;b\n1;2\n3;"4\n', "column 'gx'"),
         (HEAD.replace("gz", "gx") + ROWS, "column 'gx' once"),
         (HEAD + ROWS + "0.05,1,2,3\n", "row 6: 7 4 last"),
         (HEAD + "0.01,1,2,3,4,5,6,7\n" + ROWS, "row 2: 7 8"),
         (HEAD + ROWS + "\n0.05,1,2,x,4,5,6\n", "row 7: column 'gz': 'x'"),
         (HEAD + ROWS + "0.05,1,2,,4,5,6\n", "row 6: column 'gz': empty"),
-        (HEAD + ROWS + "0.05,1,2,nan,4,5,6\n", "row 6: column 'gz': finite"),
         (HEAD + ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': '1e300'"),
         (HEAD + ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "column 'time_s': row 7: gap 100 0.04"),
         (HEAD + ROWS + "0.05,1,2,3,4,1_0,6\n", "row 6: column 'ay': '1_0'"),
@@ -294,12 +283,6 @@ def test_time_steps_may_deviate_by_half_sample(folder, steps):
         named = [k for k in bad if k == bad[0] or (step_s[bad[0]] > 0.01 and step_s[k] < 0.01)]
         line = refusal_line(read_whole, path, layout)
         assert any(f"row {k + 3}: " in line for k in named), line
-
-
-def test_short_step_is_reported_before_preceding_gap(tmp_path):
-    steps = [0.01] * 300 + [0.02, 0.0117, 0.0039]
-    path = table_csv(tmp_path, np.cumsum([1.0, *steps]))
-    assert "row 305: a short step" in refusal_line(read_whole, path, CSV._replace(rate_hz=None))
 
 
 @quick
@@ -370,18 +353,14 @@ def test_invalid_parquet_file_is_refused(tmp_path):
     [
         ({"format": "cvs"}, "format: 'cvs' psins csv parquet"),
         ({"gyro_unit": "dps"}, "gyro_unit: 'dps' rad deg arcsec rad_per_s"),
-        ({"accel_unit": "rad"}, "accel_unit: 'rad' m_per_s g_s ug_s m_per_s2"),
         ({"gyro_scale": (1.0, 0.0, 1.0)}, "gyro_scale: 0"),
         ({"time_fraction_column": "time_s"}, "time_fraction_column: time_column"),
         ({"columns": ("time_s", *GYRO, "ax", "ay")}, "accel_columns: 'az' columns"),
         ({"mounting_deg": (0.0, 1.0)}, "mounting_deg: pitch roll yaw"),
-        ({"gyro_columns": ("a", "b")}, "gyro_columns: three 2"),
         ({"accel_columns": ("ax", "ay", "gx")}, "accel_columns: 'gx'"),
         ({"time_column": "", "rate_hz": None}, "rate_hz: required time_column"),
         ({"rate_hz": 0.0}, "rate_hz: positive"),
         ({"axes_order": "xxz"}, "axes_order: 'xxz' permutation"),
-        ({"axes_order": "xy"}, "axes_order: 'xy' permutation"),
-        ({"axes_order": "x y z"}, "axes_order: permutation"),
         ({"axes_order": "yxz"}, "axes_order: 'yxz' left-handed"),
     ],
 )
@@ -410,12 +389,6 @@ def test_unreadable_and_unwritable_paths_are_refused(tmp_path, layout):
     broken = record._replace(dv=np.full((3, 3), np.nan))
     assert_refusal(refusal_line(write, tmp_path / "file", broken), f"{tmp_path / 'file'}: finite")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_psins_writer_refuses_zero_scale_factor(tmp_path):
-    record = Record(np.zeros((3, 3)), np.zeros((3, 3)), 100.0)
-    line = refusal_line(records.write_psins, record, tmp_path / "a.imu", 0.0)
-    assert_refusal(line, f"{tmp_path / 'a.imu'}: gyro x positive")
 
 
 def test_require_span_refuses_span_outside_record():
@@ -460,12 +433,6 @@ def test_scattered_stamps_give_rate_of_fitted_line(tmp_path, begin, rate_hz):
     assert read_whole(path, CSV._replace(rate_hz=None)).rate_hz == pytest.approx(200 / 1.0001, 5e-6)
 
 
-def test_uniform_scatter_of_half_sample_is_accepted(tmp_path):
-    time_s = np.arange(1, 3001) / 100 + np.random.default_rng(1).uniform(-0.005, 0.005, 3000)
-    record = read_whole(table_csv(tmp_path, time_s), CSV._replace(rate_hz=None))
-    assert len(record.dtheta) == 3000 and record.rate_hz == pytest.approx(100.0, rel=1e-5)
-
-
 @pytest.mark.parametrize("missing", [[3000], [300, 301, 5000], [2000, 2020, *range(4000, 4300)]])
 def test_missing_samples_among_scattered_stamps_are_found(tmp_path, missing):
     time_s = np.delete(scattered_stamps(), missing)
@@ -484,11 +451,8 @@ def test_missing_samples_among_scattered_stamps_are_found(tmp_path, missing):
         (lambda t: t - np.where(np.arange(6000) < 3000, 0, 5.0), "row 3002: time runs backward"),
         (lambda t: t - np.where(np.arange(6000) < 3000, 0, 0.005), "a short step at 200 Hz"),
         (lambda t: t + np.where(np.arange(6000) < 3000, 0, 1e6), "row 3002: a gap at "),
-        (lambda t: t + np.where(np.arange(6000) < 3000, 0, 1e29), "column 'time_s': row "),
-        (lambda t: t[::-1], "row 3: time runs backward"),
         (lambda t: np.round(t, 2), "time repeats"),
         (lambda t: t + np.where(np.arange(6000) == 3000, 0.03, 0), "row 3003: time runs backward"),
-        (lambda t: t - np.where(np.arange(6000) == 2, 0.02, 0), "row 4: time runs backward"),
         (lambda t: np.where(np.arange(6000) == 100, -9999.0, t), "row 102: time runs backward"),
     ],
 )
@@ -539,29 +503,11 @@ def test_short_gaps_are_interpolated_and_counted(tmp_path, kind):
     assert record.filled == 1 and [flaw[:2] for flaw in record.flaws] == [(200, 203)]
 
 
-@pytest.mark.parametrize("kind", ["gap", "empty"])
-@pytest.mark.parametrize(("count", "offered"), [(1, "0.02"), (31, "0.32"), (99, "1"), (100, None)])
-def test_suggested_max_gap_s_interpolates_gap(tmp_path, kind, count, offered):
-    path, _ = table_with_gaps(tmp_path, list(range(100, 100 + count)), kind)
-    (flaw,) = records.read_csv(path, CSV).flaws
-    found = re.search(r" \(max_gap_s = (.*) would interpolate it\)$", flaw.text)
-    assert (found and found[1]) == offered
-    if found:
-        record = read_whole(path, CSV._replace(max_gap_s=float(found[1])))
-        assert record.filled == count
-
-
 def test_missing_first_and_last_samples_are_not_interpolated(tmp_path):
     path, _ = table_with_gaps(tmp_path, [0, 399], "empty")
     record = records.read_csv(path, CSV._replace(max_gap_s=1.0))
     assert [flaw[:2] for flaw in record.flaws] == [(0, 1), (399, 400)] and not record.filled
     assert not any("interpolate" in flaw.text for flaw in record.flaws)
-
-
-def test_large_clock_jump_is_refused_as_gap(tmp_path):
-    path = table_csv(tmp_path, np.r_[np.arange(1, 401) / 100, 1e9])
-    line = refusal_line(records.read_csv, path, CSV)
-    assert_refusal(line, f"{path}: column 'time_s': row 402: gap 4.0 1000000000.0")
 
 
 STAMPS = {

@@ -15,7 +15,6 @@ import pytest
 import tomli_w
 from markdown_it import MarkdownIt
 from rich.console import Console
-from support.commands import command_line
 from support.stored_results import report_text, store_results, write_part
 from support.studies import BASE, small_study
 from support.sweep_directories import rewrite_manifest
@@ -30,7 +29,6 @@ from sinsjax.messages import CONTROL
 from sinsjax.report.base import Chapter, Fact, Report, Table, Text, Verdict
 from sinsjax.report.names import escape_markdown
 from sinsjax.report.output import DrawnReport, print_report, write_html_page
-from sinsjax.study.load import load_study
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -82,18 +80,6 @@ def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
     )
 
 
-@pytest.mark.usefixtures("drawn_on_request")
-def test_report_shows_special_characters_in_names_literally(results: Path, tmp_path: Path) -> None:
-    page = tmp_path / "page.html"
-    said = report_text(results, html=page)
-    assert NAME in said and all(f" {name} " in said for name in NASTY if name != "[/b]")
-    written = page.read_text()
-    assert "<script" not in written
-    for name in NASTY:
-        shown = name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-        assert f"<td>{shown}</td>" in written, name
-
-
 DOCTORED = "a\x1b]0;x\x07\x7f\u202e\u2028\u061c\udcff|`<script>x</script> --> b\nWarning: c"
 """Text that a file may contain, which terminal and pages must show harmlessly."""
 
@@ -140,24 +126,6 @@ def test_control_characters_in_any_part_of_report_are_escaped(
         for part in ("study", "label", "fact", "text", "title", "header", "cell", "note"):
             assert rf"{part}\x1b" in text, part
     assert all(rf"{part}\x1b" in page for part in ("name", "chapter"))
-
-
-def test_study_file_with_control_characters_in_its_name_is_shown_escaped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    sinsjax = command_line(monkeypatch, capsys)
-    config = Path("a\x1b]0;x\x07\u202e\n|<script>.toml")
-    shown = r"a\x1b]0;x\x07\u202e\n|<script>"
-    config.write_text(tomli_w.dumps(BASE))
-    assert load_study(config).name == shown
-    code, said, error = sinsjax("validate", config)
-    assert code == 0 and said.startswith(f"{shown}.toml: valid; ") and error == ""
-    config.write_text(tomli_w.dumps(BASE | {"\x1b[2J": {}}))
-    for words in (("validate", config), ("run", config, "-o", "out")):
-        code, said, error = sinsjax(*words)
-        assert (code, said, error.count("\n")) == (2, "", 1)
-        assert error.startswith(r"error: a\x1b]0;x\x07\u202e ") and error[:-1].isprintable()
 
 
 def test_errors_and_warnings_are_one_visible_line(capsys: pytest.CaptureFixture[str]) -> None:

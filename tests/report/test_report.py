@@ -14,7 +14,6 @@ from sinsjax import analysis, report
 from sinsjax.analysis.formats import format_percent
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
-from sinsjax.execution.results import read_summary
 from sinsjax.execution.source import Source
 from sinsjax.methods import registry
 from sinsjax.report import axis_figures, base
@@ -146,33 +145,6 @@ def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
     np.testing.assert_allclose(axes.get_images()[0].get_array(), settle[:6].reshape(3, 2))
 
 
-def test_report_of_stopped_study_counts_its_actual_draws(tmp_path):
-    stop = {"statistic": "success_rate", "half_width": 0.2}
-    axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
-    study = small_study(study={"draws": 100}, stop_when=stop, axes=axes)
-    summary = synthetic_summary(study).slice(0, 4 * 64)
-    text = report_text(store_results(tmp_path, study, summary))
-    assert (
-        "study: 256 runs (192 distinct)" in text
-        and "64: each half evaluates the choice of the other" in text
-    )
-
-
-def test_report_reads_only_needed_summary_columns(tmp_path, monkeypatch):
-    study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
-    directory = store_results(tmp_path, study, synthetic_summary(study), synthetic_curves(study))
-    seen = []
-
-    def read(directory, names=None):
-        assert names is not None, "the whole summary was read"
-        seen.append(names)
-        return read_summary(directory, names)
-
-    monkeypatch.setattr("sinsjax.execution.results.read_summary", read)
-    report_text(directory)
-    assert seen and max(map(len, seen)) < 14
-
-
 def test_source_rows_returns_selected_columns_sorted_by_run(tmp_path):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
     whole = synthetic_summary(study)
@@ -217,19 +189,6 @@ def test_missing_results_are_refused(tmp_path):
 
 
 # --- pages --------------------------------------------------------------------------------------
-
-
-@pytest.mark.nightly
-@pytest.mark.usefixtures("drawn")
-def test_page_is_written_identically_twice(tmp_path):
-    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
-    directory = store_results(tmp_path / "results", study, synthetic_summary(study))
-    content = []
-    for name in ("a", "b"):
-        page = tmp_path / f"{name}.html"
-        report_text(directory, html=page)
-        content.append(page.read_bytes())
-    assert content[0] == content[1]
 
 
 def test_unwritable_page_is_refused_before_report_is_made(tmp_path, monkeypatch):

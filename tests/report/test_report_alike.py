@@ -30,18 +30,6 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
     return Source.read(store_results(directory, study, summary))
 
 
-@pytest.mark.nightly
-def test_distinct_rows_exclude_duplicate_variants(source: Source) -> None:
-    table = source.distinct_rows(["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"])
-    assert table.column_names == ["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"]
-    keys = [(row["reset_count"], row["reset_cycle_s"]) for row in table.to_pylist()]
-    assert keys == [(0, None), (1, 1.0), (1, 2.0), (1, 3.0)] * source.draws
-    whole = source.rows(["phi_u_arcmin", "variant_id"])
-    variant = analysis.numeric_column(whole, "variant_id")
-    expected = analysis.numeric_column(whole, "phi_u_arcmin")[np.isin(variant, [0, 3, 4, 5])]
-    np.testing.assert_array_equal(analysis.numeric_column(table, "phi_u_arcmin"), expected)
-
-
 def test_variant_table_lists_duplicate_variants_once(source: Source) -> None:
     table = monte_carlo.statistics_table(source, ["reset_count", "reset_cycle_s"], "Every variant")
     assert [row[:3] for row in table.rows] == [

@@ -41,10 +41,8 @@ def test_study_of_level_alone_reports_pitch_and_roll(tmp_path: Path) -> None:
     assert table is not None and len(table.rows) == 3
     assert "unknown" not in str(table.rows)
     (picture,) = (b for part in report.sections for b in part.blocks if isinstance(b, Picture))
-    assert [axes.get_ylabel() for axes in picture.figure.axes[::2]] == [
-        "level error, east\n(arcmin)",
-        "level error, north\n(arcmin)",
-    ]
+    east, north = (axes.get_ylabel() for axes in picture.figure.axes)
+    assert "level error,\neast" in east and "level error,\nnorth" in north
 
 
 @pytest.mark.nightly

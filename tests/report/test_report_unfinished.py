@@ -88,11 +88,3 @@ def test_report_without_complete_draw_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"unfinished: .* and no draw that every variant has") as e:
         printed_lines(out)
     assert "\n" not in str(e.value)
-
-
-@pytest.mark.nightly
-def test_finished_report_has_no_unfinished_warning(tmp_path: Path) -> None:
-    study = small_study(study=SHORT | {"draws": 4})
-    run.run_into(study, tmp_path / "out")
-    assert not any("unfinished" in line for line in printed_lines(tmp_path / "out"))
-    assert Source.read(tmp_path / "out", unfinished=True).whole_draws is None

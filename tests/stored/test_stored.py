@@ -1,7 +1,7 @@
 """Results that 1.0.0 stored are read, reported, continued and repeated by today's package.
 
-They are never made again (`make.py` says how they were). As soon as a new schema makes them
-unreadable on purpose, one test shows the line that refuses them.
+They are never made again (the history of this folder says how they were). As soon as a new schema
+makes them unreadable on purpose, one test shows the line that refuses them.
 """
 
 import json

@@ -3,7 +3,6 @@
 import tomllib
 from html.parser import HTMLParser
 
-import pydantic
 import pytest
 import tomli_w
 from support.studies import small_study
@@ -44,17 +43,6 @@ def test_changed_tables_of_a_study_do_not_change_it():
     assert "max_gap_s" not in tables["study"]
 
 
-def test_axis_is_displayed_as_range_values_or_count():
-    for key, values, shown in (
-        ("phi_u0_deg", [0.0, 10, 30.5, 120], "0..120 (4)"),
-        ("phi_u0_deg", [0.0, 12.5], "0, 12.5"),
-        ("case", ["a, b", "c"], "(2)"),  # commas would be taken apart
-        ("reset_times_s", [(), (1.0, 2.0)], "(2)"),
-        ("surge_m_per_s", [None, 1.0, 2.0, 3.0], "(4)"),
-    ):
-        assert display.describe_axis([key], values) == f"{key} {shown}"
-
-
 class _Cells(HTMLParser):
     def __init__(self) -> None:
         super().__init__()
@@ -80,18 +68,6 @@ def test_html_escapes_text_from_a_file():
     ):
         assert "\x1b" not in shown and "\\x1b" in shown
     assert "<b>" not in display.format_html("t", {"<b>name": "<b>fact"})
-
-
-def test_completion_lists_user_names_without_pydantic():
-    study = small_study(axes={"phi_u0_deg": [1.0, 2.0]})
-    pydantics = {name for name in dir(pydantic.BaseModel) if not name.startswith("__")}
-    for thing in (study, study.alignment, study.study):
-        shown = dir(thing)
-        assert shown and not pydantics & {*shown} and not [n for n in shown if n.startswith("_")]
-        assert all(hasattr(thing, name) for name in shown)
-    assert {"n_variants", "replace", "to_dict", "alignment", "sensors"} <= {*dir(study)}
-    assert "record" not in dir(study)  # it has none
-    assert "phi_u0_deg" in dir(study.alignment)
 
 
 def test_study_is_loaded_from_name_path_or_study(tmp_path, monkeypatch):

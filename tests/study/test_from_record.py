@@ -1,8 +1,6 @@
 """`sinsjax init record --from`: logs of several conventions become studies that run."""
 
-import os
 import re
-import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -28,8 +26,6 @@ pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_re
 RATE = 100.0
 DEG = np.pi / 180
 G = 9.80665
-GYRO = {"rad_per_s": 1.0, "deg_per_s": DEG, "deg_per_h": DEG / 3600}
-ACCEL = {"m_per_s2": 1.0, "g": G, "mg": G / 1e3}
 NAMES = ("t", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
 
@@ -153,14 +149,6 @@ def test_log_becomes_study_that_runs(name, rates, sinsjax, tmp_path):
         assert abs(row["yaw_deg"] - 10) < 1.5
 
 
-def test_nominal_rate_is_marked_in_study(rates, tmp_path):
-    path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.0100003), NAMES)
-    text = make_study_text(path, Path("its.toml"))
-    assert re.search(r"\nrate_hz = 100.0 +# .* 99.997\n", text)
-    path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.01), NAMES)
-    assert "nominal" not in make_study_text(path, Path("its.toml"))
-
-
 @pytest.mark.nightly
 def test_short_gaps_are_interpolated_and_long_gap_moves_start(rates, sinsjax, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
@@ -190,19 +178,6 @@ def test_study_ends_a_second_before_log(rates, tmp_path):
     path = write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
     study, _ = load_with_doubts(path)
     assert study["study"]["duration_s"] + study["coarse"]["coarse_duration_s"] == 99.0
-
-
-@pytest.mark.nightly
-def test_reference_ending_slightly_before_log_is_accepted(rates, sinsjax, tmp_path):
-    write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
-    times = np.arange(0.1, 99.95, 0.1)
-    table = np.column_stack([times, np.zeros((len(times), 2)), np.full(len(times), 10.0)])
-    names = ("time_s", "pitch_deg", "roll_deg", "yaw_deg")
-    write(tmp_path / "ref.csv", table, names)
-    assert sinsjax("init", "record", "--from", "log.csv")[0] == 0
-    command = ("align", "log.csv", "log.toml", "-o", "out", "--reference", "ref.csv")
-    assert sinsjax(*command)[0] == 0
-    assert package.read_summary("out")["phi_u_arcmin"].null_count == 0
 
 
 def test_psins_log_becomes_study_that_runs(rates, sinsjax, tmp_path):
@@ -257,19 +232,6 @@ def test_ambiguous_log_is_marked_with_doubt(name, rates, tmp_path):
     assert named in " ".join(load_with_doubts(path)[1])
 
 
-@pytest.mark.nightly(fast=("deg_per_s-0.017453292519943295-1",))
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize(("unit", "factor"), GYRO.items())
-def test_dead_gyro_is_ignored_in_choice_of_unit(axis, unit, factor, rates, tmp_path):
-    for value in (0.0, 0.0062, -3.0):
-        table = columns(rates, "rfu", factor, 1.0, 0.01)
-        table[:, 1 + axis] = value
-        study, doubts = load_with_doubts(write(tmp_path / "log.csv", table))
-        assert study["record"]["gyro_unit"] == unit
-        assert any(f"'{NAMES[1 + axis]}'" in doubt for doubt in doubts)
-        assert any("latitude" in doubt for doubt in doubts)
-
-
 def test_missing_sample_marks_give_one_doubt_with_remedy(rates, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
     table[2000:9000:500, 4:] = -9999.0
@@ -296,30 +258,6 @@ def test_unusable_log_is_refused_in_one_line(make, named, rates, sinsjax, tmp_pa
     assert not Path("log.toml").exists()
 
 
-@pytest.mark.nightly(fast=("l\\xff-l\\\\udcff-csv",))
-@pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
-@pytest.mark.parametrize(
-    ("name", "shown"), [(b"l\xff", r"l\udcff"), (b"l\n\x1b[2J", r"l\n\x1b[2J")]
-)
-def test_log_with_odd_file_name_becomes_study_that_runs(name, shown, suffix, rates, sinsjax):
-    log, config = (os.fsdecode(name + end.encode()) for end in (f".{suffix}", ".toml"))
-    table = columns(rates, "rfu", 1.0, 1.0, 0.01)
-    if suffix == "csv":
-        write(Path(log), table, NAMES)
-    else:
-        with open(log, "wb") as file:
-            pq.write_table(pa.table(dict(zip(NAMES, table.T, strict=True))), file)
-    code, told, error = sinsjax("init", "record", "--from", log)
-    assert (code, error) == (0, "") and told.startswith(f"{shown}.toml written; ")
-    assert tomllib.loads(Path(config).read_text())["study"]["name"] == shown
-    page = os.fsdecode(b"p\xff.html")
-    code, told, error = sinsjax("align", log, config, "-o", "out")
-    assert code == 0 and f"{shown}: 1 of 1 runs" in told, error
-    assert sinsjax("report", "out", "--html", page)[0] == 0
-    assert f"{shown}.toml; computed by".replace(r"\n", " ") in Path(page).read_text()
-
-
 def test_backward_time_stamps_are_refused_with_row(rates, sinsjax, tmp_path):
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
     write(tmp_path / "log.csv", table[::-1], ("Tstamp", *NAMES[1:]))
@@ -331,23 +269,6 @@ def test_backward_time_stamps_are_refused_with_row(rates, sinsjax, tmp_path):
     both = np.column_stack([table[::-1, 0], table])
     study, _ = load_with_doubts(write(tmp_path / "log.csv", both, ("date", *NAMES)))
     assert study["record"]["time_column"] == "t"
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("resolution_s", [0.02, 1.0])
-def test_coarse_time_stamps_give_mean_rate(resolution_s, rates, sinsjax, tmp_path):
-    table = columns(rates, "rfu", 1.0, 1.0, 0.01)
-    # Not in whole seconds the mean tells 100 Hz too, and 99 Hz is not taken for it.
-    for rate in (100.0, 99.0):
-        times = np.floor(table[:, 0] * 100 / rate / resolution_s) * resolution_s
-        path = write(tmp_path / "log.csv", np.column_stack([times, table[:, 1:]]))
-        study, doubts = load_with_doubts(path)
-        assert study["study"]["rate_hz"] == (
-            rate if resolution_s < 0.1 else pytest.approx(rate, 0.02)
-        )
-        assert "time_column" not in study["record"]
-        assert any("'t'" in doubt and "coarse" in doubt for doubt in doubts)
-    align_written_study(sinsjax, path)
 
 
 def test_study_without_known_rate_is_refused(rates, sinsjax, tmp_path):
@@ -389,14 +310,6 @@ def test_warning_is_printed_once_on_standard_error(rates, sinsjax, tmp_path):
     assert error.count("\n") == error.count("Warning") == 1
 
 
-def test_text_column_in_parquet_is_refused_by_name(rates, tmp_path):
-    table = dict(zip(NAMES, columns(rates, "rfu", 1.0, 1.0, 0.01).T, strict=True))
-    path = tmp_path / "log.parquet"
-    pq.write_table(pa.table(table | {"gyro_y": table["gyro_y"].astype(str)}), path)
-    with pytest.raises(InputError, match="column 'gyro_y' .*string"):
-        make_study_text(path, Path("x.toml"))
-
-
 def test_first_row_may_have_empty_cells_but_no_text(rates, tmp_path):
     path = write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
     header, first, *rest = path.read_text().splitlines()
@@ -408,10 +321,3 @@ def test_first_row_may_have_empty_cells_but_no_text(rates, tmp_path):
         with pytest.raises(InputError) as caught:
             make_study_text(path, Path("x.toml"))
         assert_named(str(caught.value), f"{path}: row 2: column 'gyro_x'", cell)
-
-
-def test_from_option_is_accepted_only_with_init_record(sinsjax):
-    code, _, error = sinsjax("init", "sweep", "--from", "log.csv")
-    assert code == 2 and error.startswith("error: --from: ")
-    code, _, error = sinsjax("init", "record", "--from", "log.csv")
-    assert code == 2 and error.startswith("error: log.csv: ") and error.count("\n") == 1

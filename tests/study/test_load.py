@@ -229,17 +229,6 @@ def test_required_keys_may_be_swept():
     assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
 
 
-def test_values_of_200_thousand_variants_are_listed():
-    study = build_study(
-        axes={
-            "phi_u0_deg": [i / 10 for i in range(1000)],
-            "phi_e0_deg": [i / 10 for i in range(100)],
-            "feedback_interval_s": [1, 2],
-        }
-    )
-    assert len(study.values("phi_e0_deg")) == study.n_variants == 200_000
-
-
 # Files
 
 

@@ -451,15 +451,6 @@ def test_stamps_that_cannot_be_read_give_mean_rate_with_doubt(kind, body, tmp_pa
     assert_body(study, path, body)
 
 
-def test_stamps_with_missing_samples_among_bad_ones_leave_rate_open(body, tmp_path):
-    late = np.ceil(TIME / 0.2) * 0.2 + np.arange(len(TIME)) % 5 * 1e-4 - TIME
-    table = np.column_stack([1.6e9 + TIME + late, *in_axes(body, "flu")])
-    path = write(tmp_path / "log.csv", [np.delete(table, slice(600, 700), axis=0)])
-    study, questions, _ = read_study(path)
-    assert study["study"]["rate_hz"] == "?"
-    assert "21.7782 Hz" in questions["rate_hz"]
-
-
 @pytest.mark.nightly(fast=("repeated1",))
 @pytest.mark.parametrize("repeated", [[300], list(range(10, 700, 20))])
 def test_repeated_rows_are_left_out_and_counted(repeated, body, tmp_path):
@@ -650,36 +641,6 @@ def test_accelerations_in_a_navigation_frame_are_passed_over(frame, body, tmp_pa
     assert f"({frame})" in questions["accel_columns"]
 
 
-def test_accelerometers_that_differ_without_a_hint_are_a_question(body, tmp_path):
-    gyro, accel = in_axes(body, "flu")
-    names = [*UNITS[:4], *(f"accel_{k}_{a}" for k in ("low", "high") for a in XYZ)]
-    path = write(tmp_path / "log.csv", [TIME, gyro, accel @ TURN_BY_90, accel], names)
-    study, questions, _ = read_study(path)
-    assert study["record"]["accel_columns"] == "?"
-    study, questions, _ = read_study(path, record__accel_columns=names[-3:])
-    assert not questions
-    path = write(tmp_path / "log.csv", [TIME, gyro, accel, accel * 1.001], names)
-    assert read_study(path)[1:] == ({}, ["or accel_high_x, accel_high_y, accel_high_z?"])
-
-
-@pytest.mark.nightly(fast=("imu{k}_{s}_{a}",))
-@pytest.mark.parametrize("pattern", ["imu{k}_{s}_{a}", "{s}_{a}_{k}", "{s}_{a}_imu{k}"])
-def test_gyros_and_accelerometers_of_one_instance_are_paired(pattern, body, tmp_path):
-    gyro, accel = in_axes(body, "flu")
-
-    def names(sensor: str, instance: int) -> list[str]:
-        return [pattern.format(s=sensor, k=instance, a=axis) for axis in XYZ]
-
-    order = [("gyro", 0), ("gyro", 1), ("accel", 1), ("accel", 0)]
-    columns = [TIME, gyro, gyro @ TURN_BY_90, accel @ TURN_BY_90, accel]
-    path = write(tmp_path / "log.csv", columns, ["t", *(n for o in order for n in names(*o))])
-    study, questions, (doubt,) = read_study(path)
-    assert study["record"]["gyro_columns"] == names("gyro", 0)
-    assert study["record"]["accel_columns"] == names("accel", 0) and not questions
-    assert f"{', '.join(names('gyro', 1))} with {', '.join(names('accel', 1))}" in doubt
-    assert_body(study, path, body)
-
-
 def test_front_of_roll_rates_is_a_question_that_names_and_sways_settle(body, tmp_path):
     names = ["time", "roll_rate", "pitch_rate", "yaw_rate", "ax", "ay", "az"]
     path = write(tmp_path / "log.csv", [TIME, body[0][:, [1, 0, 2]], body[1]], names)
@@ -717,14 +678,6 @@ def test_mems_bias_that_looks_like_earth_rate_is_a_question(ratio, accel_unit, b
     assert not questions and study["record"]["gyro_unit"] == "deg_per_s"
 
 
-def test_clock_with_a_unit_is_preferred_to_a_column_that_rises_as_evenly(body, tmp_path):
-    temperature = 20 + 0.01 * np.arange(len(TIME))
-    names = ("T", *NAMES[:1], *NAMES[1:])
-    path = write(tmp_path / "log.csv", [temperature, TIME, *in_axes(body, "flu")], names)
-    study, questions, doubts = read_study(path)
-    assert (study["record"]["time_column"], questions, doubts) == ("time_s", {}, [])
-
-
 def test_gyros_that_turn_opposite_to_the_vertical_are_a_question(tmp_path):
     study = small_study(study={"duration_s": 40.0, "rate_hz": RATE, "window_s": [15, 30]})
     record = package.simulated_record(study)
@@ -759,16 +712,3 @@ def test_hidden_north_leaves_level_with_honest_sigma(trust, body, sinsjax, tmp_p
     assert row["sigma_e_arcmin"] == pytest.approx(17.2, abs=0.2)  # of 5,000 ug
     sigma_deg = row["sigma_e_arcmin"] / 60
     assert (row["pitch_deg"], row["roll_deg"]) == pytest.approx(TRUTH[1:], abs=sigma_deg)
-
-
-def test_base_turned_by_hand_is_reported(tmp_path):
-    study = small_study(
-        study={"duration_s": 60.0, "rate_hz": RATE, "window_s": [15, 30]},
-        motion={f"{angle}_amplitude_deg": 40.0 for angle in ("pitch", "roll", "yaw")},
-        sensors={"gyro_bias_deg_per_h": 600.0},
-    )
-    record = package.simulated_record(study)
-    names = [f"rfu_{NAMES[0]}", *(f"rfu_{n} (rad/s)" for n in NAMES[1:4]), *NAMES[4:]]
-    columns = [np.arange(1, 1501) / RATE, record.dtheta * RATE, record.dv * RATE]
-    _, _, doubts = read_study(write(tmp_path / "log.csv", columns, names))
-    assert any(re.match(r"the base turned by \S+ deg", doubt) for doubt in doubts)

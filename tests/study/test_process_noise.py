@@ -223,30 +223,6 @@ def test_unit_of_densities_alone_is_accepted():
     )
 
 
-def test_tuned_q_needs_its_unit():
-    tune = {
-        **{"searches": ["sobol"], "objective_band_arcmin": 10.0},
-        "variables": {"q_accel_ug": {"low": 1.0, "high": 10.0}},
-        "baseline": {"q_accel_ug": 5.0},
-    }
-    line = refusal_line(tune=tune)
-    assert line.startswith("[tune.variables] ") and ": [filter] q_reading: required" in line
-    assert make_study(filter={"q_accel_ug": 5.0, "q_reading": "psd"}, tune=tune).tune is not None
-
-
-def test_replaced_q_needs_its_unit():
-    with pytest.raises(InputError) as caught:
-        make_study().replace({"filter.q_accel_ug": 50.0})
-    assert f"{REQUIRES_UNIT[0]}: required" in str(caught.value)
-    made = make_study().replace({"filter.q_accel_ug": 50.0, "filter.q_reading": "per_sample"})
-    again = made.replace({"alignment.phi_u0_deg": 1.0})
-    assert again.filter is not None and again.filter.q_reading == "per_sample"
-    noisier = make_study().replace({"sensors.gyro_noise_deg_per_h": 0.2})
-    np.testing.assert_allclose(
-        compute_q(noisier)[:, 1], 4 * compute_q(make_study())[:, 1], rtol=1e-12
-    )
-
-
 NONE = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
 
 

@@ -69,29 +69,19 @@ def test_none_is_refused_as_a_value(tables, place):
 
 
 @refused("""
-study.duration_s = [1.0]                     -> [study] duration_s: [1.0]
-study.duration_s = {}                        -> [study] duration_s: {}
 study.duration_s = 0                         -> [study] duration_s: 0
-study.duration_s = -1.0                      -> [study] duration_s: 0 -1.0
 study.duration_s = 1000010                   -> [study] duration_s: 1000010 100000000
 study.rate_hz = 0.0                          -> [study] rate_hz: 0
-study.rate_hz = 1e300                        -> [study] rate_hz: 1e+300
 study.name = 3                               -> [study] name: 3
-study.name = ""                              -> [study] name: empty
 study.draws = 0                              -> [study] draws: 1 0
-study.draws = 2.0                            -> [study] draws: 2.0
-study.draws = true                           -> [study] draws: True
 study.seed = -1                              -> [study] seed: 0
-study.seed = 9223372036854775808             -> [study] seed: 9223372036854775808
 study.curves = 1                             -> [study] curves: 1
 study.consistency_after_s = -1               -> [study] consistency_after_s: 0
 study.settle_bands_arcmin = 10               -> [study] settle_bands_arcmin: 10
 study.settle_bands_arcmin = [10, 10.0]       -> [study] settle_bands_arcmin: repeats
-study.settle_bands_arcmin = [3, 3.0000001]   -> [study] settle_bands_arcmin: repeats
 study.settle_bands_arcmin = [60, 10, 0]      -> [study] settle_bands_arcmin[2]: 0
 # 10 arcmin is always a column.
 study.settle_bands_arcmin = [10.0000001]     -> [study] settle_bands_arcmin: bands
-study.success_band_arcmin = 10.0000001       -> [study] success_band_arcmin: bands
 study.judged_from = "reference"              -> [study] judged_from: 'truth' 'floor'
 study.judged_from = "limit"                  -> [study] judged_from: 'truth' 'floor' 'limit'
 study.level_band_arcmin = 0                  -> [study] level_band_arcmin: 0
@@ -101,41 +91,28 @@ study.report_times_s = 100                   -> [study] report_times_s: 100
 study.report_times_s = []                    -> [study] report_times_s: empty
 study.report_times_s = [0]                   -> [study] report_times_s[0]: 0
 study.report_times_s = [200, 100]            -> [study] report_times_s: increase
-study.report_times_s = [100, 100]            -> [study] report_times_s: increase
-study.report_times_s = [100, 100.00001]      -> [study] report_times_s: repeats
 study.window_s = [1]                         -> [study] window_s[1]: required
 study.window_s = [1, 2, 3]                   -> [study] window_s: 2 3
 study.window_s = [900, 600]                  -> [study] window_s: 900 600
-study.window_s = [600, 600]                  -> [study] window_s: [600, 600]
 study.window_s = [600, 901]                  -> [study] window_s: 900 901
-study.window_s = [10, 11.9]                  -> [study] window_s: 10 11.9
 study.window_s = [0, 0.5]                    -> [study] window_s: 0 0.5
 study.record_interval_s = 0.015              -> [study] record_interval_s: 0.015 0.01 0.02
 study.record_interval_s = 901 & study.window_s = [0, 900]
     -> [study] record_interval_s: 901 900
 earth.latitude_deg = 90                      -> [earth] latitude_deg: 90
-earth.latitude_deg = -90.0                   -> [earth] latitude_deg: -90
 motion.pitch_center_deg = 90                 -> [motion] pitch_center_deg: 90
 motion.roll_amplitude_deg = -1               -> [motion] roll_amplitude_deg: 0
 motion.roll_amplitude_deg = 1                -> [motion] roll_period_s: roll_amplitude_deg
 axes.roll_amplitude_deg = [0, 1]             -> [motion] roll_period_s: roll_amplitude_deg
-motion.yaw_period_s = 0                      -> [motion] yaw_period_s: 0
 sensors.gyro_noise_deg_per_h = -1            -> [sensors] gyro_noise_deg_per_h: 0
-sensors.gyro_misalignment_arcsec = [1, 1, 1, 1, 1, 1, 1]
-    -> [sensors] gyro_misalignment_arcsec: 6 7
 sensors.accel_bias_ug = [1, 2, "3"]          -> [sensors] accel_bias_ug[2]: '3'
-sensors.accel_bias_ug = [1, 2]               -> [sensors] accel_bias_ug[2]: required
 alignment.phi_u0_deg = 181                   -> [alignment] phi_u0_deg: 180
 alignment.feedback_interval_s = 0            -> [alignment] feedback_interval_s: 0
 alignment.feedback_interval_s = 0.001        -> [alignment] feedback_interval_s: 0.001 0.01
 axes.feedback_interval_s = [1, 1.005]        -> [axes] feedback_interval_s: 1.005 1.01
-cases = [{feedback_interval_s = 1e-300}]     -> [cases] feedback_interval_s: 1e-300 0.01
 alignment.feedback_time_constant_s = -0.5    -> [alignment] feedback_time_constant_s: 0
 filter.p0_yaw_deg = 0                        -> [filter] p0_yaw_deg: 0
-filter.q_accel_ug = -1                       -> [filter] q_accel_ug: 0
 filter.q_scale = 0.0                         -> [filter] q_scale: 0
-filter.r_scale = 0.0                         -> [filter] r_scale: 0
-filter.r_velocity_m_per_s = 0                -> [filter] r_velocity_m_per_s: 0
 """)
 def test_invalid_values_of_single_keys_are_refused(refusal):
     refusal.check(refusal_line(**refusal.tables))
@@ -173,9 +150,6 @@ axes.accel_bias_ug = [1, [1, 2, "3"]]        -> [axes] accel_bias_ug[1][2]: '3'
 axes.phi_u0_deg = {uniform = [0, 1]}         -> [axes.phi_u0_deg] uniform
 axes.level = {}                              -> [axes.level]: empty
 axes.level = [1]                             -> [axes] level
-axes.level.phi_u0_deg = 3                    -> [axes.level] phi_u0_deg: 3
-axes.level.phi_u0_deg = []                   -> [axes.level] phi_u0_deg: empty
-axes.level.phi_u0_deg = [1, 181]             -> [axes.level] phi_u0_deg[1]: 180
 axes.level.rate_hz = [1]                     -> [axes.level] rate_hz: [study]
 axes.level = {phi_u0_deg = [1, 2], phi_e0_deg = [1]}
     -> [axes.level] phi_e0_deg: 1 phi_u0_deg 2
@@ -193,14 +167,12 @@ def test_invalid_axis_values_are_refused(refusal):
 @refused("""
 cases = 3                                    -> [cases]
 cases = {phi_u0_deg = 1}                     -> [cases]
-cases = [1]                                  -> [cases]
 cases = []                                   -> [cases]: empty
 cases = [{}]                                 -> [cases]: empty
 cases = [{phi_u0_deg = 1}, {phi_u0_deg = "x"}]     -> [cases] phi_u0_deg[1]: 'x'
 cases = [{phi_u0_deg = 1}, {phi_e0_deg = 1}]       -> [cases] phi_u0_deg[1]: every
 cases = [{phi_u0_deg = 1}, {phi_u0_deg = 2, case = "b"}]  -> [cases] case[1]: every
 cases = [{case = "a", phi_u0_deg = 1}, {phi_u0_deg = 2}]  -> [cases] case[1]: every
-cases = [{case = "", phi_u0_deg = 1}]        -> [cases] case[0]: empty
 cases = [{case = 1, phi_u0_deg = 1}]         -> [cases] case[0]: 1
 cases = [{case = "a", phi_u0_deg = 1}, {case = "a", phi_u0_deg = 2}]   -> [cases] case[1]: [0]
 cases = [{case = "a", phi_u0_deg = 1}, {case = "b", phi_u0_deg = 1.0}]
@@ -342,11 +314,8 @@ compass = {sigma_factors = [2, 1], sigma_passes = [2]}       -> [compass] sigma_
 compass.level_passes = 1                     -> [compass] level_passes: stored_s
 compass.level_passes = 0                     -> [compass] level_passes: 1 0
 compass.sigma_factors = []                   -> [compass] sigma_factors: empty
-compass.sigma_factors = [2, 0]               -> [compass] sigma_factors[1]: 0
-compass.level_gains = [1, 2]                 -> [compass] level_gains[2]: required
 compass.azimuth_gains = [1, 2, 3, 4, 5]      -> [compass] azimuth_gains: 4 5
 compass.level_damping = 1.0                  -> [compass] level_damping: 1.0
-compass.azimuth_damping = 0                  -> [compass] azimuth_damping: 0.01 0
 compass.adjustment_remainder = 1.0           -> [compass] adjustment_remainder: 1.0
 compass.azimuth_sigma_per_s = 0              -> [compass] azimuth_sigma_per_s: 0
 compass.allow_unstable = 1                   -> [compass] allow_unstable: 1
@@ -451,15 +420,12 @@ record.start_s = [0, -1]                     -> [record] start_s[1]: 0
 record.start_s = [0, 30, 0.0]                -> [record] start_s: repeats
 record.start_s = []                          -> [record] start_s: empty
 record.start_s = "0"                         -> [record] start_s[0]: '0'
-record.start_s = [30, 30.000000001]          -> [record] start_s: 30.000000001
 record = {from_s = 30, start_s = [20, 40]}   -> [record] start_s: 20 30
 record = {from_s = 30, to_s = 30}            -> [record] to_s: 30
 record.time_unit = "ms"                      -> [record] time_unit: time_column
 record.max_gap_s = 1                         -> [record] max_gap_s: 'psins'
 record.axes_order = "xyy"                    -> [record] axes_order: 'xyy' permutation
-record.axes_order = "x-yz-"                  -> [record] axes_order: 'x-yz-' permutation
 record.axes_order = "yxz"                    -> [record] axes_order: 'yxz' left-handed
-record.axes_order = "xy-z"                   -> [record] axes_order: 'xy-z' left-handed
 record.axes_order = 3                        -> [record] axes_order: 3
 record.format = "mat"                        -> [record] format: 'psins' 'csv' 'parquet' 'arrays'
 """)
@@ -488,12 +454,10 @@ def test_record_keys_depend_on_format():
 @refused("""
 record.gyro_unit = "rad"                     -> [record] gyro_unit: 'rad' rad_per_s deg_per_s
 record.gyro_unit = "rad/s"                   -> [record] gyro_unit: 'rad/s' rad_per_s
-record.gyro_unit = "deg/s"                   -> [record] gyro_unit: 'deg/s' deg_per_s
 record.quantity = "increments"               -> [record] gyro_unit: 'deg_per_h' rad deg arcsec
 record.accel_unit = "g_s"                    -> [record] accel_unit: 'g_s' m_per_s2 g mg ug
 record.accel_unit = "ft"                     -> [record] accel_unit: 'm_per_s'
 record.gyro_columns = ["a", "b"]             -> [record] gyro_columns[2]: required
-record.gyro_columns = ["a", "b", ""]         -> [record] gyro_columns[2]: empty
 record.accel_columns = ["ax", "ay", "gx"]    -> [record] accel_columns: 'gx'
 record.time_column = "gx"                    -> [record] gyro_columns: 'gx' time_column
 """)

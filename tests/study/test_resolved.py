@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.studies import small_study
 
-from sinsjax.study.resolved import CodedColumn, Dimension, ResolvedColumns
+from sinsjax.study.resolved import Dimension, ResolvedColumns
 from sinsjax.study.variants import Variants
 
 VALUES = st.sampled_from([None, 0.0, 1.5, "full", (1.0, 2.0), ()])
@@ -57,22 +57,6 @@ def test_joint_columns_have_only_occurring_combinations(sweep, random):
     column, whole = resolved.column(*keys), [tuple(v[key] for key in keys) for v in variants]
     assert column.to_list() == whole
     assert sorted(map(repr, column.choices)) == sorted(map(repr, set(whole)))
-
-
-def test_joint_column_handles_millions_of_possible_combinations():
-    numbers = tuple(map(float, range(40)))
-    zipped = {key: numbers for key in "abcd"}  # 40 of 2,560,000 combinations
-    column = ResolvedColumns([zipped], lambda key: None).column(*"abcd")
-    assert column.to_list() == [(n,) * 4 for n in numbers]
-
-
-def test_column_function_is_called_once_per_value():
-    called = []
-    column = CodedColumn(np.array([1, 0, 1, 1]), ("a", "b"))
-    made = column.compute(lambda value: called.append(value) or len(called))
-    assert (made.tolist(), called) == ([2.0, 1.0, 2.0, 2.0], ["a", "b"])
-    lists = CodedColumn(np.zeros(3, int), ((1.0, 2.0),)).compute(list)
-    assert lists.tolist() == 3 * [[1.0, 2.0]]
 
 
 def test_variants_select_rows_of_study_columns():
