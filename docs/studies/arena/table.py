@@ -125,11 +125,11 @@ def run_program(
 
 
 def export_draws(out: Path, draws: tuple[int, int]) -> None:
-    """Export some draws for MATLAB and for python-ins, unless they are there."""
+    """Export some draws for MATLAB and for python-ins."""
     study = sinsjax.load_study(STUDY)
     for frame, kind in (("enu", "psins"), ("ned", "csv")):
         folder = out / f"{frame}_{draws[0]}"
-        sinsjax.export_study(study, folder, draws=draws, format=kind, frame=frame, resume=True)
+        sinsjax.export_study(study, folder, draws=draws, format=kind, frame=frame, overwrite=True)
 
 
 def score(out: Path, name: str, results: Path, draws: tuple[int, int]) -> Score:
