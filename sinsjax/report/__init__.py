@@ -18,7 +18,6 @@ from sinsjax.platform.files import require_writable
 from sinsjax.report import covariance, monte_carlo, study_page
 from sinsjax.report.base import Chapter, Report, Text
 from sinsjax.report.markup import load_template
-from sinsjax.report.names import NO_NAMES
 from sinsjax.report.output import (
     FIGURES_FOLDER,
     DrawnReport,
@@ -112,12 +111,6 @@ def _print_reports(
         write_markdown_page(page, ", ".join(names), reports)
     if html is not None:
         write_html_page(html, ", ".join(names), reports)
-
-
-def print_terms(console: Console) -> None:
-    """Print the glossary of a report."""
-    for line in load_template("terms.md.j2").render().splitlines():
-        screen.print_line(console, NO_NAMES.to_plain_text(line.removeprefix("- ")), wrap=True)
 
 
 def _read_source(directory: Path, *, allow_unfinished: bool = False) -> Source:
