@@ -437,6 +437,8 @@ def test_signal_finishes_running_chunks_and_resume_completes_sweep(
     tmp_path: Path,
 ) -> None:
     start_command("worker", scheduler, "--nthreads", "1")
+    with distributed.Client(scheduler, set_as_default=False) as client:
+        client.wait_for_workers(1, timeout=120)  # without one the sweep says so
     out = tmp_path / "out"
     process = sweep(out, "--scheduler", scheduler)
     first = wait_for_first_chunk(process)
