@@ -1,10 +1,13 @@
-"""Read ``sinsjax bench --json`` from standard input, check its rows and print them."""
+"""Read ``benchmarks/bench.py --json`` from standard input, check its rows and print them."""
 
 import json
 import math
 import sys
+from pathlib import Path
 
-from sinsjax.bench import SHORT
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+from cases import SHORT
 
 KEYS = (
     "name",

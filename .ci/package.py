@@ -35,7 +35,7 @@ def studies() -> set[str]:
 def wrong_with_wheel(path: Path) -> list[str]:
     """What is missing from it, and what does not belong there."""
     names = set(zipfile.ZipFile(path).namelist())
-    assets = {f"sinsjax/assets/{name}" for name in studies() | {"benchmarks/limit_kernel.c"}}
+    assets = {f"sinsjax/assets/{name}" for name in studies()}
     expected = package_files() | assets
     data = {name for name in names if ".dist-info/" in name}
     wrong = [f"{path.name}: lacks {name}" for name in sorted(expected - names)]

@@ -11,9 +11,9 @@ import sys
 import tempfile
 import time
 import warnings
-from collections import Counter
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import common
 import hypothesis
@@ -32,42 +32,10 @@ ROUND = 250
 _SHOWN = 3000
 
 
-class Find(NamedTuple):
-    """What went wrong.
-
-    Attributes:
-        target: what was asked.
-        signature: what tells it from others.
-        text: of the error.
-        case: the smallest with which it happens.
-    """
-
-    target: str
-    signature: str
-    text: str
-    case: Any
-
-
-def hunt(all_: list[Target], minutes: float, seed: int) -> tuple[Counter[str], list[Find]]:
-    """Gives cases to all targets in turn; the numbers of cases, and one find of each kind."""
-    counts: Counter[str] = Counter()
-    finds: dict[str, Find] = {}
-    until = time.monotonic() + 60 * minutes
-    number = 0
-    while time.monotonic() < until:
-        for target in all_:
-            if found := one_round(target, seed + number, until, counts, finds):
-                finds[found.signature] = found
-                show(found)
-        number += 1
-    return counts, list(finds.values())
-
-
-def one_round(
-    target: Target, seed: int, until: float, counts: Counter[str], known: dict[str, Find]
-) -> Find | None:
-    """Some cases of a target; the first find that is new, made small."""
-    last: list[Any] = [None, None]
+def hunt_one_round(target: Target, seed: int, until: float, known: set[str]) -> int:
+    """Give a target some cases; print a find that is new, made small; the number of cases."""
+    last: list[Any] = []
+    count = 0
 
     @hypothesis.seed(seed)
     @settings(
@@ -81,35 +49,28 @@ def one_round(
     )
     @given(target.cases)
     def check(case: Any) -> None:
+        nonlocal count
         if time.monotonic() > until + 60:
             return
-        counts[target.name] += 1
+        count += 1
         try:
             measure_case(target.check, case)
         except Exception as error:
-            if error_signature(error) in known:
-                return
-            last[:] = error, case
-            raise
+            if error_signature(error) not in known:
+                last[:] = error, case
+                raise
 
     try:
-        check()
-    except Flaky:
-        pass  # told by what it was when it was
+        with suppress(Flaky):  # told by what it was when it was
+            check()
     except Exception as error:
-        if last[0] is None:
+        if not last:
             raise error
-    if last[0] is None:
-        return None
-    return Find(target.name, error_signature(last[0]), str(last[0]), last[1])
-
-
-def show(found: Find) -> None:
-    """Prints a find."""
-    case = repr(found.case)
-    more = f"... ({len(case)} characters)" if len(case) > _SHOWN else ""
-    print(f"FIND in {found.target}: {found.signature}\n  {found.text[:500]}", flush=True)
-    print(f"  with {case[:_SHOWN]}{more}", flush=True)
+    if last:
+        known.add(error_signature(last[0]))
+        print(f"FIND in {target.name}: {error_signature(last[0])}\n  {str(last[0])[:500]}")
+        print(f"  with {repr(last[1])[:_SHOWN]}", flush=True)
+    return count
 
 
 def main() -> None:
@@ -122,19 +83,19 @@ def main() -> None:
     faulthandler.enable()
     sinsjax.configure(devices=1)
     warnings.simplefilter("error")  # as in the tests: an overflow is a find
-    seed = flags.seed or time.time_ns() // 10**9
+    seed, number, count = flags.seed or time.time_ns() // 10**9, 0, 0
+    found: set[str] = set()
     with tempfile.TemporaryDirectory(prefix="sinsjax-fuzz-") as folder:
-        all_ = [t for t in make_targets(Path(folder)) if flags.target in (None, t.name)]
-        if not all_:
+        targets = [t for t in make_targets(Path(folder)) if flags.target in (None, t.name)]
+        if not targets:
             parser.error(f"--target: there is no {flags.target}")
-        since = time.monotonic()
-        counts, finds = hunt(all_, flags.minutes, seed)
-    told = ", ".join(f"{count:,} {name}" for name, count in counts.items())
-    minutes = (time.monotonic() - since) / 60
-    print(f"seed {seed}, {minutes:.1f} minutes: {told}; {len(finds)} finds")
-    for found in finds:
-        print(f"  {found.target}: {found.signature}: {found.text[:200]}")
-    sys.exit(1 if finds else 0)
+        until = time.monotonic() + 60 * flags.minutes
+        while time.monotonic() < until:
+            for target in targets:
+                count += hunt_one_round(target, seed + number, until, found)
+            number += 1
+    print(f"seed {seed}: {count:,} cases; {len(found)} finds")
+    sys.exit(1 if found else 0)
 
 
 if __name__ == "__main__":

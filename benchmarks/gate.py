@@ -14,10 +14,11 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import common
 import pairs
+from limit import find_compiler
+from timing import Row, measurement_conditions, pin_to_one_core
 
-from sinsjax.bench.limit import find_compiler
-from sinsjax.bench.timing import Row, measurement_conditions, pin_to_one_core
 from sinsjax.errors import InputError
 from sinsjax.platform import machine
 
@@ -38,13 +39,7 @@ class Verdict(NamedTuple):
 
 
 def judge(measured: float, instructions: str, bound: float) -> Verdict:
-    """Compare a median ratio with a bound.
-
-    Args:
-        measured: median ratio of the engine to the limit kernel.
-        instructions: name of the instruction set, as in ``--xla_cpu_max_isa``.
-        bound: most that the ratio may be.
-    """
+    """Compare a median ratio of the engine to the limit kernel with the bound of a set."""
     ratio = f"{measured:.2f} x the limit with {instructions}"
     if measured > bound:
         return Verdict(1, f"gate failed: {ratio} is above the bound of {bound:.2f}")
@@ -71,11 +66,7 @@ def bounds() -> dict[str, float]:
 
 
 def measured(instructions: str) -> Row:
-    """The engine's row of a set, measured in a process of its own.
-
-    Raises:
-        InputError: the kernel cannot be built or dies.
-    """
+    """The engine's row of a set, measured in a process of its own."""
     # A machine whose largest set is another one has nothing to withhold.
     largest = f"--xla_cpu_max_isa={instructions}" if instructions in BOUNDS else ""
     flags = f"{os.environ.get('XLA_FLAGS', '')} {largest}".strip()
@@ -92,25 +83,14 @@ def measured(instructions: str) -> Row:
 
 
 def here() -> Row:
-    """The engine's row under the instruction set in force.
-
-    Raises:
-        InputError: the kernel cannot be built or dies.
-    """
+    """The engine's row under the instruction set in force."""
     pin_to_one_core()
     kernel, ours = pairs.rows(False, PAIRS, ("kalman_shared_record",))
     return measurement_conditions() | ours | {"kernel_ns": kernel["ns_per_step_run"]}
 
 
 def gate() -> list[Verdict]:
-    """Measure and judge each set that this machine has.
-
-    Returns:
-        A verdict for each set, or one that says why the kernel cannot be built.
-
-    Raises:
-        InputError: the kernel cannot be built or dies.
-    """
+    """Measure and judge each set that this machine has."""
     if why := unable():
         return [Verdict(0, f"gate skipped: {why}")]
     verdicts = []
@@ -127,17 +107,13 @@ def main() -> None:
     """Print the verdicts; exit with the worst status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
-        "--here", action="store_true", help="one row as JSON, with the set that XLA may use here"
+        "--here", action="store_true", help="one row as JSON, with the set in force"
     )
     flags = parser.parse_args()
-    try:
-        if flags.here:
-            print(json.dumps(here()))
-            return
-        verdicts = gate()
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+    verdicts = common.or_exit(lambda: [here()] if flags.here else gate())
+    if flags.here:
+        print(json.dumps(verdicts[0]))
+        return
     for verdict in verdicts:
         print(verdict.line)
     sys.exit(max(verdict.status for verdict in verdicts))

@@ -4,15 +4,14 @@ import sys
 
 import common
 import jax
-
-from sinsjax.bench.cases import (
+from cases import (
     default_group,
     engine_workload,
     remove_noise,
     select_last_variants,
     shorten_runs,
 )
-from sinsjax.bench.timing import Row, measure_workloads
+from timing import Row, measure_workloads
 
 RUNS = (1_000, 10_000, 100_000, 1_000_000)
 TILE = 16_384
@@ -20,13 +19,7 @@ TILE = 16_384
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:
-    """Time runs of 90 s where JAX sees a GPU; says so and returns nothing where it does not.
-
-    Returns:
-        ``gpu_silent_N``: N runs in two tiles, the fewest; ``gpu_tiled_N``: in tiles of 16,384
-        runs; ``gpu_noise_N``: in two tiles with noise, 64 variants a draw. All have ``lanes``, a
-        tile, and ``runs_per_s``, runs of the row's length a second.
-    """
+    """Time runs of 90 s on a GPU: silent in two tiles and in narrow ones, and with noise."""
     if jax.devices()[0].platform != "gpu":
         print(f"no GPU: JAX has {jax.devices()[0].platform} only", file=sys.stderr)
         return []
@@ -40,19 +33,14 @@ def sized(runs: int, records: int, repeats: int) -> list[Row]:
     """The rows of one number of runs; what they hold on the GPU is free again after."""
     group, half = shorten_runs(default_group(), records), runs // 2
     silent = remove_noise(select_last_variants(group, group.sizes[1], runs))
-    cases = [engine_workload(f"gpu_silent_{runs}", silent, lanes=half)]
-    lanes = [half]
+    noisy = select_last_variants(group, 64, runs)
+    cases = [
+        engine_workload(f"gpu_silent_{runs}", silent, lanes=half),
+        engine_workload(f"gpu_noise_{runs}", noisy, lanes=half),
+    ]
     if half > TILE:
         cases.append(engine_workload(f"gpu_tiled_{runs}", silent, tiles=runs // TILE, lanes=TILE))
-        lanes.append(TILE)
-    cases.append(
-        engine_workload(f"gpu_noise_{runs}", select_last_variants(group, 64, runs), lanes=half)
-    )
-    lanes.append(half)
-    return [
-        row | {"lanes": count, "runs_per_s": round(row["runs"] / row["median_s"])}
-        for row, count in zip(measure_workloads(cases, repeats), lanes, strict=True)
-    ]
+    return measure_workloads(cases, repeats)
 
 
 if __name__ == "__main__":

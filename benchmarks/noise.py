@@ -1,8 +1,7 @@
 """What draws cost: noise with 64, 6, 2 and 1 variants that share one, and bases of their own."""
 
 import common
-
-from sinsjax.bench.cases import (
+from cases import (
     default_group,
     disturbed_group,
     drawn_motion_group,
@@ -11,7 +10,7 @@ from sinsjax.bench.cases import (
     select_last_variants,
     shorten_runs,
 )
-from sinsjax.bench.timing import Row, measure_relative_to_base
+from timing import Row, measure_relative_to_base
 
 BASE_VARIANTS = 2
 """Variants a draw where each draw has a base of its own."""
@@ -24,8 +23,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         ``noise_off``, then rows with ``variants`` and their ``ratio`` to it: ``noise_N``,
         ``silent_N``, which has the samples of several draws a tile to hand out but none to draw,
         ``disturbed_1``, ``noise_1`` with surge, lever arm and bias instability on top, and
-        ``base_2``, ``noise_2`` with a base of its own for each draw. That has its split too,
-        ns a step and run: ``increments_ns``, ``noise_ns`` (noise, and handing it out), ``rest_ns``.
+        ``base_2``, ``noise_2`` with a base of its own for each draw.
     """
     group, based = default_group(), drawn_motion_group(BASE_VARIANTS)
     if quick:
@@ -45,19 +43,8 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     cases.append(engine_workload(f"base_{BASE_VARIANTS}", based))
     variants.append(BASE_VARIANTS)
     base, *others = measure_relative_to_base(off, cases, repeats)
-    told = [row | {"variants": count} for row, count in zip(others, variants, strict=True)]
-    return [base, *told[:-1], told[-1] | split([base, *told])]
-
-
-def split(measured: list[Row]) -> Row:
-    """What of ``base_2`` is due to the increments of its bases, to noise, and to the rest."""
-    ns = {row["name"]: row["ns_per_step_run"] for row in measured}
-    whole, shared, silent = (ns[f"{name}_{BASE_VARIANTS}"] for name in ("base", "noise", "silent"))
-    return {
-        "increments_ns": round(whole - shared, 2),
-        "noise_ns": round(shared - silent, 2),
-        "rest_ns": silent,
-    }
+    sizes = [{"variants": count} for count in variants]
+    return [base, *(row | size for row, size in zip(others, sizes, strict=True))]
 
 
 if __name__ == "__main__":

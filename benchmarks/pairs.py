@@ -4,8 +4,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 
 import common
-
-from sinsjax.bench.cases import (
+from cases import (
     default_group,
     engine_workload,
     remove_noise,
@@ -13,8 +12,9 @@ from sinsjax.bench.cases import (
     shared_covariance_group,
     shorten_runs,
 )
-from sinsjax.bench.limit import find_compiler, limit_kernel_workload
-from sinsjax.bench.timing import Row, Workload, ratio_row, time_in_turns, time_ratios, timing_row
+from limit import find_compiler, limit_kernel_workload
+from timing import Row, measure_relative_to_base
+
 from sinsjax.engine.lanes import Group
 
 MADE: dict[str, Callable[[Group], Group]] = {
@@ -26,38 +26,15 @@ MADE: dict[str, Callable[[Group], Group]] = {
 
 
 def rows(quick: bool, repeats: int, names: Sequence[str] = tuple(MADE)) -> list[Row]:
-    """Time ``limit_kernel`` and the engine in pairs, in CPU time.
-
-    Args:
-        quick: tiny sizes.
-        repeats: pairs.
-        names: of the engine's rows, in `MADE`.
-
-    Returns:
-        A row each for the kernel and for ``names``, which have ``ratios``, one a pair, with their
-        median and half range.
-
-    Raises:
-        InputError: there is no gcc, or it cannot build the kernel.
-    """
+    """Time ``limit_kernel`` and the engine's rows of these names in pairs, in CPU time."""
     gcc = find_compiler()
     group = remove_noise(default_group())
     if quick:
         group = shorten_runs(group, 2)
     with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
-        kernel = limit_kernel_workload(gcc, folder, **({"steps": 200} if quick else {}))
+        kernel = limit_kernel_workload(gcc, folder, steps=200 if quick else 20000)
         ours = [engine_workload(name, MADE[name](group)) for name in names]
-        its, *taken = time_in_turns([kernel, *ours], repeats)
-    return [
-        timing_row(kernel, its),
-        *(told(*pair, kernel, its) for pair in zip(ours, taken, strict=True)),
-    ]
-
-
-def told(case: Workload, taken: list[float], kernel: Workload, its: list[float]) -> Row:
-    """The row of a case, with its ratios to the kernel."""
-    found = time_ratios(case, kernel, taken, its)
-    return ratio_row(case, taken, found) | {"ratios": [round(ratio, 3) for ratio in found]}
+        return measure_relative_to_base(kernel, ours, repeats)
 
 
 if __name__ == "__main__":

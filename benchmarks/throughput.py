@@ -1,8 +1,7 @@
 """Where time a step and run bends: lanes a tile, tiles a call, variants a draw, curves."""
 
 import common
-
-from sinsjax.bench.cases import (
+from cases import (
     TILES,
     default_group,
     engine_workload,
@@ -10,7 +9,8 @@ from sinsjax.bench.cases import (
     select_last_variants,
     shorten_runs,
 )
-from sinsjax.bench.timing import Row, Workload, measure_workloads
+from timing import Row, Workload, measure_workloads
+
 from sinsjax.engine.lanes import LANES, Group
 
 LANE_COUNTS = (16, 32, 48, 64, 80, 96, 128, 192, 256)

@@ -25,10 +25,15 @@ VALUES: dict[tuple[str, str], str] = {
 }
 """Values of keys, by ``section.key`` and value."""
 
-COMMANDS: dict[str, str] = {}
+COMMANDS: dict[str, str] = {
+    "bench": "python benchmarks/bench.py, in the repository",
+    "terms": "docs/glossary.md",
+}
 """Commands of the command line."""
 
 OPTIONS: dict[tuple[str, str], str] = {
+    ("export", "--resume"): "export again, with --overwrite",
     ("report", "--page"): "use --html FILE",
+    ("sweep", "--workers"): "start `dask scheduler` and `dask worker`, give --scheduler URL",
 }
 """Options, by command and option with its dashes."""

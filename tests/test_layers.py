@@ -14,7 +14,7 @@ FLOORS = (
     {"study"},
     {"engine"},
     {"covariance"},
-    {"bench", "execution"},
+    {"execution"},
     {"advice", "arena", "tuning"},
     {"report"},
     {"__main__", "cli"},
@@ -33,7 +33,7 @@ WITHOUT_JAX = set("columns errors gone messages records study toml_text units va
 SAYS_KEYS = {"config", "description", "registry", "section", "sections"}
 """Modules of `methods` that studies are read with."""
 FOR_PEOPLE = {"matplotlib", "rich", "typer"}
-MEETS_PEOPLE = {"advice", "bench", "cli", "console", "execution", "plots", "report", "tuning"}
+MEETS_PEOPLE = {"advice", "cli", "console", "execution", "plots", "report", "tuning"}
 JAX = {"jax", "jaxlib", "optax"}
 
 

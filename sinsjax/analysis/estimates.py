@@ -9,7 +9,7 @@ Nothing is omitted silently: a run that never settled counts as an infinite sett
 * standard deviations and root mean squares: on a logarithmic scale, see `_root_interval`; for
   normal values chi-square.
 
-Their coverage is in ``docs/statistics.md``, measured by ``benchmarks/interval_coverage.py``.
+Their coverage is in ``docs/statistics.md``, measured by a nightly test in ``tests/analysis``.
 
 The runs of a draw share its noise, and all runs on a record share the record, so they are not
 independent. All functions take the cluster of each value (see `sinsjax.analysis.cluster_ids`) and
@@ -284,7 +284,7 @@ def _root_interval(value: float, mean_square: ClusteredMean) -> tuple[float, flo
     Statistics and Data Analysis 50, 775) for the correlation of the estimate with its error: both
     grow by the relative variance of the mean square, which is itself estimated with two degrees of
     freedom less. The upper reach is multiplied by `_UPPER`, because a sample seldom shows the tails
-    of a heavy-tailed distribution; `benchmarks/interval_coverage.py` requires that value for
+    of a heavy-tailed distribution; `tests/analysis` requires that value for
     Student's t with 5 degrees of freedom.
     """
     n = mean_square.n

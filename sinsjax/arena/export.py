@@ -9,15 +9,14 @@ A directory of an export has
     README.txt      units, signs, the order of Euler angles, and the columns to return
     export.json     the options, and size and SHA-256 of every file
 
-Every file is written under a temporary name, synced and renamed. An interrupted export continues
-with its missing records.
+Every file is written under a temporary name, synced and renamed. An interrupted export is made
+again.
 """
 
 import hashlib
 import io
 import os
 import re
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from itertools import product
@@ -63,8 +62,6 @@ _SCHEMA = 1
 _SUFFIXES = {"psins": ".txt", "csv": ".csv", "parquet": ".parquet"}
 _NUMBER_BYTES = {"psins": 22.0, "csv": 22.0, "parquet": 9.7}
 """Bytes of a number in a record."""
-
-_MANIFEST_EVERY_S = 1.0
 
 
 class ExportOptions(NamedTuple):
@@ -135,7 +132,6 @@ def export_study(
     frame: str = "enu",
     blind: bool = False,
     overwrite: bool = False,
-    resume: bool = False,
 ) -> Path:
     """Write the draws of a simulated study for a program outside sinsjax.
 
@@ -148,7 +144,6 @@ def export_study(
         frame: "enu" (right-front-up, yaw counter-clockwise) or "ned" (front-right-down, clockwise).
         blind: whether to leave out the truth.
         overwrite: whether to replace an export.
-        resume: whether to continue an interrupted export.
 
     Returns:
         The directory.
@@ -165,7 +160,7 @@ def export_study(
     """
     options = ExportOptions(draws, format, quantity, frame, blind)
     out = results_path(directory)
-    write_export(plan_export(load_study(study), options), out, overwrite=overwrite, resume=resume)
+    write_export(plan_export(load_study(study), options), out, overwrite=overwrite)
     return out
 
 
@@ -201,7 +196,6 @@ def write_export(
     directory: Path,
     *,
     overwrite: bool = False,
-    resume: bool = False,
     on_begin: Callable[[], None] = lambda: None,
     on_record: Callable[[int, int], None] | None = None,
     is_stopped: Callable[[], bool] = lambda: False,
@@ -212,7 +206,6 @@ def write_export(
         plan: the export.
         directory: where to.
         overwrite: whether to replace an export.
-        resume: whether to continue an interrupted one.
         on_begin: called once everything is checked, before anything is written.
         on_record: called with the numbers of written and of all records after every record.
         is_stopped: whether to end after the running record.
@@ -221,12 +214,10 @@ def write_export(
         InputError: see `export_study`.
         StudyInterrupted: ``is_stopped`` returned True.
     """
-    if overwrite and resume:
-        raise InputError("--resume: conflicts with --overwrite (give one of them)")
     check_directory(directory)
-    earlier = _check_target(plan, directory, overwrite=overwrite, resume=resume)
+    earlier = _check_target(directory, overwrite=overwrite)
     available = machine.free_disk_bytes(directory)
-    if not resume and plan.bytes > available:
+    if plan.bytes > available:
         raise InputError(
             f"{directory}: the records need about {format_bytes(plan.bytes)}, but the disk has only"
             f" {format_bytes(available)} free (--format parquet is smaller, or --draws A:B)"
@@ -234,10 +225,9 @@ def write_export(
     on_begin()
     lock = lock_directory(directory)
     try:
-        if earlier and not resume:
+        if earlier:
             _remove_export(directory, earlier)
-        files = _intact_files(directory, earlier) if resume else {}
-        _Writer(plan, directory, files).write(on_record, is_stopped)
+        _Writer(plan, directory).write(on_record, is_stopped)
     finally:
         lock.release()
 
@@ -249,14 +239,13 @@ class _Writer:
         files: size and SHA-256 of each complete file, by path in the directory.
     """
 
-    def __init__(self, plan: ExportPlan, directory: Path, files: dict[str, Any]) -> None:
-        self._plan, self._directory, self.files = plan, directory, files
-        self._next_manifest = 0.0
+    def __init__(self, plan: ExportPlan, directory: Path) -> None:
+        self._plan, self._directory, self.files = plan, directory, dict[str, Any]()
 
     def write(
         self, on_record: Callable[[int, int], None] | None, is_stopped: Callable[[], bool]
     ) -> None:
-        """Write all missing files, the manifest first, to mark those of a killed export."""
+        """Write all files, the manifest first, to mark those of a killed export."""
         plan, total = self._plan, len(self._plan.records)
         self._write_manifest("running")
         make_folder(self._directory / RECORDS)
@@ -266,30 +255,25 @@ class _Writer:
         self._write(INITIAL, _initial_csv(plan))
         if not plan.options.blind:
             self._write(TRUTH, _truth_parquet(plan))
-        done = sum(plan.record_name(*record) in self.files for record in plan.records)
-        for name, write in self._missing_records():
+        for done, (name, write) in enumerate(self._records()):
             if is_stopped():
                 self._write_manifest("interrupted")
                 text = f"{done:,} of {total:,} records are in {self._directory}"
                 raise StudyInterrupted(text)
             write(self._directory / name)
             self._register(name)
-            done += 1
             if on_record:
-                on_record(done, total)
+                on_record(done + 1, total)
         self._write_manifest("complete")
 
-    def _missing_records(self) -> Iterator[tuple[str, Callable[[Path], None]]]:
-        """Yield the paths of missing records, and functions that write them."""
+    def _records(self) -> Iterator[tuple[str, Callable[[Path], None]]]:
+        """Yield the paths of the records, and functions that write them."""
         plan, layout = self._plan, record_layout(self._plan.options)
         for number in range(plan.runs.environments):
-            missing = [d for d in plan.draws if plan.record_name(number, d) not in self.files]
-            if not missing:
-                continue
             group = plan.runs.group(plan.runs.part_of(number), plan.draws)
-            places = np.array(missing) - plan.draws.start
+            places = np.arange(len(plan.draws))
             records = simulated_records(plan.runs.study, group.select(places, np.arange(1)))
-            for draw, record in zip(missing, records, strict=True):
+            for draw, record in zip(plan.draws, records, strict=True):
 
                 def write(path: Path, record: Any = record) -> None:
                     match plan.options.format:
@@ -309,14 +293,11 @@ class _Writer:
 
     def _register(self, name: str) -> None:
         self.files[name] = _file_entry(self._directory / name)
-        if time.monotonic() >= self._next_manifest:
-            self._write_manifest("running")
 
     def _write_manifest(self, state: str) -> None:
         content = _manifest_options(self._plan) | {"state": state, "files": self.files}
         with atomic_write(self._directory / MANIFEST) as file:
             file.write(sealed.to_sealed_json(content))
-        self._next_manifest = time.monotonic() + _MANIFEST_EVERY_S
 
 
 def record_layout(options: ExportOptions) -> RecordLayout:
@@ -351,10 +332,12 @@ def read_export(directory: Path) -> tuple[Study, dict[str, Any]]:
         text = f"contains no export ({MANIFEST} is missing; `sinsjax export` writes one)"
         raise InputError(f"{directory}: {text}")
     if manifest.get("state") != "complete":
-        raise InputError(f"{directory}: the export is unfinished (`sinsjax export --resume`)")
+        raise InputError(
+            f"{directory}: the export is unfinished (`sinsjax export --overwrite` makes it again)"
+        )
     for name in (STUDY, INITIAL):
         if manifest["files"].get(name) != _file_entry(directory / name):
-            text = "has changed since it was exported (`sinsjax export --resume` writes it again)"
+            text = "has changed since it was exported (`sinsjax export --overwrite` makes it again)"
             raise InputError(f"{directory / name}: {text}")
     return load_study(directory / STUDY), manifest
 
@@ -468,10 +451,8 @@ def _read_manifest(directory: Path) -> dict[str, Any] | None:
     return manifest
 
 
-def _check_target(
-    plan: ExportPlan, directory: Path, *, overwrite: bool, resume: bool
-) -> Mapping[str, Any] | None:
-    """Return the manifest of an earlier export in a directory, if it may be replaced or continued.
+def _check_target(directory: Path, *, overwrite: bool) -> Mapping[str, Any] | None:
+    """Return the manifest of an earlier export in a directory, if it may be replaced.
 
     Raises:
         InputError: it may not, or the directory contains other files.
@@ -489,19 +470,9 @@ def _check_target(
     if earlier is None:
         others = ", ".join(sorted(names)[:3])
         raise InputError(f"{directory}: contains {others}, no export (give another directory)")
-    if not (overwrite or resume):
-        raise InputError(
-            f"{directory}: already contains an export (give --resume to continue it, or --overwrite"
-            " to replace it)"
-        )
-    options = _manifest_options(plan)
-    differing = [name for name in options if earlier.get(name) != options[name]]
-    if resume and differing:
-        name = differing[0]
-        raise InputError(
-            f"{directory}: the export differs in {name}: {earlier.get(name)} there, {options[name]}"
-            " here (give the same, or --overwrite)"
-        )
+    if not overwrite:
+        text = "already contains an export (give --overwrite to replace it)"
+        raise InputError(f"{directory}: {text}")
     return earlier
 
 
@@ -522,19 +493,6 @@ def _is_own(name: str) -> bool:
     suffixes = "|".join(re.escape(suffix) for suffix in _SUFFIXES.values())
     is_record = re.fullmatch(rf"{RECORDS}/(set_\d+_)?draw_\d+({suffixes})", name)
     return is_record is not None or name in (STUDY, README, INITIAL, TRUTH)
-
-
-def _intact_files(directory: Path, manifest: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the records of an export that are complete, listed or not."""
-    files = {} if manifest is None else manifest["files"]
-    found = {}
-    for path in directory.glob(f"{RECORDS}/*"):
-        name = f"{RECORDS}/{path.name}"
-        entry = _file_entry(path) if _is_own(name) else None
-        # A file has its final name only once it is complete.
-        if entry is not None and files.get(name, entry) == entry:
-            found[name] = entry
-    return found
 
 
 def _file_entry(path: Path) -> dict[str, Any] | None:

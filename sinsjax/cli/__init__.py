@@ -112,12 +112,6 @@ def sweep(
     resume: Resume = False,
     devices: Devices = None,
     full: Full = False,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            help="Local processes to start, one per core (extra `cluster`).", min=1, metavar="N"
-        ),
-    ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
@@ -137,12 +131,8 @@ def sweep(
 
     Example: sinsjax sweep reset_sweep -o out
     """
-    if workers is not None and scheduler is not None:
-        raise InputError("--workers: conflicts with --scheduler (give one of them)")
-    if devices is not None and (workers or scheduler):
-        raise InputError(
-            "--devices: conflicts with --workers and --scheduler (one core per worker)"
-        )
+    if devices is not None and scheduler is not None:
+        raise InputError("--devices: conflicts with --scheduler (one device per worker)")
     run_study(
         config,
         out,
@@ -153,7 +143,7 @@ def sweep(
         full=full,
         keep_curves=False,
         chunk_runs=chunk_runs,
-        workers_and_scheduler=(workers, scheduler),
+        scheduler=scheduler,
     )
 
 
@@ -293,14 +283,6 @@ def report(
     from sinsjax import report as reports
 
     reports.print_reports(directories, plain_console(), html, full=full)
-
-
-@command(rich_help_panel=LOOK)
-def terms() -> None:
-    """Explain the terms of a report."""
-    from sinsjax.report import print_terms
-
-    print_terms(plain_console())
 
 
 for _command in arena.COMMANDS:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sinsjax.cli.options import Changes, Config, Out, Overwrite, Resume
+from sinsjax.cli.options import Changes, Config, Out, Overwrite
 from sinsjax.console import plain_console, print_line, print_warning
 from sinsjax.errors import InputError
 
@@ -42,7 +42,6 @@ def export(
     frame: Frame = "enu",
     blind: Annotated[bool, typer.Option("--blind", help="Leave out the truth.")] = False,
     overwrite: Overwrite = False,
-    resume: Resume = False,
 ) -> None:
     """Write the draws of a study as files for a program outside sinsjax (MATLAB, C, C++, Python).
 
@@ -70,7 +69,6 @@ def export(
             plan,
             directory,
             overwrite=overwrite,
-            resume=resume,
             on_begin=lambda: print_line(console, f"{plan.text}."),
             on_record=on_record,
             is_stopped=stop.is_set,

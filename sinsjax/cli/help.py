@@ -1,6 +1,7 @@
 """Help of commands that shows ``CONFIG`` and ``DIR...`` instead of ``{CONFIG}`` and types.
 
-Also messages about a wrong command line, and the command line that resumes a study.
+Also messages about a wrong command line, or one of version 1.0, and the command line that resumes
+a study.
 """
 
 import shlex
@@ -10,6 +11,8 @@ from typing import Any
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
+from sinsjax import gone
+from sinsjax.errors import InputError
 from sinsjax.messages import to_one_line
 
 UsageError: Any = typer.BadParameter.__base__
@@ -33,6 +36,12 @@ class CommandGroup(TyperGroup):
     Typer draws panels only with markup, which would swallow the name of a section such as [tune].
     """
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command of some words; refuse one that is gone."""
+        if args and args[0] in gone.COMMANDS and not ctx.resilient_parsing:
+            raise InputError(f"{args[0]}: is gone since 1.1 ({gone.COMMANDS[args[0]]})")
+        return super().resolve_command(ctx, args)
+
     def commands_by_panel(self, ctx: Any) -> dict[str, dict[str, Any]]:
         """Return the commands by name in each panel."""
         names = self.list_commands(ctx)
@@ -55,6 +64,17 @@ class Command(TyperCommand):
     def get_short_help_str(self, limit: int = 0) -> str:
         """Return its first sentence, wrapped but never cut in a list of commands."""
         return str(super().get_short_help_str(limit=sys.maxsize))
+
+    def parse_args(self, ctx: Any, args: list[str]) -> Any:
+        """Parse the words of the command; refuse an option that is gone."""
+        try:
+            return super().parse_args(ctx, args)
+        except UsageError as error:
+            option = getattr(error, "option_name", "")
+            if instead := gone.OPTIONS.get((str(self.name), option)):
+                text = f"{self.name} {option}: is gone since 1.1 ({instead})"
+                raise InputError(text) from None
+            raise
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """The words of the usage line: required arguments bare, others in brackets."""
@@ -84,6 +104,7 @@ class Command(TyperCommand):
 
 
 def resume_command_line() -> str:
-    """Return the command line that resumes this one."""
+    """Return the command line that resumes this one, or repeats an export."""
     words = [word for word in sys.argv[1:] if word not in ("--overwrite", "--resume")]
-    return shlex.join(["sinsjax", *words, "--resume"])
+    option = "--overwrite" if words[:1] == ["export"] else "--resume"
+    return shlex.join(["sinsjax", *words, option])

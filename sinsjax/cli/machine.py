@@ -1,9 +1,5 @@
 """Commands about the machine that studies run on."""
 
-from typing import Annotated
-
-import typer
-
 from sinsjax.console import plain_console, print_line
 from sinsjax.platform import runtime
 
@@ -29,22 +25,4 @@ def _plugin_methods() -> dict[str, str]:
     return {key: value for key, value in entries.items() if value}
 
 
-def bench(
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
-    limit: Annotated[
-        bool, typer.Option("--limit", help="Also build and run the limit kernel (needs gcc).")
-    ] = False,
-    repeats: Annotated[
-        int, typer.Option(help="Timings per row; shows the median.", min=1, metavar="N")
-    ] = 7,
-) -> None:
-    """Time the engine's step on one core, with the short benchmark set.
-
-    Example: sinsjax bench --limit
-    """
-    from sinsjax import bench as benchmarks
-
-    benchmarks.run_benchmarks(plain_console(), as_json=as_json, limit=limit, repeats=repeats)
-
-
-COMMANDS = (info, bench)
+COMMANDS = (info,)

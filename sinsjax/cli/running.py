@@ -1,7 +1,7 @@
 """Running a study from the command line: checks, forecast, progress and report."""
 
 import threading
-from contextlib import ExitStack, nullcontext, suppress
+from contextlib import ExitStack, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ def run_study(
     full: bool = False,
     resume: bool = False,
     chunk_runs: int | None = None,
-    workers_and_scheduler: tuple[int | None, str | None] = (None, None),
+    scheduler: str | None = None,
     record_and_reference: tuple[Path | None, Path | None] = (None, None),
 ) -> None:
     """Run a study into a directory and print its report.
@@ -40,7 +40,7 @@ def run_study(
         full: whether to print all tables.
         resume: whether to complete existing results.
         chunk_runs: runs per chunk; None for the default.
-        workers_and_scheduler: workers to start, and the address of a Dask scheduler.
+        scheduler: address of a Dask scheduler; None for this process alone.
         record_and_reference: record and reference of a recorded study.
 
     Raises:
@@ -52,9 +52,7 @@ def run_study(
     from sinsjax.execution.run import MAX_CURVE_RUNS, run_job
     from sinsjax.study.changes import parse_changes
 
-    reject_conflicting_options(
-        overwrite=overwrite, resume=resume, devices=devices, workers=workers_and_scheduler[0]
-    )
+    reject_conflicting_options(overwrite=overwrite, resume=resume, devices=devices)
     configure_jax(devices)
     options = RunOptions(
         directory,
@@ -69,12 +67,15 @@ def run_study(
     terminal = plain_console()
     done = forecast.count_stored_runs(job.directory) if resume else 0
     with ExitStack() as stack:
-        if workers_and_scheduler[1] is None:
-            cores = devices or workers_and_scheduler[0] or runtime.usable_cores()
+        executor = None
+        if scheduler is None:
+            cores = devices or runtime.usable_cores()
             print_plan_and_warnings(terminal, job, job.forecast.describe(cores, done))
-        executor = stack.enter_context(_open_executor(*workers_and_scheduler))
-        if workers_and_scheduler[1] is not None:  # the number of threads is known only now
-            threads = executor.facts["threads"]
+        else:
+            from sinsjax.execution import cluster
+
+            executor = stack.enter_context(cluster.executor(scheduler=scheduler))
+            threads = executor.facts["threads"]  # known only now
             print_plan_and_warnings(
                 terminal, job, job.forecast.describe(threads, done, threads=True)
             )
@@ -145,16 +146,13 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 
 
-def reject_conflicting_options(
-    *, overwrite: bool, resume: bool, devices: int | None, workers: int | None = None
-) -> None:
-    """Reject conflicting options, and more devices or workers than cores."""
+def reject_conflicting_options(*, overwrite: bool, resume: bool, devices: int | None) -> None:
+    """Reject conflicting options, and more devices than cores."""
     if overwrite and resume:
         raise InputError("--resume: conflicts with --overwrite (give one of them)")
     cores = runtime.usable_cores()
-    for option, count in (("--devices", devices), ("--workers", workers)):
-        if count is not None and count > cores:
-            raise InputError(f"{option}: {count} exceeds the {cores} available cores")
+    if devices is not None and devices > cores:
+        raise InputError(f"--devices: {devices} exceeds the {cores} available cores")
 
 
 def configure_jax(devices: int | None) -> None:
@@ -183,12 +181,3 @@ def _import_while_compiling(module_name: str) -> None:
                 thread.start()
 
     jax.monitoring.register_event_duration_secs_listener(listen)
-
-
-def _open_executor(workers: int | None, scheduler: str | None) -> Any:
-    """A context with the executor of the tasks: Dask workers, or None for this process."""
-    if workers is None and scheduler is None:
-        return nullcontext()
-    from sinsjax.execution import cluster
-
-    return cluster.executor(workers=workers, scheduler=scheduler)

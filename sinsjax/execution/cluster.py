@@ -1,4 +1,4 @@
-"""Dask workers as the executor of a study: local processes, or those of an existing scheduler.
+"""Dask workers as the executor of a study: those of a scheduler that the user has started.
 
 Workers return Parquet files and write nothing; the main process writes all of them. Dask reassigns
 the tasks of a lost worker. The job, which may contain a long record, is a Dask variable: the
@@ -6,11 +6,9 @@ scheduler stores it, and every worker process, early or late, reads it once.
 """
 
 import logging
-import multiprocessing
 import os
 import pickle
 import queue
-import signal
 import socket
 import threading
 import time
@@ -28,7 +26,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.messages import first_error_line
 from sinsjax.methods.registry import packages_of
-from sinsjax.platform import affinity, runtime, xla
+from sinsjax.platform import runtime, xla
 
 CONNECT_TIMEOUT_S = 10.0
 """Time allowed for a scheduler to answer, and for workers to appear before a warning, s."""
@@ -45,41 +43,35 @@ _INSTRUCTIONS = "instruction set"
 
 
 @contextmanager
-def executor(*, workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
+def executor(*, scheduler: str) -> Iterator[Executor]:
     """Run tasks on Dask workers, for the duration of a ``with`` block.
 
     Args:
-        workers: processes to start on this machine, one per core; they end with the block. As with
-            all processes that Python spawns, a script that calls this must have its code below
-            ``if __name__ == "__main__":``.
-        scheduler: address of a scheduler to use instead, ``tcp://host:port``.
+        scheduler: address of their scheduler, ``tcp://host:port``.
 
     Yields:
         Executor for `sinsjax.run_into`.
 
     Raises:
-        InputError: Dask is not installed, there are more processes than cores, no scheduler
-            answers within 10 s, it has no worker for 10 min, or the workers' package versions or
-            instruction sets differ. Running tasks also raises it if a task fails repeatedly.
+        InputError: Dask is not installed, no scheduler answers within 10 s, it has no worker for
+            10 min, or the workers' package versions or instruction sets differ. Running tasks also
+            raises it if a task fails repeatedly.
     """
     try:
         import distributed  # noqa: F401
     except ImportError:
-        text = '--workers and --scheduler need Dask: pip install "sinsjax[cluster]"'
+        text = '--scheduler needs Dask: pip install "sinsjax[cluster]"'
         raise InputError(text) from None
     with ExitStack() as stack:
         stack.enter_context(_silence_log())
-        if scheduler is None:
-            client = stack.enter_context(_start_workers(workers or runtime.usable_cores()))
-        else:
-            client = stack.enter_context(_connect(scheduler))
-        pool = _Workers(client, scheduler or "--workers")
+        client = stack.enter_context(_connect(scheduler))
+        pool = _Workers(client, scheduler)
         stack.callback(pool.delete_job)
         threads = pool.wait_for_workers()
         facts = {
             "workers": len(threads),
             "threads": sum(threads.values()),
-            "scheduler": scheduler or "local",
+            "scheduler": scheduler,
             "instructions": pool.instructions,  # of the machines that compute the rows
         }
         yield Executor(pool.run_tasks, facts)
@@ -133,55 +125,6 @@ def _connect(address: str) -> Any:
     if isinstance(answer, str):
         raise InputError(f"{address}: no Dask scheduler answers there ({answer})")
     return answer
-
-
-@contextmanager
-def _start_workers(count: int) -> Iterator[Any]:
-    """Yield a client of a scheduler in this process, with child processes as workers."""
-    import dask
-    from distributed import Client, LocalCluster
-
-    cores = runtime.usable_cores()
-    if count > cores:
-        raise InputError(f"workers: {count} exceeds the {cores} available cores")
-    with ExitStack() as stack:
-        changes = {
-            "distributed.worker.multiprocessing-method": "spawn",  # JAX does not survive a fork
-            "distributed.comm.timeouts.connect": f"{CONNECT_TIMEOUT_S:g}s",  # to a dead worker
-        }
-        stack.enter_context(dask.config.set(changes))
-        with _block_signals():
-            local = LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                memory_limit=0,
-                dashboard_address=None,
-                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # not the whole network
-                env={"JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", "cpu")},
-                silence_logs=logging.CRITICAL,
-            )
-            stack.enter_context(local)
-            client = stack.enter_context(Client(local, set_as_default=False))
-        yield client
-
-
-@contextmanager
-def _block_signals() -> Iterator[None]:
-    """Block Ctrl-C and SIGTERM in threads started here, and in the processes they start.
-
-    A terminal sends Ctrl-C, and a batch system SIGTERM, to all processes; only the main process
-    should handle them, and it lets the workers finish.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    # The first lock starts Python's resource tracker, which would unblock the signals.
-    multiprocessing.get_context("spawn").Lock()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class _Workers:
@@ -273,9 +216,9 @@ class _Workers:
             raise InputError(f"{self._name}: no worker for {WORKER_TIMEOUT_S / 60:g} min")
         if waited_s > CONNECT_TIMEOUT_S and not self._warned:
             self._warned = True
-            hint = f"; start one: dask worker {self._name}" if "://" in self._name else ""
             print_warning(
-                f"{self._name}: no workers (waiting up to {WORKER_TIMEOUT_S / 60:g} min{hint})"
+                f"{self._name}: no workers (waiting up to {WORKER_TIMEOUT_S / 60:g} min; start one:"
+                f" dask worker {self._name})"
             )
         return self._threads
 
@@ -368,14 +311,10 @@ def _make_runner(job_name: str, required: Mapping[str, str]) -> TaskRunner:
     import jax
     from distributed import Variable, get_worker
 
-    worker = get_worker()
     installed = runtime.relevant_versions() | {_INSTRUCTIONS: xla.instruction_set()}
     _check_same_versions(
-        worker.address, installed, required
+        get_worker().address, installed, required
     )  # before unpickling, which needs the packages
-    one_core = os.environ.get(affinity.VARIABLE, "1" if worker.state.nthreads == 1 else "0")
-    if one_core.strip() == "1":
-        affinity.pin_to_free_core()
     if platforms := os.environ.get("JAX_PLATFORMS"):  # Dask may have set it after JAX read it
         jax.config.update("jax_platforms", platforms)
     runtime.configure(devices=1)

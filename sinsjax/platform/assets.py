@@ -1,4 +1,4 @@
-"""Files of the repository that the package needs: studies in configs/, a benchmark's kernel.
+"""Files of the repository that the package needs: the studies of configs/.
 
 A wheel has them in ``sinsjax/assets``; a source tree (also of an editable install) has them at
 its top.

@@ -16,7 +16,6 @@ does not remove the entry: delete the folder, which `sinsjax info` shows.
 import hashlib
 import importlib.metadata
 import os
-import shutil
 import warnings
 from contextlib import suppress
 from pathlib import Path
@@ -31,10 +30,7 @@ SAFE_JAXLIB = frozenset({"0.10.2"})
 reject all their own entries, with a warning at every start."""
 
 MAX_BYTES = 2**28
-"""Size limit of a folder, about a hundred programs; the least recently used are removed first."""
-
-MAX_FOLDERS = 8
-"""Number of folders of other versions, processors and options that are kept."""
+"""Size limit of a folder, about a hundred programs; JAX removes the least recently used first."""
 
 _MIN_COMPILE_S = 0.2
 _SIZE = "JAX_COMPILATION_CACHE_MAX_SIZE"  # JAX's own variable takes precedence over `MAX_BYTES`
@@ -104,8 +100,6 @@ def _folder_name() -> str:
 def _activate_cache(folder: Path) -> Path:
     import jax
 
-    os.utime(folder)
-    _remove_old_folders(folder)
     # At worst a program is compiled again.
     warnings.filterwarnings("ignore", "Error writing persistent compilation cache entry")
     if _SIZE not in os.environ:
@@ -114,14 +108,6 @@ def _activate_cache(folder: Path) -> Path:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_S)
     return folder
-
-
-def _remove_old_folders(folder: Path) -> None:
-    """Remove folders of other versions, processors and options, the longest unused first."""
-    with suppress(OSError):
-        others = [other for other in folder.parent.glob("jaxlib-*") if other != folder]
-        for other in sorted(others, key=lambda other: other.stat().st_mtime)[:-MAX_FOLDERS]:
-            shutil.rmtree(other, ignore_errors=True)
 
 
 def _remove_incomplete_entries(folder: Path) -> None:

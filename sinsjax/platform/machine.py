@@ -1,7 +1,4 @@
-"""Processor, memory and disk of this machine, and the user's folders on it.
-
-It imports nothing that starts a thread: `affinity` uses it before JAX is imported.
-"""
+"""Processor, memory and disk of this machine, and the user's folders on it."""
 
 import errno
 import math
@@ -9,7 +6,6 @@ import os
 import platform
 import shutil
 import stat
-import tempfile
 from contextlib import suppress
 from pathlib import Path
 
@@ -76,12 +72,6 @@ def free_disk_bytes(folder: Path) -> float:
         with suppress(OSError):
             return float(shutil.disk_usage(path).free)
     return math.inf
-
-
-def user_temporary_folder() -> Path:
-    """Return this user's folder in the system's temporary folder; it may not exist yet."""
-    user = os.getuid() if hasattr(os, "getuid") else "user"
-    return Path(tempfile.gettempdir()) / f"sinsjax-{user}"
 
 
 def user_cache_folder() -> Path:

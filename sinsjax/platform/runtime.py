@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.platform import affinity, machine, xla
+from sinsjax.platform import machine, xla
 
 RESULT_PACKAGES = ("sinsjax", "jax", "jaxlib", "numpy", "scipy", "pyarrow")
 """Packages whose versions may change result rows or the bytes of their files."""
@@ -33,8 +33,7 @@ def configure(devices: int | None = None) -> None:
     Every command calls it, and so does every function that computes if it was not called before,
     see `ensure_configured`. Devices and compiler options (`xla`) can be set only until JAX starts,
     which it does at its first computation. Programs that take long to compile are cached for later
-    processes, see `compile_cache`; ``SINSJAX_ONE_CORE=1`` pins the process to one core, see
-    `affinity`.
+    processes, see `compile_cache`.
 
     Args:
         devices: CPU devices, at least 1: the number of threads that run a program. None uses
@@ -60,7 +59,6 @@ def configure(devices: int | None = None) -> None:
 
     if devices is not None and devices < 1:
         raise InputError(f"devices: must be at least 1, not {devices}")
-    affinity.pin_if_requested()
     count = devices if devices is not None else _default_device_count()
     if xla.has_backend_started():
         _warn_if_jax_started(count, "" if devices is None else f"devices={devices}")

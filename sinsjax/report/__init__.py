@@ -18,7 +18,6 @@ from sinsjax.platform.files import require_writable
 from sinsjax.report import covariance, monte_carlo
 from sinsjax.report.base import Chapter, Report, Text
 from sinsjax.report.markup import load_template
-from sinsjax.report.names import NO_NAMES
 from sinsjax.report.output import (
     FIGURES_FOLDER,
     DrawnReport,
@@ -93,12 +92,6 @@ def _print_reports(
     sections = [*last.report.sections, Chapter("Terms", [Text(words)])]
     reports[-1] = last._replace(report=last.report._replace(sections=sections))
     write_html_page(html, ", ".join(names), reports)
-
-
-def print_terms(console: Console) -> None:
-    """Print the glossary of a report."""
-    for line in load_template("terms.md.j2").render().splitlines():
-        screen.print_line(console, NO_NAMES.to_plain_text(line.removeprefix("- ")), wrap=True)
 
 
 def _read_source(directory: Path, *, allow_unfinished: bool = False) -> Source:

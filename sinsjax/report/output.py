@@ -73,7 +73,7 @@ def print_report(drawn: DrawnReport, console: Console, *, full: bool = False) ->
                 print_table(block, console, names)
     if images:
         listed = ", ".join(f"{name}.png" for name in images)
-        screen.print_line(console, f"Figures: {listed}. Words: sinsjax terms.", wrap=True)
+        screen.print_line(console, f"Figures: {listed}.", wrap=True)
 
 
 def save_figures(images: Mapping[str, bytes], directory: Path) -> None:

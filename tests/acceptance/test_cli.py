@@ -151,8 +151,6 @@ def test_invalid_executor_options_are_refused_in_one_line(sinsjax: Command, tmp_
     words = ("sweep", write_study(tmp_path), "-o", tmp_path / "out")
     address = ("--scheduler", "tcp://127.0.0.1:1")
     none = tmp_path / "out"
-    assert_refused(sinsjax(*words, "--workers", 2, *address), none, "--workers", "--scheduler")
-    assert_refused(sinsjax(*words, "--workers", 2, "--devices", 1), none, "--devices")
     assert_refused(sinsjax(*words, "--devices", 1, *address), none, "--devices")
     assert_refused(sinsjax(*words, "--devices", 4096), none, "--devices", "4096")
 

@@ -243,6 +243,22 @@ def test_wrong_command_line_gives_one_line_error(
     assert error.startswith(f"error: {line}")
 
 
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["terms"], "terms: is gone since 1.1 (docs/glossary.md)"),
+        (["sweep", "reset_sweep", "--workers", "4"], "sweep --workers: is gone since 1.1 (start"),
+        (["export", "reset_sweep", "-o", "x", "--resume"], "export --resume: is gone since 1.1"),
+    ],
+)
+def test_command_or_option_that_is_gone_names_what_to_use(
+    sinsjax: Command, words: list[str], line: str
+) -> None:
+    code, told, error = sinsjax(*words)
+    assert (code, told, error.count("\n")) == (2, "", 1)
+    assert error.startswith(f"error: {line}")
+
+
 def test_malformed_tables_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "s.toml"
     path.write_text(f'axes = 3\ndrawn = [1]\n[study]\nseed = ["x", {10**400}]\n[[cases]]\nx = 1\n')

@@ -159,7 +159,7 @@ def test_truth_is_the_bases_attitude_unless_blind(tmp_path: Path) -> None:
     assert not (blind / "truth.parquet").exists()
 
 
-def test_interrupted_export_continues_with_missing_records_alone(tmp_path: Path) -> None:
+def test_interrupted_export_is_unfinished_and_is_made_again(tmp_path: Path) -> None:
     plan, out = plan_export(study()), tmp_path / "out"
     written: list[int] = []
     with pytest.raises(StudyInterrupted, match="1 of 3 records"):
@@ -169,27 +169,16 @@ def test_interrupted_export_continues_with_missing_records_alone(tmp_path: Path)
             on_record=lambda done, _: written.append(done),
             is_stopped=lambda: bool(written),
         )
-    first = (out / "imu" / "draw_00000.csv").stat().st_mtime_ns
     with pytest.raises(InputError, match="the export is unfinished"):
         export.read_export(out)
     again: list[int] = []
-    write_export(plan, out, resume=True, on_record=lambda done, _: again.append(done))
-    assert again == [2, 3]
-    assert (out / "imu" / "draw_00000.csv").stat().st_mtime_ns == first
+    write_export(plan, out, overwrite=True, on_record=lambda done, _: again.append(done))
+    assert again == [1, 2, 3]
     whole = tmp_path / "whole"
     write_export(plan, whole)
     for path in sorted(whole.glob("imu/*")):
         assert path.read_bytes() == (out / "imu" / path.name).read_bytes()
     assert export.read_export(out)[0] == study()
-
-
-def test_resume_makes_a_spoiled_record_again(tmp_path: Path) -> None:
-    out = export_study(study(), tmp_path / "out")
-    path = out / "imu" / "draw_00001.csv"
-    before = path.read_bytes()
-    path.write_bytes(before[:-100])
-    export_study(study(), out, resume=True)
-    assert path.read_bytes() == before
 
 
 def test_overwrite_removes_the_files_of_the_earlier_export_alone(tmp_path: Path) -> None:
@@ -207,7 +196,6 @@ MISTAKES = {
     "format": (["--format", "mat"], "format: 'mat' is not one of psins, csv, parquet"),
     "frame": (["--frame", "nwu"], "frame: 'nwu' is not one of enu, ned"),
     "psins": (["--format", "psins", "--frame", "ned"], "frame: 'ned': the psins format has"),
-    "both": (["--resume", "--overwrite"], "--resume: conflicts with --overwrite"),
 }
 
 
@@ -221,12 +209,10 @@ def test_mistake_is_one_line_and_writes_nothing(
     assert not (tmp_path / "out").exists()
 
 
-def test_directory_with_other_files_or_another_export_is_refused(tmp_path: Path) -> None:
+def test_directory_with_other_files_or_an_export_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(InputError, match=r"contains thesis\.txt, no export"):
         export_study(study(), tmp_path)
     out = export_study(study(), tmp_path / "out")
     with pytest.raises(InputError, match="already contains an export"):
         export_study(study(), out)
-    with pytest.raises(InputError, match="the export differs in frame: enu there, ned here"):
-        export_study(study(), out, frame="ned", resume=True)

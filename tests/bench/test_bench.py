@@ -6,21 +6,27 @@ import sys
 import tempfile
 from functools import partial
 from itertools import count
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rich.console import Console
 from support.studies import small_study
 
-from sinsjax import bench
-from sinsjax.bench import Workload, cases, limit, timing
-from sinsjax.bench.limit import limit_kernel_workload
 from sinsjax.engine import build
 from sinsjax.errors import InputError
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+import bench
+import cases
+import limit
+import timing
+from limit import limit_kernel_workload
+from timing import Workload
+
 HOLDS = {"cpu": "model X", "sinsjax": "1.2", "jax": "0", "platform": "cpu", "options": "all"}
-ROWS = ["kalman_shared_record", "kalman_noise_64", "numpy_baseline"]
+ROWS = ["kalman_shared_record", "kalman_noise_64"]
 
 
 def fake_workload(name, seconds, calls=None, runs=10, steps=100, **more):
@@ -48,9 +54,10 @@ def fake_workloads(monkeypatch, tmp_path):
     return monkeypatch
 
 
-def run_and_parse(capsys, **choices):
+def run_and_parse(capsys, monkeypatch, *options):
     """The rows of a run, and what it says on stderr."""
-    bench.run_benchmarks(Console(), as_json=True, repeats=2, **choices)
+    monkeypatch.setattr(sys, "argv", ["bench.py", "--json", "--repeats", "2", *options])
+    bench.main()
     told = capsys.readouterr()
     return [json.loads(line) for line in told.out.splitlines()], told.err
 
@@ -74,7 +81,7 @@ def test_cases_are_timed_in_turns_and_median_is_reported():
     calls: list[str] = []
     slow = fake_workload("slow", [0.004, 0.1, 0.002], calls)
     fast = fake_workload("fast", [0.001, 0.001, 0.003], calls, runs=1, dtype="float32", devices=2)
-    rows = bench.measure_workloads([slow, fast], 3)
+    rows = timing.measure_workloads([slow, fast], 3)
     assert calls == ["slow", "fast"] * 3
     assert [row["name"] for row in rows] == ["slow", "fast"]
     assert [row["median_s"] for row in rows] == [0.004, 0.001]
@@ -102,7 +109,7 @@ def test_limit_kernel_runs(gcc, tmp_path):
 
 
 def test_run_with_limit_kernel_leaves_no_temp_files(gcc, fake_workloads, tmp_path, capsys):
-    rows, said = run_and_parse(capsys, limit=True)
+    rows, said = run_and_parse(capsys, fake_workloads, "--limit")
     assert [row["name"] for row in rows] == ["limit_kernel", *ROWS]
     assert all(HOLDS.items() <= row.items() for row in rows)
     assert said == ""
@@ -111,8 +118,8 @@ def test_run_with_limit_kernel_leaves_no_temp_files(gcc, fake_workloads, tmp_pat
 
 def test_missing_gcc_warns_and_skips_limit_kernel(fake_workloads, capsys):
     fake_workloads.setattr(shutil, "which", lambda name: None)
-    rows, said = run_and_parse(capsys, limit=True)
-    without, silent = run_and_parse(capsys, limit=False)
+    rows, said = run_and_parse(capsys, fake_workloads, "--limit")
+    without, silent = run_and_parse(capsys, fake_workloads)
     assert said == "warning: no limit kernel: gcc not found\n"
     assert silent == ""
     assert [row["name"] for row in rows] == [row["name"] for row in without] == ROWS
@@ -171,11 +178,3 @@ def test_engine_workload_runs_program_of_engine(small_group):
     group = cases.shorten_runs(small_group, 2)
     case = cases.engine_workload("x", group, tiles=4, lanes=16, devices=2)
     assert case.compile_s > 0 and case.call() > 0
-
-
-@pytest.mark.nightly
-def test_baseline_that_differs_from_engine_is_refused(small_group, monkeypatch):
-    wrong = lambda *_: (np.eye(3), np.zeros(5))  # noqa: E731
-    monkeypatch.setattr(cases, "align_with_numpy_loop", wrong)
-    with pytest.raises(RuntimeError, match="the NumPy baseline and the engine differ"):
-        cases.numpy_baseline_workload(cases.remove_noise(small_group))

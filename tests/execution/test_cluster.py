@@ -14,7 +14,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import dask
 import distributed
 import psutil
 import pyarrow as pa
@@ -81,140 +80,6 @@ def rows(directory: Path) -> pa.Table:
     return pa.concat_tables([t.replace_schema_metadata() for t in tables]).sort_by("run_id")
 
 
-def worker_processes(parent: int | None = None) -> list[psutil.Process]:
-    """Return the worker processes of a local cluster."""
-    return [
-        process
-        for process in psutil.Process(parent).children()
-        if any("spawn_main" in word for word in process.cmdline())
-    ]
-
-
-@needs_two_cores
-class TestTwoWorkers:
-    """Of one cluster, which ends with these tests: others count their processes."""
-
-    @pytest.fixture(scope="class")
-    @classmethod
-    def two(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[study_tasks.Executor]:
-        with pytest.MonkeyPatch.context() as patch:
-            # Locks of their own: another test's workers may have taken this machine's cores.
-            patch.setenv("TMPDIR", str(tmp_path_factory.mktemp("locks")))
-            with cluster.executor(workers=2) as executor:
-                yield executor
-
-    def test_workers_give_same_bytes_as_local_run(
-        self, two: study_tasks.Executor, study: Study, local_parts: Parts, tmp_path: Path
-    ) -> None:
-        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two)
-        assert len(local_parts) == 19
-        assert "ok" in rows(tmp_path)["status"].to_pylist()
-        assert parts(tmp_path) == local_parts
-        (session,) = read_manifest(tmp_path)["sessions"]
-        assert (session["workers"], session["scheduler"]) == (2, "local")
-
-    def test_filter_on_workers_gives_same_bytes_as_local_run(
-        self, two: study_tasks.Executor, tmp_path: Path
-    ) -> None:
-        study = small_study(
-            study={"draws": 500, "curves": True}, drawn={"gyro_scale_ppm": {"normal": [0, 9]}}
-        )
-        run.run_into(study, tmp_path / "here", chunk_runs=CHUNK)
-        run.run_into(study, tmp_path / "there", chunk_runs=CHUNK, executor=two)
-        assert len(parts(tmp_path / "here")) == 2 * 4
-        assert parts(tmp_path / "here") == parts(tmp_path / "there")
-
-    def test_each_worker_is_pinned_to_separate_core(self, two: study_tasks.Executor) -> None:
-        cores = []
-        for process in worker_processes():
-            of_threads = {frozenset(psutil.Process(t.id).cpu_affinity()) for t in process.threads()}
-            assert len(of_threads) == 1
-            cores.append(*of_threads.pop())
-        assert len(cores) == len(set(cores)) == 2
-
-    def test_number_of_submitted_tasks_is_bounded(
-        self, two: study_tasks.Executor, study: Study
-    ) -> None:
-        runner = study_tasks.TaskRunner(study_tasks.Job(study, chunk_runs=CHUNK))
-        (tasks,) = runner.plan_tasks()
-        taken: list[study_tasks.Task] = []
-
-        def offered() -> Iterator[study_tasks.Task]:
-            for task in tasks[:9]:
-                taken.append(task)
-                yield task
-
-        done = []
-        for encoded in two.run_tasks(runner, offered()):
-            done.append(encoded.task)
-            assert len(taken) - len(done) < 2 * cluster.TASKS_PER_THREAD
-        assert sorted(done) == taken == tasks[:9]
-
-    def test_killed_worker_loses_no_row(
-        self, two: study_tasks.Executor, study: Study, local_parts: Parts, tmp_path: Path
-    ) -> None:
-        killed: list[psutil.Process] = []
-
-        def on_progress(progress: run.RunProgress) -> None:
-            if progress.done >= 3 * CHUNK and not killed:
-                killed.append(worker_processes()[0])
-                # Stopped with tasks in hand, it takes them with it a second later.
-                killed[0].suspend()
-                threading.Timer(1.0, killed[0].kill).start()
-
-        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two, on_progress=on_progress)
-        assert killed and not killed[0].is_running()
-        assert parts(tmp_path) == local_parts
-        assert rows(tmp_path)["run_id"].to_pylist() == list(range(2400))
-
-
-def test_job_survives_loss_of_every_worker(
-    study: Study, local_parts: Parts, tmp_path: Path
-) -> None:
-    """The replacement of the only worker reads the job again."""
-    killed: list[psutil.Process] = []
-
-    def on_progress(progress: run.RunProgress) -> None:
-        if progress.done >= 3 * CHUNK and not killed:
-            killed.append(worker_processes()[0])
-            killed[0].kill()
-
-    with cluster.executor(workers=1) as executor:
-        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, on_progress=on_progress)
-    assert killed and parts(tmp_path) == local_parts
-
-
-def test_task_that_kills_workers_is_named_in_error(
-    study: Study, local_parts: Parts, tmp_path: Path
-) -> None:
-    def on_progress(progress: run.RunProgress) -> None:
-        if progress.done == 2 * CHUNK:
-            worker_processes()[0].kill()
-
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        cluster.executor(workers=1) as executor,
-        pytest.raises(InputError, match=r"^part-0000-\d{6}: 1 workers died while running it"),
-    ):
-        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, on_progress=on_progress)
-    there = parts(tmp_path)
-    assert len(there) >= 2 and there.items() <= local_parts.items()
-
-
-def test_failing_task_is_named_in_error(
-    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv(compile_cache.VARIABLE, str(tmp_path / "file"))
-    with (
-        cluster.executor(workers=1) as executor,
-        pytest.raises(InputError, match=rf"^part-0000-000000: {compile_cache.VARIABLE}: "),
-    ):
-        run.run_into(study, tmp_path / "out", executor=executor)
-
-
-# --- A scheduler and workers that others started -------------------------------------------------
-
 Begin = Callable[..., subprocess.Popen]
 
 
@@ -258,14 +123,82 @@ def scheduler(start_command: Begin, tmp_path: Path) -> str:
     return address_of_scheduler(start_command, tmp_path / "scheduler.json")
 
 
-def address_of_scheduler(start_command: Begin, about: Path) -> str:
+def address_of_scheduler(start_command: Begin, about: Path, **environment: str) -> str:
     """Start a scheduler that writes its address to a file, and return the address."""
-    start_command("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(about))
+    words = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(about))
+    start_command("scheduler", *words, **environment)
     for _ in range(600):
         with suppress(FileNotFoundError, json.JSONDecodeError):
             return str(json.loads(about.read_text())["address"])
         time.sleep(0.05)
     raise AssertionError("no scheduler within 30 s")
+
+
+def worker_process(nanny: subprocess.Popen) -> psutil.Process:
+    """Return the process that computes, which its nanny starts again if it is lost."""
+    (process,) = (
+        process
+        for process in psutil.Process(nanny.pid).children()
+        if any("spawn_main" in word for word in process.cmdline())
+    )
+    return process
+
+
+@needs_two_cores
+class TestTwoWorkers:
+    """Of one scheduler, which ends with these tests."""
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def two(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[study_tasks.Executor]:
+        with dask_commands() as start_command:
+            about = tmp_path_factory.mktemp("scheduler") / "about.json"
+            address = address_of_scheduler(start_command, about)
+            for _ in range(2):
+                start_command("worker", address, "--nthreads", "1")
+            with distributed.Client(address, set_as_default=False) as client:
+                client.wait_for_workers(2, timeout=60)
+            with cluster.executor(scheduler=address) as executor:
+                yield executor
+
+    def test_workers_give_same_bytes_as_local_run(
+        self, two: study_tasks.Executor, study: Study, local_parts: Parts, tmp_path: Path
+    ) -> None:
+        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two)
+        assert len(local_parts) == 19
+        assert "ok" in rows(tmp_path)["status"].to_pylist()
+        assert parts(tmp_path) == local_parts
+        (session,) = read_manifest(tmp_path)["sessions"]
+        assert session["workers"] == 2
+
+    def test_filter_on_workers_gives_same_bytes_as_local_run(
+        self, two: study_tasks.Executor, tmp_path: Path
+    ) -> None:
+        study = small_study(
+            study={"draws": 500, "curves": True}, drawn={"gyro_scale_ppm": {"normal": [0, 9]}}
+        )
+        run.run_into(study, tmp_path / "here", chunk_runs=CHUNK)
+        run.run_into(study, tmp_path / "there", chunk_runs=CHUNK, executor=two)
+        assert len(parts(tmp_path / "here")) == 2 * 4
+        assert parts(tmp_path / "here") == parts(tmp_path / "there")
+
+    def test_number_of_submitted_tasks_is_bounded(
+        self, two: study_tasks.Executor, study: Study
+    ) -> None:
+        runner = study_tasks.TaskRunner(study_tasks.Job(study, chunk_runs=CHUNK))
+        (tasks,) = runner.plan_tasks()
+        taken: list[study_tasks.Task] = []
+
+        def offered() -> Iterator[study_tasks.Task]:
+            for task in tasks[:9]:
+                taken.append(task)
+                yield task
+
+        done = []
+        for encoded in two.run_tasks(runner, offered()):
+            done.append(encoded.task)
+            assert len(taken) - len(done) < 2 * cluster.TASKS_PER_THREAD
+        assert sorted(done) == taken == tasks[:9]
 
 
 class TestOneScheduler:
@@ -328,6 +261,60 @@ class TestOneScheduler:
             )
         there = parts(tmp_path)
         assert len(there) >= 3 and there.items() <= local_parts.items()
+
+
+def test_job_survives_loss_of_every_worker(
+    start_command: Begin, scheduler: str, study: Study, local_parts: Parts, tmp_path: Path
+) -> None:
+    """The replacement of the only worker reads the job again."""
+    nanny = start_command("worker", scheduler, "--nthreads", "1")
+    killed: list[psutil.Process] = []
+
+    def on_progress(progress: run.RunProgress) -> None:
+        if progress.done >= 3 * CHUNK and not killed:
+            killed.append(worker_process(nanny))
+            killed[0].kill()
+
+    with cluster.executor(scheduler=scheduler) as executor:
+        run.run_into(
+            study, tmp_path / "out", chunk_runs=CHUNK, executor=executor, on_progress=on_progress
+        )
+    assert killed and parts(tmp_path / "out") == local_parts
+
+
+def test_task_that_kills_workers_is_named_in_error(
+    start_command: Begin, study: Study, local_parts: Parts, tmp_path: Path
+) -> None:
+    none = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+    address = address_of_scheduler(start_command, tmp_path / "scheduler.json", **none)
+    nanny = start_command("worker", address, "--nthreads", "1")
+
+    def on_progress(progress: run.RunProgress) -> None:
+        if progress.done == 2 * CHUNK:
+            worker_process(nanny).kill()
+
+    with (
+        cluster.executor(scheduler=address) as executor,
+        pytest.raises(InputError, match=r"^part-0000-\d{6}: 1 workers died while running it"),
+    ):
+        run.run_into(
+            study, tmp_path / "out", chunk_runs=CHUNK, executor=executor, on_progress=on_progress
+        )
+    there = parts(tmp_path / "out")
+    assert len(there) >= 2 and there.items() <= local_parts.items()
+
+
+def test_failing_task_is_named_in_error(
+    start_command: Begin, scheduler: str, study: Study, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("")
+    spoiled = {compile_cache.VARIABLE: str(tmp_path / "file")}
+    start_command("worker", scheduler, "--nthreads", "1", **spoiled)
+    with (
+        cluster.executor(scheduler=scheduler) as executor,
+        pytest.raises(InputError, match=rf"^part-0000-000000: {compile_cache.VARIABLE}: "),
+    ):
+        run.run_into(study, tmp_path / "out", executor=executor)
 
 
 @needs_two_cores
@@ -440,44 +427,35 @@ def wait_for_first_chunk(process: subprocess.Popen) -> str:
     return next((line for line in lines if line.startswith("study: ")), "")
 
 
-@needs_two_cores
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_finishes_running_chunks_and_resume_completes_sweep(
-    number: signal.Signals, sweep: Sweep, local_parts: Parts, tmp_path: Path
+    number: signal.Signals,
+    start_command: Begin,
+    scheduler: str,
+    sweep: Sweep,
+    local_parts: Parts,
+    tmp_path: Path,
 ) -> None:
+    start_command("worker", scheduler, "--nthreads", "1")
+    with distributed.Client(scheduler, set_as_default=False) as client:
+        client.wait_for_workers(1, timeout=120)  # without one the sweep says so
     out = tmp_path / "out"
-    process = sweep(out, "--workers", "2")
+    process = sweep(out, "--scheduler", scheduler)
     first = wait_for_first_chunk(process)
-    children = worker_processes(process.pid)
-    os.killpg(process.pid, number)  # to all, as terminals and batch systems do
+    os.killpg(process.pid, number)
     output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, (first, output, errors)
     assert "Stopping after the running chunks" in output
     assert errors.startswith("interrupted: ") and errors.count("\n") == 1
-    assert len(children) == 2 and not psutil.wait_procs(children, timeout=60)[1]
     there = parts(out)
     assert there.items() < local_parts.items()
     chunks = read_manifest(out)["chunks"]
     assert sum(chunk["state"] == "done" for chunk in chunks) == len(there)
 
-    process = sweep(out, "--workers", "1", "--resume")
+    process = sweep(out, "--scheduler", scheduler, "--resume")
     output, errors = process.communicate(timeout=300)
     assert (process.returncode, errors) == (0, "")
     # What is left may be done before a rate is known.
     lines = [line for line in output.splitlines() if line.startswith("study: ")]
     assert lines and len(set(lines)) == len(lines)
-    assert parts(out) == local_parts
-
-
-def test_workers_exit_when_sweep_process_is_killed(
-    sweep: Sweep, local_parts: Parts, study: Study, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    process = sweep(out, "--workers", "1")
-    wait_for_first_chunk(process)
-    children = worker_processes(process.pid)
-    process.kill()
-    assert len(children) == 1 and not psutil.wait_procs(children, timeout=60)[1]
-    assert parts(out).items() < local_parts.items()
-    run.run_into(study, out, resume=True)
     assert parts(out) == local_parts

@@ -19,7 +19,7 @@ from sinsjax.engine.build import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import cluster
 from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner
-from sinsjax.platform import affinity, runtime, xla
+from sinsjax.platform import runtime, xla
 from sinsjax.study.load import study_from_dict
 
 
@@ -37,7 +37,6 @@ def refusal_line(**given: Any) -> str:
 @pytest.fixture
 def local_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[distributed.LocalCluster]:
     """A scheduler with two workers of one thread, all in this process."""
-    monkeypatch.setenv(affinity.VARIABLE, "0")
     monkeypatch.setattr(runtime, "configure", lambda devices: None)  # has been done
     monkeypatch.setattr(cluster, "_runners", {})
     with distributed.LocalCluster(
@@ -211,10 +210,6 @@ def test_other_service_at_scheduler_address_is_reported(
         assert refusal_line(scheduler=address) == line
 
 
-def test_more_workers_than_cores_are_refused() -> None:
-    assert refusal_line(workers=4096).startswith("workers: 4096 exceeds the")
-
-
 # --- Workers that come and go --------------------------------------------------------------------
 
 
@@ -286,22 +281,10 @@ def test_late_worker_that_differs_is_refused_before_reading_job(
     assert str(refused.value) == f"tcp://far:1: {line}"
 
 
-@pytest.mark.parametrize(
-    ("threads", "variable", "pinned"),
-    [(1, None, True), (1, "0", False), (2, None, False), (2, "1", True)],
-)
-def test_worker_is_pinned_and_configured_before_it_builds_job(
-    threads: int, variable: str | None, pinned: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if variable is None:
-        monkeypatch.delenv(affinity.VARIABLE, raising=False)
-    else:
-        monkeypatch.setenv(affinity.VARIABLE, variable)
+def test_worker_is_configured_before_it_builds_job(monkeypatch: pytest.MonkeyPatch) -> None:
     job, steps = Job(small_study()), list[str]()
-    worker = SimpleNamespace(address="tcp://far:1", state=SimpleNamespace(nthreads=threads))
-    monkeypatch.setattr("distributed.get_worker", lambda: worker)
+    monkeypatch.setattr("distributed.get_worker", lambda: SimpleNamespace(address="tcp://far:1"))
     monkeypatch.setattr("distributed.Variable.get", lambda *_, **__: pickle.dumps(job))
-    monkeypatch.setattr(affinity, "pin_to_free_core", lambda: steps.append("pin"))
     monkeypatch.setattr(runtime, "configure", lambda devices: steps.append(f"{devices} device"))
 
     def build(runner: TaskRunner, built: Job) -> None:
@@ -309,4 +292,4 @@ def test_worker_is_pinned_and_configured_before_it_builds_job(
 
     monkeypatch.setattr(TaskRunner, "__init__", build)
     cluster._make_runner("job", {"instruction set": xla.instruction_set()})
-    assert steps == [*(["pin"] if pinned else []), "1 device", job.identity]
+    assert steps == ["1 device", job.identity]

@@ -1,7 +1,7 @@
 """The engine once more, naively: NumPy, dense matrices, one run, written from the equations.
 
 Slow and plain on purpose. Nothing here comes from the filter, mechanisation or error model that
-it is compared with, nor from `sinsjax.bench.baseline`, a second pair of eyes on one method alone.
+it is compared with.
 Vectors and matrices are arrays, attitude is a matrix C_b^n.
 """
 

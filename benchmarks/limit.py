@@ -1,4 +1,4 @@
-"""The limit kernel, a hand-written lower bound of the time: ``benchmarks/limit_kernel.c``."""
+"""The limit kernel, a hand-written lower bound of the time: ``limit_kernel.c``."""
 
 import shutil
 import subprocess
@@ -6,10 +6,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from sinsjax.bench.timing import Workload
+from timing import Workload
+
 from sinsjax.errors import InputError
 from sinsjax.platform import machine, xla
-from sinsjax.platform.assets import asset_path
+
+SOURCE = Path(__file__).with_name("limit_kernel.c")
 
 _FLAGS = "-O3 -ffast-math -Wno-psabi -mprefer-vector-width=512".split()
 _LEVELS = {"AVX512": "x86-64-v4", "AVX2": "x86-64-v3", "SSE4_2": "x86-64-v2"}
@@ -17,11 +19,7 @@ _LEVELS = {"AVX512": "x86-64-v4", "AVX2": "x86-64-v3", "SSE4_2": "x86-64-v2"}
 
 
 def find_compiler() -> str:
-    """Return the path of gcc, after building and running a program with the kernel's options.
-
-    Raises:
-        InputError: gcc is missing, or cannot build a program that runs on this machine.
-    """
+    """Return the path of gcc; raises InputError if it cannot build a program that runs here."""
     found = shutil.which("gcc")
     if found is None:
         raise InputError("gcc not found")
@@ -46,22 +44,11 @@ def _architecture_option() -> str:
 def limit_kernel_workload(
     compiler: str, folder: str, *, steps: int = 20000, vectors: int = 32
 ) -> Workload:
-    """The hand-written kernel of ``benchmarks/limit_kernel.c``, in CPU time.
-
-    Args:
-        compiler: path of gcc, see `find_compiler`.
-        folder: where to put the program; must exist as long as the workload is used.
-        steps: steps of each run.
-        vectors: number of vectors of 8 runs.
-
-    Raises:
-        InputError: gcc cannot build it; raised by the workload's call if the kernel crashes.
-    """
+    """The hand-written kernel in a folder that stays, in CPU time; `vectors` of 8 runs each."""
     program = str(Path(folder) / "limit")
-    source = str(asset_path("benchmarks/limit_kernel.c"))
     since = time.perf_counter()
     options = [*_FLAGS, _architecture_option(), "-DREAL=double"]
-    _run_command([compiler, *options, source, "-o", program, "-lm"], "gcc")
+    _run_command([compiler, *options, str(SOURCE), "-o", program, "-lm"], "gcc")
     compile_s = time.perf_counter() - since
     runs = 8 * vectors
 

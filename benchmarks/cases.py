@@ -1,0 +1,214 @@
+"""What is timed: the compiled function of `sweep`, with base and sensors of the default sweep."""
+
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import jax
+import numpy as np
+from timing import Workload
+
+from sinsjax.engine.batch import compile_program, map_in_threads, plan
+from sinsjax.engine.build import parts
+from sinsjax.engine.environment import Draw, RunParams
+from sinsjax.engine.lanes import LANES, STACKED_TILES, Group, Tiles, tiles_of
+from sinsjax.methods.registry import METHODS, unread_keys
+from sinsjax.platform.assets import asset_path
+from sinsjax.study.keys import TomlTable
+from sinsjax.study.load import study_from_dict
+from sinsjax.toml_text import parse_toml
+
+TILES = 2
+"""Tiles per call: two at least, since the compiler unrolls the loop over a single one."""
+
+RECORD_S = 80.0
+"""Length of a stored record, as in [P2]."""
+
+_DEFAULT = "configs/reset_sweep.toml"
+_SIGMAS = {
+    "level_sigma_per_s": [0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.06],
+    "azimuth_sigma_per_s": [0.01, 0.012, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05],
+}
+_MOTION_RANGES = {
+    "yaw_center_deg": [0.0, 360.0],
+    "pitch_amplitude_deg": [1.0, 3.0],
+    "roll_period_s": [6.0, 10.0],
+    "yaw_phase_deg": [-180.0, 180.0],
+}
+"""Base motion and orientation keys with a value per draw, and their ranges."""
+
+_DISTURBED = {
+    "motion": {"surge_m_per_s": 0.1, "lever_arm_m": 1.0},
+    "sensors": {"gyro_instability_deg_per_h": 0.01, "accel_instability_ug": 10.0},
+}
+
+
+def _default_tables() -> TomlTable:
+    return parse_toml(asset_path(_DEFAULT).read_text("utf-8"))
+
+
+def _group_of(tables: TomlTable) -> Group:
+    (part,) = parts(study_from_dict(tables, _DEFAULT))
+    return part.group
+
+
+@cache
+def default_group() -> Group:
+    """The group of runs of the default sweep, ``configs/reset_sweep.toml``."""
+    return _group_of(_default_tables())
+
+
+@cache
+def method_group(method: str) -> Group:
+    """The default sweep with another method, without the keys that the method does not read."""
+    data = _default_tables()
+    if METHODS[method].gyro_bias_keys or not METHODS[method].has_floor:
+        data["study"]["judged_from"] = "truth"  # the method has no bias floor on a moving base
+    data["alignment"]["method"] = method
+    unread = unread_keys([method]) | {*METHODS[method].without_effect}
+    data = {
+        section: {key: value for key, value in table.items() if key not in unread}
+        for section, table in data.items()
+    }
+    if not data["axes"]:
+        data["study"]["draws"] = _draw_count(1)
+    return _group_of({k: v for k, v in data.items() if v})
+
+
+@cache
+def compass_group(record_s: float | None = None) -> Group:
+    """The default sweep with compass loops, over a stored record of this length if given."""
+    data = _default_tables()
+    del data["alignment"]["specific_force"], data["alignment"]["feedback_interval_s"]
+    del data["axes"]["reset_count"], data["axes"]["reset_cycle_s"], data["filter"], data["resets"]
+    data["study"]["judged_from"] = "truth"  # a pass is too short for a bias floor
+    data["alignment"]["method"] = "compass"
+    data["axes"] |= _SIGMAS
+    if record_s is not None:
+        data["passes"] = {"stored_s": record_s}
+    return _group_of(data)
+
+
+def remove_noise(group: Group) -> Group:
+    """The group without sensor noise."""
+    model, static = group.environment.sensors, group.static
+    quiet = model.errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
+    return group._replace(
+        static=static._replace(sensors=static.sensors._replace(noisy=False)),
+        environment=group.environment._replace(sensors=model._replace(errors=quiet)),
+    )
+
+
+def shared_covariance_group(group: Group) -> Group:
+    """A tenth of the group's duration, with A(t) of a base at rest: draws share a covariance."""
+    options = group.static.options._replace(specific_force="gravity")
+    group = group._replace(static=group.static._replace(options=options))
+    return shorten_runs(group, max(2, group.static.records // 10))
+
+
+def set_feedback_every_sample(group: Group) -> Group:
+    """The group with feedback at every sample."""
+    method = group.variants.method
+    ones = np.ones_like(method.feedback.every)
+    method = method._replace(feedback=method.feedback._replace(every=ones))
+    return group._replace(variants=group.variants._replace(method=method))
+
+
+def select_last_variants(group: Group, n_variants: int, min_runs: int = 0) -> Group:
+    """The group with its last variants only, and enough draws for `TILES` and a number of runs."""
+    draws = _draw_count(n_variants, min_runs)
+    return group._replace(
+        variants=_last_variants(group, n_variants),
+        draws=Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int)),
+        q=np.tile(group.q[:1], (draws, 1)),
+    )
+
+
+@cache
+def disturbed_group(n_variants: int) -> Group:
+    """`select_last_variants` of the default sweep with surge, a lever arm and bias instability."""
+    data = _default_tables()
+    for name, keys in _DISTURBED.items():
+        data[name] |= keys
+    return select_last_variants(_group_of(data), n_variants)
+
+
+@cache
+def drawn_motion_group(n_variants: int) -> Group:
+    """`select_last_variants` of the default sweep with a different base motion for each draw."""
+    data = _default_tables()
+    data["study"]["draws"] = _draw_count(n_variants)
+    for key in _MOTION_RANGES:
+        data["motion"].pop(key, None)
+    data["drawn"] = {"sampling": "random"} | {
+        key: {"uniform": ends} for key, ends in _MOTION_RANGES.items()
+    }
+    group = _group_of(data)
+    return group._replace(variants=_last_variants(group, n_variants))
+
+
+def _draw_count(n_variants: int, min_runs: int = 0) -> int:
+    return max(min_runs, TILES * STACKED_TILES * max(LANES, n_variants)) // n_variants + 1
+
+
+def _last_variants(group: Group, n_variants: int) -> RunParams:
+    variants: RunParams = jax.tree.map(lambda a: a[-n_variants:], group.variants)
+    return variants
+
+
+def shorten_runs(group: Group, records: int) -> Group:
+    """The group with shorter runs, in record intervals."""
+    return group._replace(static=group.static._replace(records=records))
+
+
+def engine_workload(
+    name: str, group: Group, *, tiles: int = TILES, lanes: int = LANES, devices: int = 1
+) -> Workload:
+    """The compiled function of `sweep` on its first calls for a group, one a device."""
+    draws, variants = group.sizes
+    calls = plan(group, tiles_per_chunk=tiles, lanes=lanes)
+    places = [calls[i % len(calls)] for i in range(devices)]
+    runs = sum(int(np.sum((p.draw < draws) & (p.variant < variants))) for p in places)
+    arguments = [(group.environment, tiles_of(group, p)) for p in places]
+    since = time.perf_counter()
+    program = compile_program(group, arguments[0][1])
+    compile_s = time.perf_counter() - since
+    placed = jax.device_put(arguments)
+
+    def one(arguments: tuple[Any, Tiles]) -> None:
+        jax.block_until_ready(program(*arguments))
+
+    # One device is timed in CPU time, which excludes other processes on the machine.
+    clock = time.process_time if devices == 1 else time.perf_counter
+
+    def call() -> float:
+        since = clock()
+        list(map_in_threads(one, placed, devices))
+        return clock() - since
+
+    call()
+    steps = group.static.records * group.static.record_every
+    return Workload(name, runs, steps, compile_s, call, devices=devices)
+
+
+def _silent(name: str, group: Group) -> Workload:
+    return engine_workload(name, remove_noise(group))
+
+
+def _noisy(name: str, variants: int) -> Workload:
+    return engine_workload(name, select_last_variants(default_group(), variants))
+
+
+SHORT: dict[str, Callable[[], Workload]] = {
+    "kalman_shared_record": lambda: _silent("kalman_shared_record", default_group()),
+    "kalman_noise_64": lambda: _noisy("kalman_noise_64", 64),
+    "kalman_noise_6": lambda: _noisy("kalman_noise_6", 6),
+    "kalman_noise_1": lambda: _noisy("kalman_noise_1", 1),
+    "kalman_shared_covariance": lambda: _silent(
+        "kalman_shared_covariance", shared_covariance_group(default_group())
+    ),
+    "compass_shared_record": lambda: _silent("compass_shared_record", compass_group()),
+    "compass_stored_tape": lambda: _silent("compass_stored_tape", compass_group(RECORD_S)),
+}
+"""The short set: functions that give each row, by name and in order."""
