@@ -33,7 +33,14 @@ def parser(text: str, repeats: int) -> argparse.ArgumentParser:
     """Return a parser of ``--json`` and ``--repeats``."""
     made = argparse.ArgumentParser(description=text.partition("\n")[0])
     made.add_argument("--json", action="store_true", help="one JSON object a line")
-    made.add_argument("--repeats", type=int, default=repeats, help=f"timings ({repeats})")
+    made.add_argument(
+        "--repeats",
+        type=int,
+        choices=range(1, 1000),
+        metavar="N",
+        default=repeats,
+        help=f"timings ({repeats})",
+    )
     return made
 
 

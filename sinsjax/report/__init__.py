@@ -9,7 +9,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sinsjax import console as screen
 from sinsjax.errors import InputError
 from sinsjax.execution.directory import register_figures
 from sinsjax.execution.source import Source
