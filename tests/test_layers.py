@@ -7,13 +7,13 @@ from pathlib import Path
 import sinsjax
 
 FLOORS = (
-    {"console", "errors", "messages", "toml_text", "types", "units"},
+    {"console", "errors", "gone", "messages", "toml_text", "types", "units"},
     {"analysis", "columns", "maths", "platform"},
     {"plots", "records", "strapdown", "value_types"},
     {"methods"},
     {"study"},
     {"engine"},
-    {"covariance"},
+    {"bounds"},
     {"bench", "execution"},
     {"advice", "arena", "tuning"},
     {"report"},

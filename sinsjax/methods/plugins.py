@@ -136,8 +136,8 @@ def check_plugin(
 
     Raises:
         InputError: ``step``, ``normalise`` or ``close`` returns another state than ``init``;
-            ``attitude``, ``covariance`` or ``error_model`` is not what the description promises; or
-            the method has no ``passes`` for a record that is read repeatedly.
+            ``attitude`` or ``covariance`` is of another kind; or the method has no ``passes`` for a
+            record that is read repeatedly.
     """
     import jax
     import numpy as np
@@ -166,8 +166,6 @@ def check_plugin(
         if not isinstance(found, kind) or any(np.shape(leaf) for leaf in found):
             text = f"{what} returns {_format_shapes(found)}, expected {kind.__name__} of numbers"
             raise InputError(f"{name}: {text}{_place_of(function)}")
-    if description.has_error_model and method.error_model is None:
-        raise InputError(f"{name}: has_error_model is True, but its Method has no error_model")
     if repeats and method.passes is None:
         raise InputError(f"{name}: reads a stored record once (drop [passes])")
     if rewinds and method.passes.rewind is None:

@@ -17,7 +17,6 @@ from sinsjax.plots.curves import (
     group_curves,
     plot_curves,
 )
-from sinsjax.plots.error_bands import HeadingErrorCourse, draw_error_bands
 from sinsjax.plots.grids import (
     CellMarks,
     GridAxis,
@@ -33,7 +32,6 @@ __all__ = [
     "COLOURS",
     "STYLE",
     "ConsistencyLine",
-    "HeadingErrorCourse",
     "Ensemble",
     "ExpectedValue",
     "Line",
@@ -43,7 +41,6 @@ __all__ = [
     "draw_along_axis",
     "draw_attitude",
     "draw_consistency",
-    "draw_error_bands",
     "draw_heading_errors",
     "line_colour",
     "values_differ",

@@ -1,7 +1,7 @@
 """Reports on directories of results, from Parquet alone: printed, drawn and written.
 
-A study of draws is reported by `monte_carlo`, one estimated without draws by `covariance`, a
-tuning by `tuning`; a folder of prose and a script is written as a page by `study_page`.
+A study is reported by `monte_carlo`, a tuning by `tuning`; a folder of prose and a script is
+written as a page by `study_page`.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from sinsjax.execution.directory import register_figures
 from sinsjax.execution.source import Source
 from sinsjax.messages import shorten
 from sinsjax.platform.files import require_writable
-from sinsjax.report import covariance, monte_carlo, study_page
+from sinsjax.report import monte_carlo, study_page
 from sinsjax.report.base import Chapter, Report, Text
 from sinsjax.report.markup import load_template
 from sinsjax.report.names import NO_NAMES
@@ -95,8 +95,7 @@ def _print_reports(
 
             report = tuning.build_report(source)
         else:
-            kind = covariance if source.study.is_estimated else monte_carlo
-            report = kind.build_report(
+            report = monte_carlo.build_report(
                 source, with_tables=with_tables, warnings_shown=warnings_shown
             )
         reports.append(_draw_and_save_figures(report, source))

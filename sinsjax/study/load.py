@@ -53,10 +53,8 @@ __all__ = [
 ]
 
 _DEFAULT_DRAWS = 64
-_DEFAULT_SAMPLES = 256
 _DEPENDENT_DEFAULTS = EARTH_CONSTANTS | {
     "draws": _DEFAULT_DRAWS,
-    "estimate_samples": _DEFAULT_SAMPLES,
     "height_m": 0.0,
     **{white: 0.0 for white, _ in SECTIONS["sensors"].exclusive},
 }
@@ -448,9 +446,6 @@ def _fill_defaults(
     sections = {key: dict(tables.get(key, {})) for key in SECTIONS if key not in unused}
     sections["study"].setdefault("name", name)
     if not recorded:
-        if sections["study"].get("estimate") == "covariance":
-            sections["study"].setdefault("check_linearity", True)
-            sections["study"].setdefault("estimate_samples", _DEFAULT_SAMPLES)
         sections["study"].setdefault("draws", _DEFAULT_DRAWS)
         sections["earth"].setdefault("height_m", 0.0)
         for white, density in SECTIONS["sensors"].exclusive:

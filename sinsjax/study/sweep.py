@@ -42,6 +42,9 @@ _LAW_FORMS = ", ".join(f"{name} = {meaning}" for name, meaning in _LAW_MEANINGS.
 _RANGE_KEYS = tuple(Range.model_fields)
 _VARIABLES, _BASELINE = "[tune.variables]", "[tune.baseline]"
 _TUNING_DRAWS = {"tune_draws": 16, "evaluation_draws": 64}
+_GONE_SETTINGS = ("evolution_screen", "evolution_steps", "feedback_phases")
+"""Settings of [tune] of the search 'covariance' of version 1.0."""
+
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
@@ -387,7 +390,7 @@ def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: b
     Raises:
         InputError: ``[table] key: what is wrong (hint)``.
     """
-    table, errors = dict(table), ErrorCollector()
+    table, errors = without_gone_settings(table), ErrorCollector()
     for key, default in _TUNING_DRAWS.items():
         if not recorded:
             table.setdefault(key, default)
@@ -402,6 +405,14 @@ def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: b
                 table[key] = read(table[key], swept)
     errors.raise_all()
     return table
+
+
+def without_gone_settings(table: TomlTable) -> TomlTable:
+    """Return [tune] without settings that version 1.0 wrote into every stored study.
+
+    They have no effect: the search that read them is refused.
+    """
+    return {key: value for key, value in table.items() if key not in _GONE_SETTINGS}
 
 
 def _read_baseline(table: TomlTable, swept: Mapping[str, str]) -> TomlTable:

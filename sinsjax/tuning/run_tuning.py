@@ -39,7 +39,7 @@ TUNED, EVALUATION = "tuned.toml", "evaluation"
 LAW = "law"
 """Name of the reset schedule by the law among the evaluated points."""
 
-GRADIENT, EQUAL_COST, COVARIANCE = gradient.NAME, "equal_cost", search.COVARIANCE
+GRADIENT, EQUAL_COST = gradient.NAME, "equal_cost"
 _SEARCHES = ("grid", "sobol", "random", EQUAL_COST, EVALUATION)
 _NAMES = (STUDY, TUNED, history.FILE, "figures", *_SEARCHES)
 
@@ -205,9 +205,9 @@ def _run_search(
 ) -> SearchResult:
     """Run a search, or return it from the known ones."""
     settings = require_tune(study)
-    if name in (GRADIENT, COVARIANCE):
+    if name == GRADIENT:
         done = [result for result in known if result.search == name]
-        return done[0] if done else _run_in_memory(name, study, session)
+        return done[0] if done else _descend(study, session)
     if name == "grid":
         design = search.grid_design(space, settings.grid_points)
     else:
@@ -217,9 +217,9 @@ def _run_search(
     return search.evaluate_design(study, name, search.add_law_points(study, design), session)
 
 
-def _run_in_memory(name: str, study: Study, session: SearchSession) -> SearchResult:
-    """Run a search that stores nothing but its history."""
-    with session.watch(name) as on_progress:
+def _descend(study: Study, session: SearchSession) -> SearchResult:
+    """Run the gradient search, which stores nothing but its history."""
+    with session.watch(GRADIENT) as on_progress:
 
         def report_or_stop(progress: RunProgress) -> None:
             if session.stop.is_set():
@@ -227,8 +227,6 @@ def _run_in_memory(name: str, study: Study, session: SearchSession) -> SearchRes
             if on_progress is not None:
                 on_progress(progress)
 
-        if name == COVARIANCE:
-            return search.search_by_covariance(study, on_progress=report_or_stop)
         return gradient.descend(study, session.job.stored, on_progress=report_or_stop)
 
 

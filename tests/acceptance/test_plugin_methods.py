@@ -7,7 +7,6 @@ import shutil
 import tomllib
 import zipfile
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,9 +51,6 @@ def test_example_plugin_keeps_its_promises_but_reads_a_record_once(
     check_plugin("it", description, method, np.float64(0.5), None)
     with pytest.raises(InputError, match=r"^it: reads a stored record once \(drop \[passes\]\)$"):
         check_plugin("it", description, method, np.float64(0.5), None, repeats=True)
-    described = replace(description, has_error_model=True)
-    with pytest.raises(InputError, match="^it: has_error_model is True, but its Method has no"):
-        check_plugin("it", described, method, np.float64(0.5), None)
 
 
 @pytest.fixture(scope="module")
@@ -171,11 +167,6 @@ def test_misnamed_entry_point_is_reported_by_validate_and_info(
             (METHOD, "return 1 - 1", "return 0.5 #"),
             "parameters returns float64[], expected [1, ...]: one value per variant",
             "def parameters",
-        ),
-        (
-            (CONFIG, "has_covariance=False", "has_error_model=True"),
-            "has_error_model is True, but its Method has no error_model",
-            "",
         ),
     ],
 )

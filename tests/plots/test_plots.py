@@ -11,7 +11,7 @@ from scipy import stats
 
 from sinsjax import plots
 from sinsjax.analysis import Estimate
-from sinsjax.plots import ConsistencyLine, Ensemble, GridAxis, HeadingErrorCourse, Line, MapQuantity
+from sinsjax.plots import ConsistencyLine, Ensemble, GridAxis, Line, MapQuantity
 from sinsjax.plots.comparison import cumulative_distribution_steps
 
 TIME = np.arange(1.0, 11.0)
@@ -219,30 +219,6 @@ def test_beliefs_figure_shows_nees_distribution_and_shares():
     points = [container.lines[0].get_xdata()[0] for container in right.containers]
     assert points == [0.7, 0.4, 0.7, 0.4]
     assert [mark.get_label() for mark in marks] == ["share a", "share b"]
-
-
-def make_course(label: str, *, resets_s=()) -> HeadingErrorCourse:
-    mean, own = np.linspace(600.0, -20.0, TIME.size), np.full(TIME.size, 100.0)
-    return HeadingErrorCourse(label, TIME, mean, own / 4, own, resets_s, floor=-25.0)
-
-
-def test_believed_figure_compares_true_error_with_filter_sigma():
-    figure = plots.draw_error_bands(
-        [make_course("plain"), make_course("reset", resets_s=[4.0, 6.0])], "Title"
-    )
-    above, resets, ratio, _ = figure.axes
-    own, true = (band.get_paths()[0].get_extents() for band in above.collections)
-    assert (own.ymin, own.ymax) == (-200.0, 200.0)
-    assert (true.ymin, true.ymax) == (-70.0, 650.0)
-    mean = next(line for line in above.get_lines() if line.get_label() == "true error: mean")
-    np.testing.assert_array_equal(mean.get_ydata(), make_course("").mean)
-    np.testing.assert_allclose(ratio.get_lines()[0].get_ydata()[0], np.hypot(600, 25) / 100)
-    assert [line.get_xdata()[0] for line in resets.get_lines()[-2:]] == [4.0, 6.0]
-    said = figure_text(figure)
-    for word in ("arcmin", "time (s)", "plain", "reset", "bias floor", "believes", "± 2 sigma"):
-        assert word in said
-    assert said.count("bias floor, left by the sensor biases") == 1
-    assert plots.render_png(figure)
 
 
 def read_png(content):

@@ -97,11 +97,7 @@ def tunings(monkeypatch):
             self.study = source.study
             self.tune, self.rival, self.best = source.study.tune, "grid", "grid"
             found = {"grid": 10.0, "sobol": 10.0, "gradient": 2.0, "equal cost": 2.0}
-            evaluations = [SimpleNamespace(estimated=True)]
-            self.searches = {
-                name: SimpleNamespace(cost=cost, evaluations=evaluations)
-                for name, cost in (found | {"covariance": 1.0}).items()
-            }
+            self.searches = {name: SimpleNamespace(cost=cost) for name, cost in found.items()}
             self.case_numbers = dict.fromkeys(["baseline", "law", *found], 0)
             self.evaluation_study = SimpleNamespace(
                 cases=[{"case": "all", "reset_times_s": (1.0, 2.0)}]

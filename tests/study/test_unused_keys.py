@@ -61,9 +61,6 @@ def expected_refusal(study: Study, method: str) -> str | None:
     new = METHODS[method]
     if study.tune and new.keys.isdisjoint(study.tune.variables):
         return "reads none of"  # nothing is left to tune
-    by_covariance = study.is_estimated or (study.tune and "covariance" in study.tune.searches)
-    if by_covariance and not new.has_error_model:
-        return "covariance analysis has no linear model of"  # draws take far longer
     if study.is_recorded and "filter" in new.sections and not study.has("filter"):
         return "a record does not give the noise of its"  # nor does the study
     if study.is_recorded and "gravity_fit" in new.sections and not study.has("gravity_fit"):
@@ -76,7 +73,7 @@ def expected_refusal(study: Study, method: str) -> str | None:
     return None
 
 
-@pytest.mark.nightly(fast=("reset_sweep", "paper2_static", "tune_large", "car_test", "covariance"))
+@pytest.mark.nightly(fast=("reset_sweep", "paper2_static", "tune_large", "car_test"))
 @pytest.mark.parametrize("name", SHIPPED)
 def test_method_of_shipped_study_can_be_changed(name):
     path = SHIPPED[name]

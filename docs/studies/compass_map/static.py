@@ -7,7 +7,7 @@ from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.formats import format_percent
 from sinsjax.analysis.grids import median_over_draws
-from sinsjax.covariance.information import share_outside
+from sinsjax.bounds.information import share_outside
 from sinsjax.execution.source import Source
 from sinsjax.plots import GridAxis
 from sinsjax.plots.labels import format_value

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.covariance.information import Number, record_bound
+from sinsjax.bounds.information import Number, record_bound
 from sinsjax.engine.sensor_inputs import read_errors
 from sinsjax.engine.truth import read_site
 from sinsjax.errors import InputError

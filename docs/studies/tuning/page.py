@@ -15,7 +15,7 @@ from sinsjax.report.study_page import Page, Sources
 from sinsjax.study.study import Study
 from sinsjax.tuning import results
 from sinsjax.tuning.results import Tuning
-from sinsjax.tuning.run_tuning import COVARIANCE, GRADIENT, LAW
+from sinsjax.tuning.run_tuning import GRADIENT, LAW
 
 from ..common.grids import grid_of, pooled_mean
 from ..common.words import seconds
@@ -41,7 +41,7 @@ SETTLE = "settle_10_s"
 SHIFTED = {
     "plain": "the plain two",
     "sobol": "Sobol points",
-    "covariance": "covariance analysis",
+    "other": "another search",
     "robust": "the same over four shifts",
     "put_off": "the plain two, put off to the next feedback",
 }
@@ -93,12 +93,11 @@ def page(sources: Sources) -> Page:
     seen = _seen(tunings["small"], sources[STUDIES["small"]])
     page = Page(values, {"expected": _expected(tunings, plain)}, {"seen": seen}, claims)
     belief = _filter(tunings, sources[STUDIES["belief"]])
-    covariance, shifted = _covariance(tunings["large"]), _shifted(sources["tuned_phase"])
-    return Page.merge(page, belief, covariance, shifted)
+    return Page.merge(page, belief, _shifted(sources["tuned_phase"]))
 
 
 def _filter(tunings: Mapping[str, Tuning], source: Source) -> Page:
-    """P0, Q and R, whose gradient goes through covariance analysis, beside the searches."""
+    """P0, Q and R, tuned."""
     tuning, times = tunings["belief"], tunings["large"]
     # By candidate, misalignment and draw: the cases of the judging are its outermost dimension.
     every = analysis.numeric_column(source.rows(["nees"]), "nees")
@@ -108,41 +107,20 @@ def _filter(tunings: Mapping[str, Tuning], source: Source) -> Page:
         name: pooled_mean(by_case[tuning.case_numbers[candidate]])
         for name, candidate in (("tuned", tuning.best), ("given", BASELINE))
     }
-    apart = {name: tuning.difference(name) for name in (GRADIENT, COVARIANCE)}
-    share = tuning.searches[COVARIANCE].cost / tuning.searches["sobol"].cost
+    apart = tuning.difference(GRADIENT)
     values = {
-        "covariance": seconds(apart[COVARIANCE], 1),
-        "covariance_cost": f"{100 * share:.0f} %",
         "nees": f"{nees['tuned'].value:.0f}",
         "nees_given": f"{nees['given'].value:.0f}",
     }
     best = tuning.score(tuning.best)
     claims = {
         "a tuned filter needs no tuned times": best.high < times.score(times.best).low,
-        "by smooth variables all searches find the same": all(
-            one.low < 5.0 and one.high > -5.0 and abs(one.value) < 5.0 for one in apart.values()
+        "by smooth variables all searches find the same": (
+            apart.low < 5.0 and apart.high > -5.0 and abs(apart.value) < 5.0
         ),
         "a tuned filter believes too much": nees["tuned"].low > 3 * nees["given"].high,
     }
     return Page({"search": values}, claims=claims)
-
-
-def _covariance(tuning: Tuning) -> Page:
-    """The search by covariance analysis beside Sobol points and the gradient."""
-    found, apart = tuning.searches[COVARIANCE], tuning.difference(COVARIANCE)
-    share = found.cost / tuning.searches["sobol"].cost
-    values = {
-        "time": seconds(tuning.score(COVARIANCE)),
-        "sobol": seconds(tuning.score("sobol")),
-        "apart": seconds(apart, 1),
-        "cost": f"{100 * share:.0f} %",
-        "points": sum(e.estimated for e in found.evaluations),
-    }
-    claims = {
-        "covariance analysis beats Sobol points": apart.high < 0,
-        "at a sixth of the cost": share < 1 / 6,
-    }
-    return Page({"covariance": values}, claims=claims)
 
 
 def _shifted(source: Source) -> Page:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import sinsjax
 from sinsjax import analysis
 from sinsjax.analysis import Estimate
-from sinsjax.covariance.turn_planner import TurnChoice
+from sinsjax.bounds.turn_planner import TurnChoice
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.study_page import Page, Sources

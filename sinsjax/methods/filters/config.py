@@ -76,7 +76,6 @@ describe_filter = partial(
     without_effect=BIAS_KEYS,
     unread=OF_TURNING,
     turning="none",
-    has_error_model=True,
     rules=(check_trigger, check_resets),
     columns=FILTER_COLUMNS,
     last_triggered_sample=last_triggered_sample,

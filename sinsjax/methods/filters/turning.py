@@ -11,9 +11,9 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from sinsjax.maths.algebra import Entries, Triangle, select_tree, triangle_index
+from sinsjax.maths.algebra import Triangle, select_tree, triangle_index
 from sinsjax.maths.rotations import matrix
-from sinsjax.methods.filters.closed_loop import Filter, Gains
+from sinsjax.methods.filters.closed_loop import Filter
 from sinsjax.methods.kalman import Innovation
 from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Navigation, Sample, Scalar, Vec3
@@ -33,12 +33,11 @@ def reopen_after_turns(filter_: Filter, kept: Sequence[int]) -> Filter:
     def init(params: Any, nav: Navigation) -> Any:
         return filter_.init(params, nav)._replace(turning=jnp.zeros_like(params.r))
 
-    def propagate(params: Any, site: Any, state: Any, sample: Sample) -> tuple[Any, Entries]:
+    def propagate(params: Any, site: Any, state: Any, sample: Sample) -> Any:
         turns = is_turning(state.nav, sample, params.turning_rate, filter_.dt)
         at_rest = jnp.where(_is_turning(state), _STOPPED, _STILL)
         turning = jnp.where(turns, _TURNING, at_rest)
-        propagated, transition = filter_.propagate(params, site, state, sample)
-        return propagated._replace(turning=turning), transition
+        return filter_.propagate(params, site, state, sample)._replace(turning=turning)
 
     def update(params: Any, state: Any) -> tuple[Any, Innovation]:
         updated, innovation = filter_.update(params, state)
@@ -50,7 +49,6 @@ def reopen_after_turns(filter_: Filter, kept: Sequence[int]) -> Filter:
         init=init,
         propagate=propagate,
         update=update,
-        adapt_gains=_adapt_gains,
         has_update=_is_still,
     )
 
@@ -90,19 +88,6 @@ def _restart_from_rest(state: Any, p0: tuple[Scalar, ...], kept: Sequence[int]) 
     x = tuple(zero if place in (VE, VN) else value for place, value in enumerate(state.belief.x))
     belief = state.belief._replace(x=x, p=reopen(state.belief.p, p0, kept))
     return state._replace(nav=state.nav._replace(ve=zero, vn=zero), belief=belief)
-
-
-def _adapt_gains(state: Any, gains: Gains) -> Gains:
-    """Return gains that leave all errors in a turn, and remove those of velocity after it."""
-
-    def adapt(gain: Scalar, at_restart: float) -> Scalar:
-        turning = jnp.where(_is_turning(state), 0.0, gain)
-        return jnp.where(_has_stopped(state), at_restart, turning)
-
-    return tuple(
-        tuple(adapt(gain, float(place == measured)) for place, gain in enumerate(column))
-        for measured, column in zip((VE, VN), gains, strict=True)
-    )
 
 
 def _is_turning(state: Any) -> Flag:
