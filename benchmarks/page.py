@@ -45,7 +45,6 @@ def sections(machines: Sequence[Machine], notes: str) -> list[Chapter]:
         Chapter("Methods", methods(cpus)),
         Chapter("Where the time goes", [block for machine in cpus for block in work(machine)]),
         Chapter("Cost model", costs.cost_model(cpus)),
-        Chapter("Covariance analysis", [block for machine in cpus for block in answers(machine)]),
         Chapter("Single precision", [block for machine in cpus for block in single(machine)]),
         Chapter("Starting up", [block for machine in cpus for block in cold_start(machine)]),
         Chapter("On a GPU", [block for machine in newest for block in gpu(machine)]),
@@ -239,24 +238,6 @@ def methods(machines: Sequence[Machine]) -> list[Block]:
             + (f"targets missed by {', '.join(missed)}." if missed else "all targets reached.")
         )
     return [Text("\n".join([METHODS_NOTE, "", *items]))] if items else []
-
-
-def answers(machine: Machine) -> list[Block]:
-    """Return the cost of an expected settling time, with draws and without."""
-    rows = machine.sets.get("cells", {})
-    if not {"draws", "covariance"} <= rows.keys():
-        return []
-    drawn, found = rows["draws"], rows["covariance"]
-    return [
-        Text(
-            f"On one core of {machine.name} the mean settling time of a cell takes"
-            f" {drawn['cell_ms']:,.0f} ms from {drawn['draws']:,} draws (widest half interval"
-            f" {drawn['half_width_s']:.1f} s) and {found['cell_ms']:.0f} ms by covariance analysis"
-            f" ({found['half_width_s']:.1f} s, from 1,024 sampled errors alone), over"
-            f" {drawn['cells']} cells: eight heading errors up to 90 deg by eight schedules of two"
-            " resets."
-        )
-    ]
 
 
 def single(machine: Machine) -> list[Block]:

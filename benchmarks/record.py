@@ -24,8 +24,6 @@ SCRIPTS = (
     "throughput",
     "noise",
     "methods",
-    "answer",
-    "cells",
     "devices",
     "scaling",
     "cold_start",

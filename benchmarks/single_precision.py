@@ -90,7 +90,6 @@ def build(model: LinearModel, options: Options) -> Method:
         feedback=feedback._replace(close=close),
         passes=passes._replace(reverse=reverse),
         results=None,
-        error_model=None,
     )
 
 

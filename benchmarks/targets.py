@@ -13,10 +13,6 @@ NOISE = {64: 1.05}
 DISTURBED = 1.5
 """Times the row with noise alone, of surge, lever arm and bias instability, 1 variant a draw."""
 
-ANSWER = {"covariance_2": 3.0, "covariance_64": 3.5}
-"""Times a plain run, of a noise-free run with its covariance and so many sampled errors, and of the
-linear error of a draw beside it."""
-
 BASE_NS = 120.0
 """Of a step and run with a base of its own for each draw of 2 variants, ns."""
 
@@ -83,7 +79,6 @@ def judged(machine: Machine) -> list[Judged]:
         *_limit(machine),
         *_noise(machine),
         *_disturbed(machine),
-        *_answer(machine),
         *_bases(machine),
         *_methods(machine),
         *judge_operations(machine).values(),
@@ -149,22 +144,6 @@ def _noise(machine: Machine) -> Iterator[Judged]:
                 plus_minus(row, "ratio"),
                 sizes(row),
                 row["ratio"] <= most,
-            )
-
-
-def _answer(machine: Machine) -> Iterator[Judged]:
-    of = {
-        "covariance_2": "covariance analysis, times a plain run",
-        "covariance_64": "the same, 64 sampled errors",
-    }
-    for name, what in of.items():
-        if row := machine.row("answer", name):
-            yield Judged(
-                what,
-                f"≤ {ANSWER[name]:g}",
-                plus_minus(row, "ratio"),
-                sizes(row),
-                row["ratio"] <= ANSWER[name],
             )
 
 

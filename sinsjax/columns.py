@@ -1,8 +1,7 @@
 """The result columns, with units and types, and the version of their schema.
 
-A study of draws writes two datasets: ``summary`` with one row per run, and ``curves`` with one row
-per run and record time. One that estimates without draws writes ``estimates``, one row per variant.
-The keys that a study sweeps are also columns of the summary and of the estimates.
+A study writes two datasets: ``summary`` with one row per run, and ``curves`` with one row
+per run and record time. The keys that a study sweeps are also columns of the summary.
 """
 
 from collections.abc import Iterable
@@ -20,7 +19,6 @@ RENAMED = {
     "has_limit": "has_floor",
     "ok_limit": "ok_floor",
     "tape_time_s": "stored_time_s",
-    "true_sigma_u_from_limit_arcmin": "true_sigma_u_from_floor_arcmin",
 }
 """Columns of version 0.6 by their names since 1.0."""
 

@@ -138,10 +138,7 @@ def load_stored_study(directory: Path) -> Study:
 def _is_study_of(manifest: Manifest, study: Study) -> bool:
     """Return whether a manifest is of a study, whose attitude_file may be gone."""
     if attitude_file(study) is not None:
-        stored = dict(manifest.study)
-        if isinstance(tune := stored.get("tune"), dict):
-            stored["tune"] = without_gone_settings(tune)
-        return stored == sections_to_json(study)
+        return without_gone_settings(manifest.study) == sections_to_json(study)
     return manifest.fingerprint == fingerprint(study)
 
 

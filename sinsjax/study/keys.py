@@ -77,10 +77,6 @@ EARTH_CONSTANTS = {
 REPLACED = {
     "tape_s": "was renamed to stored_s",
     "random_points": "was dropped (sobol_points counts the points of both searches)",
-    **dict.fromkeys(
-        ("evolution_points", "evolution_spread", "evolution_samples", "evolution_finalists"),
-        "was dropped (evolution_screen and evolution_steps set what the search costs)",
-    ),
     "sigma_point_alpha": "was dropped (it is 0.5)",
 }
 """Keys of 0.6 and before, with their replacements."""

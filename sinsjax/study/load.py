@@ -41,7 +41,13 @@ from sinsjax.study.keys import (
 from sinsjax.study.mistakes import build_or_report
 from sinsjax.study.questions import reject_open_questions
 from sinsjax.study.study import Study
-from sinsjax.study.sweep import Sweep, correctable_errors, read_sweep, read_tune_section
+from sinsjax.study.sweep import (
+    Sweep,
+    correctable_errors,
+    read_sweep,
+    read_tune_section,
+    without_gone_settings,
+)
 
 __all__ = [
     "Study",
@@ -280,7 +286,7 @@ def _build_checked_study(data: TomlTable, name: str) -> Study:
 
 def _build_study(data: TomlTable, name: str) -> Study:
     """Return the study of some tables with all rules checked, but not the points of [tune]."""
-    tables = _lists_to_tuples(data)
+    tables = without_gone_settings(_lists_to_tuples(data))
     _check_tables(tables)
     _register_external(tables)
     errors, sweep = ErrorCollector(), Sweep({}, {}, (), None)

@@ -390,7 +390,7 @@ def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: b
     Raises:
         InputError: ``[table] key: what is wrong (hint)``.
     """
-    table, errors = without_gone_settings(table), ErrorCollector()
+    table, errors = dict(table), ErrorCollector()
     for key, default in _TUNING_DRAWS.items():
         if not recorded:
             table.setdefault(key, default)
@@ -407,12 +407,15 @@ def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: b
     return table
 
 
-def without_gone_settings(table: TomlTable) -> TomlTable:
-    """Return [tune] without settings that version 1.0 wrote into every stored study.
+def without_gone_settings(tables: TomlTable) -> TomlTable:
+    """Return a study's sections without settings that version 1.0 wrote into every [tune].
 
     They have no effect: the search that read them is refused.
     """
-    return {key: value for key, value in table.items() if key not in _GONE_SETTINGS}
+    tune = tables.get("tune")
+    if not isinstance(tune, Mapping):
+        return tables
+    return tables | {"tune": {k: v for k, v in tune.items() if k not in _GONE_SETTINGS}}
 
 
 def _read_baseline(table: TomlTable, swept: Mapping[str, str]) -> TomlTable:

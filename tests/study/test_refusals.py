@@ -76,6 +76,7 @@ def test_none_is_refused_as_a_value(tables, place):
 @refused("""
 study.duration_s = [1.0]                     -> [study] duration_s: [1.0]
 study.duration_s = {}                        -> [study] duration_s: {}
+study.estimate = "covariance"                -> [study] estimate: 'covariance'
 study.duration_s = 0                         -> [study] duration_s: 0
 study.duration_s = -1.0                      -> [study] duration_s: 0 -1.0
 study.duration_s = 1000010                   -> [study] duration_s: 1000010 100000000
