@@ -45,16 +45,15 @@ if TYPE_CHECKING:
     from sinsjax.analysis import summarise
     from sinsjax.arena.export import export_study
     from sinsjax.arena.score import Score, score_results
-    from sinsjax.covariance.turn_planner import TurnChoice, plan_turns
+    from sinsjax.bounds.turn_planner import TurnChoice, plan_turns
     from sinsjax.engine.build import simulated_record
     from sinsjax.engine.one_run import one_run
     from sinsjax.errors import InputError, StudyWarning
     from sinsjax.execution.directory import read_manifest
-    from sinsjax.execution.estimates import estimated_curves
     from sinsjax.execution.information import information_bound
     from sinsjax.execution.prepare import load_increments
-    from sinsjax.execution.results import read_curves, read_estimates, read_summary
-    from sinsjax.execution.run import align, estimate, run, run_into
+    from sinsjax.execution.results import read_curves, read_summary
+    from sinsjax.execution.run import align, run, run_into
     from sinsjax.execution.study_results import Results
     from sinsjax.platform.runtime import configure, info
     from sinsjax.plots import plot_belief, plot_compare, plot_curves, plot_map
@@ -80,8 +79,6 @@ __all__ = [
     "advise",
     "align",
     "configure",
-    "estimate",
-    "estimated_curves",
     "export_study",
     "info",
     "information_bound",
@@ -94,7 +91,6 @@ __all__ = [
     "plot_curves",
     "plot_map",
     "read_curves",
-    "read_estimates",
     "read_history",
     "read_manifest",
     "read_record",
@@ -116,16 +112,15 @@ _HOMES = {
     "analysis": ("summarise",),
     "arena.export": ("export_study",),
     "arena.score": ("Score", "score_results"),
-    "covariance.turn_planner": ("TurnChoice", "plan_turns"),
+    "bounds.turn_planner": ("TurnChoice", "plan_turns"),
     "engine.build": ("simulated_record",),
     "engine.one_run": ("one_run",),
     "errors": ("InputError", "StudyWarning"),
     "execution.directory": ("read_manifest",),
-    "execution.estimates": ("estimated_curves",),
     "execution.information": ("information_bound",),
     "execution.prepare": ("load_increments",),
-    "execution.results": ("read_curves", "read_estimates", "read_summary"),
-    "execution.run": ("align", "estimate", "run", "run_into"),
+    "execution.results": ("read_curves", "read_summary"),
+    "execution.run": ("align", "run", "run_into"),
     "execution.study_results": ("Results",),
     "platform.runtime": ("configure", "info"),
     "plots": ("plot_belief", "plot_compare", "plot_curves", "plot_map"),

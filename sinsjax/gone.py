@@ -7,6 +7,8 @@ LINE = "is gone since 1.1 ({})"
 """The message about something that is gone, with the text about it."""
 
 KEYS: dict[str, str] = {
+    "study.check_linearity": "drop it: results are of draws",
+    "study.estimate_samples": "drop it: results are of draws",
     "filter.turning": "drop it; on turned bases use method = 'gravity_fit'",
     "filter.turning_rate_deg_per_s": "drop it; on turned bases use method = 'gravity_fit'",
 }
@@ -15,6 +17,8 @@ KEYS: dict[str, str] = {
 _TRIGGER = "use 'linearisation', or the textbook's test 'innovation'"
 
 VALUES: dict[tuple[str, str], str] = {
+    ("study.estimate", "covariance"): "drop it to run draws; a lower bound of the heading error"
+    " is `sinsjax.information_bound`",
     ("resets.reset_trigger", "nis"): _TRIGGER,
     ("resets.reset_trigger", "whiteness"): _TRIGGER,
     ("resets.reset_trigger", "tilt_drift"): _TRIGGER,
@@ -22,6 +26,7 @@ VALUES: dict[tuple[str, str], str] = {
     ("resets.reset_trigger", "strong_tracking"): _TRIGGER,
     ("resets.reset_trigger", "fading"): _TRIGGER,
     ("tune.searches", "random"): "use 'sobol'",
+    ("tune.searches", "covariance"): "use 'gradient' or 'sobol'",
 }
 """Values of keys, by ``section.key`` and value."""
 

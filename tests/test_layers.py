@@ -13,7 +13,7 @@ FLOORS = (
     {"methods"},
     {"study"},
     {"engine"},
-    {"covariance"},
+    {"bounds"},
     {"execution"},
     {"advice", "arena", "tuning"},
     {"report"},

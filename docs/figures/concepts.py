@@ -133,10 +133,11 @@ def why_p_lies() -> Figure:
     """One run without noise: heading error and sigma, by the force in the model."""
     study = _paper1(
         alignment={"phi_e0_deg": 5.0, "phi_n0_deg": 5.0, "phi_u0_deg": 30.0},
-        study={"duration_s": 120.0},
+        study={"duration_s": 120.0, "curves": True},
+        sensors={"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0},
         axes={"specific_force": ["measured", "gravity"]},
     )
-    curves = sinsjax.estimated_curves(study)
+    curves = sinsjax.run(study).curves
     time_s, error = _over_time(curves, "phi_u_arcmin", 2)
     _, sigma = _over_time(curves, "sigma_u_arcmin", 2)
     figure = Figure(figsize=(_WIDE, 4.1))

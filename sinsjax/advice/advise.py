@@ -23,7 +23,7 @@ from sinsjax.advice.heading import (
 )
 from sinsjax.advice.method import Choice, choose_method
 from sinsjax.advice.sheet import SHORTEST_S, Sheet, read_sheet, without_empty
-from sinsjax.covariance.turn_planner import TurnChoice, plan_turns
+from sinsjax.bounds.turn_planner import TurnChoice, plan_turns
 from sinsjax.errors import InputError
 from sinsjax.methods.filters.section import level_surge
 from sinsjax.study import display

@@ -9,7 +9,7 @@ from scipy import special
 
 from sinsjax.advice.method import accel_density, gyro_density
 from sinsjax.advice.sheet import Sheet
-from sinsjax.covariance.turning_information import heading_budget
+from sinsjax.bounds.turning_information import heading_budget
 from sinsjax.execution.information import error_sources
 
 SOURCES = {

@@ -7,7 +7,7 @@ from typing import Any
 from sinsjax.advice import method as methods
 from sinsjax.advice.advise import TURN_ON, Advice
 from sinsjax.advice.heading import SOURCES, wrapped_rms
-from sinsjax.covariance.turn_planner import TurnOption
+from sinsjax.bounds.turn_planner import TurnOption
 from sinsjax.methods.filters.section import level_surge
 from sinsjax.units import ARCMIN, DEG
 

@@ -195,15 +195,11 @@ def check_simulated(study: Study) -> None:
     """Refuse a study whose draws cannot be given to a program.
 
     Raises:
-        InputError: it reads a record, or one repeatedly, has estimates instead of draws, or results
-            of a program.
+        InputError: it reads a record, or one repeatedly, or has results of a program.
     """
     if study.is_recorded:
         text = "reads a record: give that to the program (a simulated study has draws)"
         raise InputError(f"{study.name}: [record]: {text}")
-    if study.is_estimated:
-        text = "covariance estimates have no draws (--set study.estimate='draws')"
-        raise InputError(f"{study.name}: [study] estimate: {text}")
     if study.passes is not None:
         text = "a program reads a record once (--set passes={} drops the section)"
         raise InputError(f"{study.name}: [passes]: {text}")

@@ -55,9 +55,7 @@ class Chunk(NamedTuple):
         draw: (runs,) number of each run's draw in the study.
         variant: (runs,) place of each run's variant in the group.
         outcome: `Outcome` with leaves (runs, ...).
-        curves: second result of the group's function of a tile, leaves (runs, ...): `Observation`
-            with leaves (runs, records), `ErrorCovariance` of a covariance analysis, None without
-            curves.
+        curves: `Observation` with leaves (runs, records); None without curves.
     """
 
     draw: np.ndarray
@@ -194,7 +192,7 @@ def trace_program(group: Group, tiles: Tiles, device: jax.Device | None = None) 
     shapes = tuple(
         jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=home) for a in leaves
     )
-    return _trace(group.run or run_tile, group.static, curve_lanes(group), structure, shapes)
+    return _trace(group.static, curve_lanes(group), structure, shapes)
 
 
 def compile_program(
@@ -205,11 +203,9 @@ def compile_program(
 
 
 @lru_cache(maxsize=MOST_PROGRAMS)
-def _trace(
-    run: Callable[..., Any], static: Static, kept_lanes: int | None, structure: Any, shapes: tuple
-) -> Program:
+def _trace(static: Static, kept_lanes: int | None, structure: Any, shapes: tuple) -> Program:
     def run_tiles(environment: Any, tiles: Tiles) -> Any:
-        one = partial(run, static, environment, curve_lanes=kept_lanes)
+        one = partial(run_tile, static, environment, curve_lanes=kept_lanes)
         return jax.lax.map(map_stacked_tiles(static, one, tiles), tiles)
 
     return Program(jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)))
@@ -264,14 +260,6 @@ class Calls:
         """Compile all programs now rather than with the first chunk."""
         for compilable in self._programs:
             compilable.compiled()
-
-    def all_chunks(self) -> Chunk:
-        """Run all chunks and return them as one, by draw and variant."""
-        chunks = [self.chunk(number) for number in range(len(self.plan))]
-        joined: Chunk = jax.tree.map(lambda *leaves: np.concatenate(leaves), *chunks)
-        order = np.lexsort((joined.variant, joined.draw))
-        ordered: Chunk = jax.tree.map(lambda a: a[order], joined)
-        return ordered
 
     def chunk(self, number: int) -> Chunk:
         """Run one call of the plan, on the device of the calling thread."""

@@ -30,7 +30,6 @@ from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.samples import build_sensors
 from sinsjax.engine.sensor_inputs import DISTORTION_KEYS, NOISE_KEYS, moves
 from sinsjax.engine.truth import (
-    normal_distributions,
     read_site,
     record_environment,
     simulate_environment,
@@ -156,12 +155,10 @@ class Scenario:
             environment, drawn, q = simulate_environment(
                 study, columns, span, criteria, draws, blank=blank
             )
-            normal = normal_distributions(study, ids, ug)
         else:
             environment, drawn, q = record_environment(study, columns, span, criteria, self.stored)
-            normal = None
         params = _run_params(study, columns, site, ug)
-        return Part(Group(self.statics[number], environment, drawn, q, params, normal), ids)
+        return Part(Group(self.statics[number], environment, drawn, q, params), ids)
 
 
 def parts(

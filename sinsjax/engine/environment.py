@@ -260,33 +260,6 @@ class RunParams(NamedTuple):
     euler: Flag | None = None
 
 
-class NormalDistributions(NamedTuple):
-    """Means and standard deviations of drawn numbers that are all normal.
-
-    Attributes:
-        initial: mean initial errors; None for those of the run.
-        errors: of sensors with the mean biases; None if no bias is drawn.
-        initial_sigma: (5,) of phi about e, n, u, rad, and of the velocity east and north, m/s.
-        gyro_bias_sigma: (3,) rad/s; None if it is not drawn.
-        accel_bias_sigma: (3,) m/s^2; None if it is not drawn.
-    """
-
-    initial: InitialErrors
-    errors: sensors.SensorErrors | None
-    initial_sigma: Array
-    gyro_bias_sigma: Array | None
-    accel_bias_sigma: Array | None
-
-    def mean_draw(self, draws: Draw) -> Draw:
-        """Return the first of some draws with all drawn numbers at their means, leaves (1, ...)."""
-        return Draw(
-            draws.draw_id[:1],
-            draws.start,
-            draws.row[:1],
-            *jax.tree.map(lambda a: np.asarray(a)[None], (self.initial, self.errors)),
-        )
-
-
 def derive_inputs(static: Static, environment: Environment, draw: Draw) -> DerivedInputs:
     """Return the inputs that follow from the numbers of one draw."""
     if draw.errors is None and draw.motion is None and draw.latitude is None:

@@ -1,11 +1,11 @@
 """The lanes of tiles: pairs of a draw and a variant, draw by draw."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
-from sinsjax.engine.environment import Draw, NormalDistributions, RunParams, Static
+from sinsjax.engine.environment import Draw, Environment, RunParams, Static
 
 LANES = 64
 """Runs per tile. Results are bit-equal for any chunk and device count only at one lane count."""
@@ -25,22 +25,17 @@ class Group(NamedTuple):
 
     Attributes:
         static: program.
-        environment: shared by all runs, an `Environment` for `run.run_tile`.
+        environment: shared by all runs.
         draws: `Draw` with leaves (draws,), or () for what all share.
         q: (draws, 4) attitude of each draw before the misalignment.
         variants: `RunParams` with leaves (variants, ...); its ``q`` is ignored.
-        drawn: distributions of the drawn numbers if all are normal; else None.
-        run: (static, environment, `Tiles`, curve_lanes) -> results of a tile, hashable; None for
-            `run.run_tile`.
     """
 
     static: Static
-    environment: Any
+    environment: Environment
     draws: Draw
     q: np.ndarray
     variants: RunParams
-    drawn: NormalDistributions | None = None
-    run: Any = None
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -141,4 +136,4 @@ def curve_lanes(group: Group) -> int | None:
     """
     draws, variants = group.sizes
     used = draws * layout(group.static, variants)[1]
-    return used if group.static.curves and group.run is None and used < LANES else None
+    return used if group.static.curves and used < LANES else None

@@ -5,9 +5,8 @@ compensated, the method steps sample by sample, and its loop is closed whenever 
 is due; at the record time the corrected attitude is compared with the truth. After the last record
 interval the run has its outcome.
 
-`run_tile` drives ordinary runs, and a run alone is a tile of one lane; covariance analysis drives
-`TileRuns` itself. The functions at the end are those of one run; `TileRuns` maps them over the
-lanes of a tile, whose samples are made once per draw.
+A run alone is a tile of one lane. The functions at the end are those of one run; `TileRuns` maps
+them over the lanes of a tile, whose samples are made once per draw.
 """
 
 from collections.abc import Callable
@@ -47,7 +46,7 @@ from sinsjax.engine.stepping import Blocks, Steps, advance_interval
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import select_tree
 from sinsjax.methods import passes
-from sinsjax.methods.base import ErrorModel, Method, RunEnd, Site
+from sinsjax.methods.base import Method, RunEnd, Site
 from sinsjax.methods.floors import BiasFloor
 from sinsjax.methods.passes import BodyRotation, PassReading
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
@@ -195,16 +194,6 @@ class TileRuns(NamedTuple):
     def site_axis(self) -> int | None:
         """Axis of the site; None if all runs share it."""
         return None if self.draws.derived.site is None else self.draw_axis
-
-    @property
-    def error_model(self) -> ErrorModel:
-        """Linear model of the true error of the method, which must have one."""
-        assert self.method.error_model is not None
-        return self.method.error_model
-
-    def count_error_states(self, state: Any) -> int:
-        """Return the number of states of the error model, given states of the runs."""
-        return len(jax.eval_shape(jax.vmap(self.error_model.angles), state)[0])
 
     def with_program(self, static: Static) -> "TileRuns":
         """Return the same runs with another method and way of reading the record."""

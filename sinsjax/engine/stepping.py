@@ -49,42 +49,6 @@ class Blocks(NamedTuple):
     make: Callable[[Any, Count], tuple[Any, Any]]
 
 
-class WithCompanion(NamedTuple):
-    """The state of runs, and something that is advanced by the same samples.
-
-    Attributes:
-        runs: state of the runs.
-        companion: of each run.
-    """
-
-    runs: Any
-    companion: Any
-
-
-def with_companion(
-    steps: Steps, advance: Callable[[Any, Any, Count, Any], Any], sample_of: Callable[[Any], Any]
-) -> Steps:
-    """Return steps that also advance a companion of the runs; their state is `WithCompanion`.
-
-    Args:
-        steps: of the runs.
-        advance: (companion, runs before the sample, place, sample) -> companion after it.
-        sample_of: sample -> the part of it that the runs take.
-    """
-    next_event, triggered = steps.next_event, steps.triggered
-
-    def step(state: WithCompanion, place: Count, sample: Any) -> WithCompanion:
-        companion = advance(state.companion, state.runs, place, sample)
-        return WithCompanion(steps.step(state.runs, place, sample_of(sample)), companion)
-
-    return Steps(
-        step,
-        lambda state, place: state._replace(runs=steps.close(state.runs, place)),
-        next_event and (lambda state, place: next_event(state.runs, place)),
-        triggered and (lambda state, place: triggered(state.runs, place)),
-    )
-
-
 def advance_interval(
     steps: Steps, state: Any, sensor_state: Any, blocks: Blocks, *, by_event: bool = True
 ) -> tuple[Any, Any]:

@@ -12,7 +12,6 @@ from sinsjax.engine.environment import (
     Draw,
     Environment,
     InitialErrors,
-    NormalDistributions,
     SensorModel,
     Truth,
     aligned_record,
@@ -38,12 +37,9 @@ from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS
 from sinsjax.study.schema import (
-    BIAS_KEYS,
-    NUMBERS_DRAWN,
     EarthSection,
     MotionSection,
     SensorsSection,
-    is_normal,
 )
 from sinsjax.study.study import Span, Study
 from sinsjax.study.variants import Variants
@@ -181,41 +177,6 @@ def _drawn_fields(
     if any(key in study.drawn_keys for key in DISTURBANCE_KEYS):
         fields["disturbances"] = disturbances
     return fields
-
-
-def normal_distributions(study: Study, ids: np.ndarray, ug: float) -> NormalDistributions | None:
-    """Return means and standard deviations of the drawn numbers if all are normal, else None.
-
-    Args:
-        study: checked study.
-        ids: variants of a part.
-        ug: micro-g, m/s^2.
-    """
-    laws = {} if study.drawn is None else study.drawn.laws
-    if not laws or any(not is_normal(key, law) for key, law in laws.items()):
-        return None
-    moments = np.array([law.normal for law in laws.values()]).T
-    means, sigmas = (
-        {
-            k: np.full((1, NUMBERS_DRAWN[k]) if k in BIAS_KEYS else 1, a)
-            for k, a in zip(laws, row, strict=True)
-        }
-        for row in moments
-    )
-    errors, spread = (_base_and_sensors(Variants(study, ids, a), ug)[0] for a in (means, sigmas))
-    initial, sigma = (jax.tree.map(lambda a: a[0], _initial_errors(a)) for a in (means, sigmas))
-    gyro, accel = (key in laws for key in BIAS_KEYS)
-    biases = [
-        np.reshape(np.broadcast_to(a, (1, 3)), 3) for a in (errors.gyro_bias, errors.accel_bias)
-    ]
-    mean = errors._replace(gyro_bias=biases[0], accel_bias=biases[1])
-    return NormalDistributions(
-        initial,
-        mean if gyro or accel else None,
-        np.array([a or 0.0 for a in (*sigma.phi, *sigma[1:])]),
-        np.reshape(spread.gyro_bias, 3) if gyro else None,
-        np.reshape(spread.accel_bias, 3) if accel else None,
-    )
 
 
 def _base_and_sensors(

@@ -1,6 +1,6 @@
 """A results directory: its files, its lock, and the files that sinsjax owns.
 
-It contains ``summary/`` or ``estimates/`` and optionally ``curves/`` (Parquet datasets, a part per
+It contains ``summary/`` and optionally ``curves/`` (Parquet datasets, a part per
 chunk), ``study.toml`` (the resolved study), ``manifest.json`` (versions, chunks, timing),
 ``figures/`` and ``reruns/``. Its author may be unknown, so only regular files are opened, and none
 through a link. The directory itself may be a link.
@@ -30,11 +30,12 @@ from sinsjax.platform.files import atomic_write, make_folder, read_regular_file,
 from sinsjax.study.files import check_nesting
 
 MANIFEST, STUDY = "manifest.json", "study.toml"
-ROW_DATASETS = ("summary", "estimates")
-"""Datasets with one row per run or per variant, written last: a part of them implies its
-counterpart in the other datasets."""
+ESTIMATES = "estimates"
+"""Dataset of version 1.0, which is not read any more; it is removed with the other results."""
 
-DATASETS = (*ROW_DATASETS, "curves")
+DATASETS = ("summary", "curves", ESTIMATES)
+"""A part of the summary is written last: it implies its counterpart in the curves."""
+
 RERUN_FILES = ("summary.parquet", "curve.parquet", "curve.png")
 """Files of a repeated run."""
 

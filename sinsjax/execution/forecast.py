@@ -30,7 +30,6 @@ from sinsjax.messages import format_count
 from sinsjax.methods.filters.section import OF_SCHEDULES
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import machine, runtime
-from sinsjax.study.rules import has_covariance_model
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
@@ -57,17 +56,11 @@ _DESCENT_PROGRAMS = 3
 _DESCENT_SAMPLE_S = 15e-6
 """Measured time of a sample of a descent's step, s: its few runs take turns (13 to 20 us)."""
 
-_TRACE_S = {True: 7.0, False: 2.0}
-"""Measured times to trace a gradient, s: of covariance analysis, and of runs with noise."""
-
-_COVARIANCE_COMPILE_S = 14.0
-"""Measured time to compile a program of covariance analysis beyond that of plain runs, s."""
+_TRACE_S = 2.0
+"""Measured time to trace a gradient, s."""
 
 _SWITCH_KEYS = {*NOISE_KEYS, *DISTORTION_KEYS, *AMPLITUDE_KEYS, *DISTURBANCE_KEYS}
 """Keys that simplify the program if they are zero."""
-
-_LINEARITY_CHECK_RUNS = 12.0
-"""Cost of checking a variant's linearity by draws, in plain runs."""
 
 _MEASUREMENT_BYTES = 48  # bytes, of the stored samples of a call's draws
 
@@ -104,11 +97,9 @@ class Forecast(NamedTuple):
         memory: peak memory, bytes.
         may_stop_early: whether the study may stop early.
         length_s: length of the longest run, s.
-        noise_free: whether runs are without noise, one per variant.
         programs: number of programs to compile, unless they are in the compile cache.
         descents_s: time of the steps of descents, which do not fill the cores, s.
         start_s: time to import, trace, read and report, s.
-        slow_compile_s: time to compile gradients beyond that of as many ordinary programs, s.
     """
 
     batches: tuple[Batch, ...]
@@ -117,11 +108,9 @@ class Forecast(NamedTuple):
     memory: float
     may_stop_early: bool
     length_s: float
-    noise_free: bool = False
     programs: int = 1
     descents_s: float = 0.0
     start_s: float = _START_S
-    slow_compile_s: float = 0.0
 
     @property
     def runs(self) -> int:
@@ -136,8 +125,7 @@ class Forecast(NamedTuple):
             done: number of runs with stored results.
             threads: whether the cores are threads of Dask workers.
         """
-        kind = "noise-free run" if self.noise_free else "run"
-        runs = f"{format_count(self.runs, kind)} of up to {self.length_s:g} s"
+        runs = f"{format_count(self.runs, 'run')} of up to {self.length_s:g} s"
         remaining = max(0, self.runs - done)
         if not remaining:
             return f"{runs}: all are done"
@@ -147,7 +135,7 @@ class Forecast(NamedTuple):
         prefix = "At most " if self.may_stop_early else ""
         processors = format_count(cores, "worker thread" if threads else "core")
         programs = format_count(self.programs, "program")
-        first_s = self.start_s + self.programs * _COMPILE_S + self.slow_compile_s
+        first_s = self.start_s + self.programs * _COMPILE_S
         first_time = f"{_format_duration(first_s)} the first time"
         return (
             f"{prefix}{runs}: roughly {duration} on {processors}, and"
@@ -189,7 +177,7 @@ def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
         "grid": sum(tune.grid_points**count for count in free_keys) + laws,
         "sobol": tune.sobol_points * len(free_keys) + laws,
     }
-    # The other searches store only their history.
+    # A gradient stores its history alone.
     points_by_name = {s: max(1, points[s]) for s in tune.searches if s in points}
     batches = [
         Batch(name, n * variants * draws, n * variants * draws, n * variants, n)
@@ -202,18 +190,13 @@ def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
         )
     )
     forecast = _forecast_batches(study, batches, False)
-    by_covariance = not laws and has_covariance_model(study)
     programs = forecast.programs
-    analyses = programs * ("covariance" in tune.searches)
     descents = programs * len(free_keys) * ("gradient" in tune.searches)
     steps = descents * tune.descent_steps * forecast.length_s * study.rate_hz
-    # Descents by covariance analysis choose their start points by it too.
-    slow_programs = analyses + 2 * descents * by_covariance
     return forecast._replace(
-        programs=programs + analyses + descents * _DESCENT_PROGRAMS,
+        programs=programs + descents * _DESCENT_PROGRAMS,
         descents_s=steps * _DESCENT_SAMPLE_S,
-        start_s=_START_S + descents * _TRACE_S[by_covariance],
-        slow_compile_s=slow_programs * _COVARIANCE_COMPILE_S,
+        start_s=_START_S + descents * _TRACE_S,
     )
 
 
@@ -264,13 +247,7 @@ def _forecast_batches(study: Study, batches: Sequence[Batch], curves: bool) -> F
     samples = records * study.record_every
     methods = [METHODS[name] for name in study.methods]
     step_s = max(method.step_s for method in methods)
-    if study.is_estimated:
-        checks = _LINEARITY_CHECK_RUNS * study.checks_linearity
-        step_s = max(method.step_s * (method.estimate_runs + checks) for method in methods)
-    row_columns = (
-        schemas.estimate_columns(study) if study.is_estimated else schemas.summary_columns(study)
-    )
-    run_bytes = _row_bytes(study, row_columns)
+    run_bytes = _row_bytes(study, schemas.summary_columns(study))
     # Longer simulations do not store their increments.
     stored_samples = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE_BYTES + _SAMPLE_BYTES * stored_samples
@@ -305,7 +282,6 @@ def _forecast_batches(study: Study, batches: Sequence[Batch], curves: bool) -> F
         memory,
         may_stop_early,
         length_s,
-        study.is_estimated,
         _count_programs(study),
     )
 

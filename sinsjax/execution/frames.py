@@ -30,11 +30,11 @@ def to_dataframe(table: pa.Table) -> Any:
 
 
 def to_dataset(study: Study, table: pa.Table) -> Any:
-    """Return the summary of a study, or its estimates, as an xarray dataset.
+    """Return the summary of a study as an xarray dataset.
 
-    The dimensions are ``draw``, unless these are estimates, and the axes of the study in their
-    order. Keys that vary together are one dimension, called as the first of them. If no key of an
-    axis identifies its points, one dimension ``variant`` replaces all axes.
+    The dimensions are ``draw`` and the axes of the study in their order. Keys that vary together
+    are one dimension, called as the first of them. If no key of an axis identifies its points, one
+    dimension ``variant`` replaces all axes.
 
     Args:
         study: the study.
@@ -51,20 +51,18 @@ def to_dataset(study: Study, table: pa.Table) -> Any:
         import xarray
     except ImportError:
         raise _missing_library_error("xarray") from None
-    per_draw = "draw_id" in table.column_names
-    draws = np.unique(table["draw_id"].to_numpy()) if per_draw else np.zeros(1, int)
+    draws = np.unique(table["draw_id"].to_numpy())
     if table.num_rows != len(draws) * study.n_variants:
         present = f"{format_count(table.num_rows, 'run')} of {format_count(len(draws), 'draw')}"
         text = f"some variants are missing ({present}; to_pandas returns the rows that exist)"
         raise InputError(f"{study.name}: {text}")
-    table = table.sort_by("run_id" if per_draw else "variant_id")
+    table = table.sort_by("run_id")
     axes, coordinates = _dimensions_and_coordinates(study)
-    shape = {"draw": len(draws), **axes} if per_draw else axes
-    if per_draw:
-        coordinates["draw"] = ("draw", draws)
-        if study.is_recorded:
-            starts = table["start_s"].to_numpy().reshape(len(draws), -1)[:, 0]
-            coordinates["start_s"] = ("draw", starts)
+    shape = {"draw": len(draws), **axes}
+    coordinates["draw"] = ("draw", draws)
+    if study.is_recorded:
+        starts = table["start_s"].to_numpy().reshape(len(draws), -1)[:, 0]
+        coordinates["start_s"] = ("draw", starts)
     fields = {field.name: field for field in table.schema}
     coordinate_names = {*coordinates, "draw_id", "variant_id"}
     variables = {

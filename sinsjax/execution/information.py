@@ -11,15 +11,15 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.covariance.coloured_noise import (
+from sinsjax.bounds.coloured_noise import (
     ANGLE,
     IN_B,
     VELOCITY,
     increment_error_processes,
     present_processes,
 )
-from sinsjax.covariance.information import heading_bound
-from sinsjax.covariance.turning_information import (
+from sinsjax.bounds.information import heading_bound
+from sinsjax.bounds.turning_information import (
     LONGEST_STEP_S,
     MOTION_NODES,
     ConstantErrors,
@@ -70,8 +70,8 @@ def information_bound(study: Study | str | Path) -> pa.Table:
     motion and sensors share a bound.
 
     On a base at rest with fixed sensor errors the bound is measured from the bias floor, see
-    `covariance.information`; it takes about a second for 300 s at 100 Hz. It is measured from the
-    true heading, see `covariance.turning_information`, if biases, scale factors or cross-axis
+    `bounds.information`; it takes about a second for 300 s at 100 Hz. It is measured from the
+    true heading, see `bounds.turning_information`, if biases, scale factors or cross-axis
     errors are drawn from a normal distribution, whose standard deviation is then the prior
     knowledge, and on a base that turns, where the absolute value of a fixed error counts as its
     standard deviation. This bound takes about 0.1 s for 300 s.

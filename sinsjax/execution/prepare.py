@@ -303,8 +303,6 @@ def _resolve_curves(study: Study, name: str, options: RunOptions) -> tuple[bool 
     runs, max_runs = study.n_draws * study.n_variants, options.max_curve_runs
     if max_runs is None:
         return options.curves, []
-    if study.is_estimated:
-        return None, []  # no runs, so no curves
     if runs <= max_runs:
         return True, []
     if study.is_recorded:

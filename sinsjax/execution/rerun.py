@@ -10,13 +10,14 @@ from rich.console import Console
 
 from sinsjax import console as screen
 from sinsjax import plots
+from sinsjax.engine.batch import Calls
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as results_directory
 from sinsjax.execution import results
 from sinsjax.execution.checks import refuse_external
 from sinsjax.execution.directory import RERUN_FILES
-from sinsjax.execution.outputs import make_output
+from sinsjax.execution.outputs import RunOutput
 from sinsjax.execution.prepare import load_increments
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import to_one_line
@@ -53,19 +54,16 @@ def repeat_run(study: Study, run_id: int, stored_record: StoredRecord | None = N
     part = next(i for i, ids in enumerate(scenario.variant_ids) if variant in ids)
     ids = scenario.variant_ids[part]
     index = int(np.flatnonzero(ids == variant)[0])
-    output = make_output(scenario)
-    group = output.adapt_group(scenario.part(part, range(draw, draw + 1)).group)
+    group = scenario.part(part, range(draw, draw + 1)).group
     # The smallest possible call: a run's bits do not depend on its lane or call.
-    calls = output.make_calls(group, 1)
+    calls = Calls(group, tiles_per_chunk=1)
     first = int(np.flatnonzero(group.draws.draw_id == draw)[0])
-    tables = output.make_tables(calls.chunk(calls.plan.call_of(first, index)), ids)
+    tables = RunOutput(scenario).make_tables(calls.chunk(calls.plan.call_of(first, index)), ids)
     results = (tables["summary"], tables["curves"])
     return Rerun(*(table.filter(pa.compute.equal(table["run_id"], run_id)) for table in results))
 
 
 def _check_run_id(study: Study, run_id: int, source: str | Path) -> None:
-    if study.is_estimated:
-        raise InputError(f"{source}: a covariance estimate has no run to repeat")
     runs = study.n_draws * study.n_variants
     if not 0 <= run_id < runs:
         raise InputError(f"{source}: has no run {run_id} (runs are numbered 0 to {runs - 1})")

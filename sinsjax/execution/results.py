@@ -14,6 +14,7 @@ from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
 from sinsjax.execution.directory import (
+    ESTIMATES,
     STUDY,
     FileState,
     Manifest,
@@ -29,17 +30,12 @@ from sinsjax.study.attitude_file import attitude_file
 from sinsjax.study.identity import describe_differences, fingerprint, sections_to_json
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
+from sinsjax.study.sweep import without_gone_settings
 
 STUDY_METADATA, CHUNK_METADATA = "sinsjax.study", "sinsjax.chunk"
 """Metadata of a part: identity of its job, and its chunk as JSON."""
 
 _RESUME_HINT = "`--resume` computes damaged parts again"
-_ALTERNATIVES = {
-    "summary": ("estimates", "estimates of variants, and no runs (`read_estimates` reads them)"),
-    "estimates": ("summary", "runs, and no estimates of variants (`read_summary` reads them)"),
-}
-"""Per absent dataset: the one that may exist instead, and the contents of such a directory."""
-
 _READERS = 4  # threads; hashing releases Python's lock
 
 
@@ -73,30 +69,6 @@ def read_summary(
     """
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
     return _read_sorted(directory, "summary", names, ["run_id"], verify=verify, rows=rows)
-
-
-def read_estimates(
-    directory: str | Path, names: Sequence[str] | None = None, *, verify: bool = True
-) -> pa.Table:
-    """Read the estimates of a study's variants, ordered by variant_id.
-
-    Args:
-        directory: results directory.
-        names: columns to read, in this order; None for all.
-        verify: whether to verify the checksum of every part, once per process.
-
-    Raises:
-        InputError: the directory contains no estimates, a part has changed, or a column is missing.
-
-    Examples:
-        >>> changes = {"study.rate_hz": 10.0, "study.check_linearity": False}
-        >>> changes |= {"study.estimate_samples": 16}
-        >>> changes |= {"axes.reset_count": [0, 2], "axes.reset_cycle_s": [50.0]}
-        >>> _ = sinsjax.run_into(sinsjax.load_study("covariance", changes), "out")
-        >>> sinsjax.read_estimates("out", ["variant_id", "true_sigma_u_arcmin"]).num_rows
-        16
-    """
-    return _read_sorted(directory, "estimates", names, ["variant_id"], verify=verify)
 
 
 def read_curves(
@@ -166,7 +138,7 @@ def load_stored_study(directory: Path) -> Study:
 def _is_study_of(manifest: Manifest, study: Study) -> bool:
     """Return whether a manifest is of a study, whose attitude_file may be gone."""
     if attitude_file(study) is not None:
-        return manifest.study == sections_to_json(study)
+        return without_gone_settings(manifest.study) == sections_to_json(study)
     return manifest.fingerprint == fingerprint(study)
 
 
@@ -215,11 +187,10 @@ def query_dataset(
     directory = Path(directory)
     check_directory(directory)
     if not has_dataset(directory, name, verify=verify):
-        alternative, contents = _ALTERNATIVES.get(name, ("", ""))
-        has_alternative = alternative and list_parts(directory, alternative)
-        if not has_alternative:
-            contents = f"no results (no part in {name}/)"
-        raise InputError(f"{directory}: contains {contents}")
+        text = f"no results (no part in {name}/)"
+        if list_parts(directory, ESTIMATES):
+            text = "estimates by covariance analysis, which only version 1.0 reads"
+        raise InputError(f"{directory}: contains {text}")
     parts = list_parts(directory, name)
     try:
         if verify:

@@ -10,7 +10,6 @@ from sinsjax.execution.checks import refuse_external
 from sinsjax.execution.directory import (
     DATASETS,
     MANIFEST,
-    ROW_DATASETS,
     STUDY,
     FileState,
     Manifest,
@@ -212,11 +211,6 @@ def _check_extension(directory: Path, stored: Study, study: Study) -> None:
 
     A list with an entry for every draw would begin again, which is hardly intended.
     """
-    if stored.is_estimated:
-        raise InputError(
-            f"{directory}: [study] draws: {stored.study.draws} there, {study.study.draws} here:"
-            " estimates over all draws cannot be extended (give another directory)"
-        )
     laws = stored.drawn.laws if stored.drawn else {}
     for key, law in laws.items():
         if law.values and len(law.values) == stored.n_draws > 1:
@@ -248,7 +242,7 @@ def _manifest_from_parts(directory: Path) -> Manifest | None:
     """Rebuild a manifest from the intact part with most extensions."""
     curves = True if list_parts(directory, "curves") else None
     manifests = []
-    for path in (path for name in ROW_DATASETS for path in list_parts(directory, name)):
+    for path in list_parts(directory, "summary"):
         with suppress(OSError, InputError):
             if metadata := read_part_metadata(read_regular_file(path)):
                 chunk = json.loads(metadata[CHUNK_METADATA])

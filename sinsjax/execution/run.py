@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import resume, schemas, stopping
 from sinsjax.execution import tasks as study_tasks
 from sinsjax.execution.prepare import RunOptions, issue_warnings, prepare_job
@@ -32,7 +32,7 @@ class RunProgress(NamedTuple):
         failures: runs of this session that diverged or became non-finite; None if there are none
             to count.
         done_before: runs completed before this session.
-        unit: unit of the counts: runs or estimates.
+        unit: what is counted, in words.
     """
 
     done: int
@@ -70,8 +70,7 @@ def run(
         Tables of all runs.
 
     Raises:
-        InputError: the study is not valid, the record does not fit it, or it has estimates instead
-            of runs.
+        InputError: the study is not valid, or the record does not fit it.
 
     Examples:
         >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
@@ -80,9 +79,6 @@ def run(
         [{'case': 'condition 5 with resets', 'reset_count': 3}]
     """
     study = load_study(study)
-    if study.is_estimated:
-        text = "covariance estimates have no runs (use sinsjax.estimate)"
-        raise InputError(f"{study.name}: [study] estimate: {text}")
     options = RunOptions(curves=curves, chunk_runs=chunk_runs)
     return _run_to_results(
         issue_warnings(prepare_job(study, None, record, None, options)), on_progress
@@ -140,40 +136,6 @@ def align(
     return _run_to_results(
         issue_warnings(prepare_job(study, None, record, reference, options)), on_progress
     )
-
-
-def estimate(
-    study: Study | str | Path,
-    *,
-    chunk_runs: int | None = None,
-    on_progress: ProgressCallback | None = None,
-) -> pa.Table:
-    """Estimate the errors of a study's variants in memory, by covariance analysis.
-
-    Args:
-        study: study with ``estimate = "covariance"``, its file, or the name of a shipped study.
-        chunk_runs: variants per chunk; does not affect the rows.
-        on_progress: called with the progress after every chunk.
-
-    Returns:
-        One row per variant, ordered by variant_id; the schema has units and meanings.
-
-    Raises:
-        InputError: the study has no ``estimate``, or covariance analysis does not hold for it.
-
-    Examples:
-        >>> changes = {"study.rate_hz": 10.0, "study.check_linearity": False}
-        >>> changes |= {"study.estimate_samples": 16}
-        >>> changes |= {"axes.reset_count": [0, 2], "axes.reset_cycle_s": [50.0]}
-        >>> table = sinsjax.estimate(sinsjax.load_study("covariance", changes))
-        >>> table.num_rows, table.field("true_sigma_u_arcmin").metadata[b"unit"]
-        (16, b'arcmin')
-    """
-    study = load_study(study)
-    if not study.is_estimated:
-        raise InputError(f"{study.name}: [study] estimate: is 'draws' (use sinsjax.run)")
-    job = issue_warnings(prepare_job(study, options=RunOptions(chunk_runs=chunk_runs)))
-    return run_in_memory(job, on_progress)["estimates"].sort_by("variant_id")
 
 
 def run_into(
@@ -312,7 +274,7 @@ def _run_tasks(
         if not missing.isdisjoint(pending):
             sink.finish("interrupted")
             now = counter.progress
-            text = f"{now.done:,} of {now.total:,} {now.unit} are in {sink.place}"
+            text = f"{now.done:,} of {now.total:,} runs are in {sink.place}"
             raise StudyInterrupted(text)
         if _may_stop(study, sink, draws):
             break
@@ -330,8 +292,7 @@ class _ProgressCounter:
     """Track progress."""
 
     def __init__(self, study: Study, on_progress: ProgressCallback | None) -> None:
-        unit = "estimates" if study.is_estimated else "runs"
-        self.progress = RunProgress(0, study.n_draws * study.n_variants, 0, 0, unit)
+        self.progress = RunProgress(0, study.n_draws * study.n_variants, 0, 0)
         self._on_progress = on_progress or (lambda progress: None)
 
     def start(self, stored: Iterable[Task]) -> None:

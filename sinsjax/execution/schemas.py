@@ -10,7 +10,7 @@ from sinsjax.methods.description import OwnColumn
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import key_meaning
 from sinsjax.study.resolved import CodedColumn, constant_column
-from sinsjax.study.schema import BIAS_KEYS, NUMBERS_DRAWN
+from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.study import Study
 from sinsjax.study.success import settling_bands
 
@@ -25,37 +25,6 @@ def summary_columns(study: Study) -> tuple[Column, ...]:
         *(column for t in study.report_times_s for column in columns.report_time_columns(t)),
         *columns.JUDGED,
         *(method_column.column for method_column in method_columns(study).values()),
-    )
-
-
-def has_drawn_biases(study: Study) -> bool:
-    """Return whether sensor biases, and with them bias floors, differ between draws."""
-    return any(key in study.drawn_keys for key in BIAS_KEYS)
-
-
-def estimate_columns(study: Study) -> tuple[Column, ...]:
-    """Return the columns of the estimates."""
-    run_columns = ("run_id", "draw_id", "start_s")
-    times: list[float | None] = [*study.report_times_s, None]
-    return (
-        *(column for column in columns.IDENTITY if column.name not in run_columns),
-        *_key_columns(study),
-        *(
-            c
-            for time_s in times
-            for c in columns.estimate_columns(
-                settling_bands(study), time_s, floors_vary=has_drawn_biases(study)
-            )
-        ),
-        *(
-            c
-            for truth in (False, True)
-            for band in settling_bands(study)
-            for c in columns.settle_estimate_columns(band, truth=truth)
-        ),
-        *columns.FLOOR,
-        *(map(columns.nonlinearity_column, times) if study.checks_linearity else ()),
-        *((columns.FILLED,) if study.checks_linearity else ()),
     )
 
 

@@ -28,7 +28,7 @@ class Source:
         directory: results directory.
         study: the resolved study.
         config: name of the study's file on pages.
-        table: the estimates by variant_id; None if there is a summary to be read.
+        table: the summary, if it has been read as a whole; else None.
         warnings: warnings from before the study ran, one line each.
         version: version of sinsjax that computed the results.
         wall_s: duration of the study, s; None if unknown.
@@ -59,14 +59,9 @@ class Source:
         Raises:
             InputError: it contains no results or complete draws, or its study cannot be read.
         """
-        table = None
         results_directory.check_directory(directory)
         manifest = results_directory.read_manifest(directory)
-        has_estimates = results.has_dataset(directory, "estimates")
-        if has_estimates and not results.has_dataset(directory, "summary"):
-            table = results.read_estimates(directory)
-        else:
-            results.count_runs(directory)
+        results.count_runs(directory)
         study = results.load_stored_study(directory)
         name = manifest.get("config") or f"study.toml of {study.name}"
         manifest_warnings = manifest.get("warnings")
@@ -79,28 +74,25 @@ class Source:
         version, config = to_one_line(str(version)), to_one_line(str(name))
         numbers = (manifest.get(name) for name in ("wall_s", "record_latitude_deg"))
         wall_s, latitude_deg = (float(x) if isinstance(x, int | float) else None for x in numbers)
-        source = cls(directory, study, config, table, warnings, version, wall_s, latitude_deg)
+        source = cls(directory, study, config, None, warnings, version, wall_s, latitude_deg)
         restrict = unfinished and manifest.get("state") in ("running", "interrupted")
         return source._restrict_to_whole_draws() if restrict else source
 
     def _restrict_to_whole_draws(self) -> "Source":
         """Return the source restricted to draws that every variant has, for a fair comparison."""
         study, runs = self.study, self.runs
-        whole_draws, suffix = None, ""
-        if self.table is None:
-            draws = analysis.numeric_column(
-                results.read_summary(self.directory, ["draw_id"]), "draw_id"
-            )
-            draw_ids, variant_counts = np.unique(draws.astype(int), return_counts=True)
-            whole_draws = draw_ids[variant_counts == study.n_variants]
-            suffix = f"; shown are the {len(whole_draws):,} draws that every variant has"
+        draws = analysis.numeric_column(
+            results.read_summary(self.directory, ["draw_id"]), "draw_id"
+        )
+        draw_ids, variant_counts = np.unique(draws.astype(int), return_counts=True)
+        whole_draws = draw_ids[variant_counts == study.n_variants]
+        suffix = f"; shown are the {len(whole_draws):,} draws that every variant has"
         planned_runs = study.n_draws * study.n_variants
         if runs >= planned_runs:
             return self
-        kind = "runs" if self.table is None else "variants"
         share = 100 * runs / planned_runs
-        progress = f"unfinished: {runs:,} of {planned_runs:,} {kind} are done ({share:.2g} %)"
-        if whole_draws is not None and not len(whole_draws):
+        progress = f"unfinished: {runs:,} of {planned_runs:,} runs are done ({share:.2g} %)"
+        if not len(whole_draws):
             raise InputError(
                 f"{self.directory}: {progress}, and no draw that every variant has (continue with"
                 " `--resume`)"
@@ -113,7 +105,7 @@ class Source:
 
     @cached_property
     def runs(self) -> int:
-        """Number of rows: runs, or variants if these are estimated."""
+        """Number of runs."""
         if self.whole_draws is not None:
             return len(self.whole_draws) * self.study.n_variants
         return results.count_runs(self.directory) if self.table is None else self.table.num_rows

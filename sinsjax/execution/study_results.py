@@ -11,12 +11,7 @@ import pyarrow.compute as pc
 from sinsjax import columns
 from sinsjax.execution import frames
 from sinsjax.execution.directory import read_manifest, results_path
-from sinsjax.execution.results import (
-    load_stored_study,
-    read_curves,
-    read_estimates,
-    read_summary,
-)
+from sinsjax.execution.results import load_stored_study, read_curves, read_summary
 from sinsjax.messages import format_count
 from sinsjax.study import display
 from sinsjax.study.study import Study
@@ -82,7 +77,7 @@ class Results:
         """One row per run, ordered by run_id; the schema has units and meanings.
 
         Raises:
-            InputError: the directory cannot be read, or contains estimates, which have no runs.
+            InputError: the directory cannot be read.
 
         Examples:
             >>> changes = {"study.draws": 2, "study.rate_hz": 10.0}
@@ -114,7 +109,7 @@ class Results:
         return read_curves(self.directory)
 
     def to_pandas(self, *, curves: bool = False) -> Any:
-        """Return the summary as a pandas frame, or the estimates of a covariance study.
+        """Return the summary as a pandas frame.
 
         Args:
             curves: whether to return the curves instead.
@@ -132,10 +127,10 @@ class Results:
             >>> len(frame), frame.attrs["units"]["phi_u_arcmin"]
             (6, 'arcmin')
         """
-        return frames.to_dataframe(self.curves if curves else self._rows)
+        return frames.to_dataframe(self.curves if curves else self.summary)
 
     def to_xarray(self) -> Any:
-        """Return the summary as an xarray dataset, or the estimates of a covariance study.
+        """Return the summary as an xarray dataset.
 
         Returns:
             A dataset with the dimension ``draw`` and one per axis of the study, or ``variant`` if
@@ -152,15 +147,7 @@ class Results:
             >>> dict(dataset.sizes), dataset["settle_60_s"].attrs["units"]
             ({'draw': 2, 'case': 3}, 's')
         """
-        return frames.to_dataset(self.study, self._rows)
-
-    @property
-    def _rows(self) -> pa.Table:
-        """Table with one row per run, or per variant if these are estimated."""
-        if not self.study.is_estimated:
-            return self.summary
-        assert self.directory is not None  # in memory `estimate` returns the table itself
-        return read_estimates(self.directory)
+        return frames.to_dataset(self.study, self.summary)
 
     def __iter__(self) -> Iterator[pa.Table]:
         """Yield the summary and the curves."""
@@ -181,11 +168,10 @@ class Results:
     def _facts(self) -> dict[str, str]:
         facts = self.study.facts
         facts.pop("length")
-        if not self.study.is_estimated:
-            failed = pc.sum(pc.is_in(self.summary["status"], pa.array(columns.FAILED))).as_py() or 0
-            planned = self.study.n_draws * self.study.n_variants
-            if (runs := self.summary.num_rows) < planned:
-                facts["runs"] = f"{runs:,} of {format_count(planned, 'run')}"
-            facts["runs"] += f", {failed:,} diverged or not finite"
+        failed = pc.sum(pc.is_in(self.summary["status"], pa.array(columns.FAILED))).as_py() or 0
+        planned = self.study.n_draws * self.study.n_variants
+        if (runs := self.summary.num_rows) < planned:
+            facts["runs"] = f"{runs:,} of {format_count(planned, 'run')}"
+        facts["runs"] += f", {failed:,} diverged or not finite"
         location = f"in {self.directory}" if self.directory else "in memory"
         return facts | {"computed": f"in {self.wall_s:.3g} s, {location}"}

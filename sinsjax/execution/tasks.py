@@ -20,15 +20,14 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.engine.batch import Calls, map_in_threads, target_devices
+from sinsjax.engine.batch import Calls, Plan, map_in_threads, target_devices
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.duplicates import find_duplicates
 from sinsjax.engine.lanes import LANES, Group
 from sinsjax.execution import results, sealed, stopping
 from sinsjax.execution.directory import FileState
 from sinsjax.execution.forecast import Forecast
-from sinsjax.execution.linearity import LinearityCheck
-from sinsjax.execution.outputs import make_output
+from sinsjax.execution.outputs import RunOutput
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import fingerprint, with_draws
 from sinsjax.study.study import Study
@@ -164,10 +163,9 @@ class TaskRunner:
         """
         self.job = job
         self.scenario = Scenario(job.study, job.stored, curves=job.curves)
-        self._output = make_output(self.scenario)
+        self._output = RunOutput(self.scenario)
         self.schemas = self._output.schemas
-        self._programs = [self._output.adapt_program(static) for static in self.scenario.statics]
-        self._linearity = LinearityCheck(self.scenario) if job.study.checks_linearity else None
+        self._programs = self.scenario.statics
         self._tiles_per_call = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity
         self._lock = threading.Lock()
@@ -213,7 +211,7 @@ class TaskRunner:
         duplicates, ids = self._duplicates[part], self.scenario.variant_ids[part]
         variants = len(ids) if duplicates is None else len(duplicates.computed)
         static, tasks = self._programs[part], []
-        plan = self._output.plan_calls(static, len(draws), variants, self._tiles_per_call)
+        plan = Plan(static, len(draws), variants, tiles_per_chunk=self._tiles_per_call)
         for call in range(len(plan)):
             runs = (
                 plan.count_runs(call) if duplicates is None else duplicates.count_runs(plan, call)
@@ -240,10 +238,6 @@ class TaskRunner:
         if duplicates := self._duplicates[task.part]:
             chunk = duplicates.expand(chunk)
         tables = self._output.make_tables(chunk, self.scenario.variant_ids[task.part])
-        if self._linearity:
-            tables = {
-                "estimates": self._linearity.add_nonlinearity_index(task.part, tables["estimates"])
-            }
         seconds = time.perf_counter() - start_s
         return TaskResult(task, tables, self._output.count_failures(tables), seconds)
 
@@ -273,19 +267,20 @@ class TaskRunner:
     def _make_group(self, part_number: int, draws: range, *, blank: bool = False) -> Group:
         duplicates = self._duplicates[part_number]
         variants = None if duplicates is None else duplicates.computed
-        part = self.scenario.part(part_number, draws, variants=variants, blank=blank)
-        return self._output.adapt_group(part.group)
+        return self.scenario.part(part_number, draws, variants=variants, blank=blank).group
 
     def _compile_calls(self, part: int, draws: range) -> Calls:
-        output = self._output
         if self.scenario.stored is not None:
-            return output.make_calls(self._cached_group(part, draws), self._tiles_per_call)
-        blank_calls = output.make_calls(self._cached_blank_group(part, draws), self._tiles_per_call)
+            return self._make_calls(self._cached_group(part, draws))
+        blank_calls = self._make_calls(self._cached_blank_group(part, draws))
         with ThreadPoolExecutor(1) as pool:
             compiling = pool.submit(blank_calls.compile)
             group = self._cached_group(part, draws)  # meanwhile, on another core
             compiling.result()
-        return output.make_calls(group, self._tiles_per_call)
+        return self._make_calls(group)
+
+    def _make_calls(self, group: Group) -> Calls:
+        return Calls(group, tiles_per_chunk=self._tiles_per_call)
 
 
 class Executor(NamedTuple):

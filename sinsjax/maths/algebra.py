@@ -14,9 +14,6 @@ import jax.numpy as jnp
 
 from sinsjax.types import Flag, Scalar, Vec3
 
-_LEAST_SHARE = 1e-12
-"""Least remaining share of a variance; less is rounding."""
-
 
 class Minus(NamedTuple):
     """A negated entry, stored with its sign unchanged: products subtract it.
@@ -98,23 +95,6 @@ def change_signs(signs: Sequence[float], p: Triangle) -> Triangle:
     n = len(signs)
     pairs = (signs[i] * signs[j] for i in range(n) for j in range(i, n))
     return tuple(sign * entry for sign, entry in zip(pairs, p, strict=True))
-
-
-def cholesky(p: Triangle, n: int) -> list[list[Scalar]]:
-    """Return rows of the lower triangular L, P = L L', of a symmetric positive semidefinite P.
-
-    A variance that others explain except for rounding counts as explained.
-    """
-    at = triangle_index(n)
-    rows: list[list[Scalar]] = [[] for _ in range(n)]
-    for j in range(n):
-        left = p[at[j, j]] - sum(x * x for x in rows[j])
-        is_left = left > _LEAST_SHARE * p[at[j, j]]
-        root = jnp.sqrt(jnp.where(is_left, left, 1.0))
-        for i in range(j, n):
-            off = p[at[j, i]] - sum(x * y for x, y in zip(rows[i], rows[j], strict=False))
-            rows[i].append(jnp.where(is_left, off / root, 0.0))
-    return rows
 
 
 def solve3(p: Triangle, b: Vec3) -> Vec3:

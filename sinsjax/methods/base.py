@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from sinsjax.maths.algebra import Entries
 from sinsjax.methods.description import StudyView
 from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.strapdown import earth
@@ -137,60 +136,6 @@ class RunEnd(NamedTuple):
     backward: Flag
 
 
-class ErrorStep(NamedTuple):
-    """The linear effect of one sample on the error d of the corrected solution.
-
-    d <- (I - k_m h_m) ... (I - k_1 h_1) ((I + A dt) d + G w). Feeding estimates back leaves d
-    unchanged, and the measured velocity is truly zero, so the measurement adds no noise.
-
-    Attributes:
-        transition: non-zero entries of A dt.
-        inputs: non-zero entries of G for errors of the increments in n: velocity east, north, up,
-            m/s, then angle east, north, up, rad.
-        gains: k of each measurement in the order of their updates, n entries each.
-        measured: state number of each measurement.
-        axes: rotation from b to the axes of the inputs, if these are not n of the navigation
-            solution.
-    """
-
-    transition: Entries
-    inputs: Entries
-    gains: tuple[tuple[Scalar, ...], ...]
-    measured: tuple[int, ...]
-    axes: Quat | None = None
-
-    def input_axes(self, q: Quat) -> Quat:
-        """Return the rotation from b to the axes of the inputs, given the solution's attitude q."""
-        return q if self.axes is None else self.axes
-
-    def apply_gains(self, d: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-        """Return d after the updates by the sample's measurements."""
-        for gain, m in zip(self.gains, self.measured, strict=True):
-            d = apply_gain(d, gain, m)
-        return d
-
-
-def apply_gain(d: tuple[Scalar, ...], gain: tuple[Scalar, ...], m: int) -> tuple[Scalar, ...]:
-    """Return (I - k h) d for the gain k of a measurement of state m."""
-    return tuple(error - k * d[m] for error, k in zip(d, gain, strict=True))
-
-
-class StartChange(NamedTuple):
-    """A small change of the error of a solution before its first sample.
-
-    Attributes:
-        attitude: error C_true C_hat^T that the change is added to.
-        phi: misalignment about the computed axes, rad.
-        ve: velocity east, m/s.
-        vn: velocity north, m/s.
-    """
-
-    attitude: Quat
-    phi: Vec3
-    ve: Scalar
-    vn: Scalar
-
-
 Change = Callable[[Any, int | None, Scalar, Scalar], Any]
 """(params of one run, entry of a list or None, value of a key, its value before) -> params."""
 
@@ -258,20 +203,6 @@ class Passes(NamedTuple):
     gyro_bias: Callable[[Any], Vec3] | None = None
 
 
-class ErrorModel(NamedTuple):
-    """Linear model of the true error d of a run, for covariance analysis.
-
-    Attributes:
-        step: (params, site, state, sample, n) -> `ErrorStep` of the step from that state.
-        angles: state -> derivative of phi of the corrected attitude by d, rows (3, n) in n.
-        start: (first state, `StartChange`) -> d of a start with that additional error.
-    """
-
-    step: Callable[[Any, Site, Any, Sample, Scalar], ErrorStep]
-    angles: Callable[[Any], tuple[tuple[Scalar, ...], ...]]
-    start: Callable[[Any, StartChange], tuple[Scalar, ...]]
-
-
 class BlockFit(NamedTuple):
     """A method that stores blocks of samples, and fits all of them at some record times.
 
@@ -310,7 +241,6 @@ class Method(NamedTuple):
             differ in their draw can share it.
         feedback: how the loop is closed; None if the method closes it within ``step``.
         passes: how passes over a stored record begin; None if the method reads it once.
-        error_model: linear model of its true error; None if the method has none.
         block_fit: fits at record times; None for a method whose steps are all there is.
     """
 
@@ -324,5 +254,4 @@ class Method(NamedTuple):
     shares_covariance: bool = False
     feedback: Feedback | None = None
     passes: Passes | None = None
-    error_model: ErrorModel | None = None
     block_fit: BlockFit | None = None

@@ -137,16 +137,12 @@ class Description:
             method has no such states.
         turning: the turns of a base over which its heading averages constant gyro biases: "any", if
             a single turn is enough, "many", as of a carousel, or "none"; None if that is unknown.
-        has_error_model: whether its `Method` has an error model, so that the covariance of its true
-            error can be computed without draws.
         stores_blocks: whether it stores blocks of samples, see `methods.base.BlockFit`.
         rules: check the rules between its keys.
         columns: its own result columns.
         last_triggered_sample: (`Method.results` of runs) -> sample of the last reset by a trigger,
             0 for none; None where there is no trigger.
         step_s: time of a sample of one run on one core, s, roughly; see `docs/performance.md`.
-        estimate_runs: plain runs that one without noise takes as long as, with the covariance of
-            its error and 64 sampled errors, roughly.
         is_external: whether it is a program outside sinsjax, whose runs cannot be repeated here.
     """
 
@@ -162,13 +158,11 @@ class Description:
     finds_heading: bool = True
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()
     turning: Literal["any", "many", "none"] | None = None
-    has_error_model: bool = False
     stores_blocks: bool = False
     rules: tuple[Callable[[CheckedStudy], None], ...] = ()
     columns: tuple[OwnColumn, ...] = ()
     last_triggered_sample: Callable[[Any], NDArray | None] = lambda results: None
     step_s: float = 20e-9
-    estimate_runs: float = 3.0
     is_external: bool = False
 
     @cached_property

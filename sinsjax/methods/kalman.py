@@ -94,17 +94,6 @@ def update(belief: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scal
     return Belief(x, p)
 
 
-def gains(
-    p: Triangle, measured: Sequence[int], r: Scalar, n: int
-) -> tuple[tuple[Scalar, ...], ...]:
-    """Return the gain of each measurement of an `update`, n entries each, from the predicted P."""
-    columns = []
-    for m in measured:
-        column, inverse, p = _process_measurement(p, m, r, n)
-        columns.append(tuple(c * inverse for c in column))
-    return tuple(columns)
-
-
 def _process_measurement(
     p: Triangle, m: int, r: Scalar, n: int
 ) -> tuple[list[Scalar], Scalar, Triangle]:

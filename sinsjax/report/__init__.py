@@ -1,7 +1,6 @@
 """Reports on directories of results, from Parquet alone: printed, drawn and written.
 
-A study of draws is reported by `monte_carlo`, one estimated without draws by `covariance`, a
-tuning by `tuning`.
+A study is reported by `monte_carlo`, a tuning by `tuning`.
 """
 
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ from sinsjax.execution.directory import register_figures
 from sinsjax.execution.source import Source
 from sinsjax.messages import shorten
 from sinsjax.platform.files import require_writable
-from sinsjax.report import covariance, monte_carlo
+from sinsjax.report import monte_carlo
 from sinsjax.report.base import Chapter, Report, Text
 from sinsjax.report.markup import load_template
 from sinsjax.report.output import (
@@ -77,8 +76,7 @@ def _print_reports(
 
             report = tuning.build_report(source)
         else:
-            kind = covariance if source.study.is_estimated else monte_carlo
-            report = kind.build_report(
+            report = monte_carlo.build_report(
                 source, with_tables=full or html is not None, warnings_shown=warnings_shown
             )
         reports.append(_draw_and_save_figures(report, source))

@@ -11,7 +11,6 @@ from sinsjax import analysis
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.execution.source import Source
 from sinsjax.plots.comparison import MAX_LINES
-from sinsjax.plots.labels import describe_point
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.success import success_columns
 
@@ -19,12 +18,6 @@ BINS_NOTE = "the median of each bin, of about as many draws."
 _MAX_BINS = 8
 _MIN_DRAWS_PER_BIN = 10  # per bin: the interval of fewer draws is too wide to be of use
 _DIGITS = 3  # significant ones of a bin's name
-
-
-def rows_by_line(table: pa.Table, line_keys: Sequence[str]) -> dict[str, pa.Table]:
-    """The rows of each line along an axis by its name: of the first ones that have room."""
-    groups = list(analysis.group_rows(table, line_keys))
-    return {describe_point(point): rows for point, rows in groups[:MAX_LINES]}
 
 
 def describe_undrawn_lines(table: pa.Table, line_keys: Sequence[str]) -> str:

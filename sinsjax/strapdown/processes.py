@@ -56,16 +56,6 @@ class Process(NamedTuple):
     derivative: Array | None = None
 
 
-def constant_process(rms: Numbers) -> Process:
-    """Return a number that stays constant, normal with mean zero.
-
-    Args:
-        rms: (..., 3) standard deviation of each axis.
-    """
-    one = np.ones(np.shape(rms)[:-1])
-    return _first_order_process(one, 0.0 * one, 0.0 * one, one, rms)
-
-
 def gauss_markov_process(rms: Numbers, time: Numbers, dt: float) -> Process:
     """Return a first-order Gauss-Markov process at sample times.
 

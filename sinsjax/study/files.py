@@ -35,7 +35,7 @@ GROUPS = {
     "stored": "repeated passes over a stored record",
     "records": "recorded data of a car",
     "tuning": "settings and schedules found by a search",
-    "theory": "consistency, and estimates without draws",
+    "theory": "whether a filter is consistent",
 }
 """Groups of shipped studies. The second line of a study, ``#:group NAME``, names its group."""
 

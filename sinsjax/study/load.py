@@ -40,7 +40,13 @@ from sinsjax.study.keys import (
 )
 from sinsjax.study.questions import reject_open_questions
 from sinsjax.study.study import Study
-from sinsjax.study.sweep import Sweep, correctable_errors, read_sweep, read_tune_section
+from sinsjax.study.sweep import (
+    Sweep,
+    correctable_errors,
+    read_sweep,
+    read_tune_section,
+    without_gone_settings,
+)
 from sinsjax.study.unused_keys import list_idle_keys
 
 __all__ = [
@@ -53,10 +59,8 @@ __all__ = [
 ]
 
 _DEFAULT_DRAWS = 64
-_DEFAULT_SAMPLES = 256
 _DEPENDENT_DEFAULTS = EARTH_CONSTANTS | {
     "draws": _DEFAULT_DRAWS,
-    "estimate_samples": _DEFAULT_SAMPLES,
     "height_m": 0.0,
     **{white: 0.0 for white, _ in SECTIONS["sensors"].exclusive},
 }
@@ -264,7 +268,7 @@ def _build_checked_study(data: TomlTable, name: str) -> Study:
 
 def _build_study(data: TomlTable, name: str) -> Study:
     """Return the study of some tables with all rules checked, but not the points of [tune]."""
-    tables = _lists_to_tuples(data)
+    tables = without_gone_settings(_lists_to_tuples(data))
     _check_tables(tables)
     _register_external(tables)
     errors, sweep = ErrorCollector(), Sweep({}, {}, (), None)
@@ -430,9 +434,6 @@ def _fill_defaults(
     sections = {key: dict(tables.get(key, {})) for key in SECTIONS if key not in unused}
     sections["study"].setdefault("name", name)
     if not recorded:
-        if sections["study"].get("estimate") == "covariance":
-            sections["study"].setdefault("check_linearity", True)
-            sections["study"].setdefault("estimate_samples", _DEFAULT_SAMPLES)
         sections["study"].setdefault("draws", _DEFAULT_DRAWS)
         sections["earth"].setdefault("height_m", 0.0)
         for white, density in SECTIONS["sensors"].exclusive:

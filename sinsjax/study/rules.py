@@ -20,7 +20,6 @@ from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import shorten
 from sinsjax.methods.filters.section import OF_RESETS, OF_SCHEDULES, scheduled_reset_times
 from sinsjax.methods.registry import METHODS, unread_keys
-from sinsjax.methods.triggers.config import any_trigger
 from sinsjax.study import sampling, search_space, success
 from sinsjax.study.attitude_file import check_attitude_key
 from sinsjax.study.keys import (
@@ -36,13 +35,7 @@ from sinsjax.study.keys import (
 from sinsjax.study.measurement_noise import check_measurement_noise
 from sinsjax.study.process_noise import check_process_noise
 from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, check_law
-from sinsjax.study.schema import (
-    BIAS_KEYS,
-    INITIAL_NUMBERS,
-    NUMBERS_DRAWN,
-    Distribution,
-    is_normal,
-)
+from sinsjax.study.schema import NUMBERS_DRAWN, Distribution
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
 from sinsjax.study.turns import check_turn_keys, check_turns
@@ -519,73 +512,6 @@ def _check_earth_centre(study: Study, key_tables: KeyTables) -> None:
             raise InputError(f"{key_tables.get('height_m', '[earth]')} height_m: {text}")
 
 
-def require_covariance_model(study: Study) -> None:
-    """Refuse a study that covariance analysis does not model.
-
-    Raises:
-        InputError: names the key and the reason.
-    """
-    line = next(_unmodelled_parts(study, {}), None)
-    if line is not None:
-        raise InputError(f"{study.name}: {line} (run draws instead)")
-
-
-def has_covariance_model(study: Study) -> bool:
-    """Return whether covariance analysis models a study."""
-    return next(_unmodelled_parts(study, {}), None) is None
-
-
-def _check_covariance_analysis(study: Study, key_tables: KeyTables) -> None:
-    """Refuse keys that conflict with covariance analysis, of a study or of its tuning."""
-    if study.tune and "covariance" in study.tune.searches:
-        if line := next(_unmodelled_parts(study, key_tables), None):
-            text = f"'covariance' does not apply to this study (use 'sobol'): {line}"
-            raise InputError(f"[tune] searches: {text}")
-    if not study.is_estimated:
-        for key in ("check_linearity", "estimate_samples"):
-            if getattr(study.study, key) is not None:
-                raise InputError(f"[study] {key}: requires estimate = 'covariance'")
-        return
-    line = next(_unmodelled_parts(study, key_tables), None)
-    if line is not None:
-        raise InputError(f"{line} (use estimate = 'draws')")
-    conflicts = {
-        "[tune]": (study.has("tune"), "use estimate = 'draws', and 'covariance' in searches"),
-        "[study] curves": (study.study.curves, "drop it: there are no runs"),
-        "[stop_when]": (study.has("stop_when"), "drop it: there are no draws"),
-    }
-    for place, (is_given, hint) in conflicts.items():
-        if is_given:
-            raise InputError(f"{place}: does not apply to estimate = 'covariance' ({hint})")
-
-
-def _unmodelled_parts(study: Study, key_tables: KeyTables) -> Iterator[str]:
-    """Yield a line for each part of a study that covariance analysis does not model."""
-    if study.is_recorded:
-        yield "[record]: covariance analysis needs simulated sensors"
-        return
-    if study.passes:
-        yield "[passes]: covariance analysis assumes new white noise, which repeated passes lack"
-    if study.coarse_stages:
-        yield "[coarse]: covariance analysis starts from the method's P0"
-    for key, law in study.drawn.laws.items() if study.drawn else ():
-        if key not in (*INITIAL_NUMBERS, *BIAS_KEYS):
-            yield f"[drawn] {key}: covariance analysis needs a fixed value (sweep it instead)"
-        elif not is_normal(key, law):
-            yield f"[drawn] {key}: covariance analysis needs a normal distribution"
-    if any_trigger(study):
-        place = key_tables.get("reset_trigger", "[resets]")
-        yield f"{place} reset_trigger: covariance analysis needs resets at given times"
-    for key in study.sequential_keys:
-        if key.startswith("vibration") or "quantisation" in key:
-            place = key_tables.get(key, f"[{SECTION_OF[key]}]")
-            yield f"{place} {key}: covariance analysis does not model vibration or quantisation"
-    for name in study.methods:
-        if not METHODS[name].has_error_model:
-            place = key_tables.get("method", "[alignment]")
-            yield f"{place} method: covariance analysis has no linear model of {name}"
-
-
 def _check_drawn_values(study: Study, key_tables: KeyTables) -> None:
     """Refuse drawn values that their key does not accept, and list entries that no draw reaches.
 
@@ -697,7 +623,6 @@ PRESENCE_RULES: tuple[StudyRule, ...] = (
     check_measurement_noise,
     check_turn_keys,
     check_attitude_key,
-    _check_covariance_analysis,
 )
 """Rules for the presence of keys."""
 

@@ -78,24 +78,11 @@ class StudySection(Section):
     )
     draws: Annotated[Count, Field(ge=1)] | None = Field(
         None,
-        description="Monte Carlo draws; the maximum with [stop_when]. Used by estimate ="
-        " 'covariance' if the linear estimate fails. A record has one per start time;"
-        " default: 64 in a simulation",
+        description="Monte Carlo draws; the maximum with [stop_when]. A record has one per start"
+        " time; default: 64 in a simulation",
     )
-    estimate: Literal["draws", "covariance"] = Field(
-        "draws",
-        description="'draws': Monte Carlo, in `summary/`. 'covariance': linear covariance analysis,"
-        " one noise-free run per variant, in `estimates/`",
-    )
-    estimate_samples: Annotated[int, Field(ge=4, le=2**16, multiple_of=2)] | None = Field(
-        None,
-        description="even number of errors sampled from the covariance, in pairs of opposite sign,"
-        " for settling times; default: 256",
-    )
-    check_linearity: bool | None = Field(
-        None,
-        description="whether 8 draws per variant check estimate = 'covariance'; if `nonlinearity`"
-        " exceeds 0.5, `draws` draws replace its heading estimate; default: true",
+    estimate: Literal["draws"] = Field(
+        "draws", description="how errors are found: 'draws', Monte Carlo"
     )
     seed: int = Field(1, ge=0, lt=2**63, description="random seed")
     settle_bands_arcmin: Bands = Field(
@@ -669,11 +656,6 @@ class Distribution(Section):
         return float(np.sqrt(np.mean([np.max(np.square(entry)) for entry in entries])))
 
 
-def is_normal(key: str, law: Distribution) -> bool:
-    """Return whether a key draws initial errors or constant biases from a normal distribution."""
-    return law.normal is not None and key in (*INITIAL_NUMBERS, *BIAS_KEYS)
-
-
 class DrawnSection(Section):
     """[drawn]: keys with a random value per draw, shared by all variants."""
 
@@ -721,7 +703,7 @@ class StopWhenSection(Section):
 
 Some = Annotated[Count, Field(ge=1)]
 Searches = Annotated[
-    tuple[Literal["grid", "sobol", "gradient", "covariance"], ...],
+    tuple[Literal["grid", "sobol", "gradient"], ...],
     Field(min_length=1),
     AfterValidator(require_unique),
 ]
@@ -785,8 +767,7 @@ class TuneSection(Section):
     )
     searches: Searches = Field(
         ("grid", "gradient"),
-        description="'grid', 'sobol': points in the ranges. 'gradient': descents."
-        " 'covariance': evolution strategy on linear covariance analysis. If reset times"
+        description="'grid', 'sobol': points in the ranges. 'gradient': descents. If reset times"
         " are tuned, each also evaluates the reset law's schedule",
     )
     tune_draws: Some | None = Field(
@@ -808,15 +789,11 @@ class TuneSection(Section):
     descent_screen: Some = Field(
         16,
         description="Sobol points evaluated before the descents, which start from the best; on"
-        " `descent_draws` draws or by covariance analysis",
+        " `descent_draws` draws",
     )
     descent_starts: Some = Field(4, description="parallel descents")
     descent_steps: Some = Field(16, description="steps of a descent")
-    descent_draws: Some = Field(
-        4,
-        description="new draws per step; unused if no variable moves a reset and covariance"
-        " analysis applies",
-    )
+    descent_draws: Some = Field(4, description="new draws per step")
     descent_rate: Positive = Field(0.1, description="Adam learning rate, in lengths of the ranges")
     relaxed_window_s: tuple[Seconds, Seconds] = Field(
         (4.0, 1.0),
@@ -826,17 +803,6 @@ class TuneSection(Section):
     relaxed_sharpness: tuple[Positive, Positive] = Field(
         (6.0, 16.0),
         description="sharpness of the smooth heading band edge at the first and last step",
-    )
-    evolution_screen: Some = Field(
-        64,
-        description="Sobol points per combination of candidates that a 'covariance' search"
-        " evaluates first, to start from the best",
-    )
-    evolution_steps: Some = Field(12, description="generations of a 'covariance' search")
-    feedback_phases: Some = Field(
-        4,
-        description="reset time shifts within a feedback interval over which a 'covariance' search"
-        " averages; 1: no shift",
     )
     variables: dict[str, Range | tuple[Range, ...]] = Field(
         description="tuned keys with their ranges, the table [tune.variables]"

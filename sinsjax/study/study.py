@@ -58,7 +58,7 @@ from sinsjax.study.sweep import sweep_dimensions
 from sinsjax.value_types import ROUNDING
 
 _USER_NAMES = (
-    *("axes", "axis_keys", "cases", "drawn_keys", "duration_s", "is_estimated", "is_recorded"),
+    *("axes", "axis_keys", "cases", "drawn_keys", "duration_s", "is_recorded"),
     *("methods", "n_draws", "n_variants", "name", "rate_hz", "replace", "seed", "to_dict"),
     *("values", "variant_values", "zips"),
 )
@@ -214,7 +214,7 @@ class Study(_SectionsOfMethods):
         rate = f"{self.rate_hz:g} Hz" if self.rate_hz else "the rate of its record"
         several = len(self.methods) > 1
         return {
-            "runs": f"{variants}, estimated without draws" if self.is_estimated else runs,
+            "runs": runs,
             "axes": "; ".join(axes) or "none",
             "methods" if several else "method": ", ".join(self.methods),
             "length": f"{self.duration_s:g} s at {rate}",
@@ -241,28 +241,13 @@ class Study(_SectionsOfMethods):
         return self.study.seed
 
     @property
-    def is_estimated(self) -> bool:
-        """Return whether its results are estimates per variant instead of runs."""
-        return self.study.estimate == "covariance"
-
-    @property
-    def checks_linearity(self) -> bool:
-        """Return whether draws check its estimates."""
-        return self.is_estimated and bool(self.study.check_linearity)
-
-    @property
     def is_recorded(self) -> bool:
         """Return whether the sensor data are from a record instead of a simulation."""
         return self.record is not None
 
     @property
     def n_draws(self) -> int:
-        """Number of draws, or of start times in a record; with ``stop_when`` the maximum.
-
-        1 if the results are estimates from one noise-free run.
-        """
-        if self.is_estimated:
-            return 1
+        """Number of draws, or of start times in a record; with ``stop_when`` the maximum."""
         return len(self.record.start_s) if self.record else self.study.draws or 1
 
     @property

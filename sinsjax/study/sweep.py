@@ -42,6 +42,9 @@ _LAW_FORMS = ", ".join(f"{name} = {meaning}" for name, meaning in _LAW_MEANINGS.
 _RANGE_KEYS = tuple(Range.model_fields)
 _VARIABLES, _BASELINE = "[tune.variables]", "[tune.baseline]"
 _TUNING_DRAWS = {"tune_draws": 16, "evaluation_draws": 64}
+_GONE_SETTINGS = ("evolution_screen", "evolution_steps", "feedback_phases")
+"""Settings of [tune] of the search 'covariance' of version 1.0."""
+
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
@@ -403,6 +406,17 @@ def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: b
                 table[key] = read(table[key], swept)
     errors.raise_all()
     return table
+
+
+def without_gone_settings(tables: TomlTable) -> TomlTable:
+    """Return a study's sections without settings that version 1.0 wrote into every [tune].
+
+    They have no effect: the search that read them is refused.
+    """
+    tune = tables.get("tune")
+    if not isinstance(tune, Mapping):
+        return tables
+    return tables | {"tune": {k: v for k, v in tune.items() if k not in _GONE_SETTINGS}}
 
 
 def _read_baseline(table: TomlTable, swept: Mapping[str, str]) -> TomlTable:

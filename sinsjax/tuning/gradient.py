@@ -1,11 +1,9 @@
 """Gradient search: several descents in parallel lanes, differentiated in forward mode.
 
 Descents start at the best of some points, one of them the reset schedule by the law, and the edge
-of the band is soft; it sharpens from step to step. If no variable moves a reset and covariance
-analysis holds, points are scored and descended from without noise: one noise-free run of each
-variant, with errors sampled from the covariance of the true error. Otherwise each step uses the
-next few draws, and resets that move are smooth windows, which sharpen too. The final points are
-scored like any other point, with hard resets on all tuning draws, and so is the law's schedule.
+of the band is soft; it sharpens from step to step. Each step uses the next few draws, and resets
+that move are smooth windows, which sharpen too. The final points are scored like any other point,
+with hard resets on all tuning draws, and so is the law's schedule.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.covariance.analysis import AnalysisEnvironment, ErrorCovariance, analysis_group
 from sinsjax.engine import batch
 from sinsjax.engine.batch import Plan
 from sinsjax.engine.build import Scenario
@@ -32,7 +29,6 @@ from sinsjax.methods.registry import METHODS
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import SECTION_OF, TomlTable
 from sinsjax.study.load import with_point
-from sinsjax.study.rules import has_covariance_model
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
@@ -93,7 +89,6 @@ class _Descents:
         self._combination = self._space.combinations[number]
         self._parameters = ParameterMap(study, self._combination)
         self._used = self._space.used_variables(self._combination)
-        self._samples = objective.SAMPLES if self._parameters.by_covariance else 0
         law = law_point(study, number)
         self._laws = np.empty((0, len(self._used))) if law is None else law[None, self._used]
 
@@ -104,13 +99,7 @@ class _Descents:
         import optax  # late: it is slow to import, and only descents need it
 
         tune, steps, starts = self._tune, self._tune.descent_steps, self._tune.descent_starts
-        slope = Slope(
-            self._parameters,
-            self._stored,
-            starts=starts,
-            draws=tune.descent_draws,
-            samples=self._samples,
-        )
+        slope = Slope(self._parameters, self._stored, starts=starts, draws=tune.descent_draws)
         box = self._choose_starts(slope.draws)
         adam = optax.adam(optax.cosine_decay_schedule(tune.descent_rate, steps, alpha=0.1))
         state = adam.init(box)
@@ -121,7 +110,7 @@ class _Descents:
             scores, gradient = slope(box, draws, softness)
             self._cost += slope.cost
             window_s = softness.window_s if self._parameters.moves_resets else None
-            relaxed = window_s, softness.sharpness, self._samples > 0
+            relaxed = window_s, softness.sharpness
             evaluations += [
                 Evaluation(step, self._number, values, float(score), self._cost, start, *relaxed)
                 for start, (values, score) in enumerate(zip(self._values(box), scores, strict=True))
@@ -145,8 +134,7 @@ class _Descents:
         box = np.concatenate([self._laws, box])
         if count == self._tune.descent_starts:
             return box[:count]
-        values = self._values(box)
-        scores = self._estimate(values) if self._samples else self._score(values, draws)
+        scores = self._score(self._values(box), draws)
         return box[np.argsort(scores, kind="stable")[: self._tune.descent_starts]]
 
     def _evaluate_ends(self, box: NDArray) -> list[Evaluation]:
@@ -184,17 +172,6 @@ class _Descents:
             ),
         )
         self._cost += search.total_steps(scored.derived)
-        return scored.scores
-
-    def _estimate(self, values: Sequence[Sequence[float]]) -> list[float]:
-        """Return the objective at some points by covariance analysis."""
-        scored = search.score_points(
-            self._study,
-            NAME,
-            self._points(values),
-            lambda derived: objective.estimate_values(self._tune, derived),
-        )
-        self._cost += round(search.estimate_steps(scored.derived))
         return scored.scores
 
     def _points(self, values: Sequence[Sequence[float]]) -> list[TomlTable]:
@@ -235,14 +212,6 @@ class _Lane(NamedTuple):
     start: Count
 
 
-def _runs_of(environment: Any) -> Environment:
-    """Return the environment of the runs of a group, which may be a covariance analysis."""
-    runs: Environment = (
-        environment.runs if isinstance(environment, AnalysisEnvironment) else environment
-    )
-    return runs
-
-
 class _Program(NamedTuple):
     """Runs of all descents that share a program, the plan of its calls, and the program."""
 
@@ -255,9 +224,8 @@ class Slope:
     """Relaxed objective of some descents and its gradient, for one combination of candidates.
 
     Attributes:
-        samples: number of sampled errors that replace the draws; 0 if runs have noise.
-        draws: number of draws per step; 1, without noise, if errors are sampled.
-        n_draws: number of tuning draws, likewise.
+        draws: number of draws per step.
+        n_draws: number of tuning draws.
     """
 
     def __init__(
@@ -267,7 +235,6 @@ class Slope:
         *,
         starts: int,
         draws: int,
-        samples: int = 0,
     ) -> None:
         """Prepare the runs.
 
@@ -276,8 +243,6 @@ class Slope:
             stored: the record of a recorded study.
             starts: number of descents.
             draws: number of draws per step, at most.
-            samples: how many errors are sampled for each variant instead; an even number, 0 for
-                runs with noise. Only if `ParameterMap.by_covariance`.
 
         Raises:
             InputError: the record does not fit.
@@ -285,16 +250,15 @@ class Slope:
         study = parameters.study
         assert study.tune is not None
         self._tune, self._parameters = study.tune, parameters
-        self._starts, self.samples = starts, samples
+        self._starts = starts
         self._from_truth, self._rate_hz = success_criteria(study).from_truth, study.rate_hz
         derived = search.derive_study(study, {"base": parameters.point}, name=study.name)
         scenario = Scenario(derived, stored, curves=False)
-        groups = [self._group(scenario, number) for number in range(len(scenario.statics))]
+        groups = [scenario.part(number).group for number in range(len(scenario.statics))]
         self.n_draws = len(groups[0].draws.draw_id)
         self.draws = min(draws, self.n_draws)
         self._programs = [self._program(group) for group in groups]
-        plain = search.total_steps(derived) / derived.n_draws
-        self._draw_cost = search.estimate_steps(derived) if samples else plain
+        self._draw_cost = search.total_steps(derived) / derived.n_draws
 
     @property
     def cost(self) -> int:
@@ -327,13 +291,6 @@ class Slope:
             for program in self._programs
         ]
 
-    def _group(self, scenario: Scenario, number: int) -> Group:
-        """Return the runs of one program, of all draws or of one without noise."""
-        if not self.samples:
-            return scenario.part(number).group
-        group = scenario.part(number, range(1)).group
-        return analysis_group(group, self.samples, np.array([group.static.records - 1]))
-
     def _program(self, group: Group) -> _Program:
         """Return the program of a group with lanes for each descent and variant."""
         params = jax.tree.map(
@@ -342,9 +299,8 @@ class Slope:
         start = np.repeat(np.arange(self._starts), group.sizes[1])
         group = group._replace(variants=params._replace(method=_Lane(params.method, start)))
         runs, devices = self.draws * len(start), len(jax.devices())
-        # Few runs need fewer lanes. With noise a call has at least two blocks for each device.
-        blocks = devices if self.samples else 2 * devices
-        lanes = min(LANES, 1 << (max(runs // blocks, 8) - 1).bit_length())
+        # Few runs need fewer lanes; a call has at least two blocks for each device.
+        lanes = min(LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
         tiles = -(-runs // (lanes * devices))
         plan = Plan(group.static, self.draws, len(start), tiles_per_chunk=tiles, lanes=lanes)
         return _Program(group, plan, jax.jit(partial(self._differentiate, group)))
@@ -352,7 +308,7 @@ class Slope:
     def _run(
         self, program: _Program, box: NDArray, draws: NDArray, softness: Softness
     ) -> tuple[NDArray, NDArray]:
-        """Return relaxed values (starts, variants, draws or samples) and derivatives (..., p)."""
+        """Return relaxed values (starts, variants, draws) and derivatives (..., p)."""
         group, plan, jitted = program
         arguments = self._arguments(program, box, draws, softness)
         jitted.lower(*arguments[0]).compile()  # otherwise every thread would compile
@@ -383,37 +339,31 @@ class Slope:
         chosen = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
         group = group._replace(draws=chosen, q=group.q[draws])
         # What is only reported has no part in the objective, nor in its derivatives.
-        runs = _runs_of(group.environment)
-        soft = runs.criteria._replace(sharpness=np.float64(softness.sharpness), report_samples=None)
-        runs = runs._replace(criteria=soft)
-        environment: Any = runs
-        if isinstance(group.environment, AnalysisEnvironment):
-            environment = group.environment._replace(runs=runs)
+        environment = group.environment
+        soft = environment.criteria._replace(
+            sharpness=np.float64(softness.sharpness), report_samples=None
+        )
+        environment = environment._replace(criteria=soft)
         width = np.float64(softness.window_s * self._rate_hz)
         return [(environment, tiles_of(group, lanes), box, width) for lanes in program.plan]
 
     def _differentiate(
-        self, group: Group, environment: Any, tiles: Tiles, box: Array, width: Array
+        self, group: Group, environment: Environment, tiles: Tiles, box: Array, width: Array
     ) -> tuple[Array, Array]:
         """Return the values of some tiles' runs and their derivatives by their descent's box."""
         p = box.shape[1]
         directions = jnp.broadcast_to(jnp.eye(p)[:, None, :], (p, self._starts, p))
 
         def lane_parameters(lane: _Lane, box: Array) -> Any:
-            parameters = partial(self._parameters, group.static.method)
-            if not self.samples:
-                return parameters(lane.base, box[lane.start], width)
-            return lane.base._replace(method=parameters(lane.base.method, box[lane.start], width))
+            return self._parameters(group.static.method, lane.base, box[lane.start], width)
 
         def tile_values(tile: Tiles, box: Array) -> Array:
             method = jax.vmap(lane_parameters, in_axes=(0, None))(tile.params.method, box)
             lanes = tile._replace(params=tile.params._replace(method=method))
-            outcome, curves = (group.run or run_tile)(group.static, environment, lanes)
-            criteria = _runs_of(environment).criteria
-            given, truth = (self._tune, criteria, outcome), self._from_truth
-            if isinstance(curves, ErrorCovariance):
-                return objective.relaxed_estimates(*given, curves, truth=truth)
-            return objective.relaxed_values(*given, truth=truth)
+            outcome, _ = run_tile(group.static, environment, lanes)
+            return objective.relaxed_values(
+                self._tune, environment.criteria, outcome, truth=self._from_truth
+            )
 
         def differentiate_tile(tile: Tiles) -> tuple[Array, Array]:
             return sensitivities(partial(tile_values, tile), box, directions)
@@ -456,8 +406,6 @@ class ParameterMap:
         variables: (p,) variables that the combination of candidates uses.
         point: the base point, in the middle of all ranges.
         moves_resets: whether a variable moves resets, all of which are then smooth windows.
-        by_covariance: whether covariance analysis can replace runs with noise: no variable moves
-            resets, and it holds for the study.
     """
 
     def __init__(self, study: Study, combination: TomlTable) -> None:
@@ -484,7 +432,6 @@ class ParameterMap:
         self.moves_resets = any(
             r.smooth_resets and not keys.isdisjoint({r.times, *r.moves}) for r in relaxed
         )
-        self.by_covariance = not self.moves_resets and has_covariance_model(based)
         for r in relaxed:
             if reason := r.find_unsupported(based, self.moves_resets):
                 _refuse(study, reason)

@@ -43,7 +43,6 @@ class Evaluation(NamedTuple):
         start: number of the descent; None for other searches.
         window_s: half width of the relaxed resets, s; None if none is relaxed.
         sharpness: sharpness of the band's relaxed edge; None if the objective is not relaxed.
-        estimated: whether by covariance analysis rather than by draws.
     """
 
     step: int
@@ -54,7 +53,6 @@ class Evaluation(NamedTuple):
     start: int | None = None
     window_s: float | None = None
     sharpness: float | None = None
-    estimated: bool = False
 
 
 class SearchResult(NamedTuple):
@@ -70,8 +68,8 @@ class SearchResult(NamedTuple):
 
     @property
     def best(self) -> Evaluation:
-        """The best evaluation by draws that is not relaxed; the first of equals."""
-        hard = (e for e in self.evaluations if e.sharpness is None and not e.estimated)
+        """The best evaluation that is not relaxed; the first of equals."""
+        hard = (e for e in self.evaluations if e.sharpness is None)
         return min(hard, key=lambda evaluation: evaluation.objective)
 
     @property
@@ -86,7 +84,7 @@ class SearchResult(NamedTuple):
 
     @property
     def best_by_cost(self) -> tuple[NDArray, NDArray, bool]:
-        """Cost and best objective so far, and whether that is relaxed or estimated.
+        """Cost and best objective so far, and whether that is relaxed.
 
         Descents have the best of all of them at each step.
         """
@@ -97,10 +95,8 @@ class SearchResult(NamedTuple):
             cost = [max(e.cost for e in step) for step in steps.values()]
             best = [min(e.objective for e in step) for step in steps.values()]
             return np.array(cost), np.array(best), True
-        estimated = [e for e in self.evaluations if e.estimated]
-        evaluations = estimated or self.evaluations
-        lowest = np.minimum.accumulate([e.objective for e in evaluations])
-        return np.array([e.cost for e in evaluations]), lowest, bool(estimated)
+        lowest = np.minimum.accumulate([e.objective for e in self.evaluations])
+        return np.array([e.cost for e in self.evaluations]), lowest, False
 
     def point(self, space: SearchSpace) -> TomlTable:
         """Return the keys and values of the best point."""
@@ -124,7 +120,6 @@ def history_columns(space: SearchSpace) -> tuple[Column, ...]:
         Column("cost", _I, "", "steps so far, in steps of a plain run, tangents included"),
         Column("window_s", _F, "s", "half width of relaxed resets; null if none is relaxed"),
         Column("sharpness", _F, "", "sharpness of the band's relaxed edge; null if not relaxed"),
-        Column("estimated", pa.bool_(), "", "objective by covariance analysis, not by draws"),
     )
 
 
@@ -169,8 +164,8 @@ def read_history(directory: str | Path) -> pa.Table:
 
     Returns:
         One row per evaluated point, in order of evaluation: ``search``, ``step``, ``start``,
-        ``candidate``, ``objective``, one column per variable, ``cost``, ``window_s``,
-        ``sharpness`` and ``estimated``; the schema has units and meanings.
+        ``candidate``, ``objective``, one column per variable, ``cost``, ``window_s`` and
+        ``sharpness``; the schema has units and meanings.
 
     Raises:
         InputError: there is no history, or it has changed since it was written.

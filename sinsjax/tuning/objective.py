@@ -7,24 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
-from jax.scipy.special import ndtr
 from numpy.typing import NDArray
 from scipy import special
 
 from sinsjax import analysis, columns
-from sinsjax.covariance.analysis import ErrorCovariance, analysis_group
-from sinsjax.engine import batch
-from sinsjax.engine.build import Scenario
 from sinsjax.engine.metrics import Criteria, Outcome, outside
 from sinsjax.engine.success import FLOOR, TRUTH
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.study import Study
-from sinsjax.study.success import settling_bands, success_criteria
+from sinsjax.study.success import success_criteria
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
-
-SAMPLES = 64
-"""Errors sampled per point and variant by covariance analysis."""
 
 _OVER_DRAWS: dict[str, Callable[[TuneSection, NDArray], NDArray]] = {
     "settle_mean": lambda tune, values: np.mean(values, axis=-1),
@@ -70,46 +63,6 @@ def run_values(tune: TuneSection, study: Study, table: pa.Table) -> NDArray:
     return np.where(np.isnan(settled), study.spans_s[:, :1], settled)
 
 
-def estimate_values(tune: TuneSection, study: Study) -> NDArray:
-    """Return values of errors sampled by covariance analysis, one noise-free run per variant.
-
-    Args:
-        tune: the objective.
-        study: study of the runs, simulated; its draws do not matter.
-
-    Returns:
-        (variants, samples): as `run_values`; final heading errors are one rms for all samples.
-    """
-    scenario = Scenario(study, curves=True)
-    reference = TRUTH if success_criteria(study).from_truth else FLOOR
-    band = int(np.argmin(np.abs(np.asarray(settling_bands(study)) - tune.objective_band_arcmin)))
-    out = np.empty((study.n_variants, SAMPLES))
-    end = study.spans_s[:, 0]
-    for number, ids in enumerate(scenario.variant_ids):
-        group = analysis_group(scenario.part(number, range(1)).group, SAMPLES)
-        for chunk in batch.run_chunks(group, devices=2):
-            variants = ids[chunk.variant]
-            out[variants] = _chunk_values(tune, chunk, reference, band, end[variants])
-    return out
-
-
-def _chunk_values(
-    tune: TuneSection, chunk: batch.Chunk, reference: int, band: int, end: NDArray
-) -> NDArray:
-    spread = chunk.curves
-    assert isinstance(spread, ErrorCovariance)
-    settled: NDArray = spread.outside_until[:, reference, band]
-    if tune.objective == "final_error":
-        mean = spread.phi[:, 2, -1] - (chunk.outcome.floor.phi.z if reference == FLOOR else 0.0)
-        sigma = spread.sigma[:, 2, -1]
-        if reference == FLOOR and spread.from_floor is not None:
-            sigma = spread.from_floor[:, -1]
-        return np.repeat(np.hypot(mean, sigma)[:, None] / ARCMIN, settled.shape[1], axis=1)
-    if tune.objective == "failure_rate":
-        return (settled >= end[:, None]).astype(float)
-    return settled
-
-
 def failure_score(tune: TuneSection, study: Study) -> float:
     """Return the objective if every run fails; infinite if it has no upper bound."""
     if tune.objective == "final_error":
@@ -153,35 +106,6 @@ def relaxed_values(
     if tune.objective == "failure_rate":
         return jax.vmap(partial(outside, criteria))(error)[:, band, None]
     return outcome.outside_until[:, TRUTH if truth else FLOOR, band, None]
-
-
-def relaxed_estimates(
-    tune: TuneSection, criteria: Criteria, outcome: Outcome, spread: ErrorCovariance, *, truth: bool
-) -> Array:
-    """Return the values of one noise-free run per variant and the spread about it, relaxed.
-
-    Args:
-        tune: the objective.
-        criteria: of the study, with a sharpness.
-        outcome: leaves (runs, ...).
-        spread: of the runs; the last axis of its leaves is (runs,).
-        truth: whether heading errors are about the truth rather than the bias floor.
-
-    Returns:
-        (runs, samples): settling times of sampled errors, s. Else (runs, 1): rms of the final
-        heading error, arcmin, or the probability that it is outside the band.
-    """
-    if tune.objective in ("settle_mean", "settle_quantile"):
-        return jnp.moveaxis(
-            spread.outside_until[TRUTH if truth else FLOOR, _band_index(tune, criteria)], 0, 1
-        )
-    mean = spread.phi[2, -1] - (0.0 if truth else outcome.floor.phi.z)
-    sigma = spread.sigma[2, -1] if truth or spread.from_floor is None else spread.from_floor[-1]
-    if tune.objective == "final_error":
-        return jnp.sqrt(mean**2 + sigma**2)[:, None] / ARCMIN
-    ends = tune.objective_band_arcmin * ARCMIN
-    inside = ndtr((ends - mean) / sigma) - ndtr((-ends - mean) / sigma)
-    return 1.0 - inside[:, None]
 
 
 def _band_index(tune: TuneSection, criteria: Criteria) -> Array:

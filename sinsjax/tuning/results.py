@@ -19,13 +19,7 @@ from sinsjax.study.study import Study
 from sinsjax.study.success import success_measures
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult, load_tuned_study
-from sinsjax.tuning.run_tuning import (
-    COVARIANCE,
-    EVALUATION,
-    GRADIENT,
-    LAW,
-    require_tune,
-)
+from sinsjax.tuning.run_tuning import EVALUATION, GRADIENT, LAW, require_tune
 
 SEARCH_LABELS = {
     "grid": "grid",
@@ -33,7 +27,6 @@ SEARCH_LABELS = {
     "baseline": "baseline",
     "sobol": "Sobol points",
     "equal cost": "Sobol points at the gradient's cost",  # in directories of version 1.0
-    COVARIANCE: "covariance analysis",
     LAW: "law of resets",
 }
 """Names of searches, of the baseline and of the law's reset schedule, in words."""

@@ -38,7 +38,7 @@ TUNED, EVALUATION = "tuned.toml", "evaluation"
 LAW = "law"
 """Name of the reset schedule by the law among the evaluated points."""
 
-GRADIENT, COVARIANCE = gradient.NAME, search.COVARIANCE
+GRADIENT = gradient.NAME
 _NAMES = (STUDY, TUNED, history.FILE, "figures", "grid", "sobol", EVALUATION)
 
 
@@ -197,9 +197,9 @@ def _run_search(
 ) -> SearchResult:
     """Run a search, or return it from the known ones."""
     settings = require_tune(study)
-    if name in (GRADIENT, COVARIANCE):
+    if name == GRADIENT:
         done = [result for result in known if result.search == name]
-        return done[0] if done else _run_in_memory(name, study, session)
+        return done[0] if done else _descend(study, session)
     if name == "grid":
         design = search.grid_design(space, settings.grid_points)
     else:
@@ -208,9 +208,9 @@ def _run_search(
     return search.evaluate_design(study, name, search.add_law_points(study, design), session)
 
 
-def _run_in_memory(name: str, study: Study, session: SearchSession) -> SearchResult:
-    """Run a search that stores nothing but its history."""
-    with session.watch(name) as on_progress:
+def _descend(study: Study, session: SearchSession) -> SearchResult:
+    """Run the gradient search, which stores nothing but its history."""
+    with session.watch(GRADIENT) as on_progress:
 
         def report_or_stop(progress: RunProgress) -> None:
             if session.stop.is_set():
@@ -218,8 +218,6 @@ def _run_in_memory(name: str, study: Study, session: SearchSession) -> SearchRes
             if on_progress is not None:
                 on_progress(progress)
 
-        if name == COVARIANCE:
-            return search.search_by_covariance(study, on_progress=report_or_stop)
         return gradient.descend(study, session.job.stored, on_progress=report_or_stop)
 
 

@@ -1,11 +1,8 @@
-"""Searches that score points of the search space: grid, Sobol points, and covariance analysis.
+"""Searches that score points of the search space: a grid and Sobol points.
 
 The points are the cases of a study whose draws are the tuning draws. If reset times are tuned, the
 first point is the reset schedule by the law (`law_point`). A grid and Sobol points are swept into
-an ordinary results directory. The search by covariance analysis needs no noise: it scores points by
-errors that are sampled from linear covariance analysis (`engine.covariance`), goes on from the best
-of some Sobol points with an evolution strategy (CMA-ES, Hansen and Ostermeier 2001), and runs the
-best few on the tuning draws.
+an ordinary results directory.
 """
 
 import threading
@@ -21,16 +18,15 @@ from numpy.typing import NDArray
 
 from sinsjax.execution import results
 from sinsjax.execution.prepare import make_subjob
-from sinsjax.execution.run import ProgressCallback, RunProgress, run_in_memory, run_job
+from sinsjax.execution.run import ProgressCallback, run_job
 from sinsjax.execution.tasks import Job
-from sinsjax.methods.registry import METHODS
 from sinsjax.study import sampling, search_space
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.study.resolved import Dimension
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.study.sweep import TIMES, sweep_dimensions
+from sinsjax.study.sweep import sweep_dimensions
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, SearchResult
 from sinsjax.tuning.law_point import law_point
@@ -186,7 +182,7 @@ def evaluate_design(
 
     scored = score_points(study, name, points, run_cases)
     case_cost = total_steps(scored.derived) // len(scored.derived.cases)
-    costs = case_cost * (np.maximum.accumulate(scored.cases[:, 0]) + 1)
+    costs = case_cost * (np.maximum.accumulate(scored.cases) + 1)
     return SearchResult(
         name,
         [
@@ -204,7 +200,7 @@ class PointScores(NamedTuple):
     Attributes:
         scores: the objective of each point.
         derived: study of the runs, each distinct point being a case.
-        cases: (points, phases) number of the case of each point and shift.
+        cases: (points,) number of the case of each point.
     """
 
     scores: list[float]
@@ -217,7 +213,6 @@ def score_points(
     name: str,
     points: Sequence[TomlTable],
     run_cases: Callable[[Study], NDArray],
-    phases: int = 1,
 ) -> PointScores:
     """Score some points; equal ones are run once.
 
@@ -226,37 +221,20 @@ def score_points(
         name: name of the search.
         points: points with the same keys.
         run_cases: gives the values of a study's runs, as `objective.run_values`.
-        phases: number of shifts of a point's resets over the feedback interval, see `shift_resets`;
-            its score is the objective over all of them.
     """
     assert study.tune is not None
     cases: dict[str, TomlTable] = {}
     case_of: dict[tuple[Any, ...], int] = {}
-    numbers = np.empty((len(points), phases), int)
+    numbers = np.empty(len(points), int)
     for number, point in enumerate(points):
-        for phase in range(phases):
-            case = shift_resets(study, point, phase / phases)
-            numbers[number, phase] = case_of.setdefault(tuple(case.values()), len(cases))
-            if numbers[number, phase] == len(cases):
-                cases[f"{name} {number}" + (f" phase {phase}" if phase else "")] = case
+        numbers[number] = case_of.setdefault(tuple(point.values()), len(cases))
+        if numbers[number] == len(cases):
+            cases[f"{name} {number}"] = point
     derived = derive_study(study, cases, name=f"{study.name}_{name}")
     values = run_cases(derived)
     by_case = values.reshape(len(cases), -1, values.shape[-1])
-    scores = [
-        objective.score(study.tune, by_case[row].reshape(-1, values.shape[-1])) for row in numbers
-    ]
+    scores = [objective.score(study.tune, by_case[number]) for number in numbers]
     return PointScores(scores, derived, numbers)
-
-
-def shift_resets(study: Study, point: TomlTable, share: float) -> TomlTable:
-    """Return a point with later resets, by a share of the feedback interval, on whole samples."""
-    times = point.get(TIMES)
-    if not times or not share:
-        return point
-    intervals = [value or 0.0 for value in study.values("feedback_interval_s")]
-    interval = point.get("feedback_interval_s", max(intervals))
-    rate = study.study.rate_hz
-    return point | {TIMES: tuple(round((t + share * interval) * rate) / rate for t in times)}
 
 
 def point_values(study: Study, derived: Study, table: pa.Table) -> NDArray:
@@ -276,12 +254,6 @@ def total_steps(study: Study) -> int:
     """Return the total number of steps of a study's runs."""
     records = study.lengths.compute(lambda span: span.records, int)
     return int(records.sum()) * study.record_every * study.n_draws
-
-
-def estimate_steps(study: Study) -> float:
-    """Return the cost of `objective.estimate_values` with the dearest method, in plain steps."""
-    runs = max(METHODS[name].estimate_runs for name in study.methods)
-    return runs * total_steps(study) / study.n_draws
 
 
 def unused_seed(study: Study) -> int:
@@ -336,128 +308,3 @@ def _unused_axis_name(study: Study) -> str:
     while name in study.zips:
         name += "_"
     return name
-
-
-# Search by covariance analysis
-
-
-COVARIANCE = "covariance"
-"""Name of the search by covariance analysis."""
-
-GENERATION, FIRST_SIGMA, FINALISTS = 8, 0.2, 3
-"""Points of a generation; standard deviation of the first one, all ranges being one long; best
-points that are run on the tuning draws."""
-
-
-def search_by_covariance(
-    study: Study, *, on_progress: ProgressCallback | None = None
-) -> SearchResult:
-    """Search with the objective of covariance analysis.
-
-    Args:
-        study: study with [tune], simulated.
-        on_progress: called with the progress after every generation.
-
-    Returns:
-        All evaluations; those by covariance analysis are marked as estimates.
-    """
-    return _CovarianceSearch(study, on_progress).run()
-
-
-class _CovarianceSearch:
-    """A search by covariance analysis. Resets stay hard."""
-
-    def __init__(self, study: Study, on_progress: ProgressCallback | None) -> None:
-        assert study.tune is not None
-        self._study, self._tune, self._space = study, study.tune, SearchSpace.from_study(study)
-        self._on_progress = on_progress or (lambda progress: None)
-        self._evaluations: list[Evaluation] = []
-        self._cost = 0.0
-        tune, combinations = self._tune, len(self._space.combinations)
-        self._total = (
-            tune.evolution_screen * combinations + tune.evolution_steps * GENERATION + FINALISTS
-        )
-
-    def run(self) -> SearchResult:
-        """Run the search; return all evaluations in order."""
-        tune, space = self._tune, self._space
-        counts = [tune.evolution_screen] * len(space.combinations)
-        design = sobol_design(space, counts, search_seed(self._study, COVARIANCE))
-        design = add_law_points(self._study, design)
-        self._total += len(design.box) - sum(counts)
-        for candidate in range(len(space.combinations)):
-            self._estimate(design.box[design.candidate == candidate], candidate)
-        first = min(self._evaluations, key=lambda evaluation: evaluation.objective)
-        if used := space.used_variables(space.combinations[first.candidate]):
-            self._evolve(first, used)
-        self._run_finalists()
-        return SearchResult(COVARIANCE, self._evaluations)
-
-    def _evolve(self, first: Evaluation, used: list[int]) -> None:
-        """Estimate the generations that start from the best point."""
-        import cma  # late: it takes a second, and only this search needs it
-
-        values = [1.0 if np.isnan(value) else value for value in first.values]
-        box = np.asarray(self._space.to_box(values))
-        seed = int(search_seed(self._study, "evolution").generate_state(1)[0]) or 1
-        settings = {
-            **{"bounds": [0.0, 1.0], "popsize": GENERATION, "seed": seed},
-            **{"verbose": -9, "CMA_stds": np.ones(max(2, len(used)))},
-        }
-        # CMA-ES needs two variables: one without effect is added to a single one.
-        start = np.append(box[used], 0.5) if len(used) == 1 else box[used]
-        strategy = cma.CMAEvolutionStrategy(start, FIRST_SIGMA, settings)
-        for _ in range(self._tune.evolution_steps):
-            generation = np.asarray(strategy.ask())
-            points = np.full((len(generation), len(self._space.variables)), np.nan)
-            points[:, used] = generation[:, : len(used)]
-            strategy.tell(list(generation), self._estimate(points, first.candidate))
-
-    def _estimate(self, box: NDArray, candidate: int) -> list[float]:
-        """Estimate the objective at some box points of a combination."""
-        combination = self._space.combinations[candidate]
-        values = [self._space.to_values(np.nan_to_num(row)) for row in box]
-        scored = self._score(
-            [self._space.make_point(row, combination) for row in values],
-            lambda derived: objective.estimate_values(self._tune, derived),
-        )
-        for row, point, score in zip(box, values, scored.scores, strict=True):
-            self._cost += estimate_steps(scored.derived) / len(box)
-            known = [np.nan if np.isnan(a) else v for a, v in zip(row, point, strict=True)]
-            step, so_far = len(self._evaluations), int(self._cost)
-            self._evaluations.append(
-                Evaluation(step, candidate, known, score, so_far, estimated=True)
-            )
-        self._report()
-        return scored.scores
-
-    def _run_finalists(self) -> None:
-        """Run the best on the tuning draws, with the shifts that they were estimated with."""
-        best: dict[tuple[Any, ...], tuple[Evaluation, TomlTable]] = {}
-        for evaluation in sorted(self._evaluations, key=lambda e: e.objective):
-            combination = self._space.combinations[evaluation.candidate]
-            point = self._space.make_point(list(np.nan_to_num(evaluation.values)), combination)
-            best.setdefault(tuple(point.values()), (evaluation, point))
-        finalists, points = zip(*list(best.values())[:FINALISTS], strict=True)
-
-        def run_cases(derived: Study) -> NDArray:
-            table = run_in_memory(Job(derived, curves=False))["summary"]
-            return objective.run_values(self._tune, derived, table)
-
-        scored = self._score(points, run_cases)
-        for finalist, score in zip(finalists, scored.scores, strict=True):
-            self._cost += total_steps(scored.derived) / len(points)
-            step, so_far = len(self._evaluations), int(self._cost)
-            self._evaluations.append(
-                finalist._replace(step=step, objective=score, cost=so_far, estimated=False)
-            )
-        self._report()
-
-    def _score(
-        self, points: Sequence[TomlTable], run_cases: Callable[[Study], NDArray]
-    ) -> PointScores:
-        phases = self._tune.feedback_phases
-        return score_points(self._study, COVARIANCE, points, run_cases, phases)
-
-    def _report(self) -> None:
-        self._on_progress(RunProgress(len(self._evaluations), self._total, 0, 0, "points"))

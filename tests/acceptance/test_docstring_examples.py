@@ -30,8 +30,8 @@ def public_names() -> dict[str, Any]:
 
 EXAMPLES = public_names()
 SLOW = {
-    *("Results", "Results.read", "TuningResults", "align", "estimate", "estimated_curves"),
-    *("one_run", "read_estimates", "read_history", "score_results", "tune"),
+    *("Results", "Results.read", "TuningResults", "align"),
+    *("one_run", "read_history", "score_results", "tune"),
     *("Results.to_pandas", "Results.to_xarray", "export_study", "information_bound", "Advice"),
     *("load_increments", "read_curves", "read_manifest", "read_record", "read_summary"),
     *("run", "run_into", "StudyWarning"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.studies import small_study
 
-from sinsjax.covariance import information as bounds
+from sinsjax.bounds import information as bounds
 from sinsjax.errors import InputError
 from sinsjax.execution.information import information_bound
 from sinsjax.strapdown import earth

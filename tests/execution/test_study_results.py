@@ -98,17 +98,3 @@ def test_xarray_refuses_runs_without_some_variants(results: Results) -> None:
     with pytest.raises(sinsjax.InputError, match="some variants are missing .17 runs of 3 draws"):
         to_dataset(results.study, results.summary.slice(1))
     assert dict(to_dataset(results.study, results.summary.slice(6)).sizes)["draw"] == 2
-
-
-@pytest.mark.nightly
-def test_estimates_convert_by_variant(tmp_path: Path) -> None:
-    pytest.importorskip("xarray")
-    settings = {"estimate": "covariance", "check_linearity": False, "estimate_samples": 16}
-    settings |= {"draws": None}
-    study = small_study(study=settings, axes={"phi_u0_deg": [0.1, 0.2]})
-    stored = sinsjax.run_into(study, tmp_path / "out")
-    assert "2 variants, estimated without draws" in repr(stored)
-    assert dict(stored.to_xarray().sizes) == {"phi_u0_deg": 2}
-    assert len(stored.to_pandas()) == 2
-    with pytest.raises(sinsjax.InputError, match="estimates of variants, and no runs"):
-        _ = stored.summary

@@ -290,6 +290,14 @@ def test_reading_ignores_files_that_are_not_parts(stored: Path) -> None:
     assert read_summary(stored).num_rows == 4
 
 
+def test_estimates_of_version_1_0_are_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "estimates").mkdir()
+    (tmp_path / "estimates" / "part-0000-000000.parquet").touch()
+    line = "contains estimates by covariance analysis, which only version 1.0 reads"
+    with pytest.raises(InputError, match=f"^{tmp_path}: {line}$"):
+        read_summary(tmp_path)
+
+
 @pytest.mark.parametrize("left", ["no directory", "an empty one", "one that holds no part"])
 def test_directory_without_parts_is_refused_in_one_line(tmp_path: Path, left: str) -> None:
     out = tmp_path / "out"

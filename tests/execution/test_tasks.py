@@ -20,7 +20,7 @@ from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import LANES
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
-from sinsjax.execution.outputs import make_output
+from sinsjax.execution.outputs import RunOutput
 from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.records import Reference
@@ -181,7 +181,7 @@ def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None
 def test_failures_count_diverged_and_nonfinite_runs() -> None:
     status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
     summary = pa.table({"status": status})
-    assert make_output(Scenario(small_study())).count_failures({"summary": summary}) == 3
+    assert RunOutput(Scenario(small_study())).count_failures({"summary": summary}) == 3
 
 
 def test_record_for_simulated_study_is_refused() -> None:

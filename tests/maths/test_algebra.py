@@ -64,20 +64,6 @@ def test_change_signs_matches_dense_product(seed, n):
     np.testing.assert_array_equal(symmetric(out, n), np.diag(signs) @ p @ np.diag(signs))
 
 
-@pytest.mark.parametrize("rank", [1, 3, 5])
-def test_cholesky_gives_back_semidefinite_matrix(rank):
-    """Whose first variances may be zero, and whose last ones others may explain."""
-    n, rng = 5, np.random.default_rng(rank)
-    half = rng.normal(size=(n, rank))
-    half[0] = 0.0 if rank < n else half[0]
-    p = half @ half.T
-    rows = algebra.cholesky(tuple(p[np.triu_indices(n)]), n)
-    lower = np.array([[float(x) for x in row] + [0.0] * (n - len(row)) for row in rows])
-    np.testing.assert_allclose(lower @ lower.T, p, rtol=0, atol=1e-12)
-    if rank == n:
-        np.testing.assert_allclose(lower, np.linalg.cholesky(p), rtol=0, atol=1e-12)
-
-
 def test_zero_entry_ignores_infinite_operand():
     assert algebra.times_plus_identity({(0, 1): 0.0}, [1.0, np.inf]) == (1.0, np.inf)
 

@@ -116,7 +116,6 @@ def test_description_is_true_of_what_it_builds(name):
     # As of a plug-in: states keep their structure, attitude and covariance have theirs.
     one = jax.tree.map(lambda leaf: np.asarray(leaf)[None], params)
     check_plugin(name, built, one, 1, site(PAPER, LATITUDE))
-    assert (built.error_model is not None) == described.has_error_model
     assert (built.block_fit is not None) == described.stores_blocks
     covariance = built.covariance(built.init(params, nav_off(np.zeros(3))))
     assert np.isfinite(covariance).all() == described.has_covariance

@@ -29,9 +29,7 @@ def made_up():
 
     def propagate(params, site, state, sample):
         nav = state.nav._replace(ve=state.nav.ve + sample.dv.x, vn=state.nav.vn + sample.dv.y)
-        transition = {(0, 1): 0.1}
-        belief = kalman.propagate(state.belief, transition)
-        return state._replace(nav=nav, belief=belief), transition
+        return state._replace(nav=nav, belief=kalman.propagate(state.belief, {(0, 1): 0.1}))
 
     def update(params, state):
         measured = state.nav.ve, state.nav.vn
@@ -68,8 +66,6 @@ def made_up():
         misalignment=nothing,
         attitude=lambda state: state.nav.q,
         covariance=lambda state: state.belief.p,
-        inputs=lambda state: {},
-        start_error=lambda state, change: (change.ve, change.vn),
     )
 
 

@@ -143,14 +143,10 @@ CALLS = {
     "run": lambda study, folder: sinsjax.run(study),
     "run_into": lambda study, folder: sinsjax.run_into(study, folder),
     "align": lambda study, folder: sinsjax.align(folder / "log.csv", study),
-    "estimate": lambda study, folder: sinsjax.estimate(
-        small_study(study={"estimate": "covariance", "draws": None})
-    ),
     "tune": lambda study, folder: sinsjax.tune(study, folder),
     "one_run": lambda study, folder: sinsjax.one_run(study),
     "simulated_record": lambda study, folder: sinsjax.simulated_record(study),
     "information_bound": lambda study, folder: sinsjax.information_bound(study),
-    "estimated_curves": lambda study, folder: sinsjax.estimated_curves(study),
     "info": lambda study, folder: sinsjax.info(),
 }
 

@@ -11,7 +11,7 @@ from support.synthetic_tables import synthetic_summary
 
 from sinsjax import analysis
 from sinsjax.execution.source import Source
-from sinsjax.report import covariance, terminal
+from sinsjax.report import terminal
 from sinsjax.report.base import Verdict
 from sinsjax.report.choices import Choices, best_option, best_option_per_draw
 from sinsjax.report.verdict import process_noise_caution, sweep_verdict
@@ -181,26 +181,6 @@ def test_method_that_has_no_bias_floor_is_compared_from_the_truth() -> None:
     summary = synthetic_summary(study, ok_floor=flags)
     found = sweep_verdict(Source(Path("out"), study, "x.toml", summary))
     assert "of true north" in facts_by_label(found)["Success"]
-
-
-@pytest.mark.nightly
-def test_verdict_without_draws_names_best_by_expected_time(tmp_path: Path) -> None:
-    from sinsjax import run_into
-
-    study = small_study(
-        study={"estimate": "covariance", "draws": None, "duration_s": 20.0, "window_s": [5, 20]},
-        axes={"reset_count": [0, 2], "reset_cycle_s": [2.0, 4.0], "phi_u0_deg": [0.5, 5.0]},
-    )
-    run_into(study, tmp_path / "out")
-    source = Source.read(tmp_path / "out")
-    found = covariance.build_report(source, with_tables=False).verdict
-    assert source.table is not None
-    mean = source.table.column("settle_10_truth_mean_s").to_numpy().reshape(4, 2).mean(axis=1)
-    best = int(np.argmin(mean[[0, 2, 3]]))
-    names = ["no reset", "2 resets, every 2 s", "2 resets, every 4 s"]
-    told = facts_by_label(found)
-    assert told["Best"].startswith(f"{names[best]}: {mean[[0, 2, 3]][best]:.0f} [")
-    assert found.table is not None and len(found.table.rows) == 2
 
 
 # --- the terminal ---------------------------------------------------------------------------

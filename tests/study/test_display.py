@@ -15,7 +15,6 @@ from sinsjax.study import display, files
     fast=(
         "car_test",
         "compass_car",
-        "covariance",
         "methods",
         "paper1_resets",
         "reset_sweep",
@@ -81,8 +80,6 @@ def test_study_is_loaded_from_name_path_or_study(tmp_path, monkeypatch):
         sinsjax.run("reset_swep")
     with pytest.raises(sinsjax.InputError, match=r"did you mean tune_large\?"):
         sinsjax.tune("tune_larg", tmp_path / "out")
-    with pytest.raises(sinsjax.InputError, match=r"did you mean covariance\?"):
-        sinsjax.estimate("covarianc")
 
 
 def test_input_error_carries_a_line_for_every_mistake_of_a_stage():

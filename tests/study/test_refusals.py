@@ -69,6 +69,7 @@ def test_none_is_refused_as_a_value(tables, place):
 
 
 @refused("""
+study.estimate = "covariance"                -> [study] estimate: 'covariance'
 study.duration_s = 0                         -> [study] duration_s: 0
 study.duration_s = 1000010                   -> [study] duration_s: 1000010 100000000
 study.rate_hz = 0.0                          -> [study] rate_hz: 0

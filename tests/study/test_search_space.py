@@ -91,7 +91,7 @@ tune.variables = {}                          -> [tune.variables]
 tune.variables = 3                           -> [tune] variables
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, draws = 3}    -> [tune] draws: [study]
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, searches = ["grid", "luck"]}
-    -> [tune] searches[1]: 'grid' 'sobol' 'gradient' 'covariance' 'luck'
+    -> [tune] searches[1]: 'grid' 'sobol' 'gradient' 'luck'
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, searches = ["grid", "grid"]}
     -> [tune] searches: repeats
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, objective_band_arcmin = 5.0}

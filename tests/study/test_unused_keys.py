@@ -66,9 +66,6 @@ def expected_refusal(study: Study, method: str) -> str | None:
     if any(map(repeats_without_method, study.dimensions)):
         return "repeats"
     tuned = study.tune.variables if study.tune else {}
-    by_covariance = study.is_estimated or (study.tune and "covariance" in study.tune.searches)
-    if by_covariance and not new.has_error_model:
-        return "covariance analysis has no linear model of"  # draws take far longer
     if unread_keys([method]) & tuned.keys():
         return "does not apply to method"
     if study.is_recorded and "filter" in new.sections and not study.has("filter"):
@@ -96,7 +93,7 @@ def repeats_without_method(dimension: dict[str, Any]) -> bool:
     return "method" in dimension and (labels_alone or len({*rows}) < len(rows))
 
 
-@pytest.mark.nightly(fast=("reset_sweep", "paper2_static", "tune_large", "car_test", "covariance"))
+@pytest.mark.nightly(fast=("reset_sweep", "paper2_static", "tune_large", "car_test"))
 @pytest.mark.parametrize("name", SHIPPED)
 def test_method_of_shipped_study_can_be_changed(name):
     path = SHIPPED[name]

@@ -57,12 +57,10 @@ def store_results(
     study: Study,
     summary: pa.Table | None = None,
     curves: pa.Table | None = None,
-    estimates: pa.Table | None = None,
     **entries: Any,
 ) -> Path:
     """Write tables as the results of a study; return the directory."""
-    tables = {"summary": summary, "curves": curves, "estimates": estimates}
-    for name, table in tables.items():
+    for name, table in {"summary": summary, "curves": curves}.items():
         if table is not None:
             write_part(directory / name / "part-0000-000000.parquet", table, Job(study).identity)
     (directory / STUDY).write_text(study_to_toml(study))

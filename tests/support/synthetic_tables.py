@@ -90,13 +90,3 @@ def synthetic_curves(study, *, truth=True):
     values |= {"run_id": run, "time_s": time, "update_time_s": time, "pass": np.ones(run.size, int)}
     arrays = [pa.array(values[c.name], c.dtype, from_pandas=True) for c in layout]
     return pa.Table.from_arrays(arrays, schema=columns.arrow_schema(layout))
-
-
-def synthetic_estimates(study, **given_columns):
-    """Return synthetic estimates: the ``given_columns``, and half of the unit in the others."""
-    layout = schemas.estimate_columns(study)
-    count = study.n_variants
-    values = {"variant_id": range(count), **schemas.variant_columns(study, layout)}
-    values |= {"has_floor": [True] * count, "filled_by_draws": [False] * count} | given_columns
-    arrays = [pa.array(values.get(c.name, [0.5] * count)).cast(c.dtype) for c in layout]
-    return pa.Table.from_arrays(arrays, schema=columns.arrow_schema(layout))

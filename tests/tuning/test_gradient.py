@@ -12,23 +12,18 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from scipy.stats import mstats, norm
+from scipy.stats import mstats
 from support.studies import small_study
 
-from sinsjax.covariance.analysis import ErrorCovariance
 from sinsjax.engine.build import Scenario
-from sinsjax.engine.metrics import Criteria, Outcome
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.tasks import Job
-from sinsjax.methods.floors import BiasFloor
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import from_python, gradient, history, objective, run_tuning, search
 from sinsjax.tuning.gradient import TANGENT_STEPS, ParameterMap, Slope, Softness
-from sinsjax.types import Vec3
-from sinsjax.units import ARCMIN
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -394,138 +389,12 @@ def test_memory_barely_grows_with_run_duration() -> None:
     assert needed[0] < needed[1] < 1.1 * needed[0]
 
 
-# By covariance analysis
-
-
-SMOOTH = tuned(
-    {"p0_yaw_deg": log(5.0, 90.0), "q_scale": log(0.2, 5.0)},
-    {
-        "study": SHORT,
-        "resets": {"reset_times_s": [10.0, 20.0], "reset_kind": "scale", "reset_scale": 20.0},
-        "axes": {"phi_u0_deg": [5.0, 20.0]},
-    },
-    objective_band_arcmin=300.0,
-    descent_screen=12,
-    descent_starts=9,
-    descent_steps=3,
-    descent_draws=1,
-)
-"""Its resets do not move, and are of a kind that cannot be relaxed."""
-
-
-@cache
-def smooth_slope(*, starts: int, draws: int, samples: int) -> Slope:
-    """Return a slope of `SMOOTH`; tracing its program takes longer than a descent."""
-    return Slope(ParameterMap(SMOOTH, {}), starts=starts, draws=draws, samples=samples)
-
-
-@pytest.mark.nightly
-def test_covariance_gradients_match_finite_differences() -> None:
-    """F and W are in single precision, which affects differences more than derivatives."""
-    p, step = 2, 4e-3
-    box = np.tile([0.4, 0.45], (1 + 4 * p, 1))
-    for i in range(p):
-        box[1 + 4 * i : 5 + 4 * i, i] += step * AROUND
-    slope = smooth_slope(starts=len(box), draws=1, samples=32)
-    score, by_box = slope(box, np.arange(1), Softness(5.0, 3.0))
-    expected = score[1:].reshape(p, 4) @ np.array([1.0, -8.0, 8.0, -1.0]) / (12 * step)
-    np.testing.assert_allclose(by_box[0], expected, rtol=1e-4)
-    assert np.all(np.abs(expected) > 0.5)
-
-
-@pytest.mark.nightly
-def test_covariance_descents_improve_simulated_runs(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Their steps are estimates, near a hard edge those of hard resets; their ends are runs."""
-    monkeypatch.setattr(objective, "SAMPLES", 32)
-    monkeypatch.setattr(gradient, "Slope", lambda *_, **given: smooth_slope(**given))
-    found, tune = gradient.descend(SMOOTH), SMOOTH.tune
-    assert tune is not None
-    steps, ends = [e for e in found.evaluations if e.estimated], found.evaluations[-9:]
-    assert [e.step for e in steps] == [i for i in range(3) for _ in range(9)]
-    assert all(e.window_s is None and e.sharpness for e in steps)
-    assert all(e.sharpness is None and not e.estimated for e in ends)
-    draw = 2 * 600  # steps of both variants
-    costs = [12 * 3 * draw + (i + 1) * 9 * 3 * draw * (1 + TANGENT_STEPS * 2) for i in range(3)]
-    assert [e.cost for e in steps[::9]] == costs
-    assert found.cost == costs[-1] + 9 * 2 * draw
-    space = SearchSpace.from_study(SMOOTH)
-    points = {str(i): space.make_point(e.values, {}) for i, e in enumerate(steps[:9])}
-    derived = search.derive_study(SMOOTH, points, name="begin")
-    hard = objective.estimate_values(tune, derived).reshape(9, -1)
-    box = np.array([space.to_box(e.values) for e in steps[:9]])
-    slope = smooth_slope(starts=9, draws=1, samples=32)
-    np.testing.assert_allclose(
-        slope(box, np.arange(1), Softness(1.0, 2.0**14))[0], hard.mean(axis=1), atol=0.02
-    )
-    runs = search.point_values(SMOOTH, derived, run.run(derived, curves=False).summary)
-    begun = np.array([objective.score(tune, values) for values in runs])
-    assert np.mean([e.objective for e in ends]) < np.mean(begun) - 1.0
-    assert found.best.objective <= begun.min()
-
-
-@pytest.mark.nightly(
-    fast=(
-        *("settle_mean-False-None", "settle_mean-True-1.3", "final_error-True-None"),
-        *("final_error-False-1.3", "failure_rate-True-1.3", "failure_rate-False-1.3"),
-    )
-)
-@pytest.mark.parametrize("from_floor", [None, 1.3])
-@pytest.mark.parametrize("truth", [False, True])
-@pytest.mark.parametrize("what", ["settle_mean", "final_error", "failure_rate"])
-def test_relaxed_estimates_match_closed_form(
-    what: str, truth: bool, from_floor: float | None
-) -> None:
-    """Two runs, arcmin: means 5 and -1, floor 2, sigma 4, about the floor possibly another."""
-    study = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, objective=what)
-    assert study.tune is not None
-    band = study.tune.objective_band_arcmin
-    phi = np.zeros((3, 1, 2)) + np.array([5.0, -1.0]) * ARCMIN
-    settled = np.arange(2 * 1 * 3 * 2, dtype=float).reshape(2, 1, 3, 2)
-    about = None if from_floor is None else np.full((1, 2), from_floor * ARCMIN)
-    spread = ErrorCovariance(phi, np.full((3, 1, 2), 4.0 * ARCMIN), phi, settled, about)
-    limit = BiasFloor(Vec3(*(np.full(2, of * ARCMIN) for of in (0.0, 0.0, 2.0))), None, None)
-    outcome = Outcome._make([None] * len(Outcome._fields))._replace(floor=limit)
-    criteria = Criteria(np.array([band * ARCMIN]), *(0.0,) * 4, sharpness=4.0)
-    got = objective.relaxed_estimates(study.tune, criteria, outcome, spread, truth=truth)
-    mean = np.array([5.0, -1.0]) - (0.0 if truth else 2.0)
-    sigma = 4.0 if truth or from_floor is None else from_floor
-    inside = norm.cdf((band - mean) / sigma) - norm.cdf((-band - mean) / sigma)
-    expected = {
-        "settle_mean": settled[1 if truth else 0, 0].T,
-        "final_error": np.hypot(mean, sigma)[:, None],
-        "failure_rate": 1.0 - inside[:, None],
-    }
-    np.testing.assert_allclose(got, expected[what], rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("sections", "holds"),
-    [
-        ({"resets": {"reset_times_s": [2.0], "reset_at_feedback": True}}, True),
-        ({"alignment": {"method": "compass"}, "compass": {"level_time_s": 2.0}}, True),
-        ({"motion": {"vibration_ug_rms": 10.0}}, False),
-    ],
-)
-def test_fixed_resets_use_covariance_analysis_only_if_valid(
-    sections: dict[str, Any], holds: bool
-) -> None:
-    key = "azimuth_sigma_per_s" if "compass" in sections else "p0_yaw_deg"
-    study = tuned({key: log(0.02, 0.05) if "compass" in sections else log(5.0, 80.0)}, sections)
-    parameters = ParameterMap(study, {})
-    assert not parameters.moves_resets and parameters.by_covariance == holds
-
-
 # Descents
 
 
 @pytest.fixture(scope="module")
 def down() -> tuple[Study, history.SearchResult]:
-    """Descents of a compass whose loop may be too slow or too fast; every step uses both draws.
-
-    Of stored data, though it is navigated once: covariance analysis does not hold for such.
-    """
+    """Descents of a compass whose loop may be too slow or too fast; every step uses both draws."""
     study = tuned(
         {"azimuth_sigma_per_s": log(0.02, 0.08)},
         {
@@ -626,21 +495,17 @@ def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.Monk
     assert seen == [[0, 1], [2, 3], [0, 1], [2, 3]]
 
 
-def test_resumed_tuning_takes_each_search_from_its_own_points() -> None:
-    """Gradient and covariance searches, which are kept whole."""
+def test_resumed_tuning_takes_gradient_search_from_its_own_points() -> None:
     evaluation = history.Evaluation(0, 0, [1.0], 1.0, 1, 0)
-    known = [history.SearchResult(name, [evaluation]) for name in ("gradient", "covariance")]
+    known = [history.SearchResult(name, [evaluation]) for name in ("grid", "gradient")]
     study = tuned({"p0_yaw_deg": log(5.0, 50.0)}, {"study": SHORT})
     session = search.SearchSession(
         Job(study, directory=Path("unused"), resume=True),
         lambda _: nullcontext(),
         threading.Event(),
     )
-    for result in known:
-        found = run_tuning._run_search(
-            study, SearchSpace.from_study(study), result.search, session, known
-        )
-        assert found.search == result.search
+    space = SearchSpace.from_study(study)
+    assert run_tuning._run_search(study, space, "gradient", session, known) == known[1]
 
 
 @pytest.mark.nightly

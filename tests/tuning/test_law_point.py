@@ -152,7 +152,6 @@ SHORT: dict[str, Any] = {
     "tune": {
         **{"objective_band_arcmin": 600.0, "tune_draws": 2, "evaluation_draws": 4},
         **{"grid_points": 2, "descent_screen": 4, "descent_starts": 2, "descent_steps": 1},
-        **{"evolution_screen": 2, "evolution_steps": 1, "feedback_phases": 1},
         "objective": "final_error",
     },
 }
@@ -192,20 +191,6 @@ def test_descents_screen_the_law_and_evaluate_it(
     all_start = SHORT["tune"] | {"descent_screen": 2}
     unscreened = gradient.descend(tuned(RANGES, **SHORT | {"tune": all_start}))
     assert unscreened.evaluations[0].values == pytest.approx(law_values)
-
-
-def test_covariance_search_estimates_the_law_first(
-    monkeypatch: pytest.MonkeyPatch, law_values: list[float]
-) -> None:
-    monkeypatch.setattr(
-        search,
-        "score_points",
-        lambda study, _, points, *__: search.PointScores([1.0] * len(points), study, None),
-    )
-    progress: list[Any] = []
-    found = search.search_by_covariance(tuned(RANGES, **SHORT), on_progress=progress.append)
-    assert found.evaluations[0].values == pytest.approx(law_values)
-    assert progress[-1].done == progress[-1].total == len(found.evaluations) == 1 + 2 + 8 + 3
 
 
 @pytest.fixture(scope="module")

@@ -25,15 +25,12 @@ import jax.numpy as jnp
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, Triangle, congruence, triangle_index
 from sinsjax.maths.rotations import sin_cos
-from sinsjax.methods.base import AttitudeCovariance, Method, Options, Site, StartChange
+from sinsjax.methods.base import AttitudeCovariance, Method, Options, Site
 from sinsjax.methods.filters.attitude import (
     estimated_misalignment,
     misalignment_covariance,
-    misalignment_inputs,
     rotate_covariance,
     rotation_from_tilt,
-    tilt_and_azimuth,
-    tilt_and_azimuth_change,
 )
 from sinsjax.methods.filters.closed_loop import (
     Filter,
@@ -172,13 +169,10 @@ def build_filter(predict: Prediction, options: Options) -> Filter:
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> tuple[FilterState, Entries]:
+    ) -> FilterState:
         nav, _, here = mechanise(site, state.nav, sample)
         belief = predict(state.belief, here, dt, params.extra)
-        return state._replace(nav=nav, belief=belief), at_rest(state, here)
-
-    def at_rest(state: FilterState, here: Place) -> Entries:
-        return jacobian(state.belief.x, here, dt)
+        return state._replace(nav=nav, belief=belief)
 
     return Filter(
         init=initial_state,
@@ -188,24 +182,16 @@ def build_filter(predict: Prediction, options: Options) -> Filter:
         reset=partial(reset_covariance, heading=(AZIMUTH,)),
         reverse=partial(reverse_time, REVERSAL),
         place=options.place,
-        at_rest=at_rest,
+        at_rest=lambda state, here: jacobian(state.belief.x, here, dt),
         misalignment=estimated_misalignment,
         attitude=_attitude,
         covariance=_covariance,
-        inputs=misalignment_inputs,
-        start_error=_start_error,
     )
 
 
 def _correction(phi: Vec3) -> Quat:
     """Return the rotation that corrects the attitude by tilt and azimuth, rad."""
     return rotation_from_tilt(phi.x, phi.y, *sin_cos(phi.z))
-
-
-def _start_error(state: FilterState, change: StartChange) -> tuple[Scalar, ...]:
-    tilt_e, tilt_n, sine, cosine = tilt_and_azimuth_change(change)
-    _, _, s, c = tilt_and_azimuth(change.attitude)
-    return (change.ve, change.vn, tilt_e, tilt_n, c * sine - s * cosine)
 
 
 def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:

@@ -366,8 +366,6 @@ COMPASS = Description(
     load=_load,
     has_covariance=False,
     turning="none",
-    has_error_model=True,
     rules=(check_sigma_factors,),
     step_s=5e-9,
-    estimate_runs=7.5,
 )

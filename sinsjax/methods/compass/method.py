@@ -13,28 +13,19 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, Minus
 from sinsjax.methods.base import (
-    ErrorModel,
-    ErrorStep,
     Method,
     Options,
     Passes,
     RunEnd,
     Site,
-    StartChange,
     unknown_covariance,
 )
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains, scale_azimuth_gains
-from sinsjax.methods.filters.attitude import misalignment_inputs
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.methods.schedules import PiecewiseConstant, value_at
 from sinsjax.strapdown import earth, mechanisation
-from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
 from sinsjax.types import Flag, Navigation, Sample, Scalar, Vec3
-
-INTEGRAL_E, INTEGRAL_N, RATE_U = range(5, 8)
-"""Error states in addition to those of `error_model.five_state_transition`."""
 
 
 class Reversal(NamedTuple):
@@ -138,15 +129,6 @@ def build(options: Options) -> Method:
             force_n=_low_pass(state.force_n, f_dt.y / dt, params.smoothing),
         )
 
-    def error_step(
-        params: LoopParams, site: Site, state: LoopState, sample: Sample, n: Scalar
-    ) -> ErrorStep:
-        place, gains = options.place(site, state.nav), gains_at(params, n)
-        control = platform_control(gains, state, place)
-        _, f_dt = mechanisation.advance_navigation(state.nav, sample, place, dt, control)
-        transition = error_transition(gains, state.nav, control, place, f_dt, dt)
-        return ErrorStep(transition, misalignment_inputs(state), (), ())
-
     def rewind(params: LoopParams, nav: Navigation, state: LoopState) -> LoopState:
         """Start again, but keep levelling integrals and azimuth rate, which balance gyro drift."""
         return init(params, nav)._replace(
@@ -161,7 +143,6 @@ def build(options: Options) -> Method:
         normalise=_normalise,
         floor=_bias_floor,
         passes=Passes(reverse=_reverse, rewind=rewind),
-        error_model=ErrorModel(error_step, _error_angles, _start_error),
     )
 
 
@@ -200,52 +181,6 @@ def platform_control(gains: Gains, state: LoopState, place: earth.Place) -> Vec3
         level.k2 * place.curvature_e * nav.ve + state.integral_e,
         state.rate_u,
     )
-
-
-def error_transition(
-    gains: Gains, nav: Navigation, control: Vec3, place: earth.Place, f_dt: Vec3, dt: Scalar
-) -> Entries:
-    """Return the non-zero entries of A dt of the closed loops by the error states.
-
-    These are those of `error_model.five_state_transition`, then the levelling integrals and the
-    azimuth rate, whose errors rotate the platform. The error of the latitude is neglected.
-
-    Args:
-        gains: at the sample.
-        nav: solution before the sample.
-        control: `platform_control`.
-        place: Earth at the solution's latitude.
-        f_dt: specific force in n times dt, m/s.
-        dt: sample time, s.
-    """
-    level, azimuth = gains.level, gains.azimuth
-    entries = dict(five_state_transition(nav, place, f_dt, dt))
-
-    def add(row: int, column: int, value: Scalar) -> None:
-        before = entries.get((row, column), 0.0)
-        entries[row, column] = value + (-before.of if isinstance(before, Minus) else before)
-
-    add(VE, VE, -level.k1 * dt)
-    add(VN, VN, -gains.k1 * dt)
-    add(PHI_E, VN, -gains.k2 * place.curvature_n * dt)
-    add(PHI_N, VE, level.k2 * place.curvature_e * dt)
-    # phi' = phi x control, as with w_in.
-    for i, j, rate in ((PHI_E, PHI_N, control.z), (PHI_N, PHI_U, control.x)):
-        add(i, j, rate * dt)
-        add(j, i, -rate * dt)
-    add(PHI_U, PHI_E, control.y * dt)
-    add(PHI_E, PHI_U, -control.y * dt)
-    once = jnp.where(gains.levelling, dt, 0.0)  # the azimuth loop is its complement
-    then = dt - once
-    return entries | {
-        (PHI_E, INTEGRAL_N): Minus(once),
-        (PHI_N, INTEGRAL_E): dt,
-        (PHI_U, RATE_U): dt,
-        (INTEGRAL_E, VE): level.k3 * dt,
-        (INTEGRAL_N, VN): level.k3 * once,
-        (RATE_U, VN): azimuth.k3 / place.rate_n * then,
-        (RATE_U, RATE_U): Minus(azimuth.k4 * then),
-    }
 
 
 def _low_pass(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
@@ -290,17 +225,6 @@ def _bias_floor(
     felt = jnp.hypot(eps.x, place.rate_n + eps.y)
     lag = jnp.arcsin(jnp.clip(lag * place.rate_n / felt, -1.0, 1.0))
     return bias_floor(place, biases, jnp.where(end.backward, lag, -lag))
-
-
-def _error_angles(state: LoopState) -> tuple[tuple[Scalar, ...], ...]:
-    zero = jnp.zeros_like(state.rate_u)
-    states = range(RATE_U + 1)
-    return tuple(tuple(zero + float(i == angle) for i in states) for angle in (PHI_E, PHI_N, PHI_U))
-
-
-def _start_error(state: LoopState, change: StartChange) -> tuple[Scalar, ...]:
-    zero = jnp.zeros_like(state.rate_u)
-    return (change.ve, change.vn, *change.phi, zero, zero, zero)
 
 
 def _normalise(state: LoopState) -> LoopState:

@@ -7,13 +7,12 @@ any azimuth and a tilt of any size; e is the shortest rotation of the true verti
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, Minus, scale, triangle_index
-from sinsjax.methods.base import AttitudeCovariance, StartChange
-from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN
+from sinsjax.maths.algebra import triangle_index
+from sinsjax.methods.base import AttitudeCovariance
+from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U
 from sinsjax.types import Quat, Scalar, Vec3
 
 _ANGLES = (PHI_E, PHI_N, PHI_U)
@@ -22,19 +21,6 @@ _ANGLES = (PHI_E, PHI_N, PHI_U)
 def estimated_misalignment(state: Any) -> Vec3:
     """Return the estimated rotation vector, rad: `Filter.misalignment`."""
     return Vec3(*(state.belief.x[i] for i in _ANGLES))
-
-
-def misalignment_inputs(state: Any) -> Entries:
-    """Return `Filter.inputs`: velocity increments add to velocity, angles subtract from phi."""
-    turned = {(i, 3 + k): Minus(1.0) for k, i in enumerate(_ANGLES)}
-    return {(VE, 0): 1.0, (VN, 1): 1.0, **turned}
-
-
-def misalignment_start_error(state: Any, change: StartChange) -> tuple[Scalar, ...]:
-    """Return `Filter.start_error`: the change itself; bias estimates start from zero anyway."""
-    others = state.belief.x[PHI_U + 1 :]
-    zeros = (jnp.zeros_like(change.ve),) * len(others)
-    return (change.ve, change.vn, *change.phi, *zeros)
 
 
 def corrected_attitude(state: Any) -> Quat:
@@ -75,22 +61,6 @@ def rotation_from_tilt(tilt_e: Scalar, tilt_n: Scalar, sine: Scalar, cosine: Sca
     return rotations.multiply(
         rotation_about_vertical(sine, cosine), shortest_rotation(tilt_e, tilt_n)
     )
-
-
-def tilt_and_azimuth(q: Quat) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Return tilt east and north, rad, and sine and cosine of the azimuth of q = Rz(a) e."""
-    vertical = rotations.matrix(q)[2]
-    tilt_e, tilt_n = vertical.y, -vertical.x
-    about = rotations.multiply(q, rotations.conjugate(shortest_rotation(tilt_e, tilt_n)))
-    return tilt_e, tilt_n, 2 * about.w * about.z, about.w * about.w - about.z * about.z
-
-
-def tilt_and_azimuth_change(change: StartChange) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Return the change of the four numbers of `tilt_and_azimuth`, to first order."""
-    q, half = change.attitude, scale(0.5, change.phi)
-    rate = rotations.multiply(q, Quat(jnp.zeros_like(half.x), *half))
-    _, changes = jax.jvp(tilt_and_azimuth, (q,), (rate,))
-    return changes
 
 
 def rotate_covariance(

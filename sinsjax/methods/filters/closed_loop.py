@@ -9,7 +9,6 @@ filter, whatever its states.
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
@@ -17,8 +16,6 @@ from sinsjax.maths.algebra import Entries, Triangle, add, change_signs, select_t
 from sinsjax.methods import floors, kalman
 from sinsjax.methods.base import (
     AttitudeCovariance,
-    ErrorModel,
-    ErrorStep,
     Feedback,
     FilterResults,
     InnovationSum,
@@ -27,7 +24,6 @@ from sinsjax.methods.base import (
     Passes,
     RunEnd,
     Site,
-    StartChange,
 )
 from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.methods.kalman import Belief, Innovation
@@ -109,8 +105,7 @@ class Filter(NamedTuple):
     Attributes:
         init: (params, navigation) -> state.
         propagate: (params, site, state, sample) -> state at the end of the sample, mechanised, with
-            the belief propagated but the process noise not yet added; and the transition of its
-            errors, the non-zero entries of A dt.
+            the belief propagated but the process noise not yet added.
         update: (params, state) -> state after the update with the velocity, and the `Innovation`.
         feed_back: (state, share) -> state with that share of its estimate moved into the
             navigation solution, and the correction of its attitude, rad.
@@ -121,8 +116,6 @@ class Filter(NamedTuple):
         misalignment: state -> estimated misalignment that is not fed back yet, rad.
         attitude: state -> best attitude.
         covariance: state -> covariance of that attitude.
-        inputs: state -> `ErrorStep.inputs`.
-        start_error: see `ErrorModel.start`; None if the filter has none.
         extra_results: (site, state) -> `FilterResults.extra`; None if the filter has none.
         shares_covariance: see `Method.shares_covariance`.
         keep: (first state of a record, state at its end) -> the first with all that is no error of
@@ -131,7 +124,7 @@ class Filter(NamedTuple):
     """
 
     init: Callable[[Any, Navigation], Any]
-    propagate: Callable[[Any, Site, Any, Sample], tuple[Any, Entries]]
+    propagate: Callable[[Any, Site, Any, Sample], Any]
     update: Callable[[Any, Any], tuple[Any, Innovation]]
     feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]]
     reset: Callable[[CovarianceReset, Triangle, tuple[Scalar, ...]], Triangle]
@@ -141,8 +134,6 @@ class Filter(NamedTuple):
     misalignment: Callable[[Any], Vec3]
     attitude: Callable[[Any], Quat]
     covariance: Callable[[Any], AttitudeCovariance]
-    inputs: Callable[[Any], Entries]
-    start_error: Callable[[Any, StartChange], tuple[Scalar, ...]] | None
     extra_results: Callable[[Site, Any], Any] | None = None
     shares_covariance: bool = False
     keep: Callable[[Any, Any], Any] | None = None
@@ -175,9 +166,6 @@ def closed_loop(filter_: Filter, options: Options) -> Method:
             begin_after=_begin_after,
             gyro_bias=filter_.gyro_bias,
         ),
-        error_model=None
-        if filter_.start_error is None
-        else ErrorModel(loop.error_step, loop.error_angles, filter_.start_error),
     )
 
 
@@ -196,7 +184,7 @@ class _ClosedLoop(NamedTuple):
 
     def step(self, params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
         before = state
-        state, _ = self.filter.propagate(params, site, state, sample)
+        state = self.filter.propagate(params, site, state, sample)
         state, innovation = self.filter.update(params, add_process_noise(params, state))
         if self.trigger is not None:
             state = self._update_trigger(params, site, before, state, innovation, n)
@@ -237,30 +225,6 @@ class _ClosedLoop(NamedTuple):
             state.innovations,
             None if extra is None else extra(site, state),
         )
-
-    def error_step(
-        self, params: Any, site: Site, state: Any, sample: Sample, n: Scalar
-    ) -> ErrorStep:
-        propagated, transition = self.filter.propagate(params, site, state, sample)
-        predicted = add_process_noise(params, propagated).belief
-        gains = kalman.gains(predicted.p, (VE, VN), params.r, len(predicted.x))
-        return ErrorStep(transition, self.filter.inputs(state), gains, (VE, VN))
-
-    def error_angles(self, state: Any) -> tuple[tuple[Scalar, ...], ...]:
-        """Return the derivative of the corrected attitude by the estimates, whose errors are -d."""
-        x, columns = state.belief.x, []
-
-        def attitude(x: tuple[Scalar, ...]) -> Quat:
-            return self.filter.attitude(state._replace(belief=state.belief._replace(x=x)))
-
-        zero = tuple(jnp.zeros_like(entry) for entry in x)
-        for i in range(len(x)):
-            unit = (*zero[:i], jnp.ones_like(x[i]), *zero[i + 1 :])
-            q, rate = jax.jvp(attitude, (x,), (unit,))
-            # Of q = exp(phi/2) q_0: twice the vector part of its rate times its conjugate.
-            turn = rotations.multiply(rate, rotations.conjugate(q))
-            columns.append((2 * turn.x, 2 * turn.y, 2 * turn.z))
-        return tuple(zip(*columns, strict=True))
 
     def _feed_back_and_reset(
         self, params: Any, state: Any, due: Due, n: Scalar

@@ -74,7 +74,6 @@ describe_filter = partial(
     reads=FILTER_KEYS,
     without_effect=BIAS_KEYS,
     turning="none",
-    has_error_model=True,
     rules=(check_trigger, check_resets),
     columns=FILTER_COLUMNS,
     last_triggered_sample=last_triggered_sample,

@@ -20,9 +20,7 @@ OPTIMISATION = _describe(
     summary="attitude that takes all integrated velocities closest to gravity's in inertial space",
     source="Wu et al. (2011), Wu and Pan (2013)",
     load=partial(_load, "build_optimisation"),
-    has_error_model=True,
     step_s=3e-9,
-    estimate_runs=12.0,
 )
 
 OPTIMISATION_POSITION = _describe(

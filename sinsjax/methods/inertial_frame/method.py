@@ -10,42 +10,20 @@ No initial attitude, velocity or covariance enters; the measurements alone decid
 from least squares of the integrated velocities or positions, or from two weighted means of the
 force. The base must not travel, but may sway.
 
-The linear error of the velocity fit: gyro errors rotate the body frame b0 by a small angle psi, and
-so every specific force in it; the integrated force alpha is off by this and by the accelerometer
-errors. With both in n0, p = C psi and a = C d(alpha) for C = C_{b0}^{n0}, a sample of force f dt
-gives
-
-    a <- a + p x f dt + w_a,    p <- p + w_g.
-
-C solves Wahba's problem, the least sum of |C alpha - beta|^2. Rotated by a small angle theta, and
-with C alpha = beta without noise, the sum is that of |a - beta x theta|^2, so
-
-    M theta = -m,    m = sum of beta x a,    M = sum of (|beta|^2 I - beta beta').
-
-The attitude C_{n0}^n C C_b^{b0} then rotates by theta + p, and its misalignment is
-
-    phi = C_{n0}^n (M^-1 m - p).
-
-p, a and m are the nine states of d. After the first samples, whose beta are all parallel, C has no
-heading yet; their contribution to m is as short as they are.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, Minus, add, cross, dot, scale, select_tree
+from sinsjax.maths.algebra import add, scale, select_tree
 from sinsjax.methods.base import (
-    ErrorModel,
-    ErrorStep,
     Method,
     Options,
     RunEnd,
     Site,
-    StartChange,
     unknown_covariance,
 )
 from sinsjax.methods.coarse import triad_attitude
@@ -59,7 +37,6 @@ from sinsjax.methods.inertial_frame.least_squares import (
     fit_velocities,
     no_positions,
     no_velocities,
-    reaction_velocity,
 )
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
@@ -152,9 +129,7 @@ def build_optimisation(options: Options) -> Method:
     Wu et al., Aerosp. Sci. Technol. 15 (2011), and Wu and Pan, IEEE TAES 49 (2013): the
     eigenvector of the largest eigenvalue of a 4 x 4 matrix, found at record times.
     """
-    method = _build_from_sums(options, no_velocities, add_velocity, fit_velocities)
-    error_model = ErrorModel(partial(_error_step, options.dt), _error_angles, _start_error)
-    return method._replace(error_model=error_model)
+    return _build_from_sums(options, no_velocities, add_velocity, fit_velocities)
 
 
 def build_optimisation_position(options: Options) -> Method:
@@ -239,77 +214,3 @@ def _fit_mean_and_slope(sums: ForceSums, count: Scalar) -> Quat:
         return jnp.stack([jnp.stack(mean), jnp.stack(slope)])
 
     return triad_attitude(weighted(sums.measured), weighted(sums.expected))
-
-
-TURN, VELOCITY, MOMENT = 0, 3, 6
-"""First of the three states p, a and m."""
-
-_AXES = range(3)
-_ANGLE_INPUTS: Entries = {(TURN + i, 3 + i): 1.0 for i in _AXES}
-_VELOCITY_INPUTS: Entries = {(VELOCITY + i, i): 1.0 for i in _AXES}
-
-
-def _error_step(
-    dt: Scalar, params: Any, site: Site, state: Any, sample: Sample, n: Scalar
-) -> ErrorStep:
-    """Return `ErrorModel.step` of `optimisation`; dt is the sample time, s."""
-    to_n0 = rotations.multiply(fit_velocities(state.sums, state.count), state.frames.body)
-    force, beta = rotations.rotate(to_n0, sample.dv), reaction_velocity(site.place, n * dt)
-    along, beta_entries = dot(beta, force), _cross_entries(beta)
-    # beta x (p x f) = (beta f) p - f (beta p)
-    from_turn: Entries = {
-        (MOMENT + i, TURN + j): (along if i == j else 0.0) - force[i] * beta[j]
-        for i in _AXES
-        for j in _AXES
-    }
-    return ErrorStep(
-        {
-            **{(VELOCITY + i, TURN + j): Minus(v) for (i, j), v in _cross_entries(force).items()},
-            **{(MOMENT + i, VELOCITY + j): v for (i, j), v in beta_entries.items()},
-            **from_turn,
-        },
-        {
-            **_ANGLE_INPUTS,
-            **_VELOCITY_INPUTS,
-            **{(MOMENT + i, j): v for (i, j), v in beta_entries.items()},
-        },
-        (),
-        (),
-        to_n0,
-    )
-
-
-def _cross_entries(v: Vec3) -> dict[tuple[int, int], Scalar]:
-    """Return the non-zero entries of v x."""
-    return {(0, 1): -v.z, (0, 2): v.y, (1, 0): v.z, (1, 2): -v.x, (2, 0): -v.y, (2, 1): v.x}
-
-
-def _error_angles(state: Any) -> tuple[tuple[Scalar, ...], ...]:
-    """Return `ErrorModel.angles`: C_{n0}^n (M^-1 m - p)."""
-    zero = jnp.zeros_like(state.count)
-    to_n0 = fit_velocities(state.sums, state.count)
-    # With C alpha in place of beta: sum of beta (C alpha)'.
-    rows = [rotations.rotate(to_n0, row) for row in state.sums.profile]
-    weight = rows[0].x + rows[1].y + rows[2].z
-    m = [
-        [(weight if i == j else zero) - 0.5 * (rows[i][j] + rows[j][i]) for j in _AXES]
-        for i in _AXES
-    ]
-    inverse = _inverse_columns([Vec3(*row) for row in m])
-    return tuple(
-        (-to_n.x, -to_n.y, -to_n.z, *(zero,) * 3, *(dot(to_n, column) for column in inverse))
-        for to_n in rotations.matrix(state.frames.earth)
-    )
-
-
-def _inverse_columns(rows: list[Vec3]) -> list[Vec3]:
-    """Return the columns of a symmetric matrix's inverse, not finite if it is singular."""
-    x, y, z = rows
-    adjugate = (cross(y, z), cross(z, x), cross(x, y))
-    factor = 1 / dot(x, adjugate[0])
-    return [scale(factor, column) for column in adjugate]
-
-
-def _start_error(state: Any, change: StartChange) -> tuple[Scalar, ...]:
-    """Return `ErrorModel.start`: the start does not enter."""
-    return (jnp.zeros_like(change.ve),) * 9

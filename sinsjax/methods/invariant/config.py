@@ -19,5 +19,4 @@ INVARIANT = describe_filter(
     source="Barrau and Bonnabel (2017)",
     load=_load,
     step_s=15e-9,
-    estimate_runs=6.5,
 )

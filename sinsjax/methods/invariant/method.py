@@ -59,13 +59,12 @@ def build_filter(options: Options) -> Filter:
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> tuple[FilterState, Entries]:
+    ) -> FilterState:
         before = state.nav
         nav, f_dt, here = mechanise(site, before, sample)
         up = state.extra + (f_dt.z - here.gravity * dt) + _coriolis_up(before, here) * dt
-        entries = transition(before, here)
-        belief = kalman.propagate(state.belief, entries)
-        return state._replace(nav=nav, belief=belief, extra=up), entries
+        belief = kalman.propagate(state.belief, transition(before, here))
+        return state._replace(nav=nav, belief=belief, extra=up)
 
     return Filter(
         init=init,
@@ -79,8 +78,6 @@ def build_filter(options: Options) -> Filter:
         misalignment=attitude.estimated_misalignment,
         attitude=attitude.corrected_attitude,
         covariance=attitude.misalignment_covariance,
-        inputs=attitude.misalignment_inputs,
-        start_error=attitude.misalignment_start_error,
         shares_covariance=options.position == "fixed",
     )
 

@@ -104,7 +104,6 @@ SINCOS = describe_filter(
     without_effect=(*BIAS_KEYS, "p0_yaw_deg", "reset_yaw_deg"),
     columns=(*FILTER_COLUMNS, *NORTH_DRIFT),
     step_s=15e-9,
-    estimate_runs=5.0,
 )
 
 SURGE = describe_filter(
@@ -117,6 +116,5 @@ SURGE = describe_filter(
     rules=(check_no_trigger, check_trigger, check_resets),
     columns=(*FILTER_COLUMNS, *NORTH_DRIFT),
     turning="many",
-    has_error_model=False,
     step_s=25e-9,
 )

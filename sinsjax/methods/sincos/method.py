@@ -22,7 +22,7 @@ cancels over minutes. Four more states of method `kalman_surge` model it, on eit
 with a place s that wanders within bounds, correlation time T and rms velocity sigma: w has density
 2 sigma^2/T, s starts with variance (sigma T)^2. The measured V is that of the solution, whose error
 is dV alone; only dV and the tilt are fed back. With T and sigma of the base, Q of the sensors and a
-small R, the heading comes within a few percent of the information bound (`covariance.information`),
+small R, the heading comes within a few percent of the information bound (`bounds.information`),
 and P is true.
 """
 
@@ -35,12 +35,11 @@ import jax.numpy as jnp
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, triangle_index
 from sinsjax.methods import kalman
-from sinsjax.methods.base import AttitudeCovariance, Method, Options, Site, StartChange
+from sinsjax.methods.base import AttitudeCovariance, Method, Options, Site
 from sinsjax.methods.filters.attitude import (
     rotate_covariance,
     rotation_from_tilt,
     shortest_rotation,
-    tilt_and_azimuth_change,
 )
 from sinsjax.methods.filters.closed_loop import (
     Filter,
@@ -97,10 +96,9 @@ def build_filter(options: Options) -> Filter:
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> tuple[FilterState, Entries]:
+    ) -> FilterState:
         nav, _, here = mechanise(site, state.nav, sample)
-        entries = transition(here, dt)
-        return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries)), entries
+        return state._replace(nav=nav, belief=kalman.propagate(state.belief, transition(here, dt)))
 
     return Filter(
         init=init_unknown_heading,
@@ -114,8 +112,6 @@ def build_filter(options: Options) -> Filter:
         misalignment=_misalignment,
         attitude=_attitude,
         covariance=_covariance,
-        inputs=_inputs,
-        start_error=_start_error,
         extra_results=_north_drift,
         shares_covariance=options.position == "fixed",
         keep=_keep_amplitude,
@@ -185,22 +181,6 @@ def _direction(state: Any) -> Direction:
         jnp.where(known, c, 1.0) / amplitude,
         amplitude,
     )
-
-
-def _inputs(state: FilterState) -> Entries:
-    """Return `Filter.inputs`: a rotation about the vertical changes sine and cosine."""
-    d = _direction(state)
-    return {
-        **{(VE, 0): 1.0, (VN, 1): 1.0, (TILT_E, 3): Minus(1.0), (TILT_N, 4): Minus(1.0)},
-        **{(SINE, 5): Minus(d.cosine), (VERSINE, 5): Minus(d.sine)},
-    }
-
-
-def _start_error(state: FilterState, change: StartChange) -> tuple[Scalar, ...]:
-    """Return `Filter.start_error`: sine and versine change by those of the unknown heading."""
-    tilt_e, tilt_n, sine, cosine = tilt_and_azimuth_change(change)
-    zeros = (jnp.zeros_like(change.ve),) * len(state.belief.x[VERSINE + 1 :])
-    return (change.ve, change.vn, tilt_e, tilt_n, sine, -cosine, *zeros)
 
 
 def _misalignment(state: FilterState) -> Vec3:
@@ -297,10 +277,10 @@ def build_surge_filter(options: Options) -> Filter:
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> tuple[FilterState, Entries]:
+    ) -> FilterState:
         nav, _, here = mechanise(site, state.nav, sample)
         entries = surge_transition(here, state.extra, dt)
-        return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries)), entries
+        return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries))
 
     return build_filter(options)._replace(
         init=init,
@@ -308,7 +288,6 @@ def build_surge_filter(options: Options) -> Filter:
         update=_update_with_surge,
         reverse=partial(reverse_time, SURGE_REVERSAL),
         at_rest=lambda state, here: surge_transition(here, state.extra, dt),
-        start_error=None,  # the error model takes the first two states for the measured ones
     )
 
 

@@ -52,7 +52,7 @@ def build_filter(model: LinearModel, options: Options) -> Filter:
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> tuple[FilterState, Entries]:
+    ) -> FilterState:
         """Mechanise, then [P1] eqs (8) and (9) without Q."""
         before, sample = state.nav, model.correct_sample(sample, state.bias, dt)
         nav, f_dt, here = mechanise(site, before, sample)
@@ -61,7 +61,7 @@ def build_filter(model: LinearModel, options: Options) -> Filter:
         else:
             transition = model.transition(before, here, f_dt, dt)
         belief = kalman.propagate(state.belief, transition)
-        return state._replace(nav=nav, belief=belief), transition
+        return state._replace(nav=nav, belief=belief)
 
     return Filter(
         init=_init,
@@ -75,8 +75,6 @@ def build_filter(model: LinearModel, options: Options) -> Filter:
         misalignment=attitude.estimated_misalignment,
         attitude=attitude.corrected_attitude,
         covariance=attitude.misalignment_covariance,
-        inputs=attitude.misalignment_inputs,
-        start_error=attitude.misalignment_start_error,
         shares_covariance=assumes_rest and options.position == "fixed" and not model.uses_attitude,
         keep=_keep_biases,
         gyro_bias=partial(_gyro_bias, model) if _estimates_gyro_bias(model) else None,

@@ -41,7 +41,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from scipy import special
 
-from sinsjax.covariance.coloured_noise import (
+from sinsjax.bounds.coloured_noise import (
     ANGLE,
     IN_N,
     VELOCITY,

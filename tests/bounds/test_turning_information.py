@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from sinsjax.covariance.coloured_noise import ANGLE, IN_B, IN_N, VELOCITY
-from sinsjax.covariance.information import heading_bound
-from sinsjax.covariance.turning_information import (
+from sinsjax.bounds.coloured_noise import ANGLE, IN_B, IN_N, VELOCITY
+from sinsjax.bounds.information import heading_bound
+from sinsjax.bounds.turning_information import (
     ConstantErrors,
     HeadingProblem,
     WhiteNoise,

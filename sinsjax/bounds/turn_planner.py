@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sinsjax.covariance.coloured_noise import increment_error_processes, present_processes
-from sinsjax.covariance.turning_information import (
+from sinsjax.bounds.coloured_noise import increment_error_processes, present_processes
+from sinsjax.bounds.turning_information import (
     LONGEST_STEP_S,
     ConstantErrors,
     HeadingProblem,
@@ -109,7 +109,7 @@ def plan_turns(
     too short are left out.
 
     The heading is that of the body at the end of the data, and the error is the information bound
-    of `sinsjax.covariance.turning_information`, on the WGS-84 ellipsoid.
+    of `sinsjax.bounds.turning_information`, on the WGS-84 ellipsoid.
 
     Args:
         gyro_bias_deg_per_h: 1 sigma of the turn-on bias of each gyro, deg/h.

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from sinsjax.covariance import information as bounds
-from sinsjax.covariance.information import heading_bound
+from sinsjax.bounds import information as bounds
+from sinsjax.bounds.information import heading_bound
 from sinsjax.strapdown import earth, processes
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.sensors import error_free_sensors
@@ -71,7 +71,7 @@ def autocovariance(process, n):
     return np.array(out)
 
 
-def batch(n, surge=None):
+def batch(n, surge=None, drift=None):
     """The rows d (2 n, 3) and the covariance C (2 n, 2 n) of u, sample by sample."""
     d = responses(n)[1:, :2, 2:].reshape(2 * n, 3)
     c = np.zeros((2 * n, 2 * n))
@@ -85,12 +85,17 @@ def batch(n, surge=None):
         )
         moved = by_impulses(n, axis) @ changes
         c += surge.scale[axis] ** 2 * moved @ toeplitz(autocovariance(surge, n)) @ moved.T
+    for name, process in (drift or {}).items():
+        first, end = (2, 5) if name == "gyro_instability" else (0, 2)
+        for axis in range(first, end):
+            moved = by_impulses(n, axis) * DT * process.scale[axis - first]
+            c += moved @ toeplitz(autocovariance(process, n - 1)) @ moved.T
     return d, c
 
 
-def least_squares(n, surge=None):
+def least_squares(n, surge=None, drift=None):
     """Generalised least squares: the estimator's rows (3, 2 n), and its covariance."""
-    d, c = batch(n, surge)
+    d, c = batch(n, surge, drift)
     whitened = np.linalg.solve(c, d)
     covariance = np.linalg.inv(d.T @ whitened)
     return covariance @ whitened.T, covariance
@@ -101,6 +106,19 @@ def test_information_bound_matches_generalised_least_squares(name):
     surge, counts = OF_SURGE.get(name), (40, 200)
     found = bound([n * DT for n in counts], Disturbances(surge=surge))
     expected = [np.sqrt(least_squares(n, surge)[1][2, 2]) for n in counts]
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "rms"),
+    [("gyro_instability", DEG_PER_H), ("accel_instability", 9.8e-3)],
+    ids=["gyro", "accel"],
+)
+def test_bound_with_drifts_matches_generalised_least_squares(name, rms):
+    drift = {name: processes.gauss_markov_process(rms * np.array([1.0, 0.5, 0.7]), 5.0, DT)}
+    found = bound([100 * DT], Disturbances(**drift))
+    assert found > 1.1 * bound([100 * DT])
+    expected = np.sqrt(least_squares(100, drift=drift)[1][2, 2])
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 

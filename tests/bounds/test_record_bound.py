@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from sinsjax.covariance import information as bounds
+from sinsjax.bounds import information as bounds
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, MICRO
 
 G = 9.8

@@ -2,7 +2,7 @@
 
 On a base at rest the level gyro bias hides in the heading. A turn of the base changes the sign of a
 bias in n but not that of the Earth rate, so that the data separate the two. The model is that of
-`covariance.information` with constant errors of the sensors in the body frame b: of the gyros, with
+`bounds.information` with constant errors of the sensors in the body frame b: of the gyros, with
 biases b_g and a matrix M_g of scale factors and cross-axis errors, and of the accelerometers,
 
     phi' = phi x w_ie - C (b_g + M_g w + drifts + noise),
@@ -25,7 +25,7 @@ the filter leaves unexplained and e has the covariance P of the filter, so
 
 This is the Cramer-Rao bound of unbiased estimators of the heading at t, biases and all (with priors
 on the constant errors the van Trees bound, which a linear estimator attains). Unlike the bound of
-`covariance.information` it is measured from the true heading and not from a bias floor, and it is
+`bounds.information` it is measured from the true heading and not from a bias floor, and it is
 that of the body at the end of the data and not at their beginning.
 
 The steps are longer than a sample of the sensors. Over a step the integrals of C, C w and C' f are
@@ -41,7 +41,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from sinsjax.covariance.coloured_noise import IN_N, VELOCITY
+from sinsjax.bounds.coloured_noise import IN_N, VELOCITY
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.processes import Process
 

@@ -1,1 +1,0 @@
-"""Linear covariance analysis of the true error: expected results without draws, and bounds."""
