@@ -1,8 +1,7 @@
 """The result columns, with units and types, and the version of their schema.
 
-A study of draws writes two datasets: ``summary`` with one row per run, and ``curves`` with one row
-per run and record time. One that estimates without draws writes ``estimates``, one row per variant.
-The keys that a study sweeps are also columns of the summary and of the estimates.
+A study writes two datasets: ``summary`` with one row per run, and ``curves`` with one row
+per run and record time. The keys that a study sweeps are also columns of the summary.
 """
 
 from collections.abc import Iterable
@@ -209,91 +208,12 @@ def report_time_columns(time_s: float) -> tuple[Column, Column, Column]:
     )
 
 
-def estimate_columns(
-    bands_arcmin: Iterable[float], time_s: float | None = None, *, floors_vary: bool = False
-) -> tuple[Column, ...]:
-    """Return the columns of an estimate at one time: mean and 1 sigma of phi, shares in bands.
-
-    Args:
-        bands_arcmin: of the heading.
-        time_s: from the first sample of data; None for the end.
-        floors_vary: whether draws have different bias floors.
-    """
-    at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
-    shares = (
-        Column(
-            f"within_{band:g}{'_truth' if truth else ''}{at}_share",
-            _F,
-            "",
-            f"probability of {'|phi_u|' if truth else '|phi_u - floor|'} <= {band:g} arcmin {when},"
-            " by the normal distribution",
-        )
-        for truth in (False, True)
-        for band in bands_arcmin
-    )
-    return (
-        *_misalignment_columns("phi", f"mean misalignment of the corrected attitude {when}", at),
-        *_misalignment_columns(
-            "true_sigma", f"1 sigma of the misalignment about its mean {when}", at
-        ),
-        *_misalignment_columns("sigma", f"the filter's own 1 sigma of the misalignment {when}", at),
-        *([floor_spread_column(time_s)] * floors_vary),
-        *shares,
-    )
-
-
-def floor_spread_column(time_s: float | None = None) -> Column:
-    """The spread about bias floors that differ from draw to draw, at one time; None for the end."""
-    at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
-    meaning = f"1 sigma of phi_u - floor about its mean {when}, the floor that of the draw's biases"
-    return Column(f"true_sigma_u_from_floor{at}_arcmin", _F, "arcmin", meaning)
-
-
-ESTIMATED_CURVES = (
-    Column("variant_id", _I, "", "point of the study's axes"),
-    CURVES[1],
-    *_misalignment_columns("phi", "mean misalignment of the corrected attitude"),
-    *_misalignment_columns("true_sigma", "1 sigma of the misalignment about its mean"),
-    *_misalignment_columns("sigma", "the filter's own 1 sigma of the misalignment"),
-)
-"""Columns of `sinsjax.estimated_curves`."""
-
-
 INFORMATION_BOUND = (
-    ESTIMATED_CURVES[0],
+    Column("variant_id", _I, "", "point of the study's axes"),
     CURVES[1],
     Column("bound_u_arcmin", _F, "arcmin", "least 1 sigma of phi_u of any unbiased estimator"),
 )
 """Columns of `sinsjax.information_bound`."""
-
-
-def settle_estimate_columns(band_arcmin: float, *, truth: bool = False) -> tuple[Column, ...]:
-    """The settling time into one band, estimated from sampled errors."""
-    settled = settle_column(band_arcmin, truth=truth).name.removesuffix("_s")
-    never = "null if so many never settle"
-    meanings = {
-        "mean": f"mean of {settled}_s over sampled errors; never counts as the end of the run",
-        "mean_error": "standard error of that mean",
-        "q10": f"10 % quantile of {settled}_s; {never}",
-        "median": f"median of {settled}_s; {never}",
-        "q90": f"90 % quantile of {settled}_s; {never}",
-    }
-    return tuple(Column(f"{settled}_{k}_s", _F, "s", text) for k, text in meanings.items())
-
-
-def nonlinearity_column(time_s: float | None = None) -> Column:
-    """The index of nonlinearity of an estimate at one time; None for the end."""
-    at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
-    meaning = "rms over 8 draws of phi_u beyond first order, in 1 sigma of the misalignment"
-    return Column(f"nonlinearity{at}", _F, "", f"{meaning}, {when}")
-
-
-FILLED = Column(
-    "filled_by_draws",
-    pa.bool_(),
-    "",
-    "whether nonlinearity exceeds 0.5, so that the statistics of phi_u are those of draws",
-)
 
 
 def settling_bands(
