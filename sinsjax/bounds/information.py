@@ -4,9 +4,9 @@ On a base at rest, a heading error phi_U tilts a free platform at the constant r
 -omega_N phi_U - eps_E, and the north specific force is g phi_E + nabla_N + noise. So the heading,
 from its floor -eps_E/omega_N, is the slope of a ramp in the force with unknown offset and start.
 
-`record_bound` is the closed form for white noise. Accelerometers with density q_a leave the slope
-of the tilt the variance of a straight line's, 12 q_a/(g^2 T^3). Gyros with density q_g turn the
-ramp into a random walk with a drift, whose variance is q_g/T: that of its two ends. The least
+White noise has a closed form, sqrt(12 q_a/(g^2 T^3) + q_g/T)/omega_N. Accelerometers with density
+q_a leave the slope of the tilt the variance of a straight line's, 12 q_a/(g^2 T^3). Gyros with
+density q_g turn the ramp into a random walk with a drift, whose variance is q_g/T. The least
 variance of an unbiased linear estimator is superadditive in the noise covariance, since
 min w'(A + B)w >= min w'A w + min w'B w over all weights w. The sum is therefore a bound, and close
 if one of the two noises dominates. Repeated passes add nothing. A swing about a constant attitude
@@ -39,7 +39,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from scipy import special
 
 from sinsjax.bounds.coloured_noise import (
     ANGLE,
@@ -172,44 +171,3 @@ def _effect_of_increments(first: int, to_n: np.ndarray) -> np.ndarray:
     else:
         out[_PHI] = -to_n
     return out
-
-
-def record_bound(
-    stored_s: Number,
-    *,
-    gyro_noise: Number,
-    accel_noise: Number,
-    rate_hz: Number,
-    gravity: Number,
-    rate_n: Number,
-) -> np.ndarray:
-    """Return the least 1 sigma of the heading under white sensor noise, from the bias floor, rad.
-
-    sqrt(12 q_a/(g^2 T^3) + q_g/T)/omega_N, for any unbiased estimator. No estimator removes the
-    floor of constant biases on a base that does not turn.
-
-    Args:
-        stored_s: length T of the data, s.
-        gyro_noise: standard deviation of a sample of the east gyro, rad/s.
-        accel_noise: standard deviation of a sample of the north accelerometer, m/s^2.
-        rate_hz: samples a second, 1/s.
-        gravity: g, m/s^2.
-        rate_n: omega_N = omega_ie cos L, rad/s, not 0.
-
-    Returns:
-        Of the shape that the arguments broadcast to.
-    """
-    length = np.asarray(stored_s, float)
-    ramp = 12 * np.square(accel_noise) / (rate_hz * np.square(gravity) * length**3)
-    walk = np.square(gyro_noise) / (rate_hz * length)
-    return np.asarray(np.sqrt(ramp + walk) / np.abs(rate_n))
-
-
-def share_outside(sigma: Number, band: Number) -> np.ndarray:
-    """Return the share of a normal error's draws outside +-band: 2 (1 - Phi(band/sigma)).
-
-    Args:
-        sigma: standard deviation > 0, such as `record_bound`.
-        band: half-width, in the same unit.
-    """
-    return np.asarray(special.erfc(np.asarray(band, float) / (np.sqrt(2) * np.asarray(sigma))))

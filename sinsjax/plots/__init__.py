@@ -21,7 +21,6 @@ from sinsjax.plots.grids import (
     GridAxis,
     MapQuantity,
     draw_heat_maps,
-    values_differ,
 )
 from sinsjax.plots.labels import axis_label, format_setting
 from sinsjax.plots.maps import plot_map
@@ -41,7 +40,6 @@ __all__ = [
     "draw_consistency",
     "draw_heading_errors",
     "line_colour",
-    "values_differ",
     "draw_mean_and_band",
     "group_curves",
     "draw_heat_maps",

@@ -82,11 +82,6 @@ class CellMarks(NamedTuple):
 _NO_MARKS = CellMarks()
 
 
-def values_differ(values: NDArray | Sequence[NDArray]) -> bool:
-    """Return whether cells of `draw_heat_maps` differ; a figure of equal cells shows nothing."""
-    return len(np.unique(values)) > 1
-
-
 def _tick_label(key: str, value: Any) -> str:
     """Return the label of a row or column."""
     return "none" if key == "reset_count" and value == 0 else format_value(value)

@@ -225,17 +225,6 @@ def replace_values(study: Study, changes: Mapping[str, Any]) -> Study:
     return study_from_dict(tables, study.name)
 
 
-def select_variant(study: Study, variant: int) -> Study:
-    """Return the study of one variant alone.
-
-    Args:
-        study: a simulated study.
-        variant: number of the variant.
-    """
-    point = {key: values[variant] for key, values in study.variant_values().items()}
-    return study.model_copy(update={"axes": {}, "zips": {}, "cases": (point,) if point else ()})
-
-
 def with_rate(study: Study, rate_hz: float) -> Study:
     """Return a recorded study with the rate of its record, unless it gives a rate itself.
 

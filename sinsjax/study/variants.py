@@ -67,10 +67,6 @@ class Variants:
         whole = self._study.resolved.column(*keys)
         return whole if self._are_all else whole._replace(codes=whole.codes[self.ids])
 
-    def raw_values(self, key: str) -> list[Any]:
-        """Return the values of one key, in the units of the file."""
-        return self.coded(key).to_list()
-
     def value(self, key: str, variant: int) -> Any:
         """Return the value of a key in the variant with this index in the part."""
         codes, choices = self._study.resolved.column(key)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from oracles.white_noise_bound import white_noise_bound
 from scipy.linalg import toeplitz
 
-from sinsjax.bounds import information as bounds
 from sinsjax.bounds.information import heading_bound
 from sinsjax.strapdown import earth, processes
 from sinsjax.strapdown.disturbances import Disturbances
@@ -149,7 +149,7 @@ def test_least_squares_on_simulated_data_reaches_bound(name):
 def test_white_noise_bound_is_near_closed_form(gyro, most):
     """A bound of the bound, and close to it where one of two noises dominates."""
     times = [100.0, 300.0]
-    closed = bounds.record_bound(
+    closed = white_noise_bound(
         np.array(times),
         gyro_noise=gyro / DT,
         accel_noise=ACCEL / DT,

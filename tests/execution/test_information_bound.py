@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from oracles.white_noise_bound import white_noise_bound
 from support.studies import small_study
 
-from sinsjax.bounds import information as bounds
 from sinsjax.errors import InputError
 from sinsjax.execution.information import information_bound
 from sinsjax.strapdown import earth
@@ -30,7 +30,7 @@ def test_variants_on_same_base_share_information_bound():
     np.testing.assert_array_equal(found[:, 0], found[:, 1])
     for latitude, own in zip((0.0, 50.0), found[:, 0], strict=True):
         place = earth.place(earth.wgs84(), latitude * DEG)
-        closed = bounds.record_bound(
+        closed = white_noise_bound(
             np.array([20.0, 60.0]),
             gyro_noise=0.1 * DEG_PER_H,
             accel_noise=500 * micro_g(),

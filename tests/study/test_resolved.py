@@ -62,7 +62,7 @@ def test_joint_columns_have_only_occurring_combinations(sweep, random):
 def test_variants_select_rows_of_study_columns():
     study = small_study(axes={"phi_u0_deg": [0, 10, 20], "feedback_interval_s": [1, 2]})
     some = Variants(study, np.array([1, 2, 5]))
-    assert some.raw_values("feedback_interval_s") == [2, 1, 2]
+    assert some.coded("feedback_interval_s").to_list() == [2, 1, 2]
     np.testing.assert_array_equal(some.column("phi_u0_deg", 2.0), [0.0, 20.0, 40.0])
     assert some.common("phi_e0_deg") == study.values("phi_e0_deg")[0]
 
