@@ -43,6 +43,7 @@ from sinsjax.study.study import Study
 from sinsjax.study.sweep import (
     Sweep,
     correctable_errors,
+    describe_gone_settings,
     read_sweep,
     read_tune_section,
     without_gone_settings,
@@ -96,7 +97,7 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
     """
     if isinstance(source, Study):
         return source.replace(changes) if changes else source
-    study = _load(source, changes)
+    study, _ = _load(source, changes)
     for line in files.describe_shadowed_study(source):
         warnings.warn(line, StudyWarning, stacklevel=2)
     return study
@@ -111,12 +112,12 @@ def load_with_notes(path: str | Path, changes: Mapping[str, Any]) -> tuple[Study
     Raises:
         InputError: see `load_study`.
     """
-    study = _load(path, changes)
-    return study, list_idle_keys(study)
+    study, tables = _load(path, changes)
+    return study, [*describe_gone_settings(tables), *list_idle_keys(study)]
 
 
-def _load(path: str | Path, changes: Mapping[str, Any] | None) -> Study:
-    """Read and check a study file."""
+def _load(path: str | Path, changes: Mapping[str, Any] | None) -> tuple[Study, TomlTable]:
+    """Read and check a study file; also return its tables."""
     name = files.source_name(path)
     data = files.read_tables(path)
     if changes:
@@ -126,7 +127,7 @@ def _load(path: str | Path, changes: Mapping[str, Any] | None) -> Study:
     except InputError as error:
         raise error.with_source(name) from None
     try:
-        return study_from_dict(data, name)
+        return study_from_dict(data, name), data
     except InputError as error:
         if "sensors" in data and data.keys() <= {*SHEET_TABLES}:
             hint = f"`sinsjax advise {path} --study FILE` writes a study of a data sheet"

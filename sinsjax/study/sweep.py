@@ -13,6 +13,7 @@ from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
+from sinsjax import gone
 from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import describe_broken_rule, explain_error, format_list_index, suggest_closest
 from sinsjax.study.keys import (
@@ -417,6 +418,13 @@ def without_gone_settings(tables: TomlTable) -> TomlTable:
     if not isinstance(tune, Mapping):
         return tables
     return tables | {"tune": {k: v for k, v in tune.items() if k not in _GONE_SETTINGS}}
+
+
+def describe_gone_settings(tables: TomlTable) -> list[str]:
+    """Return a line about the settings that `without_gone_settings` takes out, if there are any."""
+    found = [key for key in _GONE_SETTINGS if key in tables.get("tune", ())]
+    text = gone.LINE.format("drop it: only the search 'covariance' read it")
+    return [f"[tune] {', '.join(found)}: {text}."] if found else []
 
 
 def _read_baseline(table: TomlTable, swept: Mapping[str, str]) -> TomlTable:
