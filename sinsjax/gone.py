@@ -1,9 +1,9 @@
 """What version 1.0 had and this version does not have, each with what to use instead.
 
-The texts end a line such as ``[filter] turning: is gone since 1.1 (...)``.
+The texts end a line such as ``[filter] turning: was removed after 1.0 (...)``.
 """
 
-LINE = "is gone since 1.1 ({})"
+LINE = "was removed after 1.0 ({})"
 """The message about something that is gone, with the text about it."""
 
 KEYS: dict[str, str] = {

@@ -246,9 +246,9 @@ def test_wrong_command_line_gives_one_line_error(
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["terms"], "terms: is gone since 1.1 (docs/glossary.md)"),
-        (["sweep", "reset_sweep", "--workers", "4"], "sweep --workers: is gone since 1.1 (start"),
-        (["export", "reset_sweep", "-o", "x", "--resume"], "export --resume: is gone since 1.1"),
+        (["terms"], "terms: was removed after 1.0 (docs/glossary.md)"),
+        (["sweep", "reset_sweep", "--workers", "4"], "sweep --workers: was removed after 1.0 (start"),
+        (["export", "reset_sweep", "-o", "x", "--resume"], "export --resume: was removed after 1.0"),
     ],
 )
 def test_command_or_option_that_is_gone_names_what_to_use(

@@ -16,15 +16,15 @@ def some_gone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @refused("""
-filter.mass_kg = 3                           -> [filter] mass_kg: gone 1.1 q_scale
-axes.mass_kg = [3]                           -> [axes] mass_kg: gone 1.1 q_scale
-cases = [{mass_kg = 3}]                      -> [cases] mass_kg: gone 1.1 q_scale
-tune.variables.mass_kg = {low = 1, high = 3} -> [tune.variables] mass_kg: gone 1.1 q_scale
-resets.reset_kind = "half"                   -> [resets] reset_kind: 'half' gone 1.1 'scale'
-axes.reset_kind = ["full", "half"]           -> [axes] reset_kind[1]: 'half' gone 1.1 'scale'
-cases = [{reset_kind = "half"}]              -> [cases] reset_kind[0]: 'half' gone 1.1 'scale'
+filter.mass_kg = 3                           -> [filter] mass_kg: removed 1.0 q_scale
+axes.mass_kg = [3]                           -> [axes] mass_kg: removed 1.0 q_scale
+cases = [{mass_kg = 3}]                      -> [cases] mass_kg: removed 1.0 q_scale
+tune.variables.mass_kg = {low = 1, high = 3} -> [tune.variables] mass_kg: removed 1.0 q_scale
+resets.reset_kind = "half"                   -> [resets] reset_kind: 'half' removed 1.0 'scale'
+axes.reset_kind = ["full", "half"]           -> [axes] reset_kind[1]: 'half' removed 1.0 'scale'
+cases = [{reset_kind = "half"}]              -> [cases] reset_kind[0]: 'half' removed 1.0 'scale'
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, searches = ["grid", "random"]}
-    -> [tune] searches[1]: 'random' gone 1.1 'sobol'
+    -> [tune] searches[1]: 'random' removed 1.0 'sobol'
 """)
 def test_gone_key_or_value_is_refused_with_its_replacement(refusal):
     refusal.check(refusal_line(**refusal.tables))
@@ -34,7 +34,7 @@ def test_table_lists_only_what_is_gone():
     for place, text in gone.KEYS.items():
         section, _, key = place.partition(".")
         assert (section, key) not in KEYS
-        assert unknown_key_error(key, ()) == f"is gone since 1.1 ({text})"
+        assert unknown_key_error(key, ()) == f"was removed after 1.0 ({text})"
     for place, value in gone.VALUES:
         key = place.partition(".")[2]
         assert value_error(value, key) and value_error((value,), key)
