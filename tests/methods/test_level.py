@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from oracles.in_engine import ARCMIN, DEG_PER_H, UG, navigation, place, runner, site
 from oracles.naive import DEG, WGS84, exp, of_quaternion
@@ -132,17 +131,6 @@ def test_results_have_no_heading(results: Any) -> None:
     assert {*summary["status"].to_pylist()} == {"no_north"}
     assert {*summary["ok_truth"].to_pylist()} == {False}
     assert {*summary["has_floor"].to_pylist()} == {False}
-
-
-@pytest.mark.nightly
-def test_only_runs_of_level_have_no_heading_beside_another_method(results: Any) -> None:
-    both = run_biased(axes={"method": ["inertial", "level"]}).summary
-    inertial, level = (
-        both.filter(pa.compute.field("method") == name) for name in ("inertial", "level")
-    )
-    assert {inertial[name].null_count for name in NULL[:3]} == {0}
-    for name in ("phi_e_arcmin", "sigma_e_arcmin", "status", *NULL):
-        assert level[name].to_pylist() == results.summary[name].to_pylist(), name
 
 
 def test_results_have_level_within_sigma(results: Any) -> None:

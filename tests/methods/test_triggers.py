@@ -27,7 +27,6 @@ from oracles.naive_triggers import Seen as NaiveSeen
 from support.studies import small_study
 
 from sinsjax.execution import run as study_run
-from sinsjax.execution import tables as result_tables
 from sinsjax.maths.algebra import select_tree, triangle_index
 from sinsjax.methods import passes
 from sinsjax.methods.base import AttitudeCovariance, Options
@@ -35,7 +34,7 @@ from sinsjax.methods.filters.closed_loop import FilterState
 from sinsjax.methods.kalman import Belief
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.triggers import trigger as triggers
-from sinsjax.methods.triggers.config import TRIGGER_COUNTS, TRIGGERS, TriggerName
+from sinsjax.methods.triggers.config import TRIGGERS, TriggerName
 from sinsjax.methods.triggers.trigger import AssumedNoise, FilterSnapshot
 from sinsjax.types import Quat, Sample, Vec3
 
@@ -411,58 +410,16 @@ QUIET, LOUD = 2, 3
 """Variants with a trigger, of four."""
 
 
-@pytest.fixture(scope="module")
-def rows():
-    """Two variants without a trigger, one whose threshold is out of reach, and one that fires."""
-    table = study_run.run(small_study(**ROWS)).summary
-    return table.to_pylist()
-
-
 def of_variant(rows, number):
     return [row for row in rows if row["variant_id"] == number]
 
 
 @pytest.mark.nightly
-def test_trigger_count_and_times_are_reported(rows):
-    for row in rows:
-        count, *times = (row[own.column.name] for own in TRIGGER_COUNTS)
-        if row["variant_id"] == LOUD:
-            assert count >= 2 and 0.3 <= times[0] < times[1] <= 1.2
-        else:
-            assert (count, times) == (0, [None, None])
-
-
-@pytest.mark.nightly
-def test_trigger_that_never_fires_changes_nothing(rows):
-    assert len(of_variant(rows, 0)) == 3
-    for without, quiet in zip(of_variant(rows, 0), of_variant(rows, QUIET), strict=True):
-        for name, value in without.items():
-            if name not in ("run_id", "variant_id", "reset_trigger", "trigger_threshold"):
-                assert (
-                    value is None
-                    or isinstance(value, str | list | int)
-                    or (quiet[name] == pytest.approx(value, rel=1e-9, abs=1e-12))
-                ), name
-                assert type(quiet[name]) is type(value)
-
-
-@pytest.mark.nightly
-def test_trigger_results_are_independent_of_other_runs(rows):
+def test_trigger_results_are_independent_of_other_runs():
     """Other neighbours, fewer draws: the same bits."""
+    rows = study_run.run(small_study(**ROWS)).summary.to_pylist()
     tables = ROWS | {"study": ROWS["study"] | {"draws": 2}}
     tables["axes"] = ROWS["axes"] | {"trigger_threshold": [0.0, 3e-4]}
     alone = study_run.run(small_study(**tables)).summary.to_pylist()
     assert of_variant(alone, LOUD) == of_variant(rows, LOUD)[:2]
     assert all(row["triggered_count"] for row in of_variant(alone, QUIET))
-
-
-@pytest.mark.nightly
-def test_trigger_columns_exist_only_with_reset_trigger(rows):
-    told = {own.column.name for own in TRIGGER_COUNTS}
-    assert told <= rows[0].keys()
-    for tables in ({}, {"axes": {"reset_count": [0, 1]}, "resets": {"reset_cycle_s": 1.0}}):
-        names = {
-            column.name
-            for column in result_tables.TableBuilder(small_study(**tables)).summary_columns
-        }
-        assert not told & names

@@ -564,15 +564,6 @@ def test_decimal_commas_and_delimiters_at_line_ends_are_read(body, tmp_path):
         assert_body(study, path, body)
 
 
-def test_interleaved_rows_of_two_sensors_are_refused(body, tmp_path):
-    gyro, accel = in_axes(body, "frd")
-    both = np.column_stack([TIME * 1e6, np.zeros(len(TIME)), gyro, accel]).repeat(2, axis=0)
-    both[1::2, 1], both[1::2, 2:] = 1, both[1::2, 2:] + 1e-3
-    names = ["TimeUS", "I", *(f"Gyr{a}" for a in "XYZ"), *(f"Acc{a}" for a in "XYZ")]
-    path = write(tmp_path / "log.csv", [both], names)
-    assert "column 'I' is 0, 1: " in refusal(path)
-
-
 TURN_BY_90 = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
