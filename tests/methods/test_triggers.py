@@ -10,16 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.in_engine import (
-    DEG_PER_H,
     PAPER1,
-    UG,
     covariances,
+    measured,
     navigation,
     paper_filter,
     params,
     site,
     step_and_close,
-    swing_increments,
 )
 from oracles.naive import DEG, PAPER, WGS84, closed_loop, exp, of_quaternion, quaternion, updates
 from oracles.naive_triggers import SCORES, Numbers, Watcher
@@ -297,24 +295,10 @@ def program(name, trigger, force):
     return run
 
 
-@cache
-def measured(planet):
-    """Increments of [P1]'s swing with biases and noise twice its own."""
-    return swing_increments(
-        PAPER1._replace(center=np.array([0.02, -0.03, 1.0])),
-        planet,
-        LATITUDE,
-        rate=1 / DT,
-        samples=SAMPLES,
-        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
-        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
-    )
-
-
 def engine_run(name, trigger, trigger_params, filt, stored=None):
     """State, corrected attitude and the trigger's result after every update."""
     planet = FILTERS[name][1]
-    all_read = list(updates(measured(planet), stored, SAMPLES))
+    all_read = list(updates(measured(planet, LATITUDE, SAMPLES), stored, SAMPLES))
     q = np.array([quaternion(u.turn) for u in all_read])
     dv = np.array([u.dv for u in all_read])
     read = (
@@ -336,7 +320,9 @@ def naive_run(name, trigger, trigger_params, filt, stored=None):
     watcher = Watcher(trigger, trigger_params, q=filt.q, r=filt.r, p0=filt.p0, dt=DT, every=every)
     c = exp(-PHI0) @ PAPER1.matrix(0.0)
     case = {"latitude": LATITUDE, "c": c, "v": V0, "filt": filt, "watcher": watcher}
-    return closed_loop(measured(planet), DT, planet, stored=stored, count=SAMPLES, **case), watcher
+    return closed_loop(
+        measured(planet, LATITUDE, SAMPLES), DT, planet, stored=stored, count=SAMPLES, **case
+    ), watcher
 
 
 def compare(name, trigger, trigger_params, filt, stored=None):

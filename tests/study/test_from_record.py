@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from support.commands import Command, command_line
+from support.commands import Command
 from support.refusals import assert_named
 from support.studies import small_study
 
@@ -26,14 +26,6 @@ RATE = 100.0
 DEG = np.pi / 180
 G = 9.80665
 NAMES = ("t", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
-
-
-@pytest.fixture
-def sinsjax(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> Command:
-    monkeypatch.chdir(tmp_path)
-    return command_line(monkeypatch, capsys)
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,6 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
-from support.commands import Command, command_line
 from support.refusals import assert_named
 from support.studies import STILL, small_study
 
@@ -40,14 +39,6 @@ XYZ = tuple("xyz")
 NAMES = ("time_s", *(f"gyro_{a}" for a in XYZ), *(f"accel_{a}" for a in XYZ))
 UNITS = (NAMES[0], *(f"{n} [rad/s]" for n in NAMES[1:4]), *(f"{n} [m/s^2]" for n in NAMES[4:]))
 TRUTH = (35.0, 1.0, -2.0)
-
-
-@pytest.fixture
-def sinsjax(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> Command:
-    monkeypatch.chdir(tmp_path)
-    return command_line(monkeypatch, capsys)
 
 
 @pytest.fixture(scope="module")

@@ -128,10 +128,8 @@ def test_line_lists_keys_that_no_method_reads(tmp_path):
     [
         ({"compass": {"level_time_s": 1}}, "[compass] level_time_s"),
         ({"axes": {"sigma_factors": [[2.0]]}}, "[axes] sigma_factors"),
-        ({"axes": {"turn_smoothing_s": [1]}}, "[axes] turn_smoothing_s"),
         ({"passes": {"stored_s": 80, "turn": "keep"}}, "[passes] turn"),
         ({"alignment": COMPASS, "filter": {"p0_yaw_deg": 1}}, "[filter] p0_yaw_deg"),
-        ({"alignment": COMPASS, "resets": {"reset_times_s": [3]}}, "[resets] reset_times_s"),
         ({"alignment": COMPASS | {"feedback_interval_s": 2}}, "[alignment] feedback_interval_s"),
         ({"alignment": COMPASS, "axes": {"trigger_threshold": [1]}}, "[axes] trigger_threshold"),
         ({"alignment": COMPASS, "cases": [{"turn_inflation": 3.0}]}, "[cases] turn_inflation"),
