@@ -101,23 +101,18 @@ NULL = (
 )
 
 
-def run_biased(**tables: Any) -> Any:
+@pytest.fixture(scope="module")
+def results() -> Any:
     """Runs from two headings, on biases of 1000 deg/h."""
-    axes = {"phi_u0_deg": [0.0, 90.0]} | tables.pop("axes", {})
     study = small_study(
         study={"curves": True, "report_times_s": [3.0]},
         motion={**STILL, "pitch_center_deg": PITCH, "roll_center_deg": ROLL},
         sensors={"gyro_bias_deg_per_h": 1000.0},
-        axes=axes,
-        **tables,
+        axes={"phi_u0_deg": [0.0, 90.0]},
+        alignment={"method": "level"},
     )
     with pytest.warns(sinsjax.StudyWarning):
         return sinsjax.run(study)
-
-
-@pytest.fixture(scope="module")
-def results() -> Any:
-    return run_biased(alignment={"method": "level"})
 
 
 def test_results_have_no_heading(results: Any) -> None:

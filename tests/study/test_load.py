@@ -265,6 +265,7 @@ def test_unusable_file_is_refused_by_its_name(content, named, tmp_path):
         merge_tables(SIMULATED, earth={"earth": "wgs84"}),
         merge_tables(SIMULATED, axes={"earth": ["wgs84", "constants"], "radius_m": [6.3e6, 6.4e6]}),
         merge_tables(SIMULATED, resets={"reset_times_s": [50, 100]}),
+        merge_tables(SIMULATED, resets={"reset_times_s": []}),
         merge_tables(
             SIMULATED, study={"name": '[b] $x$ "quotes" \\ <i>', "settle_bands_arcmin": []}
         ),

@@ -9,8 +9,7 @@ from support.refusals import assert_named, refused
 from support.studies import BASE, refusal_line, small_study
 
 from sinsjax.errors import InputError
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import study_from_dict, study_to_toml
+from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
 
@@ -112,10 +111,3 @@ def test_feedback_interval_longer_than_run_is_refused_unless_unchecked():
 def test_height_below_earth_centre_is_always_refused(earth):
     line = refusal_line(earth={"height_m": -6378137.0, "earth": earth}, study={"unchecked": True})
     assert_named(line, "[earth] height_m", "-6378137")
-
-
-def test_unchecked_does_not_change_fingerprint():
-    assert unchecked_study() != small_study() and fingerprint(unchecked_study()) == fingerprint(
-        small_study()
-    )
-    assert "unchecked" not in study_to_toml(small_study())

@@ -55,16 +55,6 @@ def sobol(laws: dict[str, Any]) -> dict[str, Any]:
 BOTH = pytest.mark.parametrize("laws", [LAWS, sobol(LAWS)], ids=["random", "sobol"])
 
 
-@BOTH
-@pytest.mark.parametrize("count", [0, 1, 3, 64])
-def test_drawn_values_have_expected_order_and_shapes(laws, count):
-    values = drawn(laws, count)
-    assert list(values) == list(LAWS)
-    assert all(v.dtype == np.float64 for v in values.values())
-    shapes = [v.shape for v in values.values()]
-    assert shapes == [(count,), (count,), (count,), (count, 3), (count, 6), (count,)]
-
-
 def test_drawn_keys_need_as_many_numbers_as_their_section():
     for key, numbers in NUMBERS_DRAWN.items():
         one = make_study(

@@ -13,7 +13,6 @@ from support.studies import PAPER, refusal_line, small_study
 
 from sinsjax.errors import InputError
 from sinsjax.study import search_space
-from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_toml, with_point
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
@@ -150,10 +149,6 @@ def test_tuning_survives_toml_round_trip():
     assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
     assert study.tune is not None
     assert (study.tune.tune_draws, study.tune.evaluation_draws) == (16, 64)
-
-
-def test_fingerprint_ignores_tuning_section():
-    assert fingerprint(tuned_study(EVERYTHING)) == fingerprint(small_study())
 
 
 def test_variables_and_combinations_keep_written_order():
