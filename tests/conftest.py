@@ -87,6 +87,15 @@ def data_dir() -> Path:
 
 
 @pytest.fixture
+def sinsjax(monkeypatch, capsys, tmp_path):
+    """Runs a command line in this process, in an empty folder: exit code, output, error output."""
+    from support.commands import command_line  # and all that the command line imports
+
+    monkeypatch.chdir(tmp_path)
+    return command_line(monkeypatch, capsys)
+
+
+@pytest.fixture
 def drawn():
     """Has a test lay its figures out, which takes most of a report's time."""
 

@@ -2,14 +2,11 @@
 
 from typing import Any
 
-import numpy as np
 import pytest
 from support.studies import small_study
 
 from sinsjax.engine import duplicates
-from sinsjax.engine.build import Scenario
 from sinsjax.execution import run as study_run
-from sinsjax.execution.rerun import repeat_run
 from sinsjax.execution.tasks import Job, TaskRunner
 from sinsjax.study.study import Study
 
@@ -54,21 +51,3 @@ def test_duplicate_variants_are_computed_once_but_all_runs_counted(study: Study)
     assert sum(task.runs for task in tasks) == study.n_draws * study.n_variants
     for task in tasks:
         assert runner.compute_tables(task).tables["summary"].num_rows == task.runs
-
-
-@pytest.mark.nightly
-def test_rerun_of_run_id_reproduces_stored_row(study: Study) -> None:
-    stored = study_run.run(study).summary
-    for run_id in (7, study.n_variants + 4):
-        row = stored.filter(np.asarray(stored["run_id"]) == run_id)
-        assert repeat_run(study, run_id).row.equals(row)
-
-
-def test_duplicate_variants_have_equal_engine_parameters(study: Study) -> None:
-    """Those by which the engine tells variants apart here: reset times and misalignment."""
-    part = Scenario(study).part(0)
-    params = part.group.variants
-    samples = np.asarray(params.method.resets.samples)
-    rows = np.column_stack([samples, *params.phi]).tolist()
-    pairs = {*zip(study.duplicate_of[part.variant_ids], map(tuple, rows), strict=True)}
-    assert len({first for first, _ in pairs}) == len({row for _, row in pairs}) == len(pairs)

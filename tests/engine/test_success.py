@@ -12,8 +12,6 @@ from sinsjax import analysis
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
 from sinsjax.study import success
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import load_study, study_to_toml
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -181,10 +179,3 @@ def test_success_rate_differences_are_paired() -> None:
         expected = analysis.proportion_difference(*pair)
         assert row[f"success_{name}_rate_difference"] == expected.value
         assert row[f"success_{name}_rate_difference_low"] == expected.low
-
-
-def test_success_keys_belong_to_fingerprint_if_they_are_set(tmp_path: Any) -> None:
-    study, path = small_study(), tmp_path / "study.toml"
-    path.write_text(study_to_toml(study))
-    assert fingerprint(load_study(path)) == fingerprint(study)
-    assert fingerprint(small_study(study={"judged_from": "truth"})) != fingerprint(study)

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from oracles.in_engine import ARCMIN, DEG_PER_H, UG, navigation, place, runner, site
 from oracles.naive import DEG, WGS84, exp, of_quaternion
@@ -102,23 +101,18 @@ NULL = (
 )
 
 
-def run_biased(**tables: Any) -> Any:
+@pytest.fixture(scope="module")
+def results() -> Any:
     """Runs from two headings, on biases of 1000 deg/h."""
-    axes = {"phi_u0_deg": [0.0, 90.0]} | tables.pop("axes", {})
     study = small_study(
         study={"curves": True, "report_times_s": [3.0]},
         motion={**STILL, "pitch_center_deg": PITCH, "roll_center_deg": ROLL},
         sensors={"gyro_bias_deg_per_h": 1000.0},
-        axes=axes,
-        **tables,
+        axes={"phi_u0_deg": [0.0, 90.0]},
+        alignment={"method": "level"},
     )
     with pytest.warns(sinsjax.StudyWarning):
         return sinsjax.run(study)
-
-
-@pytest.fixture(scope="module")
-def results() -> Any:
-    return run_biased(alignment={"method": "level"})
 
 
 def test_results_have_no_heading(results: Any) -> None:
@@ -132,17 +126,6 @@ def test_results_have_no_heading(results: Any) -> None:
     assert {*summary["status"].to_pylist()} == {"no_north"}
     assert {*summary["ok_truth"].to_pylist()} == {False}
     assert {*summary["has_floor"].to_pylist()} == {False}
-
-
-@pytest.mark.nightly
-def test_only_runs_of_level_have_no_heading_beside_another_method(results: Any) -> None:
-    both = run_biased(axes={"method": ["inertial", "level"]}).summary
-    inertial, level = (
-        both.filter(pa.compute.field("method") == name) for name in ("inertial", "level")
-    )
-    assert {inertial[name].null_count for name in NULL[:3]} == {0}
-    for name in ("phi_e_arcmin", "sigma_e_arcmin", "status", *NULL):
-        assert level[name].to_pylist() == results.summary[name].to_pylist(), name
 
 
 def test_results_have_level_within_sigma(results: Any) -> None:

@@ -83,16 +83,6 @@ def test_compass_gains_follow_sigma_damping_and_adjustment_time() -> None:
     np.testing.assert_allclose(settling.azimuth.k1, 0.02)
 
 
-def test_compass_gains_may_differ_between_variants() -> None:
-    cases = [
-        {"level_gains": PRINTED["level_gains"], "allow_unstable": True},
-        {"level_gains": [0.05, 1000.0, 1.0e-6], "allow_unstable": False},
-    ]
-    made = numbers(cases=cases, axes={"azimuth_sigma_per_s": [0.01, 0.02]})
-    np.testing.assert_allclose(made.level.k3, [81.632653e-6, 81.632653e-6, 1e-6, 1e-6])
-    np.testing.assert_allclose(made.azimuth.k1, [0.02, 0.04, 0.02, 0.04])
-
-
 def test_compass_schedules_in_seconds_or_passes_become_samples() -> None:
     times = numbers(
         compass={"level_time_s": 3.21},
@@ -180,13 +170,6 @@ def test_reset_keys_set_reset_variance_of_their_states(
     )
 
 
-def test_reset_variance_may_differ_between_variants() -> None:
-    made = of_filter(axes={"reset_yaw_deg": [1.0, 2.0], "p0_yaw_deg": [80.0, 40.0]})
-    np.testing.assert_allclose(made.reset_to[4], np.array([1, 1, 2, 2]) ** 2 * DEG**2)
-    np.testing.assert_allclose(made.p0[4], np.array([80, 40] * 2) ** 2 * DEG**2)
-    np.testing.assert_array_equal(made.reset_to[3], made.p0[3])
-
-
 @pytest.mark.parametrize("readings", [{}, {"q_reading": "psd", "r_reading": "psd"}])
 def test_q_scale_and_r_scale_multiply_only_q_and_r(readings: dict[str, str]) -> None:
     plain = of_filter(filter=readings)
@@ -235,15 +218,11 @@ def test_printed_level_gains_are_refused_with_their_roots() -> None:
     ("compass", "key"),
     [
         ({"level_gains": PRINTED["level_gains"]}, "level_gains"),
-        ({"azimuth_gains": [0.02, 259.0, 4e-9, -0.02]}, "azimuth_gains"),
         ({"azimuth_gains": [0.02, 259.0, -4e-9, 0.02]}, "azimuth_gains"),
         ({"azimuth_gains": [0.0, 0.0, 0.0, 0.0]}, "azimuth_gains"),
-        ({"level_gains": [0.0, 0.0, 0.0]}, "level_gains"),
-        ({"level_gains": [0.06, -3.0, 1e-6]}, "level_gains"),
         # Too fast for the sample time.
         ({"level_sigma_per_s": 100.0}, "level_sigma_per_s"),
         ({"level_adjustment_s": 0.01}, "level_adjustment_s"),
-        ({"azimuth_sigma_per_s": 100.0}, "azimuth_sigma_per_s"),
         ({"azimuth_adjustment_s": 0.01}, "azimuth_adjustment_s"),
         ({"level_gains": [300.0, 2e10, 1e5]}, "level_gains"),
         # The quickest piece decides.

@@ -15,6 +15,7 @@ from oracles.in_engine import (
     UG,
     covariances,
     loops,
+    measured,
     navigation,
     one_run,
     paper_filter,
@@ -273,15 +274,7 @@ def test_three_filter_passes_match_naive_loop(name, planet, position, turn, cloc
         n, every=130, gain=0.7, resets=(250, 1500), position=position, turn=turn, turn_factor=3.0
     )
     filt = filt._replace(**clock)
-    rows = swing_increments(
-        PAPER1,
-        planet,
-        LATITUDE,
-        rate=rate,
-        samples=samples,
-        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
-        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
-    )
+    rows = measured(planet, LATITUDE, samples, rate)
     start = exp(-phi) @ PAPER1.matrix(0.0)
     case = {"latitude": LATITUDE, "c": start, "v": v, "filt": filt}
     naive = closed_loop(rows, 1 / rate, planet, stored=samples, count=3 * samples, **case)

@@ -148,14 +148,6 @@ def test_runs_are_predicted_alike_alone_and_side_by_side() -> None:
     np.testing.assert_allclose(together[chosen], alone, rtol=1e-9)
 
 
-def test_noise_narrows_the_band() -> None:
-    noisy = PAPER._replace(gyro_noise=(0.1 * DEG_PER_H) ** 2 * 1.0)
-    (plain,), (later,) = predicted(PAPER, (2.0, 80.0), 45), predicted(noisy, (2.0, 80.0), 45)
-    assert later > plain
-    lane = Lane(noisy._replace(gyro_noise=1.0), (), 0.1)
-    assert math.isinf(predict_settling_times([lane], 600.0, 10 * ARCMIN)[0])
-
-
 def test_each_run_may_have_its_own_noise() -> None:
     noisy = PAPER._replace(gyro_noise=(0.1 * DEG_PER_H) ** 2 * 1.0)
     lanes, sigmas = [Lane(noisy, (2.0, 80.0), 45 * DEG)] * 3, (0.0, 0.75, 1.15)

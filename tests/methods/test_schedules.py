@@ -22,14 +22,12 @@ from oracles.naive import DEG, PAPER, exp
 from sinsjax.methods.base import Options
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import (
-    UNCHANGED,
     CovarianceReset,
     Resets,
     Windows,
     interpolate,
     reset_covariance,
     reset_due,
-    reset_if_due,
 )
 from sinsjax.strapdown import sensors
 
@@ -117,12 +115,6 @@ def test_covariance_after_reset_of_each_kind(kind, seed):
         expected[4], expected[:, 4] = 0, 0
         expected[4, 4] = to[4]
     np.testing.assert_allclose(got, expected[rows, across], rtol=1e-15)
-
-
-def test_covariance_reset_not_due_leaves_covariance_unchanged():
-    for not_due in (jnp.asarray(False), jnp.asarray(0.0)):
-        assert tuple(map(float, reset_if_due(not_due, KINDS["scale"]))) == UNCHANGED
-    assert tuple(map(float, reset_if_due(jnp.asarray(True), KINDS["yaw"]))) == KINDS["yaw"]
 
 
 # In the filter: 300 samples of [P1]'s swing, at large misalignment

@@ -10,16 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.in_engine import (
-    DEG_PER_H,
     PAPER1,
-    UG,
     covariances,
+    measured,
     navigation,
     paper_filter,
     params,
     site,
     step_and_close,
-    swing_increments,
 )
 from oracles.naive import DEG, PAPER, WGS84, closed_loop, exp, of_quaternion, quaternion, updates
 from oracles.naive_triggers import SCORES, Numbers, Watcher
@@ -27,7 +25,6 @@ from oracles.naive_triggers import Seen as NaiveSeen
 from support.studies import small_study
 
 from sinsjax.execution import run as study_run
-from sinsjax.execution import tables as result_tables
 from sinsjax.maths.algebra import select_tree, triangle_index
 from sinsjax.methods import passes
 from sinsjax.methods.base import AttitudeCovariance, Options
@@ -35,7 +32,7 @@ from sinsjax.methods.filters.closed_loop import FilterState
 from sinsjax.methods.kalman import Belief
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.triggers import trigger as triggers
-from sinsjax.methods.triggers.config import TRIGGER_COUNTS, TRIGGERS, TriggerName
+from sinsjax.methods.triggers.config import TRIGGERS, TriggerName
 from sinsjax.methods.triggers.trigger import AssumedNoise, FilterSnapshot
 from sinsjax.types import Quat, Sample, Vec3
 
@@ -298,24 +295,10 @@ def program(name, trigger, force):
     return run
 
 
-@cache
-def measured(planet):
-    """Increments of [P1]'s swing with biases and noise twice its own."""
-    return swing_increments(
-        PAPER1._replace(center=np.array([0.02, -0.03, 1.0])),
-        planet,
-        LATITUDE,
-        rate=1 / DT,
-        samples=SAMPLES,
-        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
-        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
-    )
-
-
 def engine_run(name, trigger, trigger_params, filt, stored=None):
     """State, corrected attitude and the trigger's result after every update."""
     planet = FILTERS[name][1]
-    all_read = list(updates(measured(planet), stored, SAMPLES))
+    all_read = list(updates(measured(planet, LATITUDE, SAMPLES), stored, SAMPLES))
     q = np.array([quaternion(u.turn) for u in all_read])
     dv = np.array([u.dv for u in all_read])
     read = (
@@ -337,7 +320,9 @@ def naive_run(name, trigger, trigger_params, filt, stored=None):
     watcher = Watcher(trigger, trigger_params, q=filt.q, r=filt.r, p0=filt.p0, dt=DT, every=every)
     c = exp(-PHI0) @ PAPER1.matrix(0.0)
     case = {"latitude": LATITUDE, "c": c, "v": V0, "filt": filt, "watcher": watcher}
-    return closed_loop(measured(planet), DT, planet, stored=stored, count=SAMPLES, **case), watcher
+    return closed_loop(
+        measured(planet, LATITUDE, SAMPLES), DT, planet, stored=stored, count=SAMPLES, **case
+    ), watcher
 
 
 def compare(name, trigger, trigger_params, filt, stored=None):
@@ -411,58 +396,16 @@ QUIET, LOUD = 2, 3
 """Variants with a trigger, of four."""
 
 
-@pytest.fixture(scope="module")
-def rows():
-    """Two variants without a trigger, one whose threshold is out of reach, and one that fires."""
-    table = study_run.run(small_study(**ROWS)).summary
-    return table.to_pylist()
-
-
 def of_variant(rows, number):
     return [row for row in rows if row["variant_id"] == number]
 
 
 @pytest.mark.nightly
-def test_trigger_count_and_times_are_reported(rows):
-    for row in rows:
-        count, *times = (row[own.column.name] for own in TRIGGER_COUNTS)
-        if row["variant_id"] == LOUD:
-            assert count >= 2 and 0.3 <= times[0] < times[1] <= 1.2
-        else:
-            assert (count, times) == (0, [None, None])
-
-
-@pytest.mark.nightly
-def test_trigger_that_never_fires_changes_nothing(rows):
-    assert len(of_variant(rows, 0)) == 3
-    for without, quiet in zip(of_variant(rows, 0), of_variant(rows, QUIET), strict=True):
-        for name, value in without.items():
-            if name not in ("run_id", "variant_id", "reset_trigger", "trigger_threshold"):
-                assert (
-                    value is None
-                    or isinstance(value, str | list | int)
-                    or (quiet[name] == pytest.approx(value, rel=1e-9, abs=1e-12))
-                ), name
-                assert type(quiet[name]) is type(value)
-
-
-@pytest.mark.nightly
-def test_trigger_results_are_independent_of_other_runs(rows):
+def test_trigger_results_are_independent_of_other_runs():
     """Other neighbours, fewer draws: the same bits."""
+    rows = study_run.run(small_study(**ROWS)).summary.to_pylist()
     tables = ROWS | {"study": ROWS["study"] | {"draws": 2}}
     tables["axes"] = ROWS["axes"] | {"trigger_threshold": [0.0, 3e-4]}
     alone = study_run.run(small_study(**tables)).summary.to_pylist()
     assert of_variant(alone, LOUD) == of_variant(rows, LOUD)[:2]
     assert all(row["triggered_count"] for row in of_variant(alone, QUIET))
-
-
-@pytest.mark.nightly
-def test_trigger_columns_exist_only_with_reset_trigger(rows):
-    told = {own.column.name for own in TRIGGER_COUNTS}
-    assert told <= rows[0].keys()
-    for tables in ({}, {"axes": {"reset_count": [0, 1]}, "resets": {"reset_cycle_s": 1.0}}):
-        names = {
-            column.name
-            for column in result_tables.TableBuilder(small_study(**tables)).summary_columns
-        }
-        assert not told & names

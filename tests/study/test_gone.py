@@ -17,12 +17,10 @@ def some_gone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @refused("""
 filter.mass_kg = 3                           -> [filter] mass_kg: removed 1.0 q_scale
-axes.mass_kg = [3]                           -> [axes] mass_kg: removed 1.0 q_scale
 cases = [{mass_kg = 3}]                      -> [cases] mass_kg: removed 1.0 q_scale
 tune.variables.mass_kg = {low = 1, high = 3} -> [tune.variables] mass_kg: removed 1.0 q_scale
 resets.reset_kind = "half"                   -> [resets] reset_kind: 'half' removed 1.0 'scale'
 axes.reset_kind = ["full", "half"]           -> [axes] reset_kind[1]: 'half' removed 1.0 'scale'
-cases = [{reset_kind = "half"}]              -> [cases] reset_kind[0]: 'half' removed 1.0 'scale'
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, searches = ["grid", "random"]}
     -> [tune] searches[1]: 'random' removed 1.0 'sobol'
 """)

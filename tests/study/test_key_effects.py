@@ -12,7 +12,7 @@ from sinsjax.engine.batch import run_chunks
 from sinsjax.engine.build import Scenario
 from sinsjax.methods.description import COMMON_KEYS
 from sinsjax.methods.registry import METHODS
-from sinsjax.study.keys import SECTION_OF, SECTIONS, accepted_words, has_effect, reading_methods
+from sinsjax.study.keys import SECTION_OF, SECTIONS, accepted_words, reading_methods
 from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
@@ -150,9 +150,3 @@ def test_keys_without_effect_are_those_that_change_no_bit_of_a_run(method):
     silent, changing = silent_and_changing_keys(method)
     assert silent == {*METHODS[method].without_effect}
     assert changing == {key for key in own_keys(method) if method in reading_methods(key)}
-
-
-def test_level_damping_acts_only_for_compass_without_level_gains():
-    assert not has_effect("level_damping", {"method": "kalman5", "level_gains": None})
-    assert has_effect("level_damping", {"method": "compass", "level_gains": None})
-    assert not has_effect("level_damping", {"method": "compass", "level_gains": (1.0, 1.0, 1.0)})

@@ -103,12 +103,6 @@ def test_defaults_are_filled_in():
     assert (study.record, study.coarse, study.is_recorded) == (None, None, False)
 
 
-def test_values_are_converted_to_key_types():
-    study = build_study(sensors={"gyro_bias_deg_per_h": [1, 2, 3]})
-    assert type(study.duration_s) is float
-    assert study.sensors is not None and study.sensors.gyro_bias_deg_per_h == (1.0, 2.0, 3.0)
-
-
 def test_recorded_study_has_one_draw_per_start_time():
     study = build_study(RECORDED)
     assert study.is_recorded and study.n_draws == 1
@@ -119,12 +113,6 @@ def test_recorded_study_has_one_draw_per_start_time():
     several = build_study(RECORDED, record={"start_s": [0, 30, 60]})
     assert several.n_draws == 3 and several.n_variants == 1
     assert build_study(RECORDED, record={"start_s": 30}).n_draws == 1
-
-
-@pytest.mark.parametrize("order", ["xyz", "y-xz", "-x-yz", "zxy", "+yx-z"])
-def test_right_handed_axes_orders_are_accepted(order):
-    study = build_study(RECORDED, record={"axes_order": order})
-    assert study.record is not None and study.record.axes_order == order
 
 
 def test_input_tables_are_not_modified():
@@ -249,12 +237,11 @@ REST = "[earth]\nlatitude_deg = 32\n[motion]\nyaw_center_deg = 20\n[alignment]\n
         (None, "read"),
         ("\udcff\udcfe", "UTF-8"),
         ("[study]\nname = \nseed = 1", "line 2"),
-        ("[study]\nseed = 1\nseed = 2\n[earth]", "line 3"),
         ("[study]\nseed = " + "9" * 5000, "TOML"),
         (f"[study]\nduration_s = nan\nrate_hz = 100\n{REST}", "[study] duration_s: nan"),
         (f'[study]\nduration_s = 60\nrate_hz = 100\n"a\\nb" = 1\n{REST}', "[study] a b:"),
     ],
-    ids=["missing", "no text", "no value", "key twice", "digits", "value", "key of two lines"],
+    ids=["missing", "no text", "no value", "digits", "value", "key of two lines"],
 )
 def test_unusable_file_is_refused_by_its_name(content, named, tmp_path):
     path = tmp_path / "s.toml"
@@ -283,20 +270,12 @@ def test_unusable_file_is_refused_by_its_name(content, named, tmp_path):
             SIMULATED, study={"name": '[b] $x$ "quotes" \\ <i>', "settle_bands_arcmin": []}
         ),
         merge_tables(RECORDED, record=TABULAR | {"time_column": "t", "start_s": [0, 2.5]}),
-        merge_tables(SIMULATED, resets={"reset_count": 1, "reset_first_s": 25}),
         merge_tables(SIMULATED, stop_when={"statistic": "success_rate", "half_width": 0.02}),
         merge_tables(SIMULATED, axes=ZIPPED, cases=[{"case": "a"}]),
         merge_tables(SIMULATED, drawn=DRAWN),
-        merge_tables(
-            SIMULATED,
-            drawn=dict(reversed(DRAWN.items())),
-            axes={"phi_n0_deg": [0, 5], "phi_e0_deg": [0, 5]},
-        ),
         merge_tables(RECORDED, drawn={"phi_u0_deg": {"normal": [0, 10]}}),
-        COMPASS,
         merge_tables(COMPASS, filter={}, resets={}),
         merge_tables(SIMULATED, compass={}, passes={}),
-        merge_tables(SIMULATED, passes={"stored_s": 80}),
         merge_tables(SIMULATED, passes={"stored_s": 80}, axes={"method": ["kalman5", "compass"]}),
         merge_tables(
             RECORDED,
@@ -415,10 +394,8 @@ def test_fingerprint_changes_with_zips_drawn_keys_and_stop_rule():
 
 
 def test_valid_resets_are_accepted():
-    build_study(resets={"reset_count": 3, "reset_cycle_s": 300})  # the last one exactly at the end
-    build_study(resets={"reset_times_s": [0.01, 0.02, 900]})
+    build_study(resets={"reset_times_s": [0.01, 0.02, 900]})  # the last one exactly at the end
     build_study(resets={"reset_count": 0, "reset_cycle_s": 1e6})
-    build_study(resets={"reset_count": 0, "reset_first_s": 1e6})
     build_study(resets={"reset_count": 1, "reset_first_s": 900, "reset_cycle_s": 1e6})
     build_study(resets={"reset_count": 3, "reset_first_s": 100, "reset_cycle_s": 400})
     # 3 x 0.1 is a rounding error more than 0.3.
@@ -447,18 +424,6 @@ def test_reset_times_follow_count_first_time_and_cycle():
     assert times == (0.1, 0.2, 3 * 0.1)
     alone = build_study(resets={"reset_first_s": 25}, axes={"reset_count": [0, 1]})
     assert alone.reset_times() == [(), (25.0,)]
-
-
-def test_supported_stop_statistics_are_accepted():
-    for statistic, half_width in (
-        ("success_rate", 0.02),
-        ("settle_60_s_mean", 0.02),
-        ("settle_10_s_mean", 5.0),
-    ):
-        rule = {"statistic": statistic, "half_width": half_width}
-        stop = build_study(study={"settle_bands_arcmin": [60]}, stop_when=rule).stop_when
-        assert stop is not None and (stop.statistic, stop.half_width) == (statistic, half_width)
-    assert build_study().stop_when is None
 
 
 def test_record_intervals_round_to_nearest_samples():
@@ -519,15 +484,10 @@ def test_sections_and_defaults_depend_on_methods():
     [
         # Record intervals in the run and in a pass, of 900.
         ({}, (900, 900)),
-        ({"passes": 1}, (900, 900)),
-        ({"ending": "forward"}, (900, 900)),
         ({"stored_s": 80}, (900, 80)),
         ({"stored_s": 80, "passes": 3}, (240, 80)),
-        ({"stored_s": 80, "passes": 11}, (880, 80)),
         ({"stored_s": 80, "ending": "forward"}, (880, 80)),
         ({"stored_s": 100, "ending": "forward"}, (900, 100)),
-        ({"stored_s": 90, "ending": "forward"}, (810, 90)),
-        ({"stored_s": 450, "ending": "forward"}, (450, 450)),
         ({"stored_s": 900}, (900, 900)),
         ({"stored_s": 90, "ending": "forward", "direction": "rewind"}, (900, 90)),
         ({"stored_s": 80, "passes": 4, "ending": "forward", "direction": "rewind"}, (320, 80)),

@@ -20,7 +20,6 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
-from support.commands import Command, command_line
 from support.refusals import assert_named
 from support.studies import STILL, small_study
 
@@ -40,14 +39,6 @@ XYZ = tuple("xyz")
 NAMES = ("time_s", *(f"gyro_{a}" for a in XYZ), *(f"accel_{a}" for a in XYZ))
 UNITS = (NAMES[0], *(f"{n} [rad/s]" for n in NAMES[1:4]), *(f"{n} [m/s^2]" for n in NAMES[4:]))
 TRUTH = (35.0, 1.0, -2.0)
-
-
-@pytest.fixture
-def sinsjax(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> Command:
-    monkeypatch.chdir(tmp_path)
-    return command_line(monkeypatch, capsys)
 
 
 @pytest.fixture(scope="module")
@@ -562,15 +553,6 @@ def test_decimal_commas_and_delimiters_at_line_ends_are_read(body, tmp_path):
         study, *said = read_study(path)
         assert said == [{}, []]
         assert_body(study, path, body)
-
-
-def test_interleaved_rows_of_two_sensors_are_refused(body, tmp_path):
-    gyro, accel = in_axes(body, "frd")
-    both = np.column_stack([TIME * 1e6, np.zeros(len(TIME)), gyro, accel]).repeat(2, axis=0)
-    both[1::2, 1], both[1::2, 2:] = 1, both[1::2, 2:] + 1e-3
-    names = ["TimeUS", "I", *(f"Gyr{a}" for a in "XYZ"), *(f"Acc{a}" for a in "XYZ")]
-    path = write(tmp_path / "log.csv", [both], names)
-    assert "column 'I' is 0, 1: " in refusal(path)
 
 
 TURN_BY_90 = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -1,7 +1,6 @@
 """Implausible values are refused wherever they are given, by the usual range of each key."""
 
 import copy
-import tomllib
 from typing import Any
 
 import pytest
@@ -10,8 +9,7 @@ from support.refusals import assert_named, refused
 from support.studies import BASE, refusal_line, small_study
 
 from sinsjax.errors import InputError
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import study_from_dict, study_to_toml
+from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
 
@@ -34,14 +32,8 @@ def test_many_draws_are_accepted_unless_law_exceeds_usual_range(draws):
 
 @refused("""
 earth.radius_m = 1.0                         -> [earth] radius_m: 1 6e+06 7e+06 unchecked
-earth.gravity_m_per_s2 = 980.0               -> [earth] gravity_m_per_s2: 980
-earth.height_m = -6e6                        -> [earth] height_m: -6000000
 sensors.gyro_bias_deg_per_h = 1e12           -> [sensors] gyro_bias_deg_per_h: 1e+12
-sensors.accel_bias_ug = -1e12                -> [sensors] accel_bias_ug: -1e+12
 motion.roll_period_s = 1e-6                  -> [motion] roll_period_s: 1e-06
-alignment.ve0_m_per_s = 1e6                  -> [alignment] ve0_m_per_s: 1000000
-filter.p0_yaw_deg = 1e6                      -> [filter] p0_yaw_deg: 1000000
-study.success_band_arcmin = 1e6              -> [study] success_band_arcmin: 1000000
 sensors.gyro_bias_deg_per_h = [0, 1e9, 0]    -> [sensors] gyro_bias_deg_per_h[1]: 1000000000
 axes.radius_m = [6.4e6, 1.0]                 -> [axes] radius_m[1]: 1
 axes.z = {radius_m = [6.4e6, 1.0], phi_u0_deg = [1, 2]}     -> [axes.z] radius_m[1]: 1
@@ -65,7 +57,6 @@ def test_reset_before_the_first_sample_is_refused():
     "law",
     [
         {"uniform": [0, 1e9]},
-        {"normal": [1e9, 1]},
         {"normal": [0, 1e9]},
         {"values": [0, 1e9]},
         {"grid": [0, 1e9]},
@@ -120,15 +111,3 @@ def test_feedback_interval_longer_than_run_is_refused_unless_unchecked():
 def test_height_below_earth_centre_is_always_refused(earth):
     line = refusal_line(earth={"height_m": -6378137.0, "earth": earth}, study={"unchecked": True})
     assert_named(line, "[earth] height_m", "-6378137")
-
-
-def test_default_feedback_interval_is_accepted_in_short_study():
-    study = small_study(study={"duration_s": 0.5, "record_interval_s": 0.1, "window_s": [0, 0.5]})
-    assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
-
-
-def test_unchecked_does_not_change_fingerprint():
-    assert unchecked_study() != small_study() and fingerprint(unchecked_study()) == fingerprint(
-        small_study()
-    )
-    assert "unchecked" not in study_to_toml(small_study())

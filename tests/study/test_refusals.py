@@ -29,19 +29,14 @@ zzz = {}                                     -> [zzz]
 duration_s = 1.0                             -> duration_s: [study]
 sensors = 3                                  -> [sensors]
 axes = [1]                                   -> [axes]
-study.duratoin_s = 1                         -> [study] duratoin_s: duration_s
 alignment.seed = 1                           -> [alignment] seed: [study]
 alignment.reset_cuont = 1                    -> [alignment] reset_cuont: reset_count [resets]
 filter.zzz = 1                               -> [filter] zzz
 axes.phi_u_deg = [1]                         -> [axes] phi_u_deg: phi_u0_deg
-axes.level.phi_u_deg = [1]                   -> [axes.level] phi_u_deg: phi_u0_deg
-cases = [{phi_u_deg = 1}]                    -> [cases] phi_u_deg: phi_u0_deg
 axes.case = ["a"]                            -> [axes] case
 axes.half_width = [1]                        -> [axes] half_width: [stop_when]
 axes.duration_s = [1, 2]                     -> [axes] duration_s: [study]
-cases = [{rate_hz = 1}]                      -> [cases] rate_hz: [study]
 axes.start_s = [0, 30]                       -> [axes] start_s: [record]
-cases = [{start_s = 0}]                      -> [cases] start_s: [record]
 draw = {}                                    -> [draw]: [drawn]
 alignment.method = "compas"                  -> [alignment] method: 'compas' compass
 alignment.method = "compas" & compass.level_time_s = 9
@@ -56,7 +51,6 @@ def test_unknown_and_misplaced_names_are_refused(refusal):
     [
         ({"filter": {"p0_yaw_deg": None}}, "[filter] p0_yaw_deg"),
         ({"axes": {"phi_u0_deg": [0, None]}}, "[axes] phi_u0_deg[1]"),
-        ({"axes": {"reset_cycle_s": [None]}}, "[axes] reset_cycle_s[0]"),
         ({"axes": {"level": {"phi_u0_deg": None}}}, "[axes.level] phi_u0_deg"),
         ({"cases": [{"phi_u0_deg": None}]}, "[cases] phi_u0_deg[0]"),
     ],
@@ -70,58 +64,39 @@ def test_none_is_refused_as_a_value(tables, place):
 
 @refused("""
 study.estimate = "covariance"                -> [study] estimate: 'covariance'
-study.duration_s = 0                         -> [study] duration_s: 0
 study.duration_s = 1000010                   -> [study] duration_s: 1000010 100000000
 study.rate_hz = 0.0                          -> [study] rate_hz: 0
 study.name = 3                               -> [study] name: 3
 study.draws = 0                              -> [study] draws: 1 0
-study.seed = -1                              -> [study] seed: 0
 study.curves = 1                             -> [study] curves: 1
-study.consistency_after_s = -1               -> [study] consistency_after_s: 0
 study.settle_bands_arcmin = 10               -> [study] settle_bands_arcmin: 10
 study.settle_bands_arcmin = [10, 10.0]       -> [study] settle_bands_arcmin: repeats
-study.settle_bands_arcmin = [60, 10, 0]      -> [study] settle_bands_arcmin[2]: 0
 # 10 arcmin is always a column.
 study.settle_bands_arcmin = [10.0000001]     -> [study] settle_bands_arcmin: bands
 study.judged_from = "reference"              -> [study] judged_from: 'truth' 'floor'
 study.judged_from = "limit"                  -> [study] judged_from: 'truth' 'floor' 'limit'
-study.level_band_arcmin = 0                  -> [study] level_band_arcmin: 0
 study.dwell_s = 1e9                          -> [study] dwell_s: shorter
-study.diverged_deg = -1                      -> [study] diverged_deg: 0
 study.report_times_s = 100                   -> [study] report_times_s: 100
 study.report_times_s = []                    -> [study] report_times_s: empty
-study.report_times_s = [0]                   -> [study] report_times_s[0]: 0
 study.report_times_s = [200, 100]            -> [study] report_times_s: increase
-study.window_s = [1]                         -> [study] window_s[1]: required
 study.window_s = [1, 2, 3]                   -> [study] window_s: 2 3
 study.window_s = [900, 600]                  -> [study] window_s: 900 600
 study.window_s = [600, 901]                  -> [study] window_s: 900 901
-study.window_s = [0, 0.5]                    -> [study] window_s: 0 0.5
 study.record_interval_s = 0.015              -> [study] record_interval_s: 0.015 0.01 0.02
 study.record_interval_s = 901 & study.window_s = [0, 900]
     -> [study] record_interval_s: 901 900
 earth.latitude_deg = 90                      -> [earth] latitude_deg: 90
-motion.pitch_center_deg = 90                 -> [motion] pitch_center_deg: 90
 motion.roll_amplitude_deg = -1               -> [motion] roll_amplitude_deg: 0
 motion.roll_amplitude_deg = 1                -> [motion] roll_period_s: roll_amplitude_deg
 axes.roll_amplitude_deg = [0, 1]             -> [motion] roll_period_s: roll_amplitude_deg
-sensors.gyro_noise_deg_per_h = -1            -> [sensors] gyro_noise_deg_per_h: 0
 sensors.accel_bias_ug = [1, 2, "3"]          -> [sensors] accel_bias_ug[2]: '3'
 alignment.phi_u0_deg = 181                   -> [alignment] phi_u0_deg: 180
-alignment.feedback_interval_s = 0            -> [alignment] feedback_interval_s: 0
 alignment.feedback_interval_s = 0.001        -> [alignment] feedback_interval_s: 0.001 0.01
 axes.feedback_interval_s = [1, 1.005]        -> [axes] feedback_interval_s: 1.005 1.01
-alignment.feedback_time_constant_s = -0.5    -> [alignment] feedback_time_constant_s: 0
 filter.p0_yaw_deg = 0                        -> [filter] p0_yaw_deg: 0
-filter.q_scale = 0.0                         -> [filter] q_scale: 0
 """)
 def test_invalid_values_of_single_keys_are_refused(refusal):
     refusal.check(refusal_line(**refusal.tables))
-
-
-def test_long_values_are_shortened_in_messages():
-    assert len(refusal_line(study={"duration_s": "x" * 1000})) < 120
-    assert len(refusal_line(study={"duration_s": 10**400})) < 120
 
 
 def test_missing_required_keys_are_listed():
@@ -143,10 +118,8 @@ def test_missing_required_keys_are_listed():
 axes.phi_u0_deg = 30                         -> [axes] phi_u0_deg: 30
 axes.phi_u0_deg = []                         -> [axes] phi_u0_deg: empty
 axes.phi_u0_deg = [0, 1, 2, "3"]             -> [axes] phi_u0_deg[3]: '3'
-axes.phi_u0_deg = [0, 200]                   -> [axes] phi_u0_deg[1]: 180
 axes.phi_u0_deg = [30, 1, 30.0]              -> [axes] phi_u0_deg[2]: [0]
 axes.method = ["kalman5", "x"]               -> [axes] method[1]: 'kalman5' 'compass' 'x'
-axes.reset_times_s = [[50], [60, 50]]        -> [axes] reset_times_s[1]: increase
 axes.accel_bias_ug = [1, [1, 2, "3"]]        -> [axes] accel_bias_ug[1][2]: '3'
 axes.phi_u0_deg = {uniform = [0, 1]}         -> [axes.phi_u0_deg] uniform
 axes.level = {}                              -> [axes.level]: empty
@@ -173,7 +146,6 @@ cases = [{}]                                 -> [cases]: empty
 cases = [{phi_u0_deg = 1}, {phi_u0_deg = "x"}]     -> [cases] phi_u0_deg[1]: 'x'
 cases = [{phi_u0_deg = 1}, {phi_e0_deg = 1}]       -> [cases] phi_u0_deg[1]: every
 cases = [{phi_u0_deg = 1}, {phi_u0_deg = 2, case = "b"}]  -> [cases] case[1]: every
-cases = [{case = "a", phi_u0_deg = 1}, {phi_u0_deg = 2}]  -> [cases] case[1]: every
 cases = [{case = 1, phi_u0_deg = 1}]         -> [cases] case[0]: 1
 cases = [{case = "a", phi_u0_deg = 1}, {case = "a", phi_u0_deg = 2}]   -> [cases] case[1]: [0]
 cases = [{case = "a", phi_u0_deg = 1}, {case = "b", phi_u0_deg = 1.0}]
@@ -206,44 +178,29 @@ def test_noise_given_in_two_units_is_refused(one, other):
 
 @refused("""
 resets.reset_count = -1                      -> [resets] reset_count: 0
-resets.reset_count = 1.0                     -> [resets] reset_count: 1.0
-resets.reset_cycle_s = 0                     -> [resets] reset_cycle_s: 0
 resets.reset_times_s = [50, 50]              -> [resets] reset_times_s: increase
-resets.reset_times_s = [50, 40]              -> [resets] reset_times_s: increase
-resets.reset_scale = 0                       -> [resets] reset_scale: 0
 resets.reset_times_s = [1] & resets.reset_count = 0
     -> [resets] reset_times_s: reset_count [resets]
-resets.reset_times_s = [1] & resets.reset_cycle_s = 50
-    -> [resets] reset_times_s: reset_cycle_s [resets]
 resets.reset_count = 1 & resets.reset_cycle_s = 50 & axes.reset_times_s = [[1], [2]]
     -> [axes] reset_times_s: reset_count [resets]
 resets.reset_times_s = [1] & axes.reset_count = [0, 1]
     -> [resets] reset_times_s: reset_count [axes]
 resets.reset_count = 1                       -> [resets] reset_cycle_s: reset_count 1
-axes.reset_count = [0, 2]                    -> [resets] reset_cycle_s: reset_count 2
 resets.reset_count = 3 & resets.reset_cycle_s = 301
     -> [resets] reset_cycle_s: 3 301 903 900
 resets.reset_cycle_s = 50 & axes.reset_count = [0, 19]
     -> [axes] reset_count: 19 50 950 900
-resets.reset_count = 2 & axes.reset_cycle_s = [50, 451]
-    -> [axes] reset_cycle_s: 2 451 902 900
 resets.reset_count = 2 & resets.reset_cycle_s = 0.006
     -> [resets] reset_cycle_s: 0.006 0.01
 resets.reset_times_s = [50, 901]             -> [resets] reset_times_s: 901 900
 resets.reset_times_s = [0.004]               -> [resets] reset_times_s: 0.004 start 0.01
 axes.reset_times_s = [[], [50.0, 50.004]]    -> [axes] reset_times_s: 50.004 50 0.01
-resets.reset_times_s = [1] & resets.reset_first_s = 50
-    -> [resets] reset_times_s: reset_first_s [resets]
 resets.reset_first_s = 25 & axes.reset_count = [0, 1, 2]
     -> [resets] reset_cycle_s: reset_count 2
 resets.reset_count = 1 & axes.reset_first_s = [25, 901]
     -> [axes] reset_first_s: 901 900
-resets.reset_count = 2 & resets.reset_first_s = 0.004 & resets.reset_cycle_s = 50
-    -> [resets] reset_first_s: 0.004 start 0.01
 resets.reset_count = 3 & resets.reset_first_s = 101 & resets.reset_cycle_s = 400
     -> [resets] reset_cycle_s: 3 101 400 901 900
-resets.reset_count = 2 & resets.reset_first_s = 25 & resets.reset_cycle_s = 0.006
-    -> [resets] reset_cycle_s: 0.006 0.01
 resets.reset_count = 2 & resets.reset_first_s = 0.015 & resets.reset_cycle_s = 0.01
     -> [resets] reset_first_s: 0.015 0.01 two
 """)
@@ -253,9 +210,7 @@ def test_invalid_resets_are_refused(refusal):
 
 @refused("""
 stop_when.statistic = "settle_3_s_mean"      -> [stop_when] statistic: settle_60_s_mean
-stop_when.statistic = 3                      -> [stop_when] statistic: 3
 stop_when.half_width = 0                     -> [stop_when] half_width: 0
-stop_when.half_width = 1                     -> [stop_when] half_width: 1
 stop_when.until = 3                          -> [stop_when] until
 """)
 def test_invalid_stop_rules_are_refused(refusal):
@@ -273,10 +228,8 @@ def test_stop_rule_needs_statistic_and_half_width_and_no_record():
     ("one", "others"),
     [
         ("level_gains", ("level_sigma_per_s", "level_adjustment_s")),
-        ("level_adjustment_s", ("level_sigma_per_s",)),
         ("level_passes", ("level_time_s",)),
         ("azimuth_gains", ("azimuth_sigma_per_s", "azimuth_adjustment_s")),
-        ("azimuth_adjustment_s", ("azimuth_sigma_per_s",)),
         ("sigma_passes", ("sigma_times_s",)),
     ],
 )
@@ -298,8 +251,6 @@ def test_loop_settings_given_in_two_ways_are_refused(one, others):
 passes.stored_s = 901                        -> [passes] stored_s: 901 900
 passes.stored_s = 80.5                       -> [passes] stored_s: 80.5 80 81
 passes.stored_s = 0.4                        -> [passes] stored_s: 0.4 1
-passes.stored_s = 0                          -> [passes] stored_s: 0
-passes = {stored_s = 80, passes = 0}         -> [passes] passes: 1 0
 passes = {stored_s = 80, passes = 12}        -> [passes] passes: 12 80 960 900
 passes = {stored_s = 80, passes = 4, ending = "forward"}
     -> [passes] passes: 4 backward ending 'forward'
@@ -313,16 +264,10 @@ compass = {sigma_factors = [3, 2, 1], sigma_times_s = [3, 2]}
     -> [compass] sigma_times_s: increase
 compass = {sigma_factors = [2, 1], sigma_passes = [2]}       -> [compass] sigma_passes: stored_s
 compass.level_passes = 1                     -> [compass] level_passes: stored_s
-compass.level_passes = 0                     -> [compass] level_passes: 1 0
-compass.sigma_factors = []                   -> [compass] sigma_factors: empty
 compass.azimuth_gains = [1, 2, 3, 4, 5]      -> [compass] azimuth_gains: 4 5
 compass.level_damping = 1.0                  -> [compass] level_damping: 1.0
-compass.adjustment_remainder = 1.0           -> [compass] adjustment_remainder: 1.0
-compass.azimuth_sigma_per_s = 0              -> [compass] azimuth_sigma_per_s: 0
-compass.allow_unstable = 1                   -> [compass] allow_unstable: 1
 axes = {sigma_factors = [[1.0], [2.0, 1.0]], sigma_times_s = [[], [100.0]]}
     -> [axes] sigma_times_s: 0 1
-cases = [{sigma_factors = [2.0, 1.0], sigma_passes = [2]}]   -> [cases] sigma_passes: stored_s
 """)
 def test_invalid_passes_and_compass_loops_are_refused(refusal):
     base = merge_tables(COMPASS, study={"window_s": [0, 80]})
@@ -415,19 +360,16 @@ axes.accel_bias_ug = [1]                     -> [axes] accel_bias_ug: [sensors]
 axes.coarse_duration_s = [0.01]              -> [axes] coarse_duration_s: 0.01
 axes.to_s = [1]                              -> [axes] to_s: [record]
 coarse.coarse_method = "none"                -> [coarse] coarse_method: 'none' 'inertial'
-coarse.coarse_duration_s = 0                 -> [coarse] coarse_duration_s: 0
 coarse.coarse_duration_s = 0.01              -> [coarse] coarse_duration_s: 0.01 2 0.02
 record.start_s = [0, -1]                     -> [record] start_s[1]: 0
 record.start_s = [0, 30, 0.0]                -> [record] start_s: repeats
 record.start_s = []                          -> [record] start_s: empty
-record.start_s = "0"                         -> [record] start_s[0]: '0'
 record = {from_s = 30, start_s = [20, 40]}   -> [record] start_s: 20 30
 record = {from_s = 30, to_s = 30}            -> [record] to_s: 30
 record.time_unit = "ms"                      -> [record] time_unit: time_column
 record.max_gap_s = 1                         -> [record] max_gap_s: 'psins'
 record.axes_order = "xyy"                    -> [record] axes_order: 'xyy' permutation
 record.axes_order = "yxz"                    -> [record] axes_order: 'yxz' left-handed
-record.axes_order = 3                        -> [record] axes_order: 3
 record.format = "mat"                        -> [record] format: 'psins' 'csv' 'parquet' 'arrays'
 """)
 def test_invalid_recorded_studies_are_refused(refusal):
@@ -454,10 +396,8 @@ def test_record_keys_depend_on_format():
 
 @refused("""
 record.gyro_unit = "rad"                     -> [record] gyro_unit: 'rad' rad_per_s deg_per_s
-record.gyro_unit = "rad/s"                   -> [record] gyro_unit: 'rad/s' rad_per_s
 record.quantity = "increments"               -> [record] gyro_unit: 'deg_per_h' rad deg arcsec
 record.accel_unit = "g_s"                    -> [record] accel_unit: 'g_s' m_per_s2 g mg ug
-record.accel_unit = "ft"                     -> [record] accel_unit: 'm_per_s'
 record.gyro_columns = ["a", "b"]             -> [record] gyro_columns[2]: required
 record.accel_columns = ["ax", "ay", "gx"]    -> [record] accel_columns: 'gx'
 record.time_column = "gx"                    -> [record] gyro_columns: 'gx' time_column

@@ -62,24 +62,6 @@ def test_waiting_resets_have_params_of_resets_scheduled_at_next_feedback():
 
 
 @pytest.mark.nightly
-def test_waiting_reset_equals_reset_scheduled_at_next_feedback():
-    """To the bit that of a schedule on the feedbacks themselves."""
-    phases = [[0.71, 1.41], [0.8, 1.77], [1.05, 2.05], [1.05, 2.1]]
-    waiting = rows(
-        alignment={"feedback_interval_s": 0.35},
-        resets={AT: True},
-        axes={"reset_times_s": phases},
-    )
-    written = rows(
-        alignment={"feedback_interval_s": 0.35},
-        axes={"reset_times_s": [[1.05, 1.75], [1.05, 2.1], *phases[:1]]},
-    )
-    assert waiting[0] == written[0]
-    assert waiting[1] == waiting[2] == waiting[3] == written[1]
-    assert written[0] != written[1] != written[2]
-
-
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     "method", [pytest.param("kalman5", marks=pytest.mark.optimised(True)), "kalman_sincos"]
 )
@@ -91,13 +73,6 @@ def test_reset_feedback_keys_do_not_affect_other_variants(method):
     assert own[PLAIN] == alone
     assert own[BOTH] == own[WAITING]
     assert own[PLAIN] != own[WAITING] != own[RESTARTING] != own[PLAIN]
-
-
-@pytest.mark.nightly
-def test_reset_feedback_keys_have_no_effect_with_feedback_every_sample():
-    tables = {"alignment": {"feedback_interval_s": 0.01}, "axes": {"keys": KEYS}}
-    plain, *others = rows(**tables, resets={"reset_times_s": [1.0, 1.9]})
-    assert all(other == plain for other in others)
 
 
 @pytest.mark.nightly

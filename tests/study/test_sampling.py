@@ -55,16 +55,6 @@ def sobol(laws: dict[str, Any]) -> dict[str, Any]:
 BOTH = pytest.mark.parametrize("laws", [LAWS, sobol(LAWS)], ids=["random", "sobol"])
 
 
-@BOTH
-@pytest.mark.parametrize("count", [0, 1, 3, 64])
-def test_drawn_values_have_expected_order_and_shapes(laws, count):
-    values = drawn(laws, count)
-    assert list(values) == list(LAWS)
-    assert all(v.dtype == np.float64 for v in values.values())
-    shapes = [v.shape for v in values.values()]
-    assert shapes == [(count,), (count,), (count,), (count, 3), (count, 6), (count,)]
-
-
 def test_drawn_keys_need_as_many_numbers_as_their_section():
     for key, numbers in NUMBERS_DRAWN.items():
         one = make_study(
@@ -110,12 +100,6 @@ def test_drawn_values_are_uncorrelated_across_keys_axes_and_draws(laws):
     if "sampling" in laws:
         found = found[:, :n]  # a Sobol point avoids the one before it
     assert np.abs(found).max() < 4.5 / np.sqrt(MANY)
-
-
-def test_zero_width_distributions_give_constant_values():
-    values = drawn({"phi_e0_deg": {"uniform": [3, 3]}, "phi_n0_deg": {"normal": [2, 0]}}, 50)
-    np.testing.assert_array_equal(values["phi_e0_deg"], 3.0)
-    np.testing.assert_array_equal(values["phi_n0_deg"], 2.0)
 
 
 def test_every_dyadic_interval_holds_one_sobol_point():
@@ -257,16 +241,10 @@ drawn = {sampling = "halton", phi_e0_deg.uniform = [0, 1]}
 drawn.phi_e_deg.uniform = [0, 1]             -> [drawn] phi_e_deg: phi_e0_deg
 drawn.case.values = ["a"]                    -> [drawn] case
 drawn.height_m.uniform = [0, 1]              -> [drawn] height_m: latitude_deg [motion] phi_u0_deg
-drawn.phi_e0_deg = 3                         -> [drawn] phi_e0_deg: 3
 drawn.phi_e0_deg.unifrom = [0, 1]            -> [drawn] phi_e0_deg.unifrom: uniform
-drawn.phi_e0_deg = {}                        -> [drawn] phi_e0_deg: uniform normal values grid
 drawn.phi_e0_deg = {uniform = [0, 1], grid = [1]}    -> [drawn] phi_e0_deg: uniform normal grid
-drawn.phi_e0_deg.normal = 3                  -> [drawn] phi_e0_deg.normal: 3
 drawn.phi_e0_deg.sigma = 3                   -> [drawn] phi_e0_deg.sigma: normal uniform
-drawn.phi_e0_deg.uniform = [1]               -> [drawn] phi_e0_deg.uniform[1]: required
 drawn.phi_e0_deg.uniform = [1, 2, 3]         -> [drawn] phi_e0_deg.uniform: 2 3
-drawn.gyro_bias_deg_per_h.uniform = [[0, 1], [0, 1]]
-    -> [drawn] gyro_bias_deg_per_h.uniform[0]: [0, 1]
 drawn.phi_e0_deg.uniform = [2, 1]            -> [drawn] phi_e0_deg.uniform: low high 2 1
 drawn.phi_e0_deg.normal = [0, -1]            -> [drawn] phi_e0_deg.normal[1]: 0 -1
 drawn.phi_e0_deg.values = []                 -> [drawn] phi_e0_deg.values: empty

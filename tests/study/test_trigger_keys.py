@@ -34,8 +34,6 @@ GIVEN: dict[str, dict[str, Any]] = {
 
 @refused("""
 resets.reset_trigger = "innovation"    -> [resets] trigger_threshold: reset_trigger 'innovation'
-resets = {reset_trigger = "innovation", trigger_window_s = 3.0}
-    -> [resets] trigger_threshold: 'innovation'
 axes.reset_trigger = ["none", "innovation"]    -> [resets] trigger_threshold: 'innovation'
 cases = [{reset_trigger = "none"}, {reset_trigger = "innovation"}]
     -> [resets] trigger_threshold: 'innovation'
@@ -58,38 +56,12 @@ def test_trigger_keys_without_reset_trigger_are_refused(trigger):
 resets.reset_trigger = "cusum"               -> [resets] reset_trigger: 'cusum'
 resets.trigger_threshold = -1.0              -> [resets] trigger_threshold: -1.0
 resets.trigger_window_s = 0.0                -> [resets] trigger_window_s: 0.0
-resets.trigger_refractory_s = -0.1           -> [resets] trigger_refractory_s: -0.1
 resets.trigger_most = 0                      -> [resets] trigger_most: 1 0
 resets.trigger_most = 1.5                    -> [resets] trigger_most: 1.5
-resets.trigger_until_s = 0.0                 -> [resets] trigger_until_s: 0.0
 resets.reset_velocity_m_per_s = 0.0          -> [resets] reset_velocity_m_per_s: 0.0
-resets.reset_level_deg = 0.0                 -> [resets] reset_level_deg: 0.0
-resets.reset_yaw_deg = 0.0                   -> [resets] reset_yaw_deg: 0.0
-resets.reset_gyro_bias_deg_per_h = 0.0       -> [resets] reset_gyro_bias_deg_per_h: 0.0
-resets.reset_accel_bias_ug = 0.0             -> [resets] reset_accel_bias_ug: 0.0
 """)
 def test_invalid_reset_values_are_refused(refusal):
     refusal.check(refusal_line(resets=TRIGGER | refusal.tables["resets"]))
-
-
-def test_trigger_keys_have_defaults():
-    resets = build_study(resets=TRIGGER).resets
-    assert resets is not None
-    assert (resets.trigger_window_s, resets.trigger_refractory_s) == (10.0, 5.0)
-    assert (resets.trigger_most, resets.trigger_until_s) == (10, None)
-    for tables in ({}, {"resets": {"reset_trigger": "none"}}):
-        alone = build_study(**tables).resets
-        assert alone is not None
-        assert {getattr(alone, key) for key in OF_TRIGGERS} == {None}
-
-
-def test_given_reset_and_trigger_values_are_kept():
-    resets = build_study(resets=GIVEN["resets"]).resets
-    assert resets is not None
-    assert {key: getattr(resets, key) for key in GIVEN["resets"]} == GIVEN["resets"]
-    swept = build_study(resets=TRIGGER, axes={"trigger_window_s": [1.0, 2.0]})
-    assert swept.resets is not None
-    assert (swept.resets.trigger_window_s, swept.resets.trigger_most) == (None, 10)
 
 
 def test_reset_trigger_may_be_swept_together_with_none():
@@ -111,10 +83,9 @@ def test_reset_trigger_may_be_swept_together_with_none():
         GIVEN,
         {"resets": TRIGGER | {"trigger_until_s": 50.0, "reset_count": 2, "reset_cycle_s": 3.0}},
         {"resets": {"trigger_threshold": 9.0}, "axes": {"reset_trigger": ["none", "innovation"]}},
-        {"axes": {"reset_yaw_deg": [10.0, 20.0], "q_scale": [1.0, 2.0]}},
         {"cases": [TRIGGER, TRIGGER | {"reset_trigger": "none"}]},
     ],
-    ids=["values", "schedule", "axis", "reset values", "cases"],
+    ids=["values", "schedule", "axis", "cases"],
 )
 def test_resolved_study_loads_equal(tables):
     study = build_study(**tables)

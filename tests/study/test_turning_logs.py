@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.commands import command_line
 from support.turning_logs import DEG, DEG_PER_H, PARKED, TURNS, G, turned_record
 
 import sinsjax as package
@@ -90,30 +89,13 @@ def test_all_of_a_long_turning_log_is_aligned(tmp_path):
         assert tomllib.loads(text)["study"]["duration_s"] == fine_s
 
 
-def aligned(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    folder: Path,
-    motion: str,
-    gyro: Any = 1.0,
-    *options: str,
-) -> tuple[str, dict[str, Any]]:
-    """Return what `sinsjax align` prints by the study of a right log, and its row."""
-    monkeypatch.chdir(folder)
-    text = make_study_text(write_log(Path("log.csv"), motion), Path("its.toml"))
-    Path("its.toml").write_text(text)
-    write_log(Path("log.csv"), motion, gyro=gyro)
-    sinsjax = command_line(monkeypatch, capsys)
-    code, printed, _ = sinsjax("align", "log.csv", "its.toml", "-o", "out", *options)
-    assert code == 0
-    (row,) = package.read_summary("out").to_pylist()
-    return printed, row
-
-
 @pytest.mark.nightly
-def test_fit_that_contradicts_its_sensors_is_a_caution(monkeypatch, capsys, tmp_path):
-    signs = np.array([1.0, 1.0, -1.0])  # refused, unless the user insists
-    trust = ("--set", "record.trust=true")
-    printed, row = aligned(monkeypatch, capsys, tmp_path, "four positions", signs, *trust)
+def test_fit_that_contradicts_its_sensors_is_a_caution(sinsjax):
+    path, config = Path("log.csv"), Path("its.toml")
+    config.write_text(make_study_text(write_log(path, "four positions"), config))
+    write_log(path, "four positions", gyro=np.array([1.0, 1.0, -1.0]))
+    trust = ("--set", "record.trust=true")  # refused, unless the user insists
+    code, printed, _ = sinsjax("align", "log.csv", "its.toml", "-o", "out", *trust)
+    assert code == 0 and "residuals" in " ".join(printed.split())
+    (row,) = package.read_summary("out").to_pylist()
     assert row["fit_misfit"] > 3
-    assert "residuals" in " ".join(printed.split())

@@ -23,12 +23,8 @@ alignment.method = "compass" & compass.level_passes = 4 & passes.stored_s = 2.0
 alignment.method = "compass" & compass = {sigma_factors = [2, 1], sigma_passes = [5]}
     & axes.passes = [1, 2] & passes.stored_s = 2.0
     -> [compass] sigma_passes: 10 4
-alignment.method = "compass" & cases = [{level_time_s = 1.0}, {level_time_s = 60.0}]
-    -> [cases] level_time_s: 60 6
 resets = {reset_trigger = "innovation", trigger_threshold = 9.0, trigger_until_s = 6.1}
     -> [resets] trigger_until_s: 6.1 6
-resets = {reset_trigger = "innovation", trigger_threshold = 9.0, trigger_refractory_s = 10.0}
-    -> [resets] trigger_refractory_s: 10 6
 resets = {reset_trigger = "innovation", trigger_threshold = 9.0}
     & axes.trigger_until_s = [3.0, 600.0]
     -> [axes] trigger_until_s: 600 6

@@ -6,7 +6,6 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import tomli_w
 from support import plain_studies
@@ -108,20 +107,6 @@ def test_method_of_shipped_study_can_be_changed(name):
             load_with_notes(path, {"alignment.method": method})
 
 
-@pytest.mark.nightly
-@pytest.mark.optimised(False)
-@pytest.mark.parametrize("method", METHODS)
-def test_reset_sweep_runs_with_any_method(method):
-    few = {"phi_u0_deg": [0, 30], "reset_count": [0, 2], "reset_cycle_s": [10, 20]}
-    short = {"study.duration_s": 150.0, "study.window_s": [100, 150], "study.judged_from": "truth"}
-    changes = {"alignment.method": method, "study.draws": 2} | short
-    changes |= {f"axes.{key}": values for key, values in few.items()}
-    summary = run(load_study("reset_sweep", changes)).summary
-    assert summary.num_rows == 2 * 8
-    error = "phi_u_arcmin" if METHODS[method].finds_heading else "phi_e_arcmin"
-    assert np.isfinite(summary[error].to_numpy()).all()
-
-
 def test_line_lists_keys_that_no_method_reads(tmp_path):
     study, notes = change_study({"alignment.method": "inertial"}, FULL, tmp_path)
     assert study.filter and study.resets and study.n_variants == 4
@@ -143,10 +128,8 @@ def test_line_lists_keys_that_no_method_reads(tmp_path):
     [
         ({"compass": {"level_time_s": 1}}, "[compass] level_time_s"),
         ({"axes": {"sigma_factors": [[2.0]]}}, "[axes] sigma_factors"),
-        ({"axes": {"turn_smoothing_s": [1]}}, "[axes] turn_smoothing_s"),
         ({"passes": {"stored_s": 80, "turn": "keep"}}, "[passes] turn"),
         ({"alignment": COMPASS, "filter": {"p0_yaw_deg": 1}}, "[filter] p0_yaw_deg"),
-        ({"alignment": COMPASS, "resets": {"reset_times_s": [3]}}, "[resets] reset_times_s"),
         ({"alignment": COMPASS | {"feedback_interval_s": 2}}, "[alignment] feedback_interval_s"),
         ({"alignment": COMPASS, "axes": {"trigger_threshold": [1]}}, "[axes] trigger_threshold"),
         ({"alignment": COMPASS, "cases": [{"turn_inflation": 3.0}]}, "[cases] turn_inflation"),
@@ -169,25 +152,6 @@ def test_keys_of_changed_method_remain_for_the_next_change(tmp_path):
         path = tmp_path / "study.toml"
         path.write_text(tomli_w.dumps(FULL), encoding="utf-8")
         assert load_study(path, {"alignment.method": "compass"}).filter == study.filter
-
-
-@pytest.mark.parametrize("method", ["compass", "optimisation", "inertial"])
-def test_keys_that_no_method_reads_change_no_result(method):
-    """Nor an axis of them, whose variants are duplicates."""
-    few = {key: table for key, table in FULL.items() if key not in ("filter", "resets", "axes")}
-    few |= {"alignment": {"method": method}, "axes": {"phi_u0_deg": [10.0, 30.0]}}
-    many = few | {key: FULL[key] for key in ("filter", "resets")}
-    many |= {"axes": few["axes"] | {"reset_times_s": [[2.0], [3.0]]}}
-    one, other = (run(study_from_dict(tables)).summary for tables in (few, many))
-    names = ["phi_u0_deg", "phi_u_arcmin", "phi_e_arcmin", "status"]
-    expected = {tuple(row.values()) for row in one.select(names).to_pylist()}
-    assert {tuple(row.values()) for row in other.select(names).to_pylist()} == expected
-    assert (one.num_rows, other.num_rows) == (len(expected), 2 * len(expected))
-
-
-def test_misspelt_method_is_refused(tmp_path):
-    line = refusal_of_change({"alignment.method": "inertail"}, FULL, tmp_path)
-    assert_named(line, "[alignment] method", "'inertail'", "inertial")
 
 
 def test_tuned_key_that_no_method_reads_is_refused(tmp_path):
