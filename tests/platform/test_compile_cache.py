@@ -114,8 +114,6 @@ def test_parent_folder_writable_by_others_is_refused(restored_settings, tmp_path
     ("asked", "told"),
     [
         ("{}/file", ".*/file/jaxlib.*: Not a directory"),
-        ("{}/loop/x", ".*/loop.*: .*[Ss]ymbolic link"),
-        ("{}/" + 300 * "x", ".*: File name too long"),
         ("~nosuchuser/x", "~nosuchuser/x: no such user"),
     ],
 )
@@ -123,7 +121,6 @@ def test_cache_folder_that_cannot_be_created_raises_input_error(
     restored_settings, tmp_path, asked, told
 ):
     (tmp_path / "file").write_text("")
-    (tmp_path / "loop").symlink_to("loop")
     restored_settings.setenv(compile_cache.VARIABLE, asked.format(tmp_path))
     with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: {told}"):
         compile_cache.enable_cache()
