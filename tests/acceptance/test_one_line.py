@@ -87,8 +87,6 @@ NESTED = {
 }
 NESTED_MANIFESTS = {
     "lists": "[" * DEEP,
-    "tables": '{"a":' * DEEP,
-    "chunks": '{"chunks":' + "[" * DEEP,
     "few": '{"config":' + "[" * 60 + "]" * 60 + "}",
 }
 
@@ -120,7 +118,6 @@ def test_change_nested_too_deeply_is_refused_in_one_line(
         assert code == 2 and error.endswith(": is nested too deeply\n") and error.count("\n") == 1
 
 
-@pytest.mark.nightly(fast=("few-report", "lists-report", "few-rerun"))
 @pytest.mark.parametrize("command", ["report", "rerun"])
 @pytest.mark.parametrize("how", NESTED_MANIFESTS)
 def test_manifest_nested_too_deeply_is_refused_in_one_line(

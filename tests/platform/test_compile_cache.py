@@ -206,17 +206,6 @@ def test_entries_of_interrupted_writes_alone_are_removed_at_start(restored_setti
 
 
 @pytest.mark.nightly
-def test_entry_of_interrupted_write_is_replaced(filled_cache):
-    """An entry without access time would stop all later writing."""
-    folder, inner, bits = filled_cache
-    for entry in inner.glob("*-cache"):
-        entry.write_bytes(entry.read_bytes()[:100])
-        entry.with_name(entry.name.replace("-cache", "-atime")).unlink()
-    assert result(start(folder)) == (bits, False, "")
-    assert result(start(folder)) == (bits, True, "")
-
-
-@pytest.mark.nightly
 def test_simultaneous_first_starts_give_same_result(tmp_path, first_process):
     processes = [start(tmp_path / "new") for _ in range(3)]
     assert [result(process)[0] for process in processes] == 3 * [first_process[1]]

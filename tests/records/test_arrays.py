@@ -266,18 +266,16 @@ def test_study_runs_on_arrays(drive_data):
 
 
 @pytest.mark.parametrize(
-    ("accel", "time", "units", "named"),
+    ("accel", "units", "named"),
     [
-        (-1.0, 1.0, {}, "axes"),
-        (1.0, 1.0, {"accel_unit": "g"}, "9.81 times"),
-        (1.0, 1e6, {"time_unit": "s"}, "time_unit"),
-        (1.0, 1.0, {"time_unit": "ns"}, "time_unit"),
+        (-1.0, {}, "axes"),
+        (1.0, {"time_unit": "ns"}, "time_unit"),
     ],
-    ids=["gravity down", "unit of accelerometers", "slow time", "fast time"],
+    ids=["gravity down", "fast time"],
 )
-def test_wrong_sign_or_unit_is_refused(accel, time, units, named, drive_data):
+def test_wrong_sign_or_unit_is_refused(accel, units, named, drive_data):
     record = drive_data[1]
-    times = time * np.arange(1, len(record.dv) + 1) / record.rate_hz
+    times = np.arange(1, len(record.dv) + 1) / record.rate_hz
     rates = record.dtheta * record.rate_hz, accel * record.dv * record.rate_hz
     with pytest.raises(InputError, match=named):
         sinsjax.run(recorded(), sinsjax.record_from_arrays(times, *rates, **units))
