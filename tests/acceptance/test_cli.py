@@ -104,27 +104,6 @@ def test_existing_results_are_overwritten_only_on_request(sinsjax: Command, tmp_
     assert (out / "notes.txt").read_text() == "mine"
 
 
-def test_overwrite_of_directory_without_results_is_refused(
-    sinsjax: Command, tmp_path: Path
-) -> None:
-    (tmp_path / "figures").mkdir()
-    (tmp_path / "figures" / "thesis.png").write_text("mine")
-    config = write_study(tmp_path)
-    code, _, error = sinsjax("sweep", config, "-o", tmp_path, "--overwrite")
-    assert code == 2 and error.count("\n") == 1 and "not a result" in error
-    assert (tmp_path / "figures" / "thesis.png").read_text() == "mine"
-    assert config.read_text()
-
-
-def test_repeated_sweep_writes_identical_bytes(sinsjax: Command, tmp_path: Path) -> None:
-    config = write_study(tmp_path, axes={"reset_times_s": [[], [2.5]]})
-    for name in ("one", "two"):
-        assert sinsjax("sweep", config, "-o", tmp_path / name)[0] == 0
-    parts = [sorted((tmp_path / name / "summary").iterdir()) for name in ("one", "two")]
-    assert [p.read_bytes() for p in parts[0]] == [p.read_bytes() for p in parts[1]]
-    assert not (tmp_path / "one" / "curves").exists()
-
-
 def test_resume_computes_only_missing_runs(sinsjax: Command, tmp_path: Path) -> None:
     config, out = write_study(tmp_path, **TWO, study={"draws": 100}), tmp_path / "out"
     words = ("sweep", config, "-o", out, "--resume")
@@ -155,18 +134,15 @@ def test_invalid_executor_options_are_refused_in_one_line(sinsjax: Command, tmp_
     assert_refused(sinsjax(*words, "--devices", 4096), none, "--devices", "4096")
 
 
-@pytest.mark.nightly(fast=("mine/-study.seed=3",))
-@pytest.mark.parametrize(("folder", "change"), [("", ""), ("mine/", "study.seed=3")])
 def test_page_names_study_file_and_set_overrides(
-    sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, change: str
+    sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / folder).mkdir(exist_ok=True)
-    config = write_study(tmp_path / folder, **TWO).relative_to(tmp_path)
-    assert sinsjax("sweep", config, "-o", "out", *(["--set", change] if change else []))[0] == 0
+    (tmp_path / "mine").mkdir()
+    config = write_study(tmp_path / "mine", **TWO).relative_to(tmp_path)
+    assert sinsjax("sweep", config, "-o", "out", "--set", "study.seed=3")[0] == 0
     assert sinsjax("report", "out", "--html", "page.html")[0] == 0
-    named = f"{folder}study.toml{change and f' with {change}'}; computed by sinsjax "
-    assert f"<footer>{named}" in Path("page.html").read_text()
+    assert "<footer>mine/study.toml with study.seed=3; " in Path("page.html").read_text()
 
 
 @pytest.mark.nightly
@@ -191,10 +167,6 @@ def test_align_with_reference_reports_true_misalignment(
 
 MISTAKES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "misspelt key": ({"alignment": {"phi_u0_degs": 3}}, ("phi_u0_degs", "phi_u0_deg")),
-    "unknown section": ({"algnment": {"method": "kalman5"}}, ("algnment", "alignment")),
-    "reset after the end": ({"resets": {"reset_times_s": [50.0]}}, ("reset_times_s", "6")),
-    "feedback interval": ({"alignment": {"feedback_interval_s": 0.015}}, ("0.015", "0.01")),
-    "empty axis": ({"axes": {"phi_u0_deg": []}}, ("phi_u0_deg", "empty")),
     "no heading": ({"motion": {"yaw_center_deg": None}}, ("yaw_center_deg", "required")),
 }
 
@@ -206,14 +178,8 @@ def test_invalid_study_is_refused_in_one_line(sinsjax: Command, tmp_path: Path, 
     assert_refused(sinsjax("sweep", config, "-o", out), out, str(config), *named)
 
 
-def spoil(row: int, text: str) -> Callable[[list[str]], list[str]]:
-    return lambda lines: [*lines[: row - 1], text, *lines[row:]]
-
-
 SPOILT: dict[str, tuple[Callable[[list[str]], list[str]], tuple[str, ...]]] = {
-    "truncated": (lambda lines: [*lines[:-1], lines[-1][:9]], ("row",)),
-    "column count": (spoil(100, "1 2 3 4 5"), ("row 100", "5")),
-    "NaN": (spoil(300, "1 2 nan 4 5 6"), ("row 300", "nan")),
+    "NaN": (lambda lines: [*lines[:299], "1 2 nan 4 5 6", *lines[300:]], ("row 300", "nan")),
     "too short": (lambda lines: lines[:500], ("5",)),
 }
 

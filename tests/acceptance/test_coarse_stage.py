@@ -131,14 +131,6 @@ def test_resolved_toml_loads_as_equal_study() -> None:
                 " at 2 s (reset later)"
             ),
         ),
-        (
-            {"coarse": {"coarse_duration_s": 2.0}, "resets": {"reset_count": 2}}
-            | {"axes": {"reset_cycle_s": [1.5, 2.5]}},
-            (
-                "[resets] reset_count: the reset at 1.5 s is not after the end of coarse alignment,"
-                " at 2 s (reset later)"
-            ),
-        ),
     ],
 )
 def test_invalid_coarse_settings_are_refused(tables: dict[str, Any], line: str) -> None:

@@ -172,14 +172,3 @@ def test_validate_and_sweep_report_wrong_plugin_method_in_one_line(
             (number,) = (number for number, line in enumerate(lines, 1) if marked in line)
             assert ended.stderr.endswith(f", in {changed / METHOD}:{number}\n")
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.nightly
-def test_passes_with_plugin_that_reads_record_once_are_refused(
-    server: CommandServer, site: Path, tmp_path: Path
-) -> None:
-    study = STUDY.replace('["averaged", "inertial"]', '["averaged"]')
-    (tmp_path / "averages.toml").write_text(f"{study}[passes]\nstored_s = 20.0\n")
-    (ended,) = server(("validate", "averages.toml"), site=site, cwd=tmp_path)
-    line = f"{WHOSE}reads a stored record once (drop [passes])"
-    assert (ended.returncode, ended.stderr) == (2, f"error: {line}\n")

@@ -415,11 +415,6 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
     ),
     "two minds": ({}, ["--resume", "--overwrite"], "--resume: conflicts with --overwrite"),
     "a record for nothing": ({}, ["--record", "x.imu"], "has no [record] section to read x.imu"),
-    "a reference for nothing": (
-        {},
-        ["--reference", "x.csv"],
-        "has no [record] section to read x.csv with",
-    ),
     "no record": (
         {
             "motion": None,
@@ -437,11 +432,10 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("objective", ["settle_mean", "failure_rate"])
-def test_tune_warns_if_every_point_fails(objective: str, tmp_path: Path, sinsjax_: Command) -> None:
+def test_tune_warns_if_every_point_fails(tmp_path: Path, sinsjax_: Command) -> None:
     """A gyro bias whose floor lies far outside the band, judged from the truth."""
     tune = {
-        "objective": objective,
+        "objective": "settle_mean",
         "searches": ["grid"],
         "tune_draws": 2,
         "evaluation_draws": 2,
@@ -452,8 +446,7 @@ def test_tune_warns_if_every_point_fails(objective: str, tmp_path: Path, sinsjax
     config = write(tmp_path / "x.toml", tune=tune, sensors=sensors, axes=axes, resets=None)
     code, out, _ = sinsjax_("tune", config, "-o", tmp_path / "out")
     assert code == 0
-    assert "every point fails" in out and "within 10' of true north" in out
-    assert "`judged_from`" in out or "judged_from" in out
+    assert "every point fails" in out and "judged_from" in out
 
 
 @pytest.mark.parametrize("name", MISTAKES)
@@ -528,18 +521,14 @@ def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax_: Comm
     assert tuned_study.record is not None and len(tuned_study.record.start_s) == 3
 
 
-def landscape(count: int, *, grid: bool = False) -> descents.ObjectiveLandscape:
-    sides = [descents.VariableAxis(f"x{i}", 1.0, 100.0, bool(i % 2)) for i in range(count)]
-    axes = [np.geomspace(1, 100, 4) if i % 2 else np.linspace(1, 100, 4) for i in range(count)]
-    values = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, count)
+def test_descent_map_places_objective_at_grid_points() -> None:
+    sides = [descents.VariableAxis(f"x{i}", 1.0, 100.0, i == 1) for i in range(2)]
+    axes = np.linspace(1, 100, 4), np.geomspace(1, 100, 4)
+    values = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
     scores = values.sum(axis=1)
     scores[0] = np.inf
-    shape = (4,) * count if grid else None
-    return descents.ObjectiveLandscape(sides, values, scores, shape, "time (s)")
-
-
-def test_descent_map_places_objective_at_grid_points() -> None:
-    figure = descents.draw_descents(landscape(2, grid=True), [], [], "swing")
+    landscape = descents.ObjectiveLandscape(sides, values, scores, (4, 4), "time (s)")
+    figure = descents.draw_descents(landscape, [], [], "swing")
     (mesh,) = figure.axes[0].collections
     shown = np.ma.masked_invalid(mesh.get_array()).reshape(4, 4)
     assert shown.mask[0, 0] and shown.mask.sum() == 1

@@ -182,24 +182,6 @@ class TestTwoWorkers:
         assert len(parts(tmp_path / "here")) == 2 * 4
         assert parts(tmp_path / "here") == parts(tmp_path / "there")
 
-    def test_number_of_submitted_tasks_is_bounded(
-        self, two: study_tasks.Executor, study: Study
-    ) -> None:
-        runner = study_tasks.TaskRunner(study_tasks.Job(study, chunk_runs=CHUNK))
-        (tasks,) = runner.plan_tasks()
-        taken: list[study_tasks.Task] = []
-
-        def offered() -> Iterator[study_tasks.Task]:
-            for task in tasks[:9]:
-                taken.append(task)
-                yield task
-
-        done = []
-        for encoded in two.run_tasks(runner, offered()):
-            done.append(encoded.task)
-            assert len(taken) - len(done) < 2 * cluster.TASKS_PER_THREAD
-        assert sorted(done) == taken == tasks[:9]
-
 
 class TestOneScheduler:
     """With a worker, and later a second one; it ends with the last of these tests."""
@@ -302,19 +284,6 @@ def test_task_that_kills_workers_is_named_in_error(
         )
     there = parts(tmp_path / "out")
     assert len(there) >= 2 and there.items() <= local_parts.items()
-
-
-def test_failing_task_is_named_in_error(
-    start_command: Begin, scheduler: str, study: Study, tmp_path: Path
-) -> None:
-    (tmp_path / "file").write_text("")
-    spoiled = {compile_cache.VARIABLE: str(tmp_path / "file")}
-    start_command("worker", scheduler, "--nthreads", "1", **spoiled)
-    with (
-        cluster.executor(scheduler=scheduler) as executor,
-        pytest.raises(InputError, match=rf"^part-0000-000000: {compile_cache.VARIABLE}: "),
-    ):
-        run.run_into(study, tmp_path / "out", executor=executor)
 
 
 @needs_two_cores

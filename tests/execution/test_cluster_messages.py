@@ -1,13 +1,9 @@
 """Messages about workers and schedulers, and an executor on workers of this process."""
 
-import http.server
 import pickle
 import re
-import socket
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 from types import SimpleNamespace
 from typing import Any
 
@@ -175,76 +171,11 @@ def test_task_that_fails_repeatedly_is_named(
         ("tcp://127.0.0.1:1", "Connection refused"),
         ("tcp://nowhere.invalid:8786", ".*[Nn]ame.*"),
         ("nowhere", "missing port number .*"),
-        ("http://127.0.0.1:80", "unknown address scheme 'http' .*"),
     ],
 )
 def test_unreachable_scheduler_address_is_reported(address: str, reason: str) -> None:
     line = rf"{address}: no Dask scheduler answers there \({reason}\)"
     assert re.fullmatch(line, refusal_line(scheduler=address))
-
-
-class SilentHandler(http.server.BaseHTTPRequestHandler):
-    """A handler of HTTP requests that writes no log."""
-
-    def log_message(self, *_: Any) -> None:
-        pass
-
-
-@pytest.mark.parametrize("kind", ["silent", "http"])
-def test_other_service_at_scheduler_address_is_reported(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 1.0)
-    with ExitStack() as stack:
-        if kind == "http":
-            server = stack.enter_context(
-                http.server.ThreadingHTTPServer(("127.0.0.1", 0), SilentHandler)
-            )
-            threading.Thread(target=server.serve_forever, daemon=True).start()
-            stack.callback(server.shutdown)
-            port = server.server_address[1]
-        else:
-            port = stack.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1]
-        address = f"tcp://127.0.0.1:{port}"
-        line = f"{address}: no Dask scheduler answers there (no answer in 1 s)"
-        assert refusal_line(scheduler=address) == line
-
-
-# --- Workers that come and go --------------------------------------------------------------------
-
-
-class FakeClient:
-    """A client of a scheduler with these workers, or of one that does not answer."""
-
-    def __init__(self, *workers: str) -> None:
-        self.workers: tuple[str, ...] | None = workers
-
-    def nthreads(self) -> dict[str, int]:
-        if self.workers is None:
-            raise OSError("Timed out\nand more")
-        return dict.fromkeys(self.workers, 2)
-
-
-def test_missing_workers_are_refused_after_ten_minutes(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = 1000.0
-    monkeypatch.setattr(cluster, "time", SimpleNamespace(monotonic=lambda: now))
-    pool = cluster._Workers(FakeClient(), "tcp://head:8786")
-    now = 1599.0
-    assert pool.count_threads() == {}
-    now = 1601.0
-    with pytest.raises(InputError, match=r"^tcp://head:8786: no worker for 10 min$"):
-        pool.count_threads()
-
-
-def test_lost_scheduler_is_reported() -> None:
-    client = FakeClient()
-    client.workers = None
-    with pytest.raises(InputError) as lost:
-        cluster._Workers(client, "tcp://head:8786").count_threads()
-    assert str(lost.value) == (
-        "tcp://head:8786: lost the scheduler (completed chunks are stored: repeat with"
-        " --resume, in Python resume=True)"
-    )
 
 
 # --- Workers that differ -------------------------------------------------------------------------
@@ -257,11 +188,6 @@ def test_lost_scheduler_is_reported() -> None:
             {"brings-a-method": "1.0"},
             "the worker has brings-a-method (none), not 1.0: rows could differ (install the same"
             " version on every worker)",
-        ),
-        (
-            {"jaxlib": "0.1"},
-            f"the worker has jaxlib {runtime.relevant_versions()['jaxlib']}, not 0.1: rows could"
-            " differ (install the same version on every worker)",
         ),
         (
             {"instruction set": "VAX"},

@@ -109,9 +109,7 @@ def test_empty_results_directory_name_is_refused(
     monkeypatch.chdir(tmp_path)
     config = tmp_path / "none.toml"
     for words in (
-        ("run", config),
         ("sweep", config),
-        ("align", "record.imu", config),
         ("tune", config),
         ("rerun", tmp_path, "--run-id", "0"),
     ):

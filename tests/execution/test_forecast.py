@@ -95,28 +95,6 @@ def test_overwrite_counts_replaced_files_as_free_space(disk: Any, tmp_path: Path
         forecast.check_resources(study, expected, tmp_path, overwrite=False, resume=False)
 
 
-def test_forecast_counts_curves_in_disk_and_memory():
-    without, with_ = (
-        forecast.forecast_sweep(small_study(), curves=curves) for curves in (False, True)
-    )
-    assert forecast.forecast_sweep(small_study(study={"curves": True})) == with_
-    # Eleven numbers a second.
-    assert with_.run_bytes - without.run_bytes == pytest.approx(6 * 11 * 8, rel=0.3)
-    assert with_.memory > without.memory
-
-
-def test_day_long_run_memory_hardly_grows_with_duration():
-    """It takes 0.7 GB with its curves, and no more memory for another day but for these."""
-    day, two = (
-        forecast.forecast_sweep(
-            small_study(study={"draws": 1, "duration_s": n * 86_400.0}), curves=True
-        )
-        for n in (1, 2)
-    )
-    assert 0.7e9 < day.memory < 1.2e9
-    assert two.memory - day.memory < 0.1e9
-
-
 def test_stop_when_study_needs_disk_space_for_first_check_only(disk: Any, tmp_path: Path):
     stop = {"statistic": "success_rate", "half_width": 0.01}
     study = small_study(study={"draws": 10**6}, stop_when=stop)
@@ -144,40 +122,10 @@ def test_tuning_is_refused_if_all_runs_exceed_disk_or_memory(disk: Any, tmp_path
     ("tables", "programs"),
     [
         ({}, 1),
-        ({"axes": {"phi_u0_deg": [1, 2, 3]}}, 1),
         ({"axes": {"method": ["kalman5", "kalman10"], "phi_u0_deg": [1, 2, 3]}}, 2),
-        (
-            {
-                "cases": [
-                    {"method": m, "phi_u0_deg": n} for m in ("kalman5", "kalman10") for n in (1, 2)
-                ]
-            },
-            2,
-        ),
-        ({"axes": {"specific_force": ["measured", "gravity"]}}, 2),
         ({"axes": {"gyro_scale_ppm": [0, 10, 20]}}, 2),
     ],
 )
 def test_forecast_program_count_matches_engine(tables: Any, programs: int):
     study = small_study(**tables)
     assert forecast.forecast_sweep(study).programs == programs == len(set(Scenario(study).statics))
-    line = forecast.forecast_sweep(study).describe(2)
-    seconds = 3 + 6 * programs
-    several = "s" if programs > 1 else ""
-    told = f", and 3 s to start ({seconds} s the first time, which compiles {programs} program"
-    assert f"{told}{several}), " in line
-
-
-def test_forecast_of_descents_counts_their_programs_and_steps():
-    plain = forecast.forecast_tuning(small_study(tune=TUNE))
-    assert (plain.programs, plain.descents_s) == (1, 0.0)
-    gradient = TUNE | {"searches": ["grid", "gradient"], "descent_steps": 100}
-    moved = {"reset_times_s": [{"low": 1, "high": 5}]}
-    smooth, moving = (
-        forecast.forecast_tuning(small_study(tune=gradient | {"variables": variables}))
-        for variables in (TUNE["variables"], moved)
-    )
-    assert smooth.programs == moving.programs == 4
-    assert smooth.descents_s == moving.descents_s == pytest.approx(100 * 600 * 15e-6)
-    for made in (smooth, moving):
-        assert ", and 5 s to start (29 s the first time, which compiles 4 " in made.describe(2)

@@ -1,4 +1,4 @@
-"""The progress display of a running study, and its interruption."""
+"""The interruption of a running study."""
 
 import io
 import os
@@ -10,63 +10,11 @@ import pytest
 from rich.console import Console
 
 from sinsjax.cli import progress
-from sinsjax.execution.run import RunProgress
-
-
-class Clock:
-    """A clock that goes on when it is told to."""
-
-    now = 100.0
-
-    def monotonic(self) -> float:
-        return self.now
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
-    monkeypatch.setattr(progress, "time", clock)
-    return clock
 
 
 def plain() -> tuple[Console, io.StringIO]:
     file = io.StringIO()
     return Console(file=file, width=40), file
-
-
-def test_plain_progress_prints_every_tenth_with_pace_and_failures(clock: Clock) -> None:
-    screen, file = plain()
-    with progress.show_progress(screen, "swing") as on_progress:
-        on_progress(RunProgress(0, 20_000, 0, 0))
-        for done in range(100, 20_001, 100):
-            clock.now += 0.1
-            on_progress(RunProgress(done, 20_000, done // 1000, 0))
-    lines = file.getvalue().splitlines()
-    assert lines == [
-        # The pace is that since the first chunk: what is before it is compiling.
-        "swing: 100 of 20,000 runs, 0 failed",
-        *(
-            f"swing: {n},000 of 20,000 runs, 1,000 runs/s, 0:{20 - n:02d} left, {n} failed"
-            for n in range(2, 21, 2)
-        ),
-    ]
-
-
-def test_stored_runs_are_reported_and_excluded_from_pace(clock: Clock) -> None:
-    screen, file = plain()
-    with progress.show_progress(screen, "swing") as on_progress:
-        on_progress(RunProgress(900, 1000, 0, 900))
-        clock.now += 5.0
-        on_progress(RunProgress(950, 1000, 0, 900))
-        clock.now += 5.0
-        on_progress(RunProgress(1000, 1000, 2, 900))
-    assert file.getvalue().splitlines() == [
-        "swing: 900 of 1,000 runs already done",
-        "swing: 1,000 of 1,000 runs, 10 runs/s, 0:00 left, 2 failed",
-    ]
-
-
-# --- signals ------------------------------------------------------------------------------------
 
 
 @pytest.fixture

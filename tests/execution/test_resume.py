@@ -36,11 +36,6 @@ ZIP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 1.0, 2.0]}
             ["[axes.sched] reset_cycle_s: [1.0, 1.0, 2.0] there, [1.0, 1.0, 2.5] here"],
         ),
         (
-            {"drawn": {"vn0_m_per_s": {"normal": [0.0, 1.0]}}},
-            {"drawn": {"vn0_m_per_s": {"normal": [0.0, 2.0]}}},
-            ["[drawn] vn0_m_per_s: {'normal': [0.0, 1.0]} there, {'normal': [0.0, 2.0]} here"],
-        ),
-        (
             {"cases": [{"p0_yaw_deg": 40.0}, {"p0_yaw_deg": 50.0}]},
             {"cases": [{"p0_yaw_deg": 40.0}, {"p0_yaw_deg": 60.0}]},
             ["[cases 1] p0_yaw_deg: 50.0 there, 60.0 here"],

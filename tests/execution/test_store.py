@@ -114,24 +114,13 @@ def test_part_metadata_identify_study_and_chunk_only(uninterrupted: Path) -> Non
             assert field.metadata.keys() <= {b"unit", b"meaning"}
 
 
-def test_every_run_is_stored_exactly_once(uninterrupted: Path) -> None:
-    runs = STUDY.n_draws * STUDY.n_variants
-    assert count_runs(uninterrupted) == runs == CHUNKS * CHUNK_RUNS
-    assert read_summary(uninterrupted)["run_id"].to_pylist() == list(range(runs))
-    curves = read_curves(uninterrupted)
-    assert curves["run_id"].to_pylist() == [run for run in range(runs) for _ in range(2)]
-
-
 # --- what can befall a part ---------------------------------------------------------------------
 
 
-def flip_bit(place: Callable[[bytes], int]) -> Callable[[Path], None]:
-    def flip(path: Path) -> None:
-        content = bytearray(path.read_bytes())
-        content[place(content)] ^= 0x10
-        path.write_bytes(content)
-
-    return flip
+def flip_bit(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 3] ^= 0x10
+    path.write_bytes(content)
 
 
 def rewrite(table: pa.Table, path: Path) -> None:
@@ -161,13 +150,8 @@ def replace_by_directory(path: Path) -> None:
 
 DAMAGES: dict[str, Callable[[Path], None]] = {
     "gone": Path.unlink,
-    "empty": lambda path: path.write_bytes(b"") and None,
-    "truncated": lambda path: path.write_bytes(path.read_bytes()[:-100]) and None,
     "half": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]) and None,
-    "a bit in a page": flip_bit(lambda content: len(content) // 3),
-    "a bit in the first page": flip_bit(lambda content: 60),
-    "a bit in the footer": flip_bit(lambda content: len(content) - 200),
-    "a bit in the magic": flip_bit(lambda content: len(content) - 1),
+    "a bit in a page": flip_bit,
     "another chunk's": swap_files,
     "another study's": replace_by_foreign_part,
     "a row less": drop_last_row,
@@ -265,16 +249,10 @@ def test_directory_in_place_of_part_raises_input_error(out: Path, dataset: str) 
 # --- what is refused ----------------------------------------------------------------------------
 
 DIFFERING: dict[str, tuple[dict[str, Any], list[str]]] = {
-    "a key": ({"study": {"seed": 2}}, ["[study] seed: 1 there, 2 here"]),
     "two keys": (
         {"study": {"draws": 49}, "filter": {"p0_level_deg": 14.0}},
         ["[study] draws: 48 there, 49 here", "[filter] p0_level_deg: 15.0 there, 14.0 here"],
     ),
-    "an axis": (
-        {"axes": {"p0_yaw_deg": [10.0]}},
-        ["[axes] p0_yaw_deg: [10.0, 20.0, ", " there, [10.0] here"],
-    ),
-    "curves": ({"study": {"curves": False}}, ["[study] curves: True there, False here"]),
     "a section": (
         {"drawn": {"phi_e0_deg": {"normal": [0, 1]}}, "alignment": {"phi_e0_deg": None}},
         ["[drawn] ", "[alignment] phi_e0_deg: 5.0 there, "],
@@ -305,16 +283,6 @@ def test_resume_with_other_study_reports_differing_keys(out: Path, name: str) ->
     assert read_files_and_times(out) == before
 
 
-def test_resume_with_reordered_axes_is_refused(out: Path) -> None:
-    before = read_files_and_times(out)
-    data = STUDY.model_dump(exclude_none=True)
-    axes = dict(reversed(STUDY.axes.items()))
-    study = study_from_dict({k: v for k, v in data.items() if v and k != "zips"} | {"axes": axes})
-    with pytest.raises(InputError, match="another study: .*order"):
-        sweep(out, study, resume=True)
-    assert read_files_and_times(out) == before
-
-
 def test_resume_allows_changed_name(uninterrupted: Path, out: Path) -> None:
     before = modification_times(out)
     assert sweep(out, changed_study(study={"name": "renamed"}), resume=True) == []
@@ -337,23 +305,13 @@ def test_other_study_is_refused_from_its_parts(out: Path) -> None:
 
 
 GARBLED = {
-    "empty": b"",
-    "no text": b"\x80\x81",
     "half": None,
-    "null": b"null",
-    "a list": b"[1, 2]",
-    "a number": b"3",
-    "nothing": b"{}",
     "another's": b'{"name": "a web page", "icons": []}',
     "deep": b"[" * 20_000,
-    "deep sessions": b'{"fingerprint": "x", "sessions": [{"a": ' + b"[" * 900 + b"]" * 900 + b"}]}",
-    "no chunks": b'{"fingerprint": "x", "chunks": 3, "sessions": {}}',
     "odd chunks": b'{"fingerprint": "x", "identity": "x", "chunks": [{"state": []}]}',
-    "odd sessions": b'{"fingerprint": "x", "sessions": [{"wall_s": "long"}]}',
 }
 
 
-@pytest.mark.nightly(fast=("half", "another's", "deep", "odd chunks"))
 @pytest.mark.parametrize("name", GARBLED)
 def test_garbled_manifest_requires_no_recomputation(
     uninterrupted: Path, out: Path, name: str
@@ -368,8 +326,7 @@ def test_garbled_manifest_requires_no_recomputation(
     assert_complete(out, uninterrupted)
 
 
-@pytest.mark.nightly(fast=("-128", "256"))
-@pytest.mark.parametrize("edited", ["0", "-128", "1.5", '"many"', "256", "null", "1"])
+@pytest.mark.parametrize("edited", ["-128", "256"])
 def test_edited_chunk_runs_in_manifest_are_recovered_from_parts(
     uninterrupted: Path, out: Path, edited: str
 ) -> None:
@@ -478,22 +435,6 @@ def test_second_writer_of_directory_is_refused(out: Path) -> None:
     assert read_files_and_times(out) == before
     held.unlock()
     assert sweep(out, resume=True) == []
-
-
-def test_writer_releases_lock_after_failed_start(
-    out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as broken:
-        broken.setattr(store, "_remove_files", lambda paths: 1 / 0)
-        with pytest.raises(ZeroDivisionError):
-            sweep(out, resume=True)
-    assert sweep(out, resume=True) == []
-
-
-def test_directory_in_place_of_lock_raises_input_error(tmp_path: Path) -> None:
-    (tmp_path / "out" / ".lock").mkdir(parents=True)
-    with pytest.raises(InputError, match=r"out/\.lock: is not a regular file"):
-        sweep(tmp_path / "out")
 
 
 def test_results_written_before_lock_are_not_lost(
@@ -612,14 +553,6 @@ def test_killed_overwrite_leaves_resumable_results(
     assert_complete(out, uninterrupted)
 
 
-def test_resuming_a_complete_directory_does_nothing(uninterrupted: Path, out: Path) -> None:
-    before = modification_times(out)
-    assert sweep(out, resume=True) == []
-    assert modification_times(out) == before
-    assert len(read_manifest_entries(out)["sessions"]) == 2
-    assert_complete(out, uninterrupted)
-
-
 def test_resume_of_empty_directory_starts_sweep(tmp_path: Path) -> None:
     few = sweep_study(study={"draws": 8})  # a chunk of each environment
     assert len(sweep(tmp_path / "begun", few)) == 2
@@ -684,13 +617,6 @@ def test_stop_after_last_chunk_is_ignored(uninterrupted: Path, tmp_path: Path) -
     sweep(tmp_path / "out", on_progress=on_progress, stop=stop)
     assert stop.is_set()
     assert_complete(tmp_path / "out", uninterrupted)
-
-
-def test_stop_during_resume_of_complete_results_is_ignored(out: Path) -> None:
-    stop = threading.Event()
-    stop.set()
-    assert sweep(out, resume=True, stop=stop) == []
-    assert read_manifest_entries(out)["state"] == "complete"
 
 
 # --- failing writes -----------------------------------------------------------------------------

@@ -114,8 +114,6 @@ def test_parent_folder_writable_by_others_is_refused(restored_settings, tmp_path
     ("asked", "told"),
     [
         ("{}/file", ".*/file/jaxlib.*: Not a directory"),
-        ("{}/loop/x", ".*/loop.*: .*[Ss]ymbolic link"),
-        ("{}/" + 300 * "x", ".*: File name too long"),
         ("~nosuchuser/x", "~nosuchuser/x: no such user"),
     ],
 )
@@ -123,7 +121,6 @@ def test_cache_folder_that_cannot_be_created_raises_input_error(
     restored_settings, tmp_path, asked, told
 ):
     (tmp_path / "file").write_text("")
-    (tmp_path / "loop").symlink_to("loop")
     restored_settings.setenv(compile_cache.VARIABLE, asked.format(tmp_path))
     with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: {told}"):
         compile_cache.enable_cache()
@@ -206,17 +203,6 @@ def test_entries_of_interrupted_writes_alone_are_removed_at_start(restored_setti
         path.write_bytes(b"x")
     assert compile_cache.enable_cache() == here
     assert sorted(here.iterdir()) == sorted([*complete, here / "notes.txt"])
-
-
-@pytest.mark.nightly
-def test_entry_of_interrupted_write_is_replaced(filled_cache):
-    """An entry without access time would stop all later writing."""
-    folder, inner, bits = filled_cache
-    for entry in inner.glob("*-cache"):
-        entry.write_bytes(entry.read_bytes()[:100])
-        entry.with_name(entry.name.replace("-cache", "-atime")).unlink()
-    assert result(start(folder)) == (bits, False, "")
-    assert result(start(folder)) == (bits, True, "")
 
 
 @pytest.mark.nightly

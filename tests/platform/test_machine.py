@@ -20,10 +20,8 @@ X86 = "fpu sse4_2 avx f16c"
     [
         ({"flags": X86}, "", "AVX"),
         ({"flags": f"{X86} avx2 avx512f avx512_bf16 amx_tile"}, "", "AVX512"),
-        ({"flags": f"{X86} avx2 avx512f avx512_bf16 amx_tile"}, "AVX512_VNNI", "AVX512"),
         ({"flags": f"{X86} avx2 avx512f"}, "avx2", "AVX2"),
         ({"flags": X86}, "AVX2", "AVX"),
-        ({"flags": f"{X86} avx2"}, "AVX9000", "AVX2"),
         ({"flags": "fpu sse2"}, "", "x86_64"),
         ({"Features": "fp asimd sve2 sve"}, "", "SVE"),
         ({"Features": "fp asimd"}, "", "NEON"),

@@ -199,14 +199,10 @@ def test_reference_times_become_relative_to_record_start():
         ({"time": None}, "rate_hz: required time"),
         ({"gyro": GYRO * 1e35}, "row 0: column 'gyro[:, 0]': range"),
         ({"time": TIME[::-1]}, "column 'time': row 1: backward 0.5 0.49"),
-        ({"time": np.ones(T)}, "column 'time': row 1: repeats 1.0"),
         ({"rate_hz": 50.0}, "column 'time' 100 rate_hz 50"),
-        ({"gyro_unit": "dps"}, "gyro_unit: 'dps' rad deg arcsec rad_per_s"),
-        ({"mounting_deg": (1.0, 2.0)}, "mounting_deg: pitch roll"),
         ({"axes": "yxz"}, "axes: 'yxz' left-handed"),
         ({"time_unit": "iso"}, "time_unit: 'iso'"),
         ({"reference": {"time_s": [0, 1]}}, "reference: column 'pitch_deg'"),
-        ({"reference": REFERENCE | {"pitch_deg": [1, 99]}}, "reference: row 1: pitch_deg 90"),
     ],
 )
 def test_invalid_array_input_raises_one_line_error(change, told):
@@ -270,18 +266,16 @@ def test_study_runs_on_arrays(drive_data):
 
 
 @pytest.mark.parametrize(
-    ("accel", "time", "units", "named"),
+    ("accel", "units", "named"),
     [
-        (-1.0, 1.0, {}, "axes"),
-        (1.0, 1.0, {"accel_unit": "g"}, "9.81 times"),
-        (1.0, 1e6, {"time_unit": "s"}, "time_unit"),
-        (1.0, 1.0, {"time_unit": "ns"}, "time_unit"),
+        (-1.0, {}, "axes"),
+        (1.0, {"time_unit": "ns"}, "time_unit"),
     ],
-    ids=["gravity down", "unit of accelerometers", "slow time", "fast time"],
+    ids=["gravity down", "fast time"],
 )
-def test_wrong_sign_or_unit_is_refused(accel, time, units, named, drive_data):
+def test_wrong_sign_or_unit_is_refused(accel, units, named, drive_data):
     record = drive_data[1]
-    times = time * np.arange(1, len(record.dv) + 1) / record.rate_hz
+    times = np.arange(1, len(record.dv) + 1) / record.rate_hz
     rates = record.dtheta * record.rate_hz, accel * record.dv * record.rate_hz
     with pytest.raises(InputError, match=named):
         sinsjax.run(recorded(), sinsjax.record_from_arrays(times, *rates, **units))

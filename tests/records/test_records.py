@@ -216,11 +216,8 @@ def small_batches(request, monkeypatch) -> None:
         (HEADER + "1 2 3 4 5 99999999999999999999\n", "row 5: accelerometer z: large"),
         (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: 6 5"),
         (HEADER.replace(" 10 ", " 0 ") + SAMPLE, "row 3: interval 0 ms"),
-        (HEADER.replace("34.2", "134.2") + SAMPLE, "row 3: latitude 134.2"),
-        (HEADER.replace("9.78", "0.78") + SAMPLE, "row 3: g 0.780327"),
         (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: gyro y -0.2"),
         ("a,b\n1,2\n", "row 1: 6 1 PSINS"),
-        ("PX\x03\x04\n\0\0", "row 2: text"),
         ("PK\x03\x04\n\0\0", "archive"),
     ],
 )
@@ -241,21 +238,17 @@ ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
         ("", "empty"),
         (HEAD, "no samples"),
         (HEAD.replace("gz", "gz_") + ROWS, "column 'gz' 'gz_'"),
-        ("a;b\n1;2\n", "column 'gx' 'a' 'b'"),
         (HEAD.replace("gz", "gx") + ROWS, "column 'gx' once"),
         (HEAD + ROWS + "0.05,1,2,3\n", "row 6: 7 4 last"),
-        (HEAD + "0.01,1,2,3,4,5,6,7\n" + ROWS, "row 2: 7 8"),
         (HEAD + ROWS + "\n0.05,1,2,x,4,5,6\n", "row 7: column 'gz': 'x'"),
         (HEAD + ROWS + "0.05,1,2,,4,5,6\n", "row 6: column 'gz': empty"),
         (HEAD + ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': '1e300'"),
         (HEAD + ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "column 'time_s': row 7: gap 100 0.04"),
-        (HEAD + ROWS + "0.05,1,2,3,4,1_0,6\n", "row 6: column 'ay': '1_0'"),
         (HEAD + ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: text"),
         (HEAD + ROWS + "0.07,1,2,3,4,5,6\n", "column 'time_s': row 6: gap 100 0.04 0.07"),
         (HEAD + ROWS + "0.044,1,2,3,4,5,6\n", "column 'time_s': row 6: short 100"),
         (HEAD + ROWS + "0.04,1,2,3,4,5,7\n", "column 'time_s': row 6: repeats 0.04"),
         (HEAD + ROWS + "0.02,1,2,3,4,5,6\n", "column 'time_s': row 6: backward 0.04 0.02"),
-        ("\x89PNG\r\n\x1a\n\0\0", "row 3: text"),
     ],
 )
 def test_invalid_csv_file_is_refused(tmp_path, text, told):
@@ -359,8 +352,6 @@ def test_invalid_parquet_file_is_refused(tmp_path):
         ({"mounting_deg": (0.0, 1.0)}, "mounting_deg: pitch roll yaw"),
         ({"accel_columns": ("ax", "ay", "gx")}, "accel_columns: 'gx'"),
         ({"time_column": "", "rate_hz": None}, "rate_hz: required time_column"),
-        ({"rate_hz": 0.0}, "rate_hz: positive"),
-        ({"axes_order": "xxz"}, "axes_order: 'xxz' permutation"),
         ({"axes_order": "yxz"}, "axes_order: 'yxz' left-handed"),
     ],
 )
@@ -451,9 +442,7 @@ def test_missing_samples_among_scattered_stamps_are_found(tmp_path, missing):
         (lambda t: t - np.where(np.arange(6000) < 3000, 0, 5.0), "row 3002: time runs backward"),
         (lambda t: t - np.where(np.arange(6000) < 3000, 0, 0.005), "a short step at 200 Hz"),
         (lambda t: t + np.where(np.arange(6000) < 3000, 0, 1e6), "row 3002: a gap at "),
-        (lambda t: np.round(t, 2), "time repeats"),
         (lambda t: t + np.where(np.arange(6000) == 3000, 0.03, 0), "row 3003: time runs backward"),
-        (lambda t: np.where(np.arange(6000) == 100, -9999.0, t), "row 102: time runs backward"),
     ],
 )
 def test_clock_faults_among_scattered_stamps_are_refused(tmp_path, change, says):
@@ -553,22 +542,6 @@ def test_invalid_iso_date_is_refused(tmp_path):
 
 
 # --- long records
-
-
-lines_of_text = st.lists(st.sampled_from([b"1,2", b"\n", b"\r", b"\r\n", b"", b"#", b" "]))
-
-
-@quick
-@given(pieces=lines_of_text.filter(any), size=st.integers(1, 9))
-def test_line_batches_match_splitlines_of_whole_text(folder, pieces, size):
-    text, path = b"".join(pieces), folder / "lines.txt"
-    path.write_bytes(b"\xef\xbb\xbf" * (size > 3) + text)
-    small_batches = list(files.read_line_batches(path, size + 2))
-    assert [line for batch in small_batches for line in batch.lines] == text.splitlines()
-    assert [b.first for b in small_batches] == list(
-        np.cumsum([1, *(len(b.lines) for b in small_batches)])[: len(small_batches)]
-    )
-    assert [batch.is_last for batch in small_batches] == [False] * (len(small_batches) - 1) + [True]
 
 
 @pytest.mark.parametrize("kind", ["csv", "iso", "psins", "parquet"])

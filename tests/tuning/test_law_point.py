@@ -133,15 +133,6 @@ def test_no_law_point_without_a_schedule(variables: Any, changes: dict[str, Any]
     np.testing.assert_array_equal(search.add_law_points(study, design).box, design.box)
 
 
-def test_designs_begin_with_the_law() -> None:
-    study = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]}})
-    design = search.grid_design(SearchSpace.from_study(study), 3)
-    found = search.add_law_points(study, design)
-    assert found.candidate.tolist() == [1, 2, *design.candidate]
-    np.testing.assert_array_equal(found.box[:2], [law_point(study, 1), law_point(study, 2)])
-    np.testing.assert_array_equal(found.box[2:], design.box)
-
-
 SHORT: dict[str, Any] = {
     "study": {
         **{"duration_s": 20.0, "rate_hz": 20.0, "window_s": [10, 20]},

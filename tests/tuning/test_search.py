@@ -38,10 +38,6 @@ def tuned(
 COUNTED = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]}})
 
 
-def seed(study: Study, name: str = "sobol") -> np.random.SeedSequence:
-    return search.search_seed(study, name)
-
-
 def test_grid_has_every_point_of_every_combination() -> None:
     candidate, box = search.grid_design(SearchSpace.from_study(COUNTED), 3)
     assert candidate.tolist() == [0, *[1] * 3, *[2] * 9]
@@ -52,16 +48,19 @@ def test_grid_has_every_point_of_every_combination() -> None:
 
 
 def test_search_points_are_determined_by_seed() -> None:
-    draw, space = search.sobol_design, SearchSpace.from_study(COUNTED)
-    candidate, box = draw(space, [4, 3, 5], seed(COUNTED))
+    def draw(last: int, name: str = "sobol") -> search.Design:
+        seed = search.search_seed(COUNTED, name)
+        return search.sobol_design(SearchSpace.from_study(COUNTED), [4, 3, last], seed)
+
+    candidate, box = draw(5)
     assert candidate.tolist() == [0, *[1] * 3, *[2] * 5]
     inside = box[np.isfinite(box)]
     assert inside.size == 3 + 2 * 5 and (inside >= 0).all() and (inside <= 1).all()
-    again = draw(space, [4, 3, 5], seed(COUNTED)).box
+    again = draw(5).box
     np.testing.assert_array_equal(box, again)
-    more = draw(space, [4, 3, 9], seed(COUNTED)).box
+    more = draw(9).box
     np.testing.assert_array_equal(box, more[: len(box)])
-    other = draw(space, [4, 3, 5], seed(COUNTED, "covariance")).box
+    other = draw(5, "gradient").box
     assert not np.isin(other[np.isfinite(other)], inside).any()
 
 
