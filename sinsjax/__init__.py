@@ -139,7 +139,9 @@ def __getattr__(name: str) -> Any:
             found = getattr(import_module(f"{__name__}.{home}"), name)
             globals()[name] = found
             return found
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    gone = import_module(f"{__name__}.gone")
+    text = f": {gone.LINE.format(gone.NAMES[name])}" if name in gone.NAMES else ""
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{text}")
 
 
 def __dir__() -> list[str]:

@@ -3,12 +3,13 @@
 The texts end a line such as ``[filter] turning: was removed after 1.0 (...)``.
 """
 
-LINE = "was removed after 1.0 ({})"
+MARK = "was removed after 1.0"
+LINE = MARK + " ({})"
 """The message about something that is gone, with the text about it."""
 
 KEYS: dict[str, str] = {
-    "study.check_linearity": "drop it: results are of draws",
-    "study.estimate_samples": "drop it: results are of draws",
+    "study.check_linearity": "drop it, with estimate = 'covariance'",
+    "study.estimate_samples": "drop it, with estimate = 'covariance'",
     "filter.turning": "drop it; on turned bases use method = 'gravity_fit'",
     "filter.turning_rate_deg_per_s": "drop it; on turned bases use method = 'gravity_fit'",
 }
@@ -42,3 +43,10 @@ OPTIONS: dict[tuple[str, str], str] = {
     ("sweep", "--workers"): "start `dask scheduler` and `dask worker`, give --scheduler URL",
 }
 """Options, by command and option with its dashes."""
+
+NAMES: dict[str, str] = {
+    "estimate": "use `sinsjax.run`: every result is of draws",
+    "estimated_curves": "use `sinsjax.read_curves`",
+    "read_estimates": "use `sinsjax.read_summary`",
+}
+"""Names of the package in Python."""

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
-from sinsjax import columns
+from sinsjax import columns, gone
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
 from sinsjax.execution.directory import (
@@ -115,6 +115,9 @@ def load_stored_study(directory: Path) -> Study:
     try:
         study = load_study(directory / STUDY)
     except InputError as error:
+        if any(gone.MARK in line for line in error.lines):
+            text = to_one_line("; ".join(error.lines))
+            raise InputError(f"{text}; `sinsjax.read_summary` still reads the rows") from None
         missing = " and ".join(
             f"{name} {version}" for name, version in _missing_packages(directory)
         )

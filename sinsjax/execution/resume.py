@@ -169,7 +169,7 @@ def _check_same_study(directory: Path, study: Study) -> Study | None:
     except InputError:  # the parts identify their study too
         return None
     if _has_more_draws(stored, study):
-        _check_extension(directory, stored, study)
+        _check_extension(directory, stored)
     elif fingerprint(stored) != fingerprint(study):
         text = "; ".join(describe_differences(stored, study))
         if _has_more_draws(study, stored):
@@ -206,7 +206,7 @@ def _added_values_hint(stored: Study, study: Study) -> str:
     )
 
 
-def _check_extension(directory: Path, stored: Study, study: Study) -> None:
+def _check_extension(directory: Path, stored: Study) -> None:
     """Reject more draws if the existing ones would change.
 
     A list with an entry for every draw would begin again, which is hardly intended.

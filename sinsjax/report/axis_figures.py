@@ -1,10 +1,10 @@
 """Tables and figures over a study's swept numbers: heat maps, and curves with intervals."""
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.analysis.grids import split_into_panels
@@ -69,98 +69,65 @@ def repeated_variants_note(source: Source) -> Iterator[Text]:
         )
 
 
-class HeatMaps:
-    """Heat maps over the first two swept numbers, a panel for each point of all other keys.
-
-    Attributes:
-        axes: the two numbers with their values, rows first.
-        panels: all panels, including those that do not fit a figure.
-    """
-
-    def __init__(self, source: Source, columns: Sequence[str]) -> None:
-        axes, self._by = source.study.figure_axes
-        row_key, column_key = axes
-        self._keys = (row_key, column_key)
-        times = [name for name in ("reset_times_s",) if "reset_count" in axes]
-        self._table = source.rows([*self._by, *axes, *columns, *times])
-        self.axes, self.panels = split_into_panels(self._table, row_key, column_key, self._by)
-
-    def draw_figure(
-        self,
-        name: str,
-        caption: str,
-        column: str,
-        hatched: NDArray | None = None,
-        hatch_meaning: str = "",
-    ) -> Picture:
-        """The figure of a column; cells are hatched in which most runs have a flag, (runs,)."""
-        if len(self.panels) > MAX_PANELS:
-            caption += f" The first {MAX_PANELS} of {len(self.panels)} panels."
-        table = self._table
-        if hatched is not None:
-            table = table.append_column(_FLAG, pa.array(hatched))
-        figure = plots.plot_map(
-            table,
-            self._keys[0],
-            self._keys[1],
-            column,
-            by=self._by,
-            pooled=[key for key in self._by if is_condition_key(key)],
-            hatched=_FLAG if hatched is not None else "",
-            hatch_name=hatch_meaning,
-        )
-        return Picture(name, caption, figure)
-
-    def column_values(self, column: str) -> NDArray:
-        """A column of all runs as numbers, (runs,); null is NaN."""
-        return analysis.numeric_column(self._table, column)
-
-
 def _heat_map_figures(source: Source, criterion: SuccessMeasure) -> Iterator[Block]:
-    """Yield the maps by one criterion of success, without those that show nothing."""
-    maps = HeatMaps(
-        source, (criterion.settle_column, criterion.ok_column, *FLOOR_COLUMNS, "draw_id", "start_s")
-    )
-    panels = maps.panels[: 2 * MAX_PANELS]
-    outcomes = [
+    """Yield the maps by one criterion of success, without those that show nothing.
+
+    They are over the first two swept numbers, a panel for each point of all other keys.
+    """
+    (row_key, column_key), by = source.study.figure_axes
+    columns = (criterion.settle_column, criterion.ok_column, *FLOOR_COLUMNS, "draw_id", "start_s")
+    times = [name for name in ("reset_times_s",) if "reset_count" in (row_key, column_key)]
+    table = source.rows([*by, row_key, column_key, *columns, *times])
+    _, panels = split_into_panels(table, row_key, column_key, by)
+    numbers = partial(analysis.numeric_column, table)
+    cells = [
         one.cell_outcomes(
             criterion.ok_column,
             criterion.settle_column,
             criterion.outside_floor_band(one.column_values),
         )
-        for one in panels
+        for one in panels[:MAX_PANELS]
     ]
-    cells, end = outcomes[:MAX_PANELS], criterion.figure_suffix(source.success_measures[0])
     if not any((np.isfinite(one.median_s) & ~one.not_converged).any() for one in cells):
         return  # no cell is within the band, or cells only pass through it
     off_floor = np.where(
-        maps.column_values(criterion.ok_column) > 0,
-        criterion.outside_floor_band(maps.column_values),
-        np.nan,
+        numbers(criterion.ok_column) > 0, criterion.outside_floor_band(numbers), np.nan
     )
-    hatched = np.any([one.not_converged for one in cells])
     mark = (
         f" Cross-hatched: {render_sentence('not_converged', criterion=criterion)}"
-        if hatched
+        if np.any([one.not_converged for one in cells])
         else ""
     )
-    yield maps.draw_figure(
-        f"settling_time{end}",
+    if len(panels) > MAX_PANELS:
+        mark += f" The first {MAX_PANELS} of {len(panels)} panels."
+    end = criterion.figure_suffix(source.success_measures[0])
+
+    def draw(name: str, caption: str, column: str) -> Picture:
+        """Draw a map; cells are hatched in which most runs are off their bias floor."""
+        figure = plots.plot_map(
+            table.append_column(_FLAG, pa.array(off_floor)),
+            row_key,
+            column_key,
+            column,
+            by=by,
+            pooled=[key for key in by if is_condition_key(key)],
+            hatched=_FLAG,
+            hatch_name=_NOT_CONVERGED,
+        )
+        return Picture(f"{name}{end}", f"{caption}{mark}", figure)
+
+    yield draw(
+        "settling_time",
         f"Median time over {format_count(source.draws, 'draw')} until the heading stays"
-        f" {criterion.description}; grey where at least half of the runs never do.{mark}",
+        f" {criterion.description}; grey where at least half of the runs never do.",
         criterion.settle_column,
-        off_floor,
-        _NOT_CONVERGED,
     )
     shares = np.array([one.success_share for one in cells])
     if not np.isin(shares, (0.0, 1.0)).all():  # else the settling times show the same
-        yield maps.draw_figure(
-            f"success_rate{end}",
-            f"Share of {format_count(source.draws, 'draw')} ok,"
-            f" {criterion.plural_description}.{mark}",
+        yield draw(
+            "success_rate",
+            f"Share of {format_count(source.draws, 'draw')} ok, {criterion.plural_description}.",
             criterion.ok_column,
-            off_floor,
-            _NOT_CONVERGED,
         )
 
 

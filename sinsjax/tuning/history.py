@@ -235,7 +235,7 @@ def is_tuning(directory: Path) -> bool:
     places.check_directory(directory)
     if (directory / MANIFEST).exists():  # plain results of a study with [tune]
         return False
-    return load_stored_study(directory) is not None
+    return _study_text(directory) is not None or load_stored_study(directory) is not None
 
 
 def load_tuned_study(directory: Path) -> Study:
@@ -271,7 +271,15 @@ def load_stored_study(directory: Path) -> Study | None:
 def read_study(directory: Path) -> Study | None:
     """Return the study that a history tunes; None if there is no intact history."""
     try:
-        text = (_read_table(directory).schema.metadata or {})[_STUDY_MARK.encode()].decode()
-        return study_from_dict(parse_toml(text), str(directory / FILE))
-    except (InputError, KeyError, ValueError, RecursionError):
+        text = _study_text(directory)
+        return None if text is None else study_from_dict(parse_toml(text), str(directory / FILE))
+    except (InputError, ValueError, RecursionError):
+        return None
+
+
+def _study_text(directory: Path) -> str | None:
+    """Return the study that a history tunes as TOML; None if there is no intact history."""
+    try:
+        return (_read_table(directory).schema.metadata or {})[_STUDY_MARK.encode()].decode()
+    except (InputError, KeyError, ValueError):
         return None

@@ -39,7 +39,8 @@ LAW = "law"
 """Name of the reset schedule by the law among the evaluated points."""
 
 GRADIENT = gradient.NAME
-_NAMES = (STUDY, TUNED, history.FILE, "figures", "grid", "sobol", EVALUATION)
+_SEARCHES = ("grid", "sobol", "random", "equal_cost")  # the last two are of version 1.0
+_NAMES = (STUDY, TUNED, history.FILE, "figures", *_SEARCHES, EVALUATION)
 
 
 def prepare_tuning(
@@ -161,6 +162,7 @@ def _prepare_directory(
         if session.job.resume and (directory / history.FILE).exists():
             with suppress(DamagedError):  # its searches are repeated, from the stored parts
                 known = history.read_searches(directory, space)
+            _refuse_gone_searches(directory, study, known)
         elif not session.job.resume:
             for name in (TUNED, history.FILE):
                 (directory / name).unlink(missing_ok=True)
@@ -170,6 +172,16 @@ def _prepare_directory(
     with atomic_write(directory / STUDY) as file:
         file.write(study_to_toml(study).encode())
     return known
+
+
+def _refuse_gone_searches(directory: Path, study: Study, known: list[SearchResult]) -> None:
+    """Refuse to continue a tuning run with searches that are gone, whose points it evaluates."""
+    gone = [found.search for found in known if found.search not in require_tune(study).searches]
+    if gone:
+        raise InputError(
+            f"{directory}: has the search '{gone[0]}', which was removed after 1.0"
+            " (`sinsjax report` reads it; --overwrite repeats the tuning without)"
+        )
 
 
 def _check_same_study(job: Job) -> Job:
