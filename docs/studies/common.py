@@ -85,7 +85,7 @@ class Page(NamedTuple):
 
     folder: Path
 
-    def say(self, **numbers: Any) -> None:
+    def print_numbers(self, **numbers: Any) -> None:
         """Print numbers of the page's sentences."""
         for name, text in numbers.items():
             print(f"{name}: {text}")

@@ -130,7 +130,7 @@ def judge_readings(readings: Runs, page: Page) -> None:
     held, concluded = holds.sum(axis=1), holds[:, CONCLUSIONS].sum(axis=1)
     best = int(np.lexsort((straddles.sum(axis=1), -concluded, -held))[0])
     numbers, pairs = [number for *_, number in judged[best]], combinations(EXPLAINED, 2)
-    page.say(
+    page.print_numbers(
         best_interpretation=", ".join(names[best]),
         statements_held=f"{held[best]} of {len(TEXTS)} under the best of {len(judged)}",
         ties=(held == held[best]).sum() - 1,
@@ -208,7 +208,7 @@ def expect(free: Runs, runs: Mapping[str, pa.Table], page: Page) -> None:
     page.show("What to expect", header, rows)
     settle_truth = ~np.isnan(numeric_column(runs[RESET], "settle_10_truth_s"))
     *without, cured = (np.mean(numeric_column(one, "sigma_u_arcmin")) for one in runs.values())
-    page.say(
+    page.print_numbers(
         settling=[percent(analysis.proportion(k, free.draws)) for k in (free.draws, 0)],
         floor=f"{runs['1']['floor_arcmin'][0].as_py():.1f} arcmin",
         settling_from_truth=percent(analysis.share(settle_truth)),
@@ -223,7 +223,7 @@ def limits(free: Runs, runs: pa.Table, page: Page) -> None:
     level, tilt = math.degrees(bias * 1e-6) * 60, math.tan(math.radians(latitude))
     turn = -math.degrees(drift / math.cos(math.radians(latitude))) * 60
     means = (analysis.mean(numeric_column(runs, f"phi_{axis}_mean_arcmin")) for axis in "enu")
-    page.say(
+    page.print_numbers(
         closed_forms=f"{-level:.4f}, {level:.4f}, {turn / rate + level * tilt:.4f} arcmin",
         paper_heading=f"{turn / 15:.4f} arcmin, without {level * tilt:+.4f}",
         condition_1_ends_at=", ".join(format_estimate(one, digits=3) for one in means),
@@ -237,7 +237,7 @@ def main() -> None:
     free, resets, readings = runs.values()
     plain, cured = by_condition(free.rows()), by_condition(resets.rows())
     between = apart(cured[RESET], cured["1"])
-    page.say(resets_apart_from_condition_1=format_estimate(between, "arcmin", 2))
+    page.print_numbers(resets_apart_from_condition_1=format_estimate(between, "arcmin", 2))
     expect(free, {**plain, RESET: cured[RESET]}, page)
     limits(free, plain["1"], page)
     title = "condition 5, with and without resets"

@@ -142,7 +142,7 @@ def say_drift(runs: Runs, page: Page) -> None:
     rate_n, accel = biases(runs)
     drifts = [math.radians(heading + accel) * rate_n for *_, heading in PRINTED.values()]
     levels = [abs(math.radians(angle)) * 1e6 for means in PRINTED.values() for angle in means[:2]]
-    page.say(
+    page.print_numbers(
         floor=f"{floor_deg(runs, runs.study.values('gyro_bias_deg_per_h')[0]):.4f} deg",
         drifts_of_printed_headings=" and ".join(f"{drift:.4f}" for drift in drifts) + " deg/h",
         accel_biases_of_printed_levels=f"{min(levels):.0f} to {max(levels):.0f} ug",
@@ -157,7 +157,7 @@ def say_unsettled(cases: Sequence[Case], page: Page) -> None:
     means = [np.mean(case.means("heading")) for case in ours]
     every = [analysis.mean(case.means("heading")) for case in cases]
     near = min(every, key=lambda one: abs(one.value - PRINTED[1][2]))
-    page.say(
+    page.print_numbers(
         moves=f"{min(moves):.3f} to {max(moves):.3f} deg from {start:g} to {end:g} s",
         means=f"{min(means):.4f} to {max(means):.4f} deg",
         nearest=f"{format_estimate(near, 'deg', 4)} of {len(cases)} interpretations",
@@ -181,7 +181,7 @@ def say_gains(status: Sequence[str], page: Page) -> None:
     polynomial = [1.0, k1, (1 + k2) * GRAVITY / RADIUS, GRAVITY * float(LEVEL_K3)]
     root = max(np.roots(polynomial), key=lambda one: one.real)
     period_s = 2 * math.pi / abs(root.imag)
-    page.say(
+    page.print_numbers(
         printed_unlike_formula=", ".join(unlike),
         k3_ratio=f"{float(LEVEL_K3) / k3:.0f}",
         k3_lacks_a_sigma=agrees(LEVEL_K3, k3 / LEVEL_SIGMA),
@@ -205,7 +205,7 @@ def say_turns(cases: Mapping[str, Case], page: Page) -> None:
     smoothing_s = runs.study.values("turn_smoothing_s")[0]
     radii = [cycle_radius(turn, stored_s, smoothing_s) for turn in TURNS]
     ends = [float(np.mean(case.means("heading"))) - case.floor for case in shown]
-    page.say(
+    page.print_numbers(
         grows=f"{np.mean(shown[0].heading_at(0.0)):.1f} to {ends[0]:.1f} deg",
         reflected_ends=f"{abs(ends[2]):.2f} deg",
         cycle_leaves=f"{radii[0]:.3f}, {radii[1]:.3f}, {radii[2]:.2f}",
@@ -243,7 +243,7 @@ def main() -> None:
     moved = {(case.name, case.drift): case.means("heading") for case in swing}
     pairs = [(moved[c.name, c.drift], c.means("heading")) for c in stated(shown)]
     apart = sorted(abs(analysis.mean_difference(*pair).value) for pair in pairs)
-    page.say(bases_differ=f"{apart[0]:.4f} to {apart[-1]:.4f} deg")
+    page.print_numbers(bases_differ=f"{apart[0]:.4f} to {apart[-1]:.4f} deg")
 
 
 if __name__ == "__main__":

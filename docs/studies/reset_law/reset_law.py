@@ -64,7 +64,7 @@ def cells(runs: Runs, page: Page) -> None:
     header = ["resets", "law's mean over this, geometric mean over filters (least to largest)"]
     page.table("reset_law_by_filter", header, rows)
     law, kept = (finite[policy].mean(axis=tuple(range(5))) for policy in (LAW, KEPT))
-    page.say(
+    page.print_numbers(
         opening_velocity_saves=f"{percent(analysis.mean(1 - law / kept))} %",
         by_filter=f"{100 * (1 - ratios[KEPT].max()):.0f} to {100 * (1 - ratios[KEPT].min()):.0f} %",
         never_without_reset=f"{percent(share(np.isinf(times[NONE])))} %",
@@ -164,7 +164,7 @@ def own_noise(runs: Runs, page: Page) -> None:
     page.table("reset_law_own", ["filter", NONE, LISTED, LAW], rows)
     by_law = [case for case in grid.axes["case"] if case.startswith("own") and case.endswith(LAW)]
     law = grid.at(case=by_law)
-    page.say(
+    page.print_numbers(
         own_noise_law=f"{mean_time(law, runs.end_s)}, {medians(law).max():.0f} s at worst",
         optimisation=mean_time(grid.at(case="optimisation"), runs.end_s),
     )
@@ -206,7 +206,7 @@ def surge(runs: Runs, page: Page) -> None:
         by_r = [grid.at(noise=(base, scale), policy=LAW) for scale in ("0.25", "1", "2", "4")]
         means = [np.minimum(times, end_s).mean() for times in by_r]
         spreads.append(max(means) / min(means) - 1)
-    page.say(r_changes_the_mean_by=f"{100 * max(spreads):.0f} %")
+    page.print_numbers(r_changes_the_mean_by=f"{100 * max(spreads):.0f} %")
 
 
 def listed(cycle: Runs, phase: Runs, page: Page) -> None:
@@ -219,7 +219,7 @@ def listed(cycle: Runs, phase: Runs, page: Page) -> None:
     resets = {"resets": [tuple(times) for times in phase.study.values("reset_times_s")]}
     starts = {"feedback": "feedback_interval_s", "start": starts_of(phase)}
     grid, end_s = phase.grid(SETTLE, **starts, **resets), phase.end_s
-    page.say(
+    page.print_numbers(
         at_a_feedback=later(grid, end_s, 10.0, 20.0, 17.5),
         before_a_feedback=later(grid, end_s, 10.0, 19.9, 17.5),
         before_a_frequent_one=later(grid, end_s, 1.0, 19.9, 20.0),

@@ -92,7 +92,7 @@ def over_time(grades: Mapping[str, Runs], page: Page) -> None:
             for case in (PARKED, HALF, CAROUSEL)
         ]
     tactical = grades["turning_1"]
-    page.say(
+    page.print_numbers(
         **{case: arcmin(rms_of(tactical, case, SHOWN_S), 0) for case in (PARKED, HALF, CAROUSEL)},
         over_bound=format_estimate(analysis.rms(np.sqrt(np.concatenate(squares))), digits=2),
     )
@@ -170,7 +170,7 @@ def planned(page: Page) -> None:
     page.table("turning_sensors", [*header, "half turn pays from"], rows)
     laser = [f"{one.sigma_arcmin:.1f}" for one in plan("laser gyro", 60.0).options[:2]]
     best = {plan(name, span, scale=True).best.name for name in SENSORS for span in SPANS_S}
-    page.say(best_of_all=", ".join(best), laser_60_s=" parked, ".join(laser) + " turned")
+    page.print_numbers(best_of_all=", ".join(best), laser_60_s=" parked, ".join(laser) + " turned")
 
 
 def mounting(grades: Mapping[str, Runs], page: Page) -> None:
@@ -178,7 +178,7 @@ def mounting(grades: Mapping[str, Runs], page: Page) -> None:
     fog = {case: rms_of(grades["turning_0_1"], case, SHOWN_S) for case in (HALF, OFF_AXIS, UNKNOWN)}
     bound = bounds_of(grades["turning_1"])
     rate = EARTH_RATE_DEG_PER_H * math.cos(math.radians(LATITUDE_DEG))
-    page.say(
+    page.print_numbers(
         lever_none=arcmin(fog[HALF]),
         lever_ignored=arcmin(fog[OFF_AXIS], 0),
         lever_unknown=arcmin(fog[UNKNOWN]),
@@ -191,21 +191,21 @@ def mounting(grades: Mapping[str, Runs], page: Page) -> None:
 def others(scale: Runs, kalman10: Runs, psins: Runs, page: Page) -> None:
     """Print what scale factors cost, the filter on these bases, and the two references."""
     bound, away, end = bounds_of(scale), 285.0, scale.end_s
-    page.say(
+    page.print_numbers(
         scale_end=f"{arcmin(rms_of(scale, CAROUSEL, end))}, bound {bound[CAROUSEL][end]:.1f}",
         scale_away=f"{arcmin(rms_of(scale, CAROUSEL, away))}, bound {bound[CAROUSEL][away]:.1f}",
         scale_one_way=arcmin(rms_of(scale, ONE_WAY, end), 0),
         scale_bounds=f"half turn {bound[HALF][end]:.1f}, four positions {bound[FOUR][end]:.1f}",
     )
     bound, end = bounds_of(kalman10), kalman10.end_s
-    page.say(
+    page.print_numbers(
         kalman10_half=f"{arcmin(rms_of(kalman10, HALF, end))}, bound {bound[HALF][end]:.1f}",
         kalman10_carousel=arcmin(rms_of(kalman10, CAROUSEL, end), 0),
     )
     bound, end = bounds_of(psins), psins.end_s
     rate = EARTH_RATE_DEG_PER_H * math.cos(math.radians(IRVINE_DEG))
     half_mrad, mrad = 1e3 * ALLAN_DEG_PER_H / (math.sqrt(2) * rate), 60 * math.degrees(1e-3)
-    page.say(
+    page.print_numbers(
         psins_bounds=f"parked {bound[PARKED][end]:.1f}, turned {bound[TWO][end]:.2f}",
         psins_measured=arcmin(rms_of(psins, TWO, end), 2),
         irvine=f"{REACHED_MRAD * mrad:.0f} arcmin, one half turn {half_mrad * mrad:.0f}",

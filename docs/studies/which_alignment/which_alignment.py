@@ -135,7 +135,7 @@ def main() -> None:
     own, published = (runs[name] for name in studies)
     errors = Errors.read(published, own)
     show(errors, bounds_of(own), page)
-    page.say(
+    page.print_numbers(
         alignments=f"{own.count + published.count:,}",
         published=f"{angle(errors.at(300, 1, PUBLISHED))}, {angle(errors.at(300, 2, PUBLISHED))}",
         law=f"{angle(errors.at(300, 1, LAW))}, {angle(errors.at(300, 2, LAW))}",
