@@ -351,7 +351,7 @@ def _check_sweepable(table: str, key: str, recorded: bool) -> None:
 def _check_drawable(key: str, recorded: bool) -> None:
     section = SECTION_OF.get(key)
     if section is None:
-        reason = f"unknown key{suggest_closest(key, NUMBERS_DRAWN)}"
+        reason = unknown_key_error(key, NUMBERS_DRAWN)
     elif key not in NUMBERS_DRAWN:
         kinds = "latitude_deg, keys of [motion] and [sensors]"
         reason = f"cannot be drawn (possible: {kinds}, {', '.join(INITIAL_NUMBERS)})"
