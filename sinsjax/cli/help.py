@@ -39,7 +39,7 @@ class CommandGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the command of some words; refuse one that is gone."""
         if args and args[0] in gone.COMMANDS and not ctx.resilient_parsing:
-            raise InputError(f"{args[0]}: was removed after 1.0 ({gone.COMMANDS[args[0]]})")
+            raise InputError(f"{args[0]}: {gone.LINE.format(gone.COMMANDS[args[0]])}")
         return super().resolve_command(ctx, args)
 
     def commands_by_panel(self, ctx: Any) -> dict[str, dict[str, Any]]:
@@ -72,8 +72,8 @@ class Command(TyperCommand):
         except UsageError as error:
             option = getattr(error, "option_name", "")
             if instead := gone.OPTIONS.get((str(self.name), option)):
-                text = f"{self.name} {option}: was removed after 1.0 ({instead})"
-                raise InputError(text) from None
+                text = gone.LINE.format(instead)
+                raise InputError(f"{self.name} {option}: {text}") from None
             raise
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
