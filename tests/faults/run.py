@@ -131,11 +131,11 @@ def try_fault(fault: Fault, stage: str, copies: Queue[Path], tiers: dict[str, st
 
 
 def survives(fault: Fault, row: Row | None, copies: Queue[Path]) -> bool:
-    """Apply a fault to a copy and run the last killer recorded for it, which is the nearest."""
+    """Apply a fault to a copy and run the last killer recorded for it, with all its cases."""
     if row is None or not (recorded := killers(row)):
         return True
     with patched(fault, copies) as copy:
-        return not failures(copy, [recorded[-1]])
+        return not failures(copy, ["-x", recorded[-1].partition("[")[0]])
 
 
 def merged(row: Row, new: Row) -> Row:
