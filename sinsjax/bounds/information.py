@@ -45,7 +45,6 @@ from sinsjax.bounds.coloured_noise import (
     IN_N,
     VELOCITY,
     increment_error_processes,
-    present_processes,
 )
 from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.strapdown.disturbances import Disturbances
@@ -138,7 +137,7 @@ def sample_model(
     place: Place, errors: SensorErrors, disturbances: Disturbances, dt: float, to_n: np.ndarray
 ) -> SampleModel:
     """Return the model of a base at rest, whose velocity has the disturbances."""
-    coloured = list(present_processes(increment_error_processes(disturbances, dt)))
+    coloured = increment_error_processes(disturbances, dt).values()
     n = PHI_U + 1 + sum(3 * len(process.drive) for process, _ in coloured)
     f, noise, initial = np.eye(n), np.zeros((n, n)), np.zeros((n, n))
     still = Navigation(Quat(1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)

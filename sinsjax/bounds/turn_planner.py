@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sinsjax.bounds.coloured_noise import increment_error_processes, present_processes
+from sinsjax.bounds.coloured_noise import increment_error_processes
 from sinsjax.bounds.turning_information import (
     LONGEST_STEP_S,
     ConstantErrors,
@@ -161,7 +161,7 @@ def plan_turns(
             gyro_instability=drift(gyro_instability_deg_per_h * DEG_PER_H, gyro_instability_time_s),
             accel_instability=drift(accel_instability_ug * ug, accel_instability_time_s),
         )
-        return tuple(present_processes(increment_error_processes(drifts, step)))
+        return tuple(increment_error_processes(drifts, step).values())
 
     options = []
     for name, motion in _iter_motions(duration_s):

@@ -16,7 +16,6 @@ from sinsjax.bounds.coloured_noise import (
     IN_B,
     VELOCITY,
     increment_error_processes,
-    present_processes,
 )
 from sinsjax.bounds.information import heading_bound
 from sinsjax.bounds.turning_information import (
@@ -162,8 +161,7 @@ def error_sources(study: Study) -> ErrorSources:
     if not motion.turns:
         pose = np.asarray(mean_attitude(motion)), environment.site.place
         problem = replace(problem, motion=partial(_parked, *pose))
-    processes = increment_error_processes(environment.sensors.disturbances, problem.dt)._asdict()
-    drifts = [name for name, process in processes.items() if process is not None]
+    drifts = increment_error_processes(environment.sensors.disturbances, problem.dt)
     quantised = [name for name, _ in _iter_quantisation(environment.sensors.errors)]
     names = ("gyro_noise", "accel_noise", *drifts, *quantised, *CONSTANT_SOURCES)
     return ErrorSources(replace(problem, longest_step_s=LONGEST_STEP_S), names)
@@ -224,7 +222,7 @@ def _problem_with_priors(
 
     def increment_errors(step: float) -> IncrementErrors:
         processes = read_disturbances(variants, ug, 1 / step)
-        present = present_processes(increment_error_processes(processes, step))
+        present = increment_error_processes(processes, step).values()
         return (*present, *(process for _, process in _iter_quantisation(errors)))
 
     moves = (disturbances.surge, disturbances.shaking)
