@@ -61,7 +61,7 @@ def hunt_one_round(target: Target, seed: int, until: float, known: set[str]) -> 
                 raise
 
     try:
-        with suppress(Flaky):  # told by what it was when it was
+        with suppress(Flaky):  # the error itself is in `last`
             check()
     except Exception as error:
         if not last:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from sinsjax import gone
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import checks, forecast
 from sinsjax.execution import directory as places
@@ -176,10 +177,10 @@ def _prepare_directory(
 
 def _refuse_gone_searches(directory: Path, study: Study, known: list[SearchResult]) -> None:
     """Refuse to continue a tuning run with searches that are gone, whose points it evaluates."""
-    gone = [found.search for found in known if found.search not in require_tune(study).searches]
-    if gone:
+    removed = [found.search for found in known if found.search not in require_tune(study).searches]
+    if removed:
         raise InputError(
-            f"{directory}: has the search '{gone[0]}', which was removed after 1.0"
+            f"{directory}: has the search '{removed[0]}', which {gone.MARK}"
             " (`sinsjax report` reads it; --overwrite repeats the tuning without)"
         )
 
