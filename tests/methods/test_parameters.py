@@ -150,10 +150,10 @@ def test_loop_that_is_unstable_or_too_fast_is_refused_unless_allowed(
 
 def test_study_with_one_unstable_variant_is_refused() -> None:
     cases = [{"level_gains": [0.05, 1000.0, 1e-6]}, {"level_gains": PRINTED["level_gains"]}]
-    assert numbers(cases=[case | {"allow_unstable": i == 1} for i, case in enumerate(cases)])
-    for allowed in ({}, {"allow_unstable": False}):
-        wrong = [cases[0] | {key: True for key in allowed}, cases[1] | allowed]
-        assert refusal(cases=wrong).startswith("some: [cases] level_gains: [0.06, ")
+    right, wrong = ([cases[i] | {"allow_unstable": i == k} for i in (0, 1)] for k in (1, 0))
+    assert numbers(cases=right)
+    for refused in (cases, wrong):
+        assert refusal(cases=refused).startswith("some: [cases] level_gains: [0.06, ")
 
 
 def test_nonfinite_compass_gain_is_refused() -> None:
