@@ -3,6 +3,7 @@
 `acceptance/test_plugin_methods.py` installs a package with one.
 """
 
+import sys
 from importlib.metadata import EntryPoint
 from types import SimpleNamespace
 from typing import Any
@@ -50,10 +51,6 @@ def fails(*given: Any) -> Any:
     raise KeyError("nothing")
 
 
-def exits() -> Any:
-    raise SystemExit(3)
-
-
 BUILT_IN = described("own", lagged=Lagged)
 
 
@@ -61,7 +58,7 @@ BUILT_IN = described("own", lagged=Lagged)
     ("function", "reason"),
     [
         (fails, "KeyError: 'nothing'"),
-        (exits, "SystemExit: 3"),
+        (lambda: sys.exit(3), "SystemExit: 3"),
         (lambda: described("own"), "there is already a method 'own'"),
         (lambda: described(made=Delayed), "[made] lag_s is a key of [lagged]"),
     ],

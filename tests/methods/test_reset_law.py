@@ -12,12 +12,10 @@ from support.refusals import Refusal, refused
 from support.studies import STILL, refusal_line, small_study
 
 from sinsjax import load_study, reset_schedule, run
-from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
 from sinsjax.methods.reset_law import ResetProblem
 from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.platform.assets import asset_path
-from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 
 pytestmark = pytest.mark.optimised(False)
@@ -117,24 +115,6 @@ def test_schedule_of_cells_is_at_their_optimum(name: str) -> None:
     assert found.settling_s == pytest.approx(promised_s, rel=0.005)
     assert len(found.times_s) == len(times_s)
     assert found.times_s == pytest.approx(times_s, rel=0.03)
-
-
-@pytest.mark.parametrize("heading_deg", [30.0, 120.0, 150.0])
-@pytest.mark.parametrize("q", [1.0, 1e-2])
-def test_schedule_with_a_number_of_resets(heading_deg: float, q: float) -> None:
-    """With as many as the law it is the law's; with fewer it settles later, early ones left out."""
-    problem = NOISY._replace(velocity_noise=q * PAPER.velocity_noise)
-    bound, band = heading_deg * DEG, 10 * ARCMIN
-    law = reset_law.schedule(problem, bound, band)
-    if len(law.times_s) > 3:
-        assert reset_law.schedule_with(problem, bound, band, len(law.times_s)) == law
-    first_s = reset_law.levelling_time(problem)
-    for resets in range(1, 6):
-        found = reset_law.schedule_with(problem, bound, band, resets)
-        assert len(found.times_s) == resets and found.times_s[0] == pytest.approx(first_s)
-        assert list(found.times_s) == sorted(set(found.times_s))
-        if heading_deg > 60 and resets > 1:  # one segment alone takes a large error too long
-            assert found.times_s[-1] > 0.9 * problem.ell
 
 
 # Predicted settling times
@@ -251,13 +231,6 @@ def test_sweep_carries_the_schedule_of_each_variant() -> None:
     assert study.values("reset_count") == [None] * 4
 
 
-@pytest.mark.parametrize("axes", [{}, {"schedule": ["law", "none"]}])
-def test_study_stored_with_every_value_loads_again(axes: dict[str, Any]) -> None:
-    resets = {} if axes else LAW
-    study = small_study(**LONG, resets=resets, axes=axes)
-    assert study_from_dict(study_to_tables(study)).reset_times() == study.reset_times()
-
-
 @pytest.mark.nightly
 def test_schedules_by_name_are_swept_beside_times() -> None:
     policies = ["none", "times", "law", "trigger"]
@@ -331,14 +304,3 @@ def test_plan_states_what_noise_and_instability_add() -> None:
     assert quiet.median == "301 s"
     drifting = reset_schedule(study.replace({"sensors.accel_instability_ug": 10.0}))
     assert drifting.left_out == ("accel_instability_ug",)
-
-
-@pytest.mark.nightly
-def test_plan_within_a_small_bound_and_studies_without_one_plan() -> None:
-    plan = reset_schedule("paper1_resets", heading_bound_deg=20.0)
-    assert plan.times_s == (2.0, 4.0, 6.0)
-    inertial = load_study("paper1_resets").replace({"alignment.method": "inertial"})
-    several = load_study("reset_sweep").replace({"axes.latitude_deg": [32.0, 60.0]})
-    for study in (several, inertial):  # several filters, and none
-        with pytest.raises(InputError):
-            reset_schedule(study)
