@@ -15,6 +15,7 @@ from oracles.in_engine import (
     DEG_PER_H,
     PAPER2,
     UG,
+    follow,
     loops,
     one_run,
     record_world,
@@ -77,11 +78,7 @@ def test_gains_place_the_designed_roots(sigma, damping):
     assert azimuth.k1 == azimuth.k4
     for expected, polynomial, matrix in (
         (np.poly([-sigma, *pair]), design.level_polynomial(level, **G_AND_R), level_matrix(level)),
-        (
-            np.poly(pair * 2),
-            design.azimuth_polynomial(azimuth, **G_AND_R),
-            azimuth_matrix(azimuth),
-        ),
+        (np.poly(pair * 2), design.azimuth_polynomial(azimuth, **G_AND_R), azimuth_matrix(azimuth)),
     ):
         np.testing.assert_allclose(polynomial, expected, rtol=1e-12)
         s = sigma * (0.3 + 0.7j)
@@ -213,16 +210,14 @@ def test_stability_bound_on_sigma_separates_decay_from_growth(loop, grows):
     carried = design.is_stable(matrix, 0.02)
     last = sigmas[carried].max()
     assert np.all(carried == (sigmas <= last)) and 10 < last < 90
-    rows = record_of(STILL, EARTH, LATITUDE, rate=50, samples=1000)
-    world = record_world(rows, site(EARTH, LATITUDE), pass_records=1000)
-    static = Static("compass", Options(0.02), 1, 1000, curves=False)
+    rows, here = record_of(STILL, EARTH, LATITUDE, rate=50, samples=1000), site(EARTH, LATITUDE)
     left = []
     for sigma in (0.99 * last, grows * last):
         given = Loops(level_gains(sigma, EARTH), (NO_AZIMUTH,))
         if loop == "azimuth":
             given = Loops(LEVEL, ((0.0, azimuth_gains(sigma, EARTH)),))
-        params = one_run(np.eye(3), (1e-14, 0, 0), (0, 0), at_rate(given, 50))
-        vn = np.abs(trail(static, world, params).nav.vn)
+        start, run = (np.eye(3), (1e-14, 0, 0), (0, 0)), {"options": Options(0.02), "records": 1000}
+        vn = np.abs(follow("compass", at_rate(given, 50), rows, here, start, **run).nav.vn)
         left.append(np.nan_to_num(vn[400:500].max() / vn[:5].max(), nan=np.inf))
     assert left[0] < 0.5 and left[1] > 2
 
@@ -251,11 +246,10 @@ def test_three_compass_passes_match_naive_loop(rule, planet, latitude_deg, posit
     case = {"latitude": latitude, "c": exp(-phi) @ PAPER2.matrix(0.0), "v": v, "loops": given}
     naive = compass_loop(rows, 1 / RATE, planet, stored=PASS, count=1800, **case)
     options = Options(1 / RATE, position=position)
-    passes = "rewind" if rule == "rewind" else "alternate"
-    static = Static("compass", options, 50, 36, False, passes=passes)
-    world = record_world(rows, site(planet, latitude), pass_records=PASS // 50)
     params = loops(given, REVERSALS.get(rule, REVERSALS["keep"]))
-    state = trail(static, world, one_run(PAPER2.matrix(0.0), phi, v, params))
+    passes = {"every": 50, "records": 36, "stored": PASS // 50, "rewinds": rule == "rewind"}
+    here, start = site(planet, latitude), (PAPER2.matrix(0.0), phi, v)
+    state = follow("compass", params, rows, here, start, options=options, **passes)
     at = np.arange(50, 1801, 50) - 1
     np.testing.assert_allclose(
         of_quaternion(np.stack(state.nav.q, axis=1)), naive.c[at], rtol=0, atol=1e-11
@@ -275,13 +269,13 @@ def test_reflected_compass_loop_continues_as_without_turn():
     """But for what the low pass lags, which is little here."""
     rate, phi = 50, np.array([0.1, 0.1, 1.5]) * DEG
     rows = record_of(STILL, EARTH, LATITUDE, rate=rate, samples=rate * 640)
-    static = Static("compass", Options(1 / rate), rate * 80, 8, False, passes="alternate")
+    here, start = site(EARTH, LATITUDE), (np.eye(3), phi, (0, 0))
     given = Loops(LEVEL, ((80 * rate, AZIMUTH),), -np.expm1(-2 / (rate * 1e-3)))
     headings = []  # deg, every 80 s
     for rule, records in (("keep", 8), ("reflect", 1)):
-        world = record_world(rows, site(EARTH, LATITUDE), pass_records=records)
-        params = one_run(np.eye(3), phi, (0, 0), loops(given, REVERSALS[rule]))
-        q = trail(static, world, params).nav.q
+        passes = {"options": Options(1 / rate), "every": rate * 80, "records": 8, "stored": records}
+        params = loops(given, REVERSALS[rule])
+        q = follow("compass", params, rows, here, start, **passes).nav.q
         headings.append(-log(of_quaternion(np.stack(q, axis=1)))[:, 2] / DEG)
     on, reflected = headings
     assert np.abs(on).max() > 1.4 and abs(reflected[-1]) < 0.15  # a tenth of what it began with

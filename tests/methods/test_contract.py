@@ -24,16 +24,12 @@ from oracles.naive import DEG, PAPER, Loops, azimuth_gains, exp, level_gains, lo
 from support.methods import FACTS
 from support.studies import small_study
 
-from sinsjax.engine import batch
 from sinsjax.engine.build import Scenario
-from sinsjax.methods import passes
 from sinsjax.methods.base import UNKNOWN_ANGLE, Options, RunEnd
 from sinsjax.methods.compass.config import REVERSALS
-from sinsjax.methods.description import COMMON_KEYS
 from sinsjax.methods.floors import NO_BIASES
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import sensors
-from sinsjax.study.keys import SECTIONS, TUNABLE
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -56,11 +52,6 @@ def method_of(name, **choices):
     return METHODS[name](Options(1 / RATE, **blocks | choices))
 
 
-REVERSING = [name for name in METHODS if method_of(name).passes]
-reversing = pytest.mark.parametrize("name", REVERSING)
-few_reversing = pytest.mark.nightly(fast=("compass", "kalman10"))
-
-
 @cache
 def params_of_study(name):
     """The method's params of a small study."""
@@ -75,14 +66,6 @@ def numbers(name, **changes):
         return params_of_study(name)
     given, extra = paper_params(FACTS[name].states, **changes), FACTS[name].extra
     return given if extra is None else given._replace(extra=np.float64(extra))
-
-
-@methods
-def test_method_names_existing_keys_only(name):
-    method = METHODS[name]
-    assert method.name == name and method.summary
-    known = {key for section in TUNABLE for key in SECTIONS[section].model_fields}
-    assert {*method.reads} <= known and {*method.without_effect} <= {*method.keys, *COMMON_KEYS}
 
 
 @methods
@@ -209,29 +192,6 @@ def test_shared_covariance_does_not_depend_on_the_start(name, force, position):
     np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.nightly
-@methods
-def test_runs_of_a_study_have_the_same_bits_in_any_chunk(name):
-    study = small_study(
-        study={"draws": 70, "duration_s": 4.0, "rate_hz": 20.0, "window_s": [1, 4]},
-        alignment={"method": name},
-        axes={"yaw_center_deg": [0.0]},
-        drawn={"gyro_bias_deg_per_h": {"normal": [0.0, 0.1]}},
-        sensors={"gyro_bias_deg_per_h": None},
-    )
-    group = Scenario(study).part(0).group
-    whole, parts = (
-        jax.tree.map(
-            lambda *leaves: np.concatenate(leaves),
-            *(chunk.outcome for chunk in batch.run_chunks(group, devices=n, tiles_per_chunk=tiles)),
-        )
-        for n, tiles in ((1, 64), (2, 2))
-    )
-    for a, b in zip(*map(jax.tree.leaves, (whole, parts)), strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert len({*np.asarray(whole.last.phi.x).tolist()}) == 70
-
-
 @pytest.mark.nightly(fast=("kalman5", "compass"))
 @pytest.mark.parametrize("name", STEPPED)
 def test_tangents_are_finite_at_zero_error(name):
@@ -285,22 +245,8 @@ def test_feedback_interval_does_not_matter_for_small_errors(name):
 # Its passes over a stored record
 
 
-@few_reversing
-@reversing
-def test_two_turns_at_one_place_cancel(name):
-    """A turn runs time the other way: it reverses the velocity and keeps the place."""
-    method, given, here = method_of(name), numbers(name), site(PAPER, LATITUDE)
-    state = flight(name)[0](START)
-    once = method.passes.reverse(given, here, state)
-    twice = method.passes.reverse(given, passes.site_of_pass(here, jnp.asarray(True)), once)
-    for a, b in zip(jax.tree.leaves(twice), jax.tree.leaves(state), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-15)
-    assert once.nav.ve == -state.nav.ve != 0 and once.nav.vn == -state.nav.vn != 0
-    assert (once.nav.latitude, once.nav.longitude) == (state.nav.latitude, state.nav.longitude)
-
-
-@few_reversing
-@reversing
+@pytest.mark.nightly(fast=("compass", "kalman10"))
+@pytest.mark.parametrize("name", [name for name in METHODS if method_of(name).passes])
 def test_rewound_state_is_that_of_a_new_start(name):
     """But for the count of samples, with which schedules go on."""
     method, given = method_of(name), numbers(name)

@@ -19,10 +19,7 @@ pytestmark = pytest.mark.optimised(False)
 DEG = np.pi / 180
 TURN = {"turn_times_s": [50.5], "turn_angles_deg": [180.0], "turn_rate_deg_per_s": 10.0}
 NOISE = {"gyro_arw_deg_per_sqrt_h": 0.02, "accel_vrw_ug_per_sqrt_hz": 50.0}
-DRAWN = {
-    "gyro_bias_deg_per_h": {"normal": [0.0, 1.0]},
-    "accel_bias_ug": {"normal": [0.0, 500.0]},
-}
+DRAWN = {"gyro_bias_deg_per_h": {"normal": [0.0, 1.0]}, "accel_bias_ug": {"normal": [0.0, 500.0]}}
 
 
 def study(

@@ -8,15 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.in_engine import (
-    PAPER1,
-    measured,
-    navigation,
-    place,
-    runner,
-    site,
-    swing_increments,
-)
+from oracles.in_engine import PAPER1, measured, navigation, place, runner, site, swing_increments
 from oracles.naive import DEG, PAPER, WGS84, compensate, exp, log, of_quaternion
 from scipy.integrate import quad_vec
 from scipy.spatial.transform import Rotation

@@ -5,7 +5,6 @@ A new filter has its naive model in `oracles.naive_filters` and a case here.
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 import pytest
 from oracles.in_engine import (
@@ -14,11 +13,10 @@ from oracles.in_engine import (
     UG,
     covariances,
     filter_params,
+    follow,
     measured,
-    one_run,
-    record_world,
+    shown,
     site,
-    trail,
 )
 from oracles.naive import DEG, PAPER, Filter, exp, of_quaternion
 from oracles.naive_filters import (
@@ -31,9 +29,7 @@ from oracles.naive_filters import (
     surging,
 )
 
-from sinsjax.engine.environment import Static
 from sinsjax.methods.base import Options
-from sinsjax.methods.registry import METHODS
 from sinsjax.methods.sincos.method import SurgeParams
 
 pytestmark = pytest.mark.optimised(False)
@@ -129,14 +125,12 @@ def test_closed_loop_matches_naive_filter(name, schedule):
     about = {"latitude": LATITUDE, "c": exp(-phi) @ PAPER1.matrix(0.0), "v": V0, "filt": filt}
     naive = closed_loop(case.model, rows, dt, PAPER, stored=stored, count=count, **about)
 
-    params, passes = filter_params(filt), "rewind" if filt.turn == "rewind" else "alternate"
+    params, options = filter_params(filt), Options(dt)
     params = params if case.extra is None else params._replace(extra=case.extra)
-    world = record_world(rows, site(PAPER, LATITUDE), pass_records=stored)
-    static = Static(name, Options(dt), 1, count, False, passes=passes)
-    state = trail(static, world, one_run(PAPER1.matrix(0.0), phi, V0, params))
-    method = METHODS[name](Options(dt))
-    shown = jax.jit(jax.vmap(lambda one: (method.attitude(one), method.covariance(one))))
-    attitude, covariance = shown(state)
+    here, start = site(PAPER, LATITUDE), (PAPER1.matrix(0.0), phi, V0)
+    passes = {"records": count, "stored": stored, "rewinds": filt.turn == "rewind"}
+    state = follow(name, params, rows, here, start, options=options, **passes)
+    attitude, covariance = shown(name, options, state)
     c, corrected = (of_quaternion(np.stack(q, axis=1)) for q in (state.nav.q, attitude))
     found = c, np.stack([state.nav.ve, state.nav.vn], axis=1), np.stack(state.belief.x, axis=1)
     expected = naive.c, naive.v[:, :2], naive.x

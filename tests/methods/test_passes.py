@@ -13,27 +13,15 @@ from oracles.in_engine import (
     DEG_PER_H,
     PAPER2,
     UG,
+    follow,
     loops,
     navigation,
-    one_run,
     place,
-    record_world,
     site,
     swing_increments,
-    trail,
 )
-from oracles.naive import (
-    DEG,
-    SECOND_PAPER,
-    WGS84,
-    Loops,
-    exp,
-    log,
-    of_quaternion,
-    updates,
-)
+from oracles.naive import DEG, SECOND_PAPER, WGS84, Loops, exp, log, of_quaternion, updates
 
-from sinsjax.engine.run import Static
 from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.methods import passes
 from sinsjax.methods.base import Options
@@ -107,11 +95,11 @@ def test_backward_pass_retraces_forward_navigation(position: str) -> None:
     no_gains = Loops((0.0, 0.0, 0.0), ((np.inf, (0.0, 0.0, 0.0, 0.0)),))
     free = loops(no_gains, REVERSALS["velocity"])
     options = Options(1 / rate, position=position)
-    static = Static("compass", options, rate, 2 * stored_s, curves=False, passes="alternate")
-    world = record_world(rows, site(EARTH, LATITUDE), pass_records=stored_s)
-    nav = trail(static, world, one_run(PAPER2.matrix(0.0), phi, v, free)).nav
-    start = exp(-phi) @ PAPER2.matrix(0.0)
-    c = np.concatenate([start[None], of_quaternion(np.stack(nav.q, axis=1))])
+    start, here = (PAPER2.matrix(0.0), phi, v), site(EARTH, LATITUDE)
+    passes = {"every": rate, "records": 2 * stored_s, "stored": stored_s}
+    nav = follow("compass", free, rows, here, start, options=options, **passes).nav
+    first = exp(-phi) @ PAPER2.matrix(0.0)
+    c = np.concatenate([first[None], of_quaternion(np.stack(nav.q, axis=1))])
     velocity = np.concatenate([[v], np.stack([nav.ve, nav.vn], axis=1)])
     place = np.stack([nav.latitude - LATITUDE, nav.longitude], axis=1)
     place = np.concatenate([[[0.0, 0.0]], place])

@@ -211,6 +211,37 @@ def trail(static: Static, environment: Environment, params: RunParams) -> Any:
     return jax.lax.scan(record, start, jnp.arange(static.records))[1]
 
 
+def follow(
+    name: str,
+    params: Any,
+    rows: np.ndarray,
+    here: Site,
+    start: tuple[np.ndarray, Any, Any],
+    *,
+    options: Options,
+    records: int,
+    every: int = 1,
+    stored: int | None = None,
+    rewinds: bool = False,
+) -> Any:
+    """The `trail` of a run over a record of measurements, from an attitude, phi and velocity.
+
+    A record of ``stored`` records is read forward and backward in turn, or is rewound.
+    """
+    passes = "rewind" if rewinds else "alternate"
+    static = Static(name, options, every, records, curves=False, passes=passes)
+    return trail(
+        static, record_world(rows, here, pass_records=stored or records), one_run(*start, params)
+    )
+
+
+def shown(name: str, options: Options, states: Any) -> tuple[Quat, Any]:
+    """Attitude with all that is estimated taken out, and covariance, of states (n,)."""
+    method = METHODS[name](options)
+    each = jax.vmap(lambda state: (method.attitude(state), method.covariance(state)))
+    return jax.jit(each)(states)
+
+
 def covariances(triangle: Sequence[Any]) -> np.ndarray:
     """Matrices (..., n, n) of upper triangles, entries (...)."""
     n = round((2 * len(triangle)) ** 0.5 - 0.5)
