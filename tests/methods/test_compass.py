@@ -262,21 +262,3 @@ def test_three_compass_passes_match_naive_loop(rule, planet, latitude_deg, posit
     close(state.rate_u, naive.rate[at], 5e-10 if rule == "rewind" else 1e-10)
     np.testing.assert_allclose(state.nav.latitude, naive.latitude[at], rtol=0, atol=1e-15)
     np.testing.assert_allclose(state.nav.longitude, naive.longitude[at], rtol=0, atol=1e-15)
-
-
-@pytest.mark.nightly
-def test_reflected_compass_loop_continues_as_without_turn():
-    """But for what the low pass lags, which is little here."""
-    rate, phi = 50, np.array([0.1, 0.1, 1.5]) * DEG
-    rows = record_of(STILL, EARTH, LATITUDE, rate=rate, samples=rate * 640)
-    here, start = site(EARTH, LATITUDE), (np.eye(3), phi, (0, 0))
-    given = Loops(LEVEL, ((80 * rate, AZIMUTH),), -np.expm1(-2 / (rate * 1e-3)))
-    headings = []  # deg, every 80 s
-    for rule, records in (("keep", 8), ("reflect", 1)):
-        passes = {"options": Options(1 / rate), "every": rate * 80, "records": 8, "stored": records}
-        params = loops(given, REVERSALS[rule])
-        q = follow("compass", params, rows, here, start, **passes).nav.q
-        headings.append(-log(of_quaternion(np.stack(q, axis=1)))[:, 2] / DEG)
-    on, reflected = headings
-    assert np.abs(on).max() > 1.4 and abs(reflected[-1]) < 0.15  # a tenth of what it began with
-    np.testing.assert_allclose(reflected, on, rtol=0, atol=0.02)

@@ -49,7 +49,7 @@ class Case:
         self.count, self.stored = count, stored or count
         moves = filt.position == "integrated"
         self.planet, self.latitude = (WGS84, -41.0 * DEG) if moves else (PAPER, 32.0 * DEG)
-        self.rows = measured(self.planet, self.latitude, self.stored)
+        self.rows = measured(self.planet, self.latitude, count)
 
     def naive(self, numbers=QUIET):
         """History, and the watcher."""
@@ -182,7 +182,9 @@ def threshold_at(scores, share):
     return float(np.sqrt(ordered[at] * ordered[at + 1])) if at + 1 < len(ordered) else np.inf
 
 
+@pytest.mark.nightly(fast=("kalman5-innovation", "kalman5-linearisation"))
 @pytest.mark.parametrize("trigger", TRIGGERS)
+@pytest.mark.parametrize("name", STATES)
 @given(
     share=st.floats(0, 0.99),
     window=st.integers(1, 12),
@@ -191,44 +193,23 @@ def threshold_at(scores, share):
     until=st.sampled_from([np.inf, 7, 30]),
     scheduled=st.sets(st.integers(1, 60), max_size=4),
     every=st.sampled_from([1, 4, 7]),
+    stored=st.sampled_from([60, 23]),
+    kind=st.sampled_from(["full", "yaw"]),
 )
 @settings(max_examples=25, deadline=None)
-def test_trigger_fires_as_naive_trigger(
-    trigger, share, window, refractory, most, until, scheduled, every
+def test_triggered_resets_match_naive_filter(
+    name, trigger, share, window, refractory, most, until, scheduled, every, stored, kind
 ):
-    """Every so many samples, too; all of its resets wait for that, scheduled ones as well."""
-    clock = {"every": every, "resets": (*scheduled,), "at_feedback": every > 1}
-    case = Case("kalman5", paper_filter(5, **clock, r=1e-5), count=60, phi=LARGE, trigger=trigger)
+    """At a large misalignment, with scheduled resets between, and over turns of the record.
+
+    With feedback every few samples all resets wait for that, scheduled ones as well.
+    """
+    filt = paper_filter(STATES[name], every=every, gain=0.6, resets=(*scheduled,), r=1e-5)
+    filt = filt._replace(at_feedback=every > 1, restarts=every == 7, kind=kind)
+    case = Case(name, filt, count=60, stored=stored, phi=LARGE, trigger=trigger)
     numbers = Numbers(np.inf, window, refractory, most, until)
     threshold = threshold_at(case.naive(numbers)[1].scores, share)
     case.compare(numbers._replace(threshold=threshold))
-
-
-CLOSED = {"every": 7, "gain": 0.6, "resets": (90, 333)}
-LOUD = CLOSED | {"r": 1e-5}
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("name", "trigger", "stored", "changes"),
-    [
-        ("kalman5", "innovation", None, LOUD),
-        ("kalman5", "innovation", 145, LOUD | YAW),
-        ("kalman10", "linearisation", 145, CLOSED | {"position": "integrated"}),
-        ("kalman5", "innovation", 145, LOUD | {"restarts": True}),
-        ("kalman5", "innovation", 145, LOUD | {"at_feedback": True}),
-        ("kalman5", "linearisation", 145, CLOSED | {"every": 31, "at_feedback": True}),
-    ],
-)
-def test_triggered_filter_resets_match_naive_filter(name, trigger, stored, changes):
-    """At a large misalignment, with scheduled resets between, and over turns of the record."""
-    filt = paper_filter(STATES[name], **changes)
-    case = Case(name, filt, count=400, stored=stored, phi=LARGE, trigger=trigger)
-    near = Numbers(np.inf, window=20, refractory=10, most=12, until=380)
-    scores = case.naive(near)[1].scores
-    for share in (0.0, 0.5, 0.9):
-        _, watcher = case.compare(near._replace(threshold=threshold_at(scores, share)))
-        assert watcher.trigger_counts
 
 
 def fired_at(*resets, **numbers):
