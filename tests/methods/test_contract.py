@@ -35,7 +35,6 @@ pytestmark = pytest.mark.optimised(False)
 
 RATE, SECONDS, LATITUDE = 100, 60, 32 * DEG
 SWING = PAPER1._replace(center=np.array([0.05, -0.1, 2.0]))
-NEVER = 10**9
 
 FILTERS = [name for name in METHODS if name in FACTS and FACTS[name].states]
 STEPPED = [name for name, method in METHODS.items() if not method.stores_blocks]
@@ -230,16 +229,6 @@ def test_run_levels_and_then_finds_north(name):
     assert abs(left[-1, 2]) < 30 * ARCMIN
     # Within what is believed, if anything is.
     assert name not in FILTERS or np.all(sigma[-1] < sigma[0])
-
-
-@pytest.mark.nightly(fast=("kalman5",))
-@pytest.mark.parametrize("name", FILTERS)
-def test_feedback_interval_does_not_matter_for_small_errors(name):
-    """The loop is linear there: what is fed back early or late is the same estimate."""
-    phi = np.array([0.05, -0.05, 0.2]) * ARCMIN
-    each, seldom, never = (run(name, phi, every=every)[0] for every in (1, 700, NEVER))
-    np.testing.assert_allclose(seldom, each, rtol=0, atol=1e-3 * ARCMIN)
-    np.testing.assert_allclose(never, each, rtol=0, atol=1e-3 * ARCMIN)
 
 
 # Its passes over a stored record

@@ -11,7 +11,6 @@ from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.methods.compass import design
 from sinsjax.study.load import study_from_dict
-from sinsjax.units import DEG, DEG_PER_H
 
 G, R = 9.8, 6378165.0
 BASE: dict[str, Any] = {
@@ -88,34 +87,6 @@ def test_compass_schedules_in_seconds_or_passes_become_samples() -> None:
     )
     np.testing.assert_array_equal(counted.azimuth_from, [800])
     np.testing.assert_array_equal(counted.pace.samples, [[400, 1200]])
-
-
-# Filters
-
-STATES = ("dve", "dvn", "phi_e", "phi_n", "phi_u", "nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z")
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "states", "sigma"),
-    [
-        ("reset_velocity_m_per_s", 0.3, "dve dvn", 0.3),
-        ("reset_level_deg", 2.0, "phi_e phi_n", 2.0 * DEG),
-        ("reset_yaw_deg", 30.0, "phi_u", 30.0 * DEG),
-        ("reset_accel_bias_ug", 70.0, "nabla_x nabla_y", 70.0 * 9.8e-6),
-        ("reset_gyro_bias_deg_per_h", 0.02, "eps_x eps_y eps_z", 0.02 * DEG_PER_H),
-    ],
-)
-def test_reset_keys_set_reset_variance_of_their_states(
-    key: str, value: float, states: str, sigma: float
-) -> None:
-    """A key of its own for each kind of state; the others are reset to what they began with."""
-    filters = {"alignment": {"method": "kalman10"}}
-    plain, own = numbers(**filters), numbers(**filters, resets={key: value})
-    np.testing.assert_array_equal(plain.reset_to, plain.p0)
-    np.testing.assert_array_equal(own.p0, plain.p0)
-    for state, start, to in zip(STATES, plain.p0, own.reset_to, strict=True):
-        expected = [sigma**2] if state in states.split() else start
-        np.testing.assert_allclose(to, expected, rtol=1e-14)
 
 
 # Loops that are refused

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.commands import Command
 from support.refusals import Refusal, refused
-from support.studies import STILL, refusal_line, small_study
+from support.studies import refusal_line, small_study
 
 from sinsjax import load_study, reset_schedule, run
 from sinsjax.methods import reset_law
@@ -137,7 +137,7 @@ MEASURED = {
     "gravity": [125, 121, 198, 179, 293, 242, 141, 118, 196, 185, 251, 226],
     "measured": [125, 121, 179, 188, 184, 231, 141, 118, 194, 185, 254, 207],
 }
-"""Settling times (s) of whole alignments over `AXES`, the last of which runs fastest."""
+"""Settling times (s) of noise-free alignments over `AXES`, the last of which runs fastest."""
 
 
 @pytest.mark.parametrize("force", MEASURED)
@@ -152,34 +152,6 @@ def test_prediction_is_what_measured_alignments_did(force: str) -> None:
     ratio = predict_settling_times(lanes, 500.0) / np.array(MEASURED[force])
     assert abs(np.median(ratio) - 1) < 0.04
     np.testing.assert_allclose(ratio, 1, atol=0.08 if force == "gravity" else 0.16)
-
-
-NOISE_FREE = {
-    "sensors": {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0}
-    | {"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0},
-    "motion": STILL,
-}
-PER_STEP = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step"}
-PER_STEP |= {"r_reading": "psd"}
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("force", MEASURED)
-def test_noise_free_alignments_still_do_what_was_measured(force: str) -> None:
-    """Twelve runs of 500 s with feedback at once and P0 of velocity as printed and open."""
-    study = small_study(
-        **NOISE_FREE,
-        study={"duration_s": 500.0, "draws": 1, "window_s": [400, 500], "rate_hz": 50.0},
-        alignment={"specific_force": force, "feedback_interval_s": 0.1},
-        filter=PER_STEP,
-        resets={},
-        axes=AXES,
-    )
-    rows = run(study, curves=False).summary.to_pylist()
-    given = [tuple(row[name] for name in AXES) for row in rows]
-    assert given == [*itertools.product(*AXES.values())]
-    measured = [row["settle_10_s"] for row in rows]
-    np.testing.assert_allclose(measured, MEASURED[force], rtol=0, atol=1.0)
 
 
 def test_law_is_exact_where_q_limits_and_velocity_is_open() -> None:
@@ -219,6 +191,8 @@ def test_each_run_may_have_its_own_noise() -> None:
 # In a study
 
 LAW = {"schedule": "law"}
+PER_STEP = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step"}
+PER_STEP |= {"r_reading": "psd"}
 LONG = {"filter": PER_STEP, "study": {"duration_s": 400.0, "window_s": [200, 400]}}
 
 

@@ -75,13 +75,6 @@ def test_shares_of_reset_window_combine_to_full_reset(time, width):
     assert 1 - np.exp(left) > 0.998
 
 
-@given(st.floats(300, 500), st.floats(0, 200), st.floats(20, 250))
-def test_overlapping_reset_windows_act_in_succession(time, apart, width):
-    pair = np.array([time, time + apart])
-    one, other = (1 - np.asarray(shares(pair[i : i + 1], width)) for i in (0, 1))
-    np.testing.assert_allclose(1 - shares(pair, width), one * other, rtol=1e-12, atol=1e-15)
-
-
 # In the filter: 300 samples of [P1]'s swing, at large misalignment
 
 RATE, LATITUDE = 50, 0.5
@@ -115,18 +108,3 @@ def test_relaxed_reset_converges_to_hard_reset_as_window_narrows(time):
         near = off[:, kind].max(axis=1) / far
         assert np.all(near[1:] < near[:-1] / 2) and near[-1] < 0.2
     assert off[-1, :5].max() < 2e-3
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("way", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
-def test_derivative_by_reset_times_and_width_matches_finite_difference(way):
-    """Of windows that overlap too; no sample is at the edge of one, where the slope has a bend."""
-    point, h = np.array([90.37, 130.41, 30.3]), 1e-3
-
-    def at(numbers):
-        return run(Windows(numbers[:2], numbers[2], FULL))
-
-    got = jax.jvp(at, (point,), (np.array(way),))[1]
-    ahead, behind = (np.asarray(at(point + side * h * np.array(way))) for side in (1, -1))
-    assert np.all(np.isfinite(got)) and np.all(np.abs(got[:9]) > 0)
-    np.testing.assert_allclose(got, (ahead - behind) / (2 * h), rtol=1e-5, atol=2e-12)
