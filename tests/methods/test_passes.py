@@ -3,7 +3,6 @@
 `test_zero_velocity.py`, `test_naive_filters.py` and `test_compass.py` have naive passes.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.methods import passes
 from sinsjax.methods.base import Options
 from sinsjax.methods.compass.config import REVERSALS
-from sinsjax.strapdown import earth, mechanisation, sensors
+from sinsjax.strapdown import earth, mechanisation
 from sinsjax.strapdown.error_model import MODELS
 from sinsjax.types import Vec3
 
@@ -59,23 +58,6 @@ def test_every_stored_sample_is_read_once_per_pass(stored: int, every: int, reco
     ]
     assert paired == [(k, k - 1, u.way) for k, u in zip(places, expected, strict=True)]
     assert turns == [u.turns for u in expected]
-
-
-def test_backward_sample_undoes_forward_sample() -> None:
-    """After both, a body is where it was, and has gained twice the velocity, seen from there."""
-    rng = np.random.default_rng(1)
-    now, before = (
-        sensors.split_record_row(np.concatenate(rng.normal(size=(2, 3)) * [[0.1], [1.0]]))
-        for _ in "ab"
-    )
-    forward = passes.compensate(now, before, jnp.asarray(False))
-    # Backward the sample before it on the record comes last.
-    backward = passes.compensate(before, now, jnp.asarray(True))
-    alone = sensors.compensate_sample(now, before)
-    jax.tree.map(np.testing.assert_array_equal, forward, alone)
-    there, back = (of_quaternion(np.array(s.turn)) for s in (forward, backward))
-    np.testing.assert_allclose(there @ back, np.eye(3), atol=1e-15)
-    np.testing.assert_allclose(there @ np.array(backward.dv), np.array(forward.dv), atol=1e-15)
 
 
 # There and back

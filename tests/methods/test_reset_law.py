@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.commands import Command
 from support.refusals import Refusal, refused
-from support.studies import refusal_line, small_study
+from support.studies import BASE, STILL, refusal_line, small_study
 
 from sinsjax import load_study, reset_schedule, run
 from sinsjax.methods import reset_law
@@ -154,6 +154,26 @@ def test_prediction_is_what_measured_alignments_did(force: str) -> None:
     np.testing.assert_allclose(ratio, 1, atol=0.08 if force == "gravity" else 0.16)
 
 
+PER_STEP = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step"}
+PER_STEP |= {"r_reading": "psd"}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("force", MEASURED)
+def test_noise_free_alignments_still_do_what_was_measured(force: str) -> None:
+    study = small_study(
+        study={"duration_s": 500.0, "draws": 1, "window_s": [400, 500], "rate_hz": 50.0},
+        motion=STILL,
+        sensors=dict.fromkeys(BASE["sensors"], 0.0),
+        alignment={"specific_force": force, "feedback_interval_s": 0.1},
+        filter=PER_STEP,
+        resets={},
+        axes=AXES,
+    )
+    measured = run(study, curves=False).summary["settle_10_s"].to_numpy()
+    np.testing.assert_allclose(measured, MEASURED[force], rtol=0, atol=1.0)
+
+
 def test_law_is_exact_where_q_limits_and_velocity_is_open() -> None:
     """Turned with the heading, the tilt makes 2 tan(phi/2) contract by 1 + s0^2 J."""
     problem = QUICK._replace(measurement_noise=1e-4, velocity=10.0)
@@ -191,8 +211,6 @@ def test_each_run_may_have_its_own_noise() -> None:
 # In a study
 
 LAW = {"schedule": "law"}
-PER_STEP = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step"}
-PER_STEP |= {"r_reading": "psd"}
 LONG = {"filter": PER_STEP, "study": {"duration_s": 400.0, "window_s": [200, 400]}}
 
 
