@@ -102,13 +102,13 @@ SCHEDULES = {
 
 PASSES = {"every": 130, "resets": (250, 750)}
 SCHEDULES |= {
-    "three passes, P carried": PASSES | {"turn": "carried"},
-    "three passes, rewound": PASSES | {"turn": "rewind"},
+    "three passes": PASSES | {"turn": "carried"},
+    "three rewound passes": PASSES | {"turn": "rewind"},
 }
 FAST = (
     "kalman_sincos-feedback every sample",
     "invariant-resets restart feedback",
-    "kalman_surge-three passes, P carried",
+    "kalman_surge-three passes",
 )
 
 
