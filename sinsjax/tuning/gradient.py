@@ -24,10 +24,10 @@ from sinsjax.engine.run import map_stacked_tiles, run_tile
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.run import ProgressCallback, RunProgress
-from sinsjax.methods.filters.keys import find_without_gradient
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS, find_without_gradient
 from sinsjax.methods.method import Site
 from sinsjax.methods.registry import METHODS
-from sinsjax.methods.schedules import Resets, smooth_resets
+from sinsjax.methods.schedules import smooth_resets
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import earth
 from sinsjax.study.keys import TomlTable
@@ -497,18 +497,19 @@ class TunedParams:
         assert isinstance(times, tuple)
         self._fixed_times = [kind.fixed for kind in times[: combination.get(COUNT, len(times))]]
         based = with_point(study, self.point)
-        methods, moved, self.moves_resets = based.values("method"), set(), False
-        for name in sorted(set(methods)):
-            ids = np.array([methods.index(name)])
-            keys = Variants(based, ids, site=_ANY_SITE, micro_g=micro_g())
-            params, slopes = self.slopes(name, keys, np.full((1, len(self.variables)), 0.5))
-            moved |= {i for i in range(len(self.variables)) if _is_moved(slopes, i)}
-            self.moves_resets |= _any_reset_moves(params, slopes)
-        for i, variable in enumerate(self.variables):
-            if i not in moved:
-                _refuse(study, f"[tune.variables] {variable.key}")
+        self.moves_resets = any(variable.key in SCHEDULE_KEYS for variable in self.variables)
         if key := find_without_gradient(Variants.all_of(based), smoothed=self.moves_resets):
             _refuse(study, key)
+        methods, moved = based.values("method"), np.zeros(len(self.variables), bool)
+        for name in set(methods):
+            ids = np.array([methods.index(name)])
+            keys = Variants(based, ids, site=_ANY_SITE, micro_g=micro_g())
+            _, slopes = self.slopes(name, keys, np.full((1, len(moved)), 0.5))
+            for leaf in jax.tree.leaves(slopes):
+                moved |= np.any(leaf, axis=(0, *range(2, leaf.ndim)))
+        for variable, is_moved in zip(self.variables, moved, strict=True):
+            if not is_moved and variable.key not in SCHEDULE_KEYS:  # there may be no reset
+                _refuse(study, f"[tune.variables] {variable.key}")
 
     def at(self, method: str, keys: Variants, box: Array) -> Any:
         """Return the params of a method at a point, leaves (variants, ...); resets are hard.
@@ -527,7 +528,8 @@ class TunedParams:
                 entries[variable.entry] = value
                 value = tuple(entries)
             tuned[variable.key] = value
-        return METHODS[method].params(_TunedKeys(keys, tuned), jnp)
+        with jax.numpy_dtype_promotion("standard"):  # as NumPy, which params are written for
+            return METHODS[method].params(_TunedKeys(keys, tuned), jnp)
 
     def slopes(self, method: str, keys: Variants, box: NDArray) -> tuple[Any, Any]:
         """Return the params at the points of all starts, and their derivatives.
@@ -549,28 +551,11 @@ class TunedParams:
             return value, jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), slope)
 
         whole = jax.jit(jax.vmap(of_start))(box)
-        return jax.tree.map(lambda a: np.asarray(a).reshape(-1, *np.shape(a)[2:]), whole)
+        return jax.tree.map(lambda a: np.concatenate(np.asarray(a)), whole)
 
 
 _ANY_SITE = Site(earth.wgs84(0.0), earth.place(earth.wgs84(0.0), 45 * DEG), 45 * DEG)
 """Whether params depend on a variable is the same at every place."""
-
-
-def _is_moved(slopes: Any, variable: int) -> bool:
-    """Return whether a variable changes params."""
-    return any(np.any(leaf[:, variable]) for leaf in jax.tree.leaves(slopes))
-
-
-def _any_reset_moves(params: Any, slopes: Any) -> bool:
-    """Return whether some variable moves the times of resets."""
-    moves: list[bool] = []
-    jax.tree.map(
-        lambda part, slope: moves.append(isinstance(part, Resets) and slope.samples.any()),
-        params,
-        slopes,
-        is_leaf=lambda part: isinstance(part, Resets),
-    )
-    return any(moves)
 
 
 def _refuse(study: Study, what: str) -> NoReturn:

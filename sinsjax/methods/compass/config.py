@@ -186,7 +186,7 @@ def params(columns: StudyKeys, xp: Any) -> LoopParams:
             times or () if numbers is None else tuple(n * (stored_s or math.nan) for n in numbers)
         )
 
-    level_gains, azimuth_gains = gains(columns, site)
+    level_gains, azimuth_gains = gains(columns, site, xp)
     smoothing = columns.column("turn_smoothing_s") if passes else np.ones(columns.count)
     turn = (
         columns.compute(REVERSALS.__getitem__, "turn").T
@@ -208,12 +208,12 @@ def params(columns: StudyKeys, xp: Any) -> LoopParams:
         azimuth_from=np.round(
             columns.compute(level_s, "level_time_s", "level_passes", *stored) * rate
         ),
-        smoothing=-np.expm1(-2 / (rate * smoothing)),  # two stages share the delay
+        smoothing=-xp.expm1(-2 / (rate * smoothing)),  # two stages share the delay
         reversal=Reversal(*turn),
     )
 
 
-def gains(columns: StudyKeys, site: Any) -> tuple[LevelGains, AzimuthGains]:
+def gains(columns: StudyKeys, site: Any, xp: Any = np) -> tuple[LevelGains, AzimuthGains]:
     """Return the gains of the loops: as given, or designed from sigma or adjustment time, damping.
 
     They are designed for the north channel; on an ellipsoid the east one differs in its K2 by some
@@ -222,8 +222,8 @@ def gains(columns: StudyKeys, site: Any) -> tuple[LevelGains, AzimuthGains]:
     earth = earth_numbers(site)
     level = loops.level_gains(*_sigma_and_damping(columns, "level"), **earth)
     azimuth = loops.azimuth_gains(*_sigma_and_damping(columns, "azimuth"), **earth)
-    return _replace_given(columns, "level_gains", level), _replace_given(
-        columns, "azimuth_gains", azimuth
+    return _replace_given(columns, "level_gains", level, xp), _replace_given(
+        columns, "azimuth_gains", azimuth, xp
     )
 
 
@@ -293,19 +293,17 @@ def _format_roots(found: np.ndarray) -> str:
     return ", ".join(f"{r.real + 0.0:.4g}{f'{r.imag:+.4g}j' if r.imag else ''}" for r in ordered)
 
 
-def _replace_given(columns: StudyKeys, key: str, designed: Any) -> Any:
+def _replace_given(columns: StudyKeys, key: str, designed: Any, xp: Any) -> Any:
     """Return designed gains, replaced for variants that give gains."""
-    rows, count = np.stack(designed, axis=-1), len(designed)
+    rows, count = xp.stack(designed, axis=-1), len(designed)
     given = columns.compute(lambda v: [math.nan] * count if v is None else v, key)
-    return type(designed)(*np.where(np.isnan(given), rows, given).T)
+    return type(designed)(*xp.where(xp.isnan(given), rows, given).T)
 
 
-def _sigma_and_damping(columns: StudyKeys, loop: str) -> tuple[np.ndarray, np.ndarray]:
+def _sigma_and_damping(columns: StudyKeys, loop: str) -> tuple[Any, Any]:
     """Return sigma (1/s) and damping of a loop; sigma is arbitrary if a variant gives gains."""
 
-    def sigma_of(
-        given: float | None, time: float | None, damping: float, reading: str, remainder: float
-    ) -> float:
+    def sigma_of(given: Any, time: Any, damping: Any, reading: str, remainder: Any) -> Any:
         if given is not None:
             return given
         if time is None:

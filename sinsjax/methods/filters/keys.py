@@ -14,6 +14,7 @@ from pydantic import Field
 
 from sinsjax.columns import Column
 from sinsjax.methods.method import Method, OwnColumn, StudyKeys
+from sinsjax.types import Scalar
 from sinsjax.value_types import (
     ROUNDING,
     AccelNoise,
@@ -208,12 +209,12 @@ def surge_density(surge_m_per_s: Any, surge_time_s: float | None) -> float:
 
 def update_variance(
     rate_hz: float,
-    r_velocity_m_per_s: float | None,
+    r_velocity_m_per_s: Scalar | None,
     r_reading: str,
-    r_scale: float | None,
+    r_scale: Scalar | None,
     surge_m_per_s: Any = None,
     surge_time_s: float | None = None,
-) -> float:
+) -> Scalar:
     """Return the variance R of an update, (m/s)^2.
 
     Args:
@@ -385,11 +386,11 @@ class ResetsSection(Section):
 
 
 def scheduled_reset_times(
-    reset_times_s: tuple[float, ...] | None,
+    reset_times_s: tuple[Scalar, ...] | None,
     reset_count: int | None,
-    reset_cycle_s: float | None,
-    reset_first_s: float | None,
-) -> tuple[float, ...]:
+    reset_cycle_s: Scalar | None,
+    reset_first_s: Scalar | None,
+) -> tuple[Scalar, ...]:
     """Return the times of scheduled resets as the study gives or counts them, s."""
     if reset_times_s is not None:
         return tuple(reset_times_s)
@@ -401,13 +402,13 @@ def scheduled_reset_times(
 
 def acting_reset_times(
     rate_hz: float,
-    reset_times_s: tuple[float, ...] | None,
+    reset_times_s: tuple[Scalar, ...] | None,
     reset_count: int | None,
-    reset_cycle_s: float | None,
-    reset_first_s: float | None,
+    reset_cycle_s: Scalar | None,
+    reset_first_s: Scalar | None,
     reset_at_feedback: bool,
-    feedback_interval_s: float,
-) -> tuple[float, ...]:
+    feedback_interval_s: Scalar,
+) -> tuple[Scalar, ...]:
     """Return the times at which scheduled resets act, s; two may wait for the same feedback."""
     times = scheduled_reset_times(reset_times_s, reset_count, reset_cycle_s, reset_first_s)
     if not reset_at_feedback:
