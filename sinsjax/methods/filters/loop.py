@@ -326,8 +326,7 @@ class _ClosedLoop(NamedTuple):
         assert self.trigger is not None
         not_fed_back = self.filter.misalignment(state)
         snapshot = triggers.FilterSnapshot(
-            innovation=innovation.value,
-            variance=innovation.variance,
+            innovation=innovation,
             belief=state.belief,
             correction=add(state.trigger_state.fed_back, not_fed_back),
             not_fed_back=not_fed_back,
