@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from sinsjax.columns import Column
-from sinsjax.methods.method import Method, OwnColumn, StudyKeys
+from sinsjax.methods.filters.loop import Filter, closed_loop
+from sinsjax.methods.method import Method, Options, OwnColumn, StudyKeys
 from sinsjax.types import Scalar
 from sinsjax.value_types import (
     ROUNDING,
@@ -592,16 +593,23 @@ LOOP_KEYS = (
 )
 """The keys of [alignment] and [passes] that act on every filter."""
 
-filter_method = partial(
-    Method,
-    sections={"filter": FilterSection, "resets": ResetsSection},
-    reads=LOOP_KEYS,
-    without_effect=BIAS_KEYS,
-    turning="none",
-    rules=(check_trigger, check_resets),
-    columns=FILTER_COLUMNS,
-)
-"""Return the `Method` of a filter without sensor bias states; the arguments add the rest."""
+
+def filter_method(*, build: Callable[[Options], Filter], **parts: Any) -> Method:
+    """Return the method of a filter in closed loop.
+
+    Args:
+        build: builds its stages.
+        parts: other fields of `Method`; by default those of a filter without sensor bias states.
+    """
+    usual = {
+        "sections": {"filter": FilterSection, "resets": ResetsSection},
+        "reads": LOOP_KEYS,
+        "without_effect": BIAS_KEYS,
+        "turning": "none",
+        "rules": (check_trigger, check_resets),
+        "columns": FILTER_COLUMNS,
+    }
+    return Method(build=lambda options: closed_loop(build(options), options), **usual | parts)
 
 
 def estimates_biases(method: Method) -> bool:
