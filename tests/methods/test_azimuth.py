@@ -17,9 +17,9 @@ from support.studies import small_study
 
 from sinsjax import run as run_study
 from sinsjax.maths.algebra import entries_as_numbers
-from sinsjax.methods.azimuth import method as model
-from sinsjax.methods.kalman import Belief
-from sinsjax.methods.sincos import method as sincos
+from sinsjax.methods import azimuth as model
+from sinsjax.methods import sincos, surge
+from sinsjax.methods.filters.kalman import Belief
 from sinsjax.strapdown import processes
 
 pytestmark = pytest.mark.optimised(False)
@@ -145,12 +145,12 @@ def test_north_drift_estimate_and_sigma_are_consistent():
 
 def test_surge_model_autocovariance_matches_bounded_velocity():
     """Whose acceleration is bounded far above what the filter samples: its autocovariance."""
-    surge = sincos.SurgeParams(1 / SURGE_S)
-    a = dense(sincos.surge_transition(place(WGS84, LATITUDE), surge, 1.0), 10)
+    params = surge.SurgeParams(1 / SURGE_S)
+    a = dense(surge.transition(place(WGS84, LATITUDE), params, 1.0), 10)
     dt, rms = 0.05, 0.3
     whole = processes.bounded_velocity_process(np.full(3, rms), SURGE_S, 1e3, 1e-3)
     stationary = whole.begin @ whole.begin.T
-    axis = np.ix_([sincos.PLACE_E, sincos.SURGE_E], [sincos.PLACE_E, sincos.SURGE_E])
+    axis = np.ix_([surge.PLACE_E, surge.SURGE_E], [surge.PLACE_E, surge.SURGE_E])
     own = np.diag([(rms * SURGE_S) ** 2, rms**2])
     for later in range(0, 100, 10):
         passed = np.linalg.matrix_power(whole.transition, round(later * dt / 1e-3))

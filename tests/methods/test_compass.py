@@ -39,9 +39,9 @@ from oracles.naive import (
 from scipy import linalg
 
 from sinsjax.engine.run import Static
-from sinsjax.methods.base import Options
 from sinsjax.methods.compass import design
 from sinsjax.methods.compass.config import REVERSALS
+from sinsjax.methods.method import Options
 from sinsjax.methods.schedules import PiecewiseConstant
 from sinsjax.strapdown import sensors
 

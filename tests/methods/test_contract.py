@@ -25,9 +25,9 @@ from support.methods import FACTS
 from support.studies import small_study
 
 from sinsjax.engine.build import Scenario
-from sinsjax.methods.base import UNKNOWN_ANGLE, Options, RunEnd
 from sinsjax.methods.compass.config import REVERSALS
 from sinsjax.methods.floors import NO_BIASES
+from sinsjax.methods.method import UNKNOWN_ANGLE, Options, RunEnd
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import sensors
 
@@ -37,7 +37,8 @@ RATE, SECONDS, LATITUDE = 100, 60, 32 * DEG
 SWING = PAPER1._replace(center=np.array([0.05, -0.1, 2.0]))
 
 FILTERS = [name for name in METHODS if name in FACTS and FACTS[name].states]
-STEPPED = [name for name, method in METHODS.items() if not method.stores_blocks]
+FITTED = [name for name, method in METHODS.items() if method.program.block_fit]
+STEPPED = [name for name in METHODS if name not in FITTED]
 methods = pytest.mark.parametrize("name", METHODS)
 few = pytest.mark.nightly(fast=("compass", "kalman5", "kalman_sincos", "level"))
 """With and without P, and with and without a heading of the start."""
@@ -47,8 +48,8 @@ COMPASS = Loops(level_gains(0.3, PAPER), ((20.0 * RATE, azimuth_gains(0.1, PAPER
 
 
 def method_of(name, **choices):
-    blocks = {"record_every": RATE, "records": SECONDS} if METHODS[name].stores_blocks else {}
-    return METHODS[name](Options(1 / RATE, **blocks | choices))
+    blocks = {"record_every": RATE, "records": SECONDS} if name in FITTED else {}
+    return METHODS[name].build(Options(1 / RATE, **blocks | choices))
 
 
 @cache
@@ -67,7 +68,7 @@ def numbers(name, **changes):
     return given if extra is None else given._replace(extra=np.float64(extra))
 
 
-@methods
+@pytest.mark.parametrize("name", [name for name in METHODS if METHODS[name].has_floor])
 def test_bias_floor_is_zero_without_biases(name):
     params, here = params_of_study(name), site(PAPER, LATITUDE).place
     for backward in (False, True):
@@ -96,7 +97,7 @@ def run(name, phi, v=(0.0, 0.0), **changes):
     state, q, p = jax.tree.map(lambda a: a[RATE - 1 :: RATE], every_sample)
     c = of_quaternion(np.stack(q, axis=1))
     left = [log(SWING.matrix(k + 1.0) @ c[k].T) for k in range(SECONDS)]
-    sigma = np.sqrt(np.stack([p.ee, p.nn, p.uu], axis=1))
+    sigma = None if p is None else np.sqrt(np.stack([p.ee, p.nn, p.uu], axis=1))
     return np.array(left), sigma, np.hypot(state.nav.ve, state.nav.vn)
 
 
@@ -162,7 +163,7 @@ def test_run_depends_on_its_own_start_alone(name):
             np.testing.assert_allclose(c[place], a, rtol=1e-9, atol=1e-12)
 
 
-SILENT_START = [name for name in STEPPED if "phi_u0_deg" in METHODS[name].without_effect]
+SILENT_START = [name for name in STEPPED if "phi_u0_deg" in METHODS[name].idle_keys]
 
 
 @pytest.mark.nightly(fast=("inertial", "level"))
@@ -202,7 +203,7 @@ def test_tangents_are_finite_at_zero_error(name):
 
     def after(filt, nav):
         state = step_and_close(method, filt, here, method.init(filt, nav), sample, 1.0)
-        return method.attitude(state), method.covariance(state), state.nav
+        return method.attitude(state), method.covariance and method.covariance(state), state.nav
 
     point = filt, nav_off(np.zeros(3))
     ones = jax.tree.map(lambda a: np.ones_like(a, dtype=float), point)
@@ -247,4 +248,5 @@ def test_rewound_state_is_that_of_a_new_start(name):
     assert jax.tree.structure(again) == jax.tree.structure(first)
     for a, b in zip(*map(jax.tree.leaves, (again.nav, first.nav)), strict=True):
         np.testing.assert_array_equal(a, b)
-    np.testing.assert_allclose(method.covariance(again), method.covariance(first), rtol=1e-12)
+    if method.covariance:
+        np.testing.assert_allclose(method.covariance(again), method.covariance(first), rtol=1e-12)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from oracles.in_engine import covariances
 from oracles.naive import update as joint_update
 
-from sinsjax.methods import kalman
+from sinsjax.methods.filters import kalman
 
 
 @pytest.mark.nightly(fast=("5-measured2",))

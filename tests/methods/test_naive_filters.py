@@ -29,8 +29,8 @@ from oracles.naive_filters import (
     surging,
 )
 
-from sinsjax.methods.base import Options
-from sinsjax.methods.sincos.method import SurgeParams
+from sinsjax.methods.method import Options
+from sinsjax.methods.surge import SurgeParams
 
 pytestmark = pytest.mark.optimised(False)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from sinsjax.methods.description import Description, Implementation
+from sinsjax.methods.method import Method
 from sinsjax.methods.plugins import load_plugins
 from sinsjax.platform import runtime
 from sinsjax.value_types import Section
@@ -37,11 +37,8 @@ class Delayed(Section):
     lag_s: float = 2.0
 
 
-def described(name: str = "made", **sections: Any) -> Description:
-    implementation = Implementation(fails, lambda *columns: ())
-    return Description(
-        name, summary="", source="", sections=sections, reads=(), load=lambda: implementation
-    )
+def described(name: str = "made", **sections: Any) -> Method:
+    return Method(name, summary="", source="", build=fails, sections=sections)
 
 
 def fails(*given: Any) -> Any:

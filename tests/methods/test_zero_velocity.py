@@ -20,10 +20,9 @@ from oracles.in_engine import (
 from oracles.naive import DEG, PAPER, WGS84, closed_loop, exp, of_quaternion
 from oracles.naive_triggers import Numbers, Watcher, normalised
 
-from sinsjax.methods.base import Options
+from sinsjax.methods.filters.triggers import TRIGGERS, TriggerParams
+from sinsjax.methods.method import Options
 from sinsjax.methods.registry import METHODS
-from sinsjax.methods.triggers.config import TRIGGERS
-from sinsjax.methods.triggers.trigger import TriggerParams
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -71,7 +70,7 @@ class Case:
         here, start = site(self.planet, self.latitude), (PAPER1.matrix(0.0), self.phi, V0)
         passes = {"records": self.count, "stored": self.stored, "rewinds": filt.turn == "rewind"}
         state = follow(self.name, numbers_, self.rows, here, start, options=options, **passes)
-        results = METHODS[self.name](options).results(here, state)
+        results = METHODS[self.name].build(options).results(here, state)
         return state, *shown(self.name, options, state), results
 
     def compare(self, numbers=QUIET):

@@ -8,22 +8,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from support.alone import set_up_alone
+from support.methods import FIVE, TEN
 
 from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
 from sinsjax.engine.environment import Draw, Environment, RunParams, SensorModel, Static, Truth
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.run import advance_record
 from sinsjax.maths.algebra import triangle_index
-from sinsjax.methods.base import Options, Site
 from sinsjax.methods.compass import method as compass
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains
-from sinsjax.methods.filters.closed_loop import FilterParams
-from sinsjax.methods.filters.section import acting_reset_times
+from sinsjax.methods.filters.keys import acting_reset_times
+from sinsjax.methods.filters.loop import FilterParams
 from sinsjax.methods.floors import NO_BIASES
+from sinsjax.methods.method import Options, Program, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import CovarianceReset, FeedbackSchedule, PiecewiseConstant, Resets
 from sinsjax.strapdown import base_motion, earth, sensors
-from sinsjax.strapdown.error_model import MODELS
 from sinsjax.types import Navigation, Quat, Vec3
 
 ARCMIN = DEG / 60
@@ -81,7 +81,7 @@ PAPER_Q = {
 }
 """Process noise of a step, as standard deviations."""
 
-_MODEL_OF = {len(model.states): model for model in MODELS.values()}
+_STATES_OF = {len(states): states for states in (FIVE, TEN)}
 
 
 def paper_filter(n: int, **changes) -> Filter:
@@ -102,7 +102,7 @@ def _paper_filter(states: Sequence[str], changes: dict[str, Any]) -> Filter:
 def by_state(values: np.ndarray) -> tuple[Any, ...]:
     """One value a state, from the naive module's order to that of the engine's model."""
     of = dict(zip(STATES, values, strict=False))
-    return tuple(of[name] for name in _MODEL_OF[len(of)].states)
+    return tuple(of[name] for name in _STATES_OF[len(of)])
 
 
 def params(filt: Filter) -> FilterParams:
@@ -237,9 +237,12 @@ def follow(
 
 def shown(name: str, options: Options, states: Any) -> tuple[Quat, Any]:
     """Attitude with all that is estimated taken out, and covariance, of states (n,)."""
-    method = METHODS[name](options)
-    each = jax.vmap(lambda state: (method.attitude(state), method.covariance(state)))
-    return jax.jit(each)(states)
+    program = METHODS[name].build(options)
+    return jax.jit(jax.vmap(lambda state: _shown(program, state)))(states)
+
+
+def _shown(program: Program, state: Any) -> tuple[Quat, Any]:
+    return program.attitude(state), program.covariance and program.covariance(state)
 
 
 def covariances(triangle: Sequence[Any]) -> np.ndarray:
@@ -266,7 +269,7 @@ def runner(
         The state, the attitude with all that is estimated taken out, and its covariance; the
         attitude is scaled to unit length every second, as the engine does at every record.
     """
-    method = METHODS[name](Options(1 / rate, force, position, innovations=True))
+    method = METHODS[name].build(Options(1 / rate, force, position, innovations=True))
 
     @jax.jit
     def run(filt: Any, here: Site, nav: Navigation, increments: Any) -> Any:
@@ -277,7 +280,7 @@ def runner(
             state = step_and_close(method, filt, here, state, *xs)
             due = xs[1] % rate == 0
             state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)
-            return state, (state, method.attitude(state), method.covariance(state))
+            return state, (state, *_shown(method, state))
 
         return jax.lax.scan(step, method.init(filt, nav), (samples, counts))[1]
 

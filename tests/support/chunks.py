@@ -4,7 +4,7 @@ import numpy as np
 
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.methods.base import FilterResults
+from sinsjax.methods.filters.loop import FilterResults
 from sinsjax.methods.floors import BiasFloor
 from sinsjax.types import Vec3
 from sinsjax.units import ARCMIN

@@ -38,7 +38,6 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, cross, scale
-from sinsjax.methods.base import AttitudeCovariance
 from sinsjax.methods.gravity_fit.noise import (
     NoiseModel,
     SensorNoise,
@@ -47,6 +46,7 @@ from sinsjax.methods.gravity_fit.noise import (
     predict,
     times,
 )
+from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Quat, Scalar, Vec3
 

@@ -17,38 +17,32 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, add, cross, dot, scale
-from sinsjax.methods import kalman
-from sinsjax.methods.base import Method, Options, Site
-from sinsjax.methods.filters import attitude
-from sinsjax.methods.filters.closed_loop import (
+from sinsjax.methods.filters import kalman
+from sinsjax.methods.filters.keys import filter_method
+from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
     FilterState,
-    closed_loop,
     initial_state,
-    mechanise_function,
     reverse_time,
     subtract_fed_back,
-    update_with_velocity,
 )
-from sinsjax.methods.schedules import reset_covariance
+from sinsjax.methods.filters.params import HEADING, LEVEL, VELOCITY, filter_params
+from sinsjax.methods.method import Options
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.error_model import MODELS, PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
-from sinsjax.types import Navigation, Sample, Scalar, Vec3
+from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
+from sinsjax.types import Navigation, Scalar, Vec3
 
 _TERMS = 20  # of a series in th^2, whose rest is below rounding for th = 2 pi
 
-STATES = MODELS["kalman5"].states
-
-
-def build(options: Options) -> Method:
-    """Return the method; `Options.specific_force` is always that of a base at rest."""
-    return closed_loop(build_filter(options), options)
+STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, HEADING)
+REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0)
+"""Sign of each state under time reversal."""
 
 
 def build_filter(options: Options) -> Filter:
     """Return its filter, whose extra state is the vertical velocity, m/s."""
-    dt, mechanise = options.dt, mechanise_function(options)
+    dt = options.dt
 
     def init(params: FilterParams, nav: Navigation) -> FilterState:
         return initial_state(params, nav)._replace(extra=jnp.zeros_like(nav.ve))
@@ -57,27 +51,18 @@ def build_filter(options: Options) -> Filter:
         gravity = Vec3(0.0, 0.0, here.gravity * dt)
         return five_state_transition(nav._replace(ve=0.0, vn=0.0), here, gravity, dt)
 
-    def propagate(
-        params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> FilterState:
-        before = state.nav
-        nav, f_dt, here = mechanise(site, before, sample)
-        up = state.extra + (f_dt.z - here.gravity * dt) + _coriolis_up(before, here) * dt
-        belief = kalman.propagate(state.belief, transition(before, here))
-        return state._replace(nav=nav, belief=belief, extra=up)
+    def predict(params: FilterParams, state: FilterState, here: Place, f_dt: Vec3) -> FilterState:
+        up = state.extra + (f_dt.z - here.gravity * dt) + _coriolis_up(state.nav, here) * dt
+        belief = kalman.propagate(state.belief, transition(state.nav, here))
+        return state._replace(belief=belief, extra=up)
 
     return Filter(
-        init=init,
-        propagate=propagate,
-        update=update_with_velocity,
+        predict=predict,
         feed_back=_feed_back,
-        reset=partial(reset_covariance, heading=(PHI_U,)),
         reverse=_reverse,
-        place=options.place,
         at_rest=lambda state, here: transition(state.nav, here),
-        misalignment=attitude.estimated_misalignment,
-        attitude=attitude.corrected_attitude,
-        covariance=attitude.misalignment_covariance,
+        heading=(PHI_U,),
+        init=init,
         shares_covariance=options.position == "fixed",
     )
 
@@ -123,5 +108,14 @@ def apply_left_jacobian(phi: Vec3, v: Vec3) -> Vec3:
 
 
 def _reverse(state: FilterState) -> FilterState:
-    reversed_ = reverse_time(MODELS["kalman5"].reversal, state)
-    return reversed_._replace(extra=-state.extra)
+    return reverse_time(REVERSAL, state)._replace(extra=-state.extra)
+
+
+INVARIANT = filter_method(
+    name="invariant",
+    summary="right-invariant Kalman filter of a base at rest, fed back by the group",
+    source="Barrau and Bonnabel (2017)",
+    build=build_filter,
+    params=partial(filter_params, STATES),
+    step_s=15e-9,
+)

@@ -1,4 +1,4 @@
-"""A Kalman filter in closed loop: from the stages of a `Filter` to its `Method`.
+"""A Kalman filter in closed loop: from the stages of a `Filter` to its `Program`.
 
 The order within a sample is that of [P1]: mechanise and propagate, add the process noise, update
 with the measured velocity; then, if they are due, feed the estimate back and reset P. Schedules of
@@ -11,22 +11,23 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Triangle, add, change_signs, select_tree
-from sinsjax.methods import floors, kalman
-from sinsjax.methods.base import (
+from sinsjax.methods.filters import kalman, triggers
+from sinsjax.methods.filters.attitude import (
+    corrected_attitude,
+    estimated_misalignment,
+    misalignment_covariance,
+)
+from sinsjax.methods.filters.kalman import Belief, Innovation
+from sinsjax.methods.filters.triggers import TRIGGERS, Trigger, TriggerCounts
+from sinsjax.methods.method import (
     AttitudeCovariance,
     Feedback,
-    FilterResults,
-    InnovationSum,
-    Method,
     Options,
     Passes,
-    RunEnd,
+    Program,
     Site,
 )
-from sinsjax.methods.floors import BiasFloor, MeanBiases
-from sinsjax.methods.kalman import Belief, Innovation
 from sinsjax.methods.schedules import (
     CovarianceReset,
     Due,
@@ -36,16 +37,35 @@ from sinsjax.methods.schedules import (
     interpolate,
     next_due,
     next_feedback,
+    reset_covariance,
     reset_due,
     reset_if_due,
 )
-from sinsjax.methods.triggers import trigger as triggers
-from sinsjax.methods.triggers.config import TRIGGERS
-from sinsjax.methods.triggers.trigger import Trigger
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
+
+
+class InnovationSum(NamedTuple):
+    """Sum and number of the normalised innovations squared r' S^-1 r of a run."""
+
+    sum: Scalar
+    count: Scalar
+
+
+class FilterResults(NamedTuple):
+    """Basis of a filter's own result columns.
+
+    Attributes:
+        trigger_counts: resets by its trigger; None without one.
+        innovations: sum of its innovations; None if they are not summed.
+        extra: basis of the columns of this filter alone; None if the filter has none.
+    """
+
+    trigger_counts: TriggerCounts | None
+    innovations: InnovationSum | None
+    extra: Any = None
 
 
 class FilterParams(NamedTuple):
@@ -59,7 +79,7 @@ class FilterParams(NamedTuple):
         resets: when and how P is reset.
         reset_to: variances that a full reset sets, SI squared.
         reversal: effect of a direction reversal on P.
-        trigger: `triggers.trigger.TriggerParams`; None without a trigger.
+        trigger: `triggers.TriggerParams`; None without a trigger.
         extra: numbers of this filter alone; None if the filter has none.
     """
 
@@ -82,7 +102,7 @@ class FilterState(NamedTuple):
         belief: estimated errors of ``nav`` and of the sensors, with covariance.
         bias: sensor biases fed back so far, one per bias state, SI.
         feedback_at: sample of the next feedback.
-        trigger_state: `triggers.trigger.TriggerState`; None without a trigger.
+        trigger_state: `triggers.TriggerState`; None without a trigger.
         innovations: their sum so far; None if they are not summed.
         extra: state of this filter alone; None if the filter has none.
     """
@@ -96,6 +116,38 @@ class FilterState(NamedTuple):
     extra: Any = None
 
 
+# Stages that filters share
+
+
+def initial_state(params: FilterParams, nav: Navigation) -> FilterState:
+    """Return the state of a filter whose estimates begin with zero, with no bias fed back."""
+    return FilterState(nav, kalman.initial_belief(params.p0), (), params.feedback.every)
+
+
+def update_with_velocity(params: Any, state: Any) -> tuple[Any, Innovation]:
+    """Update with the velocity, which should be zero: [P1] eqs (10)-(12)."""
+    measured = state.nav.ve, state.nav.vn
+    innovation = kalman.innovation(state.belief, (VE, VN), measured, params.r)
+    belief = kalman.update(state.belief, (VE, VN), measured, params.r)
+    return state._replace(belief=belief), innovation
+
+
+def reverse_time(signs: Sequence[float], state: Any) -> Any:
+    """Return the state in reversed time: velocity negated, each estimate with its sign."""
+    x, p = state.belief
+    belief = Belief(tuple(s * a for s, a in zip(signs, x, strict=True)), change_signs(signs, p))
+    return state._replace(nav=mechanisation.reverse_velocity(state.nav), belief=belief)
+
+
+def subtract_fed_back(belief: Belief, fed_back: Sequence[Scalar]) -> Belief:
+    """Return the belief after the given part of its estimates has been fed back."""
+    x = tuple(a - b for a, b in zip(belief.x, fed_back, strict=True))
+    return belief._replace(x=x)
+
+
+# The loop
+
+
 class Filter(NamedTuple):
     """The stages of a filter that measures the velocity of a base that does not travel.
 
@@ -103,56 +155,52 @@ class Filter(NamedTuple):
     more. Its first two states are the velocity errors.
 
     Attributes:
-        init: (params, navigation) -> state.
-        propagate: (params, site, state, sample) -> state at the end of the sample, mechanised, with
-            the belief propagated but the process noise not yet added.
-        update: (params, state) -> state after the update with the velocity, and the `Innovation`.
+        predict: (params, state, place, f dt in n, m/s) -> state with its belief propagated over a
+            sample; the solution is still that before it, and the process noise is added later.
         feed_back: (state, share) -> state with that share of its estimate moved into the
             navigation solution, and the correction of its attitude, rad.
-        reset: (covariance reset, P, variances) -> P.
         reverse: state -> state with which the record is read in the other direction.
-        place: (site, navigation) -> Earth there.
         at_rest: (state, place) -> transition of a base at rest, with specific force (0, 0, g).
+        heading: numbers of the states of heading.
+        init: (params, navigation) -> state.
+        update: (params, state) -> state after the update with the velocity, and the `Innovation`.
         misalignment: state -> estimated misalignment that is not fed back yet, rad.
         attitude: state -> best attitude.
         covariance: state -> covariance of that attitude.
+        correct: (state, sample) -> sample without the biases found; None if none are.
         extra_results: (site, state) -> `FilterResults.extra`; None if the filter has none.
-        shares_covariance: see `Method.shares_covariance`.
+        shares_covariance: see `Program.shares_covariance`.
         keep: (first state of a record, state at its end) -> the first with all that is no error of
             the navigation solution; None if the filter keeps nothing.
         gyro_bias: see `Passes.gyro_bias`.
     """
 
-    init: Callable[[Any, Navigation], Any]
-    propagate: Callable[[Any, Site, Any, Sample], Any]
-    update: Callable[[Any, Any], tuple[Any, Innovation]]
+    predict: Callable[[Any, Any, Place, Vec3], Any]
     feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]]
-    reset: Callable[[CovarianceReset, Triangle, tuple[Scalar, ...]], Triangle]
     reverse: Callable[[Any], Any]
-    place: Callable[[Site, Navigation], Place]
     at_rest: Callable[[Any, Place], Entries]
-    misalignment: Callable[[Any], Vec3]
-    attitude: Callable[[Any], Quat]
-    covariance: Callable[[Any], AttitudeCovariance]
+    heading: tuple[int, ...]
+    init: Callable[[Any, Navigation], Any] = initial_state
+    update: Callable[[Any, Any], tuple[Any, Innovation]] = update_with_velocity
+    misalignment: Callable[[Any], Vec3] = estimated_misalignment
+    attitude: Callable[[Any], Quat] = corrected_attitude
+    covariance: Callable[[Any], AttitudeCovariance] = misalignment_covariance
+    correct: Callable[[Any, Sample], Sample] | None = None
     extra_results: Callable[[Site, Any], Any] | None = None
     shares_covariance: bool = False
     keep: Callable[[Any, Any], Any] | None = None
     gyro_bias: Callable[[Any], Vec3] | None = None
 
 
-def closed_loop(filter_: Filter, options: Options) -> Method:
-    """Return the method of a filter that feeds back and resets P on schedule or by a trigger."""
-    if options.innovations:
-        filter_ = sum_innovations(filter_)
-    trigger = None if options.trigger == "none" else TRIGGERS[options.trigger].trigger
-    loop = _ClosedLoop(filter_, trigger)
-    return Method(
+def closed_loop(filter_: Filter, options: Options) -> Program:
+    """Return the program of a filter that feeds back and resets P on schedule or by a trigger."""
+    trigger = None if options.trigger == "none" else TRIGGERS[options.trigger]
+    loop = _ClosedLoop(filter_, options, trigger)
+    return Program(
         init=loop.init,
         step=loop.step,
         attitude=filter_.attitude,
         covariance=filter_.covariance,
-        normalise=_normalise,
-        floor=_bias_floor,
         results=loop.results,
         shares_covariance=filter_.shares_covariance and trigger is None,
         feedback=Feedback(
@@ -173,25 +221,40 @@ class _ClosedLoop(NamedTuple):
     """A filter in closed loop, and the trigger that resets it in addition to the schedule."""
 
     filter: Filter
+    options: Options
     trigger: Trigger | None
 
     def init(self, params: Any, nav: Navigation) -> Any:
         state = self.filter.init(params, nav)
-        if self.trigger is None:
-            return state
-        started = triggers.start(self.trigger, params.trigger, state.belief.p)
-        return state._replace(trigger_state=started)
+        if self.options.innovations:
+            zero = jnp.zeros_like(params.r)
+            state = state._replace(innovations=InnovationSum(zero, zero))
+        if self.trigger is not None:
+            started = triggers.start(self.trigger, params.trigger, state.belief.p)
+            state = state._replace(trigger_state=started)
+        return state
 
     def step(self, params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
-        before = state
-        state = self.filter.propagate(params, site, state, sample)
-        state, innovation = self.filter.update(params, add_process_noise(params, state))
+        before, dt, here = state, self.options.dt, self.options.place(site, state.nav)
+        if self.filter.correct is not None:
+            sample = self.filter.correct(state, sample)
+        nav, f_dt = mechanisation.advance_navigation(state.nav, sample, here, dt)
+        if self.options.position == "integrated":
+            nav = mechanisation.advance_position(nav, here, dt)
+        predicted = self.filter.predict(params, state, here, f_dt)  # [P1] eqs (8) and (9)
+        belief = kalman.add_noise(predicted.belief, params.q)
+        state = predicted._replace(nav=nav, belief=belief)
+        state, innovation = self.filter.update(params, state)
+        if self.options.innovations:
+            total, count = state.innovations
+            total = total + kalman.normalised_innovation_squared(*innovation)
+            state = state._replace(innovations=InnovationSum(total, count + 1))
         if self.trigger is not None:
             state = self._update_trigger(params, site, before, state, innovation, n)
         return state
 
     def close(self, params: Any, state: Any, n: Scalar) -> Any:
-        due = due_on_schedule(params, state, n)
+        due = Due(n >= state.feedback_at, reset_due(params.resets, n))
         if self.trigger is not None:
             due = due._replace(reset=due.reset | _fired(state, n))
         closed, correction = self._feed_back_and_reset(params, state, due, n)
@@ -204,7 +267,7 @@ class _ClosedLoop(NamedTuple):
     def reverse(self, params: Any, site: Site, state: Any) -> Any:
         # x stays even if P is reset: its part of the attitude is the filter's best either way.
         state = self.filter.reverse(state)
-        p = self.filter.reset(params.reversal, state.belief.p, params.p0)
+        p = self._reset(params.reversal, state.belief.p, params.p0)
         return self._begin_pass(params, state._replace(belief=state.belief._replace(p=p)))
 
     def rewind(self, params: Any, nav: Navigation, state: Any) -> Any:
@@ -233,10 +296,15 @@ class _ClosedLoop(NamedTuple):
         share = interpolate(due.reset, 1.0, jnp.where(due.feedback, params.feedback.gain, 0.0))
         corrected, correction = self.filter.feed_back(state, share)
         covariance_reset = reset_if_due(due.reset, params.resets.covariance_reset)
-        p = self.filter.reset(covariance_reset, state.belief.p, params.reset_to)
+        p = self._reset(covariance_reset, state.belief.p, params.reset_to)
         feedback_at = next_feedback(params.feedback, state.feedback_at, due, n)
         belief = corrected.belief._replace(p=p)
         return corrected._replace(belief=belief, feedback_at=feedback_at), correction
+
+    def _reset(
+        self, covariance_reset: CovarianceReset, p: Triangle, to: tuple[Scalar, ...]
+    ) -> Triangle:
+        return reset_covariance(covariance_reset, p, to, heading=self.filter.heading)
 
     def _update_trigger(
         self, params: Any, site: Site, before: Any, state: Any, innovation: Innovation, n: Scalar
@@ -245,13 +313,12 @@ class _ClosedLoop(NamedTuple):
         assert self.trigger is not None
         not_fed_back = self.filter.misalignment(state)
         snapshot = triggers.FilterSnapshot(
-            innovation=innovation.value,
-            variance=innovation.variance,
+            innovation=innovation,
             belief=state.belief,
             correction=add(state.trigger_state.fed_back, not_fed_back),
             not_fed_back=not_fed_back,
             covariance=lambda belief: self.filter.covariance(state._replace(belief=belief)),
-            at_rest=self.filter.at_rest(before, self.filter.place(site, before.nav)),
+            at_rest=self.filter.at_rest(before, self.options.place(site, before.nav)),
         )
         return triggers.update_trigger(self.trigger, params, state, snapshot, n)
 
@@ -262,33 +329,6 @@ class _ClosedLoop(NamedTuple):
         return triggers.begin_pass(
             self.trigger, params, state, misalignment=self.filter.misalignment(state)
         )
-
-
-def sum_innovations(filter_: Filter) -> Filter:
-    """Return the filter that also sums its normalised innovations."""
-
-    def init(params: Any, nav: Navigation) -> Any:
-        zero = jnp.zeros_like(params.r)
-        return filter_.init(params, nav)._replace(innovations=InnovationSum(zero, zero))
-
-    def update(params: Any, state: Any) -> tuple[Any, Innovation]:
-        updated, innovation = filter_.update(params, state)
-        total, count = state.innovations
-        total = total + kalman.normalised_innovation_squared(*innovation)
-        summed = InnovationSum(total, count + 1)
-        return updated._replace(innovations=summed), innovation
-
-    return filter_._replace(init=init, update=update)
-
-
-def add_process_noise(params: Any, state: Any) -> Any:
-    """Return the state with a sample's process noise added to P, Q of [P1] eq. (9)."""
-    return state._replace(belief=kalman.add_noise(state.belief, params.q))
-
-
-def due_on_schedule(params: Any, state: Any, n: Scalar) -> Due:
-    """Return the feedback and reset that the schedules put after the n-th sample."""
-    return Due(n >= state.feedback_at, reset_due(params.resets, n))
 
 
 def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
@@ -316,61 +356,3 @@ def _begin_after(state: Any, n: Scalar) -> Any:
         return state
     last_reset = state.trigger_state.last_reset + n
     return state._replace(trigger_state=state.trigger_state._replace(last_reset=last_reset))
-
-
-def _normalise(state: Any) -> Any:
-    return state._replace(nav=state.nav._replace(q=rotations.normalise(state.nav.q)))
-
-
-def _bias_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
-    """Return the bias floor of a filter that does not distinguish biases from misalignment."""
-    return floors.bias_floor(place, biases)
-
-
-# Stages that filters share
-
-
-def mechanise_function(
-    options: Options,
-) -> Callable[[Site, Navigation, Sample], tuple[Navigation, Vec3, Place]]:
-    """Return the mechanisation of one sample: (site, navigation, sample) -> three results.
-
-    Returns:
-        A function that returns the solution at the end of the sample, the specific force in n times
-        dt, m/s, and the Earth at the beginning of the sample, by `Options.position`.
-    """
-
-    def mechanise(site: Site, nav: Navigation, sample: Sample) -> tuple[Navigation, Vec3, Place]:
-        here = options.place(site, nav)
-        later, f_dt = mechanisation.advance_navigation(nav, sample, here, options.dt)
-        if options.position == "integrated":
-            later = mechanisation.advance_position(later, here, options.dt)
-        return later, f_dt, here
-
-    return mechanise
-
-
-def initial_state(params: FilterParams, nav: Navigation) -> FilterState:
-    """Return the state of a filter whose estimates begin with zero, with no bias fed back."""
-    return FilterState(nav, kalman.initial_belief(params.p0), (), params.feedback.every)
-
-
-def update_with_velocity(params: Any, state: Any) -> tuple[Any, Innovation]:
-    """Update with the velocity, which should be zero: [P1] eqs (10)-(12)."""
-    measured = state.nav.ve, state.nav.vn
-    innovation = kalman.innovation(state.belief, (VE, VN), measured, params.r)
-    belief = kalman.update(state.belief, (VE, VN), measured, params.r)
-    return state._replace(belief=belief), innovation
-
-
-def reverse_time(signs: Sequence[float], state: Any) -> Any:
-    """Return the state in reversed time: velocity negated, each estimate with its sign."""
-    x, p = state.belief
-    belief = Belief(tuple(s * a for s, a in zip(signs, x, strict=True)), change_signs(signs, p))
-    return state._replace(nav=mechanisation.reverse_velocity(state.nav), belief=belief)
-
-
-def subtract_fed_back(belief: Belief, fed_back: Sequence[Scalar]) -> Belief:
-    """Return the belief after the given part of its estimates has been fed back."""
-    x = tuple(a - b for a, b in zip(belief.x, fed_back, strict=True))
-    return belief._replace(x=x)

@@ -1,0 +1,288 @@
+"""Triggers: small pure objects that watch a filter as it runs and call for resets of P.
+
+A trigger has a memory, which is cleared by every reset, and computes a score after each update; P
+is reset when the score exceeds the threshold. `TRIGGERS` lists them. The functions that `loop`
+calls take a filter's whole `FilterParams` and `FilterState`.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from sinsjax.maths.algebra import Entries, Triangle, add, select_tree
+from sinsjax.methods.filters import kalman
+from sinsjax.methods.filters.kalman import Belief, Innovation, normalised_innovation_squared
+from sinsjax.methods.method import AttitudeCovariance
+from sinsjax.strapdown.error_model import VE, VN
+from sinsjax.types import Flag, Scalar, Vec3
+from sinsjax.units import DEG
+
+
+class TriggerParams(NamedTuple):
+    """Numbers of a trigger; times in samples.
+
+    Attributes:
+        threshold: score above which P is reset.
+        window: length of the window that scores are summed over.
+        refractory: shortest time from the start, or from a reset, to a reset by the trigger.
+        most: largest number of resets in a run.
+        until: last sample after which the trigger may reset.
+        at_feedback: 1 if a reset waits for the next feedback, else 0; None if it waits in no run.
+    """
+
+    threshold: Scalar
+    window: Scalar
+    refractory: Scalar
+    most: Scalar
+    until: Scalar
+    at_feedback: Scalar | None = None
+
+
+class TriggerCounts(NamedTuple):
+    """Resets by a trigger in a run.
+
+    Attributes:
+        count: number of resets.
+        first: sample of the first of them, 0 for none.
+        last: sample of the last of them, 0 for none.
+    """
+
+    count: Scalar
+    first: Scalar
+    last: Scalar
+
+
+class TriggerState(NamedTuple):
+    """A trigger between two samples.
+
+    Attributes:
+        memory: of the trigger.
+        fed_back: attitude corrections fed back since the last reset or direction reversal, less
+            the estimate before that reversal, rad.
+        trigger_counts: its resets so far.
+        last_reset: sample of the last reset of any kind.
+        pending: whether a reset waits for feedback; None if none ever waits.
+    """
+
+    memory: Any
+    fed_back: Vec3
+    trigger_counts: TriggerCounts
+    last_reset: Scalar
+    pending: Flag | None = None
+
+
+class FilterSnapshot(NamedTuple):
+    """The filter after the update of a sample, as a trigger sees it.
+
+    Attributes:
+        innovation: measured minus predicted velocity, m/s, and its believed covariance.
+        belief: after the update.
+        correction: of the attitude since the last reset or direction reversal: fed back, and
+            estimated but not yet fed back, rad.
+        not_fed_back: the latter part, rad.
+        covariance: belief -> covariance of the misalignment under this belief.
+        at_rest: transition of a base at rest, with specific force (0, 0, g).
+    """
+
+    innovation: Innovation
+    belief: Belief
+    correction: Vec3
+    not_fed_back: Vec3
+    covariance: Callable[[Belief], AttitudeCovariance]
+    at_rest: Entries
+
+
+class Trigger(NamedTuple):
+    """A trigger.
+
+    Attributes:
+        summary: condition of its resets, in half a line.
+        start: (`TriggerParams`, P) -> memory at the start and after a reset that leaves P.
+        score: (params of the filter, memory, snapshot) -> memory and score.
+    """
+
+    summary: str
+    start: Callable[[TriggerParams, Triangle], Any]
+    score: Callable[[Any, Any, FilterSnapshot], tuple[Any, Scalar]]
+
+
+# What the loop of a filter calls
+
+
+def start(trigger: Trigger, params: TriggerParams, p: Triangle) -> TriggerState:
+    """Return the state of a trigger before the first sample, for the initial covariance P."""
+    zero = jnp.zeros_like(params.threshold)
+    return TriggerState(
+        trigger.start(params, p),
+        Vec3(zero, zero, zero),
+        TriggerCounts(zero, zero, zero),
+        zero,
+        None if params.at_feedback is None else zero > 0,
+    )
+
+
+def update_trigger(
+    trigger: Trigger, params: Any, state: Any, snapshot: FilterSnapshot, n: Scalar
+) -> Any:
+    """Return a filter's state with the n-th sample scored; `fired` says whether P is reset."""
+    before, limits = state.trigger_state, params.trigger
+    memory, score = trigger.score(params, before.memory, snapshot)
+    counts, pending = before.trigger_counts, before.pending
+    fires = (
+        (score > limits.threshold)
+        & (n - before.last_reset >= limits.refractory)
+        & (counts.count < limits.most)
+        & (n <= limits.until)
+    )
+    if pending is not None:
+        wanted = fires | pending
+        fires = wanted & ((n >= state.feedback_at) | (limits.at_feedback == 0))
+        pending = wanted & ~fires
+    counts = TriggerCounts(
+        count=jnp.where(fires, counts.count + 1, counts.count),
+        first=jnp.where(fires & (counts.count == 0), n, counts.first),
+        last=jnp.where(fires, n, counts.last),
+    )
+    after = before._replace(memory=memory, trigger_counts=counts, pending=pending)
+    return state._replace(trigger_state=after)
+
+
+def fired(trigger_state: TriggerState, n: Scalar) -> Flag:
+    """Return whether the trigger called for a reset after the n-th sample."""
+    return trigger_state.trigger_counts.last == n
+
+
+def update_after_closing(
+    trigger: Trigger, params: Any, state: Any, *, reset: Flag, correction: Vec3, n: Scalar
+) -> Any:
+    """Return a filter's state after the loop was closed at the n-th sample.
+
+    Args:
+        trigger: the trigger.
+        params: of the filter.
+        state: with the loop closed.
+        reset: whether P was reset.
+        correction: attitude correction that was fed back, rad.
+        n: number of the sample.
+    """
+    before = state.trigger_state
+    cleared = trigger.start(params.trigger, state.belief.p)
+    fed_back = Vec3(*(jnp.where(reset, 0.0, a) for a in add(before.fed_back, correction)))
+    after = before._replace(
+        memory=select_tree(reset, cleared, before.memory),
+        fed_back=fed_back,
+        last_reset=jnp.where(reset, n, before.last_reset),
+    )
+    return state._replace(trigger_state=after)
+
+
+def begin_pass(trigger: Trigger, params: Any, state: Any, *, misalignment: Vec3) -> Any:
+    """Return a filter's first state of a pass, with its trigger's memory cleared.
+
+    The counts of resets continue. A reset that still waits for feedback is forgotten with the
+    memory that called for it. What is estimated and not yet fed back, the misalignment in rad, is
+    no correction of this pass.
+    """
+    before = state.trigger_state
+    after = before._replace(
+        memory=trigger.start(params.trigger, state.belief.p),
+        fed_back=Vec3(*(-angle for angle in misalignment)),
+        pending=None if before.pending is None else jnp.zeros_like(before.pending),
+    )
+    return state._replace(trigger_state=after)
+
+
+# Innovations over a window
+
+
+class _Block(NamedTuple):
+    """Sums over a window that begins anew when it is full."""
+
+    count: Scalar
+    sums: tuple[Scalar, ...]
+
+
+def _start_block(params: TriggerParams, p: Triangle) -> _Block:
+    zero = jnp.zeros_like(params.threshold)
+    return _Block(zero, (zero,) * 5)
+
+
+def _score_innovation(params: Any, block: _Block, snapshot: FilterSnapshot) -> tuple[_Block, Any]:
+    """Return (sum r)' (sum S)^-1 (sum r) over a window, chi-square with 2 degrees of freedom."""
+    window = params.trigger.window
+    again = block.count >= window  # a full window begins anew
+    terms = *snapshot.innovation.value, *snapshot.innovation.variance
+    sums = tuple(jnp.where(again, 0.0, s) + t for s, t in zip(block.sums, terms, strict=True))
+    count = jnp.where(again, 0.0, block.count) + 1
+    e, n, *s = sums
+    score = normalised_innovation_squared((e, n), s)
+    return _Block(count, sums), jnp.where(count >= window, score, 0.0)
+
+
+# Knowledge of heading that a linear model cannot have
+
+_SMALL_LEVEL, _SMALL_HEADING = 0.1 * DEG, 4 * DEG
+"""Errors of the linearisation point that do no harm, rad."""
+
+
+def _score_linearisation(
+    params: Any, p: Triangle, snapshot: FilterSnapshot
+) -> tuple[Triangle, Scalar]:
+    """Return how far the knowledge of heading in P exceeds that of an honest linear model.
+
+    While the level is wrong, the horizontal specific force enters A(t), and heading seems to show
+    in velocity. The honest covariance P* of a base at rest (f = (0, 0, g)) does without. Three
+    shares of variance make up the score, the root of 1 and their sum:
+
+    * P*_UU / P_UU - 1: knowledge of heading without basis; as far as the level was
+      corrected since the last reset, in full from 0.1 deg: where it was not, the base moves, and
+      heading does show;
+    * P*_UU (phi_E^2 / P*_EE + phi_N^2 / P*_NN) / 4: the expected jump when the level phi that is
+      not yet fed back (in units of 2 sigma) is, as the specific force changes; likewise from
+      0.1 deg;
+    * (d - sin d)^2 / (P_UU + (4 deg)^2): what a heading correction d since the last reset left
+      out, since the tilt that reveals heading goes with sin d; up to 30 deg it is little.
+    """
+    zeros = tuple(jnp.zeros_like(v) for v in snapshot.belief.x)
+    honest = kalman.predict(Belief(zeros, p), snapshot.at_rest, params.q)
+    honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), params.r)
+    p_star = snapshot.covariance(honest._replace(x=snapshot.belief.x))
+    believed = snapshot.covariance(snapshot.belief).uu
+    done, left = snapshot.correction, snapshot.not_fed_back
+    known = _weight_of_level(done.x, done.y) * (p_star.uu / believed - 1)
+    jump = _weight_of_level(left.x, left.y)
+    jump = jump * p_star.uu * (left.x**2 / p_star.ee + left.y**2 / p_star.nn) / 4
+    left_out = (done.z - _sine(done.z)) ** 2 / (believed + _SMALL_HEADING**2)
+    return honest.p, jnp.sqrt(1 + known + jump + left_out)
+
+
+def _sine(angle: Scalar) -> Scalar:
+    """Return the sine of an angle of some turns, to some 1e-15 by arithmetic alone.
+
+    For `jnp.sin` XLA:CPU calls the library lane by lane.
+    """
+    within = angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))
+    folded = within - 2 * (within - jnp.clip(within, -np.pi / 2, np.pi / 2))
+    square, series = folded * folded, 0.0
+    for n in range(19, 0, -2):
+        series = series * square + (-1) ** (n // 2) / math.factorial(n)
+    return series * folded
+
+
+def _weight_of_level(east: Scalar, north: Scalar) -> Scalar:
+    """Return the weight of a level angle: its square over `_SMALL_LEVEL` squared, at most 1."""
+    return jnp.minimum(1.0, (east**2 + north**2) / _SMALL_LEVEL**2)
+
+
+TRIGGERS = {
+    "innovation": Trigger(
+        "innovations summed over a window, normalised", _start_block, _score_innovation
+    ),
+    "linearisation": Trigger(
+        "P_UU below what a linear model can know", lambda params, p: p, _score_linearisation
+    ),
+}
+"""All triggers by name; ``[resets] reset_trigger`` names one."""
