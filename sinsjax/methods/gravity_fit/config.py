@@ -27,6 +27,12 @@ from sinsjax.value_types import (
 
 LONGEST_BLOCK_S = 2.0
 
+REFITS = (
+    "gravity_fit refits after 4, 8, 16, ... s, at report_times_s and at the end: only then can it"
+    " settle (7, 15, 31, ... s)"
+)
+"""What its settling times are worth; after the `GROWTH` of `gravity_fit.method`."""
+
 
 class GravityFitSection(Section):
     """[gravity_fit]: assumed sensor errors; biases and noise are required with a record."""
@@ -184,6 +190,26 @@ COLUMNS = (
             " is a doubt",
         ),
         lambda results, rate_hz: np.asarray(results.misfit),
+    ),
+    OwnColumn(
+        Column(
+            "fit_prior_ratio",
+            pa.float64(),
+            "",
+            "largest sensor error or lever arm that the fit finds, over its 1 sigma in"
+            " [gravity_fit]; more than 3 is a doubt",
+        ),
+        lambda results, rate_hz: np.asarray(results.prior_ratio),
+    ),
+    OwnColumn(
+        Column(
+            "fit_change",
+            pa.float64(),
+            "",
+            "change of the unknowns in the last pass of the fit, in sigma; more than 1 is a doubt,"
+            " the fit has not converged",
+        ),
+        lambda results, rate_hz: np.asarray(results.change),
     ),
     *(
         OwnColumn(

@@ -86,7 +86,7 @@ def build(options: Options) -> Method:
         covariance = AttitudeCovariance(
             *(UNKNOWN_ANGLE * (i == k) + zero for i in range(3) for k in range(i, 3))
         )
-        nothing = Solution(one, gyro, still, still, covariance, zero)
+        nothing = Solution(one, gyro, still, still, covariance, zero, zero, zero)
         unknown = jax.tree.map(lambda a: a + jnp.nan, nothing)._replace(
             gyro=gyro, covariance=covariance
         )
