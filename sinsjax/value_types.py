@@ -4,7 +4,8 @@ Values stay in the file's units. A broken rule raises `rule_error` with a messag
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from itertools import pairwise
+from inspect import signature
+from itertools import combinations, pairwise
 from typing import Annotated, Any, ClassVar, NamedTuple, get_args
 
 from pydantic import (
@@ -51,6 +52,8 @@ class KeyInfo(NamedTuple):
             separates them by one sample.
         time: unit of a time within a run, which must not be after its end: 's', or 'pass' for a
             number of passes.
+        alternative_to: key of the same quantity in another unit, of which a study gives one.
+        factor: from its unit to that of ``alternative_to``.
     """
 
     usual_range: tuple[float, float] | None = None
@@ -60,6 +63,13 @@ class KeyInfo(NamedTuple):
     whole: str | None = None
     merged: bool = False
     time: str | None = None
+    alternative_to: str | None = None
+    factor: float | None = None
+
+
+def keys_of(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Return the keys of a study that a function takes: its parameters but ``rate_hz``."""
+    return tuple(name for name in signature(function).parameters if name != "rate_hz")
 
 
 class KeyCondition(NamedTuple):
@@ -230,6 +240,21 @@ class Section(BaseModel):
     conditions: ClassVar[tuple[KeyCondition, ...]] = ()
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Make the alternatives of a quantity exclusive."""
+        infos = [key_info(field) for field in cls.model_fields.values()]
+        groups = dict.fromkeys(info.alternative_to for info in infos if info.alternative_to)
+        pairs = (pair for first in groups for pair in combinations(cls.alternatives(first), 2))
+        cls.exclusive = (*cls.exclusive, *pairs)
+
+    @classmethod
+    def alternatives(cls, first: str) -> dict[str, float]:
+        """Return the keys that give a quantity, with their factors to the unit of the first."""
+        infos = {key: key_info(field) for key, field in cls.model_fields.items()}
+        same = {key: info for key, info in infos.items() if info.alternative_to == first}
+        return {first: 1.0} | {key: info.factor or 1.0 for key, info in same.items()}
 
     def __dir__(self) -> list[str]:
         """Return the keys, for the completion of interactive sessions."""

@@ -22,19 +22,18 @@ FLOORS = (
 """The ground floor first. A folder stands for all of its modules."""
 
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
-METHODS = {
-    f"methods.{path.parent.name}"
-    for path in Path(sinsjax.__file__).parent.glob("methods/*/method.py")
-}
-"""Folders of alignment methods; no method knows another."""
 KNOW_METHODS = {"methods.registry", "methods.page", "methods.sections"}
-"""What in `methods` may know the methods' folders."""
-WITHOUT_JAX = set("columns errors gone messages records study toml_text units value_types".split())
-SAYS_KEYS = {"config", "description", "registry", "section", "sections"}
-"""Modules of `methods` that studies are read with."""
+"""What in `methods` may know the methods."""
+EXTENDS = {"methods.surge": "methods.sincos"}
+"""A method that is another with more states."""
+WITHOUT_JAX = set("columns errors gone messages records toml_text units value_types".split())
 FOR_PEOPLE = {"matplotlib", "rich", "typer"}
 MEETS_PEOPLE = {"advice", "cli", "console", "execution", "plots", "report", "tuning"}
 JAX = {"jax", "jaxlib", "optax"}
+
+
+def folder(name: str) -> str:
+    return name.partition(".")[0]
 
 
 def read_modules() -> dict[str, ast.Module]:
@@ -77,6 +76,12 @@ def imported(name: str, *, later: bool = True) -> tuple[set[str], set[str]]:
 
 
 GRAPH = {name: imported(name)[0] for name in MODULES}
+METHODS = {
+    ".".join(name.split(".")[:2])
+    for name in GRAPH["methods.registry"] - {"methods.method", "methods.plugins"}
+    if folder(name) == "methods"
+}
+"""The alignment methods, each a module or a folder; no method knows another."""
 
 
 def loaded(name: str) -> set[str]:
@@ -90,10 +95,6 @@ def loaded(name: str) -> set[str]:
             others |= outside
             left += [*own, module.rpartition(".")[0]]
     return others
-
-
-def folder(name: str) -> str:
-    return name.partition(".")[0]
 
 
 def method_of(name: str) -> str | None:
@@ -119,13 +120,14 @@ def test_neither_modules_nor_folders_import_in_circles():
 def test_no_method_knows_another():
     for name in MODULES:
         if folder(name) == "methods" and name not in KNOW_METHODS:
-            known = {n for n in GRAPH[name] if method_of(n) not in (None, method_of(name))}
+            others = {method_of(n) for n in GRAPH[name]} - {None, method_of(name)}
+            known = others - {EXTENDS.get(name)}
             assert not known and not GRAPH[name] & KNOW_METHODS, name
 
 
 def test_reading_input_loads_no_jax():
     for name in MODULES:
-        if folder(name) in WITHOUT_JAX or name.rpartition(".")[2] in SAYS_KEYS:
+        if folder(name) in WITHOUT_JAX:
             assert not loaded(name) & JAX, name
 
 
@@ -146,12 +148,6 @@ def test_no_other_modules_are_imported_by_name():
     """Such imports are arrows that the circles above would not show."""
     calls = {name for name in MODULES if "import_module(" in ast.unparse(MODULES[name])}
     assert calls == BY_NAME
-
-
-def test_method_package_init_files_import_nothing():
-    """Else importing a section would load every method, and JAX."""
-    for name in ("methods", *METHODS, "methods.triggers"):
-        assert [type(node) for node in MODULES[name].body] == [ast.Expr], name
 
 
 def test_package_has_py_typed_marker():

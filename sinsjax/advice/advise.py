@@ -25,7 +25,7 @@ from sinsjax.advice.method import Choice, choose_method
 from sinsjax.advice.sheet import SHORTEST_S, Sheet, read_sheet, without_empty
 from sinsjax.bounds.turn_planner import TurnChoice, plan_turns
 from sinsjax.errors import InputError
-from sinsjax.methods.filters.section import level_surge
+from sinsjax.methods.filters.keys import level_surge
 from sinsjax.study import display
 from sinsjax.study.reset_plan import ResetPlan, reset_schedule
 from sinsjax.study.turns import DEFAULTS, useless_methods

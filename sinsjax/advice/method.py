@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import tomli_w
 
 from sinsjax.advice.sheet import Sheet, rms
-from sinsjax.methods.filters.section import level_surge, update_variance
+from sinsjax.methods.filters.keys import level_surge, update_variance
 from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
 
 FIT, FILTER = "gravity_fit", "kalman_surge"

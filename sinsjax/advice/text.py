@@ -8,7 +8,7 @@ from sinsjax.advice import method as methods
 from sinsjax.advice.advise import TURN_ON, Advice
 from sinsjax.advice.heading import SOURCES, wrapped_rms
 from sinsjax.bounds.turn_planner import TurnOption
-from sinsjax.methods.filters.section import level_surge
+from sinsjax.methods.filters.keys import level_surge
 from sinsjax.units import ARCMIN, DEG
 
 _LEAST_SHARE = 0.005

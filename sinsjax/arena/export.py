@@ -30,10 +30,10 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from sinsjax.arena import given
 from sinsjax.arena.frames import BODY_AXES, FRAMES, to_angles, to_quaternion
 from sinsjax.arena.readme import RECORDS, describe_export
 from sinsjax.arena.runs import ProgramRuns, check_simulated
-from sinsjax.engine import given
 from sinsjax.engine.build import simulated_records
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import sealed

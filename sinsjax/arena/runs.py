@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sinsjax.arena.given import build_external
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import Group
 from sinsjax.errors import InputError
 from sinsjax.execution.checks import refuse_external
-from sinsjax.methods.description import INITIAL_KEYS
+from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import register_external
 from sinsjax.study.keys import TomlTable, is_condition_key
 from sinsjax.study.load import study_from_dict, study_to_tables
@@ -212,7 +213,7 @@ def add_program(study: Study, name: str) -> Study:
     Raises:
         InputError: the name cannot be that of a program.
     """
-    register_external([name])
+    register_external([name], build_external)
     if name in study.methods:
         raise InputError(f"{study.name}: has results of {name!r} already (give another --name)")
     tables = study_to_tables(study)

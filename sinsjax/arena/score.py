@@ -1,6 +1,6 @@
 """Scoring the results of a program outside sinsjax on the draws that were exported to it.
 
-The attitudes pass through the metrics of every run (`engine.given`). Together with the rows of
+The attitudes pass through the metrics of every run (`arena.given`). Together with the rows of
 sinsjax's own methods on the same draws they are a results directory like any other, in which the
 program is a further method.
 """
@@ -17,17 +17,17 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from sinsjax.analysis.tables import numeric_column
+from sinsjax.arena import given as engine
 from sinsjax.arena.comparison import Comparison, compare
 from sinsjax.arena.export import SCORES, read_export
 from sinsjax.arena.frames import to_angles
+from sinsjax.arena.given import GivenAttitudes
 from sinsjax.arena.readme import RECORDS
 from sinsjax.arena.results_file import AskedRuns, GivenResults, read_results
 from sinsjax.arena.runs import ProgramPart, ProgramRuns
 from sinsjax.arena.suspicions import suspect
 from sinsjax.columns import FAILED
-from sinsjax.engine import given as engine
 from sinsjax.engine.batch import Chunk
-from sinsjax.engine.given import GivenAttitudes
 from sinsjax.engine.metrics import Outcome
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import directory as results_directory
@@ -39,7 +39,7 @@ from sinsjax.execution.store import DirectoryStore
 from sinsjax.execution.tables import TableBuilder, make_table, replace_column
 from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner
 from sinsjax.messages import format_count, shorten, to_one_line
-from sinsjax.methods.base import AttitudeCovariance
+from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.platform import runtime
 from sinsjax.study.identity import describe_differences, fingerprint, with_draws
 from sinsjax.study.study import Study

@@ -9,7 +9,7 @@ import numpy as np
 
 from sinsjax.engine.sensor_inputs import read_errors, read_sways
 from sinsjax.errors import InputError
-from sinsjax.methods.filters.section import OF_RESETS, acting_reset_times
+from sinsjax.methods.filters.keys import RESET_KEYS, acting_reset_times
 from sinsjax.methods.floors import mean_attitude
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import earth
@@ -101,7 +101,7 @@ def last_scheduled_reset_s(study: Study) -> np.ndarray:
     """Return the time of the last reset of each variant's schedule, (variants,), s; 0 for none."""
     if not study.has("resets"):
         return np.zeros(study.n_variants)
-    values = study.resolved.column(*OF_RESETS)
+    values = study.resolved.column(*RESET_KEYS)
     return values.compute(lambda keys: max(acting_reset_times(study.rate_hz, *keys), default=0.0))
 
 

@@ -37,7 +37,7 @@ from sinsjax.engine.truth import (
 )
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import euler_vector
-from sinsjax.methods.base import Options, Site
+from sinsjax.methods.method import Options, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import runtime
 from sinsjax.records import Record
@@ -110,10 +110,18 @@ class Scenario:
         self.curves = study.study.curves if curves is None else curves
         self.variant_ids = list(_split(study))
         for ids in self.variant_ids:
-            variants = Variants(study, ids)
-            METHODS[variants.common("method")].implementation.check(
-                variants, read_site(study, variants, stored)[0]
-            )
+            variants = self._variants(ids)
+            if check := METHODS[variants.common("method")].check:
+                check(variants)
+
+    def keys(self, number: int) -> Variants:
+        """Return the keys of a part."""
+        return self._variants(self.variant_ids[number])
+
+    def _variants(self, ids: np.ndarray) -> Variants:
+        """Return some variants of one program, with their site."""
+        site, micro_g = read_site(self.study, Variants(self.study, ids), self.stored)
+        return Variants(self.study, ids, site=site, micro_g=micro_g)
 
     @property
     def has_truth(self) -> bool:
@@ -147,8 +155,7 @@ class Scenario:
         """
         study, ids = self.study, self.variant_ids[number]
         ids = ids if variants is None else ids[variants]
-        columns = Variants(study, ids)
-        site, ug = read_site(study, columns, self.stored)
+        columns = self._variants(ids)
         span, criteria = _span(study, columns), _criteria(study, columns)
         if self.stored is None:
             draws = range(study.n_draws) if draws is None else draws
@@ -157,7 +164,7 @@ class Scenario:
             )
         else:
             environment, drawn, q = record_environment(study, columns, span, criteria, self.stored)
-        params = _run_params(study, columns, site, ug)
+        params = _run_params(study, columns)
         return Part(Group(self.statics[number], environment, drawn, q, params), ids)
 
 
@@ -279,7 +286,8 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
     simulated = not study.is_recorded
     span, kept = _span(study, variants), 0
     method = variants.common("method")
-    blocks = (study.record_every, span.records) if METHODS[method].stores_blocks else (0, 0)
+    stores_blocks = METHODS[method].program.block_fit is not None
+    blocks = (study.record_every, span.records) if stores_blocks else (0, 0)
     reverses = study.passes is not None and not span.rewinds
     if simulated and reverses and variants.is_active(*SEQUENTIAL_KEYS):
         # Of one length for all parts, so that they share a program.
@@ -320,7 +328,7 @@ def _coarse_stage(study: Study, variants: Variants) -> CoarseStage | None:
     return CoarseStage(method, records, then == "replay")
 
 
-def _run_params(study: Study, variants: Variants, site: Site, ug: float) -> RunParams:
+def _run_params(study: Study, variants: Variants) -> RunParams:
     """Return the params of a part's variants, leaves (variants, ...)."""
     zero = np.zeros(len(variants.ids))
     start = [f"phi_{axis}0_deg" for axis in "enu"]
@@ -334,7 +342,7 @@ def _run_params(study: Study, variants: Variants, site: Site, ug: float) -> RunP
         phi=phi,
         ve=variants.column("ve0_m_per_s"),
         vn=variants.column("vn0_m_per_s"),
-        method=METHODS[variants.common("method")].implementation.parameters(variants, site, ug),
+        method=METHODS[variants.common("method")].params(variants, np),
         euler=euler if drawn and euler.any() else None,
     )
 

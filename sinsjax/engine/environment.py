@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.engine.metrics import Criteria
-from sinsjax.methods.base import Method, Options, Site
 from sinsjax.methods.floors import MeanBiases, mean_biases
+from sinsjax.methods.method import Options, Program, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.base_motion import IdealSample
@@ -90,7 +90,7 @@ class Static(NamedTuple):
     @property
     def shares_covariance(self) -> bool:
         """Return whether stacked tiles share one covariance."""
-        return self.stacks and build_method(self).shares_covariance
+        return self.stacks and build_program(self).shares_covariance
 
     @property
     def finds_heading(self) -> bool:
@@ -98,9 +98,9 @@ class Static(NamedTuple):
         return METHODS[self.method].finds_heading
 
 
-def build_method(static: Static) -> Method:
-    """Return the method of a program."""
-    return METHODS[static.method](static.options)
+def build_program(static: Static) -> Program:
+    """Return the functions of a method."""
+    return METHODS[static.method].build(static.options)
 
 
 def coarse_static(static: Static) -> Static:

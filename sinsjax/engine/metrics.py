@@ -11,8 +11,8 @@ import jax.numpy as jnp
 
 from sinsjax.maths.algebra import dot, solve3
 from sinsjax.maths.rotations import misalignment, tilt, to_euler
-from sinsjax.methods.base import AttitudeCovariance
 from sinsjax.methods.floors import BiasFloor
+from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.methods.schedules import interpolate
 from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
 
@@ -110,7 +110,7 @@ class Outcome(NamedTuple):
         nees: phi' P^-1 phi over the attitude states.
         nis_u: (phi_u - floor)^2 / P_UU.
         floor: bias floor of the run.
-        results: basis of the method's own result columns, see `Method.results`.
+        results: basis of the method's own result columns, see `Program.results`.
         at_times: as in `Metrics`.
     """
 

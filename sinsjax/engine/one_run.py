@@ -21,12 +21,13 @@ from sinsjax.engine.lanes import Group, Tiles
 from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.run import run_tile
 from sinsjax.errors import InputError
-from sinsjax.methods.registry import METHODS
-from sinsjax.methods.schedules import FeedbackSchedule, PiecewiseConstant, Resets
+from sinsjax.methods.filters.keys import find_without_gradient
+from sinsjax.methods.schedules import FeedbackSchedule, PiecewiseConstant, Resets, smooth_resets
 from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import load_study, with_rate
 from sinsjax.study.study import Study
+from sinsjax.study.variants import Variants
 from sinsjax.types import Array, Quat
 
 
@@ -174,14 +175,13 @@ def one_run(
 
 def _smooth_resets(study: Study, group: Group, method: Any, window_s: float) -> Any:
     """Return the params of a method with each reset spread over a smooth window."""
-    relaxed = METHODS[group.static.method].implementation.relaxation
-    if relaxed is None or relaxed.smooth_resets is None:
+    soft = smooth_resets(method, np.float64(window_s * study.rate_hz))
+    if soft is method:
         raise InputError(f"{study.name}: window_s: {group.static.method!r} has no resets to spread")
-    if key := relaxed.find_unsupported(study, True):
+    if key := find_without_gradient(Variants.all_of(study), smoothed=True):
         raise InputError(f"{study.name}: window_s: {key} cannot be spread over windows")
     if not window_s * study.rate_hz >= 1:
         raise InputError(f"{study.name}: window_s: must be a sample or more, not {window_s:g}")
-    soft = relaxed.smooth_resets(method, None, np.float64(window_s * study.rate_hz))
     return jax.tree.map(np.asarray, soft)
 
 

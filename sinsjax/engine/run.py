@@ -23,7 +23,7 @@ from sinsjax.engine.environment import (
     InitialErrors,
     RunParams,
     Static,
-    build_method,
+    build_program,
     coarse_static,
     computed_attitudes,
     derive_inputs,
@@ -46,9 +46,17 @@ from sinsjax.engine.stepping import Blocks, Steps, advance_interval
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import select_tree
 from sinsjax.methods import passes
-from sinsjax.methods.base import Method, RunEnd, Site
-from sinsjax.methods.floors import BiasFloor
+from sinsjax.methods.floors import BiasFloor, MeanBiases
+from sinsjax.methods.method import (
+    AttitudeCovariance,
+    Program,
+    RunEnd,
+    Site,
+    bias_floor,
+    unknown_covariance,
+)
 from sinsjax.methods.passes import BodyRotation, PassReading
+from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
 
 
@@ -173,7 +181,7 @@ class TileRuns(NamedTuple):
 
     static: Static
     environment: Environment
-    method: Method
+    method: Program
     draws: Draw
     row: Array
     params: RunParams
@@ -197,7 +205,7 @@ class TileRuns(NamedTuple):
 
     def with_program(self, static: Static) -> "TileRuns":
         """Return the same runs with another method and way of reading the record."""
-        return self._replace(static=static, method=build_method(static))
+        return self._replace(static=static, method=build_program(static))
 
     def records(self) -> tuple[Array, Quat | None]:
         """Return the numbers of the record intervals, and the attitudes of bases that draws move.
@@ -256,7 +264,7 @@ class TileRuns(NamedTuple):
     def state_after_coarse(self, coarse_state: Any, rotation: BodyRotation | None) -> Any:
         """Return the state of the method after the coarse stage."""
         assert self.static.coarse is not None
-        attitude = build_method(coarse_static(self.static)).attitude
+        attitude = build_program(coarse_static(self.static)).attitude
         after_coarse = jax.vmap(
             partial(
                 start_after_coarse,
@@ -390,7 +398,7 @@ class TileRuns(NamedTuple):
 
 def set_up(static: Static, environment: Environment, tile: Tiles) -> TileRuns:
     """Return the runs of a tile with all that follows from environment, draws and params."""
-    draws, method = tile.draws, build_method(static)
+    draws, method = tile.draws, build_program(static)
     derived = jax.vmap(partial(derive_inputs, static, environment), in_axes=(leaf_axes(draws),))(
         draws
     )
@@ -410,8 +418,9 @@ def set_up(static: Static, environment: Environment, tile: Tiles) -> TileRuns:
     if (housing := sensors.initial_state().housing) is not None and housing.turn is not None:
         params = params._replace(q=rotations.multiply(params.q, to_runs(housing.turn)))
     end = end_of_run(static, environment.pass_records)
+    find_floor = method.floor or _no_floor
     floor = jax.vmap(
-        lambda params, site, biases: method.floor(params.method, site.place, biases, end),
+        lambda params, site, biases: find_floor(params.method, site.place, biases, end),
         in_axes=(0, *(None if a is None else axis for a in (derived.site, derived.biases))),
     )(params, site, biases)
     record = turns = None
@@ -493,7 +502,7 @@ def initial_solution(site: Site, q: Quat, ve: Scalar, vn: Scalar) -> Navigation:
     return Navigation(q=q, ve=ve, vn=vn, latitude=site.latitude + zero, longitude=zero)
 
 
-def start_run(method: Method, criteria: Criteria, site: Site, params: RunParams) -> Run:
+def start_run(method: Program, criteria: Criteria, site: Site, params: RunParams) -> Run:
     """Return a run before its first sample."""
     q = rotations.misalign(params.phi, params.q)
     nav = initial_solution(site, q, params.ve, params.vn)
@@ -501,7 +510,7 @@ def start_run(method: Method, criteria: Criteria, site: Site, params: RunParams)
 
 
 def start_after_coarse(
-    method: Method,
+    method: Program,
     coarse_attitude: Callable[[Any], Quat],
     samples: int,
     dt: float,
@@ -535,14 +544,16 @@ def start_after_coarse(
     return method.init(params.method, initial_solution(site, q, zero, zero))
 
 
-def reverse_state(method: Method, params: RunParams, site: Site, state: Any, backward: Flag) -> Any:
+def reverse_state(
+    method: Program, params: RunParams, site: Site, state: Any, backward: Flag
+) -> Any:
     """Return the state of a method after a direction reversal that opens a pass."""
     assert method.passes is not None
     return method.passes.reverse(params.method, passes.site_of_pass(site, ~backward), state)
 
 
 def rewind_state(
-    method: Method,
+    method: Program,
     record_s: float,
     pass_records: Count,
     params: RunParams,
@@ -560,7 +571,7 @@ def rewind_state(
 
 
 def observe_run(
-    method: Method,
+    method: Program,
     criteria: Criteria,
     dt: float,
     finds_heading: bool,
@@ -582,13 +593,25 @@ def observe_run(
         n: number of the sample.
     """
     state = method.normalise(run.state)
-    attitude, covariance = method.attitude(state), method.covariance(state)
+    attitude, covariance = method.attitude(state), _covariance(method, state)
     now = metrics.observe(q_true, attitude, covariance, finds_heading=finds_heading)
     so_far = metrics.accumulate(run.metrics, criteria, now, floor=floor, time=n * dt)
     return Run(state, metrics.store_reported_times(so_far, criteria, covariance, n))
 
 
-def finish_run(method: Method, site: Site, run: Run, floor: BiasFloor) -> Outcome:
+def finish_run(method: Program, site: Site, run: Run, floor: BiasFloor) -> Outcome:
     """Return the outcome of a run after its last record interval."""
     results = None if method.results is None else method.results(site, run.state)
-    return metrics.finish(run.metrics, method.covariance(run.state), floor, results)
+    return metrics.finish(run.metrics, _covariance(method, run.state), floor, results)
+
+
+def _covariance(method: Program, state: Any) -> AttitudeCovariance:
+    """Return the covariance of the attitude; NaN of a method without one."""
+    if method.covariance is None:
+        return unknown_covariance(method.attitude(state).w)
+    return method.covariance(state)
+
+
+def _no_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
+    """Return no floor, of a method whose floor is not known."""
+    return bias_floor(params, place, jax.tree.map(jnp.zeros_like, biases), end)

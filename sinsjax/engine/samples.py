@@ -19,7 +19,7 @@ from sinsjax.engine.environment import (
     SensorModel,
     SensorProgram,
     Static,
-    build_method,
+    build_program,
     has_quantisation,
     select_disturbances,
     select_motion,
@@ -29,7 +29,7 @@ from sinsjax.engine.environment import (
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import exp_of_sample
 from sinsjax.methods import passes
-from sinsjax.methods.base import Site
+from sinsjax.methods.method import Site
 from sinsjax.methods.passes import BodyRotation, PassReading
 from sinsjax.strapdown import base_motion, disturbances, housing, sensors
 from sinsjax.strapdown.base_motion import IdealSample
@@ -379,7 +379,7 @@ def build_sensors(static: Static, environment: Environment, draws: Draw) -> Draw
     rotation = None
     if static.rewinds_attitude:
         zero = jnp.zeros((), environment.dtype)
-        estimates_bias = passes.estimates_gyro_bias(build_method(static))
+        estimates_bias = passes.estimates_gyro_bias(build_program(static))
         rotation = passes.identity_rotation(zero, with_bias=estimates_bias)
     return DrawSensors(
         dt=static.options.dt,

@@ -26,10 +26,10 @@ from sinsjax.engine.sensor_inputs import (
 )
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds
-from sinsjax.methods.base import Site
 from sinsjax.methods.coarse import COARSE
 from sinsjax.methods.floors import NO_BIASES, mean_biases
 from sinsjax.methods.inertial_frame.method import align_by_optimisation
+from sinsjax.methods.method import Site
 from sinsjax.records import require_span
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors

@@ -8,12 +8,12 @@ import numpy as np
 
 from sinsjax.engine.bias_floors import hidden_north
 from sinsjax.engine.build import Scenario
-from sinsjax.engine.environment import build_method
+from sinsjax.engine.environment import build_program
 from sinsjax.engine.truth import read_site, start_samples
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds
-from sinsjax.methods.filters.parameters import level_settling_s
-from sinsjax.methods.filters.section import update_variance
+from sinsjax.methods.filters.keys import update_variance
+from sinsjax.methods.filters.params import level_settling_s
 from sinsjax.methods.level.config import LEVEL
 from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
@@ -78,7 +78,7 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
         group, ids = scenario.part(number, range(1), blank=stored is None)
         check_plugin(
             REGISTRY.label(static.method),
-            build_method(static),
+            build_program(static),
             group.variants.method,
             len(ids),
             group.environment.site,

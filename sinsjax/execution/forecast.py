@@ -27,7 +27,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import schemas, stopping
 from sinsjax.execution.directory import find_manifest
 from sinsjax.messages import format_count
-from sinsjax.methods.filters.section import OF_SCHEDULES
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import machine, runtime
 from sinsjax.study.schema import NUMBERS_DRAWN
@@ -172,7 +172,7 @@ def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
     space, variants = SearchSpace.from_study(study), study.n_variants
     free_keys = [len(space.used_variables(combination)) for combination in space.combinations]
     # The schedule by the law is one more point of each, if it exists.
-    laws = len(free_keys) * any(v.key in OF_SCHEDULES for v in space.variables)
+    laws = len(free_keys) * any(v.key in SCHEDULE_KEYS for v in space.variables)
     points = {
         "grid": sum(tune.grid_points**count for count in free_keys) + laws,
         "sobol": tune.sobol_points * len(free_keys) + laws,
@@ -256,7 +256,7 @@ def _forecast_batches(study: Study, batches: Sequence[Batch], curves: bool) -> F
         read_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
         draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
         memory += _MEASUREMENT_BYTES * read_samples * draws
-    if any(METHODS[name].stores_blocks for name in study.methods):
+    if any(METHODS[name].program.block_fit for name in study.methods):
         blocks = study.run_s * LANES * runtime.usable_cores()  # one per second or less
         memory += _BLOCK_BYTES * blocks
     counts = study.combinations("reset_count") if study.has("resets") else ()

@@ -6,13 +6,14 @@ import pyarrow as pa
 
 from sinsjax import columns
 from sinsjax.columns import Column
-from sinsjax.methods.description import OwnColumn
+from sinsjax.methods.method import OwnColumn
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import key_meaning
 from sinsjax.study.resolved import CodedColumn, constant_column
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.study import Study
 from sinsjax.study.success import settling_bands
+from sinsjax.study.variants import Variants
 
 
 def summary_columns(study: Study) -> tuple[Column, ...]:
@@ -80,7 +81,7 @@ def method_columns(study: Study) -> dict[str, OwnColumn]:
     return {
         method_column.column.name: method_column
         for method in methods
-        for method_column in method.own_columns(study)
+        for method_column in method.own_columns(Variants.all_of(study))
     }
 
 

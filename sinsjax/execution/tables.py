@@ -15,12 +15,14 @@ from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.success import FLOOR, TRUTH, RunSuccess, SuccessEvaluator
 from sinsjax.engine.truth import start_samples
 from sinsjax.execution import schemas
-from sinsjax.methods.description import Description
+from sinsjax.methods.filters.keys import last_triggered_sample
+from sinsjax.methods.method import Method
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.study import Study
 from sinsjax.study.success import settling_bands
+from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN, DEG
 
 
@@ -45,6 +47,7 @@ class TableBuilder:
         self._has_data_columns = schemas.has_data_columns(study)
         self._data_before_start_s = _data_before_start_s(study)
         self._by_variant = schemas.variant_columns(study, self.summary_columns)
+        self._keys = Variants.all_of(study)
         self._methods = study.resolved.column("method")
         self._method_columns = schemas.method_columns(study)
         self._start_s = np.zeros(study.n_draws)
@@ -139,7 +142,7 @@ class TableBuilder:
         heading = np.mod(np.mod(-np.asarray(observation.yaw) / DEG, 360.0), 360.0)
         return values | {"heading_deg": nullable_array(heading)}
 
-    def _chunk_method(self, variant: np.ndarray) -> Description:
+    def _chunk_method(self, variant: np.ndarray) -> Method:
         """Return the method that all variants of a chunk share."""
         codes, names = self._methods
         return METHODS[names[codes[variant[0]]]]
@@ -147,7 +150,7 @@ class TableBuilder:
     def _method_values(self, chunk: Chunk, variant: np.ndarray) -> dict[str, pa.Array]:
         """Return the columns specific to methods; all runs of a chunk have the same method."""
         method = self._chunk_method(variant)
-        method_names = {column.column.name for column in method.own_columns(self._study)}
+        method_names = {column.column.name for column in method.own_columns(self._keys)}
         values = {}
         for name, (column, value, missing, _) in self._method_columns.items():
             column_values = (
@@ -200,8 +203,7 @@ class TableBuilder:
 
     def _floor_flags(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
         """Return whether each run has a bias floor, given its last scheduled or triggered reset."""
-        method = self._chunk_method(variant)
-        last_event = method.last_triggered_sample(chunk.outcome.results)
+        last_event = last_triggered_sample(chunk.outcome.results)
         if last_event is None and not self._study.drawn_keys:
             return self._has_floor_by_variant[variant]
         last_s = self._last_reset_s[variant]

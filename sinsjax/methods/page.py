@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable
 
-from sinsjax.methods.description import Description
+from sinsjax.methods.filters.triggers import TRIGGERS
 from sinsjax.methods.gravity_fit.config import REFITS
+from sinsjax.methods.method import INITIAL_KEYS, Method
 from sinsjax.methods.registry import METHODS
-from sinsjax.methods.triggers.config import TRIGGERS
 
 _RESETS_AND_FEEDBACK = (
     "At a reset the whole estimate is fed back, then P is set anew. Its effect depends on how"
@@ -64,8 +64,7 @@ def render_methods_page() -> str:
         "",
         "## Keys and columns",
         "",
-        "A key in **bold** has a gradient for `[tune]`. Every Kalman filter"
-        f" ({', '.join(f'`{name}`' for name in filters)}) reads and returns:",
+        f"Every Kalman filter ({', '.join(f'`{name}`' for name in filters)}) reads and returns:",
         "",
         *_format_entries(shared),
         "",
@@ -88,27 +87,21 @@ def render_methods_page() -> str:
     lines += ["", "## Resets between two feedbacks", "", _RESETS_AND_FEEDBACK]
     lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]
     lines += ["| trigger | calls for a reset at |", "| --- | --- |"]
-    lines += [f"| `{trigger.name}` | {trigger.summary} |" for trigger in TRIGGERS.values()]
+    lines += [f"| `{name}` | {trigger.summary} |" for name, trigger in TRIGGERS.items()]
     return "\n".join(lines) + "\n"
 
 
-def _name_all(methods: Iterable[Description]) -> str:
+def _name_all(methods: Iterable[Method]) -> str:
     return ", ".join(f"`{method.name}`" for method in methods)
 
 
-def _list_entries(method: Description) -> _Entries:
+def _list_entries(method: Method) -> _Entries:
     """Return the keys that a method reads, those with a gradient in bold, and its columns."""
-    relaxed = method.implementation.relaxation
-    gradients = {*relaxed.changes, relaxed.times} if relaxed else set()
-    keys = {_ALIGNMENT: sorted(method.reads)}
+    keys = {_ALIGNMENT: sorted([*INITIAL_KEYS, *method.reads])}
     for name, section in method.sections.items():
         keys[name] = [key for key in section.model_fields if key in method.keys]
     entries = {
-        name: [
-            f"**`{key}`**" if key in gradients else f"`{key}`"
-            for key in own
-            if key not in method.without_effect
-        ]
+        name: [f"`{key}`" for key in own if key not in method.idle_keys]
         for name, own in keys.items()
     }
     columns = [f"`{own.column.name}` ({own.column.meaning})" for own in method.columns]

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, scale, select_tree
-from sinsjax.methods.base import Method, Site
+from sinsjax.methods.method import Program, Site
 from sinsjax.strapdown import earth, sensors
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Increments, Quat, Sample, Scalar, Vec3
@@ -85,7 +85,7 @@ def compensate(now: Increments, before: Increments, backward: Flag | None) -> Sa
     return select_tree(backward, sensors.reverse_sample(sample), sample)
 
 
-def estimates_gyro_bias(method: Method) -> bool:
+def estimates_gyro_bias(method: Program) -> bool:
     """Return whether a method estimates gyro biases, which are removed from a stored record."""
     return method.passes is not None and method.passes.gyro_bias is not None
 

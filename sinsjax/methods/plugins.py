@@ -1,9 +1,9 @@
-"""Alignment methods of other installed packages, found by their entry points. Free of JAX.
+"""Alignment methods of other installed packages, found by their entry points.
 
-A package names its `Description` in its ``pyproject.toml``:
+A package names its `Method` in its ``pyproject.toml``:
 
     [project.entry-points."sinsjax.methods"]
-    my_method = "my_package.config:MY_METHOD"
+    my_method = "my_package:MY_METHOD"
 
 A plug-in that cannot be loaded affects only the studies that use it. An error of its code is
 reported in one line with the place in that code, see `describe_plugin_error`.
@@ -15,10 +15,14 @@ from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
+import jax
+import numpy as np
+
 from sinsjax.errors import InputError
 from sinsjax.messages import first_error_line, shorten
-from sinsjax.methods.description import Description
+from sinsjax.methods.method import AttitudeCovariance, Method, Program, Site
 from sinsjax.platform import runtime
+from sinsjax.types import Navigation, Quat, Sample, Vec3
 from sinsjax.value_types import Section
 
 
@@ -32,7 +36,7 @@ class PluginRegistry(NamedTuple):
         broken: reason in one line why a plug-in cannot be used, by the name of its entry point.
     """
 
-    methods: dict[str, Description]
+    methods: dict[str, Method]
     sections: dict[str, type[Section]]
     packages: dict[str, tuple[str, str]]
     broken: dict[str, str]
@@ -42,7 +46,7 @@ class PluginRegistry(NamedTuple):
         return f"method {name!r} of {' '.join(self.packages[name])}"
 
 
-def load_plugins(built_in: Iterable[Description]) -> PluginRegistry:
+def load_plugins(built_in: Iterable[Method]) -> PluginRegistry:
     """Return the built-in methods and those of plug-ins; none replaces another."""
     registry = PluginRegistry({}, {}, {}, {})
     for method in built_in:
@@ -65,9 +69,9 @@ def load_plugins(built_in: Iterable[Description]) -> PluginRegistry:
     return registry
 
 
-def _load_plugin(point: EntryPoint, registry: PluginRegistry) -> Description:
+def _load_plugin(point: EntryPoint, registry: PluginRegistry) -> Method:
     """Return the method of an entry point, whose name, sections and keys must be new."""
-    method: Description = point.load()
+    method: Method = point.load()
     if method.name in registry.methods:
         raise InputError(f"there is already a method {method.name!r}")
     if clash := _find_clash(method, registry.sections):
@@ -91,7 +95,7 @@ def exclude_clashing(registry: PluginRegistry, common: Mapping[str, type[Section
         del registry.sections[name]
 
 
-def _find_clash(method: Description, taken: Mapping[str, type[Section]]) -> str | None:
+def _find_clash(method: Method, taken: Mapping[str, type[Section]]) -> str | None:
     """Return the first section or key of a method that others have, in words."""
     for name, section in method.sections.items():
         for other, existing in taken.items():
@@ -105,16 +109,16 @@ def _find_clash(method: Description, taken: Mapping[str, type[Section]]) -> str 
 
 
 def check_plugin(
-    name: str, method: Any, params: Any, variants: int, site: Any, *, passes: str = "once"
+    name: str, program: Program, params: Any, variants: int, site: Site, *, passes: str = "once"
 ) -> None:
     """Check what a plug-in's functions return, without running them (`jax.eval_shape`).
 
     Args:
         name: of the plug-in's method, with its package, for the message.
-        method: the `base.Method` that it builds.
+        program: the program that it builds.
         params: its params, leaves (variants, ...).
         variants: number of variants.
-        site: `base.Site` of one run.
+        site: of one run.
         passes: "once", or how a stored record is read repeatedly.
 
     Raises:
@@ -122,37 +126,30 @@ def check_plugin(
             that of ``init``; ``attitude`` or ``covariance`` is not that of one run; or a record is
             read in a way that the method has no ``passes`` for.
     """
-    import jax
-    import numpy as np
-
-    from sinsjax.methods.base import AttitudeCovariance
-    from sinsjax.types import Navigation, Quat, Sample, Vec3
-
     if any(np.shape(leaf)[:1] != (variants,) for leaf in jax.tree.leaves(params)):
-        raise InputError(f"{name}: parameters must return one value per variant")
-    if passes != "once" and method.passes is None:
+        raise InputError(f"{name}: params must return one value per variant")
+    if passes != "once" and program.passes is None:
         raise InputError(f"{name}: reads a stored record once (drop [passes])")
-    if passes == "rewind" and method.passes.rewind is None:
+    if passes == "rewind" and program.passes and program.passes.rewind is None:
         raise InputError(f"{name}: cannot rewind a record (use direction = 'alternate')")
 
     def first_sample(params: Any, nav: Navigation, sample: Sample) -> Any:
-        state = method.init(params, nav)
-        after = method.normalise(method.step(params, site, state, sample, nav.ve))
-        if method.feedback is not None:
-            after = method.feedback.close(params, after, nav.ve)
-        return state, after, method.attitude(state), method.covariance(state)
+        state = program.init(params, nav)
+        after = program.normalise(program.step(params, site, state, sample, nav.ve))
+        if program.feedback is not None:
+            after = program.feedback.close(params, after, nav.ve)
+        covariance = unknown if program.covariance is None else program.covariance(state)
+        return (after, program.attitude(state), covariance), (state, nav.q, unknown)
 
     zero = np.float64(0.0)
-    q, of_run = Quat(*(zero,) * 4), jax.tree.map(lambda leaf: np.asarray(leaf)[0], params)
+    q, unknown = Quat(*(zero,) * 4), AttitudeCovariance(*(zero,) * 6)
     nav, sample = Navigation(q, *(zero,) * 4), Sample(q, Vec3(*(zero,) * 3))
-    state, after, *found = jax.eval_shape(first_sample, of_run, nav, sample)
-    covariance = AttitudeCovariance(*(zero,) * 6)
-    for what, returned, expected in (
-        ("step, normalise or close", after, state),
-        ("attitude", found[0], jax.eval_shape(lambda: q)),
-        ("covariance", found[1], jax.eval_shape(lambda: covariance)),
+    of_run = jax.tree.map(lambda leaf: np.asarray(leaf)[0], params)
+    parts = zip(*jax.eval_shape(first_sample, of_run, nav, sample), strict=True)
+    for what, (found, expected) in zip(
+        ("step, normalise or close", "attitude", "covariance"), parts, strict=True
     ):
-        texts = _format_shapes(returned), _format_shapes(expected)
+        texts = [shorten(str(jax.tree.map(str, tree)), 300) for tree in (found, expected)]
         if texts[0] != texts[1]:
             raise InputError(f"{name}: {what} returns {texts[0]}, expected {texts[1]}")
 
@@ -194,11 +191,3 @@ def _package_folders(point: EntryPoint) -> tuple[str, ...]:
         return ()
     folders = spec.submodule_search_locations
     return tuple(f"{folder}/" for folder in folders) if folders else (str(spec.origin),)
-
-
-def _format_shapes(tree: Any) -> str:
-    """Return a tree of shapes on one line."""
-    import jax
-
-    texts = jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree)
-    return shorten(str(texts).replace("'", ""), 300)

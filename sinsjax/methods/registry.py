@@ -1,26 +1,27 @@
-"""All alignment methods by name; a new one is registered here. Free of JAX.
+"""All alignment methods by name; a new one is registered here.
 
 Plug-in methods of other packages are found by their entry points, see `plugins`.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any, NoReturn
 
 from sinsjax.errors import InputError
-from sinsjax.methods.azimuth.config import EKF_AZIMUTH, UNSCENTED
+from sinsjax.methods.azimuth import EKF_AZIMUTH, UNSCENTED
 from sinsjax.methods.compass.config import COMPASS
-from sinsjax.methods.description import Description
-from sinsjax.methods.external.config import describe_external
 from sinsjax.methods.gravity_fit.config import GRAVITY_FIT
 from sinsjax.methods.inertial_frame.config import (
     INERTIAL,
     OPTIMISATION,
     OPTIMISATION_POSITION,
 )
-from sinsjax.methods.invariant.config import INVARIANT
+from sinsjax.methods.invariant import INVARIANT
 from sinsjax.methods.level.config import LEVEL
+from sinsjax.methods.method import Method, Options, Program
 from sinsjax.methods.plugins import load_plugins
-from sinsjax.methods.sincos.config import SINCOS, SURGE
-from sinsjax.methods.zero_velocity.config import KALMAN5, KALMAN10
+from sinsjax.methods.sincos import SINCOS
+from sinsjax.methods.surge import SURGE
+from sinsjax.methods.zero_velocity import KALMAN5, KALMAN10
 from sinsjax.value_types import Section
 
 REGISTRY = load_plugins(
@@ -42,8 +43,8 @@ REGISTRY = load_plugins(
 )
 """All methods with their sections, and the state of the plug-ins."""
 
-METHODS: dict[str, Description] = REGISTRY.methods
-"""Every method; a study names one, and the engine runs it as a `base.Method`."""
+METHODS: dict[str, Method] = REGISTRY.methods
+"""Every method; a study names one, and the engine runs its program."""
 
 SECTIONS_OF_METHODS: dict[str, type[Section]] = REGISTRY.sections
 """The sections of a study that belong to methods, by name."""
@@ -58,8 +59,22 @@ BROKEN: dict[str, str] = REGISTRY.broken
 """
 
 
-def register_external(names: Iterable[str]) -> None:
+def _refuse_run(*arguments: Any) -> NoReturn:
+    raise InputError("a program outside sinsjax cannot be run here (`sinsjax score` compares it)")
+
+
+def _made_elsewhere(options: Options) -> Program:
+    return Program(_refuse_run, _refuse_run, _refuse_run, covariance=_refuse_run)
+
+
+def register_external(
+    names: Iterable[str], build: Callable[[Options], Program] = _made_elsewhere
+) -> None:
     """Make programs outside sinsjax known as methods, as a study with their results needs.
+
+    Args:
+        names: of the programs.
+        build: builds the `Program` in whose place their attitudes are judged.
 
     Raises:
         InputError: a name is that of a method of sinsjax.
@@ -67,7 +82,14 @@ def register_external(names: Iterable[str]) -> None:
     for name in names:
         if name in METHODS and not METHODS[name].is_external:
             raise InputError(f"{name!r} is a method of sinsjax (give the program another name)")
-        METHODS.setdefault(name, describe_external(name))
+        METHODS[name] = Method(
+            name,
+            "a program outside sinsjax, whose results were scored",
+            "`sinsjax score`",
+            build,
+            without_effect=("position",),
+            is_external=True,
+        )
 
 
 def external_names(names: Iterable[str]) -> list[str]:

@@ -5,8 +5,9 @@ leaving the vector units' float lanes.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from sinsjax.maths.algebra import Triangle, triangle_index
@@ -97,6 +98,30 @@ class Due(NamedTuple):
     feedback: Flag
     reset: Flag | Scalar
 
+
+def smooth_resets(params: Any, width: Scalar) -> Any:
+    """Return the params of a method with each reset spread over a window; themselves without any.
+
+    Args:
+        params: of any method.
+        width: see `Windows`.
+    """
+    found = False
+
+    def smooth(part: Any) -> Any:
+        nonlocal found
+        if not isinstance(part, Resets):
+            return part
+        found = True
+        samples = jnp.where(jnp.isfinite(part.samples), part.samples, _NEVER)
+        return Windows(samples, width, part.covariance_reset)
+
+    smoothed = jax.tree.map(smooth, params, is_leaf=lambda part: isinstance(part, Resets))
+    return smoothed if found else params
+
+
+_NEVER = 1e15
+"""Sample of a reset that never takes place; infinity has no derivative."""
 
 WINDOW_STRENGTH = 8.0
 """A smoothed reset leaves exp(-8), 3e-4, of what a hard one removes."""

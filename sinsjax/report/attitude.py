@@ -10,7 +10,7 @@ from scipy import special
 from sinsjax import analysis
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
-from sinsjax.methods.filters.config import estimates_biases
+from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS
 from sinsjax.plots.labels import describe_point
 from sinsjax.records.layout import parse_axes_order

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sinsjax.analysis.formats import format_degrees
 from sinsjax.analysis.grids import held_out_choices
 from sinsjax.messages import format_count
-from sinsjax.methods.filters.section import OF_SCHEDULES
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.plots.labels import describe_point, describe_schedule, format_value, name_and_unit
 from sinsjax.report.base import Table
 from sinsjax.study.keys import is_condition_key
@@ -68,7 +68,7 @@ class Choices:
     @cached_property
     def reset_counts(self) -> list[int | None]:
         """The number of scheduled resets of each option; None if no axis is a schedule."""
-        if not any({*keys} <= {*OF_SCHEDULES} for keys in self._option_axes):
+        if not any({*keys} <= {*SCHEDULE_KEYS} for keys in self._option_axes):
             return [None] * len(self.variants)
         return [len(self._reset_schedules[row[0]]) for row in self.variants]
 
@@ -103,7 +103,7 @@ class Choices:
     @property
     def option_noun(self) -> str:
         """Kind of the options: schedule, method or option."""
-        if all({*keys} <= {*OF_SCHEDULES} for keys in self._option_axes):
+        if all({*keys} <= {*SCHEDULE_KEYS} for keys in self._option_axes):
             return "schedule"
         return "method" if self._option_axes == [("method",)] else "option"
 
@@ -157,10 +157,10 @@ class Choices:
         words: list[str] = []
         for keys in self._option_axes:
             for key in keys:
-                if key in OF_SCHEDULES:
+                if key in SCHEDULE_KEYS:
                     times = self._reset_schedules[variant]
                     words += (
-                        [describe_schedule(times)] if times or {*keys} <= {*OF_SCHEDULES} else []
+                        [describe_schedule(times)] if times or {*keys} <= {*SCHEDULE_KEYS} else []
                     )
                 else:
                     value = self.study.values(key)[variant]

@@ -10,7 +10,7 @@ from sinsjax import analysis, plots
 from sinsjax.columns import FAILED
 from sinsjax.execution.source import Source
 from sinsjax.messages import format_count
-from sinsjax.methods.filters.config import estimates_biases
+from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS, PACKAGES
 from sinsjax.plots.consistency import NEES_COLUMNS, SHARE_COLUMNS
 from sinsjax.report.base import Fact, Picture, Text

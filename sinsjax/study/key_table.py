@@ -4,6 +4,7 @@ from itertools import compress
 
 from sinsjax.errors import InputError
 from sinsjax.messages import suggest_closest
+from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import BROKEN, METHODS, PACKAGES
 from sinsjax.study.keys import KEYS, SWEEPABLE, TABLES, Key
 from sinsjax.value_types import Section
@@ -59,17 +60,14 @@ def describe_method(method_name: str | None) -> list[str]:
     method = METHODS[method_name]
     package, version = PACKAGES.get(method_name, ("", ""))
     sections = ", ".join(f"[{name}]" for name in method.sections) or "none"
-    reads = ", ".join(key for key in method.reads if key not in method.without_effect) or "nothing"
+    read = (key for key in (*INITIAL_KEYS, *method.reads) if key not in method.idle_keys)
+    reads = ", ".join(read) or "nothing"
     return [
         f"{method_name}: {method.summary}",
         f"    source: {method.source}",
         *([f"    package: {package} {version}"] if package else []),
         f"    sections: {sections}; keys of [alignment] and [passes]: {reads}",
-        *(
-            [f"    keys without effect: {', '.join(method.without_effect)}"]
-            if method.without_effect
-            else []
-        ),
+        *([f"    keys without effect: {', '.join(method.idle_keys)}"] if method.idle_keys else []),
     ]
 
 

@@ -13,7 +13,7 @@ from pydantic_core import PydanticUndefined
 
 from sinsjax import gone
 from sinsjax.messages import suggest_closest
-from sinsjax.methods.description import INITIAL_KEYS
+from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.plugins import exclude_clashing
 from sinsjax.methods.registry import METHODS, REGISTRY, SECTIONS_OF_METHODS, external_names
 from sinsjax.methods.sections import AlignmentSection, CoarseSection, PassesSection
@@ -191,7 +191,7 @@ def reading_methods(key: str) -> tuple[str, ...]:
     methods = METHODS.values()
     is_read = any(key in method.keys for method in methods)
     return tuple(
-        m.name for m in methods if (key in m.keys or not is_read) and key not in m.without_effect
+        m.name for m in methods if (key in m.keys or not is_read) and key not in m.idle_keys
     )
 
 

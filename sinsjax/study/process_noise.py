@@ -3,16 +3,12 @@
 from collections.abc import Iterator, Mapping
 
 from sinsjax.errors import InputError
-from sinsjax.methods.filters.section import (
-    Q_DENSITIES,
-    WHITE_NOISE,
-    q_unit_factors,
-    sensor_noise_density,
-)
+from sinsjax.methods.filters.keys import ACCEL_NOISE, GYRO_NOISE, ProcessNoise, q_unit_factors
 from sinsjax.study.keys import reading_methods
 from sinsjax.study.study import Study
+from sinsjax.value_types import keys_of
 
-_SENSORS = {"q_accel_ug": "accelerometers", "q_gyro_deg_per_h": "gyros"}
+_NOISES = (ACCEL_NOISE, GYRO_NOISE)
 
 
 def check_process_noise(study: Study, key_tables: Mapping[str, str]) -> None:
@@ -44,18 +40,17 @@ def noise_ratios_by_sensor(study: Study) -> dict[str, set[float]]:
         The distinct ratios over all variants, for ``accelerometers`` and ``gyros``; empty without a
         filter, and without white noise that all draws have.
     """
-    return {name: _noise_ratios(study, key) for key, name in _SENSORS.items()}
+    return {noise.sensors: _noise_ratios(study, noise) for noise in _NOISES}
 
 
-def _noise_ratios(study: Study, q_key: str) -> set[float]:
-    *noises, _ = WHITE_NOISE[q_key]
-    forms, reading = {q_key: 1.0, **Q_DENSITIES[q_key]}, reading_methods(q_key)
+def _noise_ratios(study: Study, noise: ProcessNoise) -> set[float]:
+    forms, reading, sensor_keys = noise.forms, reading_methods(noise.key), keys_of(noise.density)
     readings = q_unit_factors(1 / study.rate_hz)
     ratios: set[float] = set()
     if not study.has("filter"):
         return ratios
-    for point in study.combinations("method", "q_reading", "q_scale", *forms, *noises):
-        white = sensor_noise_density(q_key, study.rate_hz, *(point[noise] for noise in noises))
+    for point in study.combinations("method", "q_reading", "q_scale", *forms, *sensor_keys):
+        white = noise.density(study.rate_hz, *(point[key] for key in sensor_keys))
         given = [point[form] * factor for form, factor in forms.items() if point[form] is not None]
         if point["method"] in reading and white:
             scale = 1.0 if point["q_scale"] is None else point["q_scale"]
@@ -66,8 +61,9 @@ def _noise_ratios(study: Study, q_key: str) -> set[float]:
 
 
 def _iter_q_unit_errors(study: Study, key_tables: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    densities = [key for forms in Q_DENSITIES.values() for key in forms if key in key_tables]
-    given = [key for key in Q_DENSITIES if key in key_tables]
+    forms = [key for noise in _NOISES for key in noise.forms if key in key_tables]
+    given = [noise.key for noise in _NOISES if noise.key in forms]
+    densities = [key for key in forms if key not in given]
     readings = {point["q_reading"] for point in study.combinations("q_reading")}
     if (given or densities) and "q_reading" not in key_tables:
         reason = "give 'psd', the only one for a density"
@@ -84,27 +80,26 @@ def _iter_q_unit_errors(study: Study, key_tables: Mapping[str, str]) -> Iterator
 def _iter_missing_q_errors(
     study: Study, key_tables: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
-    for key, (*noises, _) in WHITE_NOISE.items():
-        if key_tables.keys().isdisjoint((key, *Q_DENSITIES[key])):
-            if reason := _missing_noise_reason(study, key, noises):
-                density = [*Q_DENSITIES[key]][-1]
-                hint = f"give {density} from the data sheet, with q_reading = 'psd'"
-                yield key, f"required ({reason}; {hint})"
+    for noise in _NOISES:
+        if key_tables.keys().isdisjoint(noise.forms):
+            if reason := _missing_noise_reason(study, noise):
+                hint = f"give {[*noise.forms][-1]} from the data sheet, with q_reading = 'psd'"
+                yield noise.key, f"required ({reason}; {hint})"
 
 
-def _missing_noise_reason(study: Study, q_key: str, noises: list[str]) -> str | None:
+def _missing_noise_reason(study: Study, noise: ProcessNoise) -> str | None:
     """Return the reason why the sensors do not determine Q, as text; None if they do."""
-    reading = reading_methods(q_key)
+    reading, sensor_keys = reading_methods(noise.key), keys_of(noise.density)
     if study.is_recorded:
         if not any(method in reading for method in study.methods):
             return None
-        return f"a record does not give the noise of its {_SENSORS[q_key]}"
-    for point in study.combinations("method", *noises):
+        return f"a record does not give the noise of its {noise.sensors}"
+    for point in study.combinations("method", *sensor_keys):
         if point["method"] not in reading:
             continue
-        for noise in noises:
-            if noise in study.drawn_keys:
-                return f"{noise} is drawn, but the filter has the same Q in all draws"
-        if not sensor_noise_density(q_key, 1.0, *(point[noise] for noise in noises)):
-            return f"the {_SENSORS[q_key]} have no white noise in [sensors]"
+        for key in sensor_keys:
+            if key in study.drawn_keys:
+                return f"{key} is drawn, but the filter has the same Q in all draws"
+        if not noise.density(1.0, *(point[key] for key in sensor_keys)):
+            return f"the {noise.sensors} have no white noise in [sensors]"
     return None

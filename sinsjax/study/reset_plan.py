@@ -9,7 +9,7 @@ import tomli_w
 
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
-from sinsjax.methods.filters.section import OF_SCHEDULES
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem
 from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.study import display
@@ -227,7 +227,7 @@ def with_law(study: Study) -> str:
 
     A comment names the key that listed times need too.
     """
-    given = {key for key in (*OF_SCHEDULES, "reset_trigger") if study.is_readable(key)}
+    given = {key for key in (*SCHEDULE_KEYS, "reset_trigger") if study.is_readable(key)}
     tables = {name: dict(table) for name, table in study.to_dict().items() if name != "cases"}
     for name in ("resets", "axes"):
         table = tables.get(name, {})

@@ -12,15 +12,13 @@ from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
-from sinsjax.methods.filters.section import (
-    OF_R,
-    OF_SCHEDULES,
-    OF_SURGE,
-    Q_DENSITIES,
-    WHITE_NOISE,
+from sinsjax.methods.filters.keys import (
+    ACCEL_NOISE,
+    GYRO_NOISE,
+    SCHEDULE_KEYS,
+    ProcessNoise,
     q_unit_factors,
     scheduled_reset_times,
-    sensor_noise_density,
     surge_density,
     update_variance,
 )
@@ -28,15 +26,16 @@ from sinsjax.methods.registry import METHODS
 from sinsjax.methods.reset_law import NoSchedule, ResetProblem, ResetSchedule
 from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
+from sinsjax.value_types import keys_of
 
 LAW_METHODS = ("kalman5",)
 """Methods for which cells of `docs/reset_law.md` show that the law holds."""
 
 _EARTH = ("earth", "gravity_m_per_s2", "earth_rate_deg_per_h", "latitude_deg")
-_NOISE = tuple(key for keys in WHITE_NOISE.values() for key in keys[:2])
+_NOISE = (*keys_of(ACCEL_NOISE.density), *keys_of(GYRO_NOISE.density))
 _FILTER = (
-    *(form for key, forms in Q_DENSITIES.items() for form in (key, *forms)),
-    *("q_reading", "q_scale", *OF_R, *OF_SURGE),
+    *(*ACCEL_NOISE.forms, *GYRO_NOISE.forms),
+    *("q_reading", "q_scale", *keys_of(update_variance)),
     *("p0_velocity_m_per_s", "p0_level_deg", "p0_yaw_deg", "reset_kind"),
     *("reset_velocity_m_per_s", "reset_level_deg", "reset_yaw_deg"),
 )
@@ -67,10 +66,10 @@ shrinks before a large heading error has turned (`methods.reset_prediction`)."""
 
 _VELOCITY = "reset_velocity_m_per_s"
 
-DERIVED = (*OF_SCHEDULES, *_DEFAULT_TRIGGER, _VELOCITY)
+DERIVED = (*SCHEDULE_KEYS, *_DEFAULT_TRIGGER, _VELOCITY)
 """Keys whose values `schedule` decides."""
 
-_NO_TIMES = dict.fromkeys(OF_SCHEDULES)
+_NO_TIMES = dict.fromkeys(SCHEDULE_KEYS)
 
 
 class Place(NamedTuple):
@@ -172,7 +171,7 @@ def _lane(rate_hz: float, point: Mapping[str, Any]) -> Lane | None:
     if problem.velocity_noise <= 0 or point["reset_kind"] not in (None, "full"):
         return None
     east, north, heading = (angle * DEG for angle in start)
-    times = scheduled_reset_times(*(point[key] for key in OF_SCHEDULES))
+    times = scheduled_reset_times(*(point[key] for key in SCHEDULE_KEYS))
     return Lane(problem, times, heading, complex(east, north))
 
 
@@ -202,10 +201,10 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
             raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")
     place = _read_place(point)
     ug = micro_g(place.gravity) if point["earth"] == "constants" else micro_g()
-    r = update_variance(rate_hz, *(point[key] for key in (*OF_R, *OF_SURGE)))
+    r = update_variance(rate_hz, *(point[key] for key in keys_of(update_variance)))
     density = partial(_sensor_density, rate_hz, point)
     return ResetProblem(
-        velocity_noise=_q_density(rate_hz, point, "q_accel_ug", ug),
+        velocity_noise=_q_density(rate_hz, point, ACCEL_NOISE, ug),
         measurement_noise=r / rate_hz,
         velocity=_reset_velocity(point),
         level=(point["reset_level_deg"] or point["p0_level_deg"]) * DEG,
@@ -214,10 +213,10 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         gravity=place.gravity,
         feedback_s=point["feedback_interval_s"],
         is_force_measured=point["specific_force"] == "measured",
-        accel_noise=(density("q_accel_ug") * ug) ** 2,
-        gyro_noise=(density("q_gyro_deg_per_h") * DEG_PER_H) ** 2,
-        tilt_noise=_q_density(rate_hz, point, "q_gyro_deg_per_h", DEG_PER_H),
-        surge=surge_density(*(point[key] for key in OF_SURGE)),
+        accel_noise=(density(ACCEL_NOISE) * ug) ** 2,
+        gyro_noise=(density(GYRO_NOISE) * DEG_PER_H) ** 2,
+        tilt_noise=_q_density(rate_hz, point, GYRO_NOISE, DEG_PER_H),
+        surge=surge_density(*(point[key] for key in keys_of(surge_density))),
     )
 
 
@@ -238,18 +237,18 @@ def _read_place(point: Mapping[str, Any]) -> Place:
     return Place(normal, 7.292115e-5, latitude)
 
 
-def _q_density(rate_hz: float, point: Mapping[str, Any], key: str, unit: float) -> float:
-    """Return the density of the noise that a key of Q states, by default the sensors' own; SI."""
+def _q_density(rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, unit: float) -> float:
+    """Return the density of a noise that Q states, by default the sensors' own; SI."""
     scale = point["q_scale"] or 1.0
-    for form, factor in {key: 1.0, **Q_DENSITIES[key]}.items():
+    for form, factor in noise.forms.items():
         if point[form] is not None:
             per_step = (point[form] * factor * unit) ** 2
             per_step *= q_unit_factors(1 / rate_hz)[point["q_reading"]]
             return float(per_step * rate_hz * scale)
-    return float((_sensor_density(rate_hz, point, key) * unit) ** 2 * scale)
+    return float((_sensor_density(rate_hz, point, noise) * unit) ** 2 * scale)
 
 
-def _sensor_density(rate_hz: float, point: Mapping[str, Any], key: str) -> float:
+def _sensor_density(rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise) -> float:
     """Return the density of the sensors' white noise, 0 for none, in the unit of a key of Q."""
-    values = (point[name] for name in WHITE_NOISE[key][:2])
-    return float(sensor_noise_density(key, rate_hz, *values) or 0.0)
+    values = (point[key] for key in keys_of(noise.density))
+    return float(noise.density(rate_hz, *values) or 0.0)

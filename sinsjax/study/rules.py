@@ -18,7 +18,7 @@ import numpy as np
 from sinsjax import columns
 from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import shorten
-from sinsjax.methods.filters.section import OF_RESETS, OF_SCHEDULES, scheduled_reset_times
+from sinsjax.methods.filters.keys import RESET_KEYS, SCHEDULE_KEYS, scheduled_reset_times
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.study import sampling, search_space, success
 from sinsjax.study.attitude_file import check_attitude_key
@@ -39,6 +39,7 @@ from sinsjax.study.schema import NUMBERS_DRAWN, Distribution
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
 from sinsjax.study.turns import check_turn_keys, check_turns
+from sinsjax.study.variants import Variants
 from sinsjax.value_types import ROUNDING, KeyCondition
 
 KeyTables = Mapping[str, str]
@@ -73,16 +74,16 @@ def broken_rules(study: Study, key_tables: KeyTables) -> tuple[str, ...]:
     return ()
 
 
-class _RuleView:
-    """A study as the rules of its methods see it: an `methods.description.CheckedStudy`."""
+class _CheckedKeys(Variants):
+    """A study as the rules of its methods see it: its keys with the tables that give them."""
 
     def __init__(self, study: Study, key_tables: KeyTables) -> None:
-        self._study, self._key_tables = study, key_tables
-        self.rate_hz, self.run_s = study.rate_hz, study.run_s
-        self.record_interval_s = study.study.record_interval_s
-        self.is_recorded, self.end = study.is_recorded, _describe_end(study)
-        self.has, self.combinations, self.place = study.has, study.combinations, key_tables.get
-        self.given_combinations = study.given_combinations
+        super().__init__(study, np.arange(study.n_variants))
+        self._key_tables, self.end = key_tables, _describe_end(study)
+
+    def place(self, key: str) -> str | None:
+        """Return the table, in brackets, that gives a key; None if it is left out."""
+        return self._key_tables.get(key)
 
     def refuse(self, key: str, text: str) -> NoReturn:
         """Raise the error of a key."""
@@ -225,7 +226,7 @@ def _check_coarse_times(study: Study, key_tables: KeyTables) -> None:
     """Refuse coarse alignment that leaves no time for the method, and resets before its end."""
     record_interval_s = study.record_every / study.rate_hz
     stored = ("stored_s",) if study.passes else ()
-    resets = OF_RESETS if study.has("resets") else ()
+    resets = RESET_KEYS if study.has("resets") else ()
     for point in study.combinations(*COARSE_KEYS, *stored, *resets) if study.coarse else ():
         method, length_s, then = (point[key] for key in COARSE_KEYS)
         if not study.has_coarse_stage(method, then):
@@ -235,7 +236,7 @@ def _check_coarse_times(study: Study, key_tables: KeyTables) -> None:
         if length_s > end_s * (1 + ROUNDING):
             text = f"{length_s:.12g} s leaves no time for the method (at most {end_s:.12g})"
             _refuse_key("coarse_duration_s", key_tables, text)
-        times = scheduled_reset_times(*(point[key] for key in OF_SCHEDULES)) if resets else ()
+        times = scheduled_reset_times(*(point[key] for key in SCHEDULE_KEYS)) if resets else ()
         if then == "replay" or not times:
             continue
         if (first_s := min(times)) <= length_s:
@@ -375,8 +376,8 @@ def _check_stop_when(study: Study, key_tables: KeyTables) -> None:
 
 def _check_rules_of_methods(study: Study, key_tables: KeyTables) -> None:
     """Apply the rules of the study's methods."""
-    checked, errors = _RuleView(study, key_tables), ErrorCollector()
-    for rule in dict.fromkeys(rule for name in study.methods for rule in METHODS[name].rules):
+    checked, errors = _CheckedKeys(study, key_tables), ErrorCollector()
+    for rule in dict.fromkeys(rule for name in study.methods for rule in METHODS[name].all_rules):
         with errors.collect():
             rule(checked)
     errors.raise_all()

@@ -340,10 +340,6 @@ class MotionSection(Section):
 class SensorsSection(Section):
     """[sensors]: errors of the simulated sensors; one number for all body axes, or one per axis."""
 
-    exclusive = (
-        ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h"),
-        ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
-    )
     conditions = (
         KeyCondition(("gyro_instability_time_s",), ("gyro_instability_deg_per_h",), _any_nonzero),
         KeyCondition(("accel_instability_time_s",), ("accel_instability_ug",), _any_nonzero),
@@ -357,7 +353,10 @@ class SensorsSection(Section):
         description="white noise sigma of one sample, deg/h; alternative to the random walk;"
         " default: no noise",
     )
-    gyro_arw_deg_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] | None = Field(
+    gyro_arw_deg_per_sqrt_h: Annotated[
+        Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] | None,
+        KeyInfo(alternative_to="gyro_noise_deg_per_h"),
+    ] = Field(
         None,
         description="angle or velocity random walk, deg/sqrt(h); alternative to the noise",
     )
@@ -393,7 +392,10 @@ class SensorsSection(Section):
         description="white noise sigma of one sample, ug; alternative to the random walk; default:"
         " no noise",
     )
-    accel_vrw_ug_per_sqrt_hz: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None = Field(
+    accel_vrw_ug_per_sqrt_hz: Annotated[
+        Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None,
+        KeyInfo(alternative_to="accel_noise_ug"),
+    ] = Field(
         None,
         description="angle or velocity random walk, ug/sqrt(Hz); alternative to the noise",
     )

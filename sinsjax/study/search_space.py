@@ -12,7 +12,6 @@ from itertools import product
 from typing import Any, NamedTuple, NoReturn
 
 from sinsjax.errors import InputError
-from sinsjax.methods.filters.section import OF_R, OF_SURGE
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TUNABLE, TomlTable, alternative_keys, leaf_info
 from sinsjax.study.schema import Range
 from sinsjax.study.study import Study
@@ -218,7 +217,7 @@ def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
         values[key] = None if section is None else getattr(section, key)
         if section is not None and key == TIMES:
             values[key] = study.reset_times()[0]
-        elif key == OF_R[0] and OF_SURGE[0] in study.sequential_keys:
+        elif key == "r_velocity_m_per_s" and "surge_m_per_s" in study.sequential_keys:
             pass  # omitted, it follows the surge of each variant
         elif section is not None and values[key] is None and leaf_info(key).same_as is not None:
             source = leaf_info(key).same_as

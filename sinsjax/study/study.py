@@ -15,8 +15,8 @@ from pydantic import BaseModel, ConfigDict, create_model
 
 from sinsjax.errors import InputError
 from sinsjax.messages import format_count
-from sinsjax.methods.description import INITIAL_KEYS
-from sinsjax.methods.filters.section import OF_SCHEDULES, scheduled_reset_times
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS, scheduled_reset_times
+from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import SECTIONS_OF_METHODS
 from sinsjax.methods.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study import display
@@ -407,7 +407,7 @@ class Study(_SectionsOfMethods):
         """Times of the scheduled resets of each variant, s."""
         if not self.has("resets"):
             return constant_column(self.n_variants, ())
-        return self.resolved.column(*OF_SCHEDULES).map(
+        return self.resolved.column(*SCHEDULE_KEYS).map(
             lambda values: scheduled_reset_times(*values)
         )
 

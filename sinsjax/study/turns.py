@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
-from sinsjax.methods.filters.section import OF_RESETS, acting_reset_times
+from sinsjax.methods.filters.keys import RESET_KEYS, acting_reset_times
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.schema import TURN_KEYS
 from sinsjax.study.study import Study
@@ -225,12 +225,12 @@ def warn_of_resets(study: Study) -> Iterator[str]:
     """Yield a line if a scheduled reset of P forgets the position of the base before a turn."""
     if study.is_recorded or not study.has("resets"):
         return
-    for point in study.combinations("method", "reset_kind", *TURN_KEYS, *OF_RESETS):
+    for point in study.combinations("method", "reset_kind", *TURN_KEYS, *RESET_KEYS):
         method = METHODS[point["method"]]
         uses_turns = method.turning == "any" and "resets" in method.sections
         if not uses_turns or not point["turn_times_s"] or point["reset_kind"] == "scale":
             continue
-        resets_s = acting_reset_times(study.rate_hz, *(point[key] for key in OF_RESETS))
+        resets_s = acting_reset_times(study.rate_hz, *(point[key] for key in RESET_KEYS))
         first = _turns_of(study, point).turns[0].begin / study.rate_hz
         for reset_s in resets_s:
             if reset_s > first:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from sinsjax.methods.description import INITIAL_KEYS
+from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.study.keys import (
     SECTION_OF,
     SECTIONS,

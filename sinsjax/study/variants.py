@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -20,17 +20,36 @@ Lookup = Callable[[str], Any]
 
 
 class Variants:
-    """Columns of a study for some of its variants.
+    """Columns of a study for some of its variants: `methods.method.StudyKeys`.
 
     Attributes:
         ids: (variants,) numbers of the variants in the study.
     """
 
     def __init__(
-        self, study: Study, ids: np.ndarray, drawn: Mapping[str, np.ndarray] | None = None
+        self,
+        study: Study,
+        ids: np.ndarray,
+        drawn: Mapping[str, np.ndarray] | None = None,
+        *,
+        site: Any = None,
+        micro_g: float = math.nan,
     ) -> None:
-        """Take the variants ``ids`` of a study, and optionally the values of its draws."""
+        """Take some variants of a study.
+
+        Args:
+            study: checked study.
+            ids: (variants,) their numbers.
+            drawn: values of its draws by key.
+            site: `methods.method.Site` of the variants, for the params of a method.
+            micro_g: the micro-g that the study counts in, m/s^2, likewise.
+        """
         self._study = study
+        self.site, self.micro_g = site, micro_g
+        self.run_s, self.is_recorded = study.run_s, study.is_recorded
+        self.end = ""
+        self.record_interval_s = study.study.record_interval_s
+        self.combinations, self.given_combinations = study.combinations, study.given_combinations
         self._drawn = drawn or {}
         self.ids = ids
 
@@ -92,7 +111,7 @@ class Variants:
             return column.compute(function, dtype)
         return column.compute(lambda values: function(*values), dtype)
 
-    def padded_lists(self, function: Callable[..., Any], *keys: str, padding: float) -> np.ndarray:
+    def lists(self, function: Callable[..., Any], *keys: str, padding: float) -> np.ndarray:
         """Return a function that gives lists, (variants, longest), padded with ``padding``."""
         column = self.coded(*keys)
         lists_column = column.map(function if len(keys) == 1 else lambda values: function(*values))
@@ -116,11 +135,19 @@ class Variants:
         drawn = self._study.drawn_keys
         return any(key in drawn or np.any(self.value(key, 0) or 0) for key in keys)
 
-    def input_error(self, key: str, reason: str) -> InputError:
-        """Return the error of a value that cannot be run, with study and table of the key."""
+    def place(self, key: str) -> str | None:
+        """Return the table, in brackets, that gives a key or its default."""
         study = self._study
-        zipped = (f"[axes.{name}]" for name, keys in study.zips.items() if key in keys)
-        table = next(zipped, "[axes]" if key in study.axes else f"[{SECTION_OF[key]}]")
         if study.cases and key in study.cases[0]:
-            table = "[cases]"
-        return InputError(f"{study.name}: {table} {key}: {reason}")
+            return "[cases]"
+        zipped = (f"[axes.{name}]" for name, keys in study.zips.items() if key in keys)
+        return next(zipped, "[axes]" if key in study.axes else f"[{SECTION_OF[key]}]")
+
+    def refuse(self, key: str, text: str) -> NoReturn:
+        """Raise the error of a value that cannot be run, with study and table of the key."""
+        raise InputError(f"{self._study.name}: {self.place(key)} {key}: {text}")
+
+    @classmethod
+    def all_of(cls, study: Study) -> "Variants":
+        """Return all variants of a study."""
+        return cls(study, np.arange(study.n_variants))

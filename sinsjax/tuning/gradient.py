@@ -6,7 +6,7 @@ that move are smooth windows, which sharpen too. The final points are scored lik
 with hard resets on all tuning draws, and so is the law's schedule.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple, NoReturn
 
@@ -24,20 +24,25 @@ from sinsjax.engine.run import map_stacked_tiles, run_tile
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.run import ProgressCallback, RunProgress
-from sinsjax.methods.base import Relaxation
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS, find_without_gradient
+from sinsjax.methods.method import Site
 from sinsjax.methods.registry import METHODS
+from sinsjax.methods.schedules import smooth_resets
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.keys import SECTION_OF, TomlTable
+from sinsjax.strapdown import earth
+from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import with_point
 from sinsjax.study.schema import TuneSection
-from sinsjax.study.search_space import SearchSpace, Variable
+from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
 from sinsjax.study.sweep import COUNT, TIMES
+from sinsjax.study.variants import Variants
 from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult
 from sinsjax.tuning.law_point import law_point
-from sinsjax.types import Array, Count, Scalar
+from sinsjax.types import Array
+from sinsjax.units import DEG, micro_g
 
 NAME = "gradient"
 
@@ -52,7 +57,7 @@ def check_gradients(study: Study) -> None:
         InputError: ``[tune.variables] key: has no gradient (hint)``.
     """
     for combination in SearchSpace.from_study(study).combinations:
-        ParameterMap(study, combination)
+        TunedParams(study, combination)
 
 
 def descend(
@@ -87,7 +92,7 @@ class _Descents:
         self._study, self._stored, self._number, self._cost = study, stored, number, cost
         self._tune, self._space = study.tune, SearchSpace.from_study(study)
         self._combination = self._space.combinations[number]
-        self._parameters = ParameterMap(study, self._combination)
+        self._parameters = TunedParams(study, self._combination)
         self._used = self._space.used_variables(self._combination)
         law = law_point(study, number)
         self._laws = np.empty((0, len(self._used))) if law is None else law[None, self._used]
@@ -203,21 +208,35 @@ def _softness(tune: TuneSection, step: int) -> Softness:
 
 
 class _Lane(NamedTuple):
-    """Parameters of a lane: those of the method at the base point, and the number of its descent.
+    """Params of a lane, and the derivatives of those that depend on the variables.
 
-    They are in the place of the method's parameters until it is run.
+    They are in the place of the method's params until it is run.
+
+    Attributes:
+        params: leaves (lanes, ...).
+        slopes: leaves (lanes, p, ...) by their number among the leaves of ``params``.
     """
 
-    base: Any
-    start: Count
+    params: Any
+    slopes: dict[int, Array]
 
 
 class _Program(NamedTuple):
-    """Runs of all descents that share a program, the plan of its calls, and the program."""
+    """Runs of all descents that share a program, the plan of its calls, and the program.
+
+    Attributes:
+        group: of the runs, with variants for each descent.
+        keys: of the variants of one descent.
+        plan: of its calls.
+        jitted: the program.
+        active: numbers of the leaves of the params that depend on the variables.
+    """
 
     group: Group
+    keys: Variants
     plan: Plan
     jitted: Any
+    active: tuple[int, ...]
 
 
 class Slope:
@@ -230,7 +249,7 @@ class Slope:
 
     def __init__(
         self,
-        parameters: "ParameterMap",
+        parameters: "TunedParams",
         stored: StoredRecord | None = None,
         *,
         starts: int,
@@ -254,10 +273,13 @@ class Slope:
         self._from_truth, self._rate_hz = success_criteria(study).from_truth, study.rate_hz
         derived = search.derive_study(study, {"base": parameters.point}, name=study.name)
         scenario = Scenario(derived, stored, curves=False)
-        groups = [scenario.part(number).group for number in range(len(scenario.statics))]
-        self.n_draws = len(groups[0].draws.draw_id)
+        parts = [
+            (scenario.part(number).group, scenario.keys(number))
+            for number in range(len(scenario.statics))
+        ]
+        self.n_draws = len(parts[0][0].draws.draw_id)
         self.draws = min(draws, self.n_draws)
-        self._programs = [self._program(group) for group in groups]
+        self._programs = [self._program(*part) for part in parts]
         self._draw_cost = search.total_steps(derived) / derived.n_draws
 
     @property
@@ -291,25 +313,28 @@ class Slope:
             for program in self._programs
         ]
 
-    def _program(self, group: Group) -> _Program:
+    def _program(self, group: Group, keys: Variants) -> _Program:
         """Return the program of a group with lanes for each descent and variant."""
-        params = jax.tree.map(
+        lanes_of = jax.tree.map(
             lambda a: np.concatenate([np.asarray(a)] * self._starts), group.variants
         )
-        start = np.repeat(np.arange(self._starts), group.sizes[1])
-        group = group._replace(variants=params._replace(method=_Lane(params.method, start)))
-        runs, devices = self.draws * len(start), len(jax.devices())
+        variants = self._starts * group.sizes[1]
+        group = group._replace(variants=lanes_of)
+        middle = np.full((1, len(self._parameters.variables)), 0.5)
+        _, slopes = self._parameters.slopes(group.static.method, keys, middle)
+        active = [i for i, leaf in enumerate(jax.tree.leaves(slopes)) if np.any(leaf)]
+        runs, devices = self.draws * variants, len(jax.devices())
         # Few runs need fewer lanes; a call has at least two blocks for each device.
         lanes = min(LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
         tiles = -(-runs // (lanes * devices))
-        plan = Plan(group.static, self.draws, len(start), tiles_per_chunk=tiles, lanes=lanes)
-        return _Program(group, plan, jax.jit(partial(self._differentiate, group)))
+        plan = Plan(group.static, self.draws, variants, tiles_per_chunk=tiles, lanes=lanes)
+        return _Program(group, keys, plan, jax.jit(partial(self._differentiate, group)), (*active,))
 
     def _run(
         self, program: _Program, box: NDArray, draws: NDArray, softness: Softness
     ) -> tuple[NDArray, NDArray]:
         """Return relaxed values (starts, variants, draws) and derivatives (..., p)."""
-        group, plan, jitted = program
+        group, plan, jitted = program.group, program.plan, program.jitted
         arguments = self._arguments(program, box, draws, softness)
         jitted.lower(*arguments[0]).compile()  # otherwise every thread would compile
         calls = list(
@@ -336,6 +361,13 @@ class Slope:
     ) -> list[tuple]:
         """Return the arguments of every call of a program."""
         group = program.group
+        params, slopes = self._parameters.slopes(group.static.method, program.keys, box)
+        if self._parameters.moves_resets:
+            width = np.full(len(group.variants.ve), softness.window_s * self._rate_hz)
+            params = smooth_resets(params, width)
+        leaves = jax.tree.leaves(slopes)
+        lane = _Lane(params, {i: leaves[i] for i in program.active})
+        group = group._replace(variants=group.variants._replace(method=lane))
         chosen = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
         group = group._replace(draws=chosen, q=group.q[draws])
         # What is only reported has no part in the objective, nor in its derivatives.
@@ -344,21 +376,16 @@ class Slope:
             sharpness=np.float64(softness.sharpness), report_samples=None
         )
         environment = environment._replace(criteria=soft)
-        width = np.float64(softness.window_s * self._rate_hz)
-        return [(environment, tiles_of(group, lanes), box, width) for lanes in program.plan]
+        return [(environment, tiles_of(group, lanes)) for lanes in program.plan]
 
     def _differentiate(
-        self, group: Group, environment: Environment, tiles: Tiles, box: Array, width: Array
+        self, group: Group, environment: Environment, tiles: Tiles
     ) -> tuple[Array, Array]:
         """Return the values of some tiles' runs and their derivatives by their descent's box."""
-        p = box.shape[1]
-        directions = jnp.broadcast_to(jnp.eye(p)[:, None, :], (p, self._starts, p))
 
-        def lane_parameters(lane: _Lane, box: Array) -> Any:
-            return self._parameters(group.static.method, lane.base, box[lane.start], width)
-
-        def tile_values(tile: Tiles, box: Array) -> Array:
-            method = jax.vmap(lane_parameters, in_axes=(0, None))(tile.params.method, box)
+        def tile_values(tile: Tiles, active: dict[int, Array]) -> Array:
+            leaves, structure = jax.tree.flatten(tile.params.method.params)
+            method = structure.unflatten(active.get(i, leaf) for i, leaf in enumerate(leaves))
             lanes = tile._replace(params=tile.params._replace(method=method))
             outcome, _ = run_tile(group.static, environment, lanes)
             return objective.relaxed_values(
@@ -366,45 +393,90 @@ class Slope:
             )
 
         def differentiate_tile(tile: Tiles) -> tuple[Array, Array]:
-            return sensitivities(partial(tile_values, tile), box, directions)
+            lane = tile.params.method
+            leaves = jax.tree.leaves(lane.params)
+            directions = {i: jnp.moveaxis(slope, 1, 0) for i, slope in lane.slopes.items()}
+            active = {i: leaves[i] for i in directions}
+            return sensitivities(partial(tile_values, tile), active, directions)
 
         return jax.lax.map(map_stacked_tiles(group.static, differentiate_tile, tiles), tiles)
 
 
-def sensitivities(
-    function: Callable[[Array], Any], point: Array, directions: Array
-) -> tuple[Any, Any]:
+def sensitivities(function: Callable[[Any], Any], point: Any, directions: Any) -> tuple[Any, Any]:
     """Return value and derivatives of a function along some directions, in one forward pass.
 
     Args:
-        function: function of an array of the shape of ``point``.
+        function: function of an array, or of a tree of arrays.
         point: where to differentiate.
-        directions: (p, *shape of the point).
+        directions: (p, *shape of the point), or a tree of them.
 
     Returns:
         The value, and its derivatives with a leading axis of p.
     """
 
-    def derivative(direction: Array) -> tuple[Any, Any]:
+    def derivative(direction: Any) -> tuple[Any, Any]:
         return jax.jvp(function, (point,), (direction,))
 
     # The value does not depend on the direction, so it is computed once for all of them.
     return jax.vmap(derivative, out_axes=(None, 0))(directions)
 
 
-# What the variables do to the parameters of methods
+# What the variables do to the params of methods
 
 
-class ParameterMap:
-    """Map from the variables to a method's parameters, with resets relaxed.
+class _TunedKeys:
+    """The keys of some variants, of which the tuned ones have traced values."""
 
-    Each variable changes the parameters by the ratio of its value to that at a base point, see
-    `methods.base.Relaxation`.
+    def __init__(self, keys: Variants, tuned: Mapping[str, Any]) -> None:
+        self._keys, self._tuned = keys, tuned
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._keys, name)
+
+    def column(self, key: str, factor: float = 1.0) -> Any:
+        """Return numbers times a factor, (variants,); NaN if the key is left out."""
+        if key not in self._tuned:
+            return self._keys.column(key, factor)
+        return jnp.full(self._keys.count, self._tuned[key] * factor)
+
+    def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> Any:
+        """Return a function of the values of some keys, (variants, ...)."""
+        if self._tuned.keys().isdisjoint(keys):
+            return self._keys.compute(function, *keys, dtype=dtype)
+        return self._by_variant(function, keys, lambda found: [jnp.asarray(one) for one in found])
+
+    def lists(self, function: Callable[..., Any], *keys: str, padding: float) -> Any:
+        """Return lists of a function of some keys, (variants, longest), padded with ``padding``."""
+        if self._tuned.keys().isdisjoint(keys):
+            return self._keys.lists(function, *keys, padding=padding)
+
+        def pad(found: list[Any]) -> list[Array]:
+            longest = max(map(len, found))
+            return [jnp.asarray([*one, *[padding] * (longest - len(one))]) for one in found]
+
+        return self._by_variant(function, keys, pad)
+
+    def _by_variant(
+        self, function: Callable[..., Any], keys: tuple[str, ...], to_arrays: Callable
+    ) -> Array:
+        """Return a function of keys once per combination, expanded over the variants."""
+        used, codes = np.unique(self._keys.coded(*keys).codes, return_inverse=True)
+        choices = [self._keys.coded(*keys).choices[code] for code in used]
+        rows = [values if len(keys) > 1 else (values,) for values in choices]
+        found = [
+            function(*(self._tuned.get(key, value) for key, value in zip(keys, row, strict=True)))
+            for row in rows
+        ]
+        return jnp.stack(to_arrays(found))[codes]
+
+
+class TunedParams:
+    """The params of methods as functions of the variables, with resets relaxed.
 
     Attributes:
         study: study with [tune].
         variables: (p,) variables that the combination of candidates uses.
-        point: the base point, in the middle of all ranges.
+        point: a point in the middle of all ranges.
         moves_resets: whether a variable moves resets, all of which are then smooth windows.
     """
 
@@ -421,64 +493,69 @@ class ParameterMap:
         self.study, space = study, SearchSpace.from_study(study)
         self.variables = [space.variables[i] for i in space.used_variables(combination)]
         self.point = space.make_point(space.to_values([0.5] * len(space.variables)), combination)
-        based = with_point(study, self.point)
-        relaxed = [
-            _relaxed(name) for name in sorted({v["method"] for v in based.combinations("method")})
-        ]
-        for variable in self.variables:
-            if all(variable.key not in (r.times, *r.changes) for r in relaxed):
-                _refuse(study, f"[tune.variables] {variable.key}")
-        keys = {variable.key for variable in self.variables}
-        self.moves_resets = any(
-            r.smooth_resets and not keys.isdisjoint({r.times, *r.moves}) for r in relaxed
-        )
-        for r in relaxed:
-            if reason := r.find_unsupported(based, self.moves_resets):
-                _refuse(study, reason)
-        self._left_out = {
-            follower
-            for r in relaxed
-            for follower in r.follows.values()
-            if not based.has(SECTION_OF[follower]) or based.values(follower)[0] is None
-        }
         times = space.ranges.get(TIMES, ())
         assert isinstance(times, tuple)
         self._fixed_times = [kind.fixed for kind in times[: combination.get(COUNT, len(times))]]
+        based = with_point(study, self.point)
+        self.moves_resets = any(variable.key in SCHEDULE_KEYS for variable in self.variables)
+        if key := find_without_gradient(Variants.all_of(based), smoothed=self.moves_resets):
+            _refuse(study, key)
+        methods, moved = based.values("method"), np.zeros(len(self.variables), bool)
+        for name in set(methods):
+            ids = np.array([methods.index(name)])
+            keys = Variants(based, ids, site=_ANY_SITE, micro_g=micro_g())
+            _, slopes = self.slopes(name, keys, np.full((1, len(moved)), 0.5))
+            for leaf in jax.tree.leaves(slopes):
+                moved |= np.any(leaf, axis=(0, *range(2, leaf.ndim)))
+        for variable, is_moved in zip(self.variables, moved, strict=True):
+            if not is_moved and variable.key not in SCHEDULE_KEYS:  # there may be no reset
+                _refuse(study, f"[tune.variables] {variable.key}")
 
-    def __call__(self, method: str, params: Any, box: Array, width: Scalar) -> Any:
-        """Return the method's parameters of one run at a point.
+    def at(self, method: str, keys: Variants, box: Array) -> Any:
+        """Return the params of a method at a point, leaves (variants, ...); resets are hard.
 
         Args:
-            method: name of the method.
-            params: parameters of the method at the base point.
+            method: its name.
+            keys: keys of variants with this method.
             box: (p,) positions of the variables in their ranges, 0 to 1.
-            width: half width of the windows, samples.
         """
-        relaxed = _relaxed(method)
-        times: list[Any] = list(self._fixed_times)
+        tuned: dict[str, Any] = {}
         for place, variable in zip(box, self.variables, strict=True):
-            value, base = variable.value(place), variable.value(0.5)
-            if variable.key == TIMES:
-                times[variable.entry or 0] = value
-                continue
-            for key in self._changed_keys(relaxed, variable):
-                params = relaxed.changes[key](params, variable.entry, value, base)
-        if relaxed.smooth_resets is None or not self.moves_resets:
-            return params
-        samples = None
-        if times:
-            samples = jnp.stack([jnp.asarray(time) for time in times]) * self.study.rate_hz
-        return relaxed.smooth_resets(params, samples, width)
+            value = variable.value(place)
+            if variable.entry is not None:
+                whole = self._fixed_times if variable.key == TIMES else keys.common(variable.key)
+                entries = [*tuned.get(variable.key, whole)]
+                entries[variable.entry] = value
+                value = tuple(entries)
+            tuned[variable.key] = value
+        with jax.numpy_dtype_promotion("standard"):  # as NumPy, which params are written for
+            return METHODS[method].params(_TunedKeys(keys, tuned), jnp)
 
-    def _changed_keys(self, relaxed: Relaxation, variable: Variable) -> list[str]:
-        """Return the key of a variable, and one that has its value if the study omits it."""
-        follower = relaxed.follows.get(variable.key, "")
-        keys = [variable.key, *([follower] if follower in self._left_out else [])]
-        return [key for key in keys if key in relaxed.changes]
+    def slopes(self, method: str, keys: Variants, box: NDArray) -> tuple[Any, Any]:
+        """Return the params at the points of all starts, and their derivatives.
+
+        Args:
+            method: its name.
+            keys: keys of variants with this method.
+            box: (starts, p) positions of the variables in their ranges, 0 to 1.
+
+        Returns:
+            The params, leaves (starts * variants, ...), and their derivatives, leaves
+            (starts * variants, p, ...).
+        """
+        at = partial(self.at, method, keys)
+
+        def of_start(place: Array) -> tuple[Any, Any]:
+            directions = jnp.eye(len(place))
+            value, slope = sensitivities(at, place, directions)
+            return value, jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), slope)
+
+        whole = jax.jit(jax.vmap(of_start))(box)
+        return jax.tree.map(lambda a: np.concatenate(np.asarray(a)), whole)
 
 
-def _relaxed(method: str) -> Relaxation:
-    return METHODS[method].implementation.relaxation or Relaxation({})
+_ANY_SITE = Site(earth.wgs84(0.0), earth.place(earth.wgs84(0.0), 45 * DEG), 45 * DEG)
+"""Whether params depend on a variable is the same at every place."""
 
 
 def _refuse(study: Study, what: str) -> NoReturn:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.methods.filters.section import OF_SCHEDULES
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.reset_law import NoSchedule, schedule_with
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import with_point
@@ -40,11 +40,11 @@ def law_point(study: Study, number: int = 0) -> NDArray | None:
     combination = space.combinations[number]
     used = space.used_variables(combination)
     keys = {space.variables[i].key for i in used}
-    if keys.isdisjoint(OF_SCHEDULES):
+    if keys.isdisjoint(SCHEDULE_KEYS):
         return None
     baseline = with_point(study, study.tune.baseline)
     values = space.to_values([0.5] * len(space.variables))
-    _set_values(space, values, effective_values(baseline, keys.difference(OF_SCHEDULES)))
+    _set_values(space, values, effective_values(baseline, keys.difference(SCHEDULE_KEYS)))
     try:
         point = with_point(study, space.make_point(values, combination))
         _set_values(space, values, _schedule_by_law(study, point, combination))

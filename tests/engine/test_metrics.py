@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from sinsjax.engine import metrics
 from sinsjax.engine.metrics import Criteria, Observation
-from sinsjax.methods.base import AttitudeCovariance
 from sinsjax.methods.floors import BiasFloor
+from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.types import Quat, Vec3
 
 pytestmark = pytest.mark.optimised(False)

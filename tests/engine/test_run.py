@@ -41,8 +41,8 @@ from sinsjax.engine.environment import (
     Truth,
 )
 from sinsjax.engine.metrics import Criteria
-from sinsjax.methods.base import Options
 from sinsjax.methods.floors import MeanBiases
+from sinsjax.methods.method import Options
 from sinsjax.strapdown import sensors
 from sinsjax.types import Quat, Vec3
 

@@ -28,10 +28,10 @@ from oracles.naive_filters import (
 )
 
 from sinsjax.maths.algebra import entries_as_numbers
-from sinsjax.methods.azimuth import method as model
-from sinsjax.methods.base import Options
-from sinsjax.methods.invariant.method import apply_left_jacobian
-from sinsjax.methods.kalman import Belief
+from sinsjax.methods import azimuth as model
+from sinsjax.methods.filters.kalman import Belief
+from sinsjax.methods.invariant import apply_left_jacobian
+from sinsjax.methods.method import Options
 from sinsjax.types import Vec3
 
 pytestmark = pytest.mark.optimised(False)

@@ -37,7 +37,6 @@ from oracles.naive import (
 from scipy import linalg, signal
 
 from sinsjax.engine.run import Static
-from sinsjax.methods.base import Options
 from sinsjax.methods.compass.config import REVERSALS
 from sinsjax.methods.compass.design import (
     AzimuthGains,
@@ -46,6 +45,7 @@ from sinsjax.methods.compass.design import (
     is_stable,
     level_matrix,
 )
+from sinsjax.methods.method import Options
 from sinsjax.methods.schedules import PiecewiseConstant
 from sinsjax.strapdown import sensors
 

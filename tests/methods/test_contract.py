@@ -28,10 +28,9 @@ from sinsjax.engine.build import Scenario
 from sinsjax.execution import schemas
 from sinsjax.maths import rotations
 from sinsjax.methods import passes
-from sinsjax.methods.base import UNKNOWN_ANGLE, Options, RunEnd
 from sinsjax.methods.compass.config import REVERSALS
-from sinsjax.methods.description import COMMON_KEYS
 from sinsjax.methods.floors import NO_BIASES
+from sinsjax.methods.method import COMMON_KEYS, UNKNOWN_ANGLE, Options, RunEnd
 from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES
 from sinsjax.strapdown import sensors

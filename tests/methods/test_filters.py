@@ -9,12 +9,12 @@ import pytest
 from oracles.in_engine import navigation, site, step_and_close
 from oracles.naive import PAPER
 
-from sinsjax.methods import kalman
-from sinsjax.methods.base import Options
-from sinsjax.methods.filters.closed_loop import Filter, FilterParams, FilterState, closed_loop
-from sinsjax.methods.kalman import Belief
+from sinsjax.methods.filters import kalman
+from sinsjax.methods.filters.kalman import Belief
+from sinsjax.methods.filters.loop import Filter, FilterParams, FilterState, closed_loop
+from sinsjax.methods.filters.triggers import TriggerParams
+from sinsjax.methods.method import Options
 from sinsjax.methods.schedules import CovarianceReset, FeedbackSchedule, Resets, reset_covariance
-from sinsjax.methods.triggers.trigger import TriggerParams
 from sinsjax.types import Quat, Sample, Vec3
 
 SAMPLES, SENSED = 200, 0.3

@@ -13,7 +13,7 @@ from support.studies import STILL, small_study, with_paper_values
 from sinsjax.engine import build
 from sinsjax.engine.batch import run_chunks
 from sinsjax.engine.bias_floors import has_floor, hidden_north
-from sinsjax.engine.environment import build_method
+from sinsjax.engine.environment import build_program
 from sinsjax.engine.run import end_of_run
 from sinsjax.methods.floors import mean_attitude
 from sinsjax.strapdown.base_motion import Motion, Sway
@@ -72,7 +72,7 @@ def limit_of(group: Any) -> Any:
     environment = group.environment
     params = jax.tree.map(lambda a: a[0], group.variants.method)
     end = end_of_run(group.static, environment.pass_records)
-    method = build_method(group.static)
+    method = build_program(group.static)
     return method.floor(params, environment.site.place, environment.biases, end)
 
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from oracles.naive import update as joint_update
 
 from sinsjax.maths.algebra import triangle_index
-from sinsjax.methods import kalman
+from sinsjax.methods.filters import kalman
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -33,8 +33,8 @@ from oracles.naive_filters import (
 )
 
 from sinsjax.engine.environment import Static
-from sinsjax.methods.base import Options
-from sinsjax.methods.sincos.method import SurgeParams
+from sinsjax.methods.method import Options
+from sinsjax.methods.sincos import SurgeParams
 
 pytestmark = pytest.mark.optimised(False)
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from sinsjax.errors import InputError
-from sinsjax.methods.base import AttitudeCovariance, Feedback, Method
-from sinsjax.methods.description import Description, Implementation
+from sinsjax.methods.method import AttitudeCovariance, Description, Feedback, Implementation, Method
 from sinsjax.methods.plugins import (
     PluginRegistry,
     check_plugin,

@@ -23,8 +23,8 @@ from oracles.naive import DEG, PAPER, Filter, Loops, exp, log, of_quaternion, qu
 
 from sinsjax.engine.environment import Static
 from sinsjax.methods import passes
-from sinsjax.methods.base import Options
 from sinsjax.methods.compass.config import REVERSALS
+from sinsjax.methods.method import Options
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import sensors
 from sinsjax.types import Quat, Vec3

@@ -19,7 +19,7 @@ from oracles.in_engine import (
 )
 from oracles.naive import DEG, PAPER, exp
 
-from sinsjax.methods.base import Options
+from sinsjax.methods.method import Options
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import (
     CovarianceReset,

@@ -16,8 +16,8 @@ from support.studies import small_study
 from sinsjax import run as run_study
 from sinsjax.engine.build import Scenario
 from sinsjax.maths.algebra import entries_as_numbers
-from sinsjax.methods.sincos import method as sincos
-from sinsjax.methods.sincos.method import SurgeParams
+from sinsjax.methods import sincos as sincos
+from sinsjax.methods.sincos import SurgeParams
 from sinsjax.strapdown import processes
 from sinsjax.units import ARCMIN
 

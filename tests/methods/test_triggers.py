@@ -22,18 +22,17 @@ from oracles.in_engine import (
 from oracles.naive import DEG, PAPER, WGS84, closed_loop, exp, of_quaternion, quaternion, updates
 from oracles.naive_triggers import SCORES, Numbers, Watcher
 from oracles.naive_triggers import Seen as NaiveSeen
+from sinsjax.methods.triggers import trigger as triggers
 from support.studies import small_study
 
 from sinsjax.execution import run as study_run
 from sinsjax.maths.algebra import select_tree, triangle_index
 from sinsjax.methods import passes
-from sinsjax.methods.base import AttitudeCovariance, Options
-from sinsjax.methods.filters.closed_loop import FilterState
-from sinsjax.methods.kalman import Belief
+from sinsjax.methods.filters.kalman import Belief
+from sinsjax.methods.filters.loop import FilterState
+from sinsjax.methods.filters.triggers import TRIGGERS, AssumedNoise, FilterSnapshot, TriggerName
+from sinsjax.methods.method import AttitudeCovariance, Options
 from sinsjax.methods.registry import METHODS
-from sinsjax.methods.triggers import trigger as triggers
-from sinsjax.methods.triggers.config import TRIGGERS, TriggerName
-from sinsjax.methods.triggers.trigger import AssumedNoise, FilterSnapshot
 from sinsjax.types import Quat, Sample, Vec3
 
 pytestmark = pytest.mark.optimised(False)

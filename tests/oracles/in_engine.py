@@ -14,12 +14,12 @@ from sinsjax.engine.environment import Draw, Environment, RunParams, SensorModel
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.run import advance_record
 from sinsjax.maths.algebra import triangle_index
-from sinsjax.methods.base import Options, Site
 from sinsjax.methods.compass import method as compass
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains
-from sinsjax.methods.filters.closed_loop import FilterParams
-from sinsjax.methods.filters.section import acting_reset_times
+from sinsjax.methods.filters.keys import acting_reset_times
+from sinsjax.methods.filters.loop import FilterParams
 from sinsjax.methods.floors import NO_BIASES
+from sinsjax.methods.method import Options, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import CovarianceReset, FeedbackSchedule, PiecewiseConstant, Resets
 from sinsjax.strapdown import base_motion, earth, sensors

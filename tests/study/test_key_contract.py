@@ -15,7 +15,7 @@ from support.refusals import assert_named
 from support.studies import small_study
 
 from sinsjax.errors import InputError
-from sinsjax.methods.description import COMMON_KEYS
+from sinsjax.methods.method import COMMON_KEYS
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files, json_schema, key_table, rules
 from sinsjax.study.identity import fingerprint

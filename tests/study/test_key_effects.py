@@ -10,7 +10,7 @@ from support.studies import BASE, small_study
 
 from sinsjax.engine.batch import run_chunks
 from sinsjax.engine.build import Scenario
-from sinsjax.methods.description import COMMON_KEYS
+from sinsjax.methods.method import COMMON_KEYS
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import SECTION_OF, SECTIONS, accepted_words, reading_methods
 from sinsjax.study.study import Study

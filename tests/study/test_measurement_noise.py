@@ -10,7 +10,7 @@ from support.studies import refusal_line, small_study
 
 from sinsjax.engine import build
 from sinsjax.execution.checks import describe_measurement_noise
-from sinsjax.methods.filters.section import surge_density
+from sinsjax.methods.filters.keys import surge_density
 from sinsjax.strapdown import processes
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.search_space import effective_values

@@ -13,7 +13,7 @@ from support.studies import refusal_line, small_study
 from sinsjax.engine.bias_floors import last_scheduled_reset_s
 from sinsjax.engine.build import Scenario
 from sinsjax.execution import run as study_run
-from sinsjax.methods.filters.section import acting_reset_times
+from sinsjax.methods.filters.keys import acting_reset_times
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_to_toml
 

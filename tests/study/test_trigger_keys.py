@@ -6,7 +6,7 @@ import pytest
 from support.plain_studies import build_study, refusal_line
 from support.refusals import assert_named, refused
 
-from sinsjax.methods.triggers.config import any_trigger
+from sinsjax.methods.filters.triggers import any_trigger
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_tables
 

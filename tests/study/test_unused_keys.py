@@ -15,9 +15,9 @@ from support.studies import BASE, small_study, small_tables
 from sinsjax import InputError, StudyWarning, load_study
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution.run import run
-from sinsjax.methods.description import INITIAL_KEYS
+from sinsjax.methods.filters.triggers import any_trigger
+from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import METHODS, unread_keys
-from sinsjax.methods.triggers.config import any_trigger
 from sinsjax.study import files
 from sinsjax.study.keys import SECTION_OF, SECTIONS, accepted_words
 from sinsjax.study.load import load_with_notes, study_from_dict, study_to_tables

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
@@ -19,11 +18,11 @@ from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.tasks import Job
-from sinsjax.methods.registry import METHODS
+from sinsjax.methods.filters.keys import FilterSection
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import from_python, gradient, history, objective, run_tuning, search
-from sinsjax.tuning.gradient import ParameterMap, Slope, Softness
+from sinsjax.tuning.gradient import Slope, Softness, TunedParams
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -157,12 +156,6 @@ VARIABLES = [
 ]
 
 
-def test_studies_cover_every_variable_with_gradient() -> None:
-    tried = {variable.partition("[")[0] for _, variable in VARIABLES}
-    relaxed = [method.implementation.relaxation for method in METHODS.values()]
-    assert tried == {key for r in relaxed if r for key in r.changes} | {"reset_times_s"}
-
-
 AROUND = np.array([-2.0, -1.0, 1.0, 2.0])
 
 
@@ -181,7 +174,7 @@ def gradients(name: str) -> dict[str, tuple[float, float]]:
     step = np.where(times, 1e-4, 2e-3)
     for i in range(count):
         box[1 + 4 * i : 5 + 4 * i, i] += step[i] * AROUND
-    slope = Slope(ParameterMap(study, {}), starts=len(box), draws=2)
+    slope = Slope(TunedParams(study, {}), starts=len(box), draws=2)
     score, by_box = slope(box, np.arange(2), Softness(5.0, 3.0))
     ends = score[1:].reshape(count, 4)
     difference = ends @ np.array([1.0, -8.0, 8.0, -1.0]) / (12 * step)
@@ -264,29 +257,21 @@ def test_relaxed_score_is_near_hard_score_and_slope_matches_differences(
 # The methods' parameters by the variables
 
 
-def numbers(study: Study, point: dict[str, Any]) -> list[Any]:
-    """Return the method's parameters of every variant of a study at a point."""
-    derived = search.derive_study(study, {"point": point}, name="point")
-    params = Scenario(derived, curves=False).part(0).group.variants.method
-    count = derived.n_variants
-    return [jax.tree.map(lambda a, i=i: jnp.asarray(a)[i], params) for i in range(count)]
-
-
 def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -> None:
-    """Relaxed parameters are those of the study with the keys set to the values there."""
+    """Params at a point are those of the study with the keys set to the values there."""
     space = SearchSpace.from_study(study)
     chosen = space.combinations[combination]
     box = np.array([places.get(v.name, 0.5) for v in space.variables])
-    parameters, (method,) = ParameterMap(study, chosen), study.methods
-    expected = numbers(study, space.make_point(space.to_values(box), chosen))
-    for base, there in zip(numbers(study, parameters.point), expected, strict=True):
-        got = parameters(method, base, box[space.used_variables(chosen)], np.float64(50.0))
-        if parameters.moves_resets:
-            assert got.resets.width == 50.0
-            samples = np.where(got.resets.samples < 1e14, got.resets.samples, np.inf)
-            got = got._replace(resets=there.resets._replace(samples=samples))
-        for leaf, expected_leaf in zip(jax.tree.leaves(got), jax.tree.leaves(there), strict=True):
-            np.testing.assert_allclose(leaf, expected_leaf, rtol=1e-12)
+    tuned, (method,) = TunedParams(study, chosen), study.methods
+    there = search.derive_study(
+        study, {"point": space.make_point(space.to_values(box), chosen)}, name="point"
+    )
+    base = search.derive_study(study, {"base": tuned.point}, name="base")
+    got = tuned.at(method, Scenario(base, curves=False).keys(0), box[space.used_variables(chosen)])
+    expected = Scenario(there, curves=False).part(0).group.variants.method
+    assert jax.tree.structure(got) == jax.tree.structure(expected)
+    for leaf, expected_leaf in zip(jax.tree.leaves(got), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(leaf, expected_leaf, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -297,7 +282,7 @@ def test_all_relaxed_variables_match_setting_study_keys(name: str) -> None:
 
 
 COUNTED = {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
-P0 = [key for key in METHODS["kalman5"].implementation.relaxation.changes if key.startswith("p0_")]
+P0 = [key for key in FilterSection.model_fields if key.startswith("p0_")]
 
 
 @pytest.mark.nightly(fast=("p0_yaw_deg",))
@@ -353,7 +338,7 @@ def test_relaxed_objective_converges_to_hard_objective() -> None:
     assert study.tune is not None
     runs = search.point_values(study, derived, table)
     hard = [objective.score(study.tune, values) for values in runs]
-    slope = Slope(ParameterMap(study, {}), starts=3, draws=3)
+    slope = Slope(TunedParams(study, {}), starts=3, draws=3)
     softening = (Softness(4.0, 4.0), Softness(2.0, 16.0), Softness(1.0, 64.0))
     off = [np.abs(slope(box, np.arange(3), softness)[0] - hard) for softness in softening]
     assert np.all(off[1].max() < 0.7 * off[0].max()) and off[2].max() < 0.35
@@ -370,7 +355,7 @@ def test_memory_barely_grows_with_run_duration() -> None:
             {"reset_times_s": [linear(5.0, 15.0)]},
             {"study": SHORT | {"duration_s": duration_s, "window_s": [10, 20]}},
         )
-        slope = Slope(ParameterMap(study, {}), starts=32, draws=2)
+        slope = Slope(TunedParams(study, {}), starts=32, draws=2)
         box, softness = np.full((32, 1), 0.4), Softness(5.0, 2.0)
         (program,) = slope.programs(box, np.arange(2), softness)
         needed.append(program.memory_analysis().temp_size_in_bytes)

@@ -1,16 +1,16 @@
 """Compass alignment as studies know it: [compass], params of the loops, description."""
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
 from pydantic import Field
 
-from sinsjax.errors import InputError
 from sinsjax.methods.compass import design as loops
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains
-from sinsjax.methods.description import INITIAL_KEYS, CheckedStudy, Description, Implementation
-from sinsjax.methods.parameters import Columns, times_in_samples
+from sinsjax.methods.compass.method import LoopParams, Reversal, build
+from sinsjax.methods.method import Method, StudyKeys
+from sinsjax.methods.schedules import PiecewiseConstant
 from sinsjax.value_types import (
     Bandwidth,
     Count,
@@ -127,7 +127,7 @@ class CompassSection(Section):
     )
 
 
-def check_sigma_factors(study: CheckedStudy) -> None:
+def check_sigma_factors(study: StudyKeys) -> None:
     """Refuse sigma factors without as many times, and numbers of passes without a stored record."""
     if not study.has("compass"):
         return
@@ -165,17 +165,9 @@ the levelling integrals, which all others negate, too, except ``restart``.
 """
 
 
-def parameters(columns: Columns, site: Any, ug: float) -> Any:
-    """Return the params of the loops, leaves (variants,).
-
-    Args:
-        columns: keys of variants with this method.
-        site: Earth and place.
-        ug: micro-g in m/s^2, which the loops do not need.
-    """
-    from sinsjax.methods.compass.method import LoopParams, Reversal
-    from sinsjax.methods.schedules import PiecewiseConstant
-
+def params(columns: StudyKeys, xp: Any) -> LoopParams:
+    """Return the params of the loops, leaves (variants,)."""
+    site = columns.site
     rate = columns.rate_hz
     passes = columns.has("passes")
     stored = ("stored_s",) if passes else ()
@@ -194,7 +186,7 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
             times or () if numbers is None else tuple(n * (stored_s or math.nan) for n in numbers)
         )
 
-    level_gains, azimuth_gains = gains(columns, site)
+    level_gains, azimuth_gains = gains(columns, site, xp)
     smoothing = columns.column("turn_smoothing_s") if passes else np.ones(columns.count)
     turn = (
         columns.compute(REVERSALS.__getitem__, "turn").T
@@ -205,18 +197,23 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
         level=level_gains,
         azimuth=azimuth_gains,
         pace=PiecewiseConstant(
-            times_in_samples(columns, change_times_s, "sigma_times_s", "sigma_passes", *stored),
-            columns.padded_lists(list, "sigma_factors", padding=1.0),
+            np.round(
+                columns.lists(
+                    change_times_s, "sigma_times_s", "sigma_passes", *stored, padding=np.inf
+                )
+                * rate
+            ),
+            columns.lists(list, "sigma_factors", padding=1.0),
         ),
         azimuth_from=np.round(
             columns.compute(level_s, "level_time_s", "level_passes", *stored) * rate
         ),
-        smoothing=-np.expm1(-2 / (rate * smoothing)),  # two stages share the delay
+        smoothing=-xp.expm1(-2 / (rate * smoothing)),  # two stages share the delay
         reversal=Reversal(*turn),
     )
 
 
-def gains(columns: Columns, site: Any) -> tuple[LevelGains, AzimuthGains]:
+def gains(columns: StudyKeys, site: Any, xp: Any = np) -> tuple[LevelGains, AzimuthGains]:
     """Return the gains of the loops: as given, or designed from sigma or adjustment time, damping.
 
     They are designed for the north channel; on an ellipsoid the east one differs in its K2 by some
@@ -225,21 +222,21 @@ def gains(columns: Columns, site: Any) -> tuple[LevelGains, AzimuthGains]:
     earth = earth_numbers(site)
     level = loops.level_gains(*_sigma_and_damping(columns, "level"), **earth)
     azimuth = loops.azimuth_gains(*_sigma_and_damping(columns, "azimuth"), **earth)
-    return _replace_given(columns, "level_gains", level), _replace_given(
-        columns, "azimuth_gains", azimuth
+    return _replace_given(columns, "level_gains", level, xp), _replace_given(
+        columns, "azimuth_gains", azimuth, xp
     )
 
 
-def check(columns: Columns, site: Any) -> None:
+def check(columns: StudyKeys) -> None:
     """Refuse compass loops that are unstable, or too fast for the sample time.
 
     Args:
         columns: keys of variants with this method and one site.
-        site: Earth and place.
 
     Raises:
         InputError: names the roots; not if ``allow_unstable`` is set.
     """
+    site = columns.site
     refused = ~columns.compute(bool, "allow_unstable", dtype=bool)
     earth = earth_numbers(site)
     fastest = columns.compute(max, "sigma_factors")
@@ -248,7 +245,7 @@ def check(columns: Columns, site: Any) -> None:
         azimuth = loops.scale_azimuth_gains(azimuth, fastest)
     for loop, found in (("level", level), ("azimuth", azimuth)):
         for row in np.flatnonzero(~np.isfinite(np.stack(found)).all(axis=0)):
-            raise _unusable_loop(columns, loop, int(row), "gives a gain that is no finite number")
+            _refuse_loop(columns, loop, int(row), "gives a gain that is no finite number")
     dt = 1 / columns.rate_hz
     rate_n = float(site.place.rate_n)
     for loop, polynomial, matrix in (
@@ -272,18 +269,18 @@ def check(columns: Columns, site: Any) -> None:
                 else f"makes a loop that a sample of {dt:g} s cannot carry"
             )
             text = f"{what}, its roots are {_format_roots(roots[row])} 1/s"
-            raise _unusable_loop(columns, loop, int(row), f"{text} (allow_unstable = true runs it)")
+            _refuse_loop(columns, loop, int(row), f"{text} (allow_unstable = true runs it)")
 
 
-def _unusable_loop(columns: Columns, loop: str, row: int, text: str) -> InputError:
-    """Return the error of a variant's loop, naming the key that sets its gains, and the value."""
+def _refuse_loop(columns: StudyKeys, loop: str, row: int, text: str) -> NoReturn:
+    """Refuse a variant's loop, naming the key that sets its gains, and the value."""
     keys = [f"{loop}_{kind}" for kind in ("gains", "adjustment_s", "sigma_per_s")]
     key, value = next((k, v) for k in keys if (v := columns.value(k, row)) is not None)
     shown = list(value) if isinstance(value, tuple) else f"{value:g}"
     factor = max(columns.value("sigma_factors", row))
     if loop == "azimuth" and factor != 1:
         shown = f"{shown} with a sigma factor of {factor:g}"
-    return columns.input_error(key, f"{shown} {text}")
+    columns.refuse(key, f"{shown} {text}")
 
 
 def earth_numbers(site: Any) -> dict[str, Any]:
@@ -296,19 +293,17 @@ def _format_roots(found: np.ndarray) -> str:
     return ", ".join(f"{r.real + 0.0:.4g}{f'{r.imag:+.4g}j' if r.imag else ''}" for r in ordered)
 
 
-def _replace_given(columns: Columns, key: str, designed: Any) -> Any:
+def _replace_given(columns: StudyKeys, key: str, designed: Any, xp: Any) -> Any:
     """Return designed gains, replaced for variants that give gains."""
-    rows, count = np.stack(designed, axis=-1), len(designed)
+    rows, count = xp.stack(designed, axis=-1), len(designed)
     given = columns.compute(lambda v: [math.nan] * count if v is None else v, key)
-    return type(designed)(*np.where(np.isnan(given), rows, given).T)
+    return type(designed)(*xp.where(xp.isnan(given), rows, given).T)
 
 
-def _sigma_and_damping(columns: Columns, loop: str) -> tuple[np.ndarray, np.ndarray]:
+def _sigma_and_damping(columns: StudyKeys, loop: str) -> tuple[Any, Any]:
     """Return sigma (1/s) and damping of a loop; sigma is arbitrary if a variant gives gains."""
 
-    def sigma_of(
-        given: float | None, time: float | None, damping: float, reading: str, remainder: float
-    ) -> float:
+    def sigma_of(given: Any, time: Any, damping: Any, reading: str, remainder: Any) -> Any:
         if given is not None:
             return given
         if time is None:
@@ -322,49 +317,15 @@ def _sigma_and_damping(columns: Columns, loop: str) -> tuple[np.ndarray, np.ndar
     return sigmas, columns.column(f"{loop}_damping")
 
 
-def _change_pace(params: Any, entry: int | None, value: Any, base: Any) -> Any:
-    values = params.pace.values.at[entry].multiply(value / base)
-    return params._replace(pace=params.pace._replace(values=values))
-
-
-def _change_azimuth_sigma(params: Any, _: int | None, value: Any, base: Any) -> Any:
-    return params._replace(azimuth=loops.scale_azimuth_gains(params.azimuth, value / base))
-
-
-def _change_level_sigma(params: Any, _: int | None, value: Any, base: Any) -> Any:
-    return params._replace(level=loops.scale_level_gains(params.level, value / base))
-
-
-def _change_smoothing(params: Any, _: int | None, value: Any, base: Any) -> Any:
-    import jax.numpy as jnp
-
-    share = -jnp.expm1(jnp.log1p(-params.smoothing) * base / value)
-    return params._replace(smoothing=share)
-
-
-_CHANGES: dict[str, Any] = {
-    "sigma_factors": _change_pace,
-    "azimuth_sigma_per_s": _change_azimuth_sigma,
-    "level_sigma_per_s": _change_level_sigma,
-    "turn_smoothing_s": _change_smoothing,
-}
-
-
-def _load() -> Implementation:
-    from sinsjax.methods.base import Relaxation
-    from sinsjax.methods.compass.method import build
-
-    return Implementation(build, parameters, check, Relaxation(_CHANGES))
-
-
-COMPASS = Description(
+COMPASS = Method(
     name="compass",
     summary="gyrocompass loops: levelling of third order, azimuth of fourth",
     source="[P2] section 2.1",
     sections={"compass": CompassSection},
-    reads=(*INITIAL_KEYS, "turn", "turn_smoothing_s"),
-    load=_load,
-    has_covariance=False,
+    reads=("turn", "turn_smoothing_s"),
+    build=build,
+    params=params,
+    check=check,
     turning="none",
     rules=(check_sigma_factors,),
     step_s=5e-9,

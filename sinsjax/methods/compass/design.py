@@ -125,7 +125,7 @@ def sigma_from_period(time: Number, damping: Number) -> Number:
     return 2 * math.pi * damping / (time * (1 - damping**2) ** 0.5)
 
 
-def sigma_from_settling(time: Number, remainder: float) -> Number:
+def sigma_from_settling(time: Number, remainder: Number) -> Number:
     """Decay rate (1/s) of which the envelope exp(-sigma t) has a remainder after the time.
 
     This is the reading that the printed gains of [P2] have: exp(-3) after 150 s and exp(-4.5)

@@ -13,16 +13,15 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.methods.base import (
-    Method,
-    Options,
-    Passes,
-    RunEnd,
-    Site,
-    unknown_covariance,
-)
 from sinsjax.methods.compass.design import AzimuthGains, LevelGains, scale_azimuth_gains
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
+from sinsjax.methods.method import (
+    Options,
+    Passes,
+    Program,
+    RunEnd,
+    Site,
+)
 from sinsjax.methods.schedules import PiecewiseConstant, value_at
 from sinsjax.strapdown import earth, mechanisation
 from sinsjax.types import Flag, Navigation, Sample, Scalar, Vec3
@@ -96,7 +95,7 @@ class LoopState(NamedTuple):
     force_n: LowPassed
 
 
-def build(options: Options) -> Method:
+def build(options: Options) -> Program:
     """Return the compass method.
 
     Args:
@@ -135,11 +134,10 @@ def build(options: Options) -> Method:
             integral_e=state.integral_e, integral_n=state.integral_n, rate_u=state.rate_u
         )
 
-    return Method(
+    return Program(
         init=init,
         step=step,
         attitude=lambda state: state.nav.q,
-        covariance=lambda state: unknown_covariance(state.rate_u),
         normalise=_normalise,
         floor=_bias_floor,
         passes=Passes(reverse=_reverse, rewind=rewind),

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import triangle_index
-from sinsjax.methods.base import AttitudeCovariance
+from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U
 from sinsjax.types import Quat, Scalar, Vec3
 

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from sinsjax.columns import Column
-from sinsjax.methods.description import CheckedStudy, Implementation, OwnColumn
-from sinsjax.methods.filters.section import WHITE_NOISE, level_surge, sensor_noise_density
-from sinsjax.methods.parameters import Columns
-from sinsjax.methods.without_start import describe_without_start
+from sinsjax.methods.filters.keys import ACCEL_NOISE, GYRO_NOISE, level_surge
+from sinsjax.methods.gravity_fit.fit import FitParams
+from sinsjax.methods.gravity_fit.method import build
+from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
+from sinsjax.methods.method import Method, OwnColumn, StudyKeys
 from sinsjax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, PPM
 from sinsjax.value_types import (
     AccelNoise,
@@ -23,6 +24,7 @@ from sinsjax.value_types import (
     KeyInfo,
     NonNegative,
     Section,
+    keys_of,
 )
 
 LONGEST_BLOCK_S = 2.0
@@ -79,16 +81,15 @@ _DEFAULTS = {
 """Keys of [sensors] and [motion] that a belief follows if it is left out."""
 
 _NOISE = {
-    "fit_gyro_arw_deg_per_sqrt_h": "q_gyro_deg_per_h",
-    "fit_accel_vrw_ug_per_sqrt_hz": "q_accel_ug",
+    "fit_gyro_arw_deg_per_sqrt_h": GYRO_NOISE.density,
+    "fit_accel_vrw_ug_per_sqrt_hz": ACCEL_NOISE.density,
 }
 """Keys of Q whose white noise a density follows if it is left out."""
 
 
-def parameters(columns: Columns, site: Any, ug: float) -> Any:
+def params(columns: StudyKeys, xp: Any) -> FitParams:
     """Return `fit.FitParams`, leaves (variants,)."""
-    from sinsjax.methods.gravity_fit.fit import FitParams
-    from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
+    site, ug = columns.site, columns.micro_g
 
     def given_or(key: str, unit: float, default: Callable[[], Any]) -> NDArray:
         given = columns.column(key, unit)
@@ -102,10 +103,9 @@ def parameters(columns: Columns, site: Any, ug: float) -> Any:
         )
 
     def noise(key: str, unit: float, default_unit: float) -> NDArray:
-        q_key = _NOISE[key]
-        white = partial(sensor_noise_density, q_key, columns.rate_hz)
+        white = partial(_NOISE[key], columns.rate_hz)
         return given_or(
-            key, unit, lambda: columns.compute(white, *WHITE_NOISE[q_key][:2]) * default_unit
+            key, unit, lambda: columns.compute(white, *keys_of(_NOISE[key])) * default_unit
         )
 
     def drift(rms: str, time: str, walk: str, unit: float) -> tuple[Any, ...]:
@@ -156,12 +156,6 @@ _GYRO_DRIFTS = (
     "gyro_rrw_deg_per_h_per_sqrt_h",
 )
 _ACCEL_DRIFTS = ("accel_instability_ug", "accel_instability_time_s", "accel_rrw_ug_per_sqrt_h")
-
-
-def _load() -> Implementation:
-    from sinsjax.methods.gravity_fit.method import build
-
-    return Implementation(build, parameters)
 
 
 def _gyro_bias(axis: int) -> Callable[[Any, float], NDArray]:
@@ -233,7 +227,7 @@ COLUMNS = (
 )
 
 
-def _check_record_interval(study: CheckedStudy) -> None:
+def _check_record_interval(study: StudyKeys) -> None:
     """Refuse record intervals beyond the length of a block."""
     for point in study.combinations("method"):
         if point["method"] == "gravity_fit" and study.record_interval_s > LONGEST_BLOCK_S:
@@ -241,10 +235,10 @@ def _check_record_interval(study: CheckedStudy) -> None:
             study.refuse("record_interval_s", text)
 
 
-def _check_beliefs(study: CheckedStudy) -> None:
+def _check_beliefs(study: StudyKeys) -> None:
     """Require what a record cannot say of its sensors, and white noise of simulated ones."""
     biases = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug") if study.is_recorded else ()
-    white = [key for q_key in _NOISE.values() for key in WHITE_NOISE[q_key][:2]]
+    white = [key for density in _NOISE.values() for key in keys_of(density)]
     sensors = () if study.is_recorded else white
     for point in study.combinations("method", *biases, *_NOISE, *sensors):
         if point["method"] != "gravity_fit":
@@ -252,28 +246,27 @@ def _check_beliefs(study: CheckedStudy) -> None:
         for key in biases:
             if point[key] is None:
                 study.refuse(key, "required with a record (from the sensors' data sheet)")
-        for key, q_key in _NOISE.items():
+        for key, density in _NOISE.items():
             noise = point[key]
             if noise is None and study.is_recorded:
                 study.refuse(key, "required with a record (from the sensors' data sheet)")
             if noise is None:
-                given = (point[name] for name in WHITE_NOISE[q_key][:2])
-                noise = sensor_noise_density(q_key, study.rate_hz, *given)
+                noise = density(study.rate_hz, *(point[name] for name in keys_of(density)))
             if not noise:
                 text = "must be above 0: gravity_fit weights its data by the noise"
                 study.refuse(key, f"{text} (give it, or white noise in [sensors])")
 
 
-GRAVITY_FIT = describe_without_start(
+GRAVITY_FIT = Method(
     name="gravity_fit",
     summary="least squares of the turn of gravity with the sensor biases as unknowns: for a base"
     " that is turned",
     source="`methods.gravity_fit.fit`",
     sections={"gravity_fit": GravityFitSection},
-    load=_load,
-    has_floor=False,
+    build=build,
+    params=params,
+    needs_start=False,
     turning="any",
-    stores_blocks=True,
     rules=(_check_record_interval, _check_beliefs),
     columns=COLUMNS,
     step_s=10e-9,

@@ -41,7 +41,6 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, cross, scale
-from sinsjax.methods.base import AttitudeCovariance
 from sinsjax.methods.gravity_fit.noise import (
     NoiseModel,
     SensorNoise,
@@ -50,6 +49,7 @@ from sinsjax.methods.gravity_fit.noise import (
     predict,
     times,
 )
+from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Quat, Scalar, Vec3
 

@@ -13,18 +13,15 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, dot, scale, select_tree
-from sinsjax.methods.base import (
+from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, solve
+from sinsjax.methods.method import (
     UNKNOWN_ANGLE,
     AttitudeCovariance,
     BlockFit,
-    Method,
     Options,
-    RunEnd,
+    Program,
     Site,
 )
-from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
-from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, solve
-from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 BLOCK_S = 1.0
@@ -69,7 +66,7 @@ class Fitted(NamedTuple):
     carried: Quat
 
 
-def build(options: Options) -> Method:
+def build(options: Options) -> Program:
     """Return the method; its params are `FitParams`."""
     record_s = options.record_every * options.dt
     records = max(1, round(BLOCK_S / record_s)) if record_s else 1
@@ -146,13 +143,13 @@ def build(options: Options) -> Method:
         """Return C_{n0}^n."""
         return rotations.exp(scale(-state.count * options.dt, state.earth))
 
-    return Method(
+    return Program(
         init=init,
         step=step,
         attitude=attitude,
         covariance=covariance,
         normalise=_normalise,
-        floor=_no_floor,
+        floor=None,
         results=lambda site, state: state.solution,
         block_fit=BlockFit(
             store,
@@ -175,8 +172,3 @@ def _fit_counts(most: int) -> list[int]:
     while (count := GROWTH * count) < most:
         counts.append(round(count))
     return counts
-
-
-def _no_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
-    """Return no floor, since the biases are unknowns of the fit."""
-    return bias_floor(place, jax.tree.map(jnp.zeros_like, biases))

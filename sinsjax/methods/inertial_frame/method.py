@@ -19,13 +19,6 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, scale, select_tree
-from sinsjax.methods.base import (
-    Method,
-    Options,
-    RunEnd,
-    Site,
-    unknown_covariance,
-)
 from sinsjax.methods.coarse import triad_attitude
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.methods.inertial_frame.least_squares import (
@@ -37,6 +30,12 @@ from sinsjax.methods.inertial_frame.least_squares import (
     fit_velocities,
     no_positions,
     no_velocities,
+)
+from sinsjax.methods.method import (
+    Options,
+    Program,
+    RunEnd,
+    Site,
 )
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
@@ -70,7 +69,7 @@ class InertialState(NamedTuple):
     count: Scalar
 
 
-def _build_from_sums(options: Options, start: Any, add_sample: Any, fit: Any) -> Method:
+def _build_from_sums(options: Options, start: Any, add_sample: Any, fit: Any) -> Program:
     """Return the method of one kind of sums.
 
     Args:
@@ -103,11 +102,10 @@ def _build_from_sums(options: Options, start: Any, add_sample: Any, fit: Any) ->
         q = rotations.multiply(frames.earth, q)
         return select_tree(state.count > 0, q, state.nav.q)
 
-    return Method(
+    return Program(
         init=init,
         step=step,
         attitude=attitude,
-        covariance=lambda state: unknown_covariance(state.nav.ve),
         normalise=_normalise,
         floor=_bias_floor,
     )
@@ -123,7 +121,7 @@ def _bias_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> B
     return bias_floor(place, biases)
 
 
-def build_optimisation(options: Options) -> Method:
+def build_optimisation(options: Options) -> Program:
     """Return the method of the rotation from all alpha closest to beta (Davenport's q-method).
 
     Wu et al., Aerosp. Sci. Technol. 15 (2011), and Wu and Pan, IEEE TAES 49 (2013): the
@@ -132,7 +130,7 @@ def build_optimisation(options: Options) -> Method:
     return _build_from_sums(options, no_velocities, add_velocity, fit_velocities)
 
 
-def build_optimisation_position(options: Options) -> Method:
+def build_optimisation_position(options: Options) -> Program:
     """Return the same for positions, sums of velocities, from an unknown initial velocity.
 
     On a base that surges only a fraction of the error is left: see `least_squares`.
@@ -177,7 +175,7 @@ class ForceSums(NamedTuple):
     expected: tuple[Vec3, ...]
 
 
-def build_inertial(options: Options) -> Method:
+def build_inertial(options: Options) -> Program:
     """Return the method of `coarse.align_inertially`: weighted mean and slope of the force."""
     return _build_from_sums(options, _no_forces, _add_force, _fit_mean_and_slope)
 

@@ -4,9 +4,8 @@ from typing import Any
 
 from pydantic import Field
 
-from sinsjax.methods.description import Implementation
-from sinsjax.methods.parameters import Columns
-from sinsjax.methods.without_start import describe_without_start
+from sinsjax.methods.level.method import build
+from sinsjax.methods.method import Method, StudyKeys
 from sinsjax.value_types import AccelSigma, Section
 
 
@@ -18,25 +17,20 @@ class LevelSection(Section):
     )
 
 
-def parameters(columns: Columns, site: Any, ug: float) -> Any:
+def params(keys: StudyKeys, xp: Any) -> Any:
     """Return the tilt by the assumed accelerometer bias, (variants,), rad."""
-    return columns.column("level_accel_bias_ug", ug) / site.place.gravity
+    return keys.column("level_accel_bias_ug", keys.micro_g) / keys.site.place.gravity
 
 
-def _load() -> Implementation:
-    from sinsjax.methods.level.method import build
-
-    return Implementation(build, parameters)
-
-
-LEVEL = describe_without_start(
+LEVEL = Method(
     name="level",
     summary="pitch and roll from the mean specific force, for gyros that cannot find north; no"
     " heading",
     source="accelerometer levelling, Groves (2013) section 5.6.2",
     sections={"level": LevelSection},
-    load=_load,
-    has_floor=False,
+    build=build,
+    params=params,
+    needs_start=False,
     finds_heading=False,
     step_s=3e-9,
 )

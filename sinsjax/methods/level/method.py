@@ -19,15 +19,15 @@ import jax.numpy as jnp
 
 from sinsjax.maths.algebra import add, cross, dot, scale, select_tree
 from sinsjax.maths.rotations import from_euler, normalise
-from sinsjax.methods.base import (
+from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
+from sinsjax.methods.method import (
     UNKNOWN_ANGLE,
     AttitudeCovariance,
-    Method,
     Options,
+    Program,
     RunEnd,
     Site,
 )
-from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
@@ -53,7 +53,7 @@ class LevelState(NamedTuple):
     count: Scalar
 
 
-def build(options: Options) -> Method:
+def build(options: Options) -> Program:
     """Return the method, whose params are `LevelState.bias_tilt`."""
 
     def covariance(state: LevelState) -> AttitudeCovariance:
@@ -67,7 +67,7 @@ def build(options: Options) -> Method:
         level = jnp.where(state.count > 0, level, unknown)
         return AttitudeCovariance(level, zero, zero, level, zero, unknown)
 
-    return Method(
+    return Program(
         init=_init,
         step=_step,
         attitude=_attitude,

@@ -3,13 +3,20 @@
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+from pydantic import Field
 
 from sinsjax.maths.algebra import add, scale
-from sinsjax.maths.rotations import log, normalise
-from sinsjax.methods.base import Method, Options, unknown_covariance
+from sinsjax.maths.rotations import log
 from sinsjax.methods.coarse import triad_attitude
-from sinsjax.methods.floors import bias_floor
+from sinsjax.methods.method import Method, Options, Program, StudyKeys
 from sinsjax.types import Navigation, Sample, Vec3
+from sinsjax.value_types import Seconds, Section
+
+
+class AveragedSection(Section):
+    """[averaged]: memory of the averages."""
+
+    averaging_time_s: Seconds = Field(1e4, description="time constant of the averages, s")
 
 
 class _State(NamedTuple):
@@ -18,13 +25,13 @@ class _State(NamedTuple):
     turn: Vec3  # faded sum of the rotation vectors in b, rad
 
 
-def parameters(columns: Any, site: Any, ug: float) -> Any:
+def params(keys: StudyKeys, xp: Any) -> Any:
     """Return the share of the sums that is kept at each sample, (variants,)."""
-    return 1 - 1 / (1 + columns.column("averaging_time_s", columns.rate_hz))
+    return 1 - 1 / (1 + keys.column("averaging_time_s", keys.rate_hz))
 
 
-def build(options: Options) -> Method:
-    """Return the method, whose params are the share ``kept``."""
+def build(options: Options) -> Program:
+    """Return the functions of the method, whose params are the share ``kept``."""
 
     def step(kept: Any, site: Any, state: _State, sample: Sample, n: Any) -> _State:
         force = add(scale(kept, state.force), sample.dv)
@@ -32,11 +39,19 @@ def build(options: Options) -> Method:
         q = triad_attitude(jnp.array([force, turn]), jnp.array([[0.0, 0, 1], [0, 1, 0]]))
         return _State(state.nav._replace(q=q), force, turn)
 
-    return Method(
+    return Program(
         init=lambda kept, nav: _State(nav, *[Vec3(*[jnp.zeros_like(nav.ve)] * 3)] * 2),
         step=step,
         attitude=lambda state: state.nav.q,
-        covariance=lambda state: unknown_covariance(state.nav.ve),
-        normalise=lambda state: state._replace(nav=state.nav._replace(q=normalise(state.nav.q))),
-        floor=lambda kept, place, biases, end: bias_floor(place, biases),
     )
+
+
+AVERAGED = Method(
+    name="averaged",
+    summary="attitude of a base at rest from running averages of specific force and rate",
+    source="TRIAD; Britting (1971)",
+    build=build,
+    params=params,
+    sections={"averaged": AveragedSection},
+    needs_start=False,
+)

@@ -1,7 +1,7 @@
 """Runs of a program outside sinsjax: the starts that it is given, and its attitudes judged.
 
-The runs are those of a group with the method `methods.external`. Its attitudes take the place of
-the method's own, and pass through the same observation, metrics and criteria as those of any run.
+The runs are those of a group with a method of `build_external`. The attitudes take the place of
+its own, and pass through the same observation, metrics and criteria as those of any run.
 """
 
 from functools import partial
@@ -17,10 +17,35 @@ from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.run import Run, set_up
 from sinsjax.engine.samples import leaf_axes
 from sinsjax.maths.algebra import select_tree
-from sinsjax.maths.rotations import multiply
-from sinsjax.methods.base import AttitudeCovariance
-from sinsjax.methods.external.method import ExternalState
+from sinsjax.maths.rotations import multiply, normalise
+from sinsjax.methods.method import AttitudeCovariance, Options, Program, unknown_covariance
 from sinsjax.types import Array, Count, Quat
+
+
+class ExternalState(NamedTuple):
+    """The solution of a program.
+
+    Attributes:
+        attitude: from b to n.
+        covariance: of its misalignment; NaN if the program gives none.
+    """
+
+    attitude: Quat
+    covariance: AttitudeCovariance
+
+
+def build_external(options: Options) -> Program:
+    """Return a method that keeps its first attitude, until others are put into its state.
+
+    Runs are judged from the bias floor of a method that does not estimate the biases.
+    """
+    return Program(
+        init=lambda params, nav: ExternalState(nav.q, unknown_covariance(nav.ve)),
+        step=lambda params, site, state, sample, n: state,
+        attitude=lambda state: state.attitude,
+        covariance=lambda state: state.covariance,
+        normalise=lambda state: state._replace(attitude=normalise(state.attitude)),
+    )
 
 
 class Start(NamedTuple):
@@ -73,7 +98,7 @@ def judge(group: Group, given: GivenAttitudes) -> Outcome:
     """Return the outcomes of all runs of a group, by draw and variant.
 
     Args:
-        group: of the method `methods.external`.
+        group: of the program's method.
         given: attitudes of draws * variants runs.
     """
     outcome = _judge(group.static, group.environment, _tile(group), given)

@@ -17,10 +17,9 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, add, cross, dot, scale
-from sinsjax.methods import kalman
-from sinsjax.methods.base import Method, Options, Site
-from sinsjax.methods.filters import attitude
-from sinsjax.methods.filters.closed_loop import (
+from sinsjax.methods.filters import kalman
+from sinsjax.methods.filters.keys import filter_method
+from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
     FilterState,
@@ -29,19 +28,21 @@ from sinsjax.methods.filters.closed_loop import (
     mechanise_function,
     reverse_time,
     subtract_fed_back,
-    update_with_velocity,
 )
-from sinsjax.methods.schedules import reset_covariance
+from sinsjax.methods.filters.params import HEADING, LEVEL, VELOCITY, filter_params
+from sinsjax.methods.method import Options, Program, Site
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.error_model import MODELS, PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
+from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
 from sinsjax.types import Navigation, Sample, Scalar, Vec3
 
 _TERMS = 20  # of a series in th^2, whose rest is below rounding for th = 2 pi
 
-STATES = MODELS["kalman5"].states
+STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, HEADING)
+REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0)
+"""Sign of each state under time reversal."""
 
 
-def build(options: Options) -> Method:
+def build(options: Options) -> Program:
     """Return the method; `Options.specific_force` is always that of a base at rest."""
     return closed_loop(build_filter(options), options)
 
@@ -67,17 +68,12 @@ def build_filter(options: Options) -> Filter:
         return state._replace(nav=nav, belief=belief, extra=up)
 
     return Filter(
-        init=init,
         propagate=propagate,
-        update=update_with_velocity,
         feed_back=_feed_back,
-        reset=partial(reset_covariance, heading=(PHI_U,)),
         reverse=_reverse,
-        place=options.place,
         at_rest=lambda state, here: transition(state.nav, here),
-        misalignment=attitude.estimated_misalignment,
-        attitude=attitude.corrected_attitude,
-        covariance=attitude.misalignment_covariance,
+        heading=(PHI_U,),
+        init=init,
         shares_covariance=options.position == "fixed",
     )
 
@@ -123,5 +119,14 @@ def apply_left_jacobian(phi: Vec3, v: Vec3) -> Vec3:
 
 
 def _reverse(state: FilterState) -> FilterState:
-    reversed_ = reverse_time(MODELS["kalman5"].reversal, state)
-    return reversed_._replace(extra=-state.extra)
+    return reverse_time(REVERSAL, state)._replace(extra=-state.extra)
+
+
+INVARIANT = filter_method(
+    name="invariant",
+    summary="right-invariant Kalman filter of a base at rest, fed back by the group",
+    source="Barrau and Bonnabel (2017)",
+    build=build,
+    params=partial(filter_params, STATES),
+    step_s=15e-9,
+)

@@ -19,43 +19,44 @@ same numbers would differ from it by t_E t_N / 2 about the vertical: 3.5 deg of 
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, Triangle, congruence, triangle_index
 from sinsjax.maths.rotations import sin_cos
-from sinsjax.methods.base import AttitudeCovariance, Method, Options, Site
 from sinsjax.methods.filters.attitude import (
     estimated_misalignment,
     misalignment_covariance,
     rotate_covariance,
     rotation_from_tilt,
 )
-from sinsjax.methods.filters.closed_loop import (
+from sinsjax.methods.filters.kalman import Belief
+from sinsjax.methods.filters.keys import filter_method
+from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
     FilterState,
     closed_loop,
-    initial_state,
     mechanise_function,
     reverse_time,
     subtract_fed_back,
-    update_with_velocity,
 )
-from sinsjax.methods.kalman import Belief
-from sinsjax.methods.schedules import reset_covariance
+from sinsjax.methods.filters.params import HEADING, LEVEL, VELOCITY, filter_params
+from sinsjax.methods.method import AttitudeCovariance, Options, Program, Site, StudyKeys
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Quat, Sample, Scalar, Vec3
 
-STATES = ("dve", "dvn", "tilt_e", "tilt_n", "heading")
+STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, HEADING)
 VE, VN, TILT_E, TILT_N, AZIMUTH = range(5)
 REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0)
 """Sign of each state under time reversal."""
 
 Errors = tuple[Scalar, ...]
-"""Values of the `STATES`: m/s and rad."""
+"""Velocity errors (m/s), tilt and azimuth (rad)."""
 
 
 def predict_errors(x: Errors, place: Place, dt: Scalar) -> Errors:
@@ -97,6 +98,9 @@ def jacobian(x: Errors, place: Place, dt: Scalar) -> Entries:
         (AZIMUTH, AZIMUTH): Minus(0.5 * (x[TILT_E] * by_north + x[TILT_N] * by_east)),
     }
 
+
+ALPHA = 0.5
+"""Spread of the sigma points: alpha sqrt(5) standard deviations."""
 
 BETA = 2.0
 """Weight of the central point, for a normal distribution (Wan and van der Merwe 2000)."""
@@ -153,7 +157,7 @@ Prediction = Callable[[Belief, Place, Scalar, Scalar], Belief]
 """(belief, place, dt, alpha) -> belief one sample later, before the process noise is added."""
 
 
-def build(predict: Prediction, options: Options) -> Method:
+def build(predict: Prediction, options: Options) -> Program:
     """Return the method; `Options.specific_force` is always that of a base at rest.
 
     Args:
@@ -175,15 +179,11 @@ def build_filter(predict: Prediction, options: Options) -> Filter:
         return state._replace(nav=nav, belief=belief)
 
     return Filter(
-        init=initial_state,
         propagate=propagate,
-        update=update_with_velocity,
         feed_back=_feed_back,
-        reset=partial(reset_covariance, heading=(AZIMUTH,)),
         reverse=partial(reverse_time, REVERSAL),
-        place=options.place,
         at_rest=lambda state, here: jacobian(state.belief.x, here, dt),
-        misalignment=estimated_misalignment,
+        heading=(AZIMUTH,),
         attitude=_attitude,
         covariance=_covariance,
     )
@@ -214,3 +214,27 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
     return rotate_covariance(
         misalignment_covariance(state), *rotations.sin_cos(state.belief.x[AZIMUTH])
     )
+
+
+def params(keys: StudyKeys, xp: Any) -> FilterParams:
+    """Return the params of these filters, leaves (variants,)."""
+    return filter_params(STATES, keys, xp)._replace(extra=np.full(keys.count, ALPHA))
+
+
+EKF_AZIMUTH = filter_method(
+    name="ekf_azimuth",
+    summary="extended Kalman filter, its model nonlinear in the azimuth",
+    source="after Yan, Strapdown Inertial Navigation, eq. (4-23)",
+    build=partial(build, predict_linearised),
+    params=params,
+    step_s=25e-9,
+)
+
+UNSCENTED = filter_method(
+    name="unscented",
+    summary="the same model with an unscented transform",
+    source="Julier (2002); Wan and van der Merwe (2000)",
+    build=partial(build, predict_unscented),
+    params=params,
+    step_s=60e-9,
+)

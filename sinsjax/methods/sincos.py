@@ -12,36 +12,27 @@ with t_E = u_N and t_N = -u_E. The velocity is fed back, and the tilt as the sho
 to z; s and k stay in the filter. They start from an unknown heading: sin a and cos a have mean zero
 and variance 1/2 each. The deviation of sqrt(s^2 + cos^2 a) from 1 is the north gyro drift in units
 of w_N. After Dmitriyev, Stepanov and Shepel (1997) and Rogers (1997).
-
-On a base that surges a zero-velocity filter takes the base's own velocity for white measurement
-noise. The velocity of a base that stays near its place is not white: it changes over seconds, and
-cancels over minutes. Four more states of method `kalman_surge` model it, on either axis
-
-    s' = v,    v' = -s/T^2 - v/T + w,    V = dV + v,
-
-with a place s that wanders within bounds, correlation time T and rms velocity sigma: w has density
-2 sigma^2/T, s starts with variance (sigma T)^2. The measured V is that of the solution, whose error
-is dV alone; only dV and the tilt are fed back. With T and sigma of the base, Q of the sensors and a
-small R, the heading comes within a few percent of the information bound (`bounds.information`),
-and P is true.
 """
 
-import math
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
 
+from sinsjax.columns import Column
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, triangle_index
-from sinsjax.methods import kalman
-from sinsjax.methods.base import AttitudeCovariance, Method, Options, Site
+from sinsjax.methods.filters import kalman
 from sinsjax.methods.filters.attitude import (
     rotate_covariance,
     rotation_from_tilt,
     shortest_rotation,
 )
-from sinsjax.methods.filters.closed_loop import (
+from sinsjax.methods.filters.keys import BIAS_KEYS, FILTER_COLUMNS, filter_method
+from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
     FilterState,
@@ -49,24 +40,28 @@ from sinsjax.methods.filters.closed_loop import (
     initial_state,
     mechanise_function,
     reverse_time,
-    update_with_velocity,
 )
-from sinsjax.methods.kalman import Innovation
-from sinsjax.methods.schedules import reset_covariance
+from sinsjax.methods.filters.params import DIRECTION, LEVEL, VELOCITY, filter_params
+from sinsjax.methods.method import (
+    UNKNOWN_ANGLE,
+    AttitudeCovariance,
+    Options,
+    OwnColumn,
+    Program,
+    Site,
+)
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.units import DEG_PER_H
 
-STATES = ("dve", "dvn", "tilt_e", "tilt_n", "heading_sine", "heading_versine")
+STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, DIRECTION, DIRECTION)
 VE, VN, TILT_E, TILT_N, SINE, VERSINE = range(6)
 REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0, 1.0)
 """Sign of each state under time reversal."""
 
 LEAST_AMPLITUDE = 0.05
 """sqrt(s^2 + cos^2 a) below which the heading is still unknown and keeps its initial value."""
-
-UNKNOWN_VARIANCE = math.pi**2 / 3
-"""Variance of a heading anywhere on the circle, rad^2."""
 
 
 class Direction(NamedTuple):
@@ -85,7 +80,7 @@ class Direction(NamedTuple):
     amplitude: Scalar
 
 
-def build(options: Options) -> Method:
+def build(options: Options) -> Program:
     """Return method `kalman_sincos`; `Options.specific_force` is always that of a base at rest."""
     return closed_loop(build_filter(options), options)
 
@@ -101,14 +96,12 @@ def build_filter(options: Options) -> Filter:
         return state._replace(nav=nav, belief=kalman.propagate(state.belief, transition(here, dt)))
 
     return Filter(
-        init=init_unknown_heading,
         propagate=propagate,
-        update=update_with_velocity,
         feed_back=_feed_back,
-        reset=partial(reset_covariance, heading=(SINE, VERSINE)),
         reverse=partial(reverse_time, REVERSAL),
-        place=options.place,
         at_rest=lambda state, here: transition(here, dt),
+        heading=(SINE, VERSINE),
+        init=init_unknown_heading,
         misalignment=_misalignment,
         attitude=_attitude,
         covariance=_covariance,
@@ -211,7 +204,7 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
         VERSINE, VERSINE
     )
     heading = heading + 2 * by_sine * by_versine * entry(SINE, VERSINE)
-    is_known = d.known & (heading < UNKNOWN_VARIANCE)
+    is_known = d.known & (heading < UNKNOWN_ANGLE)
     tilt_e, tilt_n = (
         jnp.where(is_known, by_sine * entry(i, SINE) + by_versine * entry(i, VERSINE), 0.0)
         for i in (TILT_E, TILT_N)
@@ -222,7 +215,7 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
         eu=tilt_e,
         nn=entry(TILT_N, TILT_N),
         nu=tilt_n,
-        uu=jnp.where(is_known, heading, UNKNOWN_VARIANCE),
+        uu=jnp.where(is_known, heading, UNKNOWN_ANGLE),
     )
     return rotate_covariance(tilt_covariance, d.sine, d.cosine)
 
@@ -245,71 +238,34 @@ def _north_drift(site: Site, state: FilterState) -> NorthDrift:
     return NorthDrift(*(jnp.where(d.known, number, jnp.nan) for number in (value, sigma)))
 
 
-PLACE_E, PLACE_N, SURGE_E, SURGE_N = range(6, 10)
-SURGE_REVERSAL = (*REVERSAL, 1.0, 1.0, -1.0, -1.0)
-
-_TO_MEASURED: Entries = {(VE, SURGE_E): 1.0, (VN, SURGE_N): 1.0}
-_FROM_MEASURED: Entries = {(VE, SURGE_E): Minus(1.0), (VN, SURGE_N): Minus(1.0)}
-"""From dV to the measured V, and back."""
+def _drift_deg_per_h(field: str, results: Any, rate_hz: float) -> NDArray:
+    return np.asarray(getattr(results.extra, field)) / DEG_PER_H
 
 
-class SurgeParams(NamedTuple):
-    """`FilterParams.extra`, which is `FilterState.extra` too.
-
-    Attributes:
-        rate: 1/T of the surge, 1/s.
-    """
-
-    rate: Scalar
-
-
-def build_surge(options: Options) -> Method:
-    """Return method `kalman_surge`; `Options.specific_force` is always that of a base at rest."""
-    return closed_loop(build_surge_filter(options), options)
-
-
-def build_surge_filter(options: Options) -> Filter:
-    """Return its filter; arguments as of `build_surge`."""
-    dt, mechanise = options.dt, mechanise_function(options)
-
-    def init(params: FilterParams, nav: Navigation) -> FilterState:
-        return init_unknown_heading(params, nav)._replace(extra=params.extra)
-
-    def propagate(
-        params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> FilterState:
-        nav, _, here = mechanise(site, state.nav, sample)
-        entries = surge_transition(here, state.extra, dt)
-        return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries))
-
-    return build_filter(options)._replace(
-        init=init,
-        propagate=propagate,
-        update=_update_with_surge,
-        reverse=partial(reverse_time, SURGE_REVERSAL),
-        at_rest=lambda state, here: surge_transition(here, state.extra, dt),
+NORTH_DRIFT = tuple(
+    OwnColumn(
+        Column(f"gyro_north_drift{suffix}_deg_per_h", pa.float64(), "deg/h", meaning),
+        partial(_drift_deg_per_h, field),
     )
+    for suffix, field, meaning in (
+        ("", "value", "north gyro drift by the estimated sine and cosine of the azimuth"),
+        ("_sigma", "sigma", "the filter's sigma of it"),
+    )
+)
+"""Result columns of these filters."""
 
+describe = partial(
+    filter_method,
+    without_effect=(*BIAS_KEYS, "p0_yaw_deg", "reset_yaw_deg"),
+    columns=(*FILTER_COLUMNS, *NORTH_DRIFT),
+)
+"""Return the `Method` of a filter with these states."""
 
-def surge_transition(place: Place, surge: SurgeParams, dt: Scalar) -> Entries:
-    """Return the non-zero entries of A dt with the states of the surge, see the module."""
-    damping = surge.rate * dt
-    restoring = surge.rate * damping
-    return {
-        **transition(place, dt),
-        (PLACE_E, SURGE_E): dt,
-        (PLACE_N, SURGE_N): dt,
-        (SURGE_E, PLACE_E): Minus(restoring),
-        (SURGE_N, PLACE_N): Minus(restoring),
-        (SURGE_E, SURGE_E): Minus(damping),
-        (SURGE_N, SURGE_N): Minus(damping),
-    }
-
-
-def _update_with_surge(params: Any, state: Any) -> tuple[Any, Innovation]:
-    """Update with the velocity of the solution, which should be that of the base."""
-    measured = state.nav.ve, state.nav.vn
-    predicted = kalman.propagate(state.belief, _TO_MEASURED)
-    innovation = kalman.innovation(predicted, (VE, VN), measured, params.r)
-    updated = kalman.update(predicted, (VE, VN), measured, params.r)
-    return state._replace(belief=kalman.propagate(updated, _FROM_MEASURED)), innovation
+SINCOS = describe(
+    name="kalman_sincos",
+    summary="Kalman filter with sine and cosine of the azimuth, linear from any heading",
+    source="Dmitriyev, Stepanov and Shepel (1997), Rogers (1997)",
+    build=build,
+    params=partial(filter_params, STATES),
+    step_s=15e-9,
+)

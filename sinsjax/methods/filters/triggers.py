@@ -1,21 +1,37 @@
 """Triggers: small pure objects that watch a filter as it runs and call for resets of P.
 
 A trigger has a memory, which is cleared by every reset, and computes a score after each update; P
-is reset when the score exceeds the threshold. `config.TRIGGERS` lists them.
+is reset when the score exceeds the threshold. `TRIGGERS` lists them.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
-from sinsjax.maths.algebra import Entries, Triangle, select_tree
-from sinsjax.methods.base import AttitudeCovariance, TriggerCounts
-from sinsjax.methods.kalman import Belief
+from sinsjax.maths.algebra import Entries, Triangle, add, select_tree
+from sinsjax.methods.filters import kalman
+from sinsjax.methods.filters.kalman import Belief, normalised_innovation_squared
+from sinsjax.methods.method import AttitudeCovariance
+from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Scalar, Vec3
+from sinsjax.units import DEG
 
-Pair = tuple[Scalar, Scalar]
-"""Components east and north."""
+
+class TriggerCounts(NamedTuple):
+    """Resets by a trigger in a run.
+
+    Attributes:
+        count: number of resets.
+        first: sample of the first of them, 0 for none.
+        last: sample of the last of them, 0 for none.
+    """
+
+    count: Scalar
+    first: Scalar
+    last: Scalar
 
 
 class TriggerParams(NamedTuple):
@@ -49,7 +65,7 @@ class FilterSnapshot(NamedTuple):
     """The filter after the update of a sample, as a trigger sees it.
 
     Attributes:
-        innovation: measured minus predicted velocity, m/s.
+        innovation: measured minus predicted velocity east and north, m/s.
         variance: upper triangle of its believed covariance S (ee, en, nn), (m/s)^2.
         belief: after the update.
         correction: of the attitude since the last reset or direction reversal: fed back, and
@@ -59,7 +75,7 @@ class FilterSnapshot(NamedTuple):
         at_rest: transition of a base at rest, with specific force (0, 0, g).
     """
 
-    innovation: Pair
+    innovation: tuple[Scalar, Scalar]
     variance: tuple[Scalar, Scalar, Scalar]
     belief: Belief
     correction: Vec3
@@ -88,13 +104,15 @@ class TriggerState(NamedTuple):
 
 
 class Trigger(NamedTuple):
-    """The functions of a trigger.
+    """A trigger.
 
     Attributes:
+        summary: condition of its resets, in half a line.
         start: (params, P) -> memory at the start and after a reset that leaves P.
         score: (params, noise, memory, snapshot) -> memory and score.
     """
 
+    summary: str
     start: Callable[[TriggerParams, Triangle], Any]
     score: Callable[[TriggerParams, AssumedNoise, Any, FilterSnapshot], tuple[Any, Scalar]]
 
@@ -168,12 +186,7 @@ def update_after_closing(
     """
     trigger_state = state.trigger_state
     cleared = trigger.start(params.trigger, state.belief.p)
-    fed_back = Vec3(
-        *(
-            jnp.where(reset, 0.0, a + b)
-            for a, b in zip(trigger_state.fed_back, correction, strict=True)
-        )
-    )
+    fed_back = Vec3(*(jnp.where(reset, 0.0, a) for a in add(trigger_state.fed_back, correction)))
     trigger_state = trigger_state._replace(
         memory=select_tree(reset, cleared, trigger_state.memory),
         fed_back=fed_back,
@@ -202,3 +215,96 @@ def begin_pass(trigger: Trigger, params: Any, state: Any, *, misalignment: Vec3)
         pending=pending,
     )
     return state._replace(trigger_state=trigger_state)
+
+
+# The scores
+
+
+class _Block(NamedTuple):
+    """Sums over a window that begins anew when it is full."""
+
+    count: Scalar
+    sums: tuple[Scalar, ...]
+
+
+def _start_block(trigger_params: TriggerParams, p: Triangle) -> _Block:
+    zero = jnp.zeros_like(trigger_params.threshold)
+    return _Block(zero, (zero,) * 5)
+
+
+def _score_innovation(
+    trigger_params: TriggerParams, noise: AssumedNoise, block: _Block, snapshot: FilterSnapshot
+) -> Any:
+    """Return (sum r)' (sum S)^-1 (sum r) over a window, chi-square with 2 degrees of freedom."""
+    again = block.count >= trigger_params.window  # a full window begins anew
+    terms = *snapshot.innovation, *snapshot.variance
+    sums = tuple(jnp.where(again, 0.0, s) + t for s, t in zip(block.sums, terms, strict=True))
+    count = jnp.where(again, 0.0, block.count) + 1
+    e, n, *s = sums
+    score = normalised_innovation_squared((e, n), s)
+    return _Block(count, sums), jnp.where(count >= trigger_params.window, score, 0.0)
+
+
+_SMALL_LEVEL, _SMALL_HEADING = 0.1 * DEG, 4 * DEG
+"""Errors of the linearisation point that do no harm, rad."""
+
+
+def _score_linearisation(
+    trigger_params: TriggerParams, noise: AssumedNoise, p: Triangle, snapshot: FilterSnapshot
+) -> Any:
+    """Return how far the knowledge of heading in P exceeds that of an honest linear model.
+
+    While the level is wrong, the horizontal specific force enters A(t), and heading seems to show
+    in velocity. The honest covariance P* of a base at rest (f = (0, 0, g)) does without. Three
+    shares of variance make up the score, the root of 1 and their sum:
+
+    * P*_UU / P_UU - 1: knowledge of heading without basis; as far as the level was
+      corrected since the last reset, in full from 0.1 deg: where it was not, the base moves, and
+      heading does show;
+    * P*_UU (phi_E^2 / P*_EE + phi_N^2 / P*_NN) / 4: the expected jump when the level phi that is
+      not yet fed back (in units of 2 sigma) is, as the specific force changes; likewise from
+      0.1 deg;
+    * (d - sin d)^2 / (P_UU + (4 deg)^2): what a heading correction d since the last reset left
+      out, since the tilt that reveals heading goes with sin d; up to 30 deg it is little.
+    """
+    zeros = tuple(jnp.zeros_like(v) for v in snapshot.belief.x)
+    honest = kalman.predict(Belief(zeros, p), snapshot.at_rest, noise.q)
+    honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), noise.r)
+    p_star = snapshot.covariance(honest._replace(x=snapshot.belief.x))
+    believed = snapshot.covariance(snapshot.belief).uu
+    done, left = snapshot.correction, snapshot.not_fed_back
+    known = _weight_of_level(done.x, done.y) * (p_star.uu / believed - 1)
+    jump = _weight_of_level(left.x, left.y)
+    jump = jump * p_star.uu * (left.x**2 / p_star.ee + left.y**2 / p_star.nn) / 4
+    left_out = (done.z - _sine(done.z)) ** 2 / (believed + _SMALL_HEADING**2)
+    return honest.p, jnp.sqrt(1 + known + jump + left_out)
+
+
+def _sine(angle: Scalar) -> Scalar:
+    """Return the sine to some 1e-15 by arithmetic alone: XLA:CPU calls the library lane by lane.
+
+    Args:
+        angle: rad, of no more than some turns, which it is reduced by.
+    """
+    within = angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))
+    folded = within - 2 * (within - jnp.clip(within, -np.pi / 2, np.pi / 2))
+    square, series = folded * folded, 0.0
+    for n in range(19, 0, -2):
+        series = series * square + (-1) ** (n // 2) / math.factorial(n)
+    return series * folded
+
+
+def _weight_of_level(east: Scalar, north: Scalar) -> Scalar:
+    """Return the weight of a level angle: its square over `_SMALL_LEVEL` squared, at most 1."""
+    return jnp.minimum(1.0, (east**2 + north**2) / _SMALL_LEVEL**2)
+
+
+TRIGGERS = {
+    "innovation": Trigger(
+        "innovations summed over a window, normalised", _start_block, _score_innovation
+    ),
+    "linearisation": Trigger(
+        "P_UU below what a linear model can know", lambda params, p: p, _score_linearisation
+    ),
+}
+"""All triggers by name; ``[resets] reset_trigger`` names one."""

@@ -1,4 +1,4 @@
-"""A Kalman filter in closed loop: from the stages of a `Filter` to its `Method`.
+"""A Kalman filter in closed loop: from the stages of a `Filter` to its `Program`.
 
 The order within a sample is that of [P1]: mechanise and propagate, add the process noise, update
 with the measured velocity; then, if they are due, feed the estimate back and reset P. Schedules of
@@ -11,22 +11,23 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Triangle, add, change_signs, select_tree
-from sinsjax.methods import floors, kalman
-from sinsjax.methods.base import (
+from sinsjax.methods.filters import kalman, triggers
+from sinsjax.methods.filters.attitude import (
+    corrected_attitude,
+    estimated_misalignment,
+    misalignment_covariance,
+)
+from sinsjax.methods.filters.kalman import Belief, Innovation
+from sinsjax.methods.filters.triggers import TRIGGERS, Trigger, TriggerCounts
+from sinsjax.methods.method import (
     AttitudeCovariance,
     Feedback,
-    FilterResults,
-    InnovationSum,
-    Method,
     Options,
     Passes,
-    RunEnd,
+    Program,
     Site,
 )
-from sinsjax.methods.floors import BiasFloor, MeanBiases
-from sinsjax.methods.kalman import Belief, Innovation
 from sinsjax.methods.schedules import (
     CovarianceReset,
     Due,
@@ -36,16 +37,35 @@ from sinsjax.methods.schedules import (
     interpolate,
     next_due,
     next_feedback,
+    reset_covariance,
     reset_due,
     reset_if_due,
 )
-from sinsjax.methods.triggers import trigger as triggers
-from sinsjax.methods.triggers.config import TRIGGERS
-from sinsjax.methods.triggers.trigger import Trigger
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
+
+
+class InnovationSum(NamedTuple):
+    """Sum and number of the normalised innovations squared r' S^-1 r of a run."""
+
+    sum: Scalar
+    count: Scalar
+
+
+class FilterResults(NamedTuple):
+    """Basis of a filter's own result columns.
+
+    Attributes:
+        trigger_counts: resets by its trigger; None without one.
+        innovations: sum of its innovations; None if they are not summed.
+        extra: basis of the columns of this filter alone; None if the filter has none.
+    """
+
+    trigger_counts: TriggerCounts | None
+    innovations: InnovationSum | None
+    extra: Any = None
 
 
 class FilterParams(NamedTuple):
@@ -59,7 +79,7 @@ class FilterParams(NamedTuple):
         resets: when and how P is reset.
         reset_to: variances that a full reset sets, SI squared.
         reversal: effect of a direction reversal on P.
-        trigger: `triggers.trigger.TriggerParams`; None without a trigger.
+        trigger: `triggers.TriggerParams`; None without a trigger.
         extra: numbers of this filter alone; None if the filter has none.
     """
 
@@ -82,7 +102,7 @@ class FilterState(NamedTuple):
         belief: estimated errors of ``nav`` and of the sensors, with covariance.
         bias: sensor biases fed back so far, one per bias state, SI.
         feedback_at: sample of the next feedback.
-        trigger_state: `triggers.trigger.TriggerState`; None without a trigger.
+        trigger_state: `triggers.TriggerState`; None without a trigger.
         innovations: their sum so far; None if they are not summed.
         extra: state of this filter alone; None if the filter has none.
     """
@@ -94,237 +114,6 @@ class FilterState(NamedTuple):
     trigger_state: Any = None
     innovations: InnovationSum | None = None
     extra: Any = None
-
-
-class Filter(NamedTuple):
-    """The stages of a filter that measures the velocity of a base that does not travel.
-
-    Its params have the fields of `FilterParams`, its state those of `FilterState`; both may have
-    more. Its first two states are the velocity errors.
-
-    Attributes:
-        init: (params, navigation) -> state.
-        propagate: (params, site, state, sample) -> state at the end of the sample, mechanised, with
-            the belief propagated but the process noise not yet added.
-        update: (params, state) -> state after the update with the velocity, and the `Innovation`.
-        feed_back: (state, share) -> state with that share of its estimate moved into the
-            navigation solution, and the correction of its attitude, rad.
-        reset: (covariance reset, P, variances) -> P.
-        reverse: state -> state with which the record is read in the other direction.
-        place: (site, navigation) -> Earth there.
-        at_rest: (state, place) -> transition of a base at rest, with specific force (0, 0, g).
-        misalignment: state -> estimated misalignment that is not fed back yet, rad.
-        attitude: state -> best attitude.
-        covariance: state -> covariance of that attitude.
-        extra_results: (site, state) -> `FilterResults.extra`; None if the filter has none.
-        shares_covariance: see `Method.shares_covariance`.
-        keep: (first state of a record, state at its end) -> the first with all that is no error of
-            the navigation solution; None if the filter keeps nothing.
-        gyro_bias: see `Passes.gyro_bias`.
-    """
-
-    init: Callable[[Any, Navigation], Any]
-    propagate: Callable[[Any, Site, Any, Sample], Any]
-    update: Callable[[Any, Any], tuple[Any, Innovation]]
-    feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]]
-    reset: Callable[[CovarianceReset, Triangle, tuple[Scalar, ...]], Triangle]
-    reverse: Callable[[Any], Any]
-    place: Callable[[Site, Navigation], Place]
-    at_rest: Callable[[Any, Place], Entries]
-    misalignment: Callable[[Any], Vec3]
-    attitude: Callable[[Any], Quat]
-    covariance: Callable[[Any], AttitudeCovariance]
-    extra_results: Callable[[Site, Any], Any] | None = None
-    shares_covariance: bool = False
-    keep: Callable[[Any, Any], Any] | None = None
-    gyro_bias: Callable[[Any], Vec3] | None = None
-
-
-def closed_loop(filter_: Filter, options: Options) -> Method:
-    """Return the method of a filter that feeds back and resets P on schedule or by a trigger."""
-    if options.innovations:
-        filter_ = sum_innovations(filter_)
-    trigger = None if options.trigger == "none" else TRIGGERS[options.trigger].trigger
-    loop = _ClosedLoop(filter_, trigger)
-    return Method(
-        init=loop.init,
-        step=loop.step,
-        attitude=filter_.attitude,
-        covariance=filter_.covariance,
-        normalise=_normalise,
-        floor=_bias_floor,
-        results=loop.results,
-        shares_covariance=filter_.shares_covariance and trigger is None,
-        feedback=Feedback(
-            close=loop.close,
-            next_event=_next_event,
-            triggered=None if trigger is None else _fired,
-        ),
-        passes=Passes(
-            reverse=loop.reverse,
-            rewind=loop.rewind,
-            begin_after=_begin_after,
-            gyro_bias=filter_.gyro_bias,
-        ),
-    )
-
-
-class _ClosedLoop(NamedTuple):
-    """A filter in closed loop, and the trigger that resets it in addition to the schedule."""
-
-    filter: Filter
-    trigger: Trigger | None
-
-    def init(self, params: Any, nav: Navigation) -> Any:
-        state = self.filter.init(params, nav)
-        if self.trigger is None:
-            return state
-        started = triggers.start(self.trigger, params.trigger, state.belief.p)
-        return state._replace(trigger_state=started)
-
-    def step(self, params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
-        before = state
-        state = self.filter.propagate(params, site, state, sample)
-        state, innovation = self.filter.update(params, add_process_noise(params, state))
-        if self.trigger is not None:
-            state = self._update_trigger(params, site, before, state, innovation, n)
-        return state
-
-    def close(self, params: Any, state: Any, n: Scalar) -> Any:
-        due = due_on_schedule(params, state, n)
-        if self.trigger is not None:
-            due = due._replace(reset=due.reset | _fired(state, n))
-        closed, correction = self._feed_back_and_reset(params, state, due, n)
-        if self.trigger is not None:
-            closed = triggers.update_after_closing(
-                self.trigger, params, closed, reset=due.reset, correction=correction, n=n
-            )
-        return _where_due(due, closed, state)
-
-    def reverse(self, params: Any, site: Site, state: Any) -> Any:
-        # x stays even if P is reset: its part of the attitude is the filter's best either way.
-        state = self.filter.reverse(state)
-        p = self.filter.reset(params.reversal, state.belief.p, params.p0)
-        return self._begin_pass(params, state._replace(belief=state.belief._replace(p=p)))
-
-    def rewind(self, params: Any, nav: Navigation, state: Any) -> Any:
-        # All knowledge of the solution's errors is in the solution; P is that of a start.
-        first = self.filter.init(params, nav)
-        kept = first if self.filter.keep is None else self.filter.keep(first, state)
-        kept = kept._replace(
-            feedback_at=state.feedback_at,
-            innovations=state.innovations,
-            trigger_state=state.trigger_state,
-        )
-        return self._begin_pass(params, kept)
-
-    def results(self, site: Site, state: Any) -> FilterResults:
-        extra = self.filter.extra_results
-        return FilterResults(
-            None if self.trigger is None else state.trigger_state.trigger_counts,
-            state.innovations,
-            None if extra is None else extra(site, state),
-        )
-
-    def _feed_back_and_reset(
-        self, params: Any, state: Any, due: Due, n: Scalar
-    ) -> tuple[Any, Vec3]:
-        """Feed back, all of the estimate before a reset, and reset; also the correction, rad."""
-        share = interpolate(due.reset, 1.0, jnp.where(due.feedback, params.feedback.gain, 0.0))
-        corrected, correction = self.filter.feed_back(state, share)
-        covariance_reset = reset_if_due(due.reset, params.resets.covariance_reset)
-        p = self.filter.reset(covariance_reset, state.belief.p, params.reset_to)
-        feedback_at = next_feedback(params.feedback, state.feedback_at, due, n)
-        belief = corrected.belief._replace(p=p)
-        return corrected._replace(belief=belief, feedback_at=feedback_at), correction
-
-    def _update_trigger(
-        self, params: Any, site: Site, before: Any, state: Any, innovation: Innovation, n: Scalar
-    ) -> Any:
-        """Return the state with the sample taken into account by the trigger."""
-        assert self.trigger is not None
-        not_fed_back = self.filter.misalignment(state)
-        snapshot = triggers.FilterSnapshot(
-            innovation=innovation.value,
-            variance=innovation.variance,
-            belief=state.belief,
-            correction=add(state.trigger_state.fed_back, not_fed_back),
-            not_fed_back=not_fed_back,
-            covariance=lambda belief: self.filter.covariance(state._replace(belief=belief)),
-            at_rest=self.filter.at_rest(before, self.filter.place(site, before.nav)),
-        )
-        return triggers.update_trigger(self.trigger, params, state, snapshot, n)
-
-    def _begin_pass(self, params: Any, state: Any) -> Any:
-        """Return the first state of a pass, with the trigger's memory of the last one cleared."""
-        if self.trigger is None:
-            return state
-        return triggers.begin_pass(
-            self.trigger, params, state, misalignment=self.filter.misalignment(state)
-        )
-
-
-def sum_innovations(filter_: Filter) -> Filter:
-    """Return the filter that also sums its normalised innovations."""
-
-    def init(params: Any, nav: Navigation) -> Any:
-        zero = jnp.zeros_like(params.r)
-        return filter_.init(params, nav)._replace(innovations=InnovationSum(zero, zero))
-
-    def update(params: Any, state: Any) -> tuple[Any, Innovation]:
-        updated, innovation = filter_.update(params, state)
-        total, count = state.innovations
-        total = total + kalman.normalised_innovation_squared(*innovation)
-        summed = InnovationSum(total, count + 1)
-        return updated._replace(innovations=summed), innovation
-
-    return filter_._replace(init=init, update=update)
-
-
-def add_process_noise(params: Any, state: Any) -> Any:
-    """Return the state with a sample's process noise added to P, Q of [P1] eq. (9)."""
-    return state._replace(belief=kalman.add_noise(state.belief, params.q))
-
-
-def due_on_schedule(params: Any, state: Any, n: Scalar) -> Due:
-    """Return the feedback and reset that the schedules put after the n-th sample."""
-    return Due(n >= state.feedback_at, reset_due(params.resets, n))
-
-
-def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
-    if isinstance(params.resets, Windows):
-        return None  # a share of a reset is due at every sample
-    return next_due(state.feedback_at, params.resets, n)
-
-
-def _fired(state: Any, n: Scalar) -> Flag:
-    return triggers.fired(state.trigger_state, n)
-
-
-def _where_due(due: Due, closed: Any, state: Any) -> Any:
-    """Return the closed state if anything is due, else the state unchanged to the bit."""
-    if not jnp.issubdtype(jnp.result_type(due.reset), bool):
-        return closed  # a share of a reset is due at every sample
-    # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
-    either = due.feedback | due.reset
-    return select_tree(either, closed, state)
-
-
-def _begin_after(state: Any, n: Scalar) -> Any:
-    state = state._replace(feedback_at=state.feedback_at + n)
-    if state.trigger_state is None:
-        return state
-    last_reset = state.trigger_state.last_reset + n
-    return state._replace(trigger_state=state.trigger_state._replace(last_reset=last_reset))
-
-
-def _normalise(state: Any) -> Any:
-    return state._replace(nav=state.nav._replace(q=rotations.normalise(state.nav.q)))
-
-
-def _bias_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
-    """Return the bias floor of a filter that does not distinguish biases from misalignment."""
-    return floors.bias_floor(place, biases)
 
 
 # Stages that filters share
@@ -374,3 +163,210 @@ def subtract_fed_back(belief: Belief, fed_back: Sequence[Scalar]) -> Belief:
     """Return the belief after the given part of its estimates has been fed back."""
     x = tuple(a - b for a, b in zip(belief.x, fed_back, strict=True))
     return belief._replace(x=x)
+
+
+# The loop
+
+
+class Filter(NamedTuple):
+    """The stages of a filter that measures the velocity of a base that does not travel.
+
+    Its params have the fields of `FilterParams`, its state those of `FilterState`; both may have
+    more. Its first two states are the velocity errors.
+
+    Attributes:
+        propagate: (params, site, state, sample) -> state at the end of the sample, mechanised, with
+            the belief propagated but the process noise not yet added.
+        feed_back: (state, share) -> state with that share of its estimate moved into the
+            navigation solution, and the correction of its attitude, rad.
+        reverse: state -> state with which the record is read in the other direction.
+        at_rest: (state, place) -> transition of a base at rest, with specific force (0, 0, g).
+        heading: numbers of the states of heading.
+        init: (params, navigation) -> state.
+        update: (params, state) -> state after the update with the velocity, and the `Innovation`.
+        misalignment: state -> estimated misalignment that is not fed back yet, rad.
+        attitude: state -> best attitude.
+        covariance: state -> covariance of that attitude.
+        extra_results: (site, state) -> `FilterResults.extra`; None if the filter has none.
+        shares_covariance: see `Program.shares_covariance`.
+        keep: (first state of a record, state at its end) -> the first with all that is no error of
+            the navigation solution; None if the filter keeps nothing.
+        gyro_bias: see `Passes.gyro_bias`.
+    """
+
+    propagate: Callable[[Any, Site, Any, Sample], Any]
+    feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]]
+    reverse: Callable[[Any], Any]
+    at_rest: Callable[[Any, Place], Entries]
+    heading: tuple[int, ...]
+    init: Callable[[Any, Navigation], Any] = initial_state
+    update: Callable[[Any, Any], tuple[Any, Innovation]] = update_with_velocity
+    misalignment: Callable[[Any], Vec3] = estimated_misalignment
+    attitude: Callable[[Any], Quat] = corrected_attitude
+    covariance: Callable[[Any], AttitudeCovariance] = misalignment_covariance
+    extra_results: Callable[[Site, Any], Any] | None = None
+    shares_covariance: bool = False
+    keep: Callable[[Any, Any], Any] | None = None
+    gyro_bias: Callable[[Any], Vec3] | None = None
+
+
+def closed_loop(filter_: Filter, options: Options) -> Program:
+    """Return the program of a filter that feeds back and resets P on schedule or by a trigger."""
+    trigger = None if options.trigger == "none" else TRIGGERS[options.trigger]
+    loop = _ClosedLoop(filter_, options, trigger)
+    return Program(
+        init=loop.init,
+        step=loop.step,
+        attitude=filter_.attitude,
+        covariance=filter_.covariance,
+        results=loop.results,
+        shares_covariance=filter_.shares_covariance and trigger is None,
+        feedback=Feedback(
+            close=loop.close,
+            next_event=_next_event,
+            triggered=None if trigger is None else _fired,
+        ),
+        passes=Passes(
+            reverse=loop.reverse,
+            rewind=loop.rewind,
+            begin_after=_begin_after,
+            gyro_bias=filter_.gyro_bias,
+        ),
+    )
+
+
+class _ClosedLoop(NamedTuple):
+    """A filter in closed loop, and the trigger that resets it in addition to the schedule."""
+
+    filter: Filter
+    options: Options
+    trigger: Trigger | None
+
+    def init(self, params: Any, nav: Navigation) -> Any:
+        state = self.filter.init(params, nav)
+        if self.options.innovations:
+            zero = jnp.zeros_like(params.r)
+            state = state._replace(innovations=InnovationSum(zero, zero))
+        if self.trigger is not None:
+            started = triggers.start(self.trigger, params.trigger, state.belief.p)
+            state = state._replace(trigger_state=started)
+        return state
+
+    def step(self, params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
+        before = state
+        state = self.filter.propagate(params, site, state, sample)
+        # The process noise of a sample, Q of [P1] eq. (9).
+        state = state._replace(belief=kalman.add_noise(state.belief, params.q))
+        state, innovation = self.filter.update(params, state)
+        if self.options.innovations:
+            total, count = state.innovations
+            total = total + kalman.normalised_innovation_squared(*innovation)
+            state = state._replace(innovations=InnovationSum(total, count + 1))
+        if self.trigger is not None:
+            state = self._update_trigger(params, site, before, state, innovation, n)
+        return state
+
+    def close(self, params: Any, state: Any, n: Scalar) -> Any:
+        due = Due(n >= state.feedback_at, reset_due(params.resets, n))
+        if self.trigger is not None:
+            due = due._replace(reset=due.reset | _fired(state, n))
+        closed, correction = self._feed_back_and_reset(params, state, due, n)
+        if self.trigger is not None:
+            closed = triggers.update_after_closing(
+                self.trigger, params, closed, reset=due.reset, correction=correction, n=n
+            )
+        return _where_due(due, closed, state)
+
+    def reverse(self, params: Any, site: Site, state: Any) -> Any:
+        # x stays even if P is reset: its part of the attitude is the filter's best either way.
+        state = self.filter.reverse(state)
+        p = self._reset(params.reversal, state.belief.p, params.p0)
+        return self._begin_pass(params, state._replace(belief=state.belief._replace(p=p)))
+
+    def rewind(self, params: Any, nav: Navigation, state: Any) -> Any:
+        # All knowledge of the solution's errors is in the solution; P is that of a start.
+        first = self.filter.init(params, nav)
+        kept = first if self.filter.keep is None else self.filter.keep(first, state)
+        kept = kept._replace(
+            feedback_at=state.feedback_at,
+            innovations=state.innovations,
+            trigger_state=state.trigger_state,
+        )
+        return self._begin_pass(params, kept)
+
+    def results(self, site: Site, state: Any) -> FilterResults:
+        extra = self.filter.extra_results
+        return FilterResults(
+            None if self.trigger is None else state.trigger_state.trigger_counts,
+            state.innovations,
+            None if extra is None else extra(site, state),
+        )
+
+    def _feed_back_and_reset(
+        self, params: Any, state: Any, due: Due, n: Scalar
+    ) -> tuple[Any, Vec3]:
+        """Feed back, all of the estimate before a reset, and reset; also the correction, rad."""
+        share = interpolate(due.reset, 1.0, jnp.where(due.feedback, params.feedback.gain, 0.0))
+        corrected, correction = self.filter.feed_back(state, share)
+        covariance_reset = reset_if_due(due.reset, params.resets.covariance_reset)
+        p = self._reset(covariance_reset, state.belief.p, params.reset_to)
+        feedback_at = next_feedback(params.feedback, state.feedback_at, due, n)
+        belief = corrected.belief._replace(p=p)
+        return corrected._replace(belief=belief, feedback_at=feedback_at), correction
+
+    def _reset(
+        self, covariance_reset: CovarianceReset, p: Triangle, to: tuple[Scalar, ...]
+    ) -> Triangle:
+        return reset_covariance(covariance_reset, p, to, heading=self.filter.heading)
+
+    def _update_trigger(
+        self, params: Any, site: Site, before: Any, state: Any, innovation: Innovation, n: Scalar
+    ) -> Any:
+        """Return the state with the sample taken into account by the trigger."""
+        assert self.trigger is not None
+        not_fed_back = self.filter.misalignment(state)
+        snapshot = triggers.FilterSnapshot(
+            innovation=innovation.value,
+            variance=innovation.variance,
+            belief=state.belief,
+            correction=add(state.trigger_state.fed_back, not_fed_back),
+            not_fed_back=not_fed_back,
+            covariance=lambda belief: self.filter.covariance(state._replace(belief=belief)),
+            at_rest=self.filter.at_rest(before, self.options.place(site, before.nav)),
+        )
+        return triggers.update_trigger(self.trigger, params, state, snapshot, n)
+
+    def _begin_pass(self, params: Any, state: Any) -> Any:
+        """Return the first state of a pass, with the trigger's memory of the last one cleared."""
+        if self.trigger is None:
+            return state
+        return triggers.begin_pass(
+            self.trigger, params, state, misalignment=self.filter.misalignment(state)
+        )
+
+
+def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
+    if isinstance(params.resets, Windows):
+        return None  # a share of a reset is due at every sample
+    return next_due(state.feedback_at, params.resets, n)
+
+
+def _fired(state: Any, n: Scalar) -> Flag:
+    return triggers.fired(state.trigger_state, n)
+
+
+def _where_due(due: Due, closed: Any, state: Any) -> Any:
+    """Return the closed state if anything is due, else the state unchanged to the bit."""
+    if not jnp.issubdtype(jnp.result_type(due.reset), bool):
+        return closed  # a share of a reset is due at every sample
+    # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
+    either = due.feedback | due.reset
+    return select_tree(either, closed, state)
+
+
+def _begin_after(state: Any, n: Scalar) -> Any:
+    state = state._replace(feedback_at=state.feedback_at + n)
+    if state.trigger_state is None:
+        return state
+    last_reset = state.trigger_state.last_reset + n
+    return state._replace(trigger_state=state.trigger_state._replace(last_reset=last_reset))

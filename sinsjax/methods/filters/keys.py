@@ -1,0 +1,638 @@
+"""The keys of filters that measure zero velocity: [filter] and [resets], their rules and columns.
+
+P0, Q and R; resets of P, by a schedule or a trigger. `params` makes numbers of them.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from pydantic import Field
+
+from sinsjax.columns import Column
+from sinsjax.methods.method import Method, OwnColumn, StudyKeys
+from sinsjax.types import Scalar
+from sinsjax.value_types import (
+    ROUNDING,
+    AccelNoise,
+    AccelSigma,
+    AngleSigma,
+    Band,
+    Count,
+    Factor,
+    GyroNoise,
+    GyroSigma,
+    GyroWalk,
+    HeadingSigma,
+    KeyCondition,
+    KeyInfo,
+    NonNegative,
+    Positive,
+    Seconds,
+    SecondsOrZero,
+    Section,
+    SpeedSigma,
+    Times,
+    keys_of,
+)
+
+_DEFAULT_R = 0.1
+"""r_velocity_m_per_s on a base without surge."""
+
+
+class FilterSection(Section):
+    """[filter]: covariance P0, process noise Q (required with a record), measurement noise R."""
+
+    p0_velocity_m_per_s: SpeedSigma = Field(
+        0.1, description="initial sigma of east and north velocity errors, m/s"
+    )
+    p0_level_deg: AngleSigma = Field(
+        15.0, description="initial sigma of level errors about east and north, deg"
+    )
+    p0_yaw_deg: HeadingSigma = Field(80.0, description="initial sigma of heading, deg")
+    p0_gyro_bias_deg_per_h: GyroSigma = Field(
+        0.1, description="initial sigma of each gyro's bias, deg/h"
+    )
+    p0_accel_bias_ug: AccelSigma = Field(
+        500.0, description="initial sigma of each level accelerometer's bias, ug"
+    )
+    q_accel_ug: AccelNoise | None = Field(
+        None,
+        description="process noise of velocity errors, ug; per sqrt(Hz) with q_reading = 'psd';"
+        " default: that of the accelerometers in [sensors]",
+    )
+    q_gyro_deg_per_h: GyroNoise | None = Field(
+        None,
+        description="process noise of misalignments, deg/h; per sqrt(Hz) with q_reading = 'psd';"
+        " default: that of the gyros in [sensors]",
+    )
+    q_accel_ug_per_sqrt_hz: Annotated[
+        AccelNoise | None, KeyInfo(alternative_to="q_accel_ug", factor=1.0)
+    ] = Field(
+        None,
+        description="process noise density of velocity errors, ug/sqrt(Hz); alternative to"
+        " q_accel_ug with q_reading = 'psd'",
+    )
+    q_gyro_deg_per_h_per_sqrt_hz: Annotated[
+        GyroNoise | None, KeyInfo(alternative_to="q_gyro_deg_per_h", factor=1.0)
+    ] = Field(
+        None,
+        description="process noise density of misalignments, deg/h/sqrt(Hz); alternative to"
+        " q_gyro_deg_per_h with q_reading = 'psd'",
+    )
+    q_gyro_arw_deg_per_sqrt_h: Annotated[
+        GyroWalk | None, KeyInfo(alternative_to="q_gyro_deg_per_h", factor=60.0)
+    ] = Field(
+        None,
+        description="angle random walk, deg/sqrt(h), a sixtieth of the number in"
+        " deg/h/sqrt(Hz); alternative to q_gyro_deg_per_h with q_reading = 'psd'",
+    )
+    q_reading: Literal["psd", "per_sample", "per_step"] | None = Field(
+        None,
+        description="units of the q_ keys, required with them. 'psd': data sheet densities."
+        " 'per_sample': sigma of one sample. 'per_step': sigma added per filter step, as"
+        " in paper 1; at 100 Hz a hundred times that of 'per_sample'",
+    )
+    r_velocity_m_per_s: Annotated[SpeedSigma | None, KeyInfo(same_as=_DEFAULT_R)] = Field(
+        None,
+        description="sigma r of the zero-velocity measurement, m/s; per sqrt(Hz) with r_reading ="
+        " 'psd'. If omitted, methods without [surge] add the surge density 2 s^2 T, s"
+        " the larger of surge_m_per_s east and north, T surge_time_s; default: 0.1",
+    )
+    r_reading: Literal["per_update", "psd"] = Field(
+        "per_update",
+        description="'per_update': the variance R of an update is r squared. 'psd': r squared /"
+        " sample time",
+    )
+    q_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
+        None, description="factor on the variance Q; default 1"
+    )
+    r_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
+        None, description="factor on the variance R; default 1"
+    )
+
+
+# Q and R
+
+
+def q_unit_factors(dt: float) -> dict[str, float]:
+    """Return the factor from a squared q_ key to Q of a step of dt s, per word of ``q_reading``."""
+    return {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
+
+
+def accel_noise_density(
+    rate_hz: float, accel_noise_ug: Any, accel_vrw_ug_per_sqrt_hz: Any
+) -> float | None:
+    """Return the density of the noisiest accelerometer's white noise, ug/sqrt(Hz).
+
+    None if the study gives no noise, or draws it.
+
+    Args:
+        rate_hz: samples per second.
+        accel_noise_ug: standard deviation of a sample, of all axes or each.
+        accel_vrw_ug_per_sqrt_hz: density, likewise.
+    """
+    return _noise_density(rate_hz, accel_noise_ug, accel_vrw_ug_per_sqrt_hz, 1.0)
+
+
+def gyro_noise_density(
+    rate_hz: float, gyro_noise_deg_per_h: Any, gyro_arw_deg_per_sqrt_h: Any
+) -> float | None:
+    """Return the density of the noisiest gyro's white noise, deg/h/sqrt(Hz); see above."""
+    return _noise_density(rate_hz, gyro_noise_deg_per_h, gyro_arw_deg_per_sqrt_h, 60.0)
+
+
+def _noise_density(rate_hz: float, per_sample: Any, density: Any, factor: float) -> float | None:
+    if density is not None:
+        return _noisiest_axis(density) * factor
+    return None if per_sample is None else _noisiest_axis(per_sample) / rate_hz**0.5
+
+
+def _noisiest_axis(noise: float | tuple[float, ...]) -> float:
+    return max(noise) if isinstance(noise, tuple) else noise
+
+
+class ProcessNoise(NamedTuple):
+    """A quantity of Q: the forms in which a study gives it, and the sensors whose noise it is.
+
+    Attributes:
+        key: of its first form.
+        sensors: their name in messages.
+        density: (samples per second, keys of [sensors]) -> density of their white noise, in the
+            unit of ``key`` under 'psd'; see `accel_noise_density`.
+    """
+
+    key: str
+    sensors: str
+    density: Callable[..., float | None]
+
+    @property
+    def forms(self) -> dict[str, float]:
+        """Its keys, with their factors to the unit of the first."""
+        return FilterSection.alternatives(self.key)
+
+
+ACCEL_NOISE = ProcessNoise("q_accel_ug", "accelerometers", accel_noise_density)
+GYRO_NOISE = ProcessNoise("q_gyro_deg_per_h", "gyros", gyro_noise_density)
+
+
+def level_surge(surge: Any) -> float:
+    """Return the larger rms velocity of the surge along east and north, m/s.
+
+    Args:
+        surge: value of surge_m_per_s, of all axes or along east, north, up; None for no surge.
+    """
+    axes = surge[:2] if isinstance(surge, tuple | list) else (surge or 0.0,)
+    return max(abs(float(value)) for value in axes)
+
+
+def surge_density(surge_m_per_s: Any, surge_time_s: float | None) -> float:
+    """Return the largest spectral density of the surge velocity, two-sided, m^2/s.
+
+    2 s^2 T: that of a first-order Gauss-Markov velocity at zero frequency, and of a 'third_order'
+    one at 1/(2 pi T) Hz. The latter falls to zero at both ends, since its position is bounded; a
+    bandwidth B raises it by a factor of 1 + b/(1 + b^2), b = 2 pi B T, which is left out.
+
+    Args:
+        surge_m_per_s: rms velocity s of all axes or along east, north, up; the larger one along
+            east and north counts. None for a base of unknown surge, which has 0.
+        surge_time_s: correlation time T; None as for ``surge_m_per_s``.
+    """
+    if surge_m_per_s is None or surge_time_s is None:
+        return 0.0
+    rms = level_surge(surge_m_per_s)
+    return 2 * rms * rms * surge_time_s
+
+
+def update_variance(
+    rate_hz: float,
+    r_velocity_m_per_s: Scalar | None,
+    r_reading: str,
+    r_scale: Scalar | None,
+    surge_m_per_s: Any = None,
+    surge_time_s: float | None = None,
+) -> Scalar:
+    """Return the variance R of an update, (m/s)^2.
+
+    Args:
+        rate_hz: samples per second.
+        r_velocity_m_per_s: None for the default, which follows the surge.
+        r_reading: as the key.
+        r_scale: None for 1.
+        surge_m_per_s: see `surge_density`.
+        surge_time_s: see `surge_density`.
+    """
+    dt = 1 / rate_hz
+    sigma = _DEFAULT_R if r_velocity_m_per_s is None else r_velocity_m_per_s
+    variance = sigma * sigma / (dt if r_reading == "psd" else 1.0)
+    if r_velocity_m_per_s is None:
+        variance += surge_density(surge_m_per_s, surge_time_s) / dt
+    return variance * (1.0 if r_scale is None else r_scale)
+
+
+# Resets
+
+
+def has_trigger(name: str | None) -> bool:
+    """Return whether a value of ``reset_trigger`` names a trigger."""
+    return name not in (None, "none")
+
+
+def _is_reset(times: Sequence[float] | None, count: int | None, trigger: str | None) -> bool:
+    return bool(times or count or has_trigger(trigger))
+
+
+def _needs_cycle(count: int | None, first_s: float | None) -> bool:
+    return (count or 0) > (0 if first_s is None else 1)
+
+
+_RESETS = ("reset_times_s", "reset_count", "reset_trigger")
+"""Keys that decide whether P is reset at all, in the order of `_is_reset`."""
+
+_TRIGGERED = (
+    "trigger_threshold",
+    "trigger_window_s",
+    "trigger_refractory_s",
+    "trigger_most",
+    "trigger_until_s",
+)
+
+
+class ResetsSection(Section):
+    """[resets]: resets of the covariance P."""
+
+    exclusive = tuple(
+        ("reset_times_s", key) for key in ("reset_count", "reset_cycle_s", "reset_first_s")
+    )
+    conditions = (
+        KeyCondition(_TRIGGERED, ("reset_trigger",), has_trigger),
+        KeyCondition(
+            ("heading_bound_deg", "settle_band_arcmin"), ("schedule",), lambda name: name == "law"
+        ),
+        KeyCondition(("reset_first_s",), ("reset_count",), bool),
+        KeyCondition(("reset_cycle_s",), ("reset_count", "reset_first_s"), _needs_cycle),
+        KeyCondition(("reset_kind", "reset_at_feedback"), _RESETS, _is_reset),
+        KeyCondition(
+            ("reset_restarts_feedback",),
+            ("reset_at_feedback", *_RESETS),
+            lambda at_feedback, *resets: not at_feedback and _is_reset(*resets),
+        ),
+        KeyCondition(
+            ("reset_scale",),
+            ("reset_kind", *_RESETS),
+            lambda kind, *resets: kind == "scale" and _is_reset(*resets),
+        ),
+        KeyCondition(
+            ("reset_yaw_deg",),
+            ("reset_kind", *_RESETS),
+            lambda kind, *resets: kind != "scale" and _is_reset(*resets),
+        ),
+        KeyCondition(
+            (
+                "reset_velocity_m_per_s",
+                "reset_level_deg",
+                "reset_gyro_bias_deg_per_h",
+                "reset_accel_bias_ug",
+            ),
+            ("reset_kind", *_RESETS),
+            lambda kind, *resets: kind == "full" and _is_reset(*resets),
+        ),
+    )
+
+    reset_trigger: Literal["none", "innovation", "linearisation"] | None = Field(
+        None,
+        description="score that triggers a reset above trigger_threshold, in addition to the"
+        " schedule, or 'none'. 'innovation': normalised squared sum of innovations in a"
+        " window. 'linearisation': heading knowledge in excess of a base at rest; default 'none'",
+    )
+    trigger_threshold: NonNegative | None = Field(
+        None,
+        description="score above which P is reset; required with a trigger",
+    )
+    trigger_window_s: Annotated[Seconds | None, KeyInfo(default=10.0, beside="reset_trigger")] = (
+        Field(None, description="window of 'innovation', s; default 10")
+    )
+    trigger_refractory_s: Annotated[
+        SecondsOrZero | None, KeyInfo(default=5.0, beside="reset_trigger", time="s")
+    ] = Field(
+        None, description="shortest time from start or any reset to a triggered reset, s; default 5"
+    )
+    trigger_most: Annotated[
+        Annotated[Count, Field(ge=1)] | None, KeyInfo(default=10, beside="reset_trigger")
+    ] = Field(None, description="most triggered resets per run; default 10")
+    trigger_until_s: Annotated[Seconds | None, KeyInfo(time="s")] = Field(
+        None, description="end of triggered resets, s; default: no limit"
+    )
+    schedule: Literal["times", "none", "law", "trigger"] = Field(
+        "times",
+        description="'times': reset_times_s or reset_count, and reset_trigger. 'none': no resets."
+        " 'law': from Q, R, P0, latitude, feedback, sensors and surge, see"
+        " the page reset_law. 'trigger': reset_trigger alone, by default 'linearisation'"
+        " with threshold 1.2",
+    )
+    heading_bound_deg: Annotated[Positive, Field(lt=180), KeyInfo(usual_range=(1, 180))] = Field(
+        150.0, description="largest initial heading error that 'law' settles, deg"
+    )
+    settle_band_arcmin: Band = Field(
+        10.0, description="heading error to which 'law' settles, arcmin"
+    )
+    reset_count: Annotated[Count | None, KeyInfo(default=0)] = Field(
+        None, description="number of scheduled resets; default 0"
+    )
+    reset_cycle_s: Seconds | None = Field(
+        None,
+        description="interval of reset_count resets, s; not needed for one at reset_first_s",
+    )
+    reset_first_s: Seconds | None = Field(
+        None, description="time of the first of reset_count resets, s; default: the cycle"
+    )
+    reset_times_s: Annotated[Times | None, KeyInfo(whole="sample", merged=True)] = Field(
+        None, description="times of scheduled resets, s; alternative to reset_count"
+    )
+    reset_at_feedback: bool = Field(
+        False, description="whether a reset waits for the next feedback"
+    )
+    reset_restarts_feedback: bool = Field(
+        False, description="whether a reset starts a feedback interval"
+    )
+    reset_kind: Literal["full", "yaw", "scale"] = Field(
+        "full",
+        description="'full': variances become the values below, covariances zero. 'yaw': the same"
+        " for heading only. 'scale': P is multiplied by reset_scale",
+    )
+    reset_scale: Factor = Field(10.0, description="factor on P with 'scale'")
+    reset_velocity_m_per_s: Annotated[SpeedSigma | None, KeyInfo(same_as="p0_velocity_m_per_s")] = (
+        Field(
+            None,
+            description="sigma of velocity errors after a reset, m/s; default: P0, at least 1"
+            " m/s with 'law'",
+        )
+    )
+    reset_level_deg: Annotated[AngleSigma | None, KeyInfo(same_as="p0_level_deg")] = Field(
+        None, description="sigma of level errors after a reset, deg; default: P0"
+    )
+    reset_yaw_deg: Annotated[HeadingSigma | None, KeyInfo(same_as="p0_yaw_deg")] = Field(
+        None, description="sigma of heading after a reset, deg; default: P0"
+    )
+    reset_gyro_bias_deg_per_h: Annotated[
+        GyroSigma | None, KeyInfo(same_as="p0_gyro_bias_deg_per_h")
+    ] = Field(None, description="sigma of each gyro's bias after a reset, deg/h; default: P0")
+    reset_accel_bias_ug: Annotated[AccelSigma | None, KeyInfo(same_as="p0_accel_bias_ug")] = Field(
+        None, description="sigma of each accelerometer's bias after a reset, ug; default: P0"
+    )
+
+
+def scheduled_reset_times(
+    reset_times_s: tuple[Scalar, ...] | None,
+    reset_count: int | None,
+    reset_cycle_s: Scalar | None,
+    reset_first_s: Scalar | None,
+) -> tuple[Scalar, ...]:
+    """Return the times of scheduled resets as the study gives or counts them, s."""
+    if reset_times_s is not None:
+        return tuple(reset_times_s)
+    numbers, cycle = range(reset_count or 0), 0.0 if reset_cycle_s is None else reset_cycle_s
+    if reset_first_s is None:
+        return tuple((i + 1) * cycle for i in numbers)
+    return tuple(reset_first_s + i * cycle for i in numbers)
+
+
+def acting_reset_times(
+    rate_hz: float,
+    reset_times_s: tuple[Scalar, ...] | None,
+    reset_count: int | None,
+    reset_cycle_s: Scalar | None,
+    reset_first_s: Scalar | None,
+    reset_at_feedback: bool,
+    feedback_interval_s: Scalar,
+) -> tuple[Scalar, ...]:
+    """Return the times at which scheduled resets act, s; two may wait for the same feedback."""
+    times = scheduled_reset_times(reset_times_s, reset_count, reset_cycle_s, reset_first_s)
+    if not reset_at_feedback:
+        return times
+    every = round(feedback_interval_s * rate_hz)
+    return tuple(-(-round(time * rate_hz) // every) * every / rate_hz for time in times)
+
+
+SCHEDULE_KEYS = keys_of(scheduled_reset_times)
+"""Keys of the times of scheduled resets."""
+
+RESET_KEYS = keys_of(acting_reset_times)
+"""Keys of the times at which resets act."""
+
+
+def any_trigger(study: StudyKeys) -> bool:
+    """Return whether some variant of a study has a trigger."""
+    points = study.combinations("reset_trigger") if study.has("resets") else ()
+    return any(has_trigger(point["reset_trigger"]) for point in points)
+
+
+def find_without_gradient(study: StudyKeys, *, smoothed: bool) -> str | None:
+    """Return the first setting of resets that has no gradient, as ``[section] key``; or None.
+
+    Args:
+        study: checked study.
+        smoothed: whether each reset is spread over a window.
+    """
+    if any_trigger(study):
+        return "[resets] reset_trigger"
+    if not smoothed or not study.has("resets"):
+        return None
+    if any(point["reset_kind"] == "scale" for point in study.combinations("reset_kind")):
+        return "[resets] reset_kind = 'scale'"
+    for key in ("reset_at_feedback", "reset_restarts_feedback"):
+        if any(point[key] for point in study.combinations(key)):
+            return f"[resets] {key}"
+    return None
+
+
+# Rules
+
+
+def check_trigger(study: StudyKeys) -> None:
+    """Refuse a trigger without a threshold, and keys of triggers without a trigger."""
+    if not study.has("resets"):
+        return
+    if not any_trigger(study):
+        for key in _TRIGGERED:
+            if study.place(key):
+                study.refuse(key, "requires a reset_trigger (give one, or drop this)")
+    for point in study.combinations("reset_trigger", "trigger_threshold"):
+        name, threshold = point["reset_trigger"], point["trigger_threshold"]
+        if has_trigger(name) and threshold is None:
+            study.refuse("trigger_threshold", f"required with reset_trigger = '{name}'")
+
+
+def check_resets(study: StudyKeys) -> None:
+    """Refuse resets after the end, at the start, or two at one sample."""
+    points = [*study.combinations(*RESET_KEYS, "schedule")] if study.has("resets") else []
+    names = sorted({point["schedule"] for point in points})
+    for key in SCHEDULE_KEYS if names and "times" not in names else ():
+        if any(point[key] for point in study.given_combinations(key)):
+            shown = " and ".join(map(repr, names))
+            study.refuse(key, f"has no effect with schedule = {shown} (drop one of the two)")
+    for point in points:
+        times, count, cycle, first = (point[key] for key in SCHEDULE_KEYS)
+        if times is not None:
+            _check_reset_times(
+                study, times, "schedule" if point["schedule"] == "law" else "reset_times_s"
+            )
+        elif count:
+            _check_counted_resets(study, count, cycle, first)
+        if point["reset_at_feedback"]:
+            _check_delayed_resets(study, [point[key] for key in RESET_KEYS])
+
+
+def _check_delayed_resets(study: StudyKeys, values: Sequence[Any]) -> None:
+    """Refuse a reset that waits for a feedback after the end."""
+    written = scheduled_reset_times(*values[: len(SCHEDULE_KEYS)])
+    for time, later in zip(written, acting_reset_times(study.rate_hz, *values), strict=True):
+        if later > study.run_s * (1 + ROUNDING):
+            text = f"delays the reset at {time:.12g} s to the feedback at {later:.12g} s"
+            study.refuse("reset_at_feedback", f"{text}, after the end of the run ({study.end})")
+
+
+def _check_reset_times(
+    study: StudyKeys, times: tuple[float, ...], key: str = "reset_times_s"
+) -> None:
+    """Refuse given reset times after the end, at the start, or two at one sample."""
+    rate = study.rate_hz
+    earlier, taken = 0.0, 0
+    for time in times:
+        if time > study.run_s * (1 + ROUNDING):
+            study.refuse(key, f"{time:.12g} s is after the end of the run ({study.end})")
+        sample = round(time * rate)
+        if sample == taken:
+            other = f"the reset at {earlier:.12g} s" if taken else "the start"
+            text = f"{time:.12g} s is at the sample of {other} (a sample is {1 / rate:.12g} s)"
+            study.refuse(key, text)
+        earlier, taken = time, sample
+
+
+def _check_counted_resets(
+    study: StudyKeys, count: int, cycle: float | None, first: float | None
+) -> None:
+    """Refuse counted resets after the end, at the start, or two at one sample."""
+    alone = 0 if first is None else 1  # resets that need no cycle
+    if cycle is None and count > alone:
+        study.refuse("reset_cycle_s", f"required with reset_count > {alone} (it is {count})")
+    if first is not None:
+        _check_reset_times(study, (first,), key="reset_first_s")
+    if cycle is None or count <= alone:
+        return
+    rate = study.rate_hz
+    begin, last = ("", count * cycle)
+    if first is not None:
+        begin, last = f" from {first:.12g} s", first + (count - 1) * cycle
+    if last > study.run_s * (1 + ROUNDING):
+        key = "reset_cycle_s" if study.place("reset_count") == "[resets]" else "reset_count"
+        text = f"{count} resets{begin} every {cycle:.12g} s take {last:.12g} s"
+        study.refuse(key, f"{text}, longer than the run ({study.end})")
+    if cycle * rate < 1 - ROUNDING:
+        text = f"{cycle:.12g} s is shorter than a sample of {1 / rate:.12g} s"
+        study.refuse("reset_cycle_s", text)
+    if first is not None and cycle * rate < 2:
+        # Halves are rounded to even: both 1.5 and 2.5 samples become 2.
+        times = scheduled_reset_times(None, count, cycle, first)
+        if len({round(time * rate) for time in times}) < count:
+            text = f"{first:.12g} s and a cycle of {cycle:.12g} s put two resets at one sample"
+            study.refuse("reset_first_s", f"{text} (a sample is {1 / rate:.12g} s)")
+
+
+# Columns, and what all filters have
+
+
+def _triggered_count(results: Any, rate_hz: float) -> NDArray:
+    counts = results.trigger_counts
+    return np.asarray(0.0 if counts is None else counts.count)
+
+
+def _triggered_s(which: str, results: Any, rate_hz: float) -> NDArray:
+    """Return the time of the first or the last reset by a trigger, s; NaN for none."""
+    counts = results.trigger_counts
+    sample = np.asarray(0.0 if counts is None else getattr(counts, which))
+    return np.where(sample > 0, sample / rate_hz, np.nan)
+
+
+def _is_recorded(study: StudyKeys) -> bool:
+    return study.is_recorded  # a simulation has the truth to be judged by
+
+
+FILTER_COLUMNS = (
+    OwnColumn(
+        Column("triggered_count", pa.int64(), "", "resets that the trigger called for"),
+        _triggered_count,
+        0.0,
+        any_trigger,
+    ),
+    *(
+        OwnColumn(
+            Column(f"triggered_{name}_s", pa.float64(), "s", meaning),
+            partial(_triggered_s, name),
+            applies_to=any_trigger,
+        )
+        for name, meaning in (
+            ("first", "time of the first of them; null for none"),
+            ("last", "time of the last of them; null for none"),
+        )
+    ),
+    OwnColumn(
+        Column(
+            "innovation_nis",
+            pa.float64(),
+            "",
+            "mean r' S^-1 r of the filter's velocity innovations r; null of methods without",
+        ),
+        lambda results, rate_hz: (
+            np.asarray(results.innovations.sum) / np.asarray(results.innovations.count)
+        ),
+        applies_to=_is_recorded,
+    ),
+    OwnColumn(
+        Column(
+            "innovation_freedom", pa.float64(), "", "degrees of freedom of their sum: 2 an update"
+        ),
+        lambda results, rate_hz: 2 * np.asarray(results.innovations.count),
+        applies_to=_is_recorded,
+    ),
+)
+"""Columns of triggers, and of innovations in a recorded study; an innovation_nis of 2 is expected
+of a consistent filter."""
+
+
+def last_triggered_sample(results: Any) -> NDArray | None:
+    """Return the sample of the last reset by a trigger, (runs,), 0 for none; None without one."""
+    counts = getattr(results, "trigger_counts", None)
+    return None if counts is None else np.asarray(counts.last)
+
+
+BIAS_KEYS = (
+    *("p0_gyro_bias_deg_per_h", "p0_accel_bias_ug"),
+    *("reset_gyro_bias_deg_per_h", "reset_accel_bias_ug"),
+)
+"""The keys of sensor bias states: without effect on a filter that has none."""
+
+LOOP_KEYS = (
+    *("feedback_interval_s", "feedback_time_constant_s"),
+    *("turn_covariance", "turn_inflation"),
+)
+"""The keys of [alignment] and [passes] that act on every filter."""
+
+filter_method = partial(
+    Method,
+    sections={"filter": FilterSection, "resets": ResetsSection},
+    reads=LOOP_KEYS,
+    without_effect=BIAS_KEYS,
+    turning="none",
+    rules=(check_trigger, check_resets),
+    columns=FILTER_COLUMNS,
+)
+"""Return the `Method` of a filter without sensor bias states; the arguments add the rest."""
+
+
+def estimates_biases(method: Method) -> bool:
+    """Return whether a filter has states of sensor biases."""
+    return not {*BIAS_KEYS} <= {*method.without_effect}

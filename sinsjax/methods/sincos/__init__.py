@@ -1,1 +1,0 @@
-"""Zero-velocity alignment with sine and cosine of the azimuth as states: from any heading."""

@@ -1,1 +1,0 @@
-"""Triggers: when a filter resets its own covariance."""

@@ -1,0 +1,165 @@
+"""Zero-velocity alignment with a linear error model and a standard Kalman filter, [P1].
+
+The filter measures the navigator's velocity, which should be zero, and feeds its estimate back
+into velocity and attitude (closed loop, [P1] section 2.3). `KALMAN5` has the states of [P1] eq.
+(1); `KALMAN10` adds constant biases of the level accelerometers and the gyros, in b:
+dV' += C_b^n nabla^b and phi' -= C_b^n eps^b.
+"""
+
+from functools import partial
+
+from sinsjax.maths import rotations
+from sinsjax.maths.algebra import Entries
+from sinsjax.methods.filters import kalman
+from sinsjax.methods.filters.keys import LOOP_KEYS, filter_method
+from sinsjax.methods.filters.loop import (
+    Filter,
+    FilterParams,
+    FilterState,
+    closed_loop,
+    initial_state,
+    mechanise_function,
+    reverse_time,
+    subtract_fed_back,
+)
+from sinsjax.methods.filters.params import (
+    ACCEL_BIAS,
+    GYRO_BIAS,
+    HEADING,
+    LEVEL,
+    VELOCITY,
+    filter_params,
+)
+from sinsjax.methods.method import Options, Program, Site
+from sinsjax.strapdown import earth, mechanisation
+from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
+from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+
+STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, HEADING)
+BIAS_STATES = (ACCEL_BIAS, ACCEL_BIAS, GYRO_BIAS, GYRO_BIAS, GYRO_BIAS)
+REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0)
+"""Sign of each state under time reversal."""
+BIAS_REVERSAL = (1.0, 1.0, -1.0, -1.0, -1.0)
+_FIRST_BIAS = PHI_U + 1
+NABLA_X, NABLA_Y, EPS_X, EPS_Y, EPS_Z = range(_FIRST_BIAS, _FIRST_BIAS + 5)
+
+
+def ten_state_transition(nav: Navigation, place: earth.Place, f_dt: Vec3, dt: Scalar) -> Entries:
+    """Return `five_state_transition` with the biases as states."""
+    c = rotations.matrix(nav.q)
+    entries = dict(five_state_transition(nav, place, f_dt, dt))
+    for row, (velocity, angle) in enumerate(((VE, PHI_E), (VN, PHI_N), (None, PHI_U))):
+        for axis, bias in enumerate((EPS_X, EPS_Y, EPS_Z)):
+            entries[angle, bias] = -dt * c[row][axis]
+        if velocity is not None:
+            for axis, bias in enumerate((NABLA_X, NABLA_Y)):
+                entries[velocity, bias] = dt * c[row][axis]
+    return entries
+
+
+def build(with_biases: bool, options: Options) -> Program:
+    """Return the program of `KALMAN5`, or with biases of `KALMAN10`."""
+    return closed_loop(build_filter(with_biases, options), options)
+
+
+def build_filter(with_biases: bool, options: Options) -> Filter:
+    """Return the filter of [P1]; arguments as of `build`."""
+    dt, mechanise = options.dt, mechanise_function(options)
+    assumes_rest = options.specific_force == "gravity"
+    transition = ten_state_transition if with_biases else five_state_transition
+    reversal = (*REVERSAL, *BIAS_REVERSAL) if with_biases else REVERSAL
+
+    def at_rest(state: FilterState, place: earth.Place) -> Entries:
+        gravity = Vec3(0.0, 0.0, place.gravity * dt)
+        return transition(state.nav._replace(ve=0.0, vn=0.0), place, gravity, dt)
+
+    def propagate(
+        params: FilterParams, site: Site, state: FilterState, sample: Sample
+    ) -> FilterState:
+        """Mechanise, then [P1] eqs (8) and (9) without Q."""
+        before = state.nav
+        if with_biases:
+            sample = _subtract_biases(sample, state.bias, dt)
+        nav, f_dt, here = mechanise(site, before, sample)
+        entries = at_rest(state, here) if assumes_rest else transition(before, here, f_dt, dt)
+        return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries))
+
+    def reverse(state: FilterState) -> FilterState:
+        biases = zip(reversal[_FIRST_BIAS:], state.bias, strict=True)
+        reversed_ = reverse_time(reversal, state)
+        return reversed_._replace(bias=tuple(sign * bias for sign, bias in biases))
+
+    return Filter(
+        propagate=propagate,
+        feed_back=_feed_back,
+        reverse=reverse,
+        at_rest=at_rest,
+        heading=(PHI_U,),
+        init=_init,
+        shares_covariance=assumes_rest and options.position == "fixed" and not with_biases,
+        keep=lambda first, last: first._replace(bias=_estimated_biases(last)),
+        gyro_bias=_gyro_bias if with_biases else None,
+    )
+
+
+def _init(params: FilterParams, nav: Navigation) -> FilterState:
+    state = initial_state(params, nav)
+    return state._replace(bias=state.belief.x[_FIRST_BIAS:])
+
+
+def _subtract_biases(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sample:
+    nabla_x, nabla_y, *eps = bias
+    # The bias rotates the body by about 1e-8 rad per sample: first order is exact to rounding. As
+    # in the model, its effect on dv is neglected: eps g dt / 2, 2.5 ng for 0.1 deg/h at 100 Hz.
+    turn = rotations.multiply(sample.turn, Quat(1.0, *(-0.5 * dt * e for e in eps)))
+    dv = sample.dv
+    return Sample(turn, Vec3(dv.x - nabla_x * dt, dv.y - nabla_y * dt, dv.z))
+
+
+def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
+    """[P1] section 2.3: V <- V - dV, C <- exp(phi x) C, and x loses the part fed back."""
+    fed_back = tuple(share * estimate for estimate in state.belief.x)
+    nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
+    phi = Vec3(fed_back[PHI_E], fed_back[PHI_N], fed_back[PHI_U])
+    biases = zip(state.bias, fed_back[_FIRST_BIAS:], strict=True)
+    corrected = state._replace(
+        nav=nav._replace(q=rotations.correct(phi, nav.q)),
+        belief=subtract_fed_back(state.belief, fed_back),
+        bias=tuple(bias + correction for bias, correction in biases),
+    )
+    return corrected, phi
+
+
+def _estimated_biases(state: FilterState) -> tuple[Scalar, ...]:
+    """Return the sensor biases as estimated: fed back, and not yet fed back."""
+    not_fed_back = state.belief.x[_FIRST_BIAS:]
+    return tuple(bias + x for bias, x in zip(state.bias, not_fed_back, strict=True))
+
+
+def _gyro_bias(state: FilterState) -> Vec3:
+    return Vec3(*_estimated_biases(state)[EPS_X - _FIRST_BIAS :])
+
+
+KALMAN5 = filter_method(
+    name="kalman5",
+    summary="Kalman filter of velocity and attitude errors, zero velocity measured",
+    source="[P1] eq. (1)",
+    build=partial(build, False),
+    params=partial(filter_params, STATES),
+    reads=(*LOOP_KEYS, "specific_force"),
+)
+
+KALMAN10 = filter_method(
+    name="kalman10",
+    summary="the same with states of gyro and level accelerometer biases",
+    source="[P1] eq. (1), biases as states",
+    build=partial(build, True),
+    params=partial(filter_params, (*STATES, *BIAS_STATES)),
+    reads=(*LOOP_KEYS, "specific_force"),
+    without_effect=(),
+    turning="any",
+    gyro_bias_keys=(
+        ("p0_gyro_bias_deg_per_h", "p0_yaw_deg"),
+        ("reset_gyro_bias_deg_per_h", "reset_yaw_deg"),
+    ),
+)

@@ -1,1 +1,0 @@
-"""Zero-velocity alignment with a Kalman filter, [P1]."""
