@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from sinsjax.methods.filters.triggers import TRIGGERS
-from sinsjax.methods.gravity_fit.config import REFITS
+from sinsjax.methods.gravity_fit.method import REFITS
 from sinsjax.methods.method import INITIAL_KEYS, Method
 from sinsjax.methods.registry import METHODS
 

@@ -19,7 +19,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import stopping
 from sinsjax.execution.source import Source
 from sinsjax.messages import format_count
-from sinsjax.methods.gravity_fit.config import REFITS
+from sinsjax.methods.gravity_fit.method import REFITS
 from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Table, Verdict
 from sinsjax.report.choices import (
     MIN_DRAWS_TO_SPLIT,

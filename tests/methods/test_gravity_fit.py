@@ -227,7 +227,7 @@ def test_linear_pass_is_dense_least_squares() -> None:
     rows = np.stack([Block.of_turn(Quat(*q), Vec3(*f), still).row() for q, f in pairs])
     sigma_b, sigma_a = 5e-6, 5e-3
     params = FitParams(SensorNoise(np.float64(gyro), np.float64(accel)), sigma_b, sigma_a)
-    solution, _ = solve(params, place, rows, np.asarray(count), length)
+    solution = solve(params, place, rows, np.asarray(count), length)
 
     j = np.arange(count) + 0.5
     t = j * length
@@ -276,7 +276,7 @@ def test_lever_arm_that_moves_at_first_sample_leaves_the_attitude() -> None:
     rows = np.stack([Block.of_turn(Quat(*q), Vec3(*f), Vec3(*w)).row() for q, f, w in triples])
     noise = SensorNoise(np.float64(6e-6), np.float64(5e-4))
     params = FitParams(noise, np.float64(1e-9), np.float64(1e-7), lever_arm=np.float64(3.0))
-    solution, _ = solve(params, place, rows, np.asarray(count), length)
+    solution = solve(params, place, rows, np.asarray(count), length)
     off = log(c[0].as_matrix() @ of_quaternion(np.array(solution.attitude)).T)
     assert np.abs(off[:2]).max() < 1e-7 and abs(off[2]) < 1e-4
     assert solution.misfit < 0.01
@@ -327,8 +327,8 @@ def test_large_gyro_bias_leaves_the_right_heading_or_a_doubt(
     noise = SensorNoise(np.float64(0.01 * DEG / 60), np.float64(5e-4))
     params = FitParams(noise, np.float64(prior * DEG / 3600), np.float64(5e-3))
     place = earth.place(earth.wgs84(), 45 * DEG)
-    solution, carried = solve(params, place, rows, np.asarray(len(rows)), 1.0)
-    found = of_quaternion(np.array(solution.attitude)) @ of_quaternion(np.array(carried))
+    solution = solve(params, place, rows, np.asarray(len(rows)), 1.0)
+    found = of_quaternion(np.array(solution.attitude)) @ of_quaternion(np.array(solution.carried))
     off = log(end.as_matrix() @ found.T)[2] / np.sqrt(float(solution.covariance.uu))
     limits = {"prior_ratio": 3.0, "misfit": 3.0, "change": 1.0}
     assert {name for name, limit in limits.items() if getattr(solution, name) > limit} == doubts

@@ -49,7 +49,7 @@ from sinsjax.methods.gravity_fit.noise import (
     predict,
     times,
 )
-from sinsjax.methods.method import AttitudeCovariance
+from sinsjax.methods.method import UNKNOWN_ANGLE, AttitudeCovariance
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Quat, Scalar, Vec3
 
@@ -69,7 +69,6 @@ _KNOWN = 1e-9
 """Standard deviation of |c| after the first pass."""
 _LEVEL_SIGMA = 1.0
 """Standard deviation of tilt and heading before the data, rad: none."""
-
 
 _AXES = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
 
@@ -94,6 +93,19 @@ class FitParams(NamedTuple):
     scale_factor: Scalar | None = None
     cross_axis: Scalar | None = None
     lever_arm: Scalar | None = None
+
+    def gyro(self) -> tuple[Vec3, ...]:
+        """Return 1 sigma of the triads of `Solution.gyro`."""
+        bias = Vec3(*(self.gyro_bias,) * 3)
+        if self.scale_factor is None:
+            return (bias,)
+        one, other = self.scale_factor, self.cross_axis
+        return bias, Vec3(one, other, other), Vec3(other, one, other), Vec3(other, other, one)
+
+    def others(self) -> tuple[Vec3, ...]:
+        """Return 1 sigma of the accelerometer biases and, if it is an unknown, of the lever arm."""
+        sigmas = (self.accel_bias, self.lever_arm)
+        return tuple(Vec3(*(sigma,) * 3) for sigma in sigmas if sigma is not None)
 
 
 class Block(NamedTuple):
@@ -161,9 +173,9 @@ class Solution(NamedTuple):
     Attributes:
         attitude: C_{b0}^{n0} that carries the body frame at the first sample to n at that time,
             such that the attitude at the fit is that of the last block.
+        carried: C_b^{b0} at the end of the last block, without the gyro errors.
         gyro: triads of gyro errors in b: the bias, rad/s; then, if they are unknowns, the columns
             of the matrix of scale factors and cross-axis errors.
-        accel_bias: m/s^2, in b.
         gyro_bias_variance: of each axis, (rad/s)^2.
         covariance: of the misalignment at the last block, in n0.
         misfit: root mean square of the whitened residuals, 1 if the noise is as believed.
@@ -172,13 +184,62 @@ class Solution(NamedTuple):
     """
 
     attitude: Quat
+    carried: Quat
     gyro: tuple[Vec3, ...]
-    accel_bias: Vec3
     gyro_bias_variance: Vec3
     covariance: AttitudeCovariance
     misfit: Scalar
     prior_ratio: Scalar
     change: Scalar
+
+    @classmethod
+    def before_data(cls, params: FitParams, zero: Scalar) -> "Solution":
+        """Return that before the first fit: no attitude, no errors."""
+        nothing, none = zero + jnp.nan, Vec3(zero, zero, zero)
+        unknown = (UNKNOWN_ANGLE * (i == k) + zero for i in range(3) for k in range(i, 3))
+        return cls(
+            attitude=Quat(*(nothing,) * 4),
+            carried=Quat(zero + 1, zero, zero, zero),
+            gyro=tuple(none for _ in params.gyro()),
+            gyro_bias_variance=Vec3(*(nothing,) * 3),
+            covariance=AttitudeCovariance(*unknown),
+            misfit=nothing,
+            prior_ratio=nothing,
+            change=nothing,
+        )
+
+
+def solve(
+    params: FitParams, place: Place, blocks: Array, count: Count, length_s: float
+) -> Solution:
+    """Fit attitude and biases to the blocks so far.
+
+    Args:
+        params: beliefs about the sensors.
+        place: Earth rates and gravity.
+        blocks: (most, `NUMBERS`), see `Block`.
+        count: number of blocks so far, at least 2.
+        length_s: length of a block, s.
+    """
+    first = Block.of_row(blocks[0]).dv
+    zero = jnp.zeros_like(first.x)
+    none = Vec3(zero, zero, zero)
+    solution = Solution.before_data(params, zero)
+    others = tuple(none for _ in params.others())
+    guess = _Guess(_level(first), (zero + 1, zero), solution.gyro, others)
+    noise = noise_model(params.noise, place.gravity, length_s)
+
+    def is_unfinished(carry: tuple[Count, _Guess, Solution]) -> Flag:
+        number, _, solution = carry
+        moves = (solution.change > _CONVERGED) & (solution.covariance.uu < _FOUND**2)
+        return (moves & (number < MOST_PASSES)) | (number < LEAST_PASSES)
+
+    def over_pass(carry: tuple[Count, _Guess, Solution]) -> tuple[Count, _Guess, Solution]:
+        number, guess, _ = carry
+        here = _Pass(place, noise, guess, jnp.where(number == 0, zero, zero + 1), length_s)
+        return number + 1, *here.run(params, blocks, count)
+
+    return jax.lax.while_loop(is_unfinished, over_pass, (jnp.asarray(0), guess, solution))[2]
 
 
 class _Guess(NamedTuple):
@@ -187,17 +248,33 @@ class _Guess(NamedTuple):
     Attributes:
         level: C_{b0}^l.
         heading: c of unit length, real and imaginary part.
-        gyro: triads by which the rotation of a block is wrong: bias, then columns of the matrix of
-            scale factors and cross-axis errors.
-        accel: accelerometer bias.
-        lever: lever arm in b; None if it is no unknown.
+        gyro: see `Solution`; by them the rotation of a block is wrong.
+        others: accelerometer bias and, if it is an unknown, lever arm, in b.
     """
 
     level: Quat
     heading: tuple[Scalar, Scalar]
     gyro: tuple[Vec3, ...]
-    accel: Vec3
-    lever: Vec3 | None = None
+    others: tuple[Vec3, ...]
+
+    def errors(self) -> Array:
+        """Return the errors of sensors and lever arm, the unknowns from `GYRO` on."""
+        return jnp.stack([value for triad in (*self.gyro, *self.others) for value in triad])
+
+    def changed(self, unknown: Array, is_known: Scalar) -> "_Guess":
+        """Return the guess with the changes that a pass finds; ``is_known`` as of `_Pass`."""
+        amplitude, heading, kx, ky = unknown[:GYRO]
+        real, imaginary = is_known + amplitude, heading
+        cos, sin = self.heading
+        cos, sin = cos * real - sin * imaginary, sin * real + cos * imaginary
+        norm = jnp.hypot(cos, sin)
+        triads = [
+            add(triad, Vec3(*unknown[GYRO + 3 * i : GYRO + 3 * i + 3]))
+            for i, triad in enumerate((*self.gyro, *self.others))
+        ]
+        level = rotations.multiply(rotations.exp(Vec3(-kx, -ky, 0.0 * kx)), self.level)
+        gyro, others = triads[: len(self.gyro)], triads[len(self.gyro) :]
+        return _Guess(level, (cos / norm, sin / norm), tuple(gyro), tuple(others))
 
 
 class _Sums(NamedTuple):
@@ -221,55 +298,8 @@ class _Sums(NamedTuple):
     normal: tuple[Array, ...]
 
 
-def solve(
-    params: FitParams, place: Place, blocks: Array, count: Count, length_s: float
-) -> tuple[Solution, Quat]:
-    """Fit attitude and biases to the blocks so far; also return C_b^{b0} at their end.
-
-    Args:
-        params: beliefs about the sensors.
-        place: Earth rates and gravity.
-        blocks: (most, `NUMBERS`), see `Block`.
-        count: number of blocks so far, at least 2.
-        length_s: length of a block, s.
-    """
-    first = Block.of_row(blocks[0]).dv
-    zero = jnp.zeros_like(first.x)
-    none = Vec3(zero, zero, zero)
-    triads = 1 if params.scale_factor is None else 4
-    lever = None if params.lever_arm is None else none
-    guess = _Guess(_level(first), (zero + 1, zero), (none,) * triads, none, lever)
-
-    def is_unfinished(carry: tuple[Count, _Guess, tuple[Solution, Quat]]) -> Flag:
-        number, _, (solution, _) = carry
-        moves = (solution.change > _CONVERGED) & (solution.covariance.uu < _FOUND**2)
-        return (moves & (number < MOST_PASSES)) | (number < LEAST_PASSES)
-
-    def over_pass(carry: tuple[Count, _Guess, Any]) -> tuple[Count, _Guess, Any]:
-        number, guess, _ = carry
-        found = _run_pass(params, place, blocks, count, length_s, guess, number == 0)
-        return (number + 1, *found)
-
-    covariance = AttitudeCovariance(*(zero,) * 6)
-    start = Solution(guess.level, guess.gyro, none, none, covariance, zero, zero, zero)
-    carry = jnp.asarray(0), guess, (start, guess.level)
-    return jax.lax.while_loop(is_unfinished, over_pass, carry)[2]
-
-
-class _Layout(NamedTuple):
-    """Places of the unknowns: |c|, heading and two tilts come first.
-
-    Attributes:
-        accel: place of the accelerometer biases, after the gyro errors.
-        end: number of unknowns; a lever arm comes last.
-    """
-
-    accel: int
-    end: int
-
-
 class _Pass(NamedTuple):
-    """All that the blocks of a pass share.
+    """A pass over the blocks.
 
     Attributes:
         place: Earth rates and gravity.
@@ -285,16 +315,62 @@ class _Pass(NamedTuple):
     is_known: Scalar
     length_s: float
 
-    @property
-    def layout(self) -> _Layout:
-        """Places of the unknowns."""
-        accel = GYRO + 3 * len(self.guess.gyro)
-        return _Layout(accel, accel + (3 if self.guess.lever is None else 6))
+    def run(self, params: FitParams, blocks: Array, count: Count) -> tuple[_Guess, Solution]:
+        """Return the next guess and the solution."""
 
-    @property
-    def reaction(self) -> Scalar:
-        """Velocity that the reaction to gravity adds in a block, m/s."""
-        return self.place.gravity * self.length_s
+        def over_block(j: Count, sums: _Sums) -> _Sums:
+            row = jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False)
+            return self.add_block(sums, Block.of_row(row), j)
+
+        end = jax.lax.fori_loop(0, count, over_block, self.start())
+        prior = self.prior(params)
+        unknown, covariance, square, change = _solve_normal(end.normal, self.guess, prior)
+        later = self.guess.changed(unknown, self.is_known)
+
+        rotation, in_l = _end_error(end, unknown, covariance)
+        data_s = jnp.asarray(count, square.dtype) * self.length_s
+        level, heading = end.variance[0, 0], heading_variance(params.noise, data_s)
+        in_l = in_l + jnp.diag(jnp.stack([level, level, heading]))
+        to_n0 = _rotation_about_up(later.heading[0], -later.heading[1])
+        rows = jnp.stack([jnp.stack(row) for row in rotations.matrix(to_n0)])
+        in_n0 = rows @ in_l @ rows.T
+        body = rotations.multiply(rotations.exp(scale(-1.0, rotation)), end.body)
+        carried = rotations.multiply(rotations.conjugate(self.guess.level), end.body)
+        in_n0_now = rotations.multiply(to_n0, body)
+        return later, Solution(
+            attitude=rotations.multiply(in_n0_now, rotations.conjugate(carried)),
+            carried=carried,
+            gyro=later.gyro,
+            gyro_bias_variance=Vec3(*jnp.diagonal(covariance)[GYRO : GYRO + 3]),
+            covariance=AttitudeCovariance(*(in_n0[i, k] for i in range(3) for k in range(i, 3))),
+            misfit=jnp.sqrt(jnp.maximum(square, 0.0) / (2 * data_s / self.length_s - 4)),
+            prior_ratio=jnp.max(
+                jnp.abs(later.errors()) / jnp.where(prior > 0, prior, jnp.inf)[GYRO:]
+            ),
+            change=change,
+        )
+
+    def start(self) -> _Sums:
+        """Return the sums before the first block."""
+        zero = jnp.zeros_like(self.is_known)
+        none = Vec3(zero, zero, zero)
+        n = GYRO + 3 * (len(self.guess.gyro) + len(self.guess.others))
+        return _Sums(
+            self.guess.level,
+            (none,) * (3 * len(self.guess.gyro)),
+            (none,) * (3 * len(self.guess.others[1:])),
+            (jnp.zeros((n + 1, 2)) + zero,) * len(self.noise.states),
+            self.noise.initial(),
+            tuple(jnp.zeros(n + 1 - i) + zero for i in range(n + 1)),
+        )
+
+    def prior(self, params: FitParams) -> Array:
+        """Return 1 sigma of each unknown before the data."""
+        zero = jnp.zeros_like(self.is_known)
+        level = zero + _LEVEL_SIGMA
+        amplitude = jnp.where(self.is_known > 0, _KNOWN, 1e3) + zero
+        errors = (sigma + zero for triad in (*params.gyro(), *params.others()) for sigma in triad)
+        return jnp.stack([amplitude, 1e3 * level, level, level, *errors])
 
     def gravity_turn(self, j: Count) -> tuple[Scalar, Scalar, Scalar]:
         """Return c G and U at the middle of a block."""
@@ -310,119 +386,62 @@ class _Pass(NamedTuple):
             1 - cos**2 * versed,
         )
 
+    def add_block(self, sums: _Sums, block: Block, number: Count) -> _Sums:
+        """Return the sums with one more block."""
+        guess, h = self.guess, self.length_s
+        accel_bias, *lever = guess.others
+        axes = block.mean_axes()
+        # Rotation of the block by each gyro error, in b at its start.
+        factors = (h, *block.angle)[: len(guess.gyro)]
+        errors = [scale(f, axis) for f in factors for axis in axes]
+        estimate = _combine(errors, [value for triad in guess.gyro for value in triad])
+        accel = [scale(h, axis) for axis in axes]
+        dv = add(block.dv, scale(-0.5, cross(estimate, block.dv)))
+        dv = add(dv, scale(-1.0, _combine(accel, accel_bias)))
+        measured = rotations.rotate(sums.body, dv)
+        turn = rotations.multiply(rotations.exp(scale(-1.0, estimate)), block.turn)
+        body = rotations.multiply(sums.body, turn)
 
-def _run_pass(
-    params: FitParams,
-    place: Place,
-    blocks: Array,
-    count: Count,
-    length_s: float,
-    guess: _Guess,
-    is_first: Any,
-) -> tuple[_Guess, tuple[Solution, Quat]]:
-    """Return the next guess; and its solution, with C_b^{b0} at the end."""
-    zero = jnp.zeros_like(guess.accel.x)
-    noise = noise_model(params.noise, place.gravity, length_s)
-    here = _Pass(place, noise, guess, jnp.where(is_first, zero, zero + 1), length_s)
-    n = here.layout.end
-    none = Vec3(zero, zero, zero)
-    start = _Sums(
-        guess.level,
-        (none,) * (here.layout.accel - GYRO),
-        () if guess.lever is None else (none,) * 3,
-        (jnp.zeros((n + 1, 2)) + zero,) * len(noise.seen),
-        noise.initial,
-        tuple(jnp.zeros(n + 1 - i) + zero for i in range(n + 1)),
-    )
+        gx, gy, up = self.gravity_turn(number)
+        gh, zero = self.place.gravity * h, jnp.zeros_like(up)
+        # In the first pass c is unknown, and the amplitude is that of c itself.
+        mx, my = self.is_known * gx, self.is_known * gy
+        rotated = [rotations.rotate(sums.body, error) for error in errors]
+        middle = [add(a, scale(0.5, b)) for a, b in zip(sums.turned, rotated, strict=True)]
+        x = [
+            (gh * gx, gh * gy),
+            (-gh * gy, gh * gx),
+            (zero, -gh * up),
+            (gh * up, zero),
+            *((gh * (up * p.y - my * p.z), gh * (mx * p.z - up * p.x)) for p in middle),
+            *((a.x, a.y) for a in (rotations.rotate(sums.body, error) for error in accel)),
+        ]
+        swung: tuple[Vec3, ...] = ()
+        if lever:
+            swung = tuple(rotations.rotate(body, cross(block.rate, axis)) for axis in _AXES)
+            gained = [add(a, scale(-1.0, b)) for a, b in zip(swung, sums.swung, strict=True)]
+            x += [(a.x, a.y) for a in gained]
+            measured = add(measured, scale(-1.0, _combine(gained, lever[0])))
+        x += [(measured.x - gh * mx, measured.y - gh * my)]
 
-    def over_block(j: Count, sums: _Sums) -> _Sums:
-        row = jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False)
-        return _add_block(here, sums, Block.of_row(row), j)
-
-    end = jax.lax.fori_loop(0, count, over_block, start)
-    prior = _prior(params, guess, is_first)
-    unknown, covariance, square, change = _solve_normal(end.normal, guess, prior)
-    later = _next_guess(here, unknown)
-    ratios = jnp.abs(_errors(later)) / jnp.where(prior > 0, prior, jnp.inf)[GYRO:]
-
-    rotation, in_l = _end_error(here, end, unknown, covariance)
-    data_s = jnp.asarray(count, zero.dtype) * length_s
-    level, heading = end.variance[0, 0], heading_variance(params.noise, data_s)
-    in_l = in_l + jnp.diag(jnp.stack([level, level, heading]))
-    to_n0 = _rotation_about_up(later.heading[0], -later.heading[1])
-    rows = jnp.stack([jnp.stack(row) for row in rotations.matrix(to_n0)])
-    in_n0 = rows @ in_l @ rows.T
-    body = rotations.multiply(rotations.exp(scale(-1.0, rotation)), end.body)
-    carried = rotations.multiply(rotations.conjugate(guess.level), end.body)
-    in_n0_now = rotations.multiply(to_n0, body)
-    solution = Solution(
-        attitude=rotations.multiply(in_n0_now, rotations.conjugate(carried)),
-        gyro=later.gyro,
-        accel_bias=later.accel,
-        gyro_bias_variance=Vec3(*jnp.diagonal(covariance)[GYRO : GYRO + 3]),
-        covariance=AttitudeCovariance(*(in_n0[i, k] for i in range(3) for k in range(i, 3))),
-        misfit=jnp.sqrt(jnp.maximum(square, 0.0) / (2 * data_s / length_s - 4)),
-        prior_ratio=jnp.max(ratios),
-        change=change,
-    )
-    return later, (solution, carried)
-
-
-def _add_block(here: _Pass, sums: _Sums, block: Block, number: Count) -> _Sums:
-    """Return the sums with one more block."""
-    guess, h = here.guess, here.length_s
-    axes = block.mean_axes()
-    # Rotation of the block by each gyro error, in b at its start.
-    factors = (h, *block.angle)[: len(guess.gyro)]
-    errors = [scale(f, axis) for f in factors for axis in axes]
-    estimate = _combine(errors, [value for triad in guess.gyro for value in triad])
-    accel = [scale(h, axis) for axis in axes]
-    dv = add(block.dv, scale(-0.5, cross(estimate, block.dv)))
-    dv = add(dv, scale(-1.0, _combine(accel, guess.accel)))
-    measured = rotations.rotate(sums.body, dv)
-    turn = rotations.multiply(rotations.exp(scale(-1.0, estimate)), block.turn)
-    body = rotations.multiply(sums.body, turn)
-
-    gx, gy, up = here.gravity_turn(number)
-    gh, zero = here.reaction, jnp.zeros_like(up)
-    # In the first pass c is unknown, and the amplitude is that of c itself.
-    mx, my = here.is_known * gx, here.is_known * gy
-    rotated = [rotations.rotate(sums.body, error) for error in errors]
-    middle = [add(a, scale(0.5, b)) for a, b in zip(sums.turned, rotated, strict=True)]
-    x = [
-        (gh * gx, gh * gy),
-        (-gh * gy, gh * gx),
-        (zero, -gh * up),
-        (gh * up, zero),
-        *((gh * (up * p.y - my * p.z), gh * (mx * p.z - up * p.x)) for p in middle),
-        *((a.x, a.y) for a in (rotations.rotate(sums.body, error) for error in accel)),
-    ]
-    swung: tuple[Vec3, ...] = ()
-    if guess.lever is not None:
-        swung = tuple(rotations.rotate(body, cross(block.rate, axis)) for axis in _AXES)
-        gained = [add(a, scale(-1.0, b)) for a, b in zip(swung, sums.swung, strict=True)]
-        x += [(a.x, a.y) for a in gained]
-        measured = add(measured, scale(-1.0, _combine(gained, guess.lever)))
-    x += [(measured.x - gh * mx, measured.y - gh * my)]
-
-    about_up = rotations.rotate(sums.body, block.angle).z
-    step, gain, s, variance = predict(here.noise, sums.variance, about_up)
-    residual = jnp.stack([jnp.stack(row) for row in x])
-    if guess.lever is not None:  # its velocity at the first sample is unknown
-        residual = jnp.where(jnp.asarray(number) > 0, residual, 0.0 * residual)
-    for seen, estimates in zip(here.noise.seen, sums.walk, strict=True):
-        residual = residual - seen * estimates
-    walk = []
-    for row, k in zip(step, gain, strict=True):
-        parts = [times(f, w) for f, w in zip(row, sums.walk, strict=True) if f is not None]
-        walk.append(sum(parts) + times(k, residual))
-    # Row by row: what a row needs stays in the registers.
-    normal = tuple(
-        old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s
-        for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
-    )
-    turned = tuple(add(a, b) for a, b in zip(sums.turned, rotated, strict=True))
-    return _Sums(body, turned, swung, tuple(walk), variance, normal)
+        about_up = rotations.rotate(sums.body, block.angle).z
+        step, gain, s, variance = predict(self.noise, sums.variance, about_up)
+        residual = jnp.stack([jnp.stack(row) for row in x])
+        if lever:  # its velocity at the first sample is unknown
+            residual = jnp.where(jnp.asarray(number) > 0, residual, 0.0 * residual)
+        for state, estimates in zip(self.noise.states, sums.walk, strict=True):
+            residual = residual - state.seen * estimates
+        walk = []
+        for row, k in zip(step, gain, strict=True):
+            parts = [times(f, w) for f, w in zip(row, sums.walk, strict=True) if f is not None]
+            walk.append(sum(parts) + times(k, residual))
+        # Row by row: what a row needs stays in the registers.
+        normal = tuple(
+            old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s
+            for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
+        )
+        turned = tuple(add(a, b) for a, b in zip(sums.turned, rotated, strict=True))
+        return _Sums(body, turned, swung, tuple(walk), variance, normal)
 
 
 def _combine(vectors: Sequence[Vec3], factors: Sequence[Scalar]) -> Vec3:
@@ -445,7 +464,7 @@ def _solve_normal(
         guess: point of linearisation.
         sigmas: belief about the unknowns.
     """
-    zero, n = jnp.zeros_like(guess.accel.x), len(sigmas)
+    n = len(sigmas)
     upper = jnp.stack([jnp.pad(row, (i, 0)) for i, row in enumerate(normal)])
     whole = upper + jnp.triu(upper, 1).T
     matrix, right = whole[:n, :n], whole[:n, n]
@@ -459,16 +478,10 @@ def _solve_normal(
     scaled = scaled + jnp.diag(jnp.where(is_free, belief * size**2, 1.0))
     covariance = _inverse(scaled) * size[:, None] * size[None, :]
     # The belief is about the whole error, of which the guess has a part.
-    pull = right - belief * jnp.concatenate([jnp.zeros(GYRO) + zero, _errors(guess)])
+    pull = right - belief * jnp.pad(guess.errors(), (GYRO, 0))
     unknown = covariance @ pull
     length = jnp.sqrt(jnp.maximum(unknown @ pull, 0.0))
     return unknown, covariance, whole[n, n] - unknown @ right, length
-
-
-def _errors(guess: _Guess) -> Array:
-    """Return the errors of sensors and lever arm of a guess, as the unknowns from `GYRO` on."""
-    triads = *guess.gyro, guess.accel, *(() if guess.lever is None else (guess.lever,))
-    return jnp.stack([value for triad in triads for value in triad])
 
 
 def _inverse(matrix: Array) -> Array:
@@ -489,60 +502,24 @@ def _inverse(matrix: Array) -> Array:
     return jax.lax.fori_loop(0, len(matrix), eliminate, matrix)
 
 
-def _next_guess(here: _Pass, unknown: Array) -> _Guess:
-    """Return the guess with the changes that a pass finds."""
-    guess, accel = here.guess, here.layout.accel
-    amplitude, heading, kx, ky = unknown[:4]
-    real, imaginary = here.is_known + amplitude, heading
-    cos, sin = guess.heading
-    cos, sin = cos * real - sin * imaginary, sin * real + cos * imaginary
-    norm = jnp.hypot(cos, sin)
-    triads = (Vec3(*unknown[i : i + 3]) for i in range(GYRO, accel, 3))
-    return _Guess(
-        level=rotations.multiply(rotations.exp(Vec3(-kx, -ky, 0.0 * kx)), guess.level),
-        heading=(cos / norm, sin / norm),
-        gyro=tuple(add(a, b) for a, b in zip(guess.gyro, triads, strict=True)),
-        accel=add(guess.accel, Vec3(*unknown[accel : accel + 3])),
-        lever=None if guess.lever is None else add(guess.lever, Vec3(*unknown[accel + 3 :])),
-    )
-
-
-def _end_error(here: _Pass, end: _Sums, unknown: Array, covariance: Array) -> tuple[Vec3, Array]:
+def _end_error(end: _Sums, unknown: Array, covariance: Array) -> tuple[Vec3, Array]:
     """Return the rotation in l by which the carried attitude is off, and the error's covariance.
 
     That of the noise which nothing shows is left out.
     """
-    n, rest = here.layout.end, here.layout.end - here.layout.accel
-    zero = jnp.zeros_like(unknown[0])
-    rows = (
-        [zero, zero, zero + 1, zero] + [p.x for p in end.turned] + [zero] * rest,
-        [zero, zero, zero, zero + 1] + [p.y for p in end.turned] + [zero] * rest,
-        [zero, zero, zero, zero] + [p.z for p in end.turned] + [zero] * rest,
+    n = len(unknown)
+    by_tilt = jnp.zeros((3, GYRO)).at[0, 2].set(1.0).at[1, 3].set(1.0)
+    by_gyro = jnp.stack([jnp.stack(part) for part in zip(*end.turned, strict=True)])
+    effect = jnp.pad(
+        jnp.concatenate([by_tilt, by_gyro], axis=1), ((0, 0), (0, n - GYRO - len(end.turned)))
     )
     # w = p_y - i p_x of the white noise, as the last blocks show it
     walk = end.walk[0]
-    of_walk = jnp.stack([-walk[:, 1], walk[:, 0], jnp.zeros(n + 1) + zero])
-    effect = jnp.stack([jnp.stack(row) for row in rows]) - of_walk[:, :n]
+    of_walk = jnp.stack([-walk[:, 1], walk[:, 0], jnp.zeros_like(walk[:, 0])])
+    effect = effect - of_walk[:, :n]
     rotation = effect @ unknown + of_walk[:, n]
     with_heading = effect.at[2, HEADING].add(1.0)
     return Vec3(*rotation), with_heading @ covariance @ with_heading.T
-
-
-def _prior(params: FitParams, guess: _Guess, is_first: Any) -> Array:
-    zero = jnp.zeros_like(guess.accel.x)
-    level = zero + _LEVEL_SIGMA
-    sigmas = [jnp.where(is_first, 1e3, _KNOWN) + zero, 1e3 * level, level, level]
-    sigmas += [params.gyro_bias + zero] * 3
-    if params.scale_factor is not None:
-        sigmas += [
-            (params.scale_factor if i == k else params.cross_axis) + zero
-            for k in range(3)
-            for i in range(3)
-        ]
-    sigmas += [params.accel_bias + zero] * 3
-    if params.lever_arm is not None:
-        sigmas += [params.lever_arm + zero] * 3
-    return jnp.stack(sigmas)
 
 
 def _rotation_about_up(cos: Scalar, sin: Scalar) -> Quat:

@@ -56,28 +56,51 @@ class SensorNoise(NamedTuple):
     surge: Drift | None = None
 
 
-class NoiseModel(NamedTuple):
-    """Noise of the blocks as complex states of the level axes: w, then drifts, then the surge.
+class NoiseState(NamedTuple):
+    """A slow error as a complex state of the level axes.
 
     Attributes:
-        seen: factor of each state in a measurement.
-        kept: share of each state that is left after a block.
-        turns: whether a state turns with the body, whose axes it belongs to.
-        to_walk: factor with which each state adds to w.
-        driven: variance that each gains in a block.
+        seen: factor of the state in a measurement.
+        kept: share of it that is left after a block.
+        to_walk: factor with which it adds to w; None for a state that does not turn with the body.
+        driven: variance that it gains in a block.
         shared: covariance of that with the noise of the measurement.
-        measured: variance of that noise.
-        initial: covariance of the states before the first block, by pairs i <= k.
+        variance: before the first block.
     """
 
-    seen: tuple[Scalar, ...]
-    kept: tuple[Scalar, ...]
-    turns: tuple[bool, ...]
-    to_walk: tuple[Scalar, ...]
-    driven: tuple[Scalar, ...]
-    shared: tuple[Scalar, ...]
+    seen: Scalar
+    kept: Scalar
+    to_walk: Scalar | None
+    driven: Scalar
+    shared: Scalar
+    variance: Scalar
+
+
+class NoiseModel(NamedTuple):
+    """Noise of the blocks.
+
+    Attributes:
+        states: w, then drifts, which turn with the body, then the surge.
+        measured: variance of the noise of a measurement.
+    """
+
+    states: tuple[NoiseState, ...]
     measured: Scalar
-    initial: dict[tuple[int, int], Number]
+
+    @property
+    def turns(self) -> bool:
+        """Whether a state turns with the body, so that covariances are complex."""
+        return any(state.to_walk is not None for state in self.states)
+
+    def initial(self) -> dict[tuple[int, int], Number]:
+        """Return the covariance of the states before the first block, by pairs i <= k."""
+        zero, n = jnp.zeros_like(self.measured), len(self.states)
+        off = _as_complex(zero) if self.turns else zero
+        return {
+            (i, k): self.states[i].variance if i == k else off
+            for i in range(n)
+            for k in range(i, n)
+        }
 
 
 def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseModel:
@@ -85,23 +108,18 @@ def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseMo
     h, zero = length_s, jnp.zeros_like(noise.gyro)
     gh, q = gravity * h, noise.gyro**2 * h
     # The measurement sees the mean of w over the block, of which half and a third are new.
-    states = [(gh, zero + 1, False, zero, q, gh * q / 2, zero)]
-    for drift in noise.gyro_drifts:
+    states = [NoiseState(gh, zero + 1, None, q, gh * q / 2, zero)]
+    drifts = [(gh * h / 2, zero + h, drift) for drift in noise.gyro_drifts]
+    drifts += [(zero + h, zero, drift) for drift in noise.accel_drifts]
+    for seen, to_walk, drift in drifts:
         kept, driven = drift.kept(h), drift.driven(h)
-        states.append((gh * h / 2, kept, True, zero + h, driven, zero, drift.variance))
-    for drift in noise.accel_drifts:
-        kept, driven = drift.kept(h), drift.driven(h)
-        states.append((zero + h, kept, True, zero, driven, zero, drift.variance))
+        states.append(NoiseState(seen, kept, to_walk, driven, zero, drift.variance))
     measured = gh**2 * q / 3 + noise.accel**2 * h
     if noise.surge is not None:
         kept, driven = noise.surge.kept(h), noise.surge.driven(h)
-        states.append((kept - 1, kept, False, zero, driven, driven, noise.surge.variance))
+        states.append(NoiseState(kept - 1, kept, None, driven, driven, noise.surge.variance))
         measured = measured + driven
-    seen, kept, turns, to_walk, driven, shared, variances = zip(*states, strict=True)
-    n = len(states)
-    off = _as_complex(zero) if any(turns) else zero
-    initial = {(i, k): variances[i] if i == k else off for i in range(n) for k in range(i, n)}
-    return NoiseModel(seen, kept, turns, to_walk, driven, shared, measured, initial)
+    return NoiseModel(tuple(states), measured)
 
 
 def predict(
@@ -114,36 +132,34 @@ def predict(
         variance: covariance before the block.
         turned: angle by which the body turned about the vertical, rad.
     """
-    states = range(len(noise.seen))
+    states, places = noise.states, range(len(noise.states))
     # Real numbers do as long as no state turns.
-    cast = _as_complex if any(noise.turns) else jnp.asarray
-    phase = jnp.exp(_as_complex(turned) * 1j) if any(noise.turns) else None
+    cast = _as_complex if noise.turns else jnp.asarray
 
     def p(i: int, k: int) -> Number:
         return cast(variance[i, k]) if i <= k else jnp.conj(cast(variance[k, i]))
 
-    step: list[list[Number | None]] = [[None for _ in states] for _ in states]
-    for i in states:
-        step[i][i] = cast(noise.kept[i])
-        if noise.turns[i]:
-            step[i][i] = cast(noise.kept[i]) * phase
-            step[0][i] = cast(noise.to_walk[i])
-    seen = [sum(p(i, k) * cast(noise.seen[k]) for k in states) for i in states]
-    s = noise.measured + sum(noise.seen[i] * jnp.real(seen[i]) for i in states)
+    step: list[list[Number | None]] = [[None for _ in places] for _ in places]
+    for i, state in enumerate(states):
+        step[i][i] = cast(state.kept)
+        if state.to_walk is not None:
+            step[i][i] = cast(state.kept) * jnp.exp(_as_complex(turned) * 1j)
+            step[0][i] = cast(state.to_walk)
+    seen = [sum(p(i, k) * cast(states[k].seen) for k in places) for i in places]
+    s = noise.measured + sum(states[i].seen * jnp.real(seen[i]) for i in places)
     moved = [
-        sum(f * seen[k] for k, f in enumerate(row) if f is not None) + cast(noise.shared[i])
+        sum(f * seen[k] for k, f in enumerate(row) if f is not None) + cast(states[i].shared)
         for i, row in enumerate(step)
     ]
     half = [
-        [sum(f * p(j, k) for j, f in enumerate(row) if f is not None) for k in states]
+        [sum(f * p(j, k) for j, f in enumerate(row) if f is not None) for k in places]
         for row in step
     ]
     after = {}
-    for i in states:
-        for k in states[i:]:
-            terms = (half[i][j] * jnp.conj(f) for j, f in enumerate(step[k]) if f is not None)
-            value = sum(terms) - moved[i] * jnp.conj(moved[k]) / cast(s)
-            after[i, k] = jnp.real(value) + noise.driven[i] if i == k else value
+    for i, k in variance:
+        terms = (half[i][j] * jnp.conj(f) for j, f in enumerate(step[k]) if f is not None)
+        value = sum(terms) - moved[i] * jnp.conj(moved[k]) / cast(s)
+        after[i, k] = jnp.real(value) + states[i].driven if i == k else value
     return step, [m / cast(s) for m in moved], s, after
 
 
