@@ -34,6 +34,7 @@ tilt, leaves P_z b.
 """
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -41,6 +42,7 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, cross, scale
+from sinsjax.methods.filters.attitude import rotate_covariance, rotation_about_vertical
 from sinsjax.methods.gravity_fit.noise import (
     NoiseModel,
     SensorNoise,
@@ -65,10 +67,8 @@ NUMBERS = 17
 HEADING, GYRO = 1, 4
 """Places of unknowns: |c|, heading, two tilts, the gyro errors, accelerometer biases, lever arm."""
 
-_KNOWN = 1e-9
-"""Standard deviation of |c| after the first pass."""
-_LEVEL_SIGMA = 1.0
-"""Standard deviation of tilt and heading before the data, rad: none."""
+_ANY, _LEVEL, _KNOWN = 1e3, 1.0, 1e-9
+"""Sigma of |c| and heading before the data, of the tilt, rad, and of |c| after the first pass."""
 
 _AXES = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
 
@@ -94,18 +94,16 @@ class FitParams(NamedTuple):
     cross_axis: Scalar | None = None
     lever_arm: Scalar | None = None
 
-    def gyro(self) -> tuple[Vec3, ...]:
-        """Return 1 sigma of the triads of `Solution.gyro`."""
-        bias = Vec3(*(self.gyro_bias,) * 3)
+    def sigmas(self) -> tuple[tuple[Vec3, ...], tuple[Vec3, ...]]:
+        """Return 1 sigma of the triads of `_Guess.gyro` and of `_Guess.others`."""
+        bias, accel, lever = (
+            Vec3(sigma, sigma, sigma) for sigma in (self.gyro_bias, self.accel_bias, self.lever_arm)
+        )
+        others = (accel,) if self.lever_arm is None else (accel, lever)
         if self.scale_factor is None:
-            return (bias,)
-        one, other = self.scale_factor, self.cross_axis
-        return bias, Vec3(one, other, other), Vec3(other, one, other), Vec3(other, other, one)
-
-    def others(self) -> tuple[Vec3, ...]:
-        """Return 1 sigma of the accelerometer biases and, if it is an unknown, of the lever arm."""
-        sigmas = (self.accel_bias, self.lever_arm)
-        return tuple(Vec3(*(sigma,) * 3) for sigma in sigmas if sigma is not None)
+            return (bias,), others
+        s, c = self.scale_factor, self.cross_axis
+        return (bias, Vec3(s, c, c), Vec3(c, s, c), Vec3(c, c, s)), others
 
 
 class Block(NamedTuple):
@@ -141,30 +139,26 @@ class Block(NamedTuple):
         """Return its `NUMBERS`."""
         return jnp.stack(jax.tree.leaves(self))
 
-    def mean_axes(self) -> tuple[Vec3, ...]:
+    def mean_axes(self) -> list[Vec3]:
         """Return the mean of each axis of b over the block, in b at its start.
 
         Over the angle turned, by Simpson's rule: exact for turns about one axis at any rate.
         """
-        halfway, end = rotations.matrix(self.half), rotations.matrix(self.turn)
-        return tuple(
-            Vec3(
-                *(
-                    (float(i == k) + 4 * middle[k] + last[k]) / 6
-                    for i, (middle, last) in enumerate(zip(halfway, end, strict=True))
-                )
-            )
-            for k in range(3)
-        )
+        rows = zip(rotations.matrix(self.half), rotations.matrix(self.turn), strict=True)
+        mean = [
+            [(float(i == k) + 4 * middle[k] + last[k]) / 6 for k in range(3)]
+            for i, (middle, last) in enumerate(rows)
+        ]
+        return [Vec3(*axis) for axis in zip(*mean, strict=True)]
 
-    def without_errors(self, gyro: tuple[Vec3, ...], length_s: float) -> Quat:
-        """Return the rotation of the body without gyro errors, see `Solution.gyro`."""
-        total = scale(length_s, gyro[0])
-        for factor, triad in zip(self.angle, gyro[1:], strict=False):
-            total = add(total, scale(factor, triad))
-        middle = scale(4.0, rotations.rotate(self.half, total))
-        mean = scale(1 / 6, add(add(total, middle), rotations.rotate(self.turn, total)))
-        return rotations.multiply(rotations.exp(scale(-1.0, mean)), self.turn)
+    def by_gyro_errors(self, triads: int, length_s: float) -> list[Vec3]:
+        """Return its rotation by each gyro error, see `Solution.gyro`, in b at its start."""
+        factors, axes = (length_s, *self.angle)[:triads], self.mean_axes()
+        return [scale(factor, axis) for factor in factors for axis in axes]
+
+    def without(self, rotation: Vec3) -> Quat:
+        """Return the rotation of the body less that by errors."""
+        return rotations.multiply(rotations.exp(scale(-1.0, rotation)), self.turn)
 
 
 class Solution(NamedTuple):
@@ -195,17 +189,16 @@ class Solution(NamedTuple):
     @classmethod
     def before_data(cls, params: FitParams, zero: Scalar) -> "Solution":
         """Return that before the first fit: no attitude, no errors."""
-        nothing, none = zero + jnp.nan, Vec3(zero, zero, zero)
-        unknown = (UNKNOWN_ANGLE * (i == k) + zero for i in range(3) for k in range(i, 3))
+        none, off, all_round = zero + jnp.nan, zero, zero + UNKNOWN_ANGLE
         return cls(
-            attitude=Quat(*(nothing,) * 4),
+            attitude=Quat(none, none, none, none),
             carried=Quat(zero + 1, zero, zero, zero),
-            gyro=tuple(none for _ in params.gyro()),
-            gyro_bias_variance=Vec3(*(nothing,) * 3),
-            covariance=AttitudeCovariance(*unknown),
-            misfit=nothing,
-            prior_ratio=nothing,
-            change=nothing,
+            gyro=tuple(Vec3(zero, zero, zero) for _ in params.sigmas()[0]),
+            gyro_bias_variance=Vec3(none, none, none),
+            covariance=AttitudeCovariance(all_round, off, off, all_round, off, all_round),
+            misfit=none,
+            prior_ratio=none,
+            change=none,
         )
 
 
@@ -223,10 +216,9 @@ def solve(
     """
     first = Block.of_row(blocks[0]).dv
     zero = jnp.zeros_like(first.x)
-    none = Vec3(zero, zero, zero)
     solution = Solution.before_data(params, zero)
-    others = tuple(none for _ in params.others())
-    guess = _Guess(_level(first), (zero + 1, zero), solution.gyro, others)
+    triads = jax.tree.map(lambda sigma: zero, params.sigmas())
+    guess = _Guess(_level(first), (zero + 1, zero), *triads)
     noise = noise_model(params.noise, place.gravity, length_s)
 
     def is_unfinished(carry: tuple[Count, _Guess, Solution]) -> Flag:
@@ -248,8 +240,8 @@ class _Guess(NamedTuple):
     Attributes:
         level: C_{b0}^l.
         heading: c of unit length, real and imaginary part.
-        gyro: see `Solution`; by them the rotation of a block is wrong.
-        others: accelerometer bias and, if it is an unknown, lever arm, in b.
+        gyro: see `Solution`.
+        others: accelerometer bias, m/s^2, and if it is an unknown the lever arm, m, in b.
     """
 
     level: Quat
@@ -259,22 +251,18 @@ class _Guess(NamedTuple):
 
     def errors(self) -> Array:
         """Return the errors of sensors and lever arm, the unknowns from `GYRO` on."""
-        return jnp.stack([value for triad in (*self.gyro, *self.others) for value in triad])
+        return jnp.stack(jax.tree.leaves((self.gyro, self.others)))
 
     def changed(self, unknown: Array, is_known: Scalar) -> "_Guess":
         """Return the guess with the changes that a pass finds; ``is_known`` as of `_Pass`."""
-        amplitude, heading, kx, ky = unknown[:GYRO]
-        real, imaginary = is_known + amplitude, heading
-        cos, sin = self.heading
+        real, imaginary, kx, ky, *errors = unknown
+        real, (cos, sin) = is_known + real, self.heading
         cos, sin = cos * real - sin * imaginary, sin * real + cos * imaginary
         norm = jnp.hypot(cos, sin)
-        triads = [
-            add(triad, Vec3(*unknown[GYRO + 3 * i : GYRO + 3 * i + 3]))
-            for i, triad in enumerate((*self.gyro, *self.others))
-        ]
+        leaves, structure = jax.tree.flatten((self.gyro, self.others))
+        later = [old + change for old, change in zip(leaves, errors, strict=True)]
         level = rotations.multiply(rotations.exp(Vec3(-kx, -ky, 0.0 * kx)), self.level)
-        gyro, others = triads[: len(self.gyro)], triads[len(self.gyro) :]
-        return _Guess(level, (cos / norm, sin / norm), tuple(gyro), tuple(others))
+        return _Guess(level, (cos / norm, sin / norm), *jax.tree.unflatten(structure, later))
 
 
 class _Sums(NamedTuple):
@@ -331,18 +319,14 @@ class _Pass(NamedTuple):
         data_s = jnp.asarray(count, square.dtype) * self.length_s
         level, heading = end.variance[0, 0], heading_variance(params.noise, data_s)
         in_l = in_l + jnp.diag(jnp.stack([level, level, heading]))
-        to_n0 = _rotation_about_up(later.heading[0], -later.heading[1])
-        rows = jnp.stack([jnp.stack(row) for row in rotations.matrix(to_n0)])
-        in_n0 = rows @ in_l @ rows.T
-        body = rotations.multiply(rotations.exp(scale(-1.0, rotation)), end.body)
-        carried = rotations.multiply(rotations.conjugate(self.guess.level), end.body)
-        in_n0_now = rotations.multiply(to_n0, body)
+        cos, sin = later.heading[0], -later.heading[1]
+        levelled = rotations.multiply(rotations.exp(scale(-1.0, rotation)), self.guess.level)
         return later, Solution(
-            attitude=rotations.multiply(in_n0_now, rotations.conjugate(carried)),
-            carried=carried,
+            attitude=rotations.multiply(rotation_about_vertical(sin, cos), levelled),
+            carried=rotations.multiply(rotations.conjugate(self.guess.level), end.body),
             gyro=later.gyro,
             gyro_bias_variance=Vec3(*jnp.diagonal(covariance)[GYRO : GYRO + 3]),
-            covariance=AttitudeCovariance(*(in_n0[i, k] for i in range(3) for k in range(i, 3))),
+            covariance=rotate_covariance(AttitudeCovariance(*in_l[jnp.triu_indices(3)]), sin, cos),
             misfit=jnp.sqrt(jnp.maximum(square, 0.0) / (2 * data_s / self.length_s - 4)),
             prior_ratio=jnp.max(
                 jnp.abs(later.errors()) / jnp.where(prior > 0, prior, jnp.inf)[GYRO:]
@@ -366,11 +350,9 @@ class _Pass(NamedTuple):
 
     def prior(self, params: FitParams) -> Array:
         """Return 1 sigma of each unknown before the data."""
-        zero = jnp.zeros_like(self.is_known)
-        level = zero + _LEVEL_SIGMA
-        amplitude = jnp.where(self.is_known > 0, _KNOWN, 1e3) + zero
-        errors = (sigma + zero for triad in (*params.gyro(), *params.others()) for sigma in triad)
-        return jnp.stack([amplitude, 1e3 * level, level, level, *errors])
+        amplitude = jnp.where(self.is_known > 0, _KNOWN, _ANY)
+        sigmas = amplitude, _ANY, _LEVEL, _LEVEL, *jax.tree.leaves(params.sigmas())
+        return jnp.stack([sigma + 0 * self.is_known for sigma in sigmas])
 
     def gravity_turn(self, j: Count) -> tuple[Scalar, Scalar, Scalar]:
         """Return c G and U at the middle of a block."""
@@ -390,17 +372,12 @@ class _Pass(NamedTuple):
         """Return the sums with one more block."""
         guess, h = self.guess, self.length_s
         accel_bias, *lever = guess.others
-        axes = block.mean_axes()
-        # Rotation of the block by each gyro error, in b at its start.
-        factors = (h, *block.angle)[: len(guess.gyro)]
-        errors = [scale(f, axis) for f in factors for axis in axes]
-        estimate = _combine(errors, [value for triad in guess.gyro for value in triad])
-        accel = [scale(h, axis) for axis in axes]
+        errors = block.by_gyro_errors(len(guess.gyro), h)
+        estimate = combine(errors, guess.gyro)
         dv = add(block.dv, scale(-0.5, cross(estimate, block.dv)))
-        dv = add(dv, scale(-1.0, _combine(accel, accel_bias)))
+        dv = add(dv, scale(-1.0, combine(errors[:3], (accel_bias,))))
         measured = rotations.rotate(sums.body, dv)
-        turn = rotations.multiply(rotations.exp(scale(-1.0, estimate)), block.turn)
-        body = rotations.multiply(sums.body, turn)
+        body = rotations.multiply(sums.body, block.without(estimate))
 
         gx, gy, up = self.gravity_turn(number)
         gh, zero = self.place.gravity * h, jnp.zeros_like(up)
@@ -408,20 +385,21 @@ class _Pass(NamedTuple):
         mx, my = self.is_known * gx, self.is_known * gy
         rotated = [rotations.rotate(sums.body, error) for error in errors]
         middle = [add(a, scale(0.5, b)) for a, b in zip(sums.turned, rotated, strict=True)]
+        # A bias of the accelerometers acts along the same axes for as long as one of the gyros.
         x = [
             (gh * gx, gh * gy),
             (-gh * gy, gh * gx),
             (zero, -gh * up),
             (gh * up, zero),
             *((gh * (up * p.y - my * p.z), gh * (mx * p.z - up * p.x)) for p in middle),
-            *((a.x, a.y) for a in (rotations.rotate(sums.body, error) for error in accel)),
+            *((p.x, p.y) for p in rotated[:3]),
         ]
         swung: tuple[Vec3, ...] = ()
         if lever:
             swung = tuple(rotations.rotate(body, cross(block.rate, axis)) for axis in _AXES)
             gained = [add(a, scale(-1.0, b)) for a, b in zip(swung, sums.swung, strict=True)]
             x += [(a.x, a.y) for a in gained]
-            measured = add(measured, scale(-1.0, _combine(gained, lever[0])))
+            measured = add(measured, scale(-1.0, combine(gained, lever)))
         x += [(measured.x - gh * mx, measured.y - gh * my)]
 
         about_up = rotations.rotate(sums.body, block.angle).z
@@ -444,12 +422,9 @@ class _Pass(NamedTuple):
         return _Sums(body, turned, swung, tuple(walk), variance, normal)
 
 
-def _combine(vectors: Sequence[Vec3], factors: Sequence[Scalar]) -> Vec3:
-    """Return a linear combination of vectors."""
-    total = scale(factors[0], vectors[0])
-    for factor, vector in zip(factors[1:], vectors[1:], strict=True):
-        total = add(total, scale(factor, vector))
-    return total
+def combine(vectors: Sequence[Vec3], factors: Sequence[Vec3]) -> Vec3:
+    """Return a linear combination of vectors, of which each triad of factors takes three."""
+    return reduce(add, map(scale, jax.tree.leaves(factors), vectors))
 
 
 def _solve_normal(
@@ -507,26 +482,16 @@ def _end_error(end: _Sums, unknown: Array, covariance: Array) -> tuple[Vec3, Arr
 
     That of the noise which nothing shows is left out.
     """
-    n = len(unknown)
-    by_tilt = jnp.zeros((3, GYRO)).at[0, 2].set(1.0).at[1, 3].set(1.0)
-    by_gyro = jnp.stack([jnp.stack(part) for part in zip(*end.turned, strict=True)])
-    effect = jnp.pad(
-        jnp.concatenate([by_tilt, by_gyro], axis=1), ((0, 0), (0, n - GYRO - len(end.turned)))
-    )
+    turned = jnp.stack([jnp.stack(part) for part in zip(*end.turned, strict=True)])
+    rest = len(unknown) - GYRO - len(end.turned)
+    effect = jnp.pad(turned, ((0, 0), (GYRO, rest))).at[0, 2].set(1.0).at[1, 3].set(1.0)
     # w = p_y - i p_x of the white noise, as the last blocks show it
     walk = end.walk[0]
     of_walk = jnp.stack([-walk[:, 1], walk[:, 0], jnp.zeros_like(walk[:, 0])])
-    effect = effect - of_walk[:, :n]
-    rotation = effect @ unknown + of_walk[:, n]
+    effect = effect - of_walk[:, :-1]
+    rotation = effect @ unknown + of_walk[:, -1]
     with_heading = effect.at[2, HEADING].add(1.0)
     return Vec3(*rotation), with_heading @ covariance @ with_heading.T
-
-
-def _rotation_about_up(cos: Scalar, sin: Scalar) -> Quat:
-    """Return the rotation about z by an angle of known cosine and sine."""
-    angle = jnp.arctan2(sin, cos)
-    zero = jnp.zeros_like(angle)
-    return Quat(jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2))
 
 
 def _level(force: Vec3) -> Quat:

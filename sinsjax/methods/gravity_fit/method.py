@@ -20,7 +20,7 @@ from sinsjax.columns import Column
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, dot, scale, select_tree
 from sinsjax.methods.filters.keys import accel_noise_density, gyro_noise_density, level_surge
-from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, solve
+from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, combine, solve
 from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
 from sinsjax.methods.method import (
     AttitudeCovariance,
@@ -112,7 +112,8 @@ def build(options: Options) -> Program:
         block = Block.of_turn(rotations.normalise(state.turn), state.dv, rate)
         place = jnp.minimum(number // records, most - 1)
         blocks = jax.lax.dynamic_update_index_in_dim(state.blocks, block.row(), place, 0)
-        corrected = block.without_errors(solution.gyro, length_s)
+        errors = block.by_gyro_errors(len(solution.gyro), length_s)
+        corrected = block.without(combine(errors, solution.gyro))
         zero = jnp.zeros_like(state.count)
         begun = (
             Quat(zero + 1, zero, zero, zero),
@@ -283,6 +284,14 @@ def _column(name: str, meaning: str, value: Callable[[Solution], Any], unit: str
     return OwnColumn(column, lambda results, rate_hz: np.asarray(value(results)))
 
 
+def _gyro_bias(axis: int, found: Solution) -> Any:
+    return np.asarray(found.gyro[0][axis]) / DEG_PER_H
+
+
+def _gyro_bias_sigma(axis: int, found: Solution) -> Any:
+    return np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H
+
+
 COLUMNS = (
     _column(
         "fit_misfit",
@@ -304,48 +313,36 @@ COLUMNS = (
     ),
     *(
         _column(
-            f"fit_gyro_bias_{name}_deg_per_h",
-            f"gyro bias of the {name} axis by the fit",
-            lambda found, axis=axis: np.asarray(found.gyro[0][axis]) / DEG_PER_H,
+            f"fit_gyro_bias_{name}_{suffix}deg_per_h",
+            meaning.format(name),
+            partial(value, axis),
             "deg/h",
         )
-        for axis, name in enumerate(("right", "front", "up"))
-    ),
-    *(
-        _column(
-            f"fit_gyro_bias_{name}_sigma_deg_per_h",
-            "1 sigma of it",
-            lambda found, axis=axis: (
-                np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H
-            ),
-            "deg/h",
+        for suffix, meaning, value in (
+            ("", "gyro bias of the {} axis by the fit", _gyro_bias),
+            ("sigma_", "1 sigma of it", _gyro_bias_sigma),
         )
         for axis, name in enumerate(("right", "front", "up"))
     ),
 )
 
 
-def _check_record_interval(study: StudyKeys) -> None:
-    """Refuse record intervals beyond the length of a block."""
-    for point in study.combinations("method"):
-        if point["method"] == "gravity_fit" and study.record_interval_s > LONGEST_BLOCK_S:
-            text = f"gravity_fit needs at most {LONGEST_BLOCK_S:g} s (its blocks are as long)"
-            study.refuse("record_interval_s", text)
-
-
-def _check_beliefs(study: StudyKeys) -> None:
-    """Require what a record cannot say of its sensors, and white noise of simulated ones."""
+def _check(study: StudyKeys) -> None:
+    """Refuse long blocks, beliefs that a record cannot replace, and sensors without white noise."""
     densities = {
         "fit_gyro_arw_deg_per_sqrt_h": gyro_noise_density,
         "fit_accel_vrw_ug_per_sqrt_hz": accel_noise_density,
     }
-    required = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug", *densities)
+    required = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug") if study.is_recorded else ()
     sensors = [key for density in densities.values() for key in keys_of(density)]
-    read = densities if study.is_recorded else (*densities, *sensors)
-    for point in study.combinations("method", *required[:2], *read):
+    read = (*required, *densities, *(() if study.is_recorded else sensors))
+    for point in study.combinations("method", *read):
         if point["method"] != "gravity_fit":
             continue
-        for key in required if study.is_recorded else ():
+        if study.record_interval_s > LONGEST_BLOCK_S:
+            text = f"gravity_fit needs at most {LONGEST_BLOCK_S:g} s (its blocks are as long)"
+            study.refuse("record_interval_s", text)
+        for key in (*required, *densities) if study.is_recorded else ():
             if point[key] is None:
                 study.refuse(key, "required with a record (from the sensors' data sheet)")
         for key, density in densities.items():
@@ -367,7 +364,7 @@ GRAVITY_FIT = Method(
     params=params,
     needs_start=False,
     turning="any",
-    rules=(_check_record_interval, _check_beliefs),
+    rules=(_check,),
     columns=COLUMNS,
     step_s=10e-9,
 )
