@@ -35,7 +35,7 @@ tilt, leaves P_z b.
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,6 +44,7 @@ from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, cross, scale
 from sinsjax.methods.filters.attitude import rotate_covariance, rotation_about_vertical
 from sinsjax.methods.gravity_fit.noise import (
+    Covariance,
     NoiseModel,
     SensorNoise,
     heading_variance,
@@ -274,7 +275,7 @@ class _Sums(NamedTuple):
         swung: velocity in l per lever arm along each axis of b.
         walk: (unknowns + 1, 2) estimates of w, of the drifts and of the surge for each column, and
             last for the measurements.
-        variance: their covariance, per axis, by pairs i <= k.
+        variance: their covariance, per axis.
         normal: rows of the upper triangle of N, with the measurements as last column.
     """
 
@@ -282,7 +283,7 @@ class _Sums(NamedTuple):
     turned: tuple[Vec3, ...]
     swung: tuple[Vec3, ...]
     walk: tuple[Array, ...]
-    variance: dict[tuple[int, int], Any]
+    variance: Covariance
     normal: tuple[Array, ...]
 
 
@@ -411,8 +412,7 @@ class _Pass(NamedTuple):
             residual = residual - state.seen * estimates
         walk = []
         for row, k in zip(step, gain, strict=True):
-            parts = [times(f, w) for f, w in zip(row, sums.walk, strict=True) if f is not None]
-            walk.append(sum(parts) + times(k, residual))
+            walk.append(sum(times(f, sums.walk[j]) for j, f in row.items()) + times(k, residual))
         # Row by row: what a row needs stays in the registers.
         normal = tuple(
             old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s

@@ -15,6 +15,9 @@ from sinsjax.types import Array, Scalar
 Number: TypeAlias = Any
 """A scalar, real or complex."""
 
+Covariance: TypeAlias = dict[tuple[int, int], Number]
+"""Of the states of a `NoiseModel`, by pairs i <= k."""
+
 
 class Drift(NamedTuple):
     """A slow error of each axis of a triad, or the surge: a first-order process.
@@ -57,7 +60,7 @@ class SensorNoise(NamedTuple):
 
 
 class NoiseState(NamedTuple):
-    """A slow error as a complex state of the level axes.
+    """A slow error of the blocks as a complex state of the level axes: w, a drift or the surge.
 
     Attributes:
         seen: factor of the state in a measurement.
@@ -77,30 +80,21 @@ class NoiseState(NamedTuple):
 
 
 class NoiseModel(NamedTuple):
-    """Noise of the blocks.
-
-    Attributes:
-        states: w, then drifts, which turn with the body, then the surge.
-        measured: variance of the noise of a measurement.
-    """
+    """Noise of the blocks: its slow states, w first, and the variance of a measurement's noise."""
 
     states: tuple[NoiseState, ...]
     measured: Scalar
 
-    @property
-    def turns(self) -> bool:
-        """Whether a state turns with the body, so that covariances are complex."""
-        return any(state.to_walk is not None for state in self.states)
+    def cast(self, number: Number) -> Number:
+        """Return a number as complex if a state turns with the body; else real numbers do."""
+        turns = any(state.to_walk is not None for state in self.states)
+        return jnp.asarray(number).astype(complex) if turns else jnp.asarray(number)
 
-    def initial(self) -> dict[tuple[int, int], Number]:
-        """Return the covariance of the states before the first block, by pairs i <= k."""
-        zero, n = jnp.zeros_like(self.measured), len(self.states)
-        off = _as_complex(zero) if self.turns else zero
-        return {
-            (i, k): self.states[i].variance if i == k else off
-            for i in range(n)
-            for k in range(i, n)
-        }
+    def initial(self) -> Covariance:
+        """Return the covariance of the states before the first block."""
+        off, n = self.cast(jnp.zeros_like(self.measured)), len(self.states)
+        pairs = [(i, k) for i in range(n) for k in range(i, n)]
+        return {(i, k): self.states[i].variance if i == k else off for i, k in pairs}
 
 
 def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseModel:
@@ -123,62 +117,49 @@ def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseMo
 
 
 def predict(
-    noise: NoiseModel, variance: dict[tuple[int, int], Number], turned: Scalar
-) -> tuple[list[list[Number | None]], list[Number], Scalar, dict[tuple[int, int], Number]]:
+    noise: NoiseModel, variance: Covariance, turned: Scalar
+) -> tuple[list[dict[int, Number]], list[Number], Scalar, Covariance]:
     """Return transition, gain, innovation variance and the covariance after a block.
+
+    The transition is rows of entries by column, without zeros.
 
     Args:
         noise: model of the blocks.
         variance: covariance before the block.
         turned: angle by which the body turned about the vertical, rad.
     """
-    states, places = noise.states, range(len(noise.states))
-    # Real numbers do as long as no state turns.
-    cast = _as_complex if noise.turns else jnp.asarray
+    states, places, cast = noise.states, range(len(noise.states)), noise.cast
 
     def p(i: int, k: int) -> Number:
         return cast(variance[i, k]) if i <= k else jnp.conj(cast(variance[k, i]))
 
-    step: list[list[Number | None]] = [[None for _ in places] for _ in places]
+    step = [{i: cast(state.kept)} for i, state in enumerate(states)]
     for i, state in enumerate(states):
-        step[i][i] = cast(state.kept)
         if state.to_walk is not None:
-            step[i][i] = cast(state.kept) * jnp.exp(_as_complex(turned) * 1j)
+            step[i][i] = step[i][i] * jnp.exp(cast(turned) * 1j)
             step[0][i] = cast(state.to_walk)
     seen = [sum(p(i, k) * cast(states[k].seen) for k in places) for i in places]
     s = noise.measured + sum(states[i].seen * jnp.real(seen[i]) for i in places)
     moved = [
-        sum(f * seen[k] for k, f in enumerate(row) if f is not None) + cast(states[i].shared)
-        for i, row in enumerate(step)
+        sum(f * seen[k] for k, f in row.items()) + cast(state.shared)
+        for row, state in zip(step, states, strict=True)
     ]
-    half = [
-        [sum(f * p(j, k) for j, f in enumerate(row) if f is not None) for k in places]
-        for row in step
-    ]
+    half = [[sum(f * p(j, k) for j, f in row.items()) for k in places] for row in step]
     after = {}
     for i, k in variance:
-        terms = (half[i][j] * jnp.conj(f) for j, f in enumerate(step[k]) if f is not None)
-        value = sum(terms) - moved[i] * jnp.conj(moved[k]) / cast(s)
+        value = sum(half[i][j] * jnp.conj(f) for j, f in step[k].items())
+        value = value - moved[i] * jnp.conj(moved[k]) / cast(s)
         after[i, k] = jnp.real(value) + states[i].driven if i == k else value
     return step, [m / cast(s) for m in moved], s, after
-
-
-def _as_complex(number: Number) -> Number:
-    return jnp.asarray(number).astype(complex)
 
 
 def times(factor: Number, pairs: Array) -> Array:
     """Return a number, maybe complex, times complex numbers in pairs, (n, 2)."""
     if not jnp.iscomplexobj(factor):
         return factor * pairs
+    x, y = pairs.T
     real, imaginary = jnp.real(factor), jnp.imag(factor)
-    return jnp.stack(
-        [
-            real * pairs[:, 0] - imaginary * pairs[:, 1],
-            imaginary * pairs[:, 0] + real * pairs[:, 1],
-        ],
-        axis=-1,
-    )
+    return jnp.stack([real * x - imaginary * y, imaginary * x + real * y], axis=-1)
 
 
 def heading_variance(noise: SensorNoise, time_s: Scalar) -> Scalar:
