@@ -223,7 +223,8 @@ def params(keys: StudyKeys, xp: Any) -> FitParams:
 
     def given_or(default: Any, key: str, unit: float) -> Any:
         given = keys.column(key, unit)
-        return xp.where(xp.isnan(given), default, given)
+        is_tuned = not isinstance(given, np.ndarray)
+        return given if is_tuned else np.where(np.isnan(given), default, given)
 
     def size(key: str, unit: float) -> Any:
         return keys.rms(key) * unit if simulated else zero
