@@ -167,8 +167,8 @@ def test_it_settles_at_its_refits_alone_and_the_verdict_says_so() -> None:
     found = sweep_verdict(Source(Path("out"), given, "x.toml", results.summary))
     texts = dict((fact.label, fact.text) for fact in found.facts)
     assert texts["Refits"] == (
-        "gravity_fit refits after 4, 8, 16, ... s, at report_times_s and at the end: only then can"
-        " it settle (7, 15, 31, ... s)"
+        "gravity_fit refits after about 4, 8, 16, ... s, at report_times_s and at the end: only"
+        " then can it settle (7, 15, 31, ... s)"
     )
 
 

@@ -50,8 +50,8 @@ LEAST_BLOCKS = 4
 """Blocks of the first fit; the next have twice as many each, and cost as much as the last alone."""
 
 REFITS = (
-    "gravity_fit refits after 4, 8, 16, ... s, at report_times_s and at the end: only then can it"
-    " settle (7, 15, 31, ... s)"
+    "gravity_fit refits after about 4, 8, 16, ... s, at report_times_s and at the end: only then"
+    " can it settle (7, 15, 31, ... s)"
 )
 """What its settling times are worth."""
 
