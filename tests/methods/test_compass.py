@@ -37,8 +37,8 @@ from oracles.naive import (
 from scipy import linalg, signal
 
 from sinsjax.engine.run import Static
-from sinsjax.methods.compass.config import REVERSALS
-from sinsjax.methods.compass.design import (
+from sinsjax.methods.compass import REVERSALS
+from sinsjax.methods.compass_design import (
     AzimuthGains,
     LevelGains,
     azimuth_matrix,

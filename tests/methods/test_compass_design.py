@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sinsjax.methods.compass import design as loops
-from sinsjax.methods.compass.design import PAPER_DAMPING, AzimuthGains, LevelGains
+from sinsjax.methods import compass_design as loops
+from sinsjax.methods.compass_design import PAPER_DAMPING, AzimuthGains, LevelGains
 
 EARTH = {"gravity": 9.8, "radius": 6378165.0}
 RATE_N = 7.292115e-5 * math.cos(math.radians(32.057313))

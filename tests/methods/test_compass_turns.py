@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from support.studies import small_study
 
 from sinsjax.execution import run as study_run
-from sinsjax.methods.compass import design as loops
+from sinsjax.methods import compass_design as loops
 
 G, R = 9.8, 6378137.0
 LATITUDE, RATE = math.radians(32.0), math.radians(15.041067) / 3600

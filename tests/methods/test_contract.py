@@ -28,7 +28,7 @@ from sinsjax.engine.build import Scenario
 from sinsjax.execution import schemas
 from sinsjax.maths import rotations
 from sinsjax.methods import passes
-from sinsjax.methods.compass.config import REVERSALS
+from sinsjax.methods.compass import REVERSALS
 from sinsjax.methods.floors import NO_BIASES
 from sinsjax.methods.method import COMMON_KEYS, UNKNOWN_ANGLE, Options, RunEnd
 from sinsjax.methods.plugins import check_plugin

@@ -1,4 +1,4 @@
-"""Methods in the inertial frame against naive sums, coarse alignment and closed forms."""
+"""Methods in the inertial frame against naive sums and closed forms."""
 
 from functools import cache
 
@@ -21,10 +21,11 @@ from oracles.naive import DEG, PAPER, WGS84, compensate, exp, log, of_quaternion
 from scipy.integrate import quad_vec
 from scipy.spatial.transform import Rotation
 
-from sinsjax.methods.coarse import COARSE
-from sinsjax.methods.inertial_frame import least_squares
-from sinsjax.methods.inertial_frame.least_squares import dominant_eigenvector, reaction_velocity
-from sinsjax.methods.inertial_frame.method import align_by_optimisation
+from sinsjax.methods import least_squares
+from sinsjax.methods.coarse import align_by_program
+from sinsjax.methods.least_squares import dominant_eigenvector, reaction_velocity
+from sinsjax.methods.method import Options
+from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import sensors
 from sinsjax.units import ARCMIN
 
@@ -140,22 +141,17 @@ def test_position_optimisation_leaves_initial_velocity_free(seconds):
     assert np.abs(log(fitted(b.T @ a, body[-1], seconds) @ found.T)).max() < 1e-2 * ARCMIN
 
 
-@pytest.mark.nightly(fast=("10",))
+@pytest.mark.nightly(fast=("10-inertial",))
 @pytest.mark.optimised(False)
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("seconds", [1, 10])
-def test_inertial_method_matches_inertial_coarse_alignment(seconds):
+def test_coarse_alignment_is_that_of_its_method(name, seconds):
+    """To what rounding of `dominant_eigenvector` leaves of a heading after some seconds."""
     rows = record()[: seconds * RATE]
     samples = jax.jit(sensors.compensate_record)(rows, rows[0])
-    q = jax.jit(COARSE["inertial"])(samples, place(PAPER, LATITUDE), 1 / RATE)
-    turn = log(of_quaternion(np.array(q)) @ attitudes("inertial", rows)[-1].T)
-    assert np.abs(turn).max() < 1e-9
-
-
-@pytest.mark.nightly
-def test_batch_optimisation_matches_sample_by_sample_result():
-    samples = sensors.compensate_record(record(), record()[0])
-    q = jax.jit(align_by_optimisation)(samples, place(PAPER, LATITUDE), 1 / RATE)
-    turn = log(of_quaternion(np.array(q)) @ of_record("optimisation")[-1].T)
+    program = METHODS[name].build(Options(1 / RATE))
+    q = jax.jit(lambda s: align_by_program(program, s, site(PAPER, LATITUDE)))(samples)
+    turn = log(of_quaternion(np.array(q)) @ attitudes(name, rows)[-1].T)
     assert np.abs(turn).max() < 1e-9
 
 

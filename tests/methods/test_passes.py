@@ -44,8 +44,7 @@ from oracles.naive import (
 from sinsjax.engine.run import Static
 from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.methods import passes
-from sinsjax.methods.compass.config import REVERSALS
-from sinsjax.methods.compass.method import Reversal
+from sinsjax.methods.compass import REVERSALS, Reversal
 from sinsjax.methods.method import Options
 from sinsjax.strapdown import earth, mechanisation, sensors
 from sinsjax.strapdown.error_model import MODELS

@@ -23,7 +23,7 @@ from oracles.naive import DEG, PAPER, Filter, Loops, exp, log, of_quaternion, qu
 
 from sinsjax.engine.environment import Static
 from sinsjax.methods import passes
-from sinsjax.methods.compass.config import REVERSALS
+from sinsjax.methods.compass import REVERSALS
 from sinsjax.methods.method import Options
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import sensors
