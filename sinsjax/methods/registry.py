@@ -78,6 +78,8 @@ def register_external(
     for name in names:
         if name in METHODS and not METHODS[name].is_external:
             raise InputError(f"{name!r} is a method of sinsjax (give the program another name)")
+        if name in METHODS and build is _made_elsewhere:
+            continue  # a study with its results is loaded again
         METHODS[name] = Method(
             name,
             "a program outside sinsjax, whose results were scored",

@@ -99,7 +99,7 @@ class Due(NamedTuple):
     reset: Flag | Scalar
 
 
-def smooth_resets(params: Any, width: Scalar) -> Any:
+def smooth_resets(params: Any, width: Any) -> Any:
     """Return the params of a method with each reset spread over a window; themselves without any.
 
     Args:

@@ -1,4 +1,4 @@
-"""The sections of a study that an alignment reads, whatever its method; free of jax."""
+"""The sections of a study that an alignment reads, whatever its method."""
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -50,18 +50,18 @@ class AlignmentSection(Section):
     method: MethodName = Field("kalman5", description="see `sinsjax keys METHOD`")
     phi_e0_deg: HalfTurn = Field(
         0.0,
-        description="initial misalignment about east, north or up (the heading error), deg: the"
-        " rotation from computed to true attitude",
+        description="initial misalignment about east, deg; the three angles"
+        " rotate the computed to the true attitude",
     )
     phi_n0_deg: HalfTurn = Field(
         0.0,
-        description="initial misalignment about east, north or up (the heading error), deg: the"
-        " rotation from computed to true attitude",
+        description="initial misalignment about north, deg; the three angles"
+        " rotate the computed to the true attitude",
     )
     phi_u0_deg: HalfTurn = Field(
         0.0,
-        description="initial misalignment about east, north or up (the heading error), deg: the"
-        " rotation from computed to true attitude",
+        description="initial misalignment about up, the heading error, deg; the three angles"
+        " rotate the computed to the true attitude",
     )
     misalignment: Literal["vector", "euler"] = Field(
         "vector",
@@ -70,13 +70,12 @@ class AlignmentSection(Section):
     )
     ve0_m_per_s: Speed = Field(
         0.0,
-        description="initial computed east or north velocity, m/s; an error, since the base does"
-        " not travel",
+        description="initial computed east velocity, m/s; an error, since the base does not travel",
     )
     vn0_m_per_s: Speed = Field(
         0.0,
-        description="initial computed east or north velocity, m/s; an error, since the base does"
-        " not travel",
+        description="initial computed north velocity, m/s; an error, since the base does not"
+        " travel",
     )
     position: Literal["fixed", "integrated"] = Field(
         "fixed",

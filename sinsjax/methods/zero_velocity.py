@@ -79,7 +79,7 @@ def build_filter(with_biases: bool, options: Options) -> Filter:
         """Mechanise, then [P1] eqs (8) and (9) without Q."""
         before = state.nav
         if with_biases:
-            sample = _subtract_biases(sample, state.bias, dt)
+            sample = subtract_biases(sample, state.bias, dt)
         nav, f_dt, here = mechanise(site, before, sample)
         entries = at_rest(state, here) if assumes_rest else transition(before, here, f_dt, dt)
         return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries))
@@ -107,7 +107,8 @@ def _init(params: FilterParams, nav: Navigation) -> FilterState:
     return state._replace(bias=state.belief.x[_FIRST_BIAS:])
 
 
-def _subtract_biases(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sample:
+def subtract_biases(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sample:
+    """Return a sample without biases: of the level accelerometers, m/s^2, and gyros, rad/s."""
     nabla_x, nabla_y, *eps = bias
     # The bias rotates the body by about 1e-8 rad per sample: first order is exact to rounding. As
     # in the model, its effect on dv is neglected: eps g dt / 2, 2.5 ng for 0.1 deg/h at 100 Hz.

@@ -215,10 +215,12 @@ class _Lane(NamedTuple):
     Attributes:
         params: leaves (lanes, ...).
         slopes: leaves (lanes, p, ...) by their number among the leaves of ``params``.
+        width: (lanes,) half width of the windows of resets, samples; None if none moves.
     """
 
     params: Any
     slopes: dict[int, Array]
+    width: Array | None
 
 
 class _Program(NamedTuple):
@@ -362,11 +364,11 @@ class Slope:
         """Return the arguments of every call of a program."""
         group = program.group
         params, slopes = self._parameters.slopes(group.static.method, program.keys, box)
+        width = None
         if self._parameters.moves_resets:
             width = np.full(len(group.variants.ve), softness.window_s * self._rate_hz)
-            params = smooth_resets(params, width)
         leaves = jax.tree.leaves(slopes)
-        lane = _Lane(params, {i: leaves[i] for i in program.active})
+        lane = _Lane(params, {i: leaves[i] for i in program.active}, width)
         group = group._replace(variants=group.variants._replace(method=lane))
         chosen = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
         group = group._replace(draws=chosen, q=group.q[draws])
@@ -384,8 +386,10 @@ class Slope:
         """Return the values of some tiles' runs and their derivatives by their descent's box."""
 
         def tile_values(tile: Tiles, active: dict[int, Array]) -> Array:
-            leaves, structure = jax.tree.flatten(tile.params.method.params)
+            lane: _Lane = tile.params.method
+            leaves, structure = jax.tree.flatten(lane.params)
             method = structure.unflatten(active.get(i, leaf) for i, leaf in enumerate(leaves))
+            method = method if lane.width is None else smooth_resets(method, lane.width)
             lanes = tile._replace(params=tile.params._replace(method=method))
             outcome, _ = run_tile(group.static, environment, lanes)
             return objective.relaxed_values(

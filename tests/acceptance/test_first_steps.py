@@ -9,8 +9,7 @@ from support.commands import Command, command_line
 
 import sinsjax as package
 from sinsjax.errors import InputError
-from sinsjax.methods.external.config import describe_external
-from sinsjax.methods.registry import METHODS
+from sinsjax.methods.registry import METHODS, register_external
 from sinsjax.study import files
 from sinsjax.study.load import load_study
 
@@ -338,7 +337,8 @@ def test_dependent_defaults_are_recomputed_on_replace() -> None:
 def test_keys_command_explains_key_and_section(
     sinsjax: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(METHODS, "theirs", describe_external("theirs"))  # of a loaded study
+    monkeypatch.delitem(METHODS, "theirs", raising=False)
+    register_external(["theirs"])  # of a loaded study
     code, told, _ = sinsjax("keys", "reset_count")
     assert code == 0
     assert told.startswith("[resets] reset_count: default 0; methods: all but optimisation, ")

@@ -17,13 +17,14 @@ import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.methods import registry
 from sinsjax.methods.plugins import check_plugin
+from sinsjax.methods.method import Options
 from sinsjax.study.load import study_from_dict
 
 EXAMPLE = Path(__file__).parents[1] / "example_method"
 DOCS = EXAMPLE.parents[1] / "docs"
 PAGE = (DOCS / "own_method.md").read_text("utf-8")
 STUDY = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)[-1]
-CONFIG, METHOD = (f"averaged_alignment/{name}.py" for name in ("config", "method"))
+METHOD = "averaged_alignment/method.py"
 POINTS = "averaged_alignment-1.0.dist-info/entry_points.txt"
 WHOSE = "method 'averaged' of averaged-alignment 1.0: "
 BROKEN = "averages.toml: [alignment] method: 'averaged' cannot be used: "
@@ -46,8 +47,7 @@ def test_example_plugin_keeps_its_promises_but_reads_a_record_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.syspath_prepend(EXAMPLE)
-    description = importlib.import_module("averaged_alignment.config").AVERAGED
-    method = description.implementation.build(None)
+    method = importlib.import_module("averaged_alignment.method").AVERAGED.build(Options(0.01))
     check_plugin("it", method, np.array([0.5]), 1, None)
     with pytest.raises(InputError, match=r"^it: reads a stored record once \(drop \[passes\]\)$"):
         check_plugin("it", method, np.array([0.5]), 1, None, passes="alternate")
@@ -111,12 +111,12 @@ def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
     ("edit", "line"),
     [
         (
-            (POINTS, "config:", "nowhere:"),
+            (POINTS, "method:", "nowhere:"),
             f"{SOURCE}cannot be loaded (ModuleNotFoundError: No module named 'averaged_alignment."
             "nowhere')",
         ),
         (
-            (CONFIG, "averaging_time_s", "duration_s"),
+            (METHOD, "averaging_time_s", "duration_s"),
             f"{BROKEN}{WHOSE}[averaged] duration_s is a key of [study]",
         ),
     ],
@@ -148,7 +148,7 @@ def test_broken_plugin_is_one_line_and_affects_only_studies_that_use_it(
         ),
         (
             (METHOD, "return 1 - 1", "return 0.5 #"),
-            "parameters must return one value per variant",
+            "params must return one value per variant",
             "",
         ),
     ],

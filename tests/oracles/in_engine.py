@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from support.alone import set_up_alone
+from support.methods import FIVE, TEN
 
 from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
 from sinsjax.engine.environment import Draw, Environment, RunParams, SensorModel, Static, Truth
@@ -23,7 +24,6 @@ from sinsjax.methods.method import Options, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import CovarianceReset, FeedbackSchedule, PiecewiseConstant, Resets
 from sinsjax.strapdown import base_motion, earth, sensors
-from sinsjax.strapdown.error_model import MODELS
 from sinsjax.types import Navigation, Quat, Vec3
 
 ARCMIN = DEG / 60
@@ -81,7 +81,7 @@ PAPER_Q = {
 }
 """Process noise of a step, as standard deviations."""
 
-_MODEL_OF = {len(model.states): model for model in MODELS.values()}
+_STATES_OF = {len(states): states for states in (FIVE, TEN)}
 
 
 def paper_filter(n: int, **changes) -> Filter:
@@ -102,7 +102,7 @@ def _paper_filter(states: Sequence[str], changes: dict[str, Any]) -> Filter:
 def by_state(values: np.ndarray) -> tuple[Any, ...]:
     """One value a state, from the naive module's order to that of the engine's model."""
     of = dict(zip(STATES, values, strict=False))
-    return tuple(of[name] for name in _MODEL_OF[len(of)].states)
+    return tuple(of[name] for name in _STATES_OF[len(of)])
 
 
 def params(filt: Filter) -> FilterParams:

@@ -15,7 +15,6 @@ from support.refusals import assert_named
 from support.studies import small_study
 
 from sinsjax.errors import InputError
-from sinsjax.methods.method import COMMON_KEYS
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files, json_schema, key_table, rules
 from sinsjax.study.identity import fingerprint
@@ -96,7 +95,7 @@ def test_conditions_and_alternatives_name_keys_of_their_section():
         named |= {key for pair in section.exclusive for key in pair}
         assert named <= section.model_fields.keys()
     for method in METHODS.values():
-        assert {*method.without_effect} <= {*method.keys, *COMMON_KEYS}
+        assert {*method.idle_keys} <= {*method.keys, "position"}
 
 
 # Where a key appears
@@ -133,7 +132,7 @@ def test_methods_that_read_a_key_are_those_on_which_it_acts():
         return told, {*told.methods}
 
     heading, methods = readers("phi_u0_deg")
-    silent = {name for name, method in METHODS.items() if "phi_u0_deg" in method.without_effect}
+    silent = {name for name, method in METHODS.items() if "phi_u0_deg" in method.idle_keys}
     assert methods == METHODS.keys() - silent and {"inertial", "level"} <= silent
     assert heading.readers_text == f"all but {', '.join(m for m in METHODS if m in silent)}"
     assert readers("level_sigma_per_s")[0].readers_text == "compass"

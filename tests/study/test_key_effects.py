@@ -10,7 +10,6 @@ from support.studies import BASE, small_study
 
 from sinsjax.engine.batch import run_chunks
 from sinsjax.engine.build import Scenario
-from sinsjax.methods.method import COMMON_KEYS
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import SECTION_OF, SECTIONS, accepted_words, reading_methods
 from sinsjax.study.study import Study
@@ -78,7 +77,7 @@ ACTING = {
         "alignment.method = 'level' & axes.level_accel_bias_ug = [1000.0, 5000.0]"
     ),
 }
-SILENT_SOMEWHERE = sorted({key for method in METHODS.values() for key in method.without_effect})
+SILENT_SOMEWHERE = sorted({key for method in METHODS.values() for key in method.idle_keys})
 """Keys without effect on a method that takes them."""
 
 
@@ -123,7 +122,7 @@ def test_active_key_changes_outcome(name):
 
 def own_keys(method: str) -> list[str]:
     """The keys of `SILENT_SOMEWHERE` that a method takes."""
-    return [key for key in SILENT_SOMEWHERE if key in {*METHODS[method].keys, *COMMON_KEYS}]
+    return [key for key in SILENT_SOMEWHERE if key in {*METHODS[method].keys, "position"}]
 
 
 def two_values(key: str) -> tuple[Any, Any]:
@@ -146,7 +145,7 @@ def silent_and_changing_keys(method: str) -> tuple[set[str], set[str]]:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("method", METHODS)
-def test_keys_without_effect_are_those_that_change_no_bit_of_a_run(method):
+def test_keys_idle_keys_are_those_that_change_no_bit_of_a_run(method):
     silent, changing = silent_and_changing_keys(method)
-    assert silent == {*METHODS[method].without_effect}
+    assert silent == {*METHODS[method].idle_keys}
     assert changing == {key for key in own_keys(method) if method in reading_methods(key)}

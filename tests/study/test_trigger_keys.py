@@ -6,9 +6,10 @@ import pytest
 from support.plain_studies import build_study, refusal_line
 from support.refusals import assert_named, refused
 
-from sinsjax.methods.filters.triggers import any_trigger
+from sinsjax.methods.filters.keys import any_trigger
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_tables
+from sinsjax.study.variants import Variants
 
 TRIGGER = {"reset_trigger": "innovation", "trigger_threshold": 9.0}
 OF_TRIGGERS: dict[str, float] = {
@@ -71,10 +72,15 @@ def test_reset_trigger_may_be_swept_together_with_none():
         {"axes": {"a": {"reset_trigger": ["none", "innovation"], "trigger_threshold": [0.0, 9.0]}}},
     ):
         study = build_study(**tables)
-        assert any_trigger(study) and set(study.values("reset_trigger")) == {"none", "innovation"}
+        assert any_trigger(Variants.all_of(study))
+        assert set(study.values("reset_trigger")) == {"none", "innovation"}
         assert study.values("trigger_most") == [10] * study.n_variants
-    assert not any_trigger(build_study(axes={"reset_trigger": ["none"]}))
-    assert not any_trigger(build_study()) and any_trigger(build_study(resets=TRIGGER))
+    for with_trigger, study in (
+        (False, build_study(axes={"reset_trigger": ["none"]})),
+        (False, build_study()),
+        (True, build_study(resets=TRIGGER)),
+    ):
+        assert any_trigger(Variants.all_of(study)) == with_trigger
 
 
 @pytest.mark.parametrize(

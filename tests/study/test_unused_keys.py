@@ -15,7 +15,7 @@ from support.studies import BASE, small_study, small_tables
 from sinsjax import InputError, StudyWarning, load_study
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution.run import run
-from sinsjax.methods.filters.triggers import any_trigger
+from sinsjax.methods.filters.keys import any_trigger
 from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.study import files
@@ -24,6 +24,7 @@ from sinsjax.study.load import load_with_notes, study_from_dict, study_to_tables
 from sinsjax.study.reset_schedules import LAW_METHODS
 from sinsjax.study.study import Study
 from sinsjax.study.unused_keys import list_idle_keys
+from sinsjax.study.variants import Variants
 
 SHIPPED = {**files.shipped_studies(), **files.template_files()}
 FULL = {
@@ -74,12 +75,12 @@ def expected_refusal(study: Study, method: str) -> str | None:
     if study.has("resets") and "resets" in new.sections and method not in LAW_METHODS:
         if "law" in study.values("schedule"):
             return "'law' holds for"
-    if {*INITIAL_KEYS} <= {*new.without_effect}:  # it needs no start
+    if {*INITIAL_KEYS} <= {*new.idle_keys}:  # it needs no start
         if study.passes:
             return "reads a record once"  # without passes it would read more data than the others
         if study.coarse_stages:
             return "needs no coarse alignment"
-    if method == "kalman_surge" and study.has("resets") and any_trigger(study):
+    if method == "kalman_surge" and study.has("resets") and any_trigger(Variants.all_of(study)):
         return "does not apply to method kalman_surge"
     return None
 
@@ -171,7 +172,7 @@ def test_tuned_key_that_no_method_reads_is_refused(tmp_path):
 @pytest.mark.parametrize("method", METHODS)
 def test_line_names_every_given_key_that_is_silent(method, tmp_path):
     tables: dict[str, Any] = {**BASE, "alignment": {"method": method, "phi_u0_deg": 20.0}}
-    silent = {*METHODS[method].without_effect}
+    silent = {*METHODS[method].idle_keys}
     for key in silent:
         words = accepted_words(SECTIONS[SECTION_OF[key]].model_fields[key].annotation)
         tables.setdefault(SECTION_OF[key], {})[key] = words[-1] if words else 20.0

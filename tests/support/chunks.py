@@ -4,8 +4,8 @@ import numpy as np
 
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation, Outcome
+from sinsjax.methods.filters.loop import FilterResults
 from sinsjax.methods.floors import BiasFloor
-from sinsjax.methods.method import FilterResults
 from sinsjax.types import Vec3
 from sinsjax.units import ARCMIN
 
