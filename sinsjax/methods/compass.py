@@ -43,10 +43,6 @@ _ADJUSTMENTS = ("level_adjustment_s", "azimuth_adjustment_s")
 _GAIN = KeyInfo(usual_range=(-1e11, 1e11))
 
 
-def _any_given(*times_s: float | None) -> bool:
-    return any(time is not None for time in times_s)
-
-
 class CompassSection(Section):
     """[compass]: levelling and azimuth loops, and their gain schedule."""
 
@@ -58,15 +54,15 @@ class CompassSection(Section):
         ("sigma_passes", "sigma_times_s"),
     )
     conditions = (
-        *(
-            KeyCondition((f"{loop}_damping",), (f"{loop}_gains",), lambda k: k is None, True)
-            for loop in ("level", "azimuth")
+        KeyCondition(("level_damping",), ("level_gains",), lambda k: k is None, refused=True),
+        KeyCondition(("azimuth_damping",), ("azimuth_gains",), lambda k: k is None, refused=True),
+        KeyCondition(
+            ("adjustment_reading",), _ADJUSTMENTS, lambda *times_s: times_s != (None, None)
         ),
-        KeyCondition(("adjustment_reading",), _ADJUSTMENTS, _any_given),
         KeyCondition(
             ("adjustment_remainder",),
             ("adjustment_reading", *_ADJUSTMENTS),
-            lambda reading, *times_s: reading == "settling" and _any_given(*times_s),
+            lambda reading, *times_s: reading == "settling" and times_s != (None, None),
         ),
     )
 
@@ -74,9 +70,7 @@ class CompassSection(Section):
         None, description="decay rate sigma of the levelling loop, 1/s; default 0.02"
     )
     level_adjustment_s: Seconds | None = Field(
-        None,
-        description="adjustment time of the levelling loop, see adjustment_reading, s; alternative"
-        " to its sigma",
+        None, description="alternative to level_sigma_per_s: see adjustment_reading, s"
     )
     level_gains: Annotated[tuple[Finite, Finite, Finite], _GAIN] | None = Field(
         None,
@@ -87,21 +81,16 @@ class CompassSection(Section):
         loops.PAPER_DAMPING, description="damping ratio of the levelling loop"
     )
     level_time_s: Annotated[SecondsOrZero | None, KeyInfo(default=150.0, time="s")] = Field(
-        None,
-        description="levelling time in both channels before the azimuth loop starts, s; default"
-        " 150",
+        None, description="levelling of both channels before the azimuth loop, s; default 150"
     )
     level_passes: Annotated[Annotated[Count, Field(ge=1)] | None, KeyInfo(time="pass")] = Field(
-        None,
-        description="levelling time in passes; alternative to level_time_s",
+        None, description="levelling time in passes; alternative to level_time_s"
     )
     azimuth_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.01)] = Field(
         None, description="decay rate sigma of the azimuth loop, 1/s; default 0.01"
     )
     azimuth_adjustment_s: Seconds | None = Field(
-        None,
-        description="adjustment time of the azimuth loop, see adjustment_reading, s; alternative to"
-        " its sigma",
+        None, description="alternative to azimuth_sigma_per_s: see adjustment_reading, s"
     )
     azimuth_gains: Annotated[tuple[Finite, Finite, Finite, Finite], _GAIN] | None = Field(
         None,
@@ -120,16 +109,13 @@ class CompassSection(Section):
         0.05, description="exp(-sigma t) after 'settling'"
     )
     sigma_factors: Factors = Field(
-        (1.0,),
-        description="factors on the azimuth sigma in successive intervals, the first from"
-        " the start",
+        (1.0,), description="factors on the azimuth sigma in intervals, the first from the start"
     )
     sigma_times_s: Annotated[Times | None, KeyInfo(whole="sample", time="s")] = Field(
         None, description="start times of the later intervals of sigma_factors, s"
     )
     sigma_passes: Annotated[PassNumbers | None, KeyInfo(time="pass")] = Field(
-        None,
-        description="completed passes before the later intervals; alternative to sigma_times_s",
+        None, description="passes before the later intervals; alternative to sigma_times_s"
     )
     allow_unstable: bool = Field(
         False, description="whether to run loops that are unstable, or too fast for the sample time"

@@ -65,14 +65,14 @@ class InertialState(NamedTuple):
     Attributes:
         nav: initial solution, which is the result before the first sample.
         body: C_{b(t)}^{b0}.
-        earth: C_{n0}^{n(t)}.
+        earth_turn: rotation vector -w_ie t of C_{n0}^{n(t)}, rad.
         sums: of velocities, positions or forces, as the method needs them.
         count: samples so far.
     """
 
     nav: Navigation
     body: Quat
-    earth: Quat
+    earth_turn: Vec3
     sums: Any
     count: Scalar
 
@@ -97,8 +97,8 @@ def build(fit: Fit, options: Options) -> Program:
 
     def init(params: Any, nav: Navigation) -> InertialState:
         zero = jnp.zeros_like(nav.ve)
-        one = Quat(zero + 1, zero, zero, zero)
-        return InertialState(nav, one, one, fit.start(zero), zero)
+        one, none = Quat(zero + 1, zero, zero, zero), Vec3(zero, zero, zero)
+        return InertialState(nav, one, none, fit.start(zero), zero)
 
     def step(
         params: Any, site: Site, state: InertialState, sample: Sample, n: Scalar
@@ -107,14 +107,14 @@ def build(fit: Fit, options: Options) -> Program:
         return InertialState(
             nav=state.nav,
             body=rotations.multiply(state.body, sample.turn),
-            earth=rotations.exp(scale(-n * dt, earth_rate(site.place))),
+            earth_turn=scale(-n * dt, earth_rate(site.place)),
             sums=fit.add_sample(state.sums, force, site.place, n, dt),
             count=n,
         )
 
     def attitude(state: InertialState) -> Quat:
         q = rotations.multiply(fit.solve(state.sums, state.count), state.body)
-        q = rotations.multiply(state.earth, q)
+        q = rotations.multiply(rotations.exp(state.earth_turn), q)
         return select_tree(state.count > 0, q, state.nav.q)
 
     return Program(init, step, attitude, _normalise)
@@ -126,52 +126,59 @@ def _normalise(state: InertialState) -> InertialState:
 
 
 class ForceSums(NamedTuple):
-    """Sums of m^0, m^1, m^2 and m^3 times a velocity increment, m from mid-sample to mid-sample.
+    """Sums of m, m^2 and m^3 times the change of a vector, m from mid-sample to mid-sample.
+
+    Of whole vectors the rounding of the sums would leave 1e-10 rad of heading.
 
     Attributes:
-        measured: in b0, m/s.
-        expected: in n0, m/s.
+        first: velocity increment of the first sample in b0, m/s.
+        measured: of increments in b0 less the first, m/s.
+        expected: of the vertical in n0 less the one at the start.
     """
 
+    first: Vec3
     measured: tuple[Vec3, ...]
     expected: tuple[Vec3, ...]
 
 
 def _no_forces(zero: Scalar) -> ForceSums:
-    none = (Vec3(zero, zero, zero),) * 4
-    return ForceSums(none, none)
+    none = Vec3(zero, zero, zero)
+    return ForceSums(none, (none,) * 3, (none,) * 3)
 
 
 def _add_force(sums: ForceSums, force: Vec3, place: Place, n: Scalar, dt: float) -> ForceSums:
-    """Return the sums with a sample's increment in b0, and the one that gravity leads to."""
+    """Return the sums with a sample's increment in b0 and the vertical in its middle."""
     middle = n - 0.5
-    up = Vec3(jnp.zeros_like(place.gravity), jnp.zeros_like(place.gravity), place.gravity * dt)
-    reaction = rotations.rotate(rotations.exp(scale(middle * dt, earth_rate(place))), up)
+    first = select_tree(n > 1, sums.first, force)
+    w, _, y, z = rotations.exp(scale(middle * dt, earth_rate(place)))  # about an axis without east
 
-    def add_powers(totals: tuple[Vec3, ...], increment: Vec3) -> tuple[Vec3, ...]:
-        return tuple(add(total, scale(middle**k, increment)) for k, total in enumerate(totals))
+    def add_powers(totals: tuple[Vec3, ...], change: Vec3) -> tuple[Vec3, ...]:
+        return tuple(add(t, scale(middle**k, change)) for k, t in enumerate(totals, start=1))
 
-    return ForceSums(add_powers(sums.measured, force), add_powers(sums.expected, reaction))
+    measured = add_powers(sums.measured, add(force, scale(-1.0, first)))
+    expected = add_powers(sums.expected, Vec3(2 * w * y, 2 * y * z, -2 * y * y))
+    return ForceSums(first, measured, expected)
 
 
-_MEAN, _SLOPE = (0.0, 2.0, -1.0, 0.0), (0.0, -2.0, 3.0, -1.0)
-"""Coefficients of (hm)^k in 1 - tau^2 and in (1 - tau^2) tau, tau = hm - 1, h = 2/n."""
+_MEAN, _SLOPE = (2.0, -1.0, 0.0), (-2.0, 3.0, -1.0)
+"""Coefficients of hm, (hm)^2, (hm)^3 in 1 - tau^2 and (1 - tau^2) tau, tau = hm - 1, h = 2/n."""
 
 
 def _fit_mean_and_slope(sums: ForceSums, count: Scalar) -> Quat:
     """Return the TRIAD of the weighted means and slopes of measured and expected force."""
-    h = 2 / jnp.maximum(count, 1.0)
+    n = jnp.maximum(count, 1.0)
+    total = (2 * n * n + 1) / (3 * n)  # of 1 - tau^2; that of (1 - tau^2) tau is zero
 
-    def weigh(totals: tuple[Vec3, ...]) -> Array:
-        powers = [jnp.stack(scale(h**k, total)) for k, total in enumerate(totals)]
-        return jnp.stack(
-            [
-                sum(c * power for c, power in zip(weight, powers, strict=True) if c)
-                for weight in (_MEAN, _SLOPE)
-            ]
+    def weigh(start: Array, totals: tuple[Vec3, ...]) -> Array:
+        powers = [jnp.stack(scale((2 / n) ** k, t)) for k, t in enumerate(totals, start=1)]
+        mean, slope = (
+            sum(c * power for c, power in zip(weight, powers, strict=True))
+            for weight in (_MEAN, _SLOPE)
         )
+        return jnp.stack([total * start + mean, slope])
 
-    return triad_attitude(weigh(sums.measured), weigh(sums.expected))
+    up = jnp.array([0.0, 0.0, 1.0])
+    return triad_attitude(weigh(jnp.stack(sums.first), sums.measured), weigh(up, sums.expected))
 
 
 OPTIMISATION = Method(

@@ -104,7 +104,7 @@ class ResetProblem(NamedTuple):
         """Time after which the heading information is that of the reset, J = 1/s0^2, s."""
 
         def is_early(time_s: float) -> bool:
-            return self.heading**2 * heading_information(time_s, self) - 1 < 0
+            return bool(self.heading**2 * heading_information(time_s, self) - 1 < 0)
 
         low, high = 1e-6, 1.0
         while is_early(high):
