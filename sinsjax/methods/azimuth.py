@@ -39,16 +39,14 @@ from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
     FilterState,
-    closed_loop,
-    mechanise_function,
     reverse_time,
     subtract_fed_back,
 )
 from sinsjax.methods.filters.params import HEADING, LEVEL, VELOCITY, filter_params
-from sinsjax.methods.method import AttitudeCovariance, Options, Program, Site, StudyKeys
+from sinsjax.methods.method import AttitudeCovariance, Options, StudyKeys
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
-from sinsjax.types import Quat, Sample, Scalar, Vec3
+from sinsjax.types import Quat, Scalar, Vec3
 
 STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, HEADING)
 VE, VN, TILT_E, TILT_N, AZIMUTH = range(5)
@@ -157,29 +155,22 @@ Prediction = Callable[[Belief, Place, Scalar, Scalar], Belief]
 """(belief, place, dt, alpha) -> belief one sample later, before the process noise is added."""
 
 
-def build(predict: Prediction, options: Options) -> Program:
-    """Return the method; `Options.specific_force` is always that of a base at rest.
+def build_filter(predict: Prediction, options: Options) -> Filter:
+    """Return the filter, whose `FilterParams.extra` is alpha.
 
     Args:
         predict: see `Prediction`.
-        options: choices that decide the program.
+        options: `Options.specific_force` is always that of a base at rest.
     """
-    return closed_loop(build_filter(predict, options), options)
+    dt = options.dt
 
-
-def build_filter(predict: Prediction, options: Options) -> Filter:
-    """Return its filter; `FilterParams.extra` is alpha. Arguments as of `build`."""
-    dt, mechanise = options.dt, mechanise_function(options)
-
-    def propagate(
-        params: FilterParams, site: Site, state: FilterState, sample: Sample
+    def predict_belief(
+        params: FilterParams, state: FilterState, here: Place, f_dt: Vec3
     ) -> FilterState:
-        nav, _, here = mechanise(site, state.nav, sample)
-        belief = predict(state.belief, here, dt, params.extra)
-        return state._replace(nav=nav, belief=belief)
+        return state._replace(belief=predict(state.belief, here, dt, params.extra))
 
     return Filter(
-        propagate=propagate,
+        predict=predict_belief,
         feed_back=_feed_back,
         reverse=partial(reverse_time, REVERSAL),
         at_rest=lambda state, here: jacobian(state.belief.x, here, dt),
@@ -225,7 +216,7 @@ EKF_AZIMUTH = filter_method(
     name="ekf_azimuth",
     summary="extended Kalman filter, its model nonlinear in the azimuth",
     source="after Yan, Strapdown Inertial Navigation, eq. (4-23)",
-    build=partial(build, predict_linearised),
+    build=partial(build_filter, predict_linearised),
     params=params,
     step_s=25e-9,
 )
@@ -234,7 +225,7 @@ UNSCENTED = filter_method(
     name="unscented",
     summary="the same model with an unscented transform",
     source="Julier (2002); Wan and van der Merwe (2000)",
-    build=partial(build, predict_unscented),
+    build=partial(build_filter, predict_unscented),
     params=params,
     step_s=60e-9,
 )

@@ -23,17 +23,15 @@ from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
     FilterState,
-    closed_loop,
     initial_state,
-    mechanise_function,
     reverse_time,
     subtract_fed_back,
 )
 from sinsjax.methods.filters.params import HEADING, LEVEL, VELOCITY, filter_params
-from sinsjax.methods.method import Options, Program, Site
+from sinsjax.methods.method import Options
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
-from sinsjax.types import Navigation, Sample, Scalar, Vec3
+from sinsjax.types import Navigation, Scalar, Vec3
 
 _TERMS = 20  # of a series in th^2, whose rest is below rounding for th = 2 pi
 
@@ -42,14 +40,9 @@ REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0)
 """Sign of each state under time reversal."""
 
 
-def build(options: Options) -> Program:
-    """Return the method; `Options.specific_force` is always that of a base at rest."""
-    return closed_loop(build_filter(options), options)
-
-
 def build_filter(options: Options) -> Filter:
     """Return its filter, whose extra state is the vertical velocity, m/s."""
-    dt, mechanise = options.dt, mechanise_function(options)
+    dt = options.dt
 
     def init(params: FilterParams, nav: Navigation) -> FilterState:
         return initial_state(params, nav)._replace(extra=jnp.zeros_like(nav.ve))
@@ -58,17 +51,13 @@ def build_filter(options: Options) -> Filter:
         gravity = Vec3(0.0, 0.0, here.gravity * dt)
         return five_state_transition(nav._replace(ve=0.0, vn=0.0), here, gravity, dt)
 
-    def propagate(
-        params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> FilterState:
-        before = state.nav
-        nav, f_dt, here = mechanise(site, before, sample)
-        up = state.extra + (f_dt.z - here.gravity * dt) + _coriolis_up(before, here) * dt
-        belief = kalman.propagate(state.belief, transition(before, here))
-        return state._replace(nav=nav, belief=belief, extra=up)
+    def predict(params: FilterParams, state: FilterState, here: Place, f_dt: Vec3) -> FilterState:
+        up = state.extra + (f_dt.z - here.gravity * dt) + _coriolis_up(state.nav, here) * dt
+        belief = kalman.propagate(state.belief, transition(state.nav, here))
+        return state._replace(belief=belief, extra=up)
 
     return Filter(
-        propagate=propagate,
+        predict=predict,
         feed_back=_feed_back,
         reverse=_reverse,
         at_rest=lambda state, here: transition(state.nav, here),
@@ -126,7 +115,7 @@ INVARIANT = filter_method(
     name="invariant",
     summary="right-invariant Kalman filter of a base at rest, fed back by the group",
     source="Barrau and Bonnabel (2017)",
-    build=build,
+    build=build_filter,
     params=partial(filter_params, STATES),
     step_s=15e-9,
 )

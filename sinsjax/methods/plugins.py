@@ -20,7 +20,7 @@ import numpy as np
 
 from sinsjax.errors import InputError
 from sinsjax.messages import first_error_line, shorten
-from sinsjax.methods.method import AttitudeCovariance, Method, Program, Site
+from sinsjax.methods.method import AttitudeCovariance, Method, Program
 from sinsjax.platform import runtime
 from sinsjax.types import Navigation, Quat, Sample, Vec3
 from sinsjax.value_types import Section
@@ -45,16 +45,29 @@ class PluginRegistry(NamedTuple):
         """Return the name of a plug-in's method with its package, for messages."""
         return f"method {name!r} of {' '.join(self.packages[name])}"
 
+    def add(self, method: Method) -> None:
+        """Add a method whose name, sections and keys are new.
+
+        Raises:
+            InputError: they are not.
+        """
+        if method.name in self.methods:
+            raise InputError(f"there is already a method {method.name!r}")
+        if clash := _find_clash(method, self.sections):
+            raise InputError(clash)
+        self.methods[method.name] = method
+        self.sections.update(method.sections)
+
 
 def load_plugins(built_in: Iterable[Method]) -> PluginRegistry:
     """Return the built-in methods and those of plug-ins; none replaces another."""
     registry = PluginRegistry({}, {}, {}, {})
     for method in built_in:
-        registry.methods[method.name] = method
-        registry.sections.update(method.sections)
+        registry.add(method)
     for point in runtime.method_entry_points():
         try:
-            method = _load_plugin(point, registry)
+            method = point.load()
+            registry.add(method)
         except (Exception, SystemExit) as error:  # anything that the code of others raises
             reason = str(error)
             if not isinstance(error, InputError):
@@ -62,21 +75,9 @@ def load_plugins(built_in: Iterable[Method]) -> PluginRegistry:
             source = f"entry point {point.name!r} in {point.group}{_package_label(point)}"
             registry.broken[point.name] = f"{source}: {reason}"
             continue
-        registry.methods[method.name] = method
-        registry.sections.update(method.sections)
         if point.dist is not None:
             registry.packages[method.name] = point.dist.name, point.dist.version
     return registry
-
-
-def _load_plugin(point: EntryPoint, registry: PluginRegistry) -> Method:
-    """Return the method of an entry point, whose name, sections and keys must be new."""
-    method: Method = point.load()
-    if method.name in registry.methods:
-        raise InputError(f"there is already a method {method.name!r}")
-    if clash := _find_clash(method, registry.sections):
-        raise InputError(clash)
-    return method
 
 
 def exclude_clashing(registry: PluginRegistry, common: Mapping[str, type[Section]]) -> None:
@@ -109,7 +110,7 @@ def _find_clash(method: Method, taken: Mapping[str, type[Section]]) -> str | Non
 
 
 def check_plugin(
-    name: str, program: Program, params: Any, variants: int, site: Site, *, passes: str = "once"
+    name: str, program: Program, params: Any, variants: int, site: Any, *, passes: str = "once"
 ) -> None:
     """Check what a plug-in's functions return, without running them (`jax.eval_shape`).
 
@@ -118,7 +119,7 @@ def check_plugin(
         program: the program that it builds.
         params: its params, leaves (variants, ...).
         variants: number of variants.
-        site: of one run.
+        site: `Site` of one run.
         passes: "once", or how a stored record is read repeatedly.
 
     Raises:
@@ -145,13 +146,17 @@ def check_plugin(
     q, unknown = Quat(*(zero,) * 4), AttitudeCovariance(*(zero,) * 6)
     nav, sample = Navigation(q, *(zero,) * 4), Sample(q, Vec3(*(zero,) * 3))
     of_run = jax.tree.map(lambda leaf: np.asarray(leaf)[0], params)
-    parts = zip(*jax.eval_shape(first_sample, of_run, nav, sample), strict=True)
-    for what, (found, expected) in zip(
-        ("step, normalise or close", "attitude", "covariance"), parts, strict=True
+    found, expected = jax.eval_shape(first_sample, of_run, nav, sample)
+    for what, one, other in zip(
+        ("step, normalise or close", "attitude", "covariance"), found, expected, strict=True
     ):
-        texts = [shorten(str(jax.tree.map(str, tree)), 300) for tree in (found, expected)]
+        texts = [
+            str(jax.tree.map(lambda leaf: f"{leaf.dtype}{[*leaf.shape]}", tree)).replace("'", "")
+            for tree in (one, other)
+        ]
         if texts[0] != texts[1]:
-            raise InputError(f"{name}: {what} returns {texts[0]}, expected {texts[1]}")
+            returned, wanted = (shorten(text, 300) for text in texts)
+            raise InputError(f"{name}: {what} returns {returned}, expected {wanted}")
 
 
 def describe_plugin_error(error: BaseException) -> str | None:
@@ -175,19 +180,13 @@ def _describe_error(error: BaseException, point: EntryPoint) -> str:
 
 def _last_place(error: BaseException, point: EntryPoint) -> str:
     """Return the last place of a traceback in a plug-in's code, as ``, in file:line``."""
-    folders = _package_folders(point)
-    frames = traceback.extract_tb(error.__traceback__)
-    inside = [frame for frame in frames if frame.filename.startswith(folders)]
-    return f", in {inside[-1].filename}:{inside[-1].lineno}" if inside else ""
-
-
-def _package_folders(point: EntryPoint) -> tuple[str, ...]:
-    """Return the folders of a package's code, without importing it."""
-    try:
+    try:  # the folders of the package, without importing it
         spec = find_spec(point.module.partition(".")[0])
     except (AttributeError, ImportError, ValueError):
-        return ()
+        spec = None
     if spec is None:
-        return ()
-    folders = spec.submodule_search_locations
-    return tuple(f"{folder}/" for folder in folders) if folders else (str(spec.origin),)
+        return ""
+    folders = tuple(f"{folder}/" for folder in spec.submodule_search_locations or ())
+    frames = traceback.extract_tb(error.__traceback__)
+    inside = [f for f in frames if f.filename.startswith(folders or (str(spec.origin),))]
+    return f", in {inside[-1].filename}:{inside[-1].lineno}" if inside else ""

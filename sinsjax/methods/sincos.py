@@ -36,9 +36,7 @@ from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
     FilterState,
-    closed_loop,
     initial_state,
-    mechanise_function,
     reverse_time,
 )
 from sinsjax.methods.filters.params import DIRECTION, LEVEL, VELOCITY, filter_params
@@ -47,12 +45,11 @@ from sinsjax.methods.method import (
     AttitudeCovariance,
     Options,
     OwnColumn,
-    Program,
     Site,
 )
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
-from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Flag, Navigation, Quat, Scalar, Vec3
 from sinsjax.units import DEG_PER_H
 
 STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, DIRECTION, DIRECTION)
@@ -80,23 +77,15 @@ class Direction(NamedTuple):
     amplitude: Scalar
 
 
-def build(options: Options) -> Program:
-    """Return method `kalman_sincos`; `Options.specific_force` is always that of a base at rest."""
-    return closed_loop(build_filter(options), options)
-
-
 def build_filter(options: Options) -> Filter:
-    """Return its filter; arguments as of `build`."""
-    dt, mechanise = options.dt, mechanise_function(options)
+    """Return the filter; `Options.specific_force` is always that of a base at rest."""
+    dt = options.dt
 
-    def propagate(
-        params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> FilterState:
-        nav, _, here = mechanise(site, state.nav, sample)
-        return state._replace(nav=nav, belief=kalman.propagate(state.belief, transition(here, dt)))
+    def predict(params: FilterParams, state: FilterState, here: Place, f_dt: Vec3) -> FilterState:
+        return state._replace(belief=kalman.propagate(state.belief, transition(here, dt)))
 
     return Filter(
-        propagate=propagate,
+        predict=predict,
         feed_back=_feed_back,
         reverse=partial(reverse_time, REVERSAL),
         at_rest=lambda state, here: transition(here, dt),
@@ -265,7 +254,7 @@ SINCOS = describe(
     name="kalman_sincos",
     summary="Kalman filter with sine and cosine of the azimuth, linear from any heading",
     source="Dmitriyev, Stepanov and Shepel (1997), Rogers (1997)",
-    build=build,
+    build=build_filter,
     params=partial(filter_params, STATES),
     step_s=15e-9,
 )

@@ -33,15 +33,13 @@ from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
     FilterState,
-    closed_loop,
-    mechanise_function,
     reverse_time,
 )
 from sinsjax.methods.filters.params import filter_params
-from sinsjax.methods.method import Options, Program, Site, StudyKeys
+from sinsjax.methods.method import Options, StudyKeys
 from sinsjax.methods.sincos import VE, VN
 from sinsjax.strapdown.earth import Place
-from sinsjax.types import Navigation, Sample, Scalar
+from sinsjax.types import Navigation, Scalar, Vec3
 from sinsjax.value_types import Seconds, Section, SpeedSigma
 
 PLACE_E, PLACE_N, SURGE_E, SURGE_N = range(6, 10)
@@ -62,28 +60,20 @@ class SurgeParams(NamedTuple):
     rate: Scalar
 
 
-def build(options: Options) -> Program:
-    """Return method `kalman_surge`; `Options.specific_force` is always that of a base at rest."""
-    return closed_loop(build_filter(options), options)
-
-
 def build_filter(options: Options) -> Filter:
-    """Return its filter; arguments as of `build`."""
-    dt, mechanise = options.dt, mechanise_function(options)
+    """Return the filter; `Options.specific_force` is always that of a base at rest."""
+    dt = options.dt
 
     def init(params: FilterParams, nav: Navigation) -> FilterState:
         return sincos.init_unknown_heading(params, nav)._replace(extra=params.extra)
 
-    def propagate(
-        params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> FilterState:
-        nav, _, here = mechanise(site, state.nav, sample)
+    def predict(params: FilterParams, state: FilterState, here: Place, f_dt: Vec3) -> FilterState:
         entries = transition(here, state.extra, dt)
-        return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries))
+        return state._replace(belief=kalman.propagate(state.belief, entries))
 
     return sincos.build_filter(options)._replace(
         init=init,
-        propagate=propagate,
+        predict=predict,
         update=_update_with_surge,
         reverse=partial(reverse_time, REVERSAL),
         at_rest=lambda state, here: transition(here, state.extra, dt),
@@ -151,7 +141,7 @@ SURGE = sincos.describe(
     summary="the same with states for the velocity of a base that surges",
     source="`methods.surge`",
     sections={"filter": FilterSection, "resets": ResetsSection, "surge": SurgeSection},
-    build=build,
+    build=build_filter,
     params=params,
     rules=(check_no_trigger, check_trigger, check_resets),
     turning="many",

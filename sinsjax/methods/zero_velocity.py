@@ -16,9 +16,7 @@ from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
     FilterState,
-    closed_loop,
     initial_state,
-    mechanise_function,
     reverse_time,
     subtract_fed_back,
 )
@@ -30,7 +28,7 @@ from sinsjax.methods.filters.params import (
     VELOCITY,
     filter_params,
 )
-from sinsjax.methods.method import Options, Program, Site
+from sinsjax.methods.method import Options
 from sinsjax.strapdown import earth, mechanisation
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
@@ -57,14 +55,9 @@ def ten_state_transition(nav: Navigation, place: earth.Place, f_dt: Vec3, dt: Sc
     return entries
 
 
-def build(with_biases: bool, options: Options) -> Program:
-    """Return the program of `KALMAN5`, or with biases of `KALMAN10`."""
-    return closed_loop(build_filter(with_biases, options), options)
-
-
 def build_filter(with_biases: bool, options: Options) -> Filter:
-    """Return the filter of [P1]; arguments as of `build`."""
-    dt, mechanise = options.dt, mechanise_function(options)
+    """Return the filter of `KALMAN5`, or with biases of `KALMAN10`."""
+    dt = options.dt
     assumes_rest = options.specific_force == "gravity"
     transition = ten_state_transition if with_biases else five_state_transition
     reversal = (*REVERSAL, *BIAS_REVERSAL) if with_biases else REVERSAL
@@ -73,16 +66,14 @@ def build_filter(with_biases: bool, options: Options) -> Filter:
         gravity = Vec3(0.0, 0.0, place.gravity * dt)
         return transition(state.nav._replace(ve=0.0, vn=0.0), place, gravity, dt)
 
-    def propagate(
-        params: FilterParams, site: Site, state: FilterState, sample: Sample
+    def predict(
+        params: FilterParams, state: FilterState, here: earth.Place, f_dt: Vec3
     ) -> FilterState:
-        """Mechanise, then [P1] eqs (8) and (9) without Q."""
-        before = state.nav
-        if with_biases:
-            sample = subtract_biases(sample, state.bias, dt)
-        nav, f_dt, here = mechanise(site, before, sample)
-        entries = at_rest(state, here) if assumes_rest else transition(before, here, f_dt, dt)
-        return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries))
+        entries = at_rest(state, here) if assumes_rest else transition(state.nav, here, f_dt, dt)
+        return state._replace(belief=kalman.propagate(state.belief, entries))
+
+    def correct(state: FilterState, sample: Sample) -> Sample:
+        return subtract_biases(sample, state.bias, dt)
 
     def reverse(state: FilterState) -> FilterState:
         biases = zip(reversal[_FIRST_BIAS:], state.bias, strict=True)
@@ -90,12 +81,13 @@ def build_filter(with_biases: bool, options: Options) -> Filter:
         return reversed_._replace(bias=tuple(sign * bias for sign, bias in biases))
 
     return Filter(
-        propagate=propagate,
+        predict=predict,
         feed_back=_feed_back,
         reverse=reverse,
         at_rest=at_rest,
         heading=(PHI_U,),
         init=_init,
+        correct=correct if with_biases else None,
         shares_covariance=assumes_rest and options.position == "fixed" and not with_biases,
         keep=lambda first, last: first._replace(bias=_estimated_biases(last)),
         gyro_bias=_gyro_bias if with_biases else None,
@@ -145,7 +137,7 @@ KALMAN5 = filter_method(
     name="kalman5",
     summary="Kalman filter of velocity and attitude errors, zero velocity measured",
     source="[P1] eq. (1)",
-    build=partial(build, False),
+    build=partial(build_filter, False),
     params=partial(filter_params, STATES),
     reads=(*LOOP_KEYS, "specific_force"),
 )
@@ -154,7 +146,7 @@ KALMAN10 = filter_method(
     name="kalman10",
     summary="the same with states of gyro and level accelerometer biases",
     source="[P1] eq. (1), biases as states",
-    build=partial(build, True),
+    build=partial(build_filter, True),
     params=partial(filter_params, (*STATES, *BIAS_STATES)),
     reads=(*LOOP_KEYS, "specific_force"),
     without_effect=(),

@@ -16,7 +16,7 @@ from sinsjax.messages import suggest_closest
 from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.plugins import exclude_clashing
 from sinsjax.methods.registry import METHODS, REGISTRY, SECTIONS_OF_METHODS, external_names
-from sinsjax.methods.sections import AlignmentSection, CoarseSection, PassesSection
+from sinsjax.study.alignment import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.schema import (
     AdviseSection,
     Distribution,

@@ -18,8 +18,8 @@ from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS, scheduled_reset_times
 from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import SECTIONS_OF_METHODS
-from sinsjax.methods.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study import display
+from sinsjax.study.alignment import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.keys import (
     COARSE_KEYS,
     PASS_KEYS,

@@ -16,8 +16,8 @@ from support.command_server import CommandServer
 import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.methods import registry
-from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.method import Options
+from sinsjax.methods.plugins import check_plugin
 from sinsjax.study.load import study_from_dict
 
 EXAMPLE = Path(__file__).parents[1] / "example_method"

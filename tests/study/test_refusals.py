@@ -202,7 +202,7 @@ resets.reset_count = 1 & axes.reset_first_s = [25, 901]
 resets.reset_count = 3 & resets.reset_first_s = 101 & resets.reset_cycle_s = 400
     -> [resets] reset_cycle_s: 3 101 400 901 900
 resets.reset_count = 2 & resets.reset_first_s = 0.015 & resets.reset_cycle_s = 0.01
-    -> [resets] reset_first_s: 0.015 0.01 two
+    -> [resets] reset_first_s: 0.015 0.01 0.025
 """)
 def test_invalid_resets_are_refused(refusal):
     refusal.check(refusal_line(**refusal.tables))

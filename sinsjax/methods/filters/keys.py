@@ -3,7 +3,7 @@
 P0, Q and R; resets of P, by a schedule or a trigger. `params` makes numbers of them.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from sinsjax.columns import Column
-from sinsjax.methods.method import Method, OwnColumn, StudyKeys
+from sinsjax.methods.filters.loop import Filter, closed_loop
+from sinsjax.methods.method import Method, Options, OwnColumn, StudyKeys
 from sinsjax.types import Scalar
 from sinsjax.value_types import (
     ROUNDING,
@@ -475,71 +476,42 @@ def check_resets(study: StudyKeys) -> None:
             shown = " and ".join(map(repr, names))
             study.refuse(key, f"has no effect with schedule = {shown} (drop one of the two)")
     for point in points:
-        times, count, cycle, first = (point[key] for key in SCHEDULE_KEYS)
-        if times is not None:
-            _check_reset_times(
-                study, times, "schedule" if point["schedule"] == "law" else "reset_times_s"
-            )
-        elif count:
-            _check_counted_resets(study, count, cycle, first)
-        if point["reset_at_feedback"]:
-            _check_delayed_resets(study, [point[key] for key in RESET_KEYS])
+        _check_schedule(study, point)
 
 
-def _check_delayed_resets(study: StudyKeys, values: Sequence[Any]) -> None:
-    """Refuse a reset that waits for a feedback after the end."""
-    written = scheduled_reset_times(*values[: len(SCHEDULE_KEYS)])
-    for time, later in zip(written, acting_reset_times(study.rate_hz, *values), strict=True):
-        if later > study.run_s * (1 + ROUNDING):
-            text = f"delays the reset at {time:.12g} s to the feedback at {later:.12g} s"
-            study.refuse("reset_at_feedback", f"{text}, after the end of the run ({study.end})")
-
-
-def _check_reset_times(
-    study: StudyKeys, times: tuple[float, ...], key: str = "reset_times_s"
-) -> None:
-    """Refuse given reset times after the end, at the start, or two at one sample."""
-    rate = study.rate_hz
+def _check_schedule(study: StudyKeys, point: Mapping[str, Any]) -> None:
+    """Refuse resets after the end, at the start, or two at one sample, for one schedule."""
+    given, count, cycle, first = (point[key] for key in SCHEDULE_KEYS)
+    rate, end_s = study.rate_hz, study.run_s * (1 + ROUNDING)
+    late = colliding = "schedule" if point["schedule"] == "law" else "reset_times_s"
+    among = ""
+    if given is None:
+        alone = 0 if first is None else 1  # resets that need no cycle
+        if cycle is None and (count or 0) > alone:
+            study.refuse("reset_cycle_s", f"required with reset_count > {alone} (it is {count})")
+        if (count or 0) > end_s * rate:
+            study.refuse("reset_count", f"{count} resets are more than the samples of the run")
+        late = "reset_cycle_s" if study.place("reset_count") == "[resets]" else "reset_count"
+        late = late if cycle else "reset_first_s"
+        colliding = "reset_cycle_s" if first is None else "reset_first_s"
+        begin = "" if first is None else f" from {first:.12g} s"
+        among = f", of {count}{begin} every {cycle:.12g} s," if cycle else ""
+    times = scheduled_reset_times(given, count, cycle, first)
     earlier, taken = 0.0, 0
     for time in times:
-        if time > study.run_s * (1 + ROUNDING):
-            study.refuse(key, f"{time:.12g} s is after the end of the run ({study.end})")
-        sample = round(time * rate)
-        if sample == taken:
+        reset = f"the reset at {time:.12g} s{among}"
+        if time > end_s:
+            study.refuse(late, f"{reset} is after the end of the run ({study.end})")
+        if (sample := round(time * rate)) == taken:
             other = f"the reset at {earlier:.12g} s" if taken else "the start"
-            text = f"{time:.12g} s is at the sample of {other} (a sample is {1 / rate:.12g} s)"
-            study.refuse(key, text)
+            text = f"{reset} is at the sample of {other} (a sample is {1 / rate:.12g} s)"
+            study.refuse(colliding, text)
         earlier, taken = time, sample
-
-
-def _check_counted_resets(
-    study: StudyKeys, count: int, cycle: float | None, first: float | None
-) -> None:
-    """Refuse counted resets after the end, at the start, or two at one sample."""
-    alone = 0 if first is None else 1  # resets that need no cycle
-    if cycle is None and count > alone:
-        study.refuse("reset_cycle_s", f"required with reset_count > {alone} (it is {count})")
-    if first is not None:
-        _check_reset_times(study, (first,), key="reset_first_s")
-    if cycle is None or count <= alone:
-        return
-    rate = study.rate_hz
-    begin, last = ("", count * cycle)
-    if first is not None:
-        begin, last = f" from {first:.12g} s", first + (count - 1) * cycle
-    if last > study.run_s * (1 + ROUNDING):
-        key = "reset_cycle_s" if study.place("reset_count") == "[resets]" else "reset_count"
-        text = f"{count} resets{begin} every {cycle:.12g} s take {last:.12g} s"
-        study.refuse(key, f"{text}, longer than the run ({study.end})")
-    if cycle * rate < 1 - ROUNDING:
-        text = f"{cycle:.12g} s is shorter than a sample of {1 / rate:.12g} s"
-        study.refuse("reset_cycle_s", text)
-    if first is not None and cycle * rate < 2:
-        # Halves are rounded to even: both 1.5 and 2.5 samples become 2.
-        times = scheduled_reset_times(None, count, cycle, first)
-        if len({round(time * rate) for time in times}) < count:
-            text = f"{first:.12g} s and a cycle of {cycle:.12g} s put two resets at one sample"
-            study.refuse("reset_first_s", f"{text} (a sample is {1 / rate:.12g} s)")
+    acting = acting_reset_times(rate, *(point[key] for key in RESET_KEYS))
+    for time, later in zip(times, acting, strict=True):
+        if later > end_s:
+            text = f"delays the reset at {time:.12g} s to the feedback at {later:.12g} s"
+            study.refuse("reset_at_feedback", f"{text}, after the end of the run ({study.end})")
 
 
 # Columns, and what all filters have
@@ -621,16 +593,23 @@ LOOP_KEYS = (
 )
 """The keys of [alignment] and [passes] that act on every filter."""
 
-filter_method = partial(
-    Method,
-    sections={"filter": FilterSection, "resets": ResetsSection},
-    reads=LOOP_KEYS,
-    without_effect=BIAS_KEYS,
-    turning="none",
-    rules=(check_trigger, check_resets),
-    columns=FILTER_COLUMNS,
-)
-"""Return the `Method` of a filter without sensor bias states; the arguments add the rest."""
+
+def filter_method(*, build: Callable[[Options], Filter], **parts: Any) -> Method:
+    """Return the method of a filter in closed loop.
+
+    Args:
+        build: builds its stages.
+        parts: other fields of `Method`; by default those of a filter without sensor bias states.
+    """
+    usual = {
+        "sections": {"filter": FilterSection, "resets": ResetsSection},
+        "reads": LOOP_KEYS,
+        "without_effect": BIAS_KEYS,
+        "turning": "none",
+        "rules": (check_trigger, check_resets),
+        "columns": FILTER_COLUMNS,
+    }
+    return Method(build=lambda options: closed_loop(build(options), options), **usual | parts)
 
 
 def estimates_biases(method: Method) -> bool:

@@ -119,26 +119,6 @@ class FilterState(NamedTuple):
 # Stages that filters share
 
 
-def mechanise_function(
-    options: Options,
-) -> Callable[[Site, Navigation, Sample], tuple[Navigation, Vec3, Place]]:
-    """Return the mechanisation of one sample: (site, navigation, sample) -> three results.
-
-    Returns:
-        A function that returns the solution at the end of the sample, the specific force in n times
-        dt, m/s, and the Earth at the beginning of the sample, by `Options.position`.
-    """
-
-    def mechanise(site: Site, nav: Navigation, sample: Sample) -> tuple[Navigation, Vec3, Place]:
-        here = options.place(site, nav)
-        later, f_dt = mechanisation.advance_navigation(nav, sample, here, options.dt)
-        if options.position == "integrated":
-            later = mechanisation.advance_position(later, here, options.dt)
-        return later, f_dt, here
-
-    return mechanise
-
-
 def initial_state(params: FilterParams, nav: Navigation) -> FilterState:
     """Return the state of a filter whose estimates begin with zero, with no bias fed back."""
     return FilterState(nav, kalman.initial_belief(params.p0), (), params.feedback.every)
@@ -175,8 +155,8 @@ class Filter(NamedTuple):
     more. Its first two states are the velocity errors.
 
     Attributes:
-        propagate: (params, site, state, sample) -> state at the end of the sample, mechanised, with
-            the belief propagated but the process noise not yet added.
+        predict: (params, state, place, f dt in n, m/s) -> state with its belief propagated over a
+            sample; the solution is still that before it, and the process noise is added later.
         feed_back: (state, share) -> state with that share of its estimate moved into the
             navigation solution, and the correction of its attitude, rad.
         reverse: state -> state with which the record is read in the other direction.
@@ -187,6 +167,7 @@ class Filter(NamedTuple):
         misalignment: state -> estimated misalignment that is not fed back yet, rad.
         attitude: state -> best attitude.
         covariance: state -> covariance of that attitude.
+        correct: (state, sample) -> sample without the biases found; None if none are.
         extra_results: (site, state) -> `FilterResults.extra`; None if the filter has none.
         shares_covariance: see `Program.shares_covariance`.
         keep: (first state of a record, state at its end) -> the first with all that is no error of
@@ -194,7 +175,7 @@ class Filter(NamedTuple):
         gyro_bias: see `Passes.gyro_bias`.
     """
 
-    propagate: Callable[[Any, Site, Any, Sample], Any]
+    predict: Callable[[Any, Any, Place, Vec3], Any]
     feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]]
     reverse: Callable[[Any], Any]
     at_rest: Callable[[Any, Place], Entries]
@@ -204,6 +185,7 @@ class Filter(NamedTuple):
     misalignment: Callable[[Any], Vec3] = estimated_misalignment
     attitude: Callable[[Any], Quat] = corrected_attitude
     covariance: Callable[[Any], AttitudeCovariance] = misalignment_covariance
+    correct: Callable[[Any, Sample], Sample] | None = None
     extra_results: Callable[[Site, Any], Any] | None = None
     shares_covariance: bool = False
     keep: Callable[[Any, Any], Any] | None = None
@@ -253,10 +235,15 @@ class _ClosedLoop(NamedTuple):
         return state
 
     def step(self, params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
-        before = state
-        state = self.filter.propagate(params, site, state, sample)
-        # The process noise of a sample, Q of [P1] eq. (9).
-        state = state._replace(belief=kalman.add_noise(state.belief, params.q))
+        before, dt, here = state, self.options.dt, self.options.place(site, state.nav)
+        if self.filter.correct is not None:
+            sample = self.filter.correct(state, sample)
+        nav, f_dt = mechanisation.advance_navigation(state.nav, sample, here, dt)
+        if self.options.position == "integrated":
+            nav = mechanisation.advance_position(nav, here, dt)
+        predicted = self.filter.predict(params, state, here, f_dt)  # [P1] eqs (8) and (9)
+        belief = kalman.add_noise(predicted.belief, params.q)
+        state = predicted._replace(nav=nav, belief=belief)
         state, innovation = self.filter.update(params, state)
         if self.options.innovations:
             total, count = state.innovations
@@ -326,8 +313,7 @@ class _ClosedLoop(NamedTuple):
         assert self.trigger is not None
         not_fed_back = self.filter.misalignment(state)
         snapshot = triggers.FilterSnapshot(
-            innovation=innovation.value,
-            variance=innovation.variance,
+            innovation=innovation,
             belief=state.belief,
             correction=add(state.trigger_state.fed_back, not_fed_back),
             not_fed_back=not_fed_back,

@@ -1,7 +1,8 @@
 """Triggers: small pure objects that watch a filter as it runs and call for resets of P.
 
 A trigger has a memory, which is cleared by every reset, and computes a score after each update; P
-is reset when the score exceeds the threshold. `TRIGGERS` lists them.
+is reset when the score exceeds the threshold. `TRIGGERS` lists them. The functions that `loop`
+calls take a filter's whole `FilterParams` and `FilterState`.
 """
 
 import math
@@ -13,25 +14,11 @@ import numpy as np
 
 from sinsjax.maths.algebra import Entries, Triangle, add, select_tree
 from sinsjax.methods.filters import kalman
-from sinsjax.methods.filters.kalman import Belief, normalised_innovation_squared
+from sinsjax.methods.filters.kalman import Belief, Innovation, normalised_innovation_squared
 from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Scalar, Vec3
 from sinsjax.units import DEG
-
-
-class TriggerCounts(NamedTuple):
-    """Resets by a trigger in a run.
-
-    Attributes:
-        count: number of resets.
-        first: sample of the first of them, 0 for none.
-        last: sample of the last of them, 0 for none.
-    """
-
-    count: Scalar
-    first: Scalar
-    last: Scalar
 
 
 class TriggerParams(NamedTuple):
@@ -54,34 +41,18 @@ class TriggerParams(NamedTuple):
     at_feedback: Scalar | None = None
 
 
-class AssumedNoise(NamedTuple):
-    """The filter's Q and R: variances added to the states, and of a measurement."""
-
-    q: tuple[Scalar, ...]
-    r: Scalar
-
-
-class FilterSnapshot(NamedTuple):
-    """The filter after the update of a sample, as a trigger sees it.
+class TriggerCounts(NamedTuple):
+    """Resets by a trigger in a run.
 
     Attributes:
-        innovation: measured minus predicted velocity east and north, m/s.
-        variance: upper triangle of its believed covariance S (ee, en, nn), (m/s)^2.
-        belief: after the update.
-        correction: of the attitude since the last reset or direction reversal: fed back, and
-            estimated but not yet fed back, rad.
-        not_fed_back: the latter part, rad.
-        covariance: belief -> covariance of the misalignment under this belief.
-        at_rest: transition of a base at rest, with specific force (0, 0, g).
+        count: number of resets.
+        first: sample of the first of them, 0 for none.
+        last: sample of the last of them, 0 for none.
     """
 
-    innovation: tuple[Scalar, Scalar]
-    variance: tuple[Scalar, Scalar, Scalar]
-    belief: Belief
-    correction: Vec3
-    not_fed_back: Vec3
-    covariance: Callable[[Belief], AttitudeCovariance]
-    at_rest: Entries
+    count: Scalar
+    first: Scalar
+    last: Scalar
 
 
 class TriggerState(NamedTuple):
@@ -103,56 +74,69 @@ class TriggerState(NamedTuple):
     pending: Flag | None = None
 
 
+class FilterSnapshot(NamedTuple):
+    """The filter after the update of a sample, as a trigger sees it.
+
+    Attributes:
+        innovation: measured minus predicted velocity, m/s, and its believed covariance.
+        belief: after the update.
+        correction: of the attitude since the last reset or direction reversal: fed back, and
+            estimated but not yet fed back, rad.
+        not_fed_back: the latter part, rad.
+        covariance: belief -> covariance of the misalignment under this belief.
+        at_rest: transition of a base at rest, with specific force (0, 0, g).
+    """
+
+    innovation: Innovation
+    belief: Belief
+    correction: Vec3
+    not_fed_back: Vec3
+    covariance: Callable[[Belief], AttitudeCovariance]
+    at_rest: Entries
+
+
 class Trigger(NamedTuple):
     """A trigger.
 
     Attributes:
         summary: condition of its resets, in half a line.
-        start: (params, P) -> memory at the start and after a reset that leaves P.
-        score: (params, noise, memory, snapshot) -> memory and score.
+        start: (`TriggerParams`, P) -> memory at the start and after a reset that leaves P.
+        score: (params of the filter, memory, snapshot) -> memory and score.
     """
 
     summary: str
     start: Callable[[TriggerParams, Triangle], Any]
-    score: Callable[[TriggerParams, AssumedNoise, Any, FilterSnapshot], tuple[Any, Scalar]]
+    score: Callable[[Any, Any, FilterSnapshot], tuple[Any, Scalar]]
 
 
-def start(trigger: Trigger, trigger_params: TriggerParams, p: Triangle) -> TriggerState:
+# What the loop of a filter calls
+
+
+def start(trigger: Trigger, params: TriggerParams, p: Triangle) -> TriggerState:
     """Return the state of a trigger before the first sample, for the initial covariance P."""
-    zero = jnp.zeros_like(trigger_params.threshold)
-    trigger_counts = TriggerCounts(zero, zero, zero)
+    zero = jnp.zeros_like(params.threshold)
     return TriggerState(
-        trigger.start(trigger_params, p),
+        trigger.start(params, p),
         Vec3(zero, zero, zero),
-        trigger_counts,
+        TriggerCounts(zero, zero, zero),
         zero,
-        None if trigger_params.at_feedback is None else zero > 0,
+        None if params.at_feedback is None else zero > 0,
     )
 
 
 def update_trigger(
     trigger: Trigger, params: Any, state: Any, snapshot: FilterSnapshot, n: Scalar
 ) -> Any:
-    """Score one sample and record whether P is to be reset after it, see `fired`.
-
-    Args:
-        trigger: the trigger.
-        params: `FilterParams` of the filter.
-        state: `FilterState` after the update.
-        snapshot: of that state.
-        n: number of the sample.
-    """
-    trigger_state, limits = state.trigger_state, params.trigger
-    noise = AssumedNoise(params.q, params.r)
-    memory, score = trigger.score(limits, noise, trigger_state.memory, snapshot)
-    counts = trigger_state.trigger_counts
+    """Return a filter's state with the n-th sample scored; `fired` says whether P is reset."""
+    before, limits = state.trigger_state, params.trigger
+    memory, score = trigger.score(params, before.memory, snapshot)
+    counts, pending = before.trigger_counts, before.pending
     fires = (
         (score > limits.threshold)
-        & (n - trigger_state.last_reset >= limits.refractory)
+        & (n - before.last_reset >= limits.refractory)
         & (counts.count < limits.most)
         & (n <= limits.until)
     )
-    pending = trigger_state.pending
     if pending is not None:
         wanted = fires | pending
         fires = wanted & ((n >= state.feedback_at) | (limits.at_feedback == 0))
@@ -162,8 +146,8 @@ def update_trigger(
         first=jnp.where(fires & (counts.count == 0), n, counts.first),
         last=jnp.where(fires, n, counts.last),
     )
-    trigger_state = trigger_state._replace(memory=memory, trigger_counts=counts, pending=pending)
-    return state._replace(trigger_state=trigger_state)
+    after = before._replace(memory=memory, trigger_counts=counts, pending=pending)
+    return state._replace(trigger_state=after)
 
 
 def fired(trigger_state: TriggerState, n: Scalar) -> Flag:
@@ -174,50 +158,44 @@ def fired(trigger_state: TriggerState, n: Scalar) -> Flag:
 def update_after_closing(
     trigger: Trigger, params: Any, state: Any, *, reset: Flag, correction: Vec3, n: Scalar
 ) -> Any:
-    """Return a filter's state with its trigger's after a sample's feedback, and reset if any.
+    """Return a filter's state after the loop was closed at the n-th sample.
 
     Args:
         trigger: the trigger.
-        params: `FilterParams` of the filter.
-        state: `FilterState` with the loop closed.
+        params: of the filter.
+        state: with the loop closed.
         reset: whether P was reset.
         correction: attitude correction that was fed back, rad.
         n: number of the sample.
     """
-    trigger_state = state.trigger_state
+    before = state.trigger_state
     cleared = trigger.start(params.trigger, state.belief.p)
-    fed_back = Vec3(*(jnp.where(reset, 0.0, a) for a in add(trigger_state.fed_back, correction)))
-    trigger_state = trigger_state._replace(
-        memory=select_tree(reset, cleared, trigger_state.memory),
+    fed_back = Vec3(*(jnp.where(reset, 0.0, a) for a in add(before.fed_back, correction)))
+    after = before._replace(
+        memory=select_tree(reset, cleared, before.memory),
         fed_back=fed_back,
-        last_reset=jnp.where(reset, n, trigger_state.last_reset),
+        last_reset=jnp.where(reset, n, before.last_reset),
     )
-    return state._replace(trigger_state=trigger_state)
+    return state._replace(trigger_state=after)
 
 
 def begin_pass(trigger: Trigger, params: Any, state: Any, *, misalignment: Vec3) -> Any:
     """Return a filter's first state of a pass, with its trigger's memory cleared.
 
     The counts of resets continue. A reset that still waits for feedback is forgotten with the
-    memory that called for it.
-
-    Args:
-        trigger: the trigger.
-        params: `FilterParams` of the filter.
-        state: `FilterState` at the beginning of the pass.
-        misalignment: estimated and not yet fed back, rad: no correction of this pass.
+    memory that called for it. What is estimated and not yet fed back, the misalignment in rad, is
+    no correction of this pass.
     """
-    trigger_state = state.trigger_state
-    pending = None if trigger_state.pending is None else jnp.zeros_like(trigger_state.pending)
-    trigger_state = trigger_state._replace(
+    before = state.trigger_state
+    after = before._replace(
         memory=trigger.start(params.trigger, state.belief.p),
         fed_back=Vec3(*(-angle for angle in misalignment)),
-        pending=pending,
+        pending=None if before.pending is None else jnp.zeros_like(before.pending),
     )
-    return state._replace(trigger_state=trigger_state)
+    return state._replace(trigger_state=after)
 
 
-# The scores
+# Innovations over a window
 
 
 class _Block(NamedTuple):
@@ -227,31 +205,32 @@ class _Block(NamedTuple):
     sums: tuple[Scalar, ...]
 
 
-def _start_block(trigger_params: TriggerParams, p: Triangle) -> _Block:
-    zero = jnp.zeros_like(trigger_params.threshold)
+def _start_block(params: TriggerParams, p: Triangle) -> _Block:
+    zero = jnp.zeros_like(params.threshold)
     return _Block(zero, (zero,) * 5)
 
 
-def _score_innovation(
-    trigger_params: TriggerParams, noise: AssumedNoise, block: _Block, snapshot: FilterSnapshot
-) -> Any:
+def _score_innovation(params: Any, block: _Block, snapshot: FilterSnapshot) -> tuple[_Block, Any]:
     """Return (sum r)' (sum S)^-1 (sum r) over a window, chi-square with 2 degrees of freedom."""
-    again = block.count >= trigger_params.window  # a full window begins anew
-    terms = *snapshot.innovation, *snapshot.variance
+    window = params.trigger.window
+    again = block.count >= window  # a full window begins anew
+    terms = *snapshot.innovation.value, *snapshot.innovation.variance
     sums = tuple(jnp.where(again, 0.0, s) + t for s, t in zip(block.sums, terms, strict=True))
     count = jnp.where(again, 0.0, block.count) + 1
     e, n, *s = sums
     score = normalised_innovation_squared((e, n), s)
-    return _Block(count, sums), jnp.where(count >= trigger_params.window, score, 0.0)
+    return _Block(count, sums), jnp.where(count >= window, score, 0.0)
 
+
+# Knowledge of heading that a linear model cannot have
 
 _SMALL_LEVEL, _SMALL_HEADING = 0.1 * DEG, 4 * DEG
 """Errors of the linearisation point that do no harm, rad."""
 
 
 def _score_linearisation(
-    trigger_params: TriggerParams, noise: AssumedNoise, p: Triangle, snapshot: FilterSnapshot
-) -> Any:
+    params: Any, p: Triangle, snapshot: FilterSnapshot
+) -> tuple[Triangle, Scalar]:
     """Return how far the knowledge of heading in P exceeds that of an honest linear model.
 
     While the level is wrong, the horizontal specific force enters A(t), and heading seems to show
@@ -268,8 +247,8 @@ def _score_linearisation(
       out, since the tilt that reveals heading goes with sin d; up to 30 deg it is little.
     """
     zeros = tuple(jnp.zeros_like(v) for v in snapshot.belief.x)
-    honest = kalman.predict(Belief(zeros, p), snapshot.at_rest, noise.q)
-    honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), noise.r)
+    honest = kalman.predict(Belief(zeros, p), snapshot.at_rest, params.q)
+    honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), params.r)
     p_star = snapshot.covariance(honest._replace(x=snapshot.belief.x))
     believed = snapshot.covariance(snapshot.belief).uu
     done, left = snapshot.correction, snapshot.not_fed_back
@@ -281,10 +260,9 @@ def _score_linearisation(
 
 
 def _sine(angle: Scalar) -> Scalar:
-    """Return the sine to some 1e-15 by arithmetic alone: XLA:CPU calls the library lane by lane.
+    """Return the sine of an angle of some turns, to some 1e-15 by arithmetic alone.
 
-    Args:
-        angle: rad, of no more than some turns, which it is reduced by.
+    For `jnp.sin` XLA:CPU calls the library lane by lane.
     """
     within = angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))
     folded = within - 2 * (within - jnp.clip(within, -np.pi / 2, np.pi / 2))
