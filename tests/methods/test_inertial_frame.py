@@ -146,7 +146,7 @@ def test_position_optimisation_leaves_initial_velocity_free(seconds):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("seconds", [1, 10])
 def test_coarse_alignment_is_that_of_its_method(name, seconds):
-    """To what rounding of `dominant_eigenvector` leaves of a heading after some seconds."""
+    """To the rounding of `dominant_eigenvector` and of a normalisation every second."""
     rows = record()[: seconds * RATE]
     samples = jax.jit(sensors.compensate_record)(rows, rows[0])
     program = METHODS[name].build(Options(1 / RATE))
