@@ -141,12 +141,12 @@ def test_position_optimisation_leaves_initial_velocity_free(seconds):
     assert np.abs(log(fitted(b.T @ a, body[-1], seconds) @ found.T)).max() < 1e-2 * ARCMIN
 
 
-@pytest.mark.nightly(fast=("10-inertial",))
+@pytest.mark.nightly(fast=("inertial-10",))
 @pytest.mark.optimised(False)
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("seconds", [1, 10])
+@pytest.mark.parametrize(
+    ("name", "seconds"), [("inertial", 1), ("inertial", 10), ("optimisation", SECONDS)]
+)
 def test_coarse_alignment_is_that_of_its_method(name, seconds):
-    """To the rounding of `dominant_eigenvector` and of a normalisation every second."""
     rows = record()[: seconds * RATE]
     samples = jax.jit(sensors.compensate_record)(rows, rows[0])
     program = METHODS[name].build(Options(1 / RATE))
