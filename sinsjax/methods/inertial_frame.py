@@ -40,19 +40,20 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, scale, select_tree
 from sinsjax.methods.coarse import triad_attitude
 from sinsjax.methods.least_squares import (
+    NO_POSITIONS,
+    NO_VELOCITIES,
     add_position,
     add_velocity,
     earth_rate,
     fit_positions,
     fit_velocities,
-    no_positions,
-    no_velocities,
 )
 from sinsjax.methods.method import Method, Options, Program, Site
 from sinsjax.strapdown.earth import Place
@@ -81,12 +82,12 @@ class Fit(NamedTuple):
     """A rotation from sums over samples.
 
     Attributes:
-        start: zero -> sums before the first sample.
+        start: sums before the first sample, of zeros.
         add_sample: (sums, velocity increment in b0, place, n, dt) -> sums.
         solve: (sums, samples so far) -> C_{b0}^{n0}.
     """
 
-    start: Callable[[Scalar], Any]
+    start: Any
     add_sample: Callable[[Any, Vec3, Place, Scalar, float], Any]
     solve: Callable[[Any, Scalar], Quat]
 
@@ -98,7 +99,7 @@ def build(fit: Fit, options: Options) -> Program:
     def init(params: Any, nav: Navigation) -> InertialState:
         zero = jnp.zeros_like(nav.ve)
         one, none = Quat(zero + 1, zero, zero, zero), Vec3(zero, zero, zero)
-        return InertialState(nav, one, none, fit.start(zero), zero)
+        return InertialState(nav, one, none, jax.tree.map(lambda _: zero, fit.start), zero)
 
     def step(
         params: Any, site: Site, state: InertialState, sample: Sample, n: Scalar
@@ -141,9 +142,8 @@ class ForceSums(NamedTuple):
     expected: tuple[Vec3, ...]
 
 
-def _no_forces(zero: Scalar) -> ForceSums:
-    none = Vec3(zero, zero, zero)
-    return ForceSums(none, (none,) * 3, (none,) * 3)
+_ZERO = Vec3(0.0, 0.0, 0.0)
+_NO_FORCES = ForceSums(_ZERO, (_ZERO,) * 3, (_ZERO,) * 3)
 
 
 def _add_force(sums: ForceSums, force: Vec3, place: Place, n: Scalar, dt: float) -> ForceSums:
@@ -181,32 +181,28 @@ def _fit_mean_and_slope(sums: ForceSums, count: Scalar) -> Quat:
     return triad_attitude(weigh(jnp.stack(sums.first), sums.measured), weigh(up, sums.expected))
 
 
-OPTIMISATION = Method(
+_method = partial(Method, needs_start=False, turning="many")
+
+OPTIMISATION = _method(
     name="optimisation",
     summary="attitude that takes all integrated velocities closest to gravity's in inertial space",
     source="Wu et al. (2011), Wu and Pan (2013)",
-    build=partial(build, Fit(no_velocities, add_velocity, fit_velocities)),
-    needs_start=False,
-    turning="many",
+    build=partial(build, Fit(NO_VELOCITIES, add_velocity, fit_velocities)),
     step_s=3e-9,
 )
 
-OPTIMISATION_POSITION = Method(
+OPTIMISATION_POSITION = _method(
     name="optimisation_position",
     summary="the same of integrated positions, from an unknown velocity: for a base that surges",
     source="`methods.least_squares`",
-    build=partial(build, Fit(no_positions, add_position, fit_positions)),
-    needs_start=False,
-    turning="many",
+    build=partial(build, Fit(NO_POSITIONS, add_position, fit_positions)),
     step_s=4e-9,
 )
 
-INERTIAL = Method(
+INERTIAL = _method(
     name="inertial",
     summary="attitude from two weighted means of the specific force, as coarse alignment does",
     source="weighted TRIAD, see `methods.inertial_frame`",
-    build=partial(build, Fit(_no_forces, _add_force, _fit_mean_and_slope)),
-    needs_start=False,
-    turning="many",
+    build=partial(build, Fit(_NO_FORCES, _add_force, _fit_mean_and_slope)),
     step_s=5e-9,
 )

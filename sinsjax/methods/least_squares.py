@@ -74,10 +74,8 @@ class VelocitySums(NamedTuple):
     pairs: PairSums
 
 
-def no_velocities(zero: Scalar) -> VelocitySums:
-    """Return the sums before the first sample."""
-    none = Vec3(zero, zero, zero)
-    return VelocitySums(none, PairSums((none, none, none), zero))
+_ZERO = Vec3(0.0, 0.0, 0.0)
+NO_VELOCITIES = VelocitySums(_ZERO, PairSums((_ZERO, _ZERO, _ZERO), 0.0))
 
 
 def add_velocity(
@@ -113,10 +111,7 @@ class PositionSums(NamedTuple):
     pairs: PairSums
 
 
-def no_positions(zero: Scalar) -> PositionSums:
-    """Return the sums before the first sample."""
-    none, pairs = no_velocities(zero)
-    return PositionSums(none, none, none, none, none, pairs)
+NO_POSITIONS = PositionSums(_ZERO, _ZERO, _ZERO, _ZERO, _ZERO, NO_VELOCITIES.pairs)
 
 
 def add_position(
