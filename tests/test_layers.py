@@ -22,7 +22,7 @@ FLOORS = (
 """The ground floor first. A folder stands for all of its modules."""
 
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
-KNOW_METHODS = {"methods.registry", "methods.page"}
+KNOW_METHODS = {"methods.registry"}
 """What in `methods` may know the methods."""
 EXTENDS = {"methods.surge": "methods.sincos"}
 """A method that is another with more states."""

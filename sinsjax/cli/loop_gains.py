@@ -5,7 +5,7 @@ import math
 import numpy as np
 from rich.console import Console
 
-from sinsjax.methods.compass import design as loops
+from sinsjax.methods import compass_design as loops
 from sinsjax.report.base import Table
 from sinsjax.report.terminal import print_table
 

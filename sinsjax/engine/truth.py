@@ -1,6 +1,7 @@
 """The environment and the draws of a study's runs, in SI units, from a simulation or a record."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -26,10 +27,10 @@ from sinsjax.engine.sensor_inputs import (
 )
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds
-from sinsjax.methods.coarse import COARSE
+from sinsjax.methods.coarse import align_analytically, align_by_program
 from sinsjax.methods.floors import NO_BIASES, mean_biases
-from sinsjax.methods.inertial_frame.method import align_by_optimisation
-from sinsjax.methods.method import Site
+from sinsjax.methods.method import Options, Site
+from sinsjax.methods.registry import METHODS
 from sinsjax.records import require_span
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors
@@ -43,7 +44,7 @@ from sinsjax.study.schema import (
 )
 from sinsjax.study.study import Span, Study
 from sinsjax.study.variants import Variants
-from sinsjax.types import Array
+from sinsjax.types import Array, Quat, Sample
 from sinsjax.units import DEG, DEG_PER_H
 from sinsjax.value_types import Section
 
@@ -53,7 +54,6 @@ MOST_STORED_SAMPLES = 2**22
 _SAMPLES, _TIMES = 4000, 256
 """Samples of increments, and attitudes, per call: one program serves studies of any length."""
 
-_COARSE = COARSE | {"optimisation": align_by_optimisation}
 _LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
 
 
@@ -234,10 +234,9 @@ def record_environment(
     np.concatenate([a[first:end] for a in (record.dtheta, record.dv)], axis=1, out=increments)
     q = np.tile([1.0, 0.0, 0.0, 0.0], (len(starts), 1))
     if coarse_n:
-        align = jax.jit(_COARSE[method])
         pieces = np.stack([increments[s - first :][:coarse_n] for s in starts])
         samples = jax.vmap(sensors.compensate_record)(pieces, pieces[:, 0])
-        q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
+        q = _coarse_alignment(method, 1 / rate)(samples, site)
     fine = starts + coarse_n
     truth = np.stack(
         [reference_attitudes(stored, s / rate + study.stored_times(span)) for s in fine]
@@ -254,6 +253,16 @@ def record_environment(
     initial = _initial_errors(sampling.drawn_values(study, n))
     draws = Draw(np.arange(n), fine - first, np.arange(n), initial=initial)
     return environment, draws, np.asarray(q)
+
+
+@cache
+def _coarse_alignment(method: str, dt: float) -> Callable[[Sample, Site], Array]:
+    """Return (samples, leaves (starts, n), site) -> attitudes at their ends, (starts, 4)."""
+    align: Callable[[Sample, Site], Quat] = partial(align_analytically, dt=dt)
+    if method != "analytic":
+        align = partial(align_by_program, METHODS[method].build(Options(dt)))
+    aligned = jax.vmap(lambda samples, site: jnp.stack(align(samples, site)), in_axes=(0, None))
+    return jax.jit(aligned)
 
 
 def reference_attitudes(stored: StoredRecord, times: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds
 from sinsjax.methods.filters.keys import update_variance
 from sinsjax.methods.filters.params import level_settling_s
-from sinsjax.methods.level.config import LEVEL
+from sinsjax.methods.level import LEVEL
 from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
 from sinsjax.records import Record, RecordLayout, require_span

@@ -52,22 +52,16 @@ NO_BIASES = MeanBiases(*(Vec3(*(np.float64(0.0),) * 3),) * 2, np.float64(0.0))
 
 _PHASES = 2 * np.pi * np.arange(64) / 64  # exact to rounding for three amplitudes of 360 deg
 _SIGNS = np.array([-1.0, 0.0, 1.0])
-_ONE, _COS, _SIN = range(3)
 _FROM_MODES = np.array([[0, 1, 0], [0.5, 0, 0.5], [0.5j, 0, -0.5j]])
 """1, cosine and sine of an angle x from exp(i s x) for the `_SIGNS` s."""
 
 
 def mean_biases(errors: SensorErrors, motion: Motion) -> MeanBiases:
-    """Return constant biases in n, averaged over whole periods of the motion.
+    """Return constant biases in n, averaged over whole periods of the motion, leaves ``(...)``.
 
-    Args:
-        errors: of the sensors, biases ``(..., 3)``.
-        motion: of the base, leaves ``(...)``. Angles of one period keep their phase to one another;
-            others count as independent, which is exact but for periods in a small whole ratio.
-
-    Returns:
-        Leaves ``(...)``. NumPy arrays if no input is a JAX array, so that nothing is compiled.
-        Zero in n on a base that is turned, where no floor is known.
+    Angles of one period keep their phase to one another; others count as independent, which is
+    exact but for periods in a small whole ratio. The biases are zero in n on a base that is turned,
+    where no floor is known. Of NumPy arrays the result is NumPy, so that nothing is compiled.
     """
     if motion.turns:
         zero = 0.0 * errors.gyro_bias[..., 0]
@@ -100,29 +94,24 @@ def mean_attitude(motion: Motion) -> Array:
         center = center + _mode_signs(axis) * sway.center[..., None, None, None]
     modes = modes * xp.exp(1j * center.astype(complex))
     mean = xp.einsum("pa,rb,yc,...abc->...pry", *[_FROM_MODES] * 3, modes).real
-
-    def mean_product(pitch: int, roll: int, yaw: int) -> Array:
-        return mean[..., pitch, roll, yaw]
-
+    one, cos, sin = range(3)  # of pitch, roll and yaw
     rows = [
-        mean_product(_ONE, _COS, _COS) - mean_product(_SIN, _SIN, _SIN),
-        -mean_product(_COS, _ONE, _SIN),
-        mean_product(_ONE, _SIN, _COS) + mean_product(_SIN, _COS, _SIN),
-        mean_product(_ONE, _COS, _SIN) + mean_product(_SIN, _SIN, _COS),
-        mean_product(_COS, _ONE, _COS),
-        mean_product(_ONE, _SIN, _SIN) - mean_product(_SIN, _COS, _COS),
-        -mean_product(_COS, _SIN, _ONE),
-        mean_product(_SIN, _ONE, _ONE),
-        mean_product(_COS, _COS, _ONE),
+        mean[..., one, cos, cos] - mean[..., sin, sin, sin],
+        -mean[..., cos, one, sin],
+        mean[..., one, sin, cos] + mean[..., sin, cos, sin],
+        mean[..., one, cos, sin] + mean[..., sin, sin, cos],
+        mean[..., cos, one, cos],
+        mean[..., one, sin, sin] - mean[..., sin, cos, cos],
+        -mean[..., cos, sin, one],
+        mean[..., sin, one, one],
+        mean[..., cos, cos, one],
     ]
     return xp.stack(rows, -1).reshape(*mean.shape[:-3], 3, 3)
 
 
 def _mode_signs(axis: int) -> np.ndarray:
     """Return the signs with which one angle enters the modes, broadcast over (3, 3, 3)."""
-    shape = [1, 1, 1]
-    shape[axis] = 3
-    return _SIGNS.reshape(shape)
+    return _SIGNS.reshape([3 if one == axis else 1 for one in range(3)])
 
 
 def bias_floor(place: Place, biases: MeanBiases, heading: Scalar = 0.0) -> BiasFloor:
@@ -131,14 +120,10 @@ def bias_floor(place: Place, biases: MeanBiases, heading: Scalar = 0.0) -> BiasF
     phi_E = -nabla_N/g, phi_N = nabla_E/g and, the mean rate being felt across the tilted vertical,
     phi_U = -atan2(eps_E, omega_N + eps_N) + (nabla_E/g) tan L to first order in the tilt.
 
-    The drift of the heading by eps_U is not included. The slope of the tilt over T gives the
-    heading of its middle, so that a run ends at -eps_U T/2 from here, T since the start or the last
-    reset: -0.75' for 0.1 deg/h and 900 s. It depends on how much old data a method forgets.
-
-    Args:
-        place: Earth rates and gravity, of a forward pass.
-        biases: mean biases in n.
-        heading: additional phi_U of the method, rad.
+    ``heading`` is an additional phi_U of the method, rad; the place is that of a forward pass. The
+    drift of the heading by eps_U is not included. The slope of the tilt over T gives the heading of
+    its middle, so that a run ends at -eps_U T/2 from here, T since the start or the last reset:
+    -0.75' for 0.1 deg/h and 900 s. It depends on how much old data a method forgets.
     """
     eps, nabla, largest_nabla = biases
     tilt = Vec3(-nabla.y / place.gravity, nabla.x / place.gravity, jnp.zeros_like(nabla.x))

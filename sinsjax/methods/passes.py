@@ -39,18 +39,12 @@ class PassReading(NamedTuple):
 
 
 def read_once(record: Count, every: int) -> PassReading:
-    """Return the samples of a record interval of a record that is read once."""
+    """Return the samples of an interval of a record that is read once."""
     return PassReading(record * every + jnp.arange(every))
 
 
 def read_alternately(record: Count, pass_records: Count, every: int) -> PassReading:
-    """Return the samples of a record interval of passes that are forward and backward in turn.
-
-    Args:
-        record: number of the interval, from 0.
-        pass_records: record intervals per pass.
-        every: samples per record interval.
-    """
+    """Return the samples of an interval (from 0) of passes forward and backward in turn."""
     number, place = record // pass_records, record % pass_records
     backward = number % 2 == 1
     ahead = jnp.arange(every)
@@ -60,7 +54,7 @@ def read_alternately(record: Count, pass_records: Count, every: int) -> PassRead
 
 
 def read_forward(record: Count, pass_records: Count, every: int) -> PassReading:
-    """Return the samples of a record interval of passes that are all forward."""
+    """Return the samples of an interval of passes that are all forward."""
     place = record % pass_records
     samples = place * every + jnp.arange(every)
     return PassReading(samples, opens_pass=(place == 0) & (record > 0))
@@ -104,19 +98,13 @@ class BodyRotation(NamedTuple):
 
 
 def identity_rotation(zero: Array, *, with_bias: bool) -> BodyRotation:
-    """Return the rotation at the beginning of the record, in zeros of the given shape."""
+    """Return the rotation at the beginning of the record, of the shape of a zero."""
     none = Vec3(zero, zero, zero)
     return BodyRotation(Quat(zero + 1, zero, zero, zero), (none, none, none) if with_bias else None)
 
 
 def accumulate_rotation(rotation: BodyRotation, samples: Sample, dt: Scalar) -> BodyRotation:
-    """Return the rotation after further samples.
-
-    Args:
-        rotation: before them, leaves (...).
-        samples: compensated, leaves (n, ...).
-        dt: sample time, s.
-    """
+    """Return the rotation, leaves (...), after further compensated samples, leaves (n, ...)."""
 
     def over_sample(so_far: BodyRotation, turn: Quat) -> tuple[BodyRotation, None]:
         measured = rotations.multiply(so_far.measured, turn)
@@ -137,16 +125,9 @@ def rewind_attitude(
 ) -> Quat:
     """Return the attitude at the beginning of the record from that at a later time.
 
-    C(0) = exp(w_ie t x) C(t) C_b^{b0}' of a base that does not travel, with the gyro bias removed
-    from the measured rotation to first order; the second order of its angle over the record is
-    1e-9 rad for 0.1 deg/h over 100 s.
-
-    Args:
-        q: attitude at the later time.
-        rotation: of the body since the beginning.
-        place: Earth rates.
-        time: since the beginning, s.
-        bias: estimated gyro bias in b, rad/s; None if none is estimated.
+    C(0) = exp(w_ie t x) C(t) C_b^{b0}' of a base that does not travel, with the estimated gyro bias
+    (in b, rad/s; None if none is estimated) removed from the measured rotation to first order; the
+    second order of its angle over the record is 1e-9 rad for 0.1 deg/h over 100 s.
     """
     earth_turn = Vec3(jnp.zeros_like(place.rate_n), place.rate_n * time, place.rate_u * time)
     q = rotations.multiply(rotations.exp(earth_turn), q)

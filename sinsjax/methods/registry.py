@@ -8,15 +8,11 @@ from typing import Any, NoReturn
 
 from sinsjax.errors import InputError
 from sinsjax.methods.azimuth import EKF_AZIMUTH, UNSCENTED
-from sinsjax.methods.compass.config import COMPASS
+from sinsjax.methods.compass import COMPASS
 from sinsjax.methods.gravity_fit.method import GRAVITY_FIT
-from sinsjax.methods.inertial_frame.config import (
-    INERTIAL,
-    OPTIMISATION,
-    OPTIMISATION_POSITION,
-)
+from sinsjax.methods.inertial_frame import INERTIAL, OPTIMISATION, OPTIMISATION_POSITION
 from sinsjax.methods.invariant import INVARIANT
-from sinsjax.methods.level.config import LEVEL
+from sinsjax.methods.level import LEVEL
 from sinsjax.methods.method import Method, Options, Program
 from sinsjax.methods.plugins import load_plugins
 from sinsjax.methods.sincos import SINCOS

@@ -24,11 +24,9 @@ All in SI units; free of JAX.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sinsjax.units import ARCMIN, DEG
 
@@ -104,16 +102,23 @@ class ResetProblem(NamedTuple):
     @property
     def ell(self) -> float:
         """Time after which the heading information is that of the reset, J = 1/s0^2, s."""
-        return _first_time(lambda t: self.heading**2 * heading_information(t, self) - 1)
+
+        def is_early(time_s: float) -> bool:
+            return bool(self.heading**2 * heading_information(time_s, self) - 1 < 0)
+
+        low, high = 1e-6, 1.0
+        while is_early(high):
+            low, high = high, 2 * high
+            if high > _LONGEST_S:
+                return math.inf
+        while high - low > 1e-9 * high:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if is_early(middle) else (low, middle)
+        return high
 
 
 def heading_information(time_s: Any, problem: ResetProblem) -> Any:
-    """Return the information J on the heading error after a time since a reset, 1/rad^2.
-
-    Args:
-        time_s: time, s, or an array of times.
-        problem: the filter and its place.
-    """
+    """Return the information J on the heading error at times (s) since a reset, 1/rad^2."""
     tau = problem.tau
     x = np.asarray(time_s) / tau
     early = x**5 / 720 * (1 - x**2 / 42 + x**4 / 1680)  # the difference below loses its digits
@@ -124,12 +129,7 @@ def heading_information(time_s: Any, problem: ResetProblem) -> Any:
 
 
 def contraction(time_s: Any, problem: ResetProblem) -> Any:
-    """Return the factor by which a segment contracts 2 tan(phi/2).
-
-    Args:
-        time_s: its length, s, or an array of lengths.
-        problem: the filter and its place.
-    """
+    """Return the factor by which segments of a length (s) contract 2 tan(phi/2)."""
     return 1 + heading_information(time_s, problem) / problem.heading**-2
 
 
@@ -143,20 +143,10 @@ def levelling_time(problem: ResetProblem) -> float:
 
 
 def heading_sigma(time_s: Any, problem: ResetProblem) -> Any:
-    """Return the standard deviation of heading by the sensors' own noise and the surge, rad.
-
-    Args:
-        time_s: since the last reset, s, or an array of times.
-        problem: the filter and its place.
-    """
+    """Return the sigma of heading by sensor noise and surge at times (s) since a reset, rad."""
     by_force = 12 * problem.accel_noise / (problem.gravity**2 * time_s**3)
     by_force = by_force + 720 * problem.surge / (problem.gravity**2 * time_s**5)
     return np.sqrt(by_force + 1.2 * problem.gyro_noise / time_s) / problem.north_rate
-
-
-def angle_ratio(heading: float, band: float) -> float:
-    """Return the contraction of 2 tan(phi/2) that brings a heading error into a band, both rad."""
-    return 2 * math.tan(heading / 2) / band
 
 
 class ResetSchedule(NamedTuple):
@@ -192,73 +182,38 @@ def schedule(
         NoSchedule: no reset pays, no heading can be found, or noise exceeds the band.
     """
     _check(problem, heading_bound, band)
-    found = _best_segments(problem, heading_bound, band)
+    ratio = 2 * math.tan(heading_bound / 2)
+    found = _equal_segments(problem, ratio, band, 1)
+    for count in range(2, _MOST_SEGMENTS + 1):
+        more = _equal_segments(problem, ratio, band, count)
+        if sum(more) < (1 - _MIN_GAIN) * sum(found):
+            found = more
     if len(found) == 1 and heading_bound > _LARGE_ERROR:
-        found = _two_segments(problem, heading_bound, band)
-    found = _outlast_surge(problem, heading_bound, band, found)
-    return _place_resets(problem, _early_resets(problem), found)
+        found = _two_segments(problem, ratio, band)
+    return _place_resets(problem, _early_resets(problem), found, ratio, band)
 
 
 def schedule_with(
     problem: ResetProblem, heading_bound: float, band: float, resets: int
 ) -> ResetSchedule:
-    """Return the best schedule by the law that has a given number of resets.
+    """Return the best schedule by the law that has a given number of resets, at least 1.
 
     With few resets early ones are left out; with many there are more segments, or more early ones.
-
-    Args:
-        problem: the filter and its place.
-        heading_bound: largest initial heading error, rad.
-        band: heading error within which a run is settled, rad.
-        resets: number of resets, at least 1.
-
-    Raises:
-        NoSchedule: see `schedule`.
+    Arguments and errors are those of `schedule`.
     """
     _check(problem, heading_bound, band)
-    early_s = levelling_time(problem)
+    ratio, early_s = 2 * math.tan(heading_bound / 2), levelling_time(problem)
     found = {}
     for early in range(1, min(_early_resets(problem), resets - 1) + 1):
-        segments = _best_segments(problem, heading_bound, band, resets + 1 - early)
+        segments = _equal_segments(problem, ratio, band, resets + 1 - early)
         if segments[0] > early_s:  # otherwise the sum favours fewer segments
             found[early] = segments
     if resets == 1 or heading_bound <= _LARGE_ERROR:
-        found[resets] = _best_segments(problem, heading_bound, band, 1)
+        found[resets] = _equal_segments(problem, ratio, band, 1)
     elif not found:
-        found[resets - 1] = _two_segments(problem, heading_bound, band)
-    schedules = (
-        _place_resets(problem, early, _outlast_surge(problem, heading_bound, band, segments))
-        for early, segments in found.items()
-    )
+        found[resets - 1] = _two_segments(problem, ratio, band)
+    schedules = (_place_resets(problem, *one, ratio, band) for one in found.items())
     return min(schedules, key=lambda schedule: schedule.settling_s)
-
-
-def _two_segments(problem: ResetProblem, heading_bound: float, band: float) -> tuple[float, float]:
-    """Return two segments that settle a large heading error, though the sum favours one."""
-    first_s = _SECOND_SEGMENT * problem.ell
-    rest = angle_ratio(heading_bound, 1.0) / contraction(first_s, problem)
-    return first_s, _last_segment(problem, rest, band)
-
-
-def _early_resets(problem: ResetProblem) -> int:
-    return _EARLY_RESETS if problem.is_force_measured else 1
-
-
-def _place_resets(
-    problem: ResetProblem, early_resets: int, segments: tuple[float, ...]
-) -> ResetSchedule:
-    """Return the schedule of some early resets and segments, its resets at feedbacks."""
-    early_s, lag_s = levelling_time(problem), 0.0
-    if problem.feedback_s > early_s:
-        lag_s = min(_LAG_SHARE * problem.feedback_s, _LAG_TAUS * problem.tau)
-    times = [early_s * k for k in range(1, early_resets + 1)]
-    begin = times[-1]
-    for length_s in segments[:-1]:
-        later = round((times[-1] + length_s) / problem.feedback_s) * problem.feedback_s
-        times = [*times, max(later - lag_s, times[-1] + problem.feedback_s)]
-    return ResetSchedule(
-        tuple(float(f"{time:.9g}") for time in times), begin + sum(segments), segments
-    )
 
 
 def _check(problem: ResetProblem, heading_bound: float, band: float) -> None:
@@ -271,27 +226,52 @@ def _check(problem: ResetProblem, heading_bound: float, band: float) -> None:
     if not band < heading_bound < math.pi:
         text = f"a bound of {heading_bound / DEG:.3g} deg is not between the band and 180 deg"
         raise NoSchedule(text)
-
-
-def _best_segments(
-    problem: ResetProblem, heading_bound: float, band: float, count: int | None = None
-) -> tuple[float, ...]:
-    """Return the segments with the least sum; one more only if it gains 2 %."""
-    ratio = angle_ratio(heading_bound, 1.0)
     if not math.isfinite(_last_segment(problem, 1.0, band)):
         sigma = heading_sigma(1e3, problem) / ARCMIN
         text = f"noise exceeds a band of {band / ARCMIN:g}': 1 sigma is {sigma:.0f}' after 1000 s"
         raise NoSchedule(f"{text} (give a wider settle_band_arcmin)")
-    best: tuple[float, ...] = ()
-    for n in [count] if count else range(1, _MOST_SEGMENTS + 1):
-        segments = _equal_segments(problem, ratio, band, n)
-        if not best or sum(segments) < (1 - _MIN_GAIN) * sum(best):
-            best = segments
-    return best
+
+
+def _early_resets(problem: ResetProblem) -> int:
+    return _EARLY_RESETS if problem.is_force_measured else 1
+
+
+def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) -> tuple[float, ...]:
+    """Return n - 1 equal segments and a last one that contract a ratio to a band in least time."""
+    if n == 1:
+        return (_last_segment(problem, ratio, band),)
+    lengths_s = problem.ell * np.geomspace(1e-2, 1e2, 2000)
+    rests = ratio / contraction(lengths_s, problem) ** (n - 1)
+    place = int(np.argmin((n - 1) * lengths_s + _last_segment(problem, rests, band)))
+    length_s, last_s = float(lengths_s[place]), _last_segment(problem, float(rests[place]), band)
+    return (*([length_s] * (n - 1)), last_s)
+
+
+def _two_segments(problem: ResetProblem, ratio: float, band: float) -> tuple[float, ...]:
+    """Return two segments that settle a large heading error, though the sum favours one."""
+    first_s = _SECOND_SEGMENT * problem.ell
+    return first_s, _last_segment(problem, ratio / contraction(first_s, problem), band)
+
+
+def _place_resets(
+    problem: ResetProblem, early_resets: int, segments: tuple[float, ...], ratio: float, band: float
+) -> ResetSchedule:
+    """Return the schedule of some early resets and segments, its resets at feedbacks."""
+    segments = _outlast_surge(problem, segments, ratio, band)
+    early_s, lag_s = levelling_time(problem), 0.0
+    if problem.feedback_s > early_s:
+        lag_s = min(_LAG_SHARE * problem.feedback_s, _LAG_TAUS * problem.tau)
+    times = [early_s * k for k in range(1, early_resets + 1)]
+    begin = times[-1]
+    for length_s in segments[:-1]:
+        later = round((times[-1] + length_s) / problem.feedback_s) * problem.feedback_s
+        times = [*times, max(later - lag_s, times[-1] + problem.feedback_s)]
+    rounded = tuple(float(f"{time:.9g}") for time in times)
+    return ResetSchedule(rounded, begin + sum(segments), segments)
 
 
 def _outlast_surge(
-    problem: ResetProblem, heading_bound: float, band: float, segments: tuple[float, ...]
+    problem: ResetProblem, segments: tuple[float, ...], ratio: float, band: float
 ) -> tuple[float, ...]:
     """Return the segments with a longer one before the last reset, if the surge requires it.
 
@@ -303,44 +283,18 @@ def _outlast_surge(
     if not before or before[-1] >= shortest_s:
         return segments
     before[-1] = shortest_s
-    rest = angle_ratio(heading_bound, 1.0)
     for length_s in before:
-        rest /= contraction(length_s, problem)
-    return (*before, _last_segment(problem, rest, band))
+        ratio /= contraction(length_s, problem)
+    return (*before, _last_segment(problem, ratio, band))
 
 
-def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) -> tuple[float, ...]:
-    """Return n - 1 equal segments and a last one, of which the sum is least."""
-    if n == 1:
-        return (_last_segment(problem, ratio, band),)
-    lengths_s = problem.ell * np.geomspace(1e-2, 1e2, 2000)
-    rests = ratio / contraction(lengths_s, problem) ** (n - 1)
-    place = int(np.argmin((n - 1) * lengths_s + _last_segments(problem, rests, band)))
-    last_s = _last_segment(problem, float(rests[place]), band)
-    return (*([float(lengths_s[place])] * (n - 1)), last_s)
+def _last_segment(problem: ResetProblem, ratio: Any, band: float) -> Any:
+    """Return the length of a segment that contracts a ratio to a band less noise, s; inf for none.
 
-
-def _last_segment(problem: ResetProblem, ratio: float, band: float) -> float:
-    """Return the length of a segment that contracts ``ratio`` to a band, apart from noise, s."""
-    return float(_last_segments(problem, np.array([ratio]), band)[0])
-
-
-def _last_segments(problem: ResetProblem, ratios: NDArray, band: float) -> NDArray:
-    """Return the lengths of last segments by the ratio that they contract, s; inf for none."""
+    Of an array of ratios, an array.
+    """
     times_s = np.geomspace(1e-6, _LONGEST_S, 4000)
     left = np.maximum(band - _SAFE_SIGMAS * heading_sigma(times_s, problem), 1e-300)
     reached = np.log(np.maximum.accumulate(contraction(times_s, problem) * left))
-    return np.exp(np.interp(np.log(ratios), reached, np.log(times_s), right=math.inf))
-
-
-def _first_time(excess: Callable[[float], float]) -> float:
-    """Return the first time at which an increasing function is not negative, s; inf for none."""
-    low, high = 1e-6, 1.0
-    while excess(high) < 0:
-        low, high = high, 2 * high
-        if high > _LONGEST_S:
-            return math.inf
-    while high - low > 1e-9 * high:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if excess(middle) < 0 else (low, middle)
-    return high
+    lengths_s = np.exp(np.interp(np.log(ratio), reached, np.log(times_s), right=math.inf))
+    return lengths_s if np.ndim(ratio) else float(lengths_s)

@@ -19,6 +19,7 @@ In SI units; free of JAX.
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -66,21 +67,16 @@ def predict_settling_times(
         sigmas: how many sigma of the sensors' noise narrow the band, of all runs or of each: 0.75
             for a median run.
     """
-    durations = np.broadcast_to(run_s, len(lanes)).tolist()
-    runs = [
-        (lane.problem, lane.times_s, duration)
-        for lane, duration in zip(lanes, durations, strict=True)
-    ]
+    durations, bands, by_run = (np.broadcast_to(a, len(lanes)) for a in (run_s, band, sigmas))
+    ends = zip(lanes, durations.tolist(), strict=True)
+    runs = [(lane.problem, lane.times_s, duration) for lane, duration in ends]
     steps = {run: _steps(*run) for run in set(runs)}
-    by_lane = [steps[run] for run in runs]
-    order = np.argsort([len(one.lengths) for one in by_lane], kind="stable")
-    bands, by_run = (np.broadcast_to(one, len(lanes)) for one in (band, sigmas))
+    order = np.argsort([len(steps[run].lengths) for run in runs], kind="stable")
     settled = np.empty(len(lanes))
     for begin in range(0, len(lanes), _SIDE_BY_SIDE):
         block = order[begin : begin + _SIDE_BY_SIDE]
-        settled[block] = _settle(
-            [lanes[k] for k in block], [by_lane[k] for k in block], bands[block], by_run[block]
-        )
+        chosen = [lanes[k] for k in block], [steps[runs[k]] for k in block]
+        settled[block] = _settle(*chosen, bands[block], by_run[block])
     return settled
 
 
@@ -122,13 +118,17 @@ def _headings(
         *("gravity", "north_rate", "velocity_noise", "tilt_noise"),
         *("measurement_noise", "is_force_measured"),
     )
-    start = _start_covariance(lanes)
+    velocity, level, heading_sigma = _fields(lanes, "velocity", "level", "heading")
+    start = np.zeros((5, 5, len(lanes)))
+    start[range(5), range(5)] = np.square([velocity, velocity, level, level, heading_sigma])
     p, x = start.copy(), np.zeros((5, len(lanes)))  # velocity and tilt, east and north; heading
     v = np.zeros(len(lanes), complex)
     tilt = np.array([lane.tilt for lane in lanes], complex)
     heading = np.array([lane.heading for lane in lanes], float)
     since = np.zeros(len(lanes))
-    for dt, is_fed, is_reset in zip(*_side_by_side(steps), strict=True):
+    # (steps, lanes): a run that is over has steps of no length.
+    stacked = (np.array([*zip_longest(*one, fillvalue=0)]) for one in zip(*steps, strict=True))
+    for dt, is_fed, is_reset in zip(*stacked, strict=True):
         rate = 1j * north * (np.exp(-1j * heading) - 1)
         force_dt = g * dt * (tilt + rate * dt / 2)
         v, tilt = v + force_dt, tilt + rate * dt
@@ -161,17 +161,6 @@ def _fields(lanes: Sequence[Lane], *names: str) -> list[NDArray]:
     return [np.array([getattr(lane.problem, name) for lane in lanes], float) for name in names]
 
 
-def _start_covariance(lanes: Sequence[Lane]) -> NDArray:
-    """Return P after a reset, (5, 5, lanes)."""
-    start = np.zeros((5, 5, len(lanes)))
-    for states, sigma in zip(
-        ((0, 1), (2, 3), (4,)), _fields(lanes, "velocity", "level", "heading"), strict=True
-    ):
-        for state in states:
-            start[state, state] = sigma**2
-    return start
-
-
 def _steps(problem: ResetProblem, times_s: Sequence[float], run_s: float) -> _Steps:
     """Return steps that are short after each reset and grow, up to a feedback or a reset."""
     steps = _Steps([], [], [])
@@ -197,13 +186,3 @@ def _steps(problem: ResetProblem, times_s: Sequence[float], run_s: float) -> _St
             steps.resets.append(is_last and end != run_s)
             now = later
     return steps
-
-
-def _side_by_side(runs: Sequence[_Steps]) -> tuple[NDArray, NDArray, NDArray]:
-    """Return lengths, feedbacks and resets (steps, lanes); a lane ends with steps of no length."""
-    shape = (max(len(run.lengths) for run in runs), len(runs))
-    lengths, feeds, resets = np.zeros(shape), np.zeros(shape, bool), np.zeros(shape, bool)
-    for lane, run in enumerate(runs):
-        count = len(run.lengths)
-        lengths[:count, lane], feeds[:count, lane], resets[:count, lane] = run
-    return lengths, feeds, resets

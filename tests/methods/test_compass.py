@@ -39,8 +39,8 @@ from oracles.naive import (
 from scipy import linalg
 
 from sinsjax.engine.run import Static
-from sinsjax.methods.compass import design
-from sinsjax.methods.compass.config import REVERSALS
+from sinsjax.methods import compass_design as design
+from sinsjax.methods.compass import REVERSALS
 from sinsjax.methods.method import Options
 from sinsjax.methods.schedules import PiecewiseConstant
 from sinsjax.strapdown import sensors

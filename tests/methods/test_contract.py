@@ -25,7 +25,7 @@ from support.methods import FACTS
 from support.studies import small_study
 
 from sinsjax.engine.build import Scenario
-from sinsjax.methods.compass.config import REVERSALS
+from sinsjax.methods.compass import REVERSALS
 from sinsjax.methods.floors import NO_BIASES
 from sinsjax.methods.method import UNKNOWN_ANGLE, Options, RunEnd
 from sinsjax.methods.registry import METHODS

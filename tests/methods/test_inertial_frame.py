@@ -13,9 +13,11 @@ from oracles.naive import DEG, PAPER, WGS84, compensate, exp, log, of_quaternion
 from scipy.integrate import quad_vec
 from scipy.spatial.transform import Rotation
 
-from sinsjax.methods.coarse import COARSE
-from sinsjax.methods.inertial_frame import least_squares
-from sinsjax.methods.inertial_frame.least_squares import dominant_eigenvector, reaction_velocity
+from sinsjax.methods import least_squares
+from sinsjax.methods.coarse import align_by_program
+from sinsjax.methods.least_squares import dominant_eigenvector, reaction_velocity
+from sinsjax.methods.method import Options
+from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import sensors
 from sinsjax.units import ARCMIN
 
@@ -113,12 +115,13 @@ def test_optimisation_matches_least_squares_fit_of_velocities(name, arcmin, seco
     assert np.abs(log(expected @ attitudes(name)[seconds - 1].T)).max() < arcmin * ARCMIN
 
 
-@pytest.mark.nightly(fast=("10",))
+@pytest.mark.nightly(fast=("inertial-10",))
 @pytest.mark.optimised(False)
-@pytest.mark.parametrize("seconds", [1, 10])
-def test_inertial_method_matches_inertial_coarse_alignment(seconds):
+@pytest.mark.parametrize(("name", "seconds"), [("inertial", 10), ("optimisation", 10)])
+def test_coarse_alignment_is_that_of_its_method(name, seconds):
     rows = record()[: seconds * RATE]
     samples = jax.jit(sensors.compensate_record)(rows, rows[0])
-    q = jax.jit(COARSE["inertial"])(samples, place(PAPER, LATITUDE), 1 / RATE)
-    turn = log(of_quaternion(np.array(q)) @ attitudes("inertial", seconds)[-1].T)
+    program = METHODS[name].build(Options(1 / RATE))
+    q = jax.jit(lambda s: align_by_program(program, s, site(PAPER, LATITUDE)))(samples)
+    turn = log(of_quaternion(np.array(q)) @ attitudes(name, seconds)[-1].T)
     assert np.abs(turn).max() < 1e-9

@@ -9,7 +9,7 @@ from support.studies import with_paper_values
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError
-from sinsjax.methods.compass import design
+from sinsjax.methods import compass_design as design
 from sinsjax.study.load import study_from_dict
 
 G, R = 9.8, 6378165.0

@@ -23,7 +23,7 @@ from oracles.naive import DEG, SECOND_PAPER, WGS84, Loops, exp, log, of_quaterni
 
 from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.methods import passes, zero_velocity
-from sinsjax.methods.compass.config import REVERSALS
+from sinsjax.methods.compass import REVERSALS
 from sinsjax.methods.method import Options
 from sinsjax.strapdown import earth, mechanisation
 from sinsjax.types import Vec3

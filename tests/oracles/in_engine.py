@@ -15,8 +15,8 @@ from sinsjax.engine.environment import Draw, Environment, RunParams, SensorModel
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.run import advance_record
 from sinsjax.maths.algebra import triangle_index
-from sinsjax.methods.compass import method as compass
-from sinsjax.methods.compass.design import AzimuthGains, LevelGains
+from sinsjax.methods import compass
+from sinsjax.methods.compass_design import AzimuthGains, LevelGains
 from sinsjax.methods.filters.keys import acting_reset_times
 from sinsjax.methods.filters.loop import FilterParams
 from sinsjax.methods.floors import NO_BIASES

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from docs.studies import paper2
-from sinsjax.methods.compass import design as loops
+from sinsjax.methods import compass_design as loops
 from sinsjax.study.load import load_study
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -1,12 +1,16 @@
 """The compass loops as linear systems, [P2] eqs (1), (2) and (16)-(23): gains, roots, matrices.
 
-Gains are designed from a decay rate sigma (1/s) and a damping ratio xi: the complex roots are
--sigma +- j omega_d with xi = sigma / sqrt(sigma^2 + omega_d^2). The transport rate belongs to the
-mechanisation, so the platform is rotated by K2/R dV and the loop sees (1 + K2)/R dV.
+Gains are designed from a decay rate sigma (> 0, 1/s) and a damping ratio xi (0 < xi <= 1): the
+complex roots are -sigma +- j omega_d with xi = sigma / sqrt(sigma^2 + omega_d^2). The transport
+rate belongs to the mechanisation, so the platform is rotated by K2/R dV and the loop sees
+(1 + K2)/R dV.
 
 The states are errors: velocity (m/s), tilt and heading (rad), rate of the azimuth control (rad/s).
 In the north channel the tilt is phi_E, dV_N' = g phi_E - K1 dV_N. The east channel has the same
 loop with -phi_N in the place of phi_E.
+
+Throughout, ``gravity`` is g in m/s^2 and ``radius`` the R of the transport rate in m. All numbers
+broadcast; where only gains are designed, they may be traced.
 """
 
 import math
@@ -16,7 +20,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 Number: TypeAlias = Any
-"""A float, a NumPy array that broadcasts, or, where only gains are designed, a traced number."""
+"""A float, a NumPy array, or a traced number."""
 
 PAPER_DAMPING = math.sqrt(0.5)
 """The damping ratio of [P2] section 3.1."""
@@ -53,15 +57,9 @@ class AzimuthGains(NamedTuple):
 
 
 def level_gains(sigma: Number, damping: Number, *, gravity: Number, radius: Number) -> LevelGains:
-    """Gains that put the roots at -sigma and -sigma +- j omega_d, [P2] eqs (17) and (18).
+    """Return the gains that put the roots at -sigma and -sigma +- j omega_d, [P2] eqs (17), (18).
 
     K1 = 3 sigma, K2 = sigma^2 (2 + 1/xi^2) R/g - 1, K3 = sigma^3 / (g xi^2).
-
-    Args:
-        sigma: decay rate > 0, 1/s.
-        damping: xi, 0 < xi <= 1.
-        gravity: g, m/s^2.
-        radius: R of the transport rate, m.
     """
     inverse_square = damping**-2
     return LevelGains(
@@ -74,16 +72,10 @@ def level_gains(sigma: Number, damping: Number, *, gravity: Number, radius: Numb
 def azimuth_gains(
     sigma: Number, damping: Number, *, gravity: Number, radius: Number
 ) -> AzimuthGains:
-    """Gains with K1 = K4 that put double roots at -sigma +- j omega_d, [P2] eqs (22) and (23).
+    """Return gains with K1 = K4 and double roots at -sigma +- j omega_d, [P2] eqs (22) and (23).
 
     K1 = K4 = 2 sigma, K2 = 2 W R/g - 1, K3 = W^2/g with W = sigma^2/xi^2. The paper has only
     xi = sqrt(1/2): K2 = 4 sigma^2 R/g - 1, K3 = 4 sigma^4/g.
-
-    Args:
-        sigma: decay rate > 0, 1/s.
-        damping: xi, 0 < xi <= 1.
-        gravity: g, m/s^2.
-        radius: R of the transport rate, m.
     """
     square = (sigma / damping) ** 2
     return AzimuthGains(
@@ -92,76 +84,43 @@ def azimuth_gains(
 
 
 def scale_azimuth_gains(gains: AzimuthGains, pace: Number) -> AzimuthGains:
-    """Azimuth gains whose roots lie a factor further out: sigma times the pace, xi kept.
-
-    Args:
-        gains: at pace 1.
-        pace: factor > 0 on every root.
-    """
+    """Return gains whose roots lie a factor > 0 further out: sigma times the pace, xi kept."""
     k1, k2, k3, k4 = gains
     return AzimuthGains(pace * k1, pace**2 * (1 + k2) - 1, pace**4 * k3, pace * k4)
 
 
-def scale_level_gains(gains: LevelGains, pace: Number) -> LevelGains:
-    """Levelling gains whose roots lie a factor further out: sigma times the pace, xi kept.
+def sigma_from_period(time_s: Number, damping: Number) -> Number:
+    """Return the decay rate (1/s) whose damped period is the adjustment time, [P2] eq. (18).
 
-    Args:
-        gains: at pace 1.
-        pace: factor > 0 on every root.
+    sigma = 2 pi xi / (T sqrt(1 - xi^2)), that is T = 2 pi / omega_d; without an oscillation, at
+    xi = 1, there is no period.
     """
-    k1, k2, k3 = gains
-    return LevelGains(pace * k1, pace**2 * (1 + k2) - 1, pace**3 * k3)
+    return 2 * math.pi * damping / (time_s * (1 - damping**2) ** 0.5)
 
 
-def sigma_from_period(time: Number, damping: Number) -> Number:
-    """Decay rate (1/s) of which the adjustment time is one damped period, [P2] eq. (18).
+def sigma_from_settling(time_s: Number, remainder: Number, xp: Any = np) -> Number:
+    """Return the decay rate (1/s) whose envelope exp(-sigma t) falls to a remainder in the time.
 
-    sigma = 2 pi xi / (T sqrt(1 - xi^2)), that is T = 2 pi / omega_d.
-
-    Args:
-        time: adjustment time T > 0, s.
-        damping: xi, 0 < xi < 1: without an oscillation there is no period.
+    The printed gains of [P2] read its adjustment times so: exp(-3) after 150 s and exp(-4.5) after
+    450 s.
     """
-    return 2 * math.pi * damping / (time * (1 - damping**2) ** 0.5)
-
-
-def sigma_from_settling(time: Number, remainder: Number) -> Number:
-    """Decay rate (1/s) of which the envelope exp(-sigma t) has a remainder after the time.
-
-    This is the reading that the printed gains of [P2] have: exp(-3) after 150 s and exp(-4.5)
-    after 450 s.
-
-    Args:
-        time: adjustment time > 0, s.
-        remainder: share of the start that is left, 0 < remainder < 1.
-    """
-    return -math.log(remainder) / time
+    return -xp.log(remainder) / time_s
 
 
 def level_polynomial(gains: LevelGains, *, gravity: Number, radius: Number) -> np.ndarray:
-    """Coefficients of Delta3, [P2] eq. (16), highest power first, shape ``(..., 4)``.
+    """Return the coefficients of Delta3, [P2] eq. (16), highest power first, shape ``(..., 4)``.
 
     Delta3(s) = s^3 + K1 s^2 + (1 + K2) (g/R) s + g K3, s in 1/s.
-
-    Args:
-        gains: of the loop.
-        gravity: g, m/s^2.
-        radius: R, m.
     """
     k1, k2, k3 = gains
     return _stack_entries([1.0, k1, (1 + k2) * gravity / radius, gravity * k3])
 
 
 def azimuth_polynomial(gains: AzimuthGains, *, gravity: Number, radius: Number) -> np.ndarray:
-    """Coefficients of Delta4, [P2] eq. (21), highest power first, shape ``(..., 5)``.
+    """Return the coefficients of Delta4, [P2] eq. (21), highest power first, shape ``(..., 5)``.
 
     Delta4(s) = s (s + K4) (s^2 + K1 s + (1 + K2) g/R) + g K3, s in 1/s; omega_N phi_E in phi_U'
     is dropped, as in the paper.
-
-    Args:
-        gains: of the loop.
-        gravity: g, m/s^2.
-        radius: R, m.
     """
     k1, k2, k3, k4 = gains
     stiffness = (1 + k2) * gravity / radius
@@ -169,7 +128,7 @@ def azimuth_polynomial(gains: AzimuthGains, *, gravity: Number, radius: Number) 
 
 
 def roots(polynomial: np.ndarray) -> np.ndarray:
-    """Complex roots, the slowest (largest real part) first, shape ``(..., n)``.
+    """Return the complex roots, the slowest (largest real part) first, shape ``(..., n)``.
 
     Double roots, as designed in azimuth, are found to half of the digits.
 
@@ -186,14 +145,9 @@ def roots(polynomial: np.ndarray) -> np.ndarray:
 
 
 def level_matrix(gains: LevelGains, *, gravity: Number, radius: Number) -> np.ndarray:
-    """Levelling loop as d/dt [dV, phi, I] = A [dV, phi, I], [P2] Fig. 1, shape ``(..., 3, 3)``.
+    """Return A of the levelling loop, x' = A x, x = [dV, phi, I], [P2] Fig. 1, ``(..., 3, 3)``.
 
     I (rad/s) is K3 times the integral of dV. The coupling with the heading is left out.
-
-    Args:
-        gains: of the loop.
-        gravity: g, m/s^2.
-        radius: R, m.
     """
     k1, k2, k3 = gains
     return _stack_entries(
@@ -204,36 +158,20 @@ def level_matrix(gains: LevelGains, *, gravity: Number, radius: Number) -> np.nd
 
 
 def azimuth_matrix(
-    gains: AzimuthGains,
-    *,
-    gravity: Number,
-    radius: Number,
-    rate_n: Number,
-    direction: int = 1,
+    gains: AzimuthGains, *, gravity: Number, radius: Number, rate_n: Number
 ) -> np.ndarray:
-    """North channel as d/dt x = A x, x = [dV_N, phi_E, phi_U, w_cU], [P2] Fig. 2.
+    """Return A of the north channel, x' = A x, x = [dV_N, phi_E, phi_U, w_cU], ``(..., 4, 4)``.
 
-    The backward pass sees an Earth that turns the other way: omega_N is negative, in the coupling
-    and in K(s) alike. omega_N phi_E in phi_U' is dropped, as in [P2] eq. (21), so that the
-    characteristic polynomial is `azimuth_polynomial`.
-
-    Args:
-        gains: of the loop.
-        gravity: g, m/s^2.
-        radius: R, m.
-        rate_n: omega_N = omega_ie cos L, rad/s, not 0.
-        direction: 1 forward, -1 reversed.
-
-    Returns:
-        Shape ``(..., 4, 4)``.
+    [P2] Fig. 2, with ``rate_n`` = omega_N = omega_ie cos L, rad/s, not 0. omega_N phi_E in phi_U'
+    is dropped, as in [P2] eq. (21), so that the characteristic polynomial is `azimuth_polynomial`.
+    A backward pass has -omega_N, in the coupling and in K(s) alike, and the same polynomial.
     """
     k1, k2, k3, k4 = gains
-    turning = direction * rate_n
     return _stack_entries(
         [-k1, gravity, 0.0, 0.0],
-        [-(1 + k2) / radius, 0.0, -turning, 0.0],
+        [-(1 + k2) / radius, 0.0, -rate_n, 0.0],
         [0.0, 0.0, 0.0, 1.0],
-        [k3 / turning, 0.0, 0.0, -k4],
+        [k3 / rate_n, 0.0, 0.0, -k4],
     )
 
 
@@ -246,7 +184,7 @@ def is_stable(matrix: np.ndarray, dt: Number) -> np.ndarray:
 
     Args:
         matrix: of `level_matrix` or `azimuth_matrix`, shape ``(..., n, n)``.
-        dt: sample time > 0, s; broadcast over the leading axes.
+        dt: sample time > 0, s.
     """
     slope = np.asarray(matrix, float)
     step = np.asarray(dt, float)[..., None, None]
@@ -258,7 +196,7 @@ def is_stable(matrix: np.ndarray, dt: Number) -> np.ndarray:
 
 
 def _stack_entries(*rows: Sequence[Number]) -> np.ndarray:
-    """Entries that broadcast, as a vector (one row) or a matrix on the last axes."""
+    """Return entries as a vector (one row) or a matrix on the last axes."""
     entries = np.broadcast_arrays(*(entry for row in rows for entry in row))
     shape = (len(rows[0]),) if len(rows) == 1 else (len(rows), len(rows[0]))
     return np.stack(entries, -1).astype(float).reshape(entries[0].shape + shape)

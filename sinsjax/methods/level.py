@@ -16,13 +16,15 @@ the specific force about its mean, summed over three axes, as if correlated over
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+from pydantic import Field
 
 from sinsjax.maths.algebra import add, cross, dot, scale, select_tree
-from sinsjax.maths.rotations import from_euler, normalise
+from sinsjax.maths.rotations import from_euler
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.methods.method import (
     UNKNOWN_ANGLE,
     AttitudeCovariance,
+    Method,
     Options,
     Program,
     RunEnd,
@@ -30,9 +32,18 @@ from sinsjax.methods.method import (
 )
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.value_types import AccelSigma, Section
 
 CORRELATION_S = 1.0
 """Time over which noise and vibration count as correlated, far above that of white noise, s."""
+
+
+class LevelSection(Section):
+    """[level]: assumption of accelerometer levelling."""
+
+    level_accel_bias_ug: AccelSigma = Field(
+        5000.0, description="accelerometer bias assumed in the 1 sigma of pitch and roll, ug"
+    )
 
 
 class LevelState(NamedTuple):
@@ -54,7 +65,7 @@ class LevelState(NamedTuple):
 
 
 def build(options: Options) -> Program:
-    """Return the method, whose params are `LevelState.bias_tilt`."""
+    """Return the program, whose params are `LevelState.bias_tilt`."""
 
     def covariance(state: LevelState) -> AttitudeCovariance:
         n = jnp.maximum(state.count, 1.0)
@@ -67,14 +78,7 @@ def build(options: Options) -> Program:
         level = jnp.where(state.count > 0, level, unknown)
         return AttitudeCovariance(level, zero, zero, level, zero, unknown)
 
-    return Program(
-        init=_init,
-        step=_step,
-        attitude=_attitude,
-        covariance=covariance,
-        normalise=lambda state: state._replace(nav=state.nav._replace(q=normalise(state.nav.q))),
-        floor=_bias_floor,
-    )
+    return Program(_init, _step, _attitude, covariance=covariance, floor=_bias_floor)
 
 
 def _init(bias_tilt: Scalar, nav: Navigation) -> LevelState:
@@ -83,20 +87,13 @@ def _init(bias_tilt: Scalar, nav: Navigation) -> LevelState:
 
 
 def _step(params: Any, site: Site, state: LevelState, sample: Sample, n: Scalar) -> LevelState:
-    dv = _at_middle(sample)
+    # `Sample.dv` is in b at the start of the sample, carried there over half the rotation that the
+    # gyros measured. The same half carries it back to the middle, so that a gyro bias cancels.
+    half = Vec3(*sample.turn[1:])  # the vector part of the quaternion, to first order
+    dv = add(sample.dv, scale(-1.0, cross(half, sample.dv)))
     return state._replace(
         sum=add(state.sum, dv), squares=state.squares + dot(dv, dv), count=state.count + 1
     )
-
-
-def _at_middle(sample: Sample) -> Vec3:
-    """Return a velocity increment in b at the middle of its sample, as it was measured, m/s.
-
-    `Sample.dv` is in b at the start, carried there over half the rotation that the gyros measured.
-    The same half carries it back, so that a gyro bias cancels.
-    """
-    half = Vec3(*sample.turn[1:])  # the vector part of the quaternion, to first order
-    return add(sample.dv, scale(-1.0, cross(half, sample.dv)))
 
 
 def _attitude(state: LevelState) -> Quat:
@@ -112,3 +109,19 @@ def _bias_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> B
     """Return the floor of the level; north is found by no run."""
     floor = bias_floor(place, biases)
     return floor._replace(no_north=jnp.ones_like(floor.no_north))
+
+
+LEVEL = Method(
+    name="level",
+    summary="pitch and roll from the mean specific force, for gyros that cannot find north; no"
+    " heading",
+    source="accelerometer levelling, Groves (2013) section 5.6.2",
+    sections={"level": LevelSection},
+    build=build,
+    params=lambda keys, xp: (
+        keys.column("level_accel_bias_ug", keys.micro_g) / keys.site.place.gravity
+    ),
+    needs_start=False,
+    finds_heading=False,
+    step_s=3e-9,
+)

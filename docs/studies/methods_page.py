@@ -1,4 +1,4 @@
-"""Render docs/methods.md: ``python -m sinsjax.methods.page > docs/methods.md``."""
+"""Render docs/methods.md: ``python -m docs.studies.methods_page > docs/methods.md``."""
 
 from collections.abc import Iterable
 
@@ -34,21 +34,17 @@ _TURNING = (
     " forgets the first position."
 )
 
-_ALIGNMENT, _COLUMNS = "alignment, passes", "columns"
-
-_Entries = dict[str, list[str]]
-"""Keys and columns as the page prints them, by section."""
+_GRADIENTS = (
+    "A numeric key of a method's own sections has a gradient for `[tune]`, unless it counts samples"
+    " or chooses; `tune` refuses the others by name."
+)
 
 
 def render_methods_page() -> str:
-    """Return the keys, columns and gradients of every method as Markdown."""
+    """Return the keys and columns of every method as Markdown."""
     methods = list(METHODS.values())
-    entries = {method.name: _list_entries(method) for method in methods}
-    filters = [method.name for method in methods if "filter" in method.sections]
-    shared = {
-        section: [text for text in texts if all(text in entries[n][section] for n in filters)]
-        for section, texts in entries[filters[0]].items()
-    }
+    filters = [method for method in methods if "filter" in method.sections]
+    shared = set.intersection(*({*_entries(method)} for method in filters))
     lines = [
         "# Alignment methods",
         "",
@@ -64,23 +60,20 @@ def render_methods_page() -> str:
         "",
         "## Keys and columns",
         "",
-        f"Every Kalman filter ({', '.join(f'`{name}`' for name in filters)}) reads and returns:",
+        f"{_GRADIENTS} Every Kalman filter ({_name_all(filters)}) reads and returns:",
         "",
-        *_format_entries(shared),
+        *_format(entry for entry in _entries(filters[0]) if entry in shared),
         "",
         "Further keys and columns:",
         "",
     ]
-    alike: dict[tuple[str, ...], list[str]] = {}
-    for name, its_own in entries.items():
-        if name in filters:
-            its_own = {
-                section: [text for text in texts if text not in shared.get(section, [])]
-                for section, texts in its_own.items()
-            }
-        alike.setdefault(tuple(_format_entries(its_own)), []).append(f"`{name}`")
-    for rows, names in alike.items():
-        lines.append(f"- {', '.join(names)}:{'' if rows else ' none.'}")
+    alike: dict[tuple[str, ...], list[Method]] = {}
+    for method in methods:
+        left_out = shared if method in filters else set()
+        own = _format(entry for entry in _entries(method) if entry not in left_out)
+        alike.setdefault((*own,), []).append(method)
+    for rows, found in alike.items():
+        lines.append(f"- {_name_all(found)}:{'' if rows else ' none.'}")
         lines += [f"    {row}" for row in rows]
     lines += ["", f"{REFITS}."]
     lines += ["", "## `kalman10` on a base that is turned", "", _TURNING]
@@ -95,26 +88,24 @@ def _name_all(methods: Iterable[Method]) -> str:
     return ", ".join(f"`{method.name}`" for method in methods)
 
 
-def _list_entries(method: Method) -> _Entries:
-    """Return the keys that a method reads, those with a gradient in bold, and its columns."""
-    keys = {_ALIGNMENT: sorted([*INITIAL_KEYS, *method.reads])}
+def _entries(method: Method) -> list[tuple[str, str]]:
+    """Return heading and text of each key that a method reads, and of each of its columns."""
+    keys = [("alignment, passes", key) for key in sorted([*INITIAL_KEYS, *method.reads])]
     for name, section in method.sections.items():
-        keys[name] = [key for key in section.model_fields if key in method.keys]
-    entries = {
-        name: [f"`{key}`" for key in own if key not in method.idle_keys]
-        for name, own in keys.items()
-    }
-    columns = [f"`{own.column.name}` ({own.column.meaning})" for own in method.columns]
-    return entries | {_COLUMNS: columns}
-
-
-def _format_entries(entries: _Entries) -> list[str]:
-    """Return a line for each section that is not empty."""
+        keys += [(name, key) for key in section.model_fields]
+    columns = (own.column for own in method.columns)
     return [
-        f"- {'Columns' if name == _COLUMNS else f'`[{name}]`'}: {', '.join(texts)}."
-        for name, texts in entries.items()
-        if texts
+        *((f"`[{name}]`", f"`{key}`") for name, key in keys if key not in method.idle_keys),
+        *(("Columns", f"`{column.name}` ({column.meaning})") for column in columns),
     ]
+
+
+def _format(entries: Iterable[tuple[str, str]]) -> list[str]:
+    """Return a line for each heading."""
+    texts: dict[str, list[str]] = {}
+    for heading, text in entries:
+        texts.setdefault(heading, []).append(text)
+    return [f"- {heading}: {', '.join(found)}." for heading, found in texts.items()]
 
 
 if __name__ == "__main__":

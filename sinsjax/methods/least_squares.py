@@ -17,6 +17,7 @@ ones are far away, so two inverse iterations find the plane of the two larger ei
 the matrix is 2 x 2.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -25,45 +26,10 @@ from sinsjax.maths.algebra import Triangle, add, cross, dot, scale, triangle_ind
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Quat, Scalar, Vec3
 
-Profile = tuple[Vec3, Vec3, Vec3]
-"""Rows of a sum of products x y'."""
-
 
 def earth_rate(place: Place) -> Vec3:
-    """w_ie in n, rad/s."""
+    """Return w_ie in n, rad/s."""
     return Vec3(jnp.zeros_like(place.rate_n), place.rate_n, place.rate_u)
-
-
-class VelocitySums(NamedTuple):
-    """Sums of the integrated specific forces alpha in b0 and beta in n0, m/s.
-
-    Attributes:
-        velocity: alpha up to the last sample.
-        profile: rows of the sum of beta alpha'.
-        weight: half the sum of |alpha|^2 + |beta|^2, an upper bound of the largest eigenvalue.
-    """
-
-    velocity: Vec3
-    profile: Profile
-    weight: Scalar
-
-
-def no_velocities(zero: Scalar) -> VelocitySums:
-    """Return the sums before the first sample."""
-    none = Vec3(zero, zero, zero)
-    return VelocitySums(none, (none, none, none), zero)
-
-
-def add_velocity(
-    sums: VelocitySums, force: Vec3, place: Place, n: Scalar, dt: Scalar
-) -> VelocitySums:
-    """Add the n-th sample: its velocity increment in b0, m/s, with the sample time dt, s."""
-    alpha, beta = add(sums.velocity, force), reaction_velocity(place, n * dt)
-    return VelocitySums(
-        alpha,
-        _add_product(sums.profile, beta, alpha),
-        sums.weight + 0.5 * (dot(alpha, alpha) + dot(beta, beta)),
-    )
 
 
 def reaction_velocity(place: Place, t: Scalar) -> Vec3:
@@ -79,13 +45,54 @@ def reaction_velocity(place: Place, t: Scalar) -> Vec3:
     return scale(place.gravity, add(across, scale(e.z * (t - sine), e)))
 
 
+class PairSums(NamedTuple):
+    """Sums over pairs of vectors, y in b0 and x in n0, of which C_{b0}^{n0} rotates y to x.
+
+    Attributes:
+        products: rows of the sum of x y'.
+        weight: half the sum of |x|^2 + |y|^2, an upper bound of the largest eigenvalue.
+    """
+
+    products: tuple[Vec3, Vec3, Vec3]
+    weight: Scalar
+
+
+def _add_pair(sums: PairSums, x: Vec3, y: Vec3) -> PairSums:
+    weight = sums.weight + 0.5 * (dot(y, y) + dot(x, x))
+    return PairSums(_add_product(sums.products, x, y), weight)
+
+
+def _add_product(products: tuple[Vec3, Vec3, Vec3], x: Vec3, y: Vec3) -> tuple[Vec3, Vec3, Vec3]:
+    east, north, up = (add(row, scale(entry, y)) for row, entry in zip(products, x, strict=True))
+    return east, north, up
+
+
+class VelocitySums(NamedTuple):
+    """Velocity alpha up to the last sample, m/s, and sums over pairs of beta and alpha."""
+
+    velocity: Vec3
+    pairs: PairSums
+
+
+_ZERO = Vec3(0.0, 0.0, 0.0)
+NO_VELOCITIES = VelocitySums(_ZERO, PairSums((_ZERO, _ZERO, _ZERO), 0.0))
+
+
+def add_velocity(
+    sums: VelocitySums, force: Vec3, place: Place, n: Scalar, dt: Scalar
+) -> VelocitySums:
+    """Add the n-th sample: its velocity increment in b0, m/s, with the sample time dt, s."""
+    alpha, beta = add(sums.velocity, force), reaction_velocity(place, n * dt)
+    return VelocitySums(alpha, _add_pair(sums.pairs, beta, alpha))
+
+
 def fit_velocities(sums: VelocitySums, count: Scalar) -> Quat:
-    """Return C_{b0}^{n0}; unlike `fit_positions`, it does not depend on ``count``."""
-    return _solve_wahba(sums.profile, sums.weight)
+    """Return C_{b0}^{n0}, whatever the ``count`` of samples."""
+    return _solve_wahba(sums.pairs)
 
 
 class PositionSums(NamedTuple):
-    """Sums of a and b, the running sums of alpha and beta, m/s.
+    """Sums of the velocities, m/s, and over pairs of them.
 
     Attributes:
         velocity: alpha up to the last sample.
@@ -93,8 +100,7 @@ class PositionSums(NamedTuple):
         expected: b, likewise.
         measured_trend: sum of n a.
         expected_trend: sum of n b.
-        profile: rows of the sum of b a'.
-        weight: half the sum of |a|^2 + |b|^2.
+        pairs: sums over pairs of b and a.
     """
 
     velocity: Vec3
@@ -102,14 +108,10 @@ class PositionSums(NamedTuple):
     expected: Vec3
     measured_trend: Vec3
     expected_trend: Vec3
-    profile: Profile
-    weight: Scalar
+    pairs: PairSums
 
 
-def no_positions(zero: Scalar) -> PositionSums:
-    """Return the sums before the first sample."""
-    none = Vec3(zero, zero, zero)
-    return PositionSums(none, none, none, none, none, (none, none, none), zero)
+NO_POSITIONS = PositionSums(_ZERO, _ZERO, _ZERO, _ZERO, _ZERO, NO_VELOCITIES.pairs)
 
 
 def add_position(
@@ -118,34 +120,22 @@ def add_position(
     """Add the n-th sample, see `add_velocity`."""
     alpha = add(sums.velocity, force)
     a, b = add(sums.measured, alpha), add(sums.expected, reaction_velocity(place, n * dt))
-    return PositionSums(
-        alpha,
-        a,
-        b,
-        add(sums.measured_trend, scale(n, a)),
-        add(sums.expected_trend, scale(n, b)),
-        _add_product(sums.profile, b, a),
-        sums.weight + 0.5 * (dot(a, a) + dot(b, b)),
-    )
+    a_trend, b_trend = add(sums.measured_trend, scale(n, a)), add(sums.expected_trend, scale(n, b))
+    return PositionSums(alpha, a, b, a_trend, b_trend, _add_pair(sums.pairs, b, a))
 
 
 def fit_positions(sums: PositionSums, count: Scalar) -> Quat:
     """Return C_{b0}^{n0} after ``count`` samples, from a and b without their linear trend."""
     squares = jnp.maximum(count * (count + 1) * (2 * count + 1) / 6, 1.0)
     a, b = sums.measured_trend, sums.expected_trend
-    profile = _add_product(sums.profile, scale(-1 / squares, b), a)
-    of_trend = 0.5 * (dot(a, a) + dot(b, b)) / squares
-    return _solve_wahba(profile, sums.weight - of_trend)
+    products = _add_product(sums.pairs.products, scale(-1 / squares, b), a)
+    trend = 0.5 * (dot(a, a) + dot(b, b)) / squares
+    return _solve_wahba(PairSums(products, sums.pairs.weight - trend))
 
 
-def _add_product(profile: Profile, x: Vec3, y: Vec3) -> Profile:
-    east, north, up = (add(row, scale(factor, y)) for row, factor in zip(profile, x, strict=True))
-    return east, north, up
-
-
-def _solve_wahba(profile: Profile, weight: Scalar) -> Quat:
-    """Return C_{b0}^{n0} by Davenport: the dominant eigenvector of K of B = sum of beta alpha'."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = profile
+def _solve_wahba(sums: PairSums) -> Quat:
+    """Return C_{b0}^{n0} by Davenport: the dominant eigenvector of K of B = sum of x y'."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = sums.products
     return dominant_eigenvector(
         (
             *(xx + yy + zz, zy - yz, xz - zx, yx - xy),
@@ -153,7 +143,7 @@ def _solve_wahba(profile: Profile, weight: Scalar) -> Quat:
             *(yy - xx - zz, yz + zy),
             zz - xx - yy,
         ),
-        weight,
+        sums.weight,
     )
 
 
@@ -162,7 +152,7 @@ _AT = triangle_index(4)
 _ABOVE = 1 + 1e-12
 """Keeps the shift above the largest eigenvalue if that equals the bound."""
 
-Vector = tuple[Scalar, ...]
+_Vector = list[Scalar]
 
 
 def dominant_eigenvector(k: Triangle, bound: Scalar) -> Quat:
@@ -176,15 +166,14 @@ def dominant_eigenvector(k: Triangle, bound: Scalar) -> Quat:
     """
     inverse = 1 / jnp.where(bound > 0, bound, 1.0)
     k = tuple(entry * inverse for entry in k)
-    shifted = tuple(
-        _ABOVE - k[_AT[i, j]] if i == j else -k[_AT[i, j]] for i, j in _upper_triangle()
-    )
-    factors = _ldl_factors(shifted)
+    diagonal = {_AT[i, i] for i in range(4)}
+    shifted = tuple(_ABOVE - a if at in diagonal else -a for at, a in enumerate(k))
+    solve = _ldl_solver(shifted)
     one, other = ([jnp.full_like(bound, v) for v in start] for start in _STARTS)
     for _ in range(2):
-        one = _unit(_solve_factored(factors, one))
+        one = _unit(solve(one))
         # Twice, since the vectors are nearly parallel and the first leaves rounding errors.
-        other = _orthogonal_unit(one, _orthogonal_unit(one, _solve_factored(factors, other)))
+        other = _orthogonal_unit(one, _orthogonal_unit(one, solve(other)))
     by_one, by_other = _times(k, one), _times(k, other)
     a, b, c = _dot(one, by_one), _dot(one, by_other), _dot(other, by_other)
     # The larger eigenvalue's eigenvector of [[a, b], [b, c]], by half the angle of (a - c, 2b).
@@ -196,56 +185,48 @@ def dominant_eigenvector(k: Triangle, bound: Scalar) -> Quat:
     smaller = 0.5 * jnp.abs(sine) / larger
     first = jnp.where(ahead, larger, smaller)
     second = jnp.where(sine < 0, -1.0, 1.0) * jnp.where(ahead, smaller, larger)
-    vector = [first * x + second * y for x, y in zip(one, other, strict=True)]
-    return Quat(*_unit(vector))
+    return Quat(*_unit([first * x + second * y for x, y in zip(one, other, strict=True)]))
 
 
-def _upper_triangle() -> list[tuple[int, int]]:
-    return [(i, j) for i in range(4) for j in range(i, 4)]
-
-
-def _dot(a: list[Scalar], b: list[Scalar]) -> Scalar:
+def _dot(a: _Vector, b: _Vector) -> Scalar:
     return sum(x * y for x, y in zip(a, b, strict=True))
 
 
-def _unit(v: list[Scalar]) -> list[Scalar]:
+def _unit(v: _Vector) -> _Vector:
     inverse = 1 / jnp.sqrt(_dot(v, v))
     return [inverse * x for x in v]
 
 
-def _orthogonal_unit(one: list[Scalar], other: list[Scalar]) -> list[Scalar]:
+def _orthogonal_unit(one: _Vector, other: _Vector) -> _Vector:
     """Return the unit vector of the part of ``other`` orthogonal to the unit vector ``one``."""
     along = _dot(one, other)
     return _unit([b - along * a for a, b in zip(one, other, strict=True)])
 
 
-def _times(k: Triangle, v: list[Scalar]) -> list[Scalar]:
+def _times(k: Triangle, v: _Vector) -> _Vector:
     return [sum(k[_AT[i, j]] * v[j] for j in range(4)) for i in range(4)]
 
 
-def _ldl_factors(m: Triangle) -> tuple[dict[tuple[int, int], Scalar], list[Scalar]]:
-    """Return L (unit, below the diagonal) and 1/D of M = L D L', M positive definite."""
+def _ldl_solver(m: Triangle) -> Callable[[_Vector], _Vector]:
+    """Return b -> x of M x = b for a positive definite M = L D L', L with a unit diagonal."""
     below: dict[tuple[int, int], Scalar] = {}
-    d: list[Scalar] = []
+    d: _Vector = []
     for j in range(4):
         d.append(m[_AT[j, j]] - sum(below[j, k] ** 2 * d[k] for k in range(j)))
         for i in range(j + 1, 4):
             off = m[_AT[j, i]] - sum(below[i, k] * below[j, k] * d[k] for k in range(j))
             below[i, j] = off / d[j]
-    return below, [1 / one for one in d]
+    inverse_d = [1 / one for one in d]
 
+    def solve(b: _Vector) -> _Vector:
+        x = list(b)
+        for i in range(4):
+            for k in range(i):
+                x[i] = x[i] - below[i, k] * x[k]
+        x = [value * factor for value, factor in zip(x, inverse_d, strict=True)]
+        for i in reversed(range(4)):
+            for k in range(i + 1, 4):
+                x[i] = x[i] - below[k, i] * x[k]
+        return x
 
-def _solve_factored(
-    factors: tuple[dict[tuple[int, int], Scalar], list[Scalar]], b: list[Scalar]
-) -> list[Scalar]:
-    """Return x of L D L' x = b, given L and the inverse of D."""
-    below, inverse = factors
-    x = list(b)
-    for i in range(4):
-        for k in range(i):
-            x[i] = x[i] - below[i, k] * x[k]
-    x = [value * factor for value, factor in zip(x, inverse, strict=True)]
-    for i in reversed(range(4)):
-        for k in range(i + 1, 4):
-            x[i] = x[i] - below[k, i] * x[k]
-    return x
+    return solve

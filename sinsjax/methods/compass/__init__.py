@@ -1,1 +1,0 @@
-"""Compass alignment by levelling and azimuth loops, [P2]."""

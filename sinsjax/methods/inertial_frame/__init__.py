@@ -1,1 +1,0 @@
-"""Alignment by the turn of gravity in inertial space: from nothing but the sensors."""

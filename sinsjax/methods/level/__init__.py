@@ -1,1 +1,0 @@
-"""Level of a base at rest from its accelerometers alone."""
