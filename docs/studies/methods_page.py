@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 from sinsjax.methods.filters.triggers import TRIGGERS
+from sinsjax.methods.gravity_fit.method import REFITS
 from sinsjax.methods.method import INITIAL_KEYS, Method
 from sinsjax.methods.registry import METHODS
 
@@ -31,11 +32,6 @@ _TURNING = (
     " too bad for a linear filter: at 10 deg/h it is 2 to 3 times the bound from a heading known to"
     " 1 deg, and 7.5 times or more from one 45 deg off. A reset of P after the start of a turn"
     " forgets the first position."
-)
-
-_REFITS = (
-    "`gravity_fit` refits after some 4, 8, 16, ... s, at `report_times_s` and at the end: only then"
-    " can it settle (127, 255, 511 s)."
 )
 
 _GRADIENTS = (
@@ -79,7 +75,7 @@ def render_methods_page() -> str:
     for rows, found in alike.items():
         lines.append(f"- {_name_all(found)}:{'' if rows else ' none.'}")
         lines += [f"    {row}" for row in rows]
-    lines += ["", _REFITS]
+    lines += ["", f"{REFITS}."]
     lines += ["", "## `kalman10` on a base that is turned", "", _TURNING]
     lines += ["", "## Resets between two feedbacks", "", _RESETS_AND_FEEDBACK]
     lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]

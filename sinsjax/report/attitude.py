@@ -22,6 +22,7 @@ from sinsjax.report.verdict import (
     answer_facts,
     caution_facts,
     condition_table,
+    fit_cautions,
     study_title,
     warning_facts,
 )
@@ -29,7 +30,6 @@ from sinsjax.units import ARCMIN, DEG_PER_H, MICRO
 
 _ANGLES = ("heading", "pitch", "roll")
 _COLUMNS = (*(f"{angle}_deg" for angle in _ANGLES), "sigma_u_arcmin", "phi_u_arcmin")
-_MISFIT, _BIAS_SIGMAS = 3.0, 3.0  # beyond which a fit is doubted
 _EXAMPLES = (0.01, 100.0)  # deg/h and ug, whose effect is stated if the biases are unknown
 
 
@@ -116,22 +116,16 @@ def _caution_facts(source: Source) -> Iterator[Fact]:
 
 
 def _fit_cautions(source: Source) -> Iterator[Fact]:
-    """Doubts about fits whose residuals or gyro biases are larger than believed."""
-    names = [f"fit_gyro_bias_{axis}_deg_per_h" for axis in ("right", "front", "up")]
-    rows = source.rows(["fit_misfit", *names])
-    misfit, *biases = (analysis.numeric_column(rows, name) for name in rows.column_names)
-    largest = float(np.nanmax(misfit, initial=0.0))
-    if largest > _MISFIT:
-        text = f"the fit's residuals are {largest:.1f} times their sigma: do units, signs and"
-        yield Fact("Caution", f"{text} [gravity_fit] describe these sensors?", True)
-    record, beliefs = source.study.record, source.study.values("fit_gyro_bias_deg_per_h")
+    """Doubts about fits, and a gyro bias beyond what the checks of a record accept."""
+    yield from fit_cautions(source)
+    record = source.study.record
     limit = record.gyro_bias_deg_per_h if record is not None else None
-    if limit is None and None not in beliefs:
-        limit = _BIAS_SIGMAS * max(beliefs)
+    rows = source.rows(f"fit_gyro_bias_{axis}_deg_per_h" for axis in ("right", "front", "up"))
+    biases = [analysis.numeric_column(rows, name) for name in rows.column_names]
     bias = float(np.nanmax(np.abs(biases), initial=0.0))
     if limit is not None and bias > limit:
         text = f"the fit finds a gyro bias of {bias:.3g} deg/h, beyond {limit:.3g}"
-        yield Fact("Caution", f"{text} (fit_gyro_bias_deg_per_h): is a sign wrong?", True)
+        yield Fact("Caution", f"{text} ([record] gyro_bias_deg_per_h): is a sign wrong?", True)
 
 
 def _final_attitude_table(source: Source, rows: list[dict[str, Any]]) -> Table:

@@ -15,9 +15,11 @@ from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.formats import format_heading_error, format_percent
 from sinsjax.columns import FAILED
+from sinsjax.errors import InputError
 from sinsjax.execution import stopping
 from sinsjax.execution.source import Source
 from sinsjax.messages import format_count
+from sinsjax.methods.gravity_fit.method import REFITS
 from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Table, Verdict
 from sinsjax.report.choices import (
     MIN_DRAWS_TO_SPLIT,
@@ -32,7 +34,25 @@ from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure
 
 _MAX_Q_RATIO = 10.0  # times the sensors' noise that Q may be before the verdict cautions
 _LIMITING = 0.7  # share of the rms error from which the bias floor is its cause
-_RARE = 0.1  # of the successful runs: so many may be at the edge of both bands
+_RARE = 0.1  # of the runs: so many may be at the edge of both bands, or have a doubtful fit
+_FIT_DOUBTS = {
+    "fit_misfit": (
+        3.0,
+        "the fit's residuals are {:.1f} times their sigma: do units, signs and [gravity_fit]"
+        " describe these sensors?",
+    ),
+    "fit_prior_ratio": (
+        3.0,
+        "the fit finds a sensor error or lever arm of {:.1f} times its 1 sigma: is a sign wrong, or"
+        " a number of [gravity_fit] too small?",
+    ),
+    "fit_change": (
+        1.0,
+        "the fit has not converged, its last pass changed it by {:.1f} sigma: the biases are too"
+        " large, or the data too short",
+    ),
+}
+"""Columns of a fit: above which value they are a doubt, and the doubt."""
 
 
 def sweep_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict:
@@ -44,6 +64,7 @@ def sweep_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict:
     """
     outcome = SweepOutcome.from_source(source)
     doubts = [*warning_facts(source, warnings_shown=warnings_shown), *caution_facts(outcome)]
+    doubts += fit_cautions(source, _RARE)
     return Verdict(study_title(source), [*answer_facts(outcome), *doubts], condition_table(outcome))
 
 
@@ -223,9 +244,28 @@ def process_noise_caution(source: Source) -> Iterator[Fact]:
         )
 
 
+def fit_cautions(source: Source, rare: float = 0.0) -> Iterator[Fact]:
+    """Yield doubts about fits, of which more than a share ``rare`` have too large a column."""
+    if "gravity_fit" not in source.study.methods:
+        return
+    try:
+        rows = source.rows(_FIT_DOUBTS)
+    except InputError:  # results of a version that does not have these columns
+        return
+    for name, (limit, doubt) in _FIT_DOUBTS.items():
+        values = analysis.numeric_column(rows, name)
+        values = values[np.isfinite(values)]
+        above = values[values > limit]
+        if above.size > rare * values.size:
+            which = f" ({above.size:,} of {values.size:,} fits)" if values.size > 1 else ""
+            yield Fact("Caution", doubt.format(above.max()) + which, True)
+
+
 def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield the best option, its accuracy, and the basis of the answer."""
     yield from _best_option_facts(outcome)
+    if "gravity_fit" in outcome.source.study.methods:
+        yield Fact("Refits", REFITS)
     yield _accuracy_fact(outcome)
     yield from _basis_facts(outcome)
 

@@ -77,10 +77,6 @@ def end(motion: Motion, increments: Array) -> Quat:
     return base_motion.attitude(motion, len(increments) * DT)
 
 
-def rms(values: Array) -> float:
-    return float(jnp.sqrt(jnp.mean(values**2)))
-
-
 @some
 @given(latitudes, pitches, turns, turns)
 @example(-33.0, 0.0, 0.0, 180.0)
@@ -96,20 +92,13 @@ def test_both_methods_are_exact_on_static_base(latitude, pitch, roll, yaw):
 
 @some
 @given(latitudes, st.floats(-40, 40), st.floats(-40, 40), turns)
-def test_inertial_is_exact_at_interval_end_on_swinging_base(latitude, pitch, roll, yaw):
+def test_inertial_alone_is_exact_at_interval_end_on_swinging_base(latitude, pitch, roll, yaw):
     motion, place = swinging(2.0, pitch, roll, yaw), at(latitude)
     increments = ideal(motion, place)
     phi = error("inertial", increments, place, end(motion, increments))
     np.testing.assert_allclose(phi, 0, atol=0.1 * ARCSEC)
-
-
-@pytest.mark.parametrize("yaw", [-135.0, 0.0, 30.0])
-def test_analytic_fails_but_inertial_succeeds_on_swinging_base(yaw):
-    motion, place = swinging(2.0, yaw=yaw), at(32.0)
-    increments = ideal(motion, place)
-    truth = end(motion, increments)
-    assert abs(error("analytic", increments, place, truth)[2]) > 10 * DEG
-    assert abs(error("inertial", increments, place, truth)[2]) < 0.05 * ARCSEC
+    analytic = error("analytic", increments, place, end(motion, increments))
+    assert np.linalg.norm(analytic) > 10 * DEG
 
 
 @pytest.mark.parametrize("method", NAMES)
@@ -128,12 +117,6 @@ def test_constant_biases_leave_known_bias_floors(method):
     np.testing.assert_allclose(phi, expected, rtol=0.01)
 
 
-def inertial_limit(force_noise: float, seconds: int, place: Place) -> float:
-    """Standard deviation of yaw (rad) from white specific force noise of a sample (in g)."""
-    slope = np.sqrt(30 / 7 / (seconds * RATE)) * force_noise / (seconds / 2)
-    return float(slope / place.rate_n)
-
-
 @pytest.mark.nightly(fast=("23",))
 @pytest.mark.parametrize("seconds", [6, SECONDS])
 def test_yaw_error_from_noise_matches_theory(seconds):
@@ -145,12 +128,12 @@ def test_yaw_error_from_noise_matches_theory(seconds):
     normal = np.random.default_rng(seconds).standard_normal((100, *increments.shape))
     drawn, truth = np.asarray(increments) + noise * normal, end(motion, increments)
     inertial, analytic = (
-        rms(jnp.stack([error(method, one, place, truth)[2] for one in drawn]))
+        np.sqrt(np.mean(np.square([error(method, one, place, truth)[2] for one in drawn])))
         for method in ("inertial", "analytic")
     )
-    gyro_limit = drift / float(place.rate_n) / np.sqrt(seconds * RATE)
-    assert inertial == pytest.approx(inertial_limit(force, seconds, place), rel=0.2)
-    assert analytic == pytest.approx(gyro_limit, rel=0.2)
+    slope = np.sqrt(30 / 7 / (seconds * RATE)) * force / (seconds / 2)
+    assert inertial == pytest.approx(slope / place.rate_n, rel=0.2)
+    assert analytic == pytest.approx(drift / place.rate_n / np.sqrt(seconds * RATE), rel=0.2)
 
 
 @some
@@ -187,16 +170,16 @@ def test_inertial_matches_least_squares_velocity_fit_with_unknown_start():
     samples = jax.jit(sensors.compensate_record)(increments[1:], increments[0])
     fit = Quat(*velocity_fit(samples, place).as_quat(scalar_first=True))
     expected = jnp.stack(rotations.misalignment(truth, fit))
-    limit = inertial_limit(force, SECONDS, place)
+    limit = float(np.sqrt(30 / 7 / (SECONDS * RATE)) * 2 * force / SECONDS / place.rate_n)
     assert abs(expected[2]) > 0.1 * limit
     np.testing.assert_allclose(
         error("inertial", increments, place, truth), expected, atol=0.005 * limit
     )
 
 
-@pytest.fixture(scope="module")
-def vehicle(data_dir: Path) -> dict[str, np.ndarray]:
-    """Errors (deg) of each method over 60 s from each start against the reference."""
+@pytest.mark.nightly
+def test_inertial_error_on_vehicle_record_is_small_from_every_start(data_dir: Path) -> None:
+    """Against the reference, over 60 s from each start."""
     record = records.read_psins(data_dir / "lasergyro_0_900.imu")
     reference = records.read_reference(data_dir / "lasergyro_0_900_reference.csv")
     assert record.latitude_deg is not None and record.height_m is not None
@@ -208,18 +191,8 @@ def vehicle(data_dir: Path) -> dict[str, np.ndarray]:
     assert set(starts + 60) <= set(reference.time_s)
     angles = reference.attitude_deg[np.searchsorted(reference.time_s, starts + 60)] * DEG
     truth = jax.vmap(rotations.from_euler)(*angles.T)
-    errors = {}
-    for name in NAMES:
-        align = functools.partial(coarse, name, place=place, dt=1 / record.rate_hz)
-        q = jax.jit(jax.vmap(align))(samples)
-        phi = jax.vmap(rotations.misalignment)(truth, q)
-        errors[name] = np.abs(np.stack(phi, axis=1)) / DEG
-    return errors
-
-
-@pytest.mark.nightly
-def test_inertial_error_on_vehicle_record_is_small_from_every_start(vehicle):
-    level, yaw = vehicle["inertial"][:, :2], vehicle["inertial"][:, 2]
-    assert yaw.max() < 0.25
-    assert np.median(yaw) < 0.04
-    assert level.max() < 0.001
+    align = functools.partial(coarse, "inertial", place=place, dt=1 / record.rate_hz)
+    phi = jax.vmap(rotations.misalignment)(truth, jax.jit(jax.vmap(align))(samples))
+    east, north, yaw = np.abs(np.stack(phi)) / DEG
+    assert yaw.max() < 0.25 and np.median(yaw) < 0.04
+    assert max(east.max(), north.max()) < 0.001

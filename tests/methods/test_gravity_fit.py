@@ -1,5 +1,6 @@
 """The gravity fit against the information bound, a dense least squares, and the truth."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,10 +8,14 @@ import pytest
 from oracles.naive import log, of_quaternion
 from scipy import stats
 from scipy.spatial.transform import Rotation
+from support.synthetic_tables import synthetic_summary
 
 import sinsjax
+from sinsjax.execution.source import Source
 from sinsjax.methods.gravity_fit.fit import Block, FitParams, solve
 from sinsjax.methods.gravity_fit.noise import SensorNoise
+from sinsjax.report.attitude import attitude_verdict
+from sinsjax.report.verdict import sweep_verdict
 from sinsjax.strapdown import earth
 from sinsjax.types import Quat, Vec3
 
@@ -19,10 +24,7 @@ pytestmark = pytest.mark.optimised(False)
 DEG = np.pi / 180
 TURN = {"turn_times_s": [50.5], "turn_angles_deg": [180.0], "turn_rate_deg_per_s": 10.0}
 NOISE = {"gyro_arw_deg_per_sqrt_h": 0.02, "accel_vrw_ug_per_sqrt_hz": 50.0}
-DRAWN = {
-    "gyro_bias_deg_per_h": {"normal": [0.0, 1.0]},
-    "accel_bias_ug": {"normal": [0.0, 500.0]},
-}
+DRAWN = {"gyro_bias_deg_per_h": {"normal": [0.0, 1.0]}, "accel_bias_ug": {"normal": [0.0, 500.0]}}
 
 
 def study(
@@ -115,29 +117,28 @@ def test_gyro_biases_and_their_sigma_are_results() -> None:
         assert low < np.sum(((found - truth[:, axis]) / sigma) ** 2) < high
 
 
-@pytest.mark.nightly
-def test_lever_arm_is_an_unknown_that_costs_little() -> None:
-    arm = {"lever_arm_m": [0.05, 0.06, 0.02]}
-    given = study(32, motion=TURN | arm)
-    error, sigma = columns(given, "phi_u_arcmin", "sigma_u_arcmin")
-    low, high = stats.chi2.ppf([0.001, 0.999], 32) / 32
-    assert low < np.mean((error / sigma) ** 2) < high
-    bound = sinsjax.information_bound(given)["bound_u_arcmin"].to_pylist()[-1]
-    assert 1 < sigma.mean() / bound < 1.15
-    ignored = study(32, motion=TURN | arm, gravity_fit={"fit_lever_arm_m": 0.0})
-    assert np.mean(columns(ignored, "fit_misfit")) > 2
+SWAY = {"pitch_amplitude_deg": 2.0, "pitch_period_s": 6.0, "pitch_phase_deg": 40.0}
 
 
 @pytest.mark.nightly
-def test_lever_arm_on_a_swaying_base_costs_little() -> None:
-    sway = {"pitch_amplitude_deg": 2.0, "pitch_period_s": 6.0, "pitch_phase_deg": 40.0}
-    given = study(32, motion=sway | {"lever_arm_m": [2.0, 1.0, 0.5]}, study={"rate_hz": 50.0})
+@pytest.mark.parametrize(
+    ("motion", "arm", "rate_hz", "least"),
+    [(TURN, [0.05, 0.06, 0.02], 10.0, 1.0), (SWAY, [2.0, 1.0, 0.5], 50.0, 0.97)],
+    ids=["turned", "swaying"],
+)
+def test_lever_arm_is_an_unknown_that_costs_little(
+    motion: dict[str, Any], arm: list[float], rate_hz: float, least: float
+) -> None:
+    tables = {"motion": motion | {"lever_arm_m": arm}, "study": {"rate_hz": rate_hz}}
+    given = study(32, **tables)
     error, sigma, misfit = columns(given, "phi_u_arcmin", "sigma_u_arcmin", "fit_misfit")
     low, high = stats.chi2.ppf([0.001, 0.999], 32) / 32
     assert low < np.mean((error / sigma) ** 2) < high
     bound = sinsjax.information_bound(given)["bound_u_arcmin"].to_pylist()[-1]
-    assert 0.97 < sigma.mean() / bound < 1.15
+    assert least < sigma.mean() / bound < 1.15
     assert abs(misfit.mean() - 1) < 0.1
+    ignored = study(32, **tables, gravity_fit={"fit_lever_arm_m": 0.0})
+    assert np.mean(columns(ignored, "fit_misfit")) > 2
 
 
 @pytest.mark.nightly
@@ -151,10 +152,54 @@ def test_reported_heading_is_that_of_a_run_of_that_length() -> None:
 
 
 @pytest.mark.nightly
+def test_it_settles_at_its_refits_alone_and_the_verdict_says_so() -> None:
+    given = study(32, study={"settle_bands_arcmin": [1000.0, 300.0]})
+    results = sinsjax.run(given)
+    refits = {3.0, 7.0, 15.0, 31.0, 63.0, 119.0}
+    for band in (1000, 300):
+        (settled,) = results.summary.select([f"settle_{band}_truth_s"])
+        times = {time for time in settled.to_pylist() if time is not None}
+        assert len(times) > 1 and times <= refits
+    found = sweep_verdict(Source(Path("out"), given, "x.toml", results.summary))
+    texts = dict((fact.label, fact.text) for fact in found.facts)
+    assert texts["Refits"] == (
+        "gravity_fit refits after about 4, 8, 16, ... s, at report_times_s and at the end: only"
+        " then can it settle (7, 15, 31, ... s)"
+    )
+
+
+def test_doubts_about_fits_are_cautions_of_every_verdict() -> None:
+    given = study(16)
+    fits = {"fit_misfit": 1.0, "fit_prior_ratio": 2.9, "fit_change": 0.1}
+    words = {"fit_misfit": "residuals", "fit_prior_ratio": "1 sigma", "fit_change": "not converged"}
+    zero = {f"fit_gyro_bias_{axis}_deg_per_h": 0.0 for axis in ("right", "front", "up")}
+
+    def cautions(verdict: Any, doubtful: int, **changed: float) -> list[str]:
+        """Return the cautions of a verdict on 16 runs, of which some have other columns."""
+        names = zero | fits | changed
+        values = {
+            name: [value] * doubtful + [(zero | fits)[name]] * (16 - doubtful)
+            for name, value in names.items()
+        }
+        summary = synthetic_summary(given, all_columns=True, **values)
+        source = Source(Path("out"), given, "x.toml", summary)
+        return [fact.text for fact in verdict(source).facts if fact.is_caution]
+
+    for verdict in (sweep_verdict, attitude_verdict):
+        assert not any("fit" in text for text in cautions(verdict, 16))
+        for name, word in words.items():
+            (told,) = [text for text in cautions(verdict, 2, **{name: 3.14}) if "the fit" in text]
+            assert word in told and "3.1" in told and told.endswith("(2 of 16 fits)")
+    # Draws of a normal distribution exceed 3 sigma now and then; a record has one fit a start.
+    assert not any("the fit" in text for text in cautions(sweep_verdict, 1, fit_prior_ratio=4.0))
+    assert any("the fit" in text for text in cautions(attitude_verdict, 1, fit_prior_ratio=4.0))
+
+
+@pytest.mark.nightly
 def test_records_shorter_than_a_second_are_joined_to_blocks() -> None:
-    coarse = columns(study(4), "phi_u_arcmin", "sigma_u_arcmin")
-    fine = columns(study(4, study={"record_interval_s": 0.5}), "phi_u_arcmin", "sigma_u_arcmin")
-    np.testing.assert_allclose(fine, coarse, rtol=1e-6)
+    names = "phi_u_arcmin", "sigma_u_arcmin"
+    fine = study(4, study={"record_interval_s": 0.5})
+    np.testing.assert_allclose(columns(fine, *names), columns(study(4), *names), rtol=1e-6)
 
 
 def test_linear_pass_is_dense_least_squares() -> None:
@@ -178,7 +223,7 @@ def test_linear_pass_is_dense_least_squares() -> None:
     rows = np.stack([Block.of_turn(Quat(*q), Vec3(*f), still).row() for q, f in pairs])
     sigma_b, sigma_a = 5e-6, 5e-3
     params = FitParams(SensorNoise(np.float64(gyro), np.float64(accel)), sigma_b, sigma_a)
-    solution, _ = solve(params, place, rows, np.asarray(count), length)
+    solution = solve(params, place, rows, np.asarray(count), length)
 
     j = np.arange(count) + 0.5
     t = j * length
@@ -227,10 +272,63 @@ def test_lever_arm_that_moves_at_first_sample_leaves_the_attitude() -> None:
     rows = np.stack([Block.of_turn(Quat(*q), Vec3(*f), Vec3(*w)).row() for q, f, w in triples])
     noise = SensorNoise(np.float64(6e-6), np.float64(5e-4))
     params = FitParams(noise, np.float64(1e-9), np.float64(1e-7), lever_arm=np.float64(3.0))
-    solution, _ = solve(params, place, rows, np.asarray(count), length)
+    solution = solve(params, place, rows, np.asarray(count), length)
     off = log(c[0].as_matrix() @ of_quaternion(np.array(solution.attitude)).T)
     assert np.abs(off[:2]).max() < 1e-7 and abs(off[2]) < 1e-4
     assert solution.misfit < 0.01
+
+
+def blocks_of_positions(bias: np.ndarray, count: int = 120) -> tuple[np.ndarray, Rotation]:
+    """Return blocks of a second of a base turned by 90 deg each 30 s, and its last attitude in n0.
+
+    Their rotations and velocity increments are those of gyros with a bias, at 20 samples a second.
+    """
+    place, dt, rate = earth.place(earth.wgs84(), 45 * DEG), 0.05, 10 * DEG
+    pole = np.array([0.0, place.rate_n, place.rate_u])
+    step = np.arange(count * 20 + 1)
+    turned = sum(np.clip(step * dt - start, 0.0, 9.0) for start in (30.0, 60.0, 90.0)) * rate
+    c = Rotation.from_rotvec(np.outer(step * dt, pole))
+    c = c * Rotation.from_euler("z", (0.7 + turned)[:, None])
+    middle = Rotation.from_rotvec(np.outer((step[:-1] + 0.5) * dt, pole))
+    turns = (c[:-1].inv() * c[1:]).as_rotvec() + bias * dt
+    force = c[:-1].inv().apply(middle.apply([0.0, 0.0, place.gravity * dt]))
+    rows = []
+    for block in np.arange(count):
+        turn, dv = Rotation.identity(), np.zeros(3)
+        for n in range(20 * block, 20 * block + 20):
+            dv = dv + (turn * Rotation.from_rotvec(bias * dt / 2)).apply(force[n])
+            turn = turn * Rotation.from_rotvec(turns[n])
+        one = Quat(*turn.as_quat(scalar_first=True))
+        rows.append(Block.of_turn(one, Vec3(*dv), Vec3(0.0, 0.0, 0.0)).row())
+    return np.stack(rows), c[-1]
+
+
+@pytest.mark.parametrize(
+    ("bias", "prior", "most", "doubts"),
+    [
+        ([1.0, -1.0, 1.0], 1.0, 0.1, set()),
+        ([900.0, 900.0, 900.0], 900.0, 1.0, set()),
+        ([4.0, 0.0, 0.0], 1.0, 1.0, {"prior_ratio"}),
+        ([5e4, -5e4, 5e4], 900.0, np.inf, {"prior_ratio", "misfit", "change"}),
+    ],
+)
+def test_large_gyro_bias_leaves_the_right_heading_or_a_doubt(
+    bias: list[float], prior: float, most: float, doubts: set[str]
+) -> None:
+    """900 deg/h turn l by 30 deg in 120 s: the linear first pass is far off, and three passes too.
+
+    ``most`` is the largest heading error, in sigma, of data without noise.
+    """
+    rows, end = blocks_of_positions(np.array(bias) * DEG / 3600)
+    noise = SensorNoise(np.float64(0.01 * DEG / 60), np.float64(5e-4))
+    params = FitParams(noise, np.float64(prior * DEG / 3600), np.float64(5e-3))
+    place = earth.place(earth.wgs84(), 45 * DEG)
+    solution = solve(params, place, rows, np.asarray(len(rows)), 1.0)
+    found = of_quaternion(np.array(solution.attitude)) @ of_quaternion(np.array(solution.carried))
+    off = log(end.as_matrix() @ found.T)[2] / np.sqrt(float(solution.covariance.uu))
+    limits = {"prior_ratio": 3.0, "misfit": 3.0, "change": 1.0}
+    assert {name for name, limit in limits.items() if getattr(solution, name) > limit} == doubts
+    assert abs(off) < most
 
 
 @pytest.mark.parametrize(

@@ -13,13 +13,10 @@ from oracles.in_engine import (
     UG,
     covariances,
     filter_params,
+    follow,
     measured,
-    navigation,
-    one_run,
-    record_world,
-    runner,
+    shown,
     site,
-    trail,
 )
 from oracles.naive import DEG, PAPER, Filter, exp, of_quaternion
 from oracles.naive_filters import (
@@ -32,9 +29,8 @@ from oracles.naive_filters import (
     surging,
 )
 
-from sinsjax.engine.environment import Static
 from sinsjax.methods.method import Options
-from sinsjax.methods.sincos import SurgeParams
+from sinsjax.methods.surge import SurgeParams
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -49,6 +45,7 @@ class Case(NamedTuple):
         model: the naive error model.
         p0: initial variances.
         q: variances that a sample adds.
+        r: variance of a measured velocity.
         phi_deg: misalignment of the start.
         samples: length of the run.
         off: largest difference of attitude (rad), velocity (m/s) and x.
@@ -59,6 +56,7 @@ class Case(NamedTuple):
     model: Model
     p0: np.ndarray
     q: np.ndarray
+    r: float
     phi_deg: tuple[float, float, float]
     samples: int
     off: tuple[float, float, float]
@@ -74,8 +72,9 @@ FIVE = variances(0.1, 0.1, 15 * DEG, 15 * DEG, 80 * DEG)
 SIX = variances(0.1, 0.1, 15 * DEG, 15 * DEG, 0.5**0.5, 0.5**0.5)
 Q6 = variances(*[500 * UG / RATE] * 2, *[0.1 * DEG_PER_H / RATE] * 4)
 AZIMUTH = {"phi_deg": (5.0, -6.0, 30.0), "samples": 1000, "off": (1e-8, 1e-7, 1e-7)}
-AZIMUTH |= {"p0": FIVE, "q": Q6[:5], "p": (1e-6, 1e-9)}
-LARGE = {"phi_deg": (10.0, -15.0, 120.0), "samples": 1500}
+AZIMUTH |= {"p0": FIVE, "q": Q6[:5], "r": 0.1**2, "p": (1e-6, 1e-9)}
+# Strong enough for a heading to be found within seconds where none is known.
+LARGE = {"phi_deg": (10.0, -15.0, 120.0), "samples": 1500, "r": 1e-3**2}
 CASES = {
     "kalman_sincos": Case(SINCOS, SIX, Q6, **LARGE, off=(1e-9,) * 3, p=(1e-8, 1e-12)),
     "kalman_surge": Case(
@@ -101,49 +100,49 @@ SCHEDULES = {
 }
 
 
-def numbers(name, r, **changes):
-    """The same filter here and in the engine."""
-    case = CASES[name]
-    filt = Filter(case.p0, case.q, r, **changes)
-    params = filter_params(filt)
-    return filt, params if case.extra is None else params._replace(extra=case.extra)
-
-
-@pytest.mark.nightly(
-    fast=("kalman_sincos-feedback every sample", "invariant-resets restart feedback")
+PASSES = {"every": 130, "resets": (250, 750)}
+SCHEDULES |= {
+    "three passes": PASSES | {"turn": "carried"},
+    "three rewound passes": PASSES | {"turn": "rewind"},
+}
+FAST = (
+    "kalman_sincos-feedback every sample",
+    "invariant-resets restart feedback",
+    "kalman_surge-three passes",
 )
+
+
+@pytest.mark.nightly(fast=FAST)
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("name", CASES)
 def test_closed_loop_matches_naive_filter(name, schedule):
-    case = CASES[name]
-    # Strong enough for a heading to be found within seconds where none is known.
-    r = 1e-3**2 if name in ("kalman_sincos", "kalman_surge") else 0.1**2
-    filt, params = numbers(name, r, **SCHEDULES[schedule])
-    start = exp(-np.array(case.phi_deg) * DEG) @ PAPER1.matrix(0.0)
-    about = {"latitude": LATITUDE, "c": start, "v": V0, "filt": filt}
-    rows = measured(PAPER, LATITUDE, case.samples)
-    naive = closed_loop(case.model, rows, 1 / RATE, PAPER, **about)
-    nav = navigation(start, V0, LATITUDE)
-    state, attitude, covariance = runner(name)(params, site(PAPER, LATITUDE), nav, rows)
-    assert_same(case, state, naive, slice(None))
+    """Over one pass, or over three from a smaller misalignment, with feedback over the turns."""
+    case, changes, dt = CASES[name], SCHEDULES[schedule], 1 / RATE
+    count, stored, r, phi = case.samples, case.samples, case.r, np.array(case.phi_deg) * DEG
+    if "turn" in changes:
+        count, stored, r, phi = 900, 300, 0.1**2, np.array([1.0, -2.0, 15.0]) * DEG
+    filt, rows = Filter(case.p0, case.q, r, **changes), measured(PAPER, LATITUDE, stored)
+    about = {"latitude": LATITUDE, "c": exp(-phi) @ PAPER1.matrix(0.0), "v": V0, "filt": filt}
+    naive = closed_loop(case.model, rows, dt, PAPER, stored=stored, count=count, **about)
+
+    params, options = filter_params(filt), Options(dt)
+    params = params if case.extra is None else params._replace(extra=case.extra)
+    here, start = site(PAPER, LATITUDE), (PAPER1.matrix(0.0), phi, V0)
+    passes = {"records": count, "stored": stored, "rewinds": filt.turn == "rewind"}
+    state = follow(name, params, rows, here, start, options=options, **passes)
+    attitude, covariance = shown(name, options, state)
+    c, corrected = (of_quaternion(np.stack(q, axis=1)) for q in (state.nav.q, attitude))
+    found = c, np.stack([state.nav.ve, state.nav.vn], axis=1), np.stack(state.belief.x, axis=1)
+    expected = naive.c, naive.v[:, :2], naive.x
+    for got, want, off in zip(found, expected, case.off, strict=True):
+        np.testing.assert_allclose(got, want, rtol=0, atol=off)
     if name == "invariant":
         np.testing.assert_allclose(state.extra, naive.v[:, 2], rtol=0, atol=1e-7)
     rtol, atol = case.p
-    p = covariances(state.belief.p)
-    np.testing.assert_allclose(p, naive.p, rtol=rtol, atol=atol)
-    c = of_quaternion(np.stack(attitude, axis=1))
-    np.testing.assert_allclose(c, naive.corrected, rtol=0, atol=1e-8)
-    if name == "kalman_sincos":
+    np.testing.assert_allclose(covariances(state.belief.p), naive.p, rtol=rtol, atol=atol)
+    np.testing.assert_allclose(corrected, naive.corrected, rtol=0, atol=1e-8)
+    if name == "kalman_sincos" and stored == count:
         assert_first_order(naive, np.array(covariance))
-
-
-def assert_same(case, state, naive, at):
-    """Attitude, velocity and estimate."""
-    v = np.stack([state.nav.ve, state.nav.vn], axis=1)
-    found = of_quaternion(np.stack(state.nav.q, axis=1)), v, np.stack(state.belief.x, axis=1)
-    expected = naive.c[at], naive.v[at, :2], naive.x[at]
-    for got, want, off in zip(found, expected, case.off, strict=True):
-        np.testing.assert_allclose(got, want, rtol=0, atol=off)
 
 
 def assert_first_order(naive, covariance):
@@ -162,24 +161,3 @@ def assert_first_order(naive, covariance):
         upper = p[np.triu_indices(3)]
         # What is left of the tilt turns its slope; feedback leaves little.
         np.testing.assert_allclose(covariance[:, k], upper, rtol=0.02, atol=0.02 * upper.max())
-
-
-@pytest.mark.nightly(fast=("kalman_surge-carried",))
-@pytest.mark.parametrize("turn", ["carried", "rewind"])
-@pytest.mark.parametrize("name", [name for name in CASES if name != "unscented"])
-def test_three_passes_match_naive_filter(name, turn):
-    """With feedback over the direction reversals, and a reset; or all three forward."""
-    samples, every, case = 300, 50, CASES[name]
-    phi = np.array([1.0, -2.0, 15.0]) * DEG
-    rows = measured(PAPER, LATITUDE, samples)
-    filt, params = numbers(name, 0.1**2, every=130, resets=(250, 750), turn=turn)
-    about = {"latitude": LATITUDE, "c": exp(-phi) @ PAPER1.matrix(0.0), "v": V0, "filt": filt}
-    naive = closed_loop(
-        case.model, rows, 1 / RATE, PAPER, stored=samples, count=3 * samples, **about
-    )
-    passes = "rewind" if turn == "rewind" else "alternate"
-    static = Static(name, Options(1 / RATE), every, 3 * samples // every, False, passes=passes)
-    environment = record_world(rows, site(PAPER, LATITUDE), pass_records=samples // every)
-    state = trail(static, environment, one_run(PAPER1.matrix(0.0), phi, V0, params))
-    at = np.arange(every, 3 * samples + 1, every) - 1
-    assert_same(case, state, naive, at)

@@ -1,4 +1,7 @@
-"""Schedules: hard resets, relaxed ones that tend to them, and what P becomes."""
+"""Feedback between samples, and windows of relaxed resets, which tend to hard ones.
+
+`test_zero_velocity.py` compares hard resets with naive ones.
+"""
 
 from functools import cache
 
@@ -13,33 +16,35 @@ from oracles.in_engine import (
     navigation,
     paper_filter,
     params,
+    runner,
     site,
-    step_and_close,
     swing_increments,
 )
 from oracles.naive import DEG, PAPER, exp
 
-from sinsjax.methods.method import Options
-from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import (
     CovarianceReset,
+    Due,
+    FeedbackSchedule,
     Resets,
     Windows,
-    interpolate,
-    reset_covariance,
+    next_feedback,
     reset_due,
 )
-from sinsjax.strapdown import sensors
 
 pytestmark = pytest.mark.optimised(False)
 
-FULL = CovarianceReset(0.0, 0.0, 1.0, 1.0)
-KINDS = {
-    "full": FULL,
-    "yaw": CovarianceReset(1.0, 0.0, 0.0, 1.0),
-    "scale": CovarianceReset(10.0, 10.0, 0.0, 0.0),
-    "shrunk": CovarianceReset(0.01, 0.01, 0.0, 0.0),
-}
+FULL = CovarianceReset(*map(np.float64, (0.0, 0.0, 1.0, 1.0)))
+
+
+def test_feedback_keeps_its_interval_between_samples():
+    every = jnp.asarray(2.5)
+    schedule, at, samples = FeedbackSchedule(every, jnp.asarray(1.0), None), every, []
+    for n in range(1, 16):
+        due = Due(n >= at, jnp.asarray(False))
+        at = next_feedback(schedule, at, due, jnp.asarray(float(n)))
+        samples += [n] if due.feedback else []
+    assert samples == [3, 5, 8, 10, 13, 15]
 
 
 @jax.jit
@@ -47,13 +52,6 @@ def shares(times, width):
     """Shares of a reset at samples 1 to 1000."""
     windows = Windows(times, width, FULL)
     return jax.vmap(lambda n: reset_due(windows, n))(1.0 + jnp.arange(1000.0))
-
-
-def test_hard_resets_are_due_at_their_samples_in_any_order():
-    resets = Resets(np.array([7.0, np.inf, 3.0]), FULL)
-    due = [bool(reset_due(resets, np.float64(n))) for n in range(1, 11)]
-    assert [n for n, hit in enumerate(due, 1) if hit] == [3, 7]
-    assert not reset_due(Resets(np.array([]), FULL), np.float64(1.0))
 
 
 @given(st.floats(300, 700), st.floats(0.5, 250))
@@ -77,121 +75,36 @@ def test_shares_of_reset_window_combine_to_full_reset(time, width):
     assert 1 - np.exp(left) > 0.998
 
 
-@given(st.floats(300, 500), st.floats(0, 200), st.floats(20, 250))
-def test_overlapping_reset_windows_act_in_succession(time, apart, width):
-    pair = np.array([time, time + apart])
-    one, other = (1 - np.asarray(shares(pair[i : i + 1], width)) for i in (0, 1))
-    np.testing.assert_allclose(1 - shares(pair, width), one * other, rtol=1e-12, atol=1e-15)
-
-
-mixed = jax.jit(interpolate)
-
-
-# XLA on a CPU takes subnormal numbers for zero, so that an end that is one does not come back.
-normal = st.floats(-1e3, 1e3, allow_subnormal=False)
-
-
-@given(st.floats(0, 1), normal, normal)
-def test_mix_interpolates_between_its_ends(share, one, other):
-    expected = share * one + (1 - share) * other
-    assert float(mixed(share, one, other)) == pytest.approx(expected, rel=1e-12, abs=1e-10)
-    assert float(mixed(0.0, one, other)) == other
-    assert float(mixed(True, one, other)) == one
-    assert float(mixed(False, one, other)) == other
-    # An infinity that a flag does not choose leaves no trace.
-    assert float(mixed(True, one, np.inf)) == one and float(mixed(False, np.inf, other)) == other
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@given(st.integers(0, 2**32 - 1))
-def test_covariance_after_reset_of_each_kind(kind, seed):
-    rng = np.random.default_rng(seed)
-    half = rng.normal(size=(5, 5))
-    p, to = half @ half.T, rng.random(5)
-    rows, across = np.triu_indices(5)
-    got = reset_covariance(KINDS[kind], tuple(p[rows, across]), tuple(to), heading=(4,))
-    expected = {"full": np.diag(to), "scale": 10 * p, "shrunk": 0.01 * p, "yaw": p.copy()}[kind]
-    if kind == "yaw":
-        expected[4], expected[:, 4] = 0, 0
-        expected[4, 4] = to[4]
-    np.testing.assert_allclose(got, expected[rows, across], rtol=1e-15)
-
-
 # In the filter: 300 samples of [P1]'s swing, at large misalignment
 
-RATE, SAMPLES = 50, 300
-FILTER = paper_filter(5, every=9, gain=0.4)
+RATE, LATITUDE = 50, 0.5
 
 
 @cache
-def samples():
-    rows = swing_increments(PAPER1, PAPER, 0.5, rate=RATE, samples=SAMPLES)
-    return sensors.compensate_record(rows, rows[0])
+def rows():
+    return swing_increments(PAPER1, PAPER, LATITUDE, rate=RATE, samples=300)
 
 
-def run(resets, nav, samples):
+def run(resets):
     """What is left of a run at its end: variances over those of the start, attitude, x."""
-    method, here = METHODS["kalman5"](Options(1 / RATE)), site(PAPER, 0.5)
-    filt = params(FILTER)._replace(resets=resets)
-
-    def step(state, xs):
-        return step_and_close(method, filt, here, state, *xs), None
-
-    counts = 1.0 + jnp.arange(float(SAMPLES))
-    state, _ = jax.lax.scan(step, method.init(filt, nav), (samples, counts))
+    filt = params(paper_filter(5, every=9, gain=0.4))._replace(resets=resets)
+    off = exp(-np.array([5.0, 5.0, 30.0]) * DEG)
+    nav = navigation(off @ PAPER1.matrix(0.0), (0.3, -0.2), LATITUDE)
+    state, attitude, _ = runner("kalman5", rate=RATE)(filt, site(PAPER, LATITUDE), nav, rows())
     variances = (state.belief.p[k] for k in (0, 5, 9, 12, 14))
     p = [p / start for p, start in zip(variances, filt.p0, strict=True)]
-    return jnp.stack([*p, *method.attitude(state), *state.belief.x])
-
-
-FULL_RESET = CovarianceReset(*map(np.float64, KINDS["full"]))
-compiled = jax.jit(run)
-
-
-def start():
-    off = exp(-np.array([5.0, 5.0, 30.0]) * DEG)
-    return navigation(off @ PAPER1.matrix(0.0), (0.3, -0.2), 0.5)
-
-
-def relaxed(times, width):
-    return np.asarray(compiled(Windows(times, width, FULL_RESET), start(), samples()))
+    return jnp.stack([one[-1] for one in (*p, *attitude, *state.belief.x)])
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("time", [150.0, 150.5])
 def test_relaxed_reset_converges_to_hard_reset_as_window_narrows(time):
     """P, and attitude and x, are the nearer the narrower the window is."""
-    hard = compiled(Resets(np.array([150.0]), FULL_RESET), start(), samples())
-    none = compiled(Resets(np.array([np.inf]), FULL_RESET), start(), samples())
-    widths = (128.0, 64.0, 32.0, 16.0)
-    off = np.abs([relaxed(np.array([time]), np.float64(w)) - hard for w in widths])
+    hard, none = (run(Resets(np.array([at]), FULL)) for at in (150.0, np.inf))
+    widths = np.array([128.0, 64.0, 32.0, 16.0])
+    off = np.abs([run(Windows(np.array([time]), w, FULL)) - hard for w in widths])
     for kind in (slice(5), slice(5, None)):
         far = np.abs(none - hard)[kind].max()
         near = off[:, kind].max(axis=1) / far
         assert np.all(near[1:] < near[:-1] / 2) and near[-1] < 0.2
     assert off[-1, :5].max() < 2e-3
-
-
-@pytest.mark.nightly
-def test_derivative_by_reset_times_and_width_matches_finite_difference():
-    """Of windows that overlap too; no sample is at the edge of one, where the slope has a bend."""
-    point = (np.array([90.37, 130.41]), np.float64(30.3))
-
-    def at(times, width):
-        return run(Windows(times, width, FULL_RESET), start(), samples())
-
-    samples()
-    slope = jax.jit(lambda point, way: jax.jvp(at, point, way)[1])
-    for way in (
-        (np.array([1.0, 0.0]), np.float64(0.0)),
-        (np.array([0.0, 1.0]), np.float64(0.0)),
-        (np.array([0.0, 0.0]), np.float64(1.0)),
-    ):
-        got, h = slope(point, way), 1e-3
-        ahead, behind = (
-            relaxed(*(p + sign * h * w for p, w in zip(point, way, strict=True)))
-            for sign in (1, -1)
-        )
-        expected = (ahead - behind) / (2 * h)
-        assert np.all(np.isfinite(got)) and np.all(np.abs(got[:9]) > 0)
-        np.testing.assert_allclose(got, expected, rtol=1e-5, atol=2e-12)

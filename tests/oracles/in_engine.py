@@ -20,7 +20,7 @@ from sinsjax.methods.compass_design import AzimuthGains, LevelGains
 from sinsjax.methods.filters.keys import acting_reset_times
 from sinsjax.methods.filters.loop import FilterParams
 from sinsjax.methods.floors import NO_BIASES
-from sinsjax.methods.method import Options, Site
+from sinsjax.methods.method import Options, Program, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import CovarianceReset, FeedbackSchedule, PiecewiseConstant, Resets
 from sinsjax.strapdown import base_motion, earth, sensors
@@ -211,6 +211,40 @@ def trail(static: Static, environment: Environment, params: RunParams) -> Any:
     return jax.lax.scan(record, start, jnp.arange(static.records))[1]
 
 
+def follow(
+    name: str,
+    params: Any,
+    rows: np.ndarray,
+    here: Site,
+    start: tuple[np.ndarray, Any, Any],
+    *,
+    options: Options,
+    records: int,
+    every: int = 1,
+    stored: int | None = None,
+    rewinds: bool = False,
+) -> Any:
+    """The `trail` of a run over a record of measurements, from an attitude, phi and velocity.
+
+    A record of ``stored`` records is read forward and backward in turn, or is rewound.
+    """
+    passes = "rewind" if rewinds else "alternate"
+    static = Static(name, options, every, records, curves=False, passes=passes)
+    return trail(
+        static, record_world(rows, here, pass_records=stored or records), one_run(*start, params)
+    )
+
+
+def shown(name: str, options: Options, states: Any) -> tuple[Quat, Any]:
+    """Attitude with all that is estimated taken out, and covariance, of states (n,)."""
+    program = METHODS[name].build(options)
+    return jax.jit(jax.vmap(lambda state: _shown(program, state)))(states)
+
+
+def _shown(program: Program, state: Any) -> tuple[Quat, Any]:
+    return program.attitude(state), program.covariance and program.covariance(state)
+
+
 def covariances(triangle: Sequence[Any]) -> np.ndarray:
     """Matrices (..., n, n) of upper triangles, entries (...)."""
     n = round((2 * len(triangle)) ** 0.5 - 0.5)
@@ -235,7 +269,7 @@ def runner(
         The state, the attitude with all that is estimated taken out, and its covariance; the
         attitude is scaled to unit length every second, as the engine does at every record.
     """
-    method = METHODS[name](Options(1 / rate, force, position, innovations=True))
+    method = METHODS[name].build(Options(1 / rate, force, position, innovations=True))
 
     @jax.jit
     def run(filt: Any, here: Site, nav: Navigation, increments: Any) -> Any:
@@ -246,7 +280,7 @@ def runner(
             state = step_and_close(method, filt, here, state, *xs)
             due = xs[1] % rate == 0
             state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)
-            return state, (state, method.attitude(state), method.covariance(state))
+            return state, (state, *_shown(method, state))
 
         return jax.lax.scan(step, method.init(filt, nav), (samples, counts))[1]
 

@@ -23,7 +23,10 @@ has the prior of the biases on its diagonal.
 The first pass takes c for an arbitrary complex number, which makes it linear from any heading. Each
 further pass carries the blocks again without the biases found, levels l, and solves for a small
 change of the heading: Gauss-Newton. X follows from the modelled force; the measured one would make
-the sigma several per cent too small.
+the sigma several per cent too small. The length of a change e is sqrt(e^T N e), in sigma: of the
+third pass it is below 0.01 where biases turn l by less than a degree, and passes end when it is
+below 0.1. A bias of 900 deg/h, which turns l by 75 deg in 300 s, takes 6 passes over two to four
+positions of the base.
 
 The attitude at the end is C = Rz(-heading) exp(-(P b + k + w)) C_b^l, so its misalignment is linear
 in the errors as well: a gyro bias along the vertical, which nothing shows on a base that does not
@@ -31,14 +34,17 @@ tilt, leaves P_z b.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from functools import reduce
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, cross, scale
+from sinsjax.methods.filters.attitude import rotate_covariance, rotation_about_vertical
 from sinsjax.methods.gravity_fit.noise import (
+    Covariance,
     NoiseModel,
     SensorNoise,
     heading_variance,
@@ -46,12 +52,15 @@ from sinsjax.methods.gravity_fit.noise import (
     predict,
     times,
 )
-from sinsjax.methods.method import AttitudeCovariance
+from sinsjax.methods.method import UNKNOWN_ANGLE, AttitudeCovariance
 from sinsjax.strapdown.earth import Place
-from sinsjax.types import Array, Count, Quat, Scalar, Vec3
+from sinsjax.types import Array, Count, Flag, Quat, Scalar, Vec3
 
-PASSES = 3
-"""Two passes suffice up to a gyro bias of 10 deg/h, three up to 50."""
+LEAST_PASSES, MOST_PASSES = 3, 10
+_CONVERGED = 0.1
+"""Change of a pass, in sigma, after which no other follows: what is left is of its second order."""
+_FOUND = 0.5
+"""Standard deviation of the heading, rad, beyond which passes wander, and end after the least."""
 
 NUMBERS = 17
 """Numbers of a block."""
@@ -59,11 +68,8 @@ NUMBERS = 17
 HEADING, GYRO = 1, 4
 """Places of unknowns: |c|, heading, two tilts, the gyro errors, accelerometer biases, lever arm."""
 
-_KNOWN = 1e-9
-"""Standard deviation of |c| after the first pass."""
-_LEVEL_SIGMA = 1.0
-"""Standard deviation of tilt and heading before the data, rad: none."""
-
+_ANY, _LEVEL, _KNOWN = 1e3, 1.0, 1e-9
+"""Sigma of |c| and heading before the data, of the tilt, rad, and of |c| after the first pass."""
 
 _AXES = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
 
@@ -88,6 +94,17 @@ class FitParams(NamedTuple):
     scale_factor: Scalar | None = None
     cross_axis: Scalar | None = None
     lever_arm: Scalar | None = None
+
+    def sigmas(self) -> tuple[tuple[Vec3, ...], tuple[Vec3, ...]]:
+        """Return 1 sigma of the triads of `_Guess.gyro` and of `_Guess.others`."""
+        bias, accel, lever = (
+            Vec3(sigma, sigma, sigma) for sigma in (self.gyro_bias, self.accel_bias, self.lever_arm)
+        )
+        others = (accel,) if self.lever_arm is None else (accel, lever)
+        if self.scale_factor is None:
+            return (bias,), others
+        s, c = self.scale_factor, self.cross_axis
+        return (bias, Vec3(s, c, c), Vec3(c, s, c), Vec3(c, c, s)), others
 
 
 class Block(NamedTuple):
@@ -123,30 +140,26 @@ class Block(NamedTuple):
         """Return its `NUMBERS`."""
         return jnp.stack(jax.tree.leaves(self))
 
-    def mean_axes(self) -> tuple[Vec3, ...]:
+    def mean_axes(self) -> list[Vec3]:
         """Return the mean of each axis of b over the block, in b at its start.
 
         Over the angle turned, by Simpson's rule: exact for turns about one axis at any rate.
         """
-        halfway, end = rotations.matrix(self.half), rotations.matrix(self.turn)
-        return tuple(
-            Vec3(
-                *(
-                    (float(i == k) + 4 * middle[k] + last[k]) / 6
-                    for i, (middle, last) in enumerate(zip(halfway, end, strict=True))
-                )
-            )
-            for k in range(3)
-        )
+        rows = zip(rotations.matrix(self.half), rotations.matrix(self.turn), strict=True)
+        mean = [
+            [(float(i == k) + 4 * middle[k] + last[k]) / 6 for k in range(3)]
+            for i, (middle, last) in enumerate(rows)
+        ]
+        return [Vec3(*axis) for axis in zip(*mean, strict=True)]
 
-    def without_errors(self, gyro: tuple[Vec3, ...], length_s: float) -> Quat:
-        """Return the rotation of the body without gyro errors, see `Solution.gyro`."""
-        total = scale(length_s, gyro[0])
-        for factor, triad in zip(self.angle, gyro[1:], strict=False):
-            total = add(total, scale(factor, triad))
-        middle = scale(4.0, rotations.rotate(self.half, total))
-        mean = scale(1 / 6, add(add(total, middle), rotations.rotate(self.turn, total)))
-        return rotations.multiply(rotations.exp(scale(-1.0, mean)), self.turn)
+    def by_gyro_errors(self, triads: int, length_s: float) -> list[Vec3]:
+        """Return its rotation by each gyro error, see `Solution.gyro`, in b at its start."""
+        factors, axes = (length_s, *self.angle)[:triads], self.mean_axes()
+        return [scale(factor, axis) for factor in factors for axis in axes]
+
+    def without(self, rotation: Vec3) -> Quat:
+        """Return the rotation of the body less that by errors."""
+        return rotations.multiply(rotations.exp(scale(-1.0, rotation)), self.turn)
 
 
 class Solution(NamedTuple):
@@ -155,20 +168,71 @@ class Solution(NamedTuple):
     Attributes:
         attitude: C_{b0}^{n0} that carries the body frame at the first sample to n at that time,
             such that the attitude at the fit is that of the last block.
+        carried: C_b^{b0} at the end of the last block, without the gyro errors.
         gyro: triads of gyro errors in b: the bias, rad/s; then, if they are unknowns, the columns
             of the matrix of scale factors and cross-axis errors.
-        accel_bias: m/s^2, in b.
         gyro_bias_variance: of each axis, (rad/s)^2.
         covariance: of the misalignment at the last block, in n0.
         misfit: root mean square of the whitened residuals, 1 if the noise is as believed.
+        prior_ratio: the largest error found of sensors and lever arm over its prior sigma.
+        change: length of the last pass's change of the unknowns, in sigma.
     """
 
     attitude: Quat
+    carried: Quat
     gyro: tuple[Vec3, ...]
-    accel_bias: Vec3
     gyro_bias_variance: Vec3
     covariance: AttitudeCovariance
     misfit: Scalar
+    prior_ratio: Scalar
+    change: Scalar
+
+    @classmethod
+    def before_data(cls, params: FitParams, zero: Scalar) -> "Solution":
+        """Return that before the first fit: no attitude, no errors."""
+        none, off, all_round = zero + jnp.nan, zero, zero + UNKNOWN_ANGLE
+        return cls(
+            attitude=Quat(none, none, none, none),
+            carried=Quat(zero + 1, zero, zero, zero),
+            gyro=tuple(Vec3(zero, zero, zero) for _ in params.sigmas()[0]),
+            gyro_bias_variance=Vec3(none, none, none),
+            covariance=AttitudeCovariance(all_round, off, off, all_round, off, all_round),
+            misfit=none,
+            prior_ratio=none,
+            change=none,
+        )
+
+
+def solve(
+    params: FitParams, place: Place, blocks: Array, count: Count, length_s: float
+) -> Solution:
+    """Fit attitude and biases to the blocks so far.
+
+    Args:
+        params: beliefs about the sensors.
+        place: Earth rates and gravity.
+        blocks: (most, `NUMBERS`), see `Block`.
+        count: number of blocks so far, at least 2.
+        length_s: length of a block, s.
+    """
+    first = Block.of_row(blocks[0]).dv
+    zero = jnp.zeros_like(first.x)
+    solution = Solution.before_data(params, zero)
+    triads = jax.tree.map(lambda sigma: zero, params.sigmas())
+    guess = _Guess(_level(first), (zero + 1, zero), *triads)
+    noise = noise_model(params.noise, place.gravity, length_s)
+
+    def is_unfinished(carry: tuple[Count, _Guess, Solution]) -> Flag:
+        number, _, solution = carry
+        moves = (solution.change > _CONVERGED) & (solution.covariance.uu < _FOUND**2)
+        return (moves & (number < MOST_PASSES)) | (number < LEAST_PASSES)
+
+    def over_pass(carry: tuple[Count, _Guess, Solution]) -> tuple[Count, _Guess, Solution]:
+        number, guess, _ = carry
+        here = _Pass(place, noise, guess, jnp.where(number == 0, zero, zero + 1), length_s)
+        return number + 1, *here.run(params, blocks, count)
+
+    return jax.lax.while_loop(is_unfinished, over_pass, (jnp.asarray(0), guess, solution))[2]
 
 
 class _Guess(NamedTuple):
@@ -177,17 +241,29 @@ class _Guess(NamedTuple):
     Attributes:
         level: C_{b0}^l.
         heading: c of unit length, real and imaginary part.
-        gyro: triads by which the rotation of a block is wrong: bias, then columns of the matrix of
-            scale factors and cross-axis errors.
-        accel: accelerometer bias.
-        lever: lever arm in b; None if it is no unknown.
+        gyro: see `Solution`.
+        others: accelerometer bias, m/s^2, and if it is an unknown the lever arm, m, in b.
     """
 
     level: Quat
     heading: tuple[Scalar, Scalar]
     gyro: tuple[Vec3, ...]
-    accel: Vec3
-    lever: Vec3 | None = None
+    others: tuple[Vec3, ...]
+
+    def errors(self) -> Array:
+        """Return the errors of sensors and lever arm, the unknowns from `GYRO` on."""
+        return jnp.stack(jax.tree.leaves((self.gyro, self.others)))
+
+    def changed(self, unknown: Array, is_known: Scalar) -> "_Guess":
+        """Return the guess with the changes that a pass finds; ``is_known`` as of `_Pass`."""
+        real, imaginary, kx, ky, *errors = unknown
+        real, (cos, sin) = is_known + real, self.heading
+        cos, sin = cos * real - sin * imaginary, sin * real + cos * imaginary
+        norm = jnp.hypot(cos, sin)
+        leaves, structure = jax.tree.flatten((self.gyro, self.others))
+        later = [old + change for old, change in zip(leaves, errors, strict=True)]
+        level = rotations.multiply(rotations.exp(Vec3(-kx, -ky, 0.0 * kx)), self.level)
+        return _Guess(level, (cos / norm, sin / norm), *jax.tree.unflatten(structure, later))
 
 
 class _Sums(NamedTuple):
@@ -199,7 +275,7 @@ class _Sums(NamedTuple):
         swung: velocity in l per lever arm along each axis of b.
         walk: (unknowns + 1, 2) estimates of w, of the drifts and of the surge for each column, and
             last for the measurements.
-        variance: their covariance, per axis, by pairs i <= k.
+        variance: their covariance, per axis.
         normal: rows of the upper triangle of N, with the measurements as last column.
     """
 
@@ -207,52 +283,12 @@ class _Sums(NamedTuple):
     turned: tuple[Vec3, ...]
     swung: tuple[Vec3, ...]
     walk: tuple[Array, ...]
-    variance: dict[tuple[int, int], Any]
+    variance: Covariance
     normal: tuple[Array, ...]
 
 
-def solve(
-    params: FitParams, place: Place, blocks: Array, count: Count, length_s: float
-) -> tuple[Solution, Quat]:
-    """Fit attitude and biases to the blocks so far; also return C_b^{b0} at their end.
-
-    Args:
-        params: beliefs about the sensors.
-        place: Earth rates and gravity.
-        blocks: (most, `NUMBERS`), see `Block`.
-        count: number of blocks so far, at least 2.
-        length_s: length of a block, s.
-    """
-    first = Block.of_row(blocks[0]).dv
-    zero = jnp.zeros_like(first.x)
-    none = Vec3(zero, zero, zero)
-    triads = 1 if params.scale_factor is None else 4
-    lever = None if params.lever_arm is None else none
-    guess = _Guess(_level(first), (zero + 1, zero), (none,) * triads, none, lever)
-
-    def over_pass(number: Count, carry: tuple[_Guess, Any]) -> tuple[_Guess, Any]:
-        guess, _ = carry
-        return _run_pass(params, place, blocks, count, length_s, guess, number == 0)
-
-    covariance = AttitudeCovariance(*(zero,) * 6)
-    start = Solution(guess.level, guess.gyro, none, none, covariance, zero), guess.level
-    return jax.lax.fori_loop(0, PASSES, over_pass, (guess, start))[1]
-
-
-class _Layout(NamedTuple):
-    """Places of the unknowns: |c|, heading and two tilts come first.
-
-    Attributes:
-        accel: place of the accelerometer biases, after the gyro errors.
-        end: number of unknowns; a lever arm comes last.
-    """
-
-    accel: int
-    end: int
-
-
 class _Pass(NamedTuple):
-    """All that the blocks of a pass share.
+    """A pass over the blocks.
 
     Attributes:
         place: Earth rates and gravity.
@@ -268,16 +304,56 @@ class _Pass(NamedTuple):
     is_known: Scalar
     length_s: float
 
-    @property
-    def layout(self) -> _Layout:
-        """Places of the unknowns."""
-        accel = GYRO + 3 * len(self.guess.gyro)
-        return _Layout(accel, accel + (3 if self.guess.lever is None else 6))
+    def run(self, params: FitParams, blocks: Array, count: Count) -> tuple[_Guess, Solution]:
+        """Return the next guess and the solution."""
 
-    @property
-    def reaction(self) -> Scalar:
-        """Velocity that the reaction to gravity adds in a block, m/s."""
-        return self.place.gravity * self.length_s
+        def over_block(j: Count, sums: _Sums) -> _Sums:
+            row = jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False)
+            return self.add_block(sums, Block.of_row(row), j)
+
+        end = jax.lax.fori_loop(0, count, over_block, self.start())
+        prior = self.prior(params)
+        unknown, covariance, square, change = _solve_normal(end.normal, self.guess, prior)
+        later = self.guess.changed(unknown, self.is_known)
+
+        rotation, in_l = _end_error(end, unknown, covariance)
+        data_s = jnp.asarray(count, square.dtype) * self.length_s
+        level, heading = end.variance[0, 0], heading_variance(params.noise, data_s)
+        in_l = in_l + jnp.diag(jnp.stack([level, level, heading]))
+        cos, sin = later.heading[0], -later.heading[1]
+        levelled = rotations.multiply(rotations.exp(scale(-1.0, rotation)), self.guess.level)
+        return later, Solution(
+            attitude=rotations.multiply(rotation_about_vertical(sin, cos), levelled),
+            carried=rotations.multiply(rotations.conjugate(self.guess.level), end.body),
+            gyro=later.gyro,
+            gyro_bias_variance=Vec3(*jnp.diagonal(covariance)[GYRO : GYRO + 3]),
+            covariance=rotate_covariance(AttitudeCovariance(*in_l[jnp.triu_indices(3)]), sin, cos),
+            misfit=jnp.sqrt(jnp.maximum(square, 0.0) / (2 * data_s / self.length_s - 4)),
+            prior_ratio=jnp.max(
+                jnp.abs(later.errors()) / jnp.where(prior > 0, prior, jnp.inf)[GYRO:]
+            ),
+            change=change,
+        )
+
+    def start(self) -> _Sums:
+        """Return the sums before the first block."""
+        zero = jnp.zeros_like(self.is_known)
+        none = Vec3(zero, zero, zero)
+        n = GYRO + 3 * (len(self.guess.gyro) + len(self.guess.others))
+        return _Sums(
+            self.guess.level,
+            (none,) * (3 * len(self.guess.gyro)),
+            (none,) * (3 * len(self.guess.others[1:])),
+            (jnp.zeros((n + 1, 2)) + zero,) * len(self.noise.states),
+            self.noise.initial(),
+            tuple(jnp.zeros(n + 1 - i) + zero for i in range(n + 1)),
+        )
+
+    def prior(self, params: FitParams) -> Array:
+        """Return 1 sigma of each unknown before the data."""
+        amplitude = jnp.where(self.is_known > 0, _KNOWN, _ANY)
+        sigmas = amplitude, _ANY, _LEVEL, _LEVEL, *jax.tree.leaves(params.sigmas())
+        return jnp.stack([sigma + 0 * self.is_known for sigma in sigmas])
 
     def gravity_turn(self, j: Count) -> tuple[Scalar, Scalar, Scalar]:
         """Return c G and U at the middle of a block."""
@@ -293,136 +369,77 @@ class _Pass(NamedTuple):
             1 - cos**2 * versed,
         )
 
+    def add_block(self, sums: _Sums, block: Block, number: Count) -> _Sums:
+        """Return the sums with one more block."""
+        guess, h = self.guess, self.length_s
+        accel_bias, *lever = guess.others
+        errors = block.by_gyro_errors(len(guess.gyro), h)
+        estimate = combine(errors, guess.gyro)
+        dv = add(block.dv, scale(-0.5, cross(estimate, block.dv)))
+        dv = add(dv, scale(-1.0, combine(errors[:3], (accel_bias,))))
+        measured = rotations.rotate(sums.body, dv)
+        body = rotations.multiply(sums.body, block.without(estimate))
 
-def _run_pass(
-    params: FitParams,
-    place: Place,
-    blocks: Array,
-    count: Count,
-    length_s: float,
-    guess: _Guess,
-    is_first: Any,
-) -> tuple[_Guess, tuple[Solution, Quat]]:
-    """Return the next guess; and its solution, with C_b^{b0} at the end."""
-    zero = jnp.zeros_like(guess.accel.x)
-    noise = noise_model(params.noise, place.gravity, length_s)
-    here = _Pass(place, noise, guess, jnp.where(is_first, zero, zero + 1), length_s)
-    n = here.layout.end
-    none = Vec3(zero, zero, zero)
-    start = _Sums(
-        guess.level,
-        (none,) * (here.layout.accel - GYRO),
-        () if guess.lever is None else (none,) * 3,
-        (jnp.zeros((n + 1, 2)) + zero,) * len(noise.seen),
-        noise.initial,
-        tuple(jnp.zeros(n + 1 - i) + zero for i in range(n + 1)),
-    )
+        gx, gy, up = self.gravity_turn(number)
+        gh, zero = self.place.gravity * h, jnp.zeros_like(up)
+        # In the first pass c is unknown, and the amplitude is that of c itself.
+        mx, my = self.is_known * gx, self.is_known * gy
+        rotated = [rotations.rotate(sums.body, error) for error in errors]
+        middle = [add(a, scale(0.5, b)) for a, b in zip(sums.turned, rotated, strict=True)]
+        # A bias of the accelerometers acts along the same axes for as long as one of the gyros.
+        x = [
+            (gh * gx, gh * gy),
+            (-gh * gy, gh * gx),
+            (zero, -gh * up),
+            (gh * up, zero),
+            *((gh * (up * p.y - my * p.z), gh * (mx * p.z - up * p.x)) for p in middle),
+            *((p.x, p.y) for p in rotated[:3]),
+        ]
+        swung: tuple[Vec3, ...] = ()
+        if lever:
+            swung = tuple(rotations.rotate(body, cross(block.rate, axis)) for axis in _AXES)
+            gained = [add(a, scale(-1.0, b)) for a, b in zip(swung, sums.swung, strict=True)]
+            x += [(a.x, a.y) for a in gained]
+            measured = add(measured, scale(-1.0, combine(gained, lever)))
+        x += [(measured.x - gh * mx, measured.y - gh * my)]
 
-    def over_block(j: Count, sums: _Sums) -> _Sums:
-        row = jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False)
-        return _add_block(here, sums, Block.of_row(row), j)
-
-    end = jax.lax.fori_loop(0, count, over_block, start)
-    unknown, covariance, square = _solve_normal(end.normal, guess, _prior(params, guess, is_first))
-    later = _next_guess(here, unknown)
-
-    rotation, in_l = _end_error(here, end, unknown, covariance)
-    data_s = jnp.asarray(count, zero.dtype) * length_s
-    level, heading = end.variance[0, 0], heading_variance(params.noise, data_s)
-    in_l = in_l + jnp.diag(jnp.stack([level, level, heading]))
-    to_n0 = _rotation_about_up(later.heading[0], -later.heading[1])
-    rows = jnp.stack([jnp.stack(row) for row in rotations.matrix(to_n0)])
-    in_n0 = rows @ in_l @ rows.T
-    body = rotations.multiply(rotations.exp(scale(-1.0, rotation)), end.body)
-    carried = rotations.multiply(rotations.conjugate(guess.level), end.body)
-    in_n0_now = rotations.multiply(to_n0, body)
-    solution = Solution(
-        attitude=rotations.multiply(in_n0_now, rotations.conjugate(carried)),
-        gyro=later.gyro,
-        accel_bias=later.accel,
-        gyro_bias_variance=Vec3(*jnp.diagonal(covariance)[GYRO : GYRO + 3]),
-        covariance=AttitudeCovariance(*(in_n0[i, k] for i in range(3) for k in range(i, 3))),
-        misfit=jnp.sqrt(jnp.maximum(square, 0.0) / (2 * data_s / length_s - 4)),
-    )
-    return later, (solution, carried)
-
-
-def _add_block(here: _Pass, sums: _Sums, block: Block, number: Count) -> _Sums:
-    """Return the sums with one more block."""
-    guess, h = here.guess, here.length_s
-    axes = block.mean_axes()
-    # Rotation of the block by each gyro error, in b at its start.
-    factors = (h, *block.angle)[: len(guess.gyro)]
-    errors = [scale(f, axis) for f in factors for axis in axes]
-    estimate = _combine(errors, [value for triad in guess.gyro for value in triad])
-    accel = [scale(h, axis) for axis in axes]
-    dv = add(block.dv, scale(-0.5, cross(estimate, block.dv)))
-    dv = add(dv, scale(-1.0, _combine(accel, guess.accel)))
-    measured = rotations.rotate(sums.body, dv)
-    turn = rotations.multiply(rotations.exp(scale(-1.0, estimate)), block.turn)
-    body = rotations.multiply(sums.body, turn)
-
-    gx, gy, up = here.gravity_turn(number)
-    gh, zero = here.reaction, jnp.zeros_like(up)
-    # In the first pass c is unknown, and the amplitude is that of c itself.
-    mx, my = here.is_known * gx, here.is_known * gy
-    rotated = [rotations.rotate(sums.body, error) for error in errors]
-    middle = [add(a, scale(0.5, b)) for a, b in zip(sums.turned, rotated, strict=True)]
-    x = [
-        (gh * gx, gh * gy),
-        (-gh * gy, gh * gx),
-        (zero, -gh * up),
-        (gh * up, zero),
-        *((gh * (up * p.y - my * p.z), gh * (mx * p.z - up * p.x)) for p in middle),
-        *((a.x, a.y) for a in (rotations.rotate(sums.body, error) for error in accel)),
-    ]
-    swung: tuple[Vec3, ...] = ()
-    if guess.lever is not None:
-        swung = tuple(rotations.rotate(body, cross(block.rate, axis)) for axis in _AXES)
-        gained = [add(a, scale(-1.0, b)) for a, b in zip(swung, sums.swung, strict=True)]
-        x += [(a.x, a.y) for a in gained]
-        measured = add(measured, scale(-1.0, _combine(gained, guess.lever)))
-    x += [(measured.x - gh * mx, measured.y - gh * my)]
-
-    about_up = rotations.rotate(sums.body, block.angle).z
-    step, gain, s, variance = predict(here.noise, sums.variance, about_up)
-    residual = jnp.stack([jnp.stack(row) for row in x])
-    if guess.lever is not None:  # its velocity at the first sample is unknown
-        residual = jnp.where(jnp.asarray(number) > 0, residual, 0.0 * residual)
-    for seen, estimates in zip(here.noise.seen, sums.walk, strict=True):
-        residual = residual - seen * estimates
-    walk = []
-    for row, k in zip(step, gain, strict=True):
-        parts = [times(f, w) for f, w in zip(row, sums.walk, strict=True) if f is not None]
-        walk.append(sum(parts) + times(k, residual))
-    # Row by row: what a row needs stays in the registers.
-    normal = tuple(
-        old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s
-        for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
-    )
-    turned = tuple(add(a, b) for a, b in zip(sums.turned, rotated, strict=True))
-    return _Sums(body, turned, swung, tuple(walk), variance, normal)
+        about_up = rotations.rotate(sums.body, block.angle).z
+        step, gain, s, variance = predict(self.noise, sums.variance, about_up)
+        residual = jnp.stack([jnp.stack(row) for row in x])
+        if lever:  # its velocity at the first sample is unknown
+            residual = jnp.where(jnp.asarray(number) > 0, residual, 0.0 * residual)
+        for state, estimates in zip(self.noise.states, sums.walk, strict=True):
+            residual = residual - state.seen * estimates
+        walk = []
+        for row, k in zip(step, gain, strict=True):
+            walk.append(sum(times(f, sums.walk[j]) for j, f in row.items()) + times(k, residual))
+        # Row by row: what a row needs stays in the registers.
+        normal = tuple(
+            old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s
+            for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
+        )
+        turned = tuple(add(a, b) for a, b in zip(sums.turned, rotated, strict=True))
+        return _Sums(body, turned, swung, tuple(walk), variance, normal)
 
 
-def _combine(vectors: Sequence[Vec3], factors: Sequence[Scalar]) -> Vec3:
-    """Return a linear combination of vectors."""
-    total = scale(factors[0], vectors[0])
-    for factor, vector in zip(factors[1:], vectors[1:], strict=True):
-        total = add(total, scale(factor, vector))
-    return total
+def combine(vectors: Sequence[Vec3], factors: Sequence[Vec3]) -> Vec3:
+    """Return a linear combination of vectors, of which each triad of factors takes three."""
+    return reduce(add, map(scale, jax.tree.leaves(factors), vectors))
 
 
 def _solve_normal(
     normal: tuple[Array, ...], guess: _Guess, sigmas: Array
-) -> tuple[Array, Array, Scalar]:
-    """Return the changes of the unknowns, their covariance and the sum of squared residuals.
+) -> tuple[Array, Array, Scalar, Scalar]:
+    """Return the changes of the unknowns, their covariance, and the sum of squared residuals.
+
+    Last comes the length of the changes, in sigma.
 
     Args:
         normal: rows of the upper triangle of N, with the measurements as last column.
         guess: point of linearisation.
         sigmas: belief about the unknowns.
     """
-    zero, n = jnp.zeros_like(guess.accel.x), len(sigmas)
+    n = len(sigmas)
     upper = jnp.stack([jnp.pad(row, (i, 0)) for i, row in enumerate(normal)])
     whole = upper + jnp.triu(upper, 1).T
     matrix, right = whole[:n, :n], whole[:n, n]
@@ -436,10 +453,10 @@ def _solve_normal(
     scaled = scaled + jnp.diag(jnp.where(is_free, belief * size**2, 1.0))
     covariance = _inverse(scaled) * size[:, None] * size[None, :]
     # The belief is about the whole error, of which the guess has a part.
-    found = [*(v for triad in guess.gyro for v in triad), *guess.accel, *(guess.lever or ())]
-    mean = jnp.stack([zero, zero, zero, zero, *found])
-    unknown = covariance @ (right - belief * mean)
-    return unknown, covariance, whole[n, n] - unknown @ right
+    pull = right - belief * jnp.pad(guess.errors(), (GYRO, 0))
+    unknown = covariance @ pull
+    length = jnp.sqrt(jnp.maximum(unknown @ pull, 0.0))
+    return unknown, covariance, whole[n, n] - unknown @ right, length
 
 
 def _inverse(matrix: Array) -> Array:
@@ -460,67 +477,21 @@ def _inverse(matrix: Array) -> Array:
     return jax.lax.fori_loop(0, len(matrix), eliminate, matrix)
 
 
-def _next_guess(here: _Pass, unknown: Array) -> _Guess:
-    """Return the guess with the changes that a pass finds."""
-    guess, accel = here.guess, here.layout.accel
-    amplitude, heading, kx, ky = unknown[:4]
-    real, imaginary = here.is_known + amplitude, heading
-    cos, sin = guess.heading
-    cos, sin = cos * real - sin * imaginary, sin * real + cos * imaginary
-    norm = jnp.hypot(cos, sin)
-    triads = (Vec3(*unknown[i : i + 3]) for i in range(GYRO, accel, 3))
-    return _Guess(
-        level=rotations.multiply(rotations.exp(Vec3(-kx, -ky, 0.0 * kx)), guess.level),
-        heading=(cos / norm, sin / norm),
-        gyro=tuple(add(a, b) for a, b in zip(guess.gyro, triads, strict=True)),
-        accel=add(guess.accel, Vec3(*unknown[accel : accel + 3])),
-        lever=None if guess.lever is None else add(guess.lever, Vec3(*unknown[accel + 3 :])),
-    )
-
-
-def _end_error(here: _Pass, end: _Sums, unknown: Array, covariance: Array) -> tuple[Vec3, Array]:
+def _end_error(end: _Sums, unknown: Array, covariance: Array) -> tuple[Vec3, Array]:
     """Return the rotation in l by which the carried attitude is off, and the error's covariance.
 
     That of the noise which nothing shows is left out.
     """
-    n, rest = here.layout.end, here.layout.end - here.layout.accel
-    zero = jnp.zeros_like(unknown[0])
-    rows = (
-        [zero, zero, zero + 1, zero] + [p.x for p in end.turned] + [zero] * rest,
-        [zero, zero, zero, zero + 1] + [p.y for p in end.turned] + [zero] * rest,
-        [zero, zero, zero, zero] + [p.z for p in end.turned] + [zero] * rest,
-    )
+    turned = jnp.stack([jnp.stack(part) for part in zip(*end.turned, strict=True)])
+    rest = len(unknown) - GYRO - len(end.turned)
+    effect = jnp.pad(turned, ((0, 0), (GYRO, rest))).at[0, 2].set(1.0).at[1, 3].set(1.0)
     # w = p_y - i p_x of the white noise, as the last blocks show it
     walk = end.walk[0]
-    of_walk = jnp.stack([-walk[:, 1], walk[:, 0], jnp.zeros(n + 1) + zero])
-    effect = jnp.stack([jnp.stack(row) for row in rows]) - of_walk[:, :n]
-    rotation = effect @ unknown + of_walk[:, n]
+    of_walk = jnp.stack([-walk[:, 1], walk[:, 0], jnp.zeros_like(walk[:, 0])])
+    effect = effect - of_walk[:, :-1]
+    rotation = effect @ unknown + of_walk[:, -1]
     with_heading = effect.at[2, HEADING].add(1.0)
     return Vec3(*rotation), with_heading @ covariance @ with_heading.T
-
-
-def _prior(params: FitParams, guess: _Guess, is_first: Any) -> Array:
-    zero = jnp.zeros_like(guess.accel.x)
-    level = zero + _LEVEL_SIGMA
-    sigmas = [jnp.where(is_first, 1e3, _KNOWN) + zero, 1e3 * level, level, level]
-    sigmas += [params.gyro_bias + zero] * 3
-    if params.scale_factor is not None:
-        sigmas += [
-            (params.scale_factor if i == k else params.cross_axis) + zero
-            for k in range(3)
-            for i in range(3)
-        ]
-    sigmas += [params.accel_bias + zero] * 3
-    if params.lever_arm is not None:
-        sigmas += [params.lever_arm + zero] * 3
-    return jnp.stack(sigmas)
-
-
-def _rotation_about_up(cos: Scalar, sin: Scalar) -> Quat:
-    """Return the rotation about z by an angle of known cosine and sine."""
-    angle = jnp.arctan2(sin, cos)
-    zero = jnp.zeros_like(angle)
-    return Quat(jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2))
 
 
 def _level(force: Vec3) -> Quat:

@@ -6,28 +6,54 @@ and when a fit is due all blocks so far are fitted, see `fit`: after 4, 8, 16, .
 reported times and at the end. In between the gyros carry the attitude, without the biases found.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+import pyarrow as pa
+from pydantic import Field
 
+from sinsjax.columns import Column
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, dot, scale, select_tree
-from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, solve
+from sinsjax.methods.filters.keys import accel_noise_density, gyro_noise_density, level_surge
+from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, combine, solve
+from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
 from sinsjax.methods.method import (
-    UNKNOWN_ANGLE,
     AttitudeCovariance,
     BlockFit,
+    Method,
     Options,
+    OwnColumn,
     Program,
     Site,
+    StudyKeys,
 )
 from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, PPM
+from sinsjax.value_types import (
+    AccelNoise,
+    AccelSigma,
+    GyroSigma,
+    GyroWalk,
+    KeyInfo,
+    NonNegative,
+    Section,
+    keys_of,
+)
 
-BLOCK_S = 1.0
+BLOCK_S, LONGEST_BLOCK_S = 1.0, 2.0
 LEAST_BLOCKS = 4
-GROWTH = 2
-"""A fit is made after 4, 8, 16, ... blocks: all of them cost as much as the last."""
+"""Blocks of the first fit; the next have twice as many each, and cost as much as the last alone."""
+
+REFITS = (
+    "gravity_fit refits after about 4, 8, 16, ... s, at report_times_s and at the end: only then"
+    " can it settle (7, 15, 31, ... s)"
+)
+"""What its settling times are worth."""
 
 
 class FitState(NamedTuple):
@@ -40,11 +66,10 @@ class FitState(NamedTuple):
         last: half the rotation of the last sample, rad.
         rate: half the rotation of a sample at the rate at its end, rad: extrapolated, since a lag
             of half a sample shows in the velocity of a long lever arm.
-        carried: C_b^{b0} as the block began, without the gyro errors found so far.
         earth: rotation rate of the Earth in n, rad/s.
         count: samples so far.
         blocks: (most, `NUMBERS`) ended blocks, each a `fit.Block`.
-        solution: of the last fit; NaN before the first.
+        solution: of the last fit, carried to the beginning of the block.
     """
 
     nav: Navigation
@@ -52,18 +77,10 @@ class FitState(NamedTuple):
     dv: Vec3
     last: Vec3
     rate: Vec3
-    carried: Quat
     earth: Vec3
     count: Scalar
     blocks: Array
     solution: Solution
-
-
-class Fitted(NamedTuple):
-    """What a fit replaces of a `FitState`."""
-
-    solution: Solution
-    carried: Quat
 
 
 def build(options: Options) -> Program:
@@ -72,22 +89,13 @@ def build(options: Options) -> Program:
     records = max(1, round(BLOCK_S / record_s)) if record_s else 1
     length_s = records * record_s
     most = options.records // records
-    counts = jnp.asarray(_fit_counts(most))
 
     def init(params: FitParams, nav: Navigation) -> FitState:
         zero = jnp.zeros_like(nav.ve)
-        one = Quat(zero + 1, zero, zero, zero)
-        still = Vec3(zero, zero, zero)
+        one, still = Quat(zero + 1, zero, zero, zero), Vec3(zero, zero, zero)
         blank = jnp.zeros((most, NUMBERS)) + zero
-        gyro = (still,) * (1 if params.scale_factor is None else 4)
-        covariance = AttitudeCovariance(
-            *(UNKNOWN_ANGLE * (i == k) + zero for i in range(3) for k in range(i, 3))
-        )
-        nothing = Solution(one, gyro, still, still, covariance, zero)
-        unknown = jax.tree.map(lambda a: a + jnp.nan, nothing)._replace(
-            gyro=gyro, covariance=covariance
-        )
-        return FitState(nav, one, still, still, still, one, still, zero, blank, unknown)
+        solution = Solution.before_data(params, zero)
+        return FitState(nav, one, still, still, still, still, zero, blank, solution)
 
     def step(params: Any, site: Site, state: FitState, sample: Sample, n: Scalar) -> FitState:
         dv = add(state.dv, rotations.rotate(state.turn, sample.dv))
@@ -99,33 +107,34 @@ def build(options: Options) -> Program:
         return state._replace(turn=turn, dv=dv, last=last, rate=rate, earth=earth, count=n)
 
     def store(state: FitState, number: Count) -> FitState:
-        ends = (number + 1) % records == 0
+        ends, solution = (number + 1) % records == 0, state.solution
         rate = scale(2 / options.dt, state.rate)
         block = Block.of_turn(rotations.normalise(state.turn), state.dv, rate)
         place = jnp.minimum(number // records, most - 1)
         blocks = jax.lax.dynamic_update_index_in_dim(state.blocks, block.row(), place, 0)
-        corrected = block.without_errors(state.solution.gyro, length_s)
+        errors = block.by_gyro_errors(len(solution.gyro), length_s)
+        corrected = block.without(combine(errors, solution.gyro))
         zero = jnp.zeros_like(state.count)
         begun = (
             Quat(zero + 1, zero, zero, zero),
             Vec3(zero, zero, zero),
-            rotations.normalise(rotations.multiply(state.carried, corrected)),
+            rotations.normalise(rotations.multiply(solution.carried, corrected)),
         )
-        turn, dv, carried = select_tree(ends, begun, (state.turn, state.dv, state.carried))
-        return state._replace(blocks=blocks, turn=turn, dv=dv, carried=carried)
+        turn, dv, carried = select_tree(ends, begun, (state.turn, state.dv, solution.carried))
+        solution = solution._replace(carried=carried)
+        return state._replace(blocks=blocks, turn=turn, dv=dv, solution=solution)
 
     def is_due(number: Count, reported: Flag) -> Flag:
         ended, rest = (number + 1) // records, (number + 1) % records
-        spaced = jnp.any(counts == ended) & (rest == 0)
+        doubled = (ended & (ended - 1) == 0) & (rest == 0)  # 4, 8, 16, ...
         last = number + 1 == options.records
-        return (spaced | reported | last) & (ended >= LEAST_BLOCKS)
+        return (doubled | reported | last) & (ended >= LEAST_BLOCKS)
 
-    def fit(params: FitParams, site: Site, state: FitState, number: Count) -> Fitted:
-        ended = (number + 1) // records
-        return Fitted(*solve(params, site.place, state.blocks, ended, length_s))
+    def fit(params: FitParams, site: Site, state: FitState, number: Count) -> Solution:
+        return solve(params, site.place, state.blocks, (number + 1) // records, length_s)
 
     def attitude(state: FitState) -> Quat:
-        body = rotations.multiply(state.carried, state.turn)
+        body = rotations.multiply(state.solution.carried, state.turn)
         in_n0 = rotations.multiply(state.solution.attitude, body)
         q = rotations.multiply(_earth_rotation(state), in_n0)
         return select_tree(state.count > 0, q, state.nav.q)
@@ -155,8 +164,8 @@ def build(options: Options) -> Program:
             store,
             is_due,
             fit,
-            previous=lambda state: Fitted(state.solution, state.carried),
-            merge=lambda state, fitted: state._replace(**fitted._asdict()),
+            previous=lambda state: state.solution,
+            merge=lambda state, solution: state._replace(solution=solution),
         ),
     )
 
@@ -166,9 +175,197 @@ def _normalise(state: FitState) -> FitState:
     return state._replace(nav=nav, turn=rotations.normalise(state.turn))
 
 
-def _fit_counts(most: int) -> list[int]:
-    """Return the numbers of blocks after which a fit is made, each `GROWTH` times the last."""
-    counts, count = [LEAST_BLOCKS], float(LEAST_BLOCKS)
-    while (count := GROWTH * count) < most:
-        counts.append(round(count))
-    return counts
+class GravityFitSection(Section):
+    """[gravity_fit]: assumed sensor errors; biases and noise are required with a record."""
+
+    fit_gyro_bias_deg_per_h: GyroSigma | None = Field(
+        None,
+        description="1 sigma of each gyro's bias, deg/h; default: that of [sensors] or [drawn]",
+    )
+    fit_gyro_arw_deg_per_sqrt_h: GyroWalk | None = Field(
+        None,
+        description="angle random walk of each gyro, deg/sqrt(h), above 0; default: the white"
+        " noise of [sensors]",
+    )
+    fit_gyro_scale_ppm: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))] | None = Field(
+        None,
+        description="1 sigma of each gyro's scale factor error, ppm; default: that of [sensors] or"
+        " [drawn]",
+    )
+    fit_gyro_misalignment_arcsec: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e5))] | None = (
+        Field(
+            None,
+            description="1 sigma of each gyro axis towards another axis, arcsec; default: that of"
+            " [sensors] or [drawn]",
+        )
+    )
+    fit_lever_arm_m: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e3))] | None = Field(
+        None,
+        description="1 sigma per axis of the lever arm from the turn axis, m; 0 on the axis;"
+        " default: that of [motion]",
+    )
+    fit_accel_bias_ug: AccelSigma | None = Field(
+        None,
+        description="1 sigma of each accelerometer's bias, ug; default: that of [sensors] or"
+        " [drawn]",
+    )
+    fit_accel_vrw_ug_per_sqrt_hz: AccelNoise | None = Field(
+        None,
+        description="velocity random walk of each accelerometer, ug/sqrt(Hz), above 0; default: the"
+        " white noise of [sensors]",
+    )
+
+
+def params(keys: StudyKeys, xp: Any) -> FitParams:
+    """Return `FitParams`, leaves (variants,)."""
+    # A record has no [sensors]: the rules require what it must give itself.
+    ug, zero, simulated = keys.micro_g, np.zeros(keys.count), keys.has("sensors")
+
+    def given_or(default: Any, key: str, unit: float) -> Any:
+        given = keys.column(key, unit)
+        is_tuned = not isinstance(given, np.ndarray)
+        return given if is_tuned else np.where(np.isnan(given), default, given)
+
+    def size(key: str, unit: float) -> Any:
+        return keys.rms(key) * unit if simulated else zero
+
+    def white(density: Callable[..., Any], unit: float) -> Any:
+        if not simulated:
+            return zero
+        return keys.compute(partial(density, keys.rate_hz), *keys_of(density)) * unit
+
+    def drifts(rms: str, time: str, walk: str, unit: float) -> tuple[Drift, ...]:
+        variance, density = size(rms, unit) ** 2, size(walk, unit) ** 2 / 3600
+        first_order = [Drift(variance, 1 / keys.column(time), zero)] if variance.any() else []
+        return (*first_order, *([Drift(zero, zero, density)] if density.any() else []))
+
+    scale = given_or(size("gyro_scale_ppm", PPM), "fit_gyro_scale_ppm", PPM)
+    cross = size("gyro_misalignment_arcsec", ARCSEC)
+    cross = given_or(cross, "fit_gyro_misalignment_arcsec", ARCSEC)
+    lever = given_or(size("lever_arm_m", 1.0), "fit_lever_arm_m", 1.0)
+    accel = given_or(size("accel_bias_ug", ug), "fit_accel_bias_ug", ug)
+    # On a level base the reaction to gravity makes a bias of the axes' errors.
+    tilted = size("accel_misalignment_arcsec", ARCSEC) * keys.site.place.gravity
+    surge = keys.compute(level_surge, "surge_m_per_s") if simulated else zero
+    has_scale = _is_given(scale) or _is_given(cross)
+    return FitParams(
+        noise=SensorNoise(
+            gyro=given_or(
+                white(gyro_noise_density, DEG_PER_H), "fit_gyro_arw_deg_per_sqrt_h", DEG_PER_SQRT_H
+            ),
+            accel=given_or(white(accel_noise_density, ug), "fit_accel_vrw_ug_per_sqrt_hz", ug),
+            gyro_drifts=drifts(
+                "gyro_instability_deg_per_h",
+                "gyro_instability_time_s",
+                "gyro_rrw_deg_per_h_per_sqrt_h",
+                DEG_PER_H,
+            ),
+            accel_drifts=drifts(
+                "accel_instability_ug", "accel_instability_time_s", "accel_rrw_ug_per_sqrt_h", ug
+            ),
+            surge=Drift(surge**2, 1 / keys.column("surge_time_s"), zero) if surge.any() else None,
+        ),
+        gyro_bias=given_or(
+            size("gyro_bias_deg_per_h", DEG_PER_H), "fit_gyro_bias_deg_per_h", DEG_PER_H
+        ),
+        accel_bias=xp.hypot(accel, tilted),
+        scale_factor=scale if has_scale else None,
+        cross_axis=cross if has_scale else None,
+        lever_arm=lever if _is_given(lever) else None,
+    )
+
+
+def _is_given(sigma: Any) -> bool:
+    """Return whether an error is an unknown: some sigma is not 0, or it is tuned."""
+    return not isinstance(sigma, np.ndarray) or bool(sigma.any())
+
+
+def _column(name: str, meaning: str, value: Callable[[Solution], Any], unit: str = "") -> OwnColumn:
+    column = Column(name, pa.float64(), unit, meaning)
+    return OwnColumn(column, lambda results, rate_hz: np.asarray(value(results)))
+
+
+def _gyro_bias(axis: int, found: Solution) -> Any:
+    return np.asarray(found.gyro[0][axis]) / DEG_PER_H
+
+
+def _gyro_bias_sigma(axis: int, found: Solution) -> Any:
+    return np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H
+
+
+COLUMNS = (
+    _column(
+        "fit_misfit",
+        "root mean square of the fit's residuals over their sigma; 1 is expected, more than 3 is a"
+        " doubt",
+        lambda found: found.misfit,
+    ),
+    _column(
+        "fit_prior_ratio",
+        "largest sensor error or lever arm that the fit finds, over its 1 sigma in [gravity_fit];"
+        " more than 3 is a doubt",
+        lambda found: found.prior_ratio,
+    ),
+    _column(
+        "fit_change",
+        "change of the unknowns in the last pass of the fit, in sigma; more than 1 is a doubt, the"
+        " fit has not converged",
+        lambda found: found.change,
+    ),
+    *(
+        _column(
+            f"fit_gyro_bias_{name}_{suffix}deg_per_h",
+            meaning.format(name),
+            partial(value, axis),
+            "deg/h",
+        )
+        for suffix, meaning, value in (
+            ("", "gyro bias of the {} axis by the fit", _gyro_bias),
+            ("sigma_", "1 sigma of it", _gyro_bias_sigma),
+        )
+        for axis, name in enumerate(("right", "front", "up"))
+    ),
+)
+
+
+def _check(study: StudyKeys) -> None:
+    """Refuse long blocks, beliefs that a record cannot replace, and sensors without white noise."""
+    densities = {
+        "fit_gyro_arw_deg_per_sqrt_h": gyro_noise_density,
+        "fit_accel_vrw_ug_per_sqrt_hz": accel_noise_density,
+    }
+    required = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug") if study.is_recorded else ()
+    sensors = [key for density in densities.values() for key in keys_of(density)]
+    read = (*required, *densities, *(() if study.is_recorded else sensors))
+    for point in study.combinations("method", *read):
+        if point["method"] != "gravity_fit":
+            continue
+        if study.record_interval_s > LONGEST_BLOCK_S:
+            text = f"gravity_fit needs at most {LONGEST_BLOCK_S:g} s (its blocks are as long)"
+            study.refuse("record_interval_s", text)
+        for key in (*required, *densities) if study.is_recorded else ():
+            if point[key] is None:
+                study.refuse(key, "required with a record (from the sensors' data sheet)")
+        for key, density in densities.items():
+            noise = point[key]
+            if noise is None:
+                noise = density(study.rate_hz, *(point[name] for name in keys_of(density)))
+            if not noise:
+                text = "must be above 0: gravity_fit weights its data by the noise"
+                study.refuse(key, f"{text} (give it, or white noise in [sensors])")
+
+
+GRAVITY_FIT = Method(
+    name="gravity_fit",
+    summary="least squares of the turn of gravity with the sensor biases as unknowns: for a base"
+    " that is turned",
+    source="`methods.gravity_fit.fit`",
+    sections={"gravity_fit": GravityFitSection},
+    build=build,
+    params=params,
+    needs_start=False,
+    turning="any",
+    rules=(_check,),
+    columns=COLUMNS,
+    step_s=10e-9,
+)

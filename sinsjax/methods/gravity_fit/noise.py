@@ -15,6 +15,9 @@ from sinsjax.types import Array, Scalar
 Number: TypeAlias = Any
 """A scalar, real or complex."""
 
+Covariance: TypeAlias = dict[tuple[int, int], Number]
+"""Of the states of a `NoiseModel`, by pairs i <= k."""
+
 
 class Drift(NamedTuple):
     """A slow error of each axis of a triad, or the surge: a first-order process.
@@ -56,28 +59,42 @@ class SensorNoise(NamedTuple):
     surge: Drift | None = None
 
 
-class NoiseModel(NamedTuple):
-    """Noise of the blocks as complex states of the level axes: w, then drifts, then the surge.
+class NoiseState(NamedTuple):
+    """A slow error of the blocks as a complex state of the level axes: w, a drift or the surge.
 
     Attributes:
-        seen: factor of each state in a measurement.
-        kept: share of each state that is left after a block.
-        turns: whether a state turns with the body, whose axes it belongs to.
-        to_walk: factor with which each state adds to w.
-        driven: variance that each gains in a block.
+        seen: factor of the state in a measurement.
+        kept: share of it that is left after a block.
+        to_walk: factor with which it adds to w; None for a state that does not turn with the body.
+        driven: variance that it gains in a block.
         shared: covariance of that with the noise of the measurement.
-        measured: variance of that noise.
-        initial: covariance of the states before the first block, by pairs i <= k.
+        variance: before the first block.
     """
 
-    seen: tuple[Scalar, ...]
-    kept: tuple[Scalar, ...]
-    turns: tuple[bool, ...]
-    to_walk: tuple[Scalar, ...]
-    driven: tuple[Scalar, ...]
-    shared: tuple[Scalar, ...]
+    seen: Scalar
+    kept: Scalar
+    to_walk: Scalar | None
+    driven: Scalar
+    shared: Scalar
+    variance: Scalar
+
+
+class NoiseModel(NamedTuple):
+    """Noise of the blocks: its slow states, w first, and the variance of a measurement's noise."""
+
+    states: tuple[NoiseState, ...]
     measured: Scalar
-    initial: dict[tuple[int, int], Number]
+
+    def cast(self, number: Number) -> Number:
+        """Return a number as complex if a state turns with the body; else real numbers do."""
+        turns = any(state.to_walk is not None for state in self.states)
+        return jnp.asarray(number).astype(complex) if turns else jnp.asarray(number)
+
+    def initial(self) -> Covariance:
+        """Return the covariance of the states before the first block."""
+        off, n = self.cast(jnp.zeros_like(self.measured)), len(self.states)
+        pairs = [(i, k) for i in range(n) for k in range(i, n)]
+        return {(i, k): self.states[i].variance if i == k else off for i, k in pairs}
 
 
 def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseModel:
@@ -85,84 +102,64 @@ def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseMo
     h, zero = length_s, jnp.zeros_like(noise.gyro)
     gh, q = gravity * h, noise.gyro**2 * h
     # The measurement sees the mean of w over the block, of which half and a third are new.
-    states = [(gh, zero + 1, False, zero, q, gh * q / 2, zero)]
-    for drift in noise.gyro_drifts:
+    states = [NoiseState(gh, zero + 1, None, q, gh * q / 2, zero)]
+    drifts = [(gh * h / 2, zero + h, drift) for drift in noise.gyro_drifts]
+    drifts += [(zero + h, zero, drift) for drift in noise.accel_drifts]
+    for seen, to_walk, drift in drifts:
         kept, driven = drift.kept(h), drift.driven(h)
-        states.append((gh * h / 2, kept, True, zero + h, driven, zero, drift.variance))
-    for drift in noise.accel_drifts:
-        kept, driven = drift.kept(h), drift.driven(h)
-        states.append((zero + h, kept, True, zero, driven, zero, drift.variance))
+        states.append(NoiseState(seen, kept, to_walk, driven, zero, drift.variance))
     measured = gh**2 * q / 3 + noise.accel**2 * h
     if noise.surge is not None:
         kept, driven = noise.surge.kept(h), noise.surge.driven(h)
-        states.append((kept - 1, kept, False, zero, driven, driven, noise.surge.variance))
+        states.append(NoiseState(kept - 1, kept, None, driven, driven, noise.surge.variance))
         measured = measured + driven
-    seen, kept, turns, to_walk, driven, shared, variances = zip(*states, strict=True)
-    n = len(states)
-    off = _as_complex(zero) if any(turns) else zero
-    initial = {(i, k): variances[i] if i == k else off for i in range(n) for k in range(i, n)}
-    return NoiseModel(seen, kept, turns, to_walk, driven, shared, measured, initial)
+    return NoiseModel(tuple(states), measured)
 
 
 def predict(
-    noise: NoiseModel, variance: dict[tuple[int, int], Number], turned: Scalar
-) -> tuple[list[list[Number | None]], list[Number], Scalar, dict[tuple[int, int], Number]]:
+    noise: NoiseModel, variance: Covariance, turned: Scalar
+) -> tuple[list[dict[int, Number]], list[Number], Scalar, Covariance]:
     """Return transition, gain, innovation variance and the covariance after a block.
+
+    The transition is rows of entries by column, without zeros.
 
     Args:
         noise: model of the blocks.
         variance: covariance before the block.
         turned: angle by which the body turned about the vertical, rad.
     """
-    states = range(len(noise.seen))
-    # Real numbers do as long as no state turns.
-    cast = _as_complex if any(noise.turns) else jnp.asarray
-    phase = jnp.exp(_as_complex(turned) * 1j) if any(noise.turns) else None
+    states, places, cast = noise.states, range(len(noise.states)), noise.cast
 
     def p(i: int, k: int) -> Number:
         return cast(variance[i, k]) if i <= k else jnp.conj(cast(variance[k, i]))
 
-    step: list[list[Number | None]] = [[None for _ in states] for _ in states]
-    for i in states:
-        step[i][i] = cast(noise.kept[i])
-        if noise.turns[i]:
-            step[i][i] = cast(noise.kept[i]) * phase
-            step[0][i] = cast(noise.to_walk[i])
-    seen = [sum(p(i, k) * cast(noise.seen[k]) for k in states) for i in states]
-    s = noise.measured + sum(noise.seen[i] * jnp.real(seen[i]) for i in states)
+    step = [{i: cast(state.kept)} for i, state in enumerate(states)]
+    for i, state in enumerate(states):
+        if state.to_walk is not None:
+            step[i][i] = step[i][i] * jnp.exp(cast(turned) * 1j)
+            step[0][i] = cast(state.to_walk)
+    seen = [sum(p(i, k) * cast(states[k].seen) for k in places) for i in places]
+    s = noise.measured + sum(states[i].seen * jnp.real(seen[i]) for i in places)
     moved = [
-        sum(f * seen[k] for k, f in enumerate(row) if f is not None) + cast(noise.shared[i])
-        for i, row in enumerate(step)
+        sum(f * seen[k] for k, f in row.items()) + cast(state.shared)
+        for row, state in zip(step, states, strict=True)
     ]
-    half = [
-        [sum(f * p(j, k) for j, f in enumerate(row) if f is not None) for k in states]
-        for row in step
-    ]
+    half = [[sum(f * p(j, k) for j, f in row.items()) for k in places] for row in step]
     after = {}
-    for i in states:
-        for k in states[i:]:
-            terms = (half[i][j] * jnp.conj(f) for j, f in enumerate(step[k]) if f is not None)
-            value = sum(terms) - moved[i] * jnp.conj(moved[k]) / cast(s)
-            after[i, k] = jnp.real(value) + noise.driven[i] if i == k else value
+    for i, k in variance:
+        value = sum(half[i][j] * jnp.conj(f) for j, f in step[k].items())
+        value = value - moved[i] * jnp.conj(moved[k]) / cast(s)
+        after[i, k] = jnp.real(value) + states[i].driven if i == k else value
     return step, [m / cast(s) for m in moved], s, after
-
-
-def _as_complex(number: Number) -> Number:
-    return jnp.asarray(number).astype(complex)
 
 
 def times(factor: Number, pairs: Array) -> Array:
     """Return a number, maybe complex, times complex numbers in pairs, (n, 2)."""
     if not jnp.iscomplexobj(factor):
         return factor * pairs
+    x, y = pairs.T
     real, imaginary = jnp.real(factor), jnp.imag(factor)
-    return jnp.stack(
-        [
-            real * pairs[:, 0] - imaginary * pairs[:, 1],
-            imaginary * pairs[:, 0] + real * pairs[:, 1],
-        ],
-        axis=-1,
-    )
+    return jnp.stack([real * x - imaginary * y, imaginary * x + real * y], axis=-1)
 
 
 def heading_variance(noise: SensorNoise, time_s: Scalar) -> Scalar:
