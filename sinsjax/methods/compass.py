@@ -269,6 +269,7 @@ def check(keys: StudyKeys) -> None:
     for loop, found in (("level", level), ("azimuth", azimuth)):
         for row in np.flatnonzero(~np.isfinite(np.stack(found)).all(axis=0)):
             _refuse_loop(keys, loop, int(row), "gives a gain that is no finite number")
+    too_fast = f"a loop that a sample of {dt:g} s cannot carry"
     azimuth_matrix = loops.azimuth_matrix(azimuth, rate_n=float(keys.site.place.rate_n), **earth)
     for loop, polynomial, matrix in (
         ("level", loops.level_polynomial(level, **earth), loops.level_matrix(level, **earth)),
@@ -277,8 +278,8 @@ def check(keys: StudyKeys) -> None:
         roots = loops.roots(polynomial)
         unstable = roots.real.max(axis=-1) >= 0
         for row in np.flatnonzero(refused & (unstable | ~loops.is_stable(matrix, dt))):
-            slow = "an unstable loop", f"a loop that a sample of {dt:g} s cannot carry"
-            text = f"makes {slow[not unstable[row]]}, its roots are {_format_roots(roots[row])} 1/s"
+            what = "an unstable loop" if unstable[row] else too_fast
+            text = f"makes {what}, its roots are {_format_roots(roots[row])} 1/s"
             _refuse_loop(keys, loop, int(row), f"{text} (allow_unstable = true runs it)")
 
 

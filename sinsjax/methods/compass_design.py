@@ -130,10 +130,8 @@ def azimuth_polynomial(gains: AzimuthGains, *, gravity: Number, radius: Number) 
 def roots(polynomial: np.ndarray) -> np.ndarray:
     """Return the complex roots, the slowest (largest real part) first, shape ``(..., n)``.
 
-    Double roots, as designed in azimuth, are found to half of the digits.
-
-    Args:
-        polynomial: coefficients, highest power first, shape ``(..., n + 1)``; the first is not 0.
+    Double roots, as designed in azimuth, are found to half of the digits. The highest of the
+    coefficients, shape ``(..., n + 1)``, is not 0.
     """
     coefficients = np.asarray(polynomial, float)
     order = coefficients.shape[-1] - 1
@@ -150,11 +148,7 @@ def level_matrix(gains: LevelGains, *, gravity: Number, radius: Number) -> np.nd
     I (rad/s) is K3 times the integral of dV. The coupling with the heading is left out.
     """
     k1, k2, k3 = gains
-    return _stack_entries(
-        [-k1, gravity, 0.0],
-        [-(1 + k2) / radius, 0.0, -1.0],
-        [k3, 0.0, 0.0],
-    )
+    return _stack_entries([-k1, gravity, 0.0], [-(1 + k2) / radius, 0.0, -1.0], [k3, 0.0, 0.0])
 
 
 def azimuth_matrix(
@@ -180,11 +174,7 @@ def is_stable(matrix: np.ndarray, dt: Number) -> np.ndarray:
 
     A step is forward Euler, but the velocity sees the mean tilt of the step:
     dV += g (phi + phi' dt/2) dt - K1 dV dt. It is stable where every eigenvalue of the discrete
-    matrix lies inside the unit circle.
-
-    Args:
-        matrix: of `level_matrix` or `azimuth_matrix`, shape ``(..., n, n)``.
-        dt: sample time > 0, s.
+    matrix (of `level_matrix` or `azimuth_matrix`, dt in s) lies inside the unit circle.
     """
     slope = np.asarray(matrix, float)
     step = np.asarray(dt, float)[..., None, None]

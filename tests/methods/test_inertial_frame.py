@@ -14,11 +14,7 @@ from scipy.integrate import quad_vec
 from scipy.spatial.transform import Rotation
 
 from sinsjax.methods import least_squares
-from sinsjax.methods.coarse import align_by_program
 from sinsjax.methods.least_squares import dominant_eigenvector, reaction_velocity
-from sinsjax.methods.method import Options
-from sinsjax.methods.registry import METHODS
-from sinsjax.strapdown import sensors
 from sinsjax.units import ARCMIN
 
 RATE, SECONDS, LATITUDE = 100, 60, 32 * DEG
@@ -113,15 +109,3 @@ def test_optimisation_matches_least_squares_fit_of_velocities(name, arcmin, seco
     n0 = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
     expected = exp(-W_IE * seconds) @ n0 @ body[-1]
     assert np.abs(log(expected @ attitudes(name)[seconds - 1].T)).max() < arcmin * ARCMIN
-
-
-@pytest.mark.nightly(fast=("inertial-10",))
-@pytest.mark.optimised(False)
-@pytest.mark.parametrize(("name", "seconds"), [("inertial", 10), ("optimisation", 10)])
-def test_coarse_alignment_is_that_of_its_method(name, seconds):
-    rows = record()[: seconds * RATE]
-    samples = jax.jit(sensors.compensate_record)(rows, rows[0])
-    program = METHODS[name].build(Options(1 / RATE))
-    q = jax.jit(lambda s: align_by_program(program, s, site(PAPER, LATITUDE)))(samples)
-    turn = log(of_quaternion(np.array(q)) @ attitudes(name, seconds)[-1].T)
-    assert np.abs(turn).max() < 1e-9
