@@ -179,7 +179,7 @@ def test_law_is_exact_where_q_limits_and_velocity_is_open() -> None:
     problem = QUICK._replace(measurement_noise=1e-4, velocity=10.0)
     times = np.linspace(1.0, 600.0, 60_000)
     for heading in (10.0, 90.0, 150.0):
-        ratio = reset_law.angle_ratio(heading * DEG, 10 * ARCMIN)
+        ratio = 2 * np.tan(heading * DEG / 2) / (10 * ARCMIN)
         law = np.interp(ratio, reset_law.contraction(times, problem), times)
         (told,) = predict_settling_times([Lane(problem, (), heading * DEG)], 600.0)
         assert told == pytest.approx(law, rel=0.01)
