@@ -226,20 +226,22 @@ class StudyKeys(Protocol):
 
     Numbers are in the units of the study, arrays have a leading axis of variants. Params are made
     for the variants of one program and one site; rules see all variants.
+
+    Attributes:
+        record_interval_s: time between two record times, s.
+        run_s: length of the shortest run, s.
+        end: end of that run, in words.
+        is_recorded: whether the sensors come from a record, which has no [motion] and [sensors].
+        site: `Site` of these variants; for params only.
+        micro_g: the micro-g that the study counts in, m/s^2; for params only.
     """
 
     record_interval_s: float
-    """Time between two record times, s."""
     run_s: float
-    """Length of the shortest run, s."""
     end: str
-    """End of that run, in words."""
     is_recorded: bool
-    """Whether the sensors come from a record, which has neither [motion] nor [sensors]."""
     site: Any
-    """`Site` of these variants; for params only."""
     micro_g: Any
-    """A millionth of the gravity that the study counts accelerations in, m/s^2; for params only."""
 
     @property
     def rate_hz(self) -> float:
