@@ -9,6 +9,7 @@ The transport rate is part of the mechanisation; the loops add K2 times that rat
 """
 
 import math
+from itertools import combinations
 from typing import Annotated, Any, Literal, NamedTuple, NoReturn
 
 import jax.numpy as jnp
@@ -39,7 +40,8 @@ from sinsjax.value_types import (
     Times,
 )
 
-_ADJUSTMENTS = ("level_adjustment_s", "azimuth_adjustment_s")
+_LOOPS, _SETTINGS = ("level", "azimuth"), ("gains", "adjustment_s", "sigma_per_s")
+_ADJUSTMENTS = tuple(f"{loop}_adjustment_s" for loop in _LOOPS)
 _GAIN = KeyInfo(usual_range=(-1e11, 1e11))
 
 
@@ -47,22 +49,18 @@ class CompassSection(Section):
     """[compass]: levelling and azimuth loops, and their gain schedule."""
 
     exclusive = (
-        *((f"{loop}_gains", f"{loop}_sigma_per_s") for loop in ("level", "azimuth")),
-        *((f"{loop}_gains", f"{loop}_adjustment_s") for loop in ("level", "azimuth")),
-        *((f"{loop}_adjustment_s", f"{loop}_sigma_per_s") for loop in ("level", "azimuth")),
+        *((f"{loop}_{a}", f"{loop}_{b}") for loop in _LOOPS for a, b in combinations(_SETTINGS, 2)),
         ("level_passes", "level_time_s"),
         ("sigma_passes", "sigma_times_s"),
     )
     conditions = (
         KeyCondition(("level_damping",), ("level_gains",), lambda k: k is None, refused=True),
         KeyCondition(("azimuth_damping",), ("azimuth_gains",), lambda k: k is None, refused=True),
-        KeyCondition(
-            ("adjustment_reading",), _ADJUSTMENTS, lambda *times_s: times_s != (None, None)
-        ),
+        KeyCondition(("adjustment_reading",), _ADJUSTMENTS, lambda *times_s: any(times_s)),
         KeyCondition(
             ("adjustment_remainder",),
             ("adjustment_reading", *_ADJUSTMENTS),
-            lambda reading, *times_s: reading == "settling" and times_s != (None, None),
+            lambda reading, *times_s: reading == "settling" and any(times_s),
         ),
     )
 
@@ -169,11 +167,9 @@ REVERSALS = {
 }
 """Effect of a direction reversal by the names of ``turn``.
 
-``velocity``, that of [P2], negates the velocity and leaves azimuth rate and tilt, which a reversed
-Earth rate turns against the loop; ``velocity_and_rate`` also negates the azimuth rate,
-``velocity_drop_rate`` sets it to zero. ``reflect`` negates velocity and tilt, so that the next pass
-continues where this one stopped. ``restart`` keeps the attitude alone, ``keep`` changes nothing but
-the levelling integrals, which all others negate, too, except ``restart``.
+``velocity``, that of [P2], leaves azimuth rate and tilt, which a reversed Earth rate turns against
+the loop. After ``reflect`` the next pass continues where this one stopped. ``restart`` keeps the
+attitude alone.
 """
 
 
@@ -181,12 +177,10 @@ class LoopParams(NamedTuple):
     """Params of the loops.
 
     Attributes:
-        level: gains of the levelling loop.
-        azimuth: gains of the azimuth loop at pace 1.
+        azimuth: gains at pace 1.
         pace: factor on the sigma of the azimuth loop, with gains that move its roots by it.
         azimuth_from: samples before the azimuth loop takes over the north channel.
         smoothing: share of each new sample in each stage of the low-passed specific force.
-        reversal: effect of a direction reversal.
     """
 
     level: LevelGains
@@ -209,18 +203,16 @@ def params(keys: StudyKeys, xp: Any) -> LoopParams:
         return times_s or () if numbers is None else tuple(n * stored_s for n in numbers)
 
     times_s = keys.lists(change_times_s, "sigma_times_s", "sigma_passes", *stored, padding=np.inf)
+    factors = keys.lists(list, "sigma_factors", padding=1.0)
+    levelling_s = keys.compute(level_s, "level_time_s", "level_passes", *stored)
     smoothing_s = keys.column("turn_smoothing_s") if passes else np.ones(keys.count)
     reversal = keys.compute(REVERSALS.__getitem__, "turn").T if passes else REVERSALS["keep"]
     level, azimuth = gains(keys, xp)
     return LoopParams(
         level=level,
         azimuth=azimuth,
-        pace=PiecewiseConstant(
-            xp.round(times_s * rate), keys.lists(list, "sigma_factors", padding=1.0)
-        ),
-        azimuth_from=xp.round(
-            keys.compute(level_s, "level_time_s", "level_passes", *stored) * rate
-        ),
+        pace=PiecewiseConstant(xp.round(times_s * rate), factors),
+        azimuth_from=xp.round(levelling_s * rate),
         smoothing=-xp.expm1(-2 / (rate * smoothing_s)),  # two stages share the delay
         reversal=Reversal(*(np.broadcast_to(factor, keys.count) for factor in reversal)),
     )
@@ -229,8 +221,7 @@ def params(keys: StudyKeys, xp: Any) -> LoopParams:
 def gains(keys: StudyKeys, xp: Any) -> tuple[LevelGains, AzimuthGains]:
     """Return the gains of the loops: as given, or designed from sigma or adjustment time, damping.
 
-    They are designed for the north channel; on an ellipsoid the east one differs in its K2 by some
-    0.1 %.
+    For the north channel; on an ellipsoid the east one differs in its K2 by some 0.1 %.
     """
 
     def of_loop(loop: str, design: Any) -> Any:
@@ -257,24 +248,20 @@ def _earth(site: Site) -> dict[str, float]:
 
 
 def check(keys: StudyKeys) -> None:
-    """Refuse loops that are unstable, or too fast for the sample time, and name their roots.
-
-    Not if ``allow_unstable`` is set.
-    """
+    """Refuse loops that are unstable or too fast for the sample, unless allowed; name the roots."""
     refused = ~keys.compute(bool, "allow_unstable", dtype=bool)
     earth, dt = _earth(keys.site), 1 / keys.rate_hz
     with np.errstate(over="ignore", invalid="ignore"):
         level, azimuth = gains(keys, np)
         azimuth = loops.scale_azimuth_gains(azimuth, keys.compute(max, "sigma_factors"))
-    for loop, found in (("level", level), ("azimuth", azimuth)):
+    for loop, found in zip(_LOOPS, (level, azimuth), strict=True):
         for row in np.flatnonzero(~np.isfinite(np.stack(found)).all(axis=0)):
             _refuse_loop(keys, loop, int(row), "gives a gain that is no finite number")
     too_fast = f"a loop that a sample of {dt:g} s cannot carry"
-    azimuth_matrix = loops.azimuth_matrix(azimuth, rate_n=float(keys.site.place.rate_n), **earth)
-    for loop, polynomial, matrix in (
-        ("level", loops.level_polynomial(level, **earth), loops.level_matrix(level, **earth)),
-        ("azimuth", loops.azimuth_polynomial(azimuth, **earth), azimuth_matrix),
-    ):
+    polynomials = loops.level_polynomial(level, **earth), loops.azimuth_polynomial(azimuth, **earth)
+    north = loops.azimuth_matrix(azimuth, rate_n=float(keys.site.place.rate_n), **earth)
+    matrices = loops.level_matrix(level, **earth), north
+    for loop, polynomial, matrix in zip(_LOOPS, polynomials, matrices, strict=True):
         roots = loops.roots(polynomial)
         unstable = roots.real.max(axis=-1) >= 0
         for row in np.flatnonzero(refused & (unstable | ~loops.is_stable(matrix, dt))):
@@ -285,7 +272,7 @@ def check(keys: StudyKeys) -> None:
 
 def _refuse_loop(keys: StudyKeys, loop: str, row: int, text: str) -> NoReturn:
     """Refuse a variant's loop, naming the key that sets its gains, and the value."""
-    names = [f"{loop}_{kind}" for kind in ("gains", "adjustment_s", "sigma_per_s")]
+    names = [f"{loop}_{setting}" for setting in _SETTINGS]
     key, value = next((k, v) for k in names if (v := keys.value(k, row)) is not None)
     shown = list(value) if isinstance(value, tuple) else f"{value:g}"
     factor = max(keys.value("sigma_factors", row))
@@ -318,10 +305,9 @@ class LoopState(NamedTuple):
     Attributes:
         nav: navigation solution; its velocity is an error, since the base does not travel.
         integral_e: K3 times the integral of the east velocity, rad/s.
-        integral_n: K3 times the integral of the north velocity while levelling, rad/s.
+        integral_n: of the north velocity, likewise, while it is levelled.
         rate_u: azimuth rate of the platform, rad/s.
-        force_e: low-passed specific force east, m/s^2.
-        force_n: low-passed specific force north, m/s^2.
+        force_e: low-passed specific force, m/s^2; also ``force_n``.
     """
 
     nav: Navigation

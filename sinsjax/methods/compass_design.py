@@ -10,7 +10,8 @@ In the north channel the tilt is phi_E, dV_N' = g phi_E - K1 dV_N. The east chan
 loop with -phi_N in the place of phi_E.
 
 Throughout, ``gravity`` is g in m/s^2 and ``radius`` the R of the transport rate in m. All numbers
-broadcast; where only gains are designed, they may be traced.
+broadcast; where only gains are designed, they may be traced. Polynomials and matrices are arrays
+with the shape of the gains first.
 """
 
 import math
@@ -44,8 +45,7 @@ class AzimuthGains(NamedTuple):
     """Gains of the azimuth loop, [P2] Fig. 2: w_cU = K(s) dV_N, K(s) = K3 / (omega_N (s + K4)).
 
     Attributes:
-        k1: velocity damping, 1/s.
-        k2: of the platform rate from the velocity, in units of the transport rate 1/R.
+        k1: as of `LevelGains`, likewise ``k2``.
         k3: of the azimuth acceleration from the velocity, times omega_N, 1/(m s^2).
         k4: of the lag in K(s), 1/s.
     """
@@ -62,11 +62,8 @@ def level_gains(sigma: Number, damping: Number, *, gravity: Number, radius: Numb
     K1 = 3 sigma, K2 = sigma^2 (2 + 1/xi^2) R/g - 1, K3 = sigma^3 / (g xi^2).
     """
     inverse_square = damping**-2
-    return LevelGains(
-        3 * sigma,
-        sigma**2 * (2 + inverse_square) * radius / gravity - 1,
-        sigma**3 * inverse_square / gravity,
-    )
+    k2 = sigma**2 * (2 + inverse_square) * radius / gravity - 1
+    return LevelGains(3 * sigma, k2, sigma**3 * inverse_square / gravity)
 
 
 def azimuth_gains(
@@ -78,9 +75,8 @@ def azimuth_gains(
     xi = sqrt(1/2): K2 = 4 sigma^2 R/g - 1, K3 = 4 sigma^4/g.
     """
     square = (sigma / damping) ** 2
-    return AzimuthGains(
-        2 * sigma, 2 * square * radius / gravity - 1, square**2 / gravity, 2 * sigma
-    )
+    k2 = 2 * square * radius / gravity - 1
+    return AzimuthGains(2 * sigma, k2, square**2 / gravity, 2 * sigma)
 
 
 def scale_azimuth_gains(gains: AzimuthGains, pace: Number) -> AzimuthGains:
@@ -92,8 +88,7 @@ def scale_azimuth_gains(gains: AzimuthGains, pace: Number) -> AzimuthGains:
 def sigma_from_period(time_s: Number, damping: Number) -> Number:
     """Return the decay rate (1/s) whose damped period is the adjustment time, [P2] eq. (18).
 
-    sigma = 2 pi xi / (T sqrt(1 - xi^2)), that is T = 2 pi / omega_d; without an oscillation, at
-    xi = 1, there is no period.
+    sigma = 2 pi xi / (T sqrt(1 - xi^2)), that is T = 2 pi / omega_d; xi = 1 has no period.
     """
     return 2 * math.pi * damping / (time_s * (1 - damping**2) ** 0.5)
 
@@ -108,60 +103,58 @@ def sigma_from_settling(time_s: Number, remainder: Number, xp: Any = np) -> Numb
 
 
 def level_polynomial(gains: LevelGains, *, gravity: Number, radius: Number) -> np.ndarray:
-    """Return the coefficients of Delta3, [P2] eq. (16), highest power first, shape ``(..., 4)``.
+    """Return the coefficients of Delta3, [P2] eq. (16), highest power first.
 
     Delta3(s) = s^3 + K1 s^2 + (1 + K2) (g/R) s + g K3, s in 1/s.
     """
     k1, k2, k3 = gains
-    return _stack_entries([1.0, k1, (1 + k2) * gravity / radius, gravity * k3])
+    return _matrix([1.0, k1, (1 + k2) * gravity / radius, gravity * k3])[..., 0, :]
 
 
 def azimuth_polynomial(gains: AzimuthGains, *, gravity: Number, radius: Number) -> np.ndarray:
-    """Return the coefficients of Delta4, [P2] eq. (21), highest power first, shape ``(..., 5)``.
+    """Return the coefficients of Delta4, [P2] eq. (21), highest power first.
 
     Delta4(s) = s (s + K4) (s^2 + K1 s + (1 + K2) g/R) + g K3, s in 1/s; omega_N phi_E in phi_U'
     is dropped, as in the paper.
     """
     k1, k2, k3, k4 = gains
     stiffness = (1 + k2) * gravity / radius
-    return _stack_entries([1.0, k1 + k4, k1 * k4 + stiffness, k4 * stiffness, gravity * k3])
+    return _matrix([1.0, k1 + k4, k1 * k4 + stiffness, k4 * stiffness, gravity * k3])[..., 0, :]
 
 
 def roots(polynomial: np.ndarray) -> np.ndarray:
-    """Return the complex roots, the slowest (largest real part) first, shape ``(..., n)``.
+    """Return the complex roots, the slowest (largest real part) first, of Delta3 or Delta4.
 
-    Double roots, as designed in azimuth, are found to half of the digits. The highest of the
-    coefficients, shape ``(..., n + 1)``, is not 0.
+    Double roots, as designed in azimuth, are found to half of the digits.
     """
-    coefficients = np.asarray(polynomial, float)
-    order = coefficients.shape[-1] - 1
-    companion = np.zeros((*coefficients.shape[:-1], order, order))
-    companion[..., 0, :] = -coefficients[..., 1:] / coefficients[..., :1]
+    order = polynomial.shape[-1] - 1
+    companion = np.zeros((*polynomial.shape[:-1], order, order))
+    companion[..., 0, :] = -polynomial[..., 1:]
     companion[..., range(1, order), range(order - 1)] = 1.0
     found = np.linalg.eigvals(companion).astype(complex)
     return np.take_along_axis(found, np.lexsort((-found.imag, -found.real)), -1)
 
 
 def level_matrix(gains: LevelGains, *, gravity: Number, radius: Number) -> np.ndarray:
-    """Return A of the levelling loop, x' = A x, x = [dV, phi, I], [P2] Fig. 1, ``(..., 3, 3)``.
+    """Return A of the levelling loop, x' = A x, x = [dV, phi, I], [P2] Fig. 1.
 
     I (rad/s) is K3 times the integral of dV. The coupling with the heading is left out.
     """
     k1, k2, k3 = gains
-    return _stack_entries([-k1, gravity, 0.0], [-(1 + k2) / radius, 0.0, -1.0], [k3, 0.0, 0.0])
+    return _matrix([-k1, gravity, 0.0], [-(1 + k2) / radius, 0.0, -1.0], [k3, 0.0, 0.0])
 
 
 def azimuth_matrix(
     gains: AzimuthGains, *, gravity: Number, radius: Number, rate_n: Number
 ) -> np.ndarray:
-    """Return A of the north channel, x' = A x, x = [dV_N, phi_E, phi_U, w_cU], ``(..., 4, 4)``.
+    """Return A of the north channel, x' = A x, x = [dV_N, phi_E, phi_U, w_cU].
 
     [P2] Fig. 2, with ``rate_n`` = omega_N = omega_ie cos L, rad/s, not 0. omega_N phi_E in phi_U'
     is dropped, as in [P2] eq. (21), so that the characteristic polynomial is `azimuth_polynomial`.
     A backward pass has -omega_N, in the coupling and in K(s) alike, and the same polynomial.
     """
     k1, k2, k3, k4 = gains
-    return _stack_entries(
+    return _matrix(
         [-k1, gravity, 0.0, 0.0],
         [-(1 + k2) / radius, 0.0, -rate_n, 0.0],
         [0.0, 0.0, 0.0, 1.0],
@@ -169,24 +162,21 @@ def azimuth_matrix(
     )
 
 
-def is_stable(matrix: np.ndarray, dt: Number) -> np.ndarray:
-    """Return whether a loop is stable when stepped with a sample time, shape ``(...)``, bool.
+def is_stable(matrix: np.ndarray, dt: float) -> np.ndarray:
+    """Return whether a loop is stable when stepped with a sample time.
 
     A step is forward Euler, but the velocity sees the mean tilt of the step:
     dV += g (phi + phi' dt/2) dt - K1 dV dt. It is stable where every eigenvalue of the discrete
     matrix (of `level_matrix` or `azimuth_matrix`, dt in s) lies inside the unit circle.
     """
-    slope = np.asarray(matrix, float)
-    step = np.asarray(dt, float)[..., None, None]
-    mean_tilt = slope[..., :1, 1:2] * slope[..., 1:2, :] / 2
-    stepped = slope + step * np.eye(slope.shape[-1])[:, :1] * mean_tilt
+    mean_tilt = matrix[..., :1, 1:2] * matrix[..., 1:2, :] / 2
+    stepped = matrix + dt * np.eye(matrix.shape[-1])[:, :1] * mean_tilt
     # The eigenvalues of the step are 1 + dt z; from z, 1 is not rounded into them.
     z = np.linalg.eigvals(stepped)
-    return np.asarray(np.all(2 * z.real + step[..., 0] * np.abs(z) ** 2 < 0, -1))
+    return np.asarray(np.all(2 * z.real + dt * np.abs(z) ** 2 < 0, -1))
 
 
-def _stack_entries(*rows: Sequence[Number]) -> np.ndarray:
-    """Return entries as a vector (one row) or a matrix on the last axes."""
+def _matrix(*rows: Sequence[Number]) -> np.ndarray:
+    """Return entries as a matrix on the last axes."""
     entries = np.broadcast_arrays(*(entry for row in rows for entry in row))
-    shape = (len(rows[0]),) if len(rows) == 1 else (len(rows), len(rows[0]))
-    return np.stack(entries, -1).astype(float).reshape(entries[0].shape + shape)
+    return np.stack(entries, -1).astype(float).reshape(*entries[0].shape, len(rows), len(rows[0]))

@@ -20,16 +20,8 @@ from pydantic import Field
 
 from sinsjax.maths.algebra import add, cross, dot, scale, select_tree
 from sinsjax.maths.rotations import from_euler
+from sinsjax.methods import method
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
-from sinsjax.methods.method import (
-    UNKNOWN_ANGLE,
-    AttitudeCovariance,
-    Method,
-    Options,
-    Program,
-    RunEnd,
-    Site,
-)
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 from sinsjax.value_types import AccelSigma, Section
@@ -52,9 +44,7 @@ class LevelState(NamedTuple):
     Attributes:
         nav: initial solution, whose attitude is the result before the first sample.
         bias_tilt: tilt by the assumed accelerometer bias, rad.
-        sum: of the velocity increments in b, m/s.
-        squares: sum of their squared magnitudes, (m/s)^2.
-        count: samples so far.
+        sum: of the velocity increments in b, m/s; ``squares`` that of their squared magnitudes.
     """
 
     nav: Navigation
@@ -64,21 +54,21 @@ class LevelState(NamedTuple):
     count: Scalar
 
 
-def build(options: Options) -> Program:
+def build(options: method.Options) -> method.Program:
     """Return the program, whose params are `LevelState.bias_tilt`."""
 
-    def covariance(state: LevelState) -> AttitudeCovariance:
+    def covariance(state: LevelState) -> method.AttitudeCovariance:
         n = jnp.maximum(state.count, 1.0)
         mean = scale(1 / n, state.sum)
         gravity = jnp.where(state.count > 0, dot(mean, mean), 1.0)  # squared, of one sample
         scatter = jnp.maximum(state.squares / n - dot(mean, mean), 0.0) / gravity
         level = state.bias_tilt**2 + scatter * CORRELATION_S / (n * options.dt)
         zero = jnp.zeros_like(level)
-        unknown = zero + UNKNOWN_ANGLE
+        unknown = zero + method.UNKNOWN_ANGLE
         level = jnp.where(state.count > 0, level, unknown)
-        return AttitudeCovariance(level, zero, zero, level, zero, unknown)
+        return method.AttitudeCovariance(level, zero, zero, level, zero, unknown)
 
-    return Program(_init, _step, _attitude, covariance=covariance, floor=_bias_floor)
+    return method.Program(_init, _step, _attitude, covariance=covariance, floor=_bias_floor)
 
 
 def _init(bias_tilt: Scalar, nav: Navigation) -> LevelState:
@@ -86,7 +76,9 @@ def _init(bias_tilt: Scalar, nav: Navigation) -> LevelState:
     return LevelState(nav, bias_tilt + zero, Vec3(zero, zero, zero), zero, zero)
 
 
-def _step(params: Any, site: Site, state: LevelState, sample: Sample, n: Scalar) -> LevelState:
+def _step(
+    params: Any, site: method.Site, state: LevelState, sample: Sample, n: Scalar
+) -> LevelState:
     # `Sample.dv` is in b at the start of the sample, carried there over half the rotation that the
     # gyros measured. The same half carries it back to the middle, so that a gyro bias cancels.
     half = Vec3(*sample.turn[1:])  # the vector part of the quaternion, to first order
@@ -105,13 +97,12 @@ def _attitude(state: LevelState) -> Quat:
     return select_tree(seen, from_euler(pitch, roll, jnp.zeros_like(pitch)), state.nav.q)
 
 
-def _bias_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
-    """Return the floor of the level; north is found by no run."""
+def _bias_floor(params: Any, place: Place, biases: MeanBiases, end: method.RunEnd) -> BiasFloor:
     floor = bias_floor(place, biases)
-    return floor._replace(no_north=jnp.ones_like(floor.no_north))
+    return floor._replace(no_north=jnp.ones_like(floor.no_north))  # no run finds it
 
 
-LEVEL = Method(
+LEVEL = method.Method(
     name="level",
     summary="pitch and roll from the mean specific force, for gyros that cannot find north; no"
     " heading",

@@ -41,17 +41,9 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import add, cross, scale
+from sinsjax.maths.algebra import add, cross, dot, scale
 from sinsjax.methods.filters.attitude import rotate_covariance, rotation_about_vertical
-from sinsjax.methods.gravity_fit.noise import (
-    Covariance,
-    NoiseModel,
-    SensorNoise,
-    heading_variance,
-    noise_model,
-    predict,
-    times,
-)
+from sinsjax.methods.gravity_fit import noise
 from sinsjax.methods.method import UNKNOWN_ANGLE, AttitudeCovariance
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Quat, Scalar, Vec3
@@ -75,20 +67,15 @@ _AXES = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
 
 
 class FitParams(NamedTuple):
-    """Beliefs about sensors and base, SI units.
+    """Beliefs about sensors and base: their noise, and 1 sigma of each axis' errors, SI units.
 
     Attributes:
-        noise: random errors.
-        gyro_bias: 1 sigma of each gyro's bias, rad/s.
-        accel_bias: 1 sigma of each accelerometer's bias, m/s^2.
-        scale_factor: 1 sigma of the gyros' scale factors; None leaves them, and the cross-axis
-            errors, out.
-        cross_axis: 1 sigma of their cross-axis errors, rad.
-        lever_arm: 1 sigma of each part of the lever arm from the turn axis to the sensors, m; None
-            for sensors in it.
+        scale_factor: of the gyros; None leaves these, and the cross-axis errors, out.
+        cross_axis: of the gyros, rad.
+        lever_arm: from the turn axis to the sensors, m; None for sensors in it.
     """
 
-    noise: SensorNoise
+    noise: noise.SensorNoise
     gyro_bias: Scalar
     accel_bias: Scalar
     scale_factor: Scalar | None = None
@@ -97,14 +84,11 @@ class FitParams(NamedTuple):
 
     def sigmas(self) -> tuple[tuple[Vec3, ...], tuple[Vec3, ...]]:
         """Return 1 sigma of the triads of `_Guess.gyro` and of `_Guess.others`."""
-        bias, accel, lever = (
-            Vec3(sigma, sigma, sigma) for sigma in (self.gyro_bias, self.accel_bias, self.lever_arm)
-        )
-        others = (accel,) if self.lever_arm is None else (accel, lever)
-        if self.scale_factor is None:
-            return (bias,), others
         s, c = self.scale_factor, self.cross_axis
-        return (bias, Vec3(s, c, c), Vec3(c, s, c), Vec3(c, c, s)), others
+        gyro, others = [(self.gyro_bias,) * 3], [(self.accel_bias,) * 3]
+        gyro += [] if s is None else [(s, c, c), (c, s, c), (c, c, s)]
+        others += [] if self.lever_arm is None else [(self.lever_arm,) * 3]
+        return tuple(Vec3(*sigma) for sigma in gyro), tuple(Vec3(*sigma) for sigma in others)
 
 
 class Block(NamedTuple):
@@ -140,22 +124,19 @@ class Block(NamedTuple):
         """Return its `NUMBERS`."""
         return jnp.stack(jax.tree.leaves(self))
 
-    def mean_axes(self) -> list[Vec3]:
-        """Return the mean of each axis of b over the block, in b at its start.
+    def by_gyro_errors(self, triads: int, length_s: float) -> list[Vec3]:
+        """Return its rotation by each gyro error, see `Solution.gyro`, in b at its start.
 
-        Over the angle turned, by Simpson's rule: exact for turns about one axis at any rate.
+        Each is a factor times the mean of an axis of b over the block: over the angle turned, by
+        Simpson's rule, exact for turns about one axis at any rate.
         """
         rows = zip(rotations.matrix(self.half), rotations.matrix(self.turn), strict=True)
         mean = [
             [(float(i == k) + 4 * middle[k] + last[k]) / 6 for k in range(3)]
             for i, (middle, last) in enumerate(rows)
         ]
-        return [Vec3(*axis) for axis in zip(*mean, strict=True)]
-
-    def by_gyro_errors(self, triads: int, length_s: float) -> list[Vec3]:
-        """Return its rotation by each gyro error, see `Solution.gyro`, in b at its start."""
-        factors, axes = (length_s, *self.angle)[:triads], self.mean_axes()
-        return [scale(factor, axis) for factor in factors for axis in axes]
+        axes = [Vec3(*axis) for axis in zip(*mean, strict=True)]
+        return [scale(factor, axis) for factor in (length_s, *self.angle)[:triads] for axis in axes]
 
     def without(self, rotation: Vec3) -> Quat:
         """Return the rotation of the body less that by errors."""
@@ -206,21 +187,13 @@ class Solution(NamedTuple):
 def solve(
     params: FitParams, place: Place, blocks: Array, count: Count, length_s: float
 ) -> Solution:
-    """Fit attitude and biases to the blocks so far.
-
-    Args:
-        params: beliefs about the sensors.
-        place: Earth rates and gravity.
-        blocks: (most, `NUMBERS`), see `Block`.
-        count: number of blocks so far, at least 2.
-        length_s: length of a block, s.
-    """
+    """Fit attitude and biases to the first ``count`` blocks, at least 2, of (most, `NUMBERS`)."""
     first = Block.of_row(blocks[0]).dv
     zero = jnp.zeros_like(first.x)
     solution = Solution.before_data(params, zero)
     triads = jax.tree.map(lambda sigma: zero, params.sigmas())
     guess = _Guess(_level(first), (zero + 1, zero), *triads)
-    noise = noise_model(params.noise, place.gravity, length_s)
+    model = noise.noise_model(params.noise, place.gravity, length_s)
 
     def is_unfinished(carry: tuple[Count, _Guess, Solution]) -> Flag:
         number, _, solution = carry
@@ -229,7 +202,7 @@ def solve(
 
     def over_pass(carry: tuple[Count, _Guess, Solution]) -> tuple[Count, _Guess, Solution]:
         number, guess, _ = carry
-        here = _Pass(place, noise, guess, jnp.where(number == 0, zero, zero + 1), length_s)
+        here = _Pass(place, model, guess, jnp.where(number == 0, zero, zero + 1), length_s)
         return number + 1, *here.run(params, blocks, count)
 
     return jax.lax.while_loop(is_unfinished, over_pass, (jnp.asarray(0), guess, solution))[2]
@@ -241,7 +214,6 @@ class _Guess(NamedTuple):
     Attributes:
         level: C_{b0}^l.
         heading: c of unit length, real and imaginary part.
-        gyro: see `Solution`.
         others: accelerometer bias, m/s^2, and if it is an unknown the lever arm, m, in b.
     """
 
@@ -283,23 +255,15 @@ class _Sums(NamedTuple):
     turned: tuple[Vec3, ...]
     swung: tuple[Vec3, ...]
     walk: tuple[Array, ...]
-    variance: Covariance
+    variance: noise.Covariance
     normal: tuple[Array, ...]
 
 
 class _Pass(NamedTuple):
-    """A pass over the blocks.
-
-    Attributes:
-        place: Earth rates and gravity.
-        noise: model of the noise of the blocks.
-        guess: point of linearisation.
-        is_known: 0 in the first pass, where c is a free number, else 1.
-        length_s: length of a block, s.
-    """
+    """A pass over the blocks; ``is_known`` is 0 in the first, where c is a free number, else 1."""
 
     place: Place
-    noise: NoiseModel
+    noise: noise.NoiseModel
     guess: _Guess
     is_known: Scalar
     length_s: float
@@ -312,13 +276,15 @@ class _Pass(NamedTuple):
             return self.add_block(sums, Block.of_row(row), j)
 
         end = jax.lax.fori_loop(0, count, over_block, self.start())
-        prior = self.prior(params)
+        amplitude = jnp.where(self.is_known > 0, _KNOWN, _ANY)
+        sigmas = amplitude, _ANY, _LEVEL, _LEVEL, *jax.tree.leaves(params.sigmas())
+        prior = jnp.stack([sigma + 0 * self.is_known for sigma in sigmas])
         unknown, covariance, square, change = _solve_normal(end.normal, self.guess, prior)
         later = self.guess.changed(unknown, self.is_known)
 
         rotation, in_l = _end_error(end, unknown, covariance)
         data_s = jnp.asarray(count, square.dtype) * self.length_s
-        level, heading = end.variance[0, 0], heading_variance(params.noise, data_s)
+        level, heading = end.variance[0, 0], noise.heading_variance(params.noise, data_s)
         in_l = in_l + jnp.diag(jnp.stack([level, level, heading]))
         cos, sin = later.heading[0], -later.heading[1]
         levelled = rotations.multiply(rotations.exp(scale(-1.0, rotation)), self.guess.level)
@@ -348,12 +314,6 @@ class _Pass(NamedTuple):
             self.noise.initial(),
             tuple(jnp.zeros(n + 1 - i) + zero for i in range(n + 1)),
         )
-
-    def prior(self, params: FitParams) -> Array:
-        """Return 1 sigma of each unknown before the data."""
-        amplitude = jnp.where(self.is_known > 0, _KNOWN, _ANY)
-        sigmas = amplitude, _ANY, _LEVEL, _LEVEL, *jax.tree.leaves(params.sigmas())
-        return jnp.stack([sigma + 0 * self.is_known for sigma in sigmas])
 
     def gravity_turn(self, j: Count) -> tuple[Scalar, Scalar, Scalar]:
         """Return c G and U at the middle of a block."""
@@ -404,22 +364,23 @@ class _Pass(NamedTuple):
         x += [(measured.x - gh * mx, measured.y - gh * my)]
 
         about_up = rotations.rotate(sums.body, block.angle).z
-        step, gain, s, variance = predict(self.noise, sums.variance, about_up)
+        step, gain, s, variance = noise.predict(self.noise, sums.variance, about_up)
         residual = jnp.stack([jnp.stack(row) for row in x])
         if lever:  # its velocity at the first sample is unknown
             residual = jnp.where(jnp.asarray(number) > 0, residual, 0.0 * residual)
         for state, estimates in zip(self.noise.states, sums.walk, strict=True):
             residual = residual - state.seen * estimates
-        walk = []
-        for row, k in zip(step, gain, strict=True):
-            walk.append(sum(times(f, sums.walk[j]) for j, f in row.items()) + times(k, residual))
+        walk = tuple(
+            sum(noise.times(f, sums.walk[j]) for j, f in row.items()) + noise.times(k, residual)
+            for row, k in zip(step, gain, strict=True)
+        )
         # Row by row: what a row needs stays in the registers.
         normal = tuple(
             old + (row[0] * residual[i:, 0] + row[1] * residual[i:, 1]) / s
             for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
         )
         turned = tuple(add(a, b) for a, b in zip(sums.turned, rotated, strict=True))
-        return _Sums(body, turned, swung, tuple(walk), variance, normal)
+        return _Sums(body, turned, swung, walk, variance, normal)
 
 
 def combine(vectors: Sequence[Vec3], factors: Sequence[Vec3]) -> Vec3:
@@ -430,14 +391,9 @@ def combine(vectors: Sequence[Vec3], factors: Sequence[Vec3]) -> Vec3:
 def _solve_normal(
     normal: tuple[Array, ...], guess: _Guess, sigmas: Array
 ) -> tuple[Array, Array, Scalar, Scalar]:
-    """Return the changes of the unknowns, their covariance, and the sum of squared residuals.
+    """Return the changes of the unknowns, their covariance, the sum of squared residuals.
 
-    Last comes the length of the changes, in sigma.
-
-    Args:
-        normal: rows of the upper triangle of N, with the measurements as last column.
-        guess: point of linearisation.
-        sigmas: belief about the unknowns.
+    And last the length of the changes, in sigma; ``sigmas`` are the belief about the unknowns.
     """
     n = len(sigmas)
     upper = jnp.stack([jnp.pad(row, (i, 0)) for i, row in enumerate(normal)])
@@ -496,9 +452,8 @@ def _end_error(end: _Sums, unknown: Array, covariance: Array) -> tuple[Vec3, Arr
 
 def _level(force: Vec3) -> Quat:
     """Return the least rotation that turns a specific force upwards."""
-    length = jnp.sqrt(force.x**2 + force.y**2 + force.z**2)
-    x, y, z = force.x / length, force.y / length, force.z / length
-    # Axis force x up = (y, -x, 0); half angle from 1 + cos
-    w = 1 + z
+    length = jnp.sqrt(dot(force, force))
+    x, y, w = force.x / length, force.y / length, 1 + force.z / length
+    # Axis force x up = (y, -x, 0); half angle from w = 1 + cos
     norm = jnp.sqrt(w * w + x * x + y * y)
     return Quat(w / norm, y / norm, -x / norm, jnp.zeros_like(w))

@@ -19,19 +19,10 @@ from pydantic import Field
 from sinsjax.columns import Column
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, dot, scale, select_tree
+from sinsjax.methods import method
 from sinsjax.methods.filters.keys import accel_noise_density, gyro_noise_density, level_surge
 from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, combine, solve
 from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
-from sinsjax.methods.method import (
-    AttitudeCovariance,
-    BlockFit,
-    Method,
-    Options,
-    OwnColumn,
-    Program,
-    Site,
-    StudyKeys,
-)
 from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
 from sinsjax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, PPM
 from sinsjax.value_types import (
@@ -83,7 +74,7 @@ class FitState(NamedTuple):
     solution: Solution
 
 
-def build(options: Options) -> Program:
+def build(options: method.Options) -> method.Program:
     """Return the method; its params are `FitParams`."""
     record_s = options.record_every * options.dt
     records = max(1, round(BLOCK_S / record_s)) if record_s else 1
@@ -97,7 +88,9 @@ def build(options: Options) -> Program:
         solution = Solution.before_data(params, zero)
         return FitState(nav, one, still, still, still, still, zero, blank, solution)
 
-    def step(params: Any, site: Site, state: FitState, sample: Sample, n: Scalar) -> FitState:
+    def step(
+        params: Any, site: method.Site, state: FitState, sample: Sample, n: Scalar
+    ) -> FitState:
         dv = add(state.dv, rotations.rotate(state.turn, sample.dv))
         turn = rotations.multiply(state.turn, sample.turn)
         zero = jnp.zeros_like(n)
@@ -130,37 +123,42 @@ def build(options: Options) -> Program:
         last = number + 1 == options.records
         return (doubled | reported | last) & (ended >= LEAST_BLOCKS)
 
-    def fit(params: FitParams, site: Site, state: FitState, number: Count) -> Solution:
+    def fit(params: FitParams, site: method.Site, state: FitState, number: Count) -> Solution:
         return solve(params, site.place, state.blocks, (number + 1) // records, length_s)
+
+    def turn_of_n(state: FitState) -> Quat:
+        """Return C_{n0}^n."""
+        return rotations.exp(scale(-state.count * options.dt, state.earth))
 
     def attitude(state: FitState) -> Quat:
         body = rotations.multiply(state.solution.carried, state.turn)
         in_n0 = rotations.multiply(state.solution.attitude, body)
-        q = rotations.multiply(_earth_rotation(state), in_n0)
+        q = rotations.multiply(turn_of_n(state), in_n0)
         return select_tree(state.count > 0, q, state.nav.q)
 
-    def covariance(state: FitState) -> AttitudeCovariance:
+    def covariance(state: FitState) -> method.AttitudeCovariance:
         ee, en, eu, nn, nu, uu = state.solution.covariance
-        rows = rotations.matrix(_earth_rotation(state))
+        rows = rotations.matrix(turn_of_n(state))
         turned = [
             Vec3(dot(row, Vec3(ee, en, eu)), dot(row, Vec3(en, nn, nu)), dot(row, Vec3(eu, nu, uu)))
             for row in rows
         ]
-        return AttitudeCovariance(*(dot(turned[i], rows[k]) for i in range(3) for k in range(i, 3)))
+        return method.AttitudeCovariance(
+            *(dot(turned[i], rows[k]) for i in range(3) for k in range(i, 3))
+        )
 
-    def _earth_rotation(state: FitState) -> Quat:
-        """Return C_{n0}^n."""
-        return rotations.exp(scale(-state.count * options.dt, state.earth))
+    def normalise(state: FitState) -> FitState:
+        return method.normalise_solution(state)._replace(turn=rotations.normalise(state.turn))
 
-    return Program(
+    return method.Program(
         init=init,
         step=step,
         attitude=attitude,
         covariance=covariance,
-        normalise=_normalise,
+        normalise=normalise,
         floor=None,
         results=lambda site, state: state.solution,
-        block_fit=BlockFit(
+        block_fit=method.BlockFit(
             store,
             is_due,
             fit,
@@ -170,105 +168,88 @@ def build(options: Options) -> Program:
     )
 
 
-def _normalise(state: FitState) -> FitState:
-    nav = state.nav._replace(q=rotations.normalise(state.nav.q))
-    return state._replace(nav=nav, turn=rotations.normalise(state.turn))
+def _believed(meaning: str, default: str = "that of [sensors] or [drawn]") -> Any:
+    return Field(None, description=f"{meaning}; default: {default}")
 
 
 class GravityFitSection(Section):
     """[gravity_fit]: assumed sensor errors; biases and noise are required with a record."""
 
-    fit_gyro_bias_deg_per_h: GyroSigma | None = Field(
-        None,
-        description="1 sigma of each gyro's bias, deg/h; default: that of [sensors] or [drawn]",
+    fit_gyro_bias_deg_per_h: GyroSigma | None = _believed("1 sigma of each gyro's bias, deg/h")
+    fit_gyro_arw_deg_per_sqrt_h: GyroWalk | None = _believed(
+        "angle random walk of each gyro, deg/sqrt(h), above 0", "the white noise of [sensors]"
     )
-    fit_gyro_arw_deg_per_sqrt_h: GyroWalk | None = Field(
-        None,
-        description="angle random walk of each gyro, deg/sqrt(h), above 0; default: the white"
-        " noise of [sensors]",
-    )
-    fit_gyro_scale_ppm: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))] | None = Field(
-        None,
-        description="1 sigma of each gyro's scale factor error, ppm; default: that of [sensors] or"
-        " [drawn]",
+    fit_gyro_scale_ppm: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))] | None = _believed(
+        "1 sigma of each gyro's scale factor error, ppm"
     )
     fit_gyro_misalignment_arcsec: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e5))] | None = (
-        Field(
-            None,
-            description="1 sigma of each gyro axis towards another axis, arcsec; default: that of"
-            " [sensors] or [drawn]",
-        )
+        _believed("1 sigma of each gyro axis towards another axis, arcsec")
     )
-    fit_lever_arm_m: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e3))] | None = Field(
-        None,
-        description="1 sigma per axis of the lever arm from the turn axis, m; 0 on the axis;"
-        " default: that of [motion]",
+    fit_lever_arm_m: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e3))] | None = _believed(
+        "1 sigma per axis of the lever arm from the turn axis, m; 0 on the axis", "that of [motion]"
     )
-    fit_accel_bias_ug: AccelSigma | None = Field(
-        None,
-        description="1 sigma of each accelerometer's bias, ug; default: that of [sensors] or"
-        " [drawn]",
-    )
-    fit_accel_vrw_ug_per_sqrt_hz: AccelNoise | None = Field(
-        None,
-        description="velocity random walk of each accelerometer, ug/sqrt(Hz), above 0; default: the"
-        " white noise of [sensors]",
+    fit_accel_bias_ug: AccelSigma | None = _believed("1 sigma of each accelerometer's bias, ug")
+    fit_accel_vrw_ug_per_sqrt_hz: AccelNoise | None = _believed(
+        "velocity random walk of each accelerometer, ug/sqrt(Hz), above 0",
+        "the white noise of [sensors]",
     )
 
 
-def params(keys: StudyKeys, xp: Any) -> FitParams:
+_NOISE = {
+    "fit_gyro_arw_deg_per_sqrt_h": gyro_noise_density,
+    "fit_accel_vrw_ug_per_sqrt_hz": accel_noise_density,
+}
+"""The keys of white noise, and the density of the sensors' own."""
+
+
+def params(keys: method.StudyKeys, xp: Any) -> FitParams:
     """Return `FitParams`, leaves (variants,)."""
     # A record has no [sensors]: the rules require what it must give itself.
     ug, zero, simulated = keys.micro_g, np.zeros(keys.count), keys.has("sensors")
 
     def given_or(default: Any, key: str, unit: float) -> Any:
         given = keys.column(key, unit)
-        is_tuned = not isinstance(given, np.ndarray)
-        return given if is_tuned else np.where(np.isnan(given), default, given)
+        return np.where(np.isnan(given), default, given) if isinstance(given, np.ndarray) else given
 
     def size(key: str, unit: float) -> Any:
         return keys.rms(key) * unit if simulated else zero
 
-    def white(density: Callable[..., Any], unit: float) -> Any:
+    def believed(key: str, unit: float) -> Any:
+        return given_or(size(key, unit), f"fit_{key}", unit)
+
+    def white(key: str, unit: float, density_unit: float) -> Any:
+        density = _NOISE[key]
         if not simulated:
-            return zero
-        return keys.compute(partial(density, keys.rate_hz), *keys_of(density)) * unit
+            return given_or(zero, key, unit)
+        made = keys.compute(partial(density, keys.rate_hz), *keys_of(density)) * density_unit
+        return given_or(made, key, unit)
 
-    def drifts(rms: str, time: str, walk: str, unit: float) -> tuple[Drift, ...]:
-        variance, density = size(rms, unit) ** 2, size(walk, unit) ** 2 / 3600
-        first_order = [Drift(variance, 1 / keys.column(time), zero)] if variance.any() else []
-        return (*first_order, *([Drift(zero, zero, density)] if density.any() else []))
+    def drifts(sensor: str, unit_name: str, unit: float) -> tuple[Drift, ...]:
+        variance = size(f"{sensor}_instability_{unit_name}", unit) ** 2
+        density = size(f"{sensor}_rrw_{unit_name}_per_sqrt_h", unit) ** 2 / 3600
+        found = []
+        if variance.any():
+            found += [Drift(variance, 1 / keys.column(f"{sensor}_instability_time_s"), zero)]
+        if density.any():
+            found += [Drift(zero, zero, density)]
+        return tuple(found)
 
-    scale = given_or(size("gyro_scale_ppm", PPM), "fit_gyro_scale_ppm", PPM)
-    cross = size("gyro_misalignment_arcsec", ARCSEC)
-    cross = given_or(cross, "fit_gyro_misalignment_arcsec", ARCSEC)
-    lever = given_or(size("lever_arm_m", 1.0), "fit_lever_arm_m", 1.0)
-    accel = given_or(size("accel_bias_ug", ug), "fit_accel_bias_ug", ug)
+    scale, cross = believed("gyro_scale_ppm", PPM), believed("gyro_misalignment_arcsec", ARCSEC)
+    lever = believed("lever_arm_m", 1.0)
     # On a level base the reaction to gravity makes a bias of the axes' errors.
     tilted = size("accel_misalignment_arcsec", ARCSEC) * keys.site.place.gravity
     surge = keys.compute(level_surge, "surge_m_per_s") if simulated else zero
     has_scale = _is_given(scale) or _is_given(cross)
     return FitParams(
         noise=SensorNoise(
-            gyro=given_or(
-                white(gyro_noise_density, DEG_PER_H), "fit_gyro_arw_deg_per_sqrt_h", DEG_PER_SQRT_H
-            ),
-            accel=given_or(white(accel_noise_density, ug), "fit_accel_vrw_ug_per_sqrt_hz", ug),
-            gyro_drifts=drifts(
-                "gyro_instability_deg_per_h",
-                "gyro_instability_time_s",
-                "gyro_rrw_deg_per_h_per_sqrt_h",
-                DEG_PER_H,
-            ),
-            accel_drifts=drifts(
-                "accel_instability_ug", "accel_instability_time_s", "accel_rrw_ug_per_sqrt_h", ug
-            ),
+            gyro=white("fit_gyro_arw_deg_per_sqrt_h", DEG_PER_SQRT_H, DEG_PER_H),
+            accel=white("fit_accel_vrw_ug_per_sqrt_hz", ug, ug),
+            gyro_drifts=drifts("gyro", "deg_per_h", DEG_PER_H),
+            accel_drifts=drifts("accel", "ug", ug),
             surge=Drift(surge**2, 1 / keys.column("surge_time_s"), zero) if surge.any() else None,
         ),
-        gyro_bias=given_or(
-            size("gyro_bias_deg_per_h", DEG_PER_H), "fit_gyro_bias_deg_per_h", DEG_PER_H
-        ),
-        accel_bias=xp.hypot(accel, tilted),
+        gyro_bias=believed("gyro_bias_deg_per_h", DEG_PER_H),
+        accel_bias=xp.hypot(believed("accel_bias_ug", ug), tilted),
         scale_factor=scale if has_scale else None,
         cross_axis=cross if has_scale else None,
         lever_arm=lever if _is_given(lever) else None,
@@ -280,73 +261,70 @@ def _is_given(sigma: Any) -> bool:
     return not isinstance(sigma, np.ndarray) or bool(sigma.any())
 
 
-def _column(name: str, meaning: str, value: Callable[[Solution], Any], unit: str = "") -> OwnColumn:
-    column = Column(name, pa.float64(), unit, meaning)
-    return OwnColumn(column, lambda results, rate_hz: np.asarray(value(results)))
+def _column(
+    name: str, meaning: str, value: Callable[[Solution], Any], unit: str = ""
+) -> method.OwnColumn:
+    column = Column(f"fit_{name}", pa.float64(), unit, meaning)
+    return method.OwnColumn(column, lambda results, rate_hz: np.asarray(value(results)))
 
 
-def _gyro_bias(axis: int, found: Solution) -> Any:
-    return np.asarray(found.gyro[0][axis]) / DEG_PER_H
+def _bias_column(axis: int, name: str) -> method.OwnColumn:
+    return _column(
+        f"gyro_bias_{name}_deg_per_h",
+        f"gyro bias of the {name} axis by the fit",
+        lambda found: np.asarray(found.gyro[0][axis]) / DEG_PER_H,
+        "deg/h",
+    )
 
 
-def _gyro_bias_sigma(axis: int, found: Solution) -> Any:
-    return np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H
+def _bias_sigma_column(axis: int, name: str) -> method.OwnColumn:
+    return _column(
+        f"gyro_bias_{name}_sigma_deg_per_h",
+        "1 sigma of it",
+        lambda found: np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H,
+        "deg/h",
+    )
 
 
+_AXES = tuple(enumerate(("right", "front", "up")))
 COLUMNS = (
     _column(
-        "fit_misfit",
+        "misfit",
         "root mean square of the fit's residuals over their sigma; 1 is expected, more than 3 is a"
         " doubt",
         lambda found: found.misfit,
     ),
     _column(
-        "fit_prior_ratio",
+        "prior_ratio",
         "largest sensor error or lever arm that the fit finds, over its 1 sigma in [gravity_fit];"
         " more than 3 is a doubt",
         lambda found: found.prior_ratio,
     ),
     _column(
-        "fit_change",
+        "change",
         "change of the unknowns in the last pass of the fit, in sigma; more than 1 is a doubt, the"
         " fit has not converged",
         lambda found: found.change,
     ),
-    *(
-        _column(
-            f"fit_gyro_bias_{name}_{suffix}deg_per_h",
-            meaning.format(name),
-            partial(value, axis),
-            "deg/h",
-        )
-        for suffix, meaning, value in (
-            ("", "gyro bias of the {} axis by the fit", _gyro_bias),
-            ("sigma_", "1 sigma of it", _gyro_bias_sigma),
-        )
-        for axis, name in enumerate(("right", "front", "up"))
-    ),
+    *(_bias_column(*axis) for axis in _AXES),
+    *(_bias_sigma_column(*axis) for axis in _AXES),
 )
 
 
-def _check(study: StudyKeys) -> None:
-    """Refuse long blocks, beliefs that a record cannot replace, and sensors without white noise."""
-    densities = {
-        "fit_gyro_arw_deg_per_sqrt_h": gyro_noise_density,
-        "fit_accel_vrw_ug_per_sqrt_hz": accel_noise_density,
-    }
-    required = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug") if study.is_recorded else ()
-    sensors = [key for density in densities.values() for key in keys_of(density)]
-    read = (*required, *densities, *(() if study.is_recorded else sensors))
-    for point in study.combinations("method", *read):
+def _check(study: method.StudyKeys) -> None:
+    """Refuse long blocks, records without beliefs about sensors, sensors without white noise."""
+    required = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug", *_NOISE)
+    simulated = (*_NOISE, *(key for density in _NOISE.values() for key in keys_of(density)))
+    for point in study.combinations("method", *(required if study.is_recorded else simulated)):
         if point["method"] != "gravity_fit":
             continue
         if study.record_interval_s > LONGEST_BLOCK_S:
             text = f"gravity_fit needs at most {LONGEST_BLOCK_S:g} s (its blocks are as long)"
             study.refuse("record_interval_s", text)
-        for key in (*required, *densities) if study.is_recorded else ():
+        for key in required if study.is_recorded else ():
             if point[key] is None:
                 study.refuse(key, "required with a record (from the sensors' data sheet)")
-        for key, density in densities.items():
+        for key, density in _NOISE.items():
             noise = point[key]
             if noise is None:
                 noise = density(study.rate_hz, *(point[name] for name in keys_of(density)))
@@ -355,7 +333,7 @@ def _check(study: StudyKeys) -> None:
                 study.refuse(key, f"{text} (give it, or white noise in [sensors])")
 
 
-GRAVITY_FIT = Method(
+GRAVITY_FIT = method.Method(
     name="gravity_fit",
     summary="least squares of the turn of gravity with the sensor biases as unknowns: for a base"
     " that is turned",

@@ -32,14 +32,6 @@ class Drift(NamedTuple):
     rate: Scalar
     density: Scalar
 
-    def kept(self, length_s: float) -> Scalar:
-        """Return the share of it that is left after a time."""
-        return jnp.exp(-self.rate * length_s)
-
-    def driven(self, length_s: float) -> Scalar:
-        """Return the variance that it gains in a time."""
-        return self.variance * -jnp.expm1(-2 * self.rate * length_s) + self.density * length_s
-
 
 class SensorNoise(NamedTuple):
     """The noise of the sensors and of the base, SI units.
@@ -103,16 +95,17 @@ def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseMo
     gh, q = gravity * h, noise.gyro**2 * h
     # The measurement sees the mean of w over the block, of which half and a third are new.
     states = [NoiseState(gh, zero + 1, None, q, gh * q / 2, zero)]
+    measured = gh**2 * q / 3 + noise.accel**2 * h
     drifts = [(gh * h / 2, zero + h, drift) for drift in noise.gyro_drifts]
     drifts += [(zero + h, zero, drift) for drift in noise.accel_drifts]
+    drifts += [] if noise.surge is None else [(None, None, noise.surge)]
     for seen, to_walk, drift in drifts:
-        kept, driven = drift.kept(h), drift.driven(h)
-        states.append(NoiseState(seen, kept, to_walk, driven, zero, drift.variance))
-    measured = gh**2 * q / 3 + noise.accel**2 * h
-    if noise.surge is not None:
-        kept, driven = noise.surge.kept(h), noise.surge.driven(h)
-        states.append(NoiseState(kept - 1, kept, None, driven, driven, noise.surge.variance))
-        measured = measured + driven
+        kept = jnp.exp(-drift.rate * h)
+        driven = drift.variance * -jnp.expm1(-2 * drift.rate * h) + drift.density * h
+        shared = zero
+        if seen is None:  # the surge, whose change a block sees
+            seen, shared, measured = kept - 1, driven, measured + driven
+        states.append(NoiseState(seen, kept, to_walk, driven, shared, drift.variance))
     return NoiseModel(tuple(states), measured)
 
 
@@ -121,12 +114,8 @@ def predict(
 ) -> tuple[list[dict[int, Number]], list[Number], Scalar, Covariance]:
     """Return transition, gain, innovation variance and the covariance after a block.
 
-    The transition is rows of entries by column, without zeros.
-
-    Args:
-        noise: model of the blocks.
-        variance: covariance before the block.
-        turned: angle by which the body turned about the vertical, rad.
+    The transition is rows of entries by column, without zeros; ``turned`` is the angle by which the
+    body turned about the vertical in the block, rad.
     """
     states, places, cast = noise.states, range(len(noise.states)), noise.cast
 
